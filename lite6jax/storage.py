@@ -2,6 +2,7 @@
 
 import os
 import tempfile
+from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -140,9 +141,9 @@ def _check_node(path: str | Path, node: yaml.Node, budget: list[int]) -> None:
         keys = [key.value for key, _ in node.value if isinstance(key, yaml.ScalarNode)]
         if len(keys) != len(node.value):
             raise InputError(f"{where} a key that is not a plain name; write `name: value`")
-        for key in keys:
-            if keys.count(key) > 1:
-                raise InputError(f"{where} the key {key!r} is given twice; keep one")
+        if len(set(keys)) != len(keys):
+            twice = next(key for key, count in Counter(keys).items() if count > 1)
+            raise InputError(f"{where} the key {twice!r} is given twice; keep one")
         for _, value in node.value:
             _check_node(path, value, budget)
     elif isinstance(node, yaml.SequenceNode):

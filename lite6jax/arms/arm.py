@@ -1,0 +1,162 @@
+"""What an arm is by design: its nominal chain, limits, masses and flange."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lite6jax.arms import chains, convert, frames
+from lite6jax.errors import InputError
+
+Array = NDArray[np.float64]
+
+# A published DH table may be rounded otherwise than the six parameters beside it (the vendor's ROS file says 1.5708).
+DH_EXACT = 1e-9
+DH_AGREES = 1e-4
+
+
+@dataclass(frozen=True, eq=False)
+class Arm:
+    """A serial arm of revolute joints, in SI units; every array is float64 and read-only.
+
+    The flange stands at `T_base_flange = prod_i Trans(x, y, z) Rz(yaw) Ry(pitch) Rx(roll) Rz(q_i) @ T_joint_flange`.
+
+    Attributes:
+        name: one printable line.
+        kinematics: (joint, 6) nominal x y z roll pitch yaw of each joint's frame in the previous one, m and rad.
+        joint_limits: (joint, 2) lower and upper, rad; +-2 pi where not given.
+        T_joint_flange: (4, 4) from the frame after the last joint to the flange; the identity where not given.
+        mass: (joint,) kg of link i, which joint i moves; or None where unknown.
+        center_of_mass: (joint, 3) m, in the frame after joint i's rotation; given together with `mass`.
+        dh: (joint, 4) the published standard DH table, theta_off d a alpha in rad and m, where there is one. It
+            describes the same chain without `T_joint_flange`, and fixes the branch (theta, sign of alpha) of the Hayati
+            parameters.
+        source: where the numbers are from.
+
+    Raises:
+        InputError: an array of the wrong shape, a number that is not finite, limits the wrong way round, a negative
+            mass, a flange that is no rigid transform, or a DH table that is another chain than `kinematics`.
+    """
+
+    name: str
+    kinematics: Array
+    joint_limits: Array = None  # pyright: ignore[reportAssignmentType]  # filled in below
+    T_joint_flange: Array = None  # pyright: ignore[reportAssignmentType]
+    mass: Array | None = None
+    center_of_mass: Array | None = None
+    dh: Array | None = None
+    source: str = ""
+
+    def __post_init__(self) -> None:
+        if not self.name or not self.name.isprintable():
+            raise InputError(f"arm {self.name!r}: the name must be one printable line; write another")
+        if not self.source.isprintable():
+            raise InputError(f"arm {self.name!r}: the source must be one printable line; write it without line breaks")
+        joints = len(np.atleast_1d(np.asarray(self.kinematics, object)))
+        if joints == 0:
+            raise InputError(f"arm {self.name!r}: has no joint; give one row x y z roll pitch yaw per joint")
+        self._store("kinematics", (joints, 6))
+        if self.joint_limits is None:
+            object.__setattr__(self, "joint_limits", np.tile([-2 * np.pi, 2 * np.pi], (joints, 1)))
+        self._store("joint_limits", (joints, 2))
+        if self.T_joint_flange is None:
+            object.__setattr__(self, "T_joint_flange", np.eye(4))
+        self._store("T_joint_flange", (4, 4))
+        if (self.mass is None) != (self.center_of_mass is None):
+            raise InputError(f"arm {self.name!r}: mass and center_of_mass belong together; give both or neither")
+        for field, shape in (("mass", (joints,)), ("center_of_mass", (joints, 3)), ("dh", (joints, 4))):
+            if getattr(self, field) is not None:
+                self._store(field, shape)
+        self._check()
+
+    def _store(self, field: str, shape: tuple[int, ...]) -> None:
+        try:
+            value = np.array(getattr(self, field), np.float64)
+        except (TypeError, ValueError) as error:
+            raise InputError(f"arm {self.name!r}: {field} is not an array of numbers of shape {shape}") from error
+        if value.shape != shape:
+            raise InputError(f"arm {self.name!r}: {field} has the shape {value.shape}; it must be {shape}")
+        if not np.isfinite(value).all():
+            raise InputError(f"arm {self.name!r}: {field} has a number that is not finite; correct it")
+        value.flags.writeable = False
+        object.__setattr__(self, field, value)
+
+    def _check(self) -> None:
+        for i, (lower, upper) in enumerate(self.joint_limits):
+            if not lower < upper:
+                raise InputError(
+                    f"arm {self.name!r}: joint{i + 1}'s limits {lower:g} … {upper:g} rad are empty; write lower, upper"
+                )
+        T = self.T_joint_flange
+        if np.abs(T[:3, :3] @ T[:3, :3].T - np.eye(3)).max() > 1e-9 or np.linalg.det(T[:3, :3]) < 0:
+            raise InputError(
+                f"arm {self.name!r}: T_joint_flange does not hold a rotation; correct its upper left 3 × 3"
+            )
+        if not np.array_equal(T[3], [0.0, 0.0, 0.0, 1.0]):
+            raise InputError(f"arm {self.name!r}: T_joint_flange's last row must be 0 0 0 1")
+        if self.mass is not None and (self.mass < 0).any():
+            raise InputError(
+                f"arm {self.name!r}: link{int(np.argmax(self.mass < 0)) + 1}'s mass is negative; correct it"
+            )
+        if self._dh_distance > DH_AGREES:
+            raise InputError(
+                f"arm {self.name!r}: its DH table is another chain than its kinematics (they differ by"
+                f" {self._dh_distance:.2g} m or rad); correct one or leave dh out"
+            )
+
+    @property
+    def dof(self) -> int:
+        """The number of joints."""
+        return len(self.kinematics)
+
+    @property
+    def reach(self) -> float:
+        """m; no joint position takes the flange further than this from the base's origin."""
+        offsets = np.vstack([self.kinematics[:, :3], self.T_joint_flange[:3, 3]])
+        return float(np.linalg.norm(offsets, axis=1).sum())
+
+    @cached_property
+    def links(self) -> Array:
+        """(joint, 4, 4) the fixed transform before each joint's rotation."""
+        return np.stack([frames.transform_from_row(row) for row in self.kinematics])
+
+    @cached_property
+    def form(self) -> chains.HayatiForm:
+        """The Hayati form of this arm: which joints are nominally parallel to the next."""
+        return chains.hayati_form_of(self.kinematics)
+
+    @cached_property
+    def hayati(self) -> Array:
+        """(size,) the nominal Hayati parameters in `form`'s order, without `T_joint_flange`.
+
+        Read from the published DH table where it is the same chain exactly; else converted in closed form, on the
+        branch of the table where there is one.
+        """
+        published = None
+        if self.dh is not None and not self.dh[list(self.form.parallel), 1].any():
+            published = np.asarray(self.form.pack(np.zeros(4), self.dh, np.zeros(len(self.form.parallel))), np.float64)
+            if self._dh_distance <= DH_EXACT:
+                return published
+        return np.asarray(convert.six_parameter_to_hayati(self.form, self.kinematics, published), np.float64)
+
+    @cached_property
+    def _dh_distance(self) -> float:
+        """The largest difference of any entry of the flange's pose between DH table (if any) and six parameters."""
+        if self.dh is None:
+            return 0.0
+        q = sample_joints(self.dof)
+        links, after = frames.links_from_dh(self.dh)
+        return float(np.abs(frames.chain(links, q) @ after - frames.chain(self.links, q)).max())
+
+
+def sample_joints(dof: int, count: int = 64) -> Array:
+    """(count, dof) rad: joint positions that fill +-pi evenly, the same at every call.
+
+    The additive recurrence of the generalised golden ratio (Roberts, 2018): no random numbers, no seed.
+    """
+    ratio = 2.0
+    for _ in range(60):
+        ratio = (1 + ratio) ** (1 / (dof + 1))
+    steps = ratio ** -np.arange(1.0, dof + 1)
+    return 2 * np.pi * (np.outer(np.arange(1, count + 1), steps) % 1.0) - np.pi

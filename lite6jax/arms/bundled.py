@@ -1,0 +1,32 @@
+"""The arms that come with the library, each number with its source in `data/`."""
+
+from functools import cache
+from pathlib import Path
+
+from lite6jax.arms import entries
+from lite6jax.arms.arm import Arm
+from lite6jax.arms.description import read_description
+from lite6jax.errors import InputError
+
+_DATA = Path(__file__).parent / "data"
+
+# The same model after another of the vendor's files: never the answer to which model a calibration is of.
+VARIANTS = ("lite6_ros",)
+
+
+@cache
+def bundled_arms() -> tuple[str, ...]:
+    """The names of the bundled arms, in alphabetical order."""
+    return tuple(sorted(path.stem for path in _DATA.glob("*.yaml")))
+
+
+@cache
+def load_bundled(name: str) -> Arm:
+    """A bundled arm by its name.
+
+    Raises:
+        InputError: no such arm; the line lists the names.
+    """
+    if name not in bundled_arms():
+        raise InputError(f"no bundled arm {name!r}; {entries.suggestion(name, bundled_arms())}")
+    return read_description(_DATA / f"{name}.yaml")

@@ -1,0 +1,401 @@
+"""Serial chains as pure functions: the six-parameter chain, the Hayati chain, and the twists of their parameters.
+
+A chain is walked as a frame that moves along its own axes. Inside this module the sample is the last axis of every
+array, so that an elementary move is a vector instruction over samples, and the joints are a loop, so that neither
+compile time nor recomputed prefixes grow with their number.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property, partial
+from typing import NamedTuple, Protocol
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array, lax
+from jax.typing import ArrayLike
+
+from lite6jax.arms.se3 import transform
+from lite6jax.errors import InputError
+
+X, Y, Z = 0, 1, 2
+PARALLEL_WITHIN = np.deg2rad(5.0)
+"""Neighbouring axes closer than this in the nominal geometry count as parallel; what assembly tilts is far below."""
+
+
+class Frame(NamedTuple):
+    """A moving frame: its axes and its origin in fixed coordinates, each `(3, sample)`."""
+
+    x: Array
+    y: Array
+    z: Array
+    origin: Array
+
+
+class Twist(NamedTuple):
+    """The motion per unit of one parameter, at the fixed origin: `(3, sample)` each; a translation has no `angular`."""
+
+    linear: Array
+    angular: Array | None
+
+
+class Turn(NamedTuple):
+    """A rotation angle as its cosine and sine."""
+
+    cos: Array
+    sin: Array
+
+
+def turn(angle: ArrayLike) -> Turn:
+    """The turn by `angle` rad."""
+    return Turn(jnp.cos(angle), jnp.sin(angle))
+
+
+class Form(Protocol):
+    """What a chain's parameters are. Hashable, so that it can be a static argument of a jitted function.
+
+    The walk meets first the parameters of `enter`, then the same number at each joint in `step`; `walking_order[k]` is
+    the place in `names` of the k-th it meets.
+    """
+
+    dof: int
+
+    @property
+    def size(self) -> int:
+        """How many parameters."""
+        ...
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Their names, in their order."""
+        ...
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """`m` or `rad` for each."""
+        ...
+
+    @property
+    def walking_order(self) -> np.ndarray:
+        """See the class."""
+        ...
+
+    @property
+    def entering(self) -> int:
+        """How many parameters `enter` uses."""
+        ...
+
+    @property
+    def flags(self) -> np.ndarray:
+        """What differs in kind between joints, `(joint,)` bool."""
+        ...
+
+    def enter(self, frame: Frame, values: Array) -> tuple[Frame, tuple[Twist, ...]]:
+        """Moves from the base frame to joint 1."""
+        ...
+
+    def step(self, frame: Frame, values: Array, flag: Array, joint: Turn) -> tuple[Frame, tuple[Twist, ...]]:
+        """Moves through one joint."""
+        ...
+
+
+@dataclass(frozen=True)
+class SixParameterForm:
+    """The chain of factory files and URDF: x y z roll pitch yaw, then the joint's rotation.
+
+    T = ∏ Trans(xᵢ, yᵢ, zᵢ) Rz(yawᵢ) Ry(pitchᵢ) Rx(rollᵢ) Rz(qᵢ). Of its 6 n parameters 4 n + 2 are determined by
+    flange poses (26 for six joints): each joint's axis is a line (4 numbers), and the last joint fixes the flange's
+    height and angle on it. The free directions: each joint's frame may slide along and turn about its own axis, which
+    the next joint's origin undoes (2 (n − 1) of them).
+    """
+
+    dof: int
+
+    entering = 0
+
+    @property
+    def size(self) -> int:
+        """6 n."""
+        return 6 * self.dof
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """`joint1_x` … `jointN_yaw`."""
+        return tuple(f"joint{i + 1}_{n}" for i in range(self.dof) for n in ("x", "y", "z", "roll", "pitch", "yaw"))
+
+    @cached_property
+    def units(self) -> tuple[str, ...]:
+        """`m` or `rad` for each."""
+        return ("m", "m", "m", "rad", "rad", "rad") * self.dof
+
+    @cached_property
+    def walking_order(self) -> np.ndarray:
+        """The walk meets yaw before pitch before roll."""
+        return (6 * np.arange(self.dof)[:, None] + np.array([0, 1, 2, 5, 4, 3])).ravel()
+
+    @property
+    def flags(self) -> np.ndarray:
+        """All joints are alike."""
+        return np.zeros(self.dof, bool)
+
+    def enter(self, frame: Frame, values: Array) -> tuple[Frame, tuple[Twist, ...]]:
+        """Nothing stands before joint 1."""
+        return frame, ()
+
+    def step(self, frame: Frame, values: Array, flag: Array, joint: Turn) -> tuple[Frame, tuple[Twist, ...]]:
+        """Through one joint's origin and rotation."""
+        x, y, z, yaw, pitch, roll = values
+        shifts = tuple(Twist(frame[axis], None) for axis in (X, Y, Z))
+        frame = translate(translate(translate(frame, X, x), Y, y), Z, z)
+        about_z = rotation_twist(frame, Z)
+        frame = rotate(frame, Z, turn(yaw))
+        about_y = rotation_twist(frame, Y)
+        frame = rotate(frame, Y, turn(pitch))
+        about_x = rotation_twist(frame, X)
+        frame = rotate(rotate(frame, X, turn(roll)), Z, joint)
+        return frame, (*shifts, about_z, about_y, about_x)
+
+
+@dataclass(frozen=True)
+class HayatiForm:
+    """The effective model: a base, then standard DH, with Hayati's parameter where neighbouring axes are parallel.
+
+    T = Base ∏ Aᵢ, Base = Trans(x, y, 0) Ry(pitch) Rx(roll), Aᵢ = Rz(qᵢ + theta_offᵢ) Tz(dᵢ) Tx(aᵢ) Rx(alphaᵢ);
+    for a joint in `parallel` d is zero and Ry(betaᵢ) follows (S. Hayati, CDC 1983). 4 n + 4 parameters (28 for six
+    joints), all of them determined by flange poses: 4 for each joint's axis and 4 for the flange on the last one.
+    A flange whose frame is free in all six numbers, a general tool, has two more: 4 n + 6 = 30, the full model.
+
+    Attributes:
+        dof: number of joints.
+        parallel: the joints, counted from 0, whose axis is nominally parallel to the next one's.
+    """
+
+    dof: int
+    parallel: tuple[int, ...] = ()
+
+    entering = 4
+
+    def __post_init__(self) -> None:
+        if any(not 0 <= i < self.dof - 1 for i in self.parallel) or list(self.parallel) != sorted(set(self.parallel)):
+            raise InputError(f"parallel joints {self.parallel}: give each once, in order, from 0 to {self.dof - 2}")
+
+    @property
+    def size(self) -> int:
+        """4 n + 4."""
+        return 4 * self.dof + 4
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """`base_x base_y base_roll base_pitch`, `theta_off1 d1 a1 alpha1` …, `beta2` …; no d where there is a beta."""
+        joints = [
+            f"{name}{i + 1}"
+            for i in range(self.dof)
+            for name in ("theta_off", "d", "a", "alpha")
+            if not (name == "d" and i in self.parallel)
+        ]
+        betas = [f"beta{i + 1}" for i in self.parallel]
+        return ("base_x", "base_y", "base_roll", "base_pitch", *joints, *betas)
+
+    @cached_property
+    def units(self) -> tuple[str, ...]:
+        """`m` or `rad` for each."""
+        return tuple("m" if name in ("base_x", "base_y") or name[0] in "d" or name[:-1] == "a" else "rad" for name in self.names)
+
+    @cached_property
+    def walking_order(self) -> np.ndarray:
+        """The walk meets base x, y, pitch, roll, then theta, d or beta, a, alpha at each joint."""
+        order = ["base_x", "base_y", "base_pitch", "base_roll"]
+        for i in range(self.dof):
+            order += [f"{name}{i + 1}" for name in ("theta_off", "beta" if i in self.parallel else "d", "a", "alpha")]
+        return np.array([self.names.index(name) for name in order])
+
+    @cached_property
+    def flags(self) -> np.ndarray:
+        """Whether the joint has a beta for its d."""
+        return np.isin(np.arange(self.dof), self.parallel)
+
+    def enter(self, frame: Frame, values: Array) -> tuple[Frame, tuple[Twist, ...]]:
+        """The base transform."""
+        x, y, pitch, roll = values
+        shifts = (Twist(frame.x, None), Twist(frame.y, None))
+        frame = translate(translate(frame, X, x), Y, y)
+        about_y = rotation_twist(frame, Y)
+        frame = rotate(frame, Y, turn(pitch))
+        about_x = rotation_twist(frame, X)
+        return rotate(frame, X, turn(roll)), (*shifts, about_y, about_x)
+
+    def step(self, frame: Frame, values: Array, flag: Array, joint: Turn) -> tuple[Frame, tuple[Twist, ...]]:
+        """Through one joint's rotation and link."""
+        theta, second, a, alpha = values
+        d, beta = jnp.where(flag, 0.0, second), jnp.where(flag, second, 0.0)
+        offset = turn(theta)
+        about_z, along_z = rotation_twist(frame, Z), frame.z
+        frame = rotate(frame, Z, Turn(joint.cos * offset.cos - joint.sin * offset.sin, joint.sin * offset.cos + joint.cos * offset.sin))
+        along_x = Twist(frame.x, None)
+        frame = translate(translate(frame, Z, d), X, a)
+        about_x = rotation_twist(frame, X)
+        frame = rotate(frame, X, turn(alpha))
+        about_y = rotation_twist(frame, Y)
+        frame = rotate(frame, Y, turn(beta))
+        d_or_beta = Twist(jnp.where(flag, about_y.linear, along_z), jnp.where(flag, about_y.angular, 0.0))
+        return frame, (about_z, d_or_beta, along_x, about_x)
+
+    def pack(self, base: ArrayLike, dh: ArrayLike, beta: ArrayLike = ()) -> np.ndarray:
+        """Parameters `(size,)` from base (x, y, roll, pitch), the table `(joint, 4)` and one beta per parallel joint.
+
+        Raises:
+            InputError: a wrong shape, or a d that is not zero on a parallel joint.
+        """
+        base, dh, beta = np.asarray(base, float), np.asarray(dh, float), np.asarray(beta, float)
+        if base.shape != (4,) or dh.shape != (self.dof, 4) or beta.shape != (len(self.parallel),):
+            raise InputError(
+                f"base {base.shape}, dh {dh.shape}, beta {beta.shape}: "
+                f"this form takes (4,), ({self.dof}, 4) and ({len(self.parallel)},)"
+            )
+        for i in self.parallel:
+            if dh[i, 1] != 0:
+                raise InputError(f"joint {i + 1}: d must be 0 there (it has beta instead), not {dh[i, 1]}")
+        keep = np.ones((self.dof, 4), bool)
+        keep[list(self.parallel), 1] = False
+        return np.concatenate([base, dh[keep], beta])
+
+    def unpack(self, parameters: ArrayLike) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The inverse of `pack`."""
+        parameters = np.asarray(parameters, float)
+        if parameters.shape != (self.size,):
+            raise InputError(f"parameters of shape {parameters.shape}: this form takes ({self.size},)")
+        keep = np.ones((self.dof, 4), bool)
+        keep[list(self.parallel), 1] = False
+        dh = np.zeros((self.dof, 4))
+        end = 4 + int(keep.sum())
+        dh[keep] = parameters[4:end]
+        return parameters[:4], dh, parameters[end:]
+
+
+def rotate(frame: Frame, axis: int, by: Turn) -> Frame:
+    """The frame turned about its own axis."""
+    axes = [frame.x, frame.y, frame.z]
+    b, c = (axis + 1) % 3, (axis + 2) % 3
+    axes[b], axes[c] = by.cos * axes[b] + by.sin * axes[c], by.cos * axes[c] - by.sin * axes[b]
+    return Frame(*axes, frame.origin)
+
+
+def translate(frame: Frame, axis: int, by: Array) -> Frame:
+    """The frame shifted along its own axis, by m."""
+    return frame._replace(origin=frame.origin + by * frame[axis])
+
+
+def rotation_twist(frame: Frame, axis: int) -> Twist:
+    """The twist of a rotation about the frame's own axis."""
+    return Twist(cross(frame.origin, frame[axis]), frame[axis])
+
+
+def cross(a: Array, b: Array) -> Array:
+    """The cross product over the first axis."""
+    return jnp.stack([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
+
+
+def sweep(
+    form: Form, parameters: Array, joint: Turn, start: Frame, emit: Callable[[Twist], Array] | None = None
+) -> tuple[Frame, Array]:
+    """Walks a chain.
+
+    Args:
+        form: which chain.
+        parameters: `(size,)`.
+        joint: the joints' angles, each `(joint, sample)`.
+        start: the base frame in fixed coordinates.
+        emit: maps the twist of a parameter to an array; all of one shape.
+
+    Returns:
+        The flange's frame, and what was emitted, `(size, …)` in *walking* order (empty without `emit`).
+    """
+    values = parameters[form.walking_order]
+    entering, steps = values[: form.entering], values[form.entering :].reshape(form.dof, -1)
+    flags = jnp.asarray(form.flags)
+    frame, twists = form.enter(start, entering)
+
+    def record(collected: Array, at: int | Array, twists: tuple[Twist, ...]) -> Array:
+        if emit is None or not twists:
+            return collected
+        rows = jnp.stack([emit(twist) for twist in twists])
+        return lax.dynamic_update_slice_in_dim(collected, rows, at, 0)
+
+    if emit is None:
+        collected = jnp.zeros((0,))
+    else:
+        emitted = jax.eval_shape(lambda: emit(rotation_twist(start, Z)))
+        collected = jnp.zeros((form.size, *emitted.shape), emitted.dtype)
+    collected = record(collected, 0, twists)
+
+    def body(i: Array, state: tuple[Frame, Array]) -> tuple[Frame, Array]:
+        frame, collected = state
+        pick = partial(lax.dynamic_index_in_dim, index=i, axis=0, keepdims=False)
+        frame, twists = form.step(frame, pick(steps), pick(flags), Turn(pick(joint.cos), pick(joint.sin)))
+        return frame, record(collected, form.entering + i * steps.shape[1], twists)
+
+    return lax.fori_loop(0, form.dof, body, (frame, collected))
+
+
+def base_frame(T: Array, samples: int) -> Frame:
+    """A fixed transform `(4, 4)` as the frame of every sample."""
+    columns = jnp.broadcast_to(T[:3, :, None], (3, 4, samples))
+    return Frame(*(columns[:, i] for i in range(4)))
+
+
+@partial(jax.jit, static_argnums=0)
+def fk(form: Form, parameters: ArrayLike, joint_position: ArrayLike) -> Array:
+    """Flange poses `T_base_flange` `(..., 4, 4)` of a chain.
+
+    Args:
+        form: which chain.
+        parameters: `(size,)` in the order of `form.names`; m and rad.
+        joint_position: `(..., joint)` rad.
+    """
+    q = jnp.asarray(joint_position, float)
+    joint = turn(q.reshape(-1, form.dof).T)
+    frame, _ = sweep(form, jnp.asarray(parameters, float), joint, base_frame(jnp.eye(4), joint.cos.shape[1]))
+    R = jnp.stack([frame.x, frame.y, frame.z], 1)
+    T = transform(jnp.moveaxis(R, -1, 0), frame.origin.T)
+    return T.reshape(*q.shape[:-1], 4, 4)
+
+
+def six_parameter_fk(kinematics: ArrayLike, joint_position: ArrayLike) -> Array:
+    """Flange poses `(..., 4, 4)` of a six-parameter chain.
+
+    Args:
+        kinematics: `(joint, 6)`, rows x y z (m) roll pitch yaw (rad).
+        joint_position: `(..., joint)` rad.
+    """
+    kinematics = jnp.asarray(kinematics, float)
+    return fk(SixParameterForm(kinematics.shape[0]), kinematics.reshape(-1), joint_position)
+
+
+def hayati_fk(form: HayatiForm, parameters: ArrayLike, joint_position: ArrayLike) -> Array:
+    """Flange poses `(..., 4, 4)` of a Hayati chain; `parameters` `(size,)` as in `form.names`."""
+    return fk(form, parameters, joint_position)
+
+
+def joint_axes(kinematics: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
+    """The joints' axes at q = 0 as lines: a point `(joint, 3)` in m and a direction `(joint, 3)`, in the base frame."""
+    kinematics = np.asarray(kinematics, float)
+    T, points, directions = np.eye(4), [], []
+    for x, y, z, roll, pitch, yaw in kinematics:
+        (sr, sp, sy), (cr, cp, cy) = np.sin((roll, pitch, yaw)), np.cos((roll, pitch, yaw))
+        Rz = np.array([[cy, -sy, 0], [sy, cy, 0], [0, 0, 1]])
+        Ry = np.array([[cp, 0, sp], [0, 1, 0], [-sp, 0, cp]])
+        Rx = np.array([[1, 0, 0], [0, cr, -sr], [0, sr, cr]])
+        step = np.eye(4)
+        step[:3, :3], step[:3, 3] = Rz @ Ry @ Rx, (x, y, z)
+        T = T @ step
+        points.append(T[:3, 3])
+        directions.append(T[:3, 2])
+    return np.array(points), np.array(directions)
+
+
+def hayati_form_of(kinematics: ArrayLike) -> HayatiForm:
+    """The Hayati form of a nominal six-parameter chain `(joint, 6)`: which neighbouring axes are parallel."""
+    _, directions = joint_axes(kinematics)
+    sines = np.linalg.norm(np.cross(directions[:-1], directions[1:]), axis=1)
+    return HayatiForm(len(directions), tuple(int(i) for i in np.flatnonzero(sines < np.sin(PARALLEL_WITHIN))))

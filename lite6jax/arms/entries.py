@@ -1,0 +1,151 @@
+"""Numbers and keys out of a parsed file, or one line that says which of them is wrong."""
+
+import difflib
+import math
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lite6jax.errors import InputError
+
+Array = NDArray[np.float64]
+
+SIX = ("x", "y", "z", "roll", "pitch", "yaw")
+UR_JOINTS = ("shoulder", "upper_arm", "forearm", "wrist_1", "wrist_2", "wrist_3")
+
+# No arm of metres has a link this long; no angle of radians goes round more than once.
+LENGTH_LIMIT = 10.0
+ANGLE_LIMIT = 2 * math.pi + 1e-6
+
+# YAML 1.1 takes 1e-5 for a word because it has no point.
+_NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?")
+
+
+def number(value: Any, where: str) -> float:
+    """The value as a float.
+
+    Raises:
+        InputError: it is not a number (a truth value is none), or not finite.
+    """
+    if isinstance(value, str) and _NUMBER.fullmatch(value):
+        value = float(value)
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        shown = repr(value) if len(repr(value)) <= 40 else repr(value)[:37] + "..."
+        raise InputError(f"{where} is {shown}, which is not a number; write a plain number")
+    try:
+        value = float(value)
+    except OverflowError:
+        value = math.inf
+    if not math.isfinite(value):
+        raise InputError(f"{where} is {value}, which is not finite; read the file from its source again")
+    return value
+
+
+def numbers(value: Any, where: str, count: int) -> list[float]:
+    """A list of `count` floats.
+
+    Raises:
+        InputError: not a list of that length, or as `number`.
+    """
+    if not isinstance(value, Sequence) or isinstance(value, str) or len(value) != count:
+        raise InputError(f"{where} must be a list of {count} numbers; write [{', '.join(['0.0'] * count)}]")
+    return [number(entry, f"{where} number {i + 1}") for i, entry in enumerate(value)]
+
+
+def mapping(value: Any, where: str, required: Sequence[str], optional: Sequence[str] = ()) -> Mapping[str, Any]:
+    """The value as a mapping with these keys and no others.
+
+    Raises:
+        InputError: not a mapping, a key missing, or a key that is not known.
+    """
+    if not isinstance(value, Mapping):
+        raise InputError(f"{where} must be a mapping with the keys {', '.join(required)}")
+    accepted = [*required, *optional]
+    for key in value:
+        if key not in accepted:
+            raise InputError(f"{where} has the unknown key {str(key)!r}; {suggestion(str(key), accepted)}")
+    for key in required:
+        if key not in value:
+            raise InputError(f"{where} lacks the key {key!r}; add it")
+    return value
+
+
+def suggestion(word: str, accepted: Iterable[str]) -> str:
+    """`did you mean …? Accepted are …`, for the end of a message."""
+    accepted = list(accepted)
+    near = difflib.get_close_matches(word, accepted, n=1)
+    return (f"did you mean {near[0]!r}? " if near else "") + f"accepted are {', '.join(accepted)}"
+
+
+def six_numbers(value: Any, where: str) -> list[float]:
+    """x y z roll pitch yaw of a mapping with just these keys, in m and rad.
+
+    Raises:
+        InputError: as `mapping` and `number`; an angle beyond a full turn (degrees?), a length of over 10 m
+            (millimetres?).
+    """
+    entry = mapping(value, where, SIX)
+    row = [number(entry[key], f"{where}: {key}") for key in SIX]
+    for key, angle in zip(SIX[3:], row[3:], strict=True):
+        if abs(angle) > ANGLE_LIMIT:
+            raise InputError(
+                f"{where}: {key} is {angle:g}, more than a full turn, so it seems to be in degrees;"
+                f" write radians ({math.radians(angle):.6g})"
+            )
+    for key, length in zip(SIX[:3], row[:3], strict=True):
+        if abs(length) > LENGTH_LIMIT:
+            raise InputError(
+                f"{where}: {key} is {length:g}, longer than any arm's link, so it seems to be in millimetres;"
+                f" write metres ({length / 1000:.6g})"
+            )
+    return row
+
+
+def kinematics(value: Any, where: str) -> tuple[Array, tuple[str, ...]]:
+    """The six-parameter table below a file's key `kinematics`, in the vendor's form or in Universal Robots'.
+
+    Returns:
+        (joint, 6) x y z roll pitch yaw in m and rad, and the joints' names for messages.
+
+    Raises:
+        InputError: a joint missing or unknown, or as `six_numbers`; the line names the joint.
+    """
+    if not isinstance(value, Mapping) or not value:
+        raise InputError(
+            f"{where}: kinematics must be a mapping with the joints joint1, joint2, …; write one per joint"
+        )
+    keys = {str(key): entry for key, entry in value.items()}
+    if any(key in UR_JOINTS for key in keys):
+        keys.pop("hash", None)  # names the controller's own record; nothing in it is a number of the chain
+        joints, names = UR_JOINTS, tuple(f"joint{i + 1} ({name})" for i, name in enumerate(UR_JOINTS))
+    else:
+        found = [int(key[5:]) for key in keys if re.fullmatch(r"joint[1-9][0-9]?", key)]
+        joints = names = tuple(f"joint{i + 1}" for i in range(max(found, default=1)))
+    for key in keys:
+        if key not in joints:
+            raise InputError(f"{where}: kinematics has the unknown joint {key!r}; {suggestion(key, joints)}")
+    for joint, name in zip(joints, names, strict=True):
+        if joint not in keys:
+            raise InputError(f"{where}: {name} is missing from kinematics; add its {', '.join(SIX)}")
+    rows = [six_numbers(keys[joint], f"{where}: {name}") for joint, name in zip(joints, names, strict=True)]
+    return np.array(rows), names
+
+
+def yaml_number(value: float) -> str:
+    """The shortest decimal that every YAML reader takes for exactly this float."""
+    text = repr(float(value))
+    return text.replace("e", ".0e") if "e" in text and "." not in text else text
+
+
+def yaml_row(keys: Sequence[str], values: ArrayLike) -> str:
+    """`{key: number, …}` on one line."""
+    row = np.asarray(values, float)
+    return "{" + ", ".join(f"{key}: {yaml_number(value)}" for key, value in zip(keys, row, strict=True)) + "}"
+
+
+def yaml_list(values: ArrayLike) -> str:
+    """`[number, …]` on one line."""
+    return "[" + ", ".join(yaml_number(value) for value in np.asarray(values, float)) + "]"

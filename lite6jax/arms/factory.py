@@ -1,0 +1,187 @@
+"""Factory calibrations: one arm's own six-parameter file, and which model it is of."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import combinations, product
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lite6jax import storage
+from lite6jax.arms import convert, entries, frames
+from lite6jax.arms.arm import Arm, sample_joints
+from lite6jax.arms.bundled import VARIANTS, bundled_arms, load_bundled
+from lite6jax.arms.table import read_table
+from lite6jax.errors import InputError
+
+Array = NDArray[np.float64]
+
+# RMS distance to a model within which a calibration is of that model: a real xArm 7 is 8.5 mm from its nominal,
+# and the nearest two models (UR3, UR3e) are 21 mm apart, so that the smaller one decides between them.
+RECOGNISED_WITHIN = 0.05
+
+JOINTS = (5, 6, 7)
+
+# The points compared stand at the flange's origin and this far along its x and y, so that a turned flange is seen too.
+_PROBE = 0.1
+
+
+@dataclass(frozen=True, eq=False)
+class FactoryCalibration:
+    """One arm's calibrated chain beside the nominal arm it is a small change of.
+
+    Attributes:
+        kinematics: (joint, 6) x y z roll pitch yaw of each joint's frame in the previous one, m and rad.
+        arm: the nominal arm, recognised or given.
+        T_joint_flange: (4, 4) from the frame after the last joint to the flange.
+        source: the file.
+    """
+
+    kinematics: Array
+    arm: Arm
+    T_joint_flange: Array
+    source: str
+
+
+def read_factory(path: str | Path, arm: Arm | None = None) -> FactoryCalibration:
+    """A factory calibration: YAML in the vendor's form (`joint1`, …) or Universal Robots' (`shoulder`, …), or the JSON
+    table of Hayati parameters.
+
+    Args:
+        path: the file.
+        arm: its nominal arm. Not given: the nearest bundled arm.
+
+    Raises:
+        InputError: not such a file; joints or keys missing or unknown; a number that is none; degrees for radians,
+            millimetres for metres; a joint turned by 180 deg; no bundled arm near and none given. The line names the
+            file, the joint and the remedy.
+    """
+    if Path(path).suffix.lower() == ".json":
+        table = read_table(path)
+        chain = convert.hayati_to_six_parameter(table.form, table.parameters)
+        kinematics, T_joint_flange = (np.array(part, np.float64) for part in chain)
+        names = tuple(f"joint{i + 1}" for i in range(len(kinematics)))
+    else:
+        content = entries.mapping(storage.read_yaml(path), f"{path}:", ("kinematics",))
+        kinematics, names = entries.kinematics(content["kinematics"], str(path))
+        T_joint_flange = np.eye(4)
+    if len(kinematics) not in JOINTS:
+        raise InputError(f"{path}: has {len(kinematics)} joints; a factory calibration has 5, 6 or 7, one row for each")
+    if arm is not None and arm.dof != len(kinematics):
+        raise InputError(f"{path}: has {len(kinematics)} joints, but {arm.name} has {arm.dof}; name another with --arm")
+    recognised = recognise(kinematics, names, str(path), arm, T_joint_flange)
+    return FactoryCalibration(kinematics, recognised, T_joint_flange @ recognised.T_joint_flange, str(path))
+
+
+def write_factory(kinematics: ArrayLike, path: str | Path, form: str = "vendor", overwrite: bool = False) -> Path:
+    """Writes a six-parameter table as a factory file; `read_factory` gives back every number exactly.
+
+    Args:
+        kinematics: (joint, 6) x y z roll pitch yaw, m and rad.
+        path: the file to write.
+        form: `vendor` (`joint1`, …; 5, 6 or 7 joints) or `ur` (`shoulder`, …; 6 joints).
+        overwrite: whether the file may be replaced.
+
+    Raises:
+        InputError: another form or number of joints, a number that is not finite, or as `storage.write_atomically`.
+    """
+    rows = np.asarray(kinematics, np.float64)
+    if form not in ("vendor", "ur"):
+        raise InputError(f"{path}: no form {form!r} of factory files; write 'vendor' or 'ur'")
+    if rows.ndim != 2 or rows.shape[1] != 6 or len(rows) not in JOINTS or (form == "ur" and len(rows) != 6):
+        wanted = "(6, 6)" if form == "ur" else "(5, 6), (6, 6) or (7, 6)"
+        raise InputError(f"{path}: the {form} form holds an array {wanted}, not {rows.shape}; choose another form")
+    if not np.isfinite(rows).all():
+        joint = int(np.argmax(~np.isfinite(rows).all(axis=1))) + 1
+        raise InputError(f"{path}: joint{joint} has a number that is not finite; nothing is written")
+    joints = entries.UR_JOINTS if form == "ur" else [f"joint{i + 1}" for i in range(len(rows))]
+    lines = ["kinematics:"]
+    for joint, row in zip(joints, rows, strict=True):
+        lines.append(f"  {joint}:")
+        lines += [f"    {key}: {entries.yaml_number(value)}" for key, value in zip(entries.SIX, row, strict=True)]
+    return storage.write_atomically(path, "\n".join(lines) + "\n", overwrite)
+
+
+def recognise(
+    kinematics: Array, names: Sequence[str], where: str, arm: Arm | None, T_joint_flange: ArrayLike | None = None
+) -> Arm:
+    """The nominal arm of a six-parameter table: `arm` if given, else the bundled one whose flange is nearest.
+
+    Args:
+        kinematics: (joint, 6), m and rad.
+        names: the joints' names, for messages.
+        where: the file, for messages.
+        arm: the arm to take, or None.
+        T_joint_flange: (4, 4) what follows the last joint in the file, the identity if not given.
+
+    Raises:
+        InputError: a joint is turned by 180 deg against the nearest arm; or no bundled arm is near and none is given.
+    """
+    q = sample_joints(len(kinematics))
+    links = np.stack([frames.transform_from_row(row) for row in kinematics])
+    after = np.eye(4) if T_joint_flange is None else np.asarray(T_joint_flange, float)
+    candidates = _candidates(len(kinematics)) if arm is None else [arm]
+    points = np.stack([_flange_points(candidate.links, candidate.T_joint_flange, q) for candidate in candidates])
+
+    distances = _distances(_flange_points(links, after @ candidates[0].T_joint_flange, q), points)
+    nearest = int(np.argmin(distances))
+    if distances[nearest] <= RECOGNISED_WITHIN:
+        return candidates[nearest]
+    turn = _half_turn(links, after @ candidates[0].T_joint_flange, q, points)
+    if turn is not None:
+        joints, axes, model, distance = turn
+        places = " and ".join(
+            f"{names[i]} is turned by 180° about {axis}" for i, axis in zip(joints, axes, strict=True)
+        )
+        raise InputError(
+            f"{where}: {places}: the flange is {1e3 * distances[model]:.0f} mm RMS from a {candidates[model].name}'s,"
+            f" and {1e3 * distance:.1f} mm with that turned back; read the calibration from the arm again"
+        )
+    if arm is not None:
+        return arm
+    raise InputError(
+        f"{where}: fits no bundled arm; the nearest is {candidates[nearest].name},"
+        f" {1e3 * distances[nearest]:.0f} mm RMS away at the flange; name the arm with --arm"
+        " (a bundled one, or a description of your own)"
+    )
+
+
+def _candidates(dof: int) -> list[Arm]:
+    arms = [load_bundled(name) for name in bundled_arms() if name not in VARIANTS]
+    return [arm for arm in arms if arm.dof == dof]
+
+
+def _flange_points(links: Array, after: Array, q: Array) -> Array:
+    """(sample, 3, 3) the flange's origin and the points beside it, in the base frame."""
+    T = frames.chain(links, q) @ after
+    origin = T[:, :3, 3]
+    return np.stack([origin, origin + _PROBE * T[:, :3, 0], origin + _PROBE * T[:, :3, 1]], axis=1)
+
+
+def _distances(points: Array, candidates: Array) -> Array:
+    """(candidate,) m: RMS distance of the points over joint positions."""
+    return np.sqrt(np.mean(np.sum((candidates - points) ** 2, axis=-1), axis=(-2, -1)))
+
+
+_HALF_TURNS = {"x": np.diag([1.0, -1, -1, 1]), "y": np.diag([-1.0, 1, -1, 1]), "z": np.diag([-1.0, -1, 1, 1])}
+
+
+def _half_turn(
+    links: Array, after: Array, q: Array, candidates: Array
+) -> tuple[tuple[int, ...], tuple[str, ...], int, float] | None:
+    """The fewest joints, one or two, that bring the flange near a candidate when each is turned by 180 deg."""
+    for count in (1, 2):
+        found = []
+        for joints in combinations(range(len(links)), count):
+            for axes in product("xyz", repeat=count):
+                turned = links.copy()
+                for joint, axis in zip(joints, axes, strict=True):
+                    turned[joint] = turned[joint] @ _HALF_TURNS[axis]
+                distances = _distances(_flange_points(turned, after, q), candidates)
+                model = int(np.argmin(distances))
+                found.append((float(distances[model]), joints, axes, model))
+        distance, joints, axes, model = min(found)
+        if distance <= RECOGNISED_WITHIN:
+            return joints, axes, model, distance
+    return None

@@ -1,0 +1,70 @@
+"""What the name or the path of an arm stands for: a bundled arm, a description, a calibration, a table or a URDF."""
+
+from dataclasses import replace
+from pathlib import Path
+
+from lite6jax import storage
+from lite6jax.arms import entries
+from lite6jax.arms.arm import Arm
+from lite6jax.arms.bundled import bundled_arms, load_bundled
+from lite6jax.arms.description import arm_from_description, read_description, write_arm
+from lite6jax.arms.factory import FactoryCalibration, read_factory, write_factory
+from lite6jax.arms.table import HayatiTable, read_table, write_table
+from lite6jax.arms.urdf import read_urdf, write_urdf
+from lite6jax.errors import InputError
+
+__all__ = [
+    "FactoryCalibration",
+    "HayatiTable",
+    "read_arm",
+    "read_description",
+    "read_factory",
+    "read_table",
+    "read_urdf",
+    "write_arm",
+    "write_factory",
+    "write_table",
+    "write_urdf",
+]
+
+_URDF = (".urdf", ".xacro", ".xml")
+
+
+def read_arm(path_or_name: str | Path) -> Arm:
+    """An arm by what names it.
+
+    - the name of a bundled arm (`lite6`);
+    - a description: YAML with `name` and `kinematics`;
+    - a factory calibration, in YAML or as a JSON table: the arm with the calibrated chain for its nominal, and the
+      limits and masses of the bundled arm it is recognised as;
+    - a URDF; `robot.urdf#tool0` names the tip link where it has several.
+
+    Raises:
+        InputError: neither a bundled name nor a file, or as the reader of that file.
+    """
+    name = str(path_or_name)
+    if name in bundled_arms():
+        return load_bundled(name)
+    file, _, tip = name.partition("#")
+    if Path(file).suffix.lower() in _URDF:
+        return read_urdf(file, tip=tip or None)
+    path = Path(name)
+    if not path.exists() and not path.suffix:
+        raise InputError(f"{name}: neither a bundled arm nor a file; {entries.suggestion(name, bundled_arms())}")
+    if path.suffix.lower() == ".json":
+        return _calibrated(read_factory(path))
+    content = storage.read_yaml(path)
+    if isinstance(content, dict) and set(content) == {"kinematics"}:
+        return _calibrated(read_factory(path))
+    return arm_from_description(content, str(path))
+
+
+def _calibrated(calibration: FactoryCalibration) -> Arm:
+    """The nominal arm with the calibration's chain in place of its own."""
+    return replace(
+        calibration.arm,
+        kinematics=calibration.kinematics,
+        T_joint_flange=calibration.T_joint_flange,
+        dh=None,
+        source=f"factory calibration {Path(calibration.source).name} of a {calibration.arm.name}",
+    )

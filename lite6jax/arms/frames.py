@@ -1,0 +1,111 @@
+"""Rigid transforms on the host, in plain NumPy: reading a file compiles nothing."""
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Array = NDArray[np.float64]
+
+# The quarter turns that files are full of come out exact: cos(pi / 2) is 6e-17 in floats, and meant to be 0.
+_QUARTER = np.pi / 2
+
+
+def _cos_sin(angle: float) -> tuple[float, float]:
+    turns = angle / _QUARTER
+    if turns == round(turns) and abs(turns) < 8:
+        return ((1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0))[round(turns) % 4]
+    return float(np.cos(angle)), float(np.sin(angle))
+
+
+def rotation_from_rpy(rpy: ArrayLike) -> Array:
+    """The rotation `Rz(yaw) Ry(pitch) Rx(roll)`, exact at multiples of a quarter turn.
+
+    Args:
+        rpy: (3,) roll, pitch, yaw in rad.
+
+    Returns:
+        (3, 3) rotation.
+    """
+    (cr, sr), (cp, sp), (cy, sy) = (_cos_sin(float(angle)) for angle in np.asarray(rpy, float))
+    return np.array(
+        [
+            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+            [-sp, cp * sr, cp * cr],
+        ]
+    )
+
+
+def rpy_from_rotation(rotation: ArrayLike) -> Array:
+    """Roll, pitch and yaw of a rotation, the inverse of `rotation_from_rpy`, accurate at every pitch.
+
+    Yaw comes from the first column; taking it out leaves `Ry(pitch) Rx(roll)`, whose middle row gives roll without the
+    division by cos(pitch) that fails at +-90 deg.
+
+    Returns:
+        (3,) rad, pitch within +-pi/2; yaw is zero at the poles, where only roll -+ yaw is defined.
+    """
+    R = np.asarray(rotation, float)
+    cos_pitch = np.hypot(R[0, 0], R[1, 0])
+    yaw = np.arctan2(R[1, 0], R[0, 0]) if cos_pitch > 1e-15 else 0.0
+    c, s = _cos_sin(float(yaw))
+    roll = np.arctan2(s * R[0, 2] - c * R[1, 2], c * R[1, 1] - s * R[0, 1])
+    return np.array([roll, np.arctan2(-R[2, 0], cos_pitch), yaw]) + 0.0  # no minus zeros
+
+
+def transform_from_row(row: ArrayLike) -> Array:
+    """(4, 4) transform of one row x y z roll pitch yaw, in m and rad."""
+    row = np.asarray(row, float)
+    T = np.eye(4)
+    T[:3, :3] = rotation_from_rpy(row[3:])
+    T[:3, 3] = row[:3]
+    return T
+
+
+def row_from_transform(transform: ArrayLike) -> Array:
+    """(6,) x y z roll pitch yaw of a (4, 4) transform, in m and rad."""
+    T = np.asarray(transform, float)
+    return np.concatenate([T[:3, 3], rpy_from_rotation(T[:3, :3])])
+
+
+def joint_rotations(angle: ArrayLike) -> Array:
+    """`Rz(angle)` as transforms: (...,) rad to (..., 4, 4)."""
+    angle = np.asarray(angle, float)
+    T = np.zeros((*angle.shape, 4, 4))
+    T[..., 0, 0] = T[..., 1, 1] = np.cos(angle)
+    T[..., 1, 0] = np.sin(angle)
+    T[..., 0, 1] = -T[..., 1, 0]
+    T[..., 2, 2] = T[..., 3, 3] = 1.0
+    return T
+
+
+def chain(links: Array, joint_position: ArrayLike) -> Array:
+    """The flange of a chain of fixed links, each followed by a joint about its z: `T = prod_i links_i Rz(q_i)`.
+
+    Args:
+        links: (joint, 4, 4).
+        joint_position: (..., joint) rad.
+
+    Returns:
+        `T_base_flange` (..., 4, 4).
+    """
+    turns = joint_rotations(joint_position)
+    T = np.eye(4)
+    for i, link in enumerate(links):
+        T = T @ link @ turns[..., i, :, :]
+    return T
+
+
+def links_from_dh(dh: ArrayLike) -> tuple[Array, Array]:
+    """The links of `chain` for a standard DH table, `A_i = Rz(q + theta_off) Tz(d) Tx(a) Rx(alpha)`.
+
+    Args:
+        dh: (joint, 4) theta_off, d, a, alpha in rad and m.
+
+    Returns:
+        the links (joint, 4, 4), and what follows the last joint (4, 4).
+    """
+    links, before = [], np.eye(4)
+    for theta, d, a, alpha in np.asarray(dh, float):
+        links.append(before @ transform_from_row([0, 0, d, 0, 0, theta]))
+        before = transform_from_row([a, 0, 0, alpha, 0, 0])
+    return np.stack(links), before

@@ -1,0 +1,209 @@
+"""The JSON table of Hayati parameters, in millimetres and degrees, read and written without losing a bit.
+
+The table's numbers are decimal and the program's are binary. Both conversions, by 1000 and by pi / 180, are done on
+decimals and rounded once, so that a table read back gives the floats that were written.
+"""
+
+import json
+import math
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from decimal import Context, Decimal
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lite6jax import storage
+from lite6jax.arms import entries
+from lite6jax.arms.chains import HayatiForm
+from lite6jax.errors import InputError
+
+UNITS = "mm and deg"
+SIZE_LIMIT = 1 << 20
+
+_EXACT = Context(prec=60)
+_DEGREE = _EXACT.divide(Decimal("3.14159265358979323846264338327950288419716939937510582097494459"), Decimal(180))
+_BETA = re.compile(r"beta_joint([1-9][0-9]?)")
+
+
+@dataclass(frozen=True, eq=False)
+class HayatiTable:
+    """Hayati parameters with the form that orders them.
+
+    Attributes:
+        form: which joints are parallel to the next.
+        parameters: (size,) in `form`'s order, m and rad.
+    """
+
+    form: HayatiForm
+    parameters: NDArray[np.float64]
+
+
+def read_table(path: str | Path) -> HayatiTable:
+    """A table of the form
+
+    ```json
+    {"units": "mm and deg",
+     "base": {"x": 0.0, "y": 0.0, "z": 0.0, "roll": 0.0, "pitch": 0.0, "yaw": 0.0},
+     "dh": [{"joint": 1, "theta_off": 0.0, "d": 243.3, "a": 0.0, "alpha": -90.0}],
+     "beta_joint2": 0.0}
+    ```
+
+    with one row of `dh` per joint, in order, and one `beta_jointK` for each joint K that is nominally parallel to the
+    next (Hayati's form, with its d zero). The base's z and yaw are zero: d and theta_off of joint 1 hold them.
+
+    Raises:
+        InputError: not such a table; the line names the file, the place and the remedy.
+    """
+    content = _parse(path)
+    betas = {key: int(match[1]) for key in content if isinstance(key, str) and (match := _BETA.fullmatch(key))}
+    entries.mapping(content, f"{path}:", ("units", "base", "dh"), tuple(betas) or ("beta_joint2",))
+    if content["units"] != UNITS:
+        raise InputError(f"{path}: units is {content['units']!r}; this table is in {UNITS!r} only, convert it")
+    base = entries.mapping(content["base"], f"{path}: base", entries.SIX)
+    for key in ("z", "yaw"):
+        if _decimal(base[key], f"{path}: base: {key}") != 0:
+            remedy = "add it to d of joint 1" if key == "z" else "add it to theta_off of joint 1"
+            raise InputError(f"{path}: base: {key} is not zero, which this form has no place for; {remedy}")
+    rows = content["dh"]
+    if not isinstance(rows, list) or not rows:
+        raise InputError(f"{path}: dh must be a list with one row per joint: joint, theta_off, d, a, alpha")
+    dh = np.array([_dh_row(row, f"{path}: dh row {i + 1}", i + 1) for i, row in enumerate(rows)])
+    for key, joint in betas.items():
+        if joint >= len(rows):
+            raise InputError(f"{path}: {key} is for a joint that no other follows (there are {len(rows)}); remove it")
+        if dh[joint - 1, 1] != 0:
+            raise InputError(f"{path}: dh row {joint}: d is not zero beside {key}; the form has either, set d to 0")
+    parallel = tuple(sorted(joint - 1 for joint in betas.values()))
+    form = HayatiForm(len(rows), parallel)
+    position = [_metres(base[key], f"{path}: base: {key}") for key in ("x", "y")]
+    tilt = [_radians(base[key], f"{path}: base: {key}") for key in ("roll", "pitch")]
+    beta = [_radians(content[f"beta_joint{i + 1}"], f"{path}: beta_joint{i + 1}") for i in parallel]
+    parameters = form.pack(np.array(position + tilt), dh, np.array(beta))
+    return HayatiTable(form, np.asarray(parameters, np.float64))
+
+
+def write_table(form: HayatiForm, parameters: ArrayLike, path: str | Path, overwrite: bool = False) -> Path:
+    """Writes Hayati parameters as a table; `read_table` gives back every float exactly.
+
+    Args:
+        form: the order of the parameters.
+        parameters: (size,) m and rad.
+        path: the file to write.
+        overwrite: whether it may be replaced.
+
+    Raises:
+        InputError: parameters of another size or not finite, or as `storage.write_atomically`.
+    """
+    values = np.asarray(parameters, np.float64)
+    if values.shape != (form.size,) or not np.isfinite(values).all():
+        raise InputError(f"{path}: a table of this form needs {form.size} finite numbers, not an array {values.shape}")
+    base, dh, beta = (np.asarray(part, np.float64) for part in form.unpack(values))
+    rows = [
+        f'    {{"joint": {i + 1}, "theta_off": {degrees(theta)}, "d": {millimetres(d)}, "a": {millimetres(a)},'
+        f' "alpha": {degrees(alpha)}}}'
+        for i, (theta, d, a, alpha) in enumerate(dh)
+    ]
+    lines = [
+        "{",
+        f'  "units": "{UNITS}",',
+        f'  "base": {{"x": {millimetres(base[0])}, "y": {millimetres(base[1])}, "z": 0.0,'
+        f' "roll": {degrees(base[2])}, "pitch": {degrees(base[3])}, "yaw": 0.0}},',
+        '  "dh": [',
+        ",\n".join(rows),
+        "  ]" + "".join(f',\n  "beta_joint{i + 1}": {degrees(b)}' for i, b in zip(form.parallel, beta, strict=True)),
+        "}",
+    ]
+    return storage.write_atomically(path, "\n".join(lines) + "\n", overwrite)
+
+
+def millimetres(length: float) -> str:
+    """The decimal of a length in mm that reads back as exactly this float of metres."""
+    return _plain(Decimal(repr(float(length))).scaleb(3, _EXACT))
+
+
+def degrees(angle: float) -> str:
+    """The shortest decimal of an angle in degrees that reads back as exactly this float of radians."""
+    angle = float(angle)
+    exact = _EXACT.divide(Decimal(angle), _DEGREE)
+    candidates = (_plain(Context(prec=digits).create_decimal(exact)) for digits in range(15, 40))
+    return next(text for text in candidates if float(_EXACT.multiply(Decimal(text), _DEGREE)) == angle)
+
+
+def _plain(value: Decimal) -> str:
+    """A decimal as JSON that keeps its point, so that it stays a float in every reader."""
+    value = value.normalize(_EXACT)
+    mantissa, _, power = (format(value, "f") if -7 <= value.adjusted() < 16 else str(value)).partition("E")
+    mantissa = mantissa if "." in mantissa else f"{mantissa}.0"
+    return f"{mantissa}e{power}" if power else mantissa
+
+
+def _parse(path: str | Path) -> dict[str, Any]:
+    text = storage.read_text(path, SIZE_LIMIT)
+    try:
+        content = json.loads(
+            text, parse_float=Decimal, parse_int=Decimal, parse_constant=Decimal, object_pairs_hook=_unique_keys
+        )
+    except json.JSONDecodeError as error:
+        raise InputError(f"{path}: line {error.lineno}: not valid JSON ({error.msg}); correct the file") from error
+    except _TwiceError as error:
+        raise InputError(f"{path}: the key {error.args[0]!r} is given twice; keep one") from error
+    except (RecursionError, ValueError, ArithmeticError) as error:
+        raise InputError(
+            f"{path}: not valid JSON (nested too deeply or a malformed number); correct the file"
+        ) from error
+    if not isinstance(content, dict):
+        raise InputError(f"{path}: must be a JSON object with the keys units, base, dh and beta_joint2")
+    return content
+
+
+class _TwiceError(Exception):
+    pass
+
+
+def _unique_keys(pairs: Sequence[tuple[str, Any]]) -> dict[str, Any]:
+    found: dict[str, Any] = {}
+    for key, value in pairs:
+        if key in found:
+            raise _TwiceError(key)
+        found[key] = value
+    return found
+
+
+def _dh_row(value: Any, where: str, joint: int) -> list[float]:
+    row = entries.mapping(value, where, ("joint", "theta_off", "d", "a", "alpha"))
+    if _decimal(row["joint"], f"{where}: joint") != joint:
+        raise InputError(f"{where}: is for joint {row['joint']}; list the joints in order, 1, 2, …")
+    return [
+        _radians(row["theta_off"], f"{where}: theta_off"),
+        _metres(row["d"], f"{where}: d"),
+        _metres(row["a"], f"{where}: a"),
+        _radians(row["alpha"], f"{where}: alpha"),
+    ]
+
+
+def _decimal(value: Any, where: str) -> Decimal:
+    if not isinstance(value, Decimal):
+        raise InputError(
+            f"{where} is {json.dumps(value, default=str)[:40]}, which is not a number; write a plain number"
+        )
+    if not math.isfinite(value) or abs(value.adjusted()) > 10_000:
+        raise InputError(f"{where} is {value:.6g}, which is not finite; read the table from its source again")
+    return value
+
+
+def _metres(value: Any, where: str) -> float:
+    return _finite(float(_decimal(value, where).scaleb(-3, _EXACT)), where)
+
+
+def _radians(value: Any, where: str) -> float:
+    return _finite(float(_EXACT.multiply(_decimal(value, where), _DEGREE)), where)
+
+
+def _finite(value: float, where: str) -> float:
+    if not math.isfinite(value):
+        raise InputError(f"{where} is larger than a number can be; correct it")
+    return value

@@ -1,0 +1,212 @@
+"""The one residual of every fit, and its cost, gradient and curvature from the chain's own twists.
+
+A sample's residual is the position difference in the sensor's frame and the rotation vector from the measured to the
+predicted orientation in the measured tool's axes, `[p̂ − p; log(Rᵀ R̂)]`, whitened by the sensor's noise. Arrays have
+the sample as their last axis. The curvature is Gauss–Newton's JᵀWJ.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array, lax
+
+from lite6jax.arms.chains import Frame, Turn, Twist, base_frame, cross, rotation_twist, sweep
+from lite6jax.arms.se3 import rotation_log_components
+from lite6jax.model import ArmModel, ModelForm
+
+POSITION, POSE = 3, 6
+"""Rows a sample has: a position, or a position and an orientation."""
+
+
+class Observations(NamedTuple):
+    """What a sensor saw. A pytree; blocks of samples and arms are leading axes.
+
+    Attributes:
+        joint: cosines and sines of the joint positions, `(joint, sample)` each.
+        position: `(3, sample)` m in the sensor's frame.
+        rotation: `(3, 3, sample)`, component by axis; `(3, 3, 0)` where no orientation was measured.
+        weight: `(sample,)`; zero for a sample that is missing.
+        whitener: what makes the noise of a residual unit: `(row,)` for independent rows (inverse standard deviations),
+            or `(row, row, sample)`.
+    """
+
+    joint: Turn
+    position: Array
+    rotation: Array
+    weight: Array
+    whitener: Array
+
+
+class Robust(NamedTuple):
+    """A robust loss over whole samples: Student's t with `freedom` degrees and the noise scaled by `scale`.
+
+    With s a sample's squared whitened residual: cost ½ (ν + rows) log(1 + s / (ν scale²)). An infinite `freedom` is
+    least squares.
+    """
+
+    freedom: Array
+    scale: Array
+
+
+LEAST_SQUARES = Robust(jnp.inf, 1.0)  # type: ignore[arg-type]
+
+
+def tool_frame(form: ModelForm, model: ArmModel, flange: Frame) -> Frame:
+    """The frame of the tool."""
+    T = model.T_flange_tool
+    axes = [sum(T[k, i] * flange[k] for k in range(3)) for i in range(4)]
+    return Frame(axes[0], axes[1], axes[2], flange.origin + axes[3])
+
+
+def predict_frames(form: ModelForm, model: ArmModel, joint: Turn) -> tuple[Frame, Frame]:
+    """The flange's and the tool's frames in sensor coordinates."""
+    flange, _ = sweep(form.chain, model.geometry, joint, base_frame(model.T_sensor_base, joint.cos.shape[-1]))
+    return flange, tool_frame(form, model, flange)
+
+
+def differences(observed: Observations, tool: Frame) -> Array:
+    """Residuals before whitening, `(row, sample)`, m and rad."""
+    shift = tool.origin - observed.position
+    if observed.rotation.shape[-1] == 0:
+        return shift
+    R, axes = observed.rotation, tool[:3]
+    relative = [[R[0, i] * axes[j][0] + R[1, i] * axes[j][1] + R[2, i] * axes[j][2] for j in range(3)] for i in range(3)]
+    return jnp.concatenate([shift, jnp.stack(rotation_log_components(relative))])
+
+
+def whiten(whitener: Array, rows: Array) -> Array:
+    """Whitened rows `(row, sample)`."""
+    if whitener.ndim == 1:
+        return whitener[:, None] * rows
+    return jnp.einsum("ijs,js->is", whitener, rows)
+
+
+def residuals(form: ModelForm, model: ArmModel, observed: Observations) -> Array:
+    """Whitened, weighted residuals `(row, sample)`: plain code, for automatic differentiation."""
+    _, tool = predict_frames(form, model, observed.joint)
+    return jnp.sqrt(observed.weight) * whiten(observed.whitener, differences(observed, tool))
+
+
+def sample_costs(observed: Observations, robust: Robust, squares: Array, rows: int) -> tuple[Array, Array]:
+    """Each sample's cost and the weight `(sample,)` that its residual has in the gradient."""
+    finite = jnp.isfinite(robust.freedom)
+    freedom = jnp.where(finite, robust.freedom, 1.0)
+    scaled = squares / robust.scale**2
+    cost = jnp.where(finite, 0.5 * (freedom + rows) * jnp.log1p(scaled / freedom), 0.5 * scaled)
+    weight = jnp.where(finite, (freedom + rows) / (freedom + scaled), 1.0) / robust.scale**2
+    return observed.weight * cost, observed.weight * weight
+
+
+def cost_and_gradient(form: ModelForm, model: ArmModel, observed: Observations, robust: Robust) -> tuple[Array, Array]:
+    """The cost of one block of samples and its gradient `(size,)`, by the wrench that each sample's residual exerts.
+
+    The gradient is what reverse-mode differentiation of the cost gives; it costs two passes over the chain.
+    """
+    flange, tool = predict_frames(form, model, observed.joint)
+    raw = differences(observed, tool)
+    whitened = whiten(observed.whitener, raw)
+    cost, weight = sample_costs(observed, robust, jnp.sum(whitened**2, 0), raw.shape[0])
+    if observed.whitener.ndim == 1:
+        dual = weight * observed.whitener[:, None] * whitened
+    else:
+        dual = weight * jnp.einsum("ijs,is->js", observed.whitener, whitened)
+    force = dual[:3]
+    moment = cross(tool.origin, force)
+    if raw.shape[0] == POSE:
+        turned = dual[3:] if observed.whitener.ndim == 1 else _left_jacobian_inverse_transposed(raw[3:], dual[3:])
+        moment = moment + sum(observed.rotation[:, i] * turned[i] for i in range(3))
+
+    def power(twist: Twist) -> Array:
+        total = force * twist.linear
+        return jnp.sum(total if twist.angular is None else total + moment * twist.angular)
+
+    return jnp.sum(cost), _columns(form, model, observed, flange, tool, power)[_step_order(form)]
+
+
+def curvature(form: ModelForm, model: ArmModel, observed: Observations, robust: Robust) -> Array:
+    """Gauss–Newton's curvature `(size, size)` of one block of samples."""
+    J = _walked_jacobian(form, model, observed, robust).reshape(form.size, -1)
+    order = _step_order(form)  # of the small product: to reorder J would copy it
+    return (J @ J.T)[order][:, order]
+
+
+def identification_jacobian(form: ModelForm, model: ArmModel, observed: Observations, robust: Robust) -> Array:
+    """The whitened, weighted residuals' derivatives `(parameter, row, sample)`, from the chain's twists.
+
+    Where the whitener has independent rows the orientation rows are turned to the sensor's axes and the logarithm's own
+    derivative, which differs from one by half the residual angle, is dropped: neither matters to a curvature.
+    """
+    return _walked_jacobian(form, model, observed, robust)[_step_order(form)]
+
+
+def _walked_jacobian(form: ModelForm, model: ArmModel, observed: Observations, robust: Robust) -> Array:
+    flange, tool = predict_frames(form, model, observed.joint)
+    raw = differences(observed, tool)
+    whitened = whiten(observed.whitener, raw)
+    _, weight = sample_costs(observed, robust, jnp.sum(whitened**2, 0), raw.shape[0])
+    root = jnp.sqrt(weight)
+    diagonal = observed.whitener.ndim == 1
+
+    def rows(twist: Twist) -> Array:
+        angular = twist.angular
+        shift = twist.linear if angular is None else twist.linear + cross(angular, tool.origin)
+        if raw.shape[0] == POSE:
+            spin = jnp.zeros_like(shift) if angular is None else angular
+            if not diagonal:
+                body = jnp.stack([jnp.sum(observed.rotation[:, i] * spin, 0) for i in range(3)])
+                spin = _left_jacobian_inverse(raw[3:], body)
+            shift = jnp.concatenate([shift, spin])
+        return root * whiten(observed.whitener, shift)
+
+    return _columns(form, model, observed, flange, tool, rows)
+
+
+def _columns(form: ModelForm, model: ArmModel, observed: Observations, flange: Frame, tool: Frame, emit) -> Array:
+    """What `emit` makes of every parameter's twist, `(size, …)` in *walking* order of the geometry."""
+    start = base_frame(model.T_sensor_base, observed.joint.cos.shape[-1])
+    _, columns = sweep(form.chain, model.geometry, observed.joint, start, emit)
+    parts = [columns]
+    if form.frame:
+        fixed = base_frame(jnp.eye(4).at[:3, 3].set(model.T_sensor_base[:3, 3]), observed.joint.cos.shape[-1])
+        parts.append(jnp.stack([emit(t) for t in _frame_twists(fixed, fixed)]))
+    if form.tool:
+        parts.append(jnp.stack([emit(t) for t in _frame_twists(flange, tool)]))
+    return jnp.concatenate(parts) if len(parts) > 1 else columns
+
+
+def _step_order(form: ModelForm) -> np.ndarray:
+    """Where in walking order each entry of a step stands."""
+    geometry = np.argsort(form.chain.walking_order)
+    return np.concatenate([geometry, np.arange(geometry.size, form.size)])
+
+
+def _frame_twists(shifting: Frame, turning: Frame) -> list[Twist]:
+    return [Twist(shifting[i], None) for i in range(3)] + [rotation_twist(turning, i) for i in range(3)]
+
+
+def _left_jacobian_inverse(vector: Array, rows: Array) -> Array:
+    """J_l⁻¹(e) v = v − ½ e × v + γ e × (e × v), over the first axis (T. Barfoot, State Estimation for Robotics, 7.80)."""
+    angle2 = jnp.sum(vector**2, 0)
+    small = angle2 < 1e-4
+    safe = jnp.where(small, 1.0, angle2)
+    angle = jnp.sqrt(safe)
+    exact = 1 / safe - (1 + jnp.cos(angle)) / (2 * angle * jnp.sin(angle))
+    gamma = jnp.where(small, 1 / 12 + angle2 / 720 + angle2**2 / 30240, exact)
+    once = cross(vector, rows)
+    return rows - 0.5 * once + gamma * cross(vector, once)
+
+
+def _left_jacobian_inverse_transposed(vector: Array, rows: Array) -> Array:
+    return _left_jacobian_inverse(-vector, rows)
+
+
+def over_blocks(evaluate, observed: Observations):
+    """The sum of `evaluate(block)` over the leading axis of `observed`: memory stays that of one block."""
+    if observed.weight.shape[0] == 1:
+        return evaluate(jax.tree.map(lambda leaf: leaf[0], observed))
+    shapes = jax.eval_shape(evaluate, jax.tree.map(lambda leaf: leaf[0], observed))
+    zeros = jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), shapes)
+    add = lambda total, block: (jax.tree.map(jnp.add, total, evaluate(block)), None)
+    return lax.scan(add, zeros, observed)[0]

@@ -1,0 +1,44 @@
+"""Recordings: the samples of one arm's motion and measured poses, their files, and what is wrong with them."""
+
+from lite6jax.recordings.checks import (
+    OutsideLimits,
+    RepeatedRows,
+    TimeDisorder,
+    check_joint_scale,
+    check_position_scale,
+    drop_missing,
+    outside_limits,
+    repeated_rows,
+    require_samples,
+    time_disorder,
+)
+from lite6jax.recordings.formats import read_recording, write_recording
+from lite6jax.recordings.recording import Recording
+from lite6jax.recordings.settings import (
+    FactoryUncertainty,
+    RecordingSettings,
+    read_settings,
+    sidecar_path,
+    write_settings,
+)
+
+__all__ = [
+    "FactoryUncertainty",
+    "OutsideLimits",
+    "Recording",
+    "RecordingSettings",
+    "RepeatedRows",
+    "TimeDisorder",
+    "check_joint_scale",
+    "check_position_scale",
+    "drop_missing",
+    "outside_limits",
+    "read_recording",
+    "read_settings",
+    "repeated_rows",
+    "require_samples",
+    "sidecar_path",
+    "time_disorder",
+    "write_recording",
+    "write_settings",
+]

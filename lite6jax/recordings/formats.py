@@ -1,0 +1,304 @@
+"""Recordings in files: CSV and Parquet with a sidecar, read whole or refused in one line, written exactly."""
+
+import csv
+import re
+from collections.abc import Mapping, Sequence
+from math import pi
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.csv as pa_csv
+import pyarrow.parquet as pa_parquet
+from numpy.typing import ArrayLike
+
+from lite6jax.errors import InputError
+from lite6jax.recordings.checks import check_joint_scale, check_position_scale, drop_missing
+from lite6jax.recordings.columns import Column, nearest_known, recognise
+from lite6jax.recordings.recording import Recording
+from lite6jax.recordings.settings import read_settings, sidecar_path, write_settings
+from lite6jax.storage import check_writable, write_atomically
+
+HEADER_LIMIT = 1 << 20
+LATEST_START_S = 1e8  # three years: such a time is a clock's, not counted from a start
+
+
+def read_recording(
+    path: str | Path,
+    *,
+    dof: int | None = None,
+    assume_degrees: bool = False,
+    assume_millimetres: bool = False,
+    joint_limits: ArrayLike | None = None,
+    reach: float | None = None,
+) -> Recording:
+    """Reads a recording and its sidecar.
+
+    Args:
+        path: a `.csv` or `.parquet` file; the sidecar is the `.yaml` of the same stem, if there is one.
+        dof: the number of joints expected, where the arm is known.
+        assume_degrees: take joint columns that say `rad` (positions and velocities) as degrees.
+        assume_millimetres: take position columns that say `m` as millimetres.
+        joint_limits: `(joint, 2)` in rad, to recognise degrees; unchecked without.
+        reach: in m, to recognise millimetres; unchecked without.
+
+    Returns:
+        the recording; what was dropped, assumed or ignored on the way is in its `notes`.
+
+    Raises:
+        InputError: the file or its sidecar cannot be used; one line names file, place and remedy.
+    """
+    path = Path(path)
+    read = {".csv": _read_csv, ".parquet": _read_parquet}.get(path.suffix.lower())
+    if read is None:
+        raise InputError(f"{path}: a recording ends in .csv or .parquet; convert it or correct the name")
+    if path.is_dir():
+        raise InputError(f"{path}: is a folder; name a file")
+    if not path.exists():
+        raise InputError(f"{path}: no such file; check the name")
+    notes: list[str] = []
+    try:
+        columns, joints, values = read(path, dof, notes)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({_one_line(error.strerror or error)}); check the file") from error
+    if not len(next(iter(values.values()))):
+        raise InputError(f"{path}: has column names but no rows; record again")
+    settings = read_settings(sidecar_path(path))
+    if not sidecar_path(path).exists():
+        notes.append(f"there is no sidecar {sidecar_path(path).name}: the defaults are assumed")
+
+    degrees = [name for name, column in columns.items() if assume_degrees and column.unit in ("rad", "rad_per_s")]
+    millimetres = [name for name, column in columns.items() if assume_millimetres and column.unit == "m"]
+    for names, divisor, unit in ((degrees, 180 / pi, "degrees"), (millimetres, 1e3, "millimetres")):
+        for name in names:
+            values[name] = values[name] / divisor
+        if names:
+            notes.append(
+                f"columns {columns[names[0]].name} ... {columns[names[-1]].name} are taken as {unit}, as asked"
+            )
+    recording = _assembled(path, columns, joints, values, settings=settings, notes=tuple(notes))
+
+    spelling = {name: column.name for name, column in columns.items()}
+    recording = drop_missing(recording, spelling)
+    if joint_limits is not None:
+        check_joint_scale(recording, joint_limits, spelling, assumed=assume_degrees)
+    if reach is not None:
+        check_position_scale(recording, reach, spelling, assumed=assume_millimetres)
+    return recording
+
+
+def write_recording(recording: Recording, path: str | Path, overwrite: bool = False) -> Path:
+    """Writes a recording as CSV or Parquet, by the suffix, and its sidecar beside it.
+
+    Every number reads back bit for bit. Paths in the sidecar are rewritten where it moves to another folder. Not
+    written: row numbers and notes, which belong to the file of origin, and what `Recording.columns` leaves out.
+
+    Raises:
+        InputError: another suffix, a file that exists while `overwrite` is false, or a disk that refuses.
+    """
+    path = Path(path)
+    if path.suffix.lower() not in (".csv", ".parquet"):
+        raise InputError(f"{path}: a recording ends in .csv or .parquet; choose such a name")
+    check_writable(path, overwrite)
+    check_writable(sidecar_path(path), overwrite)
+    table = pa.table(recording.columns())
+
+    def write(target: Path) -> None:
+        if path.suffix.lower() == ".parquet":
+            pa_parquet.write_table(table, target, use_dictionary=False, compression="zstd")
+        else:
+            with open(target, "wb") as file:  # Arrow would put the names in quotes
+                file.write(",".join(table.column_names).encode() + b"\n")
+                pa_csv.write_csv(table, file, pa_csv.WriteOptions(include_header=False))
+        # only now, with the table on the disk though not yet in its place: neither file goes without the other
+        write_settings(settings, sidecar_path(path), overwrite)
+
+    settings = recording.settings
+    if Path(recording.source).is_file():
+        settings = settings.moved(Path(recording.source).parent, path.parent)
+    return write_atomically(path, write, overwrite)
+
+
+def _assembled(
+    path: Path, columns: Mapping[str, Column], joints: int, values: dict[str, np.ndarray], **settled: Any
+) -> Recording:
+    def block(*names: str) -> np.ndarray | None:
+        return np.column_stack([values[name] for name in names]) if names[0] in values else None
+
+    def per_joint(pattern: str) -> np.ndarray | None:
+        return block(*(pattern.format(joint) for joint in range(1, joints + 1)))
+
+    joint_position = per_joint("q{}_rad")
+    assert joint_position is not None  # `recognise` has seen to it
+    run = values.get("run")
+    if run is not None:
+        given = np.isfinite(run)
+        wrong = np.flatnonzero(given & ((run != np.round(run)) | (np.abs(run) > 2**53)))
+        if wrong.size:
+            raise InputError(f"{path}: column run: row {wrong[0] + 1} is {run[wrong[0]]:g}; give whole numbers")
+        # a row without a run belongs to none and is dropped with its joints; meanwhile it must not split its neighbours
+        joint_position[~given] = np.nan
+        last = np.maximum.accumulate(np.where(given, np.arange(len(run)), 0))
+        run = np.where(given[last], run[last], 0.0).astype(np.int64)
+    time = values.get("time_s")
+    if time is not None:
+        start = np.min(time, where=np.isfinite(time), initial=np.inf)
+        if LATEST_START_S < start < np.inf:
+            time = time - start
+            note = f"{columns['time_s'].name} is a clock's: times are counted from the first, {start:.0f} s"
+            settled["notes"] = (*settled["notes"], note)
+    return Recording.from_arrays(
+        joint_position,
+        position=block("x_m", "y_m", "z_m"),
+        quaternion=block("qw", "qx", "qy", "qz"),
+        time=time,
+        joint_velocity=per_joint("dq{}_rad_per_s"),
+        joint_torque=per_joint("tau{}_Nm"),
+        motor_current=per_joint("current{}_A"),
+        joint_temperature=per_joint("temp{}_degC"),
+        ambient_temperature=values.get("ambient_degC"),
+        payload=values.get("payload_kg"),
+        run=run,
+        source=str(path),
+        **settled,
+    )
+
+
+_Read = tuple[dict[str, Column], int, dict[str, np.ndarray]]
+
+
+def _read_parquet(path: Path, dof: int | None, notes: list[str]) -> _Read:
+    try:
+        with pa_parquet.ParquetFile(path) as file:
+            schema = file.schema_arrow
+            columns, joints = _recognised(path, schema.names, dof, notes)
+            for column in columns.values():
+                kind = schema.field(column.index).type
+                if not (pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_null(kind)):
+                    raise InputError(f"{path}: column {column.name}: holds {kind}, not numbers; write it as float64")
+            table = file.read(columns=[column.name for column in columns.values()])
+    except (pa.ArrowException, OSError) as error:
+        if isinstance(error, OSError) and error.errno:  # the disk's refusal, not Parquet's
+            raise
+        with open(path, "rb") as content:
+            start = content.read(4)
+        problem = "is truncated or damaged" if start == b"PAR1" else "is not Parquet, whatever its name says"
+        raise InputError(f"{path}: {problem} ({_one_line(error)}); write it again") from error
+    return columns, joints, _si_values(columns, {name: table[column.name] for name, column in columns.items()})
+
+
+def _read_csv(path: Path, dof: int | None, notes: list[str]) -> _Read:
+    names, tail = _csv_header(path), _csv_tail(path)
+    columns, joints = _recognised(path, names, dof, notes)
+    if not tail.endswith((b"\n", b"\r")):
+        notes.append("the file does not end with a line break: its last number may have been cut short")
+    table = _csv_table(path, names, columns, tail)
+    return columns, joints, _si_values(columns, {name: table[str(column.index)] for name, column in columns.items()})
+
+
+def _csv_table(
+    path: Path, names: Sequence[str], columns: Mapping[str, Column], tail: bytes, threads: bool = True
+) -> pa.Table:
+    """The columns wanted, named by their index: two ignored columns may share a name."""
+    wanted = [str(column.index) for column in columns.values()]
+    ragged: list[pa_csv.InvalidRow] = []
+
+    def refuse(row: pa_csv.InvalidRow) -> str:
+        ragged.append(row)
+        return "error"
+
+    try:
+        return pa_csv.read_csv(
+            path,
+            pa_csv.ReadOptions(column_names=[str(i) for i in range(len(names))], skip_rows=1, use_threads=threads),
+            pa_csv.ParseOptions(invalid_row_handler=refuse),
+            pa_csv.ConvertOptions(include_columns=wanted, column_types=dict.fromkeys(wanted, pa.float64())),
+        )
+    except pa.ArrowInvalid as error:
+        if "Could not skip" in str(error):  # Arrow's word for a header and nothing after it
+            raise InputError(f"{path}: has column names but no rows; record again") from error
+        if threads:  # rows are numbered only when they are read in order
+            return _csv_table(path, names, columns, tail, threads=False)
+        if ragged:
+            raise InputError(_ragged(path, ragged[0], names, tail)) from error
+        if match := re.match(r"In CSV column #(\d+): Row #(\d+): .*?invalid value '(.*)'$", str(error), re.DOTALL):
+            column = next(column for column in columns.values() if column.index == int(match[1]))
+            remedy = "give numbers with a decimal point, and leave missing ones empty"
+            value = repr(match[3] if len(match[3]) <= 40 else f"{match[3][:37]}...")
+            raise InputError(
+                f"{path}: column {column.name}: row {int(match[2]) - 1} holds {value}, which is no number; {remedy}"
+            ) from error
+        raise InputError(f"{path}: is not a table of numbers ({_one_line(error)}); check the file") from error
+
+
+def _ragged(path: Path, row: pa_csv.InvalidRow, names: Sequence[str], tail: bytes) -> str:
+    number = (row.number or 1) - 1  # Arrow counts the header line
+    place = f"{path}: row {number} has {row.actual_columns} of {row.expected_columns} columns"
+    if row.actual_columns < row.expected_columns:
+        at_end = tail.rstrip().splitlines()[-1].strip() == row.text.encode().strip()
+        cut = "the file is truncated" if at_end else "the row is cut short"
+        empty = names[int(row.actual_columns)].strip()
+        return f"{place}, {empty} is the first without a value: {cut}; complete the row or remove it"
+    return f"{place}; remove the surplus fields, and write decimals with a point"
+
+
+def _csv_header(path: Path) -> list[str]:
+    with open(path, "rb") as file:
+        start = file.read(HEADER_LIMIT)
+    if not start.strip():
+        raise InputError(f"{path}: is empty; record again")
+    if start.startswith(b"PAR1"):
+        raise InputError(f"{path}: is a Parquet file, whatever its name says; name it .parquet")
+    line = re.split(rb"[\r\n]", start, maxsplit=1)[0]
+    try:
+        text = line.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        text = "\0"
+    if b"\0" in start or "\0" in text or len(line) == HEADER_LIMIT:
+        raise InputError(f"{path}: is not a CSV table but binary or of another encoding; write it as UTF-8 text")
+    if not text.strip():
+        raise InputError(f"{path}: line 1 is empty; it must name the columns")
+    try:
+        names = next(csv.reader([text]))
+    except csv.Error as error:
+        raise InputError(f"{path}: line 1 is no list of column names ({error}); check the file") from error
+    for separator, word in ((";", "semicolons"), ("\t", "tabs")):
+        if separator in text and (len(names) == 1 or text.count(separator) > text.count(",")):
+            raise InputError(
+                f"{path}: line 1: the fields are separated by {word}; write commas between them and decimal points"
+            )
+    if all(re.fullmatch(r"\s*[-+]?[\d.]+(e[-+]?\d+)?\s*", name, re.IGNORECASE) for name in names):
+        raise InputError(f"{path}: line 1 holds numbers; it must name the columns, q1_rad, q2_rad, ...")
+    return names
+
+
+def _csv_tail(path: Path) -> bytes:
+    with open(path, "rb") as file:
+        file.seek(0, 2)
+        file.seek(max(0, file.tell() - HEADER_LIMIT))
+        return file.read()
+
+
+def _recognised(path: Path, names: Sequence[str], dof: int | None, notes: list[str]) -> tuple[dict[str, Column], int]:
+    columns, joints, ignored = recognise(names, str(path), dof)
+    if ignored:
+        shown = ", ".join(
+            f"{n[:40]!r}" + (f" (meant {near}?)" if (near := nearest_known(n)) else "") for n in ignored[:6]
+        )
+        rest = f" and {len(ignored) - 6} more" if len(ignored) > 6 else ""
+        notes.append(f"ignored columns that mean nothing here: {shown}{rest}")
+    return columns, joints
+
+
+def _si_values(columns: Mapping[str, Column], table: Mapping[str, pa.ChunkedArray]) -> dict[str, np.ndarray]:
+    values = {}
+    for name, column in columns.items():
+        array = table[name].cast(pa.float64(), safe=False).to_numpy()  # an absent value becomes NaN
+        values[name] = array if column.divisor == 1.0 else array / column.divisor
+    return values
+
+
+def _one_line(error: object) -> str:
+    text = " ".join(str(error).split())
+    return text if len(text) <= 120 else f"{text[:117]}..."

@@ -1,0 +1,302 @@
+"""The sidecar of a recording: what its columns cannot say about the arm, the sensor and the motion."""
+
+import math
+import os
+import re
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import asdict, dataclass, fields, replace
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Any, Literal, get_args
+
+import yaml
+
+from lite6jax.errors import InputError
+from lite6jax.storage import read_yaml, write_atomically
+
+JointSource = Literal["measured", "commanded", "unknown"]
+PoseSource = Literal["laser_tracker", "motion_capture", "camera", "controller_fk", "unknown"]
+Motion = Literal["static", "trajectory"]
+PoseFrame = Literal["base", "unknown"]
+Tool = Literal["none", "unknown"] | tuple[float, float, float, float, float, float]
+
+ARM_FILE_SUFFIXES = {".yaml", ".yml", ".json", ".urdf", ".xacro", ".xml"}
+LONGEST_OFFSET_M = 5.0  # a tool or a payload further out than this was written in millimetres
+
+
+@dataclass(frozen=True)
+class FactoryUncertainty:
+    """One sigma of every number of the factory calibration: m for lengths, rad for angles."""
+
+    position_m: float
+    rotation_rad: float
+
+
+@dataclass(frozen=True)
+class RecordingSettings:
+    """What a sidecar declares; the defaults are those of a recording without one.
+
+    Lengths in m, angles in rad, one sigma for each noise, `tool` as x y z roll pitch yaw (R = Rz Ry Rx).
+    `motion` is None where nothing was declared, `position_noise_m` and `orientation_noise_rad` likewise.
+    `arm` and `factory_calibration` are kept as written: `arm_reference` and `factory_path` resolve them.
+
+    Raises:
+        InputError: a value of the wrong type, not finite, negative where that has no meaning, or not a listed one.
+    """
+
+    arm: str = "lite6"
+    factory_calibration: str | None = None
+    factory_uncertainty: FactoryUncertainty | None = None
+    joint_source: JointSource = "unknown"
+    joint_noise_rad: float = 0.0
+    pose_source: PoseSource = "unknown"
+    motion: Motion | None = None
+    pose_frame: PoseFrame = "unknown"
+    tool: Tool = "unknown"
+    position_noise_m: float | None = None
+    orientation_noise_rad: float | None = None
+    payload_com_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    reference_temperature_degC: float = 25.0  # noqa: N815 (the sidecar's key)
+    gravity_m_per_s2: tuple[float, float, float] = (0.0, 0.0, -9.81)
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if value is None and field.default is None:
+                continue
+            object.__setattr__(self, field.name, _parsed(field.name, value))
+        if self.factory_uncertainty and not self.factory_calibration:
+            raise InputError(
+                "factory_uncertainty: belongs to a factory_calibration; add that key or leave this one out"
+            )
+
+    @property
+    def arm_is_file(self) -> bool:
+        """Whether `arm` is the path of a description, not the name of a bundled arm."""
+        return _names_a_file(self.arm)
+
+    def arm_reference(self, folder: str | Path) -> str | Path:
+        """The bundled arm's name, or the description's path when `folder` holds the sidecar."""
+        return Path(folder) / self.arm if self.arm_is_file else self.arm
+
+    def factory_path(self, folder: str | Path) -> Path | None:
+        """The factory calibration's path when `folder` holds the sidecar; None where there is none."""
+        return Path(folder) / self.factory_calibration if self.factory_calibration else None
+
+    def moved(self, old_folder: str | Path, new_folder: str | Path) -> "RecordingSettings":
+        """The same settings for a sidecar in another folder: relative paths still lead to the same files."""
+        if Path(old_folder).resolve() == Path(new_folder).resolve():
+            return self
+
+        def follow(path: str) -> str:
+            there = Path(old_folder).resolve() / path
+            return (
+                path
+                if Path(path).is_absolute()
+                else Path(os.path.relpath(there, Path(new_folder).resolve())).as_posix()
+            )
+
+        return replace(
+            self,
+            arm=follow(self.arm) if self.arm_is_file else self.arm,
+            factory_calibration=follow(self.factory_calibration) if self.factory_calibration else None,
+        )
+
+
+def sidecar_path(recording: str | Path) -> Path:
+    """Where the sidecar of a recording stands: the same stem, `.yaml`."""
+    return Path(recording).with_suffix(".yaml")
+
+
+def read_settings(path: str | Path) -> RecordingSettings:
+    """The settings in a sidecar; the defaults where the file does not exist.
+
+    Raises:
+        InputError: not YAML, tags, alias bombs, an unknown key (with the nearest accepted one) or an unusable value.
+    """
+    path = Path(path)
+    if not path.exists():
+        if path.with_suffix(".yml").exists():
+            raise InputError(f"{path.with_suffix('.yml')}: a sidecar ends in .yaml; rename it to {path.name}")
+        return RecordingSettings()
+    content = read_yaml(path)
+    if not isinstance(content, dict) or "recording" not in content:
+        raise InputError(f"{path}: is not a sidecar; its one top key must be `recording:`, with the settings below it")
+    _reject_unknown(f"{path}: ", content, ["recording"])
+    settings = content["recording"]
+    if settings is None:
+        return RecordingSettings()
+    if not isinstance(settings, dict):
+        raise InputError(f"{path}: recording: {_shown(settings)} is not a mapping; write `key: value` lines below it")
+    _reject_unknown(f"{path}: recording.", settings, _KINDS)
+    for key, value in settings.items():
+        if value is None:
+            raise InputError(f"{path}: recording.{key}: has no value; give {_KINDS[key].form}, or leave the key out")
+    try:
+        return RecordingSettings(**{key: _parsed(key, value) for key, value in settings.items()})
+    except InputError as error:
+        raise InputError(f"{path}: recording.{error}") from error
+
+
+def write_settings(settings: RecordingSettings, path: str | Path, overwrite: bool = False) -> Path:
+    """Writes a sidecar that `read_settings` reads back exactly; every declared key is written, defaults too.
+
+    Raises:
+        InputError: the file exists and `overwrite` is false, or it cannot be written.
+    """
+    declared = {
+        key: list(value) if isinstance(value, tuple) else value
+        for key, value in asdict(settings).items()
+        if value is not None
+    }
+    return write_atomically(
+        path, yaml.safe_dump({"recording": declared}, sort_keys=False, default_flow_style=None, width=120), overwrite
+    )
+
+
+@dataclass(frozen=True)
+class _Kind:
+    """How a value is read, and the accepted forms in words. `parse` raises ValueError, with a remedy or empty."""
+
+    parse: Callable[[Any], Any]
+    form: str
+
+
+def _parsed(key: str, value: Any) -> Any:
+    kind = _KINDS[key]
+    try:
+        return kind.parse(value)
+    except InputError:  # says its own place
+        raise
+    except ValueError as error:
+        raise InputError(f"{key}: {_shown(value)} is not accepted{error}; give {kind.form}") from error
+
+
+def _reject_unknown(place: str, given: Mapping[Any, Any], accepted: Iterable[str], end: str = "") -> None:
+    accepted = list(accepted)
+    for key in given:
+        if key not in accepted:
+            nearest = get_close_matches(str(key), accepted, n=1)
+            remedy = f"did you mean {nearest[0]}?" if nearest else f"accepted: {', '.join(accepted)}"
+            raise InputError(f"{place}{str(key)[:60]}{end}: unknown key; {remedy}")
+
+
+def _shown(value: Any) -> str:
+    text = repr(value)
+    return text if len(text) <= 60 else f"{text[:57]}..."
+
+
+def _names_a_file(arm: str) -> bool:
+    return "/" in arm or "\\" in arm or Path(arm).suffix.lower() in ARM_FILE_SUFFIXES
+
+
+def _text(value: Any) -> str:
+    if not isinstance(value, str) or not value.strip() or not value.isprintable():
+        raise ValueError
+    return value
+
+
+def _path(value: Any) -> str:
+    if not _names_a_file(_text(value)):
+        raise ValueError(" (it has no suffix)")
+    return value
+
+
+def _number(value: Any) -> float:
+    # YAML 1.1 reads 1e-5, which people write, as text: only 1.0e-5 is a number to it
+    if isinstance(value, str) and re.fullmatch(r"[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+", value):
+        value = float(value)
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise ValueError
+    try:
+        number = float(value)
+    except OverflowError:
+        raise ValueError(" (not finite)") from None
+    if not math.isfinite(number):
+        raise ValueError(" (not finite)")
+    return number
+
+
+def _not_negative(value: Any) -> float:
+    if (number := _number(value)) < 0:
+        raise ValueError(" (negative)")
+    return number
+
+
+def _positive(value: Any) -> float:
+    if (number := _number(value)) <= 0:
+        raise ValueError(" (not positive)")
+    return number
+
+
+def _numbers(count: int) -> Callable[[Any], tuple[float, ...]]:
+    def parse(value: Any) -> tuple[float, ...]:
+        if not isinstance(value, list | tuple) or len(value) != count:
+            raise ValueError
+        return tuple(_number(part) for part in value)
+
+    return parse
+
+
+def _offset(value: Any) -> tuple[float, ...]:
+    offset = _numbers(3)(value)
+    if math.hypot(*offset) > LONGEST_OFFSET_M:
+        raise ValueError(f" (over {LONGEST_OFFSET_M:g} m long: millimetres?)")
+    return offset
+
+
+def _tool(value: Any) -> Tool:
+    if value in ("none", "unknown"):
+        return value
+    if isinstance(value, str):
+        try:
+            value = [float(part) for part in value.split()]
+        except ValueError:
+            raise ValueError from None
+    x, y, z, roll, pitch, yaw = _numbers(6)(value)
+    _offset((x, y, z))
+    if max(abs(roll), abs(pitch), abs(yaw)) > 2 * math.pi:
+        raise ValueError(" (an angle beyond one turn: degrees?)")
+    return x, y, z, roll, pitch, yaw
+
+
+def _uncertainty(value: Any) -> FactoryUncertainty:
+    if isinstance(value, FactoryUncertainty):
+        value = asdict(value)
+    keys = [field.name for field in fields(FactoryUncertainty)]
+    if not isinstance(value, Mapping) or not set(keys) <= set(value):
+        raise ValueError
+    _reject_unknown("factory_uncertainty.", value, keys)
+    return FactoryUncertainty(**{key: _positive(value[key]) for key in keys})
+
+
+def _one_of(choices: Any) -> _Kind:
+    *first, last = accepted = get_args(choices)
+
+    def parse(value: Any) -> str:
+        if not isinstance(value, str) or value not in accepted:
+            raise ValueError
+        return value
+
+    return _Kind(parse, f"{', '.join(first)} or {last}")
+
+
+_KINDS: dict[str, _Kind] = {
+    "arm": _Kind(_text, "a bundled arm's name, or the path of an arm description relative to the sidecar"),
+    "factory_calibration": _Kind(_path, "the path of the arm's own six-parameter file, relative to the sidecar"),
+    "factory_uncertainty": _Kind(
+        _uncertainty,
+        "{position_m: 1.0e-5, rotation_rad: 1.0e-5}, both positive (leave it out where the file holds exactly)",
+    ),
+    "joint_source": _one_of(JointSource),
+    "joint_noise_rad": _Kind(_not_negative, "one sigma in rad, zero or more"),
+    "pose_source": _one_of(PoseSource),
+    "motion": _one_of(Motion),
+    "pose_frame": _one_of(PoseFrame),
+    "tool": _Kind(_tool, "none, unknown, or six numbers [x, y, z, roll, pitch, yaw] in m and rad"),
+    "position_noise_m": _Kind(_positive, "one sigma in m, more than zero (leave it out where unknown)"),
+    "orientation_noise_rad": _Kind(_positive, "one sigma in rad, more than zero (leave it out where unknown)"),
+    "payload_com_m": _Kind(_offset, "three numbers [x, y, z] in m"),
+    "reference_temperature_degC": _Kind(_number, "a finite number in degrees Celsius"),
+    "gravity_m_per_s2": _Kind(_numbers(3), "three numbers [x, y, z] in m/s^2"),
+}

@@ -1,0 +1,281 @@
+"""URDF against Pinocchio: odd axes, fixed joints, branches; and every refusal's message."""
+
+import numpy as np
+import pin_arm
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from lite6jax.arms import frames
+from lite6jax.arms.arm import Arm
+from lite6jax.arms.bundled import bundled_arms, load_bundled
+from lite6jax.arms.files import read_arm
+from lite6jax.arms.urdf import read_urdf, write_urdf
+from lite6jax.errors import InputError
+
+
+def rpy(roll, pitch, yaw):
+    (cr, cp, cy), (sr, sp, sy) = np.cos([roll, pitch, yaw]), np.sin([roll, pitch, yaw])
+    Rx = np.array([[1, 0, 0], [0, cr, -sr], [0, sr, cr]])
+    Ry = np.array([[cp, 0, sp], [0, 1, 0], [-sp, 0, cp]])
+    return np.array([[cy, -sy, 0], [sy, cy, 0], [0, 0, 1]]) @ Ry @ Rx
+
+
+def chain_fk(arm, q):
+    """The six-parameter chain, written out from its definition."""
+    T = np.eye(4)
+    for (x, y, z, *angles), angle in zip(arm.kinematics, q, strict=True):
+        step = np.eye(4)
+        step[:3, :3] = rpy(*angles) @ rpy(0, 0, angle)
+        step[:3, 3] = x, y, z
+        T = T @ step
+    return T @ arm.T_joint_flange
+
+
+def joint(name, parent, child, kind="revolute", xyz="0 0 0", rpy="0 0 0", axis="0 0 1", extra=""):
+    limit = '<limit lower="-2" upper="3" effort="1" velocity="1"/>' if kind in ("revolute", "prismatic") else ""
+    axis = f'<axis xyz="{axis}"/>' if axis else ""
+    return (
+        f'<joint name="{name}" type="{kind}"><origin xyz="{xyz}" rpy="{rpy}"/><parent link="{parent}"/>'
+        f'<child link="{child}"/>{axis}{limit}{extra}</joint>'
+    )
+
+
+def link(name, mass=None, com="0 0 0", rpy="0 0 0"):
+    if mass is None:
+        return f'<link name="{name}"/>'
+    inertia = '<inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/>'
+    return (
+        f'<link name="{name}"><inertial><origin xyz="{com}" rpy="{rpy}"/><mass value="{mass}"/>{inertia}'
+        "</inertial></link>"
+    )
+
+
+def write(tmp_path, *parts, name="arm.urdf", robot="arm"):
+    path = tmp_path / name
+    path.write_text(f'<?xml version="1.0"?><robot name="{robot}">{"".join(parts)}</robot>')
+    return path
+
+
+ODD = (
+    [link(name) for name in ("world", "base", "a", "a_cover", "b", "c", "d", "tool")]
+    + [joint("weld", "world", "base", "fixed", xyz="0.1 -0.2 0.3", rpy="0.3 -0.4 2")]
+    + [joint("j1", "base", "a", xyz="0 0 0.2", rpy="0.1 0.2 0.3", axis="0 0 -1")]
+    + [joint("cover", "a", "a_cover", "fixed", xyz="0.05 0 0.1", rpy="0 1.5707963267948966 0")]
+    + [joint("j2", "a_cover", "b", xyz="0.1 0.02 0", axis="1 0 0")]
+    + [joint("j3", "b", "c", "continuous", xyz="0 0.3 0", rpy="0 -1.5707963267948966 0.2", axis="0 -1 0")]
+    + [joint("j4", "c", "d", xyz="0.2 0 0.01", axis="1 -2 -3")]
+    + [joint("flange", "d", "tool", "fixed", xyz="0 0 0.07", rpy="1 2 3")]
+)
+
+
+def test_odd_axes_and_fixed_joints_agree_with_pinocchio(tmp_path):
+    path = write(tmp_path, *ODD)
+    arm, pose = read_urdf(path), pin_arm.flange_of(path, "tool")
+    assert arm.dof == 4
+    assert arm.source == "URDF arm.urdf, world to tool"
+    for q in np.random.default_rng(2).uniform(-3, 3, (50, 4)):
+        np.testing.assert_allclose(chain_fk(arm, q), pose(q), rtol=0, atol=1e-12)
+    np.testing.assert_array_equal(arm.joint_limits[[0, 1, 3]], [[-2, 3]] * 3)
+    np.testing.assert_array_equal(arm.joint_limits[2], [-2 * np.pi, 2 * np.pi])
+
+
+@pytest.mark.parametrize("axis", ["1 0 0", "-1 0 0", "0 1 0", "0 -1 0", "0 0 1", "0 0 -1", "1e-9 0 -1", "0.6 0 0.8"])
+@pytest.mark.parametrize("kind", ["revolute", "continuous"])
+def test_every_axis_keeps_the_joint_angle_and_its_sign(axis, kind, tmp_path):
+    parts = [link("base"), link("a"), link("tip")]
+    parts += [joint("j", "base", "a", kind, xyz="0.1 0.2 0.3", rpy="0 0 0.5", axis=axis)]
+    path = write(tmp_path, *parts, joint("f", "a", "tip", "fixed", xyz="0.3 0.2 0.1"))
+    arm, pose = read_urdf(path), pin_arm.flange_of(path, "tip")
+    for q in (-2.5, -0.3, 0.0, 1.2):
+        np.testing.assert_allclose(chain_fk(arm, [q]), pose([q]), rtol=0, atol=1e-14)
+
+
+def test_a_joint_without_axis_turns_about_x_as_urdf_says(tmp_path):
+    path = write(tmp_path, link("base"), link("a"), joint("j", "base", "a", axis=""))
+    np.testing.assert_allclose(chain_fk(read_urdf(path), [0.4])[:3, :3], rpy(0.4, 0, 0), atol=1e-15)
+
+
+def test_masses_of_fixed_links_count_to_the_moved_link(tmp_path):
+    parts = [link("base", 9), link("a", 2, "0.1 0 0"), link("plate", 1, "0 0 0.1"), link("b", 3, "0 0.2 0", "1 1 1")]
+    parts += [joint("j1", "base", "a", axis="0 -1 0", rpy="0.2 0 0"), joint("j2", "a", "b", xyz="0.3 0 0")]
+    parts += [joint("bolt", "a", "plate", "fixed", xyz="0 0.5 0", rpy="1.5707963267948966 0 0")]
+    arm = read_urdf(write(tmp_path, *parts), tip="b")
+    np.testing.assert_array_equal(arm.mass, [3, 3])
+    np.testing.assert_array_equal(arm.center_of_mass[1], [0, 0.2, 0])
+    # In link a's own frame: the plate's centre is at (0, 0.5, 0) + Rx(90 deg) (0, 0, 0.1) = (0, 0.4, 0).
+    expected = (2 * np.array([0.1, 0, 0]) + np.array([0, 0.4, 0])) / 3
+    q = 0.7
+    in_base = rpy(0.2, 0, 0) @ rpy(0, -q, 0) @ expected
+    first = Arm("first", arm.kinematics[:1])
+    np.testing.assert_allclose((chain_fk(first, [q]) @ [*arm.center_of_mass[0], 1])[:3], in_base, atol=1e-14)
+
+
+finite = st.floats(-3, 3)
+rows = st.lists(st.lists(finite, min_size=6, max_size=6), min_size=1, max_size=7)
+
+
+@settings(deadline=None, max_examples=50)
+@given(rows=rows, mass=st.floats(0, 50), com=st.lists(finite, min_size=3, max_size=3), flange=st.none() | rows)
+def test_round_trip_is_exact(tmp_path_factory, rows, mass, com, flange):
+    n = len(rows)
+    arm = Arm(
+        name='a<&>"b',
+        kinematics=np.array(rows),
+        joint_limits=np.array([[-1.0 - i / 7, 0.1 + i / 3] for i in range(n)]),
+        T_joint_flange=None if flange is None else frames.transform_from_row(flange[0]),
+        mass=None if mass > 40 else np.full(n, mass),
+        center_of_mass=None if mass > 40 else np.tile(com, (n, 1)),
+    )
+    back = read_urdf(write_urdf(arm, tmp_path_factory.mktemp("urdf") / "arm.urdf"))
+    assert back.name == arm.name
+    np.testing.assert_array_equal(back.kinematics, arm.kinematics)
+    np.testing.assert_array_equal(back.joint_limits, arm.joint_limits)
+    np.testing.assert_allclose(back.T_joint_flange, arm.T_joint_flange, rtol=0, atol=2e-15)
+    if flange is None:
+        np.testing.assert_array_equal(back.T_joint_flange, np.eye(4))
+    for ours, theirs in ((back.mass, arm.mass), (back.center_of_mass, arm.center_of_mass)):
+        assert (ours is None) == (theirs is None)
+        np.testing.assert_array_equal([] if ours is None else ours, [] if theirs is None else theirs)
+
+
+@pytest.mark.parametrize("name", bundled_arms())
+def test_bundled_arms_survive_the_round_trip(name, tmp_path):
+    arm = load_bundled(name)
+    back = read_arm(write_urdf(arm, tmp_path / "arm.urdf"))
+    for field in ("kinematics", "joint_limits", "T_joint_flange", "mass", "center_of_mass"):
+        np.testing.assert_array_equal(getattr(back, field), getattr(arm, field))
+
+
+def branched(tmp_path, tail_rpy="0 0 0"):
+    parts = [link(name) for name in ("base_link", "base", "a", "ft_frame", "tool0")]
+    parts += [joint("j1", "base_link", "a"), joint("b", "base_link", "base", "fixed")]
+    parts += [joint("f", "a", "ft_frame", "fixed", rpy=tail_rpy), joint("t", "a", "tool0", "fixed")]
+    return write(tmp_path, *parts)
+
+
+def test_frames_at_one_place_are_one_tip(tmp_path):
+    assert read_urdf(branched(tmp_path)).dof == 1
+
+
+def test_the_tip_can_be_named_in_the_path(tmp_path):
+    path = branched(tmp_path, "3.14159 0 0")
+    message = f"{path}: the chain could end at ft_frame, tool0; name one with tip (in a file name: arm.urdf#ft_frame)"
+    with pytest.raises(InputError) as error:
+        read_urdf(path)
+    assert str(error.value) == message
+    np.testing.assert_array_equal(read_arm(f"{path}#tool0").T_joint_flange, np.eye(4))
+    np.testing.assert_allclose(read_arm(f"{path}#ft_frame").T_joint_flange[1, 1], -1)
+
+
+def test_a_gripper_is_a_branch_until_the_tip_is_named(tmp_path):
+    parts = [link(name) for name in ("base", "a", "hand", "left", "right")]
+    parts += [joint("j1", "base", "a"), joint("j2", "a", "hand"), joint("l", "hand", "left", "prismatic")]
+    parts += [joint("r", "hand", "right", "prismatic", extra='<mimic joint="l"/>')]
+    path = write(tmp_path, *parts)
+    with pytest.raises(InputError, match="the chain could end at left, right; name one with tip"):
+        read_urdf(path)
+    assert read_urdf(path, tip="hand").dof == 2
+    assert read_urdf(path, base="a", tip="hand").dof == 1
+    with pytest.raises(InputError, match="joint 'l' is prismatic; an arm here has revolute joints only"):
+        read_urdf(path, tip="left")
+    with pytest.raises(InputError, match="joint 'r' mimics another; an arm here has revolute joints only"):
+        read_urdf(path, tip="right")
+    with pytest.raises(InputError, match="'hand' is not below 'left'; name another base or tip"):
+        read_urdf(path, base="left", tip="hand")
+    with pytest.raises(InputError, match="has no link 'nose'; the links are base, a, hand, left, right"):
+        read_urdf(path, tip="nose")
+    with pytest.raises(InputError, match="has no link 'nose'; the links are base, a, hand, left, right"):
+        read_urdf(path, base="nose")
+    with pytest.raises(InputError, match="no joint moves below 'left'; name another base"):
+        read_urdf(path, base="left")
+    with pytest.raises(InputError, match="no joint turns between 'a' and 'a'; name another base or tip"):
+        read_urdf(path, base="a", tip="a")
+
+
+TWO = [link("base"), link("a")]
+
+
+@pytest.mark.parametrize(
+    ("parts", "message"),
+    [
+        ([*TWO, joint("j", "base", "a", axis="0 0 0")], "joint 'j': its axis has no direction; write a unit vector"),
+        ([*TWO, joint("j", "base", "a", xyz="0 0")], "joint 'j': origin xyz is '0 0'; write three numbers"),
+        ([*TWO, joint("j", "base", "a", rpy="0 0 pi")], "joint 'j': origin rpy has 'pi', which is not a number"),
+        ([*TWO, joint("j", "base", "a", xyz="0 0 nan")], "joint 'j': origin xyz has 'nan', which is not finite"),
+        ([*TWO, joint("j", "base", "a", "floating")], "joint 'j' is floating; an arm here has revolute joints only"),
+        ([*TWO, joint("j", "base", "gone")], "joint 'j' names the link 'gone', which is not there; add it"),
+        ([*TWO, joint("j", "base", "a"), joint("k", "base", "a")], "the link 'a' has two parents; a URDF is a tree"),
+        ([*TWO, link("b"), joint("j", "base", "a")], "has not one root link (base, b); name one with base"),
+        ([*TWO, joint("j", "base", "a"), joint("k", "a", "base")], "(none: the joints form a loop)"),
+        ([link("base"), link("a"), joint("j", "base", "a", "fixed")], "no joint moves below 'base'"),
+        ([*TWO, joint("j", "base", "a").replace('lower="-2"', "")], "joint 'j': lacks <limit lower=\"…\">; add it"),
+        ([*TWO, joint("j", "base", "a").replace('upper="3"', 'upper="-4"')], "joint1's limits -2 … -4 rad are empty"),
+        ([*TWO, joint("", "base", "a")], "a joint has no name; give it one"),
+        ([*TWO, '<joint name="j" type="revolute"><child link="a"/></joint>'], "joint 'j': lacks <parent link=\"…\">"),
+        ([*TWO, joint("j", "base", "a", xyz="${d} 0 0")], "is xacro, not yet a URDF; expand it first: xacro arm.urdf"),
+    ],
+)
+def test_refusals_name_the_place_and_the_remedy(parts, message, tmp_path):
+    path = write(tmp_path, *parts)
+    with pytest.raises(InputError) as error:
+        read_urdf(path)
+    assert str(error.value).startswith(f"{path}: ")
+    assert message in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ('<!DOCTYPE r [<!ENTITY a "b">]><robot name="r">&a;</robot>', "declares a document type or entities"),
+        ("<robot", "line 1: not valid XML (unclosed token"),
+        ("q1,q2\n1,2\n", "line 1: not valid XML (syntax error"),
+        ("", "not valid XML (no element found"),
+        ("<sdf/>", "its root is <sdf>, not <robot>; a URDF is needed here"),
+        (
+            '<robot xmlns:xacro="http://ros.org/wiki/xacro"><xacro:macro name="m"/></robot>',
+            "is xacro, not yet a URDF; expand it first: xacro other.xacro > arm.urdf",
+        ),
+    ],
+)
+def test_not_a_urdf(text, message, tmp_path):
+    path = tmp_path / "other.xacro"
+    path.write_text(text)
+    with pytest.raises(InputError) as error:
+        read_arm(path)
+    assert str(error.value).startswith(f"{path}: ")
+    assert message in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_an_expanded_xacro_may_keep_its_namespace(tmp_path):
+    path = write(tmp_path, *TWO, joint("j", "base", "a"))
+    path.write_text(path.read_text().replace("<robot ", '<robot xmlns:xacro="http://ros.org/wiki/xacro" '))
+    assert read_urdf(path).dof == 1
+
+
+def test_deep_nesting_and_large_files_are_refused_or_harmless(tmp_path):
+    path = tmp_path / "deep.urdf"
+    path.write_text("<robot>" + "<a>" * 200_000 + "</a>" * 200_000 + "</robot>")
+    with pytest.raises(InputError, match="has not one root link"):
+        read_urdf(path)
+    path.write_text("<robot>" + " " * (1 << 23) + "</robot>")
+    with pytest.raises(InputError, match="larger than 8388608 bytes"):
+        read_urdf(path)
+
+
+def test_an_existing_file_is_kept(tmp_path):
+    path = write_urdf(load_bundled("lite6"), tmp_path / "arm.urdf")
+    with pytest.raises(InputError, match="exists already"):
+        write_urdf(load_bundled("ur5"), path)
+    write_urdf(load_bundled("ur5"), path, overwrite=True)
+    assert read_urdf(path).name == "ur5"
+
+
+@given(st.lists(st.floats(-7, 7), min_size=3, max_size=3), st.sampled_from([None, np.pi / 2, -np.pi / 2]))
+def test_roll_pitch_yaw_and_back_at_every_pitch(angles, pole):
+    angles[1] = angles[1] if pole is None else pole
+    R = rpy(*angles)
+    np.testing.assert_allclose(frames.rotation_from_rpy(angles), R, rtol=0, atol=1e-15)
+    np.testing.assert_allclose(frames.rotation_from_rpy(frames.rpy_from_rotation(R)), R, rtol=0, atol=3e-15)

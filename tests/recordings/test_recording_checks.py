@@ -1,0 +1,156 @@
+import dataclasses
+
+import numpy as np
+import pytest
+
+from lite6jax.errors import InputError
+from lite6jax.recordings import (
+    Recording,
+    RecordingSettings,
+    check_joint_scale,
+    check_position_scale,
+    drop_missing,
+    outside_limits,
+    repeated_rows,
+    require_samples,
+    time_disorder,
+)
+
+LITE6 = np.deg2rad([[-360, 360], [-150, 150], [-3.5, 300], [-360, 360], [-124, 124], [-360, 360]])
+REACH = 0.7
+
+
+@pytest.fixture
+def plausible():
+    rng = np.random.default_rng(0)
+    direction = rng.normal(size=(200, 3))
+    position = direction / np.linalg.norm(direction, axis=1, keepdims=True) * rng.uniform(0.1, REACH, (200, 1))
+    return Recording.from_arrays(rng.uniform(LITE6[:, 0], LITE6[:, 1], (200, 6)), position=position)
+
+
+def with_joints(recording, joint_position):
+    return dataclasses.replace(recording, joint_position=joint_position)
+
+
+def test_plausible_numbers_pass(plausible):
+    check_joint_scale(plausible, LITE6)
+    check_position_scale(plausible, REACH)
+    assert outside_limits(plausible, LITE6) == []
+    assert len(repeated_rows(plausible).rows) == len(time_disorder(plausible).rows) == 0
+    assert drop_missing(plausible) is plausible
+
+
+def test_faults_that_the_diagnosis_must_see_are_not_taken_for_degrees(plausible):
+    q = plausible.joint_position
+    mirrored, swapped, turned, outliers = q.copy(), q.copy(), q.copy(), q.copy()
+    mirrored[:, 2] *= -1
+    swapped[:, [1, 2]] = swapped[:, [2, 1]]
+    turned[:, 0] += 2 * np.pi
+    outliers[:19] = 500.0
+    for faulty in (mirrored, swapped, turned, outliers):
+        check_joint_scale(with_joints(plausible, faulty), LITE6)
+        assert outside_limits(with_joints(plausible, faulty), LITE6)
+
+
+def test_degrees_are_refused_even_in_one_joint_and_beside_endless_ones(plausible):
+    q = plausible.joint_position.copy()
+    q[:, 3] = np.rad2deg(q[:, 3])
+    with pytest.raises(InputError, match=r"recording: column q4_rad: row \d+ is at .* are these degrees\?"):
+        check_joint_scale(with_joints(plausible, q), LITE6)
+    endless = LITE6.copy()
+    endless[5] = [-np.inf, np.inf]
+    with pytest.raises(InputError, match=r"column q4_rad: .* joint 4 goes from -6\.283 to 6\.283 rad"):
+        check_joint_scale(with_joints(plausible, q), endless)
+    check_joint_scale(plausible, endless)
+
+
+def test_limits_of_another_arm_are_refused(plausible):
+    with pytest.raises(InputError, match="recording: has 6 joints, the arm 7; choose the arm it is of"):
+        check_joint_scale(plausible, np.tile([-1.0, 1.0], (7, 1)))
+
+
+def test_a_distant_tracker_is_not_taken_for_millimetres_but_a_distant_base_is(plausible):
+    far = plausible.position + np.array([30.0, 0, 0])
+    check_position_scale(dataclasses.replace(plausible, position=far), REACH)
+    declared = dataclasses.replace(plausible, position=far, settings=RecordingSettings(pose_frame="base"))
+    with pytest.raises(
+        InputError, match=r"the positions lie .* m from the base \(median\) while the arm reaches 0\.7 m"
+    ):
+        check_position_scale(declared, REACH)
+    few = plausible.position.copy()
+    few[:50] *= 1000  # outliers, for the diagnosis
+    check_position_scale(dataclasses.replace(plausible, position=few), REACH)
+    with pytest.raises(InputError, match=r"m from their middle .* are these millimetres\?"):
+        check_position_scale(dataclasses.replace(plausible, position=plausible.position * 1000), REACH)
+    check_position_scale(dataclasses.replace(plausible, position=None), REACH)
+
+
+@pytest.mark.parametrize(
+    ("oriented", "unknowns", "message"),
+    [
+        (
+            False,
+            13,
+            "4 samples of 3 numbers (position without orientation) give 12 numbers, fewer than the 13 to determine",
+        ),
+        (False, 28, "fewer than the 28 to determine; record at least 10 samples"),
+        (True, 28, "4 samples of 6 numbers (position and orientation) give 24 numbers, fewer than the 28 to determine"),
+        (True, 30, "fewer than the 30 to determine; record at least 5 samples"),
+    ],
+)
+def test_too_few_samples_give_both_counts(oriented, unknowns, message):
+    quaternion = np.tile([1.0, 0, 0, 0], (4, 1)) if oriented else None
+    recording = Recording.from_arrays(
+        np.zeros((4, 6)), position=np.zeros((4, 3)), quaternion=quaternion, source="a.csv"
+    )
+    with pytest.raises(InputError) as caught:
+        require_samples(recording, unknowns)
+    assert str(caught.value).startswith("a.csv: ")
+    assert message in str(caught.value)
+    require_samples(recording, 24 if oriented else 12)
+
+
+def test_a_fit_needs_measured_positions():
+    with pytest.raises(InputError, match=r"a\.csv: has no measured positions; a fit needs the columns x_m y_m z_m"):
+        require_samples(Recording.from_arrays(np.zeros((4, 6)), source="a.csv"), 1)
+
+
+def test_time_disorder_is_found_within_runs_only():
+    time = [0, 1, 2, 1.5, 1.75, 3, 0, 1, 0.25, 2]
+    run = [0, 0, 0, 0, 0, 0, 1, 1, 1, 1]
+    found = time_disorder(Recording.from_arrays(np.zeros((10, 1)), time=time, run=run))
+    assert found.rows.tolist() == [4, 5, 9]
+    assert found.samples.tolist() == [3, 4, 8]
+    assert found.largest_step_back_s == 0.75
+
+
+def test_time_disorder_agrees_with_a_plain_loop():
+    rng = np.random.default_rng(1)
+    time, run = rng.integers(0, 50, 300) * 0.5, np.sort(rng.integers(0, 6, 300))[::-1]
+    late = [k for k in range(300) if any(run[j] == run[k] and time[j] > time[k] for j in range(k))]
+    assert time_disorder(Recording.from_arrays(np.zeros((300, 1)), time=time, run=run)).samples.tolist() == late
+
+
+def test_repeated_rows_are_found_with_their_first(plausible):
+    rows = np.r_[0:200, 17, 42, 17]
+    found = repeated_rows(plausible.select(rows))
+    assert found.samples.tolist() == [200, 201, 202]
+    assert found.first_rows.tolist() == [18, 43, 18]
+    # the same joints with another measured pose, or the same pose at other joints, are no repetition
+    again = plausible.select(np.r_[0:200, 0:200])
+    assert len(repeated_rows(dataclasses.replace(again, position=again.position + np.r_[0:400][:, None])).rows) == 0
+    assert len(repeated_rows(with_joints(again, again.joint_position + np.r_[0:400][:, None])).rows) == 0
+    assert len(repeated_rows(again).rows) == 200
+
+
+def test_rows_that_differ_by_the_sign_of_zero_are_repeated():
+    assert repeated_rows(Recording.from_arrays([[0.0, 1.0], [-0.0, 1.0]])).rows.tolist() == [2]
+
+
+def test_joints_outside_their_limits_are_listed(plausible):
+    q = plausible.joint_position.copy()
+    q[[3, 9], 1] = [3.0, -2.7]
+    q[5, 2] = LITE6[2, 1] + 0.001  # within the margin
+    (found,) = outside_limits(with_joints(plausible, q), LITE6)
+    assert (found.joint, found.rows.tolist()) == (2, [4, 10])
+    assert found.largest_excess_rad == pytest.approx(3.0 - LITE6[1, 1])

@@ -1,0 +1,541 @@
+import os
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.csv
+import pyarrow.parquet as pq
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from lite6jax.errors import InputError
+from lite6jax.recordings import Recording, RecordingSettings, read_recording, write_recording
+
+SHARED = Path(__file__).resolve().parents[2] / "../shared"
+JOINTS = "q1_rad,q2_rad"
+SIDECAR = "recording: {motion: static}\n"
+
+
+def file(tmp_path, text, name="run7.csv", sidecar=SIDECAR):
+    path = tmp_path / name
+    path.write_bytes(text if isinstance(text, bytes) else text.encode())
+    if sidecar:
+        path.with_suffix(".yaml").write_text(sidecar)
+    return path
+
+
+def refusal(path, **options):
+    with pytest.raises(InputError) as caught:
+        read_recording(path, **options)
+    message = str(caught.value)
+    assert "\n" not in message
+    assert message.startswith(f"{path}: ")
+    return message.removeprefix(f"{path}: ")
+
+
+def test_every_column_of_the_document_is_read_in_si(tmp_path):
+    text = (
+        "time_s,q1_rad,q2_rad,dq1_rad_per_s,dq2_rad_per_s,tau1_Nm,tau2_Nm,current1_A,current2_A,temp1_degC,temp2_degC,"
+        "ambient_degC,payload_kg,run,x_m,y_m,z_m,qw,qx,qy,qz\n"
+        "0,0.1,0.2,1,2,3,4,5,6,25,26,21,0.5,7,0.3,0.4,0.5,1,0,0,0\n"
+        "0.5,0.2,0.1,-1,-2,-3,-4,-5,-6,27,28,22,0.6,8,0.6,0.7,0.8,0,1,0,0\n"
+    )
+    recording = read_recording(file(tmp_path, text))
+    assert recording.time.tolist() == [0, 0.5]
+    assert recording.joint_position.tolist() == [[0.1, 0.2], [0.2, 0.1]]
+    assert recording.joint_velocity.tolist() == [[1, 2], [-1, -2]]
+    assert recording.joint_torque.tolist() == [[3, 4], [-3, -4]]
+    assert recording.motor_current.tolist() == [[5, 6], [-5, -6]]
+    assert recording.joint_temperature.tolist() == [[25, 26], [27, 28]]
+    assert recording.ambient_temperature.tolist() == [21, 22]
+    assert recording.payload.tolist() == [0.5, 0.6]
+    assert recording.run.tolist() == [7, 8]
+    assert recording.position.tolist() == [[0.3, 0.4, 0.5], [0.6, 0.7, 0.8]]
+    assert recording.quaternion.tolist() == [[1, 0, 0, 0], [0, 1, 0, 0]]
+    assert recording.row.tolist() == [1, 2]
+    assert recording.motion == "static"
+    assert recording.source == str(tmp_path / "run7.csv")
+    assert recording.notes == ()
+
+
+def test_other_units_are_converted_and_may_be_mixed(tmp_path):
+    text = (
+        "time_ms,q1_deg,q2_rad,dq1_deg_per_s,dq2_rad_per_s,current1_mA,current2_A,x_mm,y_m,z_mm\n"
+        "20,90,1,180,2,1500,1.5,371.5,0.25,-1\n"
+    )
+    recording = read_recording(file(tmp_path, text))
+    np.testing.assert_allclose(recording.joint_position, [[np.pi / 2, 1]], rtol=1e-15)
+    np.testing.assert_allclose(recording.joint_velocity, [[np.pi, 2]], rtol=1e-15)
+    assert recording.motor_current.tolist() == [[1.5, 1.5]]
+    assert recording.position.tolist() == [[0.3715, 0.25, -0.001]]  # to the last digit
+    assert recording.time.tolist() == [0.02]
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "\ufeffq1_rad,q2_rad\n1,2\n3,4\n",
+        "q1_rad,q2_rad\r\n1,2\r\n3,4\r\n",
+        "q1_rad, q2_rad\n 1, 2\n 3 , 4\n",
+        '"q1_rad","q2_rad"\n"1","2"\n3,4\n\n\n',
+        "q2_rad,q1_rad\n2,1\n4,3e0\n",
+        "q1_rad,note,q2_rad,note\n1,a,2,b\n3,,4,\n",
+    ],
+)
+def test_the_ways_a_table_may_be_written(tmp_path, text):
+    assert read_recording(file(tmp_path, text)).joint_position.tolist() == [[1, 2], [3, 4]]
+
+
+def test_unknown_columns_are_ignored_and_named(tmp_path):
+    recording = read_recording(file(tmp_path, f"{JOINTS},note,x2_m,ambent_degC\n1,2,a,b,3\n"))
+    assert recording.ambient_temperature is None
+    assert recording.notes == (
+        "ignored columns that mean nothing here: 'note', 'x2_m' (meant x_m?), 'ambent_degC' (meant ambient_degC?)",
+    )
+    many = ",".join(f"extra{k}" for k in range(9))
+    recording = read_recording(file(tmp_path, f"{JOINTS},{many}\n1,2{',x' * 9}\n"))
+    assert recording.notes[0].endswith("'extra4', 'extra5' and 3 more")
+
+
+@pytest.mark.parametrize(
+    ("header", "message"),
+    [
+        (
+            "time_s,x_m",
+            "has no joint positions; name their columns q1_rad ... qN_rad (or q1_deg ...); it has 'time_s', 'x_m'",
+        ),
+        ("q1_rad,q2_rad,q4_rad", "q3_rad or q3_deg is missing while q4 is there; give every joint"),
+        ("q2_rad", "q1_rad or q1_deg is missing while q2 is there; give every joint"),
+        ("q1", "column 'q1': the unit is missing; write q1_rad or q1_deg"),
+        ("q1_grad", "column 'q1_grad': the unit 'grad' is unknown; write q1_rad or q1_deg"),
+        ("q1_RAD", "column 'q1_RAD': the unit 'RAD' is unknown; write q1_rad or q1_deg"),
+        ("Q1_rad", "column 'Q1_rad': is not spelled as it must be; write q1_rad or q1_deg"),
+        ("q01_rad", "column 'q01_rad': is not spelled as it must be; write q1_rad or q1_deg"),
+        ("q0_rad,q1_rad", "column 'q0_rad': joints are numbered from 1; write q1_rad or q1_deg"),
+        ("q_rad", "column 'q_rad': joints are numbered from 1; write q1_rad or q1_deg"),
+        (f"{JOINTS},x,y,z", "column 'x': the unit is missing; write x_m or x_mm"),
+        (f"{JOINTS},x_cm,y_cm,z_cm", "column 'x_cm': the unit 'cm' is unknown; write x_m or x_mm"),
+        (f"{JOINTS},time", "column 'time': the unit is missing; write time_s or time_ms or time_us"),
+        (f"{JOINTS},qw_1,qx,qy,qz", "column 'qw_1': the unit '1' is unknown; write qw"),
+        (
+            f"{JOINTS},dq1_rpm,dq2_rpm",
+            "column 'dq1_rpm': the unit 'rpm' is unknown; write dq1_rad_per_s or dq1_deg_per_s",
+        ),
+        (f"{JOINTS},tau1_mNm,tau2_mNm", "column 'tau1_mNm': the unit 'mNm' is unknown; write tau1_Nm"),
+        (f"{JOINTS},ambient_K", "column 'ambient_K': the unit 'K' is unknown; write ambient_degC"),
+        (f"{JOINTS},payload", "column 'payload': the unit is missing; write payload_kg"),
+        (f"{JOINTS},x_m,y_m", "z_m or z_mm is missing; give all of x_m y_m z_m, or none"),
+        (f"{JOINTS},x_m,y_m,z_m,qw,qx,qz", "qy is missing; give all of qw qx qy qz, or none"),
+        (f"{JOINTS},qw,qx,qy,qz", "has the orientation qw qx qy qz without a position; add x_m y_m z_m"),
+        (f"{JOINTS},temp2_degC", "temp1_degC is missing beside its like; give it for all joints"),
+        (
+            f"{JOINTS},temp1_degC,temp2_degC,temp3_degC",
+            "column temp3_degC: the joint positions end with q2; add q3 or remove",
+        ),
+        (f"{JOINTS},x_m,y_m,z_m,x_mm", "columns x_m and x_mm give the same quantity; keep one"),
+        (f"{JOINTS},q1_deg", "columns q1_rad and q1_deg give the same quantity; keep one"),
+        (f"{JOINTS},q1_rad", "column q1_rad stands there twice; keep one"),
+    ],
+)
+@pytest.mark.parametrize("suffix", ["csv", "parquet"])
+def test_columns_that_cannot_be_understood(tmp_path, header, message, suffix):
+    names = header.split(",")
+    path = file(tmp_path, header + "\n" + ",".join("1" for _ in names) + "\n")
+    if suffix == "parquet":
+        path = path.with_suffix(".parquet")
+        pq.write_table(pa.Table.from_arrays([pa.array([1.0])] * len(names), names=names), path)
+    assert message in refusal(path)
+
+
+def test_the_number_of_joints_is_held_against_the_arm(tmp_path):
+    path = file(tmp_path, f"{JOINTS}\n1,2\n")
+    assert refusal(path, dof=6) == "has 2 joints (q1 ... q2), the arm has 6; choose the arm it is of"
+    assert read_recording(path, dof=2).dof == 2
+
+
+FINE = f"{JOINTS},x_m,y_m,z_m\n" + "0.1,0.2,0.3,0.4,0.5\n" * 3
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ("", "is empty; record again"),
+        ("\n\n", "is empty; record again"),
+        (f"{JOINTS}", "has column names but no rows; record again"),
+        (f"{JOINTS}\n", "has column names but no rows; record again"),
+        ("0.1,0.2\n0.3,0.4\n", "line 1 holds numbers; it must name the columns, q1_rad, q2_rad, ..."),
+        ("\n" + FINE, "line 1 is empty; it must name the columns"),
+        (
+            FINE + "0.1,0.2,0.3",
+            "row 4 has 3 of 5 columns, y_m is the first without a value: the file is truncated; complete",
+        ),
+        (
+            FINE + "0.1,0.2\n" + FINE[-20:],
+            "row 4 has 2 of 5 columns, x_m is the first without a value: the row is cut short",
+        ),
+        (
+            FINE + "0,1,0,2,0,3,0,4,0,5\n",
+            "row 4 has 10 of 5 columns; remove the surplus fields, and write decimals with a",
+        ),
+        (
+            FINE + "0.1,oops,0.3,0.4,0.5\n",
+            "column q2_rad: row 4 holds 'oops', which is no number; give numbers with a decimal",
+        ),
+        (FINE + "0.1,0.2,0.3,0.4,\0\n", "is not a CSV table but binary or of another encoding; write it as UTF-8 text"),
+        (b"\x89PNG\r\n\x1a\n" + bytes(range(256)), "is not a CSV table but binary or of another encoding"),
+        (FINE.encode("utf-16"), "is not a CSV table but binary or of another encoding; write it as UTF-8 text"),
+        ("Größe,".encode("latin-1") + FINE.encode(), "is not a CSV table but binary or of another encoding"),
+        (b"PAR1" + bytes(20), "is a Parquet file, whatever its name says; name it .parquet"),
+        (
+            FINE.replace(".", ",").replace(",", ";"),
+            "line 1: the fields are separated by semicolons; write commas between",
+        ),
+        (
+            "q1_rad;q2_rad\n0,1;0,2\n",
+            "line 1: the fields are separated by semicolons; write commas between them and decimal",
+        ),
+        (
+            "q1_rad\tq2_rad\n0.1\t0.2\n",
+            "line 1: the fields are separated by tabs; write commas between them and decimal",
+        ),
+        ("<html><body>404</body></html>\n", "has no joint positions; name their columns q1_rad ... qN_rad"),
+        ("q1_rad," + "x" * (1 << 21), "is not a CSV table but binary or of another encoding"),
+        (
+            "a" * 200_000 + "\n1\n",
+            "line 1 is no list of column names (field larger than field limit (131072)); check the file",
+        ),
+        ("q1_rad\n" + "1" * (1 << 22) + "\n1\n", "is not a table of numbers (straddling object"),
+    ],
+    ids=range(22),
+)
+def test_a_csv_that_is_none(tmp_path, content, message):
+    assert message in refusal(file(tmp_path, content))
+
+
+def test_the_row_of_a_fault_is_right_in_a_file_of_many_blocks(tmp_path):
+    body = b"0.123456789,0.987654321\n" * 100_000  # 2.4 MB: several of Arrow's blocks, read by several threads
+    path = file(tmp_path, f"{JOINTS}\n".encode() + body + b"0.1,abc\n" + body)
+    assert refusal(path).startswith("column q2_rad: row 100001 holds 'abc', which is no number")
+    path = file(tmp_path, f"{JOINTS}\n".encode() + body + b"0.1\n" + body)
+    assert refusal(path).startswith(
+        "row 100001 has 1 of 2 columns, q2_rad is the first without a value: the row is cut"
+    )
+
+
+def test_a_missing_last_line_break_is_said(tmp_path):
+    recording = read_recording(file(tmp_path, FINE[:-1]))
+    assert recording.notes == ("the file does not end with a line break: its last number may have been cut short",)
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("run7.txt", "a recording ends in .csv or .parquet; convert it or correct the name"),
+        ("run7", "a recording ends in .csv or .parquet; convert it or correct the name"),
+        ("absent.csv", "no such file; check the name"),
+        ("folder.csv", "is a folder; name a file"),
+    ],
+)
+def test_a_path_that_is_no_recording(tmp_path, name, message):
+    (tmp_path / "folder.csv").mkdir()
+    (tmp_path / "run7.txt").write_text(FINE)
+    assert refusal(tmp_path / name) == message
+
+
+def parquet(tmp_path, **columns):
+    path = tmp_path / "run7.parquet"
+    pq.write_table(pa.table(columns), path)
+    path.with_suffix(".yaml").write_text(SIDECAR)
+    return path
+
+
+def test_a_parquet_that_is_none(tmp_path):
+    path = file(tmp_path, FINE, "run7.parquet")
+    assert refusal(path).startswith("is not Parquet, whatever its name says (Parquet magic bytes not found")
+    assert refusal(file(tmp_path, b"", "run7.parquet")).startswith("is not Parquet, whatever its name says")
+    whole = parquet(tmp_path, q1_rad=np.arange(1000.0), q2_rad=np.arange(1000.0)).read_bytes()
+    for part in (whole[:-9], whole[: len(whole) // 2], whole[:8] + b"\xff" * 4000 + whole[4008:]):
+        message = refusal(file(tmp_path, part, "run7.parquet"))
+        assert message.startswith("is truncated or damaged (")
+        assert message.endswith("; write it again")
+
+
+@pytest.mark.parametrize(
+    ("column", "kind"),
+    [
+        (["a", "b"], "string"),
+        ([True, False], "bool"),
+        ([[1.0], [2.0]], "list<element: double>"),
+        (pa.array([1, 2], pa.timestamp("ms")), r"timestamp\[ms\]".replace("\\", "")),
+    ],
+)
+def test_a_parquet_column_without_numbers(tmp_path, column, kind):
+    path = parquet(tmp_path, q1_rad=[1.0, 2.0], q2_rad=column)
+    assert refusal(path) == f"column q2_rad: holds {kind}, not numbers; write it as float64"
+
+
+def test_a_parquet_may_hold_any_numbers_and_other_columns(tmp_path):
+    path = parquet(
+        tmp_path, note=["a", "b"], q1_deg=pa.array([90, None], pa.int16()), q2_rad=np.array([0.5, 1], np.float32)
+    )
+    recording = read_recording(path)
+    np.testing.assert_allclose(recording.joint_position, [[np.pi / 2, 0.5]], rtol=1e-15)
+    assert recording.notes == (
+        "ignored columns that mean nothing here: 'note'",
+        "dropped 1 row with NaN, infinite or empty fields, that is row 2",
+    )
+    assert refusal(parquet(tmp_path, q1_rad=pa.array([], pa.float64()))) == "has column names but no rows; record again"
+
+
+@pytest.mark.parametrize("blank", ["", "NaN", "nan", "inf", "-inf", "NA", "null", "1e999"])
+@pytest.mark.parametrize("column", range(8))
+def test_rows_with_anything_missing_are_dropped_and_counted(tmp_path, blank, column):
+    header = "q1_rad,q2_rad,time_s,run,temp1_degC,temp2_degC,x_m,y_m,z_m"
+    rows = [[f"{k}.5", "0.2", f"{k}", "3", "25", "26", "0.1", "0.2", "0.3"] for k in range(6)]
+    rows[2][column] = rows[4][column] = blank
+    recording = read_recording(file(tmp_path, "\n".join([header, *map(",".join, rows), ""])))
+    assert recording.row.tolist() == [1, 2, 4, 6]
+    assert recording.joint_position[:, 0].tolist() == [0.5, 1.5, 3.5, 5.5]
+    assert recording.direction_of_motion[:, 0].tolist() == [1, 1, 1, 1]
+    assert set(recording.run) == {3}
+    assert recording.notes == ("dropped 2 rows with NaN, infinite or empty fields, the first is row 3",)
+
+
+def test_over_half_missing_is_an_error_that_names_the_column(tmp_path):
+    rows = [f"0.1,{k}," if k % 3 else f"0.1,{k},250" for k in range(9)]
+    path = file(tmp_path, "\n".join(["q1_rad,temp1_degC,x_mm", *rows]).replace("x_mm", "time_ms") + "\n")
+    assert refusal(path) == (
+        "6 of 9 rows have NaN, infinite or empty fields, the first is row 2, most of them in column time_ms (6); "
+        "fill or remove that column, or record again"
+    )
+    half = file(tmp_path, "q1_rad,time_s\n0,\n0,1\n")
+    assert read_recording(half).samples == 1
+
+
+def test_a_run_must_be_a_whole_number(tmp_path):
+    path = file(tmp_path, "q1_rad,run\n0,1\n0,1.5\n")
+    assert refusal(path) == "column run: row 2 is 1.5; give whole numbers"
+
+
+def test_a_quaternion_beyond_one_per_cent_names_the_row_of_the_file(tmp_path):
+    path = file(tmp_path, "q1_rad,x_m,y_m,z_m,qw,qx,qy,qz\n,0,0,0,1,0,0,0\n0,0,0,0,1,0,0,0\n0,0,0,0,1,0,0,0.2\n")
+    assert refusal(path).startswith("columns qw qx qy qz: row 3 has length 1.0198, not 1; give unit quaternions")
+
+
+def test_times_of_a_clock_are_counted_from_the_first(tmp_path):
+    recording = read_recording(file(tmp_path, "q1_rad,time_s\n0,1750000000.5\n1,1750000008\n"))
+    assert recording.time.tolist() == [0, 7.5]
+    assert recording.notes == ("time_s is a clock's: times are counted from the first, 1750000000 s",)
+
+
+def test_a_recording_without_a_sidecar_says_what_it_assumes(tmp_path):
+    recording = read_recording(file(tmp_path, "q1_rad,time_s\n0,0\n1,0.1\n2,0.2\n", sidecar=None))
+    assert recording.settings == RecordingSettings()
+    assert recording.motion == "trajectory"
+    assert recording.notes == (
+        "there is no sidecar run7.yaml: the defaults are assumed",
+        "the motion is not declared and is taken as trajectory: its time step is 0.1 s",
+        "the joint velocities were not recorded and come from differentiating the positions over time",
+    )
+    np.testing.assert_allclose(recording.velocities(), 10.0)
+
+
+def test_a_bad_sidecar_is_named(tmp_path):
+    path = file(tmp_path, FINE, sidecar="recording: {motion: moving}")
+    with pytest.raises(
+        InputError, match=r"run7\.yaml: recording\.motion: 'moving' is not accepted; give static or traj"
+    ):
+        read_recording(path)
+
+
+LIMITS = np.deg2rad([[-360, 360], [-150, 150]])
+
+
+def test_degrees_named_radians_are_asked_about_and_accepted(tmp_path):
+    path = file(tmp_path, f"{JOINTS},dq1_rad_per_s,dq2_rad_per_s\n10,-20,1,2\n170,140,3,4\n-170,-90,5,6\n")
+    assert refusal(path, joint_limits=LIMITS) == (
+        "column q2_rad: row 1 is at -20 rad while the arm's joint 2 goes from -2.618 to 2.618 rad; are these degrees? "
+        "name the columns q1_deg ... or add --assume-degrees"
+    )
+    recording = read_recording(path, joint_limits=LIMITS, assume_degrees=True)
+    np.testing.assert_allclose(np.rad2deg(recording.joint_position), [[10, -20], [170, 140], [-170, -90]], rtol=1e-15)
+    np.testing.assert_allclose(np.rad2deg(recording.joint_velocity), [[1, 2], [3, 4], [5, 6]], rtol=1e-15)
+    assert recording.notes == ("columns q1_rad ... dq2_rad_per_s are taken as degrees, as asked",)
+    assert read_recording(path).joint_position[1, 0] == 170  # without limits nothing can be said
+
+
+def test_degrees_that_are_far_out_as_well_are_not_asked_about(tmp_path):
+    path = file(tmp_path, "q1_deg,q2_rad\n4000,0\n5000,0\n")
+    assert refusal(path, joint_limits=LIMITS).endswith("joint 1 goes from -6.283 to 6.283 rad; check the unit")
+    path = file(tmp_path, f"{JOINTS}\n4000,0\n5000,0\n")
+    assert refusal(path, joint_limits=LIMITS, assume_degrees=True).endswith("6.283 rad; check the unit")
+
+
+def test_degrees_named_so_are_not_converted_twice(tmp_path):
+    path = file(tmp_path, "q1_deg,q2_deg\n10,20\n")
+    recording = read_recording(path, joint_limits=LIMITS, assume_degrees=True)
+    np.testing.assert_allclose(np.rad2deg(recording.joint_position), [[10, 20]])
+    assert recording.notes == ()
+
+
+def test_millimetres_named_metres_are_asked_about_and_accepted(tmp_path):
+    rows = "0,0,100,200,300\n0,0,-100,200,500\n0,0,100,-300,300\n"
+    path = file(tmp_path, f"{JOINTS},x_m,y_m,z_m\n{rows}")
+    message = refusal(path, reach=0.7)
+    assert message.startswith("columns x_m y_m z_m: the positions lie ")
+    assert message.endswith(
+        "m from their middle (median) while the arm reaches 0.7 m; are these millimetres? name the columns x_mm y_mm "
+        "z_mm or add --assume-millimetres"
+    )
+    recording = read_recording(path, reach=0.7, assume_millimetres=True)
+    assert recording.position.tolist() == [[0.1, 0.2, 0.3], [-0.1, 0.2, 0.5], [0.1, -0.3, 0.3]]
+    assert recording.notes == ("columns x_m ... z_m are taken as millimetres, as asked",)
+    path = file(tmp_path, f"{JOINTS},x_mm,y_mm,z_mm\n{rows}")
+    assert read_recording(path, reach=0.7, assume_millimetres=True).notes == ()
+
+
+finite = st.floats(allow_nan=False, allow_infinity=False, allow_subnormal=True)
+
+
+@st.composite
+def contents(draw):
+    """What a recording is made from."""
+    samples, dof = draw(st.integers(1, 5)), draw(st.integers(1, 7))
+
+    def block(*columns, elements=finite):
+        return draw(arrays(np.float64, (samples, *columns), elements=elements))
+
+    def maybe(*columns):
+        return block(*columns) if draw(st.booleans()) else None
+
+    position, quaternion = maybe(3), None
+    if position is not None and draw(st.booleans()):
+        quaternion = block(4, elements=st.floats(0.25, 1)) * draw(st.sampled_from([1, -1]))
+        quaternion /= np.linalg.norm(quaternion, axis=1, keepdims=True)
+    return {
+        "joint_position": block(dof),
+        "position": position,
+        "quaternion": quaternion,
+        "time": block(elements=st.floats(-1e7, 1e7)) if draw(st.booleans()) else None,
+        "joint_velocity": maybe(dof),
+        "joint_torque": maybe(dof),
+        "motor_current": maybe(dof),
+        "joint_temperature": maybe(dof),
+        "ambient_temperature": maybe(),
+        "payload": maybe(),
+        "run": draw(arrays(np.int64, samples, elements=st.integers(-(2**53), 2**53))) if draw(st.booleans()) else None,
+        "settings": {
+            "motion": "static",
+            "tool": draw(st.sampled_from(["none", "unknown", (0.1, -0.2, 1 / 3, 0.0, 1e-9, -3.0)])),
+            "joint_noise_rad": draw(st.floats(0, 1e300)),
+            "position_noise_m": draw(st.none() | st.floats(1e-300, 1e300)),
+            "gravity_m_per_s2": tuple(draw(arrays(np.float64, 3, elements=finite)).tolist()),
+        },
+    }
+
+
+@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture], derandomize=True)
+@given(content=contents(), suffix=st.sampled_from([".csv", ".parquet"]))
+def test_round_trips_are_exact(tmp_path, content, suffix):
+    recording = Recording.from_arrays(**content | {"settings": RecordingSettings(**content["settings"])})
+    again = read_recording(write_recording(recording, tmp_path / f"run7{suffix}", overwrite=True))
+    assert again.settings == recording.settings
+    assert again.motion == recording.motion
+    expected, actual = recording._arrays(), again._arrays()
+    assert expected.keys() == actual.keys()
+    for name, array in expected.items():
+        assert actual[name].dtype == array.dtype, name
+        assert actual[name].shape == array.shape, name
+        np.testing.assert_array_equal(actual[name], array, err_msg=name)
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".parquet"])
+def test_differentiated_velocities_are_not_written_as_recorded(tmp_path, suffix):
+    time = np.arange(20) * 0.05
+    recording = Recording.from_arrays(
+        np.sin(time)[:, None], time=time, run=np.arange(20) // 10, settings=RecordingSettings(motion="trajectory")
+    )
+    path = write_recording(recording, tmp_path / f"run7{suffix}")
+    again = read_recording(path)
+    assert again.velocity_differentiated
+    assert list(again.columns()) == ["time_s", "q1_rad", "run"]
+    np.testing.assert_array_equal(again.velocities(), recording.velocities())
+
+
+def test_writing_replaces_nothing_unasked_and_leaves_nothing_half_done(tmp_path, monkeypatch):
+    recording = Recording.from_arrays([[0.1, 0.2]])
+    path = write_recording(recording, tmp_path / "run7.csv")
+    assert path.read_text() == "q1_rad,q2_rad\n0.1,0.2\n"
+    with pytest.raises(InputError, match=r"run7\.csv: exists already; choose another name or add --force"):
+        write_recording(recording, path)
+    path.unlink()
+    with pytest.raises(InputError, match=r"run7\.yaml: exists already; choose another name or add --force"):
+        write_recording(recording, path)
+    assert sorted(os.listdir(tmp_path)) == ["run7.yaml"]
+    with pytest.raises(InputError, match=r"run7\.xlsx: a recording ends in \.csv or \.parquet; choose such a name"):
+        write_recording(recording, tmp_path / "run7.xlsx")
+
+    def full(*_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(pyarrow.csv, "write_csv", full)
+    with pytest.raises(InputError, match=r"other\.csv: cannot be written \(No space left on device\); free space"):
+        write_recording(recording, tmp_path / "other.csv")
+    assert sorted(os.listdir(tmp_path)) == ["run7.yaml"]
+
+
+def test_a_sidecar_that_moves_still_names_its_files(tmp_path):
+    (tmp_path / "out").mkdir()
+    path = file(tmp_path, FINE, sidecar="recording: {arm: arm.urdf, factory_calibration: own.yaml, motion: static}")
+    moved = read_recording(write_recording(read_recording(path), tmp_path / "out/run8.parquet"))
+    assert moved.settings.arm == "../arm.urdf"
+    assert moved.settings.factory_path(tmp_path / "out").resolve() == tmp_path / "own.yaml"
+
+
+def columns_by_hand(path):
+    """The file through NumPy's own reader."""
+    names = path.read_text().split("\n", 1)[0].split(",")
+    return dict(zip(names, np.loadtxt(path, delimiter=",", skiprows=1, ndmin=2).T, strict=True))
+
+
+def agrees_with_numpy(path, recording):
+    table, ours = columns_by_hand(path), recording.columns()
+    for name, column in table.items():
+        if name in ("qw", "qx", "qy", "qz"):
+            continue
+        np.testing.assert_array_equal(ours.get(name, np.zeros(recording.samples)), column, err_msg=name)
+    if "qw" in table:
+        theirs = np.column_stack([table[name] for name in ("qw", "qx", "qy", "qz")])
+        np.testing.assert_allclose(np.abs(np.sum(theirs * recording.quaternion, axis=1)), 1.0, atol=1e-8)
+
+
+@pytest.mark.parametrize(("series", "rows"), [("a", 11911), ("b", 1495)])
+def test_the_real_ur10_series(series, rows):
+    path = SHARED / f"real/ur10/ur10_series_{series}.csv"
+    if not path.exists():
+        pytest.skip("the real UR10 series are not on this machine")
+    recording = read_recording(path, dof=6, joint_limits=np.tile([-2 * np.pi, 2 * np.pi], (6, 1)), reach=1.3)
+    assert (recording.samples, recording.dof, recording.numbers_per_sample) == (rows, 6, 6)
+    assert recording.notes == ()
+    assert recording.motion == "static"
+    assert recording.settings.pose_source == "laser_tracker"
+    assert recording.settings.arm_reference(path.parent) == path.parent / "ur10.yaml"
+    agrees_with_numpy(path, recording)
+
+
+CASES = sorted((SHARED / "concealed/open").glob("*/recording.csv"))
+
+
+@pytest.mark.skipif(not CASES, reason="the open trial recordings are not on this machine")
+def test_the_open_trial_recordings():
+    assert len(CASES) == 8
+    for path in CASES:
+        recording = read_recording(path, dof=6, joint_limits=np.tile([-2 * np.pi, 2 * np.pi], (6, 1)), reach=0.7)
+        assert recording.notes == ()
+        assert recording.settings.arm == "lite6"
+        assert recording.motion == ("trajectory" if "dq1_rad_per_s" in recording.columns() else "static")
+        agrees_with_numpy(path, recording)
+        unseen = read_recording(path.with_name("unseen.csv"), dof=6)
+        assert (unseen.samples, unseen.numbers_per_sample, unseen.motion) == (400, 0, recording.motion)
