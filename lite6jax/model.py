@@ -74,7 +74,9 @@ class ModelForm:
         return ArmModel(geometry + step[:n], T_sensor_base, T_flange_tool)
 
 
-def arm_model(geometry: ArrayLike, T_sensor_base: ArrayLike | None = None, T_flange_tool: ArrayLike | None = None) -> ArmModel:
+def arm_model(
+    geometry: ArrayLike, T_sensor_base: ArrayLike | None = None, T_flange_tool: ArrayLike | None = None
+) -> ArmModel:
     """An `ArmModel`; a frame that is not given is the identity."""
     eye = jnp.eye(4)
     return ArmModel(

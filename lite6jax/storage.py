@@ -119,14 +119,18 @@ def read_yaml(path: str | Path) -> Any:
     except (RecursionError, ValueError) as error:
         if isinstance(error, InputError):
             raise
-        raise InputError(f"{path}: not valid YAML (nested too deeply or a malformed value); correct the file") from error
+        raise InputError(
+            f"{path}: not valid YAML (nested too deeply or a malformed value); correct the file"
+        ) from error
 
 
 def _construct(text: str) -> Any:
     return yaml.load(text, Loader=yaml.CSafeLoader if hasattr(yaml, "CSafeLoader") else yaml.SafeLoader)
 
 
-_PLAIN_TAGS = {f"tag:yaml.org,2002:{kind}" for kind in ("map", "seq", "str", "int", "float", "bool", "null", "timestamp")}
+_PLAIN_TAGS = {
+    f"tag:yaml.org,2002:{kind}" for kind in ("map", "seq", "str", "int", "float", "bool", "null", "timestamp")
+}
 
 
 def _check_node(path: str | Path, node: yaml.Node, budget: list[int]) -> None:

@@ -200,7 +200,9 @@ class HayatiForm:
     @cached_property
     def units(self) -> tuple[str, ...]:
         """`m` or `rad` for each."""
-        return tuple("m" if name in ("base_x", "base_y") or name[0] in "d" or name[:-1] == "a" else "rad" for name in self.names)
+        return tuple(
+            "m" if name in ("base_x", "base_y") or name[0] in "d" or name[:-1] == "a" else "rad" for name in self.names
+        )
 
     @cached_property
     def walking_order(self) -> np.ndarray:
@@ -231,7 +233,11 @@ class HayatiForm:
         d, beta = jnp.where(flag, 0.0, second), jnp.where(flag, second, 0.0)
         offset = turn(theta)
         about_z, along_z = rotation_twist(frame, Z), frame.z
-        frame = rotate(frame, Z, Turn(joint.cos * offset.cos - joint.sin * offset.sin, joint.sin * offset.cos + joint.cos * offset.sin))
+        frame = rotate(
+            frame,
+            Z,
+            Turn(joint.cos * offset.cos - joint.sin * offset.sin, joint.sin * offset.cos + joint.cos * offset.sin),
+        )
         along_x = Twist(frame.x, None)
         frame = translate(translate(frame, Z, d), X, a)
         about_x = rotation_twist(frame, X)

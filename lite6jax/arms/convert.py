@@ -57,18 +57,26 @@ def six_parameter_to_hayati(form: HayatiForm, kinematics: ArrayLike, nominal: Ar
 def _require_regular(form: HayatiForm, kinematics: np.ndarray) -> None:
     points, directions = joint_axes(kinematics)
     if abs(directions[0, 2]) < _AXIS_1_UPRIGHT:
-        raise InputError("joint 1: its axis lies in the base's x-y plane; turn the base frame so that z is near joint 1's axis")
+        raise InputError(
+            "joint 1: its axis lies in the base's x-y plane; turn the base frame so that z is near joint 1's axis"
+        )
     for i in range(form.dof - 1):
         sine = np.linalg.norm(np.cross(directions[i], directions[i + 1]))
         if i not in form.parallel and sine < 1e-6:
-            raise InputError(f"joints {i + 1} and {i + 2}: their axes are parallel, which this form does not expect; add {i} to `parallel`")
+            raise InputError(
+                f"joints {i + 1} and {i + 2}: their axes are parallel, which this form does not expect; add {i} to `parallel`"
+            )
         if i in form.parallel:
             gap = points[i + 1] - points[i]
             distance = np.linalg.norm(gap - (gap @ directions[i]) * directions[i])
             if sine > 0.5:
-                raise InputError(f"joints {i + 1} and {i + 2}: their axes are not parallel as this form expects; check the arm's model")
+                raise InputError(
+                    f"joints {i + 1} and {i + 2}: their axes are not parallel as this form expects; check the arm's model"
+                )
             if distance < 1e-4:
-                raise InputError(f"joints {i + 1} and {i + 2}: their axes coincide, so the two cannot be told apart; remove one joint")
+                raise InputError(
+                    f"joints {i + 1} and {i + 2}: their axes coincide, so the two cannot be told apart; remove one joint"
+                )
 
 
 @partial(jax.jit, static_argnums=0)
@@ -94,7 +102,10 @@ def _convert(form: HayatiForm, kinematics: Array, branch: Array) -> Array:
             theta = jnp.arctan2(side * p[1], side * p[0])
             c, s = jnp.cos(theta), jnp.sin(theta)
             a, d = c * p[0] + s * p[1], jnp.zeros(())
-            alpha, beta = jnp.arctan2(s * u[0] - c * u[1], u[2]), jnp.arctan2(c * u[0] + s * u[1], jnp.hypot(s * u[0] - c * u[1], u[2]))
+            alpha, beta = (
+                jnp.arctan2(s * u[0] - c * u[1], u[2]),
+                jnp.arctan2(c * u[0] + s * u[1], jnp.hypot(s * u[0] - c * u[1], u[2])),
+            )
             betas.append(beta)
         else:
             # u = (sin θ sin α, −cos θ sin α, cos α): the sign of sin α is free, and turns θ by 180°
@@ -122,7 +133,14 @@ def _next_to(wanted: Array, angle: Array) -> Array:
 
 
 def _link(theta: Array, d: Array, a: Array, alpha: Array, beta: Array) -> Array:
-    ct, st, ca, sa, cb, sb = jnp.cos(theta), jnp.sin(theta), jnp.cos(alpha), jnp.sin(alpha), jnp.cos(beta), jnp.sin(beta)
+    ct, st, ca, sa, cb, sb = (
+        jnp.cos(theta),
+        jnp.sin(theta),
+        jnp.cos(alpha),
+        jnp.sin(alpha),
+        jnp.cos(beta),
+        jnp.sin(beta),
+    )
     zero, one = jnp.zeros(()), jnp.ones(())
     Rz = jnp.array([[ct, -st, zero], [st, ct, zero], [zero, zero, one]])
     Rx = jnp.array([[one, zero, zero], [zero, ca, -sa], [zero, sa, ca]])

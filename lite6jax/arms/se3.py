@@ -8,7 +8,7 @@ from jax import Array
 from jax.typing import ArrayLike
 
 _SERIES_BELOW = 1e-4
-"""Squared sine of the half angle under which a two-term series is exact to rounding."""
+"""Angle in rad under which a two-term series is exact to rounding."""
 
 
 def rotation_from_rpy(rpy: ArrayLike) -> Array:
@@ -58,15 +58,22 @@ def quaternion_components(R) -> tuple[Array, Array, Array, Array]:
 
 
 def rotation_log_components(R) -> tuple[Array, Array, Array]:
-    """The rotation vector, its angle in [0, π], of a rotation given as nine arrays `R[i][j]`; smooth at identity."""
+    """The rotation vector, its angle in [0, π], of a rotation given as nine arrays `R[i][j]`; smooth at identity.
+
+    v = 4 arctan(t)/t · q⃗/(1 + w) with t = |q⃗|/(1 + w) the tangent of a quarter angle; two more halvings bring t under
+    0.2, where twelve terms of the series are exact to rounding. No branch, and faster than an arctangent.
+    """
     w, x, y, z = quaternion_components(R)
-    n2 = x * x + y * y + z * z
-    small = n2 < _SERIES_BELOW**2
-    safe = jnp.where(small, 1.0, n2)
-    n = jnp.sqrt(safe)
-    w_safe = jnp.where(small, w, 1.0)
-    ratio = n2 / (w_safe * w_safe)
-    factor = jnp.where(small, 2 / w_safe * (1 - ratio / 3 + ratio * ratio / 5), 2 * jnp.arctan2(n, w) / n)
+    inverse = 1 / (1 + w)
+    x, y, z = x * inverse, y * inverse, z * inverse
+    t2, factor = x * x + y * y + z * z, 4.0
+    for _ in range(2):  # arctan t = 2 arctan(t / h), h = 1 + √(1 + t²)
+        h = 1 / (1 + jnp.sqrt(1 + t2))
+        t2, factor = t2 * h * h, 2 * factor * h
+    series = jnp.zeros(())
+    for k in reversed(range(12)):
+        series = series * t2 + (-1) ** k / (2 * k + 1)
+    factor = factor * series
     return factor * x, factor * y, factor * z
 
 

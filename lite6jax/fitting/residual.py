@@ -5,6 +5,7 @@ predicted orientation in the measured tool's axes, `[p̂ − p; log(Rᵀ R̂)]`,
 the sample as their last axis. The curvature is Gauss–Newton's JᵀWJ.
 """
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
@@ -28,8 +29,8 @@ class Observations(NamedTuple):
         position: `(3, sample)` m in the sensor's frame.
         rotation: `(3, 3, sample)`, component by axis; `(3, 3, 0)` where no orientation was measured.
         weight: `(sample,)`; zero for a sample that is missing.
-        whitener: what makes the noise of a residual unit: `(row,)` for independent rows (inverse standard deviations),
-            or `(row, row, sample)`.
+        whitener: what makes the noise of a residual unit: `(2,)`, the inverse standard deviations per axis of position
+            (1/m) and orientation (1/rad), where it is isotropic and alike for all samples; else `(row, row, sample)`.
     """
 
     joint: Turn
@@ -50,10 +51,7 @@ class Robust(NamedTuple):
     scale: Array
 
 
-LEAST_SQUARES = Robust(jnp.inf, 1.0)  # type: ignore[arg-type]
-
-
-def tool_frame(form: ModelForm, model: ArmModel, flange: Frame) -> Frame:
+def tool_frame(model: ArmModel, flange: Frame) -> Frame:
     """The frame of the tool."""
     T = model.T_flange_tool
     axes = [sum(T[k, i] * flange[k] for k in range(3)) for i in range(4)]
@@ -63,7 +61,7 @@ def tool_frame(form: ModelForm, model: ArmModel, flange: Frame) -> Frame:
 def predict_frames(form: ModelForm, model: ArmModel, joint: Turn) -> tuple[Frame, Frame]:
     """The flange's and the tool's frames in sensor coordinates."""
     flange, _ = sweep(form.chain, model.geometry, joint, base_frame(model.T_sensor_base, joint.cos.shape[-1]))
-    return flange, tool_frame(form, model, flange)
+    return flange, tool_frame(model, flange)
 
 
 def differences(observed: Observations, tool: Frame) -> Array:
@@ -72,14 +70,16 @@ def differences(observed: Observations, tool: Frame) -> Array:
     if observed.rotation.shape[-1] == 0:
         return shift
     R, axes = observed.rotation, tool[:3]
-    relative = [[R[0, i] * axes[j][0] + R[1, i] * axes[j][1] + R[2, i] * axes[j][2] for j in range(3)] for i in range(3)]
+    relative = [
+        [R[0, i] * axes[j][0] + R[1, i] * axes[j][1] + R[2, i] * axes[j][2] for j in range(3)] for i in range(3)
+    ]
     return jnp.concatenate([shift, jnp.stack(rotation_log_components(relative))])
 
 
 def whiten(whitener: Array, rows: Array) -> Array:
     """Whitened rows `(row, sample)`."""
     if whitener.ndim == 1:
-        return whitener[:, None] * rows
+        return jnp.repeat(whitener, 3)[: rows.shape[0], None] * rows
     return jnp.einsum("ijs,js->is", whitener, rows)
 
 
@@ -89,8 +89,15 @@ def residuals(form: ModelForm, model: ArmModel, observed: Observations) -> Array
     return jnp.sqrt(observed.weight) * whiten(observed.whitener, differences(observed, tool))
 
 
-def sample_costs(observed: Observations, robust: Robust, squares: Array, rows: int) -> tuple[Array, Array]:
-    """Each sample's cost and the weight `(sample,)` that its residual has in the gradient."""
+def loss(observed: Observations, robust: Robust, squares: Array) -> tuple[Array, Array]:
+    """Each sample's cost, and the weight `(sample,)` its residual has in the gradient.
+
+    Args:
+        observed: for its weights and the number of its rows.
+        robust: the loss.
+        squares: each sample's squared whitened residual, `(sample,)`.
+    """
+    rows = POSITION if observed.rotation.shape[-1] == 0 else POSE
     finite = jnp.isfinite(robust.freedom)
     freedom = jnp.where(finite, robust.freedom, 1.0)
     scaled = squares / robust.scale**2
@@ -99,80 +106,99 @@ def sample_costs(observed: Observations, robust: Robust, squares: Array, rows: i
     return observed.weight * cost, observed.weight * weight
 
 
-def cost_and_gradient(form: ModelForm, model: ArmModel, observed: Observations, robust: Robust) -> tuple[Array, Array]:
-    """The cost of one block of samples and its gradient `(size,)`, by the wrench that each sample's residual exerts.
+class _Sight(NamedTuple):
+    """What one walk of the chain shows: frames, residuals, and their loss."""
 
-    The gradient is what reverse-mode differentiation of the cost gives; it costs two passes over the chain.
-    """
+    flange: Frame
+    tool: Frame
+    raw: Array
+    whitened: Array
+    cost: Array
+    weight: Array
+
+
+def _look(form: ModelForm, model: ArmModel, observed: Observations, robust: Robust) -> _Sight:
     flange, tool = predict_frames(form, model, observed.joint)
     raw = differences(observed, tool)
     whitened = whiten(observed.whitener, raw)
-    cost, weight = sample_costs(observed, robust, jnp.sum(whitened**2, 0), raw.shape[0])
+    cost, weight = loss(observed, robust, jnp.sum(whitened**2, 0))
+    return _Sight(flange, tool, raw, whitened, jnp.sum(cost), weight)
+
+
+def evaluate(form: ModelForm, model: ArmModel, observed: Observations, robust: Robust) -> tuple[Array, Array]:
+    """The cost of one block of samples and its gradient `(size,)`, by the wrench that each sample's residual exerts.
+
+    The gradient is what reverse-mode differentiation of the cost gives, for two walks of the chain.
+    """
+    sight = _look(form, model, observed, robust)
     if observed.whitener.ndim == 1:
-        dual = weight * observed.whitener[:, None] * whitened
+        dual = sight.weight * whiten(observed.whitener, sight.whitened)
     else:
-        dual = weight * jnp.einsum("ijs,is->js", observed.whitener, whitened)
+        dual = sight.weight * jnp.einsum("ijs,is->js", observed.whitener, sight.whitened)
     force = dual[:3]
-    moment = cross(tool.origin, force)
-    if raw.shape[0] == POSE:
-        turned = dual[3:] if observed.whitener.ndim == 1 else _left_jacobian_inverse_transposed(raw[3:], dual[3:])
-        moment = moment + sum(observed.rotation[:, i] * turned[i] for i in range(3))
+    moment = cross(sight.tool.origin, force)
+    if len(dual) == POSE:
+        # the logarithm's derivative leaves a multiple of the rotation vector itself as it is
+        turned = dual[3:] if observed.whitener.ndim == 1 else _left_jacobian_inverse(-sight.raw[3:], dual[3:])
+        moment = moment + _to_sensor(observed, turned)
 
     def power(twist: Twist) -> Array:
         total = force * twist.linear
         return jnp.sum(total if twist.angular is None else total + moment * twist.angular)
 
-    return jnp.sum(cost), _columns(form, model, observed, flange, tool, power)[_step_order(form)]
+    return sight.cost, _columns(form, model, observed, sight, power)[_step_order(form)]
 
 
-def curvature(form: ModelForm, model: ArmModel, observed: Observations, robust: Robust) -> Array:
-    """Gauss–Newton's curvature `(size, size)` of one block of samples."""
-    J = _walked_jacobian(form, model, observed, robust).reshape(form.size, -1)
-    order = _step_order(form)  # of the small product: to reorder J would copy it
-    return (J @ J.T)[order][:, order]
+def linearise(form: ModelForm, model: ArmModel, observed: Observations, robust: Robust) -> tuple[Array, Array, Array]:
+    """The cost of one block, its gradient `(size,)` and Gauss–Newton's curvature JᵀWJ `(size, size)`."""
+    sight = _look(form, model, observed, robust)
+    J = _walked_jacobian(form, model, observed, sight).reshape(form.size, -1)
+    residual = sight.whitened
+    if len(residual) == POSE and observed.whitener.ndim == 1:
+        residual = jnp.concatenate([residual[:3], _to_sensor(observed, residual[3:])])
+    gradient = J @ (jnp.sqrt(sight.weight) * residual).reshape(-1)
+    order = _step_order(form)  # of the small products: to reorder J would copy it
+    return sight.cost, gradient[order], (J @ J.T)[order][:, order]
 
 
 def identification_jacobian(form: ModelForm, model: ArmModel, observed: Observations, robust: Robust) -> Array:
     """The whitened, weighted residuals' derivatives `(parameter, row, sample)`, from the chain's twists.
 
-    Where the whitener has independent rows the orientation rows are turned to the sensor's axes and the logarithm's own
-    derivative, which differs from one by half the residual angle, is dropped: neither matters to a curvature.
+    Where the whitener is isotropic the orientation rows are in the sensor's axes and without the logarithm's own
+    derivative, which differs from one by half the residual angle: neither matters to JᵀJ or to Jᵀr.
     """
-    return _walked_jacobian(form, model, observed, robust)[_step_order(form)]
+    return _walked_jacobian(form, model, observed, _look(form, model, observed, robust))[_step_order(form)]
 
 
-def _walked_jacobian(form: ModelForm, model: ArmModel, observed: Observations, robust: Robust) -> Array:
-    flange, tool = predict_frames(form, model, observed.joint)
-    raw = differences(observed, tool)
-    whitened = whiten(observed.whitener, raw)
-    _, weight = sample_costs(observed, robust, jnp.sum(whitened**2, 0), raw.shape[0])
-    root = jnp.sqrt(weight)
-    diagonal = observed.whitener.ndim == 1
+def _walked_jacobian(form: ModelForm, model: ArmModel, observed: Observations, sight: _Sight) -> Array:
+    root = jnp.sqrt(sight.weight)
 
     def rows(twist: Twist) -> Array:
-        angular = twist.angular
-        shift = twist.linear if angular is None else twist.linear + cross(angular, tool.origin)
-        if raw.shape[0] == POSE:
-            spin = jnp.zeros_like(shift) if angular is None else angular
-            if not diagonal:
-                body = jnp.stack([jnp.sum(observed.rotation[:, i] * spin, 0) for i in range(3)])
-                spin = _left_jacobian_inverse(raw[3:], body)
+        spin = twist.angular
+        shift = twist.linear if spin is None else twist.linear + cross(spin, sight.tool.origin)
+        if len(sight.raw) == POSE:
+            spin = jnp.zeros_like(shift) if spin is None else spin
+            if observed.whitener.ndim > 1:
+                in_tool = jnp.stack([jnp.sum(observed.rotation[:, i] * spin, 0) for i in range(3)])
+                spin = _left_jacobian_inverse(sight.raw[3:], in_tool)
             shift = jnp.concatenate([shift, spin])
         return root * whiten(observed.whitener, shift)
 
-    return _columns(form, model, observed, flange, tool, rows)
+    return _columns(form, model, observed, sight, rows)
 
 
-def _columns(form: ModelForm, model: ArmModel, observed: Observations, flange: Frame, tool: Frame, emit) -> Array:
+def _columns(
+    form: ModelForm, model: ArmModel, observed: Observations, sight: _Sight, emit: Callable[[Twist], Array]
+) -> Array:
     """What `emit` makes of every parameter's twist, `(size, …)` in *walking* order of the geometry."""
-    start = base_frame(model.T_sensor_base, observed.joint.cos.shape[-1])
-    _, columns = sweep(form.chain, model.geometry, observed.joint, start, emit)
+    samples = observed.joint.cos.shape[-1]
+    _, columns = sweep(form.chain, model.geometry, observed.joint, base_frame(model.T_sensor_base, samples), emit)
     parts = [columns]
     if form.frame:
-        fixed = base_frame(jnp.eye(4).at[:3, 3].set(model.T_sensor_base[:3, 3]), observed.joint.cos.shape[-1])
-        parts.append(jnp.stack([emit(t) for t in _frame_twists(fixed, fixed)]))
+        fixed = base_frame(jnp.eye(4).at[:3, 3].set(model.T_sensor_base[:3, 3]), samples)
+        parts.append(jnp.stack([emit(twist) for twist in _frame_twists(fixed, fixed)]))
     if form.tool:
-        parts.append(jnp.stack([emit(t) for t in _frame_twists(flange, tool)]))
+        parts.append(jnp.stack([emit(twist) for twist in _frame_twists(sight.flange, sight.tool)]))
     return jnp.concatenate(parts) if len(parts) > 1 else columns
 
 
@@ -186,8 +212,16 @@ def _frame_twists(shifting: Frame, turning: Frame) -> list[Twist]:
     return [Twist(shifting[i], None) for i in range(3)] + [rotation_twist(turning, i) for i in range(3)]
 
 
+def _to_sensor(observed: Observations, in_tool: Array) -> Array:
+    """Vectors `(3, sample)` in the measured tool's axes, in the sensor's."""
+    return sum(observed.rotation[:, i] * in_tool[i] for i in range(3))  # type: ignore[return-value]
+
+
 def _left_jacobian_inverse(vector: Array, rows: Array) -> Array:
-    """J_l⁻¹(e) v = v − ½ e × v + γ e × (e × v), over the first axis (T. Barfoot, State Estimation for Robotics, 7.80)."""
+    """J_l⁻¹(e) v = v − ½ e × v + γ e × (e × v), over the first axis (T. Barfoot, State Estimation for Robotics, 7.80).
+
+    Its transpose is that of −e.
+    """
     angle2 = jnp.sum(vector**2, 0)
     small = angle2 < 1e-4
     safe = jnp.where(small, 1.0, angle2)
@@ -196,10 +230,6 @@ def _left_jacobian_inverse(vector: Array, rows: Array) -> Array:
     gamma = jnp.where(small, 1 / 12 + angle2 / 720 + angle2**2 / 30240, exact)
     once = cross(vector, rows)
     return rows - 0.5 * once + gamma * cross(vector, once)
-
-
-def _left_jacobian_inverse_transposed(vector: Array, rows: Array) -> Array:
-    return _left_jacobian_inverse(-vector, rows)
 
 
 def over_blocks(evaluate, observed: Observations):
