@@ -8,7 +8,7 @@ compile time nor recomputed prefixes grow with their number.
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property, partial
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import jax
 import jax.numpy as jnp
@@ -52,6 +52,7 @@ def turn(angle: ArrayLike) -> Turn:
     return Turn(jnp.cos(angle), jnp.sin(angle))
 
 
+@runtime_checkable
 class Form(Protocol):
     """What a chain's parameters are. Hashable, so that it can be a static argument of a jitted function.
 
@@ -201,7 +202,7 @@ class HayatiForm:
     def units(self) -> tuple[str, ...]:
         """`m` or `rad` for each."""
         return tuple(
-            "m" if name in ("base_x", "base_y") or name[0] in "d" or name[:-1] == "a" else "rad" for name in self.names
+            "m" if name.rstrip("0123456789") in ("base_x", "base_y", "d", "a") else "rad" for name in self.names
         )
 
     @cached_property

@@ -5,12 +5,14 @@ path. A step of 1e-4 rad leaves it good to four digits, so a fit from nominal ne
 costs only two walks of the chain.
 """
 
+from collections.abc import Callable
 from functools import partial
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jax import Array, lax
+from jax.typing import ArrayLike
 
 from lite6jax.fitting.residual import Observations, Robust, evaluate, linearise, over_blocks
 from lite6jax.model import ArmModel, ModelForm
@@ -104,12 +106,12 @@ def solve_chunk(
         return jax.vmap(one)(model, observed, robust, prior)
 
     def body(state: _State) -> _State:
-        inverse = lax.cond(
+        kept = lax.cond(
             jnp.any(state.stale),
-            lambda: jax.vmap(_damped_inverse)(state.curvature, state.damping),
+            lambda: jax.vmap(inverse)(state.curvature, state.damping),
             lambda: state.inverse,
         )
-        step = -jnp.einsum("aij,aj->ai", inverse, state.gradient)
+        step = -jnp.einsum("aij,aj->ai", kept, state.gradient)
         decrement = -jnp.sum(step * state.gradient, 1)
         moved = jnp.max(jnp.abs(step), 1)
         running = state.status == RUNNING
@@ -135,7 +137,10 @@ def solve_chunk(
         status = jnp.where(last, CONVERGED, state.status)
         status = jnp.where((status == RUNNING) & ~finite, NOT_FINITE, status)
         status = jnp.where((status == RUNNING) & (steps >= max_steps), STEPS_EXHAUSTED, status)
-        choose = lambda which: lambda new, old: jnp.where(which.reshape(-1, *[1] * (new.ndim - 1)), new, old)
+
+        def choose(which: Array) -> Callable[[Array, Array], Array]:
+            return lambda new, old: jnp.where(which.reshape(-1, *[1] * (new.ndim - 1)), new, old)
+
         damping = jnp.where(
             better, jnp.where(state.damping < 1e-9, 0.0, 0.1 * state.damping), jnp.maximum(10 * state.damping, 1e-4)
         )
@@ -144,7 +149,7 @@ def solve_chunk(
             choose(taken)(cost, state.cost),
             choose(taken)(gradient, state.gradient),
             choose(taken)(H, state.curvature),
-            inverse,
+            kept,
             (taken & renew) | (wanted & (damping != state.damping)),
             jnp.where(wanted, damping, state.damping),
             jnp.where(taken, moved, state.moved),
@@ -175,7 +180,7 @@ def _rounding_floor(observed: Observations) -> Array:
     return jnp.sum(observed.weight * per_sample) * _ROUNDING**2
 
 
-def _damped_inverse(H: Array, damping: Array) -> Array:
+def inverse(H: Array, damping: ArrayLike = 0.0) -> Array:
     """The inverse of H + damping diag(H), by Gauss–Jordan elimination with rows and columns scaled to unit diagonal.
 
     Plain array code on purpose: XLA's batched LAPACK calls share a thread pool with the computation that waits for

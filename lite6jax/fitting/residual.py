@@ -238,5 +238,4 @@ def over_blocks(evaluate, observed: Observations):
         return evaluate(jax.tree.map(lambda leaf: leaf[0], observed))
     shapes = jax.eval_shape(evaluate, jax.tree.map(lambda leaf: leaf[0], observed))
     zeros = jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), shapes)
-    add = lambda total, block: (jax.tree.map(jnp.add, total, evaluate(block)), None)
-    return lax.scan(add, zeros, observed)[0]
+    return lax.scan(lambda total, block: (jax.tree.map(jnp.add, total, evaluate(block)), None), zeros, observed)[0]

@@ -1,0 +1,322 @@
+"""Many arms in one call: chunks that stay in cache, solved on every core, each arm with its own result."""
+
+import os
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jax.typing import ArrayLike
+
+from lite6jax.arms import bundled
+from lite6jax.arms.arm import Arm
+from lite6jax.arms.chains import six_parameter_fk, turn
+from lite6jax.errors import InputError
+from lite6jax.fitting import gauss_newton
+from lite6jax.fitting.gauss_newton import Prior, Solved, solve_chunk
+from lite6jax.fitting.residual import POSE, Observations, Robust, differences, predict_frames, whiten
+from lite6jax.fitting.solution import FleetSolution, Result
+from lite6jax.model import ArmModel, ModelForm, arm_model
+
+CHUNK = 8
+"""Arms solved together: their Jacobians (8 × 28 × 1800 doubles, 3 MB) stay in a core's share of the cache."""
+BLOCK = 2400
+"""Samples walked together, for the same reason; memory beyond the input does not grow with their number."""
+LEVER = 0.1
+"""Metres that a radian counts where no noise is declared, as in the seed."""
+MAX_STEPS = 100
+
+# One thread a chunk: XLA's own pool would otherwise be shared by the chunks that run side by side.
+_SINGLE_THREADED = {"xla_cpu_multi_thread_eigen": False}
+
+
+class Summary(NamedTuple):
+    """What is kept of a chunk: the solver's answer, covariance and root-mean-square errors, one row an arm."""
+
+    solved: Solved
+    covariance: Array
+    squares: Array
+    position_rms: Array
+    orientation_rms: Array
+
+
+def observe(joint_position: Array, pose: Array, weight: Array, whitener: Array, block: int) -> Observations:
+    """One arm's data as the residual wants it, cut into blocks.
+
+    Args:
+        joint_position: `(sample, joint)` rad.
+        pose: `(sample, 4, 4)`, or `(sample, 3)` where only positions were measured; a sample that is not finite is missing.
+        weight: `(sample,)`.
+        whitener: `(2,)` or `(sample, row, row)`.
+        block: samples in a block; divides their number.
+    """
+    axes = tuple(range(1, pose.ndim))
+    finite = jnp.all(jnp.isfinite(pose), axes) & jnp.all(jnp.isfinite(joint_position), 1)
+    used = finite & (weight > 0)
+    pose = jnp.where(used.reshape(-1, *[1] * len(axes)), pose, 1.0)
+    q = jnp.where(used[:, None], joint_position, 0.0)
+
+    def blocked(leaf: Array) -> Array:
+        return jnp.moveaxis(leaf.reshape(-1, block, *leaf.shape[1:]), 1, -1)
+
+    position, rotation = (pose[:, :3, 3], pose[:, :3, :3]) if pose.ndim == 3 else (pose, pose[:, None, :0])
+    count = weight.shape[0] // block
+    rotation = blocked(rotation) if pose.ndim == 3 else jnp.zeros((count, 3, 3, 0))
+    whitener = jnp.broadcast_to(whitener, (count, 2)) if whitener.ndim == 1 else blocked(whitener)
+    joint = turn(blocked(q))
+    return Observations(joint, blocked(position), rotation, blocked(jnp.where(used, weight, 0.0)), whitener)
+
+
+@partial(jax.jit, static_argnums=(0, 8, 9), compiler_options=_SINGLE_THREADED)
+def _fit_chunk(
+    form: ModelForm,
+    start: ArmModel,
+    joint_position: Array,
+    pose: Array,
+    weight: Array,
+    whitener: Array,
+    robust: Robust,
+    prior: Prior,
+    block: int,
+    max_steps: int,
+) -> Summary:
+    shared = joint_position.ndim == 2
+    prepare = jax.vmap(partial(observe, block=block), in_axes=(None if shared else 0, 0, 0, 0))
+    observed = prepare(joint_position, pose, weight, whitener)
+    solved = solve_chunk(form, start, observed, robust, prior, max_steps)
+    covariance = jax.vmap(gauss_newton.inverse)(solved.curvature) * (prior.free[:, :, None] * prior.free[:, None, :])
+    squares, shift, spin = jax.vmap(partial(_errors, form))(solved.model, observed)
+    mean = jnp.maximum(jnp.sum(observed.weight > 0, (1, 2)), 1)
+    return Summary(solved, covariance, squares, jnp.sqrt(jnp.sum(shift, 1) / mean), jnp.sqrt(jnp.sum(spin, 1) / mean))
+
+
+def _errors(form: ModelForm, model: ArmModel, observed: Observations) -> tuple[Array, Array, Array]:
+    """Squared whitened residuals, distances and angles, `(sample,)` each, zero where missing."""
+
+    def one(block: Observations) -> tuple[Array, Array, Array]:
+        raw = differences(block, predict_frames(form, model, block.joint)[1])
+        there = block.weight > 0
+        rows = (whiten(block.whitener, raw), raw[:3], raw[3:])
+        return tuple(jnp.where(there, jnp.sum(part**2, 0), 0.0) for part in rows)  # type: ignore[return-value]
+
+    return tuple(leaf.reshape(-1) for leaf in jax.lax.map(one, observed))  # type: ignore[return-value]
+
+
+def padded_size(samples: int) -> tuple[int, int]:
+    """How many samples to pad to, and a block's size: few shapes, so that few are compiled; at most a sixteenth is added."""
+    if samples > BLOCK:
+        return -(-samples // BLOCK) * BLOCK, BLOCK
+    grain = max(4, 2 ** (max(samples - 1, 1).bit_length() - 5))
+    size = -(-samples // grain) * grain
+    return size, size
+
+
+def pad(array: np.ndarray, axis: int, size: int) -> np.ndarray:
+    """The array with zeros appended along an axis."""
+    missing = size - array.shape[axis]
+    if missing == 0:
+        return array
+    return np.pad(array, [(0, missing if i == axis else 0) for i in range(array.ndim)])
+
+
+def fit_chunks(
+    form: ModelForm,
+    start: ArmModel,
+    joint_position: np.ndarray,
+    pose: np.ndarray,
+    weight: np.ndarray,
+    whitener: np.ndarray,
+    robust: Robust,
+    prior: Prior,
+    chunk: int = CHUNK,
+    max_steps: int = MAX_STEPS,
+    progress: Callable[[int], object] | None = None,
+) -> Summary:
+    """Fits arms chunk by chunk on every core.
+
+    Args:
+        form: what moves.
+        start: where from, one for all or with a leading arm axis.
+        joint_position: `(arm, sample, joint)`, or `(sample, joint)` shared.
+        pose: `(arm, sample, 4, 4)` or `(arm, sample, 3)`.
+        weight: `(arm, sample)`.
+        whitener: `(2,)` one for all, or `(arm, sample, row, row)`.
+        robust: the loss, one for all.
+        prior: one for all or with a leading arm axis.
+        chunk: arms in a chunk.
+        max_steps: most steps an arm may take.
+        progress: called with the number of arms done, from any thread.
+
+    Returns:
+        NumPy arrays, a row an arm.
+    """
+    arms, samples = weight.shape
+    chunk = min(chunk, arms)
+    size, block = padded_size(samples)
+
+    def part(array: np.ndarray, first: int) -> np.ndarray:
+        """A chunk's arms of an array; the last chunk is filled up with its last arm."""
+        arms = array[first : first + chunk]
+        return arms if len(arms) == chunk else np.concatenate([arms, np.repeat(arms[-1:], chunk - len(arms), 0)])
+
+    def each(leaf: ArrayLike, ndim: int, first: int) -> np.ndarray:
+        """As `part`, of a leaf that lacks the arm axis where all arms share it."""
+        array = np.asarray(leaf, float)
+        return part(array, first) if array.ndim > ndim else np.broadcast_to(array, (chunk, *array.shape))
+
+    def solve(first: int) -> Summary:
+        q = joint_position if joint_position.ndim == 2 else part(joint_position, first)
+        result = _fit_chunk(
+            form,
+            ArmModel(*(each(leaf, ndim, first) for leaf, ndim in zip(start, (1, 2, 2), strict=True))),
+            pad(q, q.ndim - 2, size),
+            pad(part(pose, first), 1, size),
+            pad(part(weight, first), 1, size),
+            pad(part(whitener, first), 1, size) if whitener.ndim == 4 else each(whitener, 1, first),
+            Robust(*(each(leaf, 0, first) for leaf in robust)),
+            Prior(*(each(leaf, 1, first) for leaf in prior)),
+            block,
+            max_steps,
+        )
+        kept = min(chunk, arms - first)
+        result = jax.tree.map(lambda leaf: np.asarray(leaf)[:kept], result)
+        if progress:
+            progress(kept)
+        return result._replace(squares=result.squares[:, :samples])
+
+    firsts = range(0, arms, chunk)
+    workers = min(
+        len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1, len(firsts)
+    )
+    if workers == 1:
+        parts = [solve(first) for first in firsts]
+    else:
+        head = solve(firsts[0])  # compiles once, before the threads could each begin to
+        with ThreadPoolExecutor(workers) as threads:
+            parts = [head, *threads.map(solve, firsts[1:])]
+    return jax.tree.map(lambda *leaves: np.concatenate(leaves), *parts)
+
+
+def fit_fleet(
+    joint_position: ArrayLike,
+    T_base_flange: ArrayLike,
+    *,
+    nominal: Arm | str,
+    noise: tuple[float, float] | None = None,
+    weight: ArrayLike | None = None,
+    max_steps: int = MAX_STEPS,
+    progress: Callable[[int], object] | None = None,
+) -> FleetSolution:
+    """Fits the Hayati model of many arms of one type to their flange poses, in one call.
+
+    Args:
+        joint_position: `(arm, sample, joint)` rad, or `(sample, joint)` for all arms.
+        T_base_flange: `(arm, sample, 4, 4)` m; a pose that is not finite counts as missing.
+        nominal: the arm's type, an `Arm` or the name of a bundled one.
+        noise: one standard deviation of position (m, per axis) and orientation (rad, per axis). None weighs a radian
+            like 0.1 m, as the seed does, and takes the covariance from the residuals.
+        weight: `(arm, sample)`; zero for a sample that an arm does not have, so that ragged arms fit in one array.
+        max_steps: most Gauss–Newton steps an arm may take.
+        progress: called with the number of arms done since the last call, possibly from another thread.
+
+    Returns:
+        A `FleetSolution`. An arm whose fit fails has its `result` say so; the others are not affected.
+
+    Raises:
+        InputError: arrays whose shapes do not fit each other or the arm, noise that is not positive, negative weights.
+    """
+    arm = bundled.load_bundled(nominal) if isinstance(nominal, str) else nominal
+    q, T = np.asarray(joint_position, float), np.asarray(T_base_flange, float)
+    if T.ndim != 4 or T.shape[2:] != (4, 4):
+        raise InputError(f"T_base_flange of shape {T.shape}: give (arm, sample, 4, 4)")
+    arms, samples = T.shape[:2]
+    if q.shape not in ((arms, samples, arm.dof), (samples, arm.dof)):
+        raise InputError(
+            f"joint_position of shape {q.shape}: {arm.name} with these poses takes ({arms}, {samples}, {arm.dof}), "
+            f"or ({samples}, {arm.dof}) shared by all arms"
+        )
+    w = np.ones((arms, samples)) if weight is None else np.asarray(weight, float)
+    if w.shape != (arms, samples) or not (np.isfinite(w) & (w >= 0)).all():
+        raise InputError(
+            f"weight of shape {w.shape}: give ({arms}, {samples}) numbers that are finite and not negative"
+        )
+    whitener = np.array([1.0, LEVER]) if noise is None else 1 / np.asarray(noise, float)
+    if whitener.shape != (2,) or not (np.isfinite(whitener) & (whitener > 0)).all():
+        raise InputError(
+            f"noise {noise}: give two positive standard deviations, of position in m and orientation in rad"
+        )
+    if arms == 0 or samples == 0:
+        raise InputError(f"T_base_flange of shape {T.shape}: give at least one arm and one sample")
+
+    form = ModelForm(arm.form)
+    prior = Prior(arm.hayati, np.zeros(form.size), np.ones(form.size))  # type: ignore[arg-type]
+    start = arm_model(arm.hayati, T_flange_tool=arm.T_joint_flange)
+    summary = fit_chunks(
+        form,
+        start,
+        q,
+        T,
+        w,
+        whitener,
+        Robust(np.inf, 1.0),
+        prior,
+        max_steps=max_steps,
+        progress=progress,  # type: ignore[arg-type]
+    )
+    solved = summary.solved
+    there = np.isfinite(T).all((2, 3)) & np.isfinite(q).all(-1) & (w > 0)
+    numbers = POSE * there.sum(1)
+    result = np.where(numbers < form.size, Result.TOO_FEW_SAMPLES, solved.status).astype(np.int32)
+    covariance = np.asarray(summary.covariance)
+    if noise is None:
+        spread = 2 * np.asarray(solved.cost) / np.maximum(numbers - form.size, 1)
+        covariance = covariance * spread[:, None, None]
+    return FleetSolution(
+        form=form,
+        parameters=np.asarray(solved.model.geometry),
+        covariance=covariance,
+        result=result,
+        steps=np.asarray(solved.steps),
+        position_rms=np.asarray(summary.position_rms),
+        orientation_rms=np.asarray(summary.orientation_rms),
+        cost=np.asarray(solved.cost),
+    )
+
+
+def fit_fleet_calibrations(
+    factory: ArrayLike,
+    *,
+    nominal: Arm | str,
+    samples: int = 300,
+    seed: int = 0,
+    progress: Callable[[int], object] | None = None,
+) -> FleetSolution:
+    """Fits the Hayati model of many arms to their six-parameter calibrations, by sampling the chains.
+
+    Args:
+        factory: `(arm, joint, 6)`, x y z (m) roll pitch yaw (rad) per joint.
+        nominal: the arm's type.
+        samples: joint positions, uniform inside the arm's limits, the same for all arms.
+        seed: of those.
+        progress: as in `fit_fleet`.
+
+    Raises:
+        InputError: a wrong shape.
+    """
+    arm = bundled.load_bundled(nominal) if isinstance(nominal, str) else nominal
+    kinematics = np.asarray(factory, float)
+    if kinematics.ndim != 3 or kinematics.shape[1:] != (arm.dof, 6):
+        raise InputError(f"factory of shape {kinematics.shape}: {arm.name} takes (arm, {arm.dof}, 6)")
+    q = sample_within_limits(arm, samples, seed)
+    poses = jax.vmap(six_parameter_fk, in_axes=(0, None))(jnp.asarray(kinematics), q) @ arm.T_joint_flange
+    return fit_fleet(q, poses, nominal=arm, progress=progress)
+
+
+def sample_within_limits(arm: Arm, samples: int, seed: int) -> np.ndarray:
+    """Joint positions `(sample, joint)`, uniform inside the arm's limits."""
+    lower, upper = arm.joint_limits.T
+    return np.random.default_rng(seed).uniform(lower, upper, (samples, arm.dof))

@@ -1,0 +1,155 @@
+"""What a fit returns: parameters, how it ended, what was held and why, covariance and errors."""
+
+from dataclasses import dataclass, field
+from enum import IntEnum
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lite6jax.arms.arm import Arm
+from lite6jax.fitting import gauss_newton
+from lite6jax.model import ArmModel, ModelForm, predict
+
+Array = NDArray[np.float64]
+
+
+class Result(IntEnum):
+    """How the fit of one arm ended."""
+
+    CONVERGED = gauss_newton.CONVERGED
+    STEPS_EXHAUSTED = gauss_newton.STEPS_EXHAUSTED
+    NOT_FINITE = gauss_newton.NOT_FINITE
+    TOO_FEW_SAMPLES = 4
+    UNREADABLE = 5
+
+    @property
+    def message(self) -> str:
+        """One line for a person."""
+        return {
+            Result.CONVERGED: "converged",
+            Result.STEPS_EXHAUSTED: "did not converge in the steps allowed; check the arm's model, or allow more steps",
+            Result.NOT_FINITE: "met a number that is not finite; check the input",
+            Result.TOO_FEW_SAMPLES: "has fewer measured numbers than parameters; record more poses",
+            Result.UNREADABLE: "could not be read",
+        }[self]
+
+
+@dataclass(frozen=True)
+class Errors:
+    """Distances between prediction and measurement, sample by sample.
+
+    Attributes:
+        position: `(sample,)` m.
+        orientation: `(sample,)` rad, or None where no orientation was measured.
+        joint_position: `(sample, joint)` rad, where they were made.
+    """
+
+    position: Array
+    orientation: Array | None
+    joint_position: Array
+
+    @property
+    def position_rms(self) -> float:
+        """Root of the mean squared 3-D distance, m."""
+        return float(np.sqrt(np.mean(self.position**2)))
+
+
+@dataclass(frozen=True)
+class Held:
+    """A parameter that the data does not determine, held at its nominal value.
+
+    Attributes:
+        name: the parameter.
+        carried_by: the fitted parameters that can do what it does.
+    """
+
+    name: str
+    carried_by: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Solution:
+    """The fit of one arm.
+
+    Attributes:
+        arm: the nominal arm it started from.
+        form: what the fit could move.
+        model: the fitted numbers, NumPy leaves.
+        result: how it ended.
+        steps: Gauss–Newton or Levenberg–Marquardt steps, of all rounds.
+        covariance: `(size, size)` of the entries `form.names`, in m and rad; zero rows where held; None where the input
+            has no noise (a calibration).
+        free: `(size,)` bool, what moved.
+        held: the parameters that the data does not determine.
+        errors: of the data it was fitted to.
+        nominal_errors: of the nominal geometry, with frame and tool fitted where they are unknown.
+        checked: of data it was not fitted to: fresh samples of a calibration, contiguous held-out blocks of a recording.
+        noise_scale: the residuals' size over the declared noise's; None without a declared noise.
+        weight: `(sample,)` in 0…1, what the robust loss left of each sample.
+        notes: what was assumed, each one sentence.
+    """
+
+    arm: Arm
+    form: ModelForm
+    model: ArmModel
+    result: Result
+    steps: int
+    covariance: Array | None
+    free: NDArray[np.bool_]
+    held: tuple[Held, ...]
+    errors: Errors
+    nominal_errors: Errors
+    checked: Errors
+    noise_scale: float | None
+    weight: Array
+    notes: tuple[str, ...] = field(default=())
+
+    @property
+    def parameters(self) -> Array:
+        """The geometry `(geometry,)`, in the order of `form.chain.names`."""
+        return np.asarray(self.model.geometry)
+
+    @cached_property
+    def standard_deviation(self) -> Array | None:
+        """`(size,)` in m and rad; zero where held."""
+        return None if self.covariance is None else np.sqrt(np.diagonal(self.covariance))
+
+    def predict(self, joint_position: Array) -> Array:
+        """The poses `T_sensor_tool` `(..., 4, 4)` at `joint_position` `(..., joint)` rad."""
+        return np.asarray(predict(self.form.chain, self.model, joint_position))
+
+
+@dataclass(frozen=True)
+class FleetSolution:
+    """The fits of many arms; every array has the arm as its first axis.
+
+    Attributes:
+        form: what the fit could move.
+        parameters: `(arm, size)`, the chain's parameters in the order of `form.chain.names`, m and rad.
+        covariance: `(arm, size, size)` from the declared noise, or from the residuals where none was declared.
+        result: `(arm,)` of `Result`.
+        steps: `(arm,)`.
+        position_rms: `(arm,)` m, of the data fitted.
+        orientation_rms: `(arm,)` rad.
+        cost: `(arm,)`, half the sum of the squared whitened residuals.
+    """
+
+    form: ModelForm
+    parameters: Array
+    covariance: Array
+    result: NDArray[np.int32]
+    steps: NDArray[np.int32]
+    position_rms: Array
+    orientation_rms: Array
+    cost: Array
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The parameters' names."""
+        return self.form.chain.names
+
+    @cached_property
+    def standard_deviation(self) -> Array:
+        """`(arm, size)` m and rad."""
+        return np.sqrt(np.diagonal(self.covariance, axis1=1, axis2=2))

@@ -1,0 +1,29 @@
+"""What every test runs under: types checked at run time, one compilation cache, the same random examples each time."""
+
+from pathlib import Path
+
+import hypothesis
+import jax
+import jaxtyping
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+# Its constructor takes whatever numpy makes an array of, and refuses the rest itself, in one line.
+UNCHECKED = {"lite6jax.arms.arm"}
+
+# Before anything imports the package: functions are instrumented as their modules load.
+modules = {".".join(path.relative_to(ROOT).with_suffix("").parts) for path in (ROOT / "lite6jax").rglob("*.py")}
+jaxtyping.install_import_hook(sorted(m for m in modules - UNCHECKED if "__" not in m), "beartype.beartype")
+
+hypothesis.settings.register_profile("repeatable", derandomize=True, deadline=None, max_examples=40)
+hypothesis.settings.load_profile("repeatable")
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """XLA's work is kept between functions of equal code, and between runs (`--cache-clear` forgets it)."""
+    cache = getattr(config, "cache", None)  # absent under -p no:cacheprovider
+    if cache is None:
+        return
+    jax.config.update("jax_compilation_cache_dir", str(cache.mkdir("jax")))
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0)
+    jax.config.update("jax_persistent_cache_min_entry_size_bytes", 0)
