@@ -3,3 +3,35 @@
 import jax
 
 jax.config.update("jax_enable_x64", True)
+
+from lite6jax.arms.arm import Arm  # noqa: E402
+from lite6jax.arms.chains import HayatiForm, hayati_fk, six_parameter_fk  # noqa: E402
+from lite6jax.arms.convert import hayati_to_six_parameter, six_parameter_to_hayati  # noqa: E402
+from lite6jax.arms.files import read_arm, read_factory, write_factory  # noqa: E402
+from lite6jax.errors import InputError  # noqa: E402
+from lite6jax.fitting.fit import fit  # noqa: E402
+from lite6jax.fitting.fleet import fit_fleet, fit_fleet_calibrations  # noqa: E402
+from lite6jax.fitting.solution import FleetSolution, Result, Solution  # noqa: E402
+from lite6jax.recordings import Recording, read_recording, write_recording  # noqa: E402
+
+__all__ = [
+    "Arm",
+    "FleetSolution",
+    "HayatiForm",
+    "InputError",
+    "Recording",
+    "Result",
+    "Solution",
+    "fit",
+    "fit_fleet",
+    "fit_fleet_calibrations",
+    "hayati_fk",
+    "hayati_to_six_parameter",
+    "read_arm",
+    "read_factory",
+    "read_recording",
+    "six_parameter_fk",
+    "six_parameter_to_hayati",
+    "write_factory",
+    "write_recording",
+]

@@ -46,12 +46,6 @@ def origin_transform(row):
     return product(shift(x, y, z), rotate("z", yaw), rotate("y", pitch), rotate("x", roll))
 
 
-def origin_row(T):
-    """x y z roll pitch yaw of a transform."""
-    yaw, pitch, roll = Rotation.from_matrix(T[:3, :3]).as_euler("ZYX")
-    return np.array([*T[:3, 3], roll, pitch, yaw])
-
-
 def six_parameter_poses(kinematics, positions):
     """(sample, 4, 4) of (joint, 6) and (sample, joint)."""
     T = np.broadcast_to(np.eye(4), (len(positions), 4, 4))

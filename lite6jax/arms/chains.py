@@ -13,6 +13,7 @@ from typing import NamedTuple, Protocol, runtime_checkable
 import jax
 import jax.numpy as jnp
 import numpy as np
+import numpy.typing as npt
 from jax import Array, lax
 from jax.typing import ArrayLike
 
@@ -248,7 +249,7 @@ class HayatiForm:
         d_or_beta = Twist(jnp.where(flag, about_y.linear, along_z), jnp.where(flag, about_y.angular, 0.0))
         return frame, (about_z, d_or_beta, along_x, about_x)
 
-    def pack(self, base: ArrayLike, dh: ArrayLike, beta: ArrayLike = ()) -> np.ndarray:
+    def pack(self, base: npt.ArrayLike, dh: npt.ArrayLike, beta: npt.ArrayLike = ()) -> np.ndarray:
         """Parameters `(size,)` from base (x, y, roll, pitch), the table `(joint, 4)` and one beta per parallel joint.
 
         Raises:
@@ -267,7 +268,7 @@ class HayatiForm:
         keep[list(self.parallel), 1] = False
         return np.concatenate([base, dh[keep], beta])
 
-    def unpack(self, parameters: ArrayLike) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def unpack(self, parameters: npt.ArrayLike) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """The inverse of `pack`."""
         parameters = np.asarray(parameters, float)
         if parameters.shape != (self.size,):
@@ -384,24 +385,30 @@ def hayati_fk(form: HayatiForm, parameters: ArrayLike, joint_position: ArrayLike
     return fk(form, parameters, joint_position)
 
 
-def joint_axes(kinematics: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
-    """The joints' axes at q = 0 as lines: a point `(joint, 3)` in m and a direction `(joint, 3)`, in the base frame."""
+def joint_axes(kinematics: npt.ArrayLike) -> tuple[np.ndarray, np.ndarray]:
+    """The joints' axes at q = 0 as lines in the base frame: points in m and directions, `(..., joint, 3)` each.
+
+    Args:
+        kinematics: `(..., joint, 6)`, rows x y z (m) roll pitch yaw (rad).
+    """
     kinematics = np.asarray(kinematics, float)
-    T, points, directions = np.eye(4), [], []
-    for x, y, z, roll, pitch, yaw in kinematics:
-        (sr, sp, sy), (cr, cp, cy) = np.sin((roll, pitch, yaw)), np.cos((roll, pitch, yaw))
-        Rz = np.array([[cy, -sy, 0], [sy, cy, 0], [0, 0, 1]])
-        Ry = np.array([[cp, 0, sp], [0, 1, 0], [-sp, 0, cp]])
-        Rx = np.array([[1, 0, 0], [0, cr, -sr], [0, sr, cr]])
-        step = np.eye(4)
-        step[:3, :3], step[:3, 3] = Rz @ Ry @ Rx, (x, y, z)
-        T = T @ step
-        points.append(T[:3, 3])
-        directions.append(T[:3, 2])
-    return np.array(points), np.array(directions)
+    (sr, sp, sy), (cr, cp, cy) = (np.moveaxis(f(kinematics[..., 3:]), -1, 0) for f in (np.sin, np.cos))
+    rows = [  # Rz(yaw) Ry(pitch) Rx(roll)
+        [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+        [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+        [-sp, cp * sr, cp * cr],
+    ]
+    turns = np.stack([np.stack(row, -1) for row in rows], -2)
+    R, p = np.eye(3), np.zeros(3)
+    points, directions = np.empty((2, *kinematics.shape[:-1], 3))
+    for i in range(kinematics.shape[-2]):
+        p = p + (R @ kinematics[..., i, :3, None])[..., 0]
+        R = R @ turns[..., i, :, :]
+        points[..., i, :], directions[..., i, :] = p, R[..., 2]
+    return points, directions
 
 
-def hayati_form_of(kinematics: ArrayLike) -> HayatiForm:
+def hayati_form_of(kinematics: npt.ArrayLike) -> HayatiForm:
     """The Hayati form of a nominal six-parameter chain `(joint, 6)`: which neighbouring axes are parallel."""
     _, directions = joint_axes(kinematics)
     sines = np.linalg.norm(np.cross(directions[:-1], directions[1:]), axis=1)

@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from jax.typing import ArrayLike
+from numpy.typing import ArrayLike
 
 from lite6jax.arms.chains import HayatiForm, joint_axes
 from lite6jax.arms.se3 import inverse, rotation_from_rpy, rpy_from_rotation, transform
@@ -41,8 +41,7 @@ def six_parameter_to_hayati(form: HayatiForm, kinematics: ArrayLike, nominal: Ar
         raise InputError(f"kinematics of shape {kinematics.shape}: this form takes ({form.dof}, 6)")
     if not np.isfinite(kinematics).all():
         raise InputError("kinematics: every number must be finite")
-    for arm in kinematics.reshape(-1, form.dof, 6)[:1] if nominal is not None else kinematics.reshape(-1, form.dof, 6):
-        _require_regular(form, arm)
+    _require_regular(form, kinematics)
     if nominal is None:
         _, directions = joint_axes(kinematics.reshape(-1, form.dof, 6)[0])
         branch = np.zeros((form.dof, 2))
@@ -56,27 +55,26 @@ def six_parameter_to_hayati(form: HayatiForm, kinematics: ArrayLike, nominal: Ar
 
 def _require_regular(form: HayatiForm, kinematics: np.ndarray) -> None:
     points, directions = joint_axes(kinematics)
-    if abs(directions[0, 2]) < _AXIS_1_UPRIGHT:
-        raise InputError(
-            "joint 1: its axis lies in the base's x-y plane; turn the base frame so that z is near joint 1's axis"
-        )
+
+    def refuse(irregular: np.ndarray, message: str) -> None:
+        if irregular.any():
+            which = f"kinematics[{np.flatnonzero(irregular)[0]}]: " if kinematics.ndim == 3 else ""
+            raise InputError(which + message)
+
+    refuse(
+        np.abs(directions[..., 0, 2]) < _AXIS_1_UPRIGHT,
+        "joint 1: its axis lies in the base's x-y plane; turn the base frame so that z is near joint 1's axis",
+    )
     for i in range(form.dof - 1):
-        sine = np.linalg.norm(np.cross(directions[i], directions[i + 1]))
-        if i not in form.parallel and sine < 1e-6:
-            raise InputError(
-                f"joints {i + 1} and {i + 2}: their axes are parallel, which this form does not expect; add {i} to `parallel`"
-            )
+        axis, following, gap = directions[..., i, :], directions[..., i + 1, :], points[..., i + 1, :] - points[..., i, :]
+        sine = np.linalg.norm(np.cross(axis, following), axis=-1)
+        distance = np.linalg.norm(np.cross(axis, gap), axis=-1)
+        pair = f"joints {i + 1} and {i + 2}: their axes"
         if i in form.parallel:
-            gap = points[i + 1] - points[i]
-            distance = np.linalg.norm(gap - (gap @ directions[i]) * directions[i])
-            if sine > 0.5:
-                raise InputError(
-                    f"joints {i + 1} and {i + 2}: their axes are not parallel as this form expects; check the arm's model"
-                )
-            if distance < 1e-4:
-                raise InputError(
-                    f"joints {i + 1} and {i + 2}: their axes coincide, so the two cannot be told apart; remove one joint"
-                )
+            refuse(sine > 0.5, f"{pair} are not parallel as this form expects; check the arm's model")
+            refuse(distance < 1e-4, f"{pair} coincide, so the two cannot be told apart; remove one joint")
+        else:
+            refuse(sine < 1e-6, f"{pair} are parallel, which this form does not expect; add {i} to `parallel`")
 
 
 @partial(jax.jit, static_argnums=0)

@@ -1,5 +1,6 @@
 import jax
 import jax.numpy as jnp
+import jaxtyping
 import numpy as np
 import pytest
 from hypothesis import given
@@ -99,11 +100,12 @@ def test_derivative_of_the_logarithm_is_finite_up_to_half_a_turn(mode):
 
 @given(angles, st.floats(-1.57, 1.57), angles)
 def test_roll_pitch_yaw_round_trip(roll, pitch, yaw):
-    R = se3.rotation_from_rpy([roll, pitch, yaw])
-    np.testing.assert_allclose(R, Rotation.from_euler("xyz", [roll, pitch, yaw]).as_matrix(), atol=EXACT)
+    rpy = np.array([roll, pitch, yaw])
+    R = se3.rotation_from_rpy(rpy)
+    np.testing.assert_allclose(R, Rotation.from_euler("xyz", rpy).as_matrix(), atol=EXACT)
     back = np.asarray(se3.rpy_from_rotation(R))
     np.testing.assert_allclose(se3.rotation_from_rpy(back), R, atol=EXACT)
-    turns = (back - [roll, pitch, yaw]) / (2 * np.pi)
+    turns = (back - rpy) / (2 * np.pi)
     np.testing.assert_allclose(turns, np.round(turns), atol=1e-11)  # 1e-15 / cos(1.57) at the worst
 
 
@@ -136,7 +138,7 @@ def test_skew_is_the_cross_product(a, b):
     np.testing.assert_allclose(se3.skew(a) @ b, np.cross(a, b), atol=1e-15)
 
 
-@pytest.mark.parametrize("shape", [(), (1,), (5,), (2, 3), (0,)])
+@pytest.mark.parametrize("shape", [(), (2, 3), (0,)])
 def test_leading_axes_are_batches(shape):
     rng = np.random.default_rng(0)
     vectors = rng.uniform(-1, 1, (*shape, 3))
@@ -161,3 +163,8 @@ def test_inverse_and_broadcasting_of_transforms():
     T = np.asarray(se3.transform(R, rng.uniform(-1, 1, 3)))
     np.testing.assert_allclose(se3.inverse(T), np.linalg.inv(T), atol=EXACT)
     np.testing.assert_array_equal(T[:, 3], np.tile([0, 0, 0, 1], (4, 1)))
+
+
+def test_types_are_checked_at_run_time():
+    with pytest.raises(jaxtyping.TypeCheckError):
+        se3.skew("a string")

@@ -1,0 +1,47 @@
+"""Which parameters the data determines, and what carries those that it does not."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lite6jax.fitting.solution import Held
+from lite6jax.model import ModelForm
+
+_DETERMINED = 1e-10
+"""Squared sine of a column to the span of those before it, above which it is determined; rounding leaves 1e-15."""
+_CARRIES = 0.05
+
+
+def determined(form: ModelForm, curvature: NDArray[np.float64]) -> tuple[NDArray[np.bool_], tuple[Held, ...]]:
+    """The entries of a step that the data determines, and those held at nominal.
+
+    The columns are taken one by one, sensor frame and tool first: one that lies in the span of those taken before is
+    held, since nothing in the data tells it from them.
+
+    Args:
+        form: names the entries.
+        curvature: the information `(size, size)` of data and prior.
+
+    Returns:
+        `(size,)` bool, and the held ones.
+    """
+    size = form.size
+    geometry = form.chain.size
+    order = [*range(geometry, size), *range(geometry)]
+    scale = np.sqrt(np.maximum(np.diagonal(curvature), np.finfo(float).tiny))
+    H = curvature / scale[:, None] / scale
+    taken: list[int] = []
+    held: list[Held] = []
+    L = np.zeros((size, size))
+    for k in order:
+        row = np.linalg.solve(L[: len(taken), : len(taken)], H[taken, k]) if taken else np.zeros(0)
+        rest = H[k, k] - row @ row
+        if rest > _DETERMINED and np.diagonal(curvature)[k] > 0:
+            L[len(taken), : len(taken)], L[len(taken), len(taken)] = row, np.sqrt(rest)
+            taken.append(k)
+            continue
+        share = np.linalg.solve(H[np.ix_(taken, taken)], H[taken, k]) if taken else np.zeros(0)
+        strong = np.abs(share) > _CARRIES * max(float(np.abs(share).max(initial=0.0)), 1e-6)
+        held.append(Held(form.names[k], tuple(form.names[taken[i]] for i in np.flatnonzero(strong))))
+    free = np.zeros(size, bool)
+    free[taken] = True
+    return free, tuple(sorted(held, key=lambda h: form.names.index(h.name)))

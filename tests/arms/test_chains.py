@@ -1,0 +1,341 @@
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pinocchio as pin
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from plain_chain import (
+    LITE6_DH,
+    hayati_poses,
+    origin_transform,
+    perturbed,
+    random_kinematics,
+    random_positions,
+    rotate,
+    shift,
+    six_parameter_poses,
+)
+
+from lite6jax.arms.bundled import load_bundled
+from lite6jax.arms.chains import (
+    HayatiForm,
+    SixParameterForm,
+    fk,
+    hayati_fk,
+    hayati_form_of,
+    joint_axes,
+    six_parameter_fk,
+)
+from lite6jax.arms.se3 import rotation_exp, rpy_from_rotation, transform
+from lite6jax.errors import InputError
+from lite6jax.model import ArmModel, ModelForm, arm_model, predict
+
+EXACT = 2e-14
+LITE6 = HayatiForm(6, (1,))
+seeds = st.integers(0, 2**32 - 1)
+arms = pytest.mark.parametrize("dof", range(2, 9))
+
+
+def pinocchio_poses(kinematics, positions):
+    model = pin.Model()
+    joint = 0
+    for x, y, z, *rpy in kinematics:
+        placement = pin.SE3(pin.rpy.rpyToMatrix(*rpy), np.array([x, y, z]))
+        joint = model.addJoint(joint, pin.JointModelRZ(), placement, f"joint{joint + 1}")
+    data = model.createData()
+    poses = []
+    for q in positions:
+        pin.forwardKinematics(model, data, q)
+        poses.append(data.oMi[joint].homogeneous)
+    return np.array(poses)
+
+
+@arms
+@given(seed=seeds)
+def test_six_parameter_chain_agrees_with_numpy_and_pinocchio(dof, seed):
+    rng = np.random.default_rng(seed)
+    kinematics, positions = random_kinematics(rng, dof), random_positions(rng, 3, dof)
+    poses = six_parameter_fk(kinematics, positions)
+    np.testing.assert_allclose(poses, six_parameter_poses(kinematics, positions), atol=EXACT)
+    np.testing.assert_allclose(poses, pinocchio_poses(kinematics, positions), atol=EXACT)
+
+
+@pytest.mark.parametrize("form", [LITE6, HayatiForm(6, (1, 2)), HayatiForm(7), HayatiForm(3, (0, 1)), HayatiForm(2)])
+@given(seed=seeds)
+def test_hayati_chain_agrees_with_the_product_of_matrices(form, seed):
+    rng = np.random.default_rng(seed)
+    base, dh = rng.uniform(-1, 1, 4), rng.uniform(-2, 2, (form.dof, 4))
+    dh[list(form.parallel), 1] = 0
+    betas = rng.uniform(-1, 1, len(form.parallel))
+    positions = random_positions(rng, 3, form.dof)
+    poses = hayati_fk(form, form.pack(base, dh, betas), positions)
+    expected = hayati_poses(base, dh, dict(zip(form.parallel, betas, strict=True)), positions)
+    np.testing.assert_allclose(poses, expected, atol=5 * EXACT)
+
+
+def test_zero_pose_of_the_seed():
+    parameters = LITE6.pack(np.zeros(4), LITE6_DH, [0.0])
+    for T in (hayati_fk(LITE6, parameters, np.zeros(6)), six_parameter_fk(load_bundled("lite6").kinematics, np.zeros(6))):
+        # (87, 0, 154) mm, to the millimetre in which the seed states it: 243.3 + 200 - 227.6 - 61.5 = 154.2
+        np.testing.assert_allclose(T[:3, 3], [0.087, 0, 0.1542], atol=1e-15)
+        np.testing.assert_allclose(T[:3, :3], np.diag([1, -1, -1]), atol=1e-15)
+
+
+@pytest.mark.parametrize("form", [LITE6, SixParameterForm(7)])
+def test_leading_axes_jit_and_vmap(form):
+    rng = np.random.default_rng(2)
+    parameters = rng.uniform(-1, 1, (2, form.size))
+    positions = random_positions(rng, 6, form.dof).reshape(2, 3, form.dof)
+    poses = np.asarray(fk(form, parameters[0], positions))
+    assert poses.shape == (2, 3, 4, 4)
+    assert fk(form, parameters[0], positions[:0]).shape == (0, 3, 4, 4)
+    one = fk(form, parameters[0], positions[1, 2])
+    assert one.shape == (4, 4)
+    np.testing.assert_allclose(one, poses[1, 2], atol=EXACT)
+    many = jax.jit(jax.vmap(lambda p: fk(form, p, positions)))(parameters)
+    np.testing.assert_allclose(many[0], poses, atol=EXACT)
+    np.testing.assert_allclose(many[1], fk(form, parameters[1], positions), atol=EXACT)
+    over_positions = jax.vmap(jax.vmap(lambda q: fk(form, parameters[0], q)))(positions)
+    np.testing.assert_allclose(over_positions, poses, atol=EXACT)
+
+
+def test_predict_puts_the_sensor_in_front_and_the_tool_behind():
+    rng = np.random.default_rng(3)
+    kinematics, positions = random_kinematics(rng, 6), random_positions(rng, 4, 6)
+    T_sensor_base, T_flange_tool = (origin_transform(row) for row in random_kinematics(rng, 2))
+    chain = SixParameterForm(6)
+    poses = predict(chain, arm_model(kinematics.ravel(), T_sensor_base, T_flange_tool), positions)
+    expected = T_sensor_base @ six_parameter_poses(kinematics, positions) @ T_flange_tool
+    np.testing.assert_allclose(poses, expected, atol=EXACT)
+    plain = predict(chain, arm_model(kinematics.ravel()), positions)
+    np.testing.assert_allclose(plain, six_parameter_poses(kinematics, positions), atol=EXACT)
+
+
+# The parameters
+
+
+def test_lite6_parameters_stand_in_the_seeds_order():
+    names = "base_x base_y base_roll base_pitch theta_off1 d1 a1 alpha1 theta_off2 a2 alpha2 theta_off3 d3 a3 alpha3 "
+    names += "theta_off4 d4 a4 alpha4 theta_off5 d5 a5 alpha5 theta_off6 d6 a6 alpha6 beta2"
+    assert LITE6.names == tuple(names.split())
+    assert (LITE6.size, len(LITE6.units)) == (28, 28)
+    expected = ["m", "m", "rad", "rad"] + ["rad", "m", "m", "rad"] * 6 + ["rad"]
+    del expected[9]
+    assert LITE6.units == tuple(expected)
+    # the seed's own packing: x = [base, table without d2, beta2]
+    parameters = LITE6.pack([1, 2, 3, 4], LITE6_DH, [5])
+    np.testing.assert_array_equal(parameters, [1, 2, 3, 4, *np.delete(LITE6_DH.ravel(), 5), 5])
+
+
+@pytest.mark.parametrize(("dof", "parallel"), [(6, (1, 2)), (7, ()), (12, (9, 10)), (2, (0,))])
+def test_names_units_and_packing_of_other_arms(dof, parallel):
+    form = HayatiForm(dof, parallel)
+    assert form.size == len(form.names) == len(set(form.names)) == len(form.units) == 4 * dof + 4
+    assert [name for name in form.names if name.startswith("beta")] == [f"beta{i + 1}" for i in parallel]
+    assert {name for name, unit in zip(form.names, form.units, strict=True) if unit == "m"} == {
+        "base_x",
+        "base_y",
+        *(f"a{i + 1}" for i in range(dof)),
+        *(f"d{i + 1}" for i in range(dof) if i not in parallel),
+    }
+    parameters = np.arange(form.size) + 1.0
+    base, dh, beta = form.unpack(parameters)
+    np.testing.assert_array_equal(form.pack(base, dh, beta), parameters)
+    by_name = dict(zip(form.names, parameters, strict=True))
+    for i in range(dof):
+        row = [by_name[f"theta_off{i + 1}"], by_name.get(f"d{i + 1}", 0), by_name[f"a{i + 1}"], by_name[f"alpha{i + 1}"]]
+        np.testing.assert_array_equal(dh[i], row)
+    np.testing.assert_array_equal(beta, [by_name[f"beta{i + 1}"] for i in parallel])
+    np.testing.assert_array_equal(base, [by_name[f"base_{n}"] for n in ("x", "y", "roll", "pitch")])
+
+
+def test_six_parameter_names_follow_the_array():
+    form = SixParameterForm(2)
+    rows = [[f"joint{i}_{n}" for n in ("x", "y", "z", "roll", "pitch", "yaw")] for i in (1, 2)]
+    assert form.names == tuple(np.ravel(rows))
+    assert form.units == ("m", "m", "m", "rad", "rad", "rad") * 2
+    assert form.size == 12
+
+
+def test_model_steps_are_named():
+    form = ModelForm(LITE6, frame=True, tool=True)
+    assert form.size == len(form.names) == len(form.units) == 40
+    assert form.names[28:34] == ("frame_x", "frame_y", "frame_z", "frame_rx", "frame_ry", "frame_rz")
+    assert form.names[34:] == ("tool_x", "tool_y", "tool_z", "tool_rx", "tool_ry", "tool_rz")
+    assert form.units[28:] == ("m", "m", "m", "rad", "rad", "rad") * 2
+
+
+@pytest.mark.parametrize("form", [LITE6, HayatiForm(6, (1, 2)), HayatiForm(11, (9,)), SixParameterForm(6)])
+def test_walking_order_is_a_permutation(form):
+    assert sorted(form.walking_order) == list(range(form.size))
+    assert form.flags.shape == (form.dof,)
+    assert hash(form) == hash(type(form)(*(getattr(form, field) for field in form.__dataclass_fields__)))
+
+
+@pytest.mark.parametrize(
+    ("name", "parallel"),
+    [("lite6", (1,)), ("xarm5", (1, 2)), ("xarm6", (1,)), ("xarm7", ()), ("uf850", (1,)), ("ur10", (1, 2)), ("ur3e", (1, 2))],
+)
+def test_parallel_pairs_are_found(name, parallel):
+    kinematics = load_bundled(name).kinematics
+    assert hayati_form_of(kinematics) == HayatiForm(len(kinematics), parallel)
+    # a calibration tilts them, which changes nothing; antiparallel axes count too
+    tilted = kinematics + np.deg2rad(1.0) * np.random.default_rng(0).uniform(-1, 1, kinematics.shape)
+    assert hayati_form_of(tilted).parallel == parallel
+
+
+@given(seed=seeds)
+def test_joint_axes_are_the_lines_about_which_the_joints_turn(seed):
+    rng = np.random.default_rng(seed)
+    kinematics = random_kinematics(rng, 4)
+    points, directions = joint_axes(kinematics)
+    zero = six_parameter_poses(kinematics, np.zeros((1, 4)))[0]
+    for i in range(4):
+        q = np.zeros((1, 4))
+        q[0, i] = rng.uniform(-3, 3)
+        motion = six_parameter_poses(kinematics, q)[0] @ np.linalg.inv(zero)
+        np.testing.assert_allclose(motion[:3, :3] @ points[i] + motion[:3, 3], points[i], atol=EXACT)
+        about = pin.AngleAxis(q[0, i], directions[i]).toRotationMatrix()
+        np.testing.assert_allclose(motion[:3, :3], about, atol=EXACT)
+
+
+REFUSED = [
+    (lambda: HayatiForm(6, (5,)), "parallel joints (5,): give each once, in order, from 0 to 4"),
+    (lambda: HayatiForm(6, (2, 1)), "parallel joints (2, 1): give each once, in order, from 0 to 4"),
+    (lambda: HayatiForm(6, (1, 1)), "parallel joints (1, 1): give each once, in order, from 0 to 4"),
+    (lambda: HayatiForm(6, (-1,)), "parallel joints (-1,): give each once, in order, from 0 to 4"),
+    (
+        lambda: LITE6.pack(np.zeros(3), LITE6_DH, [0]),
+        "base (3,), dh (6, 4), beta (1,): this form takes (4,), (6, 4) and (1,)",
+    ),
+    (lambda: LITE6.pack(np.zeros(4), LITE6_DH), "base (4,), dh (6, 4), beta (0,): this form takes (4,), (6, 4) and (1,)"),
+    (
+        lambda: LITE6.pack(np.zeros(4), LITE6_DH + 0.5, [0]),
+        "joint 2: d must be 0 there (it has beta instead), not 0.5",
+    ),
+    (lambda: LITE6.unpack(np.zeros(27)), "parameters of shape (27,): this form takes (28,)"),
+]
+
+
+@pytest.mark.parametrize(("call", "message"), REFUSED)
+def test_refusals(call, message):
+    with pytest.raises(InputError) as error:
+        call()
+    assert str(error.value) == message
+
+
+# What flange poses determine
+
+
+def sensitivity(form, model, positions):
+    """(pose entries, step): the derivatives of every entry of every pose by `ModelForm`'s step."""
+
+    def entries(step):
+        return predict(form.chain, form.retract(model, step), positions)[:, :3].ravel()
+
+    return np.asarray(jax.jit(jax.jacfwd(entries))(jnp.zeros(form.size)))
+
+
+def rank(J):
+    """The rank, which must stand out: the last singular value that counts is far above the first that does not."""
+    s = np.linalg.svd(J / np.maximum(np.linalg.norm(J, axis=0), 1e-12), compute_uv=False)
+    count = int(np.sum(s > 1e-9 * s[0]))
+    assert s[count - 1] > 1e-5 * s[0]
+    assert np.all(s[count:] < 1e-13 * len(J) ** 0.5 * s[0])
+    return count
+
+
+def generic_model(chain, seed):
+    rng = np.random.default_rng(seed)
+    frame, tool = (origin_transform(row) for row in random_kinematics(rng, 2))
+    return arm_model(rng.uniform(-1, 1, chain.size), frame, tool), random_positions(rng, 60, chain.dof)
+
+
+@pytest.mark.parametrize("dof", [3, 6, 7])
+def test_ranks_at_generic_geometry(dof):
+    n = 4 * dof
+    six, hayati = SixParameterForm(dof), HayatiForm(dof, (1,))
+    model, positions = generic_model(six, dof)
+    assert rank(sensitivity(ModelForm(six), model, positions)) == n + 2
+    # with a frame in front nothing is gained, as joint 1's origin is general; with a tool behind, the flange is
+    assert rank(sensitivity(ModelForm(six, frame=True), model, positions)) == n + 2
+    assert rank(sensitivity(ModelForm(six, tool=True), model, positions)) == n + 6
+    model, positions = generic_model(hayati, dof)
+    for frame in (False, True):
+        assert rank(sensitivity(ModelForm(hayati, frame=frame), model, positions)) == n + 4
+        assert rank(sensitivity(ModelForm(hayati, frame=frame, tool=True), model, positions)) == n + 6
+
+
+def test_ranks_at_the_nominal_lite6_are_26_28_and_30():
+    positions = random_positions(np.random.default_rng(5), 60, 6)
+    rng, kinematics = np.random.default_rng(8), load_bundled("lite6").kinematics
+    calibrated = arm_model(perturbed(rng, kinematics).ravel())
+    assert rank(sensitivity(ModelForm(SixParameterForm(6)), calibrated, positions)) == 26
+    # exactly at nominal joint 2's pitch is -90 deg, where roll and yaw are one: the numbers lose a rank that the
+    # geometry keeps (the test of the gauge directions finds its 26 there, in twists)
+    nominal = arm_model(kinematics.ravel())
+    assert rank(sensitivity(ModelForm(SixParameterForm(6)), nominal, positions)) == 25
+    hayati = arm_model(LITE6.pack(np.zeros(4), LITE6_DH, [0]))
+    assert rank(sensitivity(ModelForm(LITE6), hayati, positions)) == 28
+    assert rank(sensitivity(ModelForm(LITE6, tool=True), hayati, positions)) == 30
+    assert rank(sensitivity(ModelForm(LITE6, frame=True, tool=True), hayati, positions)) == 30
+    # standard DH loses one where axes are parallel: d2 and d3 do the same
+    standard = HayatiForm(6)
+    assert rank(sensitivity(ModelForm(standard), arm_model(standard.pack(np.zeros(4), LITE6_DH)), positions)) == 27
+
+
+@pytest.mark.parametrize("kinematics", [load_bundled("lite6").kinematics, random_kinematics(np.random.default_rng(6), 6)])
+def test_gauge_directions_of_the_six_parameter_chain(kinematics):
+    positions = random_positions(np.random.default_rng(7), 60, 6)
+    poses = np.asarray(six_parameter_fk(kinematics, positions))
+
+    def origin_row(T):
+        return np.concatenate([T[:3, 3], rpy_from_rotation(T[:3, :3])])
+
+    def moved(joint, kind, by):
+        """Joint's frame slid along or turned about its own axis, and the next joint's origin where it was."""
+        T = shift(0, 0, by) if kind == "slide" else rotate("z", by)
+        rows = kinematics.copy()
+        rows[joint] = origin_row(origin_transform(rows[joint]) @ T)
+        rows[joint + 1] = origin_row(np.linalg.inv(T) @ origin_transform(rows[joint + 1]))
+        return rows
+
+    gauges = [(joint, kind) for joint in range(5) for kind in ("slide", "turn")]
+    for joint, kind in gauges:
+        np.testing.assert_allclose(six_parameter_fk(moved(joint, kind, 0.3), positions), poses, atol=EXACT)
+
+    # Their tangents: 10 independent directions that the poses do not see, which with the rank of 26 are all of them.
+    # In each origin's own twist, as roll, pitch and yaw are singular at the nominal pitch of -90 deg of joint 2.
+    origins = np.stack([origin_transform(row) for row in kinematics])
+    turns = np.stack([[rotate("z", angle) for angle in q] for q in positions])
+
+    def entries(twists):
+        T = jnp.eye(4)
+        for i, (origin, twist) in enumerate(zip(origins, twists.reshape(6, 6), strict=True)):
+            T = T @ origin @ transform(rotation_exp(twist[3:]), twist[:3]) @ turns[:, i]
+        return T[:, :3].ravel()
+
+    def twist_of(K):
+        return [K[0, 3], K[1, 3], K[2, 3], K[2, 1], K[0, 2], K[1, 0]]
+
+    J = np.asarray(jax.jacfwd(entries)(jnp.zeros(36)))
+    directions = np.zeros((10, 6, 6))
+    for direction, (joint, kind) in zip(directions, gauges, strict=True):
+        K = np.zeros((4, 4))
+        if kind == "slide":
+            K[2, 3] = 1
+        else:
+            K[1, 0], K[0, 1] = 1, -1
+        direction[joint] = twist_of(K)
+        direction[joint + 1] = twist_of(-np.linalg.inv(origins[joint + 1]) @ K @ origins[joint + 1])
+    directions = directions.reshape(10, 36)
+    np.testing.assert_allclose(J @ directions.T, 0, atol=1e-14)
+    assert rank(J) == 26
+    assert np.linalg.matrix_rank(directions) == 10
+
+
+def test_arm_model_is_a_pytree_of_three_leaves():
+    model = arm_model(np.zeros(28))
+    assert isinstance(model, ArmModel)
+    assert [leaf.shape for leaf in jax.tree.leaves(model)] == [(28,), (4, 4), (4, 4)]

@@ -1,0 +1,208 @@
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from plain_chain import LITE6_DH, perturbed, random_kinematics, random_positions, six_parameter_poses
+
+from lite6jax.arms.bundled import load_bundled
+from lite6jax.arms.chains import HayatiForm, hayati_fk, hayati_form_of, joint_axes, six_parameter_fk
+from lite6jax.arms.convert import hayati_to_six_parameter, six_parameter_to_hayati
+from lite6jax.errors import InputError
+
+LITE6 = HayatiForm(6, (1,))
+NOMINAL = LITE6.pack(np.zeros(4), LITE6_DH, [0.0])
+KINEMATICS = load_bundled("lite6").kinematics
+named = pytest.mark.parametrize("name", ["lite6", "ur10", "xarm7", "xarm5"])
+seeds = st.integers(0, 2**32 - 1)
+
+
+@named
+@given(seed=seeds, size=st.sampled_from([0.0, 1e-6, 1.0, 10.0]))
+def test_conversion_reproduces_the_chain_and_stays_by_nominal(name, seed, size):
+    arm, rng = load_bundled(name), np.random.default_rng(seed)
+    form = hayati_form_of(arm.kinematics)
+    kinematics = perturbed(rng, arm.kinematics, size)
+    nominal = form.pack(np.zeros(4), arm.dh, np.zeros(len(form.parallel)))
+    parameters = six_parameter_to_hayati(form, kinematics, nominal)
+    positions = random_positions(rng, 8, arm.dof)
+    expected = six_parameter_poses(kinematics, positions)
+    np.testing.assert_allclose(hayati_fk(form, parameters, positions), expected, atol=1e-12)
+    # corrections, not another description: a skew of 0.15 deg seen from a metre away is 3 mm
+    lengths = np.array(form.units) == "m"
+    assert np.abs(parameters - nominal)[lengths].max() <= 12e-3 * size + 1e-12
+    assert np.abs(parameters - nominal)[~lengths].max() <= np.deg2rad(1.2) * size + 1e-12
+    np.testing.assert_array_equal(parameters[[-1 - len(form.parallel), -2 - len(form.parallel)]], 0)  # alpha and a, last
+
+
+@pytest.mark.parametrize("dof", range(2, 9))
+@given(seed=seeds)
+def test_conversion_of_any_arm(dof, seed):
+    rng = np.random.default_rng(seed)
+    kinematics = random_kinematics(rng, dof)
+    kinematics[0, 3:5] *= 0.3  # joint 1 within 76 deg of the base's z
+    _, directions = joint_axes(kinematics)
+    sines = np.linalg.norm(np.cross(directions[1:], directions[:-1]), axis=1)
+    form = HayatiForm(dof)
+    parameters = six_parameter_to_hayati(form, kinematics)
+    theta = form.unpack(parameters)[1][:-1, 0]
+    assert np.all(np.abs(theta) <= np.pi / 2 + 1e-15)
+    positions = random_positions(rng, 5, dof)
+    expected = six_parameter_poses(kinematics, positions)
+    # two axes a sine apart meet their common normal only to rounding over that sine
+    tolerance = 1e-13 / np.min(sines, initial=1) ** 2
+    np.testing.assert_allclose(hayati_fk(form, parameters, positions), expected, atol=tolerance)
+
+
+@named
+@given(seed=seeds)
+def test_inverse_needs_only_a_flange_transform(name, seed):
+    arm, rng = load_bundled(name), np.random.default_rng(seed)
+    form = arm.form
+    parameters = arm.hayati + rng.uniform(-1, 1, form.size) * 3e-3
+    kinematics, T_joint_flange = hayati_to_six_parameter(form, parameters)
+    positions = random_positions(rng, 8, arm.dof)
+    expected = hayati_fk(form, parameters, positions)
+    np.testing.assert_allclose(six_parameter_poses(kinematics, positions) @ T_joint_flange, expected, atol=1e-13)
+    # the flange transform is the last joint's a and alpha
+    a, alpha = form.unpack(parameters)[1][-1, 2:]
+    c, s = np.cos(alpha), np.sin(alpha)
+    np.testing.assert_allclose(T_joint_flange, [[1, 0, 0, a], [0, c, -s, 0], [0, s, c, 0], [0, 0, 0, 1]], atol=1e-15)
+    # and back: without it, the parameters come again
+    without = parameters.copy()
+    without[[form.names.index(f"{n}{arm.dof}") for n in ("a", "alpha")]] = 0
+    again = six_parameter_to_hayati(form, kinematics, arm.hayati)
+    np.testing.assert_allclose(again, without, atol=1e-13)
+
+
+def test_many_arms_at_once_equal_one_by_one():
+    rng = np.random.default_rng(0)
+    kinematics = np.array([perturbed(rng, KINEMATICS) for _ in range(7)])
+    many = six_parameter_to_hayati(LITE6, kinematics, NOMINAL)
+    assert many.shape == (7, 28)
+    for one, row in zip(many, kinematics, strict=True):
+        np.testing.assert_allclose(one, six_parameter_to_hayati(LITE6, row, NOMINAL), atol=1e-14)
+    # without nominal every arm has theta in (-90, 90] deg
+    free = six_parameter_to_hayati(LITE6, kinematics)
+    positions = random_positions(rng, 5, 6)
+    for one, row in zip(free, kinematics, strict=True):
+        np.testing.assert_allclose(hayati_fk(LITE6, one, positions), six_parameter_poses(row, positions), atol=1e-12)
+
+
+def test_branch_follows_nominal_over_whole_turns_and_the_other_normal():
+    turned = NOMINAL.copy()
+    theta, alpha = (np.array([LITE6.names.index(f"{n}{i}") for i in range(1, 6)]) for n in ("theta_off", "alpha"))
+    turned[theta[3]] += 2 * np.pi
+    turned[alpha[1]] -= 2 * np.pi
+    np.testing.assert_allclose(six_parameter_to_hayati(LITE6, KINEMATICS, turned), turned, atol=1e-14)
+    # joint 4's common normal read the other way: theta turns by 180 deg, alpha changes its sign, and joint 5 turns back
+    other = NOMINAL.copy()
+    other[theta[3]] += np.pi
+    other[alpha[3]] *= -1
+    other[theta[4]] -= np.pi
+    np.testing.assert_allclose(six_parameter_to_hayati(LITE6, KINEMATICS, other), other, atol=1e-14)
+
+
+# The seed's reason for Hayati's parameter
+
+
+def tilted(beta):
+    """The nominal Lite 6 whose joint 3 is tilted against joint 2, in the plane of both."""
+    kinematics, T_joint_flange = hayati_to_six_parameter(LITE6, LITE6.pack(np.zeros(4), LITE6_DH, [beta]))
+    np.testing.assert_allclose(T_joint_flange, np.eye(4), atol=1e-15)
+    return kinematics
+
+
+def normal_foot(points, directions, i, j):
+    """Where the common normal of axes i and j meets axis i, from the two lines alone."""
+    u, v, gap = directions[i], directions[j], points[j] - points[i]
+    along, _ = np.linalg.solve([[u @ u, -u @ v], [u @ v, -v @ v]], [gap @ u, gap @ v])
+    return points[i] + along * u
+
+
+def test_standard_dh_blows_up_at_115_m_and_changes_sign():
+    standard, tilt = HayatiForm(6), np.deg2rad(0.1)
+    d2, d3 = standard.names.index("d2"), standard.names.index("d3")
+    table = standard.pack(np.zeros(4), LITE6_DH)
+    positions = random_positions(np.random.default_rng(1), 5, 6)
+    for sign in (1, -1):
+        kinematics = tilted(sign * tilt)
+        parameters = six_parameter_to_hayati(standard, kinematics, table)
+        points, directions = joint_axes(kinematics)
+        # from axis 1's normal to axis 3's, along axis 2
+        travelled = normal_foot(points, directions, 1, 2) - normal_foot(points, directions, 1, 0)
+        np.testing.assert_allclose(parameters[d2], travelled @ directions[1], rtol=1e-9)
+        np.testing.assert_allclose(abs(parameters[d2]), 0.2 / np.tan(tilt), rtol=1e-9)
+        assert 114 < abs(parameters[d2]) < 116
+        assert abs(abs(parameters[d3]) - abs(parameters[d2])) < 0.001
+        # it is still the same arm, at the cost of five digits
+        np.testing.assert_allclose(
+            hayati_fk(standard, parameters, positions), six_parameter_fk(kinematics, positions), atol=1e-9
+        )
+    signs = [np.sign(six_parameter_to_hayati(standard, tilted(s * tilt), table)[d2]) for s in (1, -1)]
+    assert signs[0] == -signs[1]
+
+
+def test_beta_passes_smoothly_through_zero():
+    tilts = np.deg2rad(np.linspace(-0.1, 0.1, 21))
+    assert tilts[10] == 0
+    parameters = six_parameter_to_hayati(LITE6, np.array([tilted(beta) for beta in tilts]), NOMINAL)
+    np.testing.assert_allclose(parameters[:, -1], tilts, atol=1e-15)
+    np.testing.assert_allclose(parameters[:, :-1], np.tile(NOMINAL[:-1], (21, 1)), atol=1e-14)
+
+
+# Refusals
+
+
+def moved(joint, **changes):
+    """The Lite 6 with some numbers of a joint (from 1) set."""
+    rows = KINEMATICS.copy()
+    for name, value in changes.items():
+        rows[joint - 1, ["x", "y", "z", "roll", "pitch", "yaw"].index(name)] = value
+    return rows
+
+
+REFUSED = [
+    (LITE6, np.zeros((7, 6)), "kinematics of shape (7, 6): this form takes (6, 6)"),
+    (LITE6, np.zeros((2, 6, 5)), "kinematics of shape (2, 6, 5): this form takes (6, 6)"),
+    (LITE6, moved(3, x=np.nan), "kinematics: every number must be finite"),
+    (
+        LITE6,
+        moved(1, roll=np.pi / 2),
+        "joint 1: its axis lies in the base's x-y plane; turn the base frame so that z is near joint 1's axis",
+    ),
+    (
+        HayatiForm(6),
+        KINEMATICS,
+        "joints 2 and 3: their axes are parallel, which this form does not expect; add 1 to `parallel`",
+    ),
+    (
+        HayatiForm(6, (0, 1)),
+        KINEMATICS,
+        "joints 1 and 2: their axes are not parallel as this form expects; check the arm's model",
+    ),
+    (
+        LITE6,
+        moved(3, x=0.0),
+        "joints 2 and 3: their axes coincide, so the two cannot be told apart; remove one joint",
+    ),
+]
+
+
+@pytest.mark.parametrize(("form", "kinematics", "message"), REFUSED)
+@pytest.mark.parametrize("nominal", [False, True])
+def test_refusals(form, kinematics, message, nominal):
+    with pytest.raises(InputError) as error:
+        six_parameter_to_hayati(form, kinematics, np.zeros(form.size) if nominal else None)
+    assert str(error.value) == message
+
+
+def test_every_arm_of_many_is_examined():
+    kinematics = np.array([KINEMATICS, moved(3, x=0.0)])
+    for nominal in (None, NOMINAL):
+        with pytest.raises(InputError, match=r"^kinematics\[1\]: joints 2 and 3: their axes coincide"):
+            six_parameter_to_hayati(LITE6, kinematics, nominal)
+
+
+def test_a_nominal_of_another_arm_is_refused():
+    with pytest.raises(InputError, match=r"parameters of shape \(32,\): this form takes \(28,\)"):
+        six_parameter_to_hayati(LITE6, KINEMATICS, np.zeros(32))

@@ -1,0 +1,66 @@
+"""Each part of the package imports only parts above it."""
+
+import ast
+from pathlib import Path
+
+import pytest
+
+PACKAGE = Path(__file__).resolve().parents[1] / "lite6jax"
+PARTS = (
+    "errors storage arms physics model recordings controller fitting identifiability diagnosis simulation report cli"
+).split()
+MODULES = sorted(PACKAGE.rglob("*.py"))
+
+
+def imported_parts(source, package):
+    """The parts that a module of `package` (a tuple of names) imports; "" for the package's own top."""
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Import):
+            names = [alias.name.split(".") for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            above = list(package[: len(package) - node.level + 1]) if node.level else []
+            path = above + (node.module.split(".") if node.module else [])
+            names = [[*path, alias.name] for alias in node.names]
+        else:
+            continue
+        for name in names:
+            if name[0] == "lite6jax":
+                yield name[1] if len(name) > 1 and name[1] in PARTS else ""
+            assert name[0] not in ("tests", "benchmarks"), f"the package imports {name[0]}"
+
+
+def violations(source, part, package):
+    """What a module of `part` imports and must not."""
+    allowed = PARTS[: PARTS.index(part) + 1]
+    return sorted({other or "lite6jax" for other in imported_parts(source, package)} - set(allowed))
+
+
+@pytest.mark.parametrize("path", MODULES, ids=lambda path: str(path.relative_to(PACKAGE)))
+def test_imports_go_upwards_only(path):
+    package = path.relative_to(PACKAGE.parent).parts[:-1]
+    if path == PACKAGE / "__init__.py":
+        return  # the public names: it may know all
+    part = path.relative_to(PACKAGE).with_suffix("").parts[0]
+    assert part in PARTS, f"{part} has no place in the order of the parts"
+    assert violations(path.read_text(), part, package) == []
+
+
+def test_diagnosis_never_imports_simulation():
+    for path in (PACKAGE / "diagnosis").rglob("*.py"):
+        assert "simulation" not in imported_parts(path.read_text(), path.relative_to(PACKAGE.parent).parts[:-1])
+
+
+@pytest.mark.parametrize(
+    ("source", "found"),
+    [
+        ("from lite6jax import cli", ["cli"]),
+        ("import lite6jax.fitting.residual as r", ["fitting"]),
+        ("def f():\n    from lite6jax.simulation import noise", ["simulation"]),
+        ("from lite6jax import fit", ["lite6jax"]),
+        ("import lite6jax", ["lite6jax"]),
+        ("from ..fitting import residual", ["fitting"]),
+        ("from ..errors import InputError\nfrom . import se3\nfrom lite6jax.arms.se3 import inverse\nimport numpy", []),
+    ],
+)
+def test_what_the_check_finds(source, found):
+    assert violations(source, "arms", ("lite6jax", "arms")) == found
