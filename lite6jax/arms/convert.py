@@ -56,7 +56,7 @@ def six_parameter_to_hayati(form: HayatiForm, kinematics: ArrayLike, nominal: Ar
 def _require_regular(form: HayatiForm, kinematics: np.ndarray) -> None:
     points, directions = joint_axes(kinematics)
 
-    def refuse(irregular: np.ndarray, message: str) -> None:
+    def refuse(irregular: np.ndarray | np.bool, message: str) -> None:
         if irregular.any():
             which = f"kinematics[{np.flatnonzero(irregular)[0]}]: " if kinematics.ndim == 3 else ""
             raise InputError(which + message)
@@ -66,7 +66,11 @@ def _require_regular(form: HayatiForm, kinematics: np.ndarray) -> None:
         "joint 1: its axis lies in the base's x-y plane; turn the base frame so that z is near joint 1's axis",
     )
     for i in range(form.dof - 1):
-        axis, following, gap = directions[..., i, :], directions[..., i + 1, :], points[..., i + 1, :] - points[..., i, :]
+        axis, following, gap = (
+            directions[..., i, :],
+            directions[..., i + 1, :],
+            points[..., i + 1, :] - points[..., i, :],
+        )
         sine = np.linalg.norm(np.cross(axis, following), axis=-1)
         distance = np.linalg.norm(np.cross(axis, gap), axis=-1)
         pair = f"joints {i + 1} and {i + 2}: their axes"

@@ -1,4 +1,4 @@
-"""Rotations and rigid transforms: matrices, roll-pitch-yaw, quaternions, and the logarithm and exponential between them.
+"""Rotations and rigid transforms: matrices, roll-pitch-yaw, quaternions, rotation vectors, and the ways between them.
 
 Matrices stand on the last two axes, `(..., 3, 3)` and `(..., 4, 4)`; vectors on the last. Radians and metres.
 """

@@ -1,7 +1,6 @@
 """The fit of one arm, from its calibration or from a recording, through one residual."""
 
-from dataclasses import replace
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from typing import Literal, NamedTuple
 
@@ -13,14 +12,20 @@ from numpy.typing import ArrayLike, NDArray
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.factory import FactoryCalibration, read_factory, recognise
 from lite6jax.arms.files import read_arm
-from lite6jax.arms.se3 import rotation_log
 from lite6jax.errors import InputError
 from lite6jax.fitting.fleet import MAX_STEPS, fit_chunks, observe, pad, padded_size, sample_within_limits
 from lite6jax.fitting.gauge import determined
-from lite6jax.fitting.gauss_newton import Prior, inverse
-from lite6jax.fitting.problem import Geometry, Problem, calibration_poses, calibration_problem, recording_problem
-from lite6jax.fitting.residual import Observations, Robust, linearise, over_blocks
-from lite6jax.fitting.solution import Errors, Held, Result, Solution
+from lite6jax.fitting.gauss_newton import Prior
+from lite6jax.fitting.problem import (
+    Geometry,
+    Problem,
+    calibration_poses,
+    calibration_problem,
+    recording_problem,
+    whitener_of,
+)
+from lite6jax.fitting.residual import POSITION, Robust
+from lite6jax.fitting.solution import Errors, Held, Noise, Result, Solution
 from lite6jax.model import ArmModel, ModelForm, predict
 from lite6jax.recordings import Recording, read_recording
 
@@ -35,6 +40,8 @@ CHECK_SAMPLES = 1000
 FOLDS = 5
 _ROUNDS = 30
 _SCALE_SETTLED = 1e-3
+_EXCESS = 2.0
+"""Residual variance over the declared one above which the model, not the sensor, is what leaves it."""
 
 
 def fit(
@@ -105,27 +112,30 @@ def fit_calibration(
     max_steps: int = MAX_STEPS,
 ) -> Solution:
     """The Hayati model that reproduces a calibration; `checked` on 1000 fresh samples. See `fit`."""
-    if samples * 6 < 4 * calibration.arm.dof + 4:
-        raise InputError(f"samples {samples}: too few for {4 * calibration.arm.dof + 4} parameters; give at least 5")
-    problem = calibration_problem(calibration, samples, seed)
-    free = problem.movable
-    solved = _solve(problem, free, np.ones((1, samples)), Robust(np.inf, np.ones(1)), problem.start, solver, max_steps)  # type: ignore[arg-type]
+    arm = calibration.arm
+    if samples < 5:
+        raise InputError(f"samples {samples}: too few for {4 * arm.dof + 4} parameters; give at least 5, better 300")
+    # fitted and fresh samples in one array, so that the chains are compiled once
+    q = np.concatenate([sample_within_limits(arm, samples, seed), sample_within_limits(arm, CHECK_SAMPLES, seed + 1)])
+    pose = calibration_poses(calibration, q)
+    problem = calibration_problem(calibration, q[:samples], pose[:samples])
+    whitener = whitener_of(problem.covariance())
+    solved = _solve(problem, problem.movable, whitener, np.ones((1, samples)), None, problem.start, solver, max_steps)
     model = jax.tree.map(lambda leaf: leaf[0], solved.model)
-    fresh = sample_within_limits(problem.arm, CHECK_SAMPLES, seed + 1)
-    truth = calibration_poses(calibration, fresh)
+    everywhere = errors(problem.form, model, q, pose)
     return Solution(
-        arm=problem.arm,
+        arm=arm,
         form=problem.form,
         model=model,
         result=Result(int(solved.status[0])),
         steps=int(solved.steps[0]),
         covariance=None,
-        free=free,
+        free=problem.movable,
         held=(),
-        errors=errors(problem.form, model, problem.joint_position, problem.pose),
-        nominal_errors=errors(problem.form, problem.start, fresh, truth),
-        checked=errors(problem.form, model, fresh, truth),
-        noise_scale=None,
+        errors=everywhere.select(slice(0, samples)),
+        nominal_errors=errors(problem.form, problem.start, q, pose).select(slice(samples, None)),
+        checked=everywhere.select(slice(samples, None)),
+        noise=None,
         weight=np.ones(samples),
     )
 
@@ -139,59 +149,76 @@ def fit_recording(
     solver: Solver = "gauss_newton",
     max_steps: int = MAX_STEPS,
 ) -> Solution:
-    """The fit of a recording; `checked` on contiguous fifths, each predicted by a fit of the other four. See `fit`."""
+    """The fit of a recording; `checked` on contiguous fifths, each predicted by a fit of the other four. See `fit`.
+
+    What the model leaves over may be far larger than the noise, and shaped otherwise: where the residuals of a first
+    fit exceed what is declared, the excess is added as an isotropic part of the noise before the fit that counts.
+    """
     problem = recording_problem(recording, nominal, geometry)
-    free, held = _determined(problem)
+    samples, rows = recording.samples, problem.rows
+    everything = np.ones((1, samples))
+    declared = problem.covariance()
+    freedom = FREEDOM if loss == "student_t" else None
+    first = _solve(problem, problem.movable, whitener_of(declared), everything, None, problem.start, "gauss_newton", 0)
+    if not np.isfinite(first.curvature).all():
+        raise InputError(f"{recording.source}: holds numbers too large to work with; check the units of its columns")
+    free, held = _determined(problem, first.curvature[0])
     fittable = int(free.sum())
-    given = recording.samples * problem.rows
-    if given - given // FOLDS <= fittable and fittable:
-        need = -(-fittable * FOLDS // (problem.rows * (FOLDS - 1))) + 1
+    if fittable and samples * rows * (FOLDS - 1) <= FOLDS * fittable:
         raise InputError(
-            f"{recording.source}: {recording.samples} samples give {given} numbers, too few to fit {fittable} parameters "
-            f"and hold a fifth back; record at least {need} samples"
+            f"{recording.source}: {samples} samples give {samples * rows} numbers, too few to fit {fittable} "
+            f"parameters and hold a fifth back; record at least {fittable * FOLDS // (rows * (FOLDS - 1)) + 1} samples"
         )
-    training = np.ones((FOLDS + 1, recording.samples))
+    training = np.ones((FOLDS + 1, samples))
     for k, fold in enumerate(recording.contiguous_folds(FOLDS)):
         training[k + 1, fold] = 0.0
-    fits = _solve_robustly(problem, free, training, loss, solver, max_steps)
-    frames_only = free.copy()
-    frames_only[: problem.form.chain.size] = False
-    nominal_fit = _solve_robustly(problem, frames_only, training[:1], loss, "gauss_newton", max_steps)
+    geometry_held = free.copy()
+    geometry_held[: problem.form.chain.size] = False
+
+    solve = partial(_solve_robustly, problem, freedom=freedom, max_steps=max_steps)
+    rough = solve(free, declared, training[:1], problem.start, "gauss_newton")
+    excess = _excess(problem, declared, errors(problem.form, rough.model(0), problem.joint_position, problem.pose))
+    covariance = declared + np.diag(np.repeat(excess, 3)[:rows])
+    fits = solve(free, covariance, training, rough.model(0), solver)
+    nominal_fit = solve(geometry_held, covariance, training[:1], problem.start, "gauss_newton")
 
     model = fits.model(0)
     held_out = [errors(problem.form, fits.model(k), problem.joint_position, problem.pose) for k in range(1, FOLDS + 1)]
-    fold_of = np.argmin(training[1:], 0)
-    rows = np.arange(recording.samples)
+    fold_of, row = np.argmin(training[1:], 0), np.arange(samples)
+    orientation = [e.orientation for e in held_out if e.orientation is not None]
     checked = Errors(
-        np.stack([e.position for e in held_out])[fold_of, rows],
-        None if held_out[0].orientation is None else np.stack([e.orientation for e in held_out])[fold_of, rows],  # type: ignore[arg-type]
+        np.stack([e.position for e in held_out])[fold_of, row],
+        np.stack(orientation)[fold_of, row] if orientation else None,
         problem.joint_position,
     )
+    fitted = errors(problem.form, model, problem.joint_position, problem.pose)
     return Solution(
         arm=problem.arm,
         form=problem.form,
         model=model,
-        result=Result(int(fits.status[0])),
-        steps=int(fits.steps[0]),
-        covariance=fits.covariance,
+        result=Result(int(fits.solved.status[0])),
+        steps=int(rough.solved.steps[0] + fits.solved.steps[0]),
+        covariance=_covariance(problem, free, fits, training[0] > 0, freedom),
         free=free,
         held=held,
-        errors=errors(problem.form, model, problem.joint_position, problem.pose),
+        errors=fitted,
         nominal_errors=errors(problem.form, nominal_fit.model(0), problem.joint_position, problem.pose),
         checked=checked,
-        noise_scale=float(fits.noise_scale[0]) if problem.declared else None,
-        weight=fits.weight,
+        noise=Noise(problem.noise if problem.declared else None, *_spreads(fitted)),
+        weight=_weights(fits.solved.squares[0] / fits.scale[0] ** 2, rows, freedom),
         notes=problem.notes,
     )
 
 
 def errors(form: ModelForm, model: ArmModel, joint_position: Array, pose: Array) -> Errors:
-    """Distances (m) and angles (rad) between a model's prediction and poses `(sample, 4, 4)` or positions `(sample, 3)`."""
-    predicted = np.asarray(predict(form.chain, model, joint_position))
+    """Distances (m) and angles (rad) of a model's prediction from poses `(sample, 4, 4)` or positions `(sample, 3)`."""
+    size = padded_size(len(pose))[0]
+    predicted = np.asarray(predict(form.chain, model, pad(joint_position, 0, size)))[: len(pose)]
     if pose.ndim == 2:
         return Errors(np.linalg.norm(predicted[:, :3, 3] - pose, axis=1), None, joint_position)
-    relative = np.swapaxes(pose[:, :3, :3], 1, 2) @ predicted[:, :3, :3]
-    angle = np.linalg.norm(np.asarray(rotation_log(relative)), axis=1)
+    # ‖R̂ − R‖ = 2 √2 sin(angle / 2), which small angles do not round away
+    chord = np.linalg.norm(predicted[:, :3, :3] - pose[:, :3, :3], axis=(1, 2))
+    angle = 2 * np.arcsin(np.minimum(chord / np.sqrt(8), 1.0))
     return Errors(np.linalg.norm(predicted[:, :3, 3] - pose[:, :3, 3], axis=1), angle, joint_position)
 
 
@@ -205,24 +232,36 @@ class _Solved(NamedTuple):
     steps: Array
 
 
+class _Fits(NamedTuple):
+    solved: _Solved
+    scale: Array
+
+    def model(self, choice: int) -> ArmModel:
+        return jax.tree.map(lambda leaf: np.asarray(leaf[choice]), self.solved.model)
+
+
 def _solve(
-    problem: Problem, free: NDArray, weight: Array, robust: Robust, start: ArmModel, solver: Solver, max_steps: int
+    problem: Problem,
+    free: NDArray,
+    whitener: Array,
+    weight: Array,
+    robust: Robust | None,
+    start: ArmModel,
+    solver: Solver,
+    max_steps: int,
 ) -> _Solved:
-    """Solves for each row of weights `(choice, sample)`; `start` may have the choice axis."""
+    """Solves for each row of weights `(choice, sample)`; leaves of `start` and `robust` may have the choice axis."""
     prior = Prior(np.asarray(problem.start.geometry), problem.precision, free.astype(float))  # type: ignore[arg-type]
-    choices, samples = weight.shape
+    choices = len(weight)
     if solver == "levenberg_marquardt":
-        return _solve_by_record(problem, prior, weight, robust, start, max_steps)
-    whitener = problem.whitener
-    if whitener.ndim == 3:
-        whitener = np.broadcast_to(whitener, (choices, *whitener.shape))
+        return _solve_by_record(problem, prior, whitener, weight, robust, start, max_steps)
     summary = fit_chunks(
         problem.form,
         start,
         problem.joint_position,
         np.broadcast_to(problem.pose, (choices, *problem.pose.shape)),
         weight,
-        whitener,
+        whitener if whitener.ndim == 1 else np.broadcast_to(whitener, (choices, *whitener.shape)),
         robust,
         prior,
         chunk=1,
@@ -233,121 +272,110 @@ def _solve(
 
 
 def _solve_by_record(
-    problem: Problem, prior: Prior, weight: Array, robust: Robust, start: ArmModel, max_steps: int
+    problem: Problem,
+    prior: Prior,
+    whitener: Array,
+    weight: Array,
+    robust: Robust | None,
+    start: ArmModel,
+    max_steps: int,
 ) -> _Solved:
     from lite6jax.fitting.levenberg_marquardt import solve_one  # optimistix takes 0.3 s to import
-    from lite6jax.fitting.residual import residuals
 
+    size, block = padded_size(len(problem.pose))
+    q, pose = pad(problem.joint_position, 0, size), pad(problem.pose, 0, size)
+    padded = whitener if whitener.ndim == 1 else pad(whitener, 0, size)
     parts = []
     for k, row in enumerate(weight):
-        observed = _observed(problem, row)
-        begin = jax.tree.map(lambda leaf, whole: jnp.asarray(leaf[k] if leaf.ndim > np.ndim(whole) else leaf), start, problem.start)
-        loss = Robust(jnp.asarray(robust.freedom, float), jnp.asarray(robust.scale)[k])
-        solved = solve_one(problem.form, begin, observed, loss, jax.tree.map(jnp.asarray, prior), max_steps)
-        everything = _observed(problem, np.ones_like(row))
-        rows = jax.lax.map(lambda block, model=solved.model: residuals(problem.form, model, block), everything)
-        squares = np.asarray(jnp.sum(rows**2, 1)).reshape(-1)[: len(row)] * (row > 0)
-        parts.append(_Solved(solved.model, solved.curvature, squares, solved.status, solved.steps))  # type: ignore[arg-type]
-    return jax.tree.map(lambda *leaves: np.stack([np.asarray(leaf) for leaf in leaves]), *parts)
+        observed = observe(*map(jnp.asarray, (q, pose, pad(row, 0, size), padded)), block)
+        begin = ArmModel(
+            *(leaf[k] if np.ndim(leaf) > ndim else leaf for leaf, ndim in zip(start, (1, 2, 2), strict=True))
+        )
+        own = robust and Robust(*(np.broadcast_to(leaf, len(weight))[k] for leaf in robust))
+        parts.append(jax.tree.map(np.asarray, solve_one(problem.form, begin, observed, own, prior, max_steps)))
+    solved = jax.tree.map(lambda *leaves: np.stack(leaves), *parts)
+    held = np.zeros(problem.form.size, bool)
+    still = _solve(problem, held, whitener, weight, None, solved.model, "gauss_newton", 0)  # measures the residuals
+    return _Solved(solved.model, solved.curvature, still.squares, solved.status, solved.steps)
 
 
-def _observed(problem: Problem, weight: Array) -> Observations:
-    size, block = padded_size(len(weight))
-    whitener = problem.whitener if problem.whitener.ndim == 1 else pad(problem.whitener, 0, size)
-    data = (pad(problem.joint_position, 0, size), pad(problem.pose, 0, size), pad(weight, 0, size), whitener)
-    return observe(*map(jnp.asarray, data), block)
-
-
-def _determined(problem: Problem) -> tuple[NDArray[np.bool_], tuple[Held, ...]]:
-    """What the data determines, among what the fit is asked to move."""
-    if not problem.movable.any():
-        return problem.movable, ()
-    observed = _observed(problem, np.ones(len(problem.joint_position)))
-    H = np.asarray(_curvature(problem.form, problem.start, observed))
-    if not np.isfinite(H).all():
-        raise InputError("the data holds numbers too large to work with; check the units of positions and joints")
-    free, held = determined(problem.form, np.where(problem.movable, H, 0.0) * problem.movable[:, None] + np.diag(problem.precision))
-    return free & problem.movable, tuple(h for h in held if problem.movable[problem.form.names.index(h.name)])
-
-
-@partial(jax.jit, static_argnums=0)
-def _curvature(form: ModelForm, model: ArmModel, observed: Observations) -> jax.Array:
-    least_squares = Robust(jnp.asarray(jnp.inf), jnp.asarray(1.0))
-    return over_blocks(partial(linearise, form, model, robust=least_squares), observed)[2]
-
-
-class _Fits(NamedTuple):
-    solved: _Solved
-    noise_scale: Array
-    weight: Array
-    covariance: Array
-
-    def model(self, choice: int) -> ArmModel:
-        return jax.tree.map(lambda leaf: np.asarray(leaf[choice]), self.solved.model)
-
-    @property
-    def status(self) -> Array:
-        return self.solved.status
-
-    @property
-    def steps(self) -> Array:
-        return self.solved.steps
+def _determined(problem: Problem, curvature: Array) -> tuple[NDArray[np.bool_], tuple[Held, ...]]:
+    """What data and prior determine, among what the fit is asked to move."""
+    movable = problem.movable
+    if not movable.any():
+        return movable, ()
+    free, held = determined(problem.form, np.where(np.outer(movable, movable), curvature, 0.0))
+    return free & movable, tuple(h for h in held if movable[problem.form.names.index(h.name)])
 
 
 def _solve_robustly(
-    problem: Problem, free: NDArray, training: Array, loss: Loss, solver: Solver, max_steps: int
+    problem: Problem,
+    free: NDArray,
+    covariance: Array,
+    training: Array,
+    start: ArmModel,
+    solver: Solver,
+    freedom: float | None,
+    max_steps: int,
 ) -> _Fits:
-    """Alternates the solve with the estimate of the noise's scale until that settles.
+    """Alternates the solve with the estimate of the noise's scale until that settles."""
+    whitener, used = whitener_of(covariance), training > 0
 
-    The scale is the maximum-likelihood one of Student's t, found by its fixed point c² = mean(w s) / rows
-    (K. Lange, R. Little, J. Taylor, J. Am. Stat. Assoc. 84, 1989), and is reported as that of Gaussian noise.
-    """
-    freedom = FREEDOM if loss == "student_t" else np.inf
-    choices, rows = len(training), problem.rows
-    scale = _first_scale(problem, training, freedom)
-    start, steps = problem.start, np.zeros(choices, int)
-    used = training > 0
-    for _ in range(_ROUNDS if np.isfinite(freedom) else 1):
-        robust = Robust(freedom, scale)  # type: ignore[arg-type]
-        solved = _solve(problem, free, training, robust, start, solver, max_steps)
-        steps = steps + solved.steps
-        start = ArmModel(*(np.asarray(leaf) for leaf in solved.model))  # type: ignore[arg-type]
-        new = np.array([t_scale(solved.squares[k][used[k]], rows, freedom) for k in range(choices)])
-        settled = np.abs(new / scale - 1) < _SCALE_SETTLED
-        scale = new
-        if settled.all():
+    def scales(solved: _Solved) -> Array:
+        return np.array(
+            [t_scale(squares[rows], problem.rows, freedom) for squares, rows in zip(solved.squares, used, strict=True)]
+        )
+
+    if freedom is None:
+        solved = _solve(problem, free, whitener, training, None, start, solver, max_steps)
+        return _Fits(solved, scales(solved))
+    scale = scales(_solve(problem, free, whitener, training, None, start, "gauss_newton", 0))
+    steps = 0
+    for _ in range(_ROUNDS):
+        robust = Robust(np.full(len(scale), freedom), scale)  # type: ignore[arg-type]
+        solved = _solve(problem, free, whitener, training, robust, start, solver, max_steps)
+        start, steps, before, scale = solved.model, steps + solved.steps, scale, scales(solved)
+        if (np.abs(scale / before - 1) < _SCALE_SETTLED).all():
             break
-    weight, covariance = _certainty(problem, free, solved, used[0], scale[0], freedom)
-    return _Fits(solved._replace(steps=steps), scale / gaussian_t_scale(rows, freedom), weight, covariance)
+    return _Fits(solved._replace(steps=steps), scale)
 
 
-def _first_scale(problem: Problem, training: Array, freedom: float) -> Array:
-    if np.isinf(freedom):
-        return np.ones(len(training))
-    nothing_moves = np.zeros(problem.form.size, bool)
-    solved = _solve(problem, nothing_moves, training[:1], Robust(np.inf, np.ones(1)), problem.start, "gauss_newton", 1)  # type: ignore[arg-type]
-    scale = np.sqrt(max(float(np.median(solved.squares[0])) / problem.rows, 1e-6))
-    return np.full(len(training), scale)
+def _spreads(fitted: Errors) -> tuple[float, float | None]:
+    """Robust standard deviations per axis of position (m) and orientation (rad) errors."""
+    unit = gaussian_t_scale(POSITION, FREEDOM)
+    position = t_scale(fitted.position**2, POSITION, FREEDOM) / unit
+    return position, None if fitted.orientation is None else t_scale(fitted.orientation**2, POSITION, FREEDOM) / unit
 
 
-def t_scale(squares: Array, rows: int, freedom: float) -> float:
-    """The scale of Student's t with `freedom` that best explains squared whitened residuals of `rows` numbers each."""
-    if np.isinf(freedom):
-        return float(np.sqrt(max(np.mean(squares) / rows, 1e-24)))
-    scale2 = max(float(np.median(squares)) / rows, 1e-12)
+def _excess(problem: Problem, declared: Array, residual: Errors) -> Array:
+    """Variance per axis of position and orientation by which residuals exceed the declared noise, if clearly so."""
+    variances = np.diagonal(declared, axis1=-2, axis2=-1).reshape(-1, problem.rows)
+    expected = variances.reshape(len(variances), -1, 3).mean((0, 2))
+    found = np.square([spread for spread in _spreads(residual) if spread is not None])
+    return np.where(found > _EXCESS * expected, found - expected, 0.0)
+
+
+def t_scale(squares: Array, rows: int, freedom: float | None) -> float:
+    """The scale that best explains squared whitened residuals of `rows` numbers each.
+
+    Of Student's t with `freedom`, by the fixed point c² = mean(w s) / rows (K. Lange, R. Little, J. Taylor, J. Am.
+    Stat. Assoc. 84, 1989); the root mean square where that is None.
+    """
+    tiny = np.finfo(float).tiny
+    if freedom is None:
+        return float(np.sqrt(max(np.mean(squares) / rows, tiny)))
+    scale2 = max(float(np.median(squares)) / rows, tiny)
     for _ in range(200):
-        new = float(np.mean((freedom + rows) / (freedom + squares / scale2) * squares)) / rows
-        done = abs(new / scale2 - 1) < 1e-9
-        scale2 = max(new, 1e-12)
+        new = max(float(np.mean((freedom + rows) / (freedom + squares / scale2) * squares)) / rows, tiny)
+        done, scale2 = abs(new / scale2 - 1) < 1e-9, new
         if done:
             break
     return float(np.sqrt(scale2))
 
 
+@cache
 def gaussian_t_scale(rows: int, freedom: float) -> float:
     """What `t_scale` finds on Gaussian noise of unit size, by integration over its χ² distribution."""
-    if np.isinf(freedom):
-        return 1.0
     s = np.linspace(0, 80, 20001)[1:]
     density = s ** (rows / 2 - 1) * np.exp(-s / 2)
     density /= density.sum()
@@ -357,27 +385,25 @@ def gaussian_t_scale(rows: int, freedom: float) -> float:
     return float(np.sqrt(scale2))
 
 
-def _certainty(
-    problem: Problem, free: NDArray, solved: _Solved, used: NDArray, scale: float, freedom: float
-) -> tuple[Array, Array]:
-    """Each sample's weight in 0…1, and the covariance of the entries of a step.
+def _weights(scaled: Array, rows: int, freedom: float | None) -> Array:
+    """What the loss leaves of each sample, from 1 down to 0."""
+    return np.ones_like(scaled) if freedom is None else freedom / (freedom + scaled)
 
-    An M-estimator's covariance in a regression is (JᵀJ)⁻¹ c² E[ψ²]/E[ψ′]² (P. Huber, Robust Statistics, 1981, 7.6),
-    here with the expectations over the samples; the prior's precision is added to the information.
+
+def _covariance(problem: Problem, free: NDArray, fits: _Fits, used: NDArray, freedom: float | None) -> Array:
+    """The covariance of the entries of a step.
+
+    An M-estimator's in a regression is (JᵀJ)⁻¹ c² E[ψ²] / E[ψ′]² (P. Huber, Robust Statistics, 1981, 7.6), here with
+    the expectations over the samples; the prior's precision is added to the information.
     """
-    rows = problem.rows
-    u = solved.squares[0][used] / scale**2
-    if np.isinf(freedom):
-        w, slope = np.ones_like(u), np.zeros_like(u)
+    rows, scale = problem.rows, fits.scale[0]
+    prior = np.diag(problem.precision * free)
+    information = (np.asarray(fits.solved.curvature[0]) - prior) * np.outer(free, free)
+    u = fits.solved.squares[0][used] / scale**2
+    if freedom is None:
+        factor = scale**2 * u.size * rows / max(u.size * rows - int(free.sum()), 1)
     else:
         w = (freedom + rows) / (freedom + u)
         slope = -w / (freedom + u)
-    psi2, psi_prime = np.mean(w**2 * u) / rows, np.mean(w + 2 * slope * u / rows)
-    information = np.asarray(solved.curvature[0]) - np.diag(problem.precision * free)
-    factor = psi2 / psi_prime**2 * np.mean(w) if problem.noisy else 1.0
-    if np.isinf(freedom):  # the solve was with the declared noise
-        factor = np.sum(u) * scale**2 / max(u.size * rows - int(free.sum()), 1)
-    kept = information / max(factor, 1e-300) * np.outer(free, free) + np.diag(problem.precision * free + ~free)
-    weight = np.ones(len(used))
-    weight[used] = np.minimum(w / max(float(np.max(w, initial=0.0)), 1e-300), 1.0)
-    return weight, np.asarray(inverse(jnp.asarray(kept))) * np.outer(free, free)
+        factor = np.mean(w) * np.mean(w**2 * u) / rows / np.mean(w + 2 * slope * u / rows) ** 2
+    return np.linalg.pinv(information / factor + prior, hermitian=True) if free.any() else np.zeros_like(prior)

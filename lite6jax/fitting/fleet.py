@@ -49,7 +49,7 @@ def observe(joint_position: Array, pose: Array, weight: Array, whitener: Array, 
 
     Args:
         joint_position: `(sample, joint)` rad.
-        pose: `(sample, 4, 4)`, or `(sample, 3)` where only positions were measured; a sample that is not finite is missing.
+        pose: `(sample, 4, 4)`, or `(sample, 3)` where only positions were measured; missing where not finite.
         weight: `(sample,)`.
         whitener: `(2,)` or `(sample, row, row)`.
         block: samples in a block; divides their number.
@@ -71,7 +71,7 @@ def observe(joint_position: Array, pose: Array, weight: Array, whitener: Array, 
     return Observations(joint, blocked(position), rotation, blocked(jnp.where(used, weight, 0.0)), whitener)
 
 
-@partial(jax.jit, static_argnums=(0, 8, 9), compiler_options=_SINGLE_THREADED)
+@partial(jax.jit, static_argnums=(0, 8), compiler_options=_SINGLE_THREADED)
 def _fit_chunk(
     form: ModelForm,
     start: ArmModel,
@@ -79,10 +79,10 @@ def _fit_chunk(
     pose: Array,
     weight: Array,
     whitener: Array,
-    robust: Robust,
+    robust: Robust | None,
     prior: Prior,
     block: int,
-    max_steps: int,
+    max_steps: ArrayLike,
 ) -> Summary:
     shared = joint_position.ndim == 2
     prepare = jax.vmap(partial(observe, block=block), in_axes=(None if shared else 0, 0, 0, 0))
@@ -107,7 +107,7 @@ def _errors(form: ModelForm, model: ArmModel, observed: Observations) -> tuple[A
 
 
 def padded_size(samples: int) -> tuple[int, int]:
-    """How many samples to pad to, and a block's size: few shapes, so that few are compiled; at most a sixteenth is added."""
+    """How many samples to pad to, and a block's size: few shapes, so that few are compiled; it adds at most 1/16."""
     if samples > BLOCK:
         return -(-samples // BLOCK) * BLOCK, BLOCK
     grain = max(4, 2 ** (max(samples - 1, 1).bit_length() - 5))
@@ -130,7 +130,7 @@ def fit_chunks(
     pose: np.ndarray,
     weight: np.ndarray,
     whitener: np.ndarray,
-    robust: Robust,
+    robust: Robust | None,
     prior: Prior,
     chunk: int = CHUNK,
     max_steps: int = MAX_STEPS,
@@ -145,7 +145,7 @@ def fit_chunks(
         pose: `(arm, sample, 4, 4)` or `(arm, sample, 3)`.
         weight: `(arm, sample)`.
         whitener: `(2,)` one for all, or `(arm, sample, row, row)`.
-        robust: the loss, one for all.
+        robust: the loss, one for all or with a leading arm axis; None is least squares.
         prior: one for all or with a leading arm axis.
         chunk: arms in a chunk.
         max_steps: most steps an arm may take.
@@ -177,7 +177,7 @@ def fit_chunks(
             pad(part(pose, first), 1, size),
             pad(part(weight, first), 1, size),
             pad(part(whitener, first), 1, size) if whitener.ndim == 4 else each(whitener, 1, first),
-            Robust(*(each(leaf, 0, first) for leaf in robust)),
+            robust and Robust(*(each(leaf, 0, first) for leaf in robust)),
             Prior(*(each(leaf, 1, first) for leaf in prior)),
             block,
             max_steps,
@@ -262,7 +262,7 @@ def fit_fleet(
         T,
         w,
         whitener,
-        Robust(np.inf, 1.0),
+        None,
         prior,
         max_steps=max_steps,
         progress=progress,  # type: ignore[arg-type]

@@ -62,19 +62,26 @@ class Solved(NamedTuple):
 
 class _State(NamedTuple):
     model: ArmModel
+    candidate: ArmModel
     cost: Array
     gradient: Array
     curvature: Array
     inverse: Array
-    stale: Array
+    renew: Array
     damping: Array
+    decrement: Array
     moved: Array
     status: Array
     steps: Array
 
 
 def solve_chunk(
-    form: ModelForm, start: ArmModel, observed: Observations, robust: Robust, prior: Prior, max_steps: int
+    form: ModelForm,
+    start: ArmModel,
+    observed: Observations,
+    robust: Robust | None,
+    prior: Prior,
+    max_steps: ArrayLike,
 ) -> Solved:
     """Fits a chunk of arms.
 
@@ -84,7 +91,7 @@ def solve_chunk(
         observed: arm and block axes lead.
         robust: the loss; a leading arm axis.
         prior: a leading arm axis.
-        max_steps: most steps an arm may take.
+        max_steps: most steps an arm may take; zero only evaluates cost and curvature at the start.
     """
     arms, n = start.geometry.shape[0], form.chain.size
     floor = jax.vmap(partial(over_blocks, _rounding_floor))(observed)
@@ -92,82 +99,72 @@ def solve_chunk(
     def with_prior(model: ArmModel, prior: Prior, cost: Array, gradient: Array, *curvature: Array) -> tuple[Array, ...]:
         away = model.geometry - prior.center
         pull = prior.precision[:n] * away
-        held = [
-            jnp.where(prior.free[:, None] * prior.free > 0, H + jnp.diag(prior.precision), 0.0)
-            + jnp.diag(1 - prior.free)
-            for H in curvature
-        ]
+        both_free = prior.free[:, None] * prior.free > 0
+        held = [jnp.where(both_free, H + jnp.diag(prior.precision), jnp.diag(1 - prior.free)) for H in curvature]
         return (cost + 0.5 * jnp.sum(pull * away), gradient.at[:n].add(pull) * prior.free, *held)
 
-    def at(function, model: ArmModel) -> tuple[Array, ...]:
-        def one(model: ArmModel, observed: Observations, robust: Robust, prior: Prior) -> tuple[Array, ...]:
+    def at(function: Callable[..., tuple[Array, ...]], model: ArmModel) -> tuple[Array, ...]:
+        def one(model: ArmModel, observed: Observations, robust: Robust | None, prior: Prior) -> tuple[Array, ...]:
             return with_prior(model, prior, *over_blocks(partial(function, form, model, robust=robust), observed))
 
         return jax.vmap(one)(model, observed, robust, prior)
 
+    def choose(which: Array) -> Callable[[Array, Array], Array]:
+        return lambda new, old: jnp.where(which.reshape(-1, *[1] * (new.ndim - 1)), new, old)
+
     def body(state: _State) -> _State:
-        kept = lax.cond(
-            jnp.any(state.stale),
-            lambda: jax.vmap(inverse)(state.curvature, state.damping),
-            lambda: state.inverse,
-        )
-        step = -jnp.einsum("aij,aj->ai", kept, state.gradient)
-        decrement = -jnp.sum(step * state.gradient, 1)
-        moved = jnp.max(jnp.abs(step), 1)
-        running = state.status == RUNNING
-        # the last step is taken on the gradient's word: it changes the cost by less than its rounding
-        last = running & (decrement <= jnp.maximum(_DECREMENT * state.cost, floor))
-        candidate = jax.vmap(form.retract)(state.model, step)
-        wanted = running & ~last
-        renew = jnp.any(wanted & ((moved > _REFRESH_ABOVE) | (moved > _SLOW * state.moved)))
+        renewed = jnp.any(state.renew)
         cost, gradient, H = lax.cond(
-            jnp.any(wanted),
-            lambda: lax.cond(
-                renew,
-                lambda: at(linearise, candidate),
-                lambda: (*at(evaluate, candidate), state.curvature),
-            ),
-            lambda: (state.cost, state.gradient, state.curvature),
+            renewed,
+            lambda: at(linearise, state.candidate),
+            lambda: (*at(evaluate, state.candidate), state.curvature),
         )
-        flat = decrement <= 1e-10 * state.cost + floor  # so near the solution that rounding decides what is better
+        running = state.status == RUNNING
+        # so near the solution that rounding decides which cost is lower, the step is taken on the gradient's word
+        flat = state.decrement <= 1e-10 * state.cost + floor
         better = jnp.isfinite(cost) & ((cost <= state.cost) | flat)
-        taken = wanted & better
-        steps = state.steps + running
-        finite = jnp.isfinite(state.cost) & jnp.all(jnp.isfinite(step), 1)
-        status = jnp.where(last, CONVERGED, state.status)
-        status = jnp.where((status == RUNNING) & ~finite, NOT_FINITE, status)
-        status = jnp.where((status == RUNNING) & (steps >= max_steps), STEPS_EXHAUSTED, status)
-
-        def choose(which: Array) -> Callable[[Array, Array], Array]:
-            return lambda new, old: jnp.where(which.reshape(-1, *[1] * (new.ndim - 1)), new, old)
-
-        damping = jnp.where(
-            better, jnp.where(state.damping < 1e-9, 0.0, 0.1 * state.damping), jnp.maximum(10 * state.damping, 1e-4)
+        taken = running & better
+        model, cost, gradient, H = jax.tree.map(
+            choose(taken),
+            (state.candidate, cost, gradient, H),
+            (state.model, state.cost, state.gradient, state.curvature),
         )
+        relaxed = jnp.where(state.damping < 1e-9, 0.0, 0.1 * state.damping)
+        damping = jnp.where(running, jnp.where(better, relaxed, jnp.maximum(10 * state.damping, 1e-4)), state.damping)
+        kept = lax.cond(
+            renewed | jnp.any(damping != state.damping), lambda: jax.vmap(inverse)(H, damping), lambda: state.inverse
+        )
+        step = -jnp.einsum("aij,aj->ai", kept, gradient)
+        decrement = -jnp.sum(step * gradient, 1)
+        moved = jnp.max(jnp.abs(step), 1)
+        small = decrement <= jnp.maximum(_DECREMENT * cost, floor)
+        broken = ~jnp.isfinite(cost) | ~jnp.all(jnp.isfinite(step), 1)
+        status = jnp.where(running & small, CONVERGED, state.status)
+        status = jnp.where(running & (state.steps >= max_steps), STEPS_EXHAUSTED, status)
+        status = jnp.where(running & broken, NOT_FINITE, status)
+        going = status == RUNNING
+        candidate = jax.tree.map(choose(running & ~broken), jax.vmap(form.retract)(model, step), model)
+        # the last step of a converged arm needs no look at where it leads: the cost changes by less than its rounding
+        model = jax.tree.map(choose(running & (status == CONVERGED)), candidate, model)
+        slow = (moved > _REFRESH_ABOVE) | (moved > _SLOW * state.moved)
         return _State(
-            jax.tree.map(choose(taken | last), candidate, state.model),
-            choose(taken)(cost, state.cost),
-            choose(taken)(gradient, state.gradient),
-            choose(taken)(H, state.curvature),
-            kept,
-            (taken & renew) | (wanted & (damping != state.damping)),
-            jnp.where(wanted, damping, state.damping),
-            jnp.where(taken, moved, state.moved),
-            status,
-            steps,
-        )
+            model, candidate, cost, gradient, H, kept, going & slow, damping, decrement,
+            jnp.where(taken, moved, state.moved), status, state.steps + (going | (running & small)),
+        )  # fmt: skip
 
-    cost, gradient, H = at(linearise, start)
+    nothing = jnp.zeros(arms)
     state = _State(
         model=start,
-        cost=cost,
-        gradient=gradient,
-        curvature=H,
-        inverse=H,
-        stale=jnp.full(arms, True),
-        damping=jnp.zeros(arms),
+        candidate=start,
+        cost=jnp.full(arms, jnp.inf),
+        gradient=jnp.zeros((arms, form.size)),
+        curvature=jnp.zeros((arms, form.size, form.size)),
+        inverse=jnp.zeros((arms, form.size, form.size)),
+        renew=jnp.full(arms, True),
+        damping=nothing,
+        decrement=nothing,
         moved=jnp.full(arms, jnp.inf),
-        status=jnp.where(jnp.isfinite(cost), RUNNING, NOT_FINITE),
+        status=jnp.full(arms, RUNNING),
         steps=jnp.zeros(arms, jnp.int32),
     )
     state = lax.while_loop(lambda s: jnp.any(s.status == RUNNING), body, state)

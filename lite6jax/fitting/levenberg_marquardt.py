@@ -1,4 +1,4 @@
-"""The solver of record: optimistix' Levenberg–Marquardt on the plain residual, with automatic-differentiation Jacobians."""
+"""The solver of record: optimistix' Levenberg–Marquardt on the plain residual, differentiated automatically."""
 
 from functools import partial
 
@@ -16,9 +16,14 @@ RELATIVE, ABSOLUTE = 1e-12, 1e-13
 
 @partial(jax.jit, static_argnums=(0, 5))
 def solve_one(
-    form: ModelForm, start: ArmModel, observed: Observations, robust: Robust, prior: Prior, max_steps: int
+    form: ModelForm,
+    start: ArmModel,
+    observed: Observations,
+    robust: Robust | None,
+    prior: Prior,
+    max_steps: int,
 ) -> Solved:
-    """Fits one arm. Arguments as in `gauss_newton.solve_chunk`, without the arm axis; so is the answer."""
+    """Fits one arm. Arguments and answer as in `gauss_newton.solve_chunk`, without the arm axis."""
     n = form.chain.size
 
     def whole_residual(step: Array, _: None) -> Array:
@@ -35,24 +40,22 @@ def solve_one(
         max_steps=max_steps,
         throw=False,
     )
-    model = form.retract(start, solution.value * prior.free)
     J = jax.jacfwd(whole_residual)(solution.value, None)
     cost = 0.5 * jnp.sum(whole_residual(solution.value, None) ** 2)
     status = jnp.where(solution.result == optimistix.RESULTS.successful, CONVERGED, STEPS_EXHAUSTED)
     status = jnp.where(jnp.isfinite(cost), status, NOT_FINITE)
-    return Solved(model, J.T @ J, cost, status, solution.stats["num_steps"])
+    return Solved(form.retract(start, solution.value * prior.free), J.T @ J, cost, status, solution.stats["num_steps"])
 
 
-def _robust_residuals(form: ModelForm, model: ArmModel, block: Observations, robust: Robust) -> Array:
-    """Residuals `(row, sample)` whose halved squares are the robust cost, so that any least-squares solver minimises it."""
+def _robust_residuals(form: ModelForm, model: ArmModel, block: Observations, robust: Robust | None) -> Array:
+    """Residuals `(row, sample)` whose halved squares are the robust cost: any least-squares solver minimises it."""
     rows = residuals(form, model, block)
-    finite = jnp.isfinite(robust.freedom)
-    freedom = jnp.where(finite, robust.freedom, 1.0)
+    if robust is None:
+        return rows
     there = block.weight > 0
     squares = jnp.sum(rows**2, 0) / jnp.where(there, block.weight, 1.0) / robust.scale**2
-    u = squares / freedom
-    small = u < 1e-8
+    u = squares / robust.freedom
+    small = u < 1e-5
     safe = jnp.where(small, 1.0, u)
-    ratio = jnp.where(small, 1 - u / 2 + u * u / 3, jnp.log1p(safe) / safe)
-    factor = jnp.where(finite, jnp.sqrt((freedom + rows.shape[0]) / freedom * ratio), 1.0)
-    return factor * rows / robust.scale
+    ratio = jnp.where(small, 1 - u / 2 + u * u / 3 - u**3 / 4, jnp.log1p(safe) / safe)
+    return jnp.sqrt((robust.freedom + rows.shape[0]) / robust.freedom * ratio) / robust.scale * rows

@@ -12,13 +12,13 @@ from numpy.typing import NDArray
 
 from lite6jax.arms import convert
 from lite6jax.arms.arm import Arm
-from lite6jax.arms.chains import SixParameterForm, Turn, fk, six_parameter_fk, turn
+from lite6jax.arms.chains import SixParameterForm, Turn, fk, six_parameter_fk
 from lite6jax.arms.factory import FactoryCalibration, read_factory
 from lite6jax.arms.files import read_arm
 from lite6jax.arms.se3 import rotation_from_quaternion, rotation_from_rpy, transform
 from lite6jax.errors import InputError
-from lite6jax.fitting.fleet import LEVER, observe, sample_within_limits
-from lite6jax.fitting.residual import POSE, Observations, differences, predict_frames
+from lite6jax.fitting.fleet import LEVER, observe, pad, padded_size
+from lite6jax.fitting.residual import POSE, POSITION, Observations, differences, predict_frames
 from lite6jax.fitting.start import frames_from_poses
 from lite6jax.model import ArmModel, ModelForm
 from lite6jax.recordings import Recording, require_samples
@@ -42,11 +42,11 @@ class Problem:
         start: where from: nominal geometry, frames where the data puts them.
         joint_position: `(sample, joint)` rad.
         pose: `(sample, 4, 4)`, or `(sample, 3)` where only positions were measured.
-        whitener: `(2,)` or `(sample, row, row)`.
+        noise: one standard deviation per axis of position (m) and orientation (rad).
+        joint_noise: of a joint's read-out, rad.
         precision: `(size,)` of the prior; zero is none.
         movable: `(size,)` bool, what the fit is asked to move.
-        noisy: whether the data is measured; a calibration's samples are exact.
-        declared: whether the noise was.
+        declared: whether the noise is declared; else only its ratio matters.
         notes: what was assumed.
     """
 
@@ -55,34 +55,56 @@ class Problem:
     start: ArmModel
     joint_position: Array
     pose: Array
-    whitener: Array
+    noise: tuple[float, float]
+    joint_noise: float
     precision: Array
     movable: NDArray[np.bool_]
-    noisy: bool
     declared: bool
     notes: tuple[str, ...] = ()
 
     @property
     def rows(self) -> int:
         """Numbers a sample gives: 3 or 6."""
-        return 3 if self.pose.ndim == 2 else POSE
+        return POSITION if self.pose.ndim == 2 else POSE
+
+    def covariance(self) -> Array:
+        """Of a sample's residual, as declared: `(row, row)`, or `(sample, row, row)` with read-out noise of the joints.
+
+        It is Σ + σ_q² J Jᵀ with J the residual's derivative by the joint positions, the manipulator Jacobian in the
+        residual's axes.
+        """
+        sensor = np.diag(np.repeat(np.square(self.noise), 3)[: self.rows])
+        if not self.joint_noise:
+            return sensor
+        size, block = padded_size(len(self.pose))
+        J = _residual_by_joints(
+            self.form, self.start, pad(self.joint_position, 0, size), pad(self.pose, 0, size), block
+        )
+        J = np.asarray(J)[: len(self.pose)]
+        return sensor + self.joint_noise**2 * J @ np.swapaxes(J, 1, 2)
 
 
-def calibration_problem(calibration: FactoryCalibration, samples: int, seed: int) -> Problem:
-    """The Hayati model that reproduces a calibrated chain, sampled inside the arm's limits as the seed does."""
+def whitener_of(covariance: Array) -> Array:
+    """The whitener of a `(row, row)` covariance, isotropic in each part, or of `(sample, row, row)` ones."""
+    if covariance.ndim == 2:
+        return 1 / np.sqrt(np.diagonal(covariance)[[0, -1]])
+    return np.linalg.inv(np.linalg.cholesky(covariance))
+
+
+def calibration_problem(calibration: FactoryCalibration, joint_position: Array, pose: Array) -> Problem:
+    """The Hayati model that reproduces a calibrated chain's poses `(sample, 4, 4)`, from nominal."""
     arm = calibration.arm
     form = ModelForm(arm.form)
-    q = sample_within_limits(arm, samples, seed)
     return Problem(
         arm=arm,
         form=form,
         start=ArmModel(arm.hayati, np.eye(4), arm.T_joint_flange),  # type: ignore[arg-type]
-        joint_position=q,
-        pose=calibration_poses(calibration, q),
-        whitener=np.array([1.0, LEVER]),
+        joint_position=joint_position,
+        pose=pose,
+        noise=(1.0, 1 / LEVER),
+        joint_noise=0.0,
         precision=np.zeros(form.size),
         movable=np.ones(form.size, bool),
-        noisy=False,
         declared=False,
     )
 
@@ -106,7 +128,9 @@ def recording_problem(recording: Recording, arm: Arm | None, geometry: Geometry)
     settings, folder = recording.settings, Path(recording.source).parent
     arm = arm or read_arm(settings.arm_reference(folder))
     if recording.dof != arm.dof:
-        raise InputError(f"{recording.source}: has {recording.dof} joints, but {arm.name} has {arm.dof}; name the arm with --arm")
+        raise InputError(
+            f"{recording.source}: has {recording.dof} joints, but {arm.name} has {arm.dof}; name the arm with --arm"
+        )
     require_samples(recording, 1)
     notes: list[str] = []
     factory_path = settings.factory_path(folder)
@@ -115,13 +139,17 @@ def recording_problem(recording: Recording, arm: Arm | None, geometry: Geometry)
     if geometry == "declared":
         geometry = "free" if factory is None else "exact" if uncertainty is None else "prior"
     if geometry in ("exact", "prior") and factory is None:
-        raise InputError(f"{recording.source}: geometry {geometry!r} needs a factory_calibration in the sidecar; use --geometry free")
+        raise InputError(
+            f"{recording.source}: geometry {geometry!r} needs a factory_calibration in the sidecar; use --geometry free"
+        )
 
     frame, tool = settings.pose_frame != "base", settings.tool == "unknown"
     T_joint_flange = arm.T_joint_flange if factory is None else factory.T_joint_flange
     if geometry == "free":
         form = ModelForm(arm.form, frame, tool)
-        values = arm.hayati if factory is None else convert.six_parameter_to_hayati(arm.form, factory.kinematics, arm.hayati)
+        values = (
+            arm.hayati if factory is None else convert.six_parameter_to_hayati(arm.form, factory.kinematics, arm.hayati)
+        )
     else:
         form = ModelForm(SixParameterForm(arm.dof), frame, tool)
         assert factory is not None
@@ -150,49 +178,36 @@ def recording_problem(recording: Recording, arm: Arm | None, geometry: Geometry)
     sigma = (settings.position_noise_m or UNDECLARED_NOISE[0], settings.orientation_noise_rad or UNDECLARED_NOISE[1])
     if not declared:
         notes.append("The sidecar declares no noise: it is estimated from the residuals.")
-    whitener = 1 / np.array(sigma)
-    if settings.joint_noise_rad:
-        whitener = joint_noise_whitener(form, start, recording.joint_position, pose, sigma, settings.joint_noise_rad)
     return Problem(
         arm=arm,
         form=form,
         start=start,
         joint_position=recording.joint_position,
         pose=pose,
-        whitener=whitener,
+        noise=sigma,
+        joint_noise=settings.joint_noise_rad,
         precision=precision,
         movable=movable,
-        noisy=True,
         declared=declared,
         notes=(*recording.notes, *notes),
     )
 
 
-def joint_noise_whitener(
-    form: ModelForm, model: ArmModel, joint_position: Array, pose: Array, sigma: tuple[float, float], joint_sigma: float
-) -> Array:
-    """Whiteners `(sample, row, row)` of the sensor's noise plus the read-out noise of the joints.
+@partial(jax.jit, static_argnums=(0, 4))
+def _residual_by_joints(
+    form: ModelForm, model: ArmModel, joint_position: jax.Array, pose: jax.Array, block: int
+) -> jax.Array:
+    observed = observe(joint_position, pose, jnp.ones(len(pose)), jnp.ones(2), block)
 
-    The residual's covariance is Σ + σ_q² J Jᵀ with J its derivative by the joint positions (the manipulator Jacobian in
-    the residual's axes); the whitener is the inverse of its Cholesky factor.
-    """
-    J = np.asarray(_residual_by_joints(form, model, joint_position, pose))
-    rows = J.shape[1]
-    covariance = joint_sigma**2 * J @ np.swapaxes(J, 1, 2) + np.diag(np.repeat(np.square(sigma), 3)[:rows])
-    return np.linalg.inv(np.linalg.cholesky(covariance))
+    def one(part: Observations) -> jax.Array:
+        def by_joint(direction: jax.Array) -> jax.Array:
+            d = direction[:, None]
+            turning = Turn(-d * part.joint.sin, d * part.joint.cos)
+            return jax.jvp(
+                lambda joint: differences(part, predict_frames(form, model, joint)[1]), (part.joint,), (turning,)
+            )[1]
 
+        return jnp.transpose(jax.vmap(by_joint)(jnp.eye(form.chain.dof)), (2, 1, 0))
 
-@partial(jax.jit, static_argnums=0)
-def _residual_by_joints(form: ModelForm, model: ArmModel, joint_position: jax.Array, pose: jax.Array) -> jax.Array:
-    samples = len(pose)
-    observed = observe(joint_position, pose, jnp.ones(samples), jnp.ones(2), samples)
-    block: Observations = jax.tree.map(lambda leaf: leaf[0], observed)
-
-    def by_joint(direction: jax.Array) -> jax.Array:
-        def moved(by: jax.Array) -> jax.Array:
-            joint: Turn = turn(joint_position.T + by * direction[:, None])
-            return differences(block, predict_frames(form, model, joint)[1])
-
-        return jax.jvp(moved, (0.0,), (1.0,))[1]
-
-    return jnp.transpose(jax.vmap(by_joint)(jnp.eye(joint_position.shape[1])), (2, 1, 0))
+    J = jax.lax.map(one, observed)
+    return J.reshape(-1, *J.shape[2:])

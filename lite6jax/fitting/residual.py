@@ -43,8 +43,8 @@ class Observations(NamedTuple):
 class Robust(NamedTuple):
     """A robust loss over whole samples: Student's t with `freedom` degrees and the noise scaled by `scale`.
 
-    With s a sample's squared whitened residual: cost ½ (ν + rows) log(1 + s / (ν scale²)). An infinite `freedom` is
-    least squares.
+    With s a sample's squared whitened residual: cost ½ (ν + rows) log(1 + s / (ν scale²)). Where a function takes
+    `Robust | None`, None is least squares.
     """
 
     freedom: Array
@@ -80,7 +80,7 @@ def whiten(whitener: Array, rows: Array) -> Array:
     """Whitened rows `(row, sample)`."""
     if whitener.ndim == 1:
         return jnp.repeat(whitener, 3)[: rows.shape[0], None] * rows
-    return jnp.einsum("ijs,js->is", whitener, rows)
+    return jnp.sum(whitener * rows, 1)
 
 
 def residuals(form: ModelForm, model: ArmModel, observed: Observations) -> Array:
@@ -89,7 +89,7 @@ def residuals(form: ModelForm, model: ArmModel, observed: Observations) -> Array
     return jnp.sqrt(observed.weight) * whiten(observed.whitener, differences(observed, tool))
 
 
-def loss(observed: Observations, robust: Robust, squares: Array) -> tuple[Array, Array]:
+def loss(observed: Observations, robust: Robust | None, squares: Array) -> tuple[Array, Array]:
     """Each sample's cost, and the weight `(sample,)` its residual has in the gradient.
 
     Args:
@@ -97,12 +97,12 @@ def loss(observed: Observations, robust: Robust, squares: Array) -> tuple[Array,
         robust: the loss.
         squares: each sample's squared whitened residual, `(sample,)`.
     """
+    if robust is None:
+        return 0.5 * observed.weight * squares, observed.weight
     rows = POSITION if observed.rotation.shape[-1] == 0 else POSE
-    finite = jnp.isfinite(robust.freedom)
-    freedom = jnp.where(finite, robust.freedom, 1.0)
     scaled = squares / robust.scale**2
-    cost = jnp.where(finite, 0.5 * (freedom + rows) * jnp.log1p(scaled / freedom), 0.5 * scaled)
-    weight = jnp.where(finite, (freedom + rows) / (freedom + scaled), 1.0) / robust.scale**2
+    cost = 0.5 * (robust.freedom + rows) * jnp.log1p(scaled / robust.freedom)
+    weight = (robust.freedom + rows) / (robust.freedom + scaled) / robust.scale**2
     return observed.weight * cost, observed.weight * weight
 
 
@@ -117,7 +117,7 @@ class _Sight(NamedTuple):
     weight: Array
 
 
-def _look(form: ModelForm, model: ArmModel, observed: Observations, robust: Robust) -> _Sight:
+def _look(form: ModelForm, model: ArmModel, observed: Observations, robust: Robust | None) -> _Sight:
     flange, tool = predict_frames(form, model, observed.joint)
     raw = differences(observed, tool)
     whitened = whiten(observed.whitener, raw)
@@ -125,7 +125,7 @@ def _look(form: ModelForm, model: ArmModel, observed: Observations, robust: Robu
     return _Sight(flange, tool, raw, whitened, jnp.sum(cost), weight)
 
 
-def evaluate(form: ModelForm, model: ArmModel, observed: Observations, robust: Robust) -> tuple[Array, Array]:
+def evaluate(form: ModelForm, model: ArmModel, observed: Observations, robust: Robust | None) -> tuple[Array, Array]:
     """The cost of one block of samples and its gradient `(size,)`, by the wrench that each sample's residual exerts.
 
     The gradient is what reverse-mode differentiation of the cost gives, for two walks of the chain.
@@ -134,7 +134,7 @@ def evaluate(form: ModelForm, model: ArmModel, observed: Observations, robust: R
     if observed.whitener.ndim == 1:
         dual = sight.weight * whiten(observed.whitener, sight.whitened)
     else:
-        dual = sight.weight * jnp.einsum("ijs,is->js", observed.whitener, sight.whitened)
+        dual = sight.weight * jnp.sum(observed.whitener * sight.whitened[:, None], 0)
     force = dual[:3]
     moment = cross(sight.tool.origin, force)
     if len(dual) == POSE:
@@ -149,7 +149,9 @@ def evaluate(form: ModelForm, model: ArmModel, observed: Observations, robust: R
     return sight.cost, _columns(form, model, observed, sight, power)[_step_order(form)]
 
 
-def linearise(form: ModelForm, model: ArmModel, observed: Observations, robust: Robust) -> tuple[Array, Array, Array]:
+def linearise(
+    form: ModelForm, model: ArmModel, observed: Observations, robust: Robust | None
+) -> tuple[Array, Array, Array]:
     """The cost of one block, its gradient `(size,)` and Gauss–Newton's curvature JᵀWJ `(size, size)`."""
     sight = _look(form, model, observed, robust)
     J = _walked_jacobian(form, model, observed, sight).reshape(form.size, -1)
@@ -161,7 +163,7 @@ def linearise(form: ModelForm, model: ArmModel, observed: Observations, robust: 
     return sight.cost, gradient[order], (J @ J.T)[order][:, order]
 
 
-def identification_jacobian(form: ModelForm, model: ArmModel, observed: Observations, robust: Robust) -> Array:
+def identification_jacobian(form: ModelForm, model: ArmModel, observed: Observations, robust: Robust | None) -> Array:
     """The whitened, weighted residuals' derivatives `(parameter, row, sample)`, from the chain's twists.
 
     Where the whitener is isotropic the orientation rows are in the sensor's axes and without the logarithm's own
@@ -172,17 +174,27 @@ def identification_jacobian(form: ModelForm, model: ArmModel, observed: Observat
 
 def _walked_jacobian(form: ModelForm, model: ArmModel, observed: Observations, sight: _Sight) -> Array:
     root = jnp.sqrt(sight.weight)
+    if observed.whitener.ndim == 1:
+
+        def rows(twist: Twist) -> Array:
+            spin = twist.angular
+            shift = twist.linear if spin is None else twist.linear + cross(spin, sight.tool.origin)
+            if len(sight.raw) == POSE:
+                shift = jnp.concatenate([shift, jnp.zeros_like(shift) if spin is None else spin])
+            return root * whiten(observed.whitener, shift)
+
+        return _columns(form, model, observed, sight, rows)
+
+    # the residual's derivative by a twist, `(row, 3, sample)` for each of its parts, once for all parameters
+    by_linear = root * observed.whitener[:, :3]
+    by_angular = -jnp.moveaxis(cross(jnp.moveaxis(by_linear, 1, 0), sight.tool.origin[:, None]), 0, 1)
+    if len(sight.raw) == POSE:
+        turned = jnp.stack([_left_jacobian_inverse(sight.raw[3:], observed.rotation[j]) for j in range(3)], 1)
+        by_angular = by_angular + root * jnp.sum(observed.whitener[:, 3:, None] * turned, 1)
 
     def rows(twist: Twist) -> Array:
-        spin = twist.angular
-        shift = twist.linear if spin is None else twist.linear + cross(spin, sight.tool.origin)
-        if len(sight.raw) == POSE:
-            spin = jnp.zeros_like(shift) if spin is None else spin
-            if observed.whitener.ndim > 1:
-                in_tool = jnp.stack([jnp.sum(observed.rotation[:, i] * spin, 0) for i in range(3)])
-                spin = _left_jacobian_inverse(sight.raw[3:], in_tool)
-            shift = jnp.concatenate([shift, spin])
-        return root * whiten(observed.whitener, shift)
+        shift = jnp.sum(by_linear * twist.linear, 1)
+        return shift if twist.angular is None else shift + jnp.sum(by_angular * twist.angular, 1)
 
     return _columns(form, model, observed, sight, rows)
 

@@ -49,10 +49,30 @@ class Errors:
     orientation: Array | None
     joint_position: Array
 
+    def select(self, samples: slice | NDArray) -> "Errors":
+        """Those of some samples."""
+        orientation = None if self.orientation is None else self.orientation[samples]
+        return Errors(self.position[samples], orientation, self.joint_position[samples])
+
     @property
     def position_rms(self) -> float:
         """Root of the mean squared 3-D distance, m."""
         return float(np.sqrt(np.mean(self.position**2)))
+
+
+@dataclass(frozen=True)
+class Noise:
+    """One standard deviation per axis, of position (m) and orientation (rad).
+
+    Attributes:
+        declared: by the sidecar, or None.
+        position: as the residuals have it, robustly: model errors are in it.
+        orientation: likewise, or None where no orientation was measured.
+    """
+
+    declared: tuple[float, float] | None
+    position: float
+    orientation: float | None
 
 
 @dataclass(frozen=True)
@@ -78,14 +98,14 @@ class Solution:
         model: the fitted numbers, NumPy leaves.
         result: how it ended.
         steps: Gauss–Newton or Levenberg–Marquardt steps, of all rounds.
-        covariance: `(size, size)` of the entries `form.names`, in m and rad; zero rows where held; None where the input
-            has no noise (a calibration).
+        covariance: `(size, size)` of the entries `form.names`, in m and rad; zero where held; None where the input has
+            no noise (a calibration).
         free: `(size,)` bool, what moved.
-        held: the parameters that the data does not determine.
+        held: what the data does not determine.
         errors: of the data it was fitted to.
         nominal_errors: of the nominal geometry, with frame and tool fitted where they are unknown.
-        checked: of data it was not fitted to: fresh samples of a calibration, contiguous held-out blocks of a recording.
-        noise_scale: the residuals' size over the declared noise's; None without a declared noise.
+        checked: of data it was not fitted to: fresh samples of a calibration, held-out contiguous blocks of a recording.
+        noise: of the data; None for a calibration.
         weight: `(sample,)` in 0…1, what the robust loss left of each sample.
         notes: what was assumed, each one sentence.
     """
@@ -101,7 +121,7 @@ class Solution:
     errors: Errors
     nominal_errors: Errors
     checked: Errors
-    noise_scale: float | None
+    noise: Noise | None
     weight: Array
     notes: tuple[str, ...] = field(default=())
 
