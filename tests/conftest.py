@@ -1,6 +1,10 @@
 """What every test runs under: types checked at run time, one compilation cache, the same random examples each time."""
 
+import os
 from pathlib import Path
+
+# LLVM's optimiser would take most of the suite's time, for functions that run on a hundred samples.
+os.environ["XLA_FLAGS"] = " ".join([os.environ.get("XLA_FLAGS", ""), "--xla_backend_optimization_level=0"])
 
 import hypothesis
 import jax

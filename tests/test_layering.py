@@ -6,9 +6,10 @@ from pathlib import Path
 import pytest
 
 PACKAGE = Path(__file__).resolve().parents[1] / "lite6jax"
-PARTS = (
-    "errors storage arms physics model recordings controller fitting identifiability diagnosis simulation report cli"
-).split()
+PARTS = [
+    *("errors", "storage", "arms", "physics", "model", "recordings", "controller", "fitting"),
+    *("identifiability", "diagnosis", "simulation", "report", "cli"),
+]
 MODULES = sorted(PACKAGE.rglob("*.py"))
 
 

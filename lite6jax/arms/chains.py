@@ -8,7 +8,7 @@ compile time nor recomputed prefixes grow with their number.
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property, partial
-from typing import NamedTuple, Protocol, runtime_checkable
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -51,55 +51,6 @@ class Turn(NamedTuple):
 def turn(angle: ArrayLike) -> Turn:
     """The turn by `angle` rad."""
     return Turn(jnp.cos(angle), jnp.sin(angle))
-
-
-@runtime_checkable
-class Form(Protocol):
-    """What a chain's parameters are. Hashable, so that it can be a static argument of a jitted function.
-
-    The walk meets first the parameters of `enter`, then the same number at each joint in `step`; `walking_order[k]` is
-    the place in `names` of the k-th it meets.
-    """
-
-    dof: int
-
-    @property
-    def size(self) -> int:
-        """How many parameters."""
-        ...
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Their names, in their order."""
-        ...
-
-    @property
-    def units(self) -> tuple[str, ...]:
-        """`m` or `rad` for each."""
-        ...
-
-    @property
-    def walking_order(self) -> np.ndarray:
-        """See the class."""
-        ...
-
-    @property
-    def entering(self) -> int:
-        """How many parameters `enter` uses."""
-        ...
-
-    @property
-    def flags(self) -> np.ndarray:
-        """What differs in kind between joints, `(joint,)` bool."""
-        ...
-
-    def enter(self, frame: Frame, values: Array) -> tuple[Frame, tuple[Twist, ...]]:
-        """Moves from the base frame to joint 1."""
-        ...
-
-    def step(self, frame: Frame, values: Array, flag: Array, joint: Turn) -> tuple[Frame, tuple[Twist, ...]]:
-        """Moves through one joint."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -246,7 +197,7 @@ class HayatiForm:
         frame = rotate(frame, X, turn(alpha))
         about_y = rotation_twist(frame, Y)
         frame = rotate(frame, Y, turn(beta))
-        d_or_beta = Twist(jnp.where(flag, about_y.linear, along_z), jnp.where(flag, about_y.angular, 0.0))
+        d_or_beta = Twist(jnp.where(flag, about_y.linear, along_z), jnp.where(flag, frame.y, 0.0))
         return frame, (about_z, d_or_beta, along_x, about_x)
 
     def pack(self, base: npt.ArrayLike, dh: npt.ArrayLike, beta: npt.ArrayLike = ()) -> np.ndarray:
@@ -279,6 +230,14 @@ class HayatiForm:
         end = 4 + int(keep.sum())
         dh[keep] = parameters[4:end]
         return parameters[:4], dh, parameters[end:]
+
+
+Form = HayatiForm | SixParameterForm
+"""What a chain's parameters are. A form is hashable, so that it can be a static argument of a jitted function.
+
+The walk of a chain meets first the `entering` parameters of `enter`, then the same number at each joint in `step`,
+which joint's entry of `flags` tells apart; `walking_order[k]` is the place in `names` of the k-th that it meets.
+"""
 
 
 def rotate(frame: Frame, axis: int, by: Turn) -> Frame:
@@ -349,7 +308,7 @@ def sweep(
 def base_frame(T: Array, samples: int) -> Frame:
     """A fixed transform `(4, 4)` as the frame of every sample."""
     columns = jnp.broadcast_to(T[:3, :, None], (3, 4, samples))
-    return Frame(*(columns[:, i] for i in range(4)))
+    return Frame(columns[:, 0], columns[:, 1], columns[:, 2], columns[:, 3])
 
 
 @partial(jax.jit, static_argnums=0)

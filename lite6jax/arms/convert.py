@@ -8,11 +8,11 @@ from functools import partial
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import Array
+from jax import Array, lax
 from numpy.typing import ArrayLike
 
-from lite6jax.arms.chains import HayatiForm, joint_axes
-from lite6jax.arms.se3 import inverse, rotation_from_rpy, rpy_from_rotation, transform
+from lite6jax.arms.chains import Frame, HayatiForm, X, Y, Z, base_frame, joint_axes, rotate, translate, turn
+from lite6jax.arms.se3 import rotation_from_rpy, rpy_from_rotation, transform
 from lite6jax.errors import InputError
 
 _AXIS_1_UPRIGHT = np.cos(np.deg2rad(85.0))
@@ -49,8 +49,9 @@ def six_parameter_to_hayati(form: HayatiForm, kinematics: ArrayLike, nominal: Ar
             branch[i, 1] = 0.0 if directions[i] @ directions[i + 1] > 0 else np.pi
     else:
         branch = form.unpack(nominal)[1][:, [0, 3]]
-    convert = _convert if kinematics.ndim == 2 else jax.vmap(_convert, in_axes=(None, 0, None))
-    return np.asarray(convert(form, kinematics, branch))
+    arms = kinematics.reshape(-1, form.dof, 6)
+    converted = np.asarray(_convert(form, np.ascontiguousarray(np.moveaxis(arms, 0, -1)), branch))
+    return np.ascontiguousarray(converted.T).reshape(*kinematics.shape[:-2], form.size)
 
 
 def _require_regular(form: HayatiForm, kinematics: np.ndarray) -> None:
@@ -83,51 +84,60 @@ def _require_regular(form: HayatiForm, kinematics: np.ndarray) -> None:
 
 @partial(jax.jit, static_argnums=0)
 def _convert(form: HayatiForm, kinematics: Array, branch: Array) -> Array:
-    """`branch` `(joint, 2)`: the theta and alpha next to which those of a joint are wanted."""
-    origins = transform(rotation_from_rpy(kinematics[:, 3:]), kinematics[:, :3])
-    first = origins[0]
-    direction, point = first[:3, 2], first[:3, 3]
-    roll, pitch = -jnp.arcsin(direction[1]), jnp.arctan2(direction[0], direction[2])
-    foot = point - point[2] / direction[2] * direction
-    base_rotation = rotation_from_rpy(jnp.stack([roll, pitch, jnp.zeros(())]))
-    T_base = transform(base_rotation, jnp.array([1.0, 1.0, 0.0]) * foot)
-    # T_dh_joint: the six-parameter frame of joint i in the DH frame i - 1; both have the joint's axis as z at q = 0
-    T_dh_joint = inverse(T_base) @ first
-    rows, betas = [], []
-    for i in range(form.dof - 1):
-        T = T_dh_joint @ origins[i + 1]
-        u, p = T[:3, 2], T[:3, 3]
-        cn, sn = jnp.cos(branch[i, 0]), jnp.sin(branch[i, 0])
-        if i in form.parallel:
-            p = p - p[2] / u[2] * u
-            side = jnp.where(cn * p[0] + sn * p[1] < 0, -1.0, 1.0)
-            theta = jnp.arctan2(side * p[1], side * p[0])
-            c, s = jnp.cos(theta), jnp.sin(theta)
-            a, d = c * p[0] + s * p[1], jnp.zeros(())
-            alpha, beta = (
-                jnp.arctan2(s * u[0] - c * u[1], u[2]),
-                jnp.arctan2(c * u[0] + s * u[1], jnp.hypot(s * u[0] - c * u[1], u[2])),
-            )
-            betas.append(beta)
-        else:
-            # u = (sin θ sin α, −cos θ sin α, cos α): the sign of sin α is free, and turns θ by 180°
-            side = jnp.where(-cn * u[1] + sn * u[0] < 0, -1.0, 1.0)
-            theta = jnp.arctan2(side * u[0], -side * u[1])
-            c, s = jnp.cos(theta), jnp.sin(theta)
-            sine = s * u[0] - c * u[1]
-            alpha, beta = jnp.arctan2(sine, u[2]), jnp.zeros(())
-            a = c * p[0] + s * p[1]
-            d = p[2] + u[2] * (c * p[1] - s * p[0]) / sine
-        theta, alpha = _next_to(branch[i, 0], theta), _next_to(branch[i, 1], alpha)
-        rows.append(jnp.stack([theta, d, a, alpha]))
-        A = _link(theta, d, a, alpha, beta)
-        T_dh_joint = inverse(A) @ T
-    theta = _next_to(branch[-1, 0], jnp.arctan2(T_dh_joint[1, 0], T_dh_joint[0, 0]))
-    rows.append(jnp.stack([theta, T_dh_joint[2, 3], jnp.zeros(()), jnp.zeros(())]))
-    keep = np.ones((form.dof, 4), bool)
-    keep[list(form.parallel), 1] = False
-    table = jnp.stack(rows)[keep]
-    return jnp.concatenate([foot[:2], jnp.stack([roll, pitch]), table, *(jnp.atleast_1d(beta) for beta in betas)])
+    """Parameters `(size, arm)` of `kinematics` `(joint, 6, arm)`, next to `branch` `(joint, 2)`, theta and alpha each.
+
+    Two frames walk side by side: the six-parameter chain's, whose z is the next joint's axis, and the DH frame, which
+    is moved to that axis along the common normal. Arms stand where samples do in a fit.
+    """
+
+    def to_joint(frame: Frame, row: Array) -> Frame:
+        x, y, z, roll, pitch, yaw = row
+        frame = translate(translate(translate(frame, X, x), Y, y), Z, z)
+        return rotate(rotate(rotate(frame, Z, turn(yaw)), Y, turn(pitch)), X, turn(roll))
+
+    def next_link(frames: tuple[Frame, Frame], given: tuple[Array, Array, Array]) -> tuple[tuple[Frame, Frame], Array]:
+        joint, dh = frames
+        row, near, parallel = given
+        joint = to_joint(joint, row)
+        u = [jnp.sum(axis * joint.z, 0) for axis in dh[:3]]
+        p = [jnp.sum(axis * (joint.origin - dh.origin), 0) for axis in dh[:3]]
+        # where the axes are parallel: the point of the next axis in this frame's x-y plane
+        foot = [
+            component - p[2] / jnp.where(parallel, u[2], 1.0) * along for component, along in zip(p, u, strict=True)
+        ]
+        # where they are not: u = (sin θ sin α, −cos θ sin α, cos α); the sign of sin α is free, and turns θ by 180°
+        along_x, along_y = jnp.where(parallel, foot[0], -u[1]), jnp.where(parallel, foot[1], u[0])
+        c, s = turn(near[0])
+        side = jnp.where(c * along_x + s * along_y < 0, -1.0, 1.0)
+        theta = jnp.arctan2(side * along_y, side * along_x)
+        c, s = turn(theta)
+        sine = s * u[0] - c * u[1]
+        alpha = jnp.arctan2(sine, u[2])
+        a = jnp.where(parallel, c * foot[0] + s * foot[1], c * p[0] + s * p[1])
+        d = jnp.where(parallel, 0.0, p[2] + u[2] * (c * p[1] - s * p[0]) / jnp.where(parallel, 1.0, sine))
+        beta = jnp.where(parallel, jnp.arctan2(c * u[0] + s * u[1], jnp.hypot(sine, u[2])), 0.0)
+        dh = rotate(translate(translate(rotate(dh, Z, turn(theta)), Z, d), X, a), X, turn(alpha))
+        found = jnp.stack([_next_to(near[0], theta), d, a, _next_to(near[1], alpha), beta])
+        return (joint, rotate(dh, Y, turn(beta))), found
+
+    base = base_frame(jnp.eye(4), kinematics.shape[-1])
+    joint = to_joint(base, kinematics[0])
+    foot = joint.origin - joint.origin[2] / joint.z[2] * joint.z
+    roll, pitch = -jnp.arcsin(joint.z[1]), jnp.arctan2(joint.z[0], joint.z[2])
+    dh = rotate(rotate(translate(translate(base, X, foot[0]), Y, foot[1]), Y, turn(pitch)), X, turn(roll))
+    flags = jnp.asarray(form.flags)
+    (joint, dh), links = lax.scan(next_link, (joint, dh), (kinematics[1:], branch[:-1], flags[:-1]))
+
+    theta = jnp.arctan2(jnp.sum(dh.y * joint.x, 0), jnp.sum(dh.x * joint.x, 0))
+    d = jnp.sum(dh.z * (joint.origin - dh.origin), 0)
+    nothing = jnp.zeros_like(d)
+    links = jnp.concatenate([links, jnp.stack([_next_to(branch[-1, 0], theta), d, nothing, nothing, nothing])[None]])
+    second = jnp.where(flags[:, None], links[:, 4], links[:, 1])  # d or beta
+    walked = jnp.concatenate([
+        jnp.stack([foot[0], foot[1], pitch, roll]),
+        jnp.stack([links[:, 0], second, links[:, 2], links[:, 3]], 1).reshape(-1, links.shape[-1]),
+    ])  # fmt: skip
+    return walked[np.argsort(form.walking_order)]
 
 
 def _next_to(wanted: Array, angle: Array) -> Array:

@@ -4,7 +4,7 @@ import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -29,6 +29,8 @@ BLOCK = 2400
 LEVER = 0.1
 """Metres that a radian counts where no noise is declared, as in the seed."""
 MAX_STEPS = 100
+SINGULAR_ABOVE = 1e11
+"""Inflation of a variance by correlation beyond which rounding decides the parameter."""
 
 # One thread a chunk: XLA's own pool would otherwise be shared by the chunks that run side by side.
 _SINGLE_THREADED = {"xla_cpu_multi_thread_eigen": False}
@@ -89,6 +91,12 @@ def _fit_chunk(
     observed = prepare(joint_position, pose, weight, whitener)
     solved = solve_chunk(form, start, observed, robust, prior, max_steps)
     covariance = jax.vmap(gauss_newton.inverse)(solved.curvature) * (prior.free[:, :, None] * prior.free[:, None, :])
+    # how much its correlation with the others inflates a parameter's variance
+    inflation = jnp.diagonal(covariance, axis1=1, axis2=2) * jnp.diagonal(solved.curvature, axis1=1, axis2=2)
+    regular = jnp.all((prior.free == 0) | ((inflation > 0.5) & (inflation < SINGULAR_ABOVE)), 1)
+    doubtful = (solved.status != gauss_newton.NOT_FINITE) & ~regular
+    covariance = jnp.where(regular[:, None, None], covariance, jnp.nan)
+    solved = solved._replace(status=jnp.where(doubtful, gauss_newton.SINGULAR, solved.status))
     squares, shift, spin = jax.vmap(partial(_errors, form))(solved.model, observed)
     mean = jnp.maximum(jnp.sum(observed.weight > 0, (1, 2)), 1)
     return Summary(solved, covariance, squares, jnp.sqrt(jnp.sum(shift, 1) / mean), jnp.sqrt(jnp.sum(spin, 1) / mean))
@@ -163,7 +171,7 @@ def fit_chunks(
         arms = array[first : first + chunk]
         return arms if len(arms) == chunk else np.concatenate([arms, np.repeat(arms[-1:], chunk - len(arms), 0)])
 
-    def each(leaf: ArrayLike, ndim: int, first: int) -> np.ndarray:
+    def each(leaf: ArrayLike, ndim: int, first: int) -> Any:
         """As `part`, of a leaf that lacks the arm axis where all arms share it."""
         array = np.asarray(leaf, float)
         return part(array, first) if array.ndim > ndim else np.broadcast_to(array, (chunk, *array.shape))
@@ -244,8 +252,8 @@ def fit_fleet(
         raise InputError(
             f"weight of shape {w.shape}: give ({arms}, {samples}) numbers that are finite and not negative"
         )
-    whitener = np.array([1.0, LEVER]) if noise is None else 1 / np.asarray(noise, float)
-    if whitener.shape != (2,) or not (np.isfinite(whitener) & (whitener > 0)).all():
+    sigma = np.asarray((1.0, 1 / LEVER) if noise is None else noise, float)
+    if sigma.shape != (2,) or not (np.isfinite(sigma) & (sigma > 0)).all():
         raise InputError(
             f"noise {noise}: give two positive standard deviations, of position in m and orientation in rad"
         )
@@ -261,7 +269,7 @@ def fit_fleet(
         q,
         T,
         w,
-        whitener,
+        1 / sigma,
         None,
         prior,
         max_steps=max_steps,

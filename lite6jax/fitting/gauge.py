@@ -8,6 +8,8 @@ from lite6jax.model import ModelForm
 
 _DETERMINED = 1e-10
 """Squared sine of a column to the span of those before it, above which it is determined; rounding leaves 1e-15."""
+_FELT = 1e-20
+"""A column's square over the largest of its unit under which the data does not feel the parameter at all."""
 _CARRIES = 0.05
 
 
@@ -15,7 +17,8 @@ def determined(form: ModelForm, curvature: NDArray[np.float64]) -> tuple[NDArray
     """The entries of a step that the data determines, and those held at nominal.
 
     The columns are taken one by one, sensor frame and tool first: one that lies in the span of those taken before is
-    held, since nothing in the data tells it from them.
+    held, since nothing in the data tells it from them. What is not felt at nominal is felt near it to second order
+    only: for an arm made to 1 mm and 0.1°, by 2 µm.
 
     Args:
         form: names the entries.
@@ -32,14 +35,17 @@ def determined(form: ModelForm, curvature: NDArray[np.float64]) -> tuple[NDArray
     taken: list[int] = []
     held: list[Held] = []
     L = np.zeros((size, size))
+    units = np.array(form.units)
+    largest = np.array([np.max(np.diagonal(curvature)[units == unit], initial=0.0) for unit in units])
+    felt = np.diagonal(curvature) > _FELT * largest
     for k in order:
         row = np.linalg.solve(L[: len(taken), : len(taken)], H[taken, k]) if taken else np.zeros(0)
         rest = H[k, k] - row @ row
-        if rest > _DETERMINED and np.diagonal(curvature)[k] > 0:
+        if rest > _DETERMINED and felt[k]:
             L[len(taken), : len(taken)], L[len(taken), len(taken)] = row, np.sqrt(rest)
             taken.append(k)
             continue
-        share = np.linalg.solve(H[np.ix_(taken, taken)], H[taken, k]) if taken else np.zeros(0)
+        share = np.linalg.solve(H[np.ix_(taken, taken)], H[taken, k]) if felt[k] else np.zeros(len(taken))
         strong = np.abs(share) > _CARRIES * max(float(np.abs(share).max(initial=0.0)), 1e-6)
         held.append(Held(form.names[k], tuple(form.names[taken[i]] for i in np.flatnonzero(strong))))
     free = np.zeros(size, bool)

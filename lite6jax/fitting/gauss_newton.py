@@ -17,7 +17,8 @@ from jax.typing import ArrayLike
 from lite6jax.fitting.residual import Observations, Robust, evaluate, linearise, over_blocks
 from lite6jax.model import ArmModel, ModelForm
 
-RUNNING, CONVERGED, STEPS_EXHAUSTED, NOT_FINITE = range(4)
+RUNNING, CONVERGED, STEPS_EXHAUSTED, NOT_FINITE, SINGULAR = range(5)
+"""How a fit stands; `SINGULAR` is for the caller to say, by the curvature."""
 
 _REFRESH_ABOVE = 1e-4
 """A step above this, in m or rad, or one that shrinks too slowly, calls for a new curvature."""
@@ -95,6 +96,8 @@ def solve_chunk(
     """
     arms, n = start.geometry.shape[0], form.chain.size
     floor = jax.vmap(partial(over_blocks, _rounding_floor))(observed)
+    # a robust loss bends what Gauss-Newton takes for straight: its steps shrink tenfold, not ten thousandfold
+    negligible = _DECREMENT if robust is None else _DECREMENT * 1e-4
 
     def with_prior(model: ArmModel, prior: Prior, cost: Array, gradient: Array, *curvature: Array) -> tuple[Array, ...]:
         away = model.geometry - prior.center
@@ -121,7 +124,7 @@ def solve_chunk(
         )
         running = state.status == RUNNING
         # so near the solution that rounding decides which cost is lower, the step is taken on the gradient's word
-        flat = state.decrement <= 1e-10 * state.cost + floor
+        flat = jnp.abs(state.decrement) <= 1e-10 * state.cost + floor
         better = jnp.isfinite(cost) & ((cost <= state.cost) | flat)
         taken = running & better
         model, cost, gradient, H = jax.tree.map(
@@ -137,7 +140,7 @@ def solve_chunk(
         step = -jnp.einsum("aij,aj->ai", kept, gradient)
         decrement = -jnp.sum(step * gradient, 1)
         moved = jnp.max(jnp.abs(step), 1)
-        small = decrement <= jnp.maximum(_DECREMENT * cost, floor)
+        small = jnp.abs(decrement) <= jnp.maximum(negligible * cost, floor)
         broken = ~jnp.isfinite(cost) | ~jnp.all(jnp.isfinite(step), 1)
         status = jnp.where(running & small, CONVERGED, state.status)
         status = jnp.where(running & (state.steps >= max_steps), STEPS_EXHAUSTED, status)

@@ -23,7 +23,7 @@ from lite6jax.fitting.start import frames_from_poses
 from lite6jax.model import ArmModel, ModelForm
 from lite6jax.recordings import Recording, require_samples
 
-Array = NDArray[np.float64]
+Array = NDArray[np.floating]
 Geometry = Literal["declared", "exact", "prior", "free"]
 
 UNDECLARED_NOISE = (1e-4, 1e-3)

@@ -54,7 +54,7 @@ class Robust(NamedTuple):
 def tool_frame(model: ArmModel, flange: Frame) -> Frame:
     """The frame of the tool."""
     T = model.T_flange_tool
-    axes = [sum(T[k, i] * flange[k] for k in range(3)) for i in range(4)]
+    axes = [T[0, i] * flange.x + T[1, i] * flange.y + T[2, i] * flange.z for i in range(4)]
     return Frame(axes[0], axes[1], axes[2], flange.origin + axes[3])
 
 

@@ -20,8 +20,9 @@ class Result(IntEnum):
     CONVERGED = gauss_newton.CONVERGED
     STEPS_EXHAUSTED = gauss_newton.STEPS_EXHAUSTED
     NOT_FINITE = gauss_newton.NOT_FINITE
-    TOO_FEW_SAMPLES = 4
-    UNREADABLE = 5
+    SINGULAR = gauss_newton.SINGULAR
+    TOO_FEW_SAMPLES = 5
+    UNREADABLE = 6
 
     @property
     def message(self) -> str:
@@ -30,6 +31,7 @@ class Result(IntEnum):
             Result.CONVERGED: "converged",
             Result.STEPS_EXHAUSTED: "did not converge in the steps allowed; check the arm's model, or allow more steps",
             Result.NOT_FINITE: "met a number that is not finite; check the input",
+            Result.SINGULAR: "does not determine every parameter; record poses that move every joint",
             Result.TOO_FEW_SAMPLES: "has fewer measured numbers than parameters; record more poses",
             Result.UNREADABLE: "could not be read",
         }[self]
@@ -104,7 +106,7 @@ class Solution:
         held: what the data does not determine.
         errors: of the data it was fitted to.
         nominal_errors: of the nominal geometry, with frame and tool fitted where they are unknown.
-        checked: of data it was not fitted to: fresh samples of a calibration, held-out contiguous blocks of a recording.
+        checked: of data not fitted to: fresh samples of a calibration, held-out contiguous blocks of a recording.
         noise: of the data; None for a calibration.
         weight: `(sample,)` in 0…1, what the robust loss left of each sample.
         notes: what was assumed, each one sentence.
@@ -147,7 +149,8 @@ class FleetSolution:
     Attributes:
         form: what the fit could move.
         parameters: `(arm, size)`, the chain's parameters in the order of `form.chain.names`, m and rad.
-        covariance: `(arm, size, size)` from the declared noise, or from the residuals where none was declared.
+        covariance: `(arm, size, size)` from the declared noise, or from the residuals where none was declared; NaN for
+            an arm whose data does not determine every parameter.
         result: `(arm,)` of `Result`.
         steps: `(arm,)`.
         position_rms: `(arm,)` m, of the data fitted.

@@ -76,7 +76,10 @@ def test_hayati_chain_agrees_with_the_product_of_matrices(form, seed):
 
 def test_zero_pose_of_the_seed():
     parameters = LITE6.pack(np.zeros(4), LITE6_DH, [0.0])
-    for T in (hayati_fk(LITE6, parameters, np.zeros(6)), six_parameter_fk(load_bundled("lite6").kinematics, np.zeros(6))):
+    for T in (
+        hayati_fk(LITE6, parameters, np.zeros(6)),
+        six_parameter_fk(load_bundled("lite6").kinematics, np.zeros(6)),
+    ):
         # (87, 0, 154) mm, to the millimetre in which the seed states it: 243.3 + 200 - 227.6 - 61.5 = 154.2
         np.testing.assert_allclose(T[:3, 3], [0.087, 0, 0.1542], atol=1e-15)
         np.testing.assert_allclose(T[:3, :3], np.diag([1, -1, -1]), atol=1e-15)
@@ -144,7 +147,12 @@ def test_names_units_and_packing_of_other_arms(dof, parallel):
     np.testing.assert_array_equal(form.pack(base, dh, beta), parameters)
     by_name = dict(zip(form.names, parameters, strict=True))
     for i in range(dof):
-        row = [by_name[f"theta_off{i + 1}"], by_name.get(f"d{i + 1}", 0), by_name[f"a{i + 1}"], by_name[f"alpha{i + 1}"]]
+        row = [
+            by_name[f"theta_off{i + 1}"],
+            by_name.get(f"d{i + 1}", 0),
+            by_name[f"a{i + 1}"],
+            by_name[f"alpha{i + 1}"],
+        ]
         np.testing.assert_array_equal(dh[i], row)
     np.testing.assert_array_equal(beta, [by_name[f"beta{i + 1}"] for i in parallel])
     np.testing.assert_array_equal(base, [by_name[f"base_{n}"] for n in ("x", "y", "roll", "pitch")])
@@ -175,7 +183,15 @@ def test_walking_order_is_a_permutation(form):
 
 @pytest.mark.parametrize(
     ("name", "parallel"),
-    [("lite6", (1,)), ("xarm5", (1, 2)), ("xarm6", (1,)), ("xarm7", ()), ("uf850", (1,)), ("ur10", (1, 2)), ("ur3e", (1, 2))],
+    [
+        ("lite6", (1,)),
+        ("xarm5", (1, 2)),
+        ("xarm6", (1,)),
+        ("xarm7", ()),
+        ("uf850", (1,)),
+        ("ur10", (1, 2)),
+        ("ur3e", (1, 2)),
+    ],
 )
 def test_parallel_pairs_are_found(name, parallel):
     kinematics = load_bundled(name).kinematics
@@ -209,7 +225,10 @@ REFUSED = [
         lambda: LITE6.pack(np.zeros(3), LITE6_DH, [0]),
         "base (3,), dh (6, 4), beta (1,): this form takes (4,), (6, 4) and (1,)",
     ),
-    (lambda: LITE6.pack(np.zeros(4), LITE6_DH), "base (4,), dh (6, 4), beta (0,): this form takes (4,), (6, 4) and (1,)"),
+    (
+        lambda: LITE6.pack(np.zeros(4), LITE6_DH),
+        "base (4,), dh (6, 4), beta (0,): this form takes (4,), (6, 4) and (1,)",
+    ),
     (
         lambda: LITE6.pack(np.zeros(4), LITE6_DH + 0.5, [0]),
         "joint 2: d must be 0 there (it has beta instead), not 0.5",
@@ -234,7 +253,8 @@ def sensitivity(form, model, positions):
     def entries(step):
         return predict(form.chain, form.retract(model, step), positions)[:, :3].ravel()
 
-    return np.asarray(jax.jit(jax.jacfwd(entries))(jnp.zeros(form.size)))
+    quick = {"xla_backend_optimization_level": 0}  # most of the time goes into compiling
+    return np.asarray(jax.jit(jax.jacfwd(entries), compiler_options=quick)(jnp.zeros(form.size)))
 
 
 def rank(J):
@@ -285,7 +305,9 @@ def test_ranks_at_the_nominal_lite6_are_26_28_and_30():
     assert rank(sensitivity(ModelForm(standard), arm_model(standard.pack(np.zeros(4), LITE6_DH)), positions)) == 27
 
 
-@pytest.mark.parametrize("kinematics", [load_bundled("lite6").kinematics, random_kinematics(np.random.default_rng(6), 6)])
+@pytest.mark.parametrize(
+    "kinematics", [load_bundled("lite6").kinematics, random_kinematics(np.random.default_rng(6), 6)]
+)
 def test_gauge_directions_of_the_six_parameter_chain(kinematics):
     positions = random_positions(np.random.default_rng(7), 60, 6)
     poses = np.asarray(six_parameter_fk(kinematics, positions))

@@ -31,7 +31,9 @@ def test_conversion_reproduces_the_chain_and_stays_by_nominal(name, seed, size):
     lengths = np.array(form.units) == "m"
     assert np.abs(parameters - nominal)[lengths].max() <= 12e-3 * size + 1e-12
     assert np.abs(parameters - nominal)[~lengths].max() <= np.deg2rad(1.2) * size + 1e-12
-    np.testing.assert_array_equal(parameters[[-1 - len(form.parallel), -2 - len(form.parallel)]], 0)  # alpha and a, last
+    np.testing.assert_array_equal(
+        parameters[[-1 - len(form.parallel), -2 - len(form.parallel)]], 0
+    )  # alpha and a, last
 
 
 @pytest.mark.parametrize("dof", range(2, 9))

@@ -76,13 +76,18 @@ def test_derivative_of_the_exponential_equals_differences(angle, mode):
 def test_derivative_of_the_logarithm_equals_differences(angle, mode):
     for axis in AXES[[2, 7]]:
         R = Rotation.from_rotvec(angle * axis).as_matrix()
-        turned = lambda w, R=R: se3.rotation_log(se3.rotation_exp(w) @ R)
+
+        def turned(w, R=R):
+            return se3.rotation_log(se3.rotation_exp(w) @ R)
+
         np.testing.assert_allclose(mode(turned)(jnp.zeros(3)), derivative(turned, np.zeros(3)), atol=2e-11)
 
 
 @pytest.mark.parametrize("mode", [jax.jacfwd, jax.jacrev])
 def test_derivatives_at_identity_are_the_identity(mode):
-    round_trip = lambda w: se3.rotation_log(se3.rotation_exp(w))
+    def round_trip(w):
+        return se3.rotation_log(se3.rotation_exp(w))
+
     np.testing.assert_allclose(mode(round_trip)(jnp.zeros(3)), np.eye(3), atol=1e-15)
     second = jax.jacfwd(mode(round_trip))(jnp.zeros(3))
     np.testing.assert_allclose(second, np.zeros((3, 3, 3)), atol=1e-15)

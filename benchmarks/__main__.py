@@ -1,0 +1,96 @@
+"""Runs the workloads, prints a table of each, writes the JSON, and fails where an answer was wrong."""
+
+import argparse
+import importlib.util
+import json
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from rich.console import Console
+from rich.table import Table
+
+from benchmarks.measure import Record, Workload
+from lite6jax.errors import InputError
+from lite6jax.storage import check_writable, write_atomically
+
+COMPARED = ("models",)
+NEEDS = {"scipy": "scipy", "pinocchio": "pin"}
+
+
+def workloads() -> dict[str, Workload]:
+    """The workloads by name, in the order in which they run."""
+    from benchmarks.command import command
+    from benchmarks.fits import fleet, one
+    from benchmarks.models import models
+    from benchmarks.profile import profile
+    from benchmarks.samples import samples
+
+    return {run.__name__: run for run in (one, fleet, samples, command, models, profile)}
+
+
+def main(arguments: Sequence[str] | None = None, known: Mapping[str, Workload] | None = None) -> int:
+    """The exit code: 0, 1 where an answer was wrong, 2 where the benchmarks cannot run."""
+    missing = [package for module, package in NEEDS.items() if importlib.util.find_spec(module) is None]
+    if missing:
+        print(f"benchmarks: {' and '.join(missing)} missing; pip install 'lite6jax[benchmark]'", file=sys.stderr)
+        return 2
+    known = known or workloads()
+    parser = argparse.ArgumentParser(prog="python -m benchmarks", description=__doc__)
+    parser.add_argument("name", nargs="?", choices=list(known), help="one workload; all of them without it")
+    parser.add_argument("--json", type=Path, metavar="OUT", help="write the records to this file, over an older one")
+    options = parser.parse_args(arguments)
+    if options.json:
+        try:
+            check_writable(options.json, overwrite=True)
+        except InputError as error:
+            print(f"benchmarks: {error}", file=sys.stderr)
+            return 2
+
+    console, records = Console(), []
+    for name in [options.name] if options.name else known:
+        with console.status(f"{name} …"):
+            found = list(known[name]())
+        console.print(table(name, found))
+        records += found
+    if options.json:
+        text = json.dumps([record.as_json() for record in records], indent=1, allow_nan=False)
+        write_atomically(options.json, text, overwrite=True)
+    failed = [record for record in records if record.failed]
+    for record in failed:
+        console.print(f"wrong: {record.workload}, {record.subject}, {record.metric}: {record.failed}", style="red")
+    return 1 if failed else 0
+
+
+def table(name: str, records: Sequence[Record]) -> Table:
+    """The records of a workload, one a row; of one that compares like with like, a column a subject."""
+    shown = Table(title=name, title_justify="left")
+    if name in COMPARED:
+        cells = {(record.metric, record.subject): record for record in records}
+        subjects = list(dict.fromkeys(record.subject for record in records))
+        shown.add_column("metric")
+        for subject in subjects:
+            shown.add_column(subject, justify="right")
+        for metric, unit in dict.fromkeys((record.metric, record.unit) for record in records):
+            row = [cells.get((metric, subject)) for subject in subjects]
+            values = ["" if record is None else _value(record) for record in row]
+            shown.add_row(f"{metric} ({unit})" if unit else metric, *values)
+        return shown
+    for column in ("workload", "subject", "metric"):
+        shown.add_column(column, overflow="fold")
+    for column in ("value", "unit", "better"):
+        shown.add_column(column, justify="right" if column == "value" else "left")
+    for record in records:
+        style = "red" if record.failed else None
+        shown.add_row(
+            record.workload, record.subject, record.metric, _value(record), record.unit, record.better, style=style
+        )
+    return shown
+
+
+def _value(record: Record) -> str:
+    return ("none" if record.value is None else f"{record.value:.4g}") + (" ✗" if record.failed else "")
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,83 @@
+"""A measured number with unit and direction, how it is timed, and whether the answer behind it is right."""
+
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass
+from statistics import median
+from typing import Literal, TypeVar
+
+import numpy as np
+
+T = TypeVar("T")
+
+AGREES = 1e-9
+"""m and rad: how near all solvers' parameters must be, a ten-thousandth of what the noise leaves open."""
+
+
+@dataclass(frozen=True)
+class Record:
+    """One number of a run.
+
+    Attributes:
+        workload: what was to be done.
+        subject: who did it.
+        metric: what the number says.
+        value: the number; None where there is none because the subject failed.
+        unit: of `value`.
+        better: which direction is.
+        failed: why the answer behind the number is wrong; empty where it was checked and is right.
+    """
+
+    workload: str
+    subject: str
+    metric: str
+    value: float | None
+    unit: str
+    better: Literal["lower", "higher"]
+    failed: str = ""
+
+    def as_json(self) -> dict[str, str | float | None]:
+        """The record for the JSON list; the key `failed` is there only where it is."""
+        entry = asdict(self)
+        return entry if self.failed else {key: value for key, value in entry.items() if key != "failed"}
+
+
+Workload = Callable[[], Iterator[Record]]
+
+
+def timed(call: Callable[[], T]) -> tuple[float, T]:
+    """Seconds of one call, and its answer."""
+    start = time.perf_counter()
+    answer = call()
+    return time.perf_counter() - start, answer
+
+
+def median_time(call: Callable[[], T], repeats: int) -> tuple[float, T]:
+    """Median seconds of some calls, and the last answer. Warm up before."""
+    runs = [timed(call) for _ in range(repeats)]
+    return median(seconds for seconds, _ in runs), runs[-1][1]
+
+
+def disagreement(answer: np.ndarray, reference: np.ndarray, within: float, what: str) -> str:
+    """Why an answer is wrong: empty where no number of it is further than `within` from the reference."""
+    distance = np.abs(np.asarray(answer) - np.asarray(reference)).max(initial=0.0)
+    return "" if distance <= within else f"{what} off by {distance:.2g}, more than {within:g}"  # NaN is off too
+
+
+def unlikely(parameters: np.ndarray, covariance: np.ndarray, truth: np.ndarray) -> str:
+    """Why fitted parameters `(arm, parameter)` are not right: they miss the truth by more than their covariance allows.
+
+    The squared errors in units of the covariance follow χ² with as many degrees of freedom as parameters, for each arm
+    and, scaled by the number of arms, for all together: one right answer in 10⁹ is called wrong, and a solver that
+    stops early, or a covariance that flatters, is found.
+    """
+    from scipy.stats import chi2  # here, so that its absence is said before it is needed
+
+    error = parameters - truth
+    squares = np.einsum("ai,ai->a", error, np.linalg.solve(covariance, error[..., None])[..., 0])
+    arms, size = error.shape
+    worst, low, high = chi2.isf(1e-9 / arms, size), chi2.ppf(1e-9, arms * size), chi2.isf(1e-9, arms * size)
+    if not (np.isfinite(squares).all() and squares.max() <= worst and low <= squares.sum() <= high):
+        each = squares / size
+        return f"misses the truth: χ² a degree of freedom is {each.mean():.3g}, {each.max():.3g} at worst"
+    return ""

@@ -1,0 +1,184 @@
+"""One arm's file in another form: what each form holds, and what it has no place for."""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lite6jax import storage
+from lite6jax.arms import convert, frames
+from lite6jax.arms.arm import Arm, sample_joints
+from lite6jax.arms.factory import FactoryCalibration, read_factory, write_factory
+from lite6jax.arms.files import read_arm, write_arm, write_table, write_urdf
+from lite6jax.errors import InputError
+
+Array = NDArray[np.float64]
+FileForm = Literal["vendor", "ur", "table", "urdf", "description"]
+
+SUFFIXES: dict[FileForm, tuple[str, ...]] = {
+    "vendor": (".yaml", ".yml"),
+    "ur": (".yaml", ".yml"),
+    "table": (".json",),
+    "urdf": (".urdf", ".xml"),
+    "description": (".yaml", ".yml"),
+}
+_SAME = 1e-12
+"""m, and of a rotation's entries: nothing that a sensor, or the firmware's 32-bit floats, could tell."""
+
+
+@dataclass(frozen=True)
+class Conversion:
+    """What a conversion did.
+
+    Attributes:
+        path: the file written.
+        form: its form.
+        arm: what was read.
+        left_out: what the new form has no place for, a phrase each.
+        difference: m, the largest distance between the flange as it was and as the new file is read back.
+    """
+
+    path: Path
+    form: FileForm
+    arm: Arm
+    left_out: tuple[str, ...]
+    difference: float
+
+
+def convert_file(
+    source: str | Path,
+    target: str | Path,
+    form: FileForm | None = None,
+    nominal: Arm | None = None,
+    overwrite: bool = False,
+) -> Conversion:
+    """Reads an arm in any form and writes it in another.
+
+    Args:
+        source: a factory calibration, a JSON table, a URDF, a description, or the name of a bundled arm.
+        target: the file to write.
+        form: of the target. Not given: by its suffix, `.yaml` being the vendor's form of a calibration and the
+            description of all else.
+        nominal: of a calibration; recognised where not given.
+        overwrite: whether the target may be replaced.
+
+    Raises:
+        InputError: as the readers and writers; a suffix that is not the form's; a flange that the form cannot hold.
+    """
+    target = Path(target)
+    calibrated = is_calibration(source)
+    form = form or _form_of(target, calibrated)
+    if target.suffix.lower() not in SUFFIXES[form]:
+        raise InputError(f"{target}: a file of the form {form} ends in {' or '.join(SUFFIXES[form])}; rename it")
+    storage.check_writable(target, overwrite)
+    arm, reference = _read(source, nominal, calibrated)
+    beyond = arm.T_joint_flange @ np.linalg.inv(reference.T_joint_flange)
+    left_out: list[str] = []
+    if form in ("vendor", "ur"):
+        if not _is_identity(beyond):
+            raise InputError(
+                f"{target}: a six-parameter file ends at joint {arm.dof} and cannot hold what follows it in {source}"
+                f" ({_described(beyond)}); write a .json table, a .urdf or --to description"
+            )
+        write_factory(arm.kinematics, target, form, overwrite)
+    elif form == "table":
+        parameters = hayati_of(FactoryCalibration(arm.kinematics, reference, arm.T_joint_flange, str(source)))
+        write_table(reference.form, parameters, target, overwrite)
+        left_out.append("where each joint's frame stands on its axis (the flange's pose does not depend on it)")
+    elif form == "urdf":
+        write_urdf(arm, target, overwrite)
+    else:
+        write_arm(arm, target, overwrite)
+    if not calibrated and form in ("vendor", "ur", "table"):
+        left_out.append("joint limits" + (" and masses" if arm.mass is not None else ""))
+    if arm.dh is not None and form in ("vendor", "ur", "urdf"):
+        left_out.append("the published DH table")
+    again = _read(target, None if form in ("urdf", "description") else reference, is_calibration(target))[0]
+    return Conversion(target, form, arm, tuple(left_out), _distance(arm, again))
+
+
+def is_calibration(path: str | Path) -> bool:
+    """Whether a file is one arm's calibration (or means to be), not the description of a type of arm.
+
+    Raises:
+        InputError: as `storage.read_yaml`.
+    """
+    suffix = Path(path).suffix.lower()
+    if suffix not in (".yaml", ".yml"):
+        return suffix == ".json"
+    content = storage.read_yaml(path)
+    return not (isinstance(content, dict) and "name" in content)
+
+
+def hayati_of(calibration: FactoryCalibration) -> Array:
+    """The Hayati parameters `(size,)` of a calibration, in closed form, in the order of its arm's `form`.
+
+    The last joint's a and alpha hold what follows that joint beyond the nominal arm's flange.
+
+    Raises:
+        InputError: as `convert.six_parameter_to_hayati`; or the last joint's a and alpha cannot hold it.
+    """
+    arm = calibration.arm
+    try:
+        parameters = convert.six_parameter_to_hayati(arm.form, calibration.kinematics, arm.hayati)
+    except InputError as error:
+        raise InputError(f"{calibration.source}: {error}") from error
+    beyond = calibration.T_joint_flange @ np.linalg.inv(arm.T_joint_flange)
+    if _is_identity(beyond):
+        return parameters
+    a, alpha = beyond[0, 3], np.arctan2(beyond[2, 1], beyond[2, 2])
+    if not _is_identity(np.linalg.inv(frames.transform_from_row([a, 0, 0, alpha, 0, 0])) @ beyond):
+        raise InputError(
+            f"{calibration.source}: a and alpha of joint {arm.dof} cannot hold what follows it ({_described(beyond)});"
+            " write a .urdf or --to description"
+        )
+    base, dh, beta = (np.array(part) for part in arm.form.unpack(parameters))
+    dh[-1, 2:] += a, alpha
+    return np.asarray(arm.form.pack(base, dh, beta), float)
+
+
+def _form_of(target: Path, calibrated: bool) -> FileForm:
+    suffix = target.suffix.lower()
+    if suffix in (".yaml", ".yml"):
+        return "vendor" if calibrated else "description"
+    for form, suffixes in SUFFIXES.items():
+        if suffix in suffixes:
+            return form
+    raise InputError(f"{target}: no form has this suffix; write .yaml, .json or .urdf, or name the form with --to")
+
+
+def _read(source: str | Path, nominal: Arm | None, calibrated: bool) -> tuple[Arm, Arm]:
+    """The arm with its own chain, and the nominal one whose flange and branch a reader of the new file starts from."""
+    if calibrated:
+        calibration = read_factory(source, nominal)
+        arm = replace(
+            calibration.arm,
+            kinematics=calibration.kinematics,
+            T_joint_flange=calibration.T_joint_flange,
+            dh=None,
+            source=f"factory calibration {Path(source).name} of a {calibration.arm.name}",
+        )
+        return arm, calibration.arm
+    arm = read_arm(source)
+    if nominal is not None and nominal.dof != arm.dof:
+        raise InputError(
+            f"{source}: has {arm.dof} joints, but {nominal.name} has {nominal.dof}; name another with --arm"
+        )
+    return arm, nominal or replace(arm, T_joint_flange=np.eye(4))
+
+
+def _distance(one: Arm, other: Arm) -> float:
+    q = sample_joints(one.dof)
+    flanges = [frames.chain(arm.links, q) @ arm.T_joint_flange for arm in (one, other)]
+    return float(np.linalg.norm(flanges[0][:, :3, 3] - flanges[1][:, :3, 3], axis=1).max())
+
+
+def _is_identity(T: Array) -> bool:
+    return bool(np.abs(T - np.eye(4)).max() <= _SAME)
+
+
+def _described(T: Array) -> str:
+    angle = np.rad2deg(2 * np.arcsin(min(np.linalg.norm(T[:3, :3] - np.eye(3)) / np.sqrt(8), 1.0)))
+    return f"{1e3 * np.linalg.norm(T[:3, 3]):.3g} mm, {angle:.3g}°"

@@ -1,0 +1,296 @@
+import dataclasses
+
+import numpy as np
+import pytest
+import simulated as sim
+
+import lite6jax
+from lite6jax.fitting.fit import gaussian_t_scale, t_scale
+from lite6jax.recordings import FactoryUncertainty, Recording, RecordingSettings
+
+POSITION_NOISE, ORIENTATION_NOISE = 2e-5, 1e-4
+
+
+def recording(
+    rng,
+    x,
+    samples=120,
+    *,
+    frame=None,
+    tool=None,
+    orientation=True,
+    noise=(POSITION_NOISE, ORIENTATION_NOISE),
+    joint_noise=0.0,
+    **settings,
+):
+    """What a tracker sees of an arm; `frame` and `tool` are 4x4, unknown to the fit where given."""
+    q = sim.sample(rng, samples)
+    T = sim.flange(x, q)
+    T = (np.eye(4) if frame is None else frame) @ T @ (np.eye(4) if tool is None else tool)
+    R = T[:, :3, :3] @ sim.small_rotation(noise[1] * rng.normal(size=(samples, 3)))
+    return Recording.from_arrays(
+        q + joint_noise * rng.normal(size=q.shape),
+        position=T[:, :3, 3] + noise[0] * rng.normal(size=(samples, 3)),
+        quaternion=sim.quaternion(R) if orientation else None,
+        settings=RecordingSettings(
+            **{
+                "pose_frame": "base" if frame is None else "unknown",
+                "tool": "none" if tool is None else "unknown",
+                "position_noise_m": noise[0],
+                "orientation_noise_rad": noise[1],
+                "joint_noise_rad": joint_noise,
+                "motion": "static",
+                **settings,
+            }
+        ),
+        source="simulated.csv",
+    )
+
+
+def cramer_rao(x, q, noise, rows=6):
+    """Standard deviations no unbiased estimator beats, by central differences of the plain NumPy chain."""
+    columns = []
+    for k in range(28):
+        h = np.zeros(28)
+        h[k] = 1e-6
+        hi, lo = sim.flange(x + h, q), sim.flange(x - h, q)
+        shift = (hi - lo)[:, :3, 3] / 2e-6
+        relative = np.swapaxes(lo[:, :3, :3], 1, 2) @ hi[:, :3, :3]
+        spin = np.stack([relative[:, 2, 1] - relative[:, 1, 2], relative[:, 0, 2] - relative[:, 2, 0],
+                         relative[:, 1, 0] - relative[:, 0, 1]], -1) / 4e-6  # fmt: skip
+        columns.append(np.concatenate([shift / noise[0], spin / noise[1]], 1)[:, :rows].ravel())
+    J = np.array(columns)
+    return np.sqrt(np.diag(np.linalg.inv(J @ J.T)))
+
+
+def z_bounds(count):
+    """Within these the mean of `count` squared standard normal numbers lies, but for once in 10⁵."""
+    return 1 - 4.4 * np.sqrt(2 / count), 1 + 4.4 * np.sqrt(2 / count)
+
+
+def test_truth_is_recovered_at_the_cramer_rao_bound():
+    squares, ratios = [], []
+    for seed in range(12):
+        rng = np.random.default_rng(seed)
+        x = sim.perturbed(rng)
+        data = recording(rng, x)
+        found = lite6jax.fit(data, loss="least_squares")
+        bound = cramer_rao(x, data.joint_position, (POSITION_NOISE, ORIENTATION_NOISE))
+        assert found.result == lite6jax.Result.CONVERGED
+        assert found.free.all()
+        squares.append(((found.parameters - x) / bound) ** 2)
+        ratios.append(found.standard_deviation / bound)
+    low, high = z_bounds(np.size(squares))
+    assert low < np.mean(squares) < high
+    assert np.abs(np.mean(ratios) - 1) < 0.02  # the noise is estimated from 720 numbers a recording, 12 times
+    assert np.ptp(ratios) < 0.2
+
+
+def test_the_robust_loss_states_its_own_uncertainty_and_costs_three_percent():
+    squares, ratios = [], []
+    for seed in range(12):
+        rng = np.random.default_rng(100 + seed)
+        x = sim.perturbed(rng)
+        data = recording(rng, x)
+        found = lite6jax.fit(data)
+        bound = cramer_rao(x, data.joint_position, (POSITION_NOISE, ORIENTATION_NOISE))
+        squares.append(((found.parameters - x) / found.standard_deviation) ** 2)
+        ratios.append(found.standard_deviation / bound)
+    low, high = z_bounds(np.size(squares))
+    assert low < np.mean(squares) < high
+    # an efficiency of 97.2 % widens by 1.014; 12 recordings of 720 numbers know their noise to 0.8 %
+    assert abs(np.mean(ratios) - 1.014) < 3 * 0.008
+
+
+def test_five_percent_wild_samples_change_nothing_that_matters():
+    rng = np.random.default_rng(3)
+    x = sim.perturbed(rng)
+    data = recording(rng, x, 200)
+    wild = rng.choice(200, 10, replace=False)
+    position = data.position.copy()
+    position[wild] += rng.normal(size=(10, 3)) * np.array([[1.0], [0.01]] * 5)
+    found = lite6jax.fit(dataclasses.replace(data, position=position))
+    z = (found.parameters - x) / found.standard_deviation
+    low, high = z_bounds(28)
+    assert max(0, low) < np.mean(z**2) < high
+    assert (found.weight[wild] < 0.05).all()
+    assert (np.delete(found.weight, wild) > 0.2).all()
+    assert found.noise.position == pytest.approx(POSITION_NOISE, rel=0.25)
+
+
+@pytest.mark.parametrize("orientation", [True, False])
+def test_a_sensor_frame_and_a_tool_anywhere_are_found(orientation):
+    squares = []
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        x, frame, tool = sim.perturbed(rng), sim.random_pose(rng, 5.0), sim.random_pose(rng, 0.2)
+        data = recording(rng, x, 150, frame=frame, tool=tool, orientation=orientation)
+        found = lite6jax.fit(data)
+        assert found.result == lite6jax.Result.CONVERGED
+        q = sim.sample(rng, 40)
+        truth = frame @ sim.flange(x, q) @ tool
+        wrong = np.linalg.norm((found.predict(q) - truth)[:, :3, 3], axis=1)
+        squares.append(np.mean(wrong**2))
+    # 30 (or, with positions alone, 27) numbers share the information of 150 samples of 6 (3) numbers each
+    determined = 30 if orientation else 27
+    assert int(found.free.sum()) == determined
+    assert np.sqrt(np.mean(squares)) < 2 * POSITION_NOISE * np.sqrt(3) * np.sqrt(determined / (150 * 3))
+
+
+def test_what_the_frames_carry_is_held_at_nominal_and_said():
+    rng = np.random.default_rng(1)
+    data = recording(rng, sim.perturbed(rng), frame=sim.random_pose(rng, 1.0), tool=sim.random_pose(rng, 0.1))
+    found = lite6jax.fit(data)
+    held = {item.name: item.carried_by for item in found.held}
+    assert set(held) == {
+        "base_x", "base_y", "base_roll", "base_pitch", "theta_off1", "d1", "theta_off6", "d6", "a6", "alpha6",
+    }  # fmt: skip
+    assert "tool_rz" in held["theta_off6"]
+    assert all(
+        any(name.startswith("frame_") for name in held[item]) for item in ("base_x", "base_roll", "theta_off1", "d1")
+    )
+    names = np.array(found.form.names)
+    nominal = sim.nominal()
+    for name in held:
+        k = int(np.flatnonzero(names == name)[0])
+        assert found.parameters[k] == nominal[k]
+        assert found.standard_deviation[k] == 0
+
+
+def test_what_positions_alone_do_not_determine_is_held_and_said():
+    """The flange point stands on joint 6's axis: its turning is not seen, and a5, alpha5 do what theta5, d5 do."""
+    rng = np.random.default_rng(2)
+    found = lite6jax.fit(recording(rng, sim.perturbed(rng), orientation=False))
+    held = {item.name: item.carried_by for item in found.held}
+    assert set(held) == {"a5", "alpha5", "theta_off6", "alpha6"}
+    assert held["theta_off6"] == held["alpha6"] == ()
+    assert "theta_off5" in held["a5"]
+    assert "d5" in held["alpha5"]
+    assert found.noise.orientation is None
+    assert found.checked.orientation is None
+
+
+def test_read_out_noise_of_the_joints_is_weighed_in():
+    squares, ratio = [], []
+    for seed in range(12):
+        rng = np.random.default_rng(seed)
+        x = sim.perturbed(rng)
+        noise = {"noise": (1e-5, 2e-5), "joint_noise": 1e-4}
+        data = recording(rng, x, **noise)
+        found = lite6jax.fit(data)
+        squares.append(((found.parameters - x) / found.standard_deviation) ** 2)
+        blind = lite6jax.fit(
+            dataclasses.replace(data, settings=dataclasses.replace(data.settings, joint_noise_rad=0.0))
+        )
+        ratio.append(np.abs(found.parameters - x) / np.abs(blind.parameters - x))
+    low, high = z_bounds(np.size(squares))
+    assert low < np.mean(squares) < high
+    assert np.median(ratio) < 0.95  # and knowing its shape is worth something
+
+
+def test_the_prior_of_a_factory_file_is_respected(tmp_path):
+    rng = np.random.default_rng(5)
+    x = sim.perturbed(rng)
+    x[25:27] = 0  # a six-parameter file ends at joint 6
+    kinematics, _ = lite6jax.hayati_to_six_parameter(lite6jax.HayatiForm(6, (1,)), x)
+    file = tmp_path / "factory.yaml"
+    lite6jax.write_factory(kinematics + 1e-5 * rng.normal(size=kinematics.shape), file)
+    data = recording(
+        rng,
+        x,
+        40,
+        factory_calibration=str(file),
+        factory_uncertainty=FactoryUncertainty(position_m=1e-5, rotation_rad=1e-5),
+    )
+    exact, prior, free = (lite6jax.fit(data, geometry=g) for g in ("exact", "declared", "free"))
+    q = sim.sample(rng, 300)
+    rms = [np.sqrt(np.mean(np.sum((s.predict(q) - sim.flange(x, q))[:, :3, 3] ** 2, 1))) for s in (exact, prior, free)]
+    assert not exact.free.any()
+    assert prior.free.all()
+    assert len(prior.parameters) == 36
+    assert (prior.standard_deviation < 1.05e-5).all()
+    assert rms[1] < rms[0]
+    assert rms[1] < rms[2]
+
+
+@pytest.mark.parametrize("loss", ["least_squares", "student_t"])
+@pytest.mark.parametrize("unknown", [False, True])
+def test_the_fast_solver_agrees_with_levenberg_marquardt(loss, unknown):
+    rng = np.random.default_rng(7)
+    frames = {"frame": sim.random_pose(rng, 2.0), "tool": sim.random_pose(rng, 0.1)} if unknown else {}
+    data = recording(rng, sim.perturbed(rng), 80, joint_noise=5e-5 if unknown else 0.0, **frames)
+    fast = lite6jax.fit(data, loss=loss)
+    record = lite6jax.fit(data, loss=loss, solver="levenberg_marquardt")
+    assert record.result == lite6jax.Result.CONVERGED
+    q = sim.sample(rng, 50)
+    if loss == "least_squares":
+        assert np.abs(fast.predict(q) - record.predict(q)).max() < 1e-12
+        assert np.abs(fast.parameters - record.parameters).max() < 1e-12
+        np.testing.assert_allclose(fast.checked.position, record.checked.position, rtol=0, atol=1e-12)
+    else:
+        assert np.abs(fast.parameters - record.parameters).max() < 1e-5 * fast.standard_deviation.max()
+        np.testing.assert_allclose(fast.checked.position, record.checked.position, rtol=0, atol=1e-5 * POSITION_NOISE)
+
+
+def test_held_out_blocks_are_predicted_by_the_others():
+    """The checked errors are those of five fits that never saw the block: refitted here by hand."""
+    rng = np.random.default_rng(8)
+    data = recording(rng, sim.perturbed(rng), 60)
+    found = lite6jax.fit(data, loss="least_squares")
+    fold = data.contiguous_folds(5)[2]
+    others = lite6jax.fit(data.select(~fold), loss="least_squares")
+    expected = np.linalg.norm(others.predict(data.joint_position[fold])[:, :3, 3] - data.position[fold], axis=1)
+    np.testing.assert_allclose(found.checked.position[fold], expected, rtol=1e-6)
+    assert found.checked.position_rms > found.errors.position_rms
+
+
+def test_a_calibration_is_reproduced_to_rounding():
+    rng = np.random.default_rng(9)
+    for _ in range(5):
+        x = sim.perturbed(rng)
+        x[25:27] = 0
+        kinematics, _ = lite6jax.hayati_to_six_parameter(lite6jax.HayatiForm(6, (1,)), x)
+        found = lite6jax.fit(kinematics, "lite6")
+        assert found.result == lite6jax.Result.CONVERGED
+        assert len(found.checked.position) == 1000
+        assert found.checked.position.max() < 1e-13  # 1e-10 mm
+        assert np.rad2deg(found.checked.orientation.max()) < 1e-10
+        np.testing.assert_allclose(found.parameters, x, atol=1e-13)
+        assert 1e-3 < found.nominal_errors.position.max() < 3e-2
+
+
+def test_missing_rows_and_unknown_noise():
+    rng = np.random.default_rng(10)
+    x = sim.perturbed(rng)
+    data = recording(rng, x, position_noise_m=None, orientation_noise_rad=None)
+    found = lite6jax.fit(data)
+    assert found.noise.declared is None
+    assert found.noise.position == pytest.approx(POSITION_NOISE, rel=0.2)
+    assert any("declares no noise" in note for note in found.notes)
+    z = (found.parameters - x) / found.standard_deviation
+    assert np.mean(z**2) < z_bounds(28)[1]
+
+
+def test_messages():
+    rng = np.random.default_rng(11)
+    x = sim.perturbed(rng)
+    with pytest.raises(
+        lite6jax.InputError, match=r"simulated.csv: 5 samples give 30 numbers, too few .* record at least 6"
+    ):
+        lite6jax.fit(recording(rng, x, 5))
+    with pytest.raises(lite6jax.InputError, match=r"needs a factory_calibration in the sidecar; use --geometry free"):
+        lite6jax.fit(recording(rng, x, 50), geometry="exact")
+    with pytest.raises(lite6jax.InputError, match=r"has 6 joints, but xarm7 has 7"):
+        lite6jax.fit(recording(rng, x, 50), "xarm7")
+    with pytest.raises(lite6jax.InputError, match=r"give \(joint, 6\) finite numbers"):
+        lite6jax.fit(np.zeros((6, 5)))
+    with pytest.raises(lite6jax.InputError, match="samples 3"):
+        lite6jax.fit(lite6jax.read_arm("lite6").kinematics, "lite6", samples=3)
+
+
+def test_scale_of_student_t_on_gaussian_noise():
+    rng = np.random.default_rng(12)
+    for rows in (3, 6):
+        squares = rng.chisquare(rows, 200_000)
+        assert 2.5 * gaussian_t_scale(rows, 15.0) == pytest.approx(t_scale(6.25 * squares, rows, 15.0), rel=5e-3)
+        assert t_scale(6.25 * squares, rows, None) == pytest.approx(2.5, rel=5e-3)

@@ -1,0 +1,305 @@
+import faulthandler
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from plain_chain import LITE6_DH, hayati_poses, origin_transform, perturb_poses, random_kinematics, random_positions
+from scipy.optimize import least_squares
+from scipy.stats import chi2
+
+from lite6jax.arms.chains import HayatiForm, turn
+from lite6jax.fitting.gauss_newton import CONVERGED, NOT_FINITE, STEPS_EXHAUSTED, Prior, solve_chunk
+from lite6jax.fitting.residual import Observations, Robust, residuals
+from lite6jax.model import ModelForm, arm_model
+
+ARMS, SAMPLES, MAX_STEPS = 4, 60, 50
+CHAIN = HayatiForm(6, (1,))
+FORM = ModelForm(CHAIN)
+NOMINAL = CHAIN.pack(np.zeros(4), LITE6_DH, [0.0])
+# The seed's tolerance, for each number: 0.8 mm and 0.15 deg.
+TOLERANCE = np.where(np.array(CHAIN.units) == "m", 0.8e-3, np.deg2rad(0.15))
+POSITION, ORIENTATION = 1e-4, 1e-3
+PRECISE = jnp.array([1 / POSITION, 1 / ORIENTATION])
+POSITIONS = random_positions(np.random.default_rng(0), SAMPLES, 6)
+LEAST_SQUARES = None
+
+solve = jax.jit(solve_chunk, static_argnums=0)
+
+
+def poses_of(parameters):
+    base, dh, beta = CHAIN.unpack(parameters)
+    return hayati_poses(base, dh, {1: beta[0]}, POSITIONS)
+
+
+def random_truths(seed, count=ARMS):
+    return NOMINAL + TOLERANCE * np.random.default_rng(seed).uniform(-1, 1, (count, FORM.size))
+
+
+def stacked(models):
+    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *models)
+
+
+def observe(measured, weight=None):
+    """A chunk's observations in one block, of poses `(arm, sample, 4, 4)`."""
+    arms = len(measured)
+    joint = turn(jnp.broadcast_to(jnp.asarray(POSITIONS.T), (arms, 1, 6, SAMPLES)))
+    return Observations(
+        joint,
+        jnp.asarray(np.moveaxis(measured[:, None, :, :3, 3], 2, -1)),
+        jnp.asarray(np.moveaxis(measured[:, None, :, :3, :3], 2, -1)),
+        jnp.ones((arms, 1, SAMPLES)) if weight is None else jnp.asarray(weight),
+        jnp.broadcast_to(PRECISE, (arms, 1, 2)),
+    )
+
+
+def no_prior(form=FORM):
+    n = form.chain.size
+    return Prior(jnp.zeros((ARMS, n)), jnp.zeros((ARMS, form.size)), jnp.ones((ARMS, form.size)))
+
+
+def fit(measured, start=NOMINAL, prior=None, robust=LEAST_SQUARES, max_steps=MAX_STEPS):
+    starts = stacked([arm_model(row) for row in np.broadcast_to(start, (ARMS, FORM.size))])
+    return solve(FORM, starts, observe(measured), robust, no_prior() if prior is None else prior, max_steps)
+
+
+def noisy(truths, seed):
+    rng = np.random.default_rng(seed)
+    return np.array([perturb_poses(rng, poses_of(truth), POSITION, ORIENTATION) for truth in truths])
+
+
+@pytest.fixture(scope="module")
+def measured():
+    """Four arms of the seed's size, their poses read by a noisy sensor."""
+    return noisy(random_truths(1), 2)
+
+
+@pytest.fixture(scope="module")
+def solved(measured):
+    return fit(measured)
+
+
+def test_exact_poses_give_the_exact_parameters():
+    truths = random_truths(3, 2 * ARMS)
+    for truth in (truths[:ARMS], truths[ARMS:]):
+        found = fit(np.array([poses_of(row) for row in truth]))
+        np.testing.assert_array_equal(found.status, CONVERGED)
+        np.testing.assert_allclose(found.model.geometry, truth, atol=1e-13)
+        assert np.all(found.steps <= 8)
+        assert np.all(found.cost < 1e-15)
+
+
+def test_agrees_with_scipy(measured, solved):
+    np.testing.assert_array_equal(solved.status, CONVERGED)
+    observed = observe(measured)
+
+    @jax.jit
+    def rows(parameters, arm):
+        one = jax.tree.map(lambda leaf: leaf[arm, 0], observed)
+        return residuals(FORM, arm_model(parameters), one).ravel()
+
+    jacobian = jax.jit(jax.jacfwd(rows))
+    for arm in range(ARMS):
+        one = partial(lambda f, arm, x: np.asarray(f(x, arm)))
+        scipy = least_squares(
+            partial(one, rows, arm),
+            NOMINAL,
+            partial(one, jacobian, arm),
+            x_scale="jac",
+            xtol=1e-15,
+            ftol=1e-15,
+            gtol=1e-15,
+        )
+        np.testing.assert_allclose(solved.model.geometry[arm], scipy.x, atol=1e-10)
+        np.testing.assert_allclose(solved.cost[arm], scipy.cost, rtol=1e-12)
+        information = scipy.jac.T @ scipy.jac
+        np.testing.assert_allclose(solved.curvature[arm], information, atol=1e-3 * np.abs(information).max())
+
+
+def test_student_t_stops_where_its_own_cost_is_flat(measured):
+    spoiled = measured.copy()
+    spoiled[:, ::10, :3, 3] += 0.05  # one sample in ten is off by 87 mm
+    robust = Robust(jnp.full(ARMS, 4.0), jnp.ones(ARMS))
+    found = fit(spoiled, robust=robust)
+    np.testing.assert_array_equal(found.status, CONVERGED)
+    observed = observe(spoiled)
+
+    @jax.jit
+    @jax.value_and_grad
+    def cost(parameters, one):
+        squares = jnp.sum(residuals(FORM, arm_model(parameters), one) ** 2, 0)
+        return jnp.sum((4 + 6) / 2 * jnp.log(1 + squares / 4))
+
+    deviations = 1 / np.sqrt(np.diagonal(found.curvature, axis1=1, axis2=2))
+    for arm in range(ARMS):
+        value, gradient = cost(found.model.geometry[arm], jax.tree.map(lambda leaf, arm=arm: leaf[arm, 0], observed))
+        np.testing.assert_allclose(found.cost[arm], value, rtol=1e-12)
+        assert np.abs(gradient * deviations[arm]).max() < 1e-7
+    # and the outliers hardly move it, which least squares lets them do
+    clean, plain = fit(measured, robust=robust), fit(spoiled)
+
+    def apart(other):
+        return np.abs((other.model.geometry - clean.model.geometry) * PRECISE[0])
+
+    assert np.max(apart(found)) < 0.1 * np.max(apart(plain))
+
+
+def test_data_that_is_not_finite_is_said_and_disturbs_nobody(measured, solved):
+    spoiled = measured.copy()
+    spoiled[1, 7, 0, 3] = np.nan
+    found = fit(spoiled)
+    np.testing.assert_array_equal(found.status, [CONVERGED, NOT_FINITE, CONVERGED, CONVERGED])
+    np.testing.assert_array_equal(found.model.geometry[1], NOMINAL)
+    others = np.array([0, 2, 3])
+    np.testing.assert_allclose(found.model.geometry[others], solved.model.geometry[others], atol=1e-14)
+
+
+def test_a_slow_arm_does_not_hold_the_others_back(measured, solved):
+    starts = np.tile(NOMINAL, (ARMS, 1))
+    starts[2, [4, 11, 15, 19]] += [0.3, -0.3, 0.3, -0.3]
+    found = fit(measured, start=starts)
+    np.testing.assert_array_equal(found.status, CONVERGED)
+    assert found.steps[2] > np.max(np.delete(found.steps, 2))
+    np.testing.assert_allclose(found.model.geometry, solved.model.geometry, atol=1e-12)
+
+
+def test_too_few_steps_are_said(measured):
+    found = fit(measured, max_steps=1)
+    np.testing.assert_array_equal(found.status, STEPS_EXHAUSTED)
+    np.testing.assert_array_equal(found.steps, 1)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_poor_start_converges(measured, solved, seed):
+    angles = np.array([name.startswith(("theta", "alpha")) for name in CHAIN.names])
+    starts = NOMINAL + 0.3 * angles * np.random.default_rng(seed).choice([-1, 0, 1], (ARMS, FORM.size))
+    found = fit(measured, start=starts)
+    np.testing.assert_array_equal(found.status, CONVERGED)
+    np.testing.assert_allclose(found.model.geometry, solved.model.geometry, atol=1e-12)
+    np.testing.assert_allclose(found.cost, solved.cost, rtol=1e-12)
+
+
+def test_held_parameters_stay_and_the_others_are_the_best_beside_them(measured):
+    held = [CHAIN.names.index(name) for name in ("base_x", "d1", "alpha3", "beta2")]
+    free = np.ones(FORM.size)
+    free[held] = 0
+    found = fit(measured, prior=no_prior()._replace(free=jnp.tile(free, (ARMS, 1))))
+    np.testing.assert_array_equal(found.status, CONVERGED)
+    np.testing.assert_array_equal(found.model.geometry[:, held], np.tile(NOMINAL[held], (ARMS, 1)))
+    curvature = np.asarray(found.curvature)
+    np.testing.assert_array_equal(curvature[:, held], np.broadcast_to(np.eye(FORM.size)[held], (ARMS, 4, FORM.size)))
+    one = jax.tree.map(lambda leaf: leaf[0, 0], observe(measured))
+    rows = jax.jit(lambda x: residuals(FORM, arm_model(x), one).ravel())
+    moving = free > 0
+
+    def scatter(y):
+        return np.where(moving, np.insert(y, np.searchsorted(np.flatnonzero(moving), held), 0), NOMINAL)
+
+    jacobian = jax.jit(jax.jacfwd(rows))
+    best = least_squares(
+        lambda y: np.asarray(rows(scatter(y))),
+        NOMINAL[moving],
+        lambda y: np.asarray(jacobian(scatter(y)))[:, moving],
+        x_scale="jac",
+        xtol=1e-15,
+        ftol=1e-15,
+        gtol=1e-15,
+    )
+    np.testing.assert_allclose(found.model.geometry[0, moving], best.x, atol=1e-10)
+
+
+def test_a_prior_pulls_by_its_precision(measured, solved):
+    center = NOMINAL + 0.01
+
+    def pulled(precision):
+        return fit(
+            measured,
+            prior=no_prior()._replace(center=jnp.tile(center, (ARMS, 1)), precision=jnp.tile(precision, (ARMS, 1))),
+        )
+
+    k = CHAIN.names.index("a3")
+    strong = pulled(np.where(np.arange(FORM.size) == k, 1e18, 0.0))
+    np.testing.assert_allclose(strong.model.geometry[:, k], center[k], atol=1e-10)
+    # a weak one moves the estimate by what linear theory says: H^-1 P (center - estimate)
+    weak = np.where(np.arange(FORM.size) == k, 1e6, 0.0)
+    found = pulled(weak)
+    np.testing.assert_array_equal(found.status, CONVERGED)
+    for arm in range(ARMS):
+        expected = np.linalg.solve(found.curvature[arm], weak * (center - solved.model.geometry[arm]))
+        moved = found.model.geometry[arm] - solved.model.geometry[arm]
+        assert np.abs(moved).max() > 1e-5
+        np.testing.assert_allclose(moved, expected, atol=0.02 * np.abs(expected).max())
+
+
+def test_frame_and_tool_are_found_where_they_carry_the_geometry():
+    form = ModelForm(CHAIN, frame=True, tool=True)
+    # frame and tool hold what six numbers of the base end and four of the flange end would say again
+    names = ("base_x", "base_y", "base_roll", "base_pitch", "theta_off1", "d1", "theta_off6", "d6", "a6", "alpha6")
+    free = np.array([name not in names for name in form.names], float)
+    rng = np.random.default_rng(5)
+    truths = np.where(free[:28] > 0, random_truths(6), NOMINAL)
+    ends = [[origin_transform(row) for row in random_kinematics(rng, 2)] for _ in range(ARMS)]
+    measured = np.array([F @ poses_of(truth) @ T for truth, (F, T) in zip(truths, ends, strict=True)])
+    nudge = origin_transform([0.02, -0.03, 0.01, 0.2, -0.1, 0.3])
+    start = stacked([arm_model(NOMINAL, F @ nudge, nudge @ T) for F, T in ends])
+    prior = no_prior(form)._replace(free=jnp.tile(free, (ARMS, 1)))
+    found = solve(form, start, observe(measured), LEAST_SQUARES, prior, MAX_STEPS)
+    np.testing.assert_array_equal(found.status, CONVERGED)
+    np.testing.assert_allclose(found.model.geometry, truths, atol=1e-12)
+    np.testing.assert_allclose(found.model.T_sensor_base, [F for F, _ in ends], atol=1e-12)
+    np.testing.assert_allclose(found.model.T_flange_tool, [T for _, T in ends], atol=1e-12)
+
+
+def test_two_threads_at_once_do_not_wait_for_ever(measured, solved):
+    faulthandler.dump_traceback_later(120, exit=True)
+    try:
+        with ThreadPoolExecutor(2) as threads:
+            for found in threads.map(lambda _: jax.block_until_ready(fit(measured)), range(20)):
+                np.testing.assert_array_equal(found.model.geometry, solved.model.geometry)
+    finally:
+        faulthandler.cancel_dump_traceback_later()
+
+
+def test_estimates_scatter_as_the_curvature_says():
+    truth, refits = random_truths(7, 1)[0], 200
+    exact = np.broadcast_to(poses_of(truth), (ARMS, SAMPLES, 4, 4))
+    rng = np.random.default_rng(8)
+    found = []
+    for _ in range(refits // ARMS):
+        drawn = perturb_poses(rng, exact.reshape(-1, 4, 4), POSITION, ORIENTATION).reshape(exact.shape)
+        found.append(fit(drawn, start=truth))
+    np.testing.assert_array_equal([chunk.status for chunk in found], CONVERGED)
+    errors = np.concatenate([chunk.model.geometry for chunk in found]) - truth
+    curvature = np.concatenate([chunk.curvature for chunk in found])
+
+    def between(value, freedom, chance=0.001):
+        return chi2.ppf(chance, freedom) < value < chi2.ppf(1 - chance, freedom)
+
+    # whitened by each fit's own curvature: every direction of the 28 counts alike
+    z = np.einsum("aji,aj->ai", np.linalg.cholesky(curvature), errors)
+    assert between(np.sum(z**2), z.size)
+    assert between(refits * np.sum(np.mean(z, 0) ** 2), FORM.size)  # no bias
+    # and each parameter by its own standard deviation, which is the one that is reported
+    deviations = np.sqrt(np.diagonal(np.linalg.inv(curvature), axis1=1, axis2=2))
+    for scaled in (errors / deviations).T:
+        assert between(np.sum(scaled**2), refits, 1e-3 / FORM.size)
+    # the least cost is chi-square with what the parameters leave of the rows
+    assert between(2 * sum(float(np.sum(chunk.cost)) for chunk in found), refits * (6 * SAMPLES - FORM.size))
+
+
+def test_a_singular_curvature_is_not_called_a_solution(measured):
+    form = ModelForm(CHAIN, tool=True)  # the tool says again what theta_off6, d6, a6 and alpha6 say
+    observed, rng = observe(measured), np.random.default_rng(3)
+    for _ in range(5):  # what rounding makes of the inverse is another thing each time
+        starts = NOMINAL + TOLERANCE * rng.uniform(-1, 1, (ARMS, FORM.size))
+        models = stacked([arm_model(row) for row in starts])
+        found = solve(form, models, observed, LEAST_SQUARES, no_prior(form), MAX_STEPS)
+        for arm in range(ARMS):
+            model, one = (jax.tree.map(lambda leaf, arm=arm: leaf[arm], tree) for tree in (found.model, observed))
+            cost = 0.5 * np.sum(residuals(form, model, jax.tree.map(lambda leaf: leaf[0], one)) ** 2)
+            if found.status[arm] == CONVERGED:
+                np.testing.assert_allclose(cost, found.cost[arm], rtol=1e-6)
+            else:
+                assert found.status[arm] == STEPS_EXHAUSTED

@@ -1,0 +1,153 @@
+"""The benchmarks' own honesty: what they simulate, when they call an answer wrong, and what they write."""
+
+import json
+import subprocess
+import sys
+from functools import partial
+
+import numpy as np
+import pytest
+from plain_chain import hayati_poses, six_parameter_poses
+
+from benchmarks import __main__ as harness
+from benchmarks import command, fits, measure, problem, rivals, samples, seed_way
+from benchmarks.measure import Record
+
+KEYS = {"workload", "subject", "metric", "value", "unit", "better"}
+RNG_SEED = 11
+
+
+def some_parameters(rng):
+    return seed_way.NOMINAL + 2e-3 * rng.standard_normal(28)
+
+
+def reference_poses(parameters, q):
+    table = np.insert(parameters[4:27], 5, 0.0).reshape(6, 4)
+    return hayati_poses(parameters[:4], table, {1: parameters[27]}, q)
+
+
+def test_a_record_is_six_keys_and_one_more_only_where_it_failed():
+    record = Record("one", "lite6jax", "fit", 1.5, "ms", "lower")
+    assert record.as_json().keys() == KEYS
+    assert Record("one", "x", "fit", None, "ms", "lower", "off").as_json().keys() == KEYS | {"failed"}
+
+
+def test_both_simulated_chains_are_those_of_the_oracle():
+    rng = np.random.default_rng(RNG_SEED)
+    kinematics, parameters = problem.simulated_arms(1, RNG_SEED)[0], some_parameters(rng)
+    q = seed_way.sample_joints(20, rng)
+    np.testing.assert_allclose(
+        problem.six_parameter_poses(kinematics, q), six_parameter_poses(kinematics, q), atol=1e-14
+    )
+    np.testing.assert_allclose(problem.hayati_poses(parameters, q), reference_poses(parameters, q), atol=1e-14)
+    np.testing.assert_allclose(
+        [seed_way.factory_pose(kinematics, each) for each in q], six_parameter_poses(kinematics, q), atol=1e-14
+    )
+    np.testing.assert_allclose(
+        [seed_way.effective_pose(parameters, each) for each in q], reference_poses(parameters, q), atol=1e-14
+    )
+    np.testing.assert_allclose(
+        [rivals.naive_pose(parameters, each) for each in q[:3]], reference_poses(parameters, q[:3]), atol=1e-14
+    )
+
+
+def test_the_simulated_sensor_has_the_noise_it_says():
+    read = problem.measured(2, 2000, RNG_SEED)
+    for arm in range(2):
+        true = six_parameter_poses(read.kinematics[arm], read.joint_position[arm])
+        shift = read.pose[arm, :, :3, 3] - true[:, :3, 3]
+        relative = np.swapaxes(true[:, :3, :3], 1, 2) @ read.pose[arm, :, :3, :3]
+        spin = np.stack([relative[:, 2, 1], relative[:, 0, 2], relative[:, 1, 0]], 1)
+        np.testing.assert_allclose(shift.std(0), problem.NOISE[0], rtol=0.1)
+        np.testing.assert_allclose(spin.std(0), problem.NOISE[1], rtol=0.1)
+    assert np.abs(read.joint_position[0] - read.joint_position[1]).max() > 1
+
+
+def test_the_seeds_way_finds_the_parameters_and_writes_the_seeds_table(tmp_path):
+    rng = np.random.default_rng(RNG_SEED)
+    parameters, q = some_parameters(rng), seed_way.sample_joints(12, rng)
+    found = seed_way.fit(q, reference_poses(parameters, q))
+    np.testing.assert_allclose(found, parameters, atol=1e-11)
+    table = seed_way.as_table(found)
+    assert table.keys() == {"units", "base", "dh", "beta_joint2"}
+    assert table["dh"][1]["d"] == 0
+    assert table["beta_joint2"] == pytest.approx(np.rad2deg(parameters[27]))
+
+
+def test_a_table_is_wrong_unless_it_is_the_calibrations_chain(tmp_path):
+    truth = problem.measured(1, 1, RNG_SEED)
+    table = seed_way.as_table(fits.convert(truth)[0])
+    path = tmp_path / "model.json"
+    path.write_text(json.dumps(table))
+    assert command.wrong_table(path, truth.kinematics[0]) == ""
+    table["beta_joint2"] *= -1
+    path.write_text(json.dumps(table))
+    assert command.wrong_table(path, truth.kinematics[0]).startswith("flange poses off by ")
+
+
+def test_an_answer_is_likely_or_not():
+    rng = np.random.default_rng(RNG_SEED)
+    root = rng.standard_normal((28, 28))
+    covariance = np.broadcast_to(root @ root.T, (50, 28, 28))
+    truth = rng.standard_normal((50, 28))
+    fitted = truth + rng.standard_normal((50, 28)) @ root.T
+    assert measure.unlikely(fitted, covariance, truth) == ""
+    for wrong in (
+        measure.unlikely(fitted, covariance / 4, truth),  # flatters itself
+        measure.unlikely(fitted, covariance * 4, truth),  # knows more than it says
+        measure.unlikely(fitted + 10 * root[:, 0] * (np.arange(50) == 7)[:, None], covariance, truth),  # one arm
+        measure.unlikely(np.where(np.arange(50)[:, None] == 3, np.nan, fitted), covariance, truth),
+    ):
+        assert wrong.startswith("misses the truth")
+
+
+def test_not_a_number_disagrees():
+    assert measure.disagreement(np.array([0.0, np.nan]), np.zeros(2), 1.0, "numbers") != ""
+    assert measure.disagreement(np.array([0.5]), np.zeros(1), 0.5, "numbers") == ""
+    assert measure.disagreement(np.array([2.0]), np.zeros(1), 1.0, "numbers (m)") == "numbers (m) off by 2, more than 1"
+
+
+def test_a_rival_that_finds_something_else_is_marked():
+    honest = rivals.VECTORISED
+    liar = honest._replace(name="liar", solve=lambda q, pose: honest.solve(q, pose) + 1e-8)
+    records = list(fits.one(samples=40, repeats=1, rivals=(honest, liar)))
+    assert {record.subject for record in records if record.failed} == {"liar", "lite6jax"}
+    assert {r.metric for r in records if r.failed and r.subject == "lite6jax"} == {"faster than liar"}
+    assert all(record.value is not None and record.value > 0 for record in records)
+
+
+def test_a_fleet_is_compared_with_the_closed_form():
+    records = list(fits.fleet(sizes=(1,), samples=40, repeats=1, rivals=()))
+    assert [record.failed for record in records] == [""] * len(records)
+    assert {record.subject for record in records} == {fits.OURS, fits.CLOSED_FORM}
+
+
+def test_peak_memory_is_what_the_process_held_itself():
+    ballast = np.ones(25_000_000)  # 200 MB that a child inherits in its parent's books, and must not count
+    program = (
+        "import numpy as np; from benchmarks.samples import peak_memory; before = peak_memory();"
+        "held = np.ones(12_500_000); print(before, peak_memory())"
+    )
+    run = subprocess.run([sys.executable, "-c", program], cwd=samples.ROOT, capture_output=True, text=True, check=True)
+    before, after = map(int, run.stdout.split())
+    assert before < ballast.nbytes
+    assert 95e6 < after - before < 110e6
+
+
+def wrong_workload(failed):
+    yield Record("w", "lite6jax", "fit", 1.0, "ms", "lower", failed)
+    yield Record("w", "other", "fit", None, "", "higher", failed)
+
+
+def test_the_exit_code_says_whether_every_answer_was_right(tmp_path, capsys):
+    known = {"models": partial(wrong_workload, ""), "bad": partial(wrong_workload, "off by a lot")}
+    out = tmp_path / "out.json"
+    assert harness.main(["models", "--json", str(out)], known) == 0
+    assert json.loads(out.read_text())[1] == {
+        "workload": "w", "subject": "other", "metric": "fit", "value": None, "unit": "", "better": "higher",
+    }  # fmt: skip
+    assert harness.main(["--json", str(out)], known) == 1
+    assert [record.get("failed") for record in json.loads(out.read_text())] == [None, None] + ["off by a lot"] * 2
+    assert "wrong: w, lite6jax, fit: off by a lot" in capsys.readouterr().out
+    assert harness.main(["--json", str(tmp_path / "no" / "out.json")], known) == 2
+    assert capsys.readouterr().err.startswith("benchmarks: ")
