@@ -245,7 +245,7 @@ def rotate(frame: Frame, axis: int, by: Turn) -> Frame:
     axes = [frame.x, frame.y, frame.z]
     b, c = (axis + 1) % 3, (axis + 2) % 3
     axes[b], axes[c] = by.cos * axes[b] + by.sin * axes[c], by.cos * axes[c] - by.sin * axes[b]
-    return Frame(*axes, frame.origin)
+    return Frame(axes[0], axes[1], axes[2], frame.origin)
 
 
 def translate(frame: Frame, axis: int, by: Array) -> Frame:

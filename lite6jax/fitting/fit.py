@@ -29,7 +29,7 @@ from lite6jax.fitting.solution import Errors, Held, Noise, Result, Solution
 from lite6jax.model import ArmModel, ModelForm, predict
 from lite6jax.recordings import Recording, read_recording, read_settings, sidecar_path
 
-Array = NDArray[np.float64]
+Array = NDArray[np.floating]
 Solver = Literal["gauss_newton", "levenberg_marquardt"]
 Loss = Literal["student_t", "least_squares"]
 

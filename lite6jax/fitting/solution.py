@@ -11,7 +11,7 @@ from lite6jax.arms.arm import Arm
 from lite6jax.fitting import gauss_newton
 from lite6jax.model import ArmModel, ModelForm, predict
 
-Array = NDArray[np.float64]
+Array = NDArray[np.floating]
 
 
 class Result(IntEnum):

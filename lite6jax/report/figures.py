@@ -1,0 +1,256 @@
+"""Figures of a fit and of a comparison: PNG and SVG, drawn without a screen, readable at half size."""
+
+from collections.abc import Mapping, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib import rc_context
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator, MultipleLocator
+from numpy.typing import NDArray
+
+from lite6jax import storage
+from lite6jax.errors import InputError
+from lite6jax.fitting.compare import Comparison
+from lite6jax.fitting.solution import Errors, Solution
+from lite6jax.recordings import Recording
+
+Array = NDArray[np.float64]
+
+# M. Okabe, K. Ito, Color Universal Design, 2002: told apart by the colour-blind, and in grey
+BEFORE, AFTER = "#D55E00", "#0072B2"
+OKABE_ITO = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000", "#F0E442")
+MARKERS = "os^Dv<>P"
+SUFFIXES = (".png", ".svg")
+
+_STYLE: dict[Any, Any] = {
+    "font.size": 13,
+    "axes.titlesize": 13,
+    "axes.labelsize": 13,
+    "legend.fontsize": 12,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "grid.color": "#dddddd",
+    "svg.hashsalt": "lite6jax",
+}
+_MOST_POINTS = 2000
+_BINS = 20
+_LEAST_IN_BIN = 8
+_MOST_NAMED = 12
+
+
+def error_by_joint(solution: Solution, title: str) -> Figure:
+    """Position error against each joint: nominal before, fitted after on samples not fitted; lines are medians."""
+    before, after = solution.nominal_errors, solution.checked
+    joints = after.joint_position.shape[1]
+    columns = 4 if joints > 6 else 3
+    rows = -(-joints // columns)
+    with rc_context(_STYLE):
+        figure = _figure(3.0 + 3.0 * columns, 3.2 * rows + 1.0)
+        panels = figure.subplots(rows, columns, sharey=True, squeeze=False).ravel()
+        for joint, panel in enumerate(panels[:joints]):
+            for errors, colour, zorder in ((before, BEFORE, 2), (after, AFTER, 3)):
+                shown = _thinned(len(errors.position))
+                degrees = np.rad2deg(errors.joint_position[:, joint])
+                panel.plot(
+                    degrees[shown], 1e3 * errors.position[shown], ".", color=colour, markersize=5, alpha=0.35,
+                    markeredgewidth=0, rasterized=True, zorder=zorder,
+                )  # fmt: skip
+                panel.plot(
+                    *_running_median(degrees, 1e3 * errors.position),
+                    color=colour,
+                    linewidth=2.5,
+                    zorder=5,
+                    clip_on=False,
+                )
+            panel.set_xlabel(f"joint {joint + 1} (deg)")
+            panel.xaxis.set_major_locator(_degree_ticks(panel))
+            if joint % columns == 0:
+                panel.set_ylabel("position error (mm)")
+        panels[0].set_ylim(0, _upper(before, after))
+        for panel in panels[joints:]:
+            panel.set_visible(False)
+        figure.suptitle(title, fontsize=15)
+        _legend(figure, before, after, "on held-out blocks" if solution.noise else "on fresh samples")
+    return figure
+
+
+def error_distribution(solution: Solution, recording: Recording, title: str) -> Figure:
+    """How large the errors are, and where in the recording they stand."""
+    before, after = solution.nominal_errors, solution.checked
+    with rc_context(_STYLE):
+        figure = _figure(12.0, 4.6)
+        left, right = figure.subplots(1, 2, width_ratios=(1, 1.6))
+        top = _upper(before, after)
+        bins = np.linspace(0, top, 41)
+        for errors, colour in ((before, BEFORE), (after, AFTER)):
+            millimetres = np.minimum(1e3 * errors.position, top)  # the last bin holds what lies beyond
+            left.hist(millimetres, bins, color=colour, alpha=0.45)
+            left.hist(millimetres, bins, color=colour, histtype="step", linewidth=2)
+            shown = _thinned(len(errors.position))
+            right.plot(
+                recording.row[shown], 1e3 * errors.position[shown], ".", color=colour, markersize=6, alpha=0.5,
+                markeredgewidth=0, rasterized=True,
+            )  # fmt: skip
+        left.set(xlabel="position error (mm)", ylabel="samples", xlim=(0, top))
+        right.set(xlabel="row of the recording", ylabel="position error (mm)")
+        right.set_ylim(bottom=0)
+        figure.suptitle(title, fontsize=15)
+        _legend(figure, before, after, "on held-out blocks")
+    return figure
+
+
+def parameter_differences(comparison: Comparison) -> Figure:
+    """Each arm's difference from nominal, parameter by parameter: lengths above, angles below."""
+    form = comparison.arm.form
+    units = np.array(form.units)
+    count = len(comparison.names)
+    with rc_context(_STYLE):
+        figure = _figure(12.0, 8.4)
+        for panel, unit, label, scale in zip(
+            figure.subplots(2, 1),
+            ("m", "rad"),
+            ("difference (mm)", "difference (deg)"),
+            (1e3, 180 / np.pi),
+            strict=True,
+        ):
+            chosen = np.flatnonzero(units == unit)
+            values = scale * comparison.difference[:, chosen]
+            for k in range(count):
+                spread = 0.5 * ((k + 0.5) / count - 0.5)
+                name, colour, marker = None, "#0072B2", "o"
+                if count <= len(OKABE_ITO):
+                    name, colour, marker = _short(comparison.names[k], k), OKABE_ITO[k], MARKERS[k]
+                panel.plot(
+                    np.arange(len(chosen)) + spread, values[k], marker, color=colour, label=name,
+                    markersize=6, alpha=0.85 if name else 0.5, markeredgewidth=0,
+                )  # fmt: skip
+            panel.axhline(0, color="black", linewidth=1)
+            panel.set_xticks(np.arange(len(chosen)), [form.names[i] for i in chosen], rotation=45, ha="right")
+            panel.set_ylabel(label)
+            panel.set_xlim(-0.6, len(chosen) - 0.4)
+        figure.suptitle(f"{count} × {comparison.arm.name}: parameters minus nominal", fontsize=15)
+        handles, labels = figure.axes[0].get_legend_handles_labels()
+        if handles:
+            figure.legend(handles, labels, loc="outside lower center", ncols=2, frameon=False)
+    return figure
+
+
+def distance_between(comparison: Comparison) -> Figure:
+    """The largest distance of the flanges of every two arms, and of each from nominal."""
+    count = len(comparison.names)
+    table = np.zeros((count + 1, count + 1))
+    table[1:, 1:] = 1e3 * comparison.between
+    table[0, 1:] = table[1:, 0] = 1e3 * comparison.from_nominal.max(1)
+    named = count <= _MOST_NAMED
+    labels = ["nominal", *(_short(name, k) for k, name in enumerate(comparison.names))]
+    with rc_context({**_STYLE, "axes.grid": False, "axes.spines.top": True, "axes.spines.right": True}):
+        figure = _figure(9.5, 6.5)
+        panel = figure.subplots()
+        image = panel.imshow(table, cmap="cividis", vmin=0)
+        if named:
+            for i, j in np.ndindex(table.shape):
+                light = table[i, j] > 0.6 * table.max()
+                if i != j:
+                    panel.text(
+                        j, i, f"{table[i, j]:.2f}", ha="center", va="center", color="black" if light else "white"
+                    )
+            panel.set_xticks(range(count + 1), ["nominal", *map(str, range(1, count + 1))])
+            panel.set_yticks(range(count + 1), labels)
+        else:
+            panel.set(xlabel="arm (0: nominal)", ylabel="arm (0: nominal)")
+        figure.colorbar(image, label="largest distance of the flanges (mm)")
+        figure.suptitle(f"{count} × {comparison.arm.name}: largest distance", fontsize=15)
+    return figure
+
+
+def check_names(folder: str | Path, names: Sequence[str], overwrite: bool = False) -> None:
+    """Makes the folder and checks that figures of these names can be saved there, before long work.
+
+    Raises:
+        InputError: a file exists and `overwrite` is false, or the folder cannot be made.
+    """
+    folder = Path(folder)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"{folder}: no folder can be made here ({error.strerror}); choose another") from error
+    for name in names:
+        for suffix in SUFFIXES:
+            storage.check_writable(folder / f"{name}{suffix}", overwrite)
+
+
+def save(figures: Mapping[str, Figure], folder: str | Path, overwrite: bool = False) -> list[Path]:
+    """Writes figures by name as PNG and SVG, whole or not at all; the same figure gives the same bytes.
+
+    Raises:
+        InputError: as `storage.write_atomically`.
+    """
+    return [
+        storage.write_atomically(Path(folder, f"{name}{suffix}"), partial(_draw, figure, suffix[1:]), overwrite)
+        for name, figure in figures.items()
+        for suffix in SUFFIXES
+    ]
+
+
+def _draw(figure: Figure, kind: str, target: Path) -> None:
+    with rc_context(_STYLE):
+        figure.savefig(target, format=kind, dpi=120, metadata={"Date": None} if kind == "svg" else {"Software": None})
+
+
+def _figure(width: float, height: float) -> Figure:
+    figure = Figure(figsize=(width, height), layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def _legend(figure: Figure, before: Errors, after: Errors, where: str) -> None:
+    panel = figure.axes[0]
+    for name, errors, colour in (("nominal", before, BEFORE), (f"fitted, {where}", after, AFTER)):
+        rms, most = 1e3 * errors.position_rms, 1e3 * float(errors.position.max())
+        label = f"{name}: {_figures(rms)} mm RMS, {_figures(most)} mm at most"
+        panel.plot([], [], "-o", color=colour, linewidth=2.5, label=label)
+    handles, labels = panel.get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=2, frameon=False)
+
+
+def _figures(value: float) -> str:
+    return f"{value:.1e}" if 0 < value < 1e-3 else f"{value:.3g}"
+
+
+def _upper(*found: Errors) -> float:
+    """The top of a scale in mm: everything but the wildest half per cent."""
+    return 1.1 * max(1e3 * float(np.percentile(errors.position, 99.5)) for errors in found) or 1.0
+
+
+def _running_median(x: Array, y: Array) -> tuple[Array, Array]:
+    """Medians over bins of equal width; a bin with too few samples breaks the line."""
+    edges = np.linspace(x.min(), max(x.max(), x.min() + 1e-9), _BINS + 1)
+    at = np.clip(np.searchsorted(edges, x, side="right") - 1, 0, _BINS - 1)
+    medians = np.full(_BINS, np.nan)
+    for k in range(_BINS):
+        inside = y[at == k]
+        if len(inside) >= _LEAST_IN_BIN:
+            medians[k] = np.median(inside)
+    return (edges[1:] + edges[:-1]) / 2, medians
+
+
+def _thinned(count: int) -> NDArray[np.int64]:
+    return np.unique(np.linspace(0, count - 1, min(count, _MOST_POINTS)).astype(int))
+
+
+def _degree_ticks(panel: Axes) -> MultipleLocator | MaxNLocator:
+    low, high = panel.get_xlim()
+    for step in (5, 10, 15, 30, 45, 90, 180):
+        if (high - low) / step <= 5:
+            return MultipleLocator(step)
+    return MultipleLocator(180) if high - low < 1000 else MaxNLocator(5)
+
+
+def _short(name: str, k: int) -> str:
+    return f"{k + 1} {name if len(name) <= 28 else name[:27] + '…'}"
