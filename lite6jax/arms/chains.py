@@ -264,7 +264,12 @@ def cross(a: Array, b: Array) -> Array:
 
 
 def sweep(
-    form: Form, parameters: Array, joint: Turn, start: Frame, emit: Callable[[Twist], Array] | None = None
+    form: Form,
+    parameters: Array,
+    joint: Turn,
+    start: Frame,
+    emit: Callable[[Twist], Array] | None = None,
+    into: Array | None = None,
 ) -> tuple[Frame, Array]:
     """Walks a chain.
 
@@ -274,6 +279,7 @@ def sweep(
         joint: the joints' angles, each `(joint, sample)`.
         start: the base frame in fixed coordinates.
         emit: maps the twist of a parameter to an array; all of one shape.
+        into: what is emitted is written over the first rows of this array; a new one where not given.
 
     Returns:
         The flange's frame, and what was emitted, `(size, …)` in *walking* order (empty without `emit`).
@@ -291,6 +297,8 @@ def sweep(
 
     if emit is None:
         collected = jnp.zeros((0,))
+    elif into is not None:
+        collected = into
     else:
         emitted = jax.eval_shape(lambda: emit(rotation_twist(start, Z)))
         collected = jnp.zeros((form.size, *emitted.shape), emitted.dtype)

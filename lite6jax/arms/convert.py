@@ -41,53 +41,47 @@ def six_parameter_to_hayati(form: HayatiForm, kinematics: ArrayLike, nominal: Ar
         raise InputError(f"kinematics of shape {kinematics.shape}: this form takes ({form.dof}, 6)")
     if not np.isfinite(kinematics).all():
         raise InputError("kinematics: every number must be finite")
-    _require_regular(form, kinematics)
+    arms = kinematics.reshape(-1, form.dof, 6)
     if nominal is None:
-        _, directions = joint_axes(kinematics.reshape(-1, form.dof, 6)[0])
+        _, directions = joint_axes(arms[0])
         branch = np.zeros((form.dof, 2))
         for i in form.parallel:
             branch[i, 1] = 0.0 if directions[i] @ directions[i + 1] > 0 else np.pi
     else:
         branch = form.unpack(nominal)[1][:, [0, 3]]
-    arms = kinematics.reshape(-1, form.dof, 6)
-    converted = np.asarray(_convert(form, np.ascontiguousarray(np.moveaxis(arms, 0, -1)), branch))
-    return np.ascontiguousarray(converted.T).reshape(*kinematics.shape[:-2], form.size)
+    parameters, regularity = _convert(form, np.ascontiguousarray(np.moveaxis(arms, 0, -1)), branch)
+    _require_regular(form, [np.asarray(measure) for measure in regularity], alone=kinematics.ndim == 2)
+    return np.ascontiguousarray(np.asarray(parameters).T).reshape(*kinematics.shape[:-2], form.size)
 
 
-def _require_regular(form: HayatiForm, kinematics: np.ndarray) -> None:
-    points, directions = joint_axes(kinematics)
+def _require_regular(form: HayatiForm, regularity: list[np.ndarray], alone: bool) -> None:
+    upright, sine, distance = regularity
 
-    def refuse(irregular: np.ndarray | np.bool, message: str) -> None:
+    def refuse(irregular: np.ndarray, message: str) -> None:
         if irregular.any():
-            which = f"kinematics[{np.flatnonzero(irregular)[0]}]: " if kinematics.ndim == 3 else ""
-            raise InputError(which + message)
+            raise InputError(("" if alone else f"kinematics[{np.flatnonzero(irregular)[0]}]: ") + message)
 
     refuse(
-        np.abs(directions[..., 0, 2]) < _AXIS_1_UPRIGHT,
+        np.abs(upright) < _AXIS_1_UPRIGHT,
         "joint 1: its axis lies in the base's x-y plane; turn the base frame so that z is near joint 1's axis",
     )
     for i in range(form.dof - 1):
-        axis, following, gap = (
-            directions[..., i, :],
-            directions[..., i + 1, :],
-            points[..., i + 1, :] - points[..., i, :],
-        )
-        sine = np.linalg.norm(np.cross(axis, following), axis=-1)
-        distance = np.linalg.norm(np.cross(axis, gap), axis=-1)
         pair = f"joints {i + 1} and {i + 2}: their axes"
         if i in form.parallel:
-            refuse(sine > 0.5, f"{pair} are not parallel as this form expects; check the arm's model")
-            refuse(distance < 1e-4, f"{pair} coincide, so the two cannot be told apart; remove one joint")
+            refuse(sine[i] > 0.5, f"{pair} are not parallel as this form expects; check the arm's model")
+            refuse(distance[i] < 1e-4, f"{pair} coincide, so the two cannot be told apart; remove one joint")
         else:
-            refuse(sine < 1e-6, f"{pair} are parallel, which this form does not expect; add {i} to `parallel`")
+            refuse(sine[i] < 1e-6, f"{pair} are parallel, which this form does not expect; add {i} to `parallel`")
 
 
 @partial(jax.jit, static_argnums=0)
-def _convert(form: HayatiForm, kinematics: Array, branch: Array) -> Array:
+def _convert(form: HayatiForm, kinematics: Array, branch: Array) -> tuple[Array, tuple[Array, Array, Array]]:
     """Parameters `(size, arm)` of `kinematics` `(joint, 6, arm)`, next to `branch` `(joint, 2)`, theta and alpha each.
 
     Two frames walk side by side: the six-parameter chain's, whose z is the next joint's axis, and the DH frame, which
-    is moved to that axis along the common normal. Arms stand where samples do in a fit.
+    is moved to that axis along the common normal. Arms stand where samples do in a fit. Beside the parameters: the
+    cosine of joint 1's axis to the base's z `(arm,)`, and of each pair of neighbouring axes the sine between them and
+    the distance of the next joint's origin from the first axis, `(pair, arm)`.
     """
 
     def to_joint(frame: Frame, row: Array) -> Frame:
@@ -95,7 +89,9 @@ def _convert(form: HayatiForm, kinematics: Array, branch: Array) -> Array:
         frame = translate(translate(translate(frame, X, x), Y, y), Z, z)
         return rotate(rotate(rotate(frame, Z, turn(yaw)), Y, turn(pitch)), X, turn(roll))
 
-    def next_link(frames: tuple[Frame, Frame], given: tuple[Array, Array, Array]) -> tuple[tuple[Frame, Frame], Array]:
+    def next_link(
+        frames: tuple[Frame, Frame], given: tuple[Array, Array, Array]
+    ) -> tuple[tuple[Frame, Frame], tuple[Array, ...]]:
         joint, dh = frames
         row, near, parallel = given
         joint = to_joint(joint, row)
@@ -118,7 +114,7 @@ def _convert(form: HayatiForm, kinematics: Array, branch: Array) -> Array:
         beta = jnp.where(parallel, jnp.arctan2(c * u[0] + s * u[1], jnp.hypot(sine, u[2])), 0.0)
         dh = rotate(translate(translate(rotate(dh, Z, turn(theta)), Z, d), X, a), X, turn(alpha))
         found = jnp.stack([_next_to(near[0], theta), d, a, _next_to(near[1], alpha), beta])
-        return (joint, rotate(dh, Y, turn(beta))), found
+        return (joint, rotate(dh, Y, turn(beta))), (found, jnp.hypot(u[0], u[1]), jnp.hypot(p[0], p[1]))
 
     base = base_frame(jnp.eye(4), kinematics.shape[-1])
     joint = to_joint(base, kinematics[0])
@@ -126,7 +122,8 @@ def _convert(form: HayatiForm, kinematics: Array, branch: Array) -> Array:
     roll, pitch = -jnp.arcsin(joint.z[1]), jnp.arctan2(joint.z[0], joint.z[2])
     dh = rotate(rotate(translate(translate(base, X, foot[0]), Y, foot[1]), Y, turn(pitch)), X, turn(roll))
     flags = jnp.asarray(form.flags)
-    (joint, dh), links = lax.scan(next_link, (joint, dh), (kinematics[1:], branch[:-1], flags[:-1]))
+    upright = joint.z[2]
+    (joint, dh), (links, sines, distances) = lax.scan(next_link, (joint, dh), (kinematics[1:], branch[:-1], flags[:-1]))
 
     theta = jnp.arctan2(jnp.sum(dh.y * joint.x, 0), jnp.sum(dh.x * joint.x, 0))
     d = jnp.sum(dh.z * (joint.origin - dh.origin), 0)
@@ -137,7 +134,7 @@ def _convert(form: HayatiForm, kinematics: Array, branch: Array) -> Array:
         jnp.stack([foot[0], foot[1], pitch, roll]),
         jnp.stack([links[:, 0], second, links[:, 2], links[:, 3]], 1).reshape(-1, links.shape[-1]),
     ])  # fmt: skip
-    return walked[np.argsort(form.walking_order)]
+    return walked[np.argsort(form.walking_order)], (upright, sines, distances)
 
 
 def _next_to(wanted: Array, angle: Array) -> Array:

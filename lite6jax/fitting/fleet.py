@@ -32,6 +32,7 @@ MAX_STEPS = 100
 SINGULAR_ABOVE = 1e11
 """Inflation of a variance by correlation beyond which rounding decides the parameter."""
 
+_COMPILED: set[tuple[object, ...]] = set()
 # One thread a chunk: XLA's own pool would otherwise be shared by the chunks that run side by side.
 _SINGLE_THREADED = {"xla_cpu_multi_thread_eigen": False}
 
@@ -197,15 +198,17 @@ def fit_chunks(
         return result._replace(squares=result.squares[:, :samples])
 
     firsts = range(0, arms, chunk)
+    compiled = (form, chunk, size, block, robust is None, joint_position.ndim, pose.ndim, whitener.ndim)
     workers = min(
         len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1, len(firsts)
     )
     if workers == 1:
         parts = [solve(first) for first in firsts]
     else:
-        head = solve(firsts[0])  # compiles once, before the threads could each begin to
+        head = [] if compiled in _COMPILED else [solve(firsts[0])]  # once, before the threads could each begin to
         with ThreadPoolExecutor(workers) as threads:
-            parts = [head, *threads.map(solve, firsts[1:])]
+            parts = [*head, *threads.map(solve, firsts[len(head) :])]
+    _COMPILED.add(compiled)
     return jax.tree.map(lambda *leaves: np.concatenate(leaves), *parts)
 
 

@@ -23,9 +23,9 @@ RUNNING, CONVERGED, STEPS_EXHAUSTED, NOT_FINITE, SINGULAR = range(5)
 _REFRESH_ABOVE = 1e-4
 """A step above this, in m or rad, or one that shrinks too slowly, calls for a new curvature."""
 _SLOW = 0.03
-_DECREMENT = 1e-18
-"""Converged when a step is to gain less than this part of the cost, …"""
-_ROUNDING = 1e-15
+_DECREMENT = 1e-17
+"""Converged when the step after the next is to gain less than this part of the cost, …"""
+_ROUNDING = 2e-16
 """… or less than residuals of this size, in m and rad, have by rounding."""
 
 
@@ -96,8 +96,6 @@ def solve_chunk(
     """
     arms, n = start.geometry.shape[0], form.chain.size
     floor = jax.vmap(partial(over_blocks, _rounding_floor))(observed)
-    # a robust loss bends what Gauss-Newton takes for straight: its steps shrink tenfold, not ten thousandfold
-    negligible = _DECREMENT if robust is None else _DECREMENT * 1e-4
 
     def with_prior(model: ArmModel, prior: Prior, cost: Array, gradient: Array, *curvature: Array) -> tuple[Array, ...]:
         away = model.geometry - prior.center
@@ -140,7 +138,9 @@ def solve_chunk(
         step = -jnp.einsum("aij,aj->ai", kept, gradient)
         decrement = -jnp.sum(step * gradient, 1)
         moved = jnp.max(jnp.abs(step), 1)
-        small = jnp.abs(decrement) <= jnp.maximum(negligible * cost, floor)
+        # what the step after this one would gain, if steps go on shrinking as they last did
+        shrinking = jnp.minimum(decrement / jnp.maximum(state.decrement, jnp.finfo(cost.dtype).tiny), 1.0)
+        small = jnp.abs(decrement * shrinking) <= jnp.maximum(_DECREMENT * cost, floor)
         broken = ~jnp.isfinite(cost) | ~jnp.all(jnp.isfinite(step), 1)
         status = jnp.where(running & small, CONVERGED, state.status)
         status = jnp.where(running & (state.steps >= max_steps), STEPS_EXHAUSTED, status)
