@@ -9,7 +9,7 @@ demo: $(VENV)/installed
 	$(BIN)/lite6jax demo
 
 test: $(VENV)/installed-test
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest --numprocesses=auto --maxprocesses=4
 
 benchmark: $(VENV)/installed-test
 	$(BIN)/python -m benchmarks

@@ -281,6 +281,7 @@ def _solve(
         robust,
         prior,
         chunk=1,
+        once=problem.exact,
         max_steps=max_steps,
     )
     solved = summary.solved

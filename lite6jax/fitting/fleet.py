@@ -74,8 +74,7 @@ def observe(joint_position: Array, pose: Array, weight: Array, whitener: Array, 
     return Observations(joint, blocked(position), rotation, blocked(jnp.where(used, weight, 0.0)), whitener)
 
 
-@partial(jax.jit, static_argnums=(0, 8), compiler_options=_SINGLE_THREADED)
-def _fit_chunk(
+def _solve_and_measure(
     form: ModelForm,
     start: ArmModel,
     joint_position: Array,
@@ -86,11 +85,12 @@ def _fit_chunk(
     prior: Prior,
     block: int,
     max_steps: ArrayLike,
+    keep_curvature: bool = True,
 ) -> Summary:
     shared = joint_position.ndim == 2
     prepare = jax.vmap(partial(observe, block=block), in_axes=(None if shared else 0, 0, 0, 0))
     observed = prepare(joint_position, pose, weight, whitener)
-    solved = solve_chunk(form, start, observed, robust, prior, max_steps)
+    solved = solve_chunk(form, start, observed, robust, prior, max_steps, keep_curvature)
     covariance = jax.vmap(gauss_newton.inverse)(solved.curvature) * (prior.free[:, :, None] * prior.free[:, None, :])
     # how much its correlation with the others inflates a parameter's variance
     inflation = jnp.diagonal(covariance, axis1=1, axis2=2) * jnp.diagonal(solved.curvature, axis1=1, axis2=2)
@@ -101,6 +101,15 @@ def _fit_chunk(
     squares, shift, spin = jax.vmap(partial(_errors, form))(solved.model, observed)
     mean = jnp.maximum(jnp.sum(observed.weight > 0, (1, 2)), 1)
     return Summary(solved, covariance, squares, jnp.sqrt(jnp.sum(shift, 1) / mean), jnp.sqrt(jnp.sum(spin, 1) / mean))
+
+
+_fit_chunk = jax.jit(_solve_and_measure, static_argnums=(0, 8), compiler_options=_SINGLE_THREADED)
+# For one small fit, where a second of the compiler's optimisation would save five milliseconds.
+_fit_once = jax.jit(
+    partial(_solve_and_measure, keep_curvature=False),
+    static_argnums=(0, 8),
+    compiler_options=_SINGLE_THREADED | {"xla_backend_optimization_level": 0},
+)
 
 
 def _errors(form: ModelForm, model: ArmModel, observed: Observations) -> tuple[Array, Array, Array]:
@@ -142,6 +151,7 @@ def fit_chunks(
     robust: Robust | None,
     prior: Prior,
     chunk: int = CHUNK,
+    once: bool = False,
     max_steps: int = MAX_STEPS,
     progress: Callable[[int], object] | None = None,
 ) -> Summary:
@@ -157,6 +167,7 @@ def fit_chunks(
         robust: the loss, one for all or with a leading arm axis; None is least squares.
         prior: one for all or with a leading arm axis.
         chunk: arms in a chunk.
+        once: whether this is all that will be solved of this kind, so that compiling fast matters more than running.
         max_steps: most steps an arm may take.
         progress: called with the number of arms done, from any thread.
 
@@ -179,7 +190,7 @@ def fit_chunks(
 
     def solve(first: int) -> Summary:
         q = joint_position if joint_position.ndim == 2 else part(joint_position, first)
-        result = _fit_chunk(
+        result = (_fit_once if once else _fit_chunk)(
             form,
             ArmModel(*(each(leaf, ndim, first) for leaf, ndim in zip(start, (1, 2, 2), strict=True))),
             pad(q, q.ndim - 2, size),
@@ -198,7 +209,7 @@ def fit_chunks(
         return result._replace(squares=result.squares[:, :samples])
 
     firsts = range(0, arms, chunk)
-    compiled = (form, chunk, size, block, robust is None, joint_position.ndim, pose.ndim, whitener.ndim)
+    compiled = (once, form, chunk, size, block, robust is None, joint_position.ndim, pose.ndim, whitener.ndim)
     workers = min(
         len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1, len(firsts)
     )

@@ -83,6 +83,7 @@ def solve_chunk(
     robust: Robust | None,
     prior: Prior,
     max_steps: ArrayLike,
+    keep_curvature: bool = True,
 ) -> Solved:
     """Fits a chunk of arms.
 
@@ -93,6 +94,7 @@ def solve_chunk(
         robust: the loss; a leading arm axis.
         prior: a leading arm axis.
         max_steps: most steps an arm may take; zero only evaluates cost and curvature at the start.
+        keep_curvature: false makes it anew at every step: slower to run, faster to compile.
     """
     arms, n = start.geometry.shape[0], form.chain.size
     floor = jax.vmap(partial(over_blocks, _rounding_floor))(observed)
@@ -114,11 +116,15 @@ def solve_chunk(
         return lambda new, old: jnp.where(which.reshape(-1, *[1] * (new.ndim - 1)), new, old)
 
     def body(state: _State) -> _State:
-        renewed = jnp.any(state.renew)
-        cost, gradient, H = lax.cond(
-            renewed,
-            lambda: at(linearise, state.candidate),
-            lambda: (*at(evaluate, state.candidate), state.curvature),
+        renewed = jnp.any(state.renew) if keep_curvature else jnp.array(True)
+        cost, gradient, H = (
+            lax.cond(
+                renewed,
+                lambda: at(linearise, state.candidate),
+                lambda: (*at(evaluate, state.candidate), state.curvature),
+            )
+            if keep_curvature
+            else at(linearise, state.candidate)
         )
         running = state.status == RUNNING
         # so near the solution that rounding decides which cost is lower, the step is taken on the gradient's word

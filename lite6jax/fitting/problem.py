@@ -10,9 +10,9 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
-from lite6jax.arms import convert
+from lite6jax.arms import convert, frames
 from lite6jax.arms.arm import Arm
-from lite6jax.arms.chains import SixParameterForm, Turn, fk, six_parameter_fk
+from lite6jax.arms.chains import SixParameterForm, Turn, fk
 from lite6jax.arms.factory import FactoryCalibration, read_factory
 from lite6jax.arms.files import read_arm
 from lite6jax.arms.se3 import rotation_from_quaternion, rotation_from_rpy, transform
@@ -47,6 +47,7 @@ class Problem:
         precision: `(size,)` of the prior; zero is none.
         movable: `(size,)` bool, what the fit is asked to move.
         declared: whether the noise is declared; else only its ratio matters.
+        exact: whether the poses have none: they are computed from a calibration.
         notes: what was assumed.
     """
 
@@ -60,6 +61,7 @@ class Problem:
     precision: Array
     movable: NDArray[np.bool_]
     declared: bool
+    exact: bool = False
     notes: tuple[str, ...] = ()
 
     @property
@@ -106,12 +108,14 @@ def calibration_problem(calibration: FactoryCalibration, joint_position: Array, 
         precision=np.zeros(form.size),
         movable=np.ones(form.size, bool),
         declared=False,
+        exact=True,
     )
 
 
 def calibration_poses(calibration: FactoryCalibration, joint_position: Array) -> Array:
     """The calibrated chain's flange poses `(sample, 4, 4)`."""
-    return np.asarray(six_parameter_fk(calibration.kinematics, joint_position) @ calibration.T_joint_flange)
+    links = np.array([frames.transform_from_row(row) for row in calibration.kinematics])
+    return frames.chain(links, joint_position) @ calibration.T_joint_flange
 
 
 def recording_problem(recording: Recording, arm: Arm | None, geometry: Geometry) -> Problem:
@@ -135,6 +139,11 @@ def recording_problem(recording: Recording, arm: Arm | None, geometry: Geometry)
     notes: list[str] = []
     factory_path = settings.factory_path(folder)
     factory = read_factory(factory_path, arm) if factory_path else None
+    if factory is not None and not np.allclose(factory.T_joint_flange, arm.T_joint_flange, rtol=0, atol=1e-12):
+        raise InputError(
+            f"{factory_path}: holds a transform after the last joint (a{arm.dof}, alpha{arm.dof}), where a recording has "
+            f"its tool; give the six-parameter file, or the tool in the sidecar"
+        )
     uncertainty = settings.factory_uncertainty
     if geometry == "declared":
         geometry = "free" if factory is None else "exact" if uncertainty is None else "prior"
