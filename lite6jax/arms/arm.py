@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from lite6jax.arms import chains, convert, frames
 from lite6jax.errors import InputError
 
-Array = NDArray[np.float64]
+Array = NDArray[np.floating]
 
 # A published DH table may be rounded otherwise than the six parameters beside it (the vendor's ROS file says 1.5708).
 DH_EXACT = 1e-9

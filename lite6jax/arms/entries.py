@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from lite6jax.errors import InputError
 
-Array = NDArray[np.float64]
+Array = NDArray[np.floating]
 
 SIX = ("x", "y", "z", "roll", "pitch", "yaw")
 UR_JOINTS = ("shoulder", "upper_arm", "forearm", "wrist_1", "wrist_2", "wrist_3")

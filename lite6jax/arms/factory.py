@@ -15,7 +15,7 @@ from lite6jax.arms.bundled import VARIANTS, bundled_arms, load_bundled
 from lite6jax.arms.table import read_table
 from lite6jax.errors import InputError
 
-Array = NDArray[np.float64]
+Array = NDArray[np.floating]
 
 # RMS distance to a model within which a calibration is of that model: a real xArm 7 is 8.5 mm from its nominal,
 # and the nearest two models (UR3, UR3e) are 21 mm apart, so that the smaller one decides between them.

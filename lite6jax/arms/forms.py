@@ -14,7 +14,7 @@ from lite6jax.arms.factory import FactoryCalibration, read_factory, write_factor
 from lite6jax.arms.files import read_arm, write_arm, write_table, write_urdf
 from lite6jax.errors import InputError
 
-Array = NDArray[np.float64]
+Array = NDArray[np.floating]
 FileForm = Literal["vendor", "ur", "table", "urdf", "description"]
 
 SUFFIXES: dict[FileForm, tuple[str, ...]] = {

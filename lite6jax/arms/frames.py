@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-Array = NDArray[np.float64]
+Array = NDArray[np.floating]
 
 # The quarter turns that files are full of come out exact: cos(pi / 2) is 6e-17 in floats, and meant to be 0.
 _QUARTER = np.pi / 2

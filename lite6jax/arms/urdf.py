@@ -13,7 +13,7 @@ from lite6jax.arms import frames
 from lite6jax.arms.arm import Arm
 from lite6jax.errors import InputError
 
-Array = NDArray[np.float64]
+Array = NDArray[np.floating]
 
 SIZE_LIMIT = 1 << 23
 _TURNING = ("revolute", "continuous")

@@ -17,7 +17,7 @@ from lite6jax.fitting.fit import fit_recording
 from lite6jax.fitting.start import frames_from_poses
 from lite6jax.recordings import Recording, outside_limits, repeated_rows, require_samples, time_disorder
 
-Array = NDArray[np.float64]
+Array = NDArray[np.floating]
 
 DOWNWEIGHTED = 0.3
 """Weight below which the robust loss has all but left a sample out; noise of a Gaussian sensor never gets there."""

@@ -15,7 +15,7 @@ from lite6jax.errors import InputError
 from lite6jax.fitting.fleet import sample_within_limits
 from lite6jax.fitting.problem import calibration_poses
 
-Array = NDArray[np.float64]
+Array = NDArray[np.floating]
 SAMPLES = 1000
 
 

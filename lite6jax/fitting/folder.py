@@ -19,7 +19,7 @@ from lite6jax.fitting.solution import Errors, Result
 from lite6jax.model import ArmModel, ModelForm
 from lite6jax.recordings import Recording
 
-Array = NDArray[np.float64]
+Array = NDArray[np.floating]
 Kind = Literal["calibration", "recording", "other"]
 Progress = Callable[[int], object]
 T = TypeVar("T")

@@ -18,7 +18,7 @@ from lite6jax.fitting.residual import Observations, Robust, evaluate, linearise,
 from lite6jax.model import ArmModel, ModelForm
 
 RUNNING, CONVERGED, STEPS_EXHAUSTED, NOT_FINITE, SINGULAR = range(5)
-"""How a fit stands; `SINGULAR` is for the caller to say, by the curvature."""
+"""How a fit stands."""
 
 _REFRESH_ABOVE = 1e-4
 """A step above this, in m or rad, or one that shrinks too slowly, calls for a new curvature."""
@@ -50,7 +50,7 @@ class Solved(NamedTuple):
         model: the models, a leading arm axis on each leaf.
         curvature: `(arm, size, size)`, the information of data and prior, to about four digits; identity where held.
         cost: `(arm,)`.
-        status: `(arm,)`, one of `CONVERGED`, `STEPS_EXHAUSTED`, `NOT_FINITE`.
+        status: `(arm,)`, one of `CONVERGED`, `STEPS_EXHAUSTED`, `NOT_FINITE`, `SINGULAR`.
         steps: `(arm,)`.
     """
 
@@ -147,14 +147,17 @@ def solve_chunk(
         # what the step after this one would gain, if steps go on shrinking as they last did
         shrinking = jnp.minimum(decrement / jnp.maximum(state.decrement, jnp.finfo(cost.dtype).tiny), 1.0)
         small = jnp.abs(decrement * shrinking) <= jnp.maximum(_DECREMENT * cost, floor)
-        broken = ~jnp.isfinite(cost) | ~jnp.all(jnp.isfinite(step), 1)
+        singular = ~jnp.all(jnp.isfinite(step), 1)
+        broken = ~jnp.isfinite(cost) | singular
         status = jnp.where(running & small, CONVERGED, state.status)
         status = jnp.where(running & (state.steps >= max_steps), STEPS_EXHAUSTED, status)
-        status = jnp.where(running & broken, NOT_FINITE, status)
+        status = jnp.where(running & broken, jnp.where(jnp.isfinite(cost), SINGULAR, NOT_FINITE), status)
         going = status == RUNNING
         candidate = jax.tree.map(choose(running & ~broken), jax.vmap(form.retract)(model, step), model)
-        # the last step of a converged arm needs no look at where it leads: the cost changes by less than its rounding
-        model = jax.tree.map(choose(running & (status == CONVERGED)), candidate, model)
+        # the last step of a converged arm needs no look at where it leads: its own quadratic tells the cost
+        arrived = running & (status == CONVERGED)
+        model = jax.tree.map(choose(arrived), candidate, model)
+        cost = jnp.where(arrived, jnp.maximum(cost - 0.5 * decrement, 0.0), cost)
         slow = (moved > _REFRESH_ABOVE) | (moved > _SLOW * state.moved)
         return _State(
             model, candidate, cost, gradient, H, kept, going & slow, damping, decrement,

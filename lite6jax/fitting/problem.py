@@ -141,8 +141,8 @@ def recording_problem(recording: Recording, arm: Arm | None, geometry: Geometry)
     factory = read_factory(factory_path, arm) if factory_path else None
     if factory is not None and not np.allclose(factory.T_joint_flange, arm.T_joint_flange, rtol=0, atol=1e-12):
         raise InputError(
-            f"{factory_path}: holds a transform after the last joint (a{arm.dof}, alpha{arm.dof}), where a recording has "
-            f"its tool; give the six-parameter file, or the tool in the sidecar"
+            f"{factory_path}: holds a transform after the last joint (a{arm.dof}, alpha{arm.dof}), where a recording "
+            f"has its tool; give the six-parameter file, or the tool in the sidecar"
         )
     uncertainty = settings.factory_uncertainty
     if geometry == "declared":

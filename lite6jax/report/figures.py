@@ -19,7 +19,7 @@ from lite6jax.fitting.compare import Comparison
 from lite6jax.fitting.solution import Errors, Solution
 from lite6jax.recordings import Recording
 
-Array = NDArray[np.float64]
+Array = NDArray[np.floating]
 
 # M. Okabe, K. Ito, Color Universal Design, 2002: told apart by the colour-blind, and in grey
 BEFORE, AFTER = "#D55E00", "#0072B2"
@@ -220,7 +220,7 @@ def _legend(figure: Figure, before: Errors, after: Errors, where: str) -> None:
 
 
 def _figures(value: float) -> str:
-    return f"{value:.1e}" if 0 < value < 1e-3 else f"{value:.3g}"
+    return f"{value:.1e}" if 0 < value < 1e-3 else f"{value:#.3g}"
 
 
 def _upper(*found: Errors) -> float:

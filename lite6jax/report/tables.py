@@ -21,7 +21,7 @@ from lite6jax.fitting.folder import Row, failed
 from lite6jax.fitting.solution import Errors, Held, Noise, Result, Solution
 from lite6jax.recordings import Recording
 
-Array = NDArray[np.float64]
+Array = NDArray[np.floating]
 
 SCREEN = {"m": (1e3, "mm"), "rad": (180 / np.pi, "deg")}
 """From SI to what is printed."""

@@ -11,7 +11,7 @@ from scipy.optimize import least_squares
 from scipy.stats import chi2
 
 from lite6jax.arms.chains import HayatiForm, turn
-from lite6jax.fitting.gauss_newton import CONVERGED, NOT_FINITE, STEPS_EXHAUSTED, Prior, solve_chunk
+from lite6jax.fitting.gauss_newton import CONVERGED, NOT_FINITE, SINGULAR, STEPS_EXHAUSTED, Prior, solve_chunk
 from lite6jax.fitting.residual import Observations, Robust, residuals
 from lite6jax.model import ModelForm, arm_model
 
@@ -302,4 +302,4 @@ def test_a_singular_curvature_is_not_called_a_solution(measured):
             if found.status[arm] == CONVERGED:
                 np.testing.assert_allclose(cost, found.cost[arm], rtol=1e-6)
             else:
-                assert found.status[arm] == STEPS_EXHAUSTED
+                assert found.status[arm] in (STEPS_EXHAUSTED, SINGULAR)
