@@ -102,7 +102,7 @@ def _dh(value: Any, where: str, joints: int) -> NDArray[np.float64]:
     return np.array(rows)
 
 
-def _flange(value: Any, where: str) -> NDArray[np.float64]:
+def _flange(value: Any, where: str) -> NDArray[np.floating]:
     if isinstance(value, Mapping):
         return frames.transform_from_row(entries.six_numbers(value, f"{where}: flange"))
     if not isinstance(value, list) or len(value) != 3:
