@@ -88,22 +88,24 @@ class Fit:
 
         from lite6jax.report import screen, tables
 
-        if isinstance(source, Recording):
-            screen.show(tables.recording_read(source, solution))
-        else:
-            screen.show(tables.calibration_read(source))
-        screen.show(tables.solution_report(solution, recording))
+        written = []  # before anything is printed: a reader who leaves early, like `head`, must not cost the files
         if self.out:
             from lite6jax.fitting.model_table import write_solution
 
-            screen.written([write_solution(solution, self.out, self.force)])
+            written.append(write_solution(solution, self.out, self.force))
         if self.figures:
             from lite6jax.report import figures
 
             drawn = {names[0]: figures.error_by_joint(solution, self.source.name)}
             if recording:
                 drawn[names[1]] = figures.error_distribution(solution, recording, self.source.name)
-            screen.written(figures.save(drawn, self.figures, self.force))
+            written += figures.save(drawn, self.figures, self.force)
+        if isinstance(source, Recording):
+            screen.show(tables.recording_read(source, solution))
+        else:
+            screen.show(tables.calibration_read(source))
+        screen.show(tables.solution_report(solution, recording))
+        screen.written(written)
         return DONE if solution.result.name == "CONVERGED" else NOT_CONVERGED
 
 
@@ -164,12 +166,14 @@ class Compare:
 
         from lite6jax.report import screen, tables
 
-        screen.show(tables.comparison_report(comparison, screen.console().width))
+        written = []
         if self.figures:
             from lite6jax.report import figures
 
             drawn = (figures.parameter_differences(comparison), figures.distance_between(comparison))
-            screen.written(figures.save(dict(zip(names, drawn, strict=True)), self.figures, self.force))
+            written = figures.save(dict(zip(names, drawn, strict=True)), self.figures, self.force)
+        screen.show(tables.comparison_report(comparison, screen.console().width))
+        screen.written(written)
         return DONE
 
 

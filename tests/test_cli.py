@@ -648,3 +648,18 @@ def test_the_ur10_recording(capsys):
     assert re.search(r"^J1 .*\n +held +held +±", said, re.MULTILINE)
     named = re.search(r"samples stand out and weigh less than 0.3: rows ([\d, ]+)", text)
     assert {"533", "855", "856"} <= set(named[1].split(", "))  # 532, 854 and 855 from zero, as its README has them
+
+
+def test_a_reader_who_leaves_early_does_not_cost_the_file(tmp_path):
+    """`lite6jax fit … --out model.json | head -1`."""
+    out = tmp_path / "model.json"
+    command = [sys.executable, "-m", "lite6jax.cli", "fit", str(cli.DEMO), "--out", str(out)]
+    with subprocess.Popen(
+        command, cwd=Path(__file__).parents[1], stdout=subprocess.PIPE, stderr=subprocess.PIPE
+    ) as process:
+        assert process.stdout is not None
+        assert process.stderr is not None
+        process.stdout.close()
+        complaint = process.stderr.read()
+    assert complaint == b""
+    assert json.loads(out.read_text())["units"] == "mm and deg"
