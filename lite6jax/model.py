@@ -21,7 +21,8 @@ class ArmModel(NamedTuple):
     Attributes:
         geometry: the chain's parameters `(size,)`, in m and rad.
         T_sensor_base: `(4, 4)`, the arm's base in the frame in which poses are measured.
-        T_flange_tool: `(4, 4)`, the measured point or probe on the flange.
+        T_flange_tool: `(4, 4)`, the measured point or probe in the last joint's frame; an arm's own
+            `T_joint_flange` is part of it.
     """
 
     geometry: Array

@@ -269,7 +269,6 @@ def sweep(
     joint: Turn,
     start: Frame,
     emit: Callable[[Twist], Array] | None = None,
-    into: Array | None = None,
 ) -> tuple[Frame, Array]:
     """Walks a chain.
 
@@ -279,7 +278,6 @@ def sweep(
         joint: the joints' angles, each `(joint, sample)`.
         start: the base frame in fixed coordinates.
         emit: maps the twist of a parameter to an array; all of one shape.
-        into: what is emitted is written over the first rows of this array; a new one where not given.
 
     Returns:
         The flange's frame, and what was emitted, `(size, …)` in *walking* order (empty without `emit`).
@@ -297,8 +295,6 @@ def sweep(
 
     if emit is None:
         collected = jnp.zeros((0,))
-    elif into is not None:
-        collected = into
     else:
         emitted = jax.eval_shape(lambda: emit(rotation_twist(start, Z)))
         collected = jnp.zeros((form.size, *emitted.shape), emitted.dtype)
@@ -327,8 +323,16 @@ def fk(form: Form, parameters: ArrayLike, joint_position: ArrayLike) -> Array:
         form: which chain.
         parameters: `(size,)` in the order of `form.names`; m and rad.
         joint_position: `(..., joint)` rad.
+
+    Raises:
+        InputError: shapes that are not this chain's.
     """
     q = jnp.asarray(joint_position, float)
+    if jnp.shape(parameters) != (form.size,) or q.shape[-1:] != (form.dof,):
+        raise InputError(
+            f"parameters {jnp.shape(parameters)} and joint_position {q.shape}: this chain takes ({form.size},) and "
+            f"(..., {form.dof})"
+        )
     joint = turn(q.reshape(-1, form.dof).T)
     frame, _ = sweep(form, jnp.asarray(parameters, float), joint, base_frame(jnp.eye(4), joint.cos.shape[1]))
     R = jnp.stack([frame.x, frame.y, frame.z], 1)
@@ -344,6 +348,8 @@ def six_parameter_fk(kinematics: ArrayLike, joint_position: ArrayLike) -> Array:
         joint_position: `(..., joint)` rad.
     """
     kinematics = jnp.asarray(kinematics, float)
+    if kinematics.ndim != 2 or kinematics.shape[1] != 6:
+        raise InputError(f"kinematics of shape {kinematics.shape}: give (joint, 6), and use jax.vmap for many arms")
     return fk(SixParameterForm(kinematics.shape[0]), kinematics.reshape(-1), joint_position)
 
 

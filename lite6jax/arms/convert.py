@@ -22,7 +22,7 @@ def six_parameter_to_hayati(form: HayatiForm, kinematics: ArrayLike, nominal: Ar
     """The Hayati parameters of a six-parameter chain.
 
     Each DH row has two solutions (the common normal may point either way); the one next to `nominal` is taken, or
-    without it the one with theta_off in (−90°, 90°].
+    without it the one with theta_off in −90° … 90°: give `nominal` for arms that are to be compared.
 
     Args:
         form: the Hayati form.

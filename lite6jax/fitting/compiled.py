@@ -10,14 +10,13 @@ import jax
 
 def keep_compiled_code() -> None:
     """Keeps XLA's work between calls in `cache_folder`, unless JAX was told where; in silence if it cannot."""
-    if getattr(
-        jax.config, "jax_compilation_cache_dir", None
-    ):  # JAX_COMPILATION_CACHE_DIR, or a program that calls `main`
+    # JAX_COMPILATION_CACHE_DIR, or a program that calls `main`
+    if getattr(jax.config, "jax_compilation_cache_dir", None):
         return
-    folder = cache_folder()
     try:
+        folder = cache_folder()
         folder.mkdir(parents=True, exist_ok=True)
-    except OSError:
+    except (OSError, RuntimeError):  # RuntimeError: an account without a home
         return
     if not os.access(folder, os.W_OK):
         return

@@ -1,5 +1,6 @@
 """The fit of one arm, from its calibration or from a recording, through one residual."""
 
+from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
 from typing import Literal, NamedTuple
@@ -10,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lite6jax.arms.arm import Arm
-from lite6jax.arms.factory import FactoryCalibration, read_factory, recognise
+from lite6jax.arms.factory import JOINTS, FactoryCalibration, read_factory, recognise
 from lite6jax.arms.files import read_arm
 from lite6jax.errors import InputError
 from lite6jax.fitting.fleet import MAX_STEPS, fit_chunks, observe, pad, padded_size, sample_within_limits
@@ -24,7 +25,7 @@ from lite6jax.fitting.problem import (
     recording_problem,
     whitener_of,
 )
-from lite6jax.fitting.residual import POSITION, Robust
+from lite6jax.fitting.residual import POSE, POSITION, Robust
 from lite6jax.fitting.solution import Errors, Held, Noise, Result, Solution
 from lite6jax.model import ArmModel, ModelForm, predict
 from lite6jax.recordings import Recording, read_recording, read_settings, sidecar_path
@@ -34,7 +35,9 @@ Solver = Literal["gauss_newton", "levenberg_marquardt"]
 Loss = Literal["student_t", "least_squares"]
 
 FREEDOM = 15.0
-"""Degrees of freedom of the robust loss: 97 % efficient on Gaussian noise, and blind to samples ten sigma off."""
+"""Degrees of freedom of the robust loss: 97 % efficient on Gaussian noise; a sample's pull falls beyond four sigma."""
+ROUNDING = 1e-15
+"""What residuals have by rounding, in m and rad."""
 SAMPLES = 300
 CHECK_SAMPLES = 1000
 FOLDS = 5
@@ -81,6 +84,12 @@ def fit(
         kinematics = np.asarray(source, float)
         if kinematics.ndim != 2 or kinematics.shape[1] != 6 or not np.isfinite(kinematics).all():
             raise InputError(f"calibration of shape {kinematics.shape}: give (joint, 6) finite numbers, m and rad")
+        if arm is not None and arm.dof != len(kinematics):
+            raise InputError(
+                f"calibration: has {len(kinematics)} joints, but {arm.name} has {arm.dof}; name another arm"
+            )
+        if arm is None and len(kinematics) not in JOINTS:
+            raise InputError(f"calibration: has {len(kinematics)} joints, as no bundled arm has; give `nominal`")
         known = recognise(kinematics, [f"joint{i + 1}" for i in range(len(kinematics))], "calibration", arm)
         source = FactoryCalibration(kinematics, known, known.T_joint_flange, "array")
     return fit_calibration(source, solver=solver, samples=samples, seed=seed, max_steps=max_steps)
@@ -129,8 +138,13 @@ def fit_calibration(
 ) -> Solution:
     """The Hayati model that reproduces a calibration; `checked` on 1000 fresh samples. See `fit`."""
     arm = calibration.arm
-    if samples < 5:
-        raise InputError(f"samples {samples}: too few for {4 * arm.dof + 4} parameters; give at least 5, better 300")
+    if seed < 0:
+        raise InputError(f"seed {seed}: give zero or more")
+    fewest = -(-arm.form.size // POSE)
+    if samples < fewest:
+        raise InputError(
+            f"samples {samples}: too few for {arm.form.size} parameters; give at least {fewest}, better 300"
+        )
     # fitted and fresh samples in one array, so that the chains are compiled once
     q = np.concatenate([sample_within_limits(arm, samples, seed), sample_within_limits(arm, CHECK_SAMPLES, seed + 1)])
     pose = calibration_poses(calibration, q)
@@ -193,7 +207,12 @@ def fit_recording(
 
     solve = partial(_solve_robustly, problem, freedom=freedom, max_steps=max_steps)
     rough = solve(free, declared, training[:1], problem.start, "gauss_newton")
-    excess = _excess(problem, declared, errors(problem.form, rough.model(0), problem.joint_position, problem.pose))
+    left = errors(problem.form, rough.model(0), problem.joint_position, problem.pose)
+    if not problem.declared:  # a placeholder shaped the first fit; the residuals tell both parts
+        problem = replace(problem, noise=_spreads(left))
+        declared = problem.covariance()
+        solve = partial(_solve_robustly, problem, freedom=freedom, max_steps=max_steps)
+    excess = _excess(problem, declared, left)
     covariance = declared + np.diag(np.repeat(excess, 3)[:rows])
     fits = solve(free, covariance, training, rough.model(0), solver)
     nominal_fit = solve(geometry_held, covariance, training[:1], problem.start, "gauss_newton")
@@ -222,8 +241,18 @@ def fit_recording(
         checked=checked,
         noise=Noise(problem.noise if problem.declared else None, *_spreads(fitted)),
         weight=_weights(fits.solved.squares[0] / fits.scale[0] ** 2, rows, freedom),
-        notes=problem.notes,
+        notes=(*problem.notes, *_unsettled(fits)),
     )
+
+
+def _unsettled(fits: "_Fits") -> list[str]:
+    count = int((fits.solved.status[1:] != Result.CONVERGED).sum())
+    if not count:
+        return []
+    return [
+        f"{count} of the {FOLDS} held-out fits did not settle: without their block the other rows do not determine "
+        f"every parameter, and the held-out errors are no guide; mix the poses when recording."
+    ]
 
 
 def errors(form: ModelForm, model: ArmModel, joint_position: Array, pose: Array) -> Errors:
@@ -313,9 +342,12 @@ def _solve_by_record(
         own = robust and Robust(*(np.broadcast_to(leaf, len(weight))[k] for leaf in robust))
         parts.append(jax.tree.map(np.asarray, solve_one(problem.form, begin, observed, own, prior, max_steps)))
     solved = jax.tree.map(lambda *leaves: np.stack(leaves), *parts)
-    held = np.zeros(problem.form.size, bool)
-    still = _solve(problem, held, whitener, weight, None, solved.model, "gauss_newton", 0)  # measures the residuals
-    return _Solved(solved.model, solved.curvature, still.squares, solved.status, solved.steps)
+    # the fast solver, allowed no step, measures residuals and curvature, and sees what is singular
+    free = np.asarray(prior.free) > 0
+    still = _solve(problem, free, whitener, weight, robust, solved.model, "gauss_newton", 0)
+    singular = (solved.status == Result.CONVERGED) & (still.status == Result.SINGULAR)
+    status = np.where(singular, Result.SINGULAR, solved.status)
+    return _Solved(solved.model, still.curvature, still.squares, status, solved.steps)
 
 
 def _determined(problem: Problem, curvature: Array) -> tuple[NDArray[np.bool_], tuple[Held, ...]]:
@@ -360,10 +392,12 @@ def _solve_robustly(
 
 
 def _spreads(fitted: Errors) -> tuple[float, float | None]:
-    """Robust standard deviations per axis of position (m) and orientation (rad) errors."""
+    """Robust standard deviations per axis of position (m) and orientation (rad) errors; not below rounding."""
     unit = gaussian_t_scale(POSITION, FREEDOM)
-    position = t_scale(fitted.position**2, POSITION, FREEDOM) / unit
-    return position, None if fitted.orientation is None else t_scale(fitted.orientation**2, POSITION, FREEDOM) / unit
+    position = max(t_scale(fitted.position**2, POSITION, FREEDOM) / unit, ROUNDING)
+    if fitted.orientation is None:
+        return position, None
+    return position, max(t_scale(fitted.orientation**2, POSITION, FREEDOM) / unit, ROUNDING)
 
 
 def _excess(problem: Problem, declared: Array, residual: Errors) -> Array:

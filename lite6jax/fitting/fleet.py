@@ -1,8 +1,9 @@
 """Many arms in one call: chunks that stay in cache, solved on every core, each arm with its own result."""
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -99,8 +100,8 @@ def _solve_and_measure(
     covariance = jnp.where(regular[:, None, None], covariance, jnp.nan)
     solved = solved._replace(status=jnp.where(doubtful, gauss_newton.SINGULAR, solved.status))
     squares, shift, spin = jax.vmap(partial(_errors, form))(solved.model, observed)
-    mean = jnp.maximum(jnp.sum(observed.weight > 0, (1, 2)), 1)
-    return Summary(solved, covariance, squares, jnp.sqrt(jnp.sum(shift, 1) / mean), jnp.sqrt(jnp.sum(spin, 1) / mean))
+    count = jnp.maximum(jnp.sum(observed.weight > 0, (1, 2)), 1)
+    return Summary(solved, covariance, squares, jnp.sqrt(jnp.sum(shift, 1) / count), jnp.sqrt(jnp.sum(spin, 1) / count))
 
 
 _fit_chunk = jax.jit(_solve_and_measure, static_argnums=(0, 8), compiler_options=_SINGLE_THREADED)
@@ -169,7 +170,7 @@ def fit_chunks(
         chunk: arms in a chunk.
         once: whether this is all that will be solved of this kind, so that compiling fast matters more than running.
         max_steps: most steps an arm may take.
-        progress: called with the number of arms done, from any thread.
+        progress: called with the number of arms done since the last call.
 
     Returns:
         NumPy arrays, a row an arm.
@@ -204,9 +205,13 @@ def fit_chunks(
         )
         kept = min(chunk, arms - first)
         result = jax.tree.map(lambda leaf: np.asarray(leaf)[:kept], result)
-        if progress:
-            progress(kept)
         return result._replace(squares=result.squares[:, :samples])
+
+    def counted(results: Iterable[Summary]) -> Iterator[Summary]:
+        for result in results:
+            if progress:
+                progress(len(result.squares))
+            yield result
 
     firsts = range(0, arms, chunk)
     compiled = (once, form, chunk, size, block, robust is None, joint_position.ndim, pose.ndim, whitener.ndim)
@@ -214,11 +219,13 @@ def fit_chunks(
         len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1, len(firsts)
     )
     if workers == 1:
-        parts = [solve(first) for first in firsts]
+        parts = [*counted(map(solve, firsts))]
     else:
-        head = [] if compiled in _COMPILED else [solve(firsts[0])]  # once, before the threads could each begin to
+        head = (
+            [] if compiled in _COMPILED else [*counted([solve(firsts[0])])]
+        )  # once, before the threads could each begin to
         with ThreadPoolExecutor(workers) as threads:
-            parts = [*head, *threads.map(solve, firsts[len(head) :])]
+            parts = [*head, *counted(threads.map(solve, firsts[len(head) :]))]
     _COMPILED.add(compiled)
     return jax.tree.map(lambda *leaves: np.concatenate(leaves), *parts)
 
@@ -243,7 +250,7 @@ def fit_fleet(
             like 0.1 m, as the seed does, and takes the covariance from the residuals.
         weight: `(arm, sample)`; zero for a sample that an arm does not have, so that ragged arms fit in one array.
         max_steps: most Gauss–Newton steps an arm may take.
-        progress: called with the number of arms done since the last call, possibly from another thread.
+        progress: called with the number of arms done since the last call.
 
     Returns:
         A `FleetSolution`. An arm whose fit fails has its `result` say so; the others are not affected.
@@ -335,7 +342,9 @@ def fit_fleet_calibrations(
         raise InputError(f"factory of shape {kinematics.shape}: {arm.name} takes (arm, {arm.dof}, 6)")
     q = sample_within_limits(arm, samples, seed)
     poses = jax.vmap(six_parameter_fk, in_axes=(0, None))(jnp.asarray(kinematics), q) @ arm.T_joint_flange
-    return fit_fleet(q, poses, nominal=arm, progress=progress)
+    solution = fit_fleet(q, poses, nominal=arm, progress=progress)
+    broken = ~np.isfinite(kinematics).all((1, 2))
+    return replace(solution, result=np.where(broken, Result.NOT_FINITE, solution.result).astype(np.int32))
 
 
 def sample_within_limits(arm: Arm, samples: int, seed: int) -> np.ndarray:

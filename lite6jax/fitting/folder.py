@@ -93,7 +93,7 @@ def fit_folder(files: Sequence[Path], nominal: Arm | None = None, progress: Prog
     Args:
         files: as `folder_files` lists them.
         nominal: the arm of all of them; recognised file by file where not given.
-        progress: called with the number of files done since the last call, possibly from another thread.
+        progress: called with the number of files done since the last call.
 
     Returns:
         a row a file, in their order.

@@ -161,7 +161,7 @@ def solve_chunk(
         slow = (moved > _REFRESH_ABOVE) | (moved > _SLOW * state.moved)
         return _State(
             model, candidate, cost, gradient, H, kept, going & slow, damping, decrement,
-            jnp.where(taken, moved, state.moved), status, state.steps + (going | (running & small)),
+            jnp.where(taken, moved, state.moved), status, state.steps + (going | arrived),
         )  # fmt: skip
 
     nothing = jnp.zeros(arms)

@@ -10,11 +10,12 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
-from lite6jax.arms import convert, frames
+from lite6jax.arms import frames
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.chains import SixParameterForm, Turn, fk
 from lite6jax.arms.factory import FactoryCalibration, read_factory
 from lite6jax.arms.files import read_arm
+from lite6jax.arms.forms import hayati_of
 from lite6jax.arms.se3 import rotation_from_quaternion, rotation_from_rpy, transform
 from lite6jax.errors import InputError
 from lite6jax.fitting.fleet import LEVER, observe, pad, padded_size
@@ -27,7 +28,7 @@ Array = NDArray[np.floating]
 Geometry = Literal["declared", "exact", "prior", "free"]
 
 UNDECLARED_NOISE = (1e-4, 1e-3)
-"""Position (m) and orientation (rad) noise per axis where a recording declares none; only their ratio matters then."""
+"""Position (m) and orientation (rad) noise per axis of the first fit, where a recording does not declare both."""
 DEFAULT_UNCERTAINTY = (1e-4, 1e-4)
 """Prior of a factory number (m, rad) where `prior` is asked for and none is declared."""
 
@@ -42,7 +43,7 @@ class Problem:
         start: where from: nominal geometry, frames where the data puts them.
         joint_position: `(sample, joint)` rad.
         pose: `(sample, 4, 4)`, or `(sample, 3)` where only positions were measured.
-        noise: one standard deviation per axis of position (m) and orientation (rad).
+        noise: one standard deviation per axis of position (m) and orientation (rad), None where that is not measured.
         joint_noise: of a joint's read-out, rad.
         precision: `(size,)` of the prior; zero is none.
         movable: `(size,)` bool, what the fit is asked to move.
@@ -56,7 +57,7 @@ class Problem:
     start: ArmModel
     joint_position: Array
     pose: Array
-    noise: tuple[float, float]
+    noise: tuple[float, float | None]
     joint_noise: float
     precision: Array
     movable: NDArray[np.bool_]
@@ -75,7 +76,8 @@ class Problem:
         It is Σ + σ_q² J Jᵀ with J the residual's derivative by the joint positions, the manipulator Jacobian in the
         residual's axes.
         """
-        sensor = np.diag(np.repeat(np.square(self.noise), 3)[: self.rows])
+        position, orientation = self.noise
+        sensor = np.diag(np.repeat(np.square((position, orientation or position)), 3)[: self.rows])
         if not self.joint_noise:
             return sensor
         size, block = padded_size(len(self.pose))
@@ -127,7 +129,7 @@ def recording_problem(recording: Recording, arm: Arm | None, geometry: Geometry)
 
     Raises:
         InputError: no measured poses, too few of them, joints that the arm does not have, a `geometry` that needs a
-            factory calibration where there is none, nothing to fit.
+            factory calibration where there is none.
     """
     settings, folder = recording.settings, Path(recording.source).parent
     arm = arm or read_arm(settings.arm_reference(folder))
@@ -156,9 +158,7 @@ def recording_problem(recording: Recording, arm: Arm | None, geometry: Geometry)
     T_joint_flange = arm.T_joint_flange if factory is None else factory.T_joint_flange
     if geometry == "free":
         form = ModelForm(arm.form, frame, tool)
-        values = (
-            arm.hayati if factory is None else convert.six_parameter_to_hayati(arm.form, factory.kinematics, arm.hayati)
-        )
+        values = arm.hayati if factory is None else hayati_of(factory)
     else:
         form = ModelForm(SixParameterForm(arm.dof), frame, tool)
         assert factory is not None
@@ -183,10 +183,13 @@ def recording_problem(recording: Recording, arm: Arm | None, geometry: Geometry)
         flange, position, rotation, None if frame else np.eye(4), None if tool else known_tool
     )
     start = ArmModel(values, T_sensor_base, T_joint_flange @ T_flange_tool)  # type: ignore[arg-type]
-    declared = settings.position_noise_m is not None
-    sigma = (settings.position_noise_m or UNDECLARED_NOISE[0], settings.orientation_noise_rad or UNDECLARED_NOISE[1])
+    declared = settings.position_noise_m is not None and (
+        rotation is None or settings.orientation_noise_rad is not None
+    )
+    orientation_noise = None if rotation is None else settings.orientation_noise_rad or UNDECLARED_NOISE[1]
+    sigma = (settings.position_noise_m or UNDECLARED_NOISE[0], orientation_noise)
     if not declared:
-        notes.append("The sidecar declares no noise: it is estimated from the residuals.")
+        notes.append("The sidecar does not declare the noise of all that is measured: it is taken from the residuals.")
     return Problem(
         arm=arm,
         form=form,

@@ -72,7 +72,7 @@ class Noise:
         orientation: likewise, or None where no orientation was measured.
     """
 
-    declared: tuple[float, float] | None
+    declared: tuple[float, float | None] | None
     position: float
     orientation: float | None
 

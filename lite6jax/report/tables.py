@@ -253,10 +253,10 @@ def _noise_in_words(noise: Noise | None, checked: Errors) -> Iterator[Text]:
     if noise.orientation is not None:
         found += f", {number(np.rad2deg(noise.orientation))}°"
     if noise.declared is None:
-        yield Text(f"Noise per axis: none declared; the residuals have {found}.")
+        yield Text(f"Noise per axis: not declared for all that is measured; the residuals have {found}.")
         return
     said = f"{number(1e3 * noise.declared[0])} mm"
-    if noise.orientation is not None:
+    if noise.declared[1] is not None:
         said += f", {number(np.rad2deg(noise.declared[1]))}°"
     ratio = noise.position / noise.declared[0]
     verdict = "as declared" if ratio < 1.5 else f"{ratio:.0f} times it: the rest is what this geometry cannot explain"

@@ -361,3 +361,13 @@ def test_arm_model_is_a_pytree_of_three_leaves():
     model = arm_model(np.zeros(28))
     assert isinstance(model, ArmModel)
     assert [leaf.shape for leaf in jax.tree.leaves(model)] == [(28,), (4, 4), (4, 4)]
+
+
+def test_chains_refuse_numbers_of_another_shape():
+    form = HayatiForm(6, (1,))
+    with pytest.raises(InputError, match=r"parameters \(24,\) and joint_position \(6,\): this chain takes \(28,\) and"):
+        hayati_fk(form, np.zeros(24), np.zeros(6))
+    with pytest.raises(InputError, match=r"joint_position \(5, 7\)"):
+        hayati_fk(form, np.zeros(28), np.zeros((5, 7)))
+    with pytest.raises(InputError, match=r"kinematics of shape \(6, 5\): give \(joint, 6\)"):
+        six_parameter_fk(np.zeros((6, 5)), np.zeros(6))

@@ -266,9 +266,37 @@ def test_missing_rows_and_unknown_noise():
     found = lite6jax.fit(data)
     assert found.noise.declared is None
     assert found.noise.position == pytest.approx(POSITION_NOISE, rel=0.2)
-    assert any("declares no noise" in note for note in found.notes)
+    assert any("does not declare the noise" in note for note in found.notes)
     z = (found.parameters - x) / found.standard_deviation
     assert np.mean(z**2) < z_bounds(28)[1]
+
+
+def test_noise_that_is_not_declared_is_taken_from_the_residuals_in_both_parts():
+    squares = []
+    for seed in range(8):
+        rng = np.random.default_rng(seed)
+        x = sim.perturbed(rng)
+        undeclared = {"position_noise_m": None, "orientation_noise_rad": None}
+        found = lite6jax.fit(recording(rng, x, 150, noise=(2e-4, 1e-4), **undeclared))
+        squares.append(((found.parameters - x) / found.standard_deviation) ** 2)
+    low, high = z_bounds(np.size(squares))
+    assert low < np.mean(squares) < high
+    assert found.noise.position == pytest.approx(2e-4, rel=0.1)
+    assert found.noise.orientation == pytest.approx(1e-4, rel=0.1)
+
+
+def test_a_held_out_block_that_alone_moves_a_joint_is_said():
+    rng = np.random.default_rng(13)
+    x = sim.perturbed(rng)
+    data = recording(rng, x, 100)
+    q = np.repeat(data.joint_position[:1], 100, 0)
+    for k in range(5):
+        q[20 * k : 20 * k + 20, k : k + 2] = data.joint_position[:20, k : k + 2]
+    T = sim.flange(x, q)
+    found = lite6jax.fit(
+        dataclasses.replace(data, joint_position=q, position=T[:, :3, 3], quaternion=sim.quaternion(T[:, :3, :3]))
+    )
+    assert any("held-out fits did not settle" in note for note in found.notes)
 
 
 def test_messages():
@@ -284,8 +312,16 @@ def test_messages():
         lite6jax.fit(recording(rng, x, 50), "xarm7")
     with pytest.raises(lite6jax.InputError, match=r"give \(joint, 6\) finite numbers"):
         lite6jax.fit(np.zeros((6, 5)))
-    with pytest.raises(lite6jax.InputError, match="samples 3"):
+    with pytest.raises(lite6jax.InputError, match="samples 3: too few for 28 parameters; give at least 5"):
         lite6jax.fit(lite6jax.read_arm("lite6").kinematics, "lite6", samples=3)
+    with pytest.raises(lite6jax.InputError, match="samples 5: too few for 32 parameters; give at least 6"):
+        lite6jax.fit(lite6jax.read_arm("xarm7").kinematics, "xarm7", samples=5)
+    with pytest.raises(lite6jax.InputError, match="seed -1: give zero or more"):
+        lite6jax.fit(lite6jax.read_arm("lite6").kinematics, "lite6", seed=-1)
+    with pytest.raises(lite6jax.InputError, match="has 7 joints, but lite6 has 6"):
+        lite6jax.fit(lite6jax.read_arm("xarm7").kinematics, "lite6")
+    with pytest.raises(lite6jax.InputError, match="has 3 joints, as no bundled arm has"):
+        lite6jax.fit(np.zeros((3, 6)))
 
 
 def test_scale_of_student_t_on_gaussian_noise():

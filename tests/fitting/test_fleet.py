@@ -101,6 +101,14 @@ def test_calibrations_many_and_seven_joints():
         np.testing.assert_allclose(found.parameters, expected, atol=2e-12)
 
 
+def test_a_calibration_that_is_not_finite_is_said_to_be_so():
+    arm = lite6jax.read_arm("lite6")
+    factory = np.repeat(arm.kinematics[None], 3, 0)
+    factory[1, 2, 3] = np.nan
+    found = lite6jax.fit_fleet_calibrations(factory, nominal=arm)
+    assert [lite6jax.Result(code).name for code in found.result] == ["CONVERGED", "NOT_FINITE", "CONVERGED"]
+
+
 def test_more_samples_than_a_block_give_the_same_answer():
     _, q, T = fleet(1, 2500, seed=7)
     blocks = lite6jax.fit_fleet(q, T, nominal="lite6", noise=NOISE)
