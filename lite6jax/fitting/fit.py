@@ -1,7 +1,7 @@
 """The fit of one arm, from its calibration or from a recording, through one residual."""
 
 from dataclasses import replace
-from functools import cache, partial
+from functools import partial
 from pathlib import Path
 from typing import Literal, NamedTuple
 
@@ -26,6 +26,7 @@ from lite6jax.fitting.problem import (
     whitener_of,
 )
 from lite6jax.fitting.residual import POSE, POSITION, Robust
+from lite6jax.fitting.robust import FREEDOM, gaussian_t_scale, t_scale, variance_factor, weights_left
 from lite6jax.fitting.solution import Errors, Held, Noise, Result, Solution
 from lite6jax.model import ArmModel, ModelForm, predict
 from lite6jax.recordings import Recording, read_recording, read_settings, sidecar_path
@@ -34,8 +35,6 @@ Array = NDArray[np.floating]
 Solver = Literal["gauss_newton", "levenberg_marquardt"]
 Loss = Literal["student_t", "least_squares"]
 
-FREEDOM = 15.0
-"""Degrees of freedom of the robust loss: 97 % efficient on Gaussian noise; a sample's pull falls beyond four sigma."""
 ROUNDING = 1e-15
 """What residuals have by rounding, in m and rad."""
 SAMPLES = 300
@@ -240,7 +239,7 @@ def fit_recording(
         nominal_errors=errors(problem.form, nominal_fit.model(0), problem.joint_position, problem.pose),
         checked=checked,
         noise=Noise(problem.noise if problem.declared else None, *_spreads(fitted)),
-        weight=_weights(fits.solved.squares[0] / fits.scale[0] ** 2, rows, freedom),
+        weight=weights_left(fits.solved.squares[0] / fits.scale[0] ** 2, freedom),
         notes=(*problem.notes, *_unsettled(fits)),
     )
 
@@ -408,58 +407,16 @@ def _excess(problem: Problem, declared: Array, residual: Errors) -> Array:
     return np.where(found > _EXCESS * expected, found - expected, 0.0)
 
 
-def t_scale(squares: Array, rows: int, freedom: float | None) -> float:
-    """The scale that best explains squared whitened residuals of `rows` numbers each.
-
-    Of Student's t with `freedom`, by the fixed point c² = mean(w s) / rows (K. Lange, R. Little, J. Taylor, J. Am.
-    Stat. Assoc. 84, 1989); the root mean square where that is None.
-    """
-    tiny = np.finfo(float).tiny
-    if freedom is None:
-        return float(np.sqrt(max(np.mean(squares) / rows, tiny)))
-    scale2 = max(float(np.median(squares)) / rows, tiny)
-    for _ in range(200):
-        new = max(float(np.mean((freedom + rows) / (freedom + squares / scale2) * squares)) / rows, tiny)
-        done, scale2 = abs(new / scale2 - 1) < 1e-9, new
-        if done:
-            break
-    return float(np.sqrt(scale2))
-
-
-@cache
-def gaussian_t_scale(rows: int, freedom: float) -> float:
-    """What `t_scale` finds on Gaussian noise of unit size, by integration over its χ² distribution."""
-    s = np.linspace(0, 80, 20001)[1:]
-    density = s ** (rows / 2 - 1) * np.exp(-s / 2)
-    density /= density.sum()
-    scale2 = 1.0
-    for _ in range(200):
-        scale2 = float(density @ ((freedom + rows) / (freedom + s / scale2) * s)) / rows
-    return float(np.sqrt(scale2))
-
-
-def _weights(scaled: Array, rows: int, freedom: float | None) -> Array:
-    """What the loss leaves of each sample, from 1 down to 0."""
-    return np.ones_like(scaled) if freedom is None else freedom / (freedom + scaled)
-
-
 def _covariance(problem: Problem, free: NDArray, fits: _Fits, used: NDArray, freedom: float | None) -> Array:
-    """The covariance of the entries of a step.
-
-    An M-estimator's in a regression is (JᵀJ)⁻¹ c² E[ψ²] / E[ψ′]² (P. Huber, Robust Statistics, 1981, 7.6), here with
-    the expectations over the samples; the prior's precision is added to the information.
-    """
+    """The covariance of the entries of a step; the prior's precision is added to the data's information."""
     rows, scale = problem.rows, fits.scale[0]
     prior = np.diag(problem.precision * free)
     information = (np.asarray(fits.solved.curvature[0]) - prior) * np.outer(free, free)
-    u = fits.solved.squares[0][used] / scale**2
-    factor = u.size * rows / max(u.size * rows - int(free.sum()), 1)
+    numbers, fitted = int(used.sum()) * rows, int(free.sum())
     if freedom is None:
-        factor *= scale**2
+        factor = scale**2 * numbers / max(numbers - fitted, 1)
     else:
-        w = (freedom + rows) / (freedom + u)
-        slope = -w / (freedom + u)
-        factor *= np.mean(w) * np.mean(w**2 * u) / rows / np.mean(w + 2 * slope * u / rows) ** 2
+        factor = variance_factor(fits.solved.squares[0][used] / scale**2, rows, freedom, fitted)
     covariance = np.zeros_like(prior)
     if free.any():
         covariance[np.ix_(free, free)] = np.linalg.inv((information / factor + prior)[np.ix_(free, free)])
