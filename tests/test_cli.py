@@ -19,6 +19,8 @@ from scipy.spatial.transform import Rotation
 from lite6jax import cli
 from lite6jax.arms.bundled import load_bundled
 from lite6jax.arms.factory import read_factory, write_factory
+from lite6jax.cli import program
+from lite6jax.cli.fit import DEMO
 from lite6jax.fitting import compiled, folder
 from lite6jax.fitting.solution import Result
 
@@ -79,7 +81,7 @@ def write_recording_file(path, seed=0, samples=120, tool=(0, 0, 0), sidecar=None
 
 
 def test_version_and_help(capsys):
-    assert run(capsys, "--version")[:2] == (0, f"lite6jax {cli._version()}\n")
+    assert run(capsys, "--version")[:2] == (0, f"lite6jax {program._version()}\n")
     code, out, _ = run(capsys, "--help")
     assert code == 0
     for name in ("fit", "compare", "fleet", "convert", "check", "demo"):
@@ -262,9 +264,9 @@ def test_demo_says_that_it_is_simulated(capsys, tmp_path):
     code, said, err = run(capsys, "demo", "--out", tmp_path / "demo.json")
     assert (code, err) == (0, "")
     assert said.startswith("The calibration below is simulated")
-    assert f"lite6jax fit {cli.DEMO}" in said
-    assert "SIMULATED" in cli.DEMO.read_text().splitlines()[0]
-    spread = read_factory(cli.DEMO).kinematics - LITE6
+    assert f"lite6jax fit {DEMO}" in said
+    assert "SIMULATED" in DEMO.read_text().splitlines()[0]
+    spread = read_factory(DEMO).kinematics - LITE6
     wanted = np.random.default_rng(0).standard_normal((6, 6)) * ([0.8e-3] * 3 + [np.deg2rad(0.15)] * 3)
     np.testing.assert_allclose(spread, wanted, atol=1e-9)
 
@@ -653,7 +655,7 @@ def test_the_ur10_recording(capsys):
 def test_a_reader_who_leaves_early_does_not_cost_the_file(tmp_path):
     """`lite6jax fit … --out model.json | head -1`."""
     out = tmp_path / "model.json"
-    command = [sys.executable, "-m", "lite6jax.cli", "fit", str(cli.DEMO), "--out", str(out)]
+    command = [sys.executable, "-m", "lite6jax.cli", "fit", str(DEMO), "--out", str(out)]
     with subprocess.Popen(
         command, cwd=Path(__file__).parents[1], stdout=subprocess.PIPE, stderr=subprocess.PIPE
     ) as process:

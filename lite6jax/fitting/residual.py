@@ -146,7 +146,7 @@ def evaluate(form: ModelForm, model: ArmModel, observed: Observations, robust: R
         total = force * twist.linear
         return jnp.sum(total if twist.angular is None else total + moment * twist.angular)
 
-    return sight.cost, _columns(form, model, observed, sight, power)[_step_order(form)]
+    return sight.cost, _columns(form, model, observed, sight, power)[step_order(form)]
 
 
 def linearise(
@@ -159,7 +159,7 @@ def linearise(
     if len(residual) == POSE and observed.whitener.ndim == 1:
         residual = jnp.concatenate([residual[:3], _to_sensor(observed, residual[3:])])
     gradient = J @ (jnp.sqrt(sight.weight) * residual).reshape(-1)
-    order = _step_order(form)  # of the small products: to reorder J would copy it
+    order = step_order(form)  # of the small products: to reorder J would copy it
     return sight.cost, gradient[order], (J @ J.T)[order][:, order]
 
 
@@ -169,7 +169,7 @@ def identification_jacobian(form: ModelForm, model: ArmModel, observed: Observat
     Where the whitener is isotropic the orientation rows are in the sensor's axes and without the logarithm's own
     derivative, which differs from one by half the residual angle: neither matters to JᵀJ or to Jᵀr.
     """
-    return _walked_jacobian(form, model, observed, _look(form, model, observed, robust))[_step_order(form)]
+    return _walked_jacobian(form, model, observed, _look(form, model, observed, robust))[step_order(form)]
 
 
 def _walked_jacobian(form: ModelForm, model: ArmModel, observed: Observations, sight: _Sight) -> Array:
@@ -202,20 +202,35 @@ def _walked_jacobian(form: ModelForm, model: ArmModel, observed: Observations, s
 def _columns(
     form: ModelForm, model: ArmModel, observed: Observations, sight: _Sight, emit: Callable[[Twist], Array]
 ) -> Array:
-    """What `emit` makes of every parameter's twist, `(size, …)` in *walking* order of the geometry."""
-    samples = observed.joint.cos.shape[-1]
-    _, columns = sweep(form.chain, model.geometry, observed.joint, base_frame(model.T_sensor_base, samples), emit)
+    return twist_columns(form, model, observed.joint, sight.flange, sight.tool, emit)
+
+
+def twist_columns(
+    form: ModelForm, model: ArmModel, joint: Turn, flange: Frame, tool: Frame, emit: Callable[[Twist], Array]
+) -> Array:
+    """What `emit` makes of the twist of each entry of a step, `(size, …)`, the geometry's in *walking* order.
+
+    Args:
+        form: which entries.
+        model: where.
+        joint: the joints' angles.
+        flange: its frame in sensor coordinates, as `predict_frames` gives it.
+        tool: the tool's.
+        emit: maps a twist, in sensor coordinates, to an array; all of one shape.
+    """
+    samples = joint.cos.shape[-1]
+    _, columns = sweep(form.chain, model.geometry, joint, base_frame(model.T_sensor_base, samples), emit)
     parts = [columns]
     if form.frame:
         fixed = base_frame(jnp.eye(4).at[:3, 3].set(model.T_sensor_base[:3, 3]), samples)
         parts.append(jnp.stack([emit(twist) for twist in _frame_twists(fixed, fixed)]))
     if form.tool:
-        parts.append(jnp.stack([emit(twist) for twist in _frame_twists(sight.flange, sight.tool)]))
+        parts.append(jnp.stack([emit(twist) for twist in _frame_twists(flange, tool)]))
     return jnp.concatenate(parts) if len(parts) > 1 else columns
 
 
-def _step_order(form: ModelForm) -> np.ndarray:
-    """Where in walking order each entry of a step stands."""
+def step_order(form: ModelForm) -> np.ndarray:
+    """Where among `twist_columns` each entry of a step stands."""
     geometry = np.argsort(form.chain.walking_order)
     return np.concatenate([geometry, np.arange(geometry.size, form.size)])
 

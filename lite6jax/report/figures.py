@@ -1,43 +1,17 @@
-"""Figures of a fit and of a comparison: PNG and SVG, drawn without a screen, readable at half size."""
-
-from collections.abc import Mapping, Sequence
-from functools import partial
-from pathlib import Path
-from typing import Any
+"""Figures of a fit and of a comparison."""
 
 import numpy as np
 from matplotlib import rc_context
-from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
-from matplotlib.ticker import MaxNLocator, MultipleLocator
 from numpy.typing import NDArray
 
-from lite6jax import storage
-from lite6jax.errors import InputError
 from lite6jax.fitting.compare import Comparison
 from lite6jax.fitting.solution import Errors, Solution
 from lite6jax.recordings import Recording
+from lite6jax.report.canvas import AFTER, BEFORE, FRAMED, MARKERS, OKABE_ITO, STYLE, blank, degree_ticks
 
 Array = NDArray[np.floating]
 
-# M. Okabe, K. Ito, Color Universal Design, 2002: told apart by the colour-blind, and in grey
-BEFORE, AFTER = "#D55E00", "#0072B2"
-OKABE_ITO = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000", "#F0E442")
-MARKERS = "os^Dv<>P"
-SUFFIXES = (".png", ".svg")
-
-_STYLE: dict[Any, Any] = {
-    "font.size": 13,
-    "axes.titlesize": 13,
-    "axes.labelsize": 13,
-    "legend.fontsize": 12,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.grid": True,
-    "grid.color": "#dddddd",
-    "svg.hashsalt": "lite6jax",
-}
 _MOST_POINTS = 2000
 _BINS = 20
 _LEAST_IN_BIN = 8
@@ -50,8 +24,8 @@ def error_by_joint(solution: Solution, title: str) -> Figure:
     joints = after.joint_position.shape[1]
     columns = 4 if joints > 6 else 3
     rows = -(-joints // columns)
-    with rc_context(_STYLE):
-        figure = _figure(3.0 + 3.0 * columns, 3.2 * rows + 1.0)
+    with rc_context(STYLE):
+        figure = blank(3.0 + 3.0 * columns, 3.2 * rows + 1.0)
         panels = figure.subplots(rows, columns, sharey=True, squeeze=False).ravel()
         for joint, panel in enumerate(panels[:joints]):
             for errors, colour, zorder in ((before, BEFORE, 2), (after, AFTER, 3)):
@@ -69,7 +43,7 @@ def error_by_joint(solution: Solution, title: str) -> Figure:
                     clip_on=False,
                 )
             panel.set_xlabel(f"joint {joint + 1} (deg)")
-            panel.xaxis.set_major_locator(_degree_ticks(panel))
+            panel.xaxis.set_major_locator(degree_ticks(panel))
             if joint % columns == 0:
                 panel.set_ylabel("position error (mm)")
         panels[0].set_ylim(0, _upper(before, after))
@@ -83,8 +57,8 @@ def error_by_joint(solution: Solution, title: str) -> Figure:
 def error_distribution(solution: Solution, recording: Recording, title: str) -> Figure:
     """How large the errors are, and where in the recording they stand."""
     before, after = solution.nominal_errors, solution.checked
-    with rc_context(_STYLE):
-        figure = _figure(12.0, 4.6)
+    with rc_context(STYLE):
+        figure = blank(12.0, 4.6)
         left, right = figure.subplots(1, 2, width_ratios=(1, 1.6))
         top = _upper(before, after)
         bins = np.linspace(0, top, 41)
@@ -110,8 +84,8 @@ def parameter_differences(comparison: Comparison) -> Figure:
     form = comparison.arm.form
     units = np.array(form.units)
     count = len(comparison.names)
-    with rc_context(_STYLE):
-        figure = _figure(12.0, 8.4)
+    with rc_context(STYLE):
+        figure = blank(12.0, 8.4)
         for panel, unit, label, scale in zip(
             figure.subplots(2, 1),
             ("m", "rad"),
@@ -149,8 +123,8 @@ def distance_between(comparison: Comparison) -> Figure:
     table[0, 1:] = table[1:, 0] = 1e3 * comparison.from_nominal.max(1)
     named = count <= _MOST_NAMED
     labels = ["nominal", *(_short(name, k) for k, name in enumerate(comparison.names))]
-    with rc_context({**_STYLE, "axes.grid": False, "axes.spines.top": True, "axes.spines.right": True}):
-        figure = _figure(9.5, 6.5)
+    with rc_context(FRAMED):
+        figure = blank(9.5, 6.5)
         panel = figure.subplots()
         image = panel.imshow(table, cmap="cividis", vmin=0)
         if named:
@@ -166,46 +140,6 @@ def distance_between(comparison: Comparison) -> Figure:
             panel.set(xlabel="arm (0: nominal)", ylabel="arm (0: nominal)")
         figure.colorbar(image, label="largest distance of the flanges (mm)")
         figure.suptitle(f"{count} × {comparison.arm.name}: largest distance", fontsize=15)
-    return figure
-
-
-def check_names(folder: str | Path, names: Sequence[str], overwrite: bool = False) -> None:
-    """Makes the folder and checks that figures of these names can be saved there, before long work.
-
-    Raises:
-        InputError: a file exists and `overwrite` is false, or the folder cannot be made.
-    """
-    folder = Path(folder)
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"{folder}: no folder can be made here ({error.strerror}); choose another") from error
-    for name in names:
-        for suffix in SUFFIXES:
-            storage.check_writable(folder / f"{name}{suffix}", overwrite)
-
-
-def save(figures: Mapping[str, Figure], folder: str | Path, overwrite: bool = False) -> list[Path]:
-    """Writes figures by name as PNG and SVG, whole or not at all; the same figure gives the same bytes.
-
-    Raises:
-        InputError: as `storage.write_atomically`.
-    """
-    return [
-        storage.write_atomically(Path(folder, f"{name}{suffix}"), partial(_draw, figure, suffix[1:]), overwrite)
-        for name, figure in figures.items()
-        for suffix in SUFFIXES
-    ]
-
-
-def _draw(figure: Figure, kind: str, target: Path) -> None:
-    with rc_context(_STYLE):
-        figure.savefig(target, format=kind, dpi=120, metadata={"Date": None} if kind == "svg" else {"Software": None})
-
-
-def _figure(width: float, height: float) -> Figure:
-    figure = Figure(figsize=(width, height), layout="constrained")
-    FigureCanvasAgg(figure)
     return figure
 
 
@@ -242,14 +176,6 @@ def _running_median(x: Array, y: Array) -> tuple[Array, Array]:
 
 def _thinned(count: int) -> NDArray[np.int64]:
     return np.unique(np.linspace(0, count - 1, min(count, _MOST_POINTS)).astype(int))
-
-
-def _degree_ticks(panel: Axes) -> MultipleLocator | MaxNLocator:
-    low, high = panel.get_xlim()
-    for step in (5, 10, 15, 30, 45, 90, 180):
-        if (high - low) / step <= 5:
-            return MultipleLocator(step)
-    return MultipleLocator(180) if high - low < 1000 else MaxNLocator(5)
 
 
 def _short(name: str, k: int) -> str:

@@ -5,7 +5,6 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from rich import box
 from rich.console import RenderableType
 from rich.padding import Padding
 from rich.table import Table
@@ -20,42 +19,19 @@ from lite6jax.fitting.compare import Comparison
 from lite6jax.fitting.folder import Row, failed
 from lite6jax.fitting.solution import Errors, Held, Noise, Result, Solution
 from lite6jax.recordings import Recording
+from lite6jax.report.cells import SCREEN, SHOWS_AS_ZERO, fixed, listing, number, plus_minus
 
 Array = NDArray[np.floating]
 
-SCREEN = {"m": (1e3, "mm"), "rad": (180 / np.pi, "deg")}
-"""From SI to what is printed."""
 STATISTICS = (
     ("mean", np.mean),
     ("median", np.median),
     ("p95", lambda values: np.percentile(values, 95)),
     ("max", np.max),
 )
-_FIXED = 0.5e-4
 _MOST_ARMS = 12
 _ROWS_NAMED = 5
 _SIX = ("x", "y", "z", "roll", "pitch", "yaw")
-
-
-def number(value: float, digits: int = 4) -> str:
-    """A number to be read: fixed point, or powers of ten where that would show zeros only."""
-    if value != 0 and abs(value) < _FIXED * 10 ** (4 - digits):
-        return f"{value:.1e}"
-    return f"{value:.{digits}f}"
-
-
-def fixed(value: float, digits: int = 4, sign: str = "") -> str:
-    """Fixed point, and no minus before zeros."""
-    text = f"{value:{sign}.{digits}f}"
-    return text if float(text) else text.replace("-", sign)
-
-
-def _table(*headers: str) -> Table:
-    """A table of numbers: the first column names the row."""
-    table = Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False, show_edge=False, header_style="")
-    for i, header in enumerate(headers):
-        table.add_column(Text(header), justify="left" if i == 0 else "right", no_wrap=True)
-    return table
 
 
 def calibration_read(calibration: FactoryCalibration) -> Iterator[RenderableType]:
@@ -131,7 +107,7 @@ def _sentence(solution: Solution, recorded: bool) -> str:
 
 def errors_table(rows: Sequence[tuple[str, Errors]]) -> Table:
     """Mean, median, 95th percentile and maximum of position (mm) and orientation (deg) errors."""
-    table = _table("", "", *(name for name, _ in STATISTICS))
+    table = listing("", "", *(name for name, _ in STATISTICS))
     table.columns[1].justify = "left"
     for name, errors in rows:
         for values, unit in ((errors.position, "m"), (errors.orientation, "rad")):
@@ -159,17 +135,17 @@ def hayati_tables(solution: Solution) -> Iterator[RenderableType]:
         scale, _ = SCREEN[form.units[i]]
         value = fixed(scale * solution.parameters[i])
         if measured:
-            return f"{value}\n{f'±{_deviation(scale * below[i])}' if free[i] else 'held'}"
+            return f"{value}\n{f'±{plus_minus(scale * below[i])}' if free[i] else 'held'}"
         return f"{value}\n{fixed(scale * below[i], sign='+')}"
 
     under = "its standard deviation" if measured else "its difference from nominal"
     yield Text(f"Effective model (mm, deg); below each number {under}")
     yield ""
-    base = _table("base", "x", "y", "roll", "pitch")
+    base = listing("base", "x", "y", "roll", "pitch")
     base.add_row("", *(cell(f"base_{name}") for name in ("x", "y", "roll", "pitch")))
     yield base
     yield ""
-    table = _table("joint", "theta_off", "d", "a", "alpha", *(["beta"] if form.parallel else []))
+    table = listing("joint", "theta_off", "d", "a", "alpha", *(["beta"] if form.parallel else []))
     for i in range(form.dof):
         names = [f"{name}{i + 1}" for name in ("theta_off", "d", "a", "alpha")]
         cells = [cell(name, "0\nfixed") for name in names]
@@ -188,12 +164,12 @@ def six_parameter_table(solution: Solution) -> Table:
     chain = solution.form.chain
     deviation = solution.standard_deviation
     assert deviation is not None
-    table = _table("joint", *_SIX)
+    table = listing("joint", *_SIX)
     for i in range(chain.dof):
         cells = []
         for k in range(6 * i, 6 * i + 6):
             scale, _ = SCREEN[chain.units[k]]
-            cells.append(f"{fixed(scale * solution.parameters[k], 3)}\n±{_deviation(scale * deviation[k])}")
+            cells.append(f"{fixed(scale * solution.parameters[k], 3)}\n±{plus_minus(scale * deviation[k])}")
         table.add_row(f"J{i + 1}", *cells)
     return table
 
@@ -212,7 +188,7 @@ def frame_tables(solution: Solution) -> Iterator[RenderableType]:
     names = solution.form.names
     for title, prefix, T in parts:
         yield Text(f"{title} (mm, deg); below each number its standard deviation")
-        table = _table(*_SIX)
+        table = listing(*_SIX)
         table.columns[0].justify = "right"
         row = frames.row_from_transform(T)
         shown = [fixed(v, 3) for v in (*(1e3 * row[:3]), *np.rad2deg(row[3:]))]
@@ -221,18 +197,11 @@ def frame_tables(solution: Solution) -> Iterator[RenderableType]:
             i = names.index(f"{prefix}_{axis}")
             scale = SCREEN["m" if k < 3 else "rad"][0]
             below.append(
-                "held" if not solution.free[i] or deviation is None else f"±{_deviation(scale * deviation[i])}"
+                "held" if not solution.free[i] or deviation is None else f"±{plus_minus(scale * deviation[i])}"
             )
         table.add_row(*(f"{value}\n{under}" for value, under in zip(shown, below, strict=True)))
         yield table
         yield ""
-
-
-def _deviation(value: float) -> str:
-    """A standard deviation to two digits."""
-    if value == 0 or not np.isfinite(value):
-        return f"{value:.0f}"
-    return f"{value:.1e}" if value < 1e-4 else f"{value:.{max(0, 1 - int(np.floor(np.log10(value))))}f}"
 
 
 def _held_in_words(held: Sequence[Held]) -> Iterator[Text]:
@@ -285,7 +254,7 @@ def comparison_report(comparison: Comparison, width: int) -> Iterator[Renderable
     )
     yield ""
     yield Text("Distance from nominal (mm)")
-    table = _table("arm", "mean", "median", "p95", "max", "file")
+    table = listing("arm", "mean", "median", "p95", "max", "file")
     table.columns[-1].justify, table.columns[-1].no_wrap, table.columns[-1].overflow = "left", False, "fold"
     for k in range(arms):
         cells = (f"{1e3 * float(statistic(comparison.from_nominal[k])):.3f}" for _, statistic in STATISTICS)
@@ -301,7 +270,7 @@ def comparison_report(comparison: Comparison, width: int) -> Iterator[Renderable
         yield _differences_table(comparison, block)
         yield ""
     scale = np.array([SCREEN[unit][0] for unit in form.units])
-    same = [name for name, most in zip(form.names, scale * comparison.largest, strict=True) if most < _FIXED]
+    same = [name for name, most in zip(form.names, scale * comparison.largest, strict=True) if most < SHOWS_AS_ZERO]
     if same:
         yield Text(f"As nominal in every arm: {', '.join(same)}.")
     lengths = np.array([unit == "m" for unit in form.units])
@@ -315,10 +284,10 @@ def comparison_report(comparison: Comparison, width: int) -> Iterator[Renderable
 
 def _differences_table(comparison: Comparison, arms: Sequence[int]) -> Table:
     form = comparison.arm.form
-    table = _table("", "", *(str(k + 1) for k in arms), "std", "largest")
+    table = listing("", "", *(str(k + 1) for k in arms), "std", "largest")
     for i, (name, unit) in enumerate(zip(form.names, form.units, strict=True)):
         scale, shown = SCREEN[unit]
-        if scale * comparison.largest[i] < _FIXED:
+        if scale * comparison.largest[i] < SHOWS_AS_ZERO:
             continue
         own = (fixed(scale * comparison.difference[k, i], sign="+") for k in arms)
         table.add_row(name, shown, *own, f"{scale * comparison.spread[i]:.4f}", f"{scale * comparison.largest[i]:.4f}")
@@ -328,7 +297,7 @@ def _differences_table(comparison: Comparison, arms: Sequence[int]) -> Table:
 def _pairs(comparison: Comparison) -> Iterator[RenderableType]:
     arms = len(comparison.names)
     if arms <= 8:
-        table = _table("arm", *(str(k + 1) for k in range(arms)))
+        table = listing("arm", *(str(k + 1) for k in range(arms)))
         for i in range(arms):
             table.add_row(
                 str(i + 1), *("–" if i == j else f"{1e3 * comparison.between[i, j]:.2f}" for j in range(arms))
@@ -349,7 +318,7 @@ def _pairs(comparison: Comparison) -> Iterator[RenderableType]:
 
 def folder_report(rows: Sequence[Row]) -> Iterator[RenderableType]:
     """Numbers by type of arm, and a line for each file that failed."""
-    table = _table("arm", "files", "ok", "nominal", "worst", "check")
+    table = listing("arm", "files", "ok", "nominal", "worst", "check")
     groups: dict[tuple[str, str], list[Row]] = {}
     for row in rows:
         if row.arm:

@@ -1,0 +1,7 @@
+"""`python -m lite6jax.cli`, where no script is installed."""
+
+import sys
+
+from lite6jax.cli.program import main
+
+sys.exit(main())

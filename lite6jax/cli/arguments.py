@@ -1,0 +1,27 @@
+"""What commands share: kinds of arguments, exit codes, checks before long work."""
+
+import signal
+from pathlib import Path
+from typing import Annotated
+
+from tyro.conf import arg
+
+from lite6jax.errors import InputError
+from lite6jax.storage import check_writable
+
+DONE, NOT_CONVERGED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 128 + signal.SIGINT
+
+ArmName = Annotated[str | None, arg(metavar="ARM")]
+OutFile = Annotated[Path | None, arg(metavar="FILE")]
+Folder = Annotated[Path | None, arg(metavar="DIR")]
+
+
+def check_out(path: Path, suffix: str, overwrite: bool) -> None:
+    """Refuses a file of another kind than is written here, or one that stands there already.
+
+    Raises:
+        InputError: as said, or the place cannot be written to.
+    """
+    if path.suffix.lower() != suffix:
+        raise InputError(f"{path}: what is written here is {suffix[1:]}; let the name end in {suffix}")
+    check_writable(path, overwrite)

@@ -1,0 +1,83 @@
+"""Commands on files as they are: write an arm in another form, rule out the easy causes of a mismatch."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+from tyro.conf import Positional, arg
+
+from lite6jax.cli.arguments import DONE, ArmName
+from lite6jax.errors import InputError
+from lite6jax.storage import check_writable
+
+
+@dataclass(frozen=True)
+class Convert:
+    """Write one arm's file in another form; what the new form cannot hold is said, or refused.
+
+    For example:
+
+        lite6jax convert arm.yaml arm.urdf
+        lite6jax convert model.json arm.yaml --to ur
+    """
+
+    source: Annotated[Positional[str], arg(metavar="FILE|ARM")]
+    """A calibration (.yaml, .json), a description, a URDF (robot.urdf#tip), or a bundled arm's name."""
+    target: Annotated[Positional[Path], arg(metavar="FILE")]
+    """The file to write."""
+    to: Annotated[Literal["vendor", "ur", "table", "urdf", "description"] | None, arg(metavar="FORM")] = None
+    """vendor or ur (.yaml), table (.json), urdf, or description (.yaml). By the suffix where not given: a calibration
+    becomes vendor .yaml, all else a description."""
+    arm: ArmName = None
+    """The nominal arm of a calibration; recognised where not given."""
+    force: bool = False
+    """Replace the file if it exists."""
+
+    def run(self) -> int:
+        """Converts and reads back."""
+        check_writable(self.target, self.force)
+        from lite6jax.arms.forms import convert_file
+        from lite6jax.fitting.fit import load_nominal
+        from lite6jax.report import screen, tables
+
+        done = convert_file(self.source, self.target, self.to, load_nominal(self.arm), self.force)
+        screen.written([done.path])
+        screen.show(tables.conversion_report(done))
+        return DONE
+
+
+@dataclass(frozen=True)
+class Check:
+    """Rule out the easy causes of a mismatch first: nominal table, tool offset, smooth or jumping error.
+
+    For example:
+
+        lite6jax check arm.yaml run7.csv
+    """
+
+    files: Annotated[Positional[tuple[Path, ...]], arg(metavar="FILE…")]
+    """Calibrations (.yaml, .json) and recordings (.csv, .parquet)."""
+    arm: ArmName = None
+    """The nominal arm; recognised, or from the sidecar, where not given."""
+    assume_degrees: bool = False
+    """Take joint columns that say rad as degrees."""
+    assume_millimetres: bool = False
+    """Take position columns that say m as millimetres."""
+
+    def run(self) -> int:
+        """Reads, asks, prints."""
+        if not self.files:
+            raise InputError("check needs a file or more; name them")
+        from lite6jax.fitting.check import check_calibration, check_recording
+        from lite6jax.fitting.fit import load_nominal, read_source
+        from lite6jax.recordings import Recording
+        from lite6jax.report import screen, tables
+
+        nominal = load_nominal(self.arm)
+        for path in self.files:
+            source = read_source(
+                path, nominal, assume_degrees=self.assume_degrees, assume_millimetres=self.assume_millimetres
+            )
+            found = check_recording(source, nominal) if isinstance(source, Recording) else check_calibration(source)
+            screen.show(tables.findings_report(path, found))
+        return DONE

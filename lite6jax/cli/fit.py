@@ -1,0 +1,194 @@
+"""Commands that fit: one arm, two or more to compare, a folder of them."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+from tyro.conf import Positional, arg
+
+from lite6jax.cli.arguments import DONE, NOT_CONVERGED, ArmName, Folder, OutFile, check_out
+
+DEMO = Path(__file__).parents[1] / "demo" / "lite6_simulated.yaml"
+
+
+@dataclass(frozen=True)
+class Fit:
+    """Fit one arm: from its factory calibration, or from a recording of measured poses.
+
+    For example:
+
+        lite6jax fit arm.yaml --out model.json
+        lite6jax fit run7.csv --figures figures
+    """
+
+    source: Annotated[Positional[Path], arg(metavar="FILE")]
+    """A calibration (.yaml, .json) or a recording (.csv, .parquet, with its sidecar .yaml beside it)."""
+    arm: ArmName = None
+    """The nominal arm: a bundled name, or a description or URDF. Recognised, or from the sidecar, where not given."""
+    out: OutFile = None
+    """Write the effective table (JSON, mm and deg) here."""
+    figures: Folder = None
+    """Draw the error against each joint into this folder (PNG and SVG)."""
+    force: bool = False
+    """Replace files that exist."""
+    geometry: Literal["declared", "exact", "prior", "free"] = "declared"
+    """Of a recording: what its sidecar says; the factory calibration exactly, or near it; or fitted freely."""
+    loss: Literal["student_t", "least_squares"] = "student_t"
+    """Of a recording: student_t is blind to wild samples."""
+    solver: Literal["gauss_newton", "levenberg_marquardt"] = "gauss_newton"
+    """The fast one, or optimistix'; they agree."""
+    samples: int = 300
+    """Of a calibration: joint positions drawn inside the limits."""
+    seed: int = 0
+    """Of those."""
+    assume_degrees: bool = False
+    """Take joint columns that say rad as degrees."""
+    assume_millimetres: bool = False
+    """Take position columns that say m as millimetres."""
+
+    def run(self) -> int:
+        """Reads, fits, prints, writes."""
+        if self.out:
+            check_out(self.out, ".json", self.force)
+        from lite6jax.fitting.fit import fit_calibration, fit_recording, load_nominal, read_source
+        from lite6jax.recordings import Recording
+
+        nominal = load_nominal(self.arm)
+        source = read_source(
+            self.source, nominal, assume_degrees=self.assume_degrees, assume_millimetres=self.assume_millimetres
+        )
+        recording = source if isinstance(source, Recording) else None
+        names = [f"{self.source.stem}_error_by_joint", f"{self.source.stem}_error_distribution"]
+        if self.figures:
+            from lite6jax.report import canvas
+
+            canvas.check_names(self.figures, names if recording else names[:1], self.force)
+        if isinstance(source, Recording):
+            solution = fit_recording(source, nominal, geometry=self.geometry, loss=self.loss, solver=self.solver)
+        else:
+            solution = fit_calibration(source, solver=self.solver, samples=self.samples, seed=self.seed)
+
+        from lite6jax.report import screen, tables
+
+        written = []  # before anything is printed: a reader who leaves early, like `head`, must not cost the files
+        if self.out:
+            from lite6jax.fitting.model_table import write_solution
+
+            written.append(write_solution(solution, self.out, self.force))
+        if self.figures:
+            from lite6jax.report import canvas, figures
+
+            drawn = {names[0]: figures.error_by_joint(solution, self.source.name)}
+            if recording:
+                drawn[names[1]] = figures.error_distribution(solution, recording, self.source.name)
+            written += canvas.save(drawn, self.figures, self.force)
+        if isinstance(source, Recording):
+            screen.show(tables.recording_read(source, solution))
+        else:
+            screen.show(tables.calibration_read(source))
+        screen.show(tables.solution_report(solution, recording))
+        screen.written(written)
+        return DONE if solution.result.name == "CONVERGED" else NOT_CONVERGED
+
+
+@dataclass(frozen=True)
+class Demo:
+    """Fit a bundled calibration of a simulated Lite 6, to see what the program does.
+
+    For example:
+
+        lite6jax demo --figures figures
+    """
+
+    out: OutFile = None
+    """Write the effective table (JSON, mm and deg) here."""
+    figures: Folder = None
+    """Draw the error against each joint into this folder (PNG and SVG)."""
+    force: bool = False
+    """Replace files that exist."""
+
+    def run(self) -> int:
+        """As `fit` on the bundled file."""
+        print("The calibration below is simulated, of the size that real ones have: no arm was measured.")
+        print(f"lite6jax fit {DEMO}\n", flush=True)
+        return Fit(DEMO, out=self.out, figures=self.figures, force=self.force).run()
+
+
+@dataclass(frozen=True)
+class Compare:
+    """Compare calibrations of arms of one type: the manufacturing tolerance made visible.
+
+    For example:
+
+        lite6jax compare station1.yaml station2.yaml --figures figures
+    """
+
+    files: Annotated[Positional[tuple[Path, ...]], arg(metavar="FILE…")]
+    """Two calibrations or more (.yaml, .json)."""
+    arm: ArmName = None
+    """The nominal arm of all of them; recognised where not given."""
+    figures: Folder = None
+    """Draw the differences into this folder (PNG and SVG)."""
+    force: bool = False
+    """Replace files that exist."""
+
+    def run(self) -> int:
+        """Reads, compares, prints, draws."""
+        from lite6jax.arms.factory import read_factory
+        from lite6jax.fitting.compare import compare
+        from lite6jax.fitting.fit import load_nominal
+
+        nominal = load_nominal(self.arm)
+        names = ("compare_parameters", "compare_distances")
+        if self.figures:
+            from lite6jax.report import canvas
+
+            canvas.check_names(self.figures, names, self.force)
+        comparison = compare([read_factory(path, nominal) for path in self.files])
+
+        from lite6jax.report import screen, tables
+
+        written = []
+        if self.figures:
+            from lite6jax.report import canvas, figures
+
+            drawn = (figures.parameter_differences(comparison), figures.distance_between(comparison))
+            written = canvas.save(dict(zip(names, drawn, strict=True)), self.figures, self.force)
+        screen.show(tables.comparison_report(comparison, screen.console().width))
+        screen.written(written)
+        return DONE
+
+
+@dataclass(frozen=True)
+class Fleet:
+    """Fit every calibration and recording of a folder; a bad file becomes a row that says why.
+
+    For example:
+
+        lite6jax fleet calibrations --out fleet.parquet
+    """
+
+    folder: Annotated[Positional[Path], arg(metavar="DIR")]
+    """The folder; its subfolders are not read."""
+    out: Annotated[Path, arg(metavar="FILE")]
+    """Write a row a file here (Parquet; SI units in the column names)."""
+    arm: ArmName = None
+    """The nominal arm of all of them; recognised file by file where not given."""
+    force: bool = False
+    """Replace the file if it exists."""
+
+    def run(self) -> int:
+        """Fits, writes, prints."""
+        check_out(self.out, ".parquet", self.force)
+        from lite6jax.fitting.fit import load_nominal
+        from lite6jax.fitting.folder import fit_folder, folder_files, write_rows
+        from lite6jax.report import screen, tables
+
+        nominal = load_nominal(self.arm)
+        files = folder_files(self.folder, self.out)
+        with screen.progress(len(files), "fitting") as advance:
+            rows = fit_folder(files, nominal, advance)
+        path = write_rows(rows, self.out, self.force)
+        screen.show(tables.folder_report(rows))
+        screen.written([path])
+        return DONE

@@ -1,0 +1,87 @@
+"""The program: which commands there are, how one is run, and what becomes of its mistakes."""
+
+import gc
+import inspect
+import operator
+import os
+import signal
+import sys
+from collections.abc import Sequence
+from functools import reduce
+from importlib.metadata import PackageNotFoundError, version
+from io import TextIOWrapper
+from typing import Annotated, Any
+
+import tyro
+from tyro.conf import FlagCreatePairsOff, OmitArgPrefixes, subcommand
+
+from lite6jax.cli.arguments import BAD_INPUT, DONE, INTERRUPTED
+from lite6jax.cli.files import Check, Convert
+from lite6jax.cli.fit import Compare, Demo, Fit, Fleet
+from lite6jax.errors import InputError
+
+COMMANDS = {"fit": Fit, "compare": Compare, "fleet": Fleet, "convert": Convert, "check": Check, "demo": Demo}
+DESCRIPTION = """Fit a UFACTORY Lite 6, or any serial arm, to its calibration or to measured poses.
+
+Exit codes: 0 done, 1 the fit did not converge, 2 the input cannot be used, 130 interrupted."""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Runs a command.
+
+    Args:
+        arguments: the command line without the program's name; the process's own where not given.
+
+    Returns:
+        the exit code: 0 done, 1 the fit did not converge, 2 the input cannot be used, 130 interrupted.
+    """
+    arguments = sys.argv[1:] if arguments is None else list(arguments)
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, TextIOWrapper):
+            stream.reconfigure(errors="replace")  # a terminal without × or ° shows a question mark
+    try:
+        if arguments == ["--version"]:
+            print(f"lite6jax {_version()}")
+            return DONE
+        command = tyro.cli(
+            _subcommands(), prog="lite6jax", description=DESCRIPTION, args=arguments,
+            config=(FlagCreatePairsOff, OmitArgPrefixes),
+        )  # fmt: skip
+        from lite6jax.fitting.compiled import keep_compiled_code
+
+        keep_compiled_code()
+        gc.set_threshold(200_000)  # tracing makes objects that stay; to look them through again and again takes a tenth
+        code = command.run()
+        sys.stdout.flush()
+    except SystemExit as stop:  # tyro has printed help or what is wrong with the arguments
+        return int(stop.code or 0)
+    except InputError as error:
+        print(f"error: {_one_line(error)}", file=sys.stderr)
+        return BAD_INPUT
+    except KeyboardInterrupt:
+        print("interrupted: nothing is left half-written", file=sys.stderr)
+        return INTERRUPTED
+    except BrokenPipeError:  # the reader (head, less) has seen enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
+        return 128 + getattr(signal, "SIGPIPE", 13)
+    return code
+
+
+def _subcommands() -> Any:
+    options = []
+    for name, command in COMMANDS.items():
+        text = inspect.getdoc(command)  # as it stands: tyro would join the lines of the examples
+        options.append(Annotated[command, subcommand(name, description=text)])
+    return reduce(operator.or_, options)
+
+
+def _one_line(error: InputError) -> str:
+    """The message with what would break the line, or steer the terminal, spelled out."""
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in str(error))
+
+
+def _version() -> str:
+    try:
+        return version("lite6jax")
+    except PackageNotFoundError:
+        return "(not installed)"

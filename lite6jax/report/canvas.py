@@ -1,0 +1,86 @@
+"""What all figures share: size and style, colours for the colour-blind, PNG and SVG written whole, without a screen."""
+
+from collections.abc import Mapping, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from matplotlib import rc_context
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator, MultipleLocator
+
+from lite6jax import storage
+from lite6jax.errors import InputError
+
+# M. Okabe, K. Ito, Color Universal Design, 2002: told apart by the colour-blind, and in grey
+BEFORE, AFTER = "#D55E00", "#0072B2"
+OKABE_ITO = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000", "#F0E442")
+MARKERS = "os^Dv<>P"
+SUFFIXES = (".png", ".svg")
+
+STYLE: dict[Any, Any] = {
+    "font.size": 13,
+    "axes.titlesize": 13,
+    "axes.labelsize": 13,
+    "legend.fontsize": 12,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "grid.color": "#dddddd",
+    "svg.hashsalt": "lite6jax",
+}
+"""Readable at half size; the same figure gives the same bytes."""
+FRAMED: dict[Any, Any] = {**STYLE, "axes.grid": False, "axes.spines.top": True, "axes.spines.right": True}
+"""Of maps."""
+
+
+def check_names(folder: str | Path, names: Sequence[str], overwrite: bool = False) -> None:
+    """Makes the folder and checks that figures of these names can be saved there, before long work.
+
+    Raises:
+        InputError: a file exists and `overwrite` is false, or the folder cannot be made.
+    """
+    folder = Path(folder)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"{folder}: no folder can be made here ({error.strerror}); choose another") from error
+    for name in names:
+        for suffix in SUFFIXES:
+            storage.check_writable(folder / f"{name}{suffix}", overwrite)
+
+
+def save(figures: Mapping[str, Figure], folder: str | Path, overwrite: bool = False) -> list[Path]:
+    """Writes figures by name as PNG and SVG, whole or not at all; the same figure gives the same bytes.
+
+    Raises:
+        InputError: as `storage.write_atomically`.
+    """
+    return [
+        storage.write_atomically(Path(folder, f"{name}{suffix}"), partial(_draw, figure, suffix[1:]), overwrite)
+        for name, figure in figures.items()
+        for suffix in SUFFIXES
+    ]
+
+
+def _draw(figure: Figure, kind: str, target: Path) -> None:
+    with rc_context(STYLE):
+        figure.savefig(target, format=kind, dpi=120, metadata={"Date": None} if kind == "svg" else {"Software": None})
+
+
+def blank(width: float, height: float) -> Figure:
+    """An empty figure, in inches."""
+    figure = Figure(figsize=(width, height), layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def degree_ticks(panel: Axes) -> MultipleLocator | MaxNLocator:
+    """Ticks at round angles for an axis in degrees."""
+    low, high = panel.get_xlim()
+    for step in (5, 10, 15, 30, 45, 90, 180):
+        if (high - low) / step <= 5:
+            return MultipleLocator(step)
+    return MultipleLocator(180) if high - low < 1000 else MaxNLocator(5)
