@@ -18,9 +18,19 @@ from tyro.conf import FlagCreatePairsOff, OmitArgPrefixes, subcommand
 from lite6jax.cli.arguments import BAD_INPUT, DONE, INTERRUPTED
 from lite6jax.cli.files import Check, Convert
 from lite6jax.cli.fit import Compare, Demo, Fit, Fleet
+from lite6jax.cli.study import Identify, Sensitivity
 from lite6jax.errors import InputError
 
-COMMANDS = {"fit": Fit, "compare": Compare, "fleet": Fleet, "convert": Convert, "check": Check, "demo": Demo}
+COMMANDS = {
+    "fit": Fit,
+    "compare": Compare,
+    "fleet": Fleet,
+    "identify": Identify,
+    "sensitivity": Sensitivity,
+    "convert": Convert,
+    "check": Check,
+    "demo": Demo,
+}
 DESCRIPTION = """Fit a UFACTORY Lite 6, or any serial arm, to its calibration or to measured poses.
 
 Exit codes: 0 done, 1 the fit did not converge, 2 the input cannot be used, 130 interrupted."""

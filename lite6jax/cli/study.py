@@ -1,0 +1,225 @@
+"""Commands that study an arm: what poses determine, which parameters matter, which poses to record."""
+
+import json
+import math
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+from tyro.conf import Positional, arg
+
+from lite6jax.cli.arguments import DONE, ArmName, Folder
+from lite6jax.errors import InputError
+
+if TYPE_CHECKING:
+    from lite6jax.arms.arm import Arm
+    from lite6jax.identifiability.information import Experiment
+
+SensorName = Literal["tracker", "tracker_6d", "motion_capture", "camera", "dial_gauge", "ball_bar"]
+Known = Literal["known", "unknown"]
+
+
+@dataclass(frozen=True)
+class Setup:
+    """How poses are measured. Not asked of a recording that has poses: its sidecar says it."""
+
+    sensor: SensorName = "tracker"
+    """tracker: positions to 0.02 mm; tracker_6d: poses; motion_capture, camera: poses, coarser; dial_gauge: positions
+    along one axis; ball_bar: distances to a point."""
+    chain: Literal["hayati", "six_parameter"] = "hayati"
+    """The parameters: Hayati's effective model, or the six numbers a joint of a factory file."""
+    frame: Known = "unknown"
+    """Where the sensor stands."""
+    tool: Known = "known"
+    """Where the measured point or probe is on the flange."""
+    tool_at: Annotated[tuple[float, float, float], arg(metavar="X Y Z")] = (0.0, 0.0, 0.0)
+    """Where it nominally is, mm in the flange's frame."""
+    axis: Annotated[tuple[float, float, float], arg(metavar="X Y Z")] = (0.0, 0.0, 1.0)
+    """The dial gauge's direction, in the sensor's frame."""
+    center: Annotated[tuple[float, float, float], arg(metavar="X Y Z")] = (300.0, 0.0, 0.0)
+    """The ball bar's other end, mm in the sensor's frame."""
+    position_noise: Annotated[float | None, arg(metavar="MM")] = None
+    """One standard deviation per axis, mm, of a sensor of your own."""
+    orientation_noise: Annotated[float | None, arg(metavar="DEG")] = None
+    """One standard deviation per axis, degrees."""
+    joint_noise: Annotated[float, arg(metavar="DEG")] = 0.0
+    """One standard deviation of a joint's read-out, degrees."""
+
+    def experiment(self, arm: "Arm") -> "Experiment":
+        """What this measures of an arm.
+
+        Raises:
+            InputError: noise that is not positive, or of what the sensor does not measure.
+        """
+        from lite6jax.identifiability.information import plan
+        from lite6jax.identifiability.sensor import sensor_named
+
+        sensor = sensor_named(self.sensor).with_noise(
+            None if self.position_noise is None else self.position_noise / 1e3,
+            None if self.orientation_noise is None else math.radians(self.orientation_noise),
+            math.radians(self.joint_noise),
+        )
+        x, y, z = self.center
+        sensor = replace(sensor, direction=self.axis, center=(x / 1e3, y / 1e3, z / 1e3))
+        x, y, z = self.tool_at
+        return plan(
+            arm,
+            sensor,
+            chain=self.chain,
+            frame=self.frame == "unknown",
+            tool=self.tool == "unknown",
+            tool_at=(x / 1e3, y / 1e3, z / 1e3),
+        )
+
+
+@dataclass(frozen=True)
+class Identify:
+    """What poses determine of an arm's parameters, and how well: before anything is measured, or of a recording.
+
+    For example:
+
+        lite6jax identify lite6 --sensor tracker --poses 60
+        lite6jax identify run7.csv --figures figures
+        lite6jax identify poses.csv --tool unknown --json
+    """
+
+    source: Annotated[Positional[str], arg(metavar="ARM|FILE")]
+    """A bundled arm, an arm's file, or a recording (.csv, .parquet); one without poses is a list of joint positions."""
+    setup: Setup = Setup()
+    poses: int = 100
+    """Of an arm: how many to draw inside its limits."""
+    seed: int = 0
+    """Of those."""
+    refits: int = 0
+    """Fit so many sets of simulated readings, to put the prediction to the test."""
+    geometry: Literal["declared", "exact", "prior", "free"] = "declared"
+    """Of a recording: what its sidecar says; the factory calibration exactly, or near it; or unknown."""
+    arm: ArmName = None
+    """Of a recording: the nominal arm, from the sidecar where not given."""
+    figures: Folder = None
+    """Draw singular values, correlations and standard deviations into this folder (PNG and SVG)."""
+    force: bool = False
+    """Replace files that exist."""
+    json: bool = False
+    """Print one JSON object (SI units) instead of sentences and tables."""
+    assume_degrees: bool = False
+    """Take joint columns that say rad as degrees."""
+    assume_millimetres: bool = False
+    """Take position columns that say m as millimetres."""
+
+    def run(self) -> int:
+        """Studies, draws, prints."""
+        from lite6jax.arms.files import read_arm
+        from lite6jax.fitting.fit import load_nominal, read_source
+        from lite6jax.identifiability.identify import identify, identify_recording
+
+        names = [f"{_stem(self.source)}_{what}" for what in ("singular_values", "correlation", "deviations")]
+        if self.figures:
+            from lite6jax.report import canvas
+
+            canvas.check_names(self.figures, names, self.force)
+        drawn = not self.source.lower().endswith((".csv", ".parquet"))
+        if drawn:
+            if self.poses < 1:
+                raise InputError(f"--poses {self.poses}: give at least 1")
+            found = identify(
+                self.setup.experiment(read_arm(self.source)), poses=self.poses, refits=self.refits, seed=self.seed
+            )
+        else:
+            nominal = load_nominal(self.arm)
+            recording = read_source(
+                self.source, nominal, assume_degrees=self.assume_degrees, assume_millimetres=self.assume_millimetres
+            )
+            if recording.position is None:
+                arm = nominal or read_arm(recording.settings.arm_reference(Path(self.source).parent))
+                found = identify(
+                    self.setup.experiment(arm), recording.joint_position, refits=self.refits, seed=self.seed
+                )
+            else:
+                found = identify_recording(
+                    recording, nominal, geometry=self.geometry, refits=self.refits, seed=self.seed
+                )
+
+        from lite6jax.report import screen, study_tables
+
+        written = []
+        if self.figures:
+            from lite6jax.report import canvas, study_figures
+
+            drawings = (
+                study_figures.singular_values(found, self.source),
+                study_figures.correlation(found, self.source),
+                study_figures.deviations(found, self.source),
+            )
+            written = canvas.save(dict(zip(names, drawings, strict=True)), self.figures, self.force)
+        if self.json:
+            print(json.dumps(found.to_dict(), indent=1, allow_nan=False))
+        else:
+            screen.show(study_tables.identification_report(found, self.source, drawn))
+            screen.written(written)
+        return DONE
+
+
+@dataclass(frozen=True)
+class Sensitivity:
+    """Which parameters move the flange, where, and which make up the error of an arm as assembled.
+
+    For example:
+
+        lite6jax sensitivity lite6 --figures figures
+    """
+
+    source: Annotated[Positional[str], arg(metavar="ARM|FILE")]
+    """A bundled arm or an arm's file."""
+    chain: Literal["hayati", "six_parameter"] = "six_parameter"
+    """The parameters: the six numbers a joint of a factory file, or Hayati's effective model."""
+    length: Annotated[float, arg(metavar="MM")] = 0.8
+    """Tolerance of a length, one standard deviation."""
+    angle: Annotated[float, arg(metavar="DEG")] = 0.15
+    """Tolerance of an angle."""
+    global_indices: bool = False
+    """Sobol's indices of an arm's largest error too, with SALib (pip install 'lite6jax[sensitivity]')."""
+    arms: int = 1024
+    """Of those, a power of 2."""
+    seed: int = 0
+    """Of what is drawn."""
+    figures: Folder = None
+    """Draw maps over each joint and over the workspace into this folder (PNG and SVG)."""
+    force: bool = False
+    """Replace files that exist."""
+
+    def run(self) -> int:
+        """Studies, draws, prints."""
+        from lite6jax.arms.files import read_arm
+        from lite6jax.identifiability.sensitivity import global_sensitivity, sensitivity
+        from lite6jax.report import canvas, screen, study_tables
+
+        for name, value in (("length", self.length), ("angle", self.angle)):
+            if not (math.isfinite(value) and value >= 0) or self.length == self.angle == 0:
+                raise InputError(f"--{name} {value}: give one standard deviation, not below 0, and not both 0")
+        names = [f"{_stem(self.source)}_{what}" for what in ("sensitivity_by_joint", "sensitivity_workspace")]
+        if self.figures:
+            canvas.check_names(self.figures, names, self.force)
+        arm = read_arm(self.source)
+        tolerance = {"m": self.length / 1e3, "rad": math.radians(self.angle)}
+        found = sensitivity(arm, chain=self.chain, tolerance=tolerance, seed=self.seed)
+        over_arms = None
+        if self.global_indices:
+            over_arms = global_sensitivity(arm, chain=self.chain, tolerance=tolerance, arms=self.arms, seed=self.seed)
+        written = []
+        if self.figures:
+            from lite6jax.report import study_figures
+
+            drawings = (
+                study_figures.sensitivity_by_joint(found, self.source),
+                study_figures.sensitivity_over_workspace(found, self.source),
+            )
+            written = canvas.save(dict(zip(names, drawings, strict=True)), self.figures, self.force)
+        screen.show(study_tables.sensitivity_report(found, over_arms, self.source))
+        screen.written(written)
+        return DONE
+
+
+def _stem(source: str) -> str:
+    """What the figures of a source are named after."""
+    return Path(source.partition("#")[0]).stem

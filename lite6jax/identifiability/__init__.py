@@ -1,0 +1,1 @@
+"""What a set of poses determines, how well, and which poses to record next."""

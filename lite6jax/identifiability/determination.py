@@ -1,0 +1,273 @@
+"""What a set of poses determines: singular values, rank, the null space in words, the precision to expect."""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lite6jax.arms.chains import HayatiForm
+from lite6jax.identifiability.information import Experiment
+from lite6jax.identifiability.sensor import Quantity
+from lite6jax.model import ModelForm
+
+Array = NDArray[np.floating]
+
+_DEPENDENT = 1e-8
+"""Sine of a column to the span of those before it, below which it adds nothing; rounding leaves 1e-15."""
+_UNFELT = 1e-10
+"""Length of a column over the longest, below which readings do not feel the parameter."""
+_TAKES_PART = 1e-6
+"""Share of a parameter in a dependency, in tolerances, below which it is rounding."""
+
+_SHOWN = {"m": 1e3, "rad": 180 / np.pi}
+_UNIT = {"m": "mm", "rad": "deg"}
+
+
+class Dependency(NamedTuple):
+    """A direction in which the parameters move without any reading changing.
+
+    Attributes:
+        name: the parameter that is held, as nothing tells it from the others.
+        partners: the others, and how far each moves per unit of the first, in their own units (m or rad).
+        units: of the held one and of each partner.
+    """
+
+    name: str
+    partners: tuple[tuple[str, float], ...]
+    units: tuple[str, ...]
+
+    @property
+    def statement(self) -> str:
+        """In words."""
+        if not self.partners:
+            return f"{self.name} is not felt: no reading changes with it."
+        shown = sorted(zip(self.partners, self.units[1:], strict=True), key=lambda p: -abs(p[0][1]) * _SHOWN[p[1]])
+        moves = [_amount(share, self.units[0], unit, name) for (name, share), unit in shown]
+        some, more = moves[:4], len(moves) - 4
+        listed = ", ".join(some) + (f" and {more} smaller" if more > 0 else "")
+        names = [self.name, *(name for (name, _), _ in shown)]
+        if len(names) <= 5:
+            together = f"{', '.join(names[:-1])} and {names[-1]} move together"
+        else:
+            together = f"{', '.join(names[:4])} and {len(names) - 4} others move together"
+        return f"{together}: {self.name} +1 {_UNIT[self.units[0]]} is undone by {listed}."
+
+
+class BaseParameter(NamedTuple):
+    """A combination that readings do determine: a parameter plus what it carries of those held.
+
+    Attributes:
+        name: the parameter that stands for it.
+        unit: `m` or `rad`.
+        adds: the held ones it carries, their factors (in SI units) and their units.
+    """
+
+    name: str
+    unit: str
+    adds: tuple[tuple[str, float, str], ...]
+
+    @property
+    def statement(self) -> str:
+        """As a sum, in mm and degrees."""
+        return self.name + "".join(
+            f" {'−' if factor < 0 else '+'} {_factor(abs(factor), self.unit, unit)}{name}"
+            for name, factor, unit in self.adds
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Determination:
+    """What readings at some joint positions say about an experiment's parameters.
+
+    Attributes:
+        names, units: of the unknown parameters, `(size,)`.
+        scale: `(size,)` the tolerance of each, m or rad.
+        samples: how many readings.
+        singular_values: `(size,)`, falling: standard deviations of all readings together per tolerance of a direction.
+            Those beyond the rank are rounding.
+        directions: `(size, size)`, the direction of each in its column, in tolerances.
+        rank: how many combinations of them the readings determine.
+        free: `(size,)` bool, a largest set of parameters that readings and what is known beforehand determine together;
+            the others are held.
+        dependencies: one for each parameter that readings do not tell from those before it.
+        base: the combinations that are determined, where they are more than a parameter.
+        theory: how many the best poses determine, by counting; None where it is not known.
+        covariance: `(size, size)` of the free ones in m and rad, prior included; zero where held.
+    """
+
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    scale: Array
+    samples: int
+    singular_values: Array
+    directions: Array
+    rank: int
+    free: NDArray[np.bool_]
+    dependencies: tuple[Dependency, ...]
+    base: tuple[BaseParameter, ...]
+    theory: int | None
+    covariance: Array
+
+    @property
+    def size(self) -> int:
+        """How many parameters are unknown."""
+        return len(self.names)
+
+    @cached_property
+    def standard_deviation(self) -> Array:
+        """`(size,)` predicted, m and rad; zero where held."""
+        return np.sqrt(np.diagonal(self.covariance))
+
+    @cached_property
+    def correlation(self) -> Array:
+        """`(size, size)`; zero rows where held."""
+        sigma = np.where(self.free, self.standard_deviation, 1.0)
+        return self.covariance / np.outer(sigma, sigma)
+
+    @property
+    def condition(self) -> float:
+        """The largest determined singular value over the smallest."""
+        return float(self.singular_values[0] / self.singular_values[self.rank - 1]) if self.rank else np.inf
+
+    def weak(self) -> tuple[str, ...]:
+        """Free parameters that readings know no better than the tolerance does."""
+        worse = self.free & (self.standard_deviation > self.scale)
+        return tuple(self.names[i] for i in np.flatnonzero(worse))
+
+    def correlated(self, above: float = 0.95) -> list[tuple[str, str, float]]:
+        """Pairs of parameters whose estimates move together, the closest first."""
+        rho = np.triu(self.correlation, 1)
+        found = sorted(zip(*np.nonzero(np.abs(rho) > above), strict=True), key=lambda ij: -abs(rho[ij]))
+        return [(self.names[i], self.names[j], float(rho[i, j])) for i, j in found]
+
+
+def determine(experiment: Experiment, joint_position: ArrayLike) -> Determination:
+    """What readings at `joint_position` `(sample, joint)` rad determine.
+
+    Raises:
+        InputError: joints that the arm does not have.
+    """
+    R = experiment.root(joint_position)
+    return determination_of(experiment, R, len(np.asarray(joint_position)))
+
+
+def determination_of(experiment: Experiment, root: Array, samples: int) -> Determination:
+    """As `determine`, from an R `(size, size)` with RᵀR the readings' information, in tolerances."""
+    names, units, unit = experiment.names, experiment.units, experiment.unit
+    _, singular, right = np.linalg.svd(root)
+    order = _order(experiment)
+    told, shares = _independent(root, order)
+    dependencies = []
+    carried: dict[int, list[tuple[str, float, str]]] = {int(k): [] for k in np.flatnonzero(told)}
+    for k in map(int, np.flatnonzero(~told)):
+        ratio = shares[k] / unit[k] * unit  # of SI units, not of tolerances
+        partners = np.flatnonzero(np.abs(shares[k]) > _TAKES_PART)
+        # a column that others can copy: its move is undone by theirs the other way round
+        dependencies.append(
+            Dependency(
+                names[k],
+                tuple((names[i], -float(ratio[i])) for i in partners),
+                (units[k], *(units[i] for i in partners)),
+            )
+        )
+        for i in partners:
+            carried[int(i)].append((names[k], float(ratio[i]), units[k]))
+    base = tuple(BaseParameter(names[i], units[i], tuple(adds)) for i, adds in carried.items() if adds)
+
+    known = np.sqrt(np.diagonal(experiment.prior))
+    free = _independent(np.vstack([root, np.diag(known)]), order)[0] if known.any() else told
+    H = (root.T @ root + experiment.prior)[np.ix_(free, free)]
+    covariance = np.zeros((len(names), len(names)))
+    covariance[np.ix_(free, free)] = _inverse(H) * np.outer(unit[free], unit[free])
+    return Determination(
+        names=names,
+        units=units,
+        scale=unit,
+        samples=samples,
+        singular_values=singular,
+        directions=right.T,
+        rank=int(told.sum()),
+        free=free,
+        dependencies=tuple(dependencies),
+        base=base,
+        theory=count(experiment.form, experiment.sensor.quantity) if experiment.movable.all() else None,
+        covariance=covariance,
+    )
+
+
+def count(form: ModelForm, quantity: Quantity) -> int:
+    """How many parameters the best poses determine of a generic arm with revolute joints, by counting.
+
+    By the product of exponentials a chain is its joints' axes, 4 numbers each, and the flange's pose, 6 (R. Brockett,
+    1984; B. Mooring, Z. Roth, M. Driels, Fundamentals of Manipulator Calibration, 1991): 4 n + 6, all of them felt by
+    full poses. A chain without a free tool has a flange that its last axis carries in a set way: 4 n + 4 of Hayati's,
+    4 n + 2 of six parameters. Positions feel of the flange's pose only the point (3), and one axis or one distance
+    leaves three motions of the whole arm unfelt. A point on the last joint's own axis is felt less than this says.
+    """
+    n = form.chain.dof
+    if quantity in ("position", "axis", "distance"):
+        felt = 4 * n + 3
+        if not form.tool and not isinstance(form.chain, HayatiForm):
+            felt = 4 * n - 1  # the last joint turns about the point: its axis is two numbers less, its angle none
+        return felt - (0 if quantity == "position" else 3)
+    if form.tool:
+        return 4 * n + 6
+    return 4 * n + (4 if isinstance(form.chain, HayatiForm) else 2)
+
+
+def _order(experiment: Experiment) -> list[int]:
+    """Sensor frame and tool first: what is held is then named after the geometry."""
+    geometry = int(experiment.movable[: experiment.form.chain.size].sum())
+    return [*range(geometry, experiment.size), *range(geometry)]
+
+
+def _independent(root: Array, order: list[int]) -> tuple[NDArray[np.bool_], dict[int, Array]]:
+    """Columns that are independent, taken one by one in `order`; of the others, their coordinates `(size,)` in these.
+
+    The coordinates of a dependent column are unique, so that each names the smallest set it depends on.
+    """
+    size = root.shape[1]
+    length = np.linalg.norm(root, axis=0)
+    largest = length.max(initial=0.0)
+    free = np.zeros(size, bool)
+    shares: dict[int, Array] = {}
+    Q = np.zeros((len(root), 0))
+    for k in order:
+        if length[k] <= _UNFELT * largest:
+            shares[k] = np.zeros(size)
+            continue
+        rest = root[:, k] / length[k]
+        for _ in range(2):  # twice is enough (Kahan): once leaves rounding in proportion to what was removed
+            rest = rest - Q @ (Q.T @ rest)
+        remaining = float(np.linalg.norm(rest))
+        if remaining > _DEPENDENT:
+            Q = np.column_stack([Q, rest / remaining])
+            free[k] = True
+            continue
+        share = np.zeros(size)
+        taken = np.flatnonzero(free)
+        scaled = root[:, taken] / length[taken]
+        share[taken] = np.linalg.lstsq(scaled, root[:, k], rcond=None)[0] / length[taken]
+        shares[k] = share
+    return free, shares
+
+
+def _inverse(H: Array) -> Array:
+    """Of a positive definite matrix, scaled to a unit diagonal first."""
+    root = np.sqrt(np.diagonal(H))
+    inverse = np.linalg.inv(H / np.outer(root, root)) / np.outer(root, root)
+    return (inverse + inverse.T) / 2
+
+
+def _amount(share: float, of: str, unit: str, name: str) -> str:
+    value = share * _SHOWN[unit] / _SHOWN[of]
+    return f"{name} {'−' if value < 0 else '+'}{abs(value):.3g} {_UNIT[unit]}"
+
+
+def _factor(factor: float, to: str, of: str) -> str:
+    value = factor * _SHOWN[to] / _SHOWN[of]
+    if to == of:
+        return "" if abs(value - 1) < 5e-4 else f"{value:.3g} "
+    return f"{value:.3g} {_UNIT[to]}/{_UNIT[of]} "

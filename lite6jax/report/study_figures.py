@@ -1,0 +1,147 @@
+"""Figures of a study of an arm: what poses determine, which parameters matter where, how designs compare."""
+
+import numpy as np
+from matplotlib import rc_context
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from numpy.typing import NDArray
+
+from lite6jax.identifiability.identify import Identification
+from lite6jax.identifiability.sensitivity import Sensitivity
+from lite6jax.report.canvas import AFTER, BEFORE, FRAMED, MARKERS, OKABE_ITO, STYLE, blank, degree_ticks
+from lite6jax.report.cells import SCREEN
+
+Array = NDArray[np.floating]
+
+_ROUNDING = 1e-16
+_MOST_CURVES = 5
+
+
+def singular_values(found: Identification, title: str) -> Figure:
+    """Singular values of the scaled Jacobian, falling, with the line under which nothing is determined."""
+    d = found.determination
+    values = np.maximum(d.singular_values, _ROUNDING * d.singular_values[0])
+    at = np.arange(1, d.size + 1)
+    with rc_context(STYLE):
+        figure = blank(9.0, 5.2)
+        panel = figure.subplots()
+        panel.axhline(1, color="black", linewidth=1, linestyle="--")
+        panel.text(d.size + 0.6, 1, " noise as large\n as a tolerance", va="center", fontsize=11)
+        told = at <= d.rank
+        panel.plot(at[told], values[told], "o", color=AFTER, markersize=8, label=f"determined: {d.rank}")
+        if not told.all():
+            panel.plot(at[~told], values[~told], "X", color=BEFORE, markersize=9, label=f"rounding: {d.size - d.rank}")
+        panel.set_yscale("log")
+        panel.set(
+            xlabel="direction of the parameters, by how well it is told",
+            ylabel="singular value\n(standard deviations per tolerance)",
+            xlim=(0.2, d.size + 0.8),
+        )
+        panel.legend(loc="best", frameon=False)
+        figure.suptitle(f"{title}: {d.rank} of {d.size} determined by {d.samples} poses", fontsize=15)
+    return figure
+
+
+def correlation(found: Identification, title: str) -> Figure:
+    """The correlations of the estimates, without those of what is held."""
+    d = found.determination
+    free = np.flatnonzero(d.free)
+    names = [d.names[i] for i in free]
+    with rc_context(FRAMED):
+        side = max(6.5, 0.26 * len(free) + 2.5)
+        figure = blank(side + 1.2, side)
+        panel = figure.subplots()
+        image = panel.imshow(d.correlation[np.ix_(free, free)], cmap="PuOr", vmin=-1, vmax=1)
+        panel.set_xticks(range(len(free)), names, rotation=90, fontsize=10)
+        panel.set_yticks(range(len(free)), names, fontsize=10)
+        held = d.size - len(free)
+        figure.colorbar(image, label="correlation of the estimates", shrink=0.8)
+        rest = f" ({held} held, not shown)" if held else ""
+        figure.suptitle(f"{title}: which estimates move together{rest}", fontsize=15)
+    return figure
+
+
+def deviations(found: Identification, title: str) -> Figure:
+    """The predicted standard deviation of each parameter against its tolerance: lengths above, angles below."""
+    d = found.determination
+    units = np.array(d.units)
+    kinds = [kind for kind in ("m", "rad") if (units == kind).any()]
+    with rc_context(STYLE):
+        figure = blank(12.0, 3.6 * len(kinds) + 0.8)
+        for panel, kind in zip(figure.subplots(len(kinds), 1, squeeze=False).ravel(), kinds, strict=True):
+            scale, unit = SCREEN[kind]
+            chosen = np.flatnonzero(units == kind)
+            values, free = scale * d.standard_deviation[chosen], d.free[chosen]
+            tolerance = scale * d.scale[chosen[0]]
+            at = np.arange(len(chosen))
+            low = 0.3 * min(values[free].min(initial=tolerance), tolerance)
+            panel.bar(at[free], values[free] - low, bottom=low, width=0.7, color=AFTER)
+            panel.plot(at[~free], np.full((~free).sum(), tolerance), "X", color=BEFORE, markersize=9, clip_on=False)
+            panel.axhline(tolerance, color="black", linestyle="--", linewidth=1.5)
+            panel.set_yscale("log")
+            panel.set_ylim(low, 2.5 * max(values[free].max(initial=tolerance), tolerance))
+            panel.set_xticks(at, [d.names[i] for i in chosen], rotation=45, ha="right")
+            panel.set_xlim(-0.7, len(chosen) - 0.3)
+            panel.set_ylabel(f"std. deviation ({unit})")
+            panel.grid(axis="x", visible=False)
+        handles = [
+            Line2D([], [], color=AFTER, linewidth=8, label="predicted"),
+            Line2D([], [], color="black", linestyle="--", label="tolerance of assembly"),
+        ]
+        if not d.free.all():
+            handles.append(Line2D([], [], color=BEFORE, marker="X", linestyle="", markersize=9, label="held"))
+        figure.legend(handles=handles, loc="outside lower center", ncols=3, frameon=False)
+        figure.suptitle(f"{title}: how well {d.samples} poses tell each parameter", fontsize=15)
+    return figure
+
+
+def sensitivity_by_joint(found: Sensitivity, title: str) -> Figure:
+    """How far the flange moves per tolerance of the parameters that matter most, over each joint."""
+    middles, means = found.by_joint()
+    joints = len(middles)
+    # those whose share depends on where the arm is: what moves the flange alike everywhere is a straight line
+    varies = np.nanmax(means, (0, 1))
+    order = np.argsort(-varies, kind="stable")[:_MOST_CURVES]
+    columns = 4 if joints > 6 else 3
+    rows = -(-joints // columns)
+    with rc_context(STYLE):
+        figure = blank(3.0 + 3.0 * columns, 3.2 * rows + 1.0)
+        panels = figure.subplots(rows, columns, sharey=True, squeeze=False).ravel()
+        for j, panel in enumerate(panels[:joints]):
+            for k, (i, colour, marker) in enumerate(zip(order, OKABE_ITO, MARKERS, strict=False)):
+                panel.plot(
+                    np.rad2deg(middles[j]), 1e3 * means[j, :, i], color=colour, linewidth=2.2, marker=marker,
+                    markevery=(k, 6), markersize=6, label=found.names[i],
+                )  # fmt: skip
+            panel.set_xlabel(f"joint {j + 1} (deg)")
+            panel.xaxis.set_major_locator(degree_ticks(panel))
+            if j % columns == 0:
+                panel.set_ylabel("flange moves (mm)\nper tolerance")
+        panels[0].set_ylim(bottom=0)
+        for panel in panels[joints:]:
+            panel.set_visible(False)
+        handles, labels = panels[0].get_legend_handles_labels()
+        figure.legend(handles, labels, loc="outside lower center", ncols=_MOST_CURVES, frameon=False)
+        figure.suptitle(f"{title}: which parameters move the flange, and where", fontsize=15)
+    return figure
+
+
+def sensitivity_over_workspace(found: Sensitivity, title: str) -> Figure:
+    """The error to expect of an arm as assembled, over the plane of its reach, and which parameters make it up."""
+    across, up, expected = found.over_workspace()
+    with rc_context(FRAMED):
+        figure = blank(12.0, 5.6)
+        left, right = figure.subplots(1, 2, width_ratios=(1, 1.15))
+        image = left.pcolormesh(1e3 * across, 1e3 * up, 1e3 * expected.T, cmap="cividis")
+        left.set(xlabel="distance from the base's axis (mm)", ylabel="height (mm)", aspect="equal")
+        figure.colorbar(image, ax=left, label="error to expect, RMS (mm)")
+        order = np.argsort(-found.share, kind="stable")[:12][::-1]
+        right.barh(np.arange(len(order)), 100 * found.share[order], color=AFTER)
+        right.axvline(100 / len(found.names), color="black", linestyle="--", linewidth=1.5)
+        right.text(100 / len(found.names), len(order) - 0.4, "even shares", fontsize=11, ha="center", va="bottom")
+        right.set_yticks(np.arange(len(order)), [found.names[i] for i in order])
+        right.set(xlabel="share of the mean squared error (%)")
+        for side in ("top", "right"):
+            right.spines[side].set_visible(False)
+        figure.suptitle(f"{title}: where the error of assembly shows, and what makes it", fontsize=15)
+    return figure
