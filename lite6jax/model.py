@@ -1,4 +1,4 @@
-"""The arm as a sensor sees it: a chain, the sensor's frame in front of it and a tool behind."""
+"""The arm as a sensor sees it: a chain, the sensor's frame in front of it, a tool behind, and physics within."""
 
 from dataclasses import dataclass
 from functools import cached_property, partial
@@ -9,8 +9,13 @@ import jax.numpy as jnp
 from jax import Array
 from jax.typing import ArrayLike
 
-from lite6jax.arms.chains import Form, fk
+from lite6jax.arms.chains import Bend, Form, Frame, base_frame, displace, fk, sweep, turn
 from lite6jax.arms.se3 import rotation_exp, transform
+from lite6jax.errors import InputError
+from lite6jax.physics.composition import Physics
+from lite6jax.physics.deflection import Deflection
+from lite6jax.physics.motion import Motion
+from lite6jax.physics.statics import Inertia, Loads, loads
 
 TWIST_NAMES = ("x", "y", "z", "rx", "ry", "rz")
 
@@ -91,3 +96,94 @@ def arm_model(
 def predict(chain: Form, model: ArmModel, joint_position: ArrayLike) -> Array:
     """The poses `T_sensor_tool` `(..., 4, 4)` that the sensor would show at `joint_position` `(..., joint)` rad."""
     return model.T_sensor_base @ fk(chain, model.geometry, joint_position) @ model.T_flange_tool
+
+
+def predict_frames_with(
+    chain: Form,
+    physics: Physics,
+    model: ArmModel,
+    values: Array,
+    motion: Motion,
+    statics: Inertia | Loads | None = None,
+) -> tuple[Frame, Frame]:
+    """The flange's and the tool's frames in sensor coordinates, of an arm with `physics`; plain JAX.
+
+    Effects of clock and payload alter the motion; gravity's loads are those of the rigid chain in that motion; the
+    deflections of all other effects add up; `predict_bent` composes them.
+
+    Args:
+        chain: which chain. Effects of links, and loads from masses, need the six-parameter chain.
+        physics: which effects; static.
+        model: the rigid arm.
+        values: `(physics.size,)`.
+        motion: the whole sequence, where an effect of the clock looks at neighbours.
+        statics: the masses; or the loads themselves, which then stay as they are; or None where no effect needs them.
+
+    Raises:
+        InputError: the motion lacks what an effect needs, by name; or is one of another number of joints; the chain is
+            not one that the effects can bend; or loads are given where an effect would change them.
+    """
+    if motion.dof != chain.dof:
+        raise InputError(f"motion: has {motion.dof} joints, and the chain {chain.dof}; give that arm's motion")
+    physics.check(motion, statics is not None)
+    if isinstance(statics, Loads) and physics.loaded and physics.altering:
+        raise InputError(
+            f"{physics.altering[0].label}: changes the loads, and they are given; give the masses instead, with the "
+            "six-parameter chain"
+        )
+    motion = physics.alter(values, motion)
+    if isinstance(statics, Inertia):
+        joint = turn(motion.joint_position)
+        statics = loads(chain, model.geometry, joint, motion.payload, statics) if physics.loaded else None
+    return predict_bent(chain, model, motion.joint_position, physics.deflect(values, motion, statics))
+
+
+def predict_bent(chain: Form, model: ArmModel, joint_position: Array, deflection: Deflection) -> tuple[Frame, Frame]:
+    """The flange's and the tool's frames in sensor coordinates, of a deflected arm; plain JAX.
+
+    In this order: (1 + scale) · T_sensor_base · base twist · ∏ [origin (1 + stretch), Rz(q + δq), link twist] · tool
+    twist · T_flange_tool, where the scale is one of positions and a twist is a translation and then a rotation. The
+    flange is the last joint's frame before the tool twist.
+
+    Args:
+        chain: which chain; `stretch` and `link` need the six-parameter chain.
+        model: the rigid arm.
+        joint_position: `(joint, sample)` rad.
+        deflection: None in it costs nothing.
+
+    Raises:
+        InputError: a link's deflection of a Hayati chain.
+    """
+    angle = joint_position if deflection.joint is None else joint_position + deflection.joint
+    start = base_frame(model.T_sensor_base, angle.shape[-1])
+    if deflection.base is not None:
+        start = displace(start, deflection.base)
+    bent = deflection.stretch is not None or deflection.link is not None
+    bend = Bend(deflection.stretch, deflection.link) if bent else None
+    flange, _ = sweep(chain, model.geometry, turn(angle), start, bend=bend)
+    end = flange if deflection.tool is None else displace(flange, deflection.tool)
+    T = model.T_flange_tool
+    axes = [T[0, i] * end.x + T[1, i] * end.y + T[2, i] * end.z for i in range(4)]
+    tool = Frame(axes[0], axes[1], axes[2], end.origin + axes[3])
+    if deflection.scale is None:
+        return flange, tool
+    growth = 1 + deflection.scale
+    return flange._replace(origin=growth * flange.origin), tool._replace(origin=growth * tool.origin)
+
+
+@partial(jax.jit, static_argnums=(0, 1))
+def predict_poses(
+    chain: Form,
+    physics: Physics,
+    model: ArmModel,
+    values: ArrayLike,
+    motion: Motion,
+    statics: Inertia | Loads | None = None,
+) -> Array:
+    """The poses `T_sensor_tool` `(sample, 4, 4)` that the sensor would show; as `predict_frames_with`.
+
+    Rows for which `physics.beyond` is true are extrapolated and mean nothing.
+    """
+    _, tool = predict_frames_with(chain, physics, model, jnp.asarray(values, float), motion, statics)
+    R = jnp.stack([tool.x, tool.y, tool.z], 1)
+    return transform(jnp.moveaxis(R, -1, 0), tool.origin.T)

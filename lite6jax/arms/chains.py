@@ -48,6 +48,18 @@ class Turn(NamedTuple):
     sin: Array
 
 
+class Bend(NamedTuple):
+    """What shifts the frames of a six-parameter chain away from its parameters, sample by sample; None is nothing.
+
+    Attributes:
+        stretch: `(joint, sample)`, the relative growth of the vector to each joint's origin.
+        twist: `(joint, 6, sample)`, what `displace` does to each frame after its joint's rotation.
+    """
+
+    stretch: Array | None = None
+    twist: Array | None = None
+
+
 def turn(angle: ArrayLike) -> Turn:
     """The turn by `angle` rad."""
     return Turn(jnp.cos(angle), jnp.sin(angle))
@@ -96,7 +108,9 @@ class SixParameterForm:
         """Nothing stands before joint 1."""
         return frame, ()
 
-    def step(self, frame: Frame, values: Array, flag: Array, joint: Turn) -> tuple[Frame, tuple[Twist, ...]]:
+    def step(
+        self, frame: Frame, values: Array | tuple[Array, ...], flag: Array, joint: Turn
+    ) -> tuple[Frame, tuple[Twist, ...]]:
         """Through one joint's origin and rotation."""
         x, y, z, yaw, pitch, roll = values
         shifts = tuple(Twist(frame[axis], None) for axis in (X, Y, Z))
@@ -180,7 +194,9 @@ class HayatiForm:
         about_x = rotation_twist(frame, X)
         return rotate(frame, X, turn(roll)), (*shifts, about_y, about_x)
 
-    def step(self, frame: Frame, values: Array, flag: Array, joint: Turn) -> tuple[Frame, tuple[Twist, ...]]:
+    def step(
+        self, frame: Frame, values: Array | tuple[Array, ...], flag: Array, joint: Turn
+    ) -> tuple[Frame, tuple[Twist, ...]]:
         """Through one joint's rotation and link."""
         theta, second, a, alpha = values
         d, beta = jnp.where(flag, 0.0, second), jnp.where(flag, second, 0.0)
@@ -253,6 +269,28 @@ def translate(frame: Frame, axis: int, by: Array) -> Frame:
     return frame._replace(origin=frame.origin + by * frame[axis])
 
 
+def displace(frame: Frame, twist: Array) -> Frame:
+    """The frame shifted along its own axes by `twist[:3]` m, then turned by the rotation vector `twist[3:]` rad."""
+    shifted = translate(translate(translate(frame, X, twist[0]), Y, twist[1]), Z, twist[2])
+    w = twist[3:]
+    angle2 = jnp.sum(w * w, 0)
+    small = angle2 < 1e-8  # where two terms of the series are exact to rounding
+    angle = jnp.sqrt(jnp.where(small, 1.0, angle2))
+    half = jnp.sin(angle / 2) / angle
+    sine = jnp.where(small, 1 - angle2 / 6, jnp.sin(angle) / angle)
+    versine = jnp.where(small, 0.5 - angle2 / 24, 2 * half * half)
+    axes = []
+    for i in range(3):  # column i of 1 + sine [w] + versine (w wᵀ − |w|²), Rodrigues' formula
+        j, k = (i + 1) % 3, (i + 2) % 3
+        along = 1 - versine * (w[j] * w[j] + w[k] * w[k])
+        axes.append(
+            along * frame[i]
+            + (versine * w[i] * w[j] + sine * w[k]) * frame[j]
+            + (versine * w[i] * w[k] - sine * w[j]) * frame[k]
+        )
+    return Frame(axes[0], axes[1], axes[2], shifted.origin)
+
+
 def rotation_twist(frame: Frame, axis: int) -> Twist:
     """The twist of a rotation about the frame's own axis."""
     return Twist(cross(frame.origin, frame[axis]), frame[axis])
@@ -269,6 +307,7 @@ def sweep(
     joint: Turn,
     start: Frame,
     emit: Callable[[Twist], Array] | None = None,
+    bend: Bend | None = None,
 ) -> tuple[Frame, Array]:
     """Walks a chain.
 
@@ -278,10 +317,19 @@ def sweep(
         joint: the joints' angles, each `(joint, sample)`.
         start: the base frame in fixed coordinates.
         emit: maps the twist of a parameter to an array; all of one shape.
+        bend: what shifts the frames of a six-parameter chain.
 
     Returns:
         The flange's frame, and what was emitted, `(size, …)` in *walking* order (empty without `emit`).
+
+    Raises:
+        InputError: a bend of a Hayati chain, whose frames are not those of the links.
     """
+    if bend is not None and isinstance(form, HayatiForm):
+        raise InputError(
+            "the Hayati chain has no frames of links to bend; use the six-parameter chain, to which "
+            "hayati_to_six_parameter converts it exactly"
+        )
     values = parameters[form.walking_order]
     entering, steps = values[: form.entering], values[form.entering :].reshape(form.dof, -1)
     flags = jnp.asarray(form.flags)
@@ -303,7 +351,15 @@ def sweep(
     def body(i: Array, state: tuple[Frame, Array]) -> tuple[Frame, Array]:
         frame, collected = state
         pick = partial(lax.dynamic_index_in_dim, index=i, axis=0, keepdims=False)
-        frame, twists = form.step(frame, pick(steps), pick(flags), Turn(pick(joint.cos), pick(joint.sin)))
+        values, stretch = pick(steps), None
+        if bend is not None and bend.stretch is not None:
+            stretch = 1 + pick(bend.stretch)
+            values = (*(stretch * value for value in values[:3]), *values[3:])
+        frame, twists = form.step(frame, values, pick(flags), Turn(pick(joint.cos), pick(joint.sin)))
+        if stretch is not None:
+            twists = (*(Twist(stretch * twist.linear, None) for twist in twists[:3]), *twists[3:])
+        if bend is not None and bend.twist is not None:
+            frame = displace(frame, pick(bend.twist))
         return frame, record(collected, form.entering + i * steps.shape[1], twists)
 
     return lax.fori_loop(0, form.dof, body, (frame, collected))

@@ -1,0 +1,60 @@
+"""What effects add to a rigid arm, site by site; deflections add up, so the order of effects does not matter."""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+
+class Deflection(NamedTuple):
+    """The difference between the rigid arm and the arm as it is, sample by sample. A pytree; None is nothing.
+
+    A twist is a translation (m) and then a rotation vector (rad), both in the axes of the frame that it displaces.
+
+    Attributes:
+        joint: `(joint, sample)` rad, added to what the encoders say.
+        stretch: `(joint, sample)`, the relative growth of the vector to each joint's origin.
+        link: `(joint, 6, sample)`, the twist of the frame after each joint's rotation.
+        base: `(6, sample)`, the twist of the base frame.
+        tool: `(6, sample)`, the twist of the flange.
+        scale: `(sample,)`, the relative growth of positions in the sensor's frame.
+    """
+
+    joint: Array | None = None
+    stretch: Array | None = None
+    link: Array | None = None
+    base: Array | None = None
+    tool: Array | None = None
+    scale: Array | None = None
+
+    def __add__(self, other: "Deflection") -> "Deflection":  # type: ignore[override]  # not a tuple's concatenation
+        return Deflection(*(a if b is None else b if a is None else a + b for a, b in zip(self, other, strict=True)))
+
+
+def dense(deflection: Deflection, dof: int, samples: int) -> Deflection:
+    """The same with zeros for what is absent, so that one compiled prediction serves every set of effects."""
+    shapes = ((dof, samples), (dof, samples), (dof, 6, samples), (6, samples), (6, samples), (samples,))
+    parts = (jnp.zeros(shape) if part is None else part for part, shape in zip(deflection, shapes, strict=True))
+    return Deflection(*parts)
+
+
+def at_joint(dof: int, number: int, values: Array) -> Array:
+    """`values` `(…, sample)` in the row of joint `number`, counted from 1, of `(joint, …, sample)`; zero elsewhere."""
+    row = np.zeros((dof,) + (1,) * jnp.ndim(values))
+    row[number - 1] = 1.0
+    return jnp.asarray(row) * values
+
+
+def twist(
+    samples: int,
+    x: Array | None = None,
+    y: Array | None = None,
+    z: Array | None = None,
+    rx: Array | None = None,
+    ry: Array | None = None,
+    rz: Array | None = None,
+) -> Array:
+    """The twist `(6, sample)` of its components, each `()` or `(sample,)`, m and rad; zero where not given."""
+    parts = (x, y, z, rx, ry, rz)
+    return jnp.stack([jnp.zeros(samples) if part is None else jnp.broadcast_to(part, (samples,)) for part in parts])
