@@ -50,20 +50,7 @@ def read_urdf(path: str | Path, base: str | None = None, tip: str | None = None)
             turn or that mimics another, or several links that the tip could be. The line names the file, the joint or
             link, and the remedy.
     """
-    robot = _parse(path)
-    joints = [_joint(element, path) for element in robot.findall("joint")]
-    links = {_name(element, path): element for element in robot.findall("link")}
-    above = {joint.child: joint for joint in joints}
-    if len(above) != len(joints):
-        twice = next(joint for joint in joints if above[joint.child] is not joint)
-        raise InputError(f"{path}: the link {twice.child!r} has two parents; a URDF is a tree, remove one joint")
-    for joint in joints:
-        for link in (joint.parent, joint.child):
-            if link not in links:
-                raise InputError(f"{path}: joint {joint.name!r} names the link {link!r}, which is not there; add it")
-    base = _base(path, base, links, above)
-    tip = _tip(path, base, tip, links, above)
-    path_down = _path(path, base, tip, above)
+    robot, joints, links, base, tip, path_down = _tree(path, base, tip)
 
     rows, limits, turning, axes = [], [], [], []
     before = _IDENTITY
@@ -100,6 +87,26 @@ def read_urdf(path: str | Path, base: str | None = None, tip: str | None = None)
         )
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
+
+
+def carried_links(
+    path: str | Path, base: str | None = None, tip: str | None = None
+) -> list[tuple[int, ET.Element, Array]]:
+    """Every link that the base or a joint of the chain carries, as `read_urdf` counts them, with its pose.
+
+    Returns:
+        for each link the joint that moves it, counted from 1, or 0 for what is fixed to the base; its element; and
+        `T_frame_link` (4, 4) in the arm's frame after that joint's rotation, or in the base's.
+
+    Raises:
+        InputError: as `read_urdf`.
+    """
+    read_urdf(path, base, tip)
+    _, joints, links, base, _, path_down = _tree(path, base, tip)
+    turning = [joint for joint in path_down if joint.kind != "fixed"]
+    roots = [(0, base, _IDENTITY)]
+    roots += [(i + 1, joint.child, _axis_frame(joint.axis).T) for i, joint in enumerate(turning)]
+    return [(number, links[name], R @ T) for number, root, R in roots for name, T in _carried(root, joints)]
 
 
 def write_urdf(arm: Arm, path: str | Path, overwrite: bool = False) -> Path:
@@ -145,6 +152,27 @@ def _floats(values: Array) -> str:
     return " ".join(repr(float(value)) for value in values)
 
 
+def _tree(
+    path: str | Path, base: str | None, tip: str | None
+) -> tuple[ET.Element, list[_Joint], dict[str, ET.Element], str, str, list[_Joint]]:
+    """The robot, its joints and links, and the names of base and tip with the joints between them."""
+    robot = _parse(path)
+    joints = [_joint(element, path) for element in robot.findall("joint")]
+    links = {_name(element, path): element for element in robot.findall("link")}
+    above = {joint.child: joint for joint in joints}
+    if len(above) != len(joints):
+        twice = next(joint for joint in joints if above[joint.child] is not joint)
+        raise InputError(f"{path}: the link {twice.child!r} has two parents; a URDF is a tree, remove one joint")
+    for joint in joints:
+        for link in (joint.parent, joint.child):
+            if link not in links:
+                raise InputError(f"{path}: joint {joint.name!r} names the link {link!r}, which is not there; add it")
+    base = _base(path, base, links, above)
+    tip = _tip(path, base, tip, links, above)
+    path_down = _path(path, base, tip, above)
+    return robot, joints, links, base, tip, path_down
+
+
 def _parse(path: str | Path) -> ET.Element:
     text = storage.read_text(path, SIZE_LIMIT)
     if "<!DOCTYPE" in text or "<!ENTITY" in text:
@@ -176,7 +204,7 @@ def _joint(element: ET.Element, path: str | Path) -> _Joint:
     parent, child = (_attribute(element, tag, "link", where) for tag in ("parent", "child"))
     axis = np.array([1.0, 0.0, 0.0])  # URDF's default
     if (entry := element.find("axis")) is not None:
-        axis = _vector(entry.get("xyz", "1 0 0"), f"{where}: axis")
+        axis = vector(entry.get("xyz", "1 0 0"), f"{where}: axis")
     length = math.sqrt(float(axis @ axis))
     if kind in _TURNING and length < 1e-9:
         raise InputError(f"{where}: its axis has no direction; write a unit vector")
@@ -186,7 +214,7 @@ def _joint(element: ET.Element, path: str | Path) -> _Joint:
             _scalar(_attribute(element, "limit", key, where), f"{where}: {key}") for key in ("lower", "upper")
         )
         limits = (lower, upper)
-    row = _origin(element, where)
+    row = origin(element, where)
     return _Joint(name, kind, parent, child, row, axis / (length or 1.0), limits, element.find("mimic") is not None)
 
 
@@ -198,15 +226,24 @@ def _attribute(element: ET.Element, tag: str, key: str, where: str) -> str:
     return value
 
 
-def _origin(element: ET.Element, where: str) -> Array:
-    origin = element.find("origin")
-    if origin is None:
+def origin(element: ET.Element, where: str) -> Array:
+    """(6,) x y z roll pitch yaw, m and rad, of an element's <origin>; zeros where there is none.
+
+    Raises:
+        InputError: not three numbers each; the line begins with `where`.
+    """
+    entry = element.find("origin")
+    if entry is None:
         return np.zeros(6)
-    parts = (_vector(origin.get(key, "0 0 0"), f"{where}: origin {key}") for key in ("xyz", "rpy"))
-    return np.concatenate(list(parts))
+    return np.concatenate([vector(entry.get(key, "0 0 0"), f"{where}: origin {key}") for key in ("xyz", "rpy")])
 
 
-def _vector(text: str, where: str) -> Array:
+def vector(text: str, where: str) -> Array:
+    """(3,) numbers of an attribute's text.
+
+    Raises:
+        InputError: not three finite numbers; the line begins with `where`.
+    """
     parts = text.split()
     if len(parts) != 3:
         raise InputError(f"{where} is {text!r}; write three numbers")
@@ -300,21 +337,14 @@ def _inertial(
     """(joint,) kg and (joint, 3) m: each moved link with all that is fixed to it."""
     if all(link.find("inertial") is None for link in links.values()):
         return None, None
-    below: dict[str, list[_Joint]] = {}
-    for joint in joints:
-        if joint.kind == "fixed":
-            below.setdefault(joint.parent, []).append(joint)
     mass, center_of_mass = [], []
     for link, R in zip(moved, axes, strict=True):
         found: list[tuple[float, Array]] = []
-        waiting = [(link, _IDENTITY)]
-        while waiting:
-            name, T = waiting.pop()
-            waiting += [(j.child, T @ frames.transform_from_row(j.row)) for j in below.get(name, [])]
+        for name, T in _carried(link, joints):
             if (inertial := links[name].find("inertial")) is not None:
                 where = f"{path}: link {name!r}: inertial"
                 kg = _scalar(_attribute(inertial, "mass", "value", where), f"{where}: mass")
-                found.append((kg, R[:3, :3].T @ (T[:3, :3] @ _origin(inertial, where)[:3] + T[:3, 3])))
+                found.append((kg, R[:3, :3].T @ (T[:3, :3] @ origin(inertial, where)[:3] + T[:3, 3])))
         total = sum(kg for kg, _ in found)
         mass.append(total)
         if len(found) == 1:
@@ -322,3 +352,17 @@ def _inertial(
         else:
             center_of_mass.append(sum((kg * center for kg, center in found), np.zeros(3)) / (total or 1.0))
     return np.array(mass), np.array(center_of_mass)
+
+
+def _carried(link: str, joints: list[_Joint]) -> list[tuple[str, Array]]:
+    """A link and all that is fixed to it, each with its pose in the link's frame."""
+    below: dict[str, list[_Joint]] = {}
+    for joint in joints:
+        if joint.kind == "fixed":
+            below.setdefault(joint.parent, []).append(joint)
+    found, waiting = [], [(link, _IDENTITY)]
+    while waiting:
+        name, T = waiting.pop()
+        waiting += [(j.child, T @ frames.transform_from_row(j.row)) for j in below.get(name, [])]
+        found.append((name, T))
+    return found

@@ -18,7 +18,7 @@ from tyro.conf import FlagCreatePairsOff, OmitArgPrefixes, subcommand
 from lite6jax.cli.arguments import BAD_INPUT, DONE, INTERRUPTED
 from lite6jax.cli.files import Check, Convert
 from lite6jax.cli.fit import Compare, Demo, Fit, Fleet
-from lite6jax.cli.study import Identify, Sensitivity
+from lite6jax.cli.study import Design, Identify, Sensitivity
 from lite6jax.errors import InputError
 
 COMMANDS = {
@@ -27,6 +27,7 @@ COMMANDS = {
     "fleet": Fleet,
     "identify": Identify,
     "sensitivity": Sensitivity,
+    "design": Design,
     "convert": Convert,
     "check": Check,
     "demo": Demo,

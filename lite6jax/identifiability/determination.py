@@ -21,8 +21,9 @@ _UNFELT = 1e-10
 _TAKES_PART = 1e-6
 """Share of a parameter in a dependency, in tolerances, below which it is rounding."""
 
-_SHOWN = {"m": 1e3, "rad": 180 / np.pi}
-_UNIT = {"m": "mm", "rad": "deg"}
+
+_QUOTED = {"m": 1e-3, "rad": float(np.deg2rad(1.0))}
+"""How far a parameter is moved in a statement: 1 mm, 1 degree; an effect's number by its typical size."""
 
 
 class Dependency(NamedTuple):
@@ -30,29 +31,32 @@ class Dependency(NamedTuple):
 
     Attributes:
         name: the parameter that is held, as nothing tells it from the others.
-        partners: the others, and how far each moves per unit of the first, in their own units (m or rad).
-        units: of the held one and of each partner.
+        unit: of it, SI.
+        amount: how far it is moved where a statement says what undoes that, in that unit.
+        partners: each other's name, its unit, and how far it moves per SI unit of the first, in SI units.
     """
 
     name: str
-    partners: tuple[tuple[str, float], ...]
-    units: tuple[str, ...]
+    unit: str
+    amount: float
+    partners: tuple[tuple[str, str, float], ...]
 
     @property
     def statement(self) -> str:
         """In words."""
         if not self.partners:
             return f"{self.name} is not felt: no reading changes with it."
-        shown = sorted(zip(self.partners, self.units[1:], strict=True), key=lambda p: -abs(p[0][1]) * _SHOWN[p[1]])
-        moves = [_amount(share, self.units[0], unit, name) for (name, share), unit in shown]
-        some, more = moves[:4], len(moves) - 4
-        listed = ", ".join(some) + (f" and {more} smaller" if more > 0 else "")
-        names = [self.name, *(name for (name, _), _ in shown)]
+        moves = [(name, unit, self.amount * share) for name, unit, share in self.partners]
+        moves.sort(key=lambda move: -abs(move[2]) * _shown(move[1])[0])
+        listed = ", ".join(_moved(*move) for move in moves[:4])
+        if len(moves) > 4:
+            listed += f" and {len(moves) - 4} smaller"
+        names = [self.name, *(name for name, _, _ in moves)]
         if len(names) <= 5:
             together = f"{', '.join(names[:-1])} and {names[-1]} move together"
         else:
             together = f"{', '.join(names[:4])} and {len(names) - 4} others move together"
-        return f"{together}: {self.name} +1 {_UNIT[self.units[0]]} is undone by {listed}."
+        return f"{together}: {_moved(self.name, self.unit, self.amount)} is undone by {listed}."
 
 
 class BaseParameter(NamedTuple):
@@ -168,8 +172,9 @@ def determination_of(experiment: Experiment, root: Array, samples: int) -> Deter
         dependencies.append(
             Dependency(
                 names[k],
-                tuple((names[i], -float(ratio[i])) for i in partners),
-                (units[k], *(units[i] for i in partners)),
+                units[k],
+                _QUOTED.get(units[k], float(unit[k])),
+                tuple((names[i], units[i], -float(ratio[i])) for i in partners),
             )
         )
         for i in partners:
@@ -181,6 +186,7 @@ def determination_of(experiment: Experiment, root: Array, samples: int) -> Deter
     H = (root.T @ root + experiment.prior)[np.ix_(free, free)]
     covariance = np.zeros((len(names), len(names)))
     covariance[np.ix_(free, free)] = _inverse(H) * np.outer(unit[free], unit[free])
+    whole = experiment.movable.all() and not experiment.physics.effects
     return Determination(
         names=names,
         units=units,
@@ -192,7 +198,7 @@ def determination_of(experiment: Experiment, root: Array, samples: int) -> Deter
         free=free,
         dependencies=tuple(dependencies),
         base=base,
-        theory=count(experiment.form, experiment.sensor.quantity) if experiment.movable.all() else None,
+        theory=count(experiment.form, experiment.sensor.quantity) if whole else None,
         covariance=covariance,
     )
 
@@ -218,9 +224,10 @@ def count(form: ModelForm, quantity: Quantity) -> int:
 
 
 def _order(experiment: Experiment) -> list[int]:
-    """Sensor frame and tool first: what is held is then named after the geometry."""
+    """Sensor frame and tool first, effects last: what is held is then named after the geometry, or is an effect."""
     geometry = int(experiment.movable[: experiment.form.chain.size].sum())
-    return [*range(geometry, experiment.size), *range(geometry)]
+    rigid = int(experiment.movable[: experiment.form.size].sum())
+    return [*range(geometry, rigid), *range(geometry), *range(rigid, experiment.size)]
 
 
 def _independent(root: Array, order: list[int]) -> tuple[NDArray[np.bool_], dict[int, Array]]:
@@ -261,13 +268,21 @@ def _inverse(H: Array) -> Array:
     return (inverse + inverse.T) / 2
 
 
-def _amount(share: float, of: str, unit: str, name: str) -> str:
-    value = share * _SHOWN[unit] / _SHOWN[of]
-    return f"{name} {'−' if value < 0 else '+'}{abs(value):.3g} {_UNIT[unit]}"
+def _shown(unit: str) -> tuple[float, str]:
+    """From SI to what people read: lengths in mm, angles in degrees, all else as it is."""
+    return {"m": (1e3, " mm"), "rad": (180 / np.pi, " deg"), "1": (1.0, "")}.get(unit, (1.0, f" {unit}"))
+
+
+def _moved(name: str, unit: str, by: float) -> str:
+    scale, shown = _shown(unit)
+    return f"{name} {'−' if by < 0 else '+'}{abs(scale * by):.3g}{shown}"
 
 
 def _factor(factor: float, to: str, of: str) -> str:
-    value = factor * _SHOWN[to] / _SHOWN[of]
+    (to_scale, to_shown), (of_scale, of_shown) = _shown(to), _shown(of)
+    value = factor * to_scale / of_scale
     if to == of:
         return "" if abs(value - 1) < 5e-4 else f"{value:.3g} "
-    return f"{value:.3g} {_UNIT[to]}/{_UNIT[of]} "
+    below = of_shown.strip()
+    per = f"/({below})" if "/" in below else f"/{below}" if below else ""
+    return f"{value:.3g} {to_shown.strip() or '1'}{per} "

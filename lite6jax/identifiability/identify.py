@@ -102,7 +102,11 @@ class Identification:
             ],
             "singular_values": [float(value) for value in d.singular_values],
             "dependencies": [
-                {"held": item.name, "undone_by": dict(item.partners), "statement": item.statement}
+                {
+                    "held": item.name,
+                    "undone_by": {name: share for name, _, share in item.partners},
+                    "statement": item.statement,
+                }
                 for item in d.dependencies
             ],
             "base_parameters": [item.statement for item in d.base],

@@ -4,9 +4,10 @@ Everything here is dimensionless: a reading counts in standard deviations of its
 tolerance that it plausibly has. What follows, indices, designs and null spaces, then does not depend on units.
 """
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
-from typing import Literal
+from typing import Any, Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -15,34 +16,48 @@ from numpy.typing import ArrayLike, NDArray
 
 from lite6jax.arms import bundled
 from lite6jax.arms.arm import Arm
-from lite6jax.arms.chains import SixParameterForm, Turn, Twist, turn
+from lite6jax.arms.chains import Frame, SixParameterForm, Turn, Twist, cross, turn
 from lite6jax.errors import InputError
 from lite6jax.fitting.fleet import BLOCK, pad
 from lite6jax.fitting.problem import Geometry, recording_problem
 from lite6jax.fitting.residual import predict_frames, step_order, twist_columns
 from lite6jax.identifiability.sensor import Sensor, joint_whitener, sensor_named
-from lite6jax.model import ArmModel, ModelForm
+from lite6jax.model import ArmModel, ModelForm, predict_frames_with
+from lite6jax.physics.composition import Physics
+from lite6jax.physics.effect import Effect
+from lite6jax.physics.motion import Motion
+from lite6jax.physics.statics import Inertia, Loads, inertia_of, loads
 from lite6jax.recordings import Recording
 
 Array = NDArray[np.floating]
 Chain = Literal["hayati", "six_parameter"]
+Approach = Literal["sequence", "zero"]
 
 TOLERANCE = {"m": 0.8e-3, "rad": float(np.deg2rad(0.15))}
 """What assembly leaves in a length and an angle of a Lite 6, one standard deviation (the seed's simulated test)."""
+
+RIGID = Physics()
 
 
 @dataclass(frozen=True, eq=False)
 class Experiment:
     """Which model is to be identified with which sensor.
 
+    Its parameters are the entries of a step of `form`, then the numbers of `physics`.
+
     Attributes:
-        arm: the nominal arm.
-        form: the parameters.
+        arm: the nominal arm; its masses cause the loads that effects depend on.
+        form: the geometry, sensor frame and tool.
         model: where they are linearised; NumPy leaves.
         sensor: what is read.
-        movable: `(size,)` bool, the parameters that are unknown.
-        precision: `(size,)` what is known of them beforehand, 1/m² or 1/rad²; zero is nothing.
-        scale: `(size,)` the unit each counts in, m or rad.
+        movable: `(parameter,)` bool, those that are unknown.
+        precision: `(parameter,)` what is known of them beforehand, one over a variance; zero is nothing.
+        scale: `(parameter,)` the size that each counts in.
+        physics: effects beyond the rigid arm.
+        values: `(physics.size,)` where those are linearised.
+        payload: kg at the flange.
+        approach: from where each pose is come to, which effects of the direction of motion feel: the pose before it,
+            the first from all joints at zero; or always from zero.
     """
 
     arm: Arm
@@ -52,16 +67,23 @@ class Experiment:
     movable: NDArray[np.bool_]
     precision: Array
     scale: Array
+    physics: Physics = RIGID
+    values: tuple[float, ...] = ()
+    payload: float = 0.0
+    approach: Approach = "sequence"
 
-    @property
+    @cached_property
     def names(self) -> tuple[str, ...]:
         """Of the unknown parameters."""
-        return tuple(name for name, moves in zip(self.form.names, self.movable, strict=True) if moves)
+        return self._unknown((*self.form.names, *self.physics.names))
 
-    @property
+    @cached_property
     def units(self) -> tuple[str, ...]:
-        """`m` or `rad` of each."""
-        return tuple(unit for unit, moves in zip(self.form.units, self.movable, strict=True) if moves)
+        """`m`, `rad`, or an effect's unit, of each."""
+        return self._unknown((*self.form.units, *self.physics.units))
+
+    def _unknown(self, all_of_them: tuple[str, ...]) -> tuple[str, ...]:
+        return tuple(one for one, moves in zip(all_of_them, self.movable, strict=True) if moves)
 
     @property
     def size(self) -> int:
@@ -70,7 +92,7 @@ class Experiment:
 
     @cached_property
     def unit(self) -> Array:
-        """`(size,)` m or rad: what 1 of an unknown parameter means here."""
+        """`(size,)` in SI units: what 1 of an unknown parameter means here."""
         return self.scale[self.movable]
 
     @cached_property
@@ -88,11 +110,16 @@ class Experiment:
             `(sample, row, size)`: standard deviations of a reading's numbers per tolerance of a parameter.
 
         Raises:
-            InputError: joints that the arm does not have.
+            InputError: joints that the arm does not have, or effects that poses at rest do not show.
         """
         q = self._checked(joint_position)
-        columns = np.asarray(_columns(self.form, self.sensor, self.model, q))
+        columns = np.asarray(self._columns(q, self.direction(q)))
         return np.transpose(columns[self.movable], (2, 1, 0)) * self.unit
+
+    def traced_rows(self, joint_position: jax.Array) -> jax.Array:
+        """As `rows`, of and to JAX arrays, unchecked: to be differentiated by the joint positions."""
+        columns = self._columns(joint_position, self.direction(joint_position))
+        return jnp.transpose(columns[self.movable], (2, 1, 0)) * self.unit
 
     def root(self, joint_position: ArrayLike) -> Array:
         """An upper triangular R `(size, size)` with RᵀR the information of readings at `joint_position`, without prior.
@@ -100,28 +127,71 @@ class Experiment:
         By orthogonal steps, block by block: its singular values are those of the rows to rounding, where an
         eigenvalue of RᵀR would lose half the digits.
         """
-        q = self._checked(joint_position)
         R = np.zeros((0, self.size))
-        for first in range(0, len(q), BLOCK):
-            block = q[first : first + BLOCK]
-            full = pad(block, 0, BLOCK) if len(q) > BLOCK else block  # of one shape: compiled once
-            columns = np.asarray(_columns(self.form, self.sensor, self.model, full))[self.movable, :, : len(block)]
-            rows = columns.reshape(self.size, -1).T * self.unit
-            R = np.linalg.qr(np.concatenate([R, rows]), mode="r")
+        q = self._checked(joint_position)
+        for first, (block, direction) in zip(range(0, len(q), BLOCK), self._blocks(q), strict=True):
+            columns = np.asarray(self._columns(block, direction))[self.movable, :, : len(q) - first]
+            R = np.linalg.qr(np.concatenate([R, columns.reshape(self.size, -1).T * self.unit]), mode="r")
         return np.concatenate([R, np.zeros((self.size - len(R), self.size))])
 
     def information(self, joint_position: ArrayLike) -> Array:
         """The Fisher information `(size, size)` of readings at `joint_position` `(sample, joint)` and of the prior."""
         q = self._checked(joint_position)
-        size = -(-len(q) // BLOCK) * BLOCK if len(q) > BLOCK else len(q)
-        weight = pad(np.ones(len(q)), 0, size).reshape(-1, min(size, BLOCK))
-        blocks = pad(q, 0, size).reshape(*weight.shape, -1)
-        H = np.asarray(_information(self.form, self.sensor, self.model, blocks, weight))
+        blocks, directions = map(np.stack, zip(*self._blocks(q), strict=True))
+        weight = pad(np.ones(len(q)), 0, blocks.shape[0] * blocks.shape[1]).reshape(blocks.shape[:2])
+        H = np.asarray(_information(self.form, self.physics, self.sensor, self.numbers, blocks, directions, weight))
         return H[np.ix_(self.movable, self.movable)] * np.outer(self.unit, self.unit) + self.prior
 
     def with_sensor(self, sensor: Sensor) -> "Experiment":
         """The same model seen by another sensor."""
         return replace(self, sensor=sensor)
+
+    def with_physics(self, effects: Sequence[Effect], values: ArrayLike | None = None) -> "Experiment":
+        """The same with these effects unknown too.
+
+        Args:
+            effects: in the order of their numbers.
+            values: `(number,)` where they are linearised; neutral where not given.
+
+        Raises:
+            InputError: what poses at rest do not show, or what this chain cannot have; by name, with the remedy.
+        """
+        physics = Physics(tuple(effects))
+        extended = replace(
+            self,
+            movable=np.concatenate([self.movable[: self.form.size], np.ones(physics.size, bool)]),
+            precision=np.concatenate([self.precision[: self.form.size], np.zeros(physics.size)]),
+            scale=np.concatenate([self.scale[: self.form.size], physics.typical]),
+            physics=physics,
+            values=(0.0,) * physics.size if values is None else tuple(map(float, np.asarray(values, float))),
+        )
+        extended.rows(np.zeros((1, self.arm.dof)))  # at once, rather than after long work
+        return extended
+
+    @cached_property
+    def numbers(self) -> "Numbers":
+        """What readings depend on beside the joints."""
+        arm = self.arm
+        inertia = None
+        if arm.mass is not None and arm.center_of_mass is not None:
+            inertia = inertia_of(arm.mass, arm.center_of_mass, arm.T_joint_flange[:3, 3])
+        return Numbers(self.model, np.array(self.values, float), arm.kinematics.ravel(), inertia, self.payload)  # type: ignore[arg-type]
+
+    def _columns(self, q: ArrayLike, direction: ArrayLike) -> jax.Array:
+        return _columns(self.form, self.physics, self.sensor, self.numbers, q, direction)  # type: ignore[arg-type]
+
+    def direction(self, q: Any) -> Any:
+        """`(sample, joint)` −1, 0 or 1: as recordings define it of an arm that stands still at each sample."""
+        if self.approach == "zero" or not isinstance(q, np.ndarray):
+            return jnp.sign(q) if isinstance(q, jax.Array) else np.sign(q)
+        return np.sign(np.diff(q, axis=0, prepend=np.zeros((1, q.shape[1]))))
+
+    def _blocks(self, q: Array) -> Iterator[tuple[Array, Array]]:
+        """Joint positions and directions in blocks of one shape, that it is compiled for once."""
+        direction = self.direction(q)
+        size = min(len(q), BLOCK)
+        for first in range(0, len(q), size):
+            yield pad(q[first : first + size], 0, size), pad(direction[first : first + size], 0, size)
 
     def _checked(self, joint_position: ArrayLike) -> Array:
         q = np.asarray(joint_position, float)
@@ -212,20 +282,104 @@ def recorded(recording: Recording, arm: Arm | None = None, geometry: Geometry = 
     )
 
 
-@partial(jax.jit, static_argnums=(0, 1))
-def _columns(form: ModelForm, sensor: Sensor, model: ArmModel, joint_position: jax.Array) -> jax.Array:
-    """`(parameter, row, sample)`: standard deviations per m or rad."""
-    joint = turn(joint_position.T)
-    flange, tool = predict_frames(form, model, joint)
+class Numbers(NamedTuple):
+    """What readings depend on beside the joints. A pytree.
 
-    def emit(twist: Twist) -> jax.Array:
-        return sensor.change(tool, twist)
+    Attributes:
+        model: of the rigid arm.
+        values: of its effects.
+        kinematics: `(6 n,)` of the nominal six-parameter chain, whose frames the masses are given in.
+        inertia: its masses, or None where they are not known.
+        payload: kg.
+    """
 
-    columns = twist_columns(form, model, joint, flange, tool, emit)[step_order(form)]
+    model: ArmModel
+    values: jax.Array
+    kinematics: jax.Array
+    inertia: Inertia | None
+    payload: ArrayLike
+
+
+@partial(jax.jit, static_argnums=(0, 1, 2))
+def _columns(
+    form: ModelForm,
+    physics: Physics,
+    sensor: Sensor,
+    numbers: Numbers,
+    joint_position: jax.Array,
+    direction: jax.Array,
+) -> jax.Array:
+    """`(parameter, row, sample)`: standard deviations per SI unit."""
+    model, joint = numbers.model, turn(joint_position.T)
+    if physics.effects:
+        columns = _columns_with(form, physics, sensor, numbers, joint_position, direction)
+    else:
+        flange, tool = predict_frames(form, model, joint)
+
+        def emit(twist: Twist) -> jax.Array:
+            return sensor.change(tool, twist)
+
+        columns = twist_columns(form, model, joint, flange, tool, emit)[step_order(form)]
     if not sensor.joint_noise:
         return columns
     whitener = joint_whitener(joint_changes(form, sensor, model, joint), sensor.joint_noise)
     return jnp.sum(jnp.moveaxis(whitener, 0, -1)[None] * columns[:, None], 2)
+
+
+def _columns_with(
+    form: ModelForm,
+    physics: Physics,
+    sensor: Sensor,
+    numbers: Numbers,
+    joint_position: jax.Array,
+    direction: jax.Array,
+) -> jax.Array:
+    """As `_columns`, by automatic differentiation: effects have no closed form in common."""
+    moved_by = partial(tool_frame, form, physics, numbers, joint_position, direction)
+    zero = jnp.zeros(form.size + physics.size)
+    tool = moved_by(zero)
+
+    def by(entry: jax.Array) -> jax.Array:
+        return sensor.change(tool, _twist(tool, jax.jvp(moved_by, (zero,), (entry,))[1]))
+
+    return jax.lax.map(by, jnp.eye(zero.size))
+
+
+def tool_frame(
+    form: ModelForm,
+    physics: Physics,
+    numbers: Numbers,
+    joint_position: jax.Array,
+    direction: jax.Array,
+    step: jax.Array,
+) -> Frame:
+    """The tool's frame in sensor coordinates of an arm at rest, a step `(parameter,)` away; plain JAX.
+
+    Args:
+        form, physics: static.
+        numbers: where from.
+        joint_position: `(sample, joint)` rad.
+        direction: `(sample, joint)`, in which each pose was come to.
+        step: of `form`, then of `physics`.
+    """
+    model, values = form.retract(numbers.model, step[: form.size]), numbers.values + step[form.size :]
+    if not physics.effects:
+        return predict_frames(form, model, turn(joint_position.T))[1]
+    samples = joint_position.shape[0]
+    motion = Motion(
+        joint_position=joint_position.T,
+        joint_velocity=None,
+        direction=direction.T,
+        time=None,
+        run=jnp.stack([jnp.zeros(samples, int), jnp.full(samples, samples - 1)]),
+        temperature_rise=None,
+        payload=jnp.full(samples, numbers.payload),
+    )
+    statics: Inertia | Loads | None = numbers.inertia
+    if statics is not None and not isinstance(form.chain, SixParameterForm):  # its frames are not those of the masses
+        nominal = SixParameterForm(form.chain.dof)
+        statics = loads(nominal, numbers.kinematics, turn(joint_position.T), motion.payload, statics)
+    return predict_frames_with(form.chain, physics, model, values, motion, statics)[1]
 
 
 def joint_changes(form: ModelForm, sensor: Sensor, model: ArmModel, joint: Turn) -> jax.Array:
@@ -234,20 +388,34 @@ def joint_changes(form: ModelForm, sensor: Sensor, model: ArmModel, joint: Turn)
 
     def by(direction: jax.Array) -> jax.Array:
         turning = Turn(-direction[:, None] * joint.sin, direction[:, None] * joint.cos)
-        _, moved = jax.jvp(lambda j: predict_frames(form, model, j)[1], (joint,), (turning,))
-        # R' Rᵀ is skew: its entries below the diagonal are the angular velocity
-        spin = jnp.stack([sum(moved[k][a] * tool[k][b] for k in range(3)) for a, b in ((2, 1), (0, 2), (1, 0))])
-        linear = moved.origin - jnp.cross(spin, tool.origin, axis=0)
-        return sensor.change(tool, Twist(linear, spin))
+        moved = jax.jvp(lambda j: predict_frames(form, model, j)[1], (joint,), (turning,))[1]
+        return sensor.change(tool, _twist(tool, moved))
 
     return jnp.moveaxis(jax.vmap(by)(jnp.eye(form.chain.dof)), 0, 1)
 
 
-@partial(jax.jit, static_argnums=(0, 1))
-def _information(form: ModelForm, sensor: Sensor, model: ArmModel, blocks: jax.Array, weight: jax.Array) -> jax.Array:
-    def add(total: jax.Array, block: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, None]:
-        q, w = block
-        J = (_columns(form, sensor, model, q) * w).reshape(form.size, -1)
+def _twist(frame: Frame, moved: Frame) -> Twist:
+    """The twist, at the fixed origin, of a frame whose derivative is `moved`."""
+    # R' Rᵀ is skew: its entries below the diagonal are the angular velocity
+    spin = jnp.stack([sum(moved[k][a] * frame[k][b] for k in range(3)) for a, b in ((2, 1), (0, 2), (1, 0))])
+    return Twist(moved.origin - cross(spin, frame.origin), spin)
+
+
+@partial(jax.jit, static_argnums=(0, 1, 2))
+def _information(
+    form: ModelForm,
+    physics: Physics,
+    sensor: Sensor,
+    numbers: Numbers,
+    blocks: jax.Array,
+    directions: jax.Array,
+    weight: jax.Array,
+) -> jax.Array:
+    size = form.size + physics.size
+
+    def add(total: jax.Array, block: tuple[jax.Array, jax.Array, jax.Array]) -> tuple[jax.Array, None]:
+        q, direction, w = block
+        J = (_columns(form, physics, sensor, numbers, q, direction) * w).reshape(size, -1)
         return total + J @ J.T, None
 
-    return jax.lax.scan(add, jnp.zeros((form.size, form.size)), (blocks, weight))[0]
+    return jax.lax.scan(add, jnp.zeros((size, size)), (blocks, directions, weight))[0]

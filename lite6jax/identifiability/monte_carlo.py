@@ -11,11 +11,11 @@ from numpy.typing import ArrayLike, NDArray
 from lite6jax.arms.chains import Frame, turn
 from lite6jax.arms.se3 import rotation_exp, rotation_log_components
 from lite6jax.errors import InputError
-from lite6jax.fitting.residual import predict_frames
 from lite6jax.identifiability.determination import Determination, determine
-from lite6jax.identifiability.information import Experiment, joint_changes
+from lite6jax.identifiability.information import Experiment, Numbers, joint_changes, tool_frame
 from lite6jax.identifiability.sensor import Sensor, joint_whitener
-from lite6jax.model import ArmModel, ModelForm
+from lite6jax.model import ModelForm
+from lite6jax.physics.composition import Physics
 
 Array = NDArray[np.floating]
 
@@ -82,10 +82,12 @@ def refit(experiment: Experiment, joint_position: ArrayLike, count: int = 1000, 
     center = random.standard_normal((count, len(active))) / np.sqrt(np.where(precision > 0, precision, np.inf))
     steps, lengths = _refit(
         form,
+        experiment.physics,
         sensor,
-        experiment.model,
+        experiment.numbers,
         q,
-        np.eye(form.size)[active],
+        experiment.direction(q),
+        np.eye(len(experiment.movable))[active],
         covariance,
         precision,
         noise,
@@ -97,12 +99,14 @@ def refit(experiment: Experiment, joint_position: ArrayLike, count: int = 1000, 
     return Refits(determination, errors, np.asarray(lengths) < _SETTLED)
 
 
-@partial(jax.jit, static_argnums=(0, 1))
+@partial(jax.jit, static_argnums=(0, 1, 2))
 def _refit(
     form: ModelForm,
+    physics: Physics,
     sensor: Sensor,
-    model: ArmModel,
+    numbers: Numbers,
     joint_position: jax.Array,
+    direction: jax.Array,
     select: jax.Array,
     covariance: jax.Array,
     precision: jax.Array,
@@ -110,17 +114,16 @@ def _refit(
     read_out: jax.Array,
     center: jax.Array,
 ) -> tuple[jax.Array, jax.Array]:
-    _, true_tool = predict_frames(form, model, turn(joint_position.T))
+    predict = partial(tool_frame, form, physics, numbers)
+    true_tool = predict(joint_position, direction, jnp.zeros(form.size + physics.size))
     whitener = None
     if sensor.joint_noise:
-        whitener = joint_whitener(joint_changes(form, sensor, model, turn(joint_position.T)), sensor.joint_noise)
-        whitener = jnp.moveaxis(whitener, 0, -1)
+        changes = joint_changes(form, sensor, numbers.model, turn(joint_position.T))
+        whitener = jnp.moveaxis(joint_whitener(changes, sensor.joint_noise), 0, -1)
 
     def one(noise: jax.Array, read_out: jax.Array, center: jax.Array) -> tuple[jax.Array, jax.Array]:
-        joint = turn((joint_position + read_out).T)
-
         def whitened(step: jax.Array) -> jax.Array:
-            _, tool = predict_frames(form, form.retract(model, step @ select), joint)
+            tool = predict(joint_position + read_out, direction, step @ select)
             rows = _difference(sensor, tool, true_tool, noise) / jnp.array(sensor.noise)[:, None]
             return rows if whitener is None else jnp.sum(whitener * rows, 1)
 

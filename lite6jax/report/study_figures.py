@@ -4,9 +4,11 @@ import numpy as np
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from lite6jax.identifiability.identify import Identification
+from lite6jax.identifiability.planning import Plan, Separation
 from lite6jax.identifiability.sensitivity import Sensitivity
 from lite6jax.report.canvas import AFTER, BEFORE, FRAMED, MARKERS, OKABE_ITO, STYLE, blank, degree_ticks
 from lite6jax.report.cells import SCREEN
@@ -62,27 +64,38 @@ def correlation(found: Identification, title: str) -> Figure:
 
 
 def deviations(found: Identification, title: str) -> Figure:
-    """The predicted standard deviation of each parameter against its tolerance: lengths above, angles below."""
+    """The predicted standard deviation of each parameter against its tolerance: lengths, angles, then effects."""
     d = found.determination
+    effect = np.array([":" in name for name in d.names])
     units = np.array(d.units)
-    kinds = [kind for kind in ("m", "rad") if (units == kind).any()]
+    groups = [
+        ("std. deviation (mm)", SCREEN["m"][0], (units == "m") & ~effect),
+        ("std. deviation (deg)", SCREEN["rad"][0], (units == "rad") & ~effect),
+        ("std. deviation\n(of typical size)", 1.0, effect),
+    ]
+    groups = [group for group in groups if group[2].any()]
     with rc_context(STYLE):
-        figure = blank(12.0, 3.6 * len(kinds) + 0.8)
-        for panel, kind in zip(figure.subplots(len(kinds), 1, squeeze=False).ravel(), kinds, strict=True):
-            scale, unit = SCREEN[kind]
-            chosen = np.flatnonzero(units == kind)
-            values, free = scale * d.standard_deviation[chosen], d.free[chosen]
-            tolerance = scale * d.scale[chosen[0]]
-            at = np.arange(len(chosen))
-            low = 0.3 * min(values[free].min(initial=tolerance), tolerance)
+        figure = blank(12.0, 3.6 * len(groups) + 0.8)
+        for panel, (label, scale, chosen) in zip(
+            figure.subplots(len(groups), 1, squeeze=False).ravel(), groups, strict=True
+        ):
+            size = d.scale[chosen]
+            values = scale * (
+                d.standard_deviation[chosen] / size if effect[chosen].all() else d.standard_deviation[chosen]
+            )
+            tolerance = 1.0 if effect[chosen].all() else float(scale * size[0])
+            free, at = d.free[chosen], np.arange(len(size))
+            shown = np.append(values[free], tolerance)
+            low = 0.3 * float(shown.min())
             panel.bar(at[free], values[free] - low, bottom=low, width=0.7, color=AFTER)
             panel.plot(at[~free], np.full((~free).sum(), tolerance), "X", color=BEFORE, markersize=9, clip_on=False)
             panel.axhline(tolerance, color="black", linestyle="--", linewidth=1.5)
             panel.set_yscale("log")
-            panel.set_ylim(low, 2.5 * max(values[free].max(initial=tolerance), tolerance))
-            panel.set_xticks(at, [d.names[i] for i in chosen], rotation=45, ha="right")
-            panel.set_xlim(-0.7, len(chosen) - 0.3)
-            panel.set_ylabel(f"std. deviation ({unit})")
+            panel.set_ylim(low, 2.5 * float(shown.max()))
+            names = [d.names[i].replace(":", "\n", 1).split(":")[0] for i in np.flatnonzero(chosen)]
+            panel.set_xticks(at, names, rotation=45, ha="right")
+            panel.set_xlim(-0.7, len(at) - 0.3)
+            panel.set_ylabel(label)
             panel.grid(axis="x", visible=False)
         handles = [
             Line2D([], [], color=AFTER, linewidth=8, label="predicted"),
@@ -92,6 +105,45 @@ def deviations(found: Identification, title: str) -> Figure:
             handles.append(Line2D([], [], color=BEFORE, marker="X", linestyle="", markersize=9, label="held"))
         figure.legend(handles=handles, loc="outside lower center", ncols=3, frameon=False)
         figure.suptitle(f"{title}: how well {d.samples} poses tell each parameter", fontsize=15)
+    return figure
+
+
+def accuracy_by_count(found: Plan | Separation, title: str) -> Figure:
+    """What each further pose brings, designed and drawn at random."""
+    planned = isinstance(found, Plan)
+    with rc_context(STYLE):
+        figure = blank(9.0, 5.4)
+        panel = figure.subplots()
+        if planned:
+            shown = slice(0, min(2 * found.count, found.random_accuracy.shape[1]))
+            random = 1e3 * found.random_accuracy[:, shown]
+            low, middle, high = np.quantile(random, (0.05, 0.5, 0.95), axis=0, method="nearest")
+            at = np.arange(1, len(middle) + 1)
+            there = np.isfinite(middle)
+            high = np.where(np.isfinite(high), high, middle[there].max())  # of draws that do not determine all
+            panel.fill_between(at[there], low[there], high[there], color=BEFORE, alpha=0.2, linewidth=0)
+            panel.plot(at[there], middle[there], "--", color=BEFORE, linewidth=2.5, label="random, median and 90 %")
+            designed = 1e3 * found.accuracy
+            panel.set_yscale("log")
+            label = "predicted positions over the workspace\n(mm, one std. deviation)"
+        else:
+            designed = found.distance
+            low, middle, high = np.quantile(found.random_distance, (0.05, 0.5, 0.95))
+            panel.errorbar(
+                [found.count], [middle], [[middle - low], [high - middle]], fmt="s", color=BEFORE, capsize=5,
+                markersize=8, label="random, median and 90 %",
+            )  # fmt: skip
+            label = "rivals apart (standard deviations)"
+        count = np.arange(1, found.count + 1)
+        told = np.isfinite(designed)
+        panel.plot(count[told], designed[told], "-", color=AFTER, linewidth=2.5)
+        panel.plot(count[-1], designed[-1], "o", color=AFTER, markersize=9)
+        panel.plot([], [], "-o", color=AFTER, linewidth=2.5, label="designed")
+        panel.set(xlabel="poses", ylabel=label)
+        panel.xaxis.set_major_locator(MaxNLocator(integer=True))
+        panel.legend(frameon=False)
+        what = f"{found.count} poses" if planned else f"{found.count} poses to tell rivals apart"
+        figure.suptitle(f"{title}: {what}", fontsize=15)
     return figure
 
 

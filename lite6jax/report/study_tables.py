@@ -8,10 +8,12 @@ from rich.console import RenderableType
 from rich.text import Text
 
 from lite6jax.arms.chains import HayatiForm
+from lite6jax.identifiability.candidates import Candidates
 from lite6jax.identifiability.determination import Dependency, Determination
 from lite6jax.identifiability.identify import Identification
 from lite6jax.identifiability.information import Experiment
 from lite6jax.identifiability.monte_carlo import Refits
+from lite6jax.identifiability.planning import Plan, Separation
 from lite6jax.identifiability.sensitivity import GlobalSensitivity, Sensitivity
 from lite6jax.identifiability.sensor import Sensor
 from lite6jax.model import TWIST_NAMES
@@ -21,6 +23,8 @@ Array = NDArray[np.floating]
 
 _MOST_LISTED = 12
 _MOST_PAIRS = 6
+_CLEAR = 5.0
+"""Standard deviations apart at which two models are told apart in 99 of 100 recordings at a level of 1 %."""
 
 
 def described(sensor: Sensor) -> str:
@@ -61,7 +65,9 @@ def identification_report(found: Identification, source: str, drawn: bool) -> It
     yield ""
     yield from deviation_tables(experiment, determination)
     turns = f" and ±{number(np.rad2deg(found.accuracy.orientation_rms))}°" if _turns_known(found) else ""
-    yield Text(f"The fitted model predicts the whole workspace to ±{number(1e3 * found.accuracy.position_rms)} mm{turns}.")
+    yield Text(
+        f"The fitted model predicts the whole workspace to ±{number(1e3 * found.accuracy.position_rms)} mm{turns}."
+    )
     yield from _warnings(determination)
     yield ""
     yield from _indices(found)
@@ -96,7 +102,7 @@ def _in_words(experiment: Experiment, dependencies: Sequence[Dependency]) -> Ite
     """What moves together; what the sensor's frame or the tool does as well is said in one sentence each."""
     rest = list(dependencies)
     for part, phrase in (("frame_", "The sensor's frame does"), ("tool_", "The tool does")):
-        same = [d for d in rest if d.partners and all(name.startswith(part) for name, _ in d.partners)]
+        same = [d for d in rest if d.partners and all(name.startswith(part) for name, _, _ in d.partners)]
         if len(same) > 1:
             rest = [d for d in rest if d not in same]
             yield Text(f"{phrase} what {_listed([d.name for d in same])} do.")
@@ -117,7 +123,7 @@ def deviation_tables(experiment: Experiment, determination: Determination) -> It
     for name, unit, deviation, free in zip(
         determination.names, determination.units, determination.standard_deviation, determination.free, strict=True
     ):
-        shown[name] = plus_minus(SCREEN[unit][0] * deviation) if free else "held"
+        shown[name] = plus_minus(SCREEN.get(unit, (1.0, unit))[0] * deviation) if free else "held"
 
     def cells(names: Sequence[str]) -> list[str]:
         return [shown.get(name, "") for name in names]
@@ -146,6 +152,16 @@ def deviation_tables(experiment: Experiment, determination: Determination) -> It
         for part in parts:
             name = "sensor's frame" if part == "frame" else part
             table.add_row(name, *cells([f"{part}_{twist}" for twist in TWIST_NAMES]))
+        yield table
+        yield ""
+    if experiment.physics.effects:
+        table = listing("effect", "deviation", "typical", "unit")
+        rigid = experiment.size - experiment.physics.size
+        for i in range(rigid, experiment.size):
+            deviation = f"{determination.standard_deviation[i]:.2g}" if determination.free[i] else "held"
+            table.add_row(
+                determination.names[i], deviation, f"{determination.scale[i]:.2g}", determination.units[i].strip("1")
+            )
         yield table
         yield ""
 
@@ -208,8 +224,8 @@ def sensitivity_report(
     if over_arms is not None:
         low, middle, high = 1e3 * np.quantile(over_arms.error, (0.05, 0.5, 0.95))
         yield Text(
-            f"An arm's largest error over its poses: {middle:.1f} mm (median of {len(over_arms.error)} arms), 90 % lie in"
-            f" {low:.1f} to {high:.1f} mm."
+            f"An arm's largest error over its poses: {middle:.1f} mm (median of {len(over_arms.error)} arms);"
+            f" 90 % lie in {low:.1f} to {high:.1f} mm."
         )
     yield ""
     order = np.argsort(-(found.share if over_arms is None else over_arms.total))[:_MOST_LISTED]
@@ -240,6 +256,99 @@ def sensitivity_report(
             "alone, in all: Sobol's indices of an arm's largest error, the share of its variance from arm to arm that"
             " the parameter explains by itself, and with all it does together with others; ± 95 %."
         )
+
+
+def design_report(
+    found: Plan | Separation,
+    drawn: Candidates,
+    disabled: Sequence[tuple[str, str]],
+    source: str,
+    accuracy: float | None = None,
+) -> Iterator[RenderableType]:
+    """Which poses were chosen, from how many, and what they are worth.
+
+    Args:
+        found: the design.
+        drawn: the candidates.
+        disabled: pairs of links that are not checked against each other.
+        source: the arm.
+        accuracy: m, a wish.
+    """
+    yield Text(source, no_wrap=True, overflow="ignore")
+    refused = {name: count for name, count in drawn.refused.items() if count}
+    why = f" ({', '.join(f'{name} refused {count}' for name, count in refused.items())})" if refused else ""
+    yield Text(
+        f"{found.count} poses of {len(drawn.joint_position)} candidates{why}; a sensor of"
+        f" {described(found.experiment.sensor)}."
+    )
+    if disabled:
+        pairs = ", ".join(f"{a} with {b}" for a, b in disabled)
+        yield Text(f"Not checked for collision, as they overlap nearly always: {pairs}.")
+    yield ""
+    yield from _plan_report(found, accuracy) if isinstance(found, Plan) else _separation_report(found)
+    yield ""
+    d = found.design
+    way = f"{d.exchanges} exchanges in {d.cycles} rounds"
+    if found.refinement is not None:
+        moved = len(found.refinement.values)
+        way += f", then {moved} steps between the candidates"
+    yield Text(f"Chosen by {way}; {d.rank} combinations of {found.experiment.size} unknown parameters can be told.")
+
+
+def _plan_report(found: Plan, accuracy: float | None) -> Iterator[RenderableType]:
+    reached, random = found.accuracy[-1], found.random_accuracy[:, found.count - 1]
+    middle = float(np.median(random))
+    yield Text(
+        f"These poses let the fit predict positions to ±{number(1e3 * reached)} mm over the workspace; as many drawn at"
+        f" random to ±{number(1e3 * middle)} mm ({middle / reached:.2f} times as much)."
+    )
+    worth = found.worth
+    if worth is None:
+        yield Text(f"Not even {found.random_accuracy.shape[1]} random poses do as well.")
+    else:
+        yield Text(f"They are worth {worth} random poses.")
+    if accuracy is not None:
+        enough = found.poses_for(accuracy)
+        wanted = number(1e3 * accuracy)
+        if enough is not None:
+            yield Text(f"±{wanted} mm is reached by {enough} of them; ask for --poses {enough}.")
+        else:
+            about = int(np.ceil(found.count * (reached / accuracy) ** 2))
+            yield Text(f"±{wanted} mm is not reached: it takes about {about} poses; ask for --poses {about}.")
+    yield ""
+    table = listing("best of these", "designed", "random", "ratio")
+    table.columns[0].justify = "right"
+    for n in _steps(found):
+        designed, drawn = found.accuracy[n - 1], found.random_median[n - 1]
+        cells = [f"±{number(1e3 * value)} mm" if np.isfinite(value) else "–" for value in (designed, drawn)]
+        ratio = f"{drawn / designed:.2f}" if np.isfinite(designed) and np.isfinite(drawn) else "–"
+        table.add_row(str(n), *cells, ratio)
+    yield table
+    low, median, high = np.quantile(found.efficiency, (0.05, 0.5, 0.95))
+    yield Text(
+        f"By the criterion {found.criterion} a random selection would have to be recorded {median:.2f} times over"
+        f" (90 % of {len(found.efficiency)} draws: {low:.2f} to {high:.2f})."
+    )
+
+
+def _steps(found: Plan) -> list[int]:
+    """A few numbers of poses, from a third more than the least that tell anything: fewer are a matter of luck."""
+    told = np.flatnonzero(np.isfinite(found.accuracy))
+    least = min(-(-4 * (int(told[0]) + 1) // 3), found.count) if len(told) else found.count
+    return sorted({int(n) for n in np.geomspace(least, found.count, 6).round()})
+
+
+def _separation_report(found: Separation) -> Iterator[RenderableType]:
+    one, other = found.rivals
+    reached, random = found.distance[-1], float(np.median(found.random_distance))
+    asked = "either cannot pass for the other" if found.both_ways else f"{other} cannot pass for it"
+    yield Text(
+        f"If {one} has the size given, {asked} by {reached:.1f} standard deviations at these poses, whatever else is"
+        f" fitted; by {random:.1f} at as many drawn at random (ratio {reached / random:.2f})."
+    )
+    if reached < _CLEAR:
+        more = int(np.ceil(found.count * (_CLEAR / reached) ** 2))
+        yield Text(f"That is too little to be sure: {_CLEAR:g} standard deviations take about {more} poses.")
 
 
 def _turns_known(found: Identification) -> bool:

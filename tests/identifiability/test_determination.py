@@ -26,7 +26,7 @@ def planar(*lengths):
 
 
 def dependencies(found):
-    return {d.name: {name: pytest.approx(share, rel=1e-9) for name, share in d.partners} for d in found.dependencies}
+    return {d.name: {name: pytest.approx(share, rel=1e-9) for name, _, share in d.partners} for d in found.dependencies}
 
 
 def test_planar_2r_by_hand():
@@ -131,7 +131,7 @@ def test_every_dependency_changes_no_reading():
         for dependency in found.dependencies:
             step = np.zeros(setup.size)
             step[setup.names.index(dependency.name)] = 1.0
-            for name, share in dependency.partners:
+            for name, _, share in dependency.partners:
                 step[setup.names.index(name)] = share
             assert np.linalg.norm(rows @ step) < 1e-9 * np.linalg.norm(rows)
 

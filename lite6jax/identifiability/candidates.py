@@ -1,0 +1,207 @@
+"""Joint positions among which a design may choose: inside the limits, and where every filter lets them be."""
+
+import importlib.util
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lite6jax.arms.arm import Arm
+from lite6jax.errors import InputError
+from lite6jax.identifiability.clearance import SelfCollision, link_frames
+
+_BATCH = 16384
+_FEWEST = 1e-3
+"""A smaller share that passes is a mistake in the filters sooner than a wish."""
+_ENOUGH_TRIED = 100_000
+
+
+@dataclass(frozen=True, eq=False)
+class Filter:
+    """A condition on joint positions.
+
+    Attributes:
+        name: what messages call it.
+        accepts: `(sample, joint)` rad to `(sample,)` bool.
+    """
+
+    name: str
+    accepts: Callable[[NDArray[np.floating]], NDArray[np.bool_]]
+
+
+@dataclass(frozen=True)
+class Box:
+    """A box in the base's frame, along its axes.
+
+    Attributes:
+        lower: x, y, z of its least corner, m.
+        upper: of its greatest.
+    """
+
+    lower: tuple[float, float, float]
+    upper: tuple[float, float, float]
+
+    def __post_init__(self) -> None:
+        if not np.less(self.lower, self.upper).all():
+            raise InputError(f"box {self.lower} to {self.upper} m: empty; give the least x, y, z, then the greatest")
+
+
+@dataclass(frozen=True, eq=False)
+class Candidates:
+    """Joint positions that pass every filter.
+
+    Attributes:
+        joint_position: `(candidate, joint)` rad.
+        tried: how many were drawn for them.
+        refused: of each filter, how many it was the first to refuse.
+    """
+
+    joint_position: NDArray[np.floating]
+    tried: int
+    refused: dict[str, int]
+
+
+def candidates(
+    arm: Arm, count: int, seed: int = 0, filters: Sequence[Filter] = (), limit_margin: float = 0.0
+) -> Candidates:
+    """Joint positions drawn evenly inside the limits, until `count` pass all filters.
+
+    Args:
+        arm: whose limits.
+        count: how many.
+        seed: the same gives the same.
+        filters: asked in this order.
+        limit_margin: rad, how far each joint stays from its limits.
+
+    Raises:
+        InputError: no room between the limits, or fewer than one in a thousand passes: the line names the filter that
+            refused most.
+    """
+    if count < 1:
+        raise InputError(f"{count} candidates: ask for 1 or more")
+    lower, upper = inside_limits(arm, limit_margin).T
+    rng = np.random.default_rng(seed)
+    refused = {condition.name: 0 for condition in filters}
+    kept: list[NDArray[np.floating]] = []
+    tried = passed = 0
+    while passed < count:
+        q = rng.uniform(lower, upper, (_BATCH, arm.dof))
+        tried += len(q)
+        for condition in filters:
+            accepted = condition.accepts(q)
+            refused[condition.name] += int(np.sum(~accepted))
+            q = q[accepted]
+        kept.append(q)
+        passed += len(q)
+        if tried >= _ENOUGH_TRIED and passed < min(_FEWEST * tried, count):
+            worst = max(refused, key=lambda name: refused[name])
+            raise InputError(
+                f"candidates: {passed} of {tried} joint positions pass; {worst} refused"
+                f" {100 * refused[worst] / tried:.3g} % of them; widen it"
+            )
+    return Candidates(np.concatenate(kept)[:count], tried, refused)
+
+
+def inside_limits(arm: Arm, margin: float = 0.0) -> NDArray[np.floating]:
+    """The joint limits drawn in by a margin, `(joint, 2)` rad.
+
+    Raises:
+        InputError: a margin below zero, or one that leaves a joint no room.
+    """
+    if not 0 <= margin < np.inf:
+        raise InputError(f"limit margin {margin:g} rad: give zero or more")
+    limits = arm.joint_limits + np.array([margin, -margin])
+    for i, (lower, upper) in enumerate(limits):
+        if not lower < upper:
+            raise InputError(f"limit margin {margin:g} rad: leaves joint{i + 1} no room; give a smaller one")
+    return limits
+
+
+def all_pass(filters: Sequence[Filter], joint_position: ArrayLike) -> NDArray[np.bool_]:
+    """Which of `(sample, joint)` pass every filter, `(sample,)`."""
+    q = np.asarray(joint_position, float)
+    passed = np.ones(len(q), bool)
+    for condition in filters:
+        passed[passed] = condition.accepts(q[passed])
+    return passed
+
+
+def inside_box(arm: Arm, box: Box, tool_point: ArrayLike = (0.0, 0.0, 0.0)) -> Filter:
+    """The tool point is in a box, such as what a sensor sees.
+
+    Args:
+        arm: its chain.
+        box: in the base's frame.
+        tool_point: `(3,)` m in the flange's frame.
+    """
+    point = np.asarray(tool_point, float)
+
+    def accepts(q: NDArray[np.floating]) -> NDArray[np.bool_]:
+        T = link_frames(arm, q)[-1]
+        position = np.einsum("ijs,j->si", T[:, :3], point) + T[:, 3].T
+        return np.all((position >= box.lower) & (position <= box.upper), axis=1)
+
+    return Filter("box", accepts)
+
+
+def above_floor(arm: Arm, height: float, tool_point: ArrayLike = (0.0, 0.0, 0.0)) -> Filter:
+    """Every joint that moves, the flange and the tool point are above a height, m, in the base's frame."""
+    point = np.asarray(tool_point, float)
+
+    def accepts(q: NDArray[np.floating]) -> NDArray[np.bool_]:
+        F = link_frames(arm, q)
+        tool = np.einsum("js,j->s", F[-1, 2, :3], point) + F[-1, 2, 3]
+        return (F[1:, 2, 3] > height).all(0) & (tool > height)
+
+    return Filter("floor", accepts)
+
+
+def clear_of_itself(collision: SelfCollision, margin: float = 0.0) -> Filter:
+    """The arm's capsules stay apart by more than a margin, m."""
+    return Filter("self-collision", lambda q: collision.clearance(q) > margin)
+
+
+def user_filter(reference: str) -> Filter:
+    """A function of the user's own, from `FILE.py:function`: `(sample, joint)` rad to `(sample,)` bool.
+
+    Loading it runs the file.
+
+    Raises:
+        InputError: no such file or function, or an error in either; here, or where the filter is asked.
+    """
+    file, separator, name = reference.rpartition(":")
+    if not separator or not file.endswith(".py") or not name.isidentifier():
+        raise InputError(f"filter {reference!r}: write FILE.py:function")
+    if not Path(file).is_file():
+        raise InputError(f"{file}: no such file; a filter is FILE.py:function")
+    spec = importlib.util.spec_from_file_location(f"lite6jax_filter_{Path(file).stem}", file)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    try:
+        spec.loader.exec_module(module)
+    except Exception as error:
+        raise InputError(f"{file}: cannot be loaded ({_one_line(error)}); correct it") from error
+    function = getattr(module, name, None)
+    if not callable(function):
+        there = [key for key, value in vars(module).items() if callable(value) and not key.startswith("_")]
+        raise InputError(f"{file}: has no function {name!r}; it has {', '.join(there) or 'none'}")
+
+    def accepts(q: NDArray[np.floating]) -> NDArray[np.bool_]:
+        try:
+            mask = np.asarray(function(q.copy()))
+        except Exception as error:
+            raise InputError(f"{reference}: fails ({_one_line(error)}); correct it") from error
+        if mask.shape != (len(q),) or mask.dtype != bool:
+            raise InputError(
+                f"{reference}: returns {mask.dtype} of shape {mask.shape} for {len(q)} samples; return ({len(q)},) bool"
+            )
+        return mask
+
+    return Filter(reference, accepts)
+
+
+def _one_line(error: Exception) -> str:
+    return f"{type(error).__name__}: {' '.join(str(error).split())}"

@@ -1,0 +1,450 @@
+"""Which poses to record: those, out of many candidates, whose information is best; and where exactly to put them.
+
+A design is built greedily and then improved by exchange: each pose in turn is taken out and the best candidate put in,
+until none improves (V. Fedorov, 1972, in the cyclic order of R. Cook and C. Nachtsheim, Technometrics 22, 1980). One
+rule serves every criterion Φ(M). Its gradient G = ∂Φ/∂M gives each candidate's gain, damped by its leverage,
+
+    Σ over rows j:  jᵀGj / (1 + jᵀM⁻¹j),
+
+which for a single row is exact for A, I, T up to a monotone function, and D (Sherman–Morrison, or the determinant's
+lemma). It ranks all candidates by two matrix products in single precision; the foremost are then evaluated exactly.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array, lax
+from numpy.typing import ArrayLike, NDArray
+
+from lite6jax.errors import InputError
+from lite6jax.identifiability.criteria import Coordinates, Criterion, inverse
+
+DETERMINED = 1e-10
+"""An eigenvalue of the information (columns of unit size) over the largest, above which a direction is determined."""
+_DESIGN_DETERMINES = 1e-12
+_RIDGE = 1e-7
+"""Of a candidate's mean information: keeps M invertible while poses are few; what is reported is without it."""
+_EXACT = 64
+"""How many of the foremost candidates are evaluated exactly."""
+_COLUMNS = 6000
+"""Columns of a block of the matrix products: what keeps a block within a core's cache."""
+_IMPROVES = 1e-9
+_FIRST_STEP, _LONGEST_STEP, _LAST_STEP = 0.02, 0.3, 1e-6  # rad
+
+
+@dataclass(frozen=True, eq=False)
+class Design:
+    """Chosen poses, best first.
+
+    Attributes:
+        indices: `(pose,)`, of the candidates, each once, ordered so that each beginning of them is as good as can be.
+        value: the criterion of them all.
+        values: `(pose,)`, the criterion of the first 1, 2, … of them; −inf where they do not determine all directions.
+        start_value: of the design that the exchange began with: the given one, or the greedy one.
+        rank: how many directions of parameter space the candidates (and the prior) determine.
+        exchanges: poses that were exchanged.
+        cycles: how often the exchange went through all poses, the last time in vain unless the limit was reached.
+    """
+
+    indices: NDArray[np.integer]
+    value: float
+    values: NDArray[np.floating]
+    start_value: float
+    rank: int
+    exchanges: int
+    cycles: int
+
+
+def determined_coordinates(rows: ArrayLike, prior: ArrayLike | None = None) -> Coordinates:
+    """The directions of parameter space that candidates and a prior determine.
+
+    Args:
+        rows: `(candidate, row, parameter)`, whitened, columns scaled to be comparable.
+        prior: `(parameter, parameter)` information beside the candidates', if any.
+
+    Raises:
+        InputError: a wrong shape, a number that is not finite, a prior that is no information, nothing determined.
+    """
+    J, P = _checked(rows, prior)
+    flat = J.reshape(-1, J.shape[2])
+    return _coordinates(P + flat.T @ flat, len(J))
+
+
+def choose(
+    rows: ArrayLike,
+    count: int,
+    criterion: Criterion,
+    prior: ArrayLike | None = None,
+    start: ArrayLike | None = None,
+    starts: int = 1,
+    seed: int = 0,
+    cycles: int = 20,
+) -> Design:
+    """The `count` candidates whose information is best by `criterion`.
+
+    Args:
+        rows: `(candidate, row, parameter)`, whitened, columns scaled to be comparable (m and rad are not): A and E
+            depend on the scale. Directions that no candidate determines are left out of the criterion.
+        count: how many.
+        criterion: by what they are judged.
+        prior: `(parameter, parameter)`, information that is there already: a prior, or poses that are recorded.
+        start: `(count,)` candidates to begin with; greedy choice if not given.
+        starts: how many beginnings to try, the others drawn at random; the best end counts. A single exchange can be
+            caught by E, which has ridges, where poses are hardly more than needed.
+        seed: of the random beginnings.
+        cycles: the most times that the exchange goes through all poses.
+
+    Raises:
+        InputError: as `determined_coordinates`; more poses than candidates, too few for the parameters, a start that
+            repeats or names no candidate, or what the criterion refuses.
+    """
+    J, P = _checked(rows, prior)
+    total = len(J)
+    if not 1 <= count <= total:
+        raise InputError(f"{count} poses out of {total} candidates: choose 1 to {total}, or give more candidates")
+    if starts < 1:
+        raise InputError(f"starts = {starts}: give 1 or more")
+    begin = None if start is None else _start(start, count, total)
+    flat = J.reshape(-1, J.shape[2])
+    coordinates = _coordinates(P + flat.T @ flat, total)
+    reduced, base = _reduced(J, P, coordinates)
+    rank = len(base)
+    _check_count(count, J.shape[1], base)
+    criterion = criterion.within(coordinates)
+    pool = (jnp.asarray(reduced), _blocks(reduced))
+    ridged = jnp.asarray(base + _RIDGE * np.eye(rank))
+
+    rng = np.random.default_rng(seed)
+    ends: list[Design] = []
+    for attempt in range(starts):
+        if attempt:
+            chosen = rng.choice(total, count, replace=False)
+        elif begin is not None:
+            chosen = begin
+        else:
+            chosen = np.asarray(_build(criterion, pool, ridged, count))
+        improved, exchanges, visited = _exchange(criterion, pool, ridged, jnp.asarray(chosen), cycles)
+        ordered = [_ordered(criterion, reduced, base, stage) for stage in (chosen, np.asarray(improved))]
+        indices, values = max(ordered, key=lambda design: design[1][-1])
+        begun = float(ordered[0][1][-1]) if not ends else ends[0].start_value
+        ends.append(Design(indices, float(values[-1]), values, begun, rank, int(exchanges), -(-int(visited) // count)))
+    return max(ends, key=lambda end: end.value)
+
+
+def random_designs(
+    rows: ArrayLike,
+    count: int,
+    criterion: Criterion,
+    designs: int = 200,
+    prior: ArrayLike | None = None,
+    seed: int = 0,
+) -> NDArray[np.floating]:
+    """The criterion of designs drawn at random, `(design,)`; −inf of those that do not determine all directions.
+
+    Args and errors are those of `choose`.
+    """
+    J, P = _checked(rows, prior)
+    if not 1 <= count <= len(J) or designs < 1:
+        raise InputError(
+            f"{designs} designs of {count} poses out of {len(J)} candidates: give 1 or more of 1 to {len(J)} poses"
+        )
+    flat = J.reshape(-1, J.shape[2])
+    coordinates = _coordinates(P + flat.T @ flat, len(J))
+    reduced, base = _reduced(J, P, coordinates)
+    rng = np.random.default_rng(seed)
+    chosen = np.stack([rng.choice(len(J), count, replace=False, shuffle=False) for _ in range(designs)])
+    return np.asarray(_values_of(criterion.within(coordinates), jnp.asarray(reduced), jnp.asarray(base), chosen))
+
+
+@dataclass(frozen=True, eq=False)
+class Refinement:
+    """Poses moved to where the criterion is better.
+
+    Attributes:
+        joint_position: `(pose, joint)` rad, in the order given.
+        value: the criterion.
+        start_value: of the poses given.
+        values: `(iteration,)`, the best so far.
+    """
+
+    joint_position: NDArray[np.floating]
+    value: float
+    start_value: float
+    values: NDArray[np.floating]
+
+
+def refine(
+    joint_position: ArrayLike,
+    rows_of: Callable[[Array], Array],
+    criterion: Criterion,
+    limits: ArrayLike,
+    prior: ArrayLike | None = None,
+    feasible: Callable[[NDArray[np.floating]], NDArray[np.bool_]] | None = None,
+    iterations: int = 60,
+) -> Refinement:
+    """Moves poses uphill in the criterion, inside the limits, and never to worse.
+
+    Resilient propagation (M. Riedmiller, H. Braun, 1993): each joint of each pose has a step of its own, which grows
+    while its gradient keeps its sign and shrinks where it turns, so that no scale has to be known. A pose that would
+    leave the limits stops at them; one that would become infeasible stays, with smaller steps from then on. Steps that
+    together do not improve are halved.
+
+    Args:
+        joint_position: `(pose, joint)` rad, inside the limits and feasible; they must determine what is to be judged.
+        rows_of: traceable, `(sample, joint)` rad to `(sample, row, parameter)` as `choose` takes them.
+        criterion: by what they are judged.
+        limits: `(joint, 2)` rad.
+        prior: as for `choose`.
+        feasible: `(sample, joint)` to `(sample,)` bool.
+        iterations: how often all rows are evaluated with their gradient.
+
+    Raises:
+        InputError: wrong shapes, a pose outside the limits or infeasible, or what `determined_coordinates` and the
+            criterion refuse.
+    """
+    q, bounds = np.array(joint_position, float), np.asarray(limits, float)
+    if q.ndim != 2 or len(q) == 0 or bounds.shape != (q.shape[1], 2):
+        raise InputError(f"poses of shape {q.shape} and limits {bounds.shape}: give (pose, joint) and (joint, 2)")
+    lower, upper = bounds.T
+    outside = ((q < lower) | (q > upper)).any(1)
+    if outside.any():
+        raise InputError(f"pose {int(np.argmax(outside))}: outside the limits; move it inside first")
+    if feasible is not None and not feasible(q).all():
+        raise InputError(f"pose {int(np.argmin(feasible(q)))}: not feasible; leave it out or loosen the filters")
+    rows, P = _checked(np.asarray(jax.jit(rows_of)(jnp.asarray(q))), prior)
+    coordinates = _coordinates(P + np.einsum("nri,nrj->ij", rows, rows), len(rows))
+    outward = jnp.asarray(coordinates.outward)
+    base = outward.T @ P @ outward
+    criterion = criterion.within(coordinates)
+
+    def judged(q: Array) -> tuple[Array, Array]:
+        flat = rows_of(q).reshape(-1, outward.shape[0]) @ outward
+        M = base + flat.T @ flat
+        return criterion.smooth(M), _value(criterion, M)
+
+    judge = jax.jit(jax.value_and_grad(judged, has_aux=True))
+    (height, value), gradient = (jax.tree.map(np.asarray, part) for part in judge(q))
+    best, best_value = q, float(value)
+    start_value, history = best_value, []
+    step, last = np.full(q.shape, _FIRST_STEP), np.zeros(q.shape)
+    for _ in range(iterations):
+        agreement = np.sign(gradient) * last
+        step = np.clip(
+            np.where(agreement > 0, 1.2 * step, np.where(agreement < 0, 0.5 * step, step)), 0.0, _LONGEST_STEP
+        )
+        last = np.where(agreement < 0, 0.0, np.sign(gradient))
+        trial = np.clip(q + step * last, lower, upper)
+        if feasible is not None:
+            barred = ~feasible(trial)
+            trial[barred] = q[barred]
+            step[barred] *= 0.5
+        (reached, value), ahead = (jax.tree.map(np.asarray, part) for part in judge(trial))
+        if reached > height:
+            q, height, gradient = trial, reached, ahead
+            if value > best_value:
+                best, best_value = q, float(value)
+        else:
+            step, last = 0.5 * step, np.zeros(q.shape)
+        history.append(best_value)
+        if step.max() < _LAST_STEP:
+            break
+    return Refinement(best, best_value, start_value, np.array(history))
+
+
+def _checked(rows: ArrayLike, prior: ArrayLike | None) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    J = np.asarray(rows, np.float64)
+    if J.ndim != 3 or 0 in J.shape:
+        raise InputError(f"rows of shape {J.shape}: give (candidate, row, parameter), none of them empty")
+    if not np.isfinite(np.sum(J)) and not np.isfinite(J).all():
+        worst = int(np.argmin(np.isfinite(J).all((1, 2))))
+        raise InputError(f"rows of candidate {worst} have a number that is not finite; leave it out")
+    size = J.shape[2]
+    P = np.zeros((size, size)) if prior is None else np.asarray(prior, np.float64)
+    if P.shape != (size, size) or not np.isfinite(P).all():
+        raise InputError(f"prior of shape {P.shape}: give a finite ({size}, {size}) for the rows' {size} parameters")
+    largest = np.abs(P).max()
+    if np.abs(P - P.T).max() > 1e-9 * largest or np.linalg.eigvalsh(P)[0] < -1e-9 * largest:
+        raise InputError("prior: no information matrix (not symmetric, or a negative eigenvalue); give JᵀJ or C⁻¹")
+    return J, (P + P.T) / 2
+
+
+def _coordinates(information: NDArray[np.float64], candidates: int) -> Coordinates:
+    units = np.sqrt(np.where(np.diagonal(information) > 0, np.diagonal(information), 1.0))
+    eigenvalues, V = np.linalg.eigh(information / units[:, None] / units)  # as judged in no unit at all
+    kept = eigenvalues > DETERMINED * max(eigenvalues[-1], 0.0)
+    if not kept.any():
+        raise InputError("rows: all zero; no candidate says anything about any parameter")
+    scale, V = np.sqrt(eigenvalues[kept] / candidates), V[:, kept]
+    inward = scale[:, None] * V.T * units
+    determined, _ = np.linalg.qr(V * units[:, None])  # the undetermined directions are orthogonal to these
+    outward = determined @ (determined.T @ (V / units[:, None] / scale))
+    return Coordinates(outward, inward, inward @ determined)
+
+
+def _reduced(
+    J: NDArray[np.float64], P: NDArray[np.float64], coordinates: Coordinates
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Rows `(candidate, row, k)` and prior `(k, k)` in coordinates."""
+    T = coordinates.outward
+    return (J.reshape(-1, J.shape[2]) @ T).reshape(*J.shape[:2], -1), T.T @ P @ T
+
+
+def _check_count(count: int, rows: int, base: NDArray[np.float64]) -> None:
+    eigenvalues = np.linalg.eigvalsh(base)
+    known = int(np.sum(eigenvalues > _DESIGN_DETERMINES * max(eigenvalues[-1], 0.0)))
+    needed = -(-(len(base) - known) // rows)
+    if count < needed:
+        raise InputError(
+            f"{count} poses: too few for the {len(base)} directions that the candidates determine; choose at least"
+            f" {needed}, or give a prior"
+        )
+
+
+def _start(start: ArrayLike, count: int, total: int) -> NDArray[np.int64]:
+    begin = np.asarray(start)
+    if begin.shape != (count,) or begin.dtype.kind not in "iu":
+        raise InputError(f"start of shape {begin.shape} and type {begin.dtype}: give {count} candidates' numbers")
+    if begin.min() < 0 or begin.max() >= total or len(np.unique(begin)) < count:
+        raise InputError(f"start: each of 0 to {total - 1} at most once; correct it")
+    return begin.astype(np.int64)
+
+
+Pool = tuple[Array, Array]
+"""The candidates' rows `(candidate, row, k)` in double precision, and `_blocks` of them."""
+
+
+def _blocks(rows: NDArray[np.float64]) -> Array:
+    """`(block, k, row, candidate)` in single precision, filled up with zeros."""
+    total, height, k = rows.shape
+    width = min(max(_COLUMNS // height, 1), total)
+    padded = np.zeros((-(-total // width) * width, height, k), np.float32)
+    padded[:total] = rows
+    return jnp.asarray(np.ascontiguousarray(padded.reshape(-1, width, height, k).transpose(0, 3, 2, 1)))
+
+
+def _gains(criterion: Criterion, blocks: Array, M: Array) -> Array:
+    """The damped first-order gain of each candidate, `(candidate,)` with the filling."""
+    k = len(M)
+    G = jax.grad(criterion.smooth)(M)
+    both = jnp.concatenate([inverse(M), (G + G.T) / jnp.trace(G)]).astype(jnp.float32)
+
+    def of_block(block: Array) -> Array:
+        flat = block.reshape(k, -1)
+        products = both @ flat
+        leverage, gain = (jnp.sum(flat * part, 0) for part in (products[:k], products[k:]))
+        return jnp.sum((gain / (1 + leverage)).reshape(block.shape[1:]), 0)
+
+    return lax.map(of_block, blocks).reshape(-1)
+
+
+def _each(judge: Callable[[Array], Array], arrays: Array) -> Array:
+    """`judge` of each array, one after the other: as fast as jax.vmap at these sizes, and it always returns.
+
+    On a CPU a batched factorisation waits, on a thread of XLA's pool, for tasks in that same pool; two independent ones
+    on two cores wait for ever (jaxlib 0.10, `ParallelBatchMap`). A single matrix needs no task.
+    """
+    return lax.map(judge, arrays)
+
+
+def _best_addition(
+    judge: Callable[[Array], Array], criterion: Criterion, pool: Pool, M: Array, taken: Array
+) -> tuple[Array, Array]:
+    """The candidate, none of `taken`, that is best to add to M, and the judgement of their sum."""
+    rows, blocks = pool
+    gains = _gains(criterion, blocks, M)
+    gains = jnp.where(jnp.arange(gains.size) < len(rows), gains, -jnp.inf).at[taken].set(-jnp.inf)
+    gains, foremost = lax.top_k(gains, min(_EXACT, len(rows)))
+    values = _each(lambda J: judge(M + J.T @ J), rows[jnp.minimum(foremost, len(rows) - 1)])
+    values = jnp.where(jnp.isfinite(values) & (gains > -jnp.inf), values, -jnp.inf)
+    best = jnp.argmax(values)
+    return foremost[best], values[best]
+
+
+@partial(jax.jit, static_argnames="count")
+def _build(criterion: Criterion, pool: Pool, base: Array, count: int) -> Array:
+    """Candidates chosen one after the other, `(count,)`."""
+    rows, blocks = pool
+
+    def body(i: Array, state: tuple[Array, Array]) -> tuple[Array, Array]:
+        indices, M = state
+        new, _ = _best_addition(criterion.smooth, criterion, pool, M, indices)
+        return indices.at[i].set(new), M + rows[new].T @ rows[new]
+
+    beyond = jnp.full(count, blocks.size, jnp.int32)  # out of range: an update there is dropped
+    return lax.fori_loop(0, count, body, (beyond, base))[0]
+
+
+@jax.jit
+def _exchange(
+    criterion: Criterion, pool: Pool, base: Array, indices: Array, cycles: int | Array
+) -> tuple[Array, Array, Array]:
+    """Improves a design until no exchange does. Returns it, the exchanges made and the poses visited."""
+    rows, _ = pool
+    count = len(indices)
+
+    def go_on(state: tuple[Array, ...]) -> Array:
+        _, _, _, visited, in_vain, _ = state
+        return (in_vain < count) & (visited < cycles * count)
+
+    def visit(state: tuple[Array, ...]) -> tuple[Array, ...]:
+        indices, M, value, visited, in_vain, exchanges = state
+        i = visited % count
+        old = rows[indices[i]]
+        without = M - old.T @ old
+        new, reached = _best_addition(criterion.value, criterion, pool, without, indices)
+        better = reached > value + _IMPROVES * jnp.maximum(jnp.abs(value), 1e-6)
+        indices = indices.at[i].set(jnp.where(better, new, indices[i]))
+        M = jnp.where(better, without + rows[new].T @ rows[new], M)
+        value = jnp.where(better, reached, value)
+        return indices, M, value, visited + 1, jnp.where(better, 0, in_vain + 1), exchanges + better
+
+    M = base + jnp.einsum("nri,nrj->ij", rows[indices], rows[indices])
+    zero = jnp.zeros((), jnp.int32)
+    first = (indices.astype(jnp.int32), M, criterion.value(M), zero, zero, zero)
+    indices, _, _, visited, _, exchanges = lax.while_loop(go_on, visit, first)
+    return indices, exchanges, visited
+
+
+def _ordered(
+    criterion: Criterion, reduced: NDArray[np.float64], base: NDArray[np.float64], indices: NDArray[np.integer]
+) -> tuple[NDArray[np.integer], NDArray[np.float64]]:
+    """The design best first, and the criterion of each of its beginnings."""
+    order, values = _order(criterion, jnp.asarray(reduced[indices]), jnp.asarray(base))
+    return indices[np.asarray(order)], np.asarray(values)
+
+
+@jax.jit
+def _order(criterion: Criterion, rows: Array, base: Array) -> tuple[Array, Array]:
+    products = jnp.einsum("nri,nrj->nij", rows, rows)
+
+    def body(i: Array, state: tuple[Array, Array]) -> tuple[Array, Array]:
+        order, M = state
+        values = _each(criterion.smooth, M + products)
+        values = jnp.where(jnp.isfinite(values), values, -jnp.finfo(float).max).at[order].set(-jnp.inf)
+        new = jnp.argmax(values)
+        return order.at[i].set(new), M + products[new]
+
+    count = len(rows)
+    ridged = base + _RIDGE * jnp.eye(len(base))
+    order, _ = lax.fori_loop(0, count, body, (jnp.full(count, count), ridged))
+    return order, _each(partial(_value, criterion), base + jnp.cumsum(products[order], 0))
+
+
+def _value(criterion: Criterion, M: Array) -> Array:
+    """The criterion, or −inf where M does not determine all directions."""
+    eigenvalues = jnp.linalg.eigvalsh(M)
+    value = criterion.value(M)
+    return jnp.where((eigenvalues[0] > _DESIGN_DETERMINES * eigenvalues[-1]) & jnp.isfinite(value), value, -jnp.inf)
+
+
+@jax.jit
+def _values_of(criterion: Criterion, rows: Array, base: Array, designs: Array) -> Array:
+    def of(indices: Array) -> Array:
+        flat = rows[indices].reshape(-1, rows.shape[2])
+        return _value(criterion, base + flat.T @ flat)
+
+    return _each(of, designs)

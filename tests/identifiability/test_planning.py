@@ -1,0 +1,147 @@
+"""Plans beat chance, keep what they promise, and count what is there already."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from plain_chain import random_positions
+
+from lite6jax.arms.bundled import load_bundled
+from lite6jax.errors import InputError
+from lite6jax.identifiability.identify import predicted_accuracy
+from lite6jax.identifiability.information import plan
+from lite6jax.identifiability.planning import plan_poses, separate_poses, shortest_round
+from lite6jax.physics.joints import JointCompliance, JointHarmonic
+
+LITE6 = load_bundled("lite6")
+SETUP = plan("lite6", "tracker_6d", frame=False)
+LOWER, UPPER = LITE6.joint_limits.T
+CANDIDATES = np.random.default_rng(0).uniform(LOWER, UPPER, (400, 6))
+
+
+@pytest.fixture(scope="module")
+def found():
+    return plan_poses(SETUP, CANDIDATES, 12, refined=False)
+
+
+def workspace_accuracy(q):
+    """By the definition: root mean square over the workspace of the standard deviation of a predicted position."""
+    from lite6jax.fitting.fleet import sample_within_limits
+    from lite6jax.identifiability.identify import WORKSPACE
+
+    rows = SETUP.rows(q).reshape(-1, 28) / SETUP.unit
+    covariance = np.linalg.inv(rows.T @ rows)
+    return predicted_accuracy(SETUP, covariance, sample_within_limits(LITE6, WORKSPACE, 1)).position_rms
+
+
+def test_the_accuracy_is_that_of_the_poses(found):
+    assert found.accuracy[-1] == pytest.approx(workspace_accuracy(found.joint_position), rel=1e-6)
+    assert found.accuracy[7] == pytest.approx(workspace_accuracy(found.joint_position[:8]), rel=1e-6)
+    assert np.isinf(found.accuracy[3])  # 4 poses have 24 numbers for 28 parameters
+
+
+def test_a_plan_beats_every_random_draw(found):
+    assert found.accuracy[-1] < found.random_accuracy[:, 11].min()
+    assert (found.efficiency > 1).all()
+    assert found.worth is not None
+    assert found.random_median[found.worth - 1] <= found.accuracy[-1] < found.random_median[found.worth - 2]
+
+
+def test_how_many_are_enough(found):
+    wanted = 1.2 * found.accuracy[-1]
+    n = found.poses_for(wanted)
+    assert found.accuracy[n - 1] <= wanted < found.accuracy[n - 2]
+    assert found.poses_for(0.5 * found.accuracy[-1]) is None
+
+
+def test_refining_never_loses_and_stays_where_it_may():
+    away = (CANDIDATES > LOWER + 0.1) & (CANDIDATES < UPPER - 0.1)
+    inside = CANDIDATES[away.all(1) & (np.abs(CANDIDATES[:, 0]) < 3)]
+    limits = LITE6.joint_limits + np.array([0.1, -0.1])
+    plain = plan_poses(SETUP, inside, 12, refined=False)
+    moved = plan_poses(SETUP, inside, 12, limits=limits, feasible=lambda q: np.abs(q[:, 0]) < 3)
+    assert moved.accuracy[-1] < plain.accuracy[-1]
+    assert moved.refinement.value > moved.refinement.start_value
+    assert ((moved.joint_position >= limits[:, 0]) & (moved.joint_position <= limits[:, 1])).all()
+    assert (np.abs(moved.joint_position[:, 0]) < 3).all()
+
+
+def test_what_is_recorded_counts():
+    """Recorded poses are never worse than none, and are not chosen for again."""
+    recorded = random_positions(np.random.default_rng(3), 15, 6)
+    more = plan_poses(SETUP, CANDIDATES, 6, recorded=recorded, refined=False)
+    assert np.isfinite(more.accuracy).all()
+    together = np.vstack([recorded, more.joint_position])
+    assert more.accuracy[-1] == pytest.approx(workspace_accuracy(together), rel=1e-6)
+    assert more.accuracy[-1] < workspace_accuracy(recorded)
+
+
+@pytest.mark.parametrize("criterion", ["D", "A", "E"])
+def test_other_criteria(criterion):
+    found = plan_poses(SETUP, CANDIDATES, 10, criterion=criterion, refined=False)
+    random = np.random.default_rng(0)
+    rows = SETUP.rows(CANDIDATES)
+
+    def value(indices):
+        J = rows[indices].reshape(-1, 28)
+        M = J.T @ J
+        if criterion == "D":
+            return np.linalg.slogdet(M)[1]
+        eigenvalues = np.linalg.eigvalsh(M)
+        return -np.sum(1 / eigenvalues) if criterion == "A" else eigenvalues[0]
+
+    best = value(found.design.indices)
+    assert best > max(value(random.choice(400, 10, replace=False)) for _ in range(100))
+
+
+def test_rivals_are_told_apart_better_than_by_chance():
+    setup = plan("lite6", "tracker", frame=False, tool_at=(0.06, 0.0, 0.04))
+    compliance, harmonic = JointCompliance(2), JointHarmonic(2, 1.0)
+    found = separate_poses(setup, [(compliance, [5e-5]), (harmonic, [0.0, 0.0])], CANDIDATES, 15, refined=False)
+    assert found.distance[-1] > 1.5 * np.median(found.random_distance)
+    assert not found.both_ways
+    # the definition: what of the one's effect the other and all else cannot explain, at the chosen poses
+    both = replace(setup, approach="zero").with_physics([compliance, harmonic])
+    J = both.rows(found.joint_position).reshape(-1, both.size) / both.unit
+    effect = 5e-5 * J[:, 28]
+    rest = np.delete(J, 28, axis=1)
+    scaled = rest * np.delete(both.unit, 28)
+    left = effect - scaled @ np.linalg.lstsq(scaled, effect, rcond=1e-9)[0]
+    assert found.distance[-1] == pytest.approx(np.linalg.norm(left), rel=1e-4)
+
+
+def test_rivals_both_ways():
+    setup = plan("lite6", "tracker", frame=False, tool_at=(0.06, 0.0, 0.04))
+    rivals = [(JointCompliance(2), [5e-5]), (JointHarmonic(2, 1.0), [0.0, 1e-4])]
+    found = separate_poses(setup, rivals, CANDIDATES, 15, refined=False)
+    assert found.both_ways
+    assert found.rivals == ("joint_compliance:joint2", "joint_harmonic:joint2")
+    assert found.distance[-1] > np.median(found.random_distance)
+
+
+def test_the_first_rival_needs_a_size():
+    with pytest.raises(InputError, match="joint_compliance:joint2: has no size to look for; give a value"):
+        separate_poses(SETUP, [(JointCompliance(2), [0.0]), (JointHarmonic(2, 1.0), [0.0, 0.0])], CANDIDATES, 15)
+
+
+def test_too_few_poses():
+    with pytest.raises(InputError, match="2 poses: too few for the 28 directions"):
+        plan_poses(SETUP, CANDIDATES, 2)
+
+
+def test_a_short_round():
+    rng = np.random.default_rng(5)
+    q = rng.uniform(-1, 1, (7, 3))
+    order = shortest_round(q)
+    assert sorted(order) == list(range(7))
+
+    def length(order, q=q):
+        points = np.vstack([np.zeros(q.shape[1]), q[list(order)]])
+        return np.abs(np.diff(points, axis=0)).max(1).sum()
+
+    from itertools import permutations
+
+    best = min(length(p) for p in permutations(range(7)))
+    assert length(order) <= 1.15 * best
+    many = rng.uniform(-3, 3, (60, 6))
+    assert length(shortest_round(many), many) < 0.6 * length(range(60), many)
