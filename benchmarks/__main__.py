@@ -25,8 +25,9 @@ def workloads() -> dict[str, Workload]:
     from benchmarks.models import models
     from benchmarks.profile import profile
     from benchmarks.samples import samples
+    from benchmarks.study import study
 
-    return {run.__name__: run for run in (one, fleet, samples, command, models, profile)}
+    return {run.__name__: run for run in (one, fleet, samples, study, command, models, profile)}
 
 
 def main(arguments: Sequence[str] | None = None, known: Mapping[str, Workload] | None = None) -> int:

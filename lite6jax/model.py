@@ -9,7 +9,8 @@ import jax.numpy as jnp
 from jax import Array
 from jax.typing import ArrayLike
 
-from lite6jax.arms.chains import Bend, Form, Frame, base_frame, displace, fk, sweep, turn
+from lite6jax.arms.chains import Bend, Form, fk, sweep
+from lite6jax.arms.moves import Frame, base_frame, displace, turn
 from lite6jax.arms.se3 import rotation_exp, transform
 from lite6jax.errors import InputError
 from lite6jax.physics.composition import Physics

@@ -17,35 +17,25 @@ import numpy.typing as npt
 from jax import Array, lax
 from jax.typing import ArrayLike
 
+from lite6jax.arms.moves import (
+    Frame,
+    Turn,
+    Twist,
+    X,
+    Y,
+    Z,
+    base_frame,
+    displace,
+    rotate,
+    rotation_twist,
+    translate,
+    turn,
+)
 from lite6jax.arms.se3 import transform
 from lite6jax.errors import InputError
 
-X, Y, Z = 0, 1, 2
 PARALLEL_WITHIN = np.deg2rad(5.0)
 """Neighbouring axes closer than this in the nominal geometry count as parallel; what assembly tilts is far below."""
-
-
-class Frame(NamedTuple):
-    """A moving frame: its axes and its origin in fixed coordinates, each `(3, sample)`."""
-
-    x: Array
-    y: Array
-    z: Array
-    origin: Array
-
-
-class Twist(NamedTuple):
-    """The motion per unit of one parameter, at the fixed origin: `(3, sample)` each; a translation has no `angular`."""
-
-    linear: Array
-    angular: Array | None
-
-
-class Turn(NamedTuple):
-    """A rotation angle as its cosine and sine."""
-
-    cos: Array
-    sin: Array
 
 
 class Bend(NamedTuple):
@@ -58,11 +48,6 @@ class Bend(NamedTuple):
 
     stretch: Array | None = None
     twist: Array | None = None
-
-
-def turn(angle: ArrayLike) -> Turn:
-    """The turn by `angle` rad."""
-    return Turn(jnp.cos(angle), jnp.sin(angle))
 
 
 @dataclass(frozen=True)
@@ -256,51 +241,6 @@ which joint's entry of `flags` tells apart; `walking_order[k]` is the place in `
 """
 
 
-def rotate(frame: Frame, axis: int, by: Turn) -> Frame:
-    """The frame turned about its own axis."""
-    axes = [frame.x, frame.y, frame.z]
-    b, c = (axis + 1) % 3, (axis + 2) % 3
-    axes[b], axes[c] = by.cos * axes[b] + by.sin * axes[c], by.cos * axes[c] - by.sin * axes[b]
-    return Frame(axes[0], axes[1], axes[2], frame.origin)
-
-
-def translate(frame: Frame, axis: int, by: Array) -> Frame:
-    """The frame shifted along its own axis, by m."""
-    return frame._replace(origin=frame.origin + by * frame[axis])
-
-
-def displace(frame: Frame, twist: Array) -> Frame:
-    """The frame shifted along its own axes by `twist[:3]` m, then turned by the rotation vector `twist[3:]` rad."""
-    shifted = translate(translate(translate(frame, X, twist[0]), Y, twist[1]), Z, twist[2])
-    w = twist[3:]
-    angle2 = jnp.sum(w * w, 0)
-    small = angle2 < 1e-8  # where two terms of the series are exact to rounding
-    angle = jnp.sqrt(jnp.where(small, 1.0, angle2))
-    half = jnp.sin(angle / 2) / angle
-    sine = jnp.where(small, 1 - angle2 / 6, jnp.sin(angle) / angle)
-    versine = jnp.where(small, 0.5 - angle2 / 24, 2 * half * half)
-    axes = []
-    for i in range(3):  # column i of 1 + sine [w] + versine (w wᵀ − |w|²), Rodrigues' formula
-        j, k = (i + 1) % 3, (i + 2) % 3
-        along = 1 - versine * (w[j] * w[j] + w[k] * w[k])
-        axes.append(
-            along * frame[i]
-            + (versine * w[i] * w[j] + sine * w[k]) * frame[j]
-            + (versine * w[i] * w[k] - sine * w[j]) * frame[k]
-        )
-    return Frame(axes[0], axes[1], axes[2], shifted.origin)
-
-
-def rotation_twist(frame: Frame, axis: int) -> Twist:
-    """The twist of a rotation about the frame's own axis."""
-    return Twist(cross(frame.origin, frame[axis]), frame[axis])
-
-
-def cross(a: Array, b: Array) -> Array:
-    """The cross product over the first axis."""
-    return jnp.stack([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
-
-
 def sweep(
     form: Form,
     parameters: Array,
@@ -363,12 +303,6 @@ def sweep(
         return frame, record(collected, form.entering + i * steps.shape[1], twists)
 
     return lax.fori_loop(0, form.dof, body, (frame, collected))
-
-
-def base_frame(T: Array, samples: int) -> Frame:
-    """A fixed transform `(4, 4)` as the frame of every sample."""
-    columns = jnp.broadcast_to(T[:3, :, None], (3, 4, samples))
-    return Frame(columns[:, 0], columns[:, 1], columns[:, 2], columns[:, 3])
 
 
 @partial(jax.jit, static_argnums=0)

@@ -11,7 +11,8 @@ import numpy as np
 from jax import Array, lax
 from numpy.typing import ArrayLike
 
-from lite6jax.arms.chains import Frame, HayatiForm, X, Y, Z, base_frame, joint_axes, rotate, translate, turn
+from lite6jax.arms.chains import HayatiForm, joint_axes
+from lite6jax.arms.moves import Frame, X, Y, Z, base_frame, rotate, translate, turn
 from lite6jax.arms.se3 import rotation_from_rpy, rpy_from_rotation, transform
 from lite6jax.errors import InputError
 

@@ -59,7 +59,7 @@ class Setup:
         """
         import numpy as np
 
-        from lite6jax.identifiability.information import plan
+        from lite6jax.identifiability.information import plan_experiment
         from lite6jax.identifiability.sensor import sensor_named
 
         sensor = sensor_named(self.sensor).with_noise(
@@ -70,7 +70,7 @@ class Setup:
         x, y, z = self.center
         sensor = replace(sensor, direction=self.axis, center=(x / 1e3, y / 1e3, z / 1e3))
         x, y, z = self.tool_at
-        setup = plan(
+        setup = plan_experiment(
             arm,
             sensor,
             chain=self.chain,
@@ -126,6 +126,7 @@ class Identify:
         from lite6jax.arms.files import read_arm
         from lite6jax.fitting.fit import load_nominal, read_source
         from lite6jax.identifiability.identify import identify, identify_recording
+        from lite6jax.recordings import Recording
 
         names = [f"{_stem(self.source)}_{what}" for what in ("singular_values", "correlation", "deviations")]
         if self.figures:
@@ -144,6 +145,7 @@ class Identify:
             recording = read_source(
                 self.source, nominal, assume_degrees=self.assume_degrees, assume_millimetres=self.assume_millimetres
             )
+            assert isinstance(recording, Recording)  # by its suffix
             if recording.position is None:
                 arm = nominal or read_arm(recording.settings.arm_reference(Path(self.source).parent))
                 found = identify(

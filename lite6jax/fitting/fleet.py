@@ -15,7 +15,8 @@ from jax.typing import ArrayLike
 
 from lite6jax.arms import bundled
 from lite6jax.arms.arm import Arm
-from lite6jax.arms.chains import six_parameter_fk, turn
+from lite6jax.arms.chains import six_parameter_fk
+from lite6jax.arms.moves import turn
 from lite6jax.errors import InputError
 from lite6jax.fitting import gauss_newton
 from lite6jax.fitting.gauss_newton import Prior, Solved, solve_chunk

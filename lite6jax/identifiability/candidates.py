@@ -128,7 +128,7 @@ def all_pass(filters: Sequence[Filter], joint_position: ArrayLike) -> NDArray[np
     return passed
 
 
-def inside_box(arm: Arm, box: Box, tool_point: ArrayLike = (0.0, 0.0, 0.0)) -> Filter:
+def inside_box(arm: Arm, box: Box, tool_point: ArrayLike | Sequence[float] = (0.0, 0.0, 0.0)) -> Filter:
     """The tool point is in a box, such as what a sensor sees.
 
     Args:
@@ -146,7 +146,7 @@ def inside_box(arm: Arm, box: Box, tool_point: ArrayLike = (0.0, 0.0, 0.0)) -> F
     return Filter("box", accepts)
 
 
-def above_floor(arm: Arm, height: float, tool_point: ArrayLike = (0.0, 0.0, 0.0)) -> Filter:
+def above_floor(arm: Arm, height: float, tool_point: ArrayLike | Sequence[float] = (0.0, 0.0, 0.0)) -> Filter:
     """Every joint that moves, the flange and the tool point are above a height, m, in the base's frame."""
     point = np.asarray(tool_point, float)
 

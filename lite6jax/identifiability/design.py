@@ -25,10 +25,12 @@ from lite6jax.identifiability.criteria import Coordinates, Criterion, inverse
 
 DETERMINED = 1e-10
 """An eigenvalue of the information (columns of unit size) over the largest, above which a direction is determined."""
+_FELT = 1e-20
+"""A parameter's information over the largest, under which no candidate feels it."""
 _DESIGN_DETERMINES = 1e-12
 _RIDGE = 1e-7
 """Of a candidate's mean information: keeps M invertible while poses are few; what is reported is without it."""
-_EXACT = 64
+_EXACT = 24
 """How many of the foremost candidates are evaluated exactly."""
 _COLUMNS = 6000
 """Columns of a block of the matrix products: what keeps a block within a core's cache."""
@@ -273,7 +275,9 @@ def _checked(rows: ArrayLike, prior: ArrayLike | None) -> tuple[NDArray[np.float
 
 
 def _coordinates(information: NDArray[np.float64], candidates: int) -> Coordinates:
-    units = np.sqrt(np.where(np.diagonal(information) > 0, np.diagonal(information), 1.0))
+    squares = np.diagonal(information)
+    felt = squares > _FELT * squares.max()  # what is not leaves rounding, which must not be scaled up
+    units = np.sqrt(np.where(felt, squares, max(float(squares.max()), np.finfo(float).tiny)))
     eigenvalues, V = np.linalg.eigh(information / units[:, None] / units)  # as judged in no unit at all
     kept = eigenvalues > DETERMINED * max(eigenvalues[-1], 0.0)
     if not kept.any():

@@ -90,7 +90,7 @@ class Identification:
             "schema": "lite6jax/identification/1",
             "arm": self.experiment.arm.name,
             "samples": d.samples,
-            "sensor": {name: value for name, value in asdict(sensor).items() if value is not None},
+            "sensor": sensor.to_dict(),
             "rank": d.rank,
             "rank_possible": self.possible.rank,
             "rank_by_theory": d.theory,

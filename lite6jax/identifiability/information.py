@@ -16,7 +16,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from lite6jax.arms import bundled
 from lite6jax.arms.arm import Arm
-from lite6jax.arms.chains import Frame, SixParameterForm, Turn, Twist, cross, turn
+from lite6jax.arms.chains import SixParameterForm
+from lite6jax.arms.moves import Frame, Turn, Twist, cross, turn
 from lite6jax.errors import InputError
 from lite6jax.fitting.fleet import BLOCK, pad
 from lite6jax.fitting.problem import Geometry, recording_problem
@@ -203,7 +204,7 @@ class Experiment:
         return q
 
 
-def plan(
+def plan_experiment(
     arm: Arm | str,
     sensor: Sensor | str = "tracker",
     *,
@@ -297,7 +298,7 @@ class Numbers(NamedTuple):
     values: jax.Array
     kinematics: jax.Array
     inertia: Inertia | None
-    payload: ArrayLike
+    payload: float | jax.Array
 
 
 @partial(jax.jit, static_argnums=(0, 1, 2))

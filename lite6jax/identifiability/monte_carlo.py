@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lite6jax.arms.chains import Frame, turn
+from lite6jax.arms.moves import Frame, turn
 from lite6jax.arms.se3 import rotation_exp, rotation_log_components
 from lite6jax.errors import InputError
 from lite6jax.identifiability.determination import Determination, determine

@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lite6jax.arms.arm import Arm
-from lite6jax.arms.chains import Turn, turn
+from lite6jax.arms.moves import Turn, turn
 from lite6jax.errors import InputError
 from lite6jax.fitting.fleet import sample_within_limits
 from lite6jax.fitting.residual import predict_frames
-from lite6jax.identifiability.information import TOLERANCE, Chain, Experiment, plan
+from lite6jax.identifiability.information import TOLERANCE, Chain, Experiment, plan_experiment
 from lite6jax.identifiability.sensor import Sensor
 from lite6jax.model import ArmModel, ModelForm
 
@@ -107,7 +107,7 @@ def sensitivity(
             given.
         samples, seed: of the joint positions drawn.
     """
-    experiment = plan(arm, _BARE, chain=chain, frame=False)
+    experiment = plan_experiment(arm, _BARE, chain=chain, frame=False)
     q = _positions(experiment, joint_position, samples, seed)
     size = np.array([tolerance[unit] for unit in experiment.units])
     rows = experiment.rows(q) * (size / experiment.unit)
@@ -178,7 +178,7 @@ def global_sensitivity(
         raise InputError("Sobol indices need SALib; install it with: pip install 'lite6jax[sensitivity]'") from error
     if arms < 2 or arms & (arms - 1):
         raise InputError(f"{arms} arms: Sobol's sequence fills space evenly at powers of 2; give one, such as 1024")
-    experiment = plan(arm, _BARE, chain=chain, frame=False)
+    experiment = plan_experiment(arm, _BARE, chain=chain, frame=False)
     q = _positions(experiment, joint_position, poses, seed)
     size = np.array([tolerance[unit] for unit in experiment.units])
     problem = {

@@ -1,14 +1,14 @@
 """What a sensor reads off the tool, with which noise, and how its reading changes as the tool moves."""
 
-from dataclasses import dataclass, replace
-from typing import Literal
+from dataclasses import asdict, dataclass, replace
+from typing import Any, Literal
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from lite6jax.arms.chains import Frame, Twist, cross
+from lite6jax.arms.moves import Frame, Twist, cross
 from lite6jax.errors import InputError
 
 Quantity = Literal["position", "pose", "axis", "distance"]
@@ -77,6 +77,13 @@ class Sensor:
             orientation_noise=self.orientation_noise if orientation is None else orientation,
             joint_noise=self.joint_noise if joint is None else joint,
         )
+
+    def to_dict(self) -> dict[str, Any]:
+        """What it reads and how well, in SI units, without what does not concern it."""
+        concerns = {"direction": "axis", "center": "distance", "orientation_noise": "pose"}
+        return {
+            name: value for name, value in asdict(self).items() if concerns.get(name, self.quantity) == self.quantity
+        }
 
     @property
     def noise(self) -> np.ndarray:

@@ -8,7 +8,8 @@ import numpy as np
 from jax import Array, lax
 from numpy.typing import ArrayLike
 
-from lite6jax.arms.chains import Form, Frame, HayatiForm, Turn, base_frame, cross
+from lite6jax.arms.chains import Form, HayatiForm
+from lite6jax.arms.moves import Frame, Turn, base_frame, cross
 from lite6jax.errors import InputError
 
 STANDARD_GRAVITY = (0.0, 0.0, -9.81)

@@ -59,8 +59,9 @@ def identification_report(found: Identification, source: str, drawn: bool) -> It
     yield Text(_verdict(found))
     yield from (Text(sentence) for sentence in _reasons(found))
     yield ""
-    yield from _in_words(experiment, determination.dependencies)
-    yield ""
+    if determination.dependencies:
+        yield from _in_words(experiment, determination.dependencies)
+        yield ""
     yield Text("Predicted standard deviations (mm, deg)")
     yield ""
     yield from deviation_tables(experiment, determination)
@@ -111,10 +112,9 @@ def _in_words(experiment: Experiment, dependencies: Sequence[Dependency]) -> Ite
         rest = [d for d in rest if d.partners]
         yield Text(f"No reading changes with {_listed([d.name for d in unfelt])}.")
     yield from (Text(d.statement) for d in rest)
-    if dependencies:
-        known = experiment.precision.any()
-        ends = "what is known of them beforehand decides" if known else "a fit holds the first of each at nominal"
-        yield Text(f"Nothing in the data tells these apart: {ends}.")
+    known = experiment.precision.any()
+    ends = "what is known of them beforehand decides" if known else "a fit holds the first of each at nominal"
+    yield Text(f"Nothing in the data tells these apart: {ends}.")
 
 
 def deviation_tables(experiment: Experiment, determination: Determination) -> Iterator[RenderableType]:

@@ -10,7 +10,8 @@ from plain_chain import LITE6_DH, hayati_poses, origin_transform, perturb_poses,
 from scipy.optimize import least_squares
 from scipy.stats import chi2
 
-from lite6jax.arms.chains import HayatiForm, turn
+from lite6jax.arms.chains import HayatiForm
+from lite6jax.arms.moves import turn
 from lite6jax.fitting.gauss_newton import CONVERGED, NOT_FINITE, SINGULAR, STEPS_EXHAUSTED, Prior, solve_chunk
 from lite6jax.fitting.residual import Observations, Robust, residuals
 from lite6jax.model import ModelForm, arm_model

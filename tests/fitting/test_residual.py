@@ -17,7 +17,8 @@ from plain_chain import (
 )
 from scipy.spatial.transform import Rotation
 
-from lite6jax.arms.chains import HayatiForm, SixParameterForm, turn
+from lite6jax.arms.chains import HayatiForm, SixParameterForm
+from lite6jax.arms.moves import turn
 from lite6jax.fitting.residual import (
     Observations,
     Robust,

@@ -10,7 +10,7 @@ from lite6jax.arms.arm import Arm
 from lite6jax.arms.bundled import load_bundled
 from lite6jax.identifiability.determination import count, determination_of, determine
 from lite6jax.identifiability.identify import identify
-from lite6jax.identifiability.information import Experiment, experiment, plan
+from lite6jax.identifiability.information import Experiment, experiment, plan_experiment
 from lite6jax.identifiability.sensor import SENSORS, Sensor
 
 LITE6 = load_bundled("lite6")
@@ -35,7 +35,7 @@ def test_planar_2r_by_hand():
     Both joints' heights do the same. With e(a) = (−sin a, cos a): yaw 1 moves p by l1 e(q1) + l2 e(q12), yaw 2 by
     l2 e(q12), and y of joint 2 by e(q1): so yaw 2 is yaw 1 less l1 times that y.
     """
-    setup = plan(planar(0.3, 0.2), "tracker", chain="six_parameter", frame=False)
+    setup = plan_experiment(planar(0.3, 0.2), "tracker", chain="six_parameter", frame=False)
     found = determine(setup, random_positions(np.random.default_rng(0), 30, 2))
     assert found.rank == 10
     assert dependencies(found) == {
@@ -55,7 +55,7 @@ def test_planar_2r_by_hand():
 
 
 def test_planar_3r_by_hand():
-    setup = plan(planar(0.3, 0.25, 0.2), "tracker", chain="six_parameter", frame=False)
+    setup = plan_experiment(planar(0.3, 0.25, 0.2), "tracker", chain="six_parameter", frame=False)
     found = determine(setup, random_positions(np.random.default_rng(0), 40, 3))
     assert found.rank == 14
     assert dependencies(found) == {
@@ -68,7 +68,7 @@ def test_planar_3r_by_hand():
 
 def test_a_joint_that_stands_still_tells_less():
     """With q2 = 0 the arm is one link: of joint 2 nothing is told apart from joint 1 but along the circle it draws."""
-    setup = plan(planar(0.3, 0.2), "tracker", chain="six_parameter", frame=False)
+    setup = plan_experiment(planar(0.3, 0.2), "tracker", chain="six_parameter", frame=False)
     q = random_positions(np.random.default_rng(0), 30, 2)
     q[:, 1] = 0.0
     found = determine(setup, q)
@@ -93,7 +93,7 @@ def test_theory_counts_what_random_arms_show(dof, quantity):
     q = random_positions(rng, 300, dof)
     for chain in ("hayati", "six_parameter"):
         for frame, tool in ((False, False), (True, False), (True, True)):
-            setup = plan(
+            setup = plan_experiment(
                 arm, sensor, chain=chain, frame=frame, tool=tool, tool_at=(0.1, 0.05, 0.2) if tool else (0.0, 0.0, 0.0)
             )
             values = np.array(setup.model.geometry)
@@ -105,10 +105,12 @@ def test_theory_counts_what_random_arms_show(dof, quantity):
 
 
 def test_the_published_counts():
-    assert determine(plan("lite6", "tracker_6d", tool=True), joints(100)).rank == 30
-    assert determine(plan("lite6", "tracker_6d", frame=False), joints(100)).rank == 28
+    assert determine(plan_experiment("lite6", "tracker_6d", tool=True), joints(100)).rank == 30
+    assert determine(plan_experiment("lite6", "tracker_6d", frame=False), joints(100)).rank == 28
     calibrated = replace(LITE6, kinematics=perturbed(np.random.default_rng(0), LITE6.kinematics), dh=None)
-    assert determine(plan(calibrated, "tracker_6d", chain="six_parameter", frame=False), joints(100)).rank == 26
+    assert (
+        determine(plan_experiment(calibrated, "tracker_6d", chain="six_parameter", frame=False), joints(100)).rank == 26
+    )
 
 
 def joints(samples, seed=4):
@@ -119,10 +121,10 @@ def joints(samples, seed=4):
 def test_every_dependency_changes_no_reading():
     """By a finite step along each direction, held parameter and partners together, on the plain experiment."""
     for setup in (
-        plan("lite6", "tracker_6d", tool=True),
-        plan("lite6", "tracker"),
-        plan("lite6", "tracker_6d", chain="six_parameter", frame=False),
-        plan("lite6", "ball_bar", tool=True),
+        plan_experiment("lite6", "tracker_6d", tool=True),
+        plan_experiment("lite6", "tracker"),
+        plan_experiment("lite6", "tracker_6d", chain="six_parameter", frame=False),
+        plan_experiment("lite6", "ball_bar", tool=True),
     ):
         q = joints(80)
         found = determine(setup, q)
@@ -138,7 +140,7 @@ def test_every_dependency_changes_no_reading():
 
 def test_base_parameters_are_felt_alike_however_they_are_made_up():
     """A step of the held parameters is the same to every reading as that of the base parameters it adds to."""
-    setup = plan("lite6", "tracker_6d", chain="six_parameter", frame=False)
+    setup = plan_experiment("lite6", "tracker_6d", chain="six_parameter", frame=False)
     q = joints(80)
     found = determine(setup, q)
     rows = setup.rows(q).reshape(-1, setup.size) / setup.unit
@@ -152,7 +154,7 @@ def test_base_parameters_are_felt_alike_however_they_are_made_up():
 
 
 def test_covariance_is_the_inverse_information():
-    setup = plan("lite6", "tracker_6d", frame=False)
+    setup = plan_experiment("lite6", "tracker_6d", frame=False)
     q = joints(40)
     found = determine(setup, q)
     rows = setup.rows(q).reshape(-1, 28) / setup.unit
@@ -163,7 +165,7 @@ def test_covariance_is_the_inverse_information():
 
 def test_nothing_depends_on_the_units():
     """Scaling a parameter's unit (mm for m) scales its deviation and leaves rank, words and free set as they were."""
-    setup = plan("lite6", "tracker", tool=True, tool_at=(0.05, 0.0, 0.05))
+    setup = plan_experiment("lite6", "tracker", tool=True, tool_at=(0.05, 0.0, 0.05))
     q = joints(60)
     root = setup.root(q)
     want = determination_of(setup, root, 60)
@@ -177,8 +179,8 @@ def test_nothing_depends_on_the_units():
 
 
 def test_what_is_known_beforehand_decides_what_readings_cannot():
-    form = plan("lite6", "tracker_6d", chain="six_parameter", frame=False).form
-    model = plan("lite6", "tracker_6d", chain="six_parameter", frame=False).model
+    form = plan_experiment("lite6", "tracker_6d", chain="six_parameter", frame=False).form
+    model = plan_experiment("lite6", "tracker_6d", chain="six_parameter", frame=False).model
     sigma = np.array([1e-4 if unit == "m" else 1e-3 for unit in form.units])
     setup = experiment(LITE6, form, model, SENSORS["tracker_6d"], precision=1 / sigma**2)
     found = determine(setup, joints(50))
@@ -191,7 +193,7 @@ def test_what_is_known_beforehand_decides_what_readings_cannot():
 
 
 def test_what_cannot_move_is_left_out():
-    full = plan("lite6", "tracker_6d")
+    full = plan_experiment("lite6", "tracker_6d")
     movable = np.arange(full.form.size) >= 28
     setup = experiment(LITE6, full.form, full.model, full.sensor, movable=movable)
     found = determine(setup, joints(10))
@@ -201,20 +203,20 @@ def test_what_cannot_move_is_left_out():
 
 def test_weak_parameters_are_named():
     """A sensor of 100 mm tells nothing better than assembly does."""
-    setup = plan("lite6", SENSORS["tracker_6d"].with_noise(0.1, 1.0), frame=False)
+    setup = plan_experiment("lite6", SENSORS["tracker_6d"].with_noise(0.1, 1.0), frame=False)
     assert set(determine(setup, joints(40)).weak()) == set(setup.names)
-    assert determine(plan("lite6", "tracker_6d", frame=False), joints(40)).weak() == ()
+    assert determine(plan_experiment("lite6", "tracker_6d", frame=False), joints(40)).weak() == ()
 
 
 def test_correlated_pairs():
-    setup = plan("lite6", "tracker", frame=False)
+    setup = plan_experiment("lite6", "tracker", frame=False)
     pairs = determine(setup, joints(100)).correlated()
     assert ("d3", "alpha3") in [(a, b) for a, b, _ in pairs]
     assert all(abs(rho) > 0.95 for _, _, rho in pairs)
 
 
 def test_an_unfelt_parameter_is_said_to_be():
-    found = determine(plan("lite6", "tracker", frame=False), joints(100))
+    found = determine(plan_experiment("lite6", "tracker", frame=False), joints(100))
     said = {d.name: d.statement for d in found.dependencies}
     assert said["theta_off6"] == "theta_off6 is not felt: no reading changes with it."
     assert said["a5"] == "a5 and theta_off5 move together: a5 +1 mm is undone by theta_off5 +0.932 deg."
@@ -222,7 +224,7 @@ def test_an_unfelt_parameter_is_said_to_be():
 
 def test_nothing_read_at_all():
     """One pose of a dial gauge across an unfelt direction: nothing but one combination is told."""
-    setup = plan("lite6", "dial_gauge")
+    setup = plan_experiment("lite6", "dial_gauge")
     found = determine(setup, joints(1))
     assert found.rank == 1
     assert isinstance(setup, Experiment)

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from lite6jax.arms.bundled import load_bundled
 from lite6jax.arms.chains import HayatiForm, SixParameterForm
 from lite6jax.errors import InputError
-from lite6jax.identifiability.information import TOLERANCE, experiment, plan, recorded
+from lite6jax.identifiability.information import TOLERANCE, experiment, plan_experiment, recorded
 from lite6jax.identifiability.sensor import SENSORS, Sensor, sensor_named
 from lite6jax.model import ArmModel, ModelForm
 from lite6jax.recordings import Recording, RecordingSettings
@@ -97,7 +97,7 @@ def test_rows_are_finite_differences_of_plain_readings(sensor, chain):
 
 @pytest.mark.parametrize("sensor", SENSOR_KINDS, ids=lambda s: s.quantity)
 def test_root_and_information_are_those_of_the_rows(sensor):
-    setup = plan("lite6", sensor, tool=True, tool_at=(0.05, 0.0, 0.1))
+    setup = plan_experiment("lite6", sensor, tool=True, tool_at=(0.05, 0.0, 0.1))
     q = random_positions(np.random.default_rng(1), 40, 6)
     rows = setup.rows(q).reshape(-1, setup.size)
     R = setup.root(q)
@@ -108,7 +108,7 @@ def test_root_and_information_are_those_of_the_rows(sensor):
 
 
 def test_many_poses_in_blocks_are_the_sum_of_few():
-    setup = plan("lite6", "tracker")
+    setup = plan_experiment("lite6", "tracker")
     q = random_positions(np.random.default_rng(2), 5003, 6)
     whole = setup.information(q)
     parts = sum(setup.information(q[k : k + 1000]) for k in range(0, 5003, 1000))
@@ -118,7 +118,7 @@ def test_many_poses_in_blocks_are_the_sum_of_few():
 
 
 def test_fewer_readings_than_parameters():
-    setup = plan("lite6", "tracker")
+    setup = plan_experiment("lite6", "tracker")
     R = setup.root(Q[:2])
     rows = setup.rows(Q[:2]).reshape(-1, setup.size)
     assert R.shape == (34, 34)
@@ -147,7 +147,7 @@ def test_noise_of_the_joints_is_carried_through_the_arm():
 
 
 def test_units_of_the_tolerances():
-    setup = plan("lite6", "tracker_6d")
+    setup = plan_experiment("lite6", "tracker_6d")
     assert dict(zip(setup.units, setup.unit, strict=True)) == TOLERANCE
     assert {"m": 0.8e-3, "rad": pytest.approx(np.deg2rad(0.15))} == TOLERANCE
 
@@ -156,7 +156,7 @@ def test_the_tool_point_stands_where_it_is_said():
     flange = np.eye(4)
     flange[:3, :3], flange[:3, 3] = Rotation.random(random_state=1).as_matrix(), (0.1, 0.2, 0.3)
     arm = replace(LITE6, T_joint_flange=flange)
-    setup = plan(arm, "tracker", tool_at=(0.1, 0.0, 0.02))
+    setup = plan_experiment(arm, "tracker", tool_at=(0.1, 0.0, 0.02))
     want = arm.T_joint_flange @ np.array([0.1, 0.0, 0.02, 1.0])
     np.testing.assert_allclose(setup.model.T_flange_tool[:, 3], want, atol=1e-15)
 
@@ -197,9 +197,18 @@ def test_a_recording_is_the_experiment_its_sidecar_says():
         (lambda: Sensor("axis", 1e-5, direction=(0.0, 0.0, 0.0)), "give three numbers that are not all zero"),
         (lambda: Sensor("position", 1e-5, joint_noise=-1.0), "joint noise -1.0: give one standard deviation in rad"),
         (lambda: sensor_named("theodolite"), f"sensor 'theodolite': is none of {', '.join(SENSORS)}"),
-        (lambda: plan("lite6").rows(np.zeros((3, 7))), "joint_position of shape (3, 7): lite6 takes (sample, 6)"),
-        (lambda: plan("lite6").root(np.zeros((0, 6))), "joint_position of shape (0, 6): lite6 takes (sample, 6)"),
-        (lambda: plan("lite6").rows([[0] * 6, [np.nan] * 6]), "joint_position: row 2 is not finite; leave it out"),
+        (
+            lambda: plan_experiment("lite6").rows(np.zeros((3, 7))),
+            "joint_position of shape (3, 7): lite6 takes (sample, 6)",
+        ),
+        (
+            lambda: plan_experiment("lite6").root(np.zeros((0, 6))),
+            "joint_position of shape (0, 6): lite6 takes (sample, 6)",
+        ),
+        (
+            lambda: plan_experiment("lite6").rows([[0] * 6, [np.nan] * 6]),
+            "joint_position: row 2 is not finite; leave it out",
+        ),
     ],
 )
 def test_what_is_refused(make, says):

@@ -10,7 +10,7 @@ from lite6jax.arms.bundled import load_bundled
 from lite6jax.arms.chains import hayati_fk
 from lite6jax.errors import InputError
 from lite6jax.identifiability.determination import determine
-from lite6jax.identifiability.information import experiment, plan
+from lite6jax.identifiability.information import experiment, plan_experiment
 from lite6jax.identifiability.monte_carlo import refit
 from lite6jax.identifiability.sensor import SENSORS, Sensor
 
@@ -39,12 +39,12 @@ def check_spread(refits, low=1e-4):
 @pytest.mark.parametrize(
     "setup",
     [
-        plan("lite6", "tracker"),
-        plan("lite6", "tracker_6d", tool=True),
-        plan("lite6", Sensor("axis", 1e-5, direction=(1.0, 1.0, -1.0)), tool=True, tool_at=(0.05, 0.0, 0.1)),
-        plan("lite6", Sensor("distance", 1e-6, center=(0.3, 0.2, 0.0)), frame=False),
-        plan("lite6", SENSORS["motion_capture"], chain="six_parameter", frame=False),
-        plan("lite6", Sensor("pose", 2e-5, 1e-4, joint_noise=5e-5), frame=False),
+        plan_experiment("lite6", "tracker"),
+        plan_experiment("lite6", "tracker_6d", tool=True),
+        plan_experiment("lite6", Sensor("axis", 1e-5, direction=(1.0, 1.0, -1.0)), tool=True, tool_at=(0.05, 0.0, 0.1)),
+        plan_experiment("lite6", Sensor("distance", 1e-6, center=(0.3, 0.2, 0.0)), frame=False),
+        plan_experiment("lite6", SENSORS["motion_capture"], chain="six_parameter", frame=False),
+        plan_experiment("lite6", Sensor("pose", 2e-5, 1e-4, joint_noise=5e-5), frame=False),
     ],
     ids=["position", "pose", "axis", "distance", "six_parameter", "joint_noise"],
 )
@@ -53,7 +53,7 @@ def test_refits_spread_as_predicted(setup):
 
 
 def test_what_is_known_beforehand_counts():
-    full = plan("lite6", "tracker_6d", chain="six_parameter", frame=False)
+    full = plan_experiment("lite6", "tracker_6d", chain="six_parameter", frame=False)
     sigma = np.array([2e-5 if unit == "m" else 5e-5 for unit in full.form.units])
     setup = experiment(LITE6, full.form, full.model, full.sensor, precision=1 / sigma**2)
     refits = refit(setup, Q[:8], COUNT, seed=1)
@@ -63,7 +63,7 @@ def test_what_is_known_beforehand_counts():
 
 def test_the_fleet_fit_spreads_as_predicted():
     """The same bound met by the fit itself, on noise made in plain NumPy."""
-    setup = plan("lite6", "tracker_6d", frame=False)
+    setup = plan_experiment("lite6", "tracker_6d", frame=False)
     predicted = determine(setup, Q).standard_deviation
     rng = np.random.default_rng(3)
     true = LITE6.hayati + rng.normal(0, 5e-4, 28)
@@ -77,7 +77,7 @@ def test_the_fleet_fit_spreads_as_predicted():
 
 
 def test_seeds():
-    setup = plan("lite6", "tracker", frame=False)
+    setup = plan_experiment("lite6", "tracker", frame=False)
     once, again, other = (refit(setup, Q, 10, seed=s).errors for s in (0, 0, 1))
     np.testing.assert_array_equal(once, again)
     assert (once[:, :4] != other[:, :4]).all()
@@ -85,4 +85,4 @@ def test_seeds():
 
 def test_a_spread_needs_two():
     with pytest.raises(InputError, match="1 refits: a spread needs at least 2"):
-        refit(plan("lite6"), Q, 1)
+        refit(plan_experiment("lite6"), Q, 1)

@@ -9,12 +9,12 @@ from plain_chain import random_positions
 from lite6jax.arms.bundled import load_bundled
 from lite6jax.errors import InputError
 from lite6jax.identifiability.identify import predicted_accuracy
-from lite6jax.identifiability.information import plan
+from lite6jax.identifiability.information import plan_experiment
 from lite6jax.identifiability.planning import plan_poses, separate_poses, shortest_round
 from lite6jax.physics.joints import JointCompliance, JointHarmonic
 
 LITE6 = load_bundled("lite6")
-SETUP = plan("lite6", "tracker_6d", frame=False)
+SETUP = plan_experiment("lite6", "tracker_6d", frame=False)
 LOWER, UPPER = LITE6.joint_limits.T
 CANDIDATES = np.random.default_rng(0).uniform(LOWER, UPPER, (400, 6))
 
@@ -95,7 +95,7 @@ def test_other_criteria(criterion):
 
 
 def test_rivals_are_told_apart_better_than_by_chance():
-    setup = plan("lite6", "tracker", frame=False, tool_at=(0.06, 0.0, 0.04))
+    setup = plan_experiment("lite6", "tracker", frame=False, tool_at=(0.06, 0.0, 0.04))
     compliance, harmonic = JointCompliance(2), JointHarmonic(2, 1.0)
     found = separate_poses(setup, [(compliance, [5e-5]), (harmonic, [0.0, 0.0])], CANDIDATES, 15, refined=False)
     assert found.distance[-1] > 1.5 * np.median(found.random_distance)
@@ -111,7 +111,7 @@ def test_rivals_are_told_apart_better_than_by_chance():
 
 
 def test_rivals_both_ways():
-    setup = plan("lite6", "tracker", frame=False, tool_at=(0.06, 0.0, 0.04))
+    setup = plan_experiment("lite6", "tracker", frame=False, tool_at=(0.06, 0.0, 0.04))
     rivals = [(JointCompliance(2), [5e-5]), (JointHarmonic(2, 1.0), [0.0, 1e-4])]
     found = separate_poses(setup, rivals, CANDIDATES, 15, refined=False)
     assert found.both_ways

@@ -9,7 +9,7 @@ from plain_chain import random_positions, six_parameter_poses
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.bundled import load_bundled
 from lite6jax.errors import InputError
-from lite6jax.identifiability.information import plan
+from lite6jax.identifiability.information import plan_experiment
 from lite6jax.identifiability.sensitivity import arm_errors, global_sensitivity, sensitivity
 
 LITE6 = load_bundled("lite6")
@@ -41,7 +41,7 @@ def test_a_length_moves_the_flange_by_itself_and_an_angle_turns_it_by_itself():
 
 def test_the_expected_error_is_what_drawn_arms_show():
     found = sensitivity("lite6", Q)
-    setup = plan("lite6", chain="six_parameter", frame=False)
+    setup = plan_experiment("lite6", chain="six_parameter", frame=False)
     rng = np.random.default_rng(1)
     size = np.array([TOLERANCE[unit] for unit in setup.units])
     arms = [LITE6.kinematics + (size * rng.standard_normal(36)).reshape(6, 6) for _ in range(2000)]
@@ -74,7 +74,7 @@ def test_maps_hold_every_sample():
 
 @pytest.mark.parametrize("measure", ["max", "rms"])
 def test_arm_errors_against_the_plain_chain(measure):
-    setup = plan("lite6", chain="six_parameter", frame=False)
+    setup = plan_experiment("lite6", chain="six_parameter", frame=False)
     steps = np.random.default_rng(0).normal(0, 1e-3, (300, 36))
     got = arm_errors(setup, steps, Q[:9], measure)
     nominal = six_parameter_poses(LITE6.kinematics, Q[:9])[:, :3, 3]

@@ -8,8 +8,9 @@ from plain_chain import random_kinematics, random_positions
 from plain_physics import moved, simulated_inertia, simulated_motion
 
 from lite6jax.arms.bundled import load_bundled
-from lite6jax.arms.chains import Bend, SixParameterForm, base_frame, cross, displace, sweep, turn
+from lite6jax.arms.chains import Bend, SixParameterForm, sweep
 from lite6jax.arms.convert import hayati_to_six_parameter
+from lite6jax.arms.moves import base_frame, cross, displace, turn
 from lite6jax.errors import InputError
 from lite6jax.model import arm_model, predict, predict_bent, predict_poses
 from lite6jax.physics.composition import Physics

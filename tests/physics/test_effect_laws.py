@@ -10,7 +10,8 @@ import pytest
 from plain_chain import random_kinematics
 from plain_physics import moved, predicted_poses, simulated_inertia, simulated_motion
 
-from lite6jax.arms.chains import SixParameterForm, turn
+from lite6jax.arms.chains import SixParameterForm
+from lite6jax.arms.moves import turn
 from lite6jax.model import arm_model, predict, predict_poses
 from lite6jax.physics.catalogue import BUILT_IN, catalogue, effect_as_dict, effect_from_dict, parse_effect
 from lite6jax.physics.composition import Physics

@@ -8,7 +8,8 @@ from plain_chain import random_kinematics
 from plain_physics import moved, simulated_inertia, simulated_motion
 
 from lite6jax.arms.bundled import load_bundled
-from lite6jax.arms.chains import SixParameterForm, turn
+from lite6jax.arms.chains import SixParameterForm
+from lite6jax.arms.moves import turn
 from lite6jax.model import arm_model, predict, predict_poses
 from lite6jax.physics.composition import Physics
 from lite6jax.physics.joints import (

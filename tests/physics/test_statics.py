@@ -9,7 +9,8 @@ from plain_chain import random_kinematics, random_positions
 from plain_physics import gravity_moments, rigid_frames, simulated_inertia
 
 from lite6jax.arms.bundled import load_bundled
-from lite6jax.arms.chains import HayatiForm, SixParameterForm, turn
+from lite6jax.arms.chains import HayatiForm, SixParameterForm
+from lite6jax.arms.moves import turn
 from lite6jax.errors import InputError
 from lite6jax.physics.statics import Loads, inertia_of, loads
 

@@ -1,0 +1,163 @@
+"""What poses determine, which to record, and refits by the thousand: the library against NumPy and SciPy."""
+
+from collections.abc import Callable, Iterator
+
+import numpy as np
+from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
+
+from benchmarks.measure import Record, disagreement, median_time, timed
+from benchmarks.problem import NOISE, hayati_poses
+from benchmarks.seed_way import NOMINAL, sample_joints
+from lite6jax.identifiability.criteria import Determinant
+from lite6jax.identifiability.design import choose
+from lite6jax.identifiability.information import TOLERANCE, Experiment, plan_experiment
+from lite6jax.identifiability.monte_carlo import refit
+from lite6jax.identifiability.sensor import Sensor
+
+OURS, NUMPY, SCIPY = "lite6jax", "NumPy, finite differences", "SciPy, one by one"
+GREEDY = "NumPy, exchange over all candidates"
+STEP = 1e-6
+"""m and rad of the rival's forward differences."""
+DIFFERENCES = 1e-4
+"""How near forward differences come to a derivative, relative."""
+REFITS_AGREE = 1e-4
+"""Standard deviations between two solvers' refits of the same readings."""
+
+
+def study(poses: int = 100_000, chosen: int = 40, refits: int = 1000, rival_refits: int = 5) -> Iterator[Record]:
+    """Information and singular values, a design, and Monte-Carlo refits."""
+    experiment = plan_experiment("lite6", Sensor("pose", *NOISE), frame=False)
+    q = sample_joints(poses, np.random.default_rng(0))
+    yield from _information(experiment, q)
+    yield from _design(experiment, q, chosen)
+    yield from _refits(experiment, q[:60], refits, rival_refits)
+
+
+def _information(experiment: Experiment, q: np.ndarray) -> Iterator[Record]:
+    work = f"information of {len(q)} poses"
+    yield from _raced(
+        work,
+        "information and singular values",
+        lambda: np.linalg.svd(experiment.root(q), compute_uv=False),
+        (NUMPY, lambda: np.linalg.svd(np.linalg.qr(plain_rows(q), mode="r"), compute_uv=False)),
+        lambda ours, rival: disagreement(ours / rival, np.ones_like(rival), DIFFERENCES, "singular values"),
+    )
+    seconds, H = median_time(lambda: experiment.information(q), 5)
+    R = experiment.root(q)
+    wrong = disagreement(H / np.abs(H).max(), R.T @ R / np.abs(H).max(), 1e-12, "information")
+    yield Record(work, OURS, "information alone", 1e3 * seconds, "ms", "lower", wrong)
+
+
+def _design(experiment: Experiment, q: np.ndarray, count: int) -> Iterator[Record]:
+    rows = experiment.rows(q)
+    work = f"{count} of {len(q)} poses"
+    first, _ = timed(lambda: choose(rows, count, Determinant()))
+    seconds, design = median_time(lambda: choose(rows, count, Determinant()), 3)
+    taken, rival = timed(lambda: plain_exchange(rows, count))
+    ours, theirs = log_determinant(rows[design.indices]), log_determinant(rows[rival])
+    wrong = disagreement(np.array(design.value), np.array(ours), 1e-6, "the criterion")
+    if ours < theirs - 0.01 * rows.shape[2]:  # 1 % of the poses
+        wrong = wrong or f"log det {ours:.4f} is under the rival's {theirs:.4f}"
+    yield Record(work, OURS, "first call, with compilation", first, "s", "lower", wrong)
+    yield Record(work, OURS, "D-optimal design", seconds, "s", "lower", wrong)
+    yield Record(work, GREEDY, "D-optimal design", taken, "s", "lower")
+    yield Record(work, OURS, f"faster than {GREEDY}", taken / seconds, "×", "higher", wrong)
+    random = np.random.default_rng(1)
+    drawn = [log_determinant(rows[random.choice(len(q), count, replace=False)]) for _ in range(200)]
+    gain = np.exp((ours - np.median(drawn)) / rows.shape[2])
+    yield Record(work, OURS, "worth so many times as many random poses", float(gain), "×", "higher", wrong)
+
+
+def _refits(experiment: Experiment, q: np.ndarray, count: int, rival_count: int) -> Iterator[Record]:
+    seed = 3
+    work = f"{count} refits of {len(q)} poses"
+    first, _ = timed(lambda: refit(experiment, q, count, seed))
+    seconds, found = median_time(lambda: refit(experiment, q, count, seed), 3)
+    sigma = found.determination.standard_deviation
+    noise = np.random.default_rng(seed).standard_normal((count, 6, len(q))) * experiment.sensor.noise[:, None]
+    taken, errors = timed(lambda: np.stack([plain_refit(q, each) for each in noise[:rival_count]]))
+    wrong = disagreement(found.errors[:rival_count] / sigma, errors / sigma, REFITS_AGREE, "refits (in σ)")
+    if not found.settled.all():
+        wrong = wrong or f"{int((~found.settled).sum())} refits did not settle"
+    each = taken / rival_count
+    yield Record(work, OURS, "first call, with compilation", 1e3 * first, "ms", "lower", wrong)
+    yield Record(work, OURS, "a refit", 1e3 * seconds / count, "ms", "lower", wrong)
+    yield Record(work, SCIPY, "a refit", 1e3 * each, "ms", "lower")
+    yield Record(work, OURS, f"faster than {SCIPY}", each * count / seconds, "×", "higher", wrong)
+
+
+def _raced(
+    work: str,
+    metric: str,
+    ours: Callable[[], np.ndarray],
+    rival: tuple[str, Callable[[], np.ndarray]],
+    check: Callable[[np.ndarray, np.ndarray], str],
+) -> Iterator[Record]:
+    name, other = rival
+    first, _ = timed(ours)
+    seconds, answer = median_time(ours, 5)
+    taken, theirs = timed(other)
+    wrong = check(answer, theirs)
+    yield Record(work, OURS, "first call, with compilation", 1e3 * first, "ms", "lower", wrong)
+    yield Record(work, OURS, metric, 1e3 * seconds, "ms", "lower", wrong)
+    yield Record(work, name, metric, 1e3 * taken, "ms", "lower")
+    yield Record(work, OURS, f"faster than {name}", taken / seconds, "×", "higher", wrong)
+
+
+def plain_rows(q: np.ndarray) -> np.ndarray:
+    """The same scaled, whitened Jacobian `(6 sample, 28)` by forward differences of the plain chain."""
+    at = hayati_poses(NOMINAL, q)
+    units = np.array([TOLERANCE[unit] for unit in plan_experiment("lite6", frame=False).form.units])
+    columns = []
+    for step in STEP * np.eye(len(NOMINAL)):
+        moved = hayati_poses(NOMINAL + step, q)
+        turned = moved[:, :3, :3] @ np.swapaxes(at[:, :3, :3], 1, 2)
+        spin = np.stack([turned[:, 2, 1], turned[:, 0, 2], turned[:, 1, 0]], 1)
+        columns.append(np.concatenate([(moved - at)[:, :3, 3] / NOISE[0], spin / NOISE[1]], 1).ravel() / STEP)
+    return np.stack(columns, 1) * units
+
+
+def log_determinant(rows: np.ndarray) -> float:
+    """Of the information of poses `(pose, row, parameter)`."""
+    J = rows.reshape(-1, rows.shape[2])
+    return float(np.linalg.slogdet(J.T @ J)[1])
+
+
+def plain_exchange(rows: np.ndarray, count: int, rounds: int = 1) -> np.ndarray:
+    """D-optimal poses `(count,)` by the textbook: greedy, then one round of exchange, each over all candidates.
+
+    Adding a pose multiplies the determinant by det(I + J M⁻¹ Jᵀ) (V. Fedorov, 1972).
+    """
+
+    def best(M: np.ndarray, taken: list[int]) -> int:
+        inside = rows @ np.linalg.inv(M) @ np.swapaxes(rows, 1, 2)
+        gain = np.linalg.slogdet(np.eye(rows.shape[1]) + inside)[1]
+        gain[taken] = -np.inf
+        return int(np.argmax(gain))
+
+    chosen: list[int] = []
+    M = 1e-6 * np.eye(rows.shape[2])
+    for _ in range(count):
+        chosen.append(best(M, chosen))
+        M = M + rows[chosen[-1]].T @ rows[chosen[-1]]
+    for _ in range(rounds):
+        for k in range(count):
+            without = M - rows[chosen[k]].T @ rows[chosen[k]]
+            chosen[k] = best(without, chosen[:k] + chosen[k + 1 :])
+            M = without + rows[chosen[k]].T @ rows[chosen[k]]
+    return np.array(chosen)
+
+
+def plain_refit(q: np.ndarray, noise: np.ndarray) -> np.ndarray:
+    """The error `(28,)` of SciPy's fit to readings with `noise` `(6, sample)`, by finite differences."""
+    true = hayati_poses(NOMINAL, q)
+    position = true[:, :3, 3] + noise[:3].T
+    rotation = Rotation.from_rotvec(noise[3:].T).as_matrix() @ true[:, :3, :3]
+
+    def residuals(parameters: np.ndarray) -> np.ndarray:
+        poses = hayati_poses(parameters, q)
+        spin = Rotation.from_matrix(np.swapaxes(rotation, 1, 2) @ poses[:, :3, :3]).as_rotvec()
+        return np.concatenate([(poses[:, :3, 3] - position) / NOISE[0], spin / NOISE[1]], 1).ravel()
+
+    return least_squares(residuals, NOMINAL, method="lm", x_scale="jac").x - NOMINAL

@@ -1,0 +1,125 @@
+"""The notebooks: what is stored is their text alone, and every one of them runs and ends in a figure."""
+
+import ast
+import importlib.util
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import jax
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
+CELL_TIMEOUT_S = 300
+# nbclient, zmq and their event loop stay in a process of their own, as this one turns each warning into an error.
+EXECUTE = f"""
+import sys
+import nbformat
+from nbclient import NotebookClient
+
+notebook = nbformat.read(sys.argv[1], as_version=4)
+nbformat.validate(notebook)
+NotebookClient(notebook, timeout={CELL_TIMEOUT_S}, kernel_name="python3").execute()
+nbformat.write(notebook, sys.argv[2])
+"""
+MISSING = [name for name in ("nbclient", "ipykernel") if importlib.util.find_spec(name) is None]
+needs_jupyter = pytest.mark.skipif(bool(MISSING), reason=f"not installed: {', '.join(MISSING)}")
+every_notebook = pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+
+
+def cells_of(path, kind=None):
+    cells = json.loads(path.read_text(encoding="utf-8"))["cells"]
+    return [cell for cell in cells if kind in (None, cell["cell_type"])]
+
+
+def execute(path, folder):
+    """The finished process, and where it has written the notebook with its outputs."""
+    executed = folder / "executed.ipynb"
+    own = ("MPLBACKEND", "PYTHONWARNINGS", "JUPYTER_PATH")  # the kernel draws into the notebook, with its own settings
+    environment = {name: value for name, value in os.environ.items() if name not in own}
+    environment |= dict.fromkeys(("JUPYTER_CONFIG_DIR", "JUPYTER_DATA_DIR", "JUPYTER_RUNTIME_DIR"), str(folder))
+    environment |= {"IPYTHONDIR": str(folder), "JUPYTER_PLATFORM_DIRS": "1"}
+    environment["PYTHONPATH"] = os.pathsep.join(filter(None, [str(ROOT), os.environ.get("PYTHONPATH")]))
+    cache = getattr(jax.config, "jax_compilation_cache_dir", None)  # that of the other tests
+    if cache:
+        environment |= {
+            "JAX_COMPILATION_CACHE_DIR": cache,
+            "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
+            "JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES": "0",
+        }
+    process = subprocess.run(
+        [sys.executable, "-c", EXECUTE, str(path), str(executed)],
+        cwd=folder,
+        env=environment,
+        capture_output=True,
+        text=True,
+        timeout=2 * CELL_TIMEOUT_S,
+    )
+    return process, executed
+
+
+def test_they_are_numbered_from_one():
+    assert [path.name[:3] for path in NOTEBOOKS] == [f"{number:02}_" for number in range(1, len(NOTEBOOKS) + 1)]
+    assert len(NOTEBOOKS) >= 5
+
+
+@every_notebook
+def test_only_its_text_is_stored(path):
+    notebook = json.loads(path.read_text(encoding="utf-8"))
+    assert (notebook["nbformat"], notebook["nbformat_minor"]) == (4, 5)
+    assert notebook["metadata"]["kernelspec"]["name"] == "python3"
+    assert set(notebook["metadata"]) <= {"kernelspec", "language_info"}
+    cells = notebook["cells"]
+    assert len({cell["id"] for cell in cells}) == len(cells)
+    for cell in cells:
+        assert cell["metadata"] == {}
+        if cell["cell_type"] == "code":
+            assert (cell["outputs"], cell["execution_count"]) == ([], None), f"clear the outputs of {path.name}"
+
+
+@every_notebook
+def test_it_opens_with_a_question(path):
+    first = cells_of(path)[0]
+    assert first["cell_type"] == "markdown"
+    assert "?" in "".join(first["source"])
+
+
+@every_notebook
+def test_it_imports_nothing_that_the_package_does_not_bring(path):
+    for cell in cells_of(path, "code"):
+        for node in ast.walk(ast.parse("".join(cell["source"]))):
+            names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
+            names += [node.module or ""] if isinstance(node, ast.ImportFrom) else []
+            for name in names:
+                top = name.split(".")[0]
+                assert top in {"lite6jax", "jax", "numpy", "matplotlib"} | sys.stdlib_module_names
+
+
+@needs_jupyter
+@every_notebook
+def test_it_runs_and_ends_with_a_figure_and_an_answer(path, tmp_path):
+    process, executed = execute(path, tmp_path)
+    assert process.returncode == 0, process.stderr[-4000:]
+    code = cells_of(executed, "code")
+    for cell in code:
+        said = "".join("".join(out["text"]) for out in cell["outputs"] if out.get("name") == "stderr")
+        assert "Warning:" not in said, said
+    answer = code[-1]["outputs"]
+    assert any("image/png" in output.get("data", {}) for output in answer)
+    assert any(output.get("name") == "stdout" for output in answer)
+
+
+@needs_jupyter
+def test_one_that_fails_is_noticed(tmp_path):
+    source = json.loads(NOTEBOOKS[0].read_text(encoding="utf-8"))
+    broken = [{"cell_type": "code", "id": "broken", "metadata": {}, "outputs": [], "execution_count": None}]
+    broken[0]["source"] = "1 / 0"
+    path = tmp_path / "broken.ipynb"
+    path.write_text(json.dumps(source | {"cells": broken}))
+    process, executed = execute(path, tmp_path)
+    assert process.returncode != 0
+    assert "ZeroDivisionError" in process.stderr
+    assert not executed.exists()
