@@ -18,6 +18,7 @@ from tyro.conf import FlagCreatePairsOff, OmitArgPrefixes, subcommand
 from lite6jax.cli.arguments import BAD_INPUT, DONE, INTERRUPTED
 from lite6jax.cli.files import Check, Convert
 from lite6jax.cli.fit import Compare, Demo, Fit, Fleet
+from lite6jax.cli.simulate import Simulate
 from lite6jax.cli.study import Design, Identify, Sensitivity
 from lite6jax.errors import InputError
 
@@ -28,6 +29,7 @@ COMMANDS = {
     "identify": Identify,
     "sensitivity": Sensitivity,
     "design": Design,
+    "simulate": Simulate,
     "convert": Convert,
     "check": Check,
     "demo": Demo,

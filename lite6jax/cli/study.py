@@ -98,7 +98,7 @@ class Identify:
     """
 
     source: Annotated[Positional[str], arg(metavar="ARM|FILE")]
-    """A bundled arm, an arm's file, or a recording (.csv, .parquet); one without poses is a list of joint positions."""
+    """A bundled arm, an arm's file, or a recording (.csv, .parquet, .mcap); one without poses lists joint positions."""
     setup: Setup = Setup()
     poses: int = 100
     """Of an arm: how many to draw inside its limits."""
@@ -126,15 +126,16 @@ class Identify:
         from lite6jax.arms.files import read_arm
         from lite6jax.fitting.fit import load_nominal, read_source
         from lite6jax.identifiability.identify import identify, identify_recording
-        from lite6jax.recordings import Recording
+        from lite6jax.recordings import Recording, recording_file
 
         names = [f"{_stem(self.source)}_{what}" for what in ("singular_values", "correlation", "deviations")]
         if self.figures:
             from lite6jax.report import canvas
 
             canvas.check_names(self.figures, names, self.force)
-        drawn = not self.source.lower().endswith((".csv", ".parquet"))
-        if drawn:
+        file = recording_file(self.source)
+        drawn = file is None
+        if file is None:
             if self.poses < 1:
                 raise InputError(f"--poses {self.poses}: give at least 1")
             found = identify(
@@ -147,7 +148,7 @@ class Identify:
             )
             assert isinstance(recording, Recording)  # by its suffix
             if recording.position is None:
-                arm = nominal or read_arm(recording.settings.arm_reference(Path(self.source).parent))
+                arm = nominal or read_arm(recording.settings.arm_reference(file.parent))
                 found = identify(
                     self.setup.experiment(arm), recording.joint_position, refits=self.refits, seed=self.seed
                 )

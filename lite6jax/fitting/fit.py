@@ -29,7 +29,7 @@ from lite6jax.fitting.residual import POSE, POSITION, Robust
 from lite6jax.fitting.robust import FREEDOM, gaussian_t_scale, t_scale, variance_factor, weights_left
 from lite6jax.fitting.solution import Errors, Held, Noise, Result, Solution
 from lite6jax.model import ArmModel, ModelForm, predict
-from lite6jax.recordings import Recording, read_recording, read_settings, sidecar_path
+from lite6jax.recordings import Recording, read_recording, read_settings, recording_file, sidecar_path
 
 Array = NDArray[np.floating]
 Solver = Literal["gauss_newton", "levenberg_marquardt"]
@@ -113,10 +113,10 @@ def read_source(
     Raises:
         InputError: as their readers.
     """
-    path = Path(path)
-    if path.suffix.lower() not in (".csv", ".parquet"):
+    file = recording_file(path)
+    if file is None:
         return read_factory(path, arm)
-    arm = arm or read_arm(read_settings(sidecar_path(path)).arm_reference(path.parent))
+    arm = arm or read_arm(read_settings(sidecar_path(file)).arm_reference(file.parent))
     return read_recording(
         path,
         dof=arm.dof,

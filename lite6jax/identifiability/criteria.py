@@ -18,6 +18,12 @@ _SHARP = 16
 """Kiefer's p for the smallest eigenvalue: at 34 parameters the p-mean is within 25 % of it, and smooth."""
 _SHARES = 1e-9
 """What share of a quadratic form may lie in directions that nothing determines; rounding leaves 1e-12."""
+DETERMINED = 1e-10
+"""An eigenvalue of the information (columns of unit size) over the largest, above which a direction is determined."""
+_FELT = 1e-20
+"""A parameter's information over the largest, under which no candidate feels it."""
+DESIGN_DETERMINES = 1e-12
+"""The same of a design's information, whose poses are few."""
 
 
 class Coordinates(NamedTuple):
@@ -276,3 +282,67 @@ def inverse(M: Array) -> Array:
     L = jnp.linalg.cholesky(M)
     half = solve_triangular(L, jnp.eye(len(M)), lower=True)
     return half.T @ half
+
+
+def determined_coordinates(rows: ArrayLike, prior: ArrayLike | None = None) -> Coordinates:
+    """The directions of parameter space that candidates and a prior determine.
+
+    Args:
+        rows: `(candidate, row, parameter)`, whitened, columns scaled to be comparable.
+        prior: `(parameter, parameter)` information beside the candidates', if any.
+
+    Raises:
+        InputError: a wrong shape, a number that is not finite, a prior that is no information, nothing determined.
+    """
+    J, P = checked_rows(rows, prior)
+    flat = J.reshape(-1, J.shape[2])
+    return coordinates_of(P + flat.T @ flat, len(J))
+
+
+def checked_rows(rows: ArrayLike, prior: ArrayLike | None) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Rows and prior in double precision, the prior symmetric, or zero where there is none.
+
+    Raises:
+        InputError: as `determined_coordinates`.
+    """
+    J = np.asarray(rows, np.float64)
+    if J.ndim != 3 or 0 in J.shape:
+        raise InputError(f"rows of shape {J.shape}: give (candidate, row, parameter), none of them empty")
+    if not np.isfinite(np.sum(J)) and not np.isfinite(J).all():
+        worst = int(np.argmin(np.isfinite(J).all((1, 2))))
+        raise InputError(f"rows of candidate {worst} have a number that is not finite; leave it out")
+    size = J.shape[2]
+    P = np.zeros((size, size)) if prior is None else np.asarray(prior, np.float64)
+    if P.shape != (size, size) or not np.isfinite(P).all():
+        raise InputError(f"prior of shape {P.shape}: give a finite ({size}, {size}) for the rows' {size} parameters")
+    largest = np.abs(P).max()
+    if np.abs(P - P.T).max() > 1e-9 * largest or np.linalg.eigvalsh(P)[0] < -1e-9 * largest:
+        raise InputError("prior: no information matrix (not symmetric, or a negative eigenvalue); give JᵀJ or C⁻¹")
+    return J, (P + P.T) / 2
+
+
+def coordinates_of(information: NDArray[np.float64], candidates: int) -> Coordinates:
+    """The coordinates of an information matrix, so scaled that the mean of `candidates` is the identity.
+
+    Raises:
+        InputError: it is zero.
+    """
+    squares = np.diagonal(information)
+    felt = squares > _FELT * squares.max()  # what is not leaves rounding, which must not be scaled up
+    units = np.sqrt(np.where(felt, squares, max(float(squares.max()), np.finfo(float).tiny)))
+    eigenvalues, V = np.linalg.eigh(information / units[:, None] / units)  # as judged in no unit at all
+    kept = eigenvalues > DETERMINED * max(eigenvalues[-1], 0.0)
+    if not kept.any():
+        raise InputError("rows: all zero; no candidate says anything about any parameter")
+    scale, V = np.sqrt(eigenvalues[kept] / candidates), V[:, kept]
+    inward = scale[:, None] * V.T * units
+    determined, _ = np.linalg.qr(V * units[:, None])  # the undetermined directions are orthogonal to these
+    outward = determined @ (determined.T @ (V / units[:, None] / scale))
+    return Coordinates(outward, inward, inward @ determined)
+
+
+def determined_value(criterion: Criterion, M: Array) -> Array:
+    """The criterion, or −inf where M does not determine all directions."""
+    eigenvalues = jnp.linalg.eigvalsh(M)
+    value = criterion.value(M)
+    return jnp.where((eigenvalues[0] > DESIGN_DETERMINES * eigenvalues[-1]) & jnp.isfinite(value), value, -jnp.inf)

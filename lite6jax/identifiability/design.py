@@ -21,13 +21,16 @@ from jax import Array, lax
 from numpy.typing import ArrayLike, NDArray
 
 from lite6jax.errors import InputError
-from lite6jax.identifiability.criteria import Coordinates, Criterion, inverse
+from lite6jax.identifiability.criteria import (
+    DESIGN_DETERMINES,
+    Coordinates,
+    Criterion,
+    checked_rows,
+    coordinates_of,
+    determined_value,
+    inverse,
+)
 
-DETERMINED = 1e-10
-"""An eigenvalue of the information (columns of unit size) over the largest, above which a direction is determined."""
-_FELT = 1e-20
-"""A parameter's information over the largest, under which no candidate feels it."""
-_DESIGN_DETERMINES = 1e-12
 _RIDGE = 1e-7
 """Of a candidate's mean information: keeps M invertible while poses are few; what is reported is without it."""
 _EXACT = 24
@@ -35,7 +38,6 @@ _EXACT = 24
 _COLUMNS = 6000
 """Columns of a block of the matrix products: what keeps a block within a core's cache."""
 _IMPROVES = 1e-9
-_FIRST_STEP, _LONGEST_STEP, _LAST_STEP = 0.02, 0.3, 1e-6  # rad
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,21 +61,6 @@ class Design:
     rank: int
     exchanges: int
     cycles: int
-
-
-def determined_coordinates(rows: ArrayLike, prior: ArrayLike | None = None) -> Coordinates:
-    """The directions of parameter space that candidates and a prior determine.
-
-    Args:
-        rows: `(candidate, row, parameter)`, whitened, columns scaled to be comparable.
-        prior: `(parameter, parameter)` information beside the candidates', if any.
-
-    Raises:
-        InputError: a wrong shape, a number that is not finite, a prior that is no information, nothing determined.
-    """
-    J, P = _checked(rows, prior)
-    flat = J.reshape(-1, J.shape[2])
-    return _coordinates(P + flat.T @ flat, len(J))
 
 
 def choose(
@@ -104,7 +91,7 @@ def choose(
         InputError: as `determined_coordinates`; more poses than candidates, too few for the parameters, a start that
             repeats or names no candidate, or what the criterion refuses.
     """
-    J, P = _checked(rows, prior)
+    J, P = checked_rows(rows, prior)
     total = len(J)
     if not 1 <= count <= total:
         raise InputError(f"{count} poses out of {total} candidates: choose 1 to {total}, or give more candidates")
@@ -112,7 +99,7 @@ def choose(
         raise InputError(f"starts = {starts}: give 1 or more")
     begin = None if start is None else _start(start, count, total)
     flat = J.reshape(-1, J.shape[2])
-    coordinates = _coordinates(P + flat.T @ flat, total)
+    coordinates = coordinates_of(P + flat.T @ flat, total)
     reduced, base = _reduced(J, P, coordinates)
     rank = len(base)
     _check_count(count, J.shape[1], base)
@@ -149,144 +136,17 @@ def random_designs(
 
     Args and errors are those of `choose`.
     """
-    J, P = _checked(rows, prior)
+    J, P = checked_rows(rows, prior)
     if not 1 <= count <= len(J) or designs < 1:
         raise InputError(
             f"{designs} designs of {count} poses out of {len(J)} candidates: give 1 or more of 1 to {len(J)} poses"
         )
     flat = J.reshape(-1, J.shape[2])
-    coordinates = _coordinates(P + flat.T @ flat, len(J))
+    coordinates = coordinates_of(P + flat.T @ flat, len(J))
     reduced, base = _reduced(J, P, coordinates)
     rng = np.random.default_rng(seed)
     chosen = np.stack([rng.choice(len(J), count, replace=False, shuffle=False) for _ in range(designs)])
     return np.asarray(_values_of(criterion.within(coordinates), jnp.asarray(reduced), jnp.asarray(base), chosen))
-
-
-@dataclass(frozen=True, eq=False)
-class Refinement:
-    """Poses moved to where the criterion is better.
-
-    Attributes:
-        joint_position: `(pose, joint)` rad, in the order given.
-        value: the criterion.
-        start_value: of the poses given.
-        values: `(iteration,)`, the best so far.
-    """
-
-    joint_position: NDArray[np.floating]
-    value: float
-    start_value: float
-    values: NDArray[np.floating]
-
-
-def refine(
-    joint_position: ArrayLike,
-    rows_of: Callable[[Array], Array],
-    criterion: Criterion,
-    limits: ArrayLike,
-    prior: ArrayLike | None = None,
-    feasible: Callable[[NDArray[np.floating]], NDArray[np.bool_]] | None = None,
-    iterations: int = 60,
-) -> Refinement:
-    """Moves poses uphill in the criterion, inside the limits, and never to worse.
-
-    Resilient propagation (M. Riedmiller, H. Braun, 1993): each joint of each pose has a step of its own, which grows
-    while its gradient keeps its sign and shrinks where it turns, so that no scale has to be known. A pose that would
-    leave the limits stops at them; one that would become infeasible stays, with smaller steps from then on. Steps that
-    together do not improve are halved.
-
-    Args:
-        joint_position: `(pose, joint)` rad, inside the limits and feasible; they must determine what is to be judged.
-        rows_of: traceable, `(sample, joint)` rad to `(sample, row, parameter)` as `choose` takes them.
-        criterion: by what they are judged.
-        limits: `(joint, 2)` rad.
-        prior: as for `choose`.
-        feasible: `(sample, joint)` to `(sample,)` bool.
-        iterations: how often all rows are evaluated with their gradient.
-
-    Raises:
-        InputError: wrong shapes, a pose outside the limits or infeasible, or what `determined_coordinates` and the
-            criterion refuse.
-    """
-    q, bounds = np.array(joint_position, float), np.asarray(limits, float)
-    if q.ndim != 2 or len(q) == 0 or bounds.shape != (q.shape[1], 2):
-        raise InputError(f"poses of shape {q.shape} and limits {bounds.shape}: give (pose, joint) and (joint, 2)")
-    lower, upper = bounds.T
-    outside = ((q < lower) | (q > upper)).any(1)
-    if outside.any():
-        raise InputError(f"pose {int(np.argmax(outside))}: outside the limits; move it inside first")
-    if feasible is not None and not feasible(q).all():
-        raise InputError(f"pose {int(np.argmin(feasible(q)))}: not feasible; leave it out or loosen the filters")
-    rows, P = _checked(np.asarray(jax.jit(rows_of)(jnp.asarray(q))), prior)
-    coordinates = _coordinates(P + np.einsum("nri,nrj->ij", rows, rows), len(rows))
-    outward = jnp.asarray(coordinates.outward)
-    base = outward.T @ P @ outward
-    criterion = criterion.within(coordinates)
-
-    def judged(q: Array) -> tuple[Array, Array]:
-        flat = rows_of(q).reshape(-1, outward.shape[0]) @ outward
-        M = base + flat.T @ flat
-        return criterion.smooth(M), _value(criterion, M)
-
-    judge = jax.jit(jax.value_and_grad(judged, has_aux=True))
-    (height, value), gradient = (jax.tree.map(np.asarray, part) for part in judge(q))
-    best, best_value = q, float(value)
-    start_value, history = best_value, []
-    step, last = np.full(q.shape, _FIRST_STEP), np.zeros(q.shape)
-    for _ in range(iterations):
-        agreement = np.sign(gradient) * last
-        step = np.clip(
-            np.where(agreement > 0, 1.2 * step, np.where(agreement < 0, 0.5 * step, step)), 0.0, _LONGEST_STEP
-        )
-        last = np.where(agreement < 0, 0.0, np.sign(gradient))
-        trial = np.clip(q + step * last, lower, upper)
-        if feasible is not None:
-            barred = ~feasible(trial)
-            trial[barred] = q[barred]
-            step[barred] *= 0.5
-        (reached, value), ahead = (jax.tree.map(np.asarray, part) for part in judge(trial))
-        if reached > height:
-            q, height, gradient = trial, reached, ahead
-            if value > best_value:
-                best, best_value = q, float(value)
-        else:
-            step, last = 0.5 * step, np.zeros(q.shape)
-        history.append(best_value)
-        if step.max() < _LAST_STEP:
-            break
-    return Refinement(best, best_value, start_value, np.array(history))
-
-
-def _checked(rows: ArrayLike, prior: ArrayLike | None) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    J = np.asarray(rows, np.float64)
-    if J.ndim != 3 or 0 in J.shape:
-        raise InputError(f"rows of shape {J.shape}: give (candidate, row, parameter), none of them empty")
-    if not np.isfinite(np.sum(J)) and not np.isfinite(J).all():
-        worst = int(np.argmin(np.isfinite(J).all((1, 2))))
-        raise InputError(f"rows of candidate {worst} have a number that is not finite; leave it out")
-    size = J.shape[2]
-    P = np.zeros((size, size)) if prior is None else np.asarray(prior, np.float64)
-    if P.shape != (size, size) or not np.isfinite(P).all():
-        raise InputError(f"prior of shape {P.shape}: give a finite ({size}, {size}) for the rows' {size} parameters")
-    largest = np.abs(P).max()
-    if np.abs(P - P.T).max() > 1e-9 * largest or np.linalg.eigvalsh(P)[0] < -1e-9 * largest:
-        raise InputError("prior: no information matrix (not symmetric, or a negative eigenvalue); give JᵀJ or C⁻¹")
-    return J, (P + P.T) / 2
-
-
-def _coordinates(information: NDArray[np.float64], candidates: int) -> Coordinates:
-    squares = np.diagonal(information)
-    felt = squares > _FELT * squares.max()  # what is not leaves rounding, which must not be scaled up
-    units = np.sqrt(np.where(felt, squares, max(float(squares.max()), np.finfo(float).tiny)))
-    eigenvalues, V = np.linalg.eigh(information / units[:, None] / units)  # as judged in no unit at all
-    kept = eigenvalues > DETERMINED * max(eigenvalues[-1], 0.0)
-    if not kept.any():
-        raise InputError("rows: all zero; no candidate says anything about any parameter")
-    scale, V = np.sqrt(eigenvalues[kept] / candidates), V[:, kept]
-    inward = scale[:, None] * V.T * units
-    determined, _ = np.linalg.qr(V * units[:, None])  # the undetermined directions are orthogonal to these
-    outward = determined @ (determined.T @ (V / units[:, None] / scale))
-    return Coordinates(outward, inward, inward @ determined)
 
 
 def _reduced(
@@ -299,7 +159,7 @@ def _reduced(
 
 def _check_count(count: int, rows: int, base: NDArray[np.float64]) -> None:
     eigenvalues = np.linalg.eigvalsh(base)
-    known = int(np.sum(eigenvalues > _DESIGN_DETERMINES * max(eigenvalues[-1], 0.0)))
+    known = int(np.sum(eigenvalues > DESIGN_DETERMINES * max(eigenvalues[-1], 0.0)))
     needed = -(-(len(base) - known) // rows)
     if count < needed:
         raise InputError(
@@ -435,20 +295,13 @@ def _order(criterion: Criterion, rows: Array, base: Array) -> tuple[Array, Array
     count = len(rows)
     ridged = base + _RIDGE * jnp.eye(len(base))
     order, _ = lax.fori_loop(0, count, body, (jnp.full(count, count), ridged))
-    return order, _each(partial(_value, criterion), base + jnp.cumsum(products[order], 0))
-
-
-def _value(criterion: Criterion, M: Array) -> Array:
-    """The criterion, or −inf where M does not determine all directions."""
-    eigenvalues = jnp.linalg.eigvalsh(M)
-    value = criterion.value(M)
-    return jnp.where((eigenvalues[0] > _DESIGN_DETERMINES * eigenvalues[-1]) & jnp.isfinite(value), value, -jnp.inf)
+    return order, _each(partial(determined_value, criterion), base + jnp.cumsum(products[order], 0))
 
 
 @jax.jit
 def _values_of(criterion: Criterion, rows: Array, base: Array, designs: Array) -> Array:
     def of(indices: Array) -> Array:
         flat = rows[indices].reshape(-1, rows.shape[2])
-        return _value(criterion, base + flat.T @ flat)
+        return determined_value(criterion, base + flat.T @ flat)
 
     return _each(of, designs)

@@ -6,8 +6,8 @@ tolerance that it plausibly has. What follows, indices, designs and null spaces,
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
-from typing import Any, Literal, NamedTuple
+from functools import cached_property
+from typing import Any, Literal
 
 import jax
 import jax.numpy as jnp
@@ -17,17 +17,15 @@ from numpy.typing import ArrayLike, NDArray
 from lite6jax.arms import bundled
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.chains import SixParameterForm
-from lite6jax.arms.moves import Frame, Turn, Twist, cross, turn
 from lite6jax.errors import InputError
 from lite6jax.fitting.fleet import BLOCK, pad
 from lite6jax.fitting.problem import Geometry, recording_problem
-from lite6jax.fitting.residual import predict_frames, step_order, twist_columns
-from lite6jax.identifiability.sensor import Sensor, joint_whitener, sensor_named
-from lite6jax.model import ArmModel, ModelForm, predict_frames_with
+from lite6jax.identifiability.readings import Numbers, reading_columns, total_information
+from lite6jax.identifiability.sensor import Sensor, sensor_named
+from lite6jax.model import ArmModel, ModelForm
 from lite6jax.physics.composition import Physics
 from lite6jax.physics.effect import Effect
-from lite6jax.physics.motion import Motion
-from lite6jax.physics.statics import Inertia, Loads, inertia_of, loads
+from lite6jax.physics.statics import inertia_of
 from lite6jax.recordings import Recording
 
 Array = NDArray[np.floating]
@@ -140,7 +138,9 @@ class Experiment:
         q = self._checked(joint_position)
         blocks, directions = map(np.stack, zip(*self._blocks(q), strict=True))
         weight = pad(np.ones(len(q)), 0, blocks.shape[0] * blocks.shape[1]).reshape(blocks.shape[:2])
-        H = np.asarray(_information(self.form, self.physics, self.sensor, self.numbers, blocks, directions, weight))
+        H = np.asarray(
+            total_information(self.form, self.physics, self.sensor, self.numbers, blocks, directions, weight)
+        )
         return H[np.ix_(self.movable, self.movable)] * np.outer(self.unit, self.unit) + self.prior
 
     def with_sensor(self, sensor: Sensor) -> "Experiment":
@@ -179,7 +179,7 @@ class Experiment:
         return Numbers(self.model, np.array(self.values, float), arm.kinematics.ravel(), inertia, self.payload)  # type: ignore[arg-type]
 
     def _columns(self, q: ArrayLike, direction: ArrayLike) -> jax.Array:
-        return _columns(self.form, self.physics, self.sensor, self.numbers, q, direction)  # type: ignore[arg-type]
+        return reading_columns(self.form, self.physics, self.sensor, self.numbers, q, direction)  # type: ignore[arg-type]
 
     def direction(self, q: Any) -> Any:
         """`(sample, joint)` −1, 0 or 1: as recordings define it of an arm that stands still at each sample."""
@@ -281,142 +281,3 @@ def recorded(recording: Recording, arm: Arm | None = None, geometry: Geometry = 
         problem.movable,
         problem.precision,
     )
-
-
-class Numbers(NamedTuple):
-    """What readings depend on beside the joints. A pytree.
-
-    Attributes:
-        model: of the rigid arm.
-        values: of its effects.
-        kinematics: `(6 n,)` of the nominal six-parameter chain, whose frames the masses are given in.
-        inertia: its masses, or None where they are not known.
-        payload: kg.
-    """
-
-    model: ArmModel
-    values: jax.Array
-    kinematics: jax.Array
-    inertia: Inertia | None
-    payload: float | jax.Array
-
-
-@partial(jax.jit, static_argnums=(0, 1, 2))
-def _columns(
-    form: ModelForm,
-    physics: Physics,
-    sensor: Sensor,
-    numbers: Numbers,
-    joint_position: jax.Array,
-    direction: jax.Array,
-) -> jax.Array:
-    """`(parameter, row, sample)`: standard deviations per SI unit."""
-    model, joint = numbers.model, turn(joint_position.T)
-    if physics.effects:
-        columns = _columns_with(form, physics, sensor, numbers, joint_position, direction)
-    else:
-        flange, tool = predict_frames(form, model, joint)
-
-        def emit(twist: Twist) -> jax.Array:
-            return sensor.change(tool, twist)
-
-        columns = twist_columns(form, model, joint, flange, tool, emit)[step_order(form)]
-    if not sensor.joint_noise:
-        return columns
-    whitener = joint_whitener(joint_changes(form, sensor, model, joint), sensor.joint_noise)
-    return jnp.sum(jnp.moveaxis(whitener, 0, -1)[None] * columns[:, None], 2)
-
-
-def _columns_with(
-    form: ModelForm,
-    physics: Physics,
-    sensor: Sensor,
-    numbers: Numbers,
-    joint_position: jax.Array,
-    direction: jax.Array,
-) -> jax.Array:
-    """As `_columns`, by automatic differentiation: effects have no closed form in common."""
-    moved_by = partial(tool_frame, form, physics, numbers, joint_position, direction)
-    zero = jnp.zeros(form.size + physics.size)
-    tool = moved_by(zero)
-
-    def by(entry: jax.Array) -> jax.Array:
-        return sensor.change(tool, _twist(tool, jax.jvp(moved_by, (zero,), (entry,))[1]))
-
-    return jax.lax.map(by, jnp.eye(zero.size))
-
-
-def tool_frame(
-    form: ModelForm,
-    physics: Physics,
-    numbers: Numbers,
-    joint_position: jax.Array,
-    direction: jax.Array,
-    step: jax.Array,
-) -> Frame:
-    """The tool's frame in sensor coordinates of an arm at rest, a step `(parameter,)` away; plain JAX.
-
-    Args:
-        form, physics: static.
-        numbers: where from.
-        joint_position: `(sample, joint)` rad.
-        direction: `(sample, joint)`, in which each pose was come to.
-        step: of `form`, then of `physics`.
-    """
-    model, values = form.retract(numbers.model, step[: form.size]), numbers.values + step[form.size :]
-    if not physics.effects:
-        return predict_frames(form, model, turn(joint_position.T))[1]
-    samples = joint_position.shape[0]
-    motion = Motion(
-        joint_position=joint_position.T,
-        joint_velocity=None,
-        direction=direction.T,
-        time=None,
-        run=jnp.stack([jnp.zeros(samples, int), jnp.full(samples, samples - 1)]),
-        temperature_rise=None,
-        payload=jnp.full(samples, numbers.payload),
-    )
-    statics: Inertia | Loads | None = numbers.inertia
-    if statics is not None and not isinstance(form.chain, SixParameterForm):  # its frames are not those of the masses
-        nominal = SixParameterForm(form.chain.dof)
-        statics = loads(nominal, numbers.kinematics, turn(joint_position.T), motion.payload, statics)
-    return predict_frames_with(form.chain, physics, model, values, motion, statics)[1]
-
-
-def joint_changes(form: ModelForm, sensor: Sensor, model: ArmModel, joint: Turn) -> jax.Array:
-    """How whitened readings change with the joints, `(row, joint, sample)` per rad: the manipulator Jacobian."""
-    _, tool = predict_frames(form, model, joint)
-
-    def by(direction: jax.Array) -> jax.Array:
-        turning = Turn(-direction[:, None] * joint.sin, direction[:, None] * joint.cos)
-        moved = jax.jvp(lambda j: predict_frames(form, model, j)[1], (joint,), (turning,))[1]
-        return sensor.change(tool, _twist(tool, moved))
-
-    return jnp.moveaxis(jax.vmap(by)(jnp.eye(form.chain.dof)), 0, 1)
-
-
-def _twist(frame: Frame, moved: Frame) -> Twist:
-    """The twist, at the fixed origin, of a frame whose derivative is `moved`."""
-    # R' Rᵀ is skew: its entries below the diagonal are the angular velocity
-    spin = jnp.stack([sum(moved[k][a] * frame[k][b] for k in range(3)) for a, b in ((2, 1), (0, 2), (1, 0))])
-    return Twist(moved.origin - cross(spin, frame.origin), spin)
-
-
-@partial(jax.jit, static_argnums=(0, 1, 2))
-def _information(
-    form: ModelForm,
-    physics: Physics,
-    sensor: Sensor,
-    numbers: Numbers,
-    blocks: jax.Array,
-    directions: jax.Array,
-    weight: jax.Array,
-) -> jax.Array:
-    size = form.size + physics.size
-
-    def add(total: jax.Array, block: tuple[jax.Array, jax.Array, jax.Array]) -> tuple[jax.Array, None]:
-        q, direction, w = block
-        J = (_columns(form, physics, sensor, numbers, q, direction) * w).reshape(size, -1)
-        return total + J @ J.T, None
-
-    return jax.lax.scan(add, jnp.zeros((size, size)), (blocks, directions, weight))[0]

@@ -10,10 +10,18 @@ from numpy.typing import ArrayLike, NDArray
 
 from lite6jax.errors import InputError
 from lite6jax.fitting.fleet import sample_within_limits
-from lite6jax.identifiability.criteria import CRITERIA, Coordinates, Criterion, discrimination, workspace
-from lite6jax.identifiability.design import Design, Refinement, choose, determined_coordinates, refine
+from lite6jax.identifiability.criteria import (
+    CRITERIA,
+    Coordinates,
+    Criterion,
+    determined_coordinates,
+    discrimination,
+    workspace,
+)
+from lite6jax.identifiability.design import Design, choose
 from lite6jax.identifiability.identify import WORKSPACE
 from lite6jax.identifiability.information import Experiment
+from lite6jax.identifiability.refine import Refinement, refine
 from lite6jax.identifiability.sensor import Sensor
 from lite6jax.physics.effect import Effect
 
@@ -337,4 +345,5 @@ def _judged(criterion: Criterion, informations: Array, otherwise: float) -> Arra
 
 @jax.jit
 def _values(criterion: Criterion, informations: jax.Array) -> jax.Array:
-    return jax.vmap(criterion.value)(informations)
+    # one after the other: batched LAPACK calls that do not depend on each other can wait for each other for ever
+    return jax.lax.map(criterion.value, informations)

@@ -12,7 +12,7 @@ from lite6jax.recordings.checks import (
     require_samples,
     time_disorder,
 )
-from lite6jax.recordings.formats import read_recording, write_recording
+from lite6jax.recordings.formats import read_recording, recording_file, write_recording
 from lite6jax.recordings.recording import Recording
 from lite6jax.recordings.settings import (
     FactoryUncertainty,
@@ -35,6 +35,7 @@ __all__ = [
     "outside_limits",
     "read_recording",
     "read_settings",
+    "recording_file",
     "repeated_rows",
     "require_samples",
     "sidecar_path",

@@ -1,8 +1,9 @@
-"""Recordings in files: CSV and Parquet with a sidecar, read whole or refused in one line, written exactly."""
+"""Recordings in files: CSV, Parquet and MCAP with a sidecar, read whole or refused in one line, written exactly."""
 
 import csv
 import re
 from collections.abc import Mapping, Sequence
+from functools import partial
 from math import pi
 from pathlib import Path
 from typing import Any
@@ -16,12 +17,23 @@ from numpy.typing import ArrayLike
 from lite6jax.errors import InputError
 from lite6jax.recordings.checks import check_joint_scale, check_position_scale, drop_missing
 from lite6jax.recordings.columns import Column, nearest_known, recognise
+from lite6jax.recordings.mcap import read_mcap, split_topics
 from lite6jax.recordings.recording import Recording
 from lite6jax.recordings.settings import read_settings, sidecar_path, write_settings
 from lite6jax.storage import check_writable, write_atomically
 
 HEADER_LIMIT = 1 << 20
 LATEST_START_S = 1e8  # three years: such a time is a clock's, not counted from a start
+
+
+SUFFIXES = (".csv", ".parquet", ".mcap")
+"""Of the files that are recordings."""
+
+
+def recording_file(path: str | Path) -> Path | None:
+    """The file that a recording's name names, without the topics of a log; None where it is no recording's name."""
+    file, _ = split_topics(path)
+    return file if file.suffix.lower() in SUFFIXES else None
 
 
 def read_recording(
@@ -36,7 +48,8 @@ def read_recording(
     """Reads a recording and its sidecar.
 
     Args:
-        path: a `.csv` or `.parquet` file; the sidecar is the `.yaml` of the same stem, if there is one.
+        path: a `.csv`, `.parquet` or `.mcap` file; the sidecar is the `.yaml` of the same stem, if there is one. Of an
+            MCAP file with several topics of a type, `run.mcap#/joint_states,/pose` names those to be read.
         dof: the number of joints expected, where the arm is known.
         assume_degrees: take joint columns that say `rad` (positions and velocities) as degrees.
         assume_millimetres: take position columns that say `m` as millimetres.
@@ -49,10 +62,11 @@ def read_recording(
     Raises:
         InputError: the file or its sidecar cannot be used; one line names file, place and remedy.
     """
-    path = Path(path)
-    read = {".csv": _read_csv, ".parquet": _read_parquet}.get(path.suffix.lower())
+    path, topics = split_topics(path)
+    readers = {".csv": _read_csv, ".parquet": _read_parquet, ".mcap": partial(_read_mcap, topics=topics)}
+    read = readers.get(path.suffix.lower())
     if read is None:
-        raise InputError(f"{path}: a recording ends in .csv or .parquet; convert it or correct the name")
+        raise InputError(f"{path}: a recording ends in .csv, .parquet or .mcap; convert it or correct the name")
     if path.is_dir():
         raise InputError(f"{path}: is a folder; name a file")
     if not path.exists():
@@ -186,6 +200,11 @@ def _read_parquet(path: Path, dof: int | None, notes: list[str]) -> _Read:
         problem = "is truncated or damaged" if start == b"PAR1" else "is not Parquet, whatever its name says"
         raise InputError(f"{path}: {problem} ({_one_line(error)}); write it again") from error
     return columns, joints, _si_values(columns, {name: table[column.name] for name, column in columns.items()})
+
+
+def _read_mcap(path: Path, dof: int | None, notes: list[str], topics: Sequence[str]) -> _Read:
+    values = read_mcap(path, topics, dof, notes)
+    return *_recognised(path, list(values), dof, notes), values
 
 
 def _read_csv(path: Path, dof: int | None, notes: list[str]) -> _Read:

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from rich.console import Console, RenderableType
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.text import Text
 
 
 def console(stderr: bool = False) -> Console:
@@ -17,7 +18,7 @@ def show(parts: Iterable[RenderableType]) -> None:
     """Prints parts one below the other."""
     screen = console()
     for part in parts:
-        screen.print(part)
+        screen.print(part, soft_wrap=isinstance(part, Text) and bool(part.no_wrap))
 
 
 def written(paths: Iterable[Path]) -> None:

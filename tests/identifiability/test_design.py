@@ -15,10 +15,12 @@ from lite6jax.identifiability.criteria import (
     Determinant,
     Discrimination,
     Smallest,
+    determined_coordinates,
     discrimination,
     workspace,
 )
-from lite6jax.identifiability.design import choose, determined_coordinates, random_designs, refine
+from lite6jax.identifiability.design import choose, random_designs
+from lite6jax.identifiability.refine import refine
 
 SPLIT = ([2], [3], [0.7], [1.3])
 """Columns of rivals a and b and their hypothesised values, where there are four columns."""

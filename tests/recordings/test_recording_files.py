@@ -232,8 +232,8 @@ def test_a_missing_last_line_break_is_said(tmp_path):
 @pytest.mark.parametrize(
     ("name", "message"),
     [
-        ("run7.txt", "a recording ends in .csv or .parquet; convert it or correct the name"),
-        ("run7", "a recording ends in .csv or .parquet; convert it or correct the name"),
+        ("run7.txt", "a recording ends in .csv, .parquet or .mcap; convert it or correct the name"),
+        ("run7", "a recording ends in .csv, .parquet or .mcap; convert it or correct the name"),
         ("absent.csv", "no such file; check the name"),
         ("folder.csv", "is a folder; name a file"),
     ],

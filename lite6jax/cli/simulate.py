@@ -1,0 +1,311 @@
+"""The command that simulates: a recording of an arm with chosen physics, as a sensor would write it."""
+
+import math
+import os
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+from tyro.conf import Positional, UseAppendAction, arg
+
+from lite6jax.cli.arguments import DONE
+from lite6jax.errors import InputError
+from lite6jax.storage import check_writable
+
+if TYPE_CHECKING:
+    import numpy as np
+    from rich.console import RenderableType
+
+    from lite6jax.arms.arm import Arm
+    from lite6jax.physics.composition import Physics
+    from lite6jax.recordings import RecordingSettings
+    from lite6jax.simulation import Instrument, Measured
+
+Known = Literal["known", "unknown"]
+Triple = Annotated[tuple[float, float, float], arg(metavar="X Y Z")]
+SAMPLES = {"static": 400, "trajectory": 3000}
+
+
+@dataclass(frozen=True)
+class Noise:
+    """The sensor's noise, and how it differs from what the sidecar declares."""
+
+    position_noise: Annotated[float | None, arg(metavar="MM")] = None
+    """One standard deviation per axis, mm, instead of the sensor's."""
+    orientation_noise: Annotated[float | None, arg(metavar="DEG")] = None
+    """One standard deviation per axis, degrees."""
+    joint_noise: Annotated[float, arg(metavar="DEG")] = 0.0
+    """One standard deviation of each joint's read-out, degrees."""
+    noise_factor: float = 1.0
+    """Undeclared: the poses' true noise over the declared one; 0 for none."""
+    noise_correlation: float = 0.0
+    """Undeclared: of each sample's noise with the one before."""
+    noise_growth: Annotated[float, arg(metavar="PER_M")] = 0.0
+    """Undeclared: the noise is 1 + this x distance from the base (m) times larger."""
+    undeclared_joint_noise: Annotated[float, arg(metavar="DEG")] = 0.0
+    """Undeclared: noise of each joint's read-out, degrees."""
+    outliers: Annotated[float, arg(metavar="SHARE")] = 0.0
+    """Undeclared: share of wild rows, 0 to 1."""
+    outlier_size: Annotated[float, arg(metavar="MM")] = 5.0
+    """Of those; each is 0.5 to 2 times this off."""
+
+
+@dataclass(frozen=True)
+class Simulate:
+    """Write a recording of a simulated arm with chosen physics, and its sidecar.
+
+    For example:
+
+        lite6jax simulate lite6 --effect joint_compliance:joint=2,compliance_rad_per_Nm=9e-5 --tolerance --out run.csv
+        lite6jax simulate lite6 --effect joint_backlash:joint=4,gap_rad=1e-3 --sensor motion_capture
+            --motion trajectory --out run.csv
+    """
+
+    source: Annotated[Positional[str], arg(metavar="ARM|FILE")]
+    """A bundled arm or an arm's file."""
+    out: Annotated[Path, arg(metavar="FILE")]
+    """Write the recording here (.csv or .parquet), and its sidecar beside it."""
+    effect: Annotated[tuple[str, ...], UseAppendAction, arg(metavar="NAME:KEY=VALUE,…")] = ()
+    """Physics with its numbers, such as joint_compliance:joint=2,compliance_rad_per_Nm=9e-5; may be given more than
+    once."""
+    effects: Annotated[Path | None, arg(metavar="FILE.py")] = None
+    """Effects of your own that --effect may name. Runs the file."""
+    sensor: Literal["tracker", "tracker_6d", "motion_capture", "camera", "controller_fk"] = "tracker"
+    """Positions: tracker; poses: the others."""
+    motion: Literal["static", "trajectory"] = "static"
+    """Poses at which the arm stands still, all over the joints' ranges; or a smooth motion."""
+    samples: int | None = None
+    """400 of a static recording, 3000 of a trajectory where not given."""
+    runs: int = 1
+    """In how many runs of equal length."""
+    step: Annotated[float | None, arg(metavar="S")] = None
+    """From sample to sample; 8 s of a static recording, 0.02 s of a trajectory where not given."""
+    speed: Annotated[float, arg(metavar="DEG_PER_S")] = 120.0
+    """That no joint of a trajectory exceeds."""
+    payload: Annotated[tuple[float, ...], arg(metavar="KG…")] = (0.0,)
+    """At the flange; several one after the other in equal parts of the recording."""
+    payload_at: Triple = (0.0, 0.0, 0.0)
+    """Its centre of mass, mm in the flange's frame."""
+    warm_up: Annotated[float | None, arg(metavar="K")] = None
+    """Record temperatures, which rise by so much. 0: they stay."""
+    factory: Annotated[Path | None, arg(metavar="FILE")] = None
+    """The arm's own calibration: its geometry, which the sidecar names."""
+    tolerance: bool = False
+    """Draw the geometry, 0.8 mm and 0.15 deg off in each number, and write its calibration beside the recording."""
+    factory_uncertainty: Annotated[tuple[float, float] | None, arg(metavar="MM DEG")] = None
+    """The geometry is so far off its calibration in each number, one standard deviation, and the sidecar says so."""
+    geometry: Known = "known"
+    """Whether the sidecar names the calibration; without one the geometry is unknown to it."""
+    frame: Known = "known"
+    """known: poses are in the arm's base frame; unknown: the sensor stands somewhere, and the sidecar does not say."""
+    tool: Known = "known"
+    """Whether the sidecar says where the measured point is on the flange."""
+    tool_at: Triple = (0.0, 0.0, 0.0)
+    """Where it is, mm in the flange's frame."""
+    noise: Noise = Noise()
+    seed: int = 0
+    """Of all that is drawn."""
+    force: bool = False
+    """Replace files that exist."""
+
+    def run(self) -> int:
+        """Draws, measures, writes, prints."""
+        from lite6jax.arms.factory import write_factory
+        from lite6jax.arms.files import read_arm
+        from lite6jax.recordings import sidecar_path, write_recording
+        from lite6jax.report import screen
+        from lite6jax.simulation import Undeclared, draw_motion, draw_sensor_frame, measure
+
+        if self.out.suffix.lower() not in (".csv", ".parquet"):
+            raise InputError(f"{self.out}: a recording ends in .csv or .parquet; choose such a name")
+        written = [self.out, sidecar_path(self.out)]
+        calibration = self.out.with_name(f"{self.out.stem}_factory.yaml")
+        written += [calibration] if self.tolerance else []
+        for path in written:
+            check_writable(path, self.force)
+        arm = read_arm(self.source)
+        physics, values = self._physics()
+        declared, kinematics = self._geometry(arm)
+        noise = self.noise
+        undeclared = Undeclared(
+            factor=noise.noise_factor,
+            correlation=noise.noise_correlation,
+            growth_per_m=noise.noise_growth,
+            joint_noise=math.radians(noise.undeclared_joint_noise),
+            outlier_share=noise.outliers,
+            outlier_size=noise.outlier_size / 1e3,
+        )
+        motion = draw_motion(
+            arm,
+            self.motion,
+            SAMPLES[self.motion] if self.samples is None else self.samples,
+            runs=self.runs,
+            step=self.step,
+            speed=math.radians(self.speed),
+            payload=self.payload,
+            warm_up=self.warm_up,
+            settings=self._settings(calibration),
+            seed=self.seed,
+        )
+        measured = measure(
+            motion,
+            arm,
+            physics,
+            values,
+            kinematics=kinematics,
+            sensor=self._instrument(),
+            undeclared=undeclared,
+            T_sensor_base=draw_sensor_frame(self.seed) if self.frame == "unknown" else None,
+            tool=[*(value / 1e3 for value in self.tool_at), 0.0, 0.0, 0.0] if any(self.tool_at) else None,
+            tool_known=self.tool == "known",
+            seed=self.seed,
+        )
+        existed = calibration.exists()
+        if self.tolerance:
+            write_factory(declared, calibration, overwrite=self.force)
+        try:
+            write_recording(measured.recording, self.out, self.force)
+        except InputError:
+            if self.tolerance and not existed:  # all files or none
+                calibration.unlink(missing_ok=True)
+            raise
+        screen.show(self._page(arm, physics, values, measured))
+        screen.written(written)
+        return DONE
+
+    def _physics(self) -> "tuple[Physics, np.ndarray]":
+        from lite6jax.physics.catalogue import kinds_of, load_effects, parse_effect
+        from lite6jax.physics.composition import Physics
+
+        own = () if self.effects is None else load_effects(self.effects)
+        parsed = [parse_effect(text, kinds_of(own)) for text in self.effect]
+        for effect, _ in parsed:
+            if self.warm_up is None and any(driver.quantity == "temperature rise" for driver in effect.drivers):
+                raise InputError(f"{effect.label}: needs temperatures that rise; add --warm-up 15")
+            if self.motion == "static" and any(driver.quantity == "velocity" for driver in effect.drivers):
+                raise InputError(f"{effect.label}: needs a moving arm; add --motion trajectory")
+        physics = Physics(tuple(effect for effect, _ in parsed))
+        return physics, physics.join([values for _, values in parsed])
+
+    def _geometry(self, arm: "Arm") -> "tuple[np.ndarray, np.ndarray]":
+        """The chain that the calibration says, and the one that the arm has."""
+        import numpy as np
+
+        from lite6jax.arms.factory import read_factory
+        from lite6jax.simulation import draw_calibration, perturbed
+
+        if self.factory is not None and self.tolerance:
+            raise InputError("--factory and --tolerance: both give the arm's geometry; keep one")
+        given = self.factory is not None or self.tolerance
+        if self.factory_uncertainty is not None and not (given and self.geometry == "known"):
+            raise InputError("--factory-uncertainty: is one of a calibration; add --factory or --tolerance")
+        declared = arm.kinematics
+        if self.factory is not None:
+            factory = read_factory(self.factory, arm)
+            if not np.allclose(factory.T_joint_flange, arm.T_joint_flange, rtol=0, atol=1e-12):
+                raise InputError(
+                    f"{self.factory}: holds a transform after the last joint, where a recording has its tool; give the "
+                    "six-parameter file"
+                )
+            declared = factory.kinematics
+        elif self.tolerance:
+            declared = draw_calibration(arm, self.seed)
+        if self.factory_uncertainty is None:
+            return declared, declared
+        length, angle = self.factory_uncertainty
+        return declared, perturbed(declared, length / 1e3, math.radians(angle), self.seed)
+
+    def _settings(self, calibration: Path) -> "RecordingSettings":
+        from lite6jax.arms.bundled import bundled_arms
+        from lite6jax.recordings import FactoryUncertainty, RecordingSettings
+
+        def from_sidecar(path: str | Path) -> str:
+            return Path(os.path.relpath(Path(path).resolve(), self.out.resolve().parent)).as_posix()
+
+        factory = calibration if self.tolerance else self.factory
+        if self.geometry == "unknown":
+            factory = None
+        uncertainty = None
+        if self.factory_uncertainty is not None:
+            length, angle = self.factory_uncertainty
+            uncertainty = FactoryUncertainty(length / 1e3, math.radians(angle))
+        x, y, z = self.payload_at
+        return RecordingSettings(
+            arm=self.source if self.source in bundled_arms() else from_sidecar(self.source),
+            factory_calibration=None if factory is None else from_sidecar(factory),
+            factory_uncertainty=uncertainty,
+            payload_com_m=(x / 1e3, y / 1e3, z / 1e3),
+        )
+
+    def _instrument(self) -> "Instrument":
+        from lite6jax.simulation import INSTRUMENTS
+
+        instrument, noise = INSTRUMENTS[self.sensor], self.noise
+        return instrument._replace(
+            sensor=instrument.sensor.with_noise(
+                None if noise.position_noise is None else noise.position_noise / 1e3,
+                None if noise.orientation_noise is None else math.radians(noise.orientation_noise),
+                math.radians(noise.joint_noise),
+            )
+        )
+
+    def _page(
+        self, arm: "Arm", physics: "Physics", values: "np.ndarray", measured: "Measured"
+    ) -> "Iterator[RenderableType]":
+        """What was simulated, with what numbers, and how large the hidden effect is."""
+        import numpy as np
+        from rich.text import Text
+
+        from lite6jax.report.cells import fixed, number
+
+        recording, settings = measured.recording, measured.recording.settings
+        kind = "positions" if recording.quaternion is None else "poses"
+        by = settings.pose_source.replace("_", " ")
+        runs = f" in {self.runs} runs" if self.runs > 1 else ""
+        yield Text(f"Simulated {recording.samples} {kind} of a {arm.name} by {by}, {recording.motion}{runs}.")
+        chain = "nominal, which the sidecar does not say"
+        if self.factory is not None or self.tolerance:
+            chain = "as drawn" if self.tolerance else f"that of {self.factory}"
+            if self.factory_uncertainty is not None:
+                chain += ", within its declared uncertainty"
+            if self.geometry == "unknown":
+                chain += ", which the sidecar does not say"
+        frame = "the arm's base" if self.frame == "known" else "unknown"
+        tool = settings.tool if isinstance(settings.tool, str) else "declared"
+        yield Text(f"Geometry: {chain}. Sensor frame: {frame}. Tool: {tool}.")
+        said = [f"{1e3 * (settings.position_noise_m or 0):.3g} mm"]
+        if settings.orientation_noise_rad is not None:
+            said.append(f"{math.degrees(settings.orientation_noise_rad):.3g}°")
+        said += [f"joints {self.noise.joint_noise:.3g}°"] if self.noise.joint_noise else []
+        yield Text(f"Noise, as declared: {', '.join(said)}.")
+        if hidden := self._undeclared():
+            yield Text(f"Noise, not declared: {hidden}.")
+        for note in recording.notes:
+            yield Text(f"Note: {note}.")
+        yield ""
+        if not physics.effects:
+            yield Text("No physics: the arm is rigid, and the sensor's noise is all there is to find.")
+            return
+        yield Text("Physics that the model does not have")
+        for effect, parameters in zip(physics.effects, physics.reported(values), strict=True):
+            numbers = ", ".join(f"{name} = {estimate.value:.6g}" for name, estimate in parameters.items())
+            yield Text(f"  {effect.name} at {effect.site}: {numbers}")
+        distance, turn = 1e3 * measured.displacement, np.degrees(measured.turn)
+        rms = float(np.sqrt(np.mean(distance**2)))
+        turned = float(np.sqrt(np.mean(turn**2)))
+        yield Text(
+            f"It moves the measured point by {number(rms)} mm RMS, {number(float(distance.max()))} mm at most, and "
+            f"turns it by {fixed(turned)}° RMS."
+        )
+
+    def _undeclared(self) -> str:
+        noise = self.noise
+        parts = [
+            (noise.noise_factor != 1, f"{noise.noise_factor:g} times as large"),
+            (noise.noise_correlation, f"correlated by {noise.noise_correlation:g} from row to row"),
+            (noise.noise_growth, f"growing by {100 * noise.noise_growth:g} % per m from the base"),
+            (noise.undeclared_joint_noise, f"joints' read-outs {noise.undeclared_joint_noise:g}°"),
+            (noise.outliers, f"{100 * noise.outliers:g} % of the rows wild"),
+        ]
+        return ", ".join(text for given, text in parts if given)

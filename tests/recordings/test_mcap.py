@@ -1,0 +1,393 @@
+"""MCAP files as ROS 2 writes them, by the packages' own writer, and what is made of them."""
+
+import subprocess
+import sys
+from functools import partial
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+
+from lite6jax.errors import InputError
+from lite6jax.recordings import mcap as reading
+from lite6jax.recordings import read_recording
+from lite6jax.recordings.mcap import split_topics
+
+ros2 = pytest.importorskip("mcap_ros2.writer", reason="the packages of the extra `mcap` are not installed")
+raw = pytest.importorskip("mcap.writer", reason="the packages of the extra `mcap` are not installed")
+
+HEADER = """
+================================================================================
+MSG: std_msgs/Header
+builtin_interfaces/Time stamp
+string frame_id
+================================================================================
+MSG: builtin_interfaces/Time
+int32 sec
+uint32 nanosec
+"""
+JOINT_STATE = "std_msgs/Header header\nstring[] name\nfloat64[] position\nfloat64[] velocity\nfloat64[] effort" + HEADER
+POSE = (
+    """std_msgs/Header header
+geometry_msgs/Pose pose
+================================================================================
+MSG: geometry_msgs/Pose
+geometry_msgs/Point position
+geometry_msgs/Quaternion orientation
+================================================================================
+MSG: geometry_msgs/Point
+float64 x
+float64 y
+float64 z
+================================================================================
+MSG: geometry_msgs/Quaternion
+float64 x
+float64 y
+float64 z
+float64 w"""
+    + HEADER
+)
+START = 1_760_000_000_123_456_789  # an epoch time whose nanoseconds no float holds
+SECOND = 1_000_000_000
+SIDECAR = "recording: {motion: trajectory}\n"
+
+
+class Topic(NamedTuple):
+    """Messages of one topic: stamps and log times in ns after START, and what they say."""
+
+    kind: str
+    stamp: list
+    messages: list
+    logged: list | None = None
+
+
+def header(stamp):
+    return {"stamp": {"sec": int(stamp // SECOND), "nanosec": int(stamp % SECOND)}, "frame_id": "base"}
+
+
+def joints(times, positions, names=("joint1", "joint2"), velocities=None, efforts=None, **rest):
+    """A topic of joint states at times in s."""
+    rows = []
+    for k, position in enumerate(positions):
+        velocity = [] if velocities is None else list(velocities[k])
+        effort = [] if efforts is None else list(efforts[k])
+        rows.append({"name": list(names), "position": list(position), "velocity": velocity, "effort": effort})
+    return Topic("sensor_msgs/msg/JointState", [round(t * SECOND) for t in times], rows, **rest)
+
+
+def poses(times, positions, quaternions=None, **rest):
+    """A topic of poses at times in s; quaternions scalar first."""
+    if quaternions is None:
+        quaternions = [[np.cos(a), np.sin(a), 0, 0] for a in np.linspace(0, 0.5, len(positions))]
+    rows = [
+        {
+            "position": dict(zip("xyz", map(float, p), strict=True)),
+            "orientation": dict(zip("wxyz", map(float, q), strict=True)),
+        }
+        for p, q in zip(positions, quaternions, strict=True)
+    ]
+    return Topic(
+        "geometry_msgs/msg/PoseStamped", [round(t * SECOND) for t in times], [{"pose": r} for r in rows], **rest
+    )
+
+
+def write(path, topics, stamped=True, sidecar=SIDECAR):
+    """An MCAP file; without `stamped` the headers are zero and only the log knows the time."""
+    definitions = {"sensor_msgs/msg/JointState": JOINT_STATE, "geometry_msgs/msg/PoseStamped": POSE}
+    with open(path, "wb") as file:
+        writer = ros2.Writer(file)
+        schemas = {kind: writer.register_msgdef(kind, text) for kind, text in definitions.items()}
+        for topic, (kind, stamps, messages, logged) in topics.items():
+            for stamp, log, message in zip(stamps, logged or stamps, messages, strict=True):
+                stamped_message = {"header": header(START + stamp if stamped else 0), **message}
+                writer.write_message(topic, schemas[kind], stamped_message, log_time=START + log)
+        writer.finish()
+    if sidecar:
+        path.with_suffix(".yaml").write_text(sidecar)
+    return path
+
+
+def small(path, **options):
+    """Two joints on straight lines at 10 Hz, poses half a step between."""
+    t = np.arange(6) / 10
+    at = t[:-1] + 0.05
+    q = np.stack([1 + t, 2 - 3 * t], 1)
+    p = np.stack([at, 2 * at, 3 * at], 1)
+    return write(path, {"/joint_states": joints(t, q), "/tool": poses(at, p)}, **options)
+
+
+def refusal(path, **options):
+    with pytest.raises(InputError) as caught:
+        read_recording(path, **options)
+    assert "\n" not in str(caught.value)
+    file, _ = split_topics(path)
+    assert str(caught.value).startswith(f"{file}: ")
+    return str(caught.value).removeprefix(f"{file}: ")
+
+
+def test_joints_stand_at_the_poses_stamps(tmp_path):
+    rng = np.random.default_rng(0)
+    t = np.cumsum(rng.uniform(0.008, 0.012, 60))
+    at = np.sort(rng.uniform(t[0], t[-1], 25))
+    q, dq, tau = rng.normal(size=(3, 60, 3))
+    p, quaternion = rng.normal(size=(25, 3)), rng.normal(size=(25, 4))
+    quaternion /= np.linalg.norm(quaternion, axis=1, keepdims=True)
+    names = ("arm_joint1", "arm_joint2", "arm_joint3")
+    path = write(
+        tmp_path / "run.mcap",
+        {"/joint_states": joints(t, q, names, dq, tau), "/tool": poses(at, p, quaternion)},
+    )
+    recording = read_recording(path)
+
+    # the stamps are whole nanoseconds: the oracle sees the same
+    t, at = np.round(t * 1e9) / 1e9, np.round(at * 1e9) / 1e9
+    np.testing.assert_allclose(recording.time, at - at[0], atol=1e-12)
+    for found, wanted in (
+        (recording.joint_position, q),
+        (recording.joint_velocity, dq),
+        (recording.joint_torque, tau),
+    ):
+        oracle = np.stack([np.interp(at, t, column) for column in wanted.T], 1)
+        np.testing.assert_allclose(found, oracle, atol=1e-9)
+    np.testing.assert_array_equal(recording.position, p)
+    np.testing.assert_allclose(np.abs(np.sum(recording.quaternion * quaternion, 1)), 1, atol=1e-14)
+    assert recording.motion == "trajectory"
+    assert recording.source == str(path)
+    assert recording.notes == (
+        "joints of /joint_states by the numbers in their names: q1 is arm_joint1, q2 is arm_joint2, q3 is arm_joint3",
+        "the efforts of /joint_states are taken as torques in N m",
+        "times are the header stamps of /joint_states, the header stamps of /tool",
+        "the joints are interpolated linearly to the stamps of the poses",
+    )
+
+
+def test_the_log_times_where_headers_are_empty(tmp_path):
+    t = np.arange(6) / 10
+    recording = read_recording(small(tmp_path / "run.mcap", stamped=False))
+    at = t[:-1] + 0.05
+    np.testing.assert_allclose(recording.time, at - 0.05, atol=1e-9)
+    np.testing.assert_allclose(recording.joint_position, np.stack([1 + at, 2 - 3 * at], 1), atol=1e-12)
+    said = "times are the log times (no header stamps) of /joint_states, the log times (no header stamps) of /tool"
+    assert said in recording.notes
+
+
+def test_poses_without_joints_around_them_are_dropped_and_counted(tmp_path):
+    t = np.array([0.0, 0.1, 0.2, 0.3, 0.9, 1.0, 1.1])
+    at = np.array([-0.05, 0.05, 0.25, 0.5, 0.6, 0.9, 1.05, 1.2])
+    q = np.stack([t, t], 1)
+    topics = {"/joint_states": joints(t, q), "/tool": poses(at, np.stack([at, at, at], 1))}
+    recording = read_recording(write(tmp_path / "run.mcap", topics))
+    np.testing.assert_allclose(recording.position[:, 0], [0.05, 0.25, 0.9, 1.05], atol=1e-12)
+    np.testing.assert_allclose(recording.joint_position[:, 0], [0.05, 0.25, 0.9, 1.05], atol=1e-9)
+    assert "dropped 2 poses before the first or after the last joint state" in recording.notes
+    assert "dropped 2 poses between joint states over 2 median steps apart" in recording.notes
+
+
+@pytest.mark.parametrize(
+    ("names", "dof", "wanted", "order"),
+    [
+        (("joint10", "joint2", "joint1"), None, ["joint1", "joint2", "joint10"], "by the numbers in their names"),
+        (("a2_joint_3", "a2_joint_1", "a2_joint_2"), 3, ["a2_joint_1", "a2_joint_2", "a2_joint_3"], "by the numbers"),
+        (("finger", "joint2", "joint1"), None, ["joint1", "joint2"], "by the numbers in their names"),
+        (("gripper_1", "joint2", "joint1"), 2, ["joint1", "joint2"], "by the numbers in their names"),
+        (("waist", "joint_3", "joint_2"), None, ["waist", "joint_3", "joint_2"], "in order of appearance"),
+        (("waist", "arm", "wrist"), 3, ["waist", "arm", "wrist"], "in order of appearance"),
+        (
+            tuple(sorted(f"{part}_joint" for part in reading.UR_JOINTS)),
+            6,
+            [f"{part}_joint" for part in reading.UR_JOINTS],
+            "in the order of Universal Robots' arms",
+        ),
+    ],
+)  # fmt: skip
+def test_joints_are_put_in_order(tmp_path, names, dof, wanted, order):
+    t = np.arange(4) / 10
+    q = 0.1 * np.arange(len(names)) + 0 * t[:, None]
+    topics = {"/joint_states": joints(t, q, names), "/tool": poses(t, np.outer(t, [1, 2, 3]))}
+    recording = read_recording(write(tmp_path / "run.mcap", topics), dof=dof)
+    np.testing.assert_array_equal(recording.joint_position[0], [q[0, names.index(name)] for name in wanted])
+    said = ", ".join(f"q{i + 1} is {name}" for i, name in enumerate(wanted))
+    assert recording.notes[0].startswith(f"joints of /joint_states {order}")
+    assert said in recording.notes[0]
+    if len(wanted) < len(names):
+        assert recording.notes[0].endswith(f"; left out: {names[0]}")
+
+
+def test_messages_may_hold_some_joints_in_any_order(tmp_path):
+    t = np.arange(8) / 10
+    topic = joints(t, np.stack([t, 1 + t], 1))
+    for k, message in enumerate(topic.messages):
+        if k == 3:
+            message |= {"name": ["joint1"], "position": [99.0]}
+        elif k % 2:
+            message |= {"name": message["name"][::-1], "position": message["position"][::-1]}
+    at = t[:-1] + 0.025
+    topics = {"/joint_states": topic, "/tool": poses(at, np.outer(at, [1, 1, 1]))}
+    recording = read_recording(write(tmp_path / "run.mcap", topics))
+    np.testing.assert_allclose(recording.joint_position, np.stack([at, 1 + at], 1), atol=1e-9)
+    assert "passed over 1 messages of /joint_states without the positions of all these joints" in recording.notes
+
+
+def test_what_drivers_fill_with_zeros_is_not_taken(tmp_path):
+    t = np.arange(6) / 10
+    q = np.stack([t, -t], 1)
+    nothing = np.zeros_like(q)
+    upright = np.tile([1.0, 0, 0, 0], (6, 1))
+    topics = {
+        "/joint_states": joints(t, q, velocities=nothing, efforts=nothing * np.nan),
+        "/tool": poses(t, np.outer(t, [1, 2, 3]), upright),
+    }
+    recording = read_recording(write(tmp_path / "run.mcap", topics))
+    assert recording.velocity_differentiated
+    np.testing.assert_allclose(recording.joint_velocity, np.tile([1.0, -1.0], (6, 1)), atol=1e-7)
+    assert recording.joint_torque is None
+    assert recording.quaternion is None
+    assert "the orientations of /tool never change: they are taken as not measured" in recording.notes
+
+
+def test_rows_that_are_not_finite_are_dropped(tmp_path):
+    t = np.arange(6) / 10
+    q = np.stack([t, -t], 1)
+    q[2] = np.inf
+    p = np.outer(t, [1.0, 2, 3])
+    p[5] = np.nan
+    recording = read_recording(write(tmp_path / "run.mcap", {"/joint_states": joints(t, q), "/tool": poses(t, p)}))
+    assert "dropped 2 rows with NaN, infinite or empty fields, the first is row 3" in recording.notes[-2:]
+    np.testing.assert_allclose(recording.joint_position[:, 0], t[[0, 1, 3, 4]], atol=1e-12)
+
+
+def test_topics_are_named_where_there_are_several(tmp_path):
+    t = np.arange(5) / 10
+    topics = {
+        "/left/joint_states": joints(t, np.stack([t, t], 1)),
+        "/right/joint_states": joints(t, np.stack([-t, -t], 1)),
+        "/left/tool": poses(t, np.outer(t, [1, 0, 0])),
+        "/right/tool": poses(t, np.outer(t, [0, 1, 0])),
+    }
+    path = write(tmp_path / "run.mcap", topics)
+    recording = read_recording(f"{path}#/right/joint_states,/left/tool")
+    np.testing.assert_allclose(recording.joint_position[:, 0], -t, atol=1e-9)
+    np.testing.assert_allclose(recording.position, np.outer(t, [1, 0, 0]), atol=1e-12)
+    assert recording.source == str(path)
+    assert recording.motion == "trajectory"  # the sidecar is that of the file
+
+    only = read_recording(f"{path}#/left/joint_states")  # a motion to be predicted
+    assert only.position is None
+    np.testing.assert_allclose(only.joint_position[:, 0], t, atol=1e-12)
+
+    assert refusal(path) == (
+        "has 2 topics of sensor_msgs/JointState: /left/joint_states, /right/joint_states; choose, as in "
+        "run.mcap#/left/joint_states,/left/tool"
+    )
+    assert refusal(f"{path}#/left/joint_states,/left/tool,/right/tool") == (
+        "has 2 topics of geometry_msgs/PoseStamped: /left/tool, /right/tool; choose, as in "
+        "run.mcap#/left/joint_states,/left/tool"
+    )
+    assert refusal(f"{path}#/left/joint_states,/middle").startswith(
+        "no topic /middle of sensor_msgs/JointState or geometry_msgs/PoseStamped; it has /left/joint_states "
+        "(sensor_msgs/JointState), /left/tool (geometry_msgs/PoseStamped), "
+    )
+
+
+@pytest.mark.parametrize(
+    ("topic", "missing"), [("/tool", "sensor_msgs/JointState"), ("/joint_states", "geometry_msgs/PoseStamped")]
+)
+def test_a_topic_that_is_missing(tmp_path, topic, missing):
+    t = np.arange(3) / 10
+    both = {"/joint_states": joints(t, np.stack([t, t], 1)), "/tool": poses(t, np.outer(t, [1, 0, 0]))}
+    kind = both[topic].kind.replace("/msg/", "/")
+    path = write(tmp_path / "run.mcap", {topic: both[topic]})
+    assert refusal(path) == f"has no topic of {missing}; it has {topic} ({kind}); record one with these types"
+
+
+def test_no_topics_at_all(tmp_path):
+    assert "it has no topics at all; record" in refusal(write(tmp_path / "run.mcap", {}))
+
+
+@pytest.mark.parametrize("share", [0.999, 0.5, 0.01])
+def test_a_truncated_file(tmp_path, share):
+    path = small(tmp_path / "run.mcap")
+    content = path.read_bytes()
+    path.write_bytes(content[: max(9, int(share * len(content)))])
+    message = refusal(path)
+    assert message.startswith("is truncated or damaged (")
+    assert message.endswith("); recover what is left with `mcap recover`, or record again")
+
+
+def test_a_damaged_file(tmp_path):
+    path = small(tmp_path / "run.mcap")
+    content = bytearray(path.read_bytes())
+    content[len(content) // 4] ^= 0xFF
+    path.write_bytes(content)
+    assert "damaged" in refusal(path)
+
+
+@pytest.mark.parametrize("content", [b"", b"q1_rad,x_m\n0,0\n" * 99, b"PAR1" * 99])
+def test_another_kind_of_file(tmp_path, content):
+    path = tmp_path / "run.mcap"
+    path.write_bytes(content)
+    assert refusal(path) == "is not an MCAP file, whatever its name says; check the file"
+
+
+def test_messages_of_another_encoding(tmp_path):
+    path = tmp_path / "run.mcap"
+    with open(path, "wb") as file:
+        writer = raw.Writer(file)
+        writer.start()
+        for topic, kind in (("/joint_states", "sensor_msgs/JointState"), ("/tool", "geometry_msgs/PoseStamped")):
+            schema = writer.register_schema(kind, "jsonschema", b"{}")
+            channel = writer.register_channel(topic, "json", schema)
+            writer.add_message(channel, START, b"{}", START)
+        writer.finish()
+    assert refusal(path) == (
+        "the messages of /joint_states or /tool are not CDR with a ros2msg definition, as ROS 2 writes; convert the "
+        "log with `ros2 bag convert`"
+    )
+
+
+def test_clocks_that_do_not_overlap(tmp_path):
+    t = np.arange(5) / 10
+    topics = {
+        "/joint_states": joints(t, np.stack([t, t], 1)),
+        "/tool": poses(t + 100, np.outer(t, [1, 0, 0])),
+    }
+    assert refusal(write(tmp_path / "run.mcap", topics)) == (
+        "no pose lies between joint states (joints 0.000 to 0.400 s, poses 100.000 to 100.400 s); stamp both by one "
+        "clock"
+    )
+
+
+def test_joint_states_that_say_too_little(tmp_path):
+    t = np.arange(3) / 10
+    tool = poses(t, np.outer(t, [1, 0, 0]))
+    one = {"/joint_states": joints([0.0], [[0.0, 0.0]]), "/tool": tool}
+    assert refusal(write(tmp_path / "a.mcap", one)) == "has 1 joint states at different times; record at least 2"
+    nameless = {"/joint_states": joints(t, np.zeros((3, 0)), ()), "/tool": tool}
+    assert "/joint_states name no joints; record them with names" in refusal(write(tmp_path / "b.mcap", nameless))
+    empty = {"/joint_states": joints(t, np.zeros((3, 0))), "/tool": tool}
+    assert refusal(write(tmp_path / "c.mcap", empty)) == (
+        "no message of /joint_states has the positions of all of joint1, joint2; record again"
+    )
+    others = {"/joint_states": joints(t, np.zeros((3, 2)) + t[:, None]), "/tool": tool}
+    assert refusal(write(tmp_path / "d.mcap", others), dof=6) == (
+        "has 2 joints (q1 ... q2), the arm has 6; choose the arm it is of"
+    )
+
+
+def test_packages_that_are_missing(tmp_path, monkeypatch):
+    path = small(tmp_path / "run.mcap")
+    monkeypatch.setitem(sys.modules, "mcap.reader", None)
+    assert refusal(path) == ("MCAP files take the packages mcap and mcap-ros2-support; pip install 'lite6jax[mcap]'")
+
+
+def test_the_packages_are_imported_only_for_such_a_file():
+    code = "import sys, lite6jax; sys.exit(any(name.split('.')[0] in ('mcap', 'mcap_ros2') for name in sys.modules))"
+    assert subprocess.run([sys.executable, "-c", code]).returncode == 0
+
+
+@pytest.mark.parametrize("chunked", [True, False])
+def test_without_an_index_the_file_is_read_through(tmp_path, monkeypatch, chunked):
+    bare = {"index_types": raw.IndexType.NONE, "repeat_channels": False, "repeat_schemas": False}
+    plain = partial(raw.Writer, **bare, use_chunking=chunked, use_statistics=False, use_summary_offsets=False)
+    monkeypatch.setattr(ros2, "McapWriter", plain)
+    assert read_recording(small(tmp_path / "run.mcap")).samples == 5
