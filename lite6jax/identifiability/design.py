@@ -7,7 +7,9 @@ rule serves every criterion Φ(M). Its gradient G = ∂Φ/∂M gives each candid
     Σ over rows j:  jᵀGj / (1 + jᵀM⁻¹j),
 
 which for a single row is exact for A, I, T up to a monotone function, and D (Sherman–Morrison, or the determinant's
-lemma). It ranks all candidates by two matrix products in single precision; the foremost are then evaluated exactly.
+lemma). It ranks all candidates by two matrix products in single precision. Rounds of exchange look at the foremost of
+them, ranked anew for each pose by the same products and then evaluated exactly, until the foremost of all improve
+nothing.
 """
 
 from collections.abc import Callable
@@ -35,6 +37,10 @@ _RIDGE = 1e-7
 """Of a candidate's mean information: keeps M invertible while poses are few; what is reported is without it."""
 _EXACT = 24
 """How many of the foremost candidates are evaluated exactly."""
+_FOREMOST = 8192
+"""How many of the candidates an exchange looks at until the foremost are chosen anew; in the end none improves."""
+_TOGETHER = 5
+"""Poses built between two such choices."""
 _COLUMNS = 6000
 """Columns of a block of the matrix products: what keeps a block within a core's cache."""
 _IMPROVES = 1e-9
@@ -71,7 +77,7 @@ def choose(
     start: ArrayLike | None = None,
     starts: int = 1,
     seed: int = 0,
-    cycles: int = 20,
+    cycles: int = 60,
 ) -> Design:
     """The `count` candidates whose information is best by `criterion`.
 
@@ -104,8 +110,8 @@ def choose(
     rank = len(base)
     _check_count(count, J.shape[1], base)
     criterion = criterion.within(coordinates)
-    pool = (jnp.asarray(reduced), _blocks(reduced))
-    ridged = jnp.asarray(base + _RIDGE * np.eye(rank))
+    pool = _Pool(reduced)
+    ridged = base + _RIDGE * np.eye(rank)
 
     rng = np.random.default_rng(seed)
     ends: list[Design] = []
@@ -115,12 +121,12 @@ def choose(
         elif begin is not None:
             chosen = begin
         else:
-            chosen = np.asarray(_build(criterion, pool, ridged, count))
-        improved, exchanges, visited = _exchange(criterion, pool, ridged, jnp.asarray(chosen), cycles)
-        ordered = [_ordered(criterion, reduced, base, stage) for stage in (chosen, np.asarray(improved))]
+            chosen = _built(criterion, pool, ridged, count)
+        improved, exchanges, made = _exchanged(criterion, pool, ridged, chosen, cycles)
+        ordered = [_ordered(criterion, reduced, base, stage) for stage in (chosen, improved)]
         indices, values = max(ordered, key=lambda design: design[1][-1])
         begun = float(ordered[0][1][-1]) if not ends else ends[0].start_value
-        ends.append(Design(indices, float(values[-1]), values, begun, rank, int(exchanges), -(-int(visited) // count)))
+        ends.append(Design(indices, float(values[-1]), values, begun, rank, exchanges, made))
     return max(ends, key=lambda end: end.value)
 
 
@@ -177,8 +183,58 @@ def _start(start: ArrayLike, count: int, total: int) -> NDArray[np.int64]:
     return begin.astype(np.int64)
 
 
-Pool = tuple[Array, Array]
-"""The candidates' rows `(candidate, row, k)` in double precision, and `_blocks` of them."""
+class _Pool:
+    """The candidates, and those of them that are foremost for an information matrix."""
+
+    def __init__(self, rows: NDArray[np.float64]) -> None:
+        self.rows = rows
+        self.blocks = _blocks(rows)
+        self.size = min(_FOREMOST, len(rows))
+
+    def foremost(
+        self, criterion: Criterion, M: NDArray[np.float64], chosen: NDArray[np.integer]
+    ) -> tuple[NDArray[np.integer], tuple[Array, Array]]:
+        """`chosen` and the others with the largest gain, `(size,)`; their rows, and `_blocks` of these."""
+        gains = np.array(_gains_of(criterion, self.blocks, jnp.asarray(M)))[: len(self.rows)]
+        gains[chosen] = np.inf
+        names = np.argpartition(-gains, self.size - 1)[: self.size]
+        names = np.concatenate([chosen, np.setdiff1d(names, chosen)])
+        return names, (jnp.asarray(self.rows[names]), _blocks(self.rows[names]))
+
+
+def _built(criterion: Criterion, pool: _Pool, base: NDArray[np.float64], count: int) -> NDArray[np.integer]:
+    """Candidates chosen one after the other, `(count,)`."""
+    chosen = np.zeros(0, np.int64)
+    while len(chosen) < count:
+        M = base + _information_of(pool.rows[chosen])
+        names, some = pool.foremost(criterion, M, chosen)
+        taken = jnp.arange(count + _TOGETHER)  # those chosen stand first; the rest is out of range
+        taken = jnp.where(taken < len(chosen), taken, len(names))
+        new = np.asarray(_build(criterion, some, jnp.asarray(M), taken, len(chosen), _TOGETHER))
+        chosen = np.concatenate([chosen, names[new]])
+    return chosen[:count]
+
+
+def _exchanged(
+    criterion: Criterion, pool: _Pool, base: NDArray[np.float64], chosen: NDArray[np.integer], cycles: int
+) -> tuple[NDArray[np.integer], int, int]:
+    """A design improved until no exchange with the then foremost candidates does, the exchanges and rounds made."""
+    exchanges = made = 0
+    count = len(chosen)
+    while made < cycles:
+        names, some = pool.foremost(criterion, base + _information_of(pool.rows[chosen]), chosen)
+        at, done, visited = _exchange(criterion, some, jnp.asarray(base), jnp.arange(count), cycles - made)
+        chosen = names[np.asarray(at)]
+        exchanges += int(done)
+        made += -(-int(visited) // count)
+        if not done or pool.size == len(pool.rows):
+            break
+    return chosen, exchanges, made
+
+
+def _information_of(rows: NDArray[np.float64]) -> NDArray[np.float64]:
+    flat = rows.reshape(-1, rows.shape[2])
+    return flat.T @ flat
 
 
 def _blocks(rows: NDArray[np.float64]) -> Array:
@@ -205,6 +261,9 @@ def _gains(criterion: Criterion, blocks: Array, M: Array) -> Array:
     return lax.map(of_block, blocks).reshape(-1)
 
 
+_gains_of = jax.jit(_gains)
+
+
 def _each(judge: Callable[[Array], Array], arrays: Array) -> Array:
     """`judge` of each array, one after the other: as fast as jax.vmap at these sizes, and it always returns.
 
@@ -215,7 +274,7 @@ def _each(judge: Callable[[Array], Array], arrays: Array) -> Array:
 
 
 def _best_addition(
-    judge: Callable[[Array], Array], criterion: Criterion, pool: Pool, M: Array, taken: Array
+    judge: Callable[[Array], Array], criterion: Criterion, pool: tuple[Array, Array], M: Array, taken: Array
 ) -> tuple[Array, Array]:
     """The candidate, none of `taken`, that is best to add to M, and the judgement of their sum."""
     rows, blocks = pool
@@ -229,22 +288,24 @@ def _best_addition(
 
 
 @partial(jax.jit, static_argnames="count")
-def _build(criterion: Criterion, pool: Pool, base: Array, count: int) -> Array:
-    """Candidates chosen one after the other, `(count,)`."""
-    rows, blocks = pool
+def _build(
+    criterion: Criterion, pool: tuple[Array, Array], M: Array, taken: Array, already: Array | int, count: int
+) -> Array:
+    """`count` more candidates, one after the other; `taken` `(any,)` holds those `already` chosen, then fillers."""
+    rows, _ = pool
 
     def body(i: Array, state: tuple[Array, Array]) -> tuple[Array, Array]:
-        indices, M = state
-        new, _ = _best_addition(criterion.smooth, criterion, pool, M, indices)
-        return indices.at[i].set(new), M + rows[new].T @ rows[new]
+        taken, M = state
+        new, _ = _best_addition(criterion.smooth, criterion, pool, M, taken)
+        return taken.at[already + i].set(new), M + rows[new].T @ rows[new]
 
-    beyond = jnp.full(count, blocks.size, jnp.int32)  # out of range: an update there is dropped
-    return lax.fori_loop(0, count, body, (beyond, base))[0]
+    taken, _ = lax.fori_loop(0, count, body, (taken, M))
+    return lax.dynamic_slice_in_dim(taken, already, count)
 
 
 @jax.jit
 def _exchange(
-    criterion: Criterion, pool: Pool, base: Array, indices: Array, cycles: int | Array
+    criterion: Criterion, pool: tuple[Array, Array], base: Array, indices: Array, cycles: int | Array
 ) -> tuple[Array, Array, Array]:
     """Improves a design until no exchange does. Returns it, the exchanges made and the poses visited."""
     rows, _ = pool
