@@ -16,6 +16,7 @@ import tyro
 from tyro.conf import FlagCreatePairsOff, OmitArgPrefixes, subcommand
 
 from lite6jax.cli.arguments import BAD_INPUT, DONE, INTERRUPTED
+from lite6jax.cli.diagnose import Diagnose, Predict
 from lite6jax.cli.files import Check, Convert
 from lite6jax.cli.fit import Compare, Demo, Fit, Fleet
 from lite6jax.cli.simulate import Simulate
@@ -29,6 +30,8 @@ COMMANDS = {
     "identify": Identify,
     "sensitivity": Sensitivity,
     "design": Design,
+    "diagnose": Diagnose,
+    "predict": Predict,
     "simulate": Simulate,
     "convert": Convert,
     "check": Check,

@@ -1,0 +1,113 @@
+"""Commands on what an arm has beyond its model: find it in a recording, predict with it."""
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+from tyro.conf import Positional, arg
+
+from lite6jax.cli.arguments import DONE, ArmName, check_out
+from lite6jax.errors import InputError
+from lite6jax.storage import check_writable, write_atomically
+
+
+@dataclass(frozen=True)
+class Diagnose:
+    """Find what a recording shows that the simulated arm does not have: where, which physics, with what numbers.
+
+    For example:
+
+        lite6jax diagnose run7.csv --out diagnosis.json
+    """
+
+    source: Annotated[Positional[Path], arg(metavar="FILE")]
+    """A recording of measured poses (.csv, .parquet, .mcap), with its sidecar .yaml beside it."""
+    out: Annotated[Path, arg(metavar="FILE")]
+    """Write findings and model here (JSON)."""
+    arm: ArmName = None
+    """The nominal arm; from the sidecar where not given."""
+    geometry: Literal["declared", "exact", "prior", "free"] = "declared"
+    """What is known of it: what the sidecar says; the factory calibration exactly, or near it; or nothing."""
+    effects: Annotated[Path | None, arg(metavar="FILE.py")] = None
+    """Effects of your own, tested for like the catalogue's. Runs the file."""
+    force: bool = False
+    """Replace the file if it exists."""
+    assume_degrees: bool = False
+    """Take joint columns that say rad as degrees."""
+    assume_millimetres: bool = False
+    """Take position columns that say m as millimetres."""
+
+    def run(self) -> int:
+        """Reads, searches, writes, prints."""
+        check_out(self.out, ".json", self.force)
+        from lite6jax.diagnosis.diagnose import FOLDS, diagnose
+        from lite6jax.fitting.fit import load_nominal, read_source
+        from lite6jax.physics.catalogue import load_effects
+        from lite6jax.recordings import Recording
+        from lite6jax.report import diagnosis_tables, screen
+
+        nominal = load_nominal(self.arm)
+        recording = read_source(
+            self.source, nominal, assume_degrees=self.assume_degrees, assume_millimetres=self.assume_millimetres
+        )
+        if not isinstance(recording, Recording):
+            raise InputError(f"{self.source}: is a calibration; diagnose takes a recording (.csv, .parquet, .mcap)")
+        effects = load_effects(self.effects) if self.effects else ()
+        with screen.progress(FOLDS + 1, "searching") as advance:
+            found = diagnose(recording, nominal, geometry=self.geometry, effects=effects, progress=advance)
+        path = write_atomically(self.out, json.dumps(found.to_dict(), indent=1, allow_nan=False), self.force)
+        screen.show(diagnosis_tables.diagnosis_report(found, str(self.source)))
+        screen.written([path])
+        return DONE
+
+
+@dataclass(frozen=True)
+class Predict:
+    """Predict what the sensor of a diagnosed recording would show in another motion of the same arm.
+
+    For example:
+
+        lite6jax predict diagnosis.json motion.csv --out predicted.csv
+    """
+
+    diagnosis: Annotated[Positional[Path], arg(metavar="DIAGNOSIS")]
+    """What `diagnose` wrote (.json)."""
+    motion: Annotated[Positional[Path], arg(metavar="FILE")]
+    """Joint positions, and what else the model's effects depend on (.csv, .parquet)."""
+    out: Annotated[Path, arg(metavar="FILE")]
+    """Write the poses here (.csv), a row per row."""
+    effects: Annotated[Path | None, arg(metavar="FILE.py")] = None
+    """Effects of your own that the model has. Runs the file."""
+    force: bool = False
+    """Replace the file if it exists."""
+
+    def run(self) -> int:
+        """Reads, predicts, writes."""
+        check_writable(self.out, self.force)
+        if self.out.suffix.lower() != ".csv":
+            raise InputError(f"{self.out}: what is written here is csv; let the name end in .csv")
+        import pyarrow as pa
+        import pyarrow.csv as pa_csv
+
+        from lite6jax.diagnosis.prediction import predict_motion, read_model, read_motion, table
+        from lite6jax.physics.catalogue import load_effects
+        from lite6jax.report import screen
+
+        model = read_model(self.diagnosis, load_effects(self.effects) if self.effects else ())
+        recording = read_motion(self.motion, model)
+        poses, beyond = predict_motion(model, recording)
+        columns = pa.table(table(poses, beyond, model.orientation))
+
+        def write(target: Path) -> None:
+            with open(target, "wb") as file:  # Arrow would put the names in quotes
+                file.write(",".join(columns.column_names).encode() + b"\n")
+                pa_csv.write_csv(columns, file, pa_csv.WriteOptions(include_header=False))
+
+        path = write_atomically(self.out, write, self.force)
+        if beyond.any():
+            print(
+                f"{int(beyond.sum())} rows at the ends cannot be predicted: the clock's offset reaches beyond the motion."
+            )
+        screen.written([path])
+        return DONE

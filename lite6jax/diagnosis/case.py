@@ -1,0 +1,330 @@
+"""A recording as the diagnosis sees it: whitened residuals, and how every cause inside the arm would change them."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from numpy.typing import NDArray
+
+from lite6jax.arms import frames
+from lite6jax.arms.arm import Arm
+from lite6jax.arms.chains import Form, SixParameterForm
+from lite6jax.arms.moves import turn
+from lite6jax.arms.se3 import rotation_exp
+from lite6jax.fitting.problem import Geometry, Problem, recording_problem, whitener_of
+from lite6jax.fitting.residual import Observations, differences, whiten
+from lite6jax.model import ArmModel, predict_bent
+from lite6jax.physics.composition import Physics
+from lite6jax.physics.deflection import Deflection, dense
+from lite6jax.physics.effect import Altering, Effect
+from lite6jax.physics.motion import Motion
+from lite6jax.physics.statics import Inertia, Loads, loads
+from lite6jax.recordings import Recording
+from lite6jax.recordings.motion import inertia_of_arm, motion_of_recording
+
+Array = NDArray[np.floating]
+
+GAUGE = {"m": 0.02, "rad": 0.05}
+"""Prior of each number of a chain that is not known: wide enough for any arm; it settles what nothing determines."""
+
+
+Site = tuple[str, int, int]
+"""A field of `Deflection`, the joint or link in it from 0, and the component of a twist."""
+
+
+class Measured(NamedTuple):
+    """What the sensor saw, the sample last. A pytree.
+
+    Attributes:
+        position: `(3, sample)` m.
+        rotation: `(3, 3, sample)`; `(3, 3, 0)` where no orientation was measured.
+        whitener: `(2,)` or `(row, row, sample)`, as in `Observations`.
+    """
+
+    position: jax.Array
+    rotation: jax.Array
+    whitener: jax.Array
+
+
+@dataclass(frozen=True, eq=False)
+class Case:
+    """A recording, the nuisance that must be fitted whatever the physics, and the motion that drives effects.
+
+    Attributes:
+        recording: as read; every row has a pose.
+        arm: the nominal arm.
+        chain: a six-parameter chain: the frames of its links are those that effects are defined in.
+        start: the arm that everything is linearised about.
+        unknown: the nuisance, constant displacements of frames: the field of `Deflection`, and where in it. What a
+            chain's numbers can do, these can, without the singular spots of angles.
+        precision: `(unknown,)` one over the variance of what is known of them beforehand.
+        offset: `(unknown,)` how far `start` is from what is known beforehand.
+        motion: the whole sequence.
+        inertia: the arm's masses, or None where they are not known.
+        measured: the poses.
+        noise: one standard deviation per axis of position (m) and orientation (rad), as declared or assumed.
+        declared: whether the sidecar declares it.
+        notes: what was assumed.
+    """
+
+    recording: Recording
+    arm: Arm
+    chain: SixParameterForm
+    start: ArmModel
+    unknown: tuple[Site, ...]
+    precision: Array
+    offset: Array
+    motion: Motion
+    inertia: Inertia | None
+    measured: Measured
+    noise: tuple[float, float | None]
+    declared: bool
+    notes: tuple[str, ...]
+
+    @property
+    def samples(self) -> int:
+        """How many."""
+        return self.motion.samples
+
+    @property
+    def rows(self) -> int:
+        """Numbers that a sample has: 3 or 6."""
+        return 3 if self.measured.rotation.shape[-1] == 0 else 6
+
+    @cached_property
+    def loads(self) -> Loads | None:
+        """Gravity's loads on the nominal arm; None where the masses are not known."""
+        return self.loads_on(self.start, self.motion)
+
+    def loads_on(self, model: ArmModel, motion: Motion) -> Loads | None:
+        """Gravity's loads on a rigid chain in a motion."""
+        if self.inertia is None:
+            return None
+        return _loads(self.chain, jnp.asarray(model.geometry), motion, self.inertia)
+
+    def deflection(self, moved: Array, physics: Physics, values: Array) -> tuple[Motion, Deflection]:
+        """The motion as it really was, and the deflections in it, dense: the nuisance `(unknown,)` and the effects."""
+        motion = physics.alter(jnp.asarray(values), self.motion)
+        altered = any(isinstance(effect, Altering) for effect in physics.effects)
+        on_arm = self.loads_on(self.start, motion) if altered and physics.loaded else self.loads
+        bent = dense(physics.deflect(jnp.asarray(values), motion, on_arm), motion.dof, motion.samples)
+        if not self.unknown:
+            return motion, bent
+        base, link, tool = np.zeros(6), np.zeros((motion.dof, 6)), np.zeros(6)
+        for (field, j, k), value in zip(self.unknown, moved, strict=True):
+            {"base": base, "tool": tool, "link": link[j]}[field][k] = value
+        assert bent.base is not None
+        assert bent.link is not None
+        assert bent.tool is not None
+        return motion, bent._replace(
+            base=bent.base + base[:, None], link=bent.link + link[:, :, None], tool=bent.tool + tool[:, None]
+        )
+
+    def residual(self, moved: Array, physics: Physics, values: Array) -> Array:
+        """Whitened residuals `(row, sample)` with the nuisance `(unknown,)` and effects."""
+        motion, deflection = self.deflection(moved, physics, values)
+        return np.asarray(_residual(self.chain, self.start, motion.joint_position, deflection, self.measured))
+
+    def position_errors(self, moved: Array, physics: Physics, values: Array) -> Array:
+        """Predicted minus measured positions `(3, sample)` m."""
+        motion, deflection = self.deflection(moved, physics, values)
+        predicted = _positions(self.chain, self.start, motion.joint_position, deflection)
+        return np.asarray(predicted) - np.asarray(self.measured.position)
+
+    @cached_property
+    def nuisance(self) -> Array:
+        """How whitened residuals change with the nuisance, `(unknown, row, sample)`."""
+        if not self.unknown:
+            return np.zeros((0, self.rows, self.samples))
+        return np.stack([self.sites[site] for site in self.unknown])
+
+    @cached_property
+    def sites(self) -> dict[Site, Array]:
+        """How they change with a deflection at each site, `(row, sample)`: keys are the field of `Deflection`, and
+        where in it."""
+        dof = self.motion.dof
+        columns = np.asarray(_sites(self.chain, self.start, self.motion.joint_position, self._rigid, self.measured))
+        keys = [
+            *(("joint", j, 0) for j in range(dof)),
+            *(("stretch", j, 0) for j in range(dof)),
+            *(("link", j, k) for j in range(dof) for k in range(6)),
+            *(("base", 0, k) for k in range(6)),
+            *(("tool", 0, k) for k in range(6)),
+            ("scale", 0, 0),
+        ]
+        return dict(zip(keys, columns, strict=True))
+
+    def columns(self, effects: Sequence[Effect], values: Array | None = None) -> Array:
+        """How whitened residuals change with the numbers of some effects, `(number, row, sample)`.
+
+        Args:
+            effects: any; each must have its drivers.
+            values: `(number,)` where; neutral where not given.
+        """
+        physics = Physics(tuple(effects))
+        values = np.zeros(physics.size) if values is None else np.asarray(values, float)
+        out = np.zeros((physics.size, self.rows, self.samples))
+        for effect, part in zip(physics.effects, physics.slices, strict=True):
+            shapes = self._shapes(effect, values[part])
+            for i, shape in enumerate(shapes):
+                for field, array in zip(Deflection._fields, shape, strict=True):
+                    if array is not None:
+                        self._add(out[part.start + i], field, np.asarray(array))
+        return out
+
+    def _shapes(self, effect: Effect, values: Array) -> list[Deflection]:
+        """The deflection per unit of each of an effect's numbers."""
+        at = jnp.asarray(values)
+        steps = np.eye(len(values))
+        if isinstance(effect, Altering):  # of the joints' positions; what follows from loads is of second order
+
+            def moved(v: jax.Array) -> jax.Array:
+                return effect.alter(v, self.motion).joint_position
+
+            return [Deflection(joint=jax.jvp(moved, (at,), (jnp.asarray(step),))[1]) for step in steps]
+        return [
+            jax.jvp(lambda v: effect.deflect(v, self.motion, self.loads), (at,), (jnp.asarray(step),))[1]  # type: ignore[attr-defined]
+            for step in steps
+        ]
+
+    def _add(self, out: Array, field: str, shape: Array) -> None:
+        sites = self.sites
+        if field in ("joint", "stretch"):
+            for j in range(len(shape)):
+                if shape[j].any():
+                    out += sites[field, j, 0] * shape[j]
+        elif field == "link":
+            for j, k in zip(*np.nonzero(shape.any(-1)), strict=True):
+                out += sites["link", int(j), int(k)] * shape[j, k]
+        elif field == "scale":
+            out += sites["scale", 0, 0] * shape
+        else:
+            for k in np.flatnonzero(shape.any(-1)):
+                out += sites[field, 0, int(k)] * shape[k]
+
+    @cached_property
+    def _rigid(self) -> Deflection:
+        return dense(Deflection(), self.motion.dof, self.samples)
+
+
+def case_of(recording: Recording, arm: Arm | None = None, geometry: Geometry = "declared") -> Case:
+    """The case that a recording and its sidecar make.
+
+    Raises:
+        InputError: as `recording_problem`.
+    """
+    problem = recording_problem(recording, arm, geometry)
+    arm, form = problem.arm, problem.form
+    known_chain = isinstance(form.chain, SixParameterForm)
+    values = np.asarray(problem.start.geometry) if known_chain else arm.kinematics.ravel()
+    geometry_moves = bool(problem.movable[: form.chain.size].any())
+    unknown: list[Site] = []
+    precision: list[float] = []
+    if geometry_moves or form.frame:
+        unknown += [("base", 0, k) for k in range(6)]
+    if geometry_moves:
+        unknown += [("link", j, k) for j in range(arm.dof - 1) for k in range(6)]
+    if form.tool:
+        unknown += [("tool", 0, k) for k in range(6 if problem.rows == 6 else 3)]
+    uncertainty = recording.settings.factory_uncertainty
+    sigma = (GAUGE["m"], GAUGE["rad"])
+    if known_chain and uncertainty is not None:
+        sigma = (uncertainty.position_m, uncertainty.rotation_rad)
+    for field, _, k in unknown:
+        free = field == "tool" or (field == "base" and form.frame)
+        precision.append(0.0 if free else 1 / sigma[k > 2] ** 2)
+    return Case(
+        recording=recording,
+        arm=arm,
+        chain=SixParameterForm(arm.dof),
+        start=ArmModel(values, *(np.asarray(leaf) for leaf in problem.start[1:])),  # type: ignore[arg-type]
+        unknown=tuple(unknown),
+        precision=np.array(precision),
+        offset=np.zeros(len(unknown)),
+        motion=motion_of_recording(recording),
+        inertia=inertia_of_arm(arm, recording.settings),
+        measured=_measured(problem),
+        noise=problem.noise,
+        declared=problem.declared,
+        notes=problem.notes,
+    )
+
+
+def moved_to(case: Case, moved: Array) -> Case:
+    """The same case about the arm that the nuisance `(unknown,)` makes: its displacements become the chain's own."""
+    return replace(case, start=arm_moved(case, moved), offset=case.offset + moved)
+
+
+def arm_moved(case: Case, moved: Array) -> ArmModel:
+    """The rigid arm that the nuisance `(unknown,)` makes of the start."""
+    twists: dict[tuple[str, int], Array] = {}
+    for (field, j, k), value in zip(case.unknown, moved, strict=True):
+        twists.setdefault((field, j), np.zeros(6))[k] = value
+    rows = np.array(np.asarray(case.start.geometry).reshape(-1, 6))
+    T_sensor_base, T_flange_tool = (np.array(leaf) for leaf in case.start[1:])
+    for (field, j), twist in twists.items():
+        T = np.eye(4)
+        T[:3, :3], T[:3, 3] = np.asarray(rotation_exp(jnp.asarray(twist[3:]))), twist[:3]
+        if field == "base":
+            T_sensor_base = T_sensor_base @ T
+        elif field == "tool":
+            T_flange_tool = T @ T_flange_tool
+        else:
+            rows[j + 1] = frames.row_from_transform(T @ frames.transform_from_row(rows[j + 1]))
+    return ArmModel(rows.ravel(), T_sensor_base, T_flange_tool)  # type: ignore[arg-type]
+
+
+def _measured(problem: Problem) -> Measured:
+    pose = problem.pose
+    position = pose[:, :3, 3] if pose.ndim == 3 else pose
+    rotation = np.moveaxis(pose[:, :3, :3], 0, -1) if pose.ndim == 3 else np.zeros((3, 3, 0))
+    whitener = whitener_of(problem.covariance())
+    if whitener.ndim == 3:
+        whitener = np.moveaxis(whitener, 0, -1)
+    return Measured(jnp.asarray(position.T), jnp.asarray(rotation), jnp.asarray(whitener))
+
+
+@partial(jax.jit, static_argnums=0)
+def _loads(form: Form, kinematics: jax.Array, motion: Motion, inertia: Inertia) -> Loads:
+    return loads(form, kinematics, turn(motion.joint_position), motion.payload, inertia)
+
+
+def _plain_residual(
+    form: Form, model: ArmModel, joint_position: jax.Array, deflection: Deflection, measured: Measured
+) -> jax.Array:
+    _, tool = predict_bent(form, model, joint_position, deflection)
+    weight = jnp.ones(joint_position.shape[1])
+    observed = Observations(turn(joint_position), measured.position, measured.rotation, weight, measured.whitener)
+    return whiten(measured.whitener, differences(observed, tool))
+
+
+_ONCE = {"xla_backend_optimization_level": 0}
+_residual = jax.jit(_plain_residual, static_argnums=0, compiler_options=_ONCE)
+
+
+@partial(jax.jit, static_argnums=0, compiler_options=_ONCE)
+def _positions(form: Form, model: ArmModel, joint_position: jax.Array, deflection: Deflection) -> jax.Array:
+    return predict_bent(form, model, joint_position, deflection)[1].origin
+
+
+@partial(jax.jit, static_argnums=0, compiler_options=_ONCE)
+def _sites(
+    form: Form, model: ArmModel, joint_position: jax.Array, deflection: Deflection, measured: Measured
+) -> jax.Array:
+    """`(site, row, sample)`, in the order of `Deflection`'s fields."""
+    shapes = [leaf.shape[:-1] for leaf in deflection]
+    sizes = [int(np.prod(shape)) for shape in shapes]
+
+    def moved(constant: jax.Array) -> jax.Array:
+        parts, at = [], 0
+        for leaf, shape, size in zip(deflection, shapes, sizes, strict=True):
+            parts.append(leaf + constant[at : at + size].reshape(*shape, 1))
+            at += size
+        return _plain_residual(form, model, joint_position, Deflection(*parts), measured)
+
+    zero = jnp.zeros(sum(sizes))
+    return jax.lax.map(lambda step: jax.jvp(moved, (zero,), (step,))[1], jnp.eye(sum(sizes)))

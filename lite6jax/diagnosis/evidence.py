@@ -1,0 +1,164 @@
+"""Score tests of every candidate at once: what each would explain of the residuals, without a refit."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2, f
+
+from lite6jax.diagnosis.case import Case
+from lite6jax.diagnosis.refit import Fitted
+from lite6jax.physics.effect import Effect
+
+Array = NDArray[np.floating]
+
+HIDDEN = 1e-6
+"""Share of a candidate's columns that the nuisance leaves, under which nothing tells them apart."""
+WINSOR = 4.0
+"""Standard deviations per number beyond which a sample's residual counts no more than that."""
+_MOST_BLOCKS = 60
+_LEAST_IN_BLOCK = 6
+
+
+class Score(NamedTuple):
+    """What a candidate would explain.
+
+    Attributes:
+        gain: of the log-likelihood, by a quadratic.
+        size: numbers that are told, of those it has.
+        p: that noise alone explains so much; the larger of what white noise and correlated noise would say.
+        hidden: whether the nuisance, or what is in the model already, can do all that it does.
+        values: `(number,)` of the candidate, estimated.
+    """
+
+    gain: float
+    size: int
+    p: float
+    hidden: bool
+    values: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Evidence:
+    """Projected columns of candidates, ready to be scored against any residuals.
+
+    Attributes:
+        case: the data.
+        fitted: the model that the candidates are added to.
+        basis: orthonormal rows `(k, row sample)` that span what the nuisance and the model's effects can do.
+        residual: `(row sample)` of unit noise, wild samples cut down to what four standard deviations would be.
+        blocks: where blocks of neighbouring samples begin.
+        freedom: numbers measured, less those fitted.
+    """
+
+    case: Case
+    fitted: Fitted
+    basis: Array
+    residual: Array
+    blocks: NDArray[np.integer]
+    freedom: float
+
+    def score(self, effects: Sequence[Effect]) -> list[Score]:
+        """A score for each effect."""
+        columns = self.case.columns(effects)
+        sizes = [effect.size for effect in effects]
+        ends = np.cumsum([0, *sizes])
+        return self.score_columns([columns[a:b] for a, b in pairwise(ends)])
+
+    def score_columns(self, groups: Sequence[Array]) -> list[Score]:
+        """A score for each group of columns `(number, row, sample)`."""
+        flat = np.concatenate([group.reshape(len(group), -1) for group in groups]) * self._used
+        norms = np.linalg.norm(flat, axis=1)
+        projected = flat - (flat @ self.basis.T) @ self.basis
+        products = projected * self.residual
+        per_block = _by_block(products, self.blocks, self.case.samples)
+        scores, at = [], 0
+        for group in groups:
+            part = slice(at, at + len(group))
+            at += len(group)
+            scores.append(self._of(projected[part], norms[part], per_block[part]))
+        return scores
+
+    def _of(self, projected: Array, norms: Array, per_block: Array) -> Score:
+        size = len(projected)
+        scale = np.where(norms > 0, norms, 1.0)
+        G = projected / scale[:, None]
+        eigenvalues, V = np.linalg.eigh(G @ G.T)
+        told = eigenvalues > HIDDEN
+        if not told.any():
+            return Score(0.0, 0, 1.0, True, np.zeros(size))
+        T = V[:, told] / np.sqrt(eigenvalues[told])  # of unit information
+        s = T.T @ (per_block / scale[:, None])
+        total = s.sum(1)
+        k = int(told.sum())
+        statistic = float(total @ total)
+        white = float(chi2.sf(statistic, k))
+        B = s.shape[1]
+        centred = s - total[:, None] / B
+        spread = centred @ centred.T * B / (B - 1)
+        robust = 1.0
+        if k + 2 < B:
+            t2 = float(total @ np.linalg.lstsq(spread, total, rcond=None)[0])
+            robust = float(f.sf(t2 * (B - k) / (k * (B - 1)), k, B - k))
+        values = -(T @ total) / scale * self.fitted.residual.scale
+        return Score(0.5 * statistic, k, max(white, robust), False, values)
+
+    @property
+    def _used(self) -> Array:
+        return np.tile(self.fitted.used, self.case.rows)
+
+
+def evidence_of(case: Case, fitted: Fitted) -> Evidence:
+    """The evidence against a fitted model."""
+    used = np.tile(fitted.used, case.rows).astype(float)
+    parts = []
+    if case.unknown:
+        parts.append(case.nuisance)
+    if fitted.physics.size:
+        parts.append(case.columns(fitted.physics.effects, fitted.values))
+    columns = np.concatenate(parts).reshape(-1, used.size) * used if parts else np.zeros((0, used.size))
+    norms = np.linalg.norm(columns, axis=1)
+    columns = columns[norms > 0] / norms[norms > 0, None]
+    if case.precision.any() and len(columns):
+        # a prior is a few more readings, which the candidates do not change
+        known = np.sqrt(case.precision) * fitted.residual.scale
+        extra = np.zeros((len(norms), len(norms)))
+        extra[np.arange(len(known)), np.arange(len(known))] = known
+        extra = (extra / np.where(norms > 0, norms, 1.0)[:, None])[norms > 0]
+        stacked = np.concatenate([columns, extra], 1)
+        basis = _orthonormal(stacked)[:, : used.size]
+    else:
+        basis = _orthonormal(columns)
+    rows = fitted.residual.rows / fitted.residual.scale
+    length = np.sqrt(np.sum(rows**2, 0) / case.rows)
+    rows = rows * np.minimum(1.0, WINSOR / np.maximum(length, 1e-300))
+    residual = rows.ravel() * used
+    n = float(used.sum())
+    residual = residual / np.sqrt(max(np.sum(residual**2) / max(n - fitted.parameters, 1.0), 1e-300))
+    return Evidence(case, fitted, basis, residual, _blocks(case), n - fitted.parameters)
+
+
+def _orthonormal(columns: Array) -> Array:
+    """An orthonormal basis `(rank, …)` of rows."""
+    if not len(columns):
+        return columns
+    eigenvalues, V = np.linalg.eigh(columns @ columns.T)
+    kept = eigenvalues > 1e-12 * eigenvalues[-1]
+    basis = (V[:, kept] / np.sqrt(eigenvalues[kept])).T @ columns
+    return np.linalg.qr(basis.T)[0].T
+
+
+def _blocks(case: Case) -> NDArray[np.integer]:
+    """Where blocks of neighbouring samples start: longer than what correlates, and enough of them to see a spread."""
+    n = case.samples
+    count = int(np.clip(n // _LEAST_IN_BLOCK, 2, _MOST_BLOCKS))
+    return (np.arange(count) * n) // count
+
+
+def _by_block(products: Array, starts: NDArray[np.integer], samples: int) -> Array:
+    """Sums over blocks of samples, `(column, block)`, of products `(column, row sample)`."""
+    per_sample = products.reshape(len(products), -1, samples).sum(1)
+    return np.add.reduceat(per_sample, starts, axis=1)

@@ -1,0 +1,167 @@
+"""What a diagnosed arm's sensor would show in another motion, from the model in a diagnosis file."""
+
+import json
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+from numpy.typing import NDArray
+
+from lite6jax.arms.chains import SixParameterForm
+from lite6jax.arms.se3 import quaternion_from_rotation
+from lite6jax.errors import InputError
+from lite6jax.model import ArmModel, predict_poses
+from lite6jax.physics.catalogue import effect_from_dict, kinds_of
+from lite6jax.physics.composition import Physics
+from lite6jax.physics.effect import Effect
+from lite6jax.physics.statics import Inertia, inertia_of
+from lite6jax.recordings import Recording, RecordingSettings, read_recording, read_settings, sidecar_path
+from lite6jax.recordings.motion import motion_of_recording
+from lite6jax.storage import read_text
+
+Array = NDArray[np.floating]
+
+SCHEMA = "lite6jax/diagnosis/1"
+_SIZE_LIMIT = 1 << 26
+
+
+@dataclass(frozen=True, eq=False)
+class Enriched:
+    """An arm with its physics, as a diagnosis left it.
+
+    Attributes:
+        arm: the nominal arm's name.
+        model: the rigid part, NumPy leaves.
+        physics: the effects.
+        values: their numbers.
+        inertia: masses, or None where none are known.
+        orientation: whether the sensor showed orientations.
+        reference_temperature: °C, at which the geometry holds.
+        motion: of the diagnosed recording: "static" or "trajectory".
+    """
+
+    arm: str
+    model: ArmModel
+    physics: Physics
+    values: Array
+    inertia: Inertia | None
+    orientation: bool
+    reference_temperature: float
+    motion: str
+
+    @property
+    def dof(self) -> int:
+        """The number of joints."""
+        return np.asarray(self.model.geometry).size // 6
+
+
+def read_model(path: str | Path, effects: tuple[Effect, ...] = ()) -> Enriched:
+    """The model in a diagnosis file.
+
+    Args:
+        path: what `diagnose` wrote.
+        effects: a user's own, where the model has them.
+
+    Raises:
+        InputError: no such file, not a diagnosis, or something in it is missing or not possible.
+    """
+    try:
+        document = json.loads(read_text(path, _SIZE_LIMIT))
+    except (json.JSONDecodeError, RecursionError) as error:
+        raise InputError(f"{path}: is no JSON ({error}); give what `lite6jax diagnose --out` wrote") from error
+    if (
+        not isinstance(document, dict)
+        or document.get("schema") != SCHEMA
+        or not isinstance(document.get("model"), dict)
+    ):
+        raise InputError(f"{path}: is no diagnosis ({SCHEMA} with a model); give what `lite6jax diagnose --out` wrote")
+    model: dict[str, Any] = document["model"]
+    try:
+        kinematics = np.asarray(model["kinematics"], float)
+        frames = [np.asarray(model[name], float) for name in ("T_sensor_base", "T_flange_tool")]
+        if kinematics.ndim != 2 or kinematics.shape[1] != 6 or any(T.shape != (4, 4) for T in frames):
+            raise ValueError("kinematics or a frame has another shape")
+        if not all(np.isfinite(part).all() for part in (kinematics, *frames)):
+            raise ValueError("a number is not finite")
+        pairs = [effect_from_dict(entry, kinds_of(effects)) for entry in model["effects"]]
+        physics = Physics(tuple(effect for effect, _ in pairs))
+        masses = model["inertia"]
+        inertia = None if masses is None else inertia_of(**{name: np.asarray(v, float) for name, v in masses.items()})
+        return Enriched(
+            arm=str(model["arm"]),
+            model=ArmModel(kinematics.ravel(), *frames),  # type: ignore[arg-type]
+            physics=physics,
+            values=physics.join([value for _, value in pairs]),
+            inertia=inertia,
+            orientation=bool(model["orientation"]),
+            reference_temperature=float(model["reference_temperature_degC"]),
+            motion=str(model["motion"]),
+        )
+    except (KeyError, TypeError, ValueError) as error:
+        raise InputError(f"{path}: its model is damaged ({error}); run `lite6jax diagnose` again") from error
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from error
+
+
+def read_motion(path: str | Path, model: Enriched) -> Recording:
+    """A motion to predict; what its own sidecar does not say is as it was in the diagnosed recording.
+
+    Raises:
+        InputError: as `read_recording`.
+    """
+    sidecar = sidecar_path(path)
+    settings = (
+        read_settings(sidecar)
+        if sidecar.exists()
+        else RecordingSettings(reference_temperature_degC=model.reference_temperature)
+    )
+    recording = read_recording(path, dof=model.dof)
+    if settings.motion is None and recording.motion != model.motion:
+        settings = replace(settings, motion=model.motion)  # type: ignore[arg-type]
+    return with_settings(recording, settings)
+
+
+def with_settings(recording: Recording, settings: RecordingSettings) -> Recording:
+    """The recording under other settings: directions and velocities follow anew."""
+    return Recording.from_arrays(
+        recording.joint_position,
+        time=recording.time,
+        joint_velocity=None if recording.velocity_differentiated else recording.joint_velocity,
+        joint_temperature=recording.joint_temperature,
+        ambient_temperature=recording.ambient_temperature,
+        payload=recording.payload,
+        run=recording.run,
+        row=recording.row,
+        settings=settings,
+        source=recording.source,
+    )
+
+
+def predict_motion(model: Enriched, recording: Recording) -> tuple[Array, NDArray[np.bool_]]:
+    """The poses `T_sensor_tool` `(sample, 4, 4)` and which rows, `(sample,)`, the motion holds too little for.
+
+    Raises:
+        InputError: the motion lacks what an effect of the model needs, by name.
+    """
+    motion = motion_of_recording(recording)
+    chain = SixParameterForm(model.dof)
+    poses = predict_poses(chain, model.physics, model.model, model.values, motion, model.inertia)
+    beyond = np.asarray(_beyond(model.physics, model.values, motion))
+    return np.asarray(poses), beyond
+
+
+_beyond = jax.jit(Physics.beyond, static_argnums=0)
+_quaternions = jax.jit(partial(quaternion_from_rotation))
+
+
+def table(poses: Array, beyond: NDArray[np.bool_], orientation: bool) -> dict[str, Array]:
+    """Column name to values, as a recording has them; NaN where nothing can be said."""
+    position = np.where(beyond[:, None], np.nan, poses[:, :3, 3])
+    columns = dict(zip(("x_m", "y_m", "z_m"), position.T, strict=True))
+    if orientation:
+        quaternion = np.where(beyond[:, None], np.nan, np.asarray(_quaternions(poses[:, :3, :3])))
+        columns |= dict(zip(("qw", "qx", "qy", "qz"), quaternion.T, strict=True))
+    return columns

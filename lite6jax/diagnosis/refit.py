@@ -1,0 +1,155 @@
+"""The nuisance and the physics fitted together, robustly: Gauss–Newton on exact residuals."""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lite6jax.diagnosis.case import Case
+from lite6jax.fitting.robust import FREEDOM, gaussian_t_scale, t_scale, variance_factor
+from lite6jax.physics.composition import Physics
+
+Array = NDArray[np.floating]
+
+_STEPS = 25
+_SETTLED = 1e-3
+"""Length of a step, in standard deviations of what it estimates, under which a refit has settled."""
+_HALVINGS = 6
+
+
+class Weighed(NamedTuple):
+    """Residuals and what a robust loss makes of them.
+
+    Attributes:
+        rows: `(row, sample)`, whitened.
+        scale: of the noise, over the whitener's.
+        weight: `(sample,)`, 1 for a sample as expected, down to 0.
+    """
+
+    rows: Array
+    scale: float
+    weight: Array
+
+    @property
+    def squares(self) -> Array:
+        """`(sample,)`, over the scale."""
+        return np.sum(self.rows**2, 0) / self.scale**2
+
+
+@dataclass(frozen=True, eq=False)
+class Fitted:
+    """A case with some physics, fitted.
+
+    Attributes:
+        physics: which.
+        moved: `(unknown,)` the nuisance, from the case's start.
+        values: `(physics.size,)`.
+        covariance: `(physics.size, physics.size)` of the values, the nuisance's uncertainty included.
+        residual: of all rows, those left out of the fit too.
+        used: `(sample,)` bool, the rows it was fitted to.
+        parameters: how many numbers were fitted, those that only the prior determines not counted.
+        converged: whether it settled.
+    """
+
+    physics: Physics
+    moved: Array
+    values: Array
+    covariance: Array
+    residual: Weighed
+    used: NDArray[np.bool_]
+    parameters: float
+    converged: bool
+
+    def log_likelihood(self, scale: float) -> float:
+        """Of the rows used, Student's t, the noise given as a multiple of the whitener's."""
+        squares = np.sum(self.residual.rows[:, self.used] ** 2, 0) / scale**2
+        rows = len(self.residual.rows)
+        return float(
+            -0.5 * (FREEDOM + rows) * np.sum(np.log1p(squares / FREEDOM)) - squares.size * rows * np.log(scale)
+        )
+
+
+def refit(
+    case: Case,
+    physics: Physics,
+    values: Array | None = None,
+    moved: Array | None = None,
+    used: NDArray[np.bool_] | None = None,
+) -> Fitted:
+    """Fits what is unknown of the geometry, the frames and the numbers of `physics` together.
+
+    The loss is Student's t, its scale estimated. Derivatives are those at the case's start, residuals are exact: a step
+    leaves a thousandth of the error, or what the start is off in radians.
+
+    Args:
+        case: the data.
+        physics: the effects.
+        values: `(physics.size,)` where to start; neutral where not given.
+        moved: `(unknown,)` where to start; the case's start where not given.
+        used: `(sample,)` bool; all where not given.
+    """
+    values = np.zeros(physics.size) if values is None else np.array(values, float)
+    moved = np.zeros(len(case.unknown)) if moved is None else np.array(moved, float)
+    used = np.ones(case.samples, bool) if used is None else used
+    nuisance, precision = case.nuisance, case.precision
+    k = len(nuisance)
+
+    def weighed(rows: Array) -> Weighed:
+        squares = np.sum(rows**2, 0)
+        scale = t_scale(squares[used], case.rows, FREEDOM) / gaussian_t_scale(case.rows, FREEDOM)
+        return Weighed(rows, scale, (FREEDOM + case.rows) / (FREEDOM + squares / scale**2))
+
+    def cost(rows: Array, moved: Array, scale: float) -> float:
+        squares = np.sum(rows[:, used] ** 2, 0) / scale**2
+        prior = np.sum(precision * (case.offset + moved) ** 2)
+        return float((FREEDOM + case.rows) * np.sum(np.log1p(squares / FREEDOM)) + prior)
+
+    state = weighed(case.residual(moved, physics, values))
+    converged, H = False, np.eye(0)
+    for _ in range(_STEPS):
+        columns = np.concatenate([nuisance, case.columns(physics.effects, values)]) if physics.size else nuisance
+        if not len(columns):
+            converged = True
+            break
+        w = np.where(used, state.weight, 0.0) / state.scale**2
+        weighted = (columns * w).reshape(len(columns), -1)
+        H = weighted @ columns.reshape(len(columns), -1).T
+        gradient = weighted @ state.rows.ravel()
+        H[np.arange(k), np.arange(k)] += precision
+        gradient[:k] += precision * (case.offset + moved)
+        change = -_solve(H, gradient)
+        length = float(np.sqrt(max(-change @ gradient, 0.0)))
+        before = cost(state.rows, moved, state.scale)
+        for _ in range(_HALVINGS):
+            rows = case.residual(moved + change[:k], physics, values + change[k:])
+            if cost(rows, moved + change[:k], state.scale) <= before + 1e-9 * abs(before):
+                break
+            change = change / 2
+        moved, values, state = moved + change[:k], values + change[k:], weighed(rows)
+        if length < _SETTLED:
+            converged = True
+            break
+    factor = variance_factor(state.squares[used], case.rows, FREEDOM, 0)
+    covariance = _inverse(H)[k:, k:] * factor if len(H) else np.zeros((0, 0))
+    return Fitted(physics, moved, values, covariance, state, used, _determined(H, precision), converged)
+
+
+def _solve(H: Array, gradient: Array) -> Array:
+    root = np.sqrt(np.maximum(np.diagonal(H), np.finfo(float).tiny))
+    scaled = H / np.outer(root, root)
+    return np.linalg.lstsq(scaled, gradient / root, rcond=1e-13)[0] / root
+
+
+def _inverse(H: Array) -> Array:
+    root = np.sqrt(np.maximum(np.diagonal(H), np.finfo(float).tiny))
+    return np.linalg.pinv(H / np.outer(root, root), rcond=1e-13, hermitian=True) / np.outer(root, root)
+
+
+def _determined(H: Array, precision: Array) -> float:
+    """The effective number of parameters: the trace of what the data alone has of the information."""
+    if not len(H):
+        return 0.0
+    k = len(precision)
+    inverse = np.diagonal(_inverse(H))
+    return float(len(H) - np.sum(precision * inverse[:k]))

@@ -1,0 +1,274 @@
+"""Which effects, together, a recording asks for: added while what is left holds more, taken away where not needed."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lite6jax.diagnosis.case import Case, moved_to
+from lite6jax.diagnosis.evidence import Score, evidence_of
+from lite6jax.diagnosis.refit import Fitted, refit
+from lite6jax.diagnosis.spectrum import lines
+from lite6jax.physics.catalogue import catalogue, untestable
+from lite6jax.physics.composition import Physics
+from lite6jax.physics.drivers import Driver
+from lite6jax.physics.effect import Effect
+from lite6jax.physics.joints import JointHarmonic
+from lite6jax.physics.unnamed import Unnamed
+
+Array = NDArray[np.floating]
+
+LEVEL = 0.003
+"""Family-wise: of 300 recordings with nothing missing, one may show something."""
+MOST = 8
+_RELINEARISED = 3
+_CLOSE = 6.0
+"""Log-likelihood within which two candidates cannot be told apart."""
+_REFITTED = 4
+_PIECES = (8, 24)
+_UNNAMED_BETTER = 10.0
+_SPECIFIC = (
+    *(
+        "joint_offset",
+        "joint_scale",
+        "joint_compliance",
+        "joint_backlash",
+        "joint_lag",
+        "joint_harmonic",
+        "time_offset",
+    ),
+    *(
+        "tool_offset",
+        "measurement_scale",
+        "link_thermal_expansion",
+        "joint_coupling",
+        "payload_error",
+        "base_compliance",
+    ),
+    *("base_drift", "link_compliance", "frame_offset", "unnamed"),
+)
+
+
+@dataclass(frozen=True)
+class Rival:
+    """An effect that explains nearly the same.
+
+    Attributes:
+        effect: which.
+        gap: how much less log-likelihood its refit has.
+    """
+
+    effect: Effect
+    gap: float
+
+
+@dataclass(frozen=True, eq=False)
+class Step:
+    """An effect that was added.
+
+    Attributes:
+        effect: which.
+        p: family-wise.
+        score: against all before it.
+        rivals: those that it was preferred to.
+    """
+
+    effect: Effect
+    p: float
+    score: Score
+    rivals: tuple[Rival, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Selection:
+    """The physics that a recording asks for.
+
+    Attributes:
+        case: linearised where its geometry is.
+        baseline: the nuisance alone.
+        fitted: with the effects.
+        steps: one an effect, in the order of `fitted.physics`.
+        candidates: what was tried.
+        hidden: those of them that the nuisance hides.
+    """
+
+    case: Case
+    baseline: Fitted
+    fitted: Fitted
+    steps: tuple[Step, ...]
+    candidates: tuple[Effect, ...]
+    hidden: tuple[Effect, ...] = field(default=())
+
+
+class Search:
+    """The search of one case, with the same candidates for every part of its rows."""
+
+    def __init__(self, case: Case, extra: Sequence[Effect] = (), level: float = LEVEL) -> None:
+        self.level = level
+        baseline = refit(case, Physics())
+        for _ in range(_RELINEARISED):
+            if not case.unknown:
+                break
+            case = moved_to(case, baseline.moved)
+            baseline = refit(case, Physics())
+        self.case, self.baseline = case, baseline
+        every = (*catalogue(case.motion.dof, turned_tool=case.rows == 6), *extra)
+        self.missing = untestable(every, case.motion, case.inertia is not None)
+        lacking = {item.effect for item in self.missing}
+        self.candidates = tuple(effect for effect in every if effect not in lacking)
+
+    @cached_property
+    def tried(self) -> float:
+        """How many independent candidates, for the family-wise level."""
+        return len(self.candidates) + len(self.curves) + self.case.motion.dof * 400.0
+
+    @cached_property
+    def curves(self) -> tuple[Unnamed, ...]:
+        """Free-form curves of every joint over its own drivers."""
+        case, found = self.case, []
+        for joint in range(1, case.motion.dof + 1):
+            for quantity in ("position", "gravity torque", "velocity"):
+                driver = Driver(quantity, joint)
+                if (driver.loaded and case.loads is None) or not driver.known(case.motion, case.loads):
+                    continue
+                values = np.asarray(driver.values(case.motion, case.loads))
+                if np.ptp(values) > 1e-6:
+                    low, high = float(values.min()), float(values.max())
+                    found += [Unnamed(f"joint{joint}", driver.phrase, low, high, pieces) for pieces in _PIECES]
+        return tuple(found)
+
+    def run(self, used: NDArray[np.bool_] | None = None) -> Selection:
+        """Selects on some rows; all where not given."""
+        case = self.case
+        baseline = self.baseline if used is None else refit(case, Physics(), moved=self.baseline.moved, used=used)
+        fitted, steps = self._grown(baseline, [])
+        fitted, steps = self._unnamed(baseline, fitted, steps)
+        fitted, steps = self._pruned(fitted, steps)
+        hidden = self._hidden(baseline)
+        return Selection(case, baseline, fitted, tuple(steps), self.candidates, hidden)
+
+    def _hidden(self, baseline: Fitted) -> tuple[Effect, ...]:
+        scores = evidence_of(self.case, baseline).score(self.candidates)
+        return tuple(effect for effect, score in zip(self.candidates, scores, strict=True) if score.hidden)
+
+    def _grown(self, fitted: Fitted, steps: list[Step]) -> tuple[Fitted, list[Step]]:
+        while len(steps) < MOST:
+            found = self._next(fitted)
+            if found is None:
+                break
+            fitted, step = found
+            steps = [*steps, step]
+        return fitted, steps
+
+    def _next(self, fitted: Fitted) -> tuple[Fitted, Step] | None:
+        """The best single addition, or None where nothing is left."""
+        evidence = evidence_of(self.case, fitted)
+        named = [effect for effect in self.candidates if not isinstance(effect, JointHarmonic)]
+        tried = [(e, s, 0.0) for e, s in zip(named, evidence.score(named), strict=True)]
+        tried += [(line.effect, line.score, np.log(line.tried)) for line in lines(evidence)]
+        n = evidence.freedom
+        ranked = sorted(
+            (item for item in tried if not item[1].hidden and item[1].gain > 0),
+            key=lambda item: -(item[1].gain - 0.5 * item[1].size * np.log(n) - item[2]),
+        )
+        if not ranked:
+            return None
+        significant = [item for item in ranked[: 3 * _REFITTED] if item[1].p * self.tried < self.level]
+        if not significant or significant[0][1].gain < 0.5 * significant[0][1].size * np.log(n) + significant[0][2]:
+            return None
+        close = [item for item in ranked if item[1].gain > 0.8 * significant[0][1].gain][:_REFITTED]
+        close = [*significant[:1], *(item for item in close if item is not significant[0])]
+        fits = [(item, self._with(fitted, item[0], item[1].values)) for item in close]
+        scale = min(fit.residual.scale for _, fit in fits)
+
+        def judged(pair: tuple) -> float:
+            (_, score, search), fit = pair
+            return fit.log_likelihood(scale) - 0.5 * score.size * np.log(n) - search
+
+        fits.sort(key=lambda pair: -judged(pair))
+        best = fits[0]
+        likely = best[1].log_likelihood(scale)
+        near = [pair for pair in fits if judged(best) - judged(pair) < _CLOSE]
+        best = min(near, key=lambda pair: (_specific(pair[0][0]), -judged(pair)))
+        likely = best[1].log_likelihood(scale)
+        rivals = tuple(
+            Rival(pair[0][0], float(likely - pair[1].log_likelihood(scale))) for pair in fits if pair is not best
+        )
+        effect, score, _ = best[0]
+        p = min(score.p * self.tried, 1.0)
+        if p >= self.level:
+            return None
+        return best[1], Step(effect, p, score, rivals)
+
+    def _with(self, fitted: Fitted, effect: Effect, values: Array) -> Fitted:
+        physics = Physics((*fitted.physics.effects, effect))
+        start = np.concatenate([fitted.values, values])
+        return refit(self.case, physics, start, fitted.moved, fitted.used)
+
+    def _unnamed(self, baseline: Fitted, fitted: Fitted, steps: list[Step]) -> tuple[Fitted, list[Step]]:
+        """Curves in place of named effects of a joint, where they explain clearly more than these together."""
+        n = evidence_of(self.case, baseline).freedom
+        for _ in range(3):
+            evidence = evidence_of(self.case, fitted)
+            scores = evidence.score(self.curves)
+            sites = {step.effect.site for step in steps}
+            worth = [
+                (curve, score)
+                for curve, score in zip(self.curves, scores, strict=True)
+                if score.p * self.tried < self.level or curve.where in sites
+            ]
+            best: tuple[Fitted, list[Step]] | None = None
+            for curve, score in worth:
+                kept = [step for step in steps if step.effect.site != curve.where]
+                fit, path = self._replaced(baseline, kept, curve, score)
+                scale = min(fit.residual.scale, fitted.residual.scale)
+                ours = fit.log_likelihood(scale) - _cost(path, n)
+                theirs = (best[0] if best else fitted).log_likelihood(scale) - _cost(best[1] if best else steps, n)
+                if ours > theirs + _UNNAMED_BETTER:
+                    best = (fit, path)
+            if best is None:
+                break
+            fitted, steps = self._grown(*best)
+        return fitted, steps
+
+    def _replaced(self, baseline: Fitted, kept: list[Step], curve: Unnamed, score: Score) -> tuple[Fitted, list[Step]]:
+        fit = refit(self.case, Physics(tuple(step.effect for step in kept)), moved=baseline.moved, used=baseline.used)
+        score = evidence_of(self.case, fit).score([curve])[0]
+        fit = self._with(fit, curve, score.values)
+        return fit, [*kept, Step(curve, min(score.p * self.tried, 1.0), score, ())]
+
+    def _pruned(self, fitted: Fitted, steps: list[Step]) -> tuple[Fitted, list[Step]]:
+        """Without those that the others make unnecessary."""
+        n = evidence_of(self.case, fitted).freedom
+        while len(steps) > 1:
+            losses = []
+            for i in range(len(steps)):
+                rest = [step for k, step in enumerate(steps) if k != i]
+                parts = [fitted.values[part] for k, part in enumerate(fitted.physics.slices) if k != i]
+                start = np.concatenate(parts)
+                fit = refit(self.case, Physics(tuple(s.effect for s in rest)), start, fitted.moved, fitted.used)
+                loss = fitted.log_likelihood(fitted.residual.scale) - fit.log_likelihood(fitted.residual.scale)
+                losses.append((loss - 0.5 * steps[i].effect.size * np.log(n), fit, rest))
+            least = min(losses, key=lambda item: item[0])
+            if least[0] > np.log(self.tried):
+                break
+            fitted, steps = least[1], least[2]
+        return fitted, steps
+
+
+def select(case: Case, extra: Sequence[Effect] = (), level: float = LEVEL) -> Selection:
+    """The physics that a case asks for."""
+    return Search(case, extra, level).run()
+
+
+def _cost(steps: Sequence[Step], n: float) -> float:
+    """What a set of effects costs: half a logarithm a number, and the choice of each order among hundreds."""
+    orders = [step.effect for step in steps if isinstance(step.effect, JointHarmonic)]
+    searched = sum(0.5 * np.log(n) + np.log(400.0) for effect in orders if effect.order not in (1.0, 2.0))
+    return float(0.5 * sum(step.effect.size for step in steps) * np.log(n) + searched)
+
+
+def _specific(effect: Effect) -> int:
+    return _SPECIFIC.index(effect.name) if effect.name in _SPECIFIC else len(_SPECIFIC)
