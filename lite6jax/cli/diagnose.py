@@ -106,8 +106,6 @@ class Predict:
 
         path = write_atomically(self.out, write, self.force)
         if beyond.any():
-            print(
-                f"{int(beyond.sum())} rows at the ends cannot be predicted: the clock's offset reaches beyond the motion."
-            )
+            print(f"{int(beyond.sum())} rows are empty: there the clock's offset reaches beyond the motion's ends.")
         screen.written([path])
         return DONE

@@ -18,9 +18,11 @@ from lite6jax.arms.se3 import rotation_exp
 from lite6jax.fitting.problem import Geometry, Problem, recording_problem, whitener_of
 from lite6jax.fitting.residual import Observations, differences, whiten
 from lite6jax.model import ArmModel, predict_bent
+from lite6jax.physics.catalogue import BUILT_IN
 from lite6jax.physics.composition import Physics
 from lite6jax.physics.deflection import Deflection, dense
-from lite6jax.physics.effect import Altering, Effect
+from lite6jax.physics.effect import Altering, Bending, Effect
+from lite6jax.physics.joints import JointHarmonic
 from lite6jax.physics.motion import Motion
 from lite6jax.physics.statics import Inertia, Loads, loads
 from lite6jax.recordings import Recording
@@ -108,10 +110,15 @@ class Case:
 
     def deflection(self, moved: Array, physics: Physics, values: Array) -> tuple[Motion, Deflection]:
         """The motion as it really was, and the deflections in it, dense: the nuisance `(unknown,)` and the effects."""
-        motion = physics.alter(jnp.asarray(values), self.motion)
-        altered = any(isinstance(effect, Altering) for effect in physics.effects)
-        on_arm = self.loads_on(self.start, motion) if altered and physics.loaded else self.loads
-        bent = dense(physics.deflect(jnp.asarray(values), motion, on_arm), motion.dof, motion.samples)
+        if all(map(_is_linear, physics.effects)):
+            motion, bent = self.motion, self._rigid
+            for effect, part in zip(physics.effects, physics.slices, strict=True):
+                bent = bent + _scaled(self._unit(effect), np.asarray(values)[part])
+        else:
+            motion = physics.alter(jnp.asarray(values), self.motion)
+            altered = any(isinstance(effect, Altering) for effect in physics.effects)
+            on_arm = self.loads_on(self.start, motion) if altered and physics.loaded else self.loads
+            bent = dense(physics.deflect(jnp.asarray(values), motion, on_arm), motion.dof, motion.samples)
         if not self.unknown:
             return motion, bent
         base, link, tool = np.zeros(6), np.zeros((motion.dof, 6)), np.zeros(6)
@@ -167,29 +174,62 @@ class Case:
         """
         physics = Physics(tuple(effects))
         values = np.zeros(physics.size) if values is None else np.asarray(values, float)
-        out = np.zeros((physics.size, self.rows, self.samples))
+        parts = [np.zeros((0, self.rows, self.samples))]
         for effect, part in zip(physics.effects, physics.slices, strict=True):
-            shapes = self._shapes(effect, values[part])
-            for i, shape in enumerate(shapes):
-                for field, array in zip(Deflection._fields, shape, strict=True):
-                    if array is not None:
-                        self._add(out[part.start + i], field, np.asarray(array))
+            if _is_linear(effect) or not values[part].any():
+                if effect not in self._known:
+                    self._known[effect] = self._felt(self._unit(effect))
+                parts.append(self._known[effect])
+            else:
+                parts.append(self._felt(self._shapes(effect, values[part])))
+        return np.concatenate(parts)
+
+    def harmonics(self, joint: int, orders: Array) -> Array:
+        """The columns of a joint's harmonics, sine and cosine of each order, `(order, 2, row, sample)`."""
+        angle = JointHarmonic(joint).angle
+        values = np.zeros((len(orders), 2, 3))
+        values[:, 0, 0] = values[:, 1, 1] = 1.0
+        values[:, :, 2] = orders[:, None]
+        flat = jnp.asarray(values.reshape(-1, 3))
+        shapes = np.asarray(jax.vmap(lambda v: angle(v, self.motion, None))(flat))
+        return (self.sites["joint", joint - 1, 0] * shapes[:, None]).reshape(len(orders), 2, self.rows, -1)
+
+    def _unit(self, effect: Effect) -> Deflection:
+        """The deflection per unit of each of an effect's numbers, at neutral, remembered."""
+        if effect not in self._units:
+            self._units[effect] = self._shapes(effect, np.zeros(effect.size))
+        return self._units[effect]
+
+    def _shapes(self, effect: Effect, values: Array) -> Deflection:
+        """The deflection per unit of each of an effect's numbers, a leading axis; NumPy."""
+        at, steps = jnp.asarray(values), jnp.eye(len(values))
+
+        def deflected(v: jax.Array) -> Deflection:
+            if isinstance(effect, Altering):  # of the joints' positions; what follows from loads is of second order
+                return Deflection(joint=effect.alter(v, self.motion).joint_position)
+            assert isinstance(effect, Bending)
+            return effect.deflect(v, self.motion, self.loads)
+
+        shapes = jax.vmap(lambda step: jax.jvp(deflected, (at,), (step,))[1])(steps)
+        return Deflection(*(None if part is None else np.asarray(part) for part in shapes))  # type: ignore[arg-type]
+
+    def _felt(self, shapes: Deflection) -> Array:
+        """The columns of unit deflections `(number, row, sample)`."""
+        size = next(len(part) for part in shapes if part is not None)
+        out = np.zeros((size, self.rows, self.samples))
+        for field, part in zip(Deflection._fields, shapes, strict=True):
+            if part is not None:
+                for i in range(size):
+                    self._add(out[i], field, np.asarray(part[i]))
         return out
 
-    def _shapes(self, effect: Effect, values: Array) -> list[Deflection]:
-        """The deflection per unit of each of an effect's numbers."""
-        at = jnp.asarray(values)
-        steps = np.eye(len(values))
-        if isinstance(effect, Altering):  # of the joints' positions; what follows from loads is of second order
+    @cached_property
+    def _units(self) -> dict[Effect, Deflection]:
+        return {}
 
-            def moved(v: jax.Array) -> jax.Array:
-                return effect.alter(v, self.motion).joint_position
-
-            return [Deflection(joint=jax.jvp(moved, (at,), (jnp.asarray(step),))[1]) for step in steps]
-        return [
-            jax.jvp(lambda v: effect.deflect(v, self.motion, self.loads), (at,), (jnp.asarray(step),))[1]  # type: ignore[attr-defined]
-            for step in steps
-        ]
+    @cached_property
+    def _known(self) -> dict[Effect, Array]:
+        return {}
 
     def _add(self, out: Array, field: str, shape: Array) -> None:
         sites = self.sites
@@ -208,7 +248,7 @@ class Case:
 
     @cached_property
     def _rigid(self) -> Deflection:
-        return dense(Deflection(), self.motion.dof, self.samples)
+        return Deflection(*map(np.asarray, dense(Deflection(), self.motion.dof, self.samples)))  # type: ignore[arg-type]
 
 
 def case_of(recording: Recording, arm: Arm | None = None, geometry: Geometry = "declared") -> Case:
@@ -286,6 +326,17 @@ def _measured(problem: Problem) -> Measured:
     if whitener.ndim == 3:
         whitener = np.moveaxis(whitener, 0, -1)
     return Measured(jnp.asarray(position.T), jnp.asarray(rotation), jnp.asarray(whitener))
+
+
+def _is_linear(effect: Effect) -> bool:
+    """Whether its deflections are proportional to its numbers: all of the catalogue that bends, but a free order."""
+    free_order = isinstance(effect, JointHarmonic) and effect.order is None
+    return isinstance(effect, Bending) and type(effect) in BUILT_IN.values() and not free_order
+
+
+def _scaled(unit: Deflection, values: Array) -> Deflection:
+    """The sum of unit deflections times values."""
+    return Deflection(*(None if part is None else np.tensordot(values, part, 1) for part in unit))  # type: ignore[arg-type]
 
 
 @partial(jax.jit, static_argnums=0)

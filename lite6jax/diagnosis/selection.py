@@ -1,5 +1,6 @@
 """Which effects, together, a recording asks for: added while what is left holds more, taken away where not needed."""
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -29,6 +30,8 @@ _CLOSE = 6.0
 _REFITTED = 4
 _PIECES = (8, 24)
 _UNNAMED_BETTER = 10.0
+_SUSPICIOUS = 3
+"""Named effects of one joint that together may be one that has no name."""
 _SPECIFIC = (
     *(
         "joint_offset",
@@ -213,7 +216,8 @@ class Search:
         for _ in range(3):
             evidence = evidence_of(self.case, fitted)
             scores = evidence.score(self.curves)
-            sites = {step.effect.site for step in steps}
+            counts = Counter(step.effect.site for step in steps)
+            sites = {site for site, count in counts.items() if count >= _SUSPICIOUS}
             worth = [
                 (curve, score)
                 for curve, score in zip(self.curves, scores, strict=True)

@@ -77,14 +77,15 @@ def lines(evidence: Evidence) -> list[Line]:
             order = _best(evidence, joint, near[near >= 0.5])
         whole = round(order)
         if whole >= 1 and abs(order - whole) < 0.15 * step + 0.02:
-            exact, free = (evidence.score([JointHarmonic(joint, o)])[0] for o in (float(whole), order))
+            exact, free = evidence.score_columns(list(evidence.case.harmonics(joint, np.array([float(whole), order]))))
             order = float(whole) if exact.gain > free.gain - 2.0 else order
-        found.append(Line(joint, order, evidence.score([JointHarmonic(joint, order)])[0], len(orders) / 2))
+        score = evidence.score_columns(list(evidence.case.harmonics(joint, np.array([order]))))[0]
+        found.append(Line(joint, order, score, len(orders) / 2))
     return sorted(found, key=lambda line: -line.score.gain)
 
 
 def _best(evidence: Evidence, joint: int, orders: Array) -> float:
-    scores = evidence.score([JointHarmonic(joint, float(order)) for order in orders])
+    scores = evidence.score_columns(list(evidence.case.harmonics(joint, orders)))
     return float(orders[int(np.argmax([score.gain for score in scores]))])
 
 
