@@ -16,6 +16,7 @@ from lite6jax.identifiability.monte_carlo import refit
 from lite6jax.identifiability.sensor import Sensor
 
 OURS, NUMPY, SCIPY = "lite6jax", "NumPy, finite differences", "SciPy, one by one"
+LIMIT = "limit"
 GREEDY = "NumPy, exchange over all candidates"
 STEP = 1e-6
 """m and rad of the rival's forward differences."""
@@ -47,6 +48,9 @@ def _information(experiment: Experiment, q: np.ndarray) -> Iterator[Record]:
     R = experiment.root(q)
     wrong = disagreement(H / np.abs(H).max(), R.T @ R / np.abs(H).max(), 1e-12, "information")
     yield Record(work, OURS, "information alone", 1e3 * seconds, "ms", "lower", wrong)
+    J = experiment.rows(q).reshape(-1, experiment.size)
+    floor, _ = median_time(lambda: J.T @ J, 5)
+    yield Record(work, LIMIT, "JᵀJ at GEMM speed", 1e3 * floor, "ms", "lower")
 
 
 def _design(experiment: Experiment, q: np.ndarray, count: int) -> Iterator[Record]:

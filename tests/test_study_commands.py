@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 
 import numpy as np
 import pyarrow.csv
@@ -102,6 +103,25 @@ def test_identify_a_recording(capsys, measured):
     assert "These poses determine 24 of 34 unknown parameters." in text
 
 
+def test_identify_a_recording_with_physics(capsys, measured):
+    text = flat(run(capsys, "identify", measured, "--effect", "joint_compliance:joint=2")[1])
+    assert "These poses determine 25 of 35 unknown parameters." in text
+    assert "leave out all options of a set-up but --effect" in refused(
+        capsys, "identify", measured, "--sensor", "camera"
+    )
+
+
+def test_identify_takes_noise_that_is_not_declared_from_a_fit(capsys, tmp_path):
+    rng = np.random.default_rng(0)
+    q = random_positions(rng, 60, 6)
+    position = six_parameter_poses(LITE6.kinematics, q)[:, :3, 3] + 4e-5 * rng.standard_normal((60, 3))
+    settings = RecordingSettings(motion="static", tool="none")
+    path = write_recording(Recording.from_arrays(q, position=position, settings=settings), tmp_path / "run.csv")
+    document = json.loads(run(capsys, "identify", path, "--json")[1])
+    assert document["sensor"]["position_noise"] == pytest.approx(4e-5, rel=0.2)
+    assert "does not declare the noise of all that is measured" in document["notes"][-1]
+
+
 def test_identify_a_list_of_joint_positions(capsys, tmp_path):
     q = random_positions(np.random.default_rng(0), 30, 6)
     q[:, 4] = 0.3 + 0.01 * np.arange(30) / 30
@@ -169,8 +189,12 @@ def test_identify_an_arm_of_seven_joints_on_a_narrow_screen(capsys):
             ("lite6", "--effect", "joint_compliance:joint=9"),
             "joint_compliance:joint9: concerns joint 9, and the arm has 6",
         ),
-        (("ur10", "--effect", "link_compliance:link=2"), "use the six-parameter chain"),
+        (("ur10", "--effect", "link_compliance:link=2"), "needs the frames of links; add --chain six_parameter"),
         (("missing.csv",), "missing.csv"),
+        (("lite6", "--seed", "-1"), "--seed -1: give 0 or more"),
+        (("lite6", "--tool-at", "nan", "0", "0"), "--tool-at nan 0.0 0.0: give three finite numbers"),
+        (("lite6", "--payload", "-1"), "--payload -1.0: give a mass in kg, not below 0"),
+        (("lite6", "--geometry", "free"), "lite6: is an arm; --geometry and --arm are for recordings, leave them out"),
     ],
 )
 def test_what_identify_refuses(capsys, arguments, says):
@@ -223,7 +247,8 @@ def test_design(capsys, tmp_path):
     assert "14 poses of 400 candidates" in text
     assert "These poses let the fit predict positions to ±" in text
     assert "They are worth " in text
-    assert "±0.0200 mm is " in text
+    more = int(re.search(r"±0\.0200 mm takes (\d+) poses; ask for --poses \1\.", text)[1])
+    assert 14 < more < 40
     assert "28 combinations of 34 unknown parameters can be told" in text
     assert f"Wrote {out}" in said.replace("\n", "") or f"Wrote {out}\n" in said
     table = pyarrow.csv.read_csv(out)
@@ -300,11 +325,25 @@ def test_design_of_an_arm_from_a_file(capsys, tmp_path):
         (("--limit-margin", "900"), "leaves joint1 no room; give a smaller one"),
         (("--rivals", "joint_compliance:joint=2", "joint_harmonic:joint=2,order=1"), "no parameter is given"),
         (("--geometry", "none.urdf"), "none.urdf"),
+        (("--seed", "-3"), "--seed -3: give 0 or more"),
+        (("--floor", "nan"), "--floor nan: give a height in mm"),
+        (
+            ("--rivals", "joint_scale:joint=2,scale=1e-4", "joint_offset:joint=2", "--criterion", "D"),
+            "--rivals: chooses what tells two effects apart; leave --criterion and --accuracy out",
+        ),
     ],
 )
 def test_what_design_refuses(capsys, tmp_path, arguments, says):
     assert says in refused(capsys, "design", "lite6", *arguments, "--out", tmp_path / "poses.csv")
     assert not (tmp_path / "poses.csv").exists()
+
+
+def test_the_shapes_of_another_arm_are_refused(capsys, tmp_path):
+    from lite6jax.arms.files import write_urdf
+
+    other = write_urdf(load_bundled("xarm7"), tmp_path / "x.urdf")
+    line = refused(capsys, "design", "lite6", "--geometry", other, "--out", tmp_path / "poses.csv")
+    assert line == f"{other}: is of another arm than lite6; give its own URDF, or name the tip"
 
 
 def test_design_replaces_nothing_unasked(capsys, tmp_path):

@@ -62,6 +62,11 @@ class Setup:
         from lite6jax.identifiability.information import plan_experiment
         from lite6jax.identifiability.sensor import sensor_named
 
+        for name, numbers in (("tool-at", self.tool_at), ("center", self.center), ("axis", self.axis)):
+            if not np.isfinite(numbers).all():
+                raise InputError(f"--{name} {' '.join(map(str, numbers))}: give three finite numbers")
+        if not (math.isfinite(self.payload) and self.payload >= 0):
+            raise InputError(f"--payload {self.payload}: give a mass in kg, not below 0")
         sensor = sensor_named(self.sensor).with_noise(
             None if self.position_noise is None else self.position_noise / 1e3,
             None if self.orientation_noise is None else math.radians(self.orientation_noise),
@@ -83,7 +88,14 @@ class Setup:
         from lite6jax.physics.catalogue import parse_effect
 
         effects, values = zip(*(parse_effect(text, neutral=True) for text in self.effect), strict=True)
-        return replace(setup, payload=self.payload).with_physics(effects, np.concatenate(values))
+        try:
+            return replace(setup, payload=self.payload).with_physics(effects, np.concatenate(values))
+        except InputError as error:
+            if "six-parameter chain" in str(error):
+                raise InputError(
+                    f"{', '.join(self.effect)}: needs the frames of links; add --chain six_parameter"
+                ) from error
+            raise
 
 
 @dataclass(frozen=True)
@@ -126,8 +138,10 @@ class Identify:
         from lite6jax.arms.files import read_arm
         from lite6jax.fitting.fit import load_nominal, read_source
         from lite6jax.identifiability.identify import identify, identify_recording
+        from lite6jax.physics.catalogue import parse_effect
         from lite6jax.recordings import Recording, recording_file
 
+        _check_seed(self.seed)
         names = [f"{_stem(self.source)}_{what}" for what in ("singular_values", "correlation", "deviations")]
         if self.figures:
             from lite6jax.report import canvas
@@ -138,6 +152,8 @@ class Identify:
         if file is None:
             if self.poses < 1:
                 raise InputError(f"--poses {self.poses}: give at least 1")
+            if self.geometry != "declared" or self.arm is not None:
+                raise InputError(f"{self.source}: is an arm; --geometry and --arm are for recordings, leave them out")
             found = identify(
                 self.setup.experiment(read_arm(self.source)), poses=self.poses, refits=self.refits, seed=self.seed
             )
@@ -153,8 +169,14 @@ class Identify:
                     self.setup.experiment(arm), recording.joint_position, refits=self.refits, seed=self.seed
                 )
             else:
+                if replace(self.setup, effect=()) != Setup():
+                    raise InputError(
+                        f"{self.source}: has measured poses, and its sidecar says how; leave out all options of a"
+                        " set-up but --effect"
+                    )
+                effects = [parse_effect(text, neutral=True)[0] for text in self.setup.effect]
                 found = identify_recording(
-                    recording, nominal, geometry=self.geometry, refits=self.refits, seed=self.seed
+                    recording, nominal, geometry=self.geometry, effects=effects, refits=self.refits, seed=self.seed
                 )
 
         from lite6jax.report import screen, study_tables
@@ -211,6 +233,7 @@ class Sensitivity:
         from lite6jax.identifiability.sensitivity import global_sensitivity, sensitivity
         from lite6jax.report import canvas, screen, study_tables
 
+        _check_seed(self.seed)
         for name, value in (("length", self.length), ("angle", self.angle)):
             if not (math.isfinite(value) and value >= 0) or self.length == self.angle == 0:
                 raise InputError(f"--{name} {value}: give one standard deviation, not below 0, and not both 0")
@@ -249,10 +272,10 @@ class Design:
             joint_harmonic:joint=2,order=1 --out poses.csv
     """
 
-    source: Annotated[Positional[str], arg(metavar="ARM|FILE")]
-    """A bundled arm or an arm's file."""
     out: Annotated[Path, arg(metavar="FILE")]
     """Write the joint positions here (.csv or .parquet), in an order of short moves, and a sidecar beside it."""
+    source: Annotated[Positional[str], arg(metavar="ARM|FILE")] = "lite6"
+    """A bundled arm or an arm's file."""
     setup: Setup = Setup()
     poses: int = 40
     """How many."""
@@ -274,8 +297,8 @@ class Design:
     """Height that every joint, flange and tool stay above."""
     link_radius: Annotated[float | None, arg(metavar="MM")] = None
     """Of the capsules that stand for the links; a twentieth of the reach where not given, 0 for no check."""
-    geometry: Annotated[Path | None, arg(metavar="URDF")] = None
-    """Take the links' shapes from this URDF's collision geometry instead."""
+    geometry: Annotated[str | None, arg(metavar="URDF")] = None
+    """Take the links' shapes from this URDF's collision geometry instead (robot.urdf#tip)."""
     filter: Annotated[tuple[str, ...], UseAppendAction, arg(metavar="FILE.py:FUNCTION")] = ()
     """A function of yours: (sample, joint) rad to bool, true where a pose may be recorded. Runs the file."""
     refine: bool = True
@@ -299,6 +322,11 @@ class Design:
 
         check_writable(self.out, self.force)
         check_writable(sidecar_path(self.out), self.force)
+        _check_seed(self.seed)
+        if self.rivals is not None and (self.criterion != "I" or self.accuracy is not None):
+            raise InputError("--rivals: chooses what tells two effects apart; leave --criterion and --accuracy out")
+        if self.floor is not None and not math.isfinite(self.floor):
+            raise InputError(f"--floor {self.floor}: give a height in mm")
         if self.accuracy is not None and not self.accuracy > 0:
             raise InputError(f"--accuracy {self.accuracy}: give a standard deviation in mm, above 0")
         name = f"{self.out.stem}_accuracy"
@@ -325,7 +353,10 @@ class Design:
             "seed": self.seed,
         }
         if self.rivals is None:
-            found = plan_poses(experiment, drawn.joint_position, self.poses, criterion=self.criterion, **asked)
+            wish = None if self.accuracy is None else self.accuracy / 1e3
+            found = plan_poses(
+                experiment, drawn.joint_position, self.poses, criterion=self.criterion, accuracy=wish, **asked
+            )
         else:
             from lite6jax.physics.catalogue import parse_effect
 
@@ -356,12 +387,15 @@ class Design:
             filters.append(candidates.inside_box(arm, candidates.Box(low, high), at))  # type: ignore[arg-type]
         if self.floor is not None:
             filters.append(candidates.above_floor(arm, self.floor / 1e3, at))
-        if self.link_radius != 0:
+        if self.geometry is not None:
+            file, _, tip = str(self.geometry).partition("#")
+            capsules = clearance.urdf_capsules(file, arm, tip=tip or None)
+        elif self.link_radius != 0:
             radius = None if self.link_radius is None else self.link_radius / 1e3
-            if self.geometry is None:
-                capsules = clearance.chain_capsules(arm, radius, at)
-            else:
-                capsules = clearance.urdf_capsules(self.geometry)
+            capsules = clearance.chain_capsules(arm, radius, at)
+        else:
+            capsules = []
+        if capsules:
             apart = clearance.self_collision(arm, capsules)
             disabled = apart.disabled
             filters.append(candidates.clear_of_itself(apart))
@@ -375,6 +409,11 @@ class Design:
         if self.source in bundled_arms():
             return self.source
         return Path(os.path.relpath(Path(self.source).resolve(), self.out.resolve().parent)).as_posix()
+
+
+def _check_seed(seed: int) -> None:
+    if seed < 0:
+        raise InputError(f"--seed {seed}: give 0 or more")
 
 
 def _stem(source: str) -> str:

@@ -1,6 +1,7 @@
 """Joint positions among which a design may choose: inside the limits, and where every filter lets them be."""
 
 import importlib.util
+import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -115,7 +116,7 @@ def inside_limits(arm: Arm, margin: float = 0.0) -> NDArray[np.floating]:
     limits = arm.joint_limits + np.array([margin, -margin])
     for i, (lower, upper) in enumerate(limits):
         if not lower < upper:
-            raise InputError(f"limit margin {margin:g} rad: leaves joint{i + 1} no room; give a smaller one")
+            raise InputError(f"limit margin {np.rad2deg(margin):g}°: leaves joint{i + 1} no room; give a smaller one")
     return limits
 
 
@@ -180,6 +181,7 @@ def user_filter(reference: str) -> Filter:
     assert spec is not None
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
+    sys.modules[module.__name__] = module  # dataclasses and type hints look their module up there
     try:
         spec.loader.exec_module(module)
     except Exception as error:

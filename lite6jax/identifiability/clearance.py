@@ -22,6 +22,8 @@ ALWAYS = 0.95
 """A pair that overlaps in more than this share of poses overlaps by construction (MoveIt's setup assistant does so)."""
 SLENDERNESS = 20.0
 """Reach over radius where no radius is given: 4 cm on a Lite 6, 10 cm on a UR10e; an assumption, not a measurement."""
+_SAME_ARM = 0.02
+"""m between the flanges of one arm as two files describe it: calibrations differ by less, other arms by more."""
 _SAMPLES = 2048
 _BLOCK = 4096
 _MESH_SIZE_LIMIT = 1 << 26
@@ -124,8 +126,15 @@ def chain_capsules(
     ]
 
 
-def urdf_capsules(path: str | Path, base: str | None = None, tip: str | None = None) -> list[Capsule]:
+def urdf_capsules(
+    path: str | Path, arm: Arm | None = None, base: str | None = None, tip: str | None = None
+) -> list[Capsule]:
     """Capsules that enclose a URDF's collision geometry, for the arm that `read_urdf` gives with the same arguments.
+
+    Args:
+        path: the URDF.
+        arm: the arm that they are for, which is checked against the URDF's own; not where not given.
+        base, tip: as of `read_urdf`.
 
     A sphere and a cylinder are enclosed tightly; a box and a mesh by a capsule along their longest principal axis.
     Meshes are STL files, sought beside the URDF and, for package://, in the folders above it.
@@ -134,6 +143,11 @@ def urdf_capsules(path: str | Path, base: str | None = None, tip: str | None = N
         InputError: as `read_urdf`, no collision geometry, a shape of another kind or size, a mesh that is absent, too
             large or no STL.
     """
+    if arm is not None:
+        own = urdf.read_urdf(path, base, tip)
+        q = sample_joints(arm.dof) if own.dof == arm.dof else None
+        if q is None or np.abs(frames.chain(own.links, q) - frames.chain(arm.links, q))[:, :3, 3].max() > _SAME_ARM:
+            raise InputError(f"{path}: is of another arm than {arm.name}; give its own URDF, or name the tip")
     capsules: list[Capsule] = []
     for link, element, T in urdf.carried_links(path, base, tip):
         name = element.get("name", "")

@@ -16,6 +16,8 @@ Array = NDArray[np.floating]
 
 _DEPENDENT = 1e-8
 """Sine of a column to the span of those before it, below which it adds nothing; rounding leaves 1e-15."""
+_ON_AXIS = 1e-6
+"""m."""
 _UNFELT = 1e-10
 """Length of a column over the longest, below which readings do not feel the parameter."""
 _TAKES_PART = 1e-6
@@ -91,7 +93,7 @@ class Determination:
         samples: how many readings.
         singular_values: `(size,)`, falling: standard deviations of all readings together per tolerance of a direction.
             Those beyond the rank are rounding.
-        directions: `(size, size)`, the direction of each in its column, in tolerances.
+        open_directions: `(size, k)`, orthonormal, in tolerances: what neither readings nor prior determine.
         rank: how many combinations of them the readings determine.
         free: `(size,)` bool, a largest set of parameters that readings and what is known beforehand determine together;
             the others are held.
@@ -106,7 +108,7 @@ class Determination:
     scale: Array
     samples: int
     singular_values: Array
-    directions: Array
+    open_directions: Array
     rank: int
     free: NDArray[np.bool_]
     dependencies: tuple[Dependency, ...]
@@ -130,13 +132,8 @@ class Determination:
         sigma = np.where(self.free, self.standard_deviation, 1.0)
         return self.covariance / np.outer(sigma, sigma)
 
-    @property
-    def condition(self) -> float:
-        """The largest determined singular value over the smallest."""
-        return float(self.singular_values[0] / self.singular_values[self.rank - 1]) if self.rank else np.inf
-
     def weak(self) -> tuple[str, ...]:
-        """Free parameters that readings know no better than the tolerance does."""
+        """Free parameters that readings and prior know no better than the tolerance does."""
         worse = self.free & (self.standard_deviation > self.scale)
         return tuple(self.names[i] for i in np.flatnonzero(worse))
 
@@ -160,7 +157,7 @@ def determine(experiment: Experiment, joint_position: ArrayLike) -> Determinatio
 def determination_of(experiment: Experiment, root: Array, samples: int) -> Determination:
     """As `determine`, from an R `(size, size)` with RᵀR the readings' information, in tolerances."""
     names, units, unit = experiment.names, experiment.units, experiment.unit
-    _, singular, right = np.linalg.svd(root)
+    singular = np.linalg.svd(root, compute_uv=False)
     order = _order(experiment)
     told, shares = _independent(root, order)
     dependencies = []
@@ -193,34 +190,47 @@ def determination_of(experiment: Experiment, root: Array, samples: int) -> Deter
         scale=unit,
         samples=samples,
         singular_values=singular,
-        directions=right.T,
+        open_directions=_null(np.vstack([root, np.diag(known)]), len(names) - int(free.sum())),
         rank=int(told.sum()),
         free=free,
         dependencies=tuple(dependencies),
         base=base,
-        theory=count(experiment.form, experiment.sensor.quantity) if whole else None,
+        theory=count(experiment.form, experiment.sensor.quantity, on_last_axis(experiment)) if whole else None,
         covariance=covariance,
     )
 
 
-def count(form: ModelForm, quantity: Quantity) -> int:
+def count(form: ModelForm, quantity: Quantity, on_last_axis: bool = False) -> int | None:
     """How many parameters the best poses determine of a generic arm with revolute joints, by counting.
 
     By the product of exponentials a chain is its joints' axes, 4 numbers each, and the flange's pose, 6 (R. Brockett,
     1984; B. Mooring, Z. Roth, M. Driels, Fundamentals of Manipulator Calibration, 1991): 4 n + 6, all of them felt by
     full poses. A chain without a free tool has a flange that its last axis carries in a set way: 4 n + 4 of Hayati's,
     4 n + 2 of six parameters. Positions feel of the flange's pose only the point (3), and one axis or one distance
-    leaves three motions of the whole arm unfelt. A point on the last joint's own axis is felt less than this says.
+    leaves three motions of the whole arm unfelt.
+
+    Args:
+        form: the parameters.
+        quantity: what is read.
+        on_last_axis: whether the point read lies on the last joint's axis, which then does not move it. Six parameters
+            feel three numbers less for it; Hayati's form, whose last a moves the point off, is counted as off.
+
+    Returns:
+        None where an arm of one joint moves too little for the count to hold.
     """
     n = form.chain.dof
-    if quantity in ("position", "axis", "distance"):
-        felt = 4 * n + 3
-        if not form.tool and not isinstance(form.chain, HayatiForm):
-            felt = 4 * n - 1  # the last joint turns about the point: its axis is two numbers less, its angle none
-        return felt - (0 if quantity == "position" else 3)
-    if form.tool:
-        return 4 * n + 6
-    return 4 * n + (4 if isinstance(form.chain, HayatiForm) else 2)
+    hayati = isinstance(form.chain, HayatiForm)
+    if quantity == "pose":
+        return 4 * n + (6 if form.tool else 4 if hayati else 2)
+    if n == 1 and quantity != "position":
+        return None
+    felt = 4 * n + 3 if form.tool or hayati else 4 * n - 1 if on_last_axis else 4 * n + 2
+    return felt if quantity == "position" else felt - 3
+
+
+def on_last_axis(experiment: Experiment) -> bool:
+    """Whether the measured point lies on the last joint's axis, so that this joint does not move it."""
+    return bool(np.hypot(*np.asarray(experiment.model.T_flange_tool)[:2, 3]) < _ON_AXIS)
 
 
 def _order(experiment: Experiment) -> list[int]:
@@ -228,6 +238,14 @@ def _order(experiment: Experiment) -> list[int]:
     geometry = int(experiment.movable[: experiment.form.chain.size].sum())
     rigid = int(experiment.movable[: experiment.form.size].sum())
     return [*range(geometry, rigid), *range(geometry), *range(rigid, experiment.size)]
+
+
+def _null(root: Array, size: int) -> Array:
+    """The `size` directions that a matrix feels least, orthonormal, with its columns made comparable first."""
+    length = np.linalg.norm(root, axis=0)
+    scale = np.where(length > _UNFELT * length.max(initial=0.0), length, max(length.max(initial=0.0), 1e-300))
+    right = np.linalg.svd(root / scale)[2]
+    return np.linalg.qr((right[len(scale) - size :] / scale).T)[0]
 
 
 def _independent(root: Array, order: list[int]) -> tuple[NDArray[np.bool_], dict[int, Array]]:

@@ -1,19 +1,22 @@
 """One answer to "what do these poses determine, and how well": of an arm with poses to come, or of a recording."""
 
-from dataclasses import asdict, dataclass
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lite6jax.arms.arm import Arm
+from lite6jax.fitting.fit import fit_recording
 from lite6jax.fitting.fleet import sample_within_limits
 from lite6jax.fitting.problem import Geometry
 from lite6jax.identifiability.determination import Determination, determine
 from lite6jax.identifiability.indices import Observability, observability
 from lite6jax.identifiability.information import Experiment, recorded
 from lite6jax.identifiability.monte_carlo import Refits, refit
-from lite6jax.identifiability.sensor import Sensor
+from lite6jax.identifiability.sensor import BARE
+from lite6jax.physics.effect import Effect
 from lite6jax.recordings import Recording
 
 Array = NDArray[np.floating]
@@ -22,8 +25,8 @@ WORKSPACE = 1000
 """Joint positions inside the limits over which accuracy is averaged, and at which an arm shows all it can."""
 NARROW = np.deg2rad(10.0)
 """A joint that moves over less than this tells little of what stands on either side of it."""
-_BARE = Sensor("pose", 1.0, 1.0)
-_ON_AXIS = 1e-6
+_TOLD = 1e-6
+"""Share of the readings' change that may lie in directions nothing determines; rounding leaves 1e-12."""
 
 
 class Accuracy(NamedTuple):
@@ -32,10 +35,14 @@ class Accuracy(NamedTuple):
     Attributes:
         position: `(sample,)` m, 3-D.
         orientation: `(sample,)` rad.
+        position_told: whether all that positions depend on is determined; else they may be off by more.
+        orientation_told: likewise.
     """
 
     position: Array
     orientation: Array
+    position_told: bool
+    orientation_told: bool
 
     @property
     def position_rms(self) -> float:
@@ -60,6 +67,7 @@ class Identification:
         observability: the indices, or None where nothing is determined.
         accuracy: over the arm's whole workspace.
         refits: of simulated readings, where they were asked for.
+        notes: what was assumed of a recording, a sentence each.
     """
 
     experiment: Experiment
@@ -69,6 +77,7 @@ class Identification:
     observability: Observability | None
     accuracy: Accuracy
     refits: Refits | None
+    notes: tuple[str, ...] = ()
 
     @property
     def missed(self) -> int:
@@ -114,22 +123,18 @@ class Identification:
             "correlation": [[float(value) for value in row] for row in d.correlation],
             "observability": None if self.observability is None else asdict(self.observability),
             "predicted_accuracy": {
-                "position_rms_m": self.accuracy.position_rms,
-                "orientation_rms_rad": self.accuracy.orientation_rms,
+                "position_rms_m": self.accuracy.position_rms if self.accuracy.position_told else None,
+                "orientation_rms_rad": self.accuracy.orientation_rms if self.accuracy.orientation_told else None,
             },
             "refits": None
             if self.refits is None
             else {
                 "count": len(self.refits.errors),
                 "settled": int(self.refits.settled.sum()),
-                "std_over_predicted": [float(value) for value in self.refits.ratio],
+                "std_over_predicted": [float(value) if np.isfinite(value) else None for value in self.refits.ratio],
             },
+            "notes": list(self.notes),
         }
-
-    @property
-    def on_last_axis(self) -> bool:
-        """Whether the measured point lies on the last joint's axis, which then shows nothing but its orientation."""
-        return bool(np.hypot(*np.asarray(self.experiment.model.T_flange_tool)[:2, 3]) < _ON_AXIS)
 
 
 def identify(
@@ -143,7 +148,7 @@ def identify(
     """What poses determine of an experiment's parameters, and how well.
 
     Args:
-        experiment: from `plan` or `recorded`.
+        experiment: from `plan_experiment` or `recorded`.
         joint_position: `(sample, joint)` rad; drawn inside the arm's limits where not given.
         poses: how many to draw.
         refits: of simulated readings, to put the prediction to the test; 0 is none.
@@ -163,30 +168,53 @@ def identify(
         determination=determination,
         possible=determine(experiment, workspace),
         observability=observability(determination.singular_values[:rank], len(q)) if rank else None,
-        accuracy=predicted_accuracy(experiment, determination.covariance, workspace),
+        accuracy=predicted_accuracy(experiment, determination, workspace),
         refits=refit(experiment, q, refits, seed) if refits else None,
     )
 
 
 def identify_recording(
-    recording: Recording, arm: Arm | None = None, *, geometry: Geometry = "declared", refits: int = 0, seed: int = 0
+    recording: Recording,
+    arm: Arm | None = None,
+    *,
+    geometry: Geometry = "declared",
+    effects: Sequence[Effect] = (),
+    refits: int = 0,
+    seed: int = 0,
 ) -> Identification:
-    """As `identify`, of the poses, the sensor and the unknowns of a recording.
+    """As `identify`, of the poses, the sensor and the unknowns of a recording, and of effects if given.
+
+    Where the sidecar does not declare the noise of all that is measured, it is taken from the residuals of a fit.
 
     Raises:
         InputError: as `recorded`.
     """
-    return identify(recorded(recording, arm, geometry), recording.joint_position, refits=refits, seed=seed)
+    experiment = recorded(recording, arm, geometry)
+    notes = list(recording.notes)
+    settings, sensor = recording.settings, experiment.sensor
+    if settings.position_noise_m is None or (sensor.rows == 6 and settings.orientation_noise_rad is None):
+        noise = fit_recording(recording, arm, geometry=geometry).noise
+        assert noise is not None
+        experiment = experiment.with_sensor(sensor.with_noise(noise.position, noise.orientation))
+        notes.append("the sidecar does not declare the noise of all that is measured: it is that of a fit's residuals")
+    if effects:
+        experiment = experiment.with_physics(effects)
+    found = identify(experiment, recording.joint_position, refits=refits, seed=seed)
+    return replace(found, notes=tuple(notes))
 
 
-def predicted_accuracy(experiment: Experiment, covariance: Array, joint_position: ArrayLike) -> Accuracy:
-    """How well a model fitted with `covariance` `(size, size)` (m, rad) predicts the tool at other joint positions.
+def predicted_accuracy(experiment: Experiment, determination: Determination, joint_position: ArrayLike) -> Accuracy:
+    """How well a model fitted to what determines it predicts the tool at other joint positions.
 
     Args:
         experiment: the model.
-        covariance: of its unknown parameters; zero where held, so that what is held wrongly does not count.
+        determination: of its unknown parameters.
         joint_position: `(sample, joint)` rad.
     """
-    J = experiment.with_sensor(_BARE).rows(joint_position) / experiment.unit
-    spread = np.sum((J @ covariance) * J, 2)
-    return Accuracy(np.sqrt(spread[:, :3].sum(1)), np.sqrt(spread[:, 3:].sum(1)))
+    J = experiment.with_sensor(BARE).rows(joint_position)
+    spread = np.sum((J / experiment.unit @ determination.covariance) * (J / experiment.unit), 2)
+    lost = J @ determination.open_directions
+    told = [
+        bool(np.linalg.norm(lost[:, part]) <= _TOLD * np.linalg.norm(J[:, part])) for part in (slice(3), slice(3, 6))
+    ]
+    return Accuracy(np.sqrt(spread[:, :3].sum(1)), np.sqrt(spread[:, 3:].sum(1)), *told)

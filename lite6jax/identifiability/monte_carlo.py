@@ -20,10 +20,12 @@ from lite6jax.physics.composition import Physics
 
 Array = NDArray[np.floating]
 
+_TOGETHER = 200_000
+"""Readings simulated in one call: 1000 refits of 200 poses; more go batch by batch, so that memory is bounded."""
 STEPS = 12
 """Most steps of a refit. The curvature stays that of the truth, from which noise leads away by 1e-4 of its size or so:
 each step leaves that share of the error, four leave rounding."""
-_SETTLED = 1e-9
+_SETTLED = 1e-4
 """Length of the last step, in standard deviations, under which a refit has settled."""
 
 
@@ -43,8 +45,9 @@ class Refits:
 
     @property
     def standard_deviation(self) -> Array:
-        """`(size,)` as it came out, m and rad, about the truth."""
-        return np.sqrt(np.mean(self.errors**2, 0))
+        """`(size,)` as it came out of those that settled, m and rad, about the truth; NaN where none did."""
+        errors = self.errors[self.settled]
+        return np.sqrt(np.mean(errors**2, 0)) if len(errors) else np.full(self.errors.shape[1], np.nan)
 
     @property
     def ratio(self) -> Array:
@@ -78,26 +81,22 @@ def refit(experiment: Experiment, joint_position: ArrayLike, count: int = 1000, 
     precision = experiment.precision[active]
 
     random = np.random.default_rng(seed)
-    noise = random.standard_normal((count, sensor.rows, len(q))) * sensor.noise[:, None]
-    read_out = sensor.joint_noise * random.standard_normal((count, *q.shape)) if sensor.joint_noise else None
-    center = random.standard_normal((count, len(active))) / np.sqrt(np.where(precision > 0, precision, np.inf))
-    steps, lengths = _refit(
-        form,
-        experiment.physics,
-        sensor,
-        experiment.numbers,
-        q,
-        experiment.direction(q),
-        np.eye(len(experiment.movable))[active],
-        covariance,
-        precision,
-        noise,
-        np.zeros((1, *q.shape)) if read_out is None else read_out,
-        center,
-    )
-    errors = np.zeros((count, experiment.size))
-    errors[:, determination.free] = steps
-    return Refits(determination, errors, np.asarray(lengths) < _SETTLED)
+    together = min(count, max(_TOGETHER // len(q), 1))
+    spread = 1 / np.sqrt(np.where(precision > 0, precision, np.inf))
+    select, static = np.eye(len(experiment.movable))[active], (form, experiment.physics, sensor)
+    shared = (experiment.numbers, q, experiment.direction(q), select, covariance, precision)
+    errors, lengths = np.zeros((count, experiment.size)), np.zeros(count)
+    for first in range(0, count, together):
+        drawn = random.standard_normal((together, sensor.rows, len(q))) * sensor.noise[:, None]
+        read_out = np.zeros((1, *q.shape))
+        if sensor.joint_noise:
+            read_out = sensor.joint_noise * random.standard_normal((together, *q.shape))
+        center = spread * random.standard_normal((together, len(active)))
+        steps, ends = _refit(*static, *shared, drawn, read_out, center)
+        part = slice(first, min(first + together, count))
+        errors[part, determination.free] = np.asarray(steps)[: part.stop - part.start]
+        lengths[part] = np.asarray(ends)[: part.stop - part.start]
+    return Refits(determination, errors, lengths < _SETTLED)
 
 
 @partial(jax.jit, static_argnums=(0, 1, 2))

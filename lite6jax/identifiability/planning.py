@@ -22,7 +22,7 @@ from lite6jax.identifiability.design import Design, choose
 from lite6jax.identifiability.identify import WORKSPACE
 from lite6jax.identifiability.information import Experiment
 from lite6jax.identifiability.refine import Refinement, refine
-from lite6jax.identifiability.sensor import Sensor
+from lite6jax.identifiability.sensor import BARE
 from lite6jax.physics.effect import Effect
 
 Array = NDArray[np.floating]
@@ -32,8 +32,9 @@ RANDOM = 50
 """Random selections that a design is compared with, at every number of poses."""
 MOST_POSES = 400
 """How far their curves go."""
-_BARE = Sensor("pose", 1.0, 1.0)
 _NOTHING = 1e-12
+_TOLD = 1e-6
+"""Share of what moves positions over the workspace that may lie in directions no candidate determines."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +52,9 @@ class Plan:
             3-D) after the first 1, 2, … poses; infinite where these do not determine it.
         random_accuracy: `(draw, count)` m, the same of poses drawn at random from the candidates.
         efficiency: how many times the poses of each of those draws would have to be repeated to be worth the design,
-            by the criterion, `(draw,)`.
+            by the criterion, `(draw,)`; infinite where they do not determine all. None where something is known or
+            recorded beforehand, which is not repeated.
+        needed: how many poses reach the accuracy that was wished for; None where none was, or `MOST_POSES` do not.
     """
 
     experiment: Experiment
@@ -62,7 +65,8 @@ class Plan:
     refinement: Refinement | None
     accuracy: Array
     random_accuracy: Array
-    efficiency: Array
+    efficiency: Array | None
+    needed: int | None = None
 
     @property
     def count(self) -> int:
@@ -96,12 +100,13 @@ def plan_poses(
     refined: bool = True,
     limits: ArrayLike | None = None,
     feasible: Callable[[Array], NDArray[np.bool_]] | None = None,
+    accuracy: float | None = None,
     seed: int = 0,
 ) -> Plan:
     """Chooses the poses to record, by exchange among candidates and then by gradient between them.
 
     Args:
-        experiment: the model and the sensor, from `plan` or `recorded`; what it knows beforehand counts.
+        experiment: the model and the sensor, from `plan_experiment` or `recorded`; what it knows beforehand counts.
         candidates: `(candidate, joint)` rad, those that may be chosen.
         count: how many to choose.
         criterion: D: the volume of the parameters' confidence ellipsoid; A: their mean variance (in tolerances); E:
@@ -109,6 +114,7 @@ def plan_poses(
         recorded: `(sample, joint)` rad, poses that are recorded already and count.
         refined: whether to move the chosen poses on, as long as the criterion gains.
         limits: `(joint, 2)` rad, inside which they may move; the arm's where not given.
+        accuracy: m, a wish: how many poses reach it is found by designs of more poses where these do not.
         feasible: which of `(sample, joint)` poses may be recorded, `(sample,)` bool; all where not given.
         seed: of the random comparison and of the workspace.
 
@@ -125,10 +131,21 @@ def plan_poses(
     chosen, refinement = _refined(experiment, q[design.indices], by, prior, refined, limits, feasible)
     curve = _Curve(rows, prior, over)
     random = np.random.default_rng(seed)
-    length = min(max(4 * count, 60), MOST_POSES, len(q))
+    length = min(max(count, min(max(4 * count, 60), MOST_POSES)), len(q))
     draws = np.stack([random.choice(len(q), length, replace=False) for _ in range(RANDOM)])
     chosen_rows = experiment.rows(chosen)
-    efficiency = _efficiency(by, rows, prior, draws[:, :count], chosen_rows)
+    needed, more, reached = None, count, curve(chosen_rows)
+    while accuracy is not None:
+        enough = np.flatnonzero(reached <= accuracy)
+        if len(enough):
+            needed = int(enough[0]) + 1
+            break
+        if more >= min(MOST_POSES, len(q)) or not curve.told:
+            break
+        more = min(2 * more, MOST_POSES, len(q))
+        reached = curve(rows[choose(rows, more, by, prior=prior, seed=seed).indices])
+    alone = not prior.any()
+    efficiency = _efficiency(by, rows, prior, draws[:, :count], chosen_rows) if alone else None
     return Plan(
         experiment=experiment,
         joint_position=chosen,
@@ -139,6 +156,7 @@ def plan_poses(
         accuracy=curve(chosen_rows),
         random_accuracy=np.stack([curve(rows[draw]) for draw in draws]),
         efficiency=efficiency,
+        needed=needed,
     )
 
 
@@ -279,7 +297,7 @@ def _information_there(experiment: Experiment, recorded: ArrayLike | None) -> Ar
     """What is known beforehand, and by poses that are recorded already."""
     if recorded is None or not len(np.asarray(recorded)):
         return experiment.prior
-    return experiment.information(recorded)
+    return replace(experiment, approach="sequence").information(recorded)
 
 
 def _refined(
@@ -310,12 +328,16 @@ class _Curve:
 
     def __init__(self, rows: Array, prior: Array, over: Array) -> None:
         self.coordinates, self.prior = determined_coordinates(rows, prior), prior
-        flat = over.reshape(-1, over.shape[2]) @ self.coordinates.outward
+        flat = over.reshape(-1, over.shape[2])
+        basis = np.linalg.qr(self.coordinates.outward)[0]
+        lost = np.linalg.norm(flat - flat @ basis @ basis.T)
+        self.told = bool(lost <= _TOLD * np.linalg.norm(flat))
+        flat = flat @ self.coordinates.outward
         self.weight = flat.T @ flat / len(over)
 
     def __call__(self, rows: Array) -> Array:
         eigenvalues, V = np.linalg.eigh(_informations(rows, self.prior, self.coordinates))
-        told = eigenvalues[:, 0] > _NOTHING * eigenvalues[:, -1]
+        told = (eigenvalues[:, 0] > _NOTHING * eigenvalues[:, -1]) & self.told
         spread = np.einsum("nij,ik,nkj->nj", V, self.weight, V) / np.where(told[:, None], eigenvalues, 1.0)
         return np.where(told, np.sqrt(spread.sum(1)), np.inf)
 
@@ -323,7 +345,7 @@ class _Curve:
 def _workspace_rows(experiment: Experiment, seed: int) -> Array:
     """`(pose, 3, size)`: how predicted positions move with the parameters, m per tolerance."""
     q = sample_within_limits(experiment.arm, WORKSPACE, seed + 1)
-    return experiment.with_sensor(_BARE).rows(q)[:, :3]
+    return experiment.with_sensor(BARE).rows(q)[:, :3]
 
 
 def _efficiency(by: Criterion, rows: Array, prior: Array, draws: NDArray[np.integer], chosen: Array) -> Array:
@@ -333,7 +355,10 @@ def _efficiency(by: Criterion, rows: Array, prior: Array, draws: NDArray[np.inte
 
     ends = [_informations(some, prior, coordinates)[-1] for some in (chosen, *(rows[draw] for draw in draws))]
     reached, *others = _judged(inside, np.stack(ends), -np.inf)
-    return np.array([by.efficiency(float(reached), float(value), rank) for value in others])
+    # a draw that does not determine all is worth nothing, however often it is repeated
+    return np.array([
+        by.efficiency(float(reached), float(value), rank) if np.isfinite(value) else np.inf for value in others
+    ])  # fmt: skip
 
 
 def _judged(criterion: Criterion, informations: Array, otherwise: float) -> Array:

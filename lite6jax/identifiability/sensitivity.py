@@ -15,13 +15,12 @@ from lite6jax.errors import InputError
 from lite6jax.fitting.fleet import sample_within_limits
 from lite6jax.fitting.residual import predict_frames
 from lite6jax.identifiability.information import TOLERANCE, Chain, Experiment, plan_experiment
-from lite6jax.identifiability.sensor import Sensor
+from lite6jax.identifiability.sensor import BARE
 from lite6jax.model import ArmModel, ModelForm
 
 Array = NDArray[np.floating]
 Measure = Literal["max", "rms"]
 
-_BARE = Sensor("pose", 1.0, 1.0)
 _TOGETHER = 256
 """Arms evaluated together: their frames stay in cache."""
 
@@ -35,6 +34,7 @@ class Sensitivity:
         tolerance: `(parameter,)` m or rad.
         joint_position: `(sample, joint)` rad, where.
         flange_position: `(sample, 3)` m, nominal, in the base frame.
+        per_unit: `(parameter,)` root-mean-square m of the flange per m or rad of each.
         position: `(sample, parameter)` m that the flange moves per tolerance.
         orientation: `(sample, parameter)` rad that it turns.
     """
@@ -44,13 +44,9 @@ class Sensitivity:
     tolerance: Array
     joint_position: Array
     flange_position: Array
+    per_unit: Array
     position: Array
     orientation: Array
-
-    @property
-    def per_unit(self) -> Array:
-        """`(parameter,)` root-mean-square m of the flange per m or rad of each."""
-        return np.sqrt(np.mean(self.position**2, 0)) / self.tolerance
 
     @property
     def share(self) -> Array:
@@ -106,11 +102,18 @@ def sensitivity(
         tolerance: one standard deviation of a length (`m`) and an angle (`rad`); the seed's 0.8 mm and 0.15° where not
             given.
         samples, seed: of the joint positions drawn.
+
+    Raises:
+        InputError: tolerances of which none moves the flange.
     """
-    experiment = plan_experiment(arm, _BARE, chain=chain, frame=False)
+    experiment = plan_experiment(arm, BARE, chain=chain, frame=False)
     q = _positions(experiment, joint_position, samples, seed)
     size = np.array([tolerance[unit] for unit in experiment.units])
-    rows = experiment.rows(q) * (size / experiment.unit)
+    rows = experiment.rows(q) / experiment.unit
+    per_unit = np.sqrt(np.mean(np.sum(rows[:, :3] ** 2, 1), 0))
+    if not (per_unit * size).any():
+        raise InputError(f"{experiment.arm.name}: no tolerance given moves its flange; give one of lengths too")
+    rows = rows * size
     model = ArmModel(*(jnp.asarray(leaf) for leaf in experiment.model))
     _, tool = predict_frames(experiment.form, model, turn(jnp.asarray(q).T))
     return Sensitivity(
@@ -119,6 +122,7 @@ def sensitivity(
         tolerance=size,
         joint_position=q,
         flange_position=np.asarray(tool.origin).T,
+        per_unit=per_unit,
         position=np.linalg.norm(rows[:, :3], axis=1),
         orientation=np.linalg.norm(rows[:, 3:], axis=1),
     )
@@ -178,7 +182,7 @@ def global_sensitivity(
         raise InputError("Sobol indices need SALib; install it with: pip install 'lite6jax[sensitivity]'") from error
     if arms < 2 or arms & (arms - 1):
         raise InputError(f"{arms} arms: Sobol's sequence fills space evenly at powers of 2; give one, such as 1024")
-    experiment = plan_experiment(arm, _BARE, chain=chain, frame=False)
+    experiment = plan_experiment(arm, BARE, chain=chain, frame=False)
     q = _positions(experiment, joint_position, poses, seed)
     size = np.array([tolerance[unit] for unit in experiment.units])
     problem = {

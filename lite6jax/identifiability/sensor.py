@@ -56,6 +56,8 @@ class Sensor:
             )
         if not (np.isfinite(self.joint_noise) and self.joint_noise >= 0):
             raise InputError(f"joint noise {self.joint_noise}: give one standard deviation in rad, not below 0")
+        if not np.isfinite(self.center).all():
+            raise InputError(f"center {self.center}: give three finite numbers, in m")
         length = float(np.linalg.norm(self.direction))
         if not (np.isfinite(length) and length > 0):
             raise InputError(f"direction {self.direction}: give three numbers that are not all zero")
@@ -125,6 +127,8 @@ class Sensor:
         return tool.origin
 
 
+BARE = Sensor("pose", 1.0, 1.0)
+"""Reads poses in m and rad: what it sees of a motion of the tool is that motion."""
 SENSORS = {
     "tracker": Sensor("position", 2e-5),
     "tracker_6d": Sensor("pose", 2e-5, 1e-4),

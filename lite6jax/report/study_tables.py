@@ -9,11 +9,11 @@ from rich.text import Text
 
 from lite6jax.arms.chains import HayatiForm
 from lite6jax.identifiability.candidates import Candidates
-from lite6jax.identifiability.determination import Dependency, Determination
+from lite6jax.identifiability.determination import Dependency, Determination, on_last_axis
 from lite6jax.identifiability.identify import Identification
 from lite6jax.identifiability.information import Experiment
 from lite6jax.identifiability.monte_carlo import Refits
-from lite6jax.identifiability.planning import Plan, Separation
+from lite6jax.identifiability.planning import MOST_POSES, Plan, Separation
 from lite6jax.identifiability.sensitivity import GlobalSensitivity, Sensitivity
 from lite6jax.identifiability.sensor import Sensor
 from lite6jax.model import TWIST_NAMES
@@ -52,7 +52,9 @@ def identification_report(found: Identification, source: str, drawn: bool) -> It
         drawn: whether the poses were drawn inside the limits.
     """
     experiment, determination = found.experiment, found.determination
-    poses = f"{determination.samples} poses{' drawn inside the limits' if drawn else ''}"
+    poses = (
+        f"{determination.samples} pose{'s' * (determination.samples != 1)}{' drawn inside the limits' if drawn else ''}"
+    )
     yield Text(source, no_wrap=True, overflow="ignore")
     yield Text(f"{experiment.arm.name}, {poses}; a sensor of {described(experiment.sensor)}.")
     yield ""
@@ -65,16 +67,14 @@ def identification_report(found: Identification, source: str, drawn: bool) -> It
     yield Text("Predicted standard deviations (mm, deg)")
     yield ""
     yield from deviation_tables(experiment, determination)
-    turns = f" and ±{number(np.rad2deg(found.accuracy.orientation_rms))}°" if _turns_known(found) else ""
-    yield Text(
-        f"The fitted model predicts the whole workspace to ±{number(1e3 * found.accuracy.position_rms)} mm{turns}."
-    )
+    yield Text(_expected(found))
     yield from _warnings(determination)
     yield ""
     yield from _indices(found)
     if found.refits is not None:
         yield ""
         yield Text(refits_in_words(found.refits))
+    yield from (Text(f"Note: {note[0].upper()}{note[1:]}{'' if note.endswith('.') else '.'}") for note in found.notes)
 
 
 def _verdict(found: Identification) -> str:
@@ -87,21 +87,28 @@ def _reasons(found: Identification) -> Iterator[str]:
     d = found.determination
     if found.missed:
         narrow = found.narrow()
-        which = " and ".join(f"joint {j + 1} moves over {np.rad2deg(span):.2g}°" for j, span in narrow[:3])
-        remedy = f"{which} only; move it further" if narrow else "record more poses, or others (lite6jax design)"
+        which = " and ".join(f"joint {j + 1} moves over {np.rad2deg(span):.2g}°" for j, span in narrow)
+        some = 0 < len(narrow) < found.experiment.arm.dof
+        remedy = f"{which} only; move it further" if some else "record more poses, or others (lite6jax design)"
         yield f"Other poses of this arm determine {found.possible.rank}: {remedy}."
     elif d.theory is None:
         yield "Other poses inside its limits determine no more."
     elif d.rank == d.theory:
         yield f"By theory no poses determine more than {d.theory}."
-    elif d.rank < d.theory:
-        why = " (the measured point lies on the last joint's axis: --tool-at)" if found.on_last_axis else ""
+    elif d.rank > d.theory:
+        yield f"Counting expects {d.theory} of an arm in general; this one shows more."
+    else:
+        on_axis = on_last_axis(found.experiment)
+        why = " (the measured point lies on the last joint's axis: --tool-at)" if on_axis else ""
         yield f"Other poses inside its limits determine no more; of an arm in general {d.theory} can be{why}."
 
 
 def _in_words(experiment: Experiment, dependencies: Sequence[Dependency]) -> Iterator[RenderableType]:
     """What moves together; what the sensor's frame or the tool does as well is said in one sentence each."""
     rest = list(dependencies)
+    if experiment.precision.any():  # of a first-order direction that a prior keeps short, amounts would mislead
+        yield Text(f"Readings leave {len(rest)} combinations open; what is known of them beforehand decides.")
+        return
     for part, phrase in (("frame_", "The sensor's frame does"), ("tool_", "The tool does")):
         same = [d for d in rest if d.partners and all(name.startswith(part) for name, _, _ in d.partners)]
         if len(same) > 1:
@@ -112,9 +119,7 @@ def _in_words(experiment: Experiment, dependencies: Sequence[Dependency]) -> Ite
         rest = [d for d in rest if d.partners]
         yield Text(f"No reading changes with {_listed([d.name for d in unfelt])}.")
     yield from (Text(d.statement) for d in rest)
-    known = experiment.precision.any()
-    ends = "what is known of them beforehand decides" if known else "a fit holds the first of each at nominal"
-    yield Text(f"Nothing in the data tells these apart: {ends}.")
+    yield Text("Nothing in the data tells these apart: a fit holds the first of each at nominal.")
 
 
 def deviation_tables(experiment: Experiment, determination: Determination) -> Iterator[RenderableType]:
@@ -150,8 +155,7 @@ def deviation_tables(experiment: Experiment, determination: Determination) -> It
     if parts:
         table = listing("", *TWIST_NAMES)
         for part in parts:
-            name = "sensor's frame" if part == "frame" else part
-            table.add_row(name, *cells([f"{part}_{twist}" for twist in TWIST_NAMES]))
+            table.add_row(part, *cells([f"{part}_{twist}" for twist in TWIST_NAMES]))
         yield table
         yield ""
     if experiment.physics.effects:
@@ -188,6 +192,9 @@ def _indices(found: Identification) -> Iterator[RenderableType]:
     table.columns[0].justify = "right"
     table.add_row(*(f"{value:.4g}" for value in (o.O1, o.O2, o.O3, o.O4, o.O5, o.condition)))
     yield table
+    yield Text(
+        f"Noise amplification: one standard deviation moves the worst direction {o.noise_amplification:.2g} units."
+    )
 
 
 def refits_in_words(refits: Refits) -> str:
@@ -195,6 +202,8 @@ def refits_in_words(refits: Refits) -> str:
     count, ratio = len(refits.errors), refits.ratio
     if not len(ratio):
         return "Nothing was refitted: nothing is determined."
+    if not refits.settled.any():
+        return f"None of {count} refits settled: the readings are too noisy for a linear prediction to hold."
     lost = int((~refits.settled).sum())
     ended = f" {lost} of them did not settle." if lost else ""
     return (
@@ -287,6 +296,8 @@ def design_report(
     yield ""
     yield from _plan_report(found, accuracy) if isinstance(found, Plan) else _separation_report(found)
     yield ""
+    if any(driver.quantity == "direction of motion" for e in found.experiment.physics.effects for driver in e.drivers):
+        yield Text("For effects of the direction of motion, come to each pose from where all joints are at zero.")
     d = found.design
     way = f"{d.exchanges} exchanges in {d.cycles} rounds"
     if found.refinement is not None:
@@ -297,38 +308,52 @@ def design_report(
 
 def _plan_report(found: Plan, accuracy: float | None) -> Iterator[RenderableType]:
     reached, random = found.accuracy[-1], found.random_accuracy[:, found.count - 1]
-    middle = float(np.median(random))
-    yield Text(
-        f"These poses let the fit predict positions to ±{number(1e3 * reached)} mm over the workspace; as many drawn at"
-        f" random to ±{number(1e3 * middle)} mm ({middle / reached:.2f} times as much)."
-    )
-    worth = found.worth
-    if worth is None:
-        yield Text(f"Not even {found.random_accuracy.shape[1]} random poses do as well.")
-    else:
-        yield Text(f"They are worth {worth} random poses.")
-    if accuracy is not None:
-        enough = found.poses_for(accuracy)
-        wanted = number(1e3 * accuracy)
-        if enough is not None:
-            yield Text(f"±{wanted} mm is reached by {enough} of them; ask for --poses {enough}.")
+    if np.isfinite(reached):
+        middle = float(np.quantile(random, 0.5, method="nearest"))
+        times = f" ({middle / reached:.2f} times as much)" if np.isfinite(middle) else ""
+        drawn = f"to ±{number(1e3 * middle)} mm{times}" if np.isfinite(middle) else "do not tell enough to"
+        yield Text(
+            f"These poses let the fit predict positions to ±{number(1e3 * reached)} mm over the workspace; as many"
+            f" drawn at random {drawn}."
+        )
+        worth = found.worth
+        if worth is None:
+            yield Text(f"Not even {found.random_accuracy.shape[1]} random poses do as well.")
         else:
-            about = int(np.ceil(found.count * (reached / accuracy) ** 2))
-            yield Text(f"±{wanted} mm is not reached: it takes about {about} poses; ask for --poses {about}.")
+            yield Text(f"They are worth {worth} random poses.")
+    else:
+        yield Text(
+            "With this sensor something that moves positions over the workspace stays open, however many poses: no"
+            " accuracy of predictions can be promised (lite6jax identify names it)."
+        )
+    if accuracy is not None:
+        wanted = number(1e3 * accuracy)
+        if found.needed is None:
+            yield Text(f"±{wanted} mm is not reached by {MOST_POSES} poses either.")
+        elif found.needed <= found.count:
+            yield Text(f"±{wanted} mm is reached by {found.needed} of them; ask for --poses {found.needed}.")
+        else:
+            yield Text(f"±{wanted} mm takes {found.needed} poses; ask for --poses {found.needed}.")
     yield ""
-    table = listing("best of these", "designed", "random", "ratio")
-    table.columns[0].justify = "right"
-    for n in _steps(found):
-        designed, drawn = found.accuracy[n - 1], found.random_median[n - 1]
-        cells = [f"±{number(1e3 * value)} mm" if np.isfinite(value) else "–" for value in (designed, drawn)]
-        ratio = f"{drawn / designed:.2f}" if np.isfinite(designed) and np.isfinite(drawn) else "–"
-        table.add_row(str(n), *cells, ratio)
-    yield table
-    low, median, high = np.quantile(found.efficiency, (0.05, 0.5, 0.95))
-    yield Text(
-        f"By the criterion {found.criterion} a random selection would have to be recorded {median:.2f} times over"
-        f" (90 % of {len(found.efficiency)} draws: {low:.2f} to {high:.2f})."
-    )
+    if np.isfinite(reached):
+        table = listing("best of these", "designed", "random", "ratio")
+        table.columns[0].justify = "right"
+        for n in _steps(found):
+            designed, drawn = found.accuracy[n - 1], found.random_median[n - 1]
+            cells = [f"±{number(1e3 * value)} mm" if np.isfinite(value) else "–" for value in (designed, drawn)]
+            ratio = f"{drawn / designed:.2f}" if np.isfinite(designed) and np.isfinite(drawn) else "–"
+            table.add_row(str(n), *cells, ratio)
+        yield table
+    if found.efficiency is not None:
+        low, median, high = np.quantile(found.efficiency, (0.05, 0.5, 0.95), method="nearest")
+        if np.isfinite(median):
+            most = f"{high:.2f}" if np.isfinite(high) else "never enough"
+            yield Text(
+                f"By the criterion {found.criterion} a random selection would have to be recorded {median:.2f} times"
+                f" over (90 % of {len(found.efficiency)} draws: {low:.2f} to {most})."
+            )
+        else:
+            yield Text("Most random selections of as many poses do not tell all that these do.")
 
 
 def _steps(found: Plan) -> list[int]:
@@ -340,19 +365,29 @@ def _steps(found: Plan) -> list[int]:
 
 def _separation_report(found: Separation) -> Iterator[RenderableType]:
     one, other = found.rivals
-    reached, random = found.distance[-1], float(np.median(found.random_distance))
+    reached = found.distance[-1]
+    random = float(np.median(np.nan_to_num(found.random_distance)))
     asked = "either cannot pass for the other" if found.both_ways else f"{other} cannot pass for it"
     yield Text(
         f"If {one} has the size given, {asked} by {reached:.1f} standard deviations at these poses, whatever else is"
-        f" fitted; by {random:.1f} at as many drawn at random (ratio {reached / random:.2f})."
+        f" fitted; by {random:.1f} at as many drawn at random"
+        f"{f' (ratio {reached / random:.2f})' if random > 0 else ''}."
     )
     if reached < _CLEAR:
-        more = int(np.ceil(found.count * (_CLEAR / reached) ** 2))
-        yield Text(f"That is too little to be sure: {_CLEAR:g} standard deviations take about {more} poses.")
+        yield Text(f"Too little to be sure, which takes {_CLEAR:g}: ask for more poses, or a sensor that reads finer.")
 
 
-def _turns_known(found: Identification) -> bool:
-    return found.experiment.sensor.quantity == "pose"
+def _expected(found: Identification) -> str:
+    accuracy = found.accuracy
+    if not accuracy.position_told:
+        return (
+            "The fitted model cannot be relied on over the workspace: positions there depend on combinations that stay"
+            " open."
+        )
+    expected = f"±{number(1e3 * accuracy.position_rms)} mm"
+    if accuracy.orientation_told:
+        expected += f" and ±{number(np.rad2deg(accuracy.orientation_rms))}°"
+    return f"The fitted model predicts the whole workspace to {expected}."
 
 
 def _listed(names: Sequence[str]) -> str:

@@ -88,7 +88,7 @@ HALF = Filter("half", lambda q: q[:, 0] > 0)
     [
         (lambda: candidates(ARM, 0), "0 candidates: ask for 1 or more"),
         (lambda: candidates(ARM, 10, filters=[HALF, NOTHING]), "0 of 114688 joint positions pass; "),
-        (lambda: candidates(ARM, 10, limit_margin=10.0), "limit margin 10 rad: leaves joint1 no room"),
+        (lambda: candidates(ARM, 10, limit_margin=10.0), "limit margin 572.958°: leaves joint1 no room"),
         (lambda: candidates(ARM, 10, limit_margin=-1.0), "limit margin -1 rad: give zero or more"),
         (lambda: Box((0.0, 0.0, 0.0), (1.0, 0.0, 1.0)), "empty; give the least x, y, z, then the greatest"),
         (lambda: user_filter("mine.py"), "filter 'mine.py': write FILE.py:function"),

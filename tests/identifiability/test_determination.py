@@ -101,7 +101,9 @@ def test_theory_counts_what_random_arms_show(dof, quantity):
                 values = values + rng.normal(0, 0.05, values.shape)
             setup = replace(setup, model=setup.model._replace(geometry=values))
             found = determine(setup, q)
-            assert found.rank == found.theory == count(setup.form, quantity), (chain, frame, tool)
+            assert found.rank == found.theory, (chain, frame, tool, off)
+            if chain == "hayati" or tool:
+                assert found.theory == count(setup.form, quantity)
 
 
 def test_the_published_counts():
@@ -160,7 +162,8 @@ def test_covariance_is_the_inverse_information():
     rows = setup.rows(q).reshape(-1, 28) / setup.unit
     np.testing.assert_allclose(found.covariance @ (rows.T @ rows), np.eye(28), atol=1e-8)
     np.testing.assert_allclose(np.diagonal(found.correlation), 1.0, rtol=1e-12)
-    assert found.condition == pytest.approx(np.linalg.cond(rows * setup.unit), rel=1e-9)
+    singular = found.singular_values
+    assert singular[0] / singular[-1] == pytest.approx(np.linalg.cond(rows * setup.unit), rel=1e-9)
 
 
 def test_nothing_depends_on_the_units():
@@ -228,3 +231,35 @@ def test_nothing_read_at_all():
     found = determine(setup, joints(1))
     assert found.rank == 1
     assert isinstance(setup, Experiment)
+
+
+def test_one_joint_moves_too_little_to_count():
+    arm = Arm("one", np.zeros((1, 6)))
+    assert determine(plan_experiment(arm, "tracker", chain="six_parameter"), [[0.1], [0.5], [1.0]]).theory == 3
+    assert determine(plan_experiment(arm, "dial_gauge", chain="six_parameter"), [[0.1], [0.5], [1.0]]).theory is None
+
+
+def test_open_directions_change_nothing_and_are_all_of_them():
+    setup = plan_experiment("lite6", "tracker", tool=True, tool_at=(0.05, 0.0, 0.05))
+    q = joints(60)
+    found = determine(setup, q)
+    assert found.open_directions.shape == (setup.size, setup.size - found.rank)
+    np.testing.assert_allclose(
+        found.open_directions.T @ found.open_directions, np.eye(setup.size - found.rank), atol=1e-12
+    )
+    rows = setup.rows(q).reshape(-1, setup.size)
+    assert np.abs(rows @ found.open_directions).max() < 1e-9 * np.abs(rows).max()
+
+
+def test_no_accuracy_is_promised_where_something_stays_open():
+    """One pose tells 3 numbers; a dial gauge never tells x; a tracker tells all that positions depend on."""
+    offset = (0.06, 0.0, 0.04)
+    one = identify(plan_experiment("lite6", "tracker", tool_at=offset), joints(1))
+    assert not one.accuracy.position_told
+    assert one.to_dict()["predicted_accuracy"] == {"position_rms_m": None, "orientation_rms_rad": None}
+    gauge = identify(plan_experiment("lite6", "dial_gauge", tool_at=offset), joints(200))
+    assert not gauge.accuracy.position_told
+    tracker = identify(plan_experiment("lite6", "tracker", tool_at=offset), joints(60))
+    assert (tracker.accuracy.position_told, tracker.accuracy.orientation_told) == (True, False)
+    full = identify(plan_experiment("lite6", "tracker_6d", tool_at=offset), joints(60))
+    assert (full.accuracy.position_told, full.accuracy.orientation_told) == (True, True)

@@ -8,9 +8,11 @@ from plain_chain import random_positions
 
 from lite6jax.arms.bundled import load_bundled
 from lite6jax.errors import InputError
-from lite6jax.identifiability.identify import predicted_accuracy
+from lite6jax.fitting.fleet import sample_within_limits
+from lite6jax.identifiability.identify import WORKSPACE
 from lite6jax.identifiability.information import plan_experiment
 from lite6jax.identifiability.planning import plan_poses, separate_poses, shortest_round
+from lite6jax.identifiability.sensor import BARE
 from lite6jax.physics.joints import JointCompliance, JointHarmonic
 
 LITE6 = load_bundled("lite6")
@@ -26,12 +28,10 @@ def found():
 
 def workspace_accuracy(q):
     """By the definition: root mean square over the workspace of the standard deviation of a predicted position."""
-    from lite6jax.fitting.fleet import sample_within_limits
-    from lite6jax.identifiability.identify import WORKSPACE
-
     rows = SETUP.rows(q).reshape(-1, 28) / SETUP.unit
     covariance = np.linalg.inv(rows.T @ rows)
-    return predicted_accuracy(SETUP, covariance, sample_within_limits(LITE6, WORKSPACE, 1)).position_rms
+    J = SETUP.with_sensor(BARE).rows(sample_within_limits(LITE6, WORKSPACE, 1))[:, :3] / SETUP.unit
+    return np.sqrt(np.mean(np.sum((J @ covariance) * J, (1, 2))))
 
 
 def test_the_accuracy_is_that_of_the_poses(found):
@@ -145,3 +145,39 @@ def test_a_short_round():
     assert length(order) <= 1.15 * best
     many = rng.uniform(-3, 3, (60, 6))
     assert length(shortest_round(many), many) < 0.6 * length(range(60), many)
+
+
+def test_how_many_poses_reach_a_wish():
+    """By designs of more poses, not by a square root: where the first are hardly enough that would be far off."""
+    first = plan_poses(SETUP, CANDIDATES, 6, refined=False)
+    wish = 0.4 * first.accuracy[-1]
+    found = plan_poses(SETUP, CANDIDATES, 6, refined=False, accuracy=wish)
+    assert found.needed is not None
+    assert found.needed > 6
+    enough = plan_poses(SETUP, CANDIDATES, found.needed, refined=False)
+    assert enough.accuracy[-1] <= 1.05 * wish
+    assert plan_poses(SETUP, CANDIDATES, 6, refined=False, accuracy=1e-9).needed is None
+
+
+def test_nothing_is_promised_of_what_no_pose_tells():
+    setup = plan_experiment("lite6", "ball_bar", tool_at=(0.06, 0.0, 0.04))
+    found = plan_poses(setup, CANDIDATES, 30, criterion="D", refined=False, accuracy=1e-3)
+    assert np.isinf(found.accuracy).all()
+    assert found.needed is None
+
+
+def test_more_poses_than_the_curves_go_to(monkeypatch):
+    monkeypatch.setattr("lite6jax.identifiability.planning.MOST_POSES", 10)
+    found = plan_poses(SETUP, CANDIDATES, 15, refined=False)
+    assert found.random_accuracy.shape[1] == 15
+
+
+def test_poses_are_not_said_to_be_worth_others_where_something_is_recorded():
+    recorded = random_positions(np.random.default_rng(3), 15, 6)
+    assert plan_poses(SETUP, CANDIDATES, 6, recorded=recorded, refined=False).efficiency is None
+
+
+def test_random_draws_that_do_not_tell_all_are_worth_nothing():
+    same = np.vstack([np.repeat(CANDIDATES[:1], 300, 0), CANDIDATES[:20]])
+    found = plan_poses(SETUP, same, 8, criterion="E", refined=False)
+    assert np.isinf(found.efficiency).sum() > 25
