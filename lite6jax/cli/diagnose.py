@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 from tyro.conf import Positional, arg
 
-from lite6jax.cli.arguments import DONE, ArmName, check_out
+from lite6jax.cli.arguments import DONE, ArmName, Folder, OutFile, check_out
 from lite6jax.errors import InputError
 from lite6jax.storage import check_writable, write_atomically
 
@@ -19,6 +19,7 @@ class Diagnose:
     For example:
 
         lite6jax diagnose run7.csv --out diagnosis.json
+        lite6jax diagnose run7.csv --out diagnosis.json --report report.html
     """
 
     source: Annotated[Positional[Path], arg(metavar="FILE")]
@@ -31,8 +32,12 @@ class Diagnose:
     """What is known of it: what the sidecar says; the factory calibration exactly, or near it; or nothing."""
     effects: Annotated[Path | None, arg(metavar="FILE.py")] = None
     """Effects of your own, tested for like the catalogue's. Runs the file."""
+    report: OutFile = None
+    """Write a page with the findings and their figures here (.html); it needs no other file."""
+    figures: Folder = None
+    """Draw the figures into this folder (PNG and SVG)."""
     force: bool = False
-    """Replace the file if it exists."""
+    """Replace files that exist."""
     assume_degrees: bool = False
     """Take joint columns that say rad as degrees."""
     assume_millimetres: bool = False
@@ -41,6 +46,13 @@ class Diagnose:
     def run(self) -> int:
         """Reads, searches, writes, prints."""
         check_out(self.out, ".json", self.force)
+        if self.report:
+            check_out(self.report, ".html", self.force)
+        if self.figures:
+            from lite6jax.report import canvas
+            from lite6jax.report.diagnosis_figures import NAMES
+
+            canvas.check_names(self.figures, [f"{self.source.stem}_{name}" for name in NAMES], self.force)
         from lite6jax.diagnosis.diagnose import FOLDS, diagnose
         from lite6jax.fitting.fit import load_nominal, read_source
         from lite6jax.physics.catalogue import load_effects
@@ -56,9 +68,23 @@ class Diagnose:
         effects = load_effects(self.effects) if self.effects else ()
         with screen.progress(FOLDS + 1, "searching") as advance:
             found = diagnose(recording, nominal, geometry=self.geometry, effects=effects, progress=advance)
-        path = write_atomically(self.out, json.dumps(found.to_dict(), indent=1, allow_nan=False), self.force)
+        written = [write_atomically(self.out, json.dumps(found.to_dict(), indent=1, allow_nan=False), self.force)]
+        if self.report or self.figures:
+            from lite6jax.report import canvas, diagnosis_figures, page
+
+            with screen.progress(len(diagnosis_figures.NAMES), "drawing") as advance:
+                drawn = {}
+                for name, figure in diagnosis_figures.drawings(found, self.source.name):
+                    drawn[name] = figure
+                    advance(1)
+                if self.figures:
+                    named = {f"{self.source.stem}_{name}": figure for name, figure in drawn.items()}
+                    written += canvas.save(named, self.figures, self.force)
+                if self.report:
+                    html = page.diagnosis_page(found, str(self.source), drawn)
+                    written.append(write_atomically(self.report, html, self.force))
         screen.show(diagnosis_tables.diagnosis_report(found, str(self.source)))
-        screen.written([path])
+        screen.written(written)
         return DONE
 
 

@@ -174,7 +174,7 @@ class Case:
         """
         physics = Physics(tuple(effects))
         values = np.zeros(physics.size) if values is None else np.asarray(values, float)
-        parts = [np.zeros((0, self.rows, self.samples))]
+        parts: list[Array] = [np.zeros((0, self.rows, self.samples))]
         for effect, part in zip(physics.effects, physics.slices, strict=True):
             if _is_linear(effect) or not values[part].any():
                 if effect not in self._known:
@@ -367,12 +367,13 @@ def _sites(
     form: Form, model: ArmModel, joint_position: jax.Array, deflection: Deflection, measured: Measured
 ) -> jax.Array:
     """`(site, row, sample)`, in the order of `Deflection`'s fields."""
-    shapes = [leaf.shape[:-1] for leaf in deflection]
+    rigid = [leaf for leaf in deflection if leaf is not None]
+    shapes = [leaf.shape[:-1] for leaf in rigid]
     sizes = [int(np.prod(shape)) for shape in shapes]
 
     def moved(constant: jax.Array) -> jax.Array:
         parts, at = [], 0
-        for leaf, shape, size in zip(deflection, shapes, sizes, strict=True):
+        for leaf, shape, size in zip(rigid, shapes, sizes, strict=True):
             parts.append(leaf + constant[at : at + size].reshape(*shape, 1))
             at += size
         return _plain_residual(form, model, joint_position, Deflection(*parts), measured)

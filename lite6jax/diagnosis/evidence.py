@@ -21,6 +21,8 @@ WINSOR = 4.0
 """Standard deviations per number beyond which a sample's residual counts no more than that."""
 _MOST_BLOCKS = 60
 _LEAST_IN_BLOCK = 6
+_LENGTHS = 2.0
+"""Correlation lengths in a block."""
 
 
 class Score(NamedTuple):
@@ -52,6 +54,7 @@ class Evidence:
         residual: `(row sample)` of unit noise, wild samples cut down to what four standard deviations would be.
         blocks: where blocks of neighbouring samples begin.
         freedom: numbers measured, less those fitted.
+        memory: over how many samples the residual remembers; 1 where it is white.
     """
 
     case: Case
@@ -60,6 +63,7 @@ class Evidence:
     residual: Array
     blocks: NDArray[np.integer]
     freedom: float
+    memory: float
 
     def score(self, effects: Sequence[Effect]) -> list[Score]:
         """A score for each effect."""
@@ -108,7 +112,7 @@ class Evidence:
 
     @property
     def _used(self) -> Array:
-        return np.tile(self.fitted.used, self.case.rows)
+        return np.tile(self.fitted.used, self.case.rows).astype(float)
 
 
 def evidence_of(case: Case, fitted: Fitted) -> Evidence:
@@ -138,7 +142,8 @@ def evidence_of(case: Case, fitted: Fitted) -> Evidence:
     residual = rows.ravel() * used
     n = float(used.sum())
     residual = residual / np.sqrt(max(np.sum(residual**2) / max(n - fitted.parameters, 1.0), 1e-300))
-    return Evidence(case, fitted, basis, residual, _blocks(case), n - fitted.parameters)
+    memory = _correlation_length(residual.reshape(case.rows, -1))
+    return Evidence(case, fitted, basis, residual, _blocks(case.samples, memory), n - fitted.parameters, memory)
 
 
 def _orthonormal(columns: Array) -> Array:
@@ -151,11 +156,21 @@ def _orthonormal(columns: Array) -> Array:
     return np.linalg.qr(basis.T)[0].T
 
 
-def _blocks(case: Case) -> NDArray[np.integer]:
+def _blocks(samples: int, memory: float) -> NDArray[np.integer]:
     """Where blocks of neighbouring samples start: longer than what correlates, and enough of them to see a spread."""
-    n = case.samples
-    count = int(np.clip(n // _LEAST_IN_BLOCK, 2, _MOST_BLOCKS))
-    return (np.arange(count) * n) // count
+    length = max(_LEAST_IN_BLOCK, int(np.ceil(_LENGTHS * memory)))
+    count = int(np.clip(samples // length, 4, _MOST_BLOCKS))
+    return (np.arange(count) * samples) // count
+
+
+def _correlation_length(rows: Array) -> float:
+    """Over how many samples residuals `(row, sample)` remember: the sum of their autocorrelation, 1 for white noise."""
+    n = rows.shape[1]
+    spectrum = np.abs(np.fft.rfft(rows - rows.mean(1, keepdims=True), 2 * n, axis=1)) ** 2
+    correlation = np.fft.irfft(spectrum.sum(0))[: max(n // 4, 1)]
+    correlation = correlation / max(correlation[0], 1e-300)
+    last = int(np.argmax(correlation < 2 / np.sqrt(n))) if (correlation < 2 / np.sqrt(n)).any() else len(correlation)
+    return float(1 + 2 * correlation[1:last].sum())
 
 
 def _by_block(products: Array, starts: NDArray[np.integer], samples: int) -> Array:

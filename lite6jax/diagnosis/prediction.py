@@ -100,10 +100,10 @@ def read_model(path: str | Path, effects: tuple[Effect, ...] = ()) -> Enriched:
             reference_temperature=float(model["reference_temperature_degC"]),
             motion=str(model["motion"]),
         )
-    except (KeyError, TypeError, ValueError) as error:
-        raise InputError(f"{path}: its model is damaged ({error}); run `lite6jax diagnose` again") from error
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
+    except (KeyError, TypeError, ValueError) as error:
+        raise InputError(f"{path}: its model is damaged ({error}); run `lite6jax diagnose` again") from error
 
 
 def read_motion(path: str | Path, model: Enriched) -> Recording:
@@ -160,8 +160,8 @@ _quaternions = jax.jit(partial(quaternion_from_rotation))
 def table(poses: Array, beyond: NDArray[np.bool_], orientation: bool) -> dict[str, Array]:
     """Column name to values, as a recording has them; NaN where nothing can be said."""
     position = np.where(beyond[:, None], np.nan, poses[:, :3, 3])
-    columns = dict(zip(("x_m", "y_m", "z_m"), position.T, strict=True))
+    columns: dict[str, Array] = dict(zip(("x_m", "y_m", "z_m"), position.T, strict=True))
     if orientation:
         quaternion = np.where(beyond[:, None], np.nan, np.asarray(_quaternions(poses[:, :3, :3])))
-        columns |= dict(zip(("qw", "qx", "qy", "qz"), quaternion.T, strict=True))
+        columns.update(zip(("qw", "qx", "qy", "qz"), quaternion.T, strict=True))
     return columns

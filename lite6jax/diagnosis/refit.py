@@ -121,11 +121,12 @@ def refit(
         change = -_solve(H, gradient)
         length = float(np.sqrt(max(-change @ gradient, 0.0)))
         before = cost(state.rows, moved, state.scale)
+        rows = case.residual(moved + change[:k], physics, values + change[k:])
         for _ in range(_HALVINGS):
-            rows = case.residual(moved + change[:k], physics, values + change[k:])
             if cost(rows, moved + change[:k], state.scale) <= before + 1e-9 * abs(before):
                 break
             change = change / 2
+            rows = case.residual(moved + change[:k], physics, values + change[k:])
         moved, values, state = moved + change[:k], values + change[k:], weighed(rows)
         if length < _SETTLED:
             converged = True

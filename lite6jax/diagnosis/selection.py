@@ -7,6 +7,7 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import chi2
 
 from lite6jax.diagnosis.case import Case, moved_to
 from lite6jax.diagnosis.evidence import Score, evidence_of
@@ -230,7 +231,7 @@ class Search:
                 scale = min(fit.residual.scale, fitted.residual.scale)
                 ours = fit.log_likelihood(scale) - _cost(path, n)
                 theirs = (best[0] if best else fitted).log_likelihood(scale) - _cost(best[1] if best else steps, n)
-                if ours > theirs + _UNNAMED_BETTER:
+                if ours > theirs + _UNNAMED_BETTER and path[-1].p < self.level:
                     best = (fit, path)
             if best is None:
                 break
@@ -238,10 +239,17 @@ class Search:
         return fitted, steps
 
     def _replaced(self, baseline: Fitted, kept: list[Step], curve: Unnamed, score: Score) -> tuple[Fitted, list[Step]]:
-        fit = refit(self.case, Physics(tuple(step.effect for step in kept)), moved=baseline.moved, used=baseline.used)
-        score = evidence_of(self.case, fit).score([curve])[0]
-        fit = self._with(fit, curve, score.values)
-        return fit, [*kept, Step(curve, min(score.p * self.tried, 1.0), score, ())]
+        without = refit(
+            self.case, Physics(tuple(step.effect for step in kept)), moved=baseline.moved, used=baseline.used
+        )
+        score = evidence_of(self.case, without).score([curve])[0]
+        fit = self._with(without, curve, score.values)
+        # too many numbers for a test by blocks: by the likelihood, of as many samples as do not remember each other
+        scale = min(fit.residual.scale, without.residual.scale)
+        gain = fit.log_likelihood(scale) - without.log_likelihood(scale)
+        independent = max(gain, 0.0) / max(evidence_of(self.case, fit).memory, 1.0)
+        p = min(float(chi2.sf(2 * independent, curve.size)) * self.tried, 1.0)
+        return fit, [*kept, Step(curve, p, score._replace(gain=gain), ())]
 
     def _pruned(self, fitted: Fitted, steps: list[Step]) -> tuple[Fitted, list[Step]]:
         """Without those that the others make unnecessary."""

@@ -1,5 +1,6 @@
 """What a person reads of a diagnosis, top to bottom: verdict, before and after, findings, what cannot be told."""
 
+import re
 from collections.abc import Iterator
 
 import numpy as np
@@ -10,13 +11,18 @@ from lite6jax.diagnosis.diagnose import Diagnosis, statement
 from lite6jax.physics.catalogue import effect_as_dict
 from lite6jax.report.cells import listing, number
 
-_VERDICTS = {
+VERDICTS = {
     "consistent": "Nothing is missing: the recording is what this arm's model and the sensor's noise make.",
     "explained": "Explained: with the physics below, what is left is the sensor's noise.",
     "partly_explained": "Partly explained: the physics below is there, and more is left than noise.",
     "unnamed": "Something real is there that no entry of the catalogue explains.",
 }
-_MOST = 6
+NAMED = 6
+
+
+def chance(p: float) -> str:
+    """A probability in a phrase; one below what floats hold is not zero."""
+    return f"p = {p:.1e}" if p > 0 else "p < 1e-300"
 
 
 def diagnosis_report(found: Diagnosis, source: str) -> Iterator[RenderableType]:
@@ -25,7 +31,7 @@ def diagnosis_report(found: Diagnosis, source: str) -> Iterator[RenderableType]:
     yield Text(source, no_wrap=True, overflow="ignore")
     yield Text(f"{case.arm.name}, {case.samples} samples ({case.recording.motion}).")
     yield ""
-    yield Text(_VERDICTS[found.verdict])
+    yield Text(VERDICTS[found.verdict])
     yield ""
     kept = ~found.outliers
     table = listing("held-out position error (mm)", "rms", "p95", "max")
@@ -41,23 +47,24 @@ def diagnosis_report(found: Diagnosis, source: str) -> Iterator[RenderableType]:
     for step, part in zip(found.selection.steps, fitted.physics.slices, strict=True):
         entry = effect_as_dict(step.effect, fitted.values[part], fitted.covariance[part, part])
         yield ""
-        yield Text(f"{statement(step.effect, entry['parameters'])} Chance alone: p = {step.p:.1e} over all searched.")
-        near = [rival for rival in step.rivals if rival.gap < _MOST]
+        yield Text(f"{statement(step.effect, entry['parameters'])} Chance alone: {chance(step.p)} over all searched.")
+        near = [rival for rival in step.rivals if rival.gap < NAMED]
         if near:
             names = ", ".join(f"{rival.effect.label} ({rival.gap:+.1f})" for rival in near)
             yield Text(f"  Not told apart from: {names} (log-likelihood less).")
     if found.outliers.any():
         yield ""
         rows = case.recording.row[found.outliers]
-        shown = ", ".join(map(str, rows[:_MOST])) + (", …" if len(rows) > _MOST else "")
+        shown = ", ".join(map(str, rows[:NAMED])) + (", …" if len(rows) > NAMED else "")
         yield Text(f"{len(rows)} rows stand out of what noise allows: {shown}.")
     reasons = {}
     for item in found.untestable:
-        reasons.setdefault(item.reason, []).append(item.effect.label)
+        reason = re.sub(r"(joint|link) \d+", r"the \1", item.reason)
+        reasons.setdefault(reason, []).append(item.effect.label)
     if reasons:
         yield ""
         yield Text("Not tested:")
         for reason, labels in reasons.items():
-            names = ", ".join(labels[:_MOST]) + (f" and {len(labels) - _MOST} more" if len(labels) > _MOST else "")
+            names = ", ".join(labels[:NAMED]) + (f" and {len(labels) - NAMED} more" if len(labels) > NAMED else "")
             yield Text(f"  {names}: {reason}")
     yield ""

@@ -1,0 +1,355 @@
+"""A diagnosis' page says all that was found, in words and units, needs no other file, and is safe to open."""
+
+import base64
+import re
+from html.parser import HTMLParser
+from io import BytesIO
+
+import numpy as np
+import pytest
+from matplotlib.image import imread
+
+from lite6jax.arms.bundled import load_bundled
+from lite6jax.arms.factory import write_factory
+from lite6jax.cli import main
+from lite6jax.diagnosis.case import case_of
+from lite6jax.diagnosis.diagnose import Diagnosis
+from lite6jax.diagnosis.evidence import evidence_of
+from lite6jax.diagnosis.refit import refit
+from lite6jax.diagnosis.selection import Rival, Selection, Step
+from lite6jax.physics.catalogue import catalogue, parse_effect, untestable
+from lite6jax.physics.composition import Physics
+from lite6jax.physics.unnamed import Unnamed
+from lite6jax.recordings import RecordingSettings, write_recording
+from lite6jax.report import canvas, diagnosis_figures
+from lite6jax.report.page import diagnosis_page
+from lite6jax.simulation import simulate
+
+LITE6 = load_bundled("lite6")
+SAMPLES = 200
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory):
+    """Makes a recording with physics given as text, of a nominal arm whose geometry is known."""
+    calibration = write_factory(LITE6.kinematics, tmp_path_factory.mktemp("arm") / "arm.yaml")
+
+    def make(*texts, motion="static", **given):
+        effects = [parse_effect(text) for text in texts]
+        physics = Physics(tuple(effect for effect, _ in effects))
+        settings = RecordingSettings(motion=motion, factory_calibration=str(calibration), position_noise_m=2e-5)
+        values = physics.join([values for _, values in effects])
+        return simulate(LITE6, physics, values, motion=motion, samples=SAMPLES, settings=settings, **given), physics
+
+    return make
+
+
+def diagnosed(recording, physics, outliers=()):
+    """What a search that adds just these effects finds: no search is run."""
+    case = case_of(recording, LITE6, "exact")
+    baseline = refit(case, Physics())
+    scores = evidence_of(case, baseline).score(physics.effects) if physics.effects else []
+    fitted = refit(case, physics)
+    steps = tuple(
+        Step(effect, 1e-9, score, (Rival(effect, 1.5), Rival(effect, 44.0)))
+        for effect, score in zip(physics.effects, scores, strict=True)
+    )
+    every = catalogue(6)
+    selection = Selection(case, baseline, fitted, steps, every, every[:2])
+    wild = np.zeros(case.samples, bool)
+    wild[list(outliers)] = True
+    before, after = (
+        np.linalg.norm(case.position_errors(f.moved, f.physics, f.values), axis=0) for f in (baseline, fitted)
+    )
+    missing = untestable(every, case.motion, case.inertia is not None)
+    return Diagnosis(case, selection, before, after, wild, tuple(missing))
+
+
+COMPLIANCE = "joint_compliance:joint=2,compliance_rad_per_Nm=9e-5"
+HARMONIC = "joint_harmonic:joint=1,order=2,amplitude_rad=4e-4,phase_rad=0.5"
+
+
+@pytest.fixture(scope="module")
+def found(recorded):
+    return diagnosed(*recorded(COMPLIANCE, HARMONIC), outliers=(3, 5))
+
+
+@pytest.fixture(scope="module")
+def drawn(found):
+    return dict(diagnosis_figures.drawings(found, "run.csv"))
+
+
+@pytest.fixture(scope="module")
+def html(found, drawn):
+    return diagnosis_page(found, "folder/run.csv", drawn)
+
+
+class Reader(HTMLParser):
+    """The tags with their attributes, and the text that a person sees."""
+
+    def __init__(self, html):
+        super().__init__()
+        self.tags, self.open, self.text = [], [], ""
+        self.feed(html)
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.append((tag, dict(attrs)))
+        if tag not in ("meta", "img", "br", "!doctype"):
+            self.open.append(tag)
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+        self.text += " " if tag in ("td", "th", "li", "strong") else ""
+
+    def handle_data(self, data):
+        if self.open and self.open[-1] != "style":
+            self.text += data
+
+
+def test_all_that_was_found_is_said(found, html):
+    page = Reader(html)
+    assert page.open == []
+    text = " ".join(page.text.split())
+    assert [tag for tag, _ in page.tags].count("h1") == 1
+    assert text.index("Explained: with the physics below") < text.index("held-out position error")
+    kept = ~found.outliers
+    for errors in (found.before, found.after):
+        mm = 1e3 * errors[kept]
+        for value in (np.sqrt(np.mean(mm**2)), np.percentile(mm, 95), mm.max()):
+            assert f"{value:.4f}" in text
+    assert f"{kept.sum()} rows" in text
+    assert "1. Joint compliance at joint2 Acts at joint2, by gravity torque of joint 2." in text
+    assert "2. Joint harmonic at joint1" in text
+    fitted = found.selection.fitted
+    compliance, std = 1e6 * fitted.values[0], 1e6 * np.sqrt(fitted.covariance[0, 0])
+    row = re.search(r"compliance ([\d.]+) ([\d.]+) µrad/Nm", text)
+    assert row
+    assert float(row[1]) == pytest.approx(compliance, abs=std)
+    assert float(row[2]) == pytest.approx(std, rel=0.06)
+    assert re.search(r"order 2 – amplitude 0\.\d+ 0\.\d+ mrad phase \d+\.\d+ \d\.\d+ deg", text)
+    assert "p = 1e-09" in text
+    assert "Not told apart by this recording" in text
+    assert "joint compliance at joint2 (+1.5)" in text
+    assert "rejected: joint compliance at joint2 (+44.0)" in text
+    assert "2 rows stand out" in text
+    assert ", ".join(map(str, found.case.recording.row[[3, 5]])) in text
+    for item in found.untestable:
+        assert f"{item.effect.name.replace('_', ' ')} at {item.effect.site}" in text
+    assert text.count("Needs the velocity of its joint: give ") == 1  # once for all six
+    assert "joint offset at joint1, joint offset at joint2" in text  # what the nuisance hides
+    assert "declared" in text
+
+
+def test_the_page_is_one_file(html):
+    page = Reader(html)
+    assert "http" not in re.sub(r"base64,[A-Za-z0-9+/=]+", "", html)
+    assert not {tag for tag, _ in page.tags} & {"script", "link", "iframe", "object", "embed", "base"}
+    assert "url(" not in html
+    assert "@import" not in html
+    pictures = [attributes for tag, attributes in page.tags if tag == "img"]
+    assert len(pictures) == 4 + 2
+    for attributes in pictures:
+        kind, _, data = attributes["src"].partition("base64,")
+        assert kind == "data:image/png;"
+        assert attributes["alt"].endswith(".")
+        assert imread(BytesIO(base64.b64decode(data))).ndim == 3
+    assert not any(name.startswith("on") for _, attributes in page.tags for name in attributes)
+
+
+def test_the_same_diagnosis_gives_the_same_page(found, html):
+    again = dict(diagnosis_figures.drawings(found, "run.csv"))
+    assert diagnosis_page(found, "folder/run.csv", again) == html
+
+
+def test_names_are_text(found, drawn):
+    hostile = "<script>alert('1')</script>\"><img src=x onerror=alert(1)>{{ 7*7 }}.csv"
+    html = diagnosis_page(found, hostile, drawn)
+    page = Reader(html)
+    assert "script" not in {tag for tag, _ in page.tags}
+    assert "49" not in page.text.split(".csv")[0]
+    assert hostile in page.text
+    assert "<script" not in html
+
+
+def test_nothing_missing(recorded):
+    clean = diagnosed(*recorded())
+    drawn = dict(diagnosis_figures.drawings(clean, "run.csv"))
+    assert list(drawn) == ["error_by_joint", "where", "orders", "remaining"]
+    page = Reader(diagnosis_page(clean, "run.csv", drawn))
+    text = " ".join(page.text.split())
+    assert "Nothing is missing" in text
+    assert "None: nothing in the catalogue" in text
+    assert "Data faults None found." in text
+    assert len([tag for tag, _ in page.tags if tag == "img"]) == 4
+    _, _, shares = diagnosis_figures.explained_shares(clean)
+    assert np.nanmax(shares) < 0.2
+    assert np.nanmedian(shares) < 0.02
+
+
+def test_physics_without_a_name(recorded):
+    recording, _ = recorded(HARMONIC)
+    curve = Unnamed("joint1", "position of joint 1", -np.pi, np.pi, 8)
+    found = diagnosed(recording, Physics((curve,)))
+    drawn = dict(diagnosis_figures.drawings(found, "run.csv"))
+    text = " ".join(Reader(diagnosis_page(found, "run.csv", drawn)).text.split())
+    assert "Something real is there that no entry of the catalogue explains." in text
+    assert "Unnamed physics at joint1 Something real at joint1, a function of position of joint 1" in text
+    assert "coefficient" not in text
+    row = re.search(r"peak to peak ([\d.]+) ([\d.]+) mrad", text)
+    assert row
+    assert float(row[1]) == pytest.approx(0.8, abs=4 * float(row[2]))  # twice the amplitude
+    assert float(row[2]) < 0.1
+
+
+def test_a_panel_for_each_joint(found, drawn):
+    figure = drawn["error_by_joint"]
+    assert [panel.get_xlabel() for panel in figure.axes] == [f"joint {i} (deg)" for i in range(1, 7)]
+    assert figure.axes[0].get_ylabel() == figure.axes[3].get_ylabel() == "position error (mm)"
+    assert "run.csv" in figure.get_suptitle()
+    kept = ~found.outliers
+    labels = [text.get_text() for text in figure.legends[0].get_texts()]
+    rms = [1e3 * np.sqrt(np.mean(errors[kept] ** 2)) for errors in (found.before, found.after)]
+    assert labels == [
+        f"{name}: {value:.3g} mm RMS, held out" for name, value in zip(("before", "after"), rms, strict=True)
+    ]
+    q = np.rad2deg(np.asarray(found.case.motion.joint_position)[:, kept])
+    for joint, panel in enumerate(figure.axes):
+        dots = panel.lines[0]
+        np.testing.assert_allclose(dots.get_xdata(), q[joint])
+        np.testing.assert_allclose(dots.get_ydata(), 1e3 * found.before[kept])
+
+
+def test_where_it_is(recorded):
+    only = diagnosed(*recorded(COMPLIANCE))
+    sites, drivers, shares = diagnosis_figures.explained_shares(only)
+    assert sites == [*(f"joint {i}" for i in range(1, 7)), "base"]
+    at, driver = np.unravel_index(np.nanargmax(shares), shares.shape)
+    assert (sites[at], drivers[driver]) == ("joint 2", "gravity\nload")
+    assert 0.9 < shares[at, driver] <= 1
+    figure = diagnosis_figures.explained_map(only, "run.csv")
+    panel, bar = figure.axes
+    assert bar.get_ylabel() == "residual explained (%)"
+    assert panel.images[0].get_cmap().name == "cividis"
+    assert [tick.get_text() for tick in panel.get_yticklabels()] == sites
+    assert f"{100 * shares[at, driver]:.0f}" in [text.get_text() for text in panel.texts]
+
+
+def test_the_share_is_what_a_plain_fit_explains(recorded):
+    """Of joint 2 and gravity's torque, by least squares on the residuals, the adjusted share of the variance."""
+    only = diagnosed(*recorded(COMPLIANCE))
+    case, baseline = only.selection.case, only.selection.baseline
+    sites, drivers, shares = diagnosis_figures.explained_shares(only)
+    torque = np.asarray(case.loads.torque[1])
+    u = 8 * (torque - torque.min()) / np.ptp(torque)
+    t = np.abs(u - np.arange(-1, 10)[:, None])
+    splines = (np.maximum(2 - t, 0) ** 3 - 4 * np.maximum(1 - t, 0) ** 3) / 6
+    A = (case.sites["joint", 1, 0] * splines[:, None]).reshape(11, -1).T
+    e = baseline.residual.rows.ravel()
+    left = e - A @ np.linalg.lstsq(A, e, rcond=None)[0]
+    share = 1 - np.sum(left**2) / np.sum(e**2) * e.size / (e.size - 11)
+    assert shares[sites.index("joint 2"), drivers.index("gravity\nload")] == pytest.approx(share, abs=0.01)
+
+
+def test_the_order_found_is_marked(drawn):
+    figure = drawn["orders"]
+    assert [panel.get_xlabel() for panel in figure.axes] == [f"order, of joint {i}'s angle" for i in range(1, 7)]
+    assert figure.axes[0].get_ylabel() == "residual explained (%)"
+    assert [[text.get_text().strip() for text in panel.texts] for panel in figure.axes[:2]] == [["2"], []]
+    marks = [line for line in figure.axes[0].lines if line.get_linestyle() == "--" and len(line.get_xdata())]
+    assert set(marks[0].get_xdata()) == {2.0}
+    spectrum = figure.axes[0].lines[0]
+    orders, shares = spectrum.get_xdata(), spectrum.get_ydata()
+    assert orders[np.argmax(shares)] == pytest.approx(2.0, abs=0.3)
+    assert orders[0] == 1
+    assert orders[-1] > 195
+
+
+def test_the_residual_left_is_the_noise(found, drawn):
+    sizes, alike = drawn["remaining"].axes
+    assert sizes.get_xlabel() == "residual over the declared noise"
+    assert alike.get_xlabel() == "rows apart"
+    labels = [text.get_text() for text in sizes.get_legend().get_texts()]
+    kept = ~found.outliers
+    rms = np.sqrt(np.mean(found.selection.fitted.residual.rows[:, kept] ** 2))
+    assert labels[1] == f"after: {rms:.3g} RMS"
+    rows = found.selection.fitted.residual.rows[:, kept]
+    rows = rows - rows.mean(1, keepdims=True)
+    after = alike.lines[1].get_ydata()
+    for lag in (1, 7):
+        plain = np.sum(rows[:, lag:] * rows[:, :-lag]) / np.sum(rows**2)
+        assert after[lag - 1] == pytest.approx(plain)
+
+
+TURN = "turn of the joint (mrad)"
+GEAR = "joint_harmonic:joint=1,order=80.4,amplitude_rad=4e-4,phase_rad=1"
+EXPANSION = "link_thermal_expansion:expansion_per_K=4e-5"
+CURVES = [
+    (COMPLIANCE, {}, "gravity torque of joint 2 (Nm)", TURN),
+    (HARMONIC, {}, "position of joint 1 (deg)", TURN),
+    ("joint_offset:joint=3,offset_rad=5e-4", {}, "position of joint 3 (deg)", TURN),
+    ("joint_backlash:joint=2,gap_rad=8e-4", {}, "direction of motion of joint 2", TURN),
+    ("joint_lag:joint=1,lag_s=2e-3", {"motion": "trajectory"}, "velocity of joint 1 (deg/s)", TURN),
+    (GEAR, {}, "phase of order 80.4 of joint 1 (deg)", TURN),
+    (EXPANSION, {"warm_up": 15.0}, "temperature rise (K)", "growth of the links (ppm)"),
+    ("tool_offset:x_m=2e-3,y_m=1e-3", {}, "row of the recording", "as seen (mm)"),
+    ("measurement_scale:scale=5e-4", {}, "pose displaced by it, as fitted (mm)", "as seen (mm)"),
+    ("time_offset:offset_s=0.02", {"motion": "trajectory"}, "pose displaced by it, as fitted (mm)", "as seen (mm)"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("text", "given", "across", "up"), CURVES, ids=[case[0].split(":")[0] for case in CURVES])
+def test_a_finding_lies_on_its_data(recorded, text, given, across, up):
+    found = diagnosed(*recorded(text, **given))
+    (panel,) = diagnosis_figures.finding_curves(found, "run.csv").axes
+    assert (panel.get_xlabel(), panel.get_ylabel()) == (across, up)
+    dots, curve = panel.lines[0], panel.lines[1]
+    fitted = np.interp(dots.get_xdata(), curve.get_xdata(), curve.get_ydata())
+    left = np.median(np.abs(dots.get_ydata() - fitted))
+    assert left < 0.4 * np.median(np.abs(dots.get_ydata()))
+    assert np.isfinite(panel.get_ylim()).all()
+
+
+def test_links_turn_about_two_axes(recorded):
+    found = diagnosed(*recorded("link_compliance:link=2,compliance_x_rad_per_Nm=1e-4,compliance_y_rad_per_Nm=6e-5"))
+    figure = diagnosis_figures.finding_curves(found, "run.csv")
+    assert [(panel.get_xlabel(), panel.get_ylabel()) for panel in figure.axes] == [
+        (f"gravity moment {axis} of link 2 (Nm)", f"turn about {axis} (mrad)") for axis in "xy"
+    ]
+
+
+def test_one_finding_alone(found):
+    (panel,) = diagnosis_figures.finding_curves(found, "", [1]).axes
+    assert panel.get_title() == "2. joint harmonic, joint1"
+
+
+def test_written_as_png_and_svg(tmp_path, drawn):
+    paths = canvas.save(drawn, tmp_path)
+    assert {path.name for path in paths} == {f"{n}{s}" for n in diagnosis_figures.NAMES for s in (".png", ".svg")}
+
+
+def test_the_command_writes_both(tmp_path, recorded, monkeypatch, capsys):
+    recording, physics = recorded(COMPLIANCE)
+    run = write_recording(recording, tmp_path / "<b>run.csv")
+    monkeypatch.setattr("lite6jax.diagnosis.diagnose.diagnose", lambda *_, **__: diagnosed(recording, physics))
+    out, report, figures = (str(tmp_path / name) for name in ("d.json", "r.html", "figures"))
+    command = ["diagnose", str(run), "--out", out, "--report", report, "--figures", figures]
+    assert main(command) == 0
+    page = (tmp_path / "r.html").read_text()
+    assert "&lt;b&gt;run.csv" in page
+    assert "<b>" not in page
+    names = {path.name for path in (tmp_path / "figures").iterdir()}
+    assert names == {f"<b>run_{name}{suffix}" for name in diagnosis_figures.NAMES for suffix in canvas.SUFFIXES}
+    capsys.readouterr()
+
+    def never(*_, **__):
+        raise AssertionError("checked before long work")
+
+    monkeypatch.setattr("lite6jax.diagnosis.diagnose.diagnose", never)
+    others = ["diagnose", str(run), "--out", str(tmp_path / "e.json")]
+    assert main([*others, "--report", report]) == 2
+    assert "r.html: exists already; choose another name or add --force" in capsys.readouterr().err
+    assert main([*others, "--report", str(tmp_path / "r.pdf")]) == 2
+    assert "r.pdf: what is written here is html; let the name end in .html" in capsys.readouterr().err
+    assert main([*others, "--figures", figures]) == 2
+    assert "run_error_by_joint.png: exists already" in capsys.readouterr().err
+    assert not (tmp_path / "e.json").exists()
