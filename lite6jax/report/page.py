@@ -24,7 +24,8 @@ from lite6jax.report import diagnosis_figures
 from lite6jax.report.canvas import STYLE
 from lite6jax.report.cells import number, plus_minus
 from lite6jax.report.diagnosis_tables import NAMED as _NEAR
-from lite6jax.report.diagnosis_tables import VERDICTS as VERDICTS
+from lite6jax.report.diagnosis_tables import VERDICTS
+from lite6jax.report.diagnosis_tables import chance
 
 Array = NDArray[np.floating]
 
@@ -160,7 +161,7 @@ def _finding(
         "title": f"{_worded(entry['effect'])} at {entry['site']}",
         "statement": entry["statement"] if unnamed else statement,
         "parameters": [_parameter(name, e) for name, e in numbers.items()],
-        "chance": f"Chance alone explains as much with p = {step.p:.1g}, over everything that was searched; "
+        "chance": f"Chance alone explains as much with {chance(step.p)}, over everything that was searched; "
         f"log-likelihood {step.score.gain:+.1f}.",
         "rivals": [f"{_named(r.effect)} ({r.gap:+.1f})" for r in near],
         "rejected": ", ".join(f"{_named(r.effect)} ({r.gap:+.1f})" for r in far),
