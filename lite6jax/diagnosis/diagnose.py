@@ -165,8 +165,9 @@ def diagnose(
     Raises:
         InputError: as `case_of`.
     """
-    require_samples(recording, 1)
-    search = Search(case_of(recording, arm, geometry), effects)
+    case = case_of(recording, arm, geometry)
+    require_samples(recording, len(case.unknown) + 1)
+    search = Search(case, effects)
     case = search.case
     selection = search.run()
     if progress:

@@ -101,7 +101,10 @@ class Evidence:
         statistic = float(total @ total)
         white = float(chi2.sf(statistic, k))
         B = s.shape[1]
-        centred = s - total[:, None] / B
+        # what each block pulls beyond its share of the whole effect, which is not noise
+        Z = (T.T @ G).reshape(k, self.case.rows, -1)
+        share = np.add.reduceat(np.einsum("irs,jrs->ijs", Z, Z), self.blocks, axis=2)
+        centred = s - np.einsum("ijb,j->ib", share, total)
         spread = centred @ centred.T * B / (B - 1)
         robust = 1.0
         if k + 2 < B:

@@ -70,7 +70,7 @@ def read_model(path: str | Path, effects: tuple[Effect, ...] = ()) -> Enriched:
     """
     try:
         document = json.loads(read_text(path, _SIZE_LIMIT))
-    except (json.JSONDecodeError, RecursionError) as error:
+    except (ValueError, RecursionError) as error:
         raise InputError(f"{path}: is no JSON ({error}); give what `lite6jax diagnose --out` wrote") from error
     if (
         not isinstance(document, dict)
@@ -102,7 +102,7 @@ def read_model(path: str | Path, effects: tuple[Effect, ...] = ()) -> Enriched:
         )
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
-    except (KeyError, TypeError, ValueError) as error:
+    except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
         raise InputError(f"{path}: its model is damaged ({error}); run `lite6jax diagnose` again") from error
 
 

@@ -1,0 +1,231 @@
+"""Residuals and their derivatives against plain computations, sample by sample and by finite differences."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from diagnosis.recorded import NOISE, Made, moving_motion, plain_effect, static_motion, with_effects
+from plain_chain import six_parameter_poses
+from scipy.spatial.transform import Rotation
+
+from lite6jax.diagnosis.case import arm_moved, case_of, moved_to
+from lite6jax.physics.catalogue import parse_effect
+from lite6jax.physics.composition import Physics
+from lite6jax.physics.joints import JointHarmonic
+
+SAMPLES = 12
+NOTHING = Physics()
+STATIC = [
+    "joint_offset:joint=3,offset_rad=2e-4",
+    "joint_scale:joint=2,scale=3e-4",
+    "joint_compliance:joint=2,compliance_rad_per_Nm=9e-5",
+    "joint_harmonic:joint=4,order=63.3,amplitude_rad=5e-4,phase_rad=3",
+    "joint_backlash:joint=4,gap_rad=1.2e-3",
+    "joint_coupling:joint=5,source_joint=4,coupling=4e-4",
+    "link_compliance:link=3,compliance_x_rad_per_Nm=1e-4,compliance_y_rad_per_Nm=-6e-5",
+    "link_thermal_expansion:expansion_per_K=2.3e-5",
+    "link_thermal_expansion:link=3,expansion_per_K=6e-5",
+    "frame_offset:x_m=1e-4,y_m=-2e-4,z_m=1e-4,rx_rad=2e-4,ry_rad=1e-4,rz_rad=-3e-4",
+    "frame_offset:link=2,x_m=1e-4,y_m=-2e-4,z_m=1e-4,rx_rad=2e-4,ry_rad=-3e-4,rz_rad=2e-4",
+    "base_compliance:compliance_x_rad_per_Nm=3e-5,compliance_y_rad_per_Nm=-2e-5",
+    "base_drift:vx_m_per_s=1e-6,vy_m_per_s=-2e-6,vz_m_per_s=1e-6",
+    "tool_offset:turned=true,x_m=2e-4,y_m=1e-4,z_m=4e-4,rx_rad=3e-4,ry_rad=-2e-4,rz_rad=2e-4",
+    "measurement_scale:scale=4e-4",
+]
+MOVING = ["joint_lag:joint=2,lag_s=2e-3", "time_offset:offset_s=0.002"]
+
+
+@pytest.fixture(scope="module")
+def arm(tmp_path_factory):
+    return Made(tmp_path_factory.mktemp("arm"), seed=1)
+
+
+@pytest.fixture(scope="module")
+def motions():
+    return {"static": static_motion(3, SAMPLES), "moving": moving_motion(3, SAMPLES)}
+
+
+@pytest.fixture(scope="module")
+def known(arm, motions):
+    """Nothing is to be fitted."""
+    return {name: case_of(arm.recording(motion)) for name, motion in motions.items()}
+
+
+@pytest.fixture(scope="module")
+def unknown(arm, motions):
+    """Geometry, sensor and tool are to be fitted."""
+    made = Made(arm.folder, seed=1, geometry="free", frame=True, tool=True)
+    return case_of(made.recording(static_motion(3, 40)))
+
+
+def plain_residual(poses, recording, orientation=True):
+    """(row, sample), whitened."""
+    rows = [(poses[:, :3, 3] - recording.position).T / NOISE[0]]
+    if orientation:
+        measured = Rotation.from_quat(np.roll(recording.quaternion, -1, axis=1))
+        turned = (measured.inv() * Rotation.from_matrix(poses[:, :3, :3])).as_rotvec()
+        rows.append(turned.T / NOISE[1])
+    return np.concatenate(rows)
+
+
+def differentiated(function, at, step):
+    """(number, row, sample) by central differences."""
+    at = np.asarray(at, float)
+    slopes = []
+    for k in range(len(at)):
+        h = np.zeros(len(at))
+        h[k] = step
+        slopes.append((function(at + h) - function(at - h)) / (2 * step))
+    return np.array(slopes)
+
+
+def close(found, wanted, relative):
+    np.testing.assert_allclose(found, wanted, rtol=0, atol=relative * np.abs(wanted).max())
+
+
+@pytest.mark.parametrize("text", [*STATIC, *MOVING])
+def test_residuals_are_those_of_a_plain_arm_with_the_effect(arm, motions, known, text):
+    kind = "moving" if text in MOVING else "static"
+    case = known[kind]
+    effect, values = parse_effect(text)
+    poses = with_effects(arm, text).poses(motions[kind])
+    found = case.residual(np.zeros(0), Physics((effect,)), values)
+    close(found, plain_residual(poses, case.recording), 1e-9)
+    errors = case.position_errors(np.zeros(0), Physics((effect,)), values)
+    np.testing.assert_allclose(errors, (poses[:, :3, 3] - case.recording.position).T, rtol=0, atol=1e-12)
+
+
+def test_residuals_of_several_effects_and_of_positions_alone(arm, motions):
+    texts = [STATIC[2], STATIC[4], STATIC[7], STATIC[13]]
+    made = Made(arm.folder, tuple(texts), seed=1, orientation=False)
+    recording = made.recording(motions["static"])
+    case = case_of(recording)
+    parsed = [parse_effect(text) for text in texts]
+    physics = Physics(tuple(effect for effect, _ in parsed))
+    found = case.residual(np.zeros(0), physics, physics.join([values for _, values in parsed]))
+    assert found.shape == (3, SAMPLES)
+    close(found, plain_residual(made.poses(motions["static"]), recording, orientation=False), 1e-9)
+
+
+@pytest.mark.parametrize("text", [*STATIC, *MOVING])
+def test_columns_are_derivatives_of_residuals(known, text):
+    case = known["moving" if text in MOVING else "static"]
+    effect, values = parse_effect(text)
+    physics = Physics((effect,))
+    at_zero = differentiated(lambda v: case.residual(np.zeros(0), physics, v), np.zeros(effect.size), 1e-6)
+    close(case.columns([effect]), at_zero, 1e-6)
+    there = differentiated(lambda v: case.residual(np.zeros(0), physics, v), values, 1e-6)
+    assert np.abs(case.columns([effect], values) - there).max() < 5e-3 * np.abs(there).max()
+
+
+def test_columns_of_a_free_order(known):
+    """The order itself is fitted about where it is, not about no amplitude."""
+    case, effect, values = known["static"], JointHarmonic(4), np.array([3e-4, -2e-4, 7.5])
+    there = differentiated(lambda v: case.residual(np.zeros(0), Physics((effect,)), v), values, 1e-6)
+    assert np.abs(case.columns([effect], values) - there).max() < 5e-3 * np.abs(there).max()
+    assert np.abs(there[2]).max() > 0
+
+
+def test_columns_of_effects_together_are_theirs_one_after_another(known):
+    case = known["static"]
+    effects = [parse_effect(text)[0] for text in STATIC]
+    together = case.columns(effects)
+    np.testing.assert_array_equal(together, np.concatenate([case.columns([effect]) for effect in effects]))
+    assert case.columns([]).shape == (0, 6, SAMPLES)
+
+
+def test_sites_are_derivatives_of_a_plain_arm(arm, motions, known):
+    case, motion = known["static"], motions["static"]
+    h = 1e-6
+
+    def slope(text):
+        one, other = (plain_residual(with_effects(arm, text.format(v)).poses(motion), case.recording) for v in (h, -h))
+        return (one - other) / (2 * h)
+
+    rise = motion["joint_temperature"].mean(1) - 25.0
+    components = ("x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad")
+    rest = {c: ",".join(f"{other}=0" for other in components if other != c) for c in components}
+    wanted = {("scale", 0, 0): slope("measurement_scale:scale={}")}
+    for j in (0, 2, 5):
+        wanted["joint", j, 0] = slope(f"joint_offset:joint={j + 1},offset_rad={{}}")
+        for k, c in enumerate(components):
+            wanted["link", j, k] = slope(f"frame_offset:link={j + 1},{c}={{}},{rest[c]}")
+    for k, c in enumerate(components):
+        wanted["base", 0, k] = slope(f"frame_offset:{c}={{}},{rest[c]}")
+        wanted["tool", 0, k] = slope(f"tool_offset:turned=true,{c}={{}}")
+    for j in (1, 4):
+        wanted["stretch", j, 0] = slope(f"link_thermal_expansion:link={j},expansion_per_K={{}}") / rise
+    for site, column in wanted.items():
+        close(case.sites[site], column, 1e-6)
+    assert len(case.sites) == 6 * (1 + 1 + 6) + 6 + 6 + 1
+
+
+def test_the_nuisance_is_the_derivative_of_the_residuals(unknown):
+    case = unknown
+    at_start = differentiated(lambda m: case.residual(m, NOTHING, np.zeros(0)), np.zeros(len(case.unknown)), 1e-6)
+    close(case.nuisance, at_start, 1e-6)
+    assert len(case.unknown) == 6 + 5 * 6 + 6
+
+
+def test_what_is_unknown_follows_from_what_is_declared(arm, motions):
+    def unknown(**options):
+        case = case_of(Made(arm.folder, seed=1, **options).recording(motions["static"]))
+        return len(case.unknown), int(np.count_nonzero(case.precision))
+
+    assert unknown() == (0, 0)
+    assert unknown(frame=True) == (6, 0)
+    assert unknown(frame=True, tool=True) == (12, 0)
+    assert unknown(tool=True, orientation=False) == (3, 0)
+    assert unknown(geometry="prior") == (36, 36)
+    assert unknown(geometry="prior", frame=True, tool=True) == (42, 30)
+
+
+def test_moving_the_start_changes_no_prediction(unknown):
+    case = unknown
+    moved = 1e-3 * np.random.default_rng(0).standard_normal(len(case.unknown))
+    there = moved_to(case, moved)
+    none = np.zeros(0)
+    before = case.residual(moved, NOTHING, none)
+    np.testing.assert_allclose(there.residual(np.zeros(len(moved)), NOTHING, none), before, rtol=0, atol=1e-7)
+    np.testing.assert_array_equal(there.offset, moved)
+    more = 1e-5 * np.random.default_rng(1).standard_normal(len(case.unknown))
+    gap = there.residual(more, NOTHING, none) - case.residual(moved + more, NOTHING, none)
+    change = there.residual(more, NOTHING, none) - there.residual(0 * more, NOTHING, none)
+    assert np.abs(gap).max() < 1e-2 * np.abs(change).max()
+
+
+def test_the_moved_arm_is_a_plain_chain(unknown):
+    case = unknown
+    moved = 1e-3 * np.random.default_rng(0).standard_normal(len(case.unknown))
+    arm = arm_moved(case, moved)
+    chain = six_parameter_poses(np.asarray(arm.geometry).reshape(-1, 6), case.recording.joint_position)
+    poses = np.asarray(arm.T_sensor_base) @ chain @ np.asarray(arm.T_flange_tool)
+    errors = case.position_errors(moved, NOTHING, np.zeros(0))
+    np.testing.assert_allclose(errors, (poses[:, :3, 3] - case.recording.position).T, rtol=0, atol=1e-12)
+
+
+def test_harmonics_are_columns_of_joint_harmonics(known):
+    case, orders = known["static"], np.array([1.0, 2.0, 7.5, 101.0])
+    found = case.harmonics(4, orders)
+    assert found.shape == (4, 2, 6, SAMPLES)
+    for order, pair in zip(orders, found, strict=True):
+        np.testing.assert_allclose(pair, case.columns([JointHarmonic(4, float(order))]), rtol=1e-12)
+
+
+def test_the_noise_of_joint_readings_whitens_with_the_arm(arm, motions):
+    """The covariance of a sample is the sensor's and what the joints' noise makes at the tool."""
+    recording = arm.recording(motions["static"])
+    noisy = replace(recording, settings=replace(recording.settings, joint_noise_rad=3e-5))
+    case = case_of(noisy)
+    whitener = np.moveaxis(np.asarray(case.measured.whitener), -1, 0)
+    plain = case_of(recording)
+    J = np.stack([plain.sites["joint", j, 0] for j in range(6)])  # (joint, row, sample), whitened
+    sigma = np.repeat(NOISE, 3)
+    J = J * sigma[:, None]
+    for k in range(SAMPLES):
+        covariance = np.diag(sigma**2) + 3e-5**2 * J[:, :, k].T @ J[:, :, k]
+        np.testing.assert_allclose(whitener[k] @ covariance @ whitener[k].T, np.eye(6), atol=1e-6)
+
+
+def test_plain_effects_are_read(arm):
+    assert plain_effect("frame_offset:link=2,x_m=1") == ("frame_offset", {"link": 2, "x_m": 1.0})

@@ -1,0 +1,365 @@
+"""The model in a diagnosis file predicts what the independent generator makes of another motion."""
+
+import copy
+import json
+
+import numpy as np
+import pytest
+from diagnosis.recorded import (
+    GRAVITY,
+    LITE6,
+    PAYLOAD_COM,
+    Made,
+    moving_motion,
+    quaternions,
+    static_motion,
+    with_effects,
+)
+
+from lite6jax.diagnosis.diagnose import diagnose
+from lite6jax.diagnosis.prediction import predict_motion, read_model, read_motion, table, with_settings
+from lite6jax.errors import InputError
+from lite6jax.physics.catalogue import effect_as_dict, load_effects, parse_effect
+from lite6jax.recordings import Recording, RecordingSettings, write_recording
+
+SAMPLES = 30
+STATIC = [
+    "joint_offset:joint=3,offset_rad=2e-4",
+    "joint_compliance:joint=2,compliance_rad_per_Nm=9e-5",
+    "joint_harmonic:joint=4,order=63.3,amplitude_rad=5e-4,phase_rad=3",
+    "joint_backlash:joint=4,gap_rad=1.2e-3",
+    "joint_coupling:joint=5,source_joint=4,coupling=4e-4",
+    "link_compliance:link=3,compliance_x_rad_per_Nm=1e-4,compliance_y_rad_per_Nm=-6e-5",
+    "link_thermal_expansion:expansion_per_K=2.3e-5",
+    "frame_offset:link=2,x_m=1e-4,y_m=-2e-4,z_m=1e-4,rx_rad=2e-4,ry_rad=-3e-4,rz_rad=2e-4",
+    "base_compliance:compliance_x_rad_per_Nm=3e-5,compliance_y_rad_per_Nm=-2e-5",
+    "base_drift:vx_m_per_s=1e-6,vy_m_per_s=-2e-6,vz_m_per_s=1e-6",
+    "tool_offset:turned=true,x_m=2e-4,y_m=1e-4,z_m=4e-4,rx_rad=3e-4,ry_rad=-2e-4,rz_rad=2e-4",
+    "measurement_scale:scale=4e-4",
+]
+MOVING = ["joint_lag:joint=2,lag_s=2e-3", "time_offset:offset_s=0.006", "joint_backlash:joint=4,gap_rad=1.2e-3"]
+
+
+@pytest.fixture(scope="module")
+def arm(tmp_path_factory):
+    return Made(tmp_path_factory.mktemp("arm"), seed=1, frame=True, tool=True)
+
+
+def document(made, texts, motion="static", orientation=True):
+    """The file that a diagnosis that found exactly the truth would be."""
+    return {
+        "schema": "lite6jax/diagnosis/1",
+        "model": {
+            "arm": "lite6",
+            "kinematics": made.kinematics.tolist(),
+            "T_sensor_base": made.T_sensor_base.tolist(),
+            "T_flange_tool": made.T_flange_tool.tolist(),
+            "joint_limits": LITE6.joint_limits.tolist(),
+            "orientation": orientation,
+            "inertia": {
+                "mass": LITE6.mass.tolist(),
+                "center_of_mass": LITE6.center_of_mass.tolist(),
+                "payload_center": list(PAYLOAD_COM),
+                "gravity": list(GRAVITY),
+            },
+            "reference_temperature_degC": 25.0,
+            "motion": motion,
+            "effects": [effect_as_dict(*parse_effect(text)) for text in texts],
+        },
+    }
+
+
+def stored(folder, content, name="diagnosis.json"):
+    path = folder / name
+    path.write_text(content if isinstance(content, str) else json.dumps(content))
+    return path
+
+
+def written(folder, motion, settings=None, leave_out=()):
+    """A motion without poses, as a file."""
+    moving = bool(motion["joint_velocity"].any())
+    given = {
+        "time": motion["time"],
+        "joint_velocity": motion["joint_velocity"] if moving else None,
+        "joint_temperature": motion["joint_temperature"],
+        "payload": motion["payload"],
+        "run": motion["run"],
+    }
+    given = {name: value for name, value in given.items() if name not in leave_out}
+    recording = Recording.from_arrays(motion["joint_position"], settings=settings, **given)
+    path = write_recording(recording, folder / "motion.csv", overwrite=True)
+    if settings is None:
+        path.with_suffix(".yaml").unlink(missing_ok=True)
+    return path
+
+
+def predicted(folder, content, motion, **options):
+    model = read_model(stored(folder, content))
+    return predict_motion(model, read_motion(written(folder, motion, **options), model))
+
+
+def refused(function, *arguments):
+    with pytest.raises(InputError) as caught:
+        function(*arguments)
+    assert "\n" not in str(caught.value)
+    return str(caught.value)
+
+
+@pytest.mark.parametrize("text", [*STATIC, *MOVING])
+def test_every_effect_is_predicted_as_the_plain_arm_shows_it(arm, tmp_path, text):
+    moving = text in MOVING
+    motion = (moving_motion if moving else static_motion)(9, SAMPLES)
+    poses, beyond = predicted(tmp_path, document(arm, [text], "trajectory" if moving else "static"), motion)
+    np.testing.assert_allclose(poses, with_effects(arm, text).poses(motion), rtol=0, atol=1e-11)
+    assert not beyond.any()
+
+
+def test_all_effects_together(arm, tmp_path):
+    motion = static_motion(9, SAMPLES)
+    poses, _ = predicted(tmp_path, document(arm, STATIC), motion)
+    np.testing.assert_allclose(poses, with_effects(arm, *STATIC).poses(motion), rtol=0, atol=1e-11)
+
+
+def test_nothing_is_said_where_the_clock_reaches_beyond_the_ends(arm, tmp_path):
+    """Two samples of 20 ms, and one of them by extrapolation: 0.05 s loses one row at the end of each run."""
+    for offset, lost in ((0.05, [13, 14, 28, 29]), (-0.05, [0, 1, 15, 16]), (0.02, []), (0.03, [14, 29])):
+        motion = moving_motion(9, SAMPLES)
+        text = f"time_offset:offset_s={offset}"
+        poses, beyond = predicted(tmp_path, document(arm, [text], "trajectory"), motion)
+        np.testing.assert_array_equal(np.flatnonzero(beyond), lost)
+        columns = table(poses, beyond, orientation=True)
+        assert list(columns) == ["x_m", "y_m", "z_m", "qw", "qx", "qy", "qz"]
+        for column in columns.values():
+            np.testing.assert_array_equal(np.flatnonzero(np.isnan(column)), lost)
+        np.testing.assert_allclose(poses[~beyond], with_effects(arm, text).poses(motion)[~beyond], rtol=0, atol=1e-11)
+
+
+def test_the_table_has_orientation_where_it_was_recorded(arm):
+    poses = arm.poses(static_motion(9, 5))
+    columns = table(poses, np.zeros(5, bool), orientation=True)
+    given = np.stack([columns[name] for name in ("qw", "qx", "qy", "qz")], 1)
+    wanted = quaternions(poses)
+    np.testing.assert_allclose(np.abs(np.sum(given * wanted, 1)), 1.0, atol=1e-12)
+    assert list(table(poses, np.zeros(5, bool), orientation=False)) == ["x_m", "y_m", "z_m"]
+
+
+def test_settings_come_from_the_diagnosed_recording_or_the_motions_own_sidecar(arm, tmp_path):
+    """Reference temperature and kind of motion: 20 °C instead of 25 is five kelvin of growth more."""
+    text, motion = "link_thermal_expansion:expansion_per_K=2.3e-5", static_motion(9, SAMPLES)
+    inherited = document(arm, [text])
+    inherited["model"]["reference_temperature_degC"] = 20.0
+    warmer = {**motion, "joint_temperature": motion["joint_temperature"] + 5.0}
+    wanted = with_effects(arm, text).poses(warmer)
+    np.testing.assert_allclose(predicted(tmp_path, inherited, motion)[0], wanted, rtol=0, atol=1e-11)
+    own = RecordingSettings(motion="static", reference_temperature_degC=20.0)
+    found = predicted(tmp_path, document(arm, [text]), motion, settings=own)[0]
+    np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-11)
+
+
+def test_the_kind_of_motion_is_inherited(arm, tmp_path):
+    """Rows 8 s apart would be taken as poses at rest, rows 20 ms apart as a trajectory."""
+    content = document(arm, ["joint_backlash:joint=4,gap_rad=1.2e-3"])
+    motion = {**static_motion(9, SAMPLES), "time": 0.02 * np.arange(SAMPLES)}
+    found = predicted(tmp_path, content, motion)[0]
+    wanted = with_effects(arm, "joint_backlash:joint=4,gap_rad=1.2e-3").poses(motion)
+    np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-11)
+
+
+def test_what_a_diagnosis_writes_predicts_another_motion(arm, tmp_path):
+    """To the accuracy of an efficient estimate: 160 samples of 20 µm leave some micrometres."""
+    made = with_effects(arm, "joint_compliance:joint=2,compliance_rad_per_Nm=9e-5")
+    found = diagnose(made.recording(static_motion(1)))
+    motion = static_motion(10, SAMPLES)
+    poses, _ = predicted(tmp_path, found.to_dict(), motion)
+    off = (poses - made.poses(motion))[:, :3, 3]
+    assert np.sqrt(np.mean(np.sum(off**2, 1))) < 1.2e-5
+    turned = np.einsum("nij,nik->njk", poses[:, :3, :3], made.poses(motion)[:, :3, :3])
+    assert np.arccos(np.clip((np.trace(turned, axis1=1, axis2=2) - 1) / 2, -1, 1)).max() < 6e-5
+
+
+@pytest.mark.parametrize("noise", [1e-9])
+def test_without_noise_the_prediction_is_the_truth(arm, tmp_path, noise):
+    made = Made(arm.folder, ("joint_compliance:joint=2,compliance_rad_per_Nm=9e-5",), seed=1)
+    found = diagnose(made.recording(static_motion(1), noise=(noise, noise)))
+    assert [step.effect.label for step in found.selection.steps] == ["joint_compliance:joint2"]
+    motion = static_motion(10, SAMPLES)
+    poses, _ = predicted(tmp_path, found.to_dict(), motion)
+    assert np.abs(poses - made.poses(motion)).max() < 1e-9
+
+
+def test_the_model_is_read_as_it_was_written(arm, tmp_path):
+    model = read_model(stored(tmp_path, document(arm, STATIC, orientation=False)))
+    assert model.arm == "lite6"
+    assert (model.dof, model.orientation, model.motion, model.reference_temperature) == (6, False, "static", 25.0)
+    np.testing.assert_array_equal(np.asarray(model.model.geometry).reshape(6, 6), arm.kinematics)
+    assert [effect.label for effect in model.physics.effects] == [parse_effect(text)[0].label for text in STATIC]
+    np.testing.assert_allclose(model.values, np.concatenate([parse_effect(t)[1] for t in STATIC]), rtol=1e-12)
+    assert model.inertia is not None
+    np.testing.assert_array_equal(model.inertia.gravity, GRAVITY)
+
+
+OWN = '''
+from dataclasses import dataclass
+from typing import ClassVar, final
+
+import jax.numpy as jnp
+
+from lite6jax.physics.drivers import Driver
+from lite6jax.physics.effect import Coordinate, JointEffect
+
+
+@final
+@dataclass(frozen=True)
+class CableDrag(JointEffect):
+    """δq = d·tanh(q)."""
+
+    name: ClassVar[str] = "cable_drag"
+
+    @property
+    def coordinates(self):
+        return (Coordinate("drag_rad", "rad", 1e-4),)
+
+    @property
+    def drivers(self):
+        return (Driver("position", self.joint),)
+
+    def angle(self, values, motion, loads):
+        return values[0] * jnp.tanh(motion.joint_position[self.joint - 1])
+
+
+EFFECTS = [CableDrag(joint) for joint in range(1, 7)]
+'''
+
+
+def test_an_effect_of_ones_own(arm, tmp_path):
+    path = tmp_path / "mine.py"
+    path.write_text(OWN)
+    effects = load_effects(path)
+    content = document(arm, [])
+    content["model"]["effects"] = [effect_as_dict(effects[2], [3e-4])]
+    motion = static_motion(9, SAMPLES)
+    model = read_model(stored(tmp_path, content), effects)
+    poses, _ = predict_motion(model, read_motion(written(tmp_path, motion), model))
+    moved = motion["joint_position"].copy()
+    moved[:, 2] += 3e-4 * np.tanh(moved[:, 2])
+    np.testing.assert_allclose(poses, arm.poses({**motion, "joint_position": moved}), rtol=0, atol=1e-11)
+    assert "effect 'cable_drag': unknown" in refused(read_model, stored(tmp_path, content))
+
+
+def test_other_settings_of_a_recording(arm):
+    """Directions follow the kind of motion; what was measured of the motion stays."""
+    motion = static_motion(9, SAMPLES)
+    recording = arm.recording(motion)
+    other = with_settings(recording, RecordingSettings(motion="trajectory", reference_temperature_degC=20.0))
+    assert (other.motion, other.settings.reference_temperature_degC) == ("trajectory", 20.0)
+    assert other.joint_velocity is not None
+    np.testing.assert_array_equal(other.direction_of_motion, np.sign(other.joint_velocity))
+    np.testing.assert_array_equal(other.joint_temperature, recording.joint_temperature)
+
+
+# ------------------------------------------------------------------ what is refused
+
+
+@pytest.mark.parametrize("content", ["{", "not json", "[" * 100_000])
+def test_a_file_that_is_no_json(tmp_path, content):
+    path = stored(tmp_path, content)
+    said = refused(read_model, path)
+    assert said.startswith(f"{path}: is no JSON (")
+    assert said.endswith("give what `lite6jax diagnose --out` wrote")
+
+
+@pytest.mark.parametrize("content", [[], {}, {"schema": "lite6jax/diagnosis/2", "model": {}}, 3])
+def test_a_file_that_is_no_diagnosis(tmp_path, content):
+    path = stored(tmp_path, content)
+    assert refused(read_model, path) == (
+        f"{path}: is no diagnosis (lite6jax/diagnosis/1 with a model); give what `lite6jax diagnose --out` wrote"
+    )
+
+
+def test_a_diagnosis_without_a_model(tmp_path):
+    path = stored(tmp_path, {"schema": "lite6jax/diagnosis/1"})
+    assert f"{path}: is no diagnosis (lite6jax/diagnosis/1 with a model)" in refused(read_model, path)
+
+
+def test_no_such_file(tmp_path):
+    assert str(tmp_path / "none.json") in refused(read_model, tmp_path / "none.json")
+
+
+@pytest.mark.parametrize(
+    "spoil",
+    [
+        lambda m: m.pop("kinematics"),
+        lambda m: m.pop("T_sensor_base"),
+        lambda m: m.pop("inertia"),
+        lambda m: m.pop("effects"),
+        lambda m: m.pop("orientation"),
+        lambda m: m.pop("motion"),
+        lambda m: m.update(kinematics=[[0.0] * 5] * 6),
+        lambda m: m.update(kinematics="none"),
+        lambda m: m.update(kinematics=[["x"] * 6] * 6),
+        lambda m: m.update(T_flange_tool=[[1.0, 0.0], [0.0, 1.0]]),
+        lambda m: m["kinematics"][2].__setitem__(0, float("nan")),
+        lambda m: m["T_sensor_base"][0].__setitem__(3, float("inf")),
+        lambda m: m.update(reference_temperature_degC="warm"),
+        lambda m: m["inertia"].update(mass=["x"] * 6),
+        lambda m: m["inertia"].update(weight=[1.0]),
+        lambda m: m.update(effects=3),
+    ],
+)
+def test_a_damaged_model(arm, tmp_path, spoil):
+    content = copy.deepcopy(document(arm, STATIC[:1]))
+    spoil(content["model"])
+    path = stored(tmp_path, content)
+    said = refused(read_model, path)
+    assert said.startswith(f"{path}: its model is damaged (")
+    assert said.endswith("); run `lite6jax diagnose` again")
+
+
+@pytest.mark.parametrize(
+    ("spoil", "says"),
+    [
+        (lambda m: m["effects"][0].update(effect="gremlins"), "effect 'gremlins': unknown; the catalogue has"),
+        (lambda m: m["effects"][0].update(site="joint4"), "joint_offset: the site 'joint4' is not that of"),
+        (lambda m: m["effects"][0]["where"].update(joint="x"), "joint_offset: joint is 'x'; give a whole number"),
+        (lambda m: m["effects"][0]["parameters"].update(offset_rad="x"), "joint_offset:joint3: offset_rad is 'x'"),
+        (lambda m: m["inertia"].update(mass=[1.0]), "inertia: center_of_mass has the shape (6, 3); give (1, 3)"),
+    ],
+)
+def test_a_damaged_effect_says_which(arm, tmp_path, spoil, says):
+    content = copy.deepcopy(document(arm, STATIC[:1]))
+    spoil(content["model"])
+    path = stored(tmp_path, content)
+    said = refused(read_model, path)
+    assert said.startswith(f"{path}: ")
+    assert says in said
+
+
+@pytest.mark.parametrize(
+    ("text", "leave_out", "says"),
+    [
+        ("base_drift:vx_m_per_s=1e-6", ("time",), "base_drift:base: needs the time"),
+        ("link_thermal_expansion:expansion_per_K=2e-5", ("joint_temperature",), "needs the temperature rise"),
+        ("joint_lag:joint=2,lag_s=1e-3", ("time",), "joint_lag:joint2: needs the velocity of joint 2"),
+        ("time_offset:offset_s=0.004", ("time",), "time_offset"),
+    ],
+)
+def test_a_motion_that_lacks_what_the_model_needs(arm, tmp_path, text, leave_out, says):
+    assert says in refused(
+        lambda: predicted(tmp_path, document(arm, [text]), static_motion(9, SAMPLES), leave_out=leave_out)
+    )
+
+
+def test_a_model_without_masses_cannot_predict_a_compliance(arm, tmp_path):
+    content = document(arm, ["joint_compliance:joint=2,compliance_rad_per_Nm=9e-5"])
+    content["model"]["inertia"] = None
+    said = refused(lambda: predicted(tmp_path, content, static_motion(9, SAMPLES)))
+    assert "joint_compliance:joint2: needs the gravity torque of joint 2" in said
+
+
+def test_a_motion_of_another_arm(arm, tmp_path):
+    motion = static_motion(9, SAMPLES)
+    path = write_recording(Recording.from_arrays(motion["joint_position"][:, :5]), tmp_path / "motion.csv")
+    model = read_model(stored(tmp_path, document(arm, [])))
+    said = refused(read_motion, path, model)
+    assert said.startswith(str(path))
+    assert "has 5 joints (q1 ... q5), the arm has 6" in said

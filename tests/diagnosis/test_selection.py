@@ -1,0 +1,144 @@
+"""Each effect of the catalogue is put into a plainly simulated arm and found again: its name, its site, its numbers."""
+
+import numpy as np
+import pytest
+from diagnosis.recorded import (
+    Made,
+    check_values,
+    found,
+    moving_motion,
+    static_motion,
+    truth,
+    with_effects,
+)
+
+from lite6jax.diagnosis.case import case_of
+from lite6jax.diagnosis.selection import Search, select
+
+
+@pytest.fixture(scope="module")
+def arm(tmp_path_factory):
+    """Of a known geometry, where its sensor stands known as well."""
+    return Made(tmp_path_factory.mktemp("arm"), seed=1)
+
+
+@pytest.fixture(scope="module")
+def still():
+    return static_motion(1)
+
+
+@pytest.fixture(scope="module")
+def moving():
+    return moving_motion(1)
+
+
+def searched(made, motion, **options):
+    return Search(case_of(made.recording(motion, **options))).run()
+
+
+STATIC = [
+    "joint_offset:joint=3,offset_rad=2e-4",
+    "joint_scale:joint=2,scale=3e-4",
+    "joint_compliance:joint=2,compliance_rad_per_Nm=9e-5",
+    "joint_harmonic:joint=1,order=2,amplitude_rad=4e-4,phase_rad=0.7",
+    "joint_harmonic:joint=5,order=1,amplitude_rad=6e-4,phase_rad=-2",
+    "joint_harmonic:joint=2,order=101,amplitude_rad=3e-4,phase_rad=1.2",
+    "joint_harmonic:joint=4,order=63.3,amplitude_rad=5e-4,phase_rad=3",
+    "joint_backlash:joint=4,gap_rad=1.2e-3",
+    "joint_coupling:joint=5,source_joint=4,coupling=4e-4",
+    "link_compliance:link=3,compliance_x_rad_per_Nm=6e-4,compliance_y_rad_per_Nm=-3e-4",
+    "link_thermal_expansion:expansion_per_K=2.3e-5",
+    "link_thermal_expansion:link=3,expansion_per_K=6e-5",
+    "frame_offset:x_m=1e-4,y_m=-2e-4,z_m=1e-4,rx_rad=2e-4,ry_rad=1e-4,rz_rad=-3e-4",
+    "frame_offset:link=2,x_m=1e-4,y_m=-2e-4,z_m=1e-4,rx_rad=2e-4,ry_rad=-3e-4,rz_rad=2e-4",
+    "base_compliance:compliance_x_rad_per_Nm=3e-5,compliance_y_rad_per_Nm=-2e-5",
+    "tool_offset:turned=true,x_m=1e-4,z_m=4e-4",
+    "tool_offset:turned=true,x_m=2e-4,y_m=1e-4,z_m=4e-4,rx_rad=3e-4,ry_rad=-2e-4,rz_rad=2e-4",
+    "measurement_scale:scale=4e-4",
+]
+
+
+@pytest.mark.parametrize("text", STATIC)
+def test_an_effect_of_an_arm_at_rest(arm, still, text):
+    made = with_effects(arm, text)
+    selection = searched(made, still)
+    effect, _ = truth(text)
+    assert found(selection) == [(effect.name, effect.site)]
+    check_values(selection, text)
+
+
+MOVING = [
+    "joint_backlash:joint=4,gap_rad=1.2e-3",
+]
+
+
+@pytest.mark.parametrize("text", MOVING)
+def test_an_effect_of_a_moving_arm(arm, moving, text):
+    selection = searched(with_effects(arm, text), moving)
+    effect, _ = truth(text)
+    assert found(selection) == [(effect.name, effect.site)]
+    check_values(selection, text)
+
+
+@pytest.mark.parametrize(
+    "texts",
+    [
+        ("joint_compliance:joint=2,compliance_rad_per_Nm=9e-5", "joint_backlash:joint=4,gap_rad=1.2e-3"),
+        ("joint_harmonic:joint=1,order=101,amplitude_rad=4e-4,phase_rad=0.4", "tool_offset:turned=true,z_m=4e-4"),
+    ],
+)
+def test_two_effects_at_once(arm, still, texts):
+    selection = searched(with_effects(arm, *texts), still)
+    assert found(selection) == sorted((effect.name, effect.site) for effect, _ in map(truth, texts))
+    for text in texts:
+        check_values(selection, text)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "joint_compliance:joint=2,compliance_rad_per_Nm=9e-5",
+        "joint_harmonic:joint=4,order=2,amplitude_rad=8e-4,phase_rad=0.7",
+        "joint_backlash:joint=5,gap_rad=1.2e-3",
+    ],
+)
+def test_an_effect_of_an_arm_whose_geometry_is_not_known(arm, still, text):
+    """Millimetres of geometry, a sensor and a tool anywhere, and tenths of a millimetre of physics."""
+    made = Made(arm.folder, (text,), seed=2, geometry="free", frame=True, tool=True)
+    selection = searched(made, still)
+    effect, _ = truth(text)
+    assert found(selection) == [(effect.name, effect.site)]
+    check_values(selection, text)
+
+
+def test_an_effect_of_an_arm_whose_geometry_is_known_roughly(arm, still):
+    text = "joint_compliance:joint=2,compliance_rad_per_Nm=9e-5"
+    selection = searched(Made(arm.folder, (text,), seed=2, geometry="prior", frame=True), still)
+    assert found(selection) == [("joint_compliance", "joint2")]
+    check_values(selection, text)
+
+
+CLEAN = [
+    {"geometry": "exact"},
+    {"geometry": "exact", "frame": True, "orientation": False},
+    {"geometry": "prior", "frame": True, "tool": True},
+    {"geometry": "free", "frame": True, "tool": True},
+]
+
+
+@pytest.mark.parametrize("options", CLEAN)
+def test_nothing_is_found_where_nothing_is_missing(arm, still, options):
+    made = Made(arm.folder, seed=3, **options)
+    poses = made.poses(still)
+    for seed in range(2):
+        selection = select(case_of(made.recording(still, poses=poses, seed=seed)))
+        assert selection.steps == ()
+        assert selection.fitted is selection.baseline or np.array_equal(
+            selection.fitted.moved, selection.baseline.moved
+        )
+
+
+def test_nothing_is_found_in_a_moving_arm_where_nothing_is_missing(arm, moving):
+    poses = arm.poses(moving)
+    for seed in range(2):
+        assert select(case_of(arm.recording(moving, poses=poses, seed=seed))).steps == ()

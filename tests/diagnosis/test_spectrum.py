@@ -1,0 +1,73 @@
+"""Orders of a gear, whole or not, at the joint that has them."""
+
+import numpy as np
+import pytest
+from diagnosis.recorded import Made, static_motion, with_effects
+
+from lite6jax.diagnosis.case import case_of
+from lite6jax.diagnosis.evidence import evidence_of
+from lite6jax.diagnosis.refit import refit
+from lite6jax.diagnosis.spectrum import HIGHEST, lines, spectrum
+from lite6jax.physics.composition import Physics
+from lite6jax.physics.joints import JointHarmonic
+
+
+@pytest.fixture(scope="module")
+def still():
+    return static_motion(7)
+
+
+@pytest.fixture(scope="module")
+def arm(tmp_path_factory):
+    return Made(tmp_path_factory.mktemp("arm"), seed=1, frame=True)
+
+
+def evidence(made, motion, **options):
+    case = case_of(made.recording(motion, **options))
+    return evidence_of(case, refit(case, Physics()))
+
+
+@pytest.mark.parametrize(
+    ("joint", "order", "within"),
+    [(1, 2, 0.0), (3, 7.5, 0.03), (2, 101, 0.0), (4, 63.3, 0.03), (5, 1, 0.0), (2, 160.7, 0.03), (6, 199, 0.0)],
+)
+def test_the_order_of_a_joint(arm, still, joint, order, within):
+    made = with_effects(arm, f"joint_harmonic:joint={joint},order={order},amplitude_rad=6e-4,phase_rad=0.8")
+    against = evidence(made, still)
+    best = lines(against)[0]
+    assert best.joint == joint
+    assert abs(best.order - order) <= within
+    assert best.effect == JointHarmonic(joint, best.order)
+    assert best.score.p < 1e-6
+    # a sine and a cosine of it
+    wanted = 6e-4 * np.array([np.cos(0.8), np.sin(0.8)])
+    assert np.linalg.norm(best.score.values - wanted) < 0.15 * 6e-4
+
+
+def test_the_spectrum_has_its_peak_there(arm, still):
+    made = with_effects(arm, "joint_harmonic:joint=4,order=63.3,amplitude_rad=6e-4,phase_rad=0.8")
+    against = evidence(made, still)
+    orders, gains = spectrum(against, 4)
+    assert orders[0] == 1.0
+    assert HIGHEST - 1 < orders[-1] < HIGHEST
+    assert abs(orders[np.argmax(gains)] - 63.3) < orders[1] - orders[0]
+    assert gains.max() > 5 * np.sort(gains[np.abs(orders - 63.3) > 2])[-1]
+    assert (gains >= 0).all()
+
+
+def test_gains_are_those_of_exact_scores_where_nothing_is_fitted(arm, still):
+    against = evidence(Made(arm.folder, seed=1), still)
+    orders, gains = spectrum(against, 2)
+    some = [0, 40, 200, len(orders) - 1]
+    for k in some:
+        score = against.score([JointHarmonic(2, float(orders[k]))])[0]
+        assert gains[k] == pytest.approx(score.gain, rel=1e-9)
+
+
+def test_noise_has_no_order(arm, still):
+    for seed in range(3):
+        found = lines(evidence(arm, still, seed=seed))
+        assert sorted(line.joint for line in found) == [1, 2, 3, 4, 5, 6]
+        assert min(line.score.p * line.tried for line in found) > 1e-3
+        gains = [line.score.gain for line in found]
+        assert gains == sorted(gains, reverse=True)
