@@ -23,9 +23,8 @@ from lite6jax.physics.unnamed import Unnamed, spline_basis
 from lite6jax.report import diagnosis_figures
 from lite6jax.report.canvas import STYLE
 from lite6jax.report.cells import number, plus_minus
-from lite6jax.report.diagnosis_tables import NAMED as _NEAR
-from lite6jax.report.diagnosis_tables import VERDICTS
-from lite6jax.report.diagnosis_tables import chance
+from lite6jax.report.diagnosis_tables import NAMED as NEAR
+from lite6jax.report.diagnosis_tables import VERDICTS, chance
 
 Array = NDArray[np.floating]
 
@@ -154,7 +153,7 @@ def _finding(
     unnamed = isinstance(step.effect, Unnamed)
     numbers = _swing(case, step.effect, values, covariance) if isinstance(step.effect, Unnamed) else entry["parameters"]
     rivals = sorted(step.rivals, key=lambda rival: rival.gap)
-    near, far = ([r for r in rivals if (r.gap < _NEAR) is close] for close in (True, False))
+    near, far = ([r for r in rivals if (r.gap < NEAR) is close] for close in (True, False))
     driver = "" if entry["driver"] == "none" else f", by {entry['driver']}"
     statement = f"Acts at {entry['site']}{driver}."
     return {
