@@ -127,7 +127,7 @@ def test_all_that_was_found_is_said(found, html):
     assert float(row[1]) == pytest.approx(compliance, abs=std)
     assert float(row[2]) == pytest.approx(std, rel=0.06)
     assert re.search(r"order 2 – amplitude 0\.\d+ 0\.\d+ mrad phase \d+\.\d+ \d\.\d+ deg", text)
-    assert "p = 1e-09" in text
+    assert "p = 1.0e-09" in text
     assert "Not told apart by this recording" in text
     assert "joint compliance at joint2 (+1.5)" in text
     assert "rejected: joint compliance at joint2 (+44.0)" in text
