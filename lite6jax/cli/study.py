@@ -312,7 +312,6 @@ class Design:
 
     def run(self) -> int:
         """Draws candidates, chooses, writes, prints."""
-
         from lite6jax.arms.files import read_arm
         from lite6jax.fitting.fit import read_source
         from lite6jax.identifiability.candidates import all_pass, candidates, inside_limits
@@ -352,10 +351,10 @@ class Design:
             "feasible": lambda q: all_pass(filters, q),
             "seed": self.seed,
         }
+        accuracy = None if self.accuracy is None else self.accuracy / 1e3
         if self.rivals is None:
-            wish = None if self.accuracy is None else self.accuracy / 1e3
             found = plan_poses(
-                experiment, drawn.joint_position, self.poses, criterion=self.criterion, accuracy=wish, **asked
+                experiment, drawn.joint_position, self.poses, criterion=self.criterion, accuracy=accuracy, **asked
             )
         else:
             from lite6jax.physics.catalogue import parse_effect
@@ -371,7 +370,6 @@ class Design:
 
             drawing = study_figures.accuracy_by_count(found, self.source)
             written += canvas.save({name: drawing}, self.figures, self.force)
-        accuracy = None if self.accuracy is None else self.accuracy / 1e3
         screen.show(study_tables.design_report(found, drawn, disabled, self.source, accuracy))
         screen.written(written)
         return DONE

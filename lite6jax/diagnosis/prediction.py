@@ -2,7 +2,6 @@
 
 import json
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -154,7 +153,7 @@ def predict_motion(model: Enriched, recording: Recording) -> tuple[Array, NDArra
 
 
 _beyond = jax.jit(Physics.beyond, static_argnums=0)
-_quaternions = jax.jit(partial(quaternion_from_rotation))
+_quaternions = jax.jit(quaternion_from_rotation)
 
 
 def table(poses: Array, beyond: NDArray[np.bool_], orientation: bool) -> dict[str, Array]:

@@ -61,6 +61,11 @@ class Fitted:
     parameters: float
     converged: bool
 
+    @property
+    def freedom(self) -> float:
+        """Numbers it was fitted to, less those fitted."""
+        return float(len(self.residual.rows) * self.used.sum()) - self.parameters
+
     def log_likelihood(self, scale: float) -> float:
         """Of the rows used, Student's t, the noise given as a multiple of the whitener's."""
         squares = np.sum(self.residual.rows[:, self.used] ** 2, 0) / scale**2

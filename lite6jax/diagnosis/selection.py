@@ -213,7 +213,7 @@ class Search:
 
     def _unnamed(self, baseline: Fitted, fitted: Fitted, steps: list[Step]) -> tuple[Fitted, list[Step]]:
         """Curves in place of named effects of a joint, where they explain clearly more than these together."""
-        n = evidence_of(self.case, baseline).freedom
+        n = baseline.freedom
         for _ in range(3):
             evidence = evidence_of(self.case, fitted)
             scores = evidence.score(self.curves)
@@ -253,7 +253,7 @@ class Search:
 
     def _pruned(self, fitted: Fitted, steps: list[Step]) -> tuple[Fitted, list[Step]]:
         """Without those that the others make unnecessary."""
-        n = evidence_of(self.case, fitted).freedom
+        n = fitted.freedom
         while len(steps) > 1:
             losses = []
             for i in range(len(steps)):

@@ -81,13 +81,11 @@ class Plan:
     @property
     def worth(self) -> int | None:
         """How many random poses are as accurate as these, by the median; None where more than were drawn."""
-        enough = np.flatnonzero(self.random_median <= self.accuracy[-1])
-        return int(enough[0]) + 1 if len(enough) else None
+        return _first_within(self.random_median, self.accuracy[-1])
 
     def poses_for(self, accuracy: float) -> int | None:
         """How many of these, in their order, reach an accuracy in m; None where all of them do not."""
-        enough = np.flatnonzero(self.accuracy <= accuracy)
-        return int(enough[0]) + 1 if len(enough) else None
+        return _first_within(self.accuracy, accuracy)
 
 
 def plan_poses(
@@ -134,11 +132,11 @@ def plan_poses(
     length = min(max(count, min(max(4 * count, 60), MOST_POSES)), len(q))
     draws = np.stack([random.choice(len(q), length, replace=False) for _ in range(RANDOM)])
     chosen_rows = experiment.rows(chosen)
-    needed, more, reached = None, count, curve(chosen_rows)
+    achieved = curve(chosen_rows)
+    needed, more, reached = None, count, achieved
     while accuracy is not None:
-        enough = np.flatnonzero(reached <= accuracy)
-        if len(enough):
-            needed = int(enough[0]) + 1
+        needed = _first_within(reached, accuracy)
+        if needed is not None:
             break
         if more >= min(MOST_POSES, len(q)) or not curve.told:
             break
@@ -153,7 +151,7 @@ def plan_poses(
         design=design,
         candidates=len(q),
         refinement=refinement,
-        accuracy=curve(chosen_rows),
+        accuracy=achieved,
         random_accuracy=np.stack([curve(rows[draw]) for draw in draws]),
         efficiency=efficiency,
         needed=needed,
@@ -291,6 +289,12 @@ def shortest_round(joint_position: Array, first: Array | None = None) -> NDArray
         if not improved:
             break
     return tour[1:] - 1
+
+
+def _first_within(curve: Array, accuracy: float) -> int | None:
+    """After how many poses a curve is as low as that; None where it never is."""
+    enough = np.flatnonzero(curve <= accuracy)
+    return int(enough[0]) + 1 if len(enough) else None
 
 
 def _information_there(experiment: Experiment, recorded: ArrayLike | None) -> Array:
