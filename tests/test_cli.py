@@ -15,8 +15,8 @@ import pytest
 import yaml
 from plain_chain import LITE6_DH, hayati_poses, perturb_poses, perturbed, random_positions, six_parameter_poses
 from scipy.spatial.transform import Rotation
+from typed import flat, refused, run
 
-from lite6jax import cli
 from lite6jax.arms.bundled import load_bundled
 from lite6jax.arms.factory import read_factory, write_factory
 from lite6jax.cli import program
@@ -27,28 +27,6 @@ from lite6jax.fitting.solution import Result
 ROOT = Path(__file__).resolve().parents[1]
 REAL = ROOT / "../shared/real"
 LITE6 = load_bundled("lite6").kinematics
-
-
-def run(capsys, *arguments, width=80):
-    """Exit code, stdout and stderr of a command."""
-    os.environ["COLUMNS"] = str(width)
-    code = cli.main([str(argument) for argument in arguments])
-    said = capsys.readouterr()
-    return code, said.out, said.err
-
-
-def refused(capsys, *arguments):
-    """The one line on stderr of a command whose input cannot be used."""
-    code, out, err = run(capsys, *arguments)
-    assert (code, out) == (2, "")
-    assert err.startswith("error: ")
-    assert err.count("\n") == 1
-    return err.removeprefix("error: ").rstrip("\n")
-
-
-def flat(text):
-    """Without the line breaks of a narrow screen."""
-    return " ".join(text.split())
 
 
 @pytest.fixture(autouse=True)

@@ -1,7 +1,6 @@
 """`diagnose` and `predict` as they are typed: what is printed, written and refused."""
 
 import json
-import os
 from dataclasses import replace
 
 import numpy as np
@@ -9,6 +8,7 @@ import pyarrow.csv
 import pytest
 from diagnosis.recorded import LITE6, Made, quaternions, static_motion, with_effects
 from diagnosis.test_prediction import OWN, document
+from typed import flat, refused, run
 
 from lite6jax import cli
 from lite6jax.arms.factory import write_factory
@@ -16,27 +16,6 @@ from lite6jax.recordings import Recording, write_recording
 
 COMPLIANCE = "joint_compliance:joint=2,compliance_rad_per_Nm=9e-5"
 SAMPLES = 300
-
-
-def run(capsys, *arguments):
-    """Exit code, stdout and stderr of a command."""
-    os.environ["COLUMNS"] = "80"
-    code = cli.main([str(argument) for argument in arguments])
-    said = capsys.readouterr()
-    return code, said.out, said.err
-
-
-def refused(capsys, *arguments):
-    """The one line on stderr of a command whose input cannot be used."""
-    code, out, err = run(capsys, *arguments)
-    assert (code, out) == (2, "")
-    assert err.startswith("error: ")
-    assert err.count("\n") == 1
-    return err.removeprefix("error: ").rstrip("\n")
-
-
-def flat(text):
-    return " ".join(text.split())
 
 
 @pytest.fixture(autouse=True)

@@ -1,42 +1,20 @@
 """`identify`, `sensitivity` and `design` as they are typed: what is printed, written and refused."""
 
 import json
-import os
 import re
 
 import numpy as np
 import pyarrow.csv
 import pytest
 from plain_chain import random_positions, six_parameter_poses
+from typed import flat, refused, run
 
-from lite6jax import cli
 from lite6jax.arms.bundled import load_bundled
 from lite6jax.identifiability.identify import identify, identify_recording
 from lite6jax.identifiability.information import plan_experiment
 from lite6jax.recordings import Recording, RecordingSettings, read_recording, write_recording
 
 LITE6 = load_bundled("lite6")
-
-
-def run(capsys, *arguments, width=80):
-    """Exit code, stdout and stderr of a command."""
-    os.environ["COLUMNS"] = str(width)
-    code = cli.main([str(argument) for argument in arguments])
-    said = capsys.readouterr()
-    return code, said.out, said.err
-
-
-def refused(capsys, *arguments):
-    """The one line on stderr of a command whose input cannot be used."""
-    code, out, err = run(capsys, *arguments)
-    assert (code, out) == (2, "")
-    assert err.startswith("error: ")
-    assert err.count("\n") == 1
-    return err.removeprefix("error: ").rstrip("\n")
-
-
-def flat(text):
-    return " ".join(text.split())
 
 
 @pytest.fixture(autouse=True)

@@ -5,11 +5,13 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator, MultipleLocator
+from numpy.typing import NDArray
 
 from lite6jax import storage
 from lite6jax.errors import InputError
@@ -34,6 +36,8 @@ STYLE: dict[Any, Any] = {
 """Readable at half size; the same figure gives the same bytes."""
 FRAMED: dict[Any, Any] = {**STYLE, "axes.grid": False, "axes.spines.top": True, "axes.spines.right": True}
 """Of maps."""
+
+_MOST_POINTS = 2000
 
 
 def check_names(folder: str | Path, names: Sequence[str], overwrite: bool = False) -> None:
@@ -84,3 +88,8 @@ def degree_ticks(panel: Axes) -> MultipleLocator | MaxNLocator:
         if (high - low) / step <= 5:
             return MultipleLocator(step)
     return MultipleLocator(180) if high - low < 1000 else MaxNLocator(5)
+
+
+def thinned(count: int) -> NDArray[np.int64]:
+    """Which of `count` points to draw: evenly spread, and no more than an eye can tell."""
+    return np.unique(np.linspace(0, max(count - 1, 0), min(count, _MOST_POINTS)).astype(int))

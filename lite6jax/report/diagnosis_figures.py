@@ -26,14 +26,13 @@ from lite6jax.physics.joints import JointHarmonic
 from lite6jax.physics.motion import Motion, motion_of
 from lite6jax.physics.statics import Loads
 from lite6jax.physics.unnamed import Unnamed, spline_basis
-from lite6jax.report.canvas import AFTER, BEFORE, FRAMED, STYLE, blank, degree_ticks
+from lite6jax.report.canvas import AFTER, BEFORE, FRAMED, STYLE, blank, degree_ticks, thinned
 
 Array = NDArray[np.floating]
 
 NAMES = ("error_by_joint", "where", "orders", "findings", "remaining")
 """What `drawings` may give."""
 
-_MOST_POINTS = 2000
 _BINS = 20
 _LEAST_IN_BIN = 5
 _PIECES = 8
@@ -77,7 +76,7 @@ def error_by_joint(found: Diagnosis, title: str) -> Figure:
     ]
     with rc_context(STYLE):
         figure, panels = _grid(len(q), shared=True)
-        shown = _thinned(q.shape[1])
+        shown = thinned(q.shape[1])
         for joint, panel in enumerate(panels):
             for _, error, colour in both:
                 panel.plot(
@@ -428,7 +427,7 @@ def _along(case: Case, fitted: Fitted, effect: Effect, part: slice, rows: Array,
 
 
 def _draw_view(panel: Axes, view: _View) -> None:
-    shown = _thinned(len(view.seen))
+    shown = thinned(len(view.seen))
     panel.plot(
         view.driver[shown], view.seen[shown], ".", color=_GREY, markersize=5, alpha=0.4, markeredgewidth=0,
         rasterized=True, zorder=2,
@@ -516,7 +515,3 @@ def _grid(count: int, shared: bool = False, wide: bool = False) -> tuple[Figure,
 def _legend(figure: Figure, panel: Axes, columns: int) -> None:
     handles, labels = panel.get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=columns, frameon=False)
-
-
-def _thinned(count: int) -> NDArray[np.int64]:
-    return np.unique(np.linspace(0, max(count - 1, 0), min(count, _MOST_POINTS)).astype(int))

@@ -8,11 +8,10 @@ from numpy.typing import NDArray
 from lite6jax.fitting.compare import Comparison
 from lite6jax.fitting.solution import Errors, Solution
 from lite6jax.recordings import Recording
-from lite6jax.report.canvas import AFTER, BEFORE, FRAMED, MARKERS, OKABE_ITO, STYLE, blank, degree_ticks
+from lite6jax.report.canvas import AFTER, BEFORE, FRAMED, MARKERS, OKABE_ITO, STYLE, blank, degree_ticks, thinned
 
 Array = NDArray[np.floating]
 
-_MOST_POINTS = 2000
 _BINS = 20
 _LEAST_IN_BIN = 8
 _MOST_NAMED = 12
@@ -29,7 +28,7 @@ def error_by_joint(solution: Solution, title: str) -> Figure:
         panels = figure.subplots(rows, columns, sharey=True, squeeze=False).ravel()
         for joint, panel in enumerate(panels[:joints]):
             for errors, colour, zorder in ((before, BEFORE, 2), (after, AFTER, 3)):
-                shown = _thinned(len(errors.position))
+                shown = thinned(len(errors.position))
                 degrees = np.rad2deg(errors.joint_position[:, joint])
                 panel.plot(
                     degrees[shown], 1e3 * errors.position[shown], ".", color=colour, markersize=5, alpha=0.35,
@@ -66,7 +65,7 @@ def error_distribution(solution: Solution, recording: Recording, title: str) -> 
             millimetres = np.minimum(1e3 * errors.position, top)  # the last bin holds what lies beyond
             left.hist(millimetres, bins, color=colour, alpha=0.45)
             left.hist(millimetres, bins, color=colour, histtype="step", linewidth=2)
-            shown = _thinned(len(errors.position))
+            shown = thinned(len(errors.position))
             right.plot(
                 recording.row[shown], 1e3 * errors.position[shown], ".", color=colour, markersize=6, alpha=0.5,
                 markeredgewidth=0, rasterized=True,
@@ -172,10 +171,6 @@ def _running_median(x: Array, y: Array) -> tuple[Array, Array]:
         if len(inside) >= _LEAST_IN_BIN:
             medians[k] = np.median(inside)
     return (edges[1:] + edges[:-1]) / 2, medians
-
-
-def _thinned(count: int) -> NDArray[np.int64]:
-    return np.unique(np.linspace(0, count - 1, min(count, _MOST_POINTS)).astype(int))
 
 
 def _short(name: str, k: int) -> str:

@@ -1,0 +1,27 @@
+"""Commands as they are typed: what they print, and the one line with which they refuse."""
+
+import os
+
+from lite6jax import cli
+
+
+def run(capsys, *arguments, width=80):
+    """Exit code, stdout and stderr of a command."""
+    os.environ["COLUMNS"] = str(width)
+    code = cli.main([str(argument) for argument in arguments])
+    said = capsys.readouterr()
+    return code, said.out, said.err
+
+
+def refused(capsys, *arguments):
+    """The one line on stderr of a command whose input cannot be used."""
+    code, out, err = run(capsys, *arguments)
+    assert (code, out) == (2, "")
+    assert err.startswith("error: ")
+    assert err.count("\n") == 1
+    return err.removeprefix("error: ").rstrip("\n")
+
+
+def flat(text):
+    """Without the line breaks of a narrow screen."""
+    return " ".join(text.split())
