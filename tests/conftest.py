@@ -1,6 +1,7 @@
 """What every test runs under: types checked at run time, one compilation cache, the same random examples each time."""
 
 import os
+from collections.abc import Iterator
 from pathlib import Path
 
 # LLVM's optimiser would take most of the suite's time, for functions that run on a hundred samples.
@@ -31,3 +32,12 @@ def pytest_configure(config: pytest.Config) -> None:
     jax.config.update("jax_compilation_cache_dir", str(cache.mkdir("jax")))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0)
     jax.config.update("jax_persistent_cache_min_entry_size_bytes", 0)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _few_mappings() -> Iterator[None]:
+    """Linux lets a process have 65 530 mappings of memory; compiled functions take several each, and crash beyond."""
+    yield
+    mappings = Path("/proc/self/maps")
+    if mappings.exists() and mappings.read_bytes().count(b"\n") > 20_000:
+        jax.clear_caches()

@@ -305,6 +305,19 @@ def sweep(
     return lax.fori_loop(0, form.dof, body, (frame, collected))
 
 
+def link_frames(form: Form, parameters: Array, joint: Turn, start: Frame) -> Frame:
+    """The frame after each joint's rotation, in the coordinates of `start`: leaves `(joint, 3, sample)`; plain JAX."""
+    values = parameters[form.walking_order]
+    steps = values[form.entering :].reshape(form.dof, -1)
+    frame, _ = form.enter(start, values[: form.entering])
+
+    def walk(frame: Frame, at: tuple[Array, Array, Turn]) -> tuple[Frame, Frame]:
+        frame, _ = form.step(frame, *at)
+        return frame, frame
+
+    return lax.scan(walk, frame, (steps, jnp.asarray(form.flags), joint))[1]
+
+
 @partial(jax.jit, static_argnums=0)
 def fk(form: Form, parameters: ArrayLike, joint_position: ArrayLike) -> Array:
     """Flange poses `T_base_flange` `(..., 4, 4)` of a chain.

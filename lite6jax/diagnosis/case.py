@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 
 from lite6jax.arms import frames
 from lite6jax.arms.arm import Arm
-from lite6jax.arms.chains import Form, SixParameterForm
-from lite6jax.arms.moves import turn
+from lite6jax.arms.chains import Form, SixParameterForm, link_frames
+from lite6jax.arms.moves import Frame, base_frame, cross, turn
 from lite6jax.arms.se3 import rotation_exp
 from lite6jax.fitting.problem import Geometry, Problem, recording_problem, whitener_of
-from lite6jax.fitting.residual import Observations, differences, whiten
+from lite6jax.fitting.residual import Observations, by_twist, differences, tool_frame, whiten
 from lite6jax.model import ArmModel, predict_bent
 from lite6jax.physics.catalogue import BUILT_IN
 from lite6jax.physics.composition import Physics
@@ -154,7 +154,7 @@ class Case:
         """How they change with a deflection at each site, `(row, sample)`: keys are the field of `Deflection`, and
         where in it."""
         dof = self.motion.dof
-        columns = np.asarray(_sites(self.chain, self.start, self.motion.joint_position, self._rigid, self.measured))
+        columns = np.asarray(_sites(self.chain, self.start, self.motion.joint_position, self.measured))
         keys = [
             *(("joint", j, 0) for j in range(dof)),
             *(("stretch", j, 0) for j in range(dof)),
@@ -362,21 +362,40 @@ def _positions(form: Form, model: ArmModel, joint_position: jax.Array, deflectio
     return predict_bent(form, model, joint_position, deflection)[1].origin
 
 
-@partial(jax.jit, static_argnums=0, compiler_options=_ONCE)
-def _sites(
-    form: Form, model: ArmModel, joint_position: jax.Array, deflection: Deflection, measured: Measured
-) -> jax.Array:
-    """`(site, row, sample)`, in the order of `Deflection`'s fields."""
-    rigid = [leaf for leaf in deflection if leaf is not None]
-    shapes = [leaf.shape[:-1] for leaf in rigid]
-    sizes = [int(np.prod(shape)) for shape in shapes]
+@partial(jax.jit, static_argnums=0)
+def _sites(form: SixParameterForm, model: ArmModel, joint_position: jax.Array, measured: Measured) -> jax.Array:
+    """`(site, row, sample)`: joints, stretches, links, base, tool, scale; `Deflection`'s own derivatives at none."""
+    samples = joint_position.shape[1]
+    joint = turn(joint_position)
+    start = base_frame(model.T_sensor_base, samples)
+    links = link_frames(form, model.geometry, joint, start)
+    flange = jax.tree.map(lambda leaf: leaf[-1], links)
+    tool = tool_frame(model, flange)
+    rows = 6 if measured.rotation.shape[-1] else 3
+    whitener = measured.whitener
+    if whitener.ndim == 1:
+        whitener = jnp.diag(jnp.repeat(whitener, 3)[:rows])[:, :, None]
+    by_linear, by_angular = by_twist(
+        Observations(joint, measured.position, measured.rotation, jnp.ones(samples), whitener), tool
+    )
 
-    def moved(constant: jax.Array) -> jax.Array:
-        parts, at = [], 0
-        for leaf, shape, size in zip(rigid, shapes, sizes, strict=True):
-            parts.append(leaf + constant[at : at + size].reshape(*shape, 1))
-            at += size
-        return _plain_residual(form, model, joint_position, Deflection(*parts), measured)
+    def shifted(linear: jax.Array) -> jax.Array:
+        return jnp.sum(by_linear * linear, 1)
 
-    zero = jnp.zeros(sum(sizes))
-    return jax.lax.map(lambda step: jax.jvp(moved, (zero,), (step,))[1], jnp.eye(sum(sizes)))
+    def turned(axis: jax.Array, origin: jax.Array) -> jax.Array:
+        return shifted(cross(origin, axis)) + jnp.sum(by_angular * axis, 1)
+
+    def displaced(frame: Frame) -> list[jax.Array]:
+        return [*(shifted(axis) for axis in frame[:3]), *(turned(axis, frame.origin) for axis in frame[:3])]
+
+    origins = jnp.concatenate([start.origin[None], links.origin])
+    each = jax.lax.map(lambda frame: jnp.stack(displaced(frame)), links)
+    parts = [
+        each[:, 5],  # a joint's angle is about its frame's z
+        jax.lax.map(shifted, jnp.diff(origins, axis=0)),
+        each.reshape(-1, rows, samples),
+        jnp.stack(displaced(start)),
+        each[-1],
+        shifted(tool.origin)[None],
+    ]
+    return jnp.concatenate(parts)

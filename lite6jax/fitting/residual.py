@@ -186,18 +186,28 @@ def _walked_jacobian(form: ModelForm, model: ArmModel, observed: Observations, s
 
         return _columns(form, model, observed, sight, rows)
 
-    # the residual's derivative by a twist, `(row, 3, sample)` for each of its parts, once for all parameters
-    by_linear = root * observed.whitener[:, :3]
-    by_angular = -jnp.moveaxis(cross(jnp.moveaxis(by_linear, 1, 0), sight.tool.origin[:, None]), 0, 1)
-    if len(sight.raw) == POSE:
-        turned = jnp.stack([_left_jacobian_inverse(sight.raw[3:], observed.rotation[j]) for j in range(3)], 1)
-        by_angular = by_angular + root * jnp.sum(observed.whitener[:, 3:, None] * turned, 1)
+    by_linear, by_angular = by_twist(observed, sight.tool)
 
     def rows(twist: Twist) -> Array:
         shift = jnp.sum(by_linear * twist.linear, 1)
-        return shift if twist.angular is None else shift + jnp.sum(by_angular * twist.angular, 1)
+        return root * (shift if twist.angular is None else shift + jnp.sum(by_angular * twist.angular, 1))
 
     return _columns(form, model, observed, sight, rows)
+
+
+def by_twist(observed: Observations, tool: Frame) -> tuple[Array, Array]:
+    """The whitened residual's derivatives by a twist at the fixed origin, its linear and its angular part.
+
+    Each `(row, 3, sample)`, orientation rows in the measured tool's axes, the logarithm's own derivative included. The
+    whitener is `(row, row, sample)`.
+    """
+    by_linear = observed.whitener[:, :3]
+    by_angular = -jnp.moveaxis(cross(jnp.moveaxis(by_linear, 1, 0), tool.origin[:, None]), 0, 1)
+    if observed.rotation.shape[-1]:
+        raw = differences(observed, tool)[3:]
+        turned = jnp.stack([_left_jacobian_inverse(raw, observed.rotation[j]) for j in range(3)], 1)
+        by_angular = by_angular + jnp.sum(observed.whitener[:, 3:, None] * turned, 1)
+    return by_linear, by_angular
 
 
 def _columns(
