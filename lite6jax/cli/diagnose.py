@@ -20,12 +20,16 @@ class Diagnose:
 
         lite6jax diagnose run7.csv --out diagnosis.json
         lite6jax diagnose run7.csv --out diagnosis.json --report report.html
+        lite6jax diagnose run7.csv --against gazebo.csv --out diagnosis.json
     """
 
     source: Annotated[Positional[Path], arg(metavar="FILE")]
     """A recording of measured poses (.csv, .parquet, .mcap), with its sidecar .yaml beside it."""
     out: Annotated[Path, arg(metavar="FILE")]
     """Write findings and model here (JSON)."""
+    against: Annotated[Path | None, arg(metavar="OTHER")] = None
+    """Take the other side from this recording instead of the model: what another simulator gives for the same joints,
+    or the same arm earlier. Says first whether the model reproduces it, and if not, in what they differ."""
     arm: ArmName = None
     """The nominal arm; from the sidecar where not given."""
     geometry: Literal["declared", "exact", "prior", "free"] = "declared"
@@ -53,22 +57,37 @@ class Diagnose:
             from lite6jax.report.diagnosis_figures import NAMES
 
             canvas.check_names(self.figures, [f"{self.source.stem}_{name}" for name in NAMES], self.force)
+        from lite6jax.arms.arm import Arm
+        from lite6jax.arms.files import read_arm
+        from lite6jax.diagnosis.against import diagnose_against
         from lite6jax.diagnosis.diagnose import FOLDS, diagnose
         from lite6jax.fitting.fit import load_nominal, read_source
         from lite6jax.physics.catalogue import load_effects
         from lite6jax.recordings import Recording
         from lite6jax.report import diagnosis_tables, screen
 
+        def read(path: Path, of: Arm | None) -> Recording:
+            source = read_source(
+                path, of, assume_degrees=self.assume_degrees, assume_millimetres=self.assume_millimetres
+            )
+            if not isinstance(source, Recording):
+                raise InputError(f"{path}: is a calibration; diagnose takes a recording (.csv, .parquet, .mcap)")
+            return source
+
         nominal = load_nominal(self.arm)
-        recording = read_source(
-            self.source, nominal, assume_degrees=self.assume_degrees, assume_millimetres=self.assume_millimetres
-        )
-        if not isinstance(recording, Recording):
-            raise InputError(f"{self.source}: is a calibration; diagnose takes a recording (.csv, .parquet, .mcap)")
+        recording = read(self.source, nominal)
+        arm = nominal or read_arm(recording.settings.arm_reference(Path(recording.source).parent))
+        other = read(self.against, arm) if self.against else None
         effects = load_effects(self.effects) if self.effects else ()
         with screen.progress(FOLDS + 1, "searching") as advance:
-            found = diagnose(recording, nominal, geometry=self.geometry, effects=effects, progress=advance)
-        written = [write_atomically(self.out, json.dumps(found.to_dict(), indent=1, allow_nan=False), self.force)]
+            if other is None:
+                found, seen = diagnose(recording, arm, geometry=self.geometry, effects=effects, progress=advance), None
+            else:
+                found, seen = diagnose_against(
+                    recording, other, arm, geometry=self.geometry, effects=effects, progress=advance
+                )
+        document = found.to_dict() if seen is None else found.to_dict() | {"against": seen.to_dict()}
+        written = [write_atomically(self.out, json.dumps(document, indent=1, allow_nan=False), self.force)]
         if self.report or self.figures:
             from lite6jax.report import canvas, diagnosis_figures, page
 
@@ -81,9 +100,10 @@ class Diagnose:
                     named = {f"{self.source.stem}_{name}": figure for name, figure in drawn.items()}
                     written += canvas.save(named, self.figures, self.force)
                 if self.report:
-                    html = page.diagnosis_page(found, str(self.source), drawn)
+                    sides = str(self.source) if seen is None else f"{self.source} against {seen.file}"
+                    html = page.diagnosis_page(found, sides, drawn)
                     written.append(write_atomically(self.report, html, self.force))
-        screen.show(diagnosis_tables.diagnosis_report(found, str(self.source)))
+        screen.show(diagnosis_tables.diagnosis_report(found, str(self.source), seen))
         screen.written(written)
         return DONE
 
@@ -95,6 +115,7 @@ class Predict:
     For example:
 
         lite6jax predict diagnosis.json motion.csv --out predicted.csv
+        lite6jax predict diagnosis.json run9.csv --register --out predicted.csv
     """
 
     diagnosis: Annotated[Positional[Path], arg(metavar="DIAGNOSIS")]
@@ -103,6 +124,8 @@ class Predict:
     """Joint positions, and what else the model's effects depend on (.csv, .parquet)."""
     out: Annotated[Path, arg(metavar="FILE")]
     """Write the poses here (.csv), a row per row."""
+    register: bool = False
+    """Fit sensor frame and tool anew to the poses in the file, for another set-up of the same arm."""
     effects: Annotated[Path | None, arg(metavar="FILE.py")] = None
     """Effects of your own that the model has. Runs the file."""
     force: bool = False
@@ -116,12 +139,15 @@ class Predict:
         import pyarrow as pa
         import pyarrow.csv as pa_csv
 
-        from lite6jax.diagnosis.prediction import predict_motion, read_model, read_motion, table
+        from lite6jax.diagnosis.prediction import predict_motion, read_model, read_motion, register_motion, table
         from lite6jax.physics.catalogue import load_effects
-        from lite6jax.report import screen
+        from lite6jax.report import diagnosis_tables, screen
 
         model = read_model(self.diagnosis, load_effects(self.effects) if self.effects else ())
         recording = read_motion(self.motion, model)
+        found = None
+        if self.register:
+            model, found = register_motion(model, recording)
         poses, beyond = predict_motion(model, recording)
         columns = pa.table(table(poses, beyond, model.orientation))
 
@@ -131,6 +157,10 @@ class Predict:
                 pa_csv.write_csv(columns, file, pa_csv.WriteOptions(include_header=False))
 
         path = write_atomically(self.out, write, self.force)
+        if model.remark:
+            screen.show([model.remark])
+        if found is not None:
+            screen.show(diagnosis_tables.registration_report(found))
         if beyond.any():
             print(f"{int(beyond.sum())} rows are empty: there the clock's offset reaches beyond the motion's ends.")
         screen.written([path])

@@ -23,7 +23,7 @@ from lite6jax.physics.composition import Physics
 from lite6jax.physics.deflection import Deflection, dense
 from lite6jax.physics.effect import Altering, Bending, Effect
 from lite6jax.physics.joints import JointHarmonic
-from lite6jax.physics.motion import Motion
+from lite6jax.physics.motion import Motion, select
 from lite6jax.physics.statics import Inertia, Loads, loads
 from lite6jax.recordings import Recording
 from lite6jax.recordings.motion import inertia_of_arm, motion_of_recording
@@ -101,6 +101,22 @@ class Case:
     def loads(self) -> Loads | None:
         """Gravity's loads on the nominal arm; None where the masses are not known."""
         return self.loads_on(self.start, self.motion)
+
+    def thinned(self, every: int) -> "Case":
+        """One in `every` rows. Of an arm at rest: an effect of the clock needs the neighbours."""
+        if every == 1:
+            return self
+        rows = slice(None, None, every)
+        whitener = self.measured.whitener
+        measured = Measured(
+            self.measured.position[:, rows],
+            self.measured.rotation[..., rows],
+            whitener[..., rows] if whitener.ndim == 3 else whitener,
+        )
+        chosen = np.arange(self.samples)[rows]
+        return replace(
+            self, recording=self.recording.select(chosen), motion=select(self.motion, chosen), measured=measured
+        )
 
     def loads_on(self, model: ArmModel, motion: Motion) -> Loads | None:
         """Gravity's loads on a rigid chain in a motion."""
@@ -186,13 +202,9 @@ class Case:
 
     def harmonics(self, joint: int, orders: Array) -> Array:
         """The columns of a joint's harmonics, sine and cosine of each order, `(order, 2, row, sample)`."""
-        angle = JointHarmonic(joint).angle
-        values = np.zeros((len(orders), 2, 3))
-        values[:, 0, 0] = values[:, 1, 1] = 1.0
-        values[:, :, 2] = orders[:, None]
-        flat = jnp.asarray(values.reshape(-1, 3))
-        shapes = np.asarray(jax.vmap(lambda v: angle(v, self.motion, None))(flat))
-        return (self.sites["joint", joint - 1, 0] * shapes[:, None]).reshape(len(orders), 2, self.rows, -1)
+        turned = np.multiply.outer(orders, np.asarray(self.motion.joint_position[joint - 1]))
+        shapes = np.stack([np.sin(turned), np.cos(turned)], 1)
+        return self.sites["joint", joint - 1, 0] * shapes[:, :, None]
 
     def _unit(self, effect: Effect) -> Deflection:
         """The deflection per unit of each of an effect's numbers, at neutral, remembered."""

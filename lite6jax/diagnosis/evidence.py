@@ -1,7 +1,7 @@
 """Score tests of every candidate at once: what each would explain of the residuals, without a refit."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -71,6 +71,29 @@ class Evidence:
         sizes = [effect.size for effect in effects]
         ends = np.cumsum([0, *sizes])
         return self.score_columns([columns[a:b] for a, b in pairwise(ends)])
+
+    def given(self, columns: Array) -> "Evidence":
+        """The evidence once columns `(number, row, sample)` are fitted as well, to first order."""
+        flat = columns.reshape(len(columns), -1) * self._used
+        flat = flat / np.maximum(np.linalg.norm(flat, axis=1), 1e-300)[:, None]
+        new = _orthonormal(flat - (flat @ self.basis.T) @ self.basis)
+        residual = self.residual - (new @ self.residual) @ new
+        return replace(self, basis=np.concatenate([self.basis, new]), residual=residual)
+
+    def gains(self, groups: Array) -> Array:
+        """What each of some groups of columns `(group, number, row, sample)` would explain, `(group,)`; no more."""
+        shape = groups.shape[:2]
+        flat = groups.reshape(shape[0] * shape[1], -1) * self._used
+        hidden = (flat @ self.basis.T).reshape(*shape, -1)
+        pull = (flat @ self.residual).reshape(shape) - hidden @ (self.basis @ self.residual)
+        flat = flat.reshape(*shape, -1)
+        gram = flat @ flat.swapaxes(1, 2)
+        norms = np.sqrt(np.maximum(np.diagonal(gram, axis1=1, axis2=2), 1e-300))
+        left = (gram - hidden @ hidden.swapaxes(1, 2)) / (norms[:, :, None] * norms[:, None])
+        pull = pull / norms
+        eigenvalues, V = np.linalg.eigh(left)
+        told = np.where(eigenvalues > HIDDEN, 1 / np.maximum(eigenvalues, HIDDEN), 0.0)
+        return 0.5 * np.sum(told * np.einsum("gji,gj->gi", V, pull) ** 2, 1)
 
     def score_columns(self, groups: Sequence[Array]) -> list[Score]:
         """A score for each group of columns `(number, row, sample)`."""

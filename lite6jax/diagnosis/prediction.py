@@ -10,14 +10,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lite6jax.arms.chains import SixParameterForm
-from lite6jax.arms.se3 import quaternion_from_rotation
+from lite6jax.arms.se3 import quaternion_from_rotation, rotation_from_quaternion
+from lite6jax.diagnosis.registration import Registration, register
 from lite6jax.errors import InputError
+from lite6jax.fitting.problem import UNDECLARED_NOISE
 from lite6jax.model import ArmModel, predict_poses
 from lite6jax.physics.catalogue import effect_from_dict, kinds_of
 from lite6jax.physics.composition import Physics
 from lite6jax.physics.effect import Effect
 from lite6jax.physics.statics import Inertia, inertia_of
-from lite6jax.recordings import Recording, RecordingSettings, read_recording, read_settings, sidecar_path
+from lite6jax.recordings import (
+    Recording,
+    RecordingSettings,
+    read_recording,
+    read_settings,
+    require_samples,
+    sidecar_path,
+)
 from lite6jax.recordings.motion import motion_of_recording
 from lite6jax.storage import read_text
 
@@ -25,6 +34,8 @@ Array = NDArray[np.floating]
 
 SCHEMA = "lite6jax/diagnosis/1"
 _SIZE_LIMIT = 1 << 26
+_TO_REGISTER = {3: 15, 6: 12}
+"""Numbers that tell sensor frame and tool: with positions alone a closed form takes the frame's nine cosines first."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,6 +51,7 @@ class Enriched:
         orientation: whether the sensor showed orientations.
         reference_temperature: °C, at which the geometry holds.
         motion: of the diagnosed recording: "static" or "trajectory".
+        remark: what a prediction means where the recording was diagnosed against another one; else empty.
     """
 
     arm: str
@@ -50,6 +62,7 @@ class Enriched:
     orientation: bool
     reference_temperature: float
     motion: str
+    remark: str = ""
 
     @property
     def dof(self) -> int:
@@ -98,6 +111,7 @@ def read_model(path: str | Path, effects: tuple[Effect, ...] = ()) -> Enriched:
             orientation=bool(model["orientation"]),
             reference_temperature=float(model["reference_temperature_degC"]),
             motion=str(model["motion"]),
+            remark=str(document.get("against", {}).get("statement", "")),
         )
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
@@ -127,6 +141,8 @@ def with_settings(recording: Recording, settings: RecordingSettings) -> Recordin
     """The recording under other settings: directions and velocities follow anew."""
     return Recording.from_arrays(
         recording.joint_position,
+        position=recording.position,
+        quaternion=recording.quaternion,
         time=recording.time,
         joint_velocity=None if recording.velocity_differentiated else recording.joint_velocity,
         joint_temperature=recording.joint_temperature,
@@ -137,6 +153,49 @@ def with_settings(recording: Recording, settings: RecordingSettings) -> Recordin
         settings=settings,
         source=recording.source,
     )
+
+
+def register_motion(model: Enriched, recording: Recording) -> tuple[Enriched, Registration]:
+    """The model with sensor frame and tool as in a recording of another set-up; all else stays, and how it fits.
+
+    Where only positions were measured, the tool keeps its rotation, and the model shows positions only.
+
+    Raises:
+        InputError: no poses, too few of them (both counts), poses that leave a frame open, or as `predict_motion`.
+    """
+    require_samples(recording, _TO_REGISTER[recording.numbers_per_sample or 3])
+    bare = [replace(model, model=ArmModel(model.model.geometry, _shift(x), np.eye(4))) for x in (0.0, 1.0)]  # type: ignore[arg-type]
+    (flange, beyond), (shifted, _) = (predict_motion(one, recording) for one in bare)
+    # a sensor's scale multiplies what it sees: it is how far a shift of the frame by a metre moves that
+    growth = (shifted - flange)[:, 0, 3]
+    flange = flange.copy()
+    flange[:, :3, 3] /= growth[:, None]
+    used = ~beyond
+    require_samples(recording.select(used), _TO_REGISTER[recording.numbers_per_sample])
+    position, rotation = recording.position, None
+    assert position is not None
+    if recording.quaternion is not None:
+        rotation = np.asarray(rotation_from_quaternion(recording.quaternion))[used]
+    settings = recording.settings
+    noise = (
+        settings.position_noise_m or UNDECLARED_NOISE[0],
+        settings.orientation_noise_rad or UNDECLARED_NOISE[1],
+    )
+    before = np.asarray(model.model.T_flange_tool)[:3, :3]
+    found = register(flange[used], (position / growth[:, None])[used], rotation, noise, tool_rotation=before)
+    if not found.determined:
+        raise InputError(
+            f"{recording.source}: its poses leave sensor frame or tool open; record some that turn the flange about "
+            "other axes"
+        )
+    frames = ArmModel(model.model.geometry, found.T_sensor_base, found.T_flange_tool)  # type: ignore[arg-type]
+    return replace(model, model=frames, orientation=rotation is not None), found
+
+
+def _shift(x: float) -> Array:
+    T = np.eye(4)
+    T[0, 3] = x
+    return T
 
 
 def predict_motion(model: Enriched, recording: Recording) -> tuple[Array, NDArray[np.bool_]]:

@@ -81,6 +81,7 @@ def refit(
     values: Array | None = None,
     moved: Array | None = None,
     used: NDArray[np.bool_] | None = None,
+    spread: Array | None = None,
 ) -> Fitted:
     """Fits what is unknown of the geometry, the frames and the numbers of `physics` together.
 
@@ -93,52 +94,56 @@ def refit(
         values: `(physics.size,)` where to start; neutral where not given.
         moved: `(unknown,)` where to start; the case's start where not given.
         used: `(sample,)` bool; all where not given.
+        spread: `(physics.size,)` one standard deviation of the numbers about neutral, as known beforehand; not known
+            where not given.
     """
     values = np.zeros(physics.size) if values is None else np.array(values, float)
     moved = np.zeros(len(case.unknown)) if moved is None else np.array(moved, float)
     used = np.ones(case.samples, bool) if used is None else used
-    nuisance, precision = case.nuisance, case.precision
+    nuisance = case.nuisance
     k = len(nuisance)
+    precision = np.concatenate([case.precision, np.zeros(physics.size) if spread is None else spread**-2.0])
+    offset = np.concatenate([case.offset, np.zeros(physics.size)])
 
     def weighed(rows: Array) -> Weighed:
         squares = np.sum(rows**2, 0)
         scale = t_scale(squares[used], case.rows, FREEDOM) / gaussian_t_scale(case.rows, FREEDOM)
         return Weighed(rows, scale, (FREEDOM + case.rows) / (FREEDOM + squares / scale**2))
 
-    def cost(rows: Array, moved: Array, scale: float) -> float:
+    def cost(rows: Array, at: Array, scale: float) -> float:
         squares = np.sum(rows[:, used] ** 2, 0) / scale**2
-        prior = np.sum(precision * (case.offset + moved) ** 2)
+        prior = np.sum(precision * (offset + at) ** 2)
         return float((FREEDOM + case.rows) * np.sum(np.log1p(squares / FREEDOM)) + prior)
 
+    at = np.concatenate([moved, values])
     state = weighed(case.residual(moved, physics, values))
     converged, H = False, np.eye(0)
     for _ in range(_STEPS):
-        columns = np.concatenate([nuisance, case.columns(physics.effects, values)]) if physics.size else nuisance
+        columns = np.concatenate([nuisance, case.columns(physics.effects, at[k:])]) if physics.size else nuisance
         if not len(columns):
             converged = True
             break
         w = np.where(used, state.weight, 0.0) / state.scale**2
         weighted = (columns * w).reshape(len(columns), -1)
         H = weighted @ columns.reshape(len(columns), -1).T
-        gradient = weighted @ state.rows.ravel()
-        H[np.arange(k), np.arange(k)] += precision
-        gradient[:k] += precision * (case.offset + moved)
+        gradient = weighted @ state.rows.ravel() + precision * (offset + at)
+        H[np.diag_indices_from(H)] += precision
         change = -_solve(H, gradient)
         length = float(np.sqrt(max(-change @ gradient, 0.0)))
-        before = cost(state.rows, moved, state.scale)
-        rows = case.residual(moved + change[:k], physics, values + change[k:])
+        before = cost(state.rows, at, state.scale)
+        rows = case.residual(at[:k] + change[:k], physics, at[k:] + change[k:])
         for _ in range(_HALVINGS):
-            if cost(rows, moved + change[:k], state.scale) <= before + 1e-9 * abs(before):
+            if cost(rows, at + change, state.scale) <= before + 1e-9 * abs(before):
                 break
             change = change / 2
-            rows = case.residual(moved + change[:k], physics, values + change[k:])
-        moved, values, state = moved + change[:k], values + change[k:], weighed(rows)
+            rows = case.residual(at[:k] + change[:k], physics, at[k:] + change[k:])
+        at, state = at + change, weighed(rows)
         if length < _SETTLED:
             converged = True
             break
     factor = variance_factor(state.squares[used], case.rows, FREEDOM, 0)
     covariance = _inverse(H)[k:, k:] * factor if len(H) else np.zeros((0, 0))
-    return Fitted(physics, moved, values, covariance, state, used, _determined(H, precision), converged)
+    return Fitted(physics, at[:k], at[k:], covariance, state, used, _determined(H, precision), converged)
 
 
 def _solve(H: Array, gradient: Array) -> Array:
@@ -156,6 +161,4 @@ def _determined(H: Array, precision: Array) -> float:
     """The effective number of parameters: the trace of what the data alone has of the information."""
     if not len(H):
         return 0.0
-    k = len(precision)
-    inverse = np.diagonal(_inverse(H))
-    return float(len(H) - np.sum(precision * inverse[:k]))
+    return float(len(H) - np.sum(precision * np.diagonal(_inverse(H))))

@@ -13,6 +13,7 @@ from lite6jax.diagnosis.case import Case, moved_to
 from lite6jax.diagnosis.evidence import Score, evidence_of
 from lite6jax.diagnosis.refit import Fitted, refit
 from lite6jax.diagnosis.spectrum import lines
+from lite6jax.diagnosis.sweep import sweep
 from lite6jax.physics.catalogue import catalogue, untestable
 from lite6jax.physics.composition import Physics
 from lite6jax.physics.drivers import Driver
@@ -164,6 +165,10 @@ class Search:
                 break
             fitted, step = found
             steps = [*steps, step]
+        if len(steps) == MOST:
+            named = [effect for effect in self.candidates if not isinstance(effect, JointHarmonic)]
+            fitted, swept = sweep(self.case, fitted, named, self.tried, self.level)
+            steps = [*steps, *(Step(item.effect, item.p, item.score, ()) for item in swept)]
         return fitted, steps
 
     def _next(self, fitted: Fitted) -> tuple[Fitted, Step] | None:

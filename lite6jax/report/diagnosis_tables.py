@@ -7,9 +7,12 @@ import numpy as np
 from rich.console import RenderableType
 from rich.text import Text
 
+from lite6jax.arms import frames
+from lite6jax.diagnosis.against import Against
 from lite6jax.diagnosis.diagnose import Diagnosis, statement
+from lite6jax.diagnosis.registration import Registration
 from lite6jax.physics.catalogue import effect_as_dict
-from lite6jax.report.cells import listing, number
+from lite6jax.report.cells import SCREEN, fixed, listing, number
 
 VERDICTS = {
     "consistent": "Nothing is missing: the recording is what this arm's model and the sensor's noise make.",
@@ -17,6 +20,7 @@ VERDICTS = {
     "partly_explained": "Partly explained: the physics below is there, and more is left than noise.",
     "unnamed": "Something real is there that no entry of the catalogue explains.",
 }
+AGREE = "Beyond that both sides agree: what is left of their difference is noise."
 NAMED = 6
 
 
@@ -25,13 +29,16 @@ def chance(p: float) -> str:
     return f"p = {p:.1e}" if p > 0 else "p < 1e-300"
 
 
-def diagnosis_report(found: Diagnosis, source: str) -> Iterator[RenderableType]:
-    """The page."""
+def diagnosis_report(found: Diagnosis, source: str, against: Against | None = None) -> Iterator[RenderableType]:
+    """The page; with what the other side is, where there is one."""
     case = found.case
     yield Text(source, no_wrap=True, overflow="ignore")
     yield Text(f"{case.arm.name}, {case.samples} samples ({case.recording.motion}).")
     yield ""
-    yield Text(VERDICTS[found.verdict])
+    if against is not None:
+        yield from against_report(against)
+        yield ""
+    yield Text(AGREE if against is not None and found.verdict == "consistent" else VERDICTS[found.verdict])
     yield ""
     kept = ~found.outliers
     table = listing("held-out position error (mm)", "rms", "p95", "max")
@@ -68,3 +75,33 @@ def diagnosis_report(found: Diagnosis, source: str) -> Iterator[RenderableType]:
             names = ", ".join(labels[:NAMED]) + (f" and {len(labels) - NAMED} more" if len(labels) > NAMED else "")
             yield Text(f"  {names}: {reason}")
     yield ""
+
+
+def against_report(seen: Against) -> Iterator[RenderableType]:
+    """What the other side is."""
+    figures = seen.to_dict()
+    makes = "reproduces" if seen.reproduced else "does not reproduce"
+    yield Text(
+        f"Against {seen.file}, {seen.matched} rows: the model {makes} it, "
+        f"{number(1e3 * figures['position_rms_m'])} mm RMS and {number(1e3 * figures['position_max_m'])} mm at most."
+    )
+    for line in (*seen.differences, *seen.notes, seen.statement):
+        yield Text(f"  {line}")
+
+
+def registration_report(found: Registration) -> Iterator[RenderableType]:
+    """The frames that were fitted, and what they leave."""
+    kept = found.kept
+    turned = ""
+    if found.turned is not None:
+        turned = f" and {number(float(np.rad2deg(np.sqrt(np.mean(np.sum(found.turned[kept] ** 2, 1))))))} deg"
+    yield Text(f"Registered on {len(kept)} rows: {number(1e3 * found.rms)} mm{turned} RMS left.")
+    if not kept.all():
+        yield Text(f"{np.sum(~kept)} rows stand out and count for little.")
+    table = listing("", "x", "y", "z", "roll", "pitch", "yaw")
+    for name, T in (("sensor to base", found.T_sensor_base), ("flange to tool", found.T_flange_tool)):
+        row = frames.row_from_transform(T) * np.repeat([SCREEN["m"][0], SCREEN["rad"][0]], 3)
+        table.add_row(f"{name} (mm, deg)", *(fixed(float(value), 3) for value in row))
+    yield table
+    if found.turned is None:
+        yield Text("Positions do not show the tool's rotation: only its offset is fitted.")

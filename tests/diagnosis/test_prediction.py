@@ -2,6 +2,8 @@
 
 import copy
 import json
+import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -15,9 +17,18 @@ from diagnosis.recorded import (
     static_motion,
     with_effects,
 )
+from typed import flat, run
+from typed import refused as refused_as_typed
 
 from lite6jax.diagnosis.diagnose import diagnose
-from lite6jax.diagnosis.prediction import predict_motion, read_model, read_motion, table, with_settings
+from lite6jax.diagnosis.prediction import (
+    predict_motion,
+    read_model,
+    read_motion,
+    register_motion,
+    table,
+    with_settings,
+)
 from lite6jax.errors import InputError
 from lite6jax.physics.catalogue import effect_as_dict, load_effects, parse_effect
 from lite6jax.recordings import Recording, RecordingSettings, write_recording
@@ -255,6 +266,151 @@ def test_other_settings_of_a_recording(arm):
     assert other.joint_velocity is not None
     np.testing.assert_array_equal(other.direction_of_motion, np.sign(other.joint_velocity))
     np.testing.assert_array_equal(other.joint_temperature, recording.joint_temperature)
+
+
+# ------------------------------------------------------------------ another set-up
+
+
+def elsewhere(arm, *texts, orientation=True, turned=True):
+    """The same arm under another sensor, with another tool."""
+    other = Made(arm.folder, texts, seed=7, frame=True, tool=True, orientation=orientation)
+    T = arm.T_flange_tool.copy()
+    T[:3, 3] = other.T_flange_tool[:3, 3]
+    other.__dict__.update(kinematics=arm.kinematics, T_flange_tool=other.T_flange_tool if turned else T)
+    return other
+
+
+def shown(other, motion, noise=None, seed=0):
+    return write_recording(other.recording(motion, noise=noise, seed=seed), other.folder / "again.csv", overwrite=True)
+
+
+def registered(arm, tmp_path, path, *texts, motion="static"):
+    model = read_model(stored(tmp_path, document(arm, texts, motion)))
+    recording = read_motion(path, model)
+    moved, found = register_motion(model, recording)
+    return moved, found, predict_motion(moved, recording)[0]
+
+
+@pytest.mark.parametrize("samples", [3, SAMPLES])
+def test_another_set_up_is_found_under_all_physics(arm, tmp_path, samples):
+    """Exact poses give exact frames, the sensor's scale and the bent tool included."""
+    motion = static_motion(9, samples)
+    other = elsewhere(arm, *STATIC)
+    moved, found, poses = registered(arm, tmp_path, shown(other, motion), *STATIC)
+    np.testing.assert_allclose(moved.model.T_sensor_base, other.T_sensor_base, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(moved.model.T_flange_tool, other.T_flange_tool, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(poses, other.poses(motion), rtol=0, atol=1e-9)
+    assert found.distance.max() < 1e-9
+    np.testing.assert_array_equal(moved.values, read_model(tmp_path / "diagnosis.json").values)
+
+
+def test_positions_tell_the_tools_offset_not_its_rotation(arm, tmp_path):
+    motion = static_motion(9, SAMPLES)
+    other = elsewhere(arm, *STATIC, orientation=False, turned=False)
+    moved, found, poses = registered(arm, tmp_path, shown(other, motion), *STATIC)
+    np.testing.assert_allclose(moved.model.T_flange_tool, other.T_flange_tool, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(poses[:, :3, 3], other.poses(motion)[:, :3, 3], rtol=0, atol=1e-9)
+    assert found.turned is None
+    assert not moved.orientation
+
+
+@pytest.mark.parametrize("orientation", [True, False])
+def test_wild_rows_do_not_move_the_set_up(arm, tmp_path, orientation):
+    """Noise of 20 µm and a tenth of the rows off by 20 mm: frames to a few standard deviations."""
+    motion = static_motion(9, 80)
+    other = elsewhere(arm, *STATIC, orientation=orientation, turned=False)
+    recording = other.recording(motion, seed=3)
+    position = recording.position.copy()
+    position[::10] += np.random.default_rng(0).normal(0, 0.02, (8, 3))
+    path = write_recording(replace(recording, position=position), other.folder / "again.csv", overwrite=True)
+    moved, found, _ = registered(arm, tmp_path, path, *STATIC)
+    assert np.abs(moved.model.T_flange_tool[:3, 3] - other.T_flange_tool[:3, 3]).max() < 2e-5
+    predicted_there = predict_motion(moved, recording)[0]
+    off = (predicted_there - other.poses(motion))[:, :3, 3]
+    assert np.sqrt(np.mean(np.sum(off**2, 1))) < 2e-5
+    assert (found.weight[::10] < 0.1).all()
+    assert np.median(np.delete(found.weight, np.s_[::10])) > 0.6
+
+
+def test_rows_beyond_the_clock_are_not_registered(arm, tmp_path):
+    motion, text = moving_motion(9, SAMPLES), "time_offset:offset_s=0.05"
+    other = elsewhere(arm, text)
+    moved, found, _ = registered(arm, tmp_path, shown(other, motion), text, motion="trajectory")
+    assert len(found.distance) == SAMPLES - 4
+    np.testing.assert_allclose(moved.model.T_sensor_base, other.T_sensor_base, rtol=0, atol=1e-9)
+
+
+def test_what_cannot_be_registered(arm, tmp_path):
+    model = read_model(stored(tmp_path, document(arm, [])))
+
+    def said(path):
+        return refused(lambda: register_motion(model, read_motion(path, model)))
+
+    path = written(tmp_path, static_motion(9, SAMPLES))
+    assert said(path) == f"{path}: has no measured positions; a fit needs the columns x_m y_m z_m"
+    path = shown(elsewhere(arm, orientation=False), static_motion(9, 4))
+    assert said(path) == (
+        f"{path}: 4 samples of 3 numbers (position without orientation) give 12 numbers, fewer than the 15 to "
+        "determine; record at least 5 samples"
+    )
+    path = shown(elsewhere(arm), static_motion(9, 1))
+    assert said(path) == (
+        f"{path}: 1 samples of 6 numbers (position and orientation) give 6 numbers, fewer than the 12 to determine; "
+        "record at least 2 samples"
+    )
+    still = static_motion(9, SAMPLES)
+    still["joint_position"][:, :5] = 0.3
+    for orientation in (True, False):
+        path = shown(elsewhere(arm, orientation=orientation), still)
+        assert said(path) == (
+            f"{path}: its poses leave sensor frame or tool open; record some that turn the flange about other axes"
+        )
+
+
+@pytest.mark.parametrize("orientation", [True, False])
+def test_register_as_it_is_typed(capsys, arm, tmp_path, orientation):
+    motion = static_motion(9, SAMPLES)
+    other = elsewhere(arm, STATIC[1], orientation=orientation)
+    path, model = shown(other, motion, (2e-5, 1e-4)), stored(tmp_path, document(arm, STATIC[1:2]))
+    out = tmp_path / "p.csv"
+    code, said, _ = run(capsys, "predict", model, path, "--register", "--out", out)
+    assert code == 0
+    text = flat(said)
+    assert f"Registered on {SAMPLES} rows: 0.03" in text
+    for name, T in (("sensor to base", other.T_sensor_base), ("flange to tool", other.T_flange_tool)):
+        printed = re.search(rf"{name} \(mm, deg\) (\S+) (\S+) (\S+)", text)
+        np.testing.assert_allclose([float(value) for value in printed.groups()], 1e3 * T[:3, 3], rtol=0, atol=0.1)
+    assert ("deg RMS left" in text) is orientation
+    assert ("Positions do not show the tool's rotation: only its offset is fitted." in text) is not orientation
+    assert "stand out" not in text
+    lines = out.read_text().splitlines()
+    assert lines[0] == ("x_m,y_m,z_m,qw,qx,qy,qz" if orientation else "x_m,y_m,z_m")
+    found = np.array([[float(value) for value in line.split(",")][:3] for line in lines[1:]])
+    assert np.sqrt(np.mean(np.sum((found - other.poses(motion)[:, :3, 3]) ** 2, 1))) < 3e-5
+    joints = written(tmp_path, motion)
+    said = refused_as_typed(capsys, "predict", model, joints, "--register", "--out", out, "--force")
+    assert said == f"{joints}: has no measured positions; a fit needs the columns x_m y_m z_m"
+
+
+def test_register_counts_wild_rows(capsys, arm, tmp_path):
+    motion = static_motion(9, SAMPLES)
+    other = elsewhere(arm)
+    recording = other.recording(motion)
+    position = recording.position.copy()
+    position[[3, 4]] += 0.02
+    path = write_recording(replace(recording, position=position), other.folder / "again.csv", overwrite=True)
+    code, said, _ = run(
+        capsys, "predict", stored(tmp_path, document(arm, [])), path, "--register", "--out", tmp_path / "p.csv"
+    )
+    assert code == 0
+    assert "Registered on 30 rows: 0.03" in flat(said)
+    assert "2 rows stand out and count for little." in flat(said)
+
+
+def test_a_diagnosis_against_another_side_says_what_its_model_is(arm, tmp_path):
+    content = document(arm, []) | {"against": {"statement": "The model is this arm's own."}}
+    assert read_model(stored(tmp_path, content)).remark == "The model is this arm's own."
+    assert read_model(stored(tmp_path, document(arm, []))).remark == ""
 
 
 # ------------------------------------------------------------------ what is refused

@@ -1,0 +1,477 @@
+"""Two sides of one motion: what the other is, in words, and what a recording has beyond it, on simulated pairs."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from diagnosis.recorded import (
+    LITE6,
+    Made,
+    check_values,
+    found,
+    moving_motion,
+    quaternions,
+    static_motion,
+    with_effects,
+)
+from plain_chain import six_parameter_poses
+from scipy.spatial.transform import Rotation
+from typed import flat, refused, run
+
+from lite6jax import simulation
+from lite6jax.arms.bundled import load_bundled
+from lite6jax.arms.factory import write_factory
+from lite6jax.diagnosis.against import SAME_JOINTS, compare, diagnose_against
+from lite6jax.errors import InputError
+from lite6jax.physics.catalogue import parse_effect
+from lite6jax.physics.composition import Physics
+from lite6jax.recordings import Recording, write_recording
+
+SAMPLES = 160
+COMPLIANCE = "joint_compliance:joint=2,compliance_rad_per_Nm=9e-5"
+HARMONIC = "joint_harmonic:joint=4,order=1,amplitude_rad=5e-4,phase_rad=1"
+BENT = "frame_offset:link=3,x_m=3e-4,y_m=-5e-4,z_m=4e-4,rx_rad=1e-3,ry_rad=-2e-3,rz_rad=5e-4"
+WARMTH = "link_thermal_expansion:expansion_per_K=2.3e-5"
+STILL = static_motion(1, SAMPLES)
+
+
+@pytest.fixture(autouse=True)
+def _two_folds(monkeypatch):
+    """What is held out is tested elsewhere."""
+    monkeypatch.setattr("lite6jax.diagnosis.diagnose.FOLDS", 2)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    return tmp_path_factory.mktemp("sides")
+
+
+@pytest.fixture(scope="module")
+def arm(folder):
+    """An arm with its factory calibration, measured in its base."""
+    return Made(folder, (COMPLIANCE,), seed=1)
+
+
+def simulator(poses, motion=STILL, settings=None, orientation=True, source="gazebo.csv"):
+    """What another simulator says of the same joints: no noise and, mostly, no sidecar."""
+    return Recording.from_arrays(
+        motion["joint_position"],
+        position=poses[:, :3, 3],
+        quaternion=quaternions(poses) if orientation else None,
+        settings=settings,
+        source=source,
+    )
+
+
+def rigid(kinematics):
+    return six_parameter_poses(kinematics, STILL["joint_position"])
+
+
+def placed(x=0.0, y=0.0, z=0.0, turned=(0.0, 0.0, 0.0)):
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = Rotation.from_rotvec(turned).as_matrix(), (x, y, z)
+    return T
+
+
+def poses_of(recording):
+    T = np.tile(np.eye(4), (recording.samples, 1, 1))
+    T[:, :3, :3] = Rotation.from_quat(np.roll(recording.quaternion, -1, axis=1)).as_matrix()
+    T[:, :3, 3] = recording.position
+    return T
+
+
+def message(function, *arguments, **options):
+    with pytest.raises(InputError) as caught:
+        function(*arguments, **options)
+    assert "\n" not in str(caught.value)
+    return str(caught.value)
+
+
+# ------------------------------------------------------------------ what the other side is
+
+
+def test_a_simulator_of_the_same_calibration_is_reproduced(arm):
+    recording = arm.recording(STILL)
+    seen = compare(recording, simulator(rigid(arm.kinematics)))
+    assert (seen.reproduced, seen.differences, seen.notes) == (True, (), ())
+    assert seen.distance.max() < 1e-12
+    assert (seen.geometry, seen.kinematics) == ("declared", None)
+    np.testing.assert_allclose(seen.recording.position, recording.position, rtol=0, atol=1e-12)
+    assert seen.recording.settings == recording.settings
+
+
+@pytest.mark.parametrize(
+    ("name", "called"),
+    [("lite6", "the published table (lite6)"), ("lite6_ros", "the vendor's ROS default (lite6_ros)")],
+)
+def test_another_table_is_named(arm, name, called):
+    """The difference that has a name is no difference to diagnose: the poses stay."""
+    recording = arm.recording(STILL)
+    seen = compare(recording, simulator(rigid(load_bundled(name).kinematics)))
+    off = np.linalg.norm(rigid(load_bundled(name).kinematics)[:, :3, 3] - rigid(arm.kinematics)[:, :3, 3], axis=1)
+    assert not seen.reproduced
+    np.testing.assert_allclose(seen.distance, off, rtol=0, atol=1e-12)
+    assert seen.differences == (
+        f"gazebo.csv has {called} where this model has the factory calibration (factory_exact_1.yaml).",
+        f"That takes it from {1e3 * np.sqrt(np.mean(off**2)):.3g} mm RMS to 0 mm.",
+    )
+    np.testing.assert_allclose(seen.recording.position, recording.position, rtol=0, atol=1e-12)
+
+
+def test_a_calibration_that_the_other_side_declares_is_named(arm):
+    """The same arm before it was calibrated anew; its file stands beside the other recording."""
+    earlier = replace(arm, effects=(), seed=4)
+    seen = compare(arm.recording(STILL), earlier.recording(STILL, seed=9))
+    assert seen.differences[0] == (
+        "run.csv has its own factory calibration (factory_exact_4.yaml) where this model has the factory calibration "
+        "(factory_exact_1.yaml)."
+    )
+    assert seen.geometry == "declared"
+
+
+def test_the_two_tables_of_one_model_are_told_apart_without_a_calibration(folder):
+    """Of an arm that is not calibrated, in frames that are not known: by 0.2 mm of one link."""
+    unknown = Made(folder, seed=1, geometry="free", frame=True, tool=True).recording(STILL)
+    assert compare(unknown, simulator(rigid(LITE6.kinematics))).reproduced
+    seen = compare(unknown, simulator(rigid(load_bundled("lite6_ros").kinematics)))
+    assert (
+        "the vendor's ROS default (lite6_ros) where this model has the published table (lite6)" in seen.differences[0]
+    )
+    assert seen.geometry == "declared"
+
+
+@pytest.mark.parametrize("orientation", [True, False])
+@pytest.mark.parametrize(
+    ("frame", "tool", "said"),
+    [
+        (np.eye(4), placed(z=1e-3), ["Its tool is another: (0, 0, 1) mm from the declared one"]),
+        (
+            placed(0.1, 0, 0.2, (0, 0, 0.5)),
+            np.eye(4),
+            ["frame is another: (100, 0, 200) mm from the declared one, turned"],
+        ),
+        (placed(0.1), placed(0.03), ["(100, 0, 0) mm from the declared one, turned by 0 m", "(30, 0, 0) mm from the"]),
+    ],
+)
+def test_frame_and_tool_are_named(arm, frame, tool, said, orientation):
+    seen = compare(arm.recording(STILL), simulator(frame @ rigid(arm.kinematics) @ tool, orientation=orientation))
+    assert not seen.reproduced
+    assert len(seen.differences) == len(said) + 1
+    for sentence, part in zip(seen.differences, said, strict=False):
+        assert part in sentence
+    assert seen.differences[-1].endswith("mm RMS to 0 mm.")
+    assert ("Only one side has orientations: positions alone are compared." in seen.notes) is not orientation
+
+
+def test_what_the_other_sidecar_declares_is_believed(arm):
+    """Another tool than declared is named, and left in the difference for the diagnosis to find."""
+    recording, shift = arm.recording(STILL), placed(z=1e-3)
+    seen = compare(recording, simulator(rigid(arm.kinematics) @ shift, settings=arm.settings()))
+    assert seen.differences[0].startswith("Its tool is another: (0, 0, 1) mm from the declared one")
+    assert (seen.geometry, seen.recording.settings.tool) == ("exact", "none")
+    model = rigid(arm.kinematics)
+    expected = model @ np.linalg.inv(shift) @ np.linalg.inv(model) @ poses_of(recording)
+    np.testing.assert_allclose(poses_of(seen.recording), expected, rtol=0, atol=1e-12)
+
+
+def test_table_and_tool_together(arm):
+    seen = compare(arm.recording(STILL), simulator(rigid(LITE6.kinematics) @ placed(z=0.05)))
+    assert "the published table (lite6)" in seen.differences[0]
+    assert "Its tool is another: (0, 0, 50) mm" in seen.differences[1]
+    assert seen.left.max() < 1e-12
+
+
+def test_a_bent_link_of_the_other_side_is_named(arm):
+    seen = compare(arm.recording(STILL), simulator(with_effects(arm, BENT).poses(STILL)))
+    (sentence,) = seen.differences
+    assert sentence.startswith("Its geometry is another: displaced are link 3 by ")
+    assert sentence.endswith(" mm RMS to 0 mm.")
+    assert seen.geometry == "exact"
+
+
+def test_physics_of_the_other_side_is_said_to_be_there(arm):
+    """A simulator with the nominal table, another tool and a compliant joint."""
+    compliant = Made(arm.folder, (COMPLIANCE,), seed=1)
+    compliant.__dict__["kinematics"] = LITE6.kinematics
+    seen = compare(arm.recording(STILL), simulator(compliant.poses(STILL) @ placed(z=0.02)))
+    assert "the published table (lite6)" in seen.differences[0]
+    assert "Its tool is another: (" in seen.differences[1]
+    assert seen.differences[3].startswith("No rigid arm makes all of it: 0.")
+    assert seen.differences[3].endswith(
+        " mm RMS are left, which `lite6jax diagnose gazebo.csv` would name; if that is noise, declare position_noise_m "
+        "in its sidecar."
+    )
+
+
+def test_noise_that_is_declared_is_no_difference(arm):
+    earlier = with_effects(arm).recording(STILL, seed=9)
+    seen = compare(arm.recording(STILL), earlier)
+    assert (seen.reproduced, seen.differences) == (True, ())
+    assert seen.recording.settings.position_noise_m == pytest.approx(np.sqrt(2) * 2e-5)
+    assert seen.recording.settings.orientation_noise_rad == pytest.approx(np.sqrt(2) * 1e-4)
+    undeclared = replace(earlier, settings=replace(earlier.settings, position_noise_m=None))
+    assert "if that is noise, declare position_noise_m" in compare(arm.recording(STILL), undeclared).differences[-1]
+
+
+def test_wild_rows_of_the_other_side_are_in_no_figure(arm):
+    poses = rigid(LITE6.kinematics)
+    poses[::20, :3, 3] += 0.03
+    seen = compare(arm.recording(STILL), simulator(poses))
+    assert "the published table (lite6)" in seen.differences[0]
+    assert seen.differences[1].endswith("mm RMS to 0 mm.")
+    assert seen.left.max() < 1e-12
+    assert f"Of gazebo.csv stand out, and are in no figure here, 8 of {SAMPLES} rows." in seen.notes
+
+
+# ------------------------------------------------------------------ what is taken out
+
+
+def test_what_both_share_cancels_whatever_its_size(arm):
+    """O anything, Y = O E: what is left is the model's pose times E, exactly."""
+    rng = np.random.default_rng(3)
+    model = rigid(arm.kinematics)
+    wild, extra = (
+        np.stack([placed(*5e-3 * rng.standard_normal(3), 0.02 * rng.standard_normal(3)) for _ in model])
+        for _ in range(2)
+    )
+    recording = arm.recording(STILL, poses=model @ wild @ extra, noise=None)
+    settings = replace(arm.settings(), factory_calibration=None)
+    seen = compare(recording, simulator(model @ wild, settings=settings))
+    np.testing.assert_allclose(poses_of(seen.recording), model @ extra, rtol=0, atol=1e-12)
+    seen = compare(recording, simulator(model @ wild, settings=settings, orientation=False))
+    shift = np.einsum("sij,sj->si", model[:, :3, :3], wild[:, :3, 3])
+    assert seen.recording.quaternion is None
+    np.testing.assert_allclose(seen.recording.position, recording.position - shift, rtol=0, atol=1e-12)
+
+
+def test_rows_are_matched_in_any_order(arm):
+    """By the joints, to a thousandth of a radian, each row once; those that stand alone are left out."""
+    rng = np.random.default_rng(4)
+    recording = arm.recording(STILL)
+    other = with_effects(arm, HARMONIC).recording(STILL, seed=9)
+    order = rng.permutation(SAMPLES)[:150]
+    shuffled = replace(other.select(order), row=np.arange(1, 151))
+    near = replace(shuffled, joint_position=shuffled.joint_position + 1e-9)
+    seen, plain = compare(recording, near), compare(recording.select(np.sort(order)), other)
+    assert (seen.rows, seen.matched) == (SAMPLES, 150)
+    assert seen.notes[0] == f"10 of {SAMPLES} rows have none of run.csv at their joints and are left out."
+    np.testing.assert_array_equal(seen.recording.row, plain.recording.row)
+    np.testing.assert_allclose(seen.recording.position, plain.recording.position, rtol=0, atol=1e-7)
+    np.testing.assert_array_equal(seen.recording.direction_of_motion, plain.recording.direction_of_motion)
+
+
+def test_poses_taken_twice_are_matched_by_their_row(arm):
+    """Where joints recur, the row's number tells which is which."""
+    twice = {name: np.concatenate([value, value]) for name, value in static_motion(1, 30).items()}
+    twice["time"] = 8.0 * np.arange(60)
+    other = with_effects(arm).recording(twice, seed=9)
+    seen = compare(arm.recording(twice), other)
+    assert seen.matched == 60
+    np.testing.assert_allclose(seen.distance, np.linalg.norm(other.position - arm_at(arm, twice), axis=1), atol=1e-12)
+
+
+def arm_at(arm, motion):
+    return six_parameter_poses(arm.kinematics, motion["joint_position"])[:, :3, 3]
+
+
+# ------------------------------------------------------------------ what has changed
+
+
+@pytest.mark.parametrize("geometry", ["exact", "free"])
+def test_a_compliance_that_appeared(folder, geometry):
+    """Between two recordings of an arm whose own harmonic is in both; its geometry is known or is not."""
+    loose = geometry == "free"
+    before = Made(folder, (HARMONIC,), seed=1, geometry=geometry, frame=loose, tool=loose)
+    after = with_effects(before, HARMONIC, COMPLIANCE)
+    diagnosis, seen = diagnose_against(after.recording(STILL, seed=3), before.recording(STILL, seed=4))
+    assert found(diagnosis.selection) == [("joint_compliance", "joint2")]
+    check_values(diagnosis.selection, COMPLIANCE)
+    assert diagnosis.verdict == "explained"
+    assert not seen.reproduced
+    assert seen.geometry == "exact"
+    assert (seen.kinematics is not None) is loose
+    assert "The same on both sides: payload and direction of motion and temperature." in " ".join(seen.notes)
+
+
+def test_a_link_bent_in_a_crash(folder):
+    """The true geometry unknown: it cancels, and what the crash did is found in numbers."""
+    before = Made(folder, (HARMONIC,), seed=1, geometry="free", frame=True, tool=True)
+    after = with_effects(before, HARMONIC, BENT)
+    diagnosis, seen = diagnose_against(after.recording(STILL, seed=3), before.recording(STILL, seed=4))
+    assert found(diagnosis.selection) == [("frame_offset", "link3")]
+    check_values(diagnosis.selection, BENT)
+    assert "This arm's own geometry is not known: that which run.csv shows" in seen.differences[0]
+
+
+def test_cold_against_warm(folder):
+    """The expansion acts by the difference of the two temperatures, whatever the geometry held at."""
+    cold = Made(folder, (WARMTH, HARMONIC), seed=1, geometry="free", frame=True, tool=True)
+    chilled = {**STILL, "joint_temperature": np.full((SAMPLES, 6), 8.0)}
+    diagnosis, seen = diagnose_against(cold.recording(STILL, seed=3), cold.recording(chilled, seed=4))
+    assert found(diagnosis.selection) == [("link_thermal_expansion", "links")]
+    check_values(diagnosis.selection, WARMTH)
+    assert seen.recording.settings.reference_temperature_degC == pytest.approx(8.0)
+    warm = STILL["joint_temperature"].mean()
+    assert (
+        f"The arm was at {warm:.1f} °C, on the other side at 8.0 °C: expansion is sought by the difference."
+        in seen.notes
+    )
+    assert diagnosis.to_dict()["model"]["reference_temperature_degC"] == pytest.approx(8.0)
+
+
+def test_what_drove_the_sides_otherwise_is_said(arm):
+    other = {**STILL, "payload": STILL["payload"] + 0.5, "direction": -STILL["direction"]}
+    rocked = with_effects(arm, HARMONIC).recording(other, seed=4)
+    rocked = replace(rocked, direction_of_motion=-rocked.direction_of_motion, joint_temperature=None)
+    notes = compare(arm.recording(STILL), rocked).notes
+    assert notes == (
+        f"The payload differs in {SAMPLES} rows: there what bends under load that both sides have does not cancel.",
+        f"The direction of motion differs in {SAMPLES} rows: there backlash that both sides have does not cancel.",
+        "Only one side has temperatures: an expansion that both sides have does not cancel.",
+    )
+
+
+def test_a_backlash_that_appeared(folder):
+    """Found by the direction of this recording's motion."""
+    worn = "joint_backlash:joint=4,gap_rad=1.2e-3"
+    before = Made(folder, (HARMONIC,), seed=2)
+    after = with_effects(before, HARMONIC, worn)
+    diagnosis, _ = diagnose_against(after.recording(STILL, seed=3), before.recording(STILL, seed=4))
+    assert found(diagnosis.selection) == [("joint_backlash", "joint4")]
+    check_values(diagnosis.selection, worn)
+
+
+def test_a_trajectory_keeps_its_motion(folder):
+    moving, lag = moving_motion(2, 40), "joint_lag:joint=2,lag_s=2e-3"
+    before = Made(folder, (HARMONIC,), seed=2)
+    after = with_effects(before, HARMONIC, lag).recording(moving, noise=None)
+    seen = compare(after, before.recording(moving, noise=None)).recording
+    assert seen.motion == "trajectory"
+    for name in ("time", "run", "joint_velocity", "direction_of_motion", "payload"):
+        np.testing.assert_array_equal(getattr(seen, name), getattr(after, name))
+    alone = with_effects(before, lag).poses(moving)
+    assert np.abs(poses_of(seen) - alone).max() < 2e-6  # what the two do to each other is of second order
+
+
+def test_positions_of_the_librarys_own_simulation():
+    """A tracker of positions, that stands elsewhere the second time; an uncalibrated arm whose joint became loose."""
+    (own, size), (worn, extra) = parse_effect(HARMONIC), parse_effect(COMPLIANCE)
+    made = simulation.draw_calibration(LITE6, 3)
+    drawn = simulation.draw_motion(LITE6, samples=SAMPLES, payload=[0.0, 0.5], seed=1)
+    tool = [0.02, 0.01, 0.06, 0.0, 0.0, 0.0]
+
+    def tracked(physics, values, seed):
+        frame = simulation.draw_sensor_frame(seed)
+        return simulation.measure(
+            drawn, LITE6, physics, values, kinematics=made, T_sensor_base=frame, tool=tool, tool_known=False, seed=seed
+        ).recording
+
+    earlier = tracked(Physics((own,)), size, 5)
+    now = tracked(Physics((own, worn)), np.concatenate([size, extra]), 6)
+    diagnosis, _ = diagnose_against(now, earlier, LITE6)
+    assert found(diagnosis.selection) == [("joint_compliance", "joint2")]
+    check_values(diagnosis.selection, COMPLIANCE)
+
+
+# ------------------------------------------------------------------ what is refused
+
+
+def test_other_joints_are_refused(arm, folder):
+    other = replace(simulator(rigid(arm.kinematics), source="far.csv"))
+    off = replace(other, joint_position=other.joint_position + 2 * SAME_JOINTS)
+    assert message(compare, arm.recording(STILL), off) == (
+        f"far.csv: 0 of its {SAMPLES} rows are at joint positions of the {SAMPLES} of {folder / 'run.csv'} (to 0.001 "
+        f"rad), and half of the fewer, {SAMPLES // 2}, are needed; give the same motion on both sides"
+    )
+
+
+def test_a_side_without_positions_is_refused(arm):
+    bare = Recording.from_arrays(STILL["joint_position"], source="bare.csv")
+    said = "bare.csv: has no measured positions; a fit needs the columns x_m y_m z_m"
+    assert message(compare, arm.recording(STILL), bare) == said
+    assert message(compare, bare, arm.recording(STILL)) == said
+
+
+def test_another_arm_is_refused(arm):
+    other = simulator(rigid(arm.kinematics))
+    five = Recording.from_arrays(other.joint_position[:, :5], position=other.position, source="five.csv")
+    assert message(compare, arm.recording(STILL), five) == ("five.csv: has 5 joints, but lite6 has 6; give that arm's")
+
+
+# ------------------------------------------------------------------ as it is typed
+
+
+@pytest.fixture(scope="module")
+def files(arm, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("typed")
+    ours = write_recording(arm.recording(STILL), folder / "run7.csv")
+    theirs = write_recording(simulator(rigid(LITE6.kinematics)), folder / "gazebo.csv")
+    theirs.with_suffix(".yaml").unlink()
+    return ours, theirs
+
+
+def test_diagnose_against_as_it_is_typed(capsys, files, tmp_path):
+    ours, theirs = files
+    out, page = tmp_path / "d.json", tmp_path / "d.html"
+    code, said, _ = run(capsys, "diagnose", ours, "--against", theirs, "--out", out, "--report", page)
+    assert code == 0
+    text = flat(said)
+    assert f"Against gazebo.csv, {SAMPLES} rows: the model does not reproduce it, 2.1" in text
+    assert "gazebo.csv has the published table (lite6) where this model has the factory calibration" in text
+    assert text.index("gazebo.csv has") < text.index("Explained: with the physics below")
+    assert f"{ours} against gazebo.csv" in page.read_text()
+    document = json.loads(out.read_text())
+    assert document["schema"] == "lite6jax/diagnosis/1"
+    seen = document["against"]
+    assert (seen["file"], seen["rows"], seen["matched_rows"], seen["reproduced"]) == (
+        "gazebo.csv",
+        SAMPLES,
+        SAMPLES,
+        False,
+    )
+    assert 1e-3 < seen["position_rms_m"] < seen["position_max_m"] < 1e-2
+    assert seen["left_position_rms_m"] < 1e-6
+    assert len(seen["differences"]) == 2
+    assert document["verdict"] == "explained"
+    (finding,) = document["findings"]
+    assert (finding["effect"], finding["site"]) == ("joint_compliance", "joint2")
+    estimate = finding["parameters"]["compliance_rad_per_Nm"]
+    assert abs(estimate["value"] - 9e-5) < 4 * estimate["std"] < 1e-5
+    predicted = tmp_path / "p.csv"
+    code, said, _ = run(capsys, "predict", out, ours, "--out", predicted)
+    assert code == 0
+    assert flat(said).startswith("gazebo.csv is a rigid arm: the model is this arm's own, whole.")
+
+
+def test_agreement_as_it_is_typed(capsys, folder, tmp_path):
+    """Two recordings of an arm of unknown geometry with the same physics: nothing changed."""
+    same = Made(folder, (HARMONIC, COMPLIANCE), seed=1, geometry="free", frame=True, tool=True)
+    paths = [write_recording(same.recording(STILL, seed=k), tmp_path / f"run{k}.csv") for k in (1, 2)]
+    out = tmp_path / "d.json"
+    code, said, _ = run(capsys, "diagnose", paths[0], "--against", paths[1], "--out", out)
+    assert code == 0
+    assert "Beyond that both sides agree: what is left of their difference is noise." in flat(said)
+    assert "`lite6jax diagnose run2.csv` would name." in flat(said)
+    document = json.loads(out.read_text())
+    assert document["against"]["statement"] == (
+        "The model is this arm's rigid one with the difference from run2.csv: what both have beyond a rigid arm is not "
+        "in it, and what only run2.csv has is in it with its sign reversed."
+    )
+    assert document["verdict"] == "consistent"
+    assert document["noise"]["estimated_position_m"] == pytest.approx(np.sqrt(2) * 2e-5, rel=0.1)
+    assert document["against"]["left_position_rms_m"] > 4e-5  # the physics that both have
+
+
+def test_what_the_command_refuses(capsys, files, tmp_path):
+    ours, _ = files
+    out = tmp_path / "d.json"
+    calibration = write_factory(LITE6.kinematics, tmp_path / "factory.yaml")
+    assert refused(capsys, "diagnose", ours, "--against", calibration, "--out", out) == (
+        f"{calibration}: is a calibration; diagnose takes a recording (.csv, .parquet, .mcap)"
+    )
+    assert "none.csv" in refused(capsys, "diagnose", ours, "--against", tmp_path / "none.csv", "--out", out)
+    other = write_recording(simulator(rigid(LITE6.kinematics), static_motion(5, SAMPLES)), tmp_path / "other.csv")
+    said = refused(capsys, "diagnose", ours, "--against", other, "--out", out)
+    assert said.startswith(f"{other}: 0 of its {SAMPLES} rows are at joint positions of the {SAMPLES} of {ours}")
+    assert not out.exists()
