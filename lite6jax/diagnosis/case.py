@@ -1,6 +1,6 @@
 """A recording as the diagnosis sees it: whitened residuals, and how every cause inside the arm would change them."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from typing import NamedTuple
@@ -71,6 +71,8 @@ class Case:
         noise: one standard deviation per axis of position (m) and orientation (rad), as declared or assumed.
         declared: whether the sidecar declares it.
         notes: what was assumed.
+        whole: of a thinned case, the motion that its rows are taken from, and which they are; an effect of the clock
+            looks at their neighbours.
     """
 
     recording: Recording
@@ -86,6 +88,7 @@ class Case:
     noise: tuple[float, float | None]
     declared: bool
     notes: tuple[str, ...]
+    whole: tuple[Motion, NDArray[np.integer]] | None = None
 
     @property
     def samples(self) -> int:
@@ -103,7 +106,7 @@ class Case:
         return self.loads_on(self.start, self.motion)
 
     def thinned(self, every: int) -> "Case":
-        """One in `every` rows. Of an arm at rest: an effect of the clock needs the neighbours."""
+        """One in `every` rows."""
         if every == 1:
             return self
         rows = slice(None, None, every)
@@ -114,9 +117,15 @@ class Case:
             whitener[..., rows] if whitener.ndim == 3 else whitener,
         )
         chosen = np.arange(self.samples)[rows]
-        return replace(
-            self, recording=self.recording.select(chosen), motion=select(self.motion, chosen), measured=measured
-        )
+        recording, motion = self.recording.select(chosen), select(self.motion, chosen)
+        return replace(self, recording=recording, motion=motion, measured=measured, whole=(self.motion, chosen))
+
+    def altered(self, alter: Callable[[Motion], Motion]) -> Motion:
+        """The motion as it really was."""
+        if self.whole is None:
+            return alter(self.motion)
+        motion, chosen = self.whole
+        return select(alter(motion), chosen)
 
     def loads_on(self, model: ArmModel, motion: Motion) -> Loads | None:
         """Gravity's loads on a rigid chain in a motion."""
@@ -131,7 +140,7 @@ class Case:
             for effect, part in zip(physics.effects, physics.slices, strict=True):
                 bent = bent + _scaled(self._unit(effect), np.asarray(values)[part])
         else:
-            motion = physics.alter(jnp.asarray(values), self.motion)
+            motion = self.altered(partial(physics.alter, jnp.asarray(values)))
             altered = any(isinstance(effect, Altering) for effect in physics.effects)
             on_arm = self.loads_on(self.start, motion) if altered and physics.loaded else self.loads
             bent = dense(physics.deflect(jnp.asarray(values), motion, on_arm), motion.dof, motion.samples)
@@ -218,7 +227,7 @@ class Case:
 
         def deflected(v: jax.Array) -> Deflection:
             if isinstance(effect, Altering):  # of the joints' positions; what follows from loads is of second order
-                return Deflection(joint=effect.alter(v, self.motion).joint_position)
+                return Deflection(joint=self.altered(partial(effect.alter, v)).joint_position)
             assert isinstance(effect, Bending)
             return effect.deflect(v, self.motion, self.loads)
 

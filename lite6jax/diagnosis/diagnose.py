@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from lite6jax.arms.arm import Arm
 from lite6jax.diagnosis.case import Case, arm_moved, case_of
-from lite6jax.diagnosis.selection import Search, Selection
+from lite6jax.diagnosis.selection import Selection, search_of
 from lite6jax.fitting.problem import Geometry
 from lite6jax.physics.catalogue import Untestable, effect_as_dict
 from lite6jax.physics.effect import Effect
@@ -167,7 +167,7 @@ def diagnose(
     """
     case = case_of(recording, arm, geometry)
     require_samples(recording, len(case.unknown) + 1)
-    search = Search(case, effects)
+    search = search_of(case, effects)
     case = search.case
     selection = search.run()
     if progress:
@@ -181,7 +181,7 @@ def diagnose(
             errors[held] = np.sqrt(np.sum(missed**2, 0))[held]
         if progress:
             progress(1)
-    return Diagnosis(case, selection, before, after, outliers, tuple(search.missing))
+    return Diagnosis(case, selection, before, after, outliers, search.missing)
 
 
 def statement(effect: Effect, parameters: dict[str, dict[str, float]]) -> str:

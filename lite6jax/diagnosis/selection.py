@@ -2,7 +2,7 @@
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -14,7 +14,7 @@ from lite6jax.diagnosis.evidence import Score, evidence_of
 from lite6jax.diagnosis.refit import Fitted, refit
 from lite6jax.diagnosis.spectrum import lines
 from lite6jax.diagnosis.sweep import sweep
-from lite6jax.physics.catalogue import catalogue, untestable
+from lite6jax.physics.catalogue import Untestable, catalogue, untestable
 from lite6jax.physics.composition import Physics
 from lite6jax.physics.drivers import Driver
 from lite6jax.physics.effect import Effect
@@ -30,6 +30,8 @@ _RELINEARISED = 3
 _CLOSE = 6.0
 """Log-likelihood within which two candidates cannot be told apart."""
 _REFITTED = 4
+_ROWS = 2000
+"""That a search looks at to begin with."""
 _PIECES = (8, 24)
 _UNNAMED_BETTER = 10.0
 _SUSPICIOUS = 3
@@ -107,22 +109,23 @@ class Selection:
     hidden: tuple[Effect, ...] = field(default=())
 
 
+@dataclass(frozen=True, eq=False)
 class Search:
-    """The search of one case, with the same candidates for every part of its rows."""
+    """The search of one case, with the same candidates for every part of its rows.
 
-    def __init__(self, case: Case, extra: Sequence[Effect] = (), level: float = LEVEL) -> None:
-        self.level = level
-        baseline = refit(case, Physics())
-        for _ in range(_RELINEARISED):
-            if not case.unknown:
-                break
-            case = moved_to(case, baseline.moved)
-            baseline = refit(case, Physics())
-        self.case, self.baseline = case, baseline
-        every = (*catalogue(case.motion.dof, turned_tool=case.rows == 6), *extra)
-        self.missing = untestable(every, case.motion, case.inertia is not None)
-        lacking = {item.effect for item in self.missing}
-        self.candidates = tuple(effect for effect in every if effect not in lacking)
+    Attributes:
+        case: linearised where its geometry is.
+        start: `(unknown,)` where fits of the nuisance start.
+        candidates: named effects, those that the recording can show.
+        missing: those that it cannot.
+        level: family-wise, of a false finding.
+    """
+
+    case: Case
+    start: Array
+    candidates: tuple[Effect, ...]
+    missing: tuple[Untestable, ...]
+    level: float
 
     @cached_property
     def tried(self) -> float:
@@ -145,14 +148,37 @@ class Search:
         return tuple(found)
 
     def run(self, used: NDArray[np.bool_] | None = None) -> Selection:
-        """Selects on some rows; all where not given."""
-        case = self.case
-        baseline = self.baseline if used is None else refit(case, Physics(), moved=self.baseline.moved, used=used)
+        """Selects on some rows; all where not given.
+
+        Of very many rows, a part finds the physics; then all of them are fitted, and asked for what is still left.
+        """
+        used = np.ones(self.case.samples, bool) if used is None else used
+        every = max(int(used.sum()) // _ROWS, 1)
+        if every == 1:
+            selection = self._selected(used)
+        else:
+            part = replace(self, case=self.case.thinned(every))._selected(used[::every])
+            physics, values = part.fitted.physics, part.fitted.values
+            baseline = refit(self.case, Physics(), moved=self.start, used=used)
+            fitted = refit(self.case, physics, values, part.fitted.moved, used) if physics.effects else baseline
+            fitted, steps = self._grown(fitted, list(part.steps))
+            selection = replace(part, case=self.case, baseline=baseline, fitted=fitted, steps=tuple(steps))
+        return selection
+
+    def _selected(self, used: NDArray[np.bool_]) -> Selection:
+        baseline = refit(self.case, Physics(), moved=self.start, used=used)
         fitted, steps = self._grown(baseline, [])
-        fitted, steps = self._unnamed(baseline, fitted, steps)
-        fitted, steps = self._pruned(fitted, steps)
-        hidden = self._hidden(baseline)
-        return Selection(case, baseline, fitted, tuple(steps), self.candidates, hidden)
+        if len(steps) == MOST:
+            fitted, steps = self._swept(fitted, steps)
+        else:
+            fitted, steps = self._unnamed(baseline, fitted, steps)
+            fitted, steps = self._pruned(fitted, steps)
+        return Selection(self.case, baseline, fitted, tuple(steps), self.candidates, self._hidden(baseline))
+
+    def _swept(self, fitted: Fitted, steps: list[Step]) -> tuple[Fitted, list[Step]]:
+        named = [effect for effect in self.candidates if not isinstance(effect, JointHarmonic)]
+        fitted, swept = sweep(self.case, fitted, named, self.tried, self.level)
+        return fitted, [*steps, *(Step(item.effect, item.p, item.score, ()) for item in swept)]
 
     def _hidden(self, baseline: Fitted) -> tuple[Effect, ...]:
         scores = evidence_of(self.case, baseline).score(self.candidates)
@@ -165,10 +191,6 @@ class Search:
                 break
             fitted, step = found
             steps = [*steps, step]
-        if len(steps) == MOST:
-            named = [effect for effect in self.candidates if not isinstance(effect, JointHarmonic)]
-            fitted, swept = sweep(self.case, fitted, named, self.tried, self.level)
-            steps = [*steps, *(Step(item.effect, item.p, item.score, ()) for item in swept)]
         return fitted, steps
 
     def _next(self, fitted: Fitted) -> tuple[Fitted, Step] | None:
@@ -275,9 +297,23 @@ class Search:
         return fitted, steps
 
 
+def search_of(case: Case, extra: Sequence[Effect] = (), level: float = LEVEL) -> Search:
+    """The search of a case over the catalogue and `extra` effects; it linearises the case where its geometry is."""
+    start = refit(case, Physics()).moved
+    for _ in range(_RELINEARISED):
+        if not case.unknown:
+            break
+        case = moved_to(case, start)
+        start = refit(case, Physics()).moved
+    every = (*catalogue(case.motion.dof, turned_tool=case.rows == 6), *extra)
+    missing = tuple(untestable(every, case.motion, case.inertia is not None))
+    lacking = {item.effect for item in missing}
+    return Search(case, start, tuple(effect for effect in every if effect not in lacking), missing, level)
+
+
 def select(case: Case, extra: Sequence[Effect] = (), level: float = LEVEL) -> Selection:
     """The physics that a case asks for."""
-    return Search(case, extra, level).run()
+    return search_of(case, extra, level).run()
 
 
 def _cost(steps: Sequence[Step], n: float) -> float:

@@ -16,7 +16,6 @@ NUMBERS_PER_JOINT = 24
 """What a sweep may fit at most: beyond, a table of corrections would say as much."""
 _WORTH = 0.3
 """Of a pass' best gain: what explains less waits for the next pass, when more is known."""
-_ROWS = 2000
 
 
 class Swept(NamedTuple):
@@ -30,8 +29,7 @@ class Swept(NamedTuple):
 def sweep(case: Case, fitted: Fitted, named: Sequence[Effect], tried: float, level: float) -> tuple[Fitted, list[Swept]]:
     """Adds effects to a fitted model, several in each pass, until nothing is left or the numbers are too many.
 
-    In a pass every effect is judged after those before it are projected out. An arm that stood still is searched on a
-    few thousand of its rows, and fitted on all.
+    In a pass every effect is judged after those before it are projected out.
 
     Args:
         case: the data.
@@ -40,24 +38,14 @@ def sweep(case: Case, fitted: Fitted, named: Sequence[Effect], tried: float, lev
         tried: how many independent candidates there are.
         level: of the family-wise error.
     """
-    every = max(int(fitted.used.sum()) // _ROWS, 1) if case.motion.joint_velocity is None else 1
-    thin = case.thinned(every)
     most = NUMBERS_PER_JOINT * case.motion.dof
-    state = fitted
-    if every > 1:
-        state = refit(thin, fitted.physics, fitted.values, fitted.moved, fitted.used[::every])
-    found: list[Swept] = []
-    while True:
-        added = _pass(thin, state, named, tried, level, most - state.physics.size)
-        if not added:
-            break
+    state, found = fitted, list[Swept]()
+    while added := _pass(case, state, named, tried, level, most - state.physics.size):
         found += added
         physics = Physics((*state.physics.effects, *(item.effect for item in added)))
         start = np.concatenate([state.values, *(item.score.values for item in added)])
-        state = refit(thin, physics, start, state.moved, state.used)
-    if found and every > 1:
-        state = refit(case, state.physics, state.values, state.moved, fitted.used)
-    return (state if found else fitted), found
+        state = refit(case, physics, start, state.moved, state.used)
+    return state, found
 
 
 def _pass(

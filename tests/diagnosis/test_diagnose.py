@@ -9,7 +9,7 @@ from diagnosis.recorded import NOISE, Made, check_values, found, static_motion, 
 
 from lite6jax.diagnosis.case import case_of
 from lite6jax.diagnosis.diagnose import FOLDS, diagnose, statement
-from lite6jax.diagnosis.selection import Search
+from lite6jax.diagnosis.selection import search_of
 from lite6jax.errors import InputError
 from lite6jax.recordings import Recording
 
@@ -112,7 +112,7 @@ def test_physics_without_a_name(arm, still):
         return 1.5e-3 * np.exp(-0.5 * ((q - 1.4) / 0.12) ** 2)
 
     case = case_of(arm.recording(still, bump=(3, curve)))
-    selection = Search(case).run()
+    selection = search_of(case).run()
     largest = max(selection.steps, key=lambda step: step.score.gain)
     assert (largest.effect.name, largest.effect.site) == ("unnamed", "joint3")
     assert largest.effect.drivers[0].phrase == "position of joint 3"

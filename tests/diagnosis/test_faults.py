@@ -5,16 +5,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from diagnosis.recorded import LITE6, Made, moving_motion, static_motion, with_effects
+from diagnosis.recorded import LITE6, Made, moving_motion, plain_effect, static_motion, with_effects
 from physics.plain_physics import predicted_poses
 from plain_chain import perturb_poses, perturbed, six_parameter_poses
 from scipy.spatial.transform import Rotation
 
 from lite6jax.arms.bundled import load_bundled
 from lite6jax.arms.factory import write_factory
-from lite6jax.diagnosis import hypotheses, sequence
+from lite6jax.diagnosis import hypotheses
 from lite6jax.diagnosis.case import case_of
 from lite6jax.diagnosis.faults import examine
+from lite6jax.diagnosis.projection import Projected, estimated
 from lite6jax.diagnosis.refit import refit
 from lite6jax.diagnosis.rigid import physics_columns, rigid_of
 from lite6jax.errors import InputError
@@ -34,9 +35,23 @@ PHYSICS = {
     "base": ("base_compliance:compliance_x_rad_per_Nm=3e-5,compliance_y_rad_per_Nm=1e-5",),
     "clock": ("time_offset:offset_s=0.012",),
 }
+ASKED = [
+    *((name, "exact") for name in PHYSICS),
+    *((name, "free") for name in ("nothing", "compliance", "thermal", "clock")),
+]
 SETUPS = {"exact": {}, "free": {"geometry": "free", "frame": True, "tool": True}}
+FIRST = (slice(None), 0)
 TURN = Rotation.from_rotvec([1e-3, 5e-4, -1e-3])
 SHIFT = np.array([1e-3, -0.5e-3, 0.3e-3])
+
+
+CHANGES = {
+    "swapped": (lambda q: q.__setitem__((slice(None), [1, 2]), q[:, [2, 1]]), "swapped_joints", "joints 2 and 3"),
+    "mirrored": (lambda q: q.__setitem__((slice(None), 3), -q[:, 3]), "mirrored_joint", "joint 4"),
+    "degrees": (lambda q: q.__setitem__((slice(None), 2), np.rad2deg(q[:, 2])), "joint_unit", "joint 3 in degrees"),
+    "quarter": (lambda q: q.__setitem__((slice(None), 1), q[:, 1] + np.pi / 2), "joint_turns", "joint 2"),
+}
+"""A change of columns, the fault, and words of what is said."""
 
 
 @pytest.fixture(scope="module")
@@ -51,7 +66,7 @@ def still():
 
 @pytest.fixture(scope="module")
 def moving():
-    return moving_motion(22, 400)
+    return moving_motion(22, 300)
 
 
 @pytest.fixture(scope="module")
@@ -123,8 +138,7 @@ def read_early(made, motion, rest):
 
 
 class TestGoodRecordings:
-    @pytest.mark.parametrize("setup", SETUPS)
-    @pytest.mark.parametrize("physics", PHYSICS)
+    @pytest.mark.parametrize(("physics", "setup"), ASKED)
     def test_physics_is_no_fault(self, folder, still, moving, physics, setup):
         made = Made(folder, PHYSICS[physics], seed=3, orientation=setup == "exact", **SETUPS[setup])
         for motion in (still, moving) if physics != "clock" else (moving,):
@@ -145,6 +159,12 @@ class TestGoodRecordings:
             np.testing.assert_array_equal(getattr(examined.recording, name), getattr(good, name))
         assert examined.arm.name == "lite6"
         assert all(fault.rows == () and fault.statement.endswith(".") for fault in examined.checked)
+
+    def test_few_rows(self, folder):
+        examined = examine(Made(folder, seed=2, orientation=False).recording(static_motion(21, 40)))
+        assert examined.faults == ()
+        assert "40 rows are too few to tell" in ruled_out(examined, "frame_jump")
+        assert "cannot be told from 40 rows" in ruled_out(examined, "unsettled_readouts")
 
     def test_a_given_arm_holds(self, good, still):
         assert examine(good, LITE6).arm is LITE6
@@ -184,7 +204,7 @@ class TestGoodRecordings:
         """What plain effects do to plain poses lies in the span of the columns."""
         made = Made(folder, seed=7, orientation=False)
         arm = rigid_of(made.recording(still, noise=None))
-        projected = sequence.Projected(arm, physics_columns(arm))
+        projected = Projected(arm, physics_columns(arm))
         for name in ("compliance", "harmonic", "backlash", "drift", "tool", "thermal", "base"):
             bent = with_effects(made, *PHYSICS[name]).recording(still, noise=None)
             there = rigid_of(bent).residual[None]
@@ -230,27 +250,18 @@ class TestRows:
 
 
 class TestColumns:
-    """Joints and orientations read otherwise."""
-
-    CHANGES = {
-        "swapped": (lambda q: q.__setitem__((slice(None), [1, 2]), q[:, [2, 1]]), "swapped_joints", "joints 2 and 3"),
-        "mirrored": (lambda q: q.__setitem__((slice(None), 3), -q[:, 3]), "mirrored_joint", "joint 4"),
-        "degrees": (lambda q: q.__setitem__((slice(None), 2), np.rad2deg(q[:, 2])), "joint_unit", "joint 3 in degrees"),
-        "quarter": (lambda q: q.__setitem__((slice(None), 1), q[:, 1] + np.pi / 2), "joint_turns", "joint 2"),
-    }
-
     @pytest.mark.parametrize("setup", SETUPS)
     @pytest.mark.parametrize("change", CHANGES)
     def test_a_wrong_column(self, folder, still, change, setup):
         recording = Made(folder, PHYSICS["compliance"], seed=9, **SETUPS[setup]).recording(still)
-        edit, name, words = self.CHANGES[change]
+        edit, name, words = CHANGES[change]
         examined = examine(joints_changed(recording, edit))
         assert words in only(examined, name).statement
         np.testing.assert_allclose(examined.recording.joint_position, recording.joint_position, atol=1e-12)
 
     @pytest.mark.parametrize("change", CHANGES)
     def test_of_seven_joints(self, seven, change):
-        edit, name, words = self.CHANGES[change]
+        edit, name, words = CHANGES[change]
         examined = examine(joints_changed(seven, edit))
         assert words in only(examined, name).statement
         np.testing.assert_allclose(examined.recording.joint_position, seven.joint_position, atol=1e-12)
@@ -317,7 +328,7 @@ class TestColumns:
         only(examined, "joint_turns")
         turns = (examined.recording.joint_position - smooth.joint_position) / (2 * np.pi)
         np.testing.assert_allclose(turns, np.round(turns), atol=1e-9)
-        assert np.abs(np.diff(examined.recording.joint_position[:200], axis=0)).max() < 0.2
+        assert np.abs(np.diff(examined.recording.joint_position[:150], axis=0)).max() < 0.2
 
     def test_readings_compose(self):
         q = np.random.default_rng(1).uniform(-1, 1, (4, 3))
@@ -334,18 +345,14 @@ class TestNominalTable:
         path = folder / f"as_{declared}.yaml"
         write_factory(arms[declared].kinematics, path, overwrite=True)
         made = Made(folder, (*PHYSICS["compliance"], *PHYSICS["tool"]), seed=5)
-        poses = predicted_poses(
-            arms[true].kinematics,
-            np.eye(4),
-            np.eye(4),
-            still,
-            made.inertia(),
-            [(*self.effect(t),) for t in made.effects],
-        )
+        effects = [plain_effect(text) for text in made.effects]
+        poses = predicted_poses(arms[true].kinematics, np.eye(4), np.eye(4), still, made.inertia(), effects)
         recording = made.recording(still, poses=poses)
         recording = replace(recording, settings=replace(recording.settings, factory_calibration=str(path)))
         examined = examine(recording)
-        assert f"from the declared table (0) to {true} (1) the data lie at " in only(examined, "nominal_table").statement
+        assert (
+            f"from the declared table (0) to {true} (1) the data lie at " in only(examined, "nominal_table").statement
+        )
         assert examined.arm.name == examined.recording.settings.arm == true
         assert examined.recording.settings.factory_calibration is None
         asked = examine(recording, geometry="exact")
@@ -356,12 +363,6 @@ class TestNominalTable:
         write_factory(arms[true].kinematics, other, overwrite=True)
         right = replace(right, settings=replace(right.settings, factory_calibration=str(other)))
         assert examine(right).faults == ()
-
-    @staticmethod
-    def effect(text):
-        from diagnosis.recorded import plain_effect
-
-        return plain_effect(text)
 
     def test_where_the_chain_is_fitted(self, folder, still):
         made = Made(folder, seed=5, geometry="free", frame=True)
@@ -418,7 +419,7 @@ class TestUnsettledReadouts:
         assert np.abs(off).max() < 2e-5 + 3e-3 * share
         # what backlash does is still there
         left = rigid_of(examined.recording).fitted()
-        sizes, stds = sequence.estimated(
+        sizes, stds = estimated(
             left, physics_columns(left, skip=("direction",)), left.joints * still["direction"].T[:, None]
         )
         truth = np.array([0, 0, 0, -1.5e-4 if physics == "backlash" else 0, 0, 0])
@@ -460,14 +461,25 @@ class TestUnsettledReadouts:
         assert examine(replace(good, position=position)).faults == ()
 
     def test_poses_in_an_orderly_sequence(self, folder):
-        """A wrist that goes to and fro in steps has a direction that its position tells."""
+        """A wrist that sweeps in steps comes from below where a sweep begins only: its direction tells its position."""
         motion = static_motion(4, 160)
-        motion["joint_position"][:, 4] = np.tile([1.2, 0.6, 0.3, -0.3, -0.6], 32)
-        motion["joint_position"][:, :4] = np.repeat(motion["joint_position"][::5, :4], 5, 0)
-        motion["direction"] = np.sign(moves_of(motion["joint_position"]))
+        q = motion["joint_position"]
+        q[:, 4] = np.tile(np.linspace(1.5, -1.5, 10), 16)
+        q[:, :4] = np.repeat(q[::10, :4], 10, 0)
+        motion["direction"] = np.sign(moves_of(q))
         made = Made(folder, seed=12)
-        recording = made.recording(motion, bump=(5, lambda q: 1e-3 * np.exp(-(((q - 1.2) / 0.2) ** 2))))
+        recording = made.recording(motion, bump=(5, lambda q: 3e-3 * np.exp(-(((q - 1.5) / 0.2) ** 2))))
         assert examine(recording).faults == ()
+
+    def test_what_the_next_move_tells_as_well(self, folder):
+        """The order of the poses says where they are, beyond any one joint: nothing can be said, and that is said."""
+        motion = static_motion(4, 160)
+        q = motion["joint_position"]
+        made = Made(folder, seed=12)
+        rest = 1e-3 * (moves_of(q) - moves_of(q[::-1])[::-1] * 0.9)
+        examined = examine(read_early(made, motion, rest))
+        assert examined.faults == ()
+        assert "Record some in random order" in ruled_out(examined, "unsettled_readouts")
 
 
 class TestFrameJump:
@@ -485,8 +497,8 @@ class TestFrameJump:
     @pytest.mark.parametrize("setup", SETUPS)
     def test_in_motion(self, folder, moving, setup):
         recording = Made(folder, PHYSICS["compliance"], seed=13, **SETUPS[setup]).recording(moving)
-        examined = examine(bumped(recording, 131))
-        assert only(examined, "frame_jump").rows[0] == 132
+        examined = examine(bumped(recording, 101))
+        assert only(examined, "frame_jump").rows[0] == 102
         assert np.abs(examined.recording.position - recording.position).max() < 4e-4
 
     def test_of_seven_joints(self, seven):
@@ -513,8 +525,8 @@ class TestFrameJump:
         assert "the target or the tool" in fault.statement
         assert np.abs(examined.recording.position - made.recording(still).position).max() < 4e-5
 
-    def test_between_runs(self, folder, moving):
-        recording = Made(folder, seed=13).recording(moving)
+    def test_between_runs(self, folder):
+        recording = Made(folder, seed=13).recording(moving_motion(22, 400))
         examined = examine(bumped(recording, 200))
         assert "at row 201, where run 1 begins" in only(examined, "frame_jump").statement
 

@@ -13,7 +13,7 @@ from diagnosis.recorded import (
 )
 
 from lite6jax.diagnosis.case import case_of
-from lite6jax.diagnosis.selection import Search, select
+from lite6jax.diagnosis.selection import search_of, select
 
 
 @pytest.fixture(scope="module")
@@ -33,7 +33,7 @@ def moving():
 
 
 def searched(made, motion, **options):
-    return Search(case_of(made.recording(motion, **options))).run()
+    return search_of(case_of(made.recording(motion, **options))).run()
 
 
 STATIC = [
