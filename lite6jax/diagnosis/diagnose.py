@@ -10,7 +10,9 @@ from numpy.typing import NDArray
 
 from lite6jax.arms.arm import Arm
 from lite6jax.diagnosis.case import Case, arm_moved, case_of
+from lite6jax.diagnosis.faults import Fault, examine
 from lite6jax.diagnosis.selection import Selection, search_of
+from lite6jax.diagnosis.separation import Separation, separations
 from lite6jax.fitting.problem import Geometry
 from lite6jax.physics.catalogue import Untestable, effect_as_dict
 from lite6jax.physics.effect import Effect
@@ -36,6 +38,9 @@ class Diagnosis:
         after: `(sample,)` m, with the physics that the other folds ask for.
         outliers: `(sample,)` bool, rows that no model explains; they are in no error above.
         untestable: what this recording cannot show, and why.
+        faults: of the data, put right before the search.
+        checked: easy causes that were looked for and are not there.
+        separating: poses that would tell rivals apart.
     """
 
     case: Case
@@ -44,6 +49,9 @@ class Diagnosis:
     after: Array
     outliers: NDArray[np.bool_]
     untestable: tuple[Untestable, ...]
+    faults: tuple[Fault, ...] = ()
+    checked: tuple[Fault, ...] = ()
+    separating: tuple[Separation, ...] = ()
 
     @property
     def estimated_noise(self) -> float:
@@ -91,7 +99,7 @@ class Diagnosis:
                     "statement": statement(step.effect, parameters),
                 }
             )
-        faults = []
+        faults = [fault._asdict() for fault in self.faults]
         if self.outliers.any():
             rows = [int(row) for row in case.recording.row[self.outliers]]
             faults.append(
@@ -112,7 +120,12 @@ class Diagnosis:
                 "estimated_position_m": self.estimated_noise,
             },
             "data_faults": faults,
+            "ruled_out": [{"fault": item.fault, "statement": item.statement} for item in self.checked],
             "findings": findings,
+            "separating_poses": [
+                {"effects": list(item.effects), "joint_position_rad": item.joint_position.tolist()}
+                for item in self.separating
+            ],
             "untestable": [
                 {"effect": item.effect.name, "site": item.effect.site, "reason": item.reason}
                 for item in self.untestable
@@ -163,9 +176,11 @@ def diagnose(
         progress: called with 1 for each of the `FOLDS` + 1 searches.
 
     Raises:
-        InputError: as `case_of`.
+        InputError: as `examine` and `case_of`.
     """
-    case = case_of(recording, arm, geometry)
+    examined = examine(recording, arm, geometry)
+    recording = examined.recording
+    case = case_of(recording, examined.arm, geometry)
     require_samples(recording, len(case.unknown) + 1)
     search = search_of(case, effects)
     case = search.case
@@ -181,7 +196,17 @@ def diagnose(
             errors[held] = np.sqrt(np.sum(missed**2, 0))[held]
         if progress:
             progress(1)
-    return Diagnosis(case, selection, before, after, outliers, search.missing)
+    return Diagnosis(
+        case,
+        selection,
+        before,
+        after,
+        outliers,
+        search.missing,
+        examined.faults,
+        examined.checked,
+        separations(selection, geometry),
+    )
 
 
 def statement(effect: Effect, parameters: dict[str, dict[str, float]]) -> str:

@@ -141,8 +141,14 @@ class Evidence:
         return np.tile(self.fitted.used, self.case.rows).astype(float)
 
 
-def evidence_of(case: Case, fitted: Fitted) -> Evidence:
-    """The evidence against a fitted model."""
+def evidence_of(case: Case, fitted: Fitted, memory: float | None = None) -> Evidence:
+    """The evidence against a fitted model.
+
+    Args:
+        case: the data.
+        fitted: the model.
+        memory: over how many samples noise remembers; from the residual where not given.
+    """
     used = np.tile(fitted.used, case.rows).astype(float)
     parts = []
     if case.unknown:
@@ -168,7 +174,7 @@ def evidence_of(case: Case, fitted: Fitted) -> Evidence:
     residual = rows.ravel() * used
     n = float(used.sum())
     residual = residual / np.sqrt(max(np.sum(residual**2) / max(n - fitted.parameters, 1.0), 1e-300))
-    memory = _correlation_length(residual.reshape(case.rows, -1))
+    memory = _correlation_length(residual.reshape(case.rows, -1)) if memory is None else memory
     return Evidence(case, fitted, basis, residual, _blocks(case.samples, memory), n - fitted.parameters, memory)
 
 

@@ -81,7 +81,6 @@ def refit(
     values: Array | None = None,
     moved: Array | None = None,
     used: NDArray[np.bool_] | None = None,
-    spread: Array | None = None,
 ) -> Fitted:
     """Fits what is unknown of the geometry, the frames and the numbers of `physics` together.
 
@@ -94,15 +93,13 @@ def refit(
         values: `(physics.size,)` where to start; neutral where not given.
         moved: `(unknown,)` where to start; the case's start where not given.
         used: `(sample,)` bool; all where not given.
-        spread: `(physics.size,)` one standard deviation of the numbers about neutral, as known beforehand; not known
-            where not given.
     """
     values = np.zeros(physics.size) if values is None else np.array(values, float)
     moved = np.zeros(len(case.unknown)) if moved is None else np.array(moved, float)
     used = np.ones(case.samples, bool) if used is None else used
     nuisance = case.nuisance
     k = len(nuisance)
-    precision = np.concatenate([case.precision, np.zeros(physics.size) if spread is None else spread**-2.0])
+    precision = np.concatenate([case.precision, physics.prior**-2.0])
     offset = np.concatenate([case.offset, np.zeros(physics.size)])
 
     def weighed(rows: Array) -> Weighed:

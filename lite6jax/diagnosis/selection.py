@@ -13,7 +13,7 @@ from lite6jax.diagnosis.case import Case, moved_to
 from lite6jax.diagnosis.evidence import Score, evidence_of
 from lite6jax.diagnosis.refit import Fitted, refit
 from lite6jax.diagnosis.spectrum import lines
-from lite6jax.diagnosis.sweep import sweep
+from lite6jax.diagnosis.sweep import Swept, sweep
 from lite6jax.physics.catalogue import Untestable, catalogue, untestable
 from lite6jax.physics.composition import Physics
 from lite6jax.physics.drivers import Driver
@@ -30,6 +30,8 @@ _RELINEARISED = 3
 _CLOSE = 6.0
 """Log-likelihood within which two candidates cannot be told apart."""
 _REFITTED = 4
+_DOUBTFUL = 3
+"""Additions in a row that nothing makes sure yet."""
 _ROWS = 2000
 """That a search looks at to begin with."""
 _PIECES = (8, 24)
@@ -169,29 +171,57 @@ class Search:
         baseline = refit(self.case, Physics(), moved=self.start, used=used)
         fitted, steps = self._grown(baseline, [])
         if len(steps) == MOST:
-            fitted, steps = self._swept(fitted, steps)
+            fitted, steps = self._swept(baseline, fitted, steps)
         else:
             fitted, steps = self._unnamed(baseline, fitted, steps)
             fitted, steps = self._pruned(fitted, steps)
         return Selection(self.case, baseline, fitted, tuple(steps), self.candidates, self._hidden(baseline))
 
-    def _swept(self, fitted: Fitted, steps: list[Step]) -> tuple[Fitted, list[Step]]:
-        named = [effect for effect in self.candidates if not isinstance(effect, JointHarmonic)]
-        fitted, swept = sweep(self.case, fitted, named, self.tried, self.level)
-        return fitted, [*steps, *(Step(item.effect, item.p, item.score, ()) for item in swept)]
+    def _swept(self, baseline: Fitted, fitted: Fitted, steps: list[Step]) -> tuple[Fitted, list[Step]]:
+        """All orders of all joints at once, where there are so many effects and that explains more."""
+        found = [Swept(step.effect, step.p, step.score) for step in steps]
+        state, swept = sweep(self.case, baseline, found, self.candidates, self.tried, self.level)
+        scale, n = min(state.residual.scale, fitted.residual.scale), baseline.freedom
+        gained = state.log_likelihood(scale) - fitted.log_likelihood(scale)
+        if gained < 0.5 * (state.physics.size - fitted.physics.size) * np.log(n):
+            return fitted, steps
+        return state, [Step(item.effect, item.p, item.score, ()) for item in swept]
 
     def _hidden(self, baseline: Fitted) -> tuple[Effect, ...]:
         scores = evidence_of(self.case, baseline).score(self.candidates)
         return tuple(effect for effect, score in zip(self.candidates, scores, strict=True) if score.hidden)
 
     def _grown(self, fitted: Fitted, steps: list[Step]) -> tuple[Fitted, list[Step]]:
-        while len(steps) < MOST:
+        """Adds what is most likely, also what is not sure yet: one effect makes another's residual look like noise
+        that remembers. What is then not sure beside the others goes again."""
+        doubtful = 0
+        while len(steps) < MOST and doubtful < _DOUBTFUL:
             found = self._next(fitted)
             if found is None:
                 break
             fitted, step = found
             steps = [*steps, step]
+            doubtful = 0 if step.p < self.level else doubtful + 1
+        return self._sure(fitted, steps)
+
+    def _sure(self, fitted: Fitted, steps: list[Step]) -> tuple[Fitted, list[Step]]:
+        """Without the steps that are not significant beside the others, by the memory of what all of them leave."""
+        while doubtful := [k for k, step in enumerate(steps) if step.p >= self.level]:
+            memory = evidence_of(self.case, fitted).memory
+            judged = {k: self._without(fitted, steps, k, memory) for k in doubtful}
+            worst = max(judged, key=lambda k: judged[k][1].p)
+            if judged[worst][1].p < self.level:
+                return fitted, [judged[k][1] if k in judged else step for k, step in enumerate(steps)]
+            fitted, steps = judged[worst][0], [step for k, step in enumerate(steps) if k != worst]
         return fitted, steps
+
+    def _without(self, fitted: Fitted, steps: Sequence[Step], k: int, memory: float) -> tuple[Fitted, Step]:
+        """The fit without a step, and that step judged against it."""
+        rest = Physics(tuple(step.effect for i, step in enumerate(steps) if i != k))
+        parts = [fitted.values[part] for i, part in enumerate(fitted.physics.slices) if i != k]
+        fit = refit(self.case, rest, np.concatenate([np.zeros(0), *parts]), fitted.moved, fitted.used)
+        score = evidence_of(self.case, fit, memory).score([steps[k].effect])[0]
+        return fit, replace(steps[k], p=min(score.p * self.tried, 1.0), score=score)
 
     def _next(self, fitted: Fitted) -> tuple[Fitted, Step] | None:
         """The best single addition, or None where nothing is left."""
@@ -206,7 +236,10 @@ class Search:
         )
         if not ranked:
             return None
-        significant = [item for item in ranked[: 3 * _REFITTED] if item[1].p * self.tried < self.level]
+        first = ranked[: 3 * _REFITTED]
+        significant = [item for item in first if item[1].p * self.tried < self.level] or [
+            item for item in first if float(chi2.sf(2 * item[1].gain, item[1].size)) * self.tried < self.level
+        ]
         if not significant or significant[0][1].gain < 0.5 * significant[0][1].size * np.log(n) + significant[0][2]:
             return None
         close = [item for item in ranked if item[1].gain > 0.8 * significant[0][1].gain][:_REFITTED]
@@ -228,10 +261,7 @@ class Search:
             Rival(pair[0][0], float(likely - pair[1].log_likelihood(scale))) for pair in fits if pair is not best
         )
         effect, score, _ = best[0]
-        p = min(score.p * self.tried, 1.0)
-        if p >= self.level:
-            return None
-        return best[1], Step(effect, p, score, rivals)
+        return best[1], Step(effect, min(score.p * self.tried, 1.0), score, rivals)
 
     def _with(self, fitted: Fitted, effect: Effect, values: Array) -> Fitted:
         physics = Physics((*fitted.physics.effects, effect))

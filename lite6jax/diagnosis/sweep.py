@@ -1,21 +1,42 @@
-"""Many effects at once: of an arm whose every joint errs at many orders, what is left is swept line by line."""
+"""Joints that err at many orders at once: all orders under one prior, thinned out to the few that the curves need.
+
+To add orders one by one finds the largest first and fits the others wrongly meanwhile; all at once, their size being
+what the data say it is (D. MacKay, Bayesian Interpolation, Neural Computation 4, 1992, eq. 4.9), none is fitted far
+from where it was measured. What matters least is then taken away, step by step.
+"""
 
 from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+from scipy.stats import chi2
 
 from lite6jax.diagnosis.case import Case
 from lite6jax.diagnosis.evidence import Score, evidence_of
 from lite6jax.diagnosis.refit import Fitted, refit
-from lite6jax.diagnosis.spectrum import lines
+from lite6jax.fitting.robust import FREEDOM
 from lite6jax.physics.composition import Physics
 from lite6jax.physics.effect import Effect
+from lite6jax.physics.joints import JointHarmonic
+from lite6jax.physics.unnamed import Unnamed
 
-NUMBERS_PER_JOINT = 24
-"""What a sweep may fit at most: beyond, a table of corrections would say as much."""
-_WORTH = 0.3
-"""Of a pass' best gain: what explains less waits for the next pass, when more is known."""
+Array = NDArray[np.floating]
+
+ORDERS = np.arange(1.0, 60.25, 0.5)
+LINES_PER_JOINT = 11
+"""What is kept at most: a curve of more numbers would be a table of corrections."""
+_NAMED_MOST = 12
+"""Numbers of named effects beside the curves."""
+_FEW = 3
+"""Orders of one joint that stay harmonics, each with its name."""
+_DROPPED = 0.1
+_ROUNDS = 3
+_WEIGHINGS = 3
+_SETTLINGS = 5
+_FADES_WITHIN = 0.2
+_NEIGHBOURS = 8
 
 
 class Swept(NamedTuple):
@@ -26,47 +47,165 @@ class Swept(NamedTuple):
     score: Score
 
 
-def sweep(case: Case, fitted: Fitted, named: Sequence[Effect], tried: float, level: float) -> tuple[Fitted, list[Swept]]:
-    """Adds effects to a fitted model, several in each pass, until nothing is left or the numbers are too many.
+class _Lines(NamedTuple):
+    """The lines that are kept: joints from 0, orders, and the prior's standard deviation of a joint's coefficients."""
 
-    In a pass every effect is judged after those before it are projected out.
+    joint: NDArray[np.integer]
+    order: Array
+    spread: Array
+
+
+def sweep(
+    case: Case, baseline: Fitted, found: Sequence[Swept], candidates: Sequence[Effect], tried: float, level: float
+) -> tuple[Fitted, list[Swept]]:
+    """The named effects and the curves of joints that explain a case together.
 
     Args:
         case: the data.
-        fitted: the model so far.
-        named: candidates beside the orders of each joint.
+        baseline: the nuisance alone.
+        found: what a search has found that adds one effect after another; its harmonics are found anew.
+        candidates: named effects.
         tried: how many independent candidates there are.
         level: of the family-wise error.
     """
-    most = NUMBERS_PER_JOINT * case.motion.dof
-    state, found = fitted, list[Swept]()
-    while added := _pass(case, state, named, tried, level, most - state.physics.size):
-        found += added
-        physics = Physics((*state.physics.effects, *(item.effect for item in added)))
-        start = np.concatenate([state.values, *(item.score.values for item in added)])
-        state = refit(case, physics, start, state.moved, state.used)
-    return state, found
+    named = [item for item in found if not isinstance(item.effect, JointHarmonic)]
+    plain = [effect for effect in candidates if effect.drivers and not any(d.quantity == "position" for d in effect.drivers)]
+    state = baseline
+    for _ in range(_ROUNDS):
+        kept = _lines(case, state, Physics(tuple(item.effect for item in named)))
+        curves = _curves(case, kept, state.used)
+        physics = Physics((*(item.effect for item in named), *curves))
+        state = refit(case, physics, moved=baseline.moved, used=baseline.used)
+        room = _NAMED_MOST - sum(item.effect.size for item in named)
+        added = _named(case, state, plain, tried, level, room)
+        if not added:
+            break
+        named += added
+    return state, [*named, *(_judged(case, state, curve, tried) for curve in curves)]
 
 
-def _pass(
-    case: Case, state: Fitted, named: Sequence[Effect], tried: float, level: float, room: int
+def _lines(case: Case, state: Fitted, named: Physics) -> _Lines:
+    """The orders of each joint that matter most, beside the nuisance and named effects."""
+    used = np.flatnonzero(state.used)
+    fixed = np.concatenate([case.nuisance, case.columns(named.effects)])[..., used]
+    q = np.asarray(case.motion.joint_position)[:, used]
+    turned = ORDERS[:, None] * q[:, None]
+    waves = np.stack([np.sin(turned), np.cos(turned)], 2)
+    sites = np.stack([case.sites["joint", j, 0] for j in range(len(q))])[..., used]
+    lines = (sites[:, None, None] * waves[..., None, :]).reshape(-1, *fixed.shape[1:])
+    columns = np.concatenate([fixed, lines]).reshape(len(fixed) + len(lines), -1)
+    norms = np.maximum(np.linalg.norm(columns, axis=1), 1e-300)
+    columns /= norms[:, None]
+    # residuals of the state, with all that it has put back
+    target = (state.residual.rows - _shown(case, state))[:, used].ravel()
+    free, weight, shrink = len(fixed), np.ones(len(used)), 0.01
+    for _ in range(_WEIGHINGS):
+        H, g = _normal(columns, target, weight)
+        solved, shrink = _settled(H, g, free, shrink, float(np.sum(weight * target.reshape(-1, len(used)) ** 2)), target.size)
+        squares = np.sum((target - solved @ columns).reshape(-1, len(used)) ** 2, 0)
+        scale = np.median(squares) / chi2.ppf(0.5, case.rows)
+        weight = (FREEDOM + case.rows) / (FREEDOM + squares / scale)
+    H, g = _normal(columns, target, weight)
+    noise = float(np.sum(weight * squares) / max(target.size - len(H), 1))
+    active = _thinned_out(H, g, free, shrink, LINES_PER_JOINT * len(q))
+    joint, order = np.divmod(active, len(ORDERS))
+    size = np.sqrt(noise / shrink) / norms[free:].reshape(len(q), -1)
+    return _Lines(joint, ORDERS[order], np.median(size, axis=1))
+
+
+def _shown(case: Case, state: Fitted) -> Array:
+    """What the effects and the nuisance of a state do to its residuals, to first order."""
+    columns = np.concatenate([case.nuisance, case.columns(state.physics.effects, state.values)])
+    return np.tensordot(np.concatenate([state.moved, state.values]), columns, 1)
+
+
+def _normal(columns: Array, target: Array, weight: Array) -> tuple[Array, Array]:
+    weights = np.tile(np.sqrt(weight), target.size // weight.size)
+    weighted = columns * weights
+    return weighted @ weighted.T, weighted @ (weights * target)
+
+
+def _settled(H: Array, g: Array, free: int, shrink: float, total: float, count: int) -> tuple[Array, float]:
+    """The coefficients, and the prior's precision over the noise's that their own size asks for."""
+    for _ in range(_SETTLINGS):
+        inverse = np.linalg.inv(_regular(H, free, shrink))
+        x = inverse @ g
+        left = total - 2 * x @ g + x @ H @ x
+        told = len(H) - shrink * np.trace(inverse[free:, free:])
+        shrink = float((told - free) * left / (count - told) / np.sum(x[free:] ** 2))
+    return x, shrink
+
+
+def _regular(H: Array, free: int, shrink: float) -> Array:
+    return H + np.diag(np.where(np.arange(len(H)) < free, 1e-9, shrink))
+
+
+def _thinned_out(H: Array, g: Array, free: int, shrink: float, most: int) -> NDArray[np.integer]:
+    """The lines left when those that matter least have been taken away, a few at a time."""
+    active = np.arange((len(H) - free) // 2)
+    while len(active) > most:
+        at = np.concatenate([np.arange(free), (free + 2 * active[:, None] + np.arange(2)).ravel()])
+        inverse = np.linalg.inv(_regular(H[np.ix_(at, at)], free, shrink))
+        pairs = (inverse @ g[at])[free:].reshape(-1, 2)
+        k = np.arange(len(active))
+        blocks = inverse[free:, free:].reshape(len(active), 2, len(active), 2)[k, :, k]
+        matters = np.einsum("pi,pij,pj->p", pairs, np.linalg.inv(blocks), pairs)
+        dropped = max(1, min(len(active) - most, int(_DROPPED * len(active))))
+        active = np.sort(active[np.argsort(matters)[dropped:]])
+    return active
+
+
+def _curves(case: Case, lines: _Lines, used: NDArray[np.bool_]) -> list[Effect]:
+    """One effect for each joint that has lines: a curve, or harmonics where they are few."""
+    curves: list[Effect] = []
+    for joint in np.unique(lines.joint):
+        orders = tuple(float(order) for order in lines.order[lines.joint == joint])
+        if len(orders) <= _FEW:
+            curves += [JointHarmonic(int(joint) + 1, order) for order in orders]
+            continue
+        q = np.asarray(case.motion.joint_position[joint])[used]
+        lower, upper = float(q.min()) - 3 * _FADES_WITHIN, float(q.max()) + 3 * _FADES_WITHIN
+        at = np.linspace(lower, upper, int(np.ceil((upper - lower) / (_FADES_WITHIN / 4))))
+        nth = max(_NEIGHBOURS, len(q) // 150)
+        away = cKDTree(q[:, None]).query(at[:, None], k=[nth])[0][:, 0]
+        trust = tuple(float(t) for t in np.exp(-((away / _FADES_WITHIN) ** 2)).round(4))
+        where, driver = f"joint{joint + 1}", f"position of joint {joint + 1}"
+        curves.append(
+            Unnamed(where, driver, lower, upper, orders=orders, trust=trust, spread=float(lines.spread[joint]))
+        )
+    return curves
+
+
+def _named(
+    case: Case, state: Fitted, candidates: Sequence[Effect], tried: float, level: float, room: int
 ) -> list[Swept]:
+    """Named effects that what is left still asks for, each judged after those before it."""
     evidence = evidence_of(case, state)
-    singles = [pair for pair in zip(named, evidence.score(named), strict=True) if not pair[1].hidden]
-    best = max(singles, key=lambda pair: pair[1].gain - 0.5 * pair[1].size * np.log(evidence.freedom))
-    candidates = [*((line.effect, line.score, line.tried) for line in lines(evidence)), (*best, 1.0)]
-    candidates.sort(key=lambda item: -item[1].gain)
+    pairs = [pair for pair in zip(candidates, evidence.score(candidates), strict=True) if not pair[1].hidden]
     added: list[Swept] = []
-    for effect, _, searched in candidates:
+    for effect, _ in sorted(pairs, key=lambda pair: -pair[1].gain)[:_NAMED_MOST]:
         columns = case.columns([effect])
         score = evidence.score_columns([columns])[0]
-        worth = 0.5 * score.size * np.log(evidence.freedom) + np.log(searched)
-        if added:
-            worth = max(worth, _WORTH * added[0].score.gain)
         p = min(score.p * tried, 1.0)
-        if score.hidden or p >= level or score.gain < worth or effect.size + 1 > room:
+        known = any(effect == have for have in state.physics.effects)
+        if known or score.hidden or p >= level or score.gain < effect.size * np.log(evidence.freedom):
+            continue
+        if effect.size > room or (added and score.gain < 0.3 * added[0].score.gain):
             continue
         added.append(Swept(effect, p, score))
-        room -= effect.size + 1  # an order is a number too
+        room -= effect.size
         evidence = evidence.given(columns)
     return added
+
+
+def _judged(case: Case, state: Fitted, curve: Effect, tried: float) -> Swept:
+    """What a curve explains beside all else; too many numbers for a test by blocks, so as many samples as forget."""
+    at = state.physics.effects.index(curve)
+    part = state.physics.slices[at]
+    rest = Physics(tuple(effect for k, effect in enumerate(state.physics.effects) if k != at))
+    values = np.delete(state.values, np.arange(part.start, part.stop))
+    without = refit(case, rest, values, state.moved, state.used)
+    gain = state.log_likelihood(state.residual.scale) - without.log_likelihood(state.residual.scale)
+    independent = max(gain, 0.0) / max(evidence_of(case, state).memory, 1.0)
+    p = min(float(chi2.sf(2 * independent, curve.size)) * tried, 1.0)
+    return Swept(curve, p, Score(gain, curve.size, p, False, state.values[part]))

@@ -134,13 +134,19 @@ def kinds_of(effects: Iterable[Effect] = ()) -> dict[str, type[Effect]]:
     return {**BUILT_IN, **{effect.name: type(effect) for effect in effects}}
 
 
-_TYPES = {int: "a whole number", float: "a number", str: "a name", bool: "true or false"}
+_TYPES = {
+    **{int: "a whole number", float: "a number", str: "a name", bool: "true or false"},
+    tuple: "a list of numbers",
+}
 
 
 def _field_types(kind: type[Effect]) -> dict[str, tuple[type, ...]]:
     """The fields of an effect's class and the plain types that each takes."""
     hints = typing.get_type_hints(kind)
-    return {field.name: typing.get_args(hints[field.name]) or (hints[field.name],) for field in fields(kind)}  # type: ignore[arg-type]
+    return {
+        field.name: (tuple,) if typing.get_origin(hint := hints[field.name]) is tuple else typing.get_args(hint) or (hint,)
+        for field in fields(kind)  # type: ignore[arg-type]
+    }
 
 
 def _kind(name: Any, kinds: Mapping[str, type[Effect]]) -> type[Effect]:
@@ -171,6 +177,8 @@ def _build(kind: type[Effect], given: Mapping[str, Any]) -> Effect:
             value = float(value)
         elif int in taken[name] and type(value) is float and value.is_integer():
             value = int(value)  # as `reported` gives a source_joint
+        elif tuple in taken[name] and isinstance(value, list) and all(type(v) in (int, float) for v in value):
+            value = tuple(map(float, value))
         if type(value) not in taken[name]:
             wanted = " or ".join(_TYPES.get(t, t.__name__) for t in taken[name] if t is not type(None))
             raise InputError(f"{kind.name}: {name} is {value!r}; give {wanted}")
@@ -246,7 +254,7 @@ def effect_as_dict(effect: Effect, values: ArrayLike, covariance: ArrayLike | No
     return {
         "effect": effect.name,
         "site": effect.site,
-        "where": {name: value for name, value in where.items() if value is not None},
+        "where": {name: list(v) if isinstance(v, tuple) else v for name, v in where.items() if v not in (None, ())},
         "parameters": {name: e._asdict() for name, e in effect.reported(values, covariance).items()},
     }
 

@@ -59,6 +59,11 @@ class Physics:
         return np.array([coordinate.typical for effect in self.effects for coordinate in effect.coordinates])
 
     @cached_property
+    def prior(self) -> NDArray:
+        """`(size,)`, one standard deviation of each number about neutral, as known beforehand."""
+        return np.concatenate([np.zeros(0), *(np.full(effect.size, effect.prior) for effect in self.effects)])
+
+    @cached_property
     def slices(self) -> tuple[slice, ...]:
         """Where each effect's numbers stand."""
         ends = np.cumsum([0] + [effect.size for effect in self.effects]).tolist()

@@ -1,5 +1,6 @@
-"""Physics without a name: a curve over one driver at one site, as a cubic spline."""
+"""Physics without a name: a curve over one driver at one site, as a cubic spline or as waves of many orders."""
 
+import math
 import re
 from dataclasses import dataclass
 from typing import ClassVar, final
@@ -42,6 +43,8 @@ def spline_basis(values: Array, lower: float, upper: float, pieces: int) -> Arra
 class Unnamed(Bending):
     """δ = Σ coefficient · B(driver): whatever one driver does at one site.
 
+    B are cubic B-splines; or, with `orders`, the sine and cosine of each order of the driver, an angle.
+
     Attributes:
         where: `jointN` (an angle), `linkN`, `base` or `tool` (one component of a twist).
         driver: the phrase of a `Driver`, such as "position of joint 3".
@@ -49,6 +52,10 @@ class Unnamed(Bending):
         upper: of the driver's range.
         pieces: the intervals of the spline; it has three more coefficients.
         component: of the twist, one of x y z rx ry rz; at a joint it is rz.
+        orders: of the waves, that are there instead of a spline.
+        trust: by how much to believe waves, from 0 to 1, at equal steps of the driver from `lower` to `upper`: they
+            mean nothing where nothing was measured.
+        spread: one standard deviation of the coefficients, where that is known beforehand.
 
     Raises:
         InputError: no such site, driver or component, or an empty range.
@@ -60,6 +67,9 @@ class Unnamed(Bending):
     upper: float
     pieces: int = 8
     component: str = "rz"
+    orders: tuple[float, ...] = ()
+    trust: tuple[float, ...] = ()
+    spread: float | None = None
 
     name: ClassVar[str] = "unnamed"
 
@@ -74,7 +84,17 @@ class Unnamed(Bending):
                 f"unnamed:{self.where}: {self.pieces} pieces from {self.lower:g} to {self.upper:g} are no curve; give "
                 "lower < upper and at least one piece"
             )
+        if bool(self.orders) != (len(self.trust) > 1):
+            raise InputError(
+                f"unnamed:{self.where}: {len(self.orders)} orders and {len(self.trust)} numbers of trust; give both, "
+                "two of these at least, or none"
+            )
         driver_of(self.driver)
+
+    @property
+    def prior(self) -> float:
+        """One standard deviation of a coefficient."""
+        return math.inf if self.spread is None else self.spread
 
     @property
     def site(self) -> str:
@@ -83,8 +103,11 @@ class Unnamed(Bending):
 
     @property
     def coordinates(self) -> tuple[Coordinate, ...]:
-        """The spline's coefficients."""
+        """The coefficients."""
         unit = "m" if self.component in ("x", "y", "z") else "rad"
+        if self.orders:
+            names = [f"{wave}_{order:g}_{unit}" for order in self.orders for wave in ("sine", "cosine")]
+            return tuple(Coordinate(name, unit, 1e-4) for name in names)
         return tuple(Coordinate(f"coefficient{i + 1}_{unit}", unit, 1e-4) for i in range(self.pieces + 3))
 
     @property
@@ -92,9 +115,18 @@ class Unnamed(Bending):
         """The one driver."""
         return (driver_of(self.driver),)
 
+    def basis(self, driver: Array) -> Array:
+        """What each coefficient is times, `(size, sample)`, at values `(sample,)` of the driver."""
+        if not self.orders:
+            return spline_basis(driver, self.lower, self.upper, self.pieces)
+        turned = jnp.asarray(self.orders)[:, None] * driver
+        waves = jnp.stack([jnp.sin(turned), jnp.cos(turned)], 1).reshape(self.size, -1)
+        at = jnp.linspace(self.lower, self.upper, len(self.trust))
+        return waves * jnp.interp(driver, at, jnp.asarray(self.trust), left=0.0, right=0.0)
+
     def curve(self, values: Array, driver: Array) -> Array:
         """The curve's value `(sample,)`, m or rad, at values `(sample,)` of the driver."""
-        return values @ spline_basis(driver, self.lower, self.upper, self.pieces)
+        return values @ self.basis(driver)
 
     def deflect(self, values: Array, motion: Motion, loads: Loads | None) -> Deflection:
         """The curve at its site."""

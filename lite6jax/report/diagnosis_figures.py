@@ -374,7 +374,7 @@ def _over_driver(
     at, curve, slope = x, shape, jacobian
     if isinstance(effect, Unnamed):
         at = np.linspace(effect.lower, effect.upper, 400)
-        slope = np.asarray(spline_basis(jnp.asarray(at), effect.lower, effect.upper, effect.pieces)).T
+        slope = np.asarray(effect.basis(jnp.asarray(at))).T
         curve = slope @ values
     elif driver.quantity == "position" and at_joint:
         at = np.linspace(x.min(), x.max(), 1000)

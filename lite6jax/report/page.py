@@ -19,7 +19,7 @@ from lite6jax.diagnosis.diagnose import Diagnosis
 from lite6jax.diagnosis.selection import Step
 from lite6jax.physics.catalogue import Untestable
 from lite6jax.physics.effect import Effect
-from lite6jax.physics.unnamed import Unnamed, spline_basis
+from lite6jax.physics.unnamed import Unnamed
 from lite6jax.report import diagnosis_figures
 from lite6jax.report.canvas import STYLE
 from lite6jax.report.cells import number, plus_minus
@@ -173,7 +173,7 @@ def _swing(case: Case, effect: Unnamed, values: Array, covariance: Array) -> dic
     driver = np.asarray(effect.drivers[0].values(case.motion, case.loads))
     low, high = np.percentile(driver, (2, 98))
     at = jnp.linspace(float(low), float(high), 400)
-    basis = np.asarray(spline_basis(at, effect.lower, effect.upper, effect.pieces))
+    basis = np.asarray(effect.basis(at))
     curve = values @ basis
     apart = basis[:, np.argmax(curve)] - basis[:, np.argmin(curve)]
     std = np.sqrt(max(float(apart @ covariance @ apart), 0.0))
