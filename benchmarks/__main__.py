@@ -5,6 +5,7 @@ import importlib.util
 import json
 import sys
 from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 
 from rich.console import Console
@@ -21,13 +22,14 @@ NEEDS = {"scipy": "scipy", "pinocchio": "pin"}
 def workloads() -> dict[str, Workload]:
     """The workloads by name, in the order in which they run."""
     from benchmarks.command import command
+    from benchmarks.diagnose import diagnose
     from benchmarks.fits import fleet, one
     from benchmarks.models import models
     from benchmarks.profile import profile
     from benchmarks.samples import samples
     from benchmarks.study import study
 
-    return {run.__name__: run for run in (one, fleet, samples, study, command, models, profile)}
+    return {run.__name__: run for run in (one, fleet, samples, study, command, diagnose, models, profile)}
 
 
 def main(arguments: Sequence[str] | None = None, known: Mapping[str, Workload] | None = None) -> int:
@@ -36,11 +38,18 @@ def main(arguments: Sequence[str] | None = None, known: Mapping[str, Workload] |
     if missing:
         print(f"benchmarks: {' and '.join(missing)} missing; pip install 'lite6jax[benchmark]'", file=sys.stderr)
         return 2
-    known = known or workloads()
+    known = dict(known or workloads())
     parser = argparse.ArgumentParser(prog="python -m benchmarks", description=__doc__)
     parser.add_argument("name", nargs="?", choices=list(known), help="one workload; all of them without it")
     parser.add_argument("--json", type=Path, metavar="OUT", help="write the records to this file, over an older one")
+    parser.add_argument(
+        "--recordings", type=int, metavar="N", help="of `diagnose`: so many with nothing missing, 300 where not given"
+    )
     options = parser.parse_args(arguments)
+    if options.recordings is not None:
+        if options.recordings < 1 or options.name not in (None, "diagnose"):
+            parser.error("--recordings: give 1 or more, and none but `diagnose`")
+        known["diagnose"] = partial(known["diagnose"], recordings=options.recordings)
     if options.json:
         try:
             check_writable(options.json, overwrite=True)

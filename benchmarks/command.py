@@ -5,7 +5,7 @@ import os
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
 from statistics import median
@@ -31,18 +31,25 @@ def command(repeats: int = 3) -> Iterator[Record]:
         seed = [sys.executable, seed_way.__file__, str(calibration)]
         caches = [Path(folder, f"cache{i}") for i in range(repeats)]
 
-        base, wrong = _runs(seed, caches, kinematics)
+        check = partial(wrong_table, kinematics=kinematics)
+        base, wrong = processes(seed, caches, check)
         yield Record("command", "seed's way", "wall time", base, "s", "lower", wrong)
         for cache, used in (("cold", caches), ("warm", caches[:1] * repeats)):
-            seconds, wrong = _runs(ours, used, kinematics)
+            seconds, wrong = processes(ours, used, check)
             subject = f"lite6jax fit, {cache} cache"
             share = None if seconds is None or base is None else seconds / base
             yield Record("command", subject, "wall time", seconds, "s", "lower", wrong)
             yield Record("command", subject, "of the seed's way", share, "×", "lower", wrong)
 
 
-def _runs(arguments: list[str], caches: list[Path], kinematics: np.ndarray) -> tuple[float | None, str]:
-    """Median seconds of a process a cache folder, and why its answer is wrong."""
+def processes(arguments: list[str], caches: list[Path], check: Callable[[Path], str]) -> tuple[float | None, str]:
+    """Median seconds of a process a cache folder, and why its answer is wrong.
+
+    Args:
+        arguments: to which `--out FILE` is added.
+        caches: where the compiled code of each is kept.
+        check: of the file that it wrote; empty where the answer is right.
+    """
     seconds, wrong = [], ""
     for cache in caches:
         cache.mkdir(exist_ok=True)
@@ -55,7 +62,7 @@ def _runs(arguments: list[str], caches: list[Path], kinematics: np.ndarray) -> t
         if run.returncode:
             return None, (run.stderr.strip().splitlines() or [f"exit code {run.returncode}"])[-1]
         seconds.append(taken)
-        wrong = wrong or wrong_table(out, kinematics)
+        wrong = wrong or check(out)
     return median(seconds), wrong
 
 

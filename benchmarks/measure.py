@@ -42,7 +42,8 @@ class Record:
         return entry if self.failed else {key: value for key, value in entry.items() if key != "failed"}
 
 
-Workload = Callable[[], Iterator[Record]]
+Workload = Callable[..., Iterator[Record]]
+"""Runs without arguments; those it takes are for smaller runs."""
 
 
 def timed(call: Callable[[], T]) -> tuple[float, T]:

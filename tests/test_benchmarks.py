@@ -7,11 +7,18 @@ from functools import partial
 
 import numpy as np
 import pytest
-from plain_chain import hayati_poses, six_parameter_poses
+from physics.plain_physics import predicted_poses
+from plain_chain import ASSEMBLY, hayati_poses, six_parameter_poses
+from scipy.spatial.transform import Rotation
 
 from benchmarks import __main__ as harness
-from benchmarks import command, fits, measure, problem, rivals, samples, seed_way
+from benchmarks import command, diagnose, fits, measure, one_by_one, problem, rivals, samples, seed_way
 from benchmarks.measure import Record
+from lite6jax.diagnosis.evidence import Score
+from lite6jax.diagnosis.faults import Fault
+from lite6jax.diagnosis.selection import Step
+from lite6jax.physics.catalogue import catalogue, parse_effect
+from lite6jax.physics.surroundings import TimeOffset
 
 KEYS = {"workload", "subject", "metric", "value", "unit", "better"}
 RNG_SEED = 11
@@ -151,3 +158,121 @@ def test_the_exit_code_says_whether_every_answer_was_right(tmp_path, capsys):
     assert "wrong: w, lite6jax, fit: off by a lot" in capsys.readouterr().out
     assert harness.main(["--json", str(tmp_path / "no" / "out.json")], known) == 2
     assert capsys.readouterr().err.startswith("benchmarks: ")
+
+
+def plain_parameters(effect, values):
+    """As the oracle takes them: where the effect acts, and its parameters by name."""
+    where = {name: value for name in ("joint", "link") if (value := getattr(effect, name, None)) is not None}
+    return {**where, **{name: estimate.value for name, estimate in effect.reported(values).items()}}
+
+
+def test_the_naive_search_bends_the_arm_as_the_oracle_does(tmp_path):
+    rng = np.random.default_rng(RNG_SEED)
+    arm, samples, dof = diagnose.LITE6, 5, 6
+    start = np.eye(4)
+    start[:3, :3], start[:3, 3] = Rotation.from_rotvec([0.3, -0.2, 1.0]).as_matrix(), [1.0, -2.0, 0.1]
+    tool = np.eye(4)
+    tool[:3, 3] = 0.02, -0.01, 0.06
+    q = seed_way.sample_joints(samples, rng)
+    motion = {
+        "joint_position": q,
+        "joint_velocity": np.zeros_like(q),
+        "direction": rng.choice([-1.0, 1.0], q.shape),
+        "time": 8.0 * np.arange(samples),
+        "joint_temperature": np.full(q.shape, 25.0),
+        "payload": np.zeros(samples),
+    }
+    inertia = {
+        "mass": arm.mass,
+        "center_of_mass": arm.center_of_mass,
+        "payload_center": np.zeros(3),
+        "gravity": np.array([0.0, 0.0, -9.81]),
+    }
+    readings = one_by_one.Readings(
+        q, motion["direction"], motion["time"], np.zeros((samples, 3)), 1.0, arm.kinematics, start, tool, False,
+        arm.mass, arm.center_of_mass,
+    )  # fmt: skip
+    links = ASSEMBLY * rng.standard_normal((5, 6))
+    frame = np.array([1e-3, -2e-3, 3e-3, 1e-3, -2e-3, 3e-3])
+    shifted = [3e-3, -1e-3, 2e-3]
+    T_sensor_base, T_flange_tool = start @ one_by_one.moved(frame), tool.copy()
+    T_flange_tool[:3, 3] += shifted
+    skipped = ("joint_lag", "link_thermal_expansion", "time_offset")
+    tried = [effect for effect in catalogue(dof) if effect.name not in skipped]
+    for effect in tried:
+        values = rng.uniform(0.5, 1.0, effect.size) * [coordinate.typical for coordinate in effect.coordinates]
+        # gravity's moments are those of the declared chain
+        moved = np.zeros((5, 6)) if "compliance" in effect.name else links
+        kinematics = arm.kinematics + np.concatenate([np.zeros((1, 6)), moved])
+        predicted = readings.residual(np.concatenate([frame, shifted, moved.ravel(), values]), effect)
+        expected = predicted_poses(
+            kinematics, T_sensor_base, T_flange_tool, motion, inertia, [(effect.name, plain_parameters(effect, values))]
+        )
+        position = predicted[: 3 * samples].reshape(-1, 3)
+        np.testing.assert_allclose(position, expected[:, :3, 3], atol=1e-13, err_msg=effect.label)
+    with pytest.raises(NotImplementedError, match="time_offset"):
+        readings.bent(TimeOffset(), np.zeros(1))
+
+
+def test_the_naive_search_finds_what_is_hidden(tmp_path):
+    recording = diagnose.hidden(tmp_path, "known", 60)
+    case = diagnose.case_of(recording)
+    texts = (diagnose.TRUE, "joint_compliance:joint=3", "joint_backlash:joint=2", "payload_error")
+    candidates = tuple(parse_effect(text, neutral=True)[0] for text in texts)
+    found, value = diagnose.refitted(diagnose.readings_of(case, "known"), candidates)
+    assert found == candidates[0]
+    np.testing.assert_allclose(value, 2e-5, rtol=0.1)
+
+
+def test_every_kind_of_recording_comes_once_a_round_and_is_what_it_says(tmp_path):
+    kinds = list(diagnose.clean_recordings(145))
+    assert [clean.seed for clean in kinds] == list(range(145))
+    assert len({clean[1:] for clean in kinds}) == 144
+    assert kinds[0][1:] == next(diagnose.clean_recordings(1))[1:]
+    for clean in kinds[:4] + kinds[72:76]:
+        recording = clean.recording(tmp_path)
+        settings = recording.settings
+        assert recording.motion == clean.motion
+        assert (settings.factory_calibration is None) == (clean.geometry == "unknown")
+        assert (settings.factory_uncertainty is None) == (clean.geometry != "uncertain")
+        assert (recording.quaternion is None) == (clean.sensor == "tracker")
+        assert (settings.pose_frame, settings.tool) == (("unknown",) * 2 if clean.mounted else ("base", "none"))
+
+
+def test_false_alarms_are_listed_and_too_many_are_wrong(tmp_path, monkeypatch):
+    effect, _ = parse_effect(diagnose.TRUE)
+    step = Step(effect, 1e-4, Score(20.0, 1, 1e-8, False, np.zeros(1)), ())
+    fault = Fault("frame_jump", (3,), "Something moved.")
+    answers = iter([((step,), []), ((), []), ((), [fault]), ((step,), [])])
+    monkeypatch.setattr(diagnose, "searched", lambda recording: next(answers))
+    records = list(diagnose.false_alarms(4, tmp_path))
+    alarms = [record for record in records if record.workload == "false alarm"]
+    assert [record.subject[:6] for record in alarms] == ["seed 0", "seed 2", "seed 3"]
+    assert [record.metric for record in alarms] == [effect.label, "frame_jump: Something moved.", effect.label]
+    counts = {record.metric: record for record in records if record.workload != "false alarm"}
+    assert counts["with a finding"].value == 2
+    assert counts["with a finding"].failed == "2 of 4 show something, more than 1"
+    assert counts["with a fault of the data, other than outliers"].value == 1
+    assert sum(record.value for name, record in counts.items() if name.startswith("— ")) == 2
+
+
+def test_a_finding_is_right_only_where_it_is_what_was_hidden():
+    effect, _ = parse_effect(diagnose.TRUE)
+    other, _ = parse_effect("joint_harmonic:joint=2,order=2", neutral=True)
+    steps = [Step(each, 1e-4, Score(20.0, 1, 1e-8, False, np.zeros(1)), ()) for each in (effect, other)]
+    assert diagnose.wrong_steps((steps[0],)) == ""
+    assert diagnose.wrong_steps(()) == "found nothing, not joint_compliance:joint2"
+    assert "joint_harmonic:joint2, order 2" in diagnose.wrong_steps(tuple(steps))
+
+
+def test_recordings_are_counted_for_the_diagnosis_alone(capsys):
+    def counted(recordings=300):
+        yield Record("diagnose", "lite6jax", "recordings", float(recordings), "", "lower")
+
+    known = {"diagnose": counted, "models": partial(wrong_workload, "")}
+    assert harness.main(["diagnose", "--recordings", "7"], known) == 0
+    assert "7" in capsys.readouterr().out
+    for refused in (["diagnose", "--recordings", "0"], ["models", "--recordings", "7"]):
+        with pytest.raises(SystemExit):
+            harness.main(refused, known)
+        assert "--recordings: give 1 or more" in capsys.readouterr().err

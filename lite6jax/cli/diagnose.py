@@ -101,7 +101,7 @@ class Diagnose:
                     written += canvas.save(named, self.figures, self.force)
                 if self.report:
                     sides = str(self.source) if seen is None else f"{self.source} against {seen.file}"
-                    html = page.diagnosis_page(found, sides, drawn)
+                    html = page.diagnosis_page(found, sides, drawn, seen)
                     written.append(write_atomically(self.report, html, self.force))
         screen.show(diagnosis_tables.diagnosis_report(found, str(self.source), seen))
         screen.written(written)

@@ -23,8 +23,9 @@ from lite6jax.physics.composition import Physics
 from lite6jax.physics.deflection import Deflection, dense
 from lite6jax.physics.effect import Altering, Bending, Effect
 from lite6jax.physics.joints import JointHarmonic
-from lite6jax.physics.motion import Motion, select
+from lite6jax.physics.motion import Motion, beyond, select, shifted
 from lite6jax.physics.statics import Inertia, Loads, loads
+from lite6jax.physics.surroundings import PayloadError
 from lite6jax.recordings import Recording
 from lite6jax.recordings.motion import inertia_of_arm, motion_of_recording
 
@@ -34,6 +35,7 @@ GAUGE = {"m": 0.02, "rad": 0.05}
 """Prior of each number of a chain that is not known: wide enough for any arm; it settles what nothing determines."""
 
 
+_ROUNDING = 1e-12
 Site = tuple[str, int, int]
 """A field of `Deflection`, the joint or link in it from 0, and the component of a twist."""
 
@@ -73,6 +75,7 @@ class Case:
         notes: what was assumed.
         whole: of a thinned case, the motion that its rows are taken from, and which they are; an effect of the clock
             looks at their neighbours.
+        clock: s, the offset of the clock that everything is linearised about.
     """
 
     recording: Recording
@@ -89,6 +92,7 @@ class Case:
     declared: bool
     notes: tuple[str, ...]
     whole: tuple[Motion, NDArray[np.integer]] | None = None
+    clock: float = 0.0
 
     @property
     def samples(self) -> int:
@@ -101,9 +105,19 @@ class Case:
         return 3 if self.measured.rotation.shape[-1] == 0 else 6
 
     @cached_property
+    def lived(self) -> Motion:
+        """The motion at the clock that everything is linearised about."""
+        return self.altered(lambda motion: shifted(motion, self.clock)) if self.clock else self.motion
+
+    @cached_property
+    def seen(self) -> NDArray[np.bool_]:
+        """`(sample,)`, the rows whose joints were recorded: a clock that is off leaves some at the ends without."""
+        return ~np.asarray(beyond(self.motion, self.clock)) if self.clock else np.ones(self.samples, bool)
+
+    @cached_property
     def loads(self) -> Loads | None:
         """Gravity's loads on the nominal arm; None where the masses are not known."""
-        return self.loads_on(self.start, self.motion)
+        return self.loads_on(self.start, self.lived)
 
     def thinned(self, every: int) -> "Case":
         """One in `every` rows."""
@@ -179,7 +193,9 @@ class Case:
         """How they change with a deflection at each site, `(row, sample)`: keys are the field of `Deflection`, and
         where in it."""
         dof = self.motion.dof
-        columns = np.asarray(_sites(self.chain, self.start, self.motion.joint_position, self.measured))
+        columns = np.array(_sites(self.chain, self.start, self.lived.joint_position, self.measured))
+        felt = np.abs(columns).max((1, 2), initial=0.0)
+        columns[felt < _ROUNDING * felt.max()] = 0.0  # the last joint's, of a point on its axis
         keys = [
             *(("joint", j, 0) for j in range(dof)),
             *(("stretch", j, 0) for j in range(dof)),
@@ -190,18 +206,26 @@ class Case:
         ]
         return dict(zip(keys, columns, strict=True))
 
-    def columns(self, effects: Sequence[Effect], values: Array | None = None) -> Array:
+    def columns(
+        self, effects: Sequence[Effect], values: Array | None = None, beside: tuple[Physics, Array] | None = None
+    ) -> Array:
         """How whitened residuals change with the numbers of some effects, `(number, row, sample)`.
 
         Args:
             effects: any; each must have its drivers.
             values: `(number,)` where; neutral where not given.
+            beside: the physics through whose compliances a wrong payload is seen, and its values; `effects` themselves
+                where not given.
         """
         physics = Physics(tuple(effects))
         values = np.zeros(physics.size) if values is None else np.asarray(values, float)
         parts: list[Array] = [np.zeros((0, self.rows, self.samples))]
         for effect, part in zip(physics.effects, physics.slices, strict=True):
-            if _is_linear(effect) or not values[part].any():
+            if isinstance(effect, PayloadError):
+                others = physics if beside is None else beside[0]
+                at = values if beside is None else beside[1]
+                parts.append(self._felt(self._by_mass(values[part], others, at)))
+            elif _is_linear(effect) or not values[part].any():
                 if effect not in self._known:
                     self._known[effect] = self._felt(self._unit(effect))
                 parts.append(self._known[effect])
@@ -211,9 +235,25 @@ class Case:
 
     def harmonics(self, joint: int, orders: Array) -> Array:
         """The columns of a joint's harmonics, sine and cosine of each order, `(order, 2, row, sample)`."""
-        turned = np.multiply.outer(orders, np.asarray(self.motion.joint_position[joint - 1]))
+        turned = np.multiply.outer(orders, np.asarray(self.lived.joint_position[joint - 1]))
         shapes = np.stack([np.sin(turned), np.cos(turned)], 1)
         return self.sites["joint", joint - 1, 0] * shapes[:, :, None]
+
+    def _by_mass(self, mass: Array, physics: Physics, values: Array) -> Deflection:
+        """What a kilogram more at the flange makes of deflections that loads cause."""
+        pairs = zip(physics.effects, physics.slices, strict=True)
+        loaded = [(e, jnp.asarray(values[part])) for e, part in pairs if any(d.loaded for d in e.drivers)]
+
+        def deflected(kilograms: jax.Array) -> Deflection:
+            motion = self.lived._replace(payload=self.lived.payload + kilograms[0])
+            loads, total = self.loads_on(self.start, motion), Deflection()
+            for effect, at in loaded:
+                if isinstance(effect, Bending):
+                    total = total + effect.deflect(at, motion, loads)
+            return dense(total, motion.dof, motion.samples)
+
+        shapes = jax.jvp(deflected, (jnp.asarray(mass),), (jnp.ones(1),))[1]
+        return Deflection(*(None if part is None else np.asarray(part)[None] for part in shapes))  # type: ignore[arg-type]
 
     def _unit(self, effect: Effect) -> Deflection:
         """The deflection per unit of each of an effect's numbers, at neutral, remembered."""
@@ -229,7 +269,7 @@ class Case:
             if isinstance(effect, Altering):  # of the joints' positions; what follows from loads is of second order
                 return Deflection(joint=self.altered(partial(effect.alter, v)).joint_position)
             assert isinstance(effect, Bending)
-            return effect.deflect(v, self.motion, self.loads)
+            return effect.deflect(v, self.lived, self.loads)
 
         shapes = jax.vmap(lambda step: jax.jvp(deflected, (at,), (step,))[1])(steps)
         return Deflection(*(None if part is None else np.asarray(part) for part in shapes))  # type: ignore[arg-type]

@@ -36,7 +36,7 @@ class Diagnosis:
         selection: the physics found in all of it.
         before: `(sample,)` m, held-out position errors with the nuisance alone.
         after: `(sample,)` m, with the physics that the other folds ask for.
-        outliers: `(sample,)` bool, rows that no model explains; they are in no error above.
+        outliers: `(sample,)` bool, rows that no model explains, and those unseen; they are in no error above.
         untestable: what this recording cannot show, and why.
         faults: of the data, put right before the search.
         checked: easy causes that were looked for and are not there.
@@ -100,8 +100,9 @@ class Diagnosis:
                 }
             )
         faults = [fault._asdict() for fault in self.faults]
-        if self.outliers.any():
-            rows = [int(row) for row in case.recording.row[self.outliers]]
+        wild = self.outliers & case.seen
+        if wild.any():
+            rows = [int(row) for row in case.recording.row[wild]]
             faults.append(
                 {
                     "fault": "outliers",
@@ -187,12 +188,12 @@ def diagnose(
     selection = search.run()
     if progress:
         progress(1)
-    outliers = selection.fitted.residual.squares > _OUTLIER * case.rows
+    outliers = (selection.fitted.residual.squares > _OUTLIER * case.rows) | ~case.seen
     before, after = np.zeros(case.samples), np.zeros(case.samples)
     for held in recording.contiguous_folds(min(FOLDS, max(2, case.samples // 10))):
         part = search.run(~held)
-        for errors, fitted in ((before, part.baseline), (after, part.fitted)):
-            missed = case.position_errors(fitted.moved, fitted.physics, fitted.values)
+        for errors, seen, fitted in ((before, part.plain, part.baseline), (after, case, part.fitted)):
+            missed = seen.position_errors(fitted.moved, fitted.physics, fitted.values)
             errors[held] = np.sqrt(np.sum(missed**2, 0))[held]
         if progress:
             progress(1)
@@ -203,7 +204,7 @@ def diagnose(
         after,
         outliers,
         search.missing,
-        examined.faults,
+        (*examined.faults, *_unseen(case)),
         examined.checked,
         separations(selection, geometry),
     )
@@ -219,6 +220,20 @@ def statement(effect: Effect, parameters: dict[str, dict[str, float]]) -> str:
         return f"Something real at {effect.site}, a function of {driver}, that no entry of the catalogue explains."
     return (
         f"{effect.name.replace('_', ' ').capitalize()} at {effect.site}{f', by {driver}' if driver else ''}: {shown}."
+    )
+
+
+def _unseen(case: Case) -> tuple[Fault, ...]:
+    if case.seen.all():
+        return ()
+    rows = tuple(int(row) for row in case.recording.row[~case.seen])
+    return (
+        Fault(
+            "no_joints",
+            rows,
+            f"{len(rows)} rows are left out: the clocks differ by {case.clock:.4g} s, and what the joints did at the "
+            "instants that these poses show was not recorded. Let the joints' recording start earlier and end later.",
+        ),
     )
 
 

@@ -67,7 +67,7 @@ class Evidence:
 
     def score(self, effects: Sequence[Effect]) -> list[Score]:
         """A score for each effect."""
-        columns = self.case.columns(effects)
+        columns = self.case.columns(effects, beside=(self.fitted.physics, self.fitted.values))
         sizes = [effect.size for effect in effects]
         ends = np.cumsum([0, *sizes])
         return self.score_columns([columns[a:b] for a, b in pairwise(ends)])

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from lite6jax.diagnosis.case import Case, moved_to
+from lite6jax.diagnosis.clock import clock_offset
 from lite6jax.diagnosis.evidence import Score, evidence_of
 from lite6jax.diagnosis.refit import Fitted, refit
 from lite6jax.diagnosis.spectrum import lines
@@ -19,6 +20,7 @@ from lite6jax.physics.composition import Physics
 from lite6jax.physics.drivers import Driver
 from lite6jax.physics.effect import Effect
 from lite6jax.physics.joints import JointHarmonic
+from lite6jax.physics.surroundings import TimeOffset
 from lite6jax.physics.unnamed import Unnamed
 
 Array = NDArray[np.floating]
@@ -95,7 +97,8 @@ class Selection:
     """The physics that a recording asks for.
 
     Attributes:
-        case: linearised where its geometry is.
+        case: linearised where its geometry, and its clock, is.
+        plain: the same with a clock that is right, which `baseline` was fitted to.
         baseline: the nuisance alone.
         fitted: with the effects.
         steps: one an effect, in the order of `fitted.physics`.
@@ -104,6 +107,7 @@ class Selection:
     """
 
     case: Case
+    plain: Case
     baseline: Fitted
     fitted: Fitted
     steps: tuple[Step, ...]
@@ -116,7 +120,8 @@ class Search:
     """The search of one case, with the same candidates for every part of its rows.
 
     Attributes:
-        case: linearised where its geometry is.
+        case: linearised where its geometry, and its clock, is.
+        plain: the same with a clock that is right.
         start: `(unknown,)` where fits of the nuisance start.
         candidates: named effects, those that the recording can show.
         missing: those that it cannot.
@@ -124,6 +129,7 @@ class Search:
     """
 
     case: Case
+    plain: Case
     start: Array
     candidates: tuple[Effect, ...]
     missing: tuple[Untestable, ...]
@@ -154,28 +160,38 @@ class Search:
 
         Of very many rows, a part finds the physics; then all of them are fitted, and asked for what is still left.
         """
-        used = np.ones(self.case.samples, bool) if used is None else used
+        used = self.case.seen if used is None else used & self.case.seen
         every = max(int(used.sum()) // _ROWS, 1)
         if every == 1:
             selection = self._selected(used)
         else:
-            part = replace(self, case=self.case.thinned(every))._selected(used[::every])
+            thin = replace(self, case=self.case.thinned(every), plain=self.plain.thinned(every))
+            part = thin._selected(used[::every])
             physics, values = part.fitted.physics, part.fitted.values
-            baseline = refit(self.case, Physics(), moved=self.start, used=used)
+            baseline = refit(self.plain, Physics(), moved=self.start, used=used)
             fitted = refit(self.case, physics, values, part.fitted.moved, used) if physics.effects else baseline
             fitted, steps = self._grown(fitted, list(part.steps))
-            selection = replace(part, case=self.case, baseline=baseline, fitted=fitted, steps=tuple(steps))
+            selection = replace(part, case=self.case, plain=self.plain, baseline=baseline, fitted=fitted, steps=tuple(steps))
         return selection
 
     def _selected(self, used: NDArray[np.bool_]) -> Selection:
-        baseline = refit(self.case, Physics(), moved=self.start, used=used)
-        fitted, steps = self._grown(baseline, [])
+        baseline = refit(self.plain, Physics(), moved=self.start, used=used)
+        fitted, steps = self._grown(*self._clocked(baseline))
         if len(steps) == MOST:
             fitted, steps = self._swept(baseline, fitted, steps)
         else:
             fitted, steps = self._unnamed(baseline, fitted, steps)
             fitted, steps = self._pruned(fitted, steps)
-        return Selection(self.case, baseline, fitted, tuple(steps), self.candidates, self._hidden(baseline))
+        return Selection(self.case, self.plain, baseline, fitted, tuple(steps), self.candidates, self._hidden(baseline))
+
+    def _clocked(self, baseline: Fitted) -> tuple[Fitted, list[Step]]:
+        """A clock that is off by seconds is known before anything else can be looked for."""
+        if not self.case.clock:
+            return baseline, []
+        fitted = refit(self.case, Physics((TimeOffset(),)), np.array([self.case.clock]), used=baseline.used)
+        gain = fitted.log_likelihood(fitted.residual.scale) - baseline.log_likelihood(fitted.residual.scale)
+        p = min(float(chi2.sf(2 * gain / evidence_of(self.case, fitted).memory, 1)) * self.tried, 1.0)
+        return fitted, [Step(TimeOffset(), p, Score(gain, 1, p, False, fitted.values), ())]
 
     def _swept(self, baseline: Fitted, fitted: Fitted, steps: list[Step]) -> tuple[Fitted, list[Step]]:
         """All orders of all joints at once, where there are so many effects and that explains more."""
@@ -329,16 +345,25 @@ class Search:
 
 def search_of(case: Case, extra: Sequence[Effect] = (), level: float = LEVEL) -> Search:
     """The search of a case over the catalogue and `extra` effects; it linearises the case where its geometry is."""
-    start = refit(case, Physics()).moved
-    for _ in range(_RELINEARISED):
-        if not case.unknown:
-            break
-        case = moved_to(case, start)
-        start = refit(case, Physics()).moved
+    offset = clock_offset(case)
+    late = replace(case, clock=offset)
+    plain, start = _relinearised(case, Physics(), np.zeros(0))
+    case = _relinearised(late, Physics((TimeOffset(),)), np.array([offset]))[0] if offset else plain
     every = (*catalogue(case.motion.dof, turned_tool=case.rows == 6), *extra)
     missing = tuple(untestable(every, case.motion, case.inertia is not None))
     lacking = {item.effect for item in missing}
-    return Search(case, start, tuple(effect for effect in every if effect not in lacking), missing, level)
+    return Search(case, plain, start, tuple(effect for effect in every if effect not in lacking), missing, level)
+
+
+def _relinearised(case: Case, physics: Physics, values: Array) -> tuple[Case, Array]:
+    """The case about the geometry that fits, and the nuisance `(unknown,)` from there."""
+    moved = refit(case, physics, values).moved
+    for _ in range(_RELINEARISED):
+        if not case.unknown:
+            break
+        case = moved_to(case, moved)
+        moved = refit(case, physics, values).moved
+    return case, moved
 
 
 def select(case: Case, extra: Sequence[Effect] = (), level: float = LEVEL) -> Selection:

@@ -32,6 +32,8 @@ _NAMED_MOST = 12
 _FEW = 3
 """Orders of one joint that stay harmonics, each with its name."""
 _DROPPED = 0.1
+_PLAUSIBLE = 300.0
+"""Times the typical size of a number, beyond which it fits something else."""
 _ROUNDS = 3
 _WEIGHINGS = 3
 _SETTLINGS = 5
@@ -188,7 +190,8 @@ def _named(
         score = evidence.score_columns([columns])[0]
         p = min(score.p * tried, 1.0)
         known = any(effect == have for have in state.physics.effects)
-        if known or score.hidden or p >= level or score.gain < effect.size * np.log(evidence.freedom):
+        wild = (np.abs(score.values) > _PLAUSIBLE * Physics((effect,)).typical).any()
+        if known or wild or score.hidden or p >= level or score.gain < effect.size * np.log(evidence.freedom):
             continue
         if effect.size > room or (added and score.gain < 0.3 * added[0].score.gain):
             continue

@@ -1,32 +1,22 @@
 """What a person reads of a diagnosis, top to bottom: verdict, before and after, findings, what cannot be told."""
 
-import re
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 
 import numpy as np
 from rich.console import RenderableType
+from rich.padding import Padding
+from rich.table import Table
 from rich.text import Text
 
 from lite6jax.arms import frames
 from lite6jax.diagnosis.against import Against
 from lite6jax.diagnosis.diagnose import Diagnosis, statement
 from lite6jax.diagnosis.registration import Registration
+from lite6jax.diagnosis.separation import Separation
 from lite6jax.physics.catalogue import effect_as_dict
+from lite6jax.physics.unnamed import Unnamed
+from lite6jax.report import diagnosis_words as words
 from lite6jax.report.cells import SCREEN, fixed, listing, number
-
-VERDICTS = {
-    "consistent": "Nothing is missing: the recording is what this arm's model and the sensor's noise make.",
-    "explained": "Explained: with the physics below, what is left is the sensor's noise.",
-    "partly_explained": "Partly explained: the physics below is there, and more is left than noise.",
-    "unnamed": "Something real is there that no entry of the catalogue explains.",
-}
-AGREE = "Beyond that both sides agree: what is left of their difference is noise."
-NAMED = 6
-
-
-def chance(p: float) -> str:
-    """A probability in a phrase; one below what floats hold is not zero."""
-    return f"p = {p:.1e}" if p > 0 else "p < 1e-300"
 
 
 def diagnosis_report(found: Diagnosis, source: str, against: Against | None = None) -> Iterator[RenderableType]:
@@ -38,7 +28,7 @@ def diagnosis_report(found: Diagnosis, source: str, against: Against | None = No
     if against is not None:
         yield from against_report(against)
         yield ""
-    yield Text(AGREE if against is not None and found.verdict == "consistent" else VERDICTS[found.verdict])
+    yield Text(words.verdict_of(found, against))
     yield ""
     kept = ~found.outliers
     table = listing("held-out position error (mm)", "rms", "p95", "max")
@@ -50,43 +40,71 @@ def diagnosis_report(found: Diagnosis, source: str, against: Against | None = No
     yield table
     declared = f", declared {number(1e3 * case.noise[0])} mm" if case.declared else ""
     yield Text(f"Noise per axis: {number(1e3 * found.estimated_noise)} mm estimated{declared}.")
-    fitted = found.selection.fitted
-    for step, part in zip(found.selection.steps, fitted.physics.slices, strict=True):
-        entry = effect_as_dict(step.effect, fitted.values[part], fitted.covariance[part, part])
+    faults = [f"{told.statement}{f' Rows {told.rows}.' if told.rows else ''}" for told in words.faults_of(found)]
+    yield from _headed("Data faults:", faults)
+    if found.selection.steps:
         yield ""
-        yield Text(f"{statement(step.effect, entry['parameters'])} Chance alone: {chance(step.p)} over all searched.")
-        near = [rival for rival in step.rivals if rival.gap < NAMED]
-        if near:
-            names = ", ".join(f"{rival.effect.label} ({rival.gap:+.1f})" for rival in near)
-            yield Text(f"  Not told apart from: {names} (log-likelihood less).")
-    if found.outliers.any():
+        yield from _findings(found)
+    yield from _headed("Looked for in the data and not found:", words.in_short(words.ruled_out(found)))
+    groups = []
+    for group in words.untested(found):
+        names = ", ".join(f"{name}:{sites}" for name, sites in words.by_site(group.effects))
+        groups.append(f"{group.reason}: {names}")
+    yield from _headed("Not tested:", groups)
+    yield from _headed("What to record next:", words.to_record(found))
+    for item in found.separating:
         yield ""
-        rows = case.recording.row[found.outliers]
-        shown = ", ".join(map(str, rows[:NAMED])) + (", …" if len(rows) > NAMED else "")
-        yield Text(f"{len(rows)} rows stand out of what noise allows: {shown}.")
-    reasons = {}
-    for item in found.untestable:
-        reason = re.sub(r"(joint|link) \d+", r"the \1", item.reason)
-        reasons.setdefault(reason, []).append(item.effect.label)
-    if reasons:
-        yield ""
-        yield Text("Not tested:")
-        for reason, labels in reasons.items():
-            names = ", ".join(labels[:NAMED]) + (f" and {len(labels) - NAMED} more" if len(labels) > NAMED else "")
-            yield Text(f"  {names}: {reason}")
+        yield from _poses(item)
+    if found.separating:
+        yield Text(words.NOT_CHECKED)
     yield ""
 
 
 def against_report(seen: Against) -> Iterator[RenderableType]:
     """What the other side is."""
-    figures = seen.to_dict()
-    makes = "reproduces" if seen.reproduced else "does not reproduce"
-    yield Text(
-        f"Against {seen.file}, {seen.matched} rows: the model {makes} it, "
-        f"{number(1e3 * figures['position_rms_m'])} mm RMS and {number(1e3 * figures['position_max_m'])} mm at most."
-    )
-    for line in (*seen.differences, *seen.notes, seen.statement):
-        yield Text(f"  {line}")
+    yield Text(words.against_headline(seen))
+    yield from map(_indented, (*seen.differences, *seen.notes, seen.statement))
+
+
+def _findings(found: Diagnosis) -> Iterator[RenderableType]:
+    fitted = found.selection.fitted
+    table = Table.grid(padding=(0, 1, 0, 0))
+    for k, (step, part) in enumerate(zip(found.selection.steps, fitted.physics.slices, strict=True), 1):
+        values, covariance = fitted.values[part], fitted.covariance[part, part]
+        if isinstance(step.effect, Unnamed):
+            swing, std = words.peak_to_peak(found.case, step.effect, values, covariance)
+            unit = f"m{step.effect.coordinates[0].unit}"
+            size = " ± ".join(words.rounded(1e3 * swing, 1e3 * std))
+            told = f"{words.capital(words.named(step.effect))}: {size} {unit} peak to peak."
+        else:
+            told = statement(step.effect, effect_as_dict(step.effect, values, covariance)["parameters"])
+        lines = [f"{told} Chance alone: {words.chance(step.p)} over all searched."]
+        close = words.near(step)
+        if close:
+            lines.append(f"Not told apart from: {', '.join(close)} (log-likelihood less).")
+        table.add_row(Text(f"{k}."), Text("\n".join(lines)))
+    yield table
+
+
+def _headed(heading: str, lines: Iterable[str]) -> Iterator[RenderableType]:
+    """A heading and its lines below, further in; nothing where there are none."""
+    for k, line in enumerate(lines):
+        if not k:
+            yield ""
+            yield Text(heading)
+        yield _indented(line)
+
+
+def _indented(line: str) -> RenderableType:
+    return Padding(Text(line), (0, 0, 0, 2))
+
+
+def _poses(item: Separation) -> Iterator[RenderableType]:
+    yield Text(f"{words.separation_title(item)}:")
+    table = listing("", *(f"q{joint}" for joint in range(1, item.joint_position.shape[1] + 1)))
+    for k, row in enumerate(np.rad2deg(item.joint_position), 1):
+        table.add_row(str(k), *(fixed(float(angle), 1) for angle in row))
+    yield table
 
 
 def registration_report(found: Registration) -> Iterator[RenderableType]:

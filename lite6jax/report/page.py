@@ -1,35 +1,33 @@
 """A diagnosis as one HTML page that needs no other file: verdict, numbers, rivals, faults, the figures inside."""
 
 import base64
-import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from functools import cache
 from io import BytesIO
 from typing import Any, NamedTuple
 
-import jax.numpy as jnp
 import jinja2
 import numpy as np
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from lite6jax.diagnosis.against import Against
 from lite6jax.diagnosis.case import Case
 from lite6jax.diagnosis.diagnose import Diagnosis
 from lite6jax.diagnosis.selection import Step
-from lite6jax.physics.catalogue import Untestable
-from lite6jax.physics.effect import Effect
+from lite6jax.diagnosis.separation import Separation
 from lite6jax.physics.unnamed import Unnamed
-from lite6jax.report import diagnosis_figures
+from lite6jax.report import diagnosis_words as words
 from lite6jax.report.canvas import STYLE
-from lite6jax.report.cells import number, plus_minus
-from lite6jax.report.diagnosis_tables import NAMED as NEAR
-from lite6jax.report.diagnosis_tables import VERDICTS, chance
+from lite6jax.report.cells import fixed, number
+from lite6jax.report.finding_figures import finding_curves
 
 Array = NDArray[np.floating]
 
-_MOST_ROWS = 40
 _DPI = 120
+_FEW = 3
+"""Findings that are read one by one; more have an overview."""
 _UNITS = (
     ("_rad_per_Nm", 1e6, "µrad/Nm"),
     ("_m_per_s", 1e6, "µm/s"),
@@ -47,8 +45,8 @@ _CAPTIONS = {
     "error_by_joint": "Held-out position error against each joint: dots are samples, lines are medians.",
     "where": "Share of the residual's variance that a free curve of each driver explains at each site, less what as "
     "many numbers explain of noise; a dash where that is not known, not varied or not seen.",
-    "orders": "Share of the residual's variance that a harmonic of each order explains at each joint; the dotted line "
-    "is what white noise reaches.",
+    "orders": "Share of the residual's variance that a harmonic of each order explains at each joint, before and "
+    "after of the residual there is then; the dotted line is what white noise reaches.",
     "remaining": "Left, the residuals in units of the sensor's noise against noise alone; right, how alike those of "
     "neighbouring rows are.",
 }
@@ -68,43 +66,41 @@ class Picture(NamedTuple):
     narrow: bool
 
 
-def diagnosis_page(found: Diagnosis, source: str, figures: Mapping[str, Figure]) -> str:
+def diagnosis_page(found: Diagnosis, source: str, figures: Mapping[str, Figure], against: Against | None = None) -> str:
     """The page, HTML; the same diagnosis gives the same bytes.
 
     Args:
         found: the diagnosis.
         source: the recording's name, of any characters.
         figures: those of `diagnosis_figures.drawings`.
+        against: the other side, where there is one.
     """
-
-    def picture(figure: Figure, caption: str) -> Picture:
-        return Picture(_embedded(figure), caption, sum(panel.get_visible() for panel in figure.axes) == 1)
-
     report = found.to_dict()
-    pictures = {name: picture(figures[name], caption) for name, caption in _CAPTIONS.items()}
-    findings = []
-    fitted = found.selection.fitted
-    for k, (step, entry) in enumerate(zip(found.selection.steps, report["findings"], strict=True)):
-        part = fitted.physics.slices[k]
-        figure = diagnosis_figures.finding_curves(found, "", [k])
-        seen = picture(figure, _caption(entry))
-        findings.append(
-            _finding(found.selection.case, step, entry, fitted.values[part], fitted.covariance[part, part], seen)
-        )
+    findings = _findings(found, report)
     return _template().render(
         source=source,
-        verdict=VERDICTS[found.verdict],
+        against=_against(against),
+        verdict=words.verdict_of(found, against),
         verdict_word=found.verdict,
         setting=_setting(found),
         errors=_errors(report),
         held=f"{report['heldout_rows']} rows, in contiguous blocks that the fit and the search did not see.",
         noise=_noise(found),
-        figures=pictures,
-        findings=findings,
-        faults=[{"statement": f["statement"], "rows": _listed(f["rows"])} for f in report["data_faults"]],
+        figures={name: _picture(figures[name], caption) for name, caption in _CAPTIONS.items()},
+        faults=words.faults_of(found),
         notes=found.case.notes,
+        findings=findings,
+        overview=len(findings) > _FEW,
+        checked=words.ruled_out(found),
         untested=_untested(found),
+        to_record=words.to_record(found),
+        separating=[_poses(item) for item in found.separating],
+        not_checked=words.NOT_CHECKED,
     )
+
+
+def _picture(figure: Figure, caption: str) -> Picture:
+    return Picture(_embedded(figure), caption, sum(panel.get_visible() for panel in figure.axes) == 1)
 
 
 @cache
@@ -147,90 +143,93 @@ def _noise(found: Diagnosis) -> str:
     return seen + (f"; declared {number(1e3 * case.noise[0])} mm." if case.declared else "; none is declared.")
 
 
+def _findings(found: Diagnosis, report: dict[str, Any]) -> list[dict[str, Any]]:
+    fitted, told = found.selection.fitted, []
+    for k, (step, entry) in enumerate(zip(found.selection.steps, report["findings"], strict=True)):
+        part = fitted.physics.slices[k]
+        figure = _picture(finding_curves(found, "", [k]), _caption(entry))
+        told.append(
+            _finding(found.selection.case, step, entry, fitted.values[part], fitted.covariance[part, part], figure)
+        )
+    return told
+
+
 def _finding(
     case: Case, step: Step, entry: dict[str, Any], values: Array, covariance: Array, figure: Picture
 ) -> dict[str, Any]:
-    unnamed = isinstance(step.effect, Unnamed)
-    numbers = _swing(case, step.effect, values, covariance) if isinstance(step.effect, Unnamed) else entry["parameters"]
-    rivals = sorted(step.rivals, key=lambda rival: rival.gap)
-    near, far = ([r for r in rivals if (r.gap < NEAR) is close] for close in (True, False))
+    numbers = entry["parameters"]
     driver = "" if entry["driver"] == "none" else f", by {entry['driver']}"
     statement = f"Acts at {entry['site']}{driver}."
+    if isinstance(step.effect, Unnamed):
+        swing, std = words.peak_to_peak(case, step.effect, values, covariance)
+        numbers = {f"peak_to_peak_{step.effect.coordinates[0].unit}": {"value": swing, "std": std}}
+        statement = entry["statement"]
+    parameters = [_parameter(name, estimate) for name, estimate in numbers.items()]
     return {
-        "title": f"{_worded(entry['effect'])} at {entry['site']}",
-        "statement": entry["statement"] if unnamed else statement,
-        "parameters": [_parameter(name, e) for name, e in numbers.items()],
-        "chance": f"Chance alone explains as much with {chance(step.p)}, over everything that was searched; "
+        "title": words.capital(words.named(step.effect)),
+        "statement": statement,
+        "parameters": parameters,
+        "sizes": [row for row in parameters if row["std"] != "–"],
+        "gain": f"{step.score.gain:+.0f}",
+        "chance": f"Chance alone explains as much with {words.chance(step.p)}, over everything that was searched; "
         f"log-likelihood {step.score.gain:+.1f}.",
-        "rivals": [f"{_named(r.effect)} ({r.gap:+.1f})" for r in near],
-        "rejected": ", ".join(f"{_named(r.effect)} ({r.gap:+.1f})" for r in far),
+        "rivals": words.near(step),
+        "rejected": ", ".join(words.rejected(step)),
         "figure": figure,
     }
-
-
-def _swing(case: Case, effect: Unnamed, values: Array, covariance: Array) -> dict[str, dict[str, float]]:
-    """How far a curve goes from its lowest to its highest where data determine it, in place of its coefficients."""
-    driver = np.asarray(effect.drivers[0].values(case.motion, case.loads))
-    low, high = np.percentile(driver, (2, 98))
-    at = jnp.linspace(float(low), float(high), 400)
-    basis = np.asarray(effect.basis(at))
-    curve = values @ basis
-    apart = basis[:, np.argmax(curve)] - basis[:, np.argmin(curve)]
-    std = np.sqrt(max(float(apart @ covariance @ apart), 0.0))
-    return {f"peak_to_peak_{effect.coordinates[0].unit}": {"value": float(apart @ values), "std": float(std)}}
 
 
 def _caption(entry: dict[str, Any]) -> str:
     driver = "" if entry["driver"] == "none" else f" over {entry['driver']}"
     return (
         f"The fitted {_worded(entry['effect']).lower()} at {entry['site']}{driver}, with two standard deviations, over "
-        "what the data without it show there."
+        "what the data show there beside all else that was found."
     )
 
 
 def _parameter(name: str, estimate: dict[str, float]) -> dict[str, str]:
     value, std, unit = estimate["value"], estimate["std"], ""
     scale, unit = _RATIOS.get(name) or next(((s, u) for end, s, u in _UNITS if name.endswith(end)), (1.0, ""))
-    words = name
+    said = name
     for end, _, _ in _UNITS:
-        words = words.removesuffix(end if end != "phase_rad" else "_rad")
+        said = said.removesuffix(end if end != "phase_rad" else "_rad")
     value, std = scale * value, scale * std
     if not std:
-        return {"name": words.replace("_", " "), "value": f"{value:.6g}", "std": "–", "unit": unit}
-    if not np.isfinite(std) or std < 1e-4:
-        return {"name": words.replace("_", " "), "value": f"{value:.6g}", "std": f"{std:.1e}", "unit": unit}
-    decimals = max(0, 1 - int(np.floor(np.log10(std))))
-    return {"name": words.replace("_", " "), "value": f"{value:.{decimals}f}", "std": plus_minus(std), "unit": unit}
+        return {"name": said.replace("_", " "), "value": f"{value:.6g}", "std": "–", "unit": unit}
+    shown = words.rounded(value, std)
+    return {"name": said.replace("_", " "), "value": shown[0], "std": shown[1], "unit": unit}
 
 
 def _untested(found: Diagnosis) -> list[dict[str, str]]:
-    groups: dict[str, list[Untestable]] = {}
-    for item in found.untestable:
-        groups.setdefault(re.sub(r"\d+", "", item.reason), []).append(item)
-    told = []
-    for items in groups.values():
-        reason = items[0].reason
-        if any(item.reason != reason for item in items):  # alike but for the number of the joint
-            reason = re.sub(r"of (joint|link) \d+", r"of its \1", reason)
-        effects = ", ".join(dict.fromkeys(_named(item.effect) for item in items))
-        told.append({"reason": reason[:1].upper() + reason[1:], "effects": effects})
-    hidden = [_named(effect) for effect in found.selection.hidden]
-    if hidden:
-        reason = "The frames and geometry that are fitted can do the same, or the sensor does not see it"
-        told.append({"reason": reason, "effects": ", ".join(dict.fromkeys(hidden))})
-    return told
+    return [
+        {
+            "reason": group.reason,
+            "effects": "; ".join(
+                f"{name.replace('_', ' ')} at {sites}" for name, sites in words.by_site(group.effects)
+            ),
+        }
+        for group in words.untested(found)
+    ]
 
 
-def _named(effect: Effect) -> str:
-    return f"{effect.name.replace('_', ' ')} at {effect.site}"
+def _poses(item: Separation) -> dict[str, Any]:
+    return {
+        "title": words.separation_title(item),
+        "joints": [f"joint {joint + 1}" for joint in range(item.joint_position.shape[1])],
+        "rows": [[fixed(float(angle), 1) for angle in row] for row in np.rad2deg(item.joint_position)],
+    }
+
+
+def _against(seen: Against | None) -> dict[str, Any] | None:
+    if seen is None:
+        return None
+    return {
+        "headline": words.against_headline(seen),
+        "differences": seen.differences,
+        "notes": seen.notes,
+        "statement": seen.statement,
+    }
 
 
 def _worded(name: str) -> str:
     return {"unnamed": "Unnamed physics"}.get(name, name.replace("_", " ").capitalize())
-
-
-def _listed(rows: Iterable[int]) -> str:
-    rows = list(rows)
-    return ", ".join(map(str, rows[:_MOST_ROWS])) + (
-        f" and {len(rows) - _MOST_ROWS} more" if len(rows) > _MOST_ROWS else ""
-    )

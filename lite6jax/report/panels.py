@@ -1,0 +1,58 @@
+"""Panels in rows with one legend below, and medians by bins: what the figures of a diagnosis share."""
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from lite6jax.report.canvas import blank
+
+Array = NDArray[np.floating]
+
+GREY = "#8a8a8a"
+BINS = 20
+_LEAST_IN_BIN = 5
+_WIDE = ((1, (1, 7.5, 4.2)), (6, (2, 6.0, 4.2)), (15, (3, 5.0, 3.6)), (np.inf, (4, 4.6, 3.2)))
+"""Up to how many panels, in how many columns, each how wide and high, in."""
+
+
+def medians(x: Array, y: Array, count: int = BINS) -> tuple[Array, Array, Array]:
+    """Middles of bins of equal width, medians and their standard errors; NaN where a bin holds too little."""
+    if not len(x):
+        return np.zeros(0), np.zeros(0), np.zeros(0)
+    edges = np.linspace(x.min(), max(x.max(), x.min() + 1e-9), count + 1)
+    at = np.clip(np.searchsorted(edges, x, side="right") - 1, 0, count - 1)
+    middle, error = np.full(count, np.nan), np.full(count, np.nan)
+    for k in range(count):
+        inside = y[at == k]
+        if len(inside) >= _LEAST_IN_BIN:
+            middle[k] = np.median(inside)
+            deviation = 1.4826 * np.median(np.abs(inside - middle[k]))
+            error[k] = np.sqrt(np.pi / 2 / len(inside)) * deviation  # of a median of normal noise
+    return (edges[1:] + edges[:-1]) / 2, middle, error
+
+
+def panels_in_rows(count: int, shared: bool = False, wide: bool = False) -> tuple[Figure, list[Axes]]:
+    """A figure of as many panels, in rows; no higher than a page of its width.
+
+    Args:
+        count: of panels.
+        shared: whether they share their upward axis.
+        wide: whether each needs room, as curves do; the more there are, the less each gets.
+    """
+    columns = min(count, 4 if count > 6 else 3)
+    width, height = 3.0 + 3.0 / columns, 3.2
+    if wide:
+        columns, width, height = next(layout for most, layout in _WIDE if count <= most)
+    rows = -(-count // columns)
+    figure = blank(width * columns, height * rows + 1.0)
+    panels = figure.subplots(rows, columns, sharey=shared, squeeze=False).ravel()
+    for panel in panels[count:]:
+        panel.set_visible(False)
+    return figure, list(panels[:count])
+
+
+def legend_below(figure: Figure, panel: Axes, columns: int) -> None:
+    """One legend for all panels, from what one of them shows."""
+    handles, labels = panel.get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=columns, frameon=False)

@@ -1,0 +1,325 @@
+"""What a page and a terminal both say of a diagnosis: faults, what was ruled out, curves without a name, what next."""
+
+from dataclasses import replace
+from io import StringIO
+
+import numpy as np
+import pytest
+from rich.console import Console
+from rich.text import Text
+from test_diagnosis_page import COMPLIANCE, LITE6, Reader, diagnosed, recording_maker
+
+from lite6jax.diagnosis.against import Against
+from lite6jax.diagnosis.rows import Fault
+from lite6jax.diagnosis.selection import Rival
+from lite6jax.diagnosis.separation import Separation
+from lite6jax.physics.catalogue import catalogue, parse_effect
+from lite6jax.physics.composition import Physics
+from lite6jax.physics.unnamed import Unnamed
+from lite6jax.report import diagnosis_figures, diagnosis_words
+from lite6jax.report.diagnosis_tables import diagnosis_report
+from lite6jax.report.page import diagnosis_page
+from lite6jax.simulation import simulate
+
+WAVES = (3.0, 5.5, 9.0, 20.0, 33.0)
+AMPLITUDES = np.array([3e-4, 0, 2e-4, 1e-4, 0, 1e-4, -2e-4, 0, 5e-5, 5e-5])
+FAULTS = (
+    Fault("repeated_rows", (7, 9), "2 rows (7, 9) are exact repeats of earlier rows; each is used once."),
+    Fault("frame_jump", tuple(range(90, 201)), "Something moved at row 90: the sensor or the base by 3 mm."),
+    Fault("of_tomorrow", (), "Something else; it was put right."),
+)
+CHECKED = (
+    Fault("swapped_joints", (), "No joints are exchanged: as they stand the poses are met within 0.3 mm."),
+    Fault("mirrored_joint", (), "No joint has its sign reversed: as they stand the poses are met within 0.3 mm."),
+    Fault("time_order", (), "All 200 rows carry no times: their order is the sequence."),
+)
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory):
+    return recording_maker(tmp_path_factory.mktemp("arm"))
+
+
+@pytest.fixture(scope="module")
+def compliant(recorded):
+    """Of a compliant arm; one rival is as good, one is not."""
+    return diagnosed(*recorded(COMPLIANCE))
+
+
+@pytest.fixture(scope="module")
+def against(compliant):
+    return Against(
+        file="gazebo.csv",
+        rows=200,
+        matched=198,
+        reproduced=False,
+        rigid=True,
+        distance=np.array([3e-3, 4e-3]),
+        left=np.array([1e-5, 1e-5]),
+        differences=("gazebo.csv has the table of lite6 (ROS).",),
+        notes=("2 of 200 rows have none of gazebo.csv at their joints and are left out.",),
+        recording=compliant.case.recording,
+        kinematics=None,
+        geometry="declared",
+    )
+
+
+def waves(joint):
+    return Unnamed(f"joint{joint}", f"position of joint {joint}", -7.0, 7.0, orders=WAVES, trust=(1.0, 1.0))
+
+
+@pytest.fixture(scope="module")
+def wavy(recorded):
+    """Of an arm whose first four joints err at five orders each, as a search of real arms finds it."""
+    settings = recorded(COMPLIANCE)[0].settings
+    physics = Physics(tuple(waves(joint) for joint in (1, 2, 3, 4)))
+    values = np.tile(AMPLITUDES, 4)
+    recording = simulate(LITE6, physics, values, motion="static", samples=400, settings=settings)
+    return diagnosed(recording, physics)
+
+
+@pytest.fixture(scope="module")
+def drawn(compliant):
+    return dict(diagnosis_figures.drawings(compliant, "run.csv"))
+
+
+def page(found, drawn, against=None):
+    return " ".join(Reader(diagnosis_page(found, "run.csv", drawn, against)).text.split())
+
+
+def screen(found, against=None, width=96):
+    """What a terminal shows, and its text without the breaks of lines."""
+    held = StringIO()
+    console = Console(width=width, file=held, highlight=False, markup=False, emoji=False)
+    for part in diagnosis_report(found, "run.csv", against):
+        console.print(part, soft_wrap=isinstance(part, Text) and bool(part.no_wrap))
+    return held.getvalue(), " ".join(held.getvalue().split())
+
+
+# ------------------------------------------------------------------ faults and what was ruled out
+
+
+def test_faults_come_before_the_findings(compliant, drawn):
+    wild = np.zeros(compliant.case.samples, bool)
+    wild[[3, 4, 5, 50]] = True
+    found = replace(compliant, faults=FAULTS, checked=CHECKED, outliers=wild)
+    text = page(found, drawn)
+    assert "Repeated rows. 2 rows (7, 9) are exact repeats of earlier rows; each is used once. A jump" in text
+    assert "A jump of the sensor or the tool. Something moved at row 90" in text
+    assert "by 3 mm. Rows 90–200." in text
+    assert "Of tomorrow. Something else; it was put right. Rows that stand out." in text
+    assert "4 rows stand out of what noise allows: 4–6, 51. They count for little." in text
+    assert text.index("Data faults") < text.index("Repeated rows") < text.index("Findings") < text.index("Ruled out")
+    assert text.index("Ruled out") < text.index("Joints in another order. No joints are exchanged")
+    assert text.index("Rows out of order. All 200 rows") < text.index("Not tested")
+
+    _, said = screen(found)
+    assert "Data faults: 2 rows (7, 9) are exact repeats" in said
+    assert "by 3 mm. Rows 90–200." in said
+    assert "4 rows stand out of what noise allows: 4–6, 51." in said
+    assert said.index("Data faults") < said.index("1. Joint compliance") < said.index("Looked for in the data")
+    reason = "as they stand the poses are met within 0.3 mm."
+    assert f"No joints are exchanged; no joint has its sign reversed: {reason} All 200 rows" in said
+    assert said.count(reason) == 1
+
+
+def test_one_row_stands_out(compliant):
+    wild = np.zeros(compliant.case.samples, bool)
+    wild[11] = True
+    (told,) = diagnosis_words.faults_of(replace(compliant, outliers=wild))
+    assert told.statement == "1 row stands out of what noise allows: 12. It counts for little."
+    assert diagnosis_words.faults_of(compliant) == []
+
+
+def test_rows_are_listed_in_short():
+    assert diagnosis_words.listed([3, 5, 6, 9, 10, 11, 12]) == "3, 5, 6, 9–12"
+    assert diagnosis_words.listed(range(1, 100, 2)) == "1, 3, 5, 7, 9, 11, 13, 15, 17, 19, 21, 23 and 38 more"
+    assert diagnosis_words.listed([]) == ""
+
+
+def test_sites_are_listed_in_short():
+    told = dict(diagnosis_words.by_site(catalogue(7)))
+    assert told["joint_lag"] == "joint1–7"
+    assert told["joint_coupling"] == "joint1–7"  # each once, of 42
+    assert told["link_thermal_expansion"] == "links, link1–6"
+    assert told["time_offset"] == "clock"
+    some = [parse_effect(f"joint_lag:joint={joint},lag_s=1")[0] for joint in (1, 3, 4, 6)]
+    assert diagnosis_words.by_site(some) == [("joint_lag", "joint1, 3, 4, 6")]
+
+
+def test_what_was_not_tested_is_grouped_alike_everywhere(compliant, drawn):
+    groups = diagnosis_words.untested(compliant)
+    assert len({group.reason for group in groups}) == len(groups)
+    velocity = groups[0]
+    assert velocity.reason == "Needs the velocity of its joint"
+    assert velocity.remedy.startswith("give the velocities of a moving arm; record a trajectory")
+    tested = {effect for group in groups for effect in group.effects}
+    assert tested == {item.effect for item in compliant.untestable} | set(compliant.selection.hidden)
+    assert groups[-1].effects == compliant.selection.hidden
+    assert groups[-1].reason == "The sensor does not see it here"  # no frame, no number of the chain is fitted
+    assert "Needs the velocity of its joint. joint lag at joint1–6" in page(compliant, drawn)
+    assert "Needs the velocity of its joint: joint_lag:joint1–6" in screen(compliant)[1]
+
+
+# ------------------------------------------------------------------ physics without a name
+
+
+def test_curves_of_many_waves_are_named_in_short(wavy, drawn):
+    text, (shown, said) = page(wavy, drawn), screen(wavy, width=60)
+    assert max(map(len, shown.splitlines())) <= 60
+    for joint in (1, 2, 3, 4):
+        title = f"Unnamed: joint {joint}, function of its position, waves of 5 orders 3–33"
+        assert text.count(f"{joint}. {title}") == 2  # in the overview and above its figure
+        assert f"{joint}. {title}: " in said
+    for told in (text, said):
+        assert "sine" not in told
+        assert "coefficient" not in told
+    q = np.asarray(wavy.case.motion.joint_position[0])
+    inside = q[(q >= np.percentile(q, 2)) & (q <= np.percentile(q, 98))]
+    turned = np.multiply.outer(np.array(WAVES), inside)
+    truth = AMPLITUDES[::2] @ np.sin(turned) + AMPLITUDES[1::2] @ np.cos(turned)
+    swing, std = diagnosis_words.peak_to_peak(
+        wavy.case, waves(1), wavy.selection.fitted.values[:10], wavy.selection.fitted.covariance[:10, :10]
+    )
+    assert 0 < std < 3e-5
+    assert swing == pytest.approx(np.ptp(truth), abs=5 * std)
+    value, spread = diagnosis_words.rounded(1e3 * swing, 1e3 * std)
+    assert f"{value} ± {spread} mrad peak to peak." in said
+    assert f"peak to peak {value} {spread} mrad" in text
+
+
+def test_a_curve_of_waves_lies_on_its_data(wavy):
+    (panel,) = diagnosis_figures.finding_curves(wavy, "", [0]).axes
+    dots, curve = panel.lines[0], panel.lines[1]
+    at, drawn = np.deg2rad(curve.get_xdata()), 1e-3 * np.asarray(curve.get_ydata())
+    assert np.diff(at).max() < 2 * np.pi / max(WAVES) / 8  # each wave can be seen
+    turned = np.multiply.outer(np.array(WAVES), at)
+    assert np.sqrt(np.mean((drawn - AMPLITUDES[::2] @ np.sin(turned) - AMPLITUDES[1::2] @ np.cos(turned)) ** 2)) < 3e-5
+    fitted = np.interp(dots.get_xdata(), curve.get_xdata(), curve.get_ydata())
+    assert np.median(np.abs(dots.get_ydata() - fitted)) < 0.4 * np.median(np.abs(dots.get_ydata()))
+    band = panel.collections[0].get_paths()[0].vertices
+    assert band[:, 0].min() == pytest.approx(curve.get_xdata().min())
+    figure = diagnosis_figures.order_spectrum(wavy, "run.csv")
+    marks = [line for line in figure.axes[1].lines if line.get_marker() == "v"]
+    assert tuple(marks[0].get_xdata()) == WAVES
+
+
+@pytest.mark.parametrize(
+    ("effect", "title"),
+    [
+        (Unnamed("joint2", "gravity torque of joint 2", -1.0, 1.0), "joint 2, function of its gravity torque, "),
+        (Unnamed("base", "time", 0.0, 1.0, component="rx"), "base rx, function of time, "),
+        (
+            Unnamed("link3", "position of joint 1", 0.0, 1.0, component="z"),
+            "link 3 z, function of position of joint 1, ",
+        ),
+    ],
+)
+def test_a_smooth_curve_is_named(effect, title):
+    assert diagnosis_words.named(effect) == f"unnamed: {title}a smooth curve"
+
+
+def test_many_findings_fit_a_page(compliant):
+    """Fourteen findings and more: no figure is higher than a page of its width, and panels stay readable."""
+    for count in (1, 4, 6, 7, 14, 15, 20):
+        figure = diagnosis_figures.finding_curves(compliant, "", [0] * count)
+        width, height = figure.get_size_inches()
+        assert sum(panel.get_visible() for panel in figure.axes) == count
+        assert height <= 1.42 * width
+        assert width <= 18.5
+
+
+def test_two_components_do_not_mix(recorded):
+    """What one component does is not in the data that the other one is drawn over."""
+    tilt = "base_compliance:compliance_x_rad_per_Nm=3e-5,compliance_y_rad_per_Nm=3e-5"
+    found = diagnosed(*recorded(tilt))
+    for panel in diagnosis_figures.finding_curves(found, "").axes:
+        dots, curve = panel.lines[0], panel.lines[1]
+        fitted = np.interp(dots.get_xdata(), curve.get_xdata(), curve.get_ydata())
+        assert np.median(np.abs(dots.get_ydata() - fitted)) < 0.3 * np.median(np.abs(dots.get_ydata()))
+
+
+def test_numbers_have_the_digits_that_they_are_known_to():
+    assert diagnosis_words.rounded(1.52689, 0.0123) == ("1.527", "0.012")
+    assert diagnosis_words.rounded(21654.3, 4320.0) == ("21654", "4320")
+    assert diagnosis_words.rounded(1.0, np.inf) == ("1", "inf")
+
+
+# ------------------------------------------------------------------ the other side
+
+
+def test_the_other_side_comes_first(compliant, drawn, against):
+    said = "Against gazebo.csv, 198 of 200 rows: the model does not reproduce it, 3.5355 mm RMS and 4.0000 mm at most."
+    for text in (page(compliant, drawn, against), screen(compliant, against)[1]):
+        assert f"{said} With the differences below, 0.0100 mm RMS are left." in text
+        start = text.index(said)
+        parts = [*against.differences, *against.notes, against.statement, "Explained: with the physics below"]
+        assert sorted(parts, key=lambda part: text.index(part, start)) == parts
+    assert "The other side" in page(compliant, drawn, against)
+    assert "The other side" not in page(compliant, drawn)
+    same = replace(against, reproduced=True, matched=200, differences=(), notes=())
+    assert "Against gazebo.csv, 200 rows: the model reproduces it, 3.5355 mm RMS and 4.0000 mm at most. gazebo" in page(
+        compliant, drawn, same
+    )
+
+
+def test_both_sides_agree(recorded, drawn, against):
+    found = diagnosed(*recorded())
+    for told in (page(found, drawn, against), screen(found, against)[1]):
+        assert diagnosis_words.AGREE in told
+        assert "Nothing is missing" not in told
+
+
+# ------------------------------------------------------------------ what to record next
+
+
+@pytest.fixture(scope="module")
+def undecided(compliant):
+    """With two rivals as good, one of which poses at rest separate."""
+    link, _ = parse_effect("link_compliance:link=1,compliance_x_rad_per_Nm=1e-5,compliance_y_rad_per_Nm=1e-5")
+    lag, _ = parse_effect("joint_lag:joint=2,lag_s=1e-3")
+    harmonic, _ = parse_effect("joint_harmonic:joint=2,order=1,amplitude_rad=1e-4,phase_rad=0")
+    (step,) = compliant.selection.steps
+    rivals = (Rival(lag, 5.9), Rival(link, -0.1), Rival(harmonic, 6.1), Rival(step.effect, 0.0))
+    selection = replace(compliant.selection, steps=(replace(step, rivals=rivals),))
+    q = np.deg2rad([[10.04, -20, 30, 40, 50, 60], [-175, 80, 200, -100, -0.01, 5]])
+    poses = Separation(("joint_compliance:joint2", "link_compliance:link1"), q)
+    return replace(compliant, selection=selection, separating=(poses,))
+
+
+def test_what_to_record_next(undecided, drawn):
+    text, (shown, said) = page(undecided, drawn), screen(undecided, width=60)
+    pair = "joint compliance at joint2 from link compliance at link1"
+    for told in (text, said):
+        start = told.index("What to record next")
+        assert told.index(f"To separate {pair}, record the poses below; they are in the JSON as", start) > start
+        assert (
+            "To separate joint compliance at joint2 from joint lag at joint2, record more poses with gravity torque of "
+            "joint 2 and velocity of joint 2 varied each on its own." in told
+        )
+        assert "To test for joint lag and time offset, give the velocities of a moving arm; record a trajectory" in told
+        assert "from joint harmonic" not in told  # rejected
+        assert "from joint compliance" not in told  # in the model
+        assert f"Poses that separate {pair} (deg)" in told
+        assert "1 10.0 -20.0 30.0 40.0 50.0 60.0" in told
+        assert "2 -175.0 80.0 200.0 -100.0 0.0 5.0" in told
+        assert "not checked for collisions" in told
+    assert max(map(len, shown.splitlines())) <= 60
+    assert "link compliance at link1 (-0.1), joint compliance at joint2 (+0.0), joint lag at joint2 (+5.9)" in said
+    assert "rejected: joint harmonic of order 1 at joint2 (+6.1)" in text
+
+
+def test_no_poses_are_shown_where_there_are_none(compliant, drawn):
+    assert compliant.separating == ()
+    assert "Poses that separate" not in page(compliant, drawn)
+    assert "Poses that separate" not in screen(compliant)[1]
+
+
+def test_what_hides_effects_is_to_be_declared(compliant):
+    hidden = "To see more of what is hidden, "
+    assert diagnosis_words.to_record(compliant)[-1] == f"{hidden}measure orientations too."
+    case = replace(compliant.case, unknown=(("base", 0, 0), ("link", 1, 3)), precision=np.ones(2), offset=np.zeros(2))
+    said = f"{hidden}declare the sensor's frame and the arm's own calibration and measure orientations too."
+    assert diagnosis_words.to_record(replace(compliant, case=case))[-1] == said
+    nothing = replace(compliant, selection=replace(compliant.selection, hidden=()), untestable=())
+    assert diagnosis_words.to_record(nothing) == []
