@@ -258,7 +258,12 @@ class Case:
     def _unit(self, effect: Effect) -> Deflection:
         """The deflection per unit of each of an effect's numbers, at neutral, remembered."""
         if effect not in self._units:
-            self._units[effect] = self._shapes(effect, np.zeros(effect.size))
+            if isinstance(effect, Bending) and _is_linear(effect):
+                each = [effect.deflect(jnp.asarray(step), self.lived, self.loads) for step in np.eye(effect.size)]
+                parts = zip(*each, strict=True)  # without a trace: for a hundred candidates those would take seconds
+                self._units[effect] = Deflection(*(None if p[0] is None else np.stack(p) for p in parts))  # type: ignore[arg-type]
+            else:
+                self._units[effect] = self._shapes(effect, np.zeros(effect.size))
         return self._units[effect]
 
     def _shapes(self, effect: Effect, values: Array) -> Deflection:

@@ -32,6 +32,8 @@ _RELINEARISED = 3
 _CLOSE = 6.0
 """Log-likelihood within which two candidates cannot be told apart."""
 _REFITTED = 4
+_NEAREST = 3
+"""Named effects said beside a curve without a name."""
 _DOUBTFUL = 3
 """Additions in a row that nothing makes sure yet."""
 _ROWS = 2000
@@ -171,7 +173,9 @@ class Search:
             baseline = refit(self.plain, Physics(), moved=self.start, used=used)
             fitted = refit(self.case, physics, values, part.fitted.moved, used) if physics.effects else baseline
             fitted, steps = self._grown(fitted, list(part.steps))
-            selection = replace(part, case=self.case, plain=self.plain, baseline=baseline, fitted=fitted, steps=tuple(steps))
+            selection = replace(
+                part, case=self.case, plain=self.plain, baseline=baseline, fitted=fitted, steps=tuple(steps)
+            )
         return selection
 
     def _selected(self, used: NDArray[np.bool_]) -> Selection:
@@ -322,7 +326,10 @@ class Search:
         gain = fit.log_likelihood(scale) - without.log_likelihood(scale)
         independent = max(gain, 0.0) / max(evidence_of(self.case, fit).memory, 1.0)
         p = min(float(chi2.sf(2 * independent, curve.size)) * self.tried, 1.0)
-        return fit, [*kept, Step(curve, p, score._replace(gain=gain), ())]
+        named = zip(self.candidates, evidence_of(self.case, without).score(self.candidates), strict=True)
+        near = sorted((pair for pair in named if not pair[1].hidden), key=lambda pair: -pair[1].gain)[:_NEAREST]
+        rivals = tuple(Rival(effect, float(gain - score.gain)) for effect, score in near)
+        return fit, [*kept, Step(curve, p, score._replace(gain=gain), rivals)]
 
     def _pruned(self, fitted: Fitted, steps: list[Step]) -> tuple[Fitted, list[Step]]:
         """Without those that the others make unnecessary."""

@@ -20,6 +20,8 @@ POSES = 12
 _CANDIDATES = 3000
 _MARGIN = np.deg2rad(2.0)
 _MOST = 3
+_SAME = 1e-4
+"""Share of what an effect does that its rival cannot do, over the poses recorded, under which they are the same."""
 
 
 class Separation(NamedTuple):
@@ -42,7 +44,7 @@ def separations(selection: Selection, geometry: Geometry = "declared") -> tuple[
         (k, step, rival)
         for k, step in enumerate(selection.steps)
         for rival in step.rivals
-        if rival.gap < CLOSE and rival.effect not in selection.fitted.physics.effects
+        if rival.gap < CLOSE and rival.effect not in selection.fitted.physics.effects and _differ(selection, k, rival)
     ]
     found = []
     for k, step, rival in pairs[:_MOST]:
@@ -50,6 +52,21 @@ def separations(selection: Selection, geometry: Geometry = "declared") -> tuple[
         if poses is not None:
             found.append(Separation((step.effect.label, rival.effect.label), poses))
     return tuple(found)
+
+
+def _differ(selection: Selection, k: int, rival: Rival) -> bool:
+    """Whether they are two things at all: a link may turn about the next joint's own axis, which no pose tells apart."""
+    case, fitted = selection.case, selection.fitted
+    part = fitted.physics.slices[k]
+    effect = fitted.values[part] @ case.columns(fitted.physics.effects, fitted.values)[part].reshape(
+        part.stop - part.start, -1
+    )
+    beside = case.columns([rival.effect], beside=(fitted.physics, fitted.values))
+    hiding = np.concatenate([beside, case.nuisance]).reshape(-1, effect.size)
+    norms = np.linalg.norm(hiding, axis=1, keepdims=True)
+    left = np.linalg.lstsq((hiding / np.where(norms > 0, norms, 1.0)).T, effect, rcond=1e-10)[0]
+    remains = effect - (hiding / np.where(norms > 0, norms, 1.0)).T @ left
+    return bool(remains @ remains > _SAME * (effect @ effect))
 
 
 def _poses(

@@ -71,7 +71,9 @@ def sweep(
         level: of the family-wise error.
     """
     named = [item for item in found if not isinstance(item.effect, JointHarmonic)]
-    plain = [effect for effect in candidates if effect.drivers and not any(d.quantity == "position" for d in effect.drivers)]
+    plain = [
+        effect for effect in candidates if effect.drivers and not any(d.quantity == "position" for d in effect.drivers)
+    ]
     state = baseline
     for _ in range(_ROUNDS):
         kept = _lines(case, state, Physics(tuple(item.effect for item in named)))
@@ -103,7 +105,9 @@ def _lines(case: Case, state: Fitted, named: Physics) -> _Lines:
     free, weight, shrink = len(fixed), np.ones(len(used)), 0.01
     for _ in range(_WEIGHINGS):
         H, g = _normal(columns, target, weight)
-        solved, shrink = _settled(H, g, free, shrink, float(np.sum(weight * target.reshape(-1, len(used)) ** 2)), target.size)
+        solved, shrink = _settled(
+            H, g, free, shrink, float(np.sum(weight * target.reshape(-1, len(used)) ** 2)), target.size
+        )
         squares = np.sum((target - solved @ columns).reshape(-1, len(used)) ** 2, 0)
         scale = np.median(squares) / chi2.ppf(0.5, case.rows)
         weight = (FREEDOM + case.rows) / (FREEDOM + squares / scale)

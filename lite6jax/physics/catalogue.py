@@ -135,7 +135,10 @@ def kinds_of(effects: Iterable[Effect] = ()) -> dict[str, type[Effect]]:
 
 
 _TYPES = {
-    **{int: "a whole number", float: "a number", str: "a name", bool: "true or false"},
+    int: "a whole number",
+    float: "a number",
+    str: "a name",
+    bool: "true or false",
     tuple: "a list of numbers",
 }
 
@@ -144,7 +147,9 @@ def _field_types(kind: type[Effect]) -> dict[str, tuple[type, ...]]:
     """The fields of an effect's class and the plain types that each takes."""
     hints = typing.get_type_hints(kind)
     return {
-        field.name: (tuple,) if typing.get_origin(hint := hints[field.name]) is tuple else typing.get_args(hint) or (hint,)
+        field.name: (tuple,)
+        if typing.get_origin(hint := hints[field.name]) is tuple
+        else typing.get_args(hint) or (hint,)
         for field in fields(kind)  # type: ignore[arg-type]
     }
 

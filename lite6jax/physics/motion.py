@@ -127,7 +127,7 @@ def motion_of(
 
 
 @jax.jit
-def shifted(motion: Motion, offset: ArrayLike) -> Motion:
+def shifted(motion: Motion, offset: Array | float) -> Motion:
     """The motion `offset` s later: what the arm does at `time + offset`, stamped `time`.
 
     Positions follow the cubic through the two samples around the instant and their velocities (Hermite), velocities its
@@ -162,7 +162,7 @@ def shifted(motion: Motion, offset: ArrayLike) -> Motion:
     return motion._replace(joint_position=position, joint_velocity=velocity, direction=direction, **rest)
 
 
-def beyond(motion: Motion, offset: ArrayLike) -> Array:
+def beyond(motion: Motion, offset: Array | float) -> Array:
     """`(sample,)` bool: `time + offset` lies more than one sample's step beyond the sample's run."""
     assert motion.time is not None
     first, last = motion.run
@@ -174,7 +174,7 @@ def beyond(motion: Motion, offset: ArrayLike) -> Array:
     return early | late
 
 
-def _interval(motion: Motion, offset: ArrayLike) -> tuple[Array, Array, Array]:
+def _interval(motion: Motion, offset: Array | float) -> tuple[Array, Array, Array]:
     """The sample before the instant, where in the interval it lies (0 to 1, or one step beyond), and the step in s."""
     assert motion.time is not None
     t, (first, last) = motion.time, motion.run

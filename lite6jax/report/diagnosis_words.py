@@ -76,9 +76,21 @@ class Untested(NamedTuple):
     effects: tuple[Effect, ...]
 
 
+_FAR = 5.0
+"""Times the declared noise, beyond which it is not believed that only noise is left."""
+
+
 def verdict_of(found: Diagnosis, against: Against | None) -> str:
-    """The verdict in a sentence."""
-    return AGREE if against is not None and found.verdict == "consistent" else VERDICTS[found.verdict]
+    """The verdict in a sentence or two."""
+    if found.verdict == "consistent":
+        times = found.estimated_noise / found.case.noise[0]
+        if found.case.declared and times > _FAR:
+            return (
+                f"Nothing that was looked for explains it, and what is left is {times:.3g} times the declared noise: "
+                "check the arm, the frame, the tool and the columns that the sidecar declares."
+            )
+        return AGREE if against is not None else VERDICTS["consistent"]
+    return VERDICTS[found.verdict]
 
 
 def chance(p: float) -> str:
@@ -98,7 +110,7 @@ def faults_of(found: Diagnosis) -> list[Told]:
         there = rows_in_words(fault.rows, False) in fault.statement if fault.rows else True
         whole = there and " more)" not in fault.statement
         told.append(Told(_fault_named(fault.fault), fault.statement, "" if whole else listed(fault.rows)))
-    rows = [int(row) for row in found.case.recording.row[found.outliers]]
+    rows = [int(row) for row in found.case.recording.row[found.outliers & found.case.seen]]
     if rows:
         stand, count = ("row stands", "counts") if len(rows) == 1 else ("rows stand", "count")
         out = f"{len(rows)} {stand} out of what noise allows: {listed(rows)}."

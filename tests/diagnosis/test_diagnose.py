@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from diagnosis.recorded import NOISE, Made, check_values, found, static_motion, with_effects
 
+from lite6jax.diagnosis import jumps
 from lite6jax.diagnosis.case import case_of
 from lite6jax.diagnosis.diagnose import FOLDS, diagnose, statement
 from lite6jax.diagnosis.selection import search_of
@@ -70,8 +71,19 @@ def test_one_effect_is_explained(soft, wild):
     assert soft.estimated_noise == pytest.approx(NOISE[0], rel=0.1)
 
 
-def test_held_out_errors_are_those_of_the_rest(arm, still):
+def test_a_frame_that_jumps_is_put_back_and_said(arm, still):
+    recording = replace(arm, frame=True).recording(still)
+    position = recording.position.copy()
+    position[:60] += np.array([1e-4, 0, 0])
+    diagnosis = diagnose(replace(recording, position=position))
+    assert [fault["fault"] for fault in diagnosis.to_dict()["data_faults"]] == ["frame_jump"]
+    assert diagnosis.verdict == "consistent"
+    assert rms(diagnosis.after) == pytest.approx(np.sqrt(3) * NOISE[0], rel=0.1)
+
+
+def test_held_out_errors_are_those_of_the_rest(arm, still, monkeypatch):
     """An error that only one block has is no reason to believe in physics, and stays in the errors of that block."""
+    monkeypatch.setattr("lite6jax.diagnosis.faults.jumps.seek_jump", lambda rigid: jumps.Sought(None, 1.0, False))
     recording = arm.recording(still)
     position = recording.position.copy()
     position[:60] += np.array([1e-4, 0, 0])

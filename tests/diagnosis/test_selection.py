@@ -142,3 +142,38 @@ def test_nothing_is_found_in_a_moving_arm_where_nothing_is_missing(arm, moving):
     poses = arm.poses(moving)
     for seed in range(2):
         assert select(case_of(arm.recording(moving, poses=poses, seed=seed))).steps == ()
+
+
+def test_two_effects_of_one_joint_that_hide_each_other(arm, moving):
+    """Either alone makes what the other leaves look like noise that remembers."""
+    texts = (
+        "joint_harmonic:joint=4,order=1,amplitude_rad=5e-4,phase_rad=1",
+        "joint_backlash:joint=4,gap_rad=1.2e-3",
+    )
+    selection = searched(with_effects(arm, *texts), moving)
+    assert found(selection) == [("joint_backlash", "joint4"), ("joint_harmonic", "joint4")]
+    for text in texts:
+        check_values(selection, text)
+
+
+def test_a_payload_that_is_not_what_it_is_said_to_be(arm, still):
+    """Seen only through a compliance; the plain generator carries what the sidecar does not say."""
+    text = "joint_compliance:joint=2,compliance_rad_per_Nm=9e-5"
+    heavier = {**still, "payload": still["payload"] + 0.5}
+    made = with_effects(arm, text)
+    selection = searched(made, still, poses=made.poses(heavier))
+    assert found(selection) == [("joint_compliance", "joint2"), ("payload_error", "payload")]
+    check_values(selection, text)
+    check_values(selection, "payload_error:mass_kg=0.5")
+
+
+@pytest.mark.parametrize("offset", [3.9, -1.26])
+def test_clocks_that_are_seconds_apart(arm, offset):
+    motion = moving_motion(1, samples=1000)
+    made = Made(arm.folder, (f"time_offset:offset_s={offset}",), seed=1, frame=True)
+    selection = searched(made, motion)
+    assert found(selection) == [("time_offset", "clock")]
+    assert selection.fitted.values[0] == pytest.approx(offset, abs=1e-4)
+    assert selection.fitted.residual.scale == pytest.approx(1, abs=0.1)
+    late = selection.case.seen
+    assert 0 < np.sum(~late) <= 2 * abs(offset) / 0.02 + 2  # of two runs

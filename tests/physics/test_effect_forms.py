@@ -138,7 +138,7 @@ NAMES = ", ".join(catalogue_module.BUILT_IN)
         ),
         (
             "unnamed:joint=1",
-            "unnamed: where is not given; the keys are where, driver, lower, upper, pieces, component, its parameters",
+            "unnamed: where is not given; the keys are where, driver, lower, upper, pieces, component, orders, trust, spread, its parameters",
         ),
     ],
 )
