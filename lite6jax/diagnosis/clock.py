@@ -27,35 +27,33 @@ def clock_offset(case: Case) -> float:
     measured = np.asarray(case.measured.position)
     predicted = predicted + measured
     dt = float(np.median(np.diff(recording.time)[np.diff(recording.time) > 0]))
-    total: Array = np.zeros(1)
-    energy = np.zeros(2)
-    longest = 0
-    runs = np.zeros(case.samples, int) if recording.run is None else run_segments(recording.run)
+    runs = run_segments(recording.run)
+    found: list[tuple[Array, Array]] = []
     for number in range(runs[-1] + 1):
-        segment = runs == number
-        t = recording.time[segment]
-        if t.size < _FEWEST or not (np.diff(t) > 0).all():
-            continue
-        grid = np.arange(t[0], t[-1], dt)
-        speeds = [_speed(t, p[:, segment], grid) for p in (measured, predicted)]
-        length = 2 * len(grid)
-        one, other = (np.fft.rfft(speed - speed.mean(), length) for speed in speeds)
-        correlation = np.fft.irfft(np.conj(one) * other, length)
-        folded = np.concatenate([correlation[-len(grid) :], correlation[: len(grid)]])
-        if len(folded) > len(total):
-            total = np.pad(total, ((len(folded) - len(total)) // 2,)) if longest else np.zeros(len(folded))
-        middle = len(total) // 2
-        total[middle - len(grid) : middle + len(grid)] += folded
-        energy += [float(np.sum((speed - speed.mean()) ** 2)) for speed in speeds]
-        longest = max(longest, len(grid))
-    if not longest:
+        rows = runs == number
+        t = recording.time[rows]
+        if t.size >= _FEWEST and (np.diff(t) > 0).all():
+            grid = np.arange(t[0], t[-1], dt)
+            found.append((_speed(t, measured[:, rows], grid), _speed(t, predicted[:, rows], grid)))
+    if not found:
         return 0.0
-    total = total / max(np.sqrt(energy.prod()), 1e-300)
-    lags = np.arange(len(total)) - len(total) // 2
-    near = np.abs(lags) < _MOST_OF_RUN * longest
-    best = int(np.argmax(np.where(near, total, -1.0)))
-    now = total[len(total) // 2]
-    if abs(lags[best]) < _LEAST_SAMPLES or total[best] < max(_ALIKE, now + _BETTER):
+    most = int(_MOST_OF_RUN * max(len(speed) for speed, _ in found))
+    lags = np.arange(-most, most + 1)
+    products, squares = np.zeros(len(lags)), np.zeros((2, len(lags)))
+    for one, other in found:
+        size = len(one)
+        there = np.abs(lags) < size - _FEWEST // 2
+        lag = lags[there]
+        first, last = np.maximum(-lag, 0), np.minimum(size, size - lag)  # of the part of a run that overlaps
+        sums = _between(one, first, last), _between(other, first + lag, last + lag)
+        count = last - first
+        spectra = np.conj(np.fft.rfft(one, 2 * size)) * np.fft.rfft(other, 2 * size)
+        products[there] += np.fft.irfft(spectra, 2 * size)[lag] - sums[0] * sums[1] / count
+        squares[0, there] += _between(one**2, first, last) - sums[0] ** 2 / count
+        squares[1, there] += _between(other**2, first + lag, last + lag) - sums[1] ** 2 / count
+    likeness = products / np.sqrt(np.maximum(squares.prod(0), 1e-300))
+    best = int(np.argmax(likeness))
+    if abs(lags[best]) < _LEAST_SAMPLES or likeness[best] < max(_ALIKE, likeness[most] + _BETTER):
         return 0.0
     return float(lags[best] * dt)
 
@@ -63,3 +61,8 @@ def clock_offset(case: Case) -> float:
 def _speed(time: Array, position: Array, grid: Array) -> Array:
     at = np.stack([np.interp(grid, time, row) for row in position])
     return np.linalg.norm(np.gradient(at, axis=1), axis=0)
+
+
+def _between(values: Array, first: NDArray[np.integer], last: NDArray[np.integer]) -> Array:
+    total = np.cumsum(np.pad(values, (1, 0)))
+    return total[last] - total[first]

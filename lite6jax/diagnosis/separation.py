@@ -55,7 +55,7 @@ def separations(selection: Selection, geometry: Geometry = "declared") -> tuple[
 
 
 def _differ(selection: Selection, k: int, rival: Rival) -> bool:
-    """Whether they are two things at all: a link may turn about the next joint's own axis, which no pose tells apart."""
+    """Whether they are two things at all: a link may turn about the next joint's axis, which no pose tells apart."""
     case, fitted = selection.case, selection.fitted
     part = fitted.physics.slices[k]
     effect = fitted.values[part] @ case.columns(fitted.physics.effects, fitted.values)[part].reshape(

@@ -138,7 +138,8 @@ NAMES = ", ".join(catalogue_module.BUILT_IN)
         ),
         (
             "unnamed:joint=1",
-            "unnamed: where is not given; the keys are where, driver, lower, upper, pieces, component, orders, trust, spread, its parameters",
+            "unnamed: where is not given; the keys are where, driver, lower, upper, pieces, component, orders, trust, "
+            "spread, its parameters",
         ),
     ],
 )
@@ -321,6 +322,10 @@ def test_drivers_are_read_and_said():
         (
             lambda: Unnamed("joint1", "time", 0.0, 1.0, component="x"),
             "unnamed:joint1: component 'x' is not possible there; give rz",
+        ),
+        (
+            lambda: Unnamed("base", "time", 0.0, 1.0, orders=(1.0, 2.0)),
+            "unnamed:base: 2 orders and 0 numbers of trust; give both, two of these at least, or none",
         ),
         (
             lambda: Unnamed("base", "time", 0.0, 1.0, component="w"),
