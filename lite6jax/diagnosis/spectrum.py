@@ -57,11 +57,15 @@ def spectrum(evidence: Evidence, joint: int) -> tuple[Array, Array]:
     place = np.rint((q[used] - q.min()) / _BIN).astype(int)
     step = 2 * np.pi / (_BIN * length)
     at = np.arange(int(np.ceil(_LOWEST / step)), int(HIGHEST / step))
-    e = np.conj(np.fft.rfft(np.bincount(place, pull), length))[at]
-    w = np.conj(np.fft.rfft(np.bincount(place, weight), length))
+    e = _transform(place, pull, length)[at]
+    w = _transform(place, weight, length)
     total, twice = float(weight.sum()), w[2 * at]
     ss, cc, sc = 0.5 * (total - twice.real), 0.5 * (total + twice.real), 0.5 * twice.imag
     return at * step, _pair_gain(e.imag, e.real, ss, cc, sc)
+
+
+def _transform(place: NDArray[np.integer], values: Array, length: int) -> NDArray[np.complexfloating]:
+    return np.conj(np.fft.rfft(np.bincount(place, values), length)).astype(complex)
 
 
 def lines(evidence: Evidence) -> list[Line]:

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 from scipy.stats import chi2
 
 from lite6jax.diagnosis.case import Case
@@ -74,18 +74,22 @@ def sweep(
     plain = [
         effect for effect in candidates if effect.drivers and not any(d.quantity == "position" for d in effect.drivers)
     ]
-    state = baseline
-    for _ in range(_ROUNDS):
-        kept = _lines(case, state, Physics(tuple(item.effect for item in named)))
-        curves = _curves(case, kept, state.used)
-        physics = Physics((*(item.effect for item in named), *curves))
-        state = refit(case, physics, moved=baseline.moved, used=baseline.used)
+    state, curves = _with_curves(case, baseline, baseline, named)
+    for _ in range(_ROUNDS - 1):
         room = _NAMED_MOST - sum(item.effect.size for item in named)
         added = _named(case, state, plain, tried, level, room)
         if not added:
             break
         named += added
+        state, curves = _with_curves(case, baseline, state, named)
     return state, [*named, *(_judged(case, state, curve, tried) for curve in curves)]
+
+
+def _with_curves(case: Case, baseline: Fitted, state: Fitted, named: Sequence[Swept]) -> tuple[Fitted, list[Effect]]:
+    """Named effects and the curves that joints need beside them, fitted; `state` is what is known so far."""
+    effects = tuple(item.effect for item in named)
+    curves = _curves(case, _lines(case, state, Physics(effects)), state.used)
+    return refit(case, Physics((*effects, *curves)), moved=baseline.moved, used=baseline.used), curves
 
 
 def _lines(case: Case, state: Fitted, named: Physics) -> _Lines:
@@ -102,17 +106,17 @@ def _lines(case: Case, state: Fitted, named: Physics) -> _Lines:
     columns /= norms[:, None]
     # residuals of the state, with all that it has put back
     target = (state.residual.rows - _shown(case, state))[:, used].ravel()
-    free, weight, shrink = len(fixed), np.ones(len(used)), 0.01
+    free, shrink = len(fixed), 0.01
+    weight = np.ones(len(used))
+    total = squares = np.sum(target.reshape(-1, len(used)) ** 2, 0)
     for _ in range(_WEIGHINGS):
         H, g = _normal(columns, target, weight)
-        solved, shrink = _settled(
-            H, g, free, shrink, float(np.sum(weight * target.reshape(-1, len(used)) ** 2)), target.size
-        )
+        solved, shrink = _settled(H, g, free, shrink, float(weight @ total), target.size)
         squares = np.sum((target - solved @ columns).reshape(-1, len(used)) ** 2, 0)
         scale = np.median(squares) / chi2.ppf(0.5, case.rows)
         weight = (FREEDOM + case.rows) / (FREEDOM + squares / scale)
     H, g = _normal(columns, target, weight)
-    noise = float(np.sum(weight * squares) / max(target.size - len(H), 1))
+    noise = float(weight @ squares / max(target.size - len(H), 1))
     active = _thinned_out(H, g, free, shrink, LINES_PER_JOINT * len(q))
     joint, order = np.divmod(active, len(ORDERS))
     size = np.sqrt(noise / shrink) / norms[free:].reshape(len(q), -1)
@@ -133,12 +137,14 @@ def _normal(columns: Array, target: Array, weight: Array) -> tuple[Array, Array]
 
 def _settled(H: Array, g: Array, free: int, shrink: float, total: float, count: int) -> tuple[Array, float]:
     """The coefficients, and the prior's precision over the noise's that their own size asks for."""
+    x = np.zeros(len(H))
     for _ in range(_SETTLINGS):
         inverse = np.linalg.inv(_regular(H, free, shrink))
         x = inverse @ g
         left = total - 2 * x @ g + x @ H @ x
         told = len(H) - shrink * np.trace(inverse[free:, free:])
-        shrink = float((told - free) * left / (count - told) / np.sum(x[free:] ** 2))
+        asked = (told - free) * left / max(count - told, 1.0) / max(float(np.sum(x[free:] ** 2)), 1e-300)
+        shrink = float(np.clip(asked, 1e-8, 1e8))
     return x, shrink
 
 
@@ -173,7 +179,7 @@ def _curves(case: Case, lines: _Lines, used: NDArray[np.bool_]) -> list[Effect]:
         lower, upper = float(q.min()) - 3 * _FADES_WITHIN, float(q.max()) + 3 * _FADES_WITHIN
         at = np.linspace(lower, upper, int(np.ceil((upper - lower) / (_FADES_WITHIN / 4))))
         nth = max(_NEIGHBOURS, len(q) // 150)
-        away = cKDTree(q[:, None]).query(at[:, None], k=[nth])[0][:, 0]
+        away = np.asarray(KDTree(q[:, None]).query(at[:, None], k=nth)[0])[:, -1]
         trust = tuple(float(t) for t in np.exp(-((away / _FADES_WITHIN) ** 2)).round(4))
         where, driver = f"joint{joint + 1}", f"position of joint {joint + 1}"
         curves.append(
