@@ -13,6 +13,7 @@ from lite6jax.identifiability.candidates import candidates
 from lite6jax.identifiability.information import experiment
 from lite6jax.identifiability.planning import separate_poses, shortest_round
 from lite6jax.identifiability.sensor import Sensor
+from lite6jax.physics.composition import missing
 
 CLOSE = 6.0
 """Log-likelihood within which a rival explains the data as well."""
@@ -44,7 +45,7 @@ def separations(selection: Selection, geometry: Geometry = "declared") -> tuple[
         (k, step, rival)
         for k, step in enumerate(selection.steps)
         for rival in step.rivals
-        if rival.gap < CLOSE and rival.effect not in selection.fitted.physics.effects and _differ(selection, k, rival)
+        if rival.gap < CLOSE and rival.effect not in selection.fitted.physics.effects and differ(selection, k, rival)
     ]
     found = []
     for k, step, rival in pairs[:_MOST]:
@@ -54,13 +55,15 @@ def separations(selection: Selection, geometry: Geometry = "declared") -> tuple[
     return tuple(found)
 
 
-def _differ(selection: Selection, k: int, rival: Rival) -> bool:
+def differ(selection: Selection, k: int, rival: Rival) -> bool:
     """Whether they are two things at all: a link may turn about the next joint's axis, which no pose tells apart."""
     case, fitted = selection.case, selection.fitted
     part = fitted.physics.slices[k]
     effect = fitted.values[part] @ case.columns(fitted.physics.effects, fitted.values)[part].reshape(
         part.stop - part.start, -1
     )
+    if missing(rival.effect, case.motion, case.inertia is not None) is not None:
+        return True
     beside = case.columns([rival.effect], beside=(fitted.physics, fitted.values))
     hiding = np.concatenate([beside, case.nuisance]).reshape(-1, effect.size)
     norms = np.linalg.norm(hiding, axis=1, keepdims=True)

@@ -13,7 +13,7 @@ from lite6jax.diagnosis.case import Case
 from lite6jax.diagnosis.diagnose import Diagnosis
 from lite6jax.diagnosis.rows import named as rows_in_words
 from lite6jax.diagnosis.selection import Rival, Step
-from lite6jax.diagnosis.separation import CLOSE, Separation
+from lite6jax.diagnosis.separation import CLOSE, Separation, differ
 from lite6jax.physics.catalogue import Untestable
 from lite6jax.physics.effect import Effect
 from lite6jax.physics.unnamed import Unnamed
@@ -230,13 +230,16 @@ def to_record(found: Diagnosis) -> list[str]:
     """What to record next, a sentence for each thing that this recording leaves open."""
     there = {item.effects for item in found.separating}
     told, undecided, drivers = [], [], []
-    for step in found.selection.steps:
+    for k, step in enumerate(found.selection.steps):
         for rival in step.rivals:
             if rival.gap >= CLOSE or rival.effect in found.selection.fitted.physics.effects:
                 continue
             pair = f"{named(step.effect)} from {named(rival.effect)}"
             if (step.effect.label, rival.effect.label) in there:
                 told.append(f"To separate {pair}, record the poses below; they are in the JSON as separating_poses.")
+            elif not differ(found.selection, k, rival):
+                same = f"{named(step.effect)} and {named(rival.effect)} do the same in these poses"
+                told.append(f"{capital(same)}: more poses of the kind do not separate them.")
             else:
                 undecided.append(pair)
                 drivers += [driver.phrase for driver in (*step.effect.drivers, *rival.effect.drivers)]
