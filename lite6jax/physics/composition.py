@@ -17,6 +17,7 @@ from lite6jax.physics.deflection import Deflection
 from lite6jax.physics.effect import Altering, Bending, Effect, Estimate
 from lite6jax.physics.motion import Motion
 from lite6jax.physics.statics import Loads
+from lite6jax.physics.unnamed import Unnamed
 
 
 @final
@@ -61,7 +62,9 @@ class Physics:
     @cached_property
     def prior(self) -> NDArray:
         """`(size,)`, one standard deviation of each number about neutral, as known beforehand."""
-        return np.concatenate([np.zeros(0), *(np.full(effect.size, effect.prior) for effect in self.effects)])
+        known = [effect.spread if isinstance(effect, Unnamed) else None for effect in self.effects]
+        sizes = [effect.size for effect in self.effects]
+        return np.repeat([np.inf if spread is None else spread for spread in known], sizes)
 
     @cached_property
     def slices(self) -> tuple[slice, ...]:

@@ -1,6 +1,5 @@
 """What an effect is: a small pure function of a motion, with a site, drivers, numbers to fit and a neutral value."""
 
-import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -98,11 +97,6 @@ class Effect(ABC):
     def size(self) -> int:
         """How many numbers it has."""
         return len(self.coordinates)
-
-    @property
-    def prior(self) -> float:
-        """One standard deviation of its numbers about neutral, as known beforehand: nothing is known of most."""
-        return math.inf
 
     @property
     def label(self) -> str:

@@ -1,6 +1,5 @@
 """Physics without a name: a curve over one driver at one site, as a cubic spline or as waves of many orders."""
 
-import math
 import re
 from dataclasses import dataclass
 from typing import ClassVar, final
@@ -90,11 +89,6 @@ class Unnamed(Bending):
                 "two of these at least, or none"
             )
         driver_of(self.driver)
-
-    @property
-    def prior(self) -> float:
-        """One standard deviation of a coefficient."""
-        return math.inf if self.spread is None else self.spread
 
     @property
     def site(self) -> str:
