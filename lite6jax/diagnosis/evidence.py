@@ -178,6 +178,14 @@ def evidence_of(case: Case, fitted: Fitted, memory: float | None = None) -> Evid
     return Evidence(case, fitted, basis, residual, _blocks(case.samples, memory), n - fitted.parameters, memory)
 
 
+def chance(gain: float, size: int, memory: float) -> float:
+    """That noise alone gains so much log-likelihood by `size` numbers, of as many samples as forget each other.
+
+    For effects of too many numbers for a test by blocks.
+    """
+    return float(chi2.sf(2 * max(gain, 0.0) / max(memory, 1.0), size))
+
+
 def _orthonormal(columns: Array) -> Array:
     """An orthonormal basis `(rank, …)` of rows."""
     if not len(columns):

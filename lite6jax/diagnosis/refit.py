@@ -143,6 +143,13 @@ def refit(
     return Fitted(physics, at[:k], at[k:], covariance, state, used, _determined(H, precision), converged)
 
 
+def without(case: Case, fitted: Fitted, k: int) -> Fitted:
+    """The fit without the k-th effect, from where it stands."""
+    rest = Physics(tuple(effect for i, effect in enumerate(fitted.physics.effects) if i != k))
+    values = np.delete(fitted.values, fitted.physics.slices[k])
+    return refit(case, rest, values, fitted.moved, fitted.used)
+
+
 def _solve(H: Array, gradient: Array) -> Array:
     root = np.sqrt(np.maximum(np.diagonal(H), np.finfo(float).tiny))
     scaled = H / np.outer(root, root)

@@ -11,8 +11,8 @@ from scipy.stats import chi2
 
 from lite6jax.diagnosis.case import Case, moved_to
 from lite6jax.diagnosis.clock import clock_offset
-from lite6jax.diagnosis.evidence import Score, evidence_of
-from lite6jax.diagnosis.refit import Fitted, refit
+from lite6jax.diagnosis.evidence import Score, chance, evidence_of
+from lite6jax.diagnosis.refit import Fitted, refit, without
 from lite6jax.diagnosis.spectrum import lines
 from lite6jax.diagnosis.sweep import Swept, sweep
 from lite6jax.physics.catalogue import Untestable, catalogue, untestable
@@ -29,7 +29,7 @@ LEVEL = 0.003
 """Family-wise: of 300 recordings with nothing missing, one may show something."""
 MOST = 8
 _RELINEARISED = 3
-_CLOSE = 6.0
+CLOSE = 6.0
 """Log-likelihood within which two candidates cannot be told apart."""
 _REFITTED = 4
 _NEAREST = 3
@@ -194,7 +194,7 @@ class Search:
             return baseline, []
         fitted = refit(self.case, Physics((TimeOffset(),)), np.array([self.case.clock]), used=baseline.used)
         gain = fitted.log_likelihood(fitted.residual.scale) - baseline.log_likelihood(fitted.residual.scale)
-        p = min(float(chi2.sf(2 * gain / evidence_of(self.case, fitted).memory, 1)) * self.tried, 1.0)
+        p = min(chance(gain, 1, evidence_of(self.case, fitted).memory) * self.tried, 1.0)
         return fitted, [Step(TimeOffset(), p, Score(gain, 1, p, False, fitted.values), ())]
 
     def _swept(self, baseline: Fitted, fitted: Fitted, steps: list[Step]) -> tuple[Fitted, list[Step]]:
@@ -237,9 +237,7 @@ class Search:
 
     def _without(self, fitted: Fitted, steps: Sequence[Step], k: int, memory: float) -> tuple[Fitted, Step]:
         """The fit without a step, and that step judged against it."""
-        rest = Physics(tuple(step.effect for i, step in enumerate(steps) if i != k))
-        parts = [fitted.values[part] for i, part in enumerate(fitted.physics.slices) if i != k]
-        fit = refit(self.case, rest, np.concatenate([np.zeros(0), *parts]), fitted.moved, fitted.used)
+        fit = without(self.case, fitted, k)
         score = evidence_of(self.case, fit, memory).score([steps[k].effect])[0]
         return fit, replace(steps[k], p=min(score.p * self.tried, 1.0), score=score)
 
@@ -274,7 +272,7 @@ class Search:
         fits.sort(key=lambda pair: -judged(pair))
         best = fits[0]
         likely = best[1].log_likelihood(scale)
-        near = [pair for pair in fits if judged(best) - judged(pair) < _CLOSE]
+        near = [pair for pair in fits if judged(best) - judged(pair) < CLOSE]
         best = min(near, key=lambda pair: (_specific(pair[0][0]), -judged(pair)))
         likely = best[1].log_likelihood(scale)
         rivals = tuple(
@@ -316,17 +314,16 @@ class Search:
         return fitted, steps
 
     def _replaced(self, baseline: Fitted, kept: list[Step], curve: Unnamed, score: Score) -> tuple[Fitted, list[Step]]:
-        without = refit(
+        beside = refit(
             self.case, Physics(tuple(step.effect for step in kept)), moved=baseline.moved, used=baseline.used
         )
-        score = evidence_of(self.case, without).score([curve])[0]
-        fit = self._with(without, curve, score.values)
-        # too many numbers for a test by blocks: by the likelihood, of as many samples as do not remember each other
-        scale = min(fit.residual.scale, without.residual.scale)
-        gain = fit.log_likelihood(scale) - without.log_likelihood(scale)
-        independent = max(gain, 0.0) / max(evidence_of(self.case, fit).memory, 1.0)
-        p = min(float(chi2.sf(2 * independent, curve.size)) * self.tried, 1.0)
-        named = zip(self.candidates, evidence_of(self.case, without).score(self.candidates), strict=True)
+        evidence = evidence_of(self.case, beside)
+        score = evidence.score([curve])[0]
+        fit = self._with(beside, curve, score.values)
+        scale = min(fit.residual.scale, beside.residual.scale)
+        gain = fit.log_likelihood(scale) - beside.log_likelihood(scale)
+        p = min(chance(gain, curve.size, evidence_of(self.case, fit).memory) * self.tried, 1.0)
+        named = zip(self.candidates, evidence.score(self.candidates), strict=True)
         near = sorted((pair for pair in named if not pair[1].hidden), key=lambda pair: -pair[1].gain)[:_NEAREST]
         rivals = tuple(Rival(effect, float(gain - score.gain)) for effect, score in near)
         return fit, [*kept, Step(curve, p, score._replace(gain=gain), rivals)]
@@ -338,9 +335,7 @@ class Search:
             losses = []
             for i in range(len(steps)):
                 rest = [step for k, step in enumerate(steps) if k != i]
-                parts = [fitted.values[part] for k, part in enumerate(fitted.physics.slices) if k != i]
-                start = np.concatenate(parts)
-                fit = refit(self.case, Physics(tuple(s.effect for s in rest)), start, fitted.moved, fitted.used)
+                fit = without(self.case, fitted, i)
                 loss = fitted.log_likelihood(fitted.residual.scale) - fit.log_likelihood(fitted.residual.scale)
                 losses.append((loss - 0.5 * steps[i].effect.size * np.log(n), fit, rest))
             least = min(losses, key=lambda item: item[0])

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lite6jax.diagnosis.case import Case
-from lite6jax.diagnosis.selection import Rival, Selection, Step
+from lite6jax.diagnosis.selection import CLOSE, Rival, Selection, Step
 from lite6jax.errors import InputError
 from lite6jax.fitting.problem import Geometry, recording_problem
 from lite6jax.identifiability.candidates import candidates
@@ -15,8 +15,6 @@ from lite6jax.identifiability.planning import separate_poses, shortest_round
 from lite6jax.identifiability.sensor import Sensor
 from lite6jax.physics.composition import missing
 
-CLOSE = 6.0
-"""Log-likelihood within which a rival explains the data as well."""
 POSES = 12
 _CANDIDATES = 3000
 _MARGIN = np.deg2rad(2.0)

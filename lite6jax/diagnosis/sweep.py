@@ -14,8 +14,8 @@ from scipy.spatial import KDTree
 from scipy.stats import chi2
 
 from lite6jax.diagnosis.case import Case
-from lite6jax.diagnosis.evidence import Score, evidence_of
-from lite6jax.diagnosis.refit import Fitted, refit
+from lite6jax.diagnosis.evidence import Score, chance, evidence_of
+from lite6jax.diagnosis.refit import Fitted, refit, without
 from lite6jax.fitting.robust import FREEDOM
 from lite6jax.physics.composition import Physics
 from lite6jax.physics.effect import Effect
@@ -215,10 +215,7 @@ def _judged(case: Case, state: Fitted, curve: Effect, tried: float) -> Swept:
     """What a curve explains beside all else; too many numbers for a test by blocks, so as many samples as forget."""
     at = state.physics.effects.index(curve)
     part = state.physics.slices[at]
-    rest = Physics(tuple(effect for k, effect in enumerate(state.physics.effects) if k != at))
-    values = np.delete(state.values, np.arange(part.start, part.stop))
-    without = refit(case, rest, values, state.moved, state.used)
-    gain = state.log_likelihood(state.residual.scale) - without.log_likelihood(state.residual.scale)
-    independent = max(gain, 0.0) / max(evidence_of(case, state).memory, 1.0)
-    p = min(float(chi2.sf(2 * independent, curve.size)) * tried, 1.0)
+    scale = state.residual.scale
+    gain = state.log_likelihood(scale) - without(case, state, at).log_likelihood(scale)
+    p = min(chance(gain, curve.size, evidence_of(case, state).memory) * tried, 1.0)
     return Swept(curve, p, Score(gain, curve.size, p, False, state.values[part]))
