@@ -23,7 +23,8 @@ from lite6jax.diagnosis.evidence import evidence_of
 from lite6jax.diagnosis.faults import Fault, examine
 from lite6jax.diagnosis.prediction import read_model
 from lite6jax.diagnosis.refit import refit
-from lite6jax.diagnosis.selection import Step, search_of
+from lite6jax.diagnosis.selection import search_of
+from lite6jax.diagnosis.steps import Step
 from lite6jax.physics.catalogue import parse_effect
 from lite6jax.physics.composition import Physics
 from lite6jax.physics.effect import Effect

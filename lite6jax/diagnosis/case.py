@@ -9,12 +9,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from lite6jax.arms import frames
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.chains import Form, SixParameterForm, link_frames
 from lite6jax.arms.moves import Frame, base_frame, cross, turn
-from lite6jax.arms.se3 import rotation_exp
 from lite6jax.fitting.problem import Geometry, Problem, recording_problem, whitener_of
 from lite6jax.fitting.residual import Observations, by_twist, differences, tool_frame, whiten
 from lite6jax.model import ArmModel, predict_bent
@@ -26,6 +26,7 @@ from lite6jax.physics.joints import JointHarmonic
 from lite6jax.physics.motion import Motion, beyond, select, shifted
 from lite6jax.physics.statics import Inertia, Loads, loads
 from lite6jax.physics.surroundings import PayloadError
+from lite6jax.physics.unnamed import Unnamed
 from lite6jax.recordings import Recording
 from lite6jax.recordings.motion import inertia_of_arm, motion_of_recording
 
@@ -243,6 +244,8 @@ class Case:
         """What a kilogram more at the flange makes of deflections that loads cause."""
         pairs = zip(physics.effects, physics.slices, strict=True)
         loaded = [(e, jnp.asarray(values[part])) for e, part in pairs if any(d.loaded for d in e.drivers)]
+        if not loaded:
+            return Deflection(scale=np.zeros((1, self.samples)))  # type: ignore[arg-type]
 
         def deflected(kilograms: jax.Array) -> Deflection:
             motion = self.lived._replace(payload=self.lived.payload + kilograms[0])
@@ -258,7 +261,10 @@ class Case:
     def _unit(self, effect: Effect) -> Deflection:
         """The deflection per unit of each of an effect's numbers, at neutral, remembered."""
         if effect not in self._units:
-            if isinstance(effect, Bending) and _is_linear(effect):
+            if isinstance(effect, Unnamed):
+                shapes = effect.units(self.lived, self.loads)
+                self._units[effect] = Deflection(*(None if part is None else np.asarray(part) for part in shapes))  # type: ignore[arg-type]
+            elif isinstance(effect, Bending) and _is_linear(effect):
                 each = [effect.deflect(jnp.asarray(step), self.lived, self.loads) for step in np.eye(effect.size)]
                 parts = zip(*each, strict=True)  # without a trace: for a hundred candidates those would take seconds
                 self._units[effect] = Deflection(*(None if p[0] is None else np.stack(p) for p in parts))  # type: ignore[arg-type]
@@ -374,7 +380,7 @@ def arm_moved(case: Case, moved: Array) -> ArmModel:
     T_sensor_base, T_flange_tool = (np.array(leaf) for leaf in case.start[1:])
     for (field, j), twist in twists.items():
         T = np.eye(4)
-        T[:3, :3], T[:3, 3] = np.asarray(rotation_exp(jnp.asarray(twist[3:]))), twist[:3]
+        T[:3, :3], T[:3, 3] = Rotation.from_rotvec(twist[3:]).as_matrix(), twist[:3]
         if field == "base":
             T_sensor_base = T_sensor_base @ T
         elif field == "tool":

@@ -123,6 +123,13 @@ class Diagnosis:
             "data_faults": faults,
             "ruled_out": [{"fault": item.fault, "statement": item.statement} for item in self.checked],
             "findings": findings,
+            "nearest": None
+            if self.selection.nearest is None
+            else {
+                "effect": self.selection.nearest[0].name,
+                "site": self.selection.nearest[0].site,
+                "p_value": self.selection.nearest[1],
+            },
             "separating_poses": [
                 {"effects": list(item.effects), "joint_position_rad": item.joint_position.tolist()}
                 for item in self.separating

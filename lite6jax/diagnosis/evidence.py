@@ -7,9 +7,10 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2, f
+from scipy.special import chdtrc, fdtrc
 
 from lite6jax.diagnosis.case import Case
+from lite6jax.diagnosis.colour import WHITE, Colour, colour_of, correlation_length, stretches
 from lite6jax.diagnosis.refit import Fitted
 from lite6jax.physics.effect import Effect
 
@@ -50,8 +51,9 @@ class Evidence:
     Attributes:
         case: the data.
         fitted: the model that the candidates are added to.
-        basis: orthonormal rows `(k, row sample)` that span what the nuisance and the model's effects can do.
-        residual: `(row sample)` of unit noise, wild samples cut down to what four standard deviations would be.
+        basis: orthonormal rows `(k, row sample)` that span what the nuisance and the model's effects can do, once the
+            noise is made white.
+        residual: `(row sample)` white, of unit noise, wild samples cut down to what four standard deviations would be.
         blocks: where blocks of neighbouring samples begin.
         freedom: numbers measured, less those fitted.
         memory: over how many samples the residual remembers; 1 where it is white.
@@ -74,7 +76,7 @@ class Evidence:
 
     def given(self, columns: Array) -> "Evidence":
         """The evidence once columns `(number, row, sample)` are fitted as well, to first order."""
-        flat = columns.reshape(len(columns), -1) * self._used
+        flat = self._flat(columns)
         flat = flat / np.maximum(np.linalg.norm(flat, axis=1), 1e-300)[:, None]
         new = _orthonormal(flat - (flat @ self.basis.T) @ self.basis)
         residual = self.residual - (new @ self.residual) @ new
@@ -83,7 +85,7 @@ class Evidence:
     def gains(self, groups: Array) -> Array:
         """What each of some groups of columns `(group, number, row, sample)` would explain, `(group,)`; no more."""
         shape = groups.shape[:2]
-        flat = groups.reshape(shape[0] * shape[1], -1) * self._used
+        flat = self._flat(groups.reshape(-1, *groups.shape[2:]))
         hidden = (flat @ self.basis.T).reshape(*shape, -1)
         pull = (flat @ self.residual).reshape(shape) - hidden @ (self.basis @ self.residual)
         flat = flat.reshape(*shape, -1)
@@ -97,7 +99,7 @@ class Evidence:
 
     def score_columns(self, groups: Sequence[Array]) -> list[Score]:
         """A score for each group of columns `(number, row, sample)`."""
-        flat = np.concatenate([group.reshape(len(group), -1) for group in groups]) * self._used
+        flat = self._flat(np.concatenate(groups))
         norms = np.linalg.norm(flat, axis=1)
         projected = flat - (flat @ self.basis.T) @ self.basis
         products = projected * self.residual
@@ -122,7 +124,7 @@ class Evidence:
         total = s.sum(1)
         k = int(told.sum())
         statistic = float(total @ total)
-        white = float(chi2.sf(statistic, k))
+        white = float(chdtrc(k, statistic))
         B = s.shape[1]
         # what each block pulls beyond its share of the whole effect, which is not noise
         Z = (T.T @ G).reshape(k, self.case.rows, -1)
@@ -132,13 +134,14 @@ class Evidence:
         robust = 1.0
         if k + 2 < B:
             t2 = float(total @ np.linalg.lstsq(spread, total, rcond=None)[0])
-            robust = float(f.sf(t2 * (B - k) / (k * (B - 1)), k, B - k))
+            robust = float(fdtrc(k, B - k, t2 * (B - k) / (k * (B - 1))))
         values = -(T @ total) / scale * self.fitted.residual.scale
         return Score(0.5 * statistic, k, max(white, robust), False, values)
 
-    @property
-    def _used(self) -> Array:
-        return np.tile(self.fitted.used, self.case.rows).astype(float)
+    def _flat(self, columns: Array) -> Array:
+        """Columns `(number, row, sample)` as the residual is: white, of the rows used, `(number, row sample)`."""
+        white = self.fitted.colour.whitened(columns) * self.fitted.used
+        return white.reshape(len(columns), self.case.rows * self.case.samples)
 
 
 def evidence_of(case: Case, fitted: Fitted, memory: float | None = None) -> Evidence:
@@ -150,12 +153,7 @@ def evidence_of(case: Case, fitted: Fitted, memory: float | None = None) -> Evid
         memory: over how many samples noise remembers; from the residual where not given.
     """
     used = np.tile(fitted.used, case.rows).astype(float)
-    parts = []
-    if case.unknown:
-        parts.append(case.nuisance)
-    if fitted.physics.size:
-        parts.append(case.columns(fitted.physics.effects, fitted.values))
-    columns = np.concatenate(parts).reshape(-1, used.size) * used if parts else np.zeros((0, used.size))
+    columns = fitted.colour.whitened(_columns(case, fitted)).reshape(-1, used.size) * used
     norms = np.linalg.norm(columns, axis=1)
     columns = columns[norms > 0] / norms[norms > 0, None]
     if case.precision.any() and len(columns):
@@ -168,14 +166,23 @@ def evidence_of(case: Case, fitted: Fitted, memory: float | None = None) -> Evid
         basis = _orthonormal(stacked)[:, : used.size]
     else:
         basis = _orthonormal(columns)
-    rows = fitted.residual.rows / fitted.residual.scale
-    length = np.sqrt(np.sum(rows**2, 0) / case.rows)
-    rows = rows * np.minimum(1.0, WINSOR / np.maximum(length, 1e-300))
+    rows = _tamed(fitted.residual.innovations, fitted.residual.scale)
     residual = rows.ravel() * used
     n = float(used.sum())
     residual = residual / np.sqrt(max(np.sum(residual**2) / max(n - fitted.parameters, 1.0), 1e-300))
-    memory = _correlation_length(residual.reshape(case.rows, -1)) if memory is None else memory
+    memory = correlation_length(residual.reshape(case.rows, -1)) if memory is None else memory
     return Evidence(case, fitted, basis, residual, _blocks(case.samples, memory), n - fitted.parameters, memory)
+
+
+def colour_left(case: Case, fitted: Fitted) -> Colour:
+    """How the noise remembers that a fit leaves; held-out rows, and other runs, are not remembered."""
+    used = fitted.used
+    stretch = np.cumsum(np.diff(np.asarray(case.motion.run[0]), prepend=0).astype(bool) | np.diff(used, prepend=True))
+    prior = np.zeros(len(case.precision) + fitted.physics.size)
+    prior[: len(case.precision)] = np.sqrt(case.precision) * fitted.residual.scale
+    rows = _tamed(fitted.residual.rows, fitted.residual.scale)
+    colour = colour_of(rows[:, used], _columns(case, fitted)[..., used], prior, stretch[used])
+    return colour if colour is WHITE else replace(colour, starts=stretches(stretch))
 
 
 def chance(gain: float, size: int, memory: float) -> float:
@@ -183,7 +190,19 @@ def chance(gain: float, size: int, memory: float) -> float:
 
     For effects of too many numbers for a test by blocks.
     """
-    return float(chi2.sf(2 * max(gain, 0.0) / max(memory, 1.0), size))
+    return float(chdtrc(size, 2 * max(gain, 0.0) / max(memory, 1.0)))
+
+
+def _columns(case: Case, fitted: Fitted) -> Array:
+    """What was fitted: how residuals change with the nuisance and the effects."""
+    return np.concatenate([case.nuisance, case.columns(fitted.physics.effects, fitted.values)])
+
+
+def _tamed(rows: Array, scale: float) -> Array:
+    """Residuals `(row, sample)` over the scale, wild samples cut down."""
+    rows = rows / scale
+    length = np.sqrt(np.sum(rows**2, 0) / len(rows))
+    return rows * np.minimum(1.0, WINSOR / np.maximum(length, 1e-300))
 
 
 def _orthonormal(columns: Array) -> Array:
@@ -201,16 +220,6 @@ def _blocks(samples: int, memory: float) -> NDArray[np.integer]:
     length = max(_LEAST_IN_BLOCK, int(np.ceil(_LENGTHS * memory)))
     count = int(np.clip(samples // length, 4, _MOST_BLOCKS))
     return (np.arange(count) * samples) // count
-
-
-def _correlation_length(rows: Array) -> float:
-    """Over how many samples residuals `(row, sample)` remember: the sum of their autocorrelation, 1 for white noise."""
-    n = rows.shape[1]
-    spectrum = np.abs(np.fft.rfft(rows - rows.mean(1, keepdims=True), 2 * n, axis=1)) ** 2
-    correlation = np.fft.irfft(spectrum.sum(0))[: max(n // 4, 1)]
-    correlation = correlation / max(correlation[0], 1e-300)
-    last = int(np.argmax(correlation < 2 / np.sqrt(n))) if (correlation < 2 / np.sqrt(n)).any() else len(correlation)
-    return float(1 + 2 * correlation[1:last].sum())
 
 
 def _by_block(products: Array, starts: NDArray[np.integer], samples: int) -> Array:

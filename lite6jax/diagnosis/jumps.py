@@ -6,8 +6,9 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
-from scipy.stats import chi2
+from scipy.special import chdtrc
 
+from lite6jax.diagnosis.colour import colour_of, correlation_length
 from lite6jax.diagnosis.projection import SEEN, Projected, thinned
 from lite6jax.diagnosis.rigid import Rigid, physics_columns, transform_of
 from lite6jax.fitting.start import frames_from_poses
@@ -96,8 +97,10 @@ def seek_jump(arm: Rigid) -> Sought:
     after = np.where(np.arange(n) >= k, columns, 0.0)
     values, _, statistic = projected.regression(after)
     left = projected.residual + values @ projected.without(after)
-    memory = _memory(left.reshape(arm.rows, n))
-    p = min(float(n * 2 * chi2.sf(statistic / memory, len(columns))), 1.0)
+    rows, fitted = left.reshape(arm.rows, n), projected.basis.reshape(-1, arm.rows, n)
+    colour = colour_of(rows, fitted, np.zeros(len(fitted)), segment)
+    memory = max(correlation_length(rows), colour.length)
+    p = min(float(n * 2 * chdtrc(len(columns), statistic / memory)), 1.0)
     plain = np.einsum(
         "k,krs->rs", values, arm.plain_twists[:6] if what == "base" else arm.plain_twists[last:][: arm.rows]
     )
@@ -213,17 +216,6 @@ def _scan(projected: Projected, columns: Array, starts: NDArray[np.integer]) -> 
     pulled = np.einsum("sck,cs->sk", V, g / size)
     told = eigenvalues > SEEN * 100
     return np.sum(np.where(told, pulled**2 / np.where(told, eigenvalues, 1.0), 0.0), 1)
-
-
-def _memory(rows: Array) -> float:
-    """Over how many samples residuals `(row, sample)` remember: the sum of their autocorrelation, 1 for white noise."""
-    n = rows.shape[1]
-    spectrum = np.abs(np.fft.rfft(rows, 2 * n, axis=1)) ** 2
-    correlation = np.fft.irfft(spectrum.sum(0))[: max(n // 4, 2)]
-    correlation = correlation / max(correlation[0], 1e-300)
-    under = correlation < 2 / np.sqrt(n)
-    last = int(np.argmax(under)) if under.any() else len(correlation)
-    return float(1 + 2 * correlation[1:last].sum())
 
 
 def _sharp(arm: Rigid, k: int, segment: NDArray[np.integer]) -> bool:

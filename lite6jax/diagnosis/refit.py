@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lite6jax.diagnosis.case import Case
+from lite6jax.diagnosis.colour import WHITE, Colour
 from lite6jax.fitting.robust import FREEDOM, gaussian_t_scale, t_scale, variance_factor
 from lite6jax.physics.composition import Physics
 
@@ -22,12 +23,14 @@ class Weighed(NamedTuple):
     """Residuals and what a robust loss makes of them.
 
     Attributes:
-        rows: `(row, sample)`, whitened.
+        rows: `(row, sample)`, whitened by what the sensor's noise is said to be.
+        innovations: `(row, sample)`, what of them cannot be foretold from the rows before.
         scale: of the noise, over the whitener's.
         weight: `(sample,)`, 1 for a sample as expected, down to 0.
     """
 
     rows: Array
+    innovations: Array
     scale: float
     weight: Array
 
@@ -50,6 +53,7 @@ class Fitted:
         used: `(sample,)` bool, the rows it was fitted to.
         parameters: how many numbers were fitted, those that only the prior determines not counted.
         converged: whether it settled.
+        colour: of the noise.
     """
 
     physics: Physics
@@ -60,6 +64,7 @@ class Fitted:
     used: NDArray[np.bool_]
     parameters: float
     converged: bool
+    colour: Colour = WHITE
 
     @property
     def freedom(self) -> float:
@@ -68,7 +73,7 @@ class Fitted:
 
     def log_likelihood(self, scale: float) -> float:
         """Of the rows used, Student's t, the noise given as a multiple of the whitener's."""
-        squares = np.sum(self.residual.rows[:, self.used] ** 2, 0) / scale**2
+        squares = np.sum(self.residual.innovations[:, self.used] ** 2, 0) / scale**2
         rows = len(self.residual.rows)
         return float(
             -0.5 * (FREEDOM + rows) * np.sum(np.log1p(squares / FREEDOM)) - squares.size * rows * np.log(scale)
@@ -81,6 +86,7 @@ def refit(
     values: Array | None = None,
     moved: Array | None = None,
     used: NDArray[np.bool_] | None = None,
+    colour: Colour = WHITE,
 ) -> Fitted:
     """Fits what is unknown of the geometry, the frames and the numbers of `physics` together.
 
@@ -93,22 +99,24 @@ def refit(
         values: `(physics.size,)` where to start; neutral where not given.
         moved: `(unknown,)` where to start; the case's start where not given.
         used: `(sample,)` bool; all where not given.
+        colour: of the noise.
     """
     values = np.zeros(physics.size) if values is None else np.array(values, float)
     moved = np.zeros(len(case.unknown)) if moved is None else np.array(moved, float)
     used = np.ones(case.samples, bool) if used is None else used
-    nuisance = case.nuisance
+    nuisance = colour.whitened(case.nuisance)
     k = len(nuisance)
     precision = np.concatenate([case.precision, physics.prior**-2.0])
     offset = np.concatenate([case.offset, np.zeros(physics.size)])
 
     def weighed(rows: Array) -> Weighed:
-        squares = np.sum(rows**2, 0)
+        innovations = colour.whitened(rows)
+        squares = np.sum(innovations**2, 0)
         scale = t_scale(squares[used], case.rows, FREEDOM) / gaussian_t_scale(case.rows, FREEDOM)
-        return Weighed(rows, scale, (FREEDOM + case.rows) / (FREEDOM + squares / scale**2))
+        return Weighed(rows, innovations, scale, (FREEDOM + case.rows) / (FREEDOM + squares / scale**2))
 
     def cost(rows: Array, at: Array, scale: float) -> float:
-        squares = np.sum(rows[:, used] ** 2, 0) / scale**2
+        squares = np.sum(colour.whitened(rows)[:, used] ** 2, 0) / scale**2
         prior = np.sum(precision * (offset + at) ** 2)
         return float((FREEDOM + case.rows) * np.sum(np.log1p(squares / FREEDOM)) + prior)
 
@@ -116,14 +124,16 @@ def refit(
     state = weighed(case.residual(moved, physics, values))
     converged, H = False, np.eye(0)
     for _ in range(_STEPS):
-        columns = np.concatenate([nuisance, case.columns(physics.effects, at[k:])]) if physics.size else nuisance
+        columns = nuisance
+        if physics.size:
+            columns = np.concatenate([nuisance, colour.whitened(case.columns(physics.effects, at[k:]))])
         if not len(columns):
             converged = True
             break
         w = np.where(used, state.weight, 0.0) / state.scale**2
         weighted = (columns * w).reshape(len(columns), -1)
         H = weighted @ columns.reshape(len(columns), -1).T
-        gradient = weighted @ state.rows.ravel() + precision * (offset + at)
+        gradient = weighted @ state.innovations.ravel() + precision * (offset + at)
         H[np.diag_indices_from(H)] += precision
         change = -_solve(H, gradient)
         length = float(np.sqrt(max(-change @ gradient, 0.0)))
@@ -140,14 +150,14 @@ def refit(
             break
     factor = variance_factor(state.squares[used], case.rows, FREEDOM, 0)
     covariance = _inverse(H)[k:, k:] * factor if len(H) else np.zeros((0, 0))
-    return Fitted(physics, at[:k], at[k:], covariance, state, used, _determined(H, precision), converged)
+    return Fitted(physics, at[:k], at[k:], covariance, state, used, _determined(H, precision), converged, colour)
 
 
 def without(case: Case, fitted: Fitted, k: int) -> Fitted:
     """The fit without the k-th effect, from where it stands."""
     rest = Physics(tuple(effect for i, effect in enumerate(fitted.physics.effects) if i != k))
     values = np.delete(fitted.values, fitted.physics.slices[k])
-    return refit(case, rest, values, fitted.moved, fitted.used)
+    return refit(case, rest, values, fitted.moved, fitted.used, fitted.colour)
 
 
 def _solve(H: Array, gradient: Array) -> Array:

@@ -2,19 +2,20 @@
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
+from scipy.special import chdtrc
 
 from lite6jax.diagnosis.case import Case, moved_to
 from lite6jax.diagnosis.clock import clock_offset
 from lite6jax.diagnosis.evidence import Score, chance, evidence_of
-from lite6jax.diagnosis.refit import Fitted, refit, without
+from lite6jax.diagnosis.refit import Fitted, refit
 from lite6jax.diagnosis.spectrum import lines
-from lite6jax.diagnosis.sweep import Swept, sweep
+from lite6jax.diagnosis.steps import Rival, Step, assured, cost, most_specific, pruned, sure
+from lite6jax.diagnosis.sweep import sweep
 from lite6jax.physics.catalogue import Untestable, catalogue, untestable
 from lite6jax.physics.composition import Physics
 from lite6jax.physics.drivers import Driver
@@ -29,8 +30,6 @@ LEVEL = 0.003
 """Family-wise: of 300 recordings with nothing missing, one may show something."""
 MOST = 8
 _RELINEARISED = 3
-CLOSE = 6.0
-"""Log-likelihood within which two candidates cannot be told apart."""
 _REFITTED = 4
 _NEAREST = 3
 """Named effects said beside a curve without a name."""
@@ -42,56 +41,6 @@ _PIECES = (8, 24)
 _UNNAMED_BETTER = 10.0
 _SUSPICIOUS = 3
 """Named effects of one joint that together may be one that has no name."""
-_SPECIFIC = (
-    *(
-        "joint_offset",
-        "joint_scale",
-        "joint_compliance",
-        "joint_backlash",
-        "joint_lag",
-        "joint_harmonic",
-        "time_offset",
-    ),
-    *(
-        "tool_offset",
-        "measurement_scale",
-        "link_thermal_expansion",
-        "joint_coupling",
-        "payload_error",
-        "base_compliance",
-    ),
-    *("base_drift", "link_compliance", "frame_offset", "unnamed"),
-)
-
-
-@dataclass(frozen=True)
-class Rival:
-    """An effect that explains nearly the same.
-
-    Attributes:
-        effect: which.
-        gap: how much less log-likelihood its refit has.
-    """
-
-    effect: Effect
-    gap: float
-
-
-@dataclass(frozen=True, eq=False)
-class Step:
-    """An effect that was added.
-
-    Attributes:
-        effect: which.
-        p: family-wise.
-        score: against all before it.
-        rivals: those that it was preferred to.
-    """
-
-    effect: Effect
-    p: float
-    score: Score
-    rivals: tuple[Rival, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,6 +55,7 @@ class Selection:
         steps: one an effect, in the order of `fitted.physics`.
         candidates: what was tried.
         hidden: those of them that the nuisance hides.
+        nearest: the candidate that is least likely chance beside them, and how likely that is, family-wise.
     """
 
     case: Case
@@ -114,7 +64,8 @@ class Selection:
     fitted: Fitted
     steps: tuple[Step, ...]
     candidates: tuple[Effect, ...]
-    hidden: tuple[Effect, ...] = field(default=())
+    hidden: tuple[Effect, ...] = ()
+    nearest: tuple[Effect, float] | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,8 +111,10 @@ class Search:
     def run(self, used: NDArray[np.bool_] | None = None) -> Selection:
         """Selects on some rows; all where not given.
 
-        Of very many rows, a part finds the physics; then all of them are fitted, and asked for what is still left.
+        Of very many rows, a part finds the physics; then all of them are fitted, and asked for what is still left. What
+        else might have been there is only looked for in all rows.
         """
+        whole = used is None
         used = self.case.seen if used is None else used & self.case.seen
         every = max(int(used.sum()) // _ROWS, 1)
         if every == 1:
@@ -176,7 +129,10 @@ class Search:
             selection = replace(
                 part, case=self.case, plain=self.plain, baseline=baseline, fitted=fitted, steps=tuple(steps)
             )
-        return selection
+        if not any(isinstance(step.effect, Unnamed) and step.effect.orders for step in selection.steps):
+            judged = assured(self.case, selection.fitted, list(selection.steps), self.tried, self.level)
+            selection = replace(selection, fitted=judged[0], steps=tuple(judged[1]))
+        return self._reviewed(selection) if whole else selection
 
     def _selected(self, used: NDArray[np.bool_]) -> Selection:
         baseline = refit(self.plain, Physics(), moved=self.start, used=used)
@@ -185,8 +141,18 @@ class Search:
             fitted, steps = self._swept(baseline, fitted, steps)
         else:
             fitted, steps = self._unnamed(baseline, fitted, steps)
-            fitted, steps = self._pruned(fitted, steps)
-        return Selection(self.case, self.plain, baseline, fitted, tuple(steps), self.candidates, self._hidden(baseline))
+            fitted, steps = pruned(self.case, fitted, steps, self.tried)
+        return Selection(self.case, self.plain, baseline, fitted, tuple(steps), self.candidates)
+
+    def _reviewed(self, selection: Selection) -> Selection:
+        """With what could not be seen, and what comes next after all that was found."""
+        fitted = selection.fitted
+        scores = evidence_of(self.case, selection.baseline).score(self.candidates)
+        hidden = tuple(effect for effect, score in zip(self.candidates, scores, strict=True) if score.hidden)
+        left = [effect for effect in self.candidates if effect not in fitted.physics.effects]
+        scored = zip(left, evidence_of(self.case, fitted).score(left), strict=True)
+        chances = [(effect, min(score.p * self.tried, 1.0)) for effect, score in scored if not score.hidden]
+        return replace(selection, hidden=hidden, nearest=min(chances, key=lambda pair: pair[1], default=None))
 
     def _clocked(self, baseline: Fitted) -> tuple[Fitted, list[Step]]:
         """A clock that is off by seconds is known before anything else can be looked for."""
@@ -199,17 +165,12 @@ class Search:
 
     def _swept(self, baseline: Fitted, fitted: Fitted, steps: list[Step]) -> tuple[Fitted, list[Step]]:
         """All orders of all joints at once, where there are so many effects and that explains more."""
-        found = [Swept(step.effect, step.p, step.score) for step in steps]
-        state, swept = sweep(self.case, baseline, found, self.candidates, self.tried, self.level)
+        state, swept = sweep(self.case, baseline, steps, self.candidates, self.tried, self.level)
         scale, n = min(state.residual.scale, fitted.residual.scale), baseline.freedom
         gained = state.log_likelihood(scale) - fitted.log_likelihood(scale)
         if gained < 0.5 * (state.physics.size - fitted.physics.size) * np.log(n):
             return fitted, steps
-        return state, [Step(item.effect, item.p, item.score, ()) for item in swept]
-
-    def _hidden(self, baseline: Fitted) -> tuple[Effect, ...]:
-        scores = evidence_of(self.case, baseline).score(self.candidates)
-        return tuple(effect for effect, score in zip(self.candidates, scores, strict=True) if score.hidden)
+        return state, swept
 
     def _grown(self, fitted: Fitted, steps: list[Step]) -> tuple[Fitted, list[Step]]:
         """Adds what is most likely, also what is not sure yet: one effect makes another's residual look like noise
@@ -222,24 +183,7 @@ class Search:
             fitted, step = found
             steps = [*steps, step]
             doubtful = 0 if step.p < self.level else doubtful + 1
-        return self._sure(fitted, steps)
-
-    def _sure(self, fitted: Fitted, steps: list[Step]) -> tuple[Fitted, list[Step]]:
-        """Without the steps that are not significant beside the others, by the memory of what all of them leave."""
-        while doubtful := [k for k, step in enumerate(steps) if step.p >= self.level]:
-            memory = evidence_of(self.case, fitted).memory
-            judged = {k: self._without(fitted, steps, k, memory) for k in doubtful}
-            worst = max(judged, key=lambda k: judged[k][1].p)
-            if judged[worst][1].p < self.level:
-                return fitted, [judged[k][1] if k in judged else step for k, step in enumerate(steps)]
-            fitted, steps = judged[worst][0], [step for k, step in enumerate(steps) if k != worst]
-        return fitted, steps
-
-    def _without(self, fitted: Fitted, steps: Sequence[Step], k: int, memory: float) -> tuple[Fitted, Step]:
-        """The fit without a step, and that step judged against it."""
-        fit = without(self.case, fitted, k)
-        score = evidence_of(self.case, fit, memory).score([steps[k].effect])[0]
-        return fit, replace(steps[k], p=min(score.p * self.tried, 1.0), score=score)
+        return sure(self.case, fitted, steps, self.tried, self.level)
 
     def _next(self, fitted: Fitted) -> tuple[Fitted, Step] | None:
         """The best single addition, or None where nothing is left."""
@@ -256,7 +200,7 @@ class Search:
             return None
         first = ranked[: 3 * _REFITTED]
         significant = [item for item in first if item[1].p * self.tried < self.level] or [
-            item for item in first if float(chi2.sf(2 * item[1].gain, item[1].size)) * self.tried < self.level
+            item for item in first if float(chdtrc(item[1].size, 2 * item[1].gain)) * self.tried < self.level
         ]
         if not significant or significant[0][1].gain < 0.5 * significant[0][1].size * np.log(n) + significant[0][2]:
             return None
@@ -269,12 +213,9 @@ class Search:
             (_, score, search), fit = pair
             return fit.log_likelihood(scale) - 0.5 * score.size * np.log(n) - search
 
+        best = most_specific(fits, judged, lambda pair: pair[0][0])
+        likely = best[1].log_likelihood(scale)
         fits.sort(key=lambda pair: -judged(pair))
-        best = fits[0]
-        likely = best[1].log_likelihood(scale)
-        near = [pair for pair in fits if judged(best) - judged(pair) < CLOSE]
-        best = min(near, key=lambda pair: (_specific(pair[0][0]), -judged(pair)))
-        likely = best[1].log_likelihood(scale)
         rivals = tuple(
             Rival(pair[0][0], float(likely - pair[1].log_likelihood(scale))) for pair in fits if pair is not best
         )
@@ -304,8 +245,8 @@ class Search:
                 kept = [step for step in steps if step.effect.site != curve.where]
                 fit, path = self._replaced(baseline, kept, curve, score)
                 scale = min(fit.residual.scale, fitted.residual.scale)
-                ours = fit.log_likelihood(scale) - _cost(path, n)
-                theirs = (best[0] if best else fitted).log_likelihood(scale) - _cost(best[1] if best else steps, n)
+                ours = fit.log_likelihood(scale) - cost(path, n)
+                theirs = (best[0] if best else fitted).log_likelihood(scale) - cost(best[1] if best else steps, n)
                 if ours > theirs + _UNNAMED_BETTER and path[-1].p < self.level:
                     best = (fit, path)
             if best is None:
@@ -327,22 +268,6 @@ class Search:
         near = sorted((pair for pair in named if not pair[1].hidden), key=lambda pair: -pair[1].gain)[:_NEAREST]
         rivals = tuple(Rival(effect, float(gain - score.gain)) for effect, score in near)
         return fit, [*kept, Step(curve, p, score._replace(gain=gain), rivals)]
-
-    def _pruned(self, fitted: Fitted, steps: list[Step]) -> tuple[Fitted, list[Step]]:
-        """Without those that the others make unnecessary."""
-        n = fitted.freedom
-        while len(steps) > 1:
-            losses = []
-            for i in range(len(steps)):
-                rest = [step for k, step in enumerate(steps) if k != i]
-                fit = without(self.case, fitted, i)
-                loss = fitted.log_likelihood(fitted.residual.scale) - fit.log_likelihood(fitted.residual.scale)
-                losses.append((loss - 0.5 * steps[i].effect.size * np.log(n), fit, rest))
-            least = min(losses, key=lambda item: item[0])
-            if least[0] > np.log(self.tried):
-                break
-            fitted, steps = least[1], least[2]
-        return fitted, steps
 
 
 def search_of(case: Case, extra: Sequence[Effect] = (), level: float = LEVEL) -> Search:
@@ -371,14 +296,3 @@ def _relinearised(case: Case, physics: Physics, values: Array) -> tuple[Case, Ar
 def select(case: Case, extra: Sequence[Effect] = (), level: float = LEVEL) -> Selection:
     """The physics that a case asks for."""
     return search_of(case, extra, level).run()
-
-
-def _cost(steps: Sequence[Step], n: float) -> float:
-    """What a set of effects costs: half a logarithm a number, and the choice of each order among hundreds."""
-    orders = [step.effect for step in steps if isinstance(step.effect, JointHarmonic)]
-    searched = sum(0.5 * np.log(n) + np.log(400.0) for effect in orders if effect.order not in (1.0, 2.0))
-    return float(0.5 * sum(step.effect.size for step in steps) * np.log(n) + searched)
-
-
-def _specific(effect: Effect) -> int:
-    return _SPECIFIC.index(effect.name) if effect.name in _SPECIFIC else len(_SPECIFIC)

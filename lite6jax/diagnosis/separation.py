@@ -6,7 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lite6jax.diagnosis.case import Case
-from lite6jax.diagnosis.selection import CLOSE, Rival, Selection, Step
+from lite6jax.diagnosis.selection import Selection
+from lite6jax.diagnosis.steps import CLOSE, Rival, Step
 from lite6jax.errors import InputError
 from lite6jax.fitting.problem import Geometry, recording_problem
 from lite6jax.identifiability.candidates import candidates

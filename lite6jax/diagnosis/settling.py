@@ -5,7 +5,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import binom, chi2, norm
+from scipy.special import bdtrc, chdtri, ndtr
 
 from lite6jax.diagnosis.projection import Projected, thinned
 from lite6jax.diagnosis.rigid import Rigid, physics_columns
@@ -85,15 +85,15 @@ def seek_unsettled(arm: Rigid) -> Unsettled:
             return none._replace(p=np.nan)
         each, covariance, separate = projected.regression(columns[name])
         one, spread, common = projected.regression(columns[name].sum(0, keepdims=True))
-        p_one = float(norm.sf(one[0] / np.sqrt(spread[0, 0]))) * tests
-        p_each = norm.sf(each / np.sqrt(np.diagonal(covariance))) * tests
+        p_one = float(ndtr(-one[0] / np.sqrt(spread[0, 0]))) * tests
+        p_each = ndtr(-each / np.sqrt(np.diagonal(covariance))) * tests
         p = min(p_one, float(p_each.min()))
         least = min(least, p)
         if p > LEVEL:
             continue
         rest, std = np.full(dof, one[0]), np.full(dof, np.sqrt(spread[0, 0]))
         concerned, explained = np.ones(dof, bool), common
-        apart = separate - common > max(chi2.isf(1e-4, max(dof - 1, 1)), _APART * separate)
+        apart = separate - common > max(chdtri(max(dof - 1, 1), 1e-4), _APART * separate)
         if p_one > LEVEL or apart:
             concerned = p_each < LEVEL
             rest, std = np.where(concerned, each, 0.0), np.sqrt(np.diagonal(covariance))
@@ -166,7 +166,7 @@ def _foretold(projected: Projected, columns: Array, future: Array) -> bool:
     tied to where they are, and it is something else that depends on that."""
     past = projected.regression(columns)[2]
     both = projected.regression(np.concatenate([columns, projected.arm.joints * future.T[:, None]]))[2]
-    return bool(both - past > max(chi2.isf(1e-6, len(columns)), 0.1 * past))
+    return bool(both - past > max(chdtri(len(columns), 1e-6), 0.1 * past))
 
 
 def _next_moves(recording: Recording) -> Array:
@@ -189,7 +189,7 @@ def _unsettled_rows(arm: Rigid) -> Unsettled | None:
     cosine2 = product**2 / np.maximum(length * arm.squares, 1e-300)
     hit = wild & (cosine2 > _ALONG) & (share > 0)
     by_chance = (1 - np.sqrt(_ALONG)) / 2
-    p = float(binom.sf(hit.sum() - 1, wild.sum(), by_chance))
+    p = float(bdtrc(hit.sum() - 1, wild.sum(), by_chance))
     if p > LEVEL or hit.sum() < 3:
         return None
     rest = np.full(recording.dof, float(np.median(share[hit])))

@@ -82,12 +82,6 @@ def lines(evidence: Evidence) -> list[Line]:
         for width in (step, step / 5):
             near = order + width * np.linspace(-1, 1, 9)
             order = _best(evidence, joint, near[near >= 0.5])
-        import os
-
-        if os.environ.get("WHOLE"):
-            order = _best(
-                evidence, joint, np.unique(np.maximum(np.round(np.concatenate([best, best + 1, best - 1])), 1))
-            )
         whole = round(order)
         if whole >= 1 and abs(order - whole) < 0.15 * step + 0.02:
             exact, free = evidence.gains(evidence.case.harmonics(joint, np.array([float(whole), order])))

@@ -11,11 +11,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from lite6jax.diagnosis.case import Case
 from lite6jax.diagnosis.evidence import Score, chance, evidence_of
 from lite6jax.diagnosis.refit import Fitted, refit, without
+from lite6jax.diagnosis.steps import Step
 from lite6jax.fitting.robust import FREEDOM
 from lite6jax.physics.composition import Physics
 from lite6jax.physics.effect import Effect
@@ -41,14 +42,6 @@ _FADES_WITHIN = 0.2
 _NEIGHBOURS = 8
 
 
-class Swept(NamedTuple):
-    """An effect that was added, as significant as `p`, family-wise."""
-
-    effect: Effect
-    p: float
-    score: Score
-
-
 class _Lines(NamedTuple):
     """The lines that are kept: joints from 0, orders, and the prior's standard deviation of a joint's coefficients."""
 
@@ -58,8 +51,8 @@ class _Lines(NamedTuple):
 
 
 def sweep(
-    case: Case, baseline: Fitted, found: Sequence[Swept], candidates: Sequence[Effect], tried: float, level: float
-) -> tuple[Fitted, list[Swept]]:
+    case: Case, baseline: Fitted, found: Sequence[Step], candidates: Sequence[Effect], tried: float, level: float
+) -> tuple[Fitted, list[Step]]:
     """The named effects and the curves of joints that explain a case together.
 
     Args:
@@ -85,7 +78,7 @@ def sweep(
     return state, [*named, *(_judged(case, state, curve, tried) for curve in curves)]
 
 
-def _with_curves(case: Case, baseline: Fitted, state: Fitted, named: Sequence[Swept]) -> tuple[Fitted, list[Effect]]:
+def _with_curves(case: Case, baseline: Fitted, state: Fitted, named: Sequence[Step]) -> tuple[Fitted, list[Effect]]:
     """Named effects and the curves that joints need beside them, fitted; `state` is what is known so far."""
     effects = tuple(item.effect for item in named)
     curves = _curves(case, _lines(case, state, Physics(effects)), state.used)
@@ -113,7 +106,7 @@ def _lines(case: Case, state: Fitted, named: Physics) -> _Lines:
         H, g = _normal(columns, target, weight)
         solved, shrink = _settled(H, g, free, shrink, float(weight @ total), target.size)
         squares = np.sum((target - solved @ columns).reshape(-1, len(used)) ** 2, 0)
-        scale = np.median(squares) / chi2.ppf(0.5, case.rows)
+        scale = np.median(squares) / chdtri(case.rows, 0.5)
         weight = (FREEDOM + case.rows) / (FREEDOM + squares / scale)
     H, g = _normal(columns, target, weight)
     noise = float(weight @ squares / max(target.size - len(H), 1))
@@ -190,11 +183,11 @@ def _curves(case: Case, lines: _Lines, used: NDArray[np.bool_]) -> list[Effect]:
 
 def _named(
     case: Case, state: Fitted, candidates: Sequence[Effect], tried: float, level: float, room: int
-) -> list[Swept]:
+) -> list[Step]:
     """Named effects that what is left still asks for, each judged after those before it."""
     evidence = evidence_of(case, state)
     pairs = [pair for pair in zip(candidates, evidence.score(candidates), strict=True) if not pair[1].hidden]
-    added: list[Swept] = []
+    added: list[Step] = []
     for effect, _ in sorted(pairs, key=lambda pair: -pair[1].gain)[:_NAMED_MOST]:
         columns = case.columns([effect])
         score = evidence.score_columns([columns])[0]
@@ -205,17 +198,17 @@ def _named(
             continue
         if effect.size > room or (added and score.gain < 0.3 * added[0].score.gain):
             continue
-        added.append(Swept(effect, p, score))
+        added.append(Step(effect, p, score))
         room -= effect.size
         evidence = evidence.given(columns)
     return added
 
 
-def _judged(case: Case, state: Fitted, curve: Effect, tried: float) -> Swept:
+def _judged(case: Case, state: Fitted, curve: Effect, tried: float) -> Step:
     """What a curve explains beside all else; too many numbers for a test by blocks, so as many samples as forget."""
     at = state.physics.effects.index(curve)
     part = state.physics.slices[at]
     scale = state.residual.scale
     gain = state.log_likelihood(scale) - without(case, state, at).log_likelihood(scale)
     p = min(chance(gain, curve.size, evidence_of(case, state).memory) * tried, 1.0)
-    return Swept(curve, p, Score(gain, curve.size, p, False, state.values[part]))
+    return Step(curve, p, Score(gain, curve.size, p, False, state.values[part]))

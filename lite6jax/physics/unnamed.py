@@ -2,8 +2,10 @@
 
 import re
 from dataclasses import dataclass
+from functools import partial
 from typing import ClassVar, final
 
+import jax
 import jax.numpy as jnp
 from jax import Array
 
@@ -20,7 +22,8 @@ COMPONENTS = ("x", "y", "z", "rx", "ry", "rz")
 _SITE = re.compile(r"joint([1-9]\d*)|link([1-9]\d*)|base|tool")
 
 
-def spline_basis(values: Array, lower: float, upper: float, pieces: int) -> Array:
+@partial(jax.jit, static_argnames="pieces")
+def spline_basis(values: Array, lower: float | Array, upper: float | Array, pieces: int) -> Array:
     """The cubic B-splines on `pieces` equal intervals from `lower` to `upper`, `(pieces + 3, sample)`.
 
     They add up to 1; before `lower` and beyond `upper` they keep their values there.
@@ -118,13 +121,20 @@ class Unnamed(Bending):
         at = jnp.linspace(self.lower, self.upper, len(self.trust))
         return waves * jnp.interp(driver, at, jnp.asarray(self.trust), left=0.0, right=0.0)
 
+    def units(self, motion: Motion, loads: Loads | None) -> Deflection:
+        """The deflection by each coefficient, per unit of it; a leading axis `(coordinate, …)`."""
+        return jax.vmap(lambda shift: self._at_site(shift, motion))(self.basis(self.drivers[0].values(motion, loads)))
+
     def curve(self, values: Array, driver: Array) -> Array:
         """The curve's value `(sample,)`, m or rad, at values `(sample,)` of the driver."""
         return values @ self.basis(driver)
 
     def deflect(self, values: Array, motion: Motion, loads: Loads | None) -> Deflection:
         """The curve at its site."""
-        shift = self.curve(values, self.drivers[0].values(motion, loads))
+        return self._at_site(self.curve(values, self.drivers[0].values(motion, loads)), motion)
+
+    def _at_site(self, shift: Array, motion: Motion) -> Deflection:
+        """A curve `(sample,)` where this effect is."""
         kind, number = self.where.rstrip("0123456789"), int("0" + "".join(filter(str.isdecimal, self.where)))
         if kind == "joint":
             return Deflection(joint=at_joint(motion.dof, number, shift))

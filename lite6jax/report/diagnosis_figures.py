@@ -8,9 +8,10 @@ from matplotlib import rc_context
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, NullFormatter, StrMethodFormatter
 from numpy.typing import NDArray
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from lite6jax.diagnosis.case import Case
+from lite6jax.diagnosis.colour import autocorrelation
 from lite6jax.diagnosis.diagnose import Diagnosis
 from lite6jax.diagnosis.evidence import Evidence, Score, evidence_of
 from lite6jax.diagnosis.refit import Fitted
@@ -171,7 +172,7 @@ def order_spectrum(found: Diagnosis, title: str) -> Figure:
             for evidence, colour in both:
                 orders, shares = _spectrum(evidence, joint, exact_below)
                 panel.plot(orders, 100 * shares, color=colour, linewidth=1.4, zorder=3, rasterized=len(orders) > 3000)
-                noise = float(chi2.isf(LEVEL / (dof * len(orders) / 2), 2)) / _left(evidence)
+                noise = float(chdtri(2, LEVEL / (dof * len(orders) / 2))) / _left(evidence)
             panel.axhline(100 * noise, color="black", linestyle=":", linewidth=1.8, zorder=4)
             if not case.sites["joint", joint - 1, 0].any():
                 panel.text(0.5, 0.5, "not seen by the sensor", ha="center", color=GREY, transform=panel.transAxes)
@@ -227,7 +228,8 @@ def remaining(found: Diagnosis, title: str) -> Figure:
             heights = np.histogram(rows / unit, bins)[0] / max(rows.size, 1) / (bins[1] - bins[0])
             rms = float(np.sqrt(np.mean((rows / unit) ** 2)))
             left.stairs(heights, bins, color=colour, linewidth=2, label=f"{name}: {rms:.3g} RMS")
-            lags, alike = _autocorrelation(rows)
+            alike = autocorrelation(rows, max(1, min(_LAGS, rows.shape[1] // 4)))[1:]
+            lags = np.arange(1, len(alike) + 1)
             right.plot(lags, alike, "-o", color=colour, markersize=5, linewidth=1.5)
         at = np.linspace(-5, 5, 201)
         left.plot(at, np.exp(-(at**2) / 2) / np.sqrt(2 * np.pi), "--", color="black", linewidth=2, label="noise alone")
@@ -277,14 +279,3 @@ def _adjusted(score: Score, total: float, freedom: float) -> float:
     """The share explained, less what as many numbers explain of noise."""
     left = 1 - min(2 * score.gain / total, 1.0)
     return float(max(1 - left * freedom / max(freedom - score.size, 1.0), 0.0))
-
-
-def _autocorrelation(rows: Array) -> tuple[NDArray[np.integer], Array]:
-    """Of rows `(row, sample)` with their neighbours, the mean over rows, by how many samples they are apart."""
-    count = rows.shape[1]
-    lags = np.arange(1, max(2, min(_LAGS, count // 4) + 1))
-    length = 2 ** int(np.ceil(np.log2(2 * max(count, 2))))
-    centred = rows - rows.mean(1, keepdims=True)
-    power = np.abs(np.fft.rfft(centred, length, axis=1)) ** 2
-    alike = np.fft.irfft(power.sum(0), length)
-    return lags, alike[lags] / max(float(alike[0]), np.finfo(float).tiny)

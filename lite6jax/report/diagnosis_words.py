@@ -12,8 +12,8 @@ from lite6jax.diagnosis.against import Against
 from lite6jax.diagnosis.case import Case
 from lite6jax.diagnosis.diagnose import Diagnosis
 from lite6jax.diagnosis.rows import named as rows_in_words
-from lite6jax.diagnosis.selection import CLOSE, Rival, Step
 from lite6jax.diagnosis.separation import Separation, differ
+from lite6jax.diagnosis.steps import CLOSE, Rival, Step
 from lite6jax.physics.catalogue import Untestable
 from lite6jax.physics.effect import Effect
 from lite6jax.physics.unnamed import Unnamed

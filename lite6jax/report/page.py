@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from lite6jax.diagnosis.against import Against
 from lite6jax.diagnosis.case import Case
 from lite6jax.diagnosis.diagnose import Diagnosis
-from lite6jax.diagnosis.selection import Step
 from lite6jax.diagnosis.separation import Separation
+from lite6jax.diagnosis.steps import Step
 from lite6jax.physics.unnamed import Unnamed
 from lite6jax.report import diagnosis_words as words
 from lite6jax.report.canvas import STYLE

@@ -16,7 +16,8 @@ from lite6jax.diagnosis.case import case_of
 from lite6jax.diagnosis.diagnose import Diagnosis
 from lite6jax.diagnosis.evidence import evidence_of
 from lite6jax.diagnosis.refit import refit
-from lite6jax.diagnosis.selection import Rival, Selection, Step
+from lite6jax.diagnosis.selection import Selection
+from lite6jax.diagnosis.steps import Rival, Step
 from lite6jax.physics.catalogue import catalogue, parse_effect, untestable
 from lite6jax.physics.composition import Physics
 from lite6jax.physics.unnamed import Unnamed

@@ -11,8 +11,8 @@ from test_diagnosis_page import COMPLIANCE, LITE6, Reader, diagnosed, recording_
 
 from lite6jax.diagnosis.against import Against
 from lite6jax.diagnosis.rows import Fault
-from lite6jax.diagnosis.selection import Rival
 from lite6jax.diagnosis.separation import Separation
+from lite6jax.diagnosis.steps import Rival
 from lite6jax.physics.catalogue import catalogue, parse_effect
 from lite6jax.physics.composition import Physics
 from lite6jax.physics.unnamed import Unnamed

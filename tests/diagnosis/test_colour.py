@@ -1,0 +1,129 @@
+"""How noise remembers: what is found of it, and that the filter makes it white."""
+
+import numpy as np
+import pytest
+from diagnosis.recorded import NOISE, Made, found, moving_motion, static_motion
+from scipy.linalg import toeplitz
+from scipy.stats import chi2
+
+from lite6jax.diagnosis.case import case_of
+from lite6jax.diagnosis.colour import WHITE, Colour, autocorrelation, colour_of, correlation_length, stretches
+from lite6jax.diagnosis.evidence import colour_left
+from lite6jax.diagnosis.refit import refit
+from lite6jax.diagnosis.selection import search_of, select
+from lite6jax.physics.composition import Physics
+
+
+def noise(rng, memory, slow, rows, samples):
+    """A slow part and a white one, together of unit variance."""
+    drawn = rng.normal(size=(rows, samples))
+    for t in range(1, samples):
+        drawn[:, t] = memory * drawn[:, t - 1] + np.sqrt(1 - memory**2) * drawn[:, t]
+    return np.sqrt(slow) * drawn + np.sqrt(1 - slow) * rng.normal(size=(rows, samples))
+
+
+def covariance(memory, slow, samples):
+    return slow * toeplitz(memory ** np.arange(samples)) + (1 - slow) * np.eye(samples)
+
+
+@pytest.mark.parametrize(("memory", "slow"), [(0.9, 1.0), (0.9, 0.5), (0.5, 0.8), (0.98, 0.3)])
+def test_the_filter_is_the_inverse_root_of_the_covariance(memory, slow):
+    n = 300
+    C = covariance(memory, slow, n)
+    F = Colour(memory, slow).whitened(np.eye(n)).T  # the filter as a matrix
+    white = F @ C @ F.T * 1.0
+    late = slice(n // 2, None)  # a mixture's filter settles after some samples
+    scale = white[-1, -1]
+    np.testing.assert_allclose(white[late, late], scale * np.eye(n - n // 2), atol=2e-3)
+    assert scale == pytest.approx(1.0, abs=1e-3)
+
+
+def test_the_volume_is_the_determinant_of_the_filter():
+    colour = Colour(0.8, 0.6, (0, 30, 75))
+    F = colour.whitened(np.eye(100)).T
+    assert colour.log_volume(100) == pytest.approx(np.linalg.slogdet(F)[1], rel=1e-12)
+
+
+def test_a_stretch_remembers_nothing_of_the_one_before():
+    rng = np.random.default_rng(0)
+    rows = rng.normal(size=(3, 90))
+    other = rows.copy()
+    other[:, :40] += 1.0
+    colour = Colour(0.9, 0.7, stretches(np.repeat([0, 4, 2], [40, 30, 20])))
+    np.testing.assert_array_equal(colour.whitened(rows)[:, 40:], colour.whitened(other)[:, 40:])
+    assert colour.starts == (0, 40, 70)
+
+
+@pytest.mark.parametrize("smooth", [False, True])
+@pytest.mark.parametrize(("memory", "slow"), [(0.9, 1.0), (0.97, 0.5), (0.6, 0.9)])
+def test_colour_is_found_although_a_fit_has_taken_part_of_it(memory, slow, smooth):
+    """34 numbers of 400 rows: the residual's own autocorrelation is far too short."""
+    rng = np.random.default_rng(3)
+    columns = rng.normal(size=(34, 3, 400))
+    if smooth:
+        columns = np.cumsum(columns, -1) / 10
+    y = noise(rng, memory, slow, 3, 400)
+    X = columns.reshape(34, -1)
+    left = (y.ravel() - np.linalg.lstsq(X.T, y.ravel(), rcond=None)[0] @ X).reshape(3, -1)
+    found = colour_of(left, columns, np.zeros(34), np.zeros(400, int))
+    assert found.memory == pytest.approx(memory, abs=0.1 if slow > 0.5 else 0.03)
+    assert found.slow == pytest.approx(slow, abs=0.2)
+
+
+def test_white_noise_is_white():
+    rng = np.random.default_rng(1)
+    columns = rng.normal(size=(34, 3, 400))
+    called = [colour_of(noise(rng, 0.0, 0.0, 3, 400), columns, np.zeros(34), np.zeros(400, int)) for _ in range(20)]
+    assert all(colour is WHITE for colour in called)
+    rows = rng.normal(size=(2, 5))
+    assert WHITE.whitened(rows) is rows
+
+
+def test_autocorrelation_and_length_are_those_of_the_noise():
+    rng = np.random.default_rng(2)
+    rows = noise(rng, 0.9, 1.0, 3, 20000)
+    np.testing.assert_allclose(autocorrelation(rows, 5), 0.9 ** np.arange(6), atol=0.02)
+    assert correlation_length(rows) == pytest.approx(1.9 / 0.1, rel=0.15)
+    assert Colour(0.9, 1.0).length == pytest.approx(1.9 / 0.1)
+
+
+def recorded(made, motion, seed):
+    """Positions whose noise has a memory of 0.9; as large as declared."""
+    poses = made.poses(motion)
+    poses[:, :3, 3] += NOISE[0] * noise(np.random.default_rng(900 + seed), 0.9, 1.0, 3, len(poses)).T
+    return made.recording(motion, noise=None, poses=poses)
+
+
+def test_held_out_rows_are_not_remembered(tmp_path):
+    case = case_of(recorded(Made(tmp_path, orientation=False), static_motion(4), 4))
+    used = np.arange(case.samples) >= 60
+    colour = colour_left(case, refit(case, Physics(), used=used))
+    assert colour.memory > 0.5
+    assert 60 in colour.starts
+
+
+def test_an_effect_under_noise_that_remembers_is_as_sure_as_it_is_said_to_be(tmp_path):
+    """Over 12 recordings the errors are what the standard deviations say; white noise's would be a third of them."""
+    motion, off = moving_motion(1), []
+    for seed in range(12):
+        made = Made(tmp_path, ("joint_compliance:joint=2,compliance_rad_per_Nm=2e-5",), 1, orientation=False)
+        search = search_of(case_of(recorded(made, motion, seed)))
+        selection = search.run()
+        assert found(selection) == [("joint_compliance", "joint2")]
+        assert selection.fitted.colour is not WHITE
+        off.append((selection.fitted.values[0] - 2e-5) / np.sqrt(selection.fitted.covariance[0, 0]))
+
+    assert chi2.ppf(0.005, 12) < np.sum(np.square(off)) < chi2.ppf(0.995, 12)
+    white = refit(search.case, selection.fitted.physics)
+    assert selection.fitted.covariance[0, 0] > 4 * white.covariance[0, 0]
+
+
+def test_nothing_is_found_in_noise_that_remembers(tmp_path):
+    for seed in range(6):
+        for motion in (static_motion(seed), moving_motion(seed)):
+            selection = select(
+                case_of(recorded(Made(tmp_path, seed=seed, geometry="prior", orientation=False), motion, seed))
+            )
+            assert not selection.steps
+            assert selection.nearest is not None
+            assert selection.nearest[1] > 0.003
