@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from lite6jax.arms.arm import Arm
 from lite6jax.diagnosis.case import Case, arm_moved, case_of
-from lite6jax.diagnosis.faults import Fault, examine
+from lite6jax.diagnosis.faults.examine import Fault, examine
 from lite6jax.diagnosis.selection import Selection, search_of
 from lite6jax.diagnosis.separation import Separation, separations
 from lite6jax.fitting.problem import Geometry

@@ -177,7 +177,8 @@ def evidence_of(case: Case, fitted: Fitted, memory: float | None = None) -> Evid
 def colour_left(case: Case, fitted: Fitted) -> Colour:
     """How the noise remembers that a fit leaves; held-out rows, and other runs, are not remembered."""
     used = fitted.used
-    stretch = np.cumsum(np.diff(np.asarray(case.motion.run[0]), prepend=0).astype(bool) | np.diff(used, prepend=True))
+    begins = np.diff(np.asarray(case.motion.run[0]), prepend=0).astype(bool) | np.diff(used, prepend=True)
+    stretch = np.cumsum(begins, dtype=int)
     prior = np.zeros(len(case.precision) + fitted.physics.size)
     prior[: len(case.precision)] = np.sqrt(case.precision) * fitted.residual.scale
     rows = _tamed(fitted.residual.rows, fitted.residual.scale)

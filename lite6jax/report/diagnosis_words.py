@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from lite6jax.diagnosis.against import Against
 from lite6jax.diagnosis.case import Case
 from lite6jax.diagnosis.diagnose import Diagnosis
-from lite6jax.diagnosis.rows import named as rows_in_words
+from lite6jax.diagnosis.faults.rows import named as rows_in_words
 from lite6jax.diagnosis.separation import Separation, differ
 from lite6jax.diagnosis.steps import CLOSE, Rival, Step
 from lite6jax.physics.catalogue import Untestable

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from diagnosis.recorded import NOISE, Made, check_values, found, static_motion, with_effects
 
-from lite6jax.diagnosis import jumps
 from lite6jax.diagnosis.case import case_of
 from lite6jax.diagnosis.diagnose import FOLDS, diagnose, statement
+from lite6jax.diagnosis.faults import jumps
 from lite6jax.diagnosis.selection import search_of
 from lite6jax.errors import InputError
 from lite6jax.recordings import Recording

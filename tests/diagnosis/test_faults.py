@@ -12,12 +12,12 @@ from scipy.spatial.transform import Rotation
 
 from lite6jax.arms.bundled import load_bundled
 from lite6jax.arms.factory import write_factory
-from lite6jax.diagnosis import hypotheses
 from lite6jax.diagnosis.case import case_of
-from lite6jax.diagnosis.faults import examine
-from lite6jax.diagnosis.projection import Projected, estimated
+from lite6jax.diagnosis.faults import hypotheses
+from lite6jax.diagnosis.faults.examine import examine
+from lite6jax.diagnosis.faults.projection import Projected, estimated
+from lite6jax.diagnosis.faults.rigid import physics_columns, rigid_of
 from lite6jax.diagnosis.refit import refit
-from lite6jax.diagnosis.rigid import physics_columns, rigid_of
 from lite6jax.errors import InputError
 from lite6jax.physics.composition import Physics
 from lite6jax.recordings import Recording, RecordingSettings, read_recording

@@ -10,7 +10,7 @@ from rich.text import Text
 from test_diagnosis_page import COMPLIANCE, LITE6, Reader, diagnosed, recording_maker
 
 from lite6jax.diagnosis.against import Against
-from lite6jax.diagnosis.rows import Fault
+from lite6jax.diagnosis.faults.rows import Fault
 from lite6jax.diagnosis.separation import Separation
 from lite6jax.diagnosis.steps import Rival
 from lite6jax.physics.catalogue import catalogue, parse_effect

@@ -5,9 +5,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from lite6jax.arms.arm import Arm
-from lite6jax.diagnosis import hypotheses, jumps, settling
-from lite6jax.diagnosis.rigid import Rigid, rigid_of
-from lite6jax.diagnosis.rows import (
+from lite6jax.diagnosis.faults import hypotheses, jumps, settling
+from lite6jax.diagnosis.faults.rigid import Rigid, rigid_of
+from lite6jax.diagnosis.faults.rows import (
     Fault,
     Findings,
     check_commanded,

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
-from lite6jax.diagnosis.rigid import WINSOR, Rigid
+from lite6jax.diagnosis.faults.rigid import WINSOR, Rigid
 
 Array = NDArray[np.floating]
 

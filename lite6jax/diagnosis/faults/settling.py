@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import bdtrc, chdtri, ndtr
 
-from lite6jax.diagnosis.projection import Projected, thinned
-from lite6jax.diagnosis.rigid import Rigid, physics_columns
+from lite6jax.diagnosis.faults.projection import Projected, thinned
+from lite6jax.diagnosis.faults.rigid import Rigid, physics_columns
 from lite6jax.recordings import Recording
 from lite6jax.recordings.recording import run_segments
 

@@ -12,8 +12,8 @@ from scipy.spatial.transform import Rotation
 from lite6jax.arms import frames
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.bundled import VARIANTS, bundled_arms, load_bundled
-from lite6jax.diagnosis.projection import estimated
-from lite6jax.diagnosis.rigid import Rigid, physics_columns
+from lite6jax.diagnosis.faults.projection import estimated
+from lite6jax.diagnosis.faults.rigid import Rigid, physics_columns
 from lite6jax.fitting.start import frames_from_poses
 from lite6jax.recordings import Recording
 

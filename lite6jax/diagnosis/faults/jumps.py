@@ -9,8 +9,8 @@ from scipy.spatial.transform import Rotation
 from scipy.special import chdtrc
 
 from lite6jax.diagnosis.colour import colour_of, correlation_length
-from lite6jax.diagnosis.projection import SEEN, Projected, thinned
-from lite6jax.diagnosis.rigid import Rigid, physics_columns, transform_of
+from lite6jax.diagnosis.faults.projection import SEEN, Projected, thinned
+from lite6jax.diagnosis.faults.rigid import Rigid, physics_columns, transform_of
 from lite6jax.fitting.start import frames_from_poses
 from lite6jax.recordings import Recording
 from lite6jax.recordings.recording import run_segments

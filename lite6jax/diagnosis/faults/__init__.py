@@ -1,0 +1,1 @@
+"""Faults of a recording, which come before physics: looked for, said, put right."""
