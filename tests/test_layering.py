@@ -8,7 +8,7 @@ import pytest
 PACKAGE = Path(__file__).resolve().parents[1] / "lite6jax"
 PARTS = [
     *("errors", "storage", "arms", "physics", "model", "recordings", "controller", "fitting"),
-    *("identifiability", "diagnosis", "simulation", "report", "cli"),
+    *("identifiability", "diagnosis", "simulation", "emulator", "report", "cli"),
 ]
 MODULES = sorted(PACKAGE.rglob("*.py"))
 

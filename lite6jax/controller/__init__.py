@@ -1,0 +1,1 @@
+"""A UFACTORY controller on the network: the one part of the library that opens sockets."""

@@ -1,0 +1,20 @@
+"""A controller to try things on without an arm: what the SDK connects to, on loopback, with faults and physics."""
+
+from lite6jax.emulator.body import Body
+from lite6jax.emulator.faults import Faults, describe_faults, parse_faults
+from lite6jax.emulator.motion import draw_places, draw_sines, played, read_path, visits
+from lite6jax.emulator.server import Controller, Seen
+
+__all__ = [
+    "Body",
+    "Controller",
+    "Faults",
+    "Seen",
+    "describe_faults",
+    "draw_places",
+    "draw_sines",
+    "parse_faults",
+    "played",
+    "read_path",
+    "visits",
+]

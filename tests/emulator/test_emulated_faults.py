@@ -1,0 +1,350 @@
+"""Every fault as the unmodified SDK and a plain socket meet it, and what refuses to be emulated."""
+
+import math
+import socket
+import time
+
+import numpy as np
+import pytest
+from emulated import CONTROL_PORT, new_address, read_reports, until
+from scipy.spatial.transform import Rotation
+
+from lite6jax.arms.bundled import load_bundled
+from lite6jax.controller import protocol
+from lite6jax.emulator import Body, Controller, Faults, describe_faults, draw_sines, parse_faults
+from lite6jax.errors import InputError
+from lite6jax.physics.catalogue import parse_effect
+from lite6jax.physics.composition import Physics
+
+Q = [0.1, 0.2, 0.9, 0.3, 0.4, 0.5]
+
+
+def faulty(body, *texts, **options):
+    return Controller(
+        body, **{"faults": parse_faults(texts), "address": new_address(), "control_port": CONTROL_PORT} | options
+    )
+
+
+def test_every_fault_can_be_named():
+    described = dict(describe_faults())
+    for written in described:
+        name = written.partition(":")[0]
+        assert parse_faults([name]) != Faults()
+    assert parse_faults([]) == Faults()
+    assert parse_faults(["silence:8", "silence:44", "latency:0.1"]) == Faults(silent=frozenset({8, 44}), latency=0.1)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("silense", "no fault 'silense'; did you mean 'silence'? accepted are silence, silent_reports, fragments"),
+        ("silence:x", "fault silence: 'x' is not a whole number from 0 to 255"),
+        ("fragments:0", "fault fragments: '0' is not a whole number from 1 to"),
+        ("garbage:3", "fault garbage: takes no value; leave '3' out"),
+        ("latency:-1", "fault latency: '-1' is not a number of 0 or more"),
+        ("latency:nan", "fault latency: 'nan' is not a number of 0 or more"),
+        ("nan:here", "fault nan: 'here' is no place; choose one of calibration, kinematics, reports"),
+        ("firmware:2", "fault firmware: '2' is no version; write it like 1.12.1"),
+        ("type:6", "fault type: '' is not a whole number from 0 to 255"),
+    ],
+)
+def test_faults_that_are_none(text, message):
+    with pytest.raises(InputError) as raised:
+        parse_faults([text])
+    assert str(raised.value).startswith(message)
+
+
+# ------------------------------------------------------------------------------------------ the line
+
+
+def test_silence(lite6, connect, raw):
+    with faulty(lite6, "silence:44") as controller:
+        arm = connect(controller)
+        arm.arm.set_timeout(0.5)
+        start = time.monotonic()
+        assert arm.get_forward_kinematics(Q)[0] == 3  # the SDK's "no answer in time"
+        assert time.monotonic() - start > 0.45
+        assert arm.get_state()[0] == 0
+        controller.set_faults(Faults(silent=frozenset({-1})))
+        assert arm.get_state()[0] == 3
+        with raw(controller) as line:
+            line.socket.settimeout(0.2)
+            with pytest.raises(TimeoutError):
+                line.ask(8)
+        controller.set_faults(Faults())
+        assert arm.get_state()[0] == 0
+
+
+def test_fragments(lite6, connect, raw):
+    with faulty(lite6, "fragments:1") as controller:
+        arm = connect(controller)
+        code, pose = arm.get_forward_kinematics(Q)
+        assert (code, len(pose)) == (0, 6)
+        until(lambda: arm.arm._first_report_over)
+        with raw(controller) as line:
+            line.socket.sendall(protocol.request(8).encode())
+            pieces = []
+            while sum(map(len, pieces)) < 179:
+                pieces.append(line.socket.recv(179))
+        assert len(pieces) > 20
+        assert b"".join(pieces)[8] == 1
+        records = read_reports(controller, 30000, 50, chunk=3)
+        assert set(np.diff(records["time_us"].astype(np.int64))) == {4000}
+
+
+def test_a_connection_closed_half_way(lite6, raw):
+    with faulty(lite6, "close:90") as controller:
+        with raw(controller) as line, pytest.raises(EOFError) as cut:
+            line.ask(8)
+        assert len(cut.value.args[0]) == 90 - 6
+        with raw(controller) as line:
+            assert line.ask(13)[6] == 13  # shorter replies come whole
+
+
+def test_report_connections_closed_and_reopened(lite6, connect):
+    path = draw_sines(lite6.arm.joint_limits)
+    with faulty(lite6, "close_reports:20", path=path) as controller:
+        received = b""
+        with socket.create_connection((controller.address, 30000), timeout=5) as line:
+            while chunk := line.recv(65536):
+                received += chunk
+        assert len(received) == 20 * 784 + 392
+        again = read_reports(controller, 30000, 10)
+        assert set(np.diff(again["time_us"].astype(np.int64))) == {4000}
+        arm = connect(controller)
+        until(lambda: arm.connected and arm.arm._first_report_over)
+
+
+def test_hanging_up(lite6, raw, connect):
+    with faulty(lite6) as controller:
+        arm = connect(controller)
+        with raw(controller) as line:
+            assert line.ask(13)[6] == 13
+            controller.hang_up()
+            with pytest.raises((EOFError, ConnectionError)):
+                line.ask(13)
+        until(lambda: not arm.connected)
+        assert arm.get_forward_kinematics(Q) == (-1, "xArm is not connect")  # the SDK's trap
+        with raw(controller) as line:
+            assert line.ask(13)[6] == 13
+
+
+def test_latency(lite6, connect):
+    with faulty(lite6, "latency:0.15") as controller:
+        arm = connect(controller)
+        start = time.monotonic()
+        assert arm.get_state()[0] == 0
+        assert time.monotonic() - start > 0.14
+
+
+def test_garbage(lite6, raw):
+    with faulty(lite6, "garbage") as controller, raw(controller) as line:
+        line.socket.sendall(protocol.request(8).encode())
+        received = line.socket.recv(179)
+        assert received
+        assert received[:9] != bytes.fromhex("0001000200ad080001")
+
+
+def test_reports_that_never_come(lite6, connect):
+    """lite6.md: without a report the SDK's tool offset stays at its cached zero."""
+    with faulty(lite6, "silent_reports", tool=[0, 0, 100, 0, 0, 0]) as controller:
+        arm = connect(controller)
+        until(lambda: controller.look().connections[30002] == 1)
+        assert arm.get_position()[0] == 0
+        assert arm.tcp_offset == [0] * 6
+        assert not arm.arm._first_report_over
+
+
+def test_lost_reports(lite6):
+    with faulty(lite6, "lose:10", speed=20.0) as controller:
+        times = read_reports(controller, 30000, 300)["time_us"].astype(np.int64)
+    assert set(np.diff(times)) == {4000, 8000}
+    assert not (((times - 60_000_000) // 4000) % 10 == 0).any()
+
+
+# ------------------------------------------------------------------------------------------ the controller
+
+
+def test_the_invalid_flag_and_old_firmware(lite6, raw, connect):
+    with faulty(lite6, "invalid") as controller, raw(controller) as line:
+        message = line.ask(8)
+        assert len(message) == 179
+        assert message[8] == 0
+        assert not any(message[11:])
+    with faulty(lite6, "firmware:1.11.5") as controller, raw(controller) as line:
+        assert line.ask(8)[8] == 0
+        assert connect(controller).version_number == (1, 11, 5)
+    with faulty(lite6, "firmware:1.12.1") as controller, raw(controller) as line:
+        assert connect(controller).version_number == (1, 12, 1)
+        line.socket.settimeout(0.2)
+        with pytest.raises(TimeoutError):
+            line.ask(8)
+
+
+def test_another_arm(lite6, raw, connect):
+    with faulty(lite6, "type:6/6") as controller:
+        arm = connect(controller)
+        assert (arm.axis, arm.device_type) == (6, 6)
+        with raw(controller) as line:
+            assert line.ask(8)[8:11] == bytes([1, 6, 6])
+
+
+@pytest.mark.parametrize("where", ["calibration", "kinematics", "reports"])
+def test_nan(lite6, raw, connect, where):
+    with faulty(lite6, f"nan:{where}") as controller:
+        with raw(controller) as line:
+            rows = np.frombuffer(line.ask(8)[11:], "<f4")
+        assert np.isnan(rows[:36]).all() == (where == "calibration")
+        assert not np.isnan(rows[36:]).any()
+        code, pose = connect(controller).get_forward_kinematics(Q)
+        assert code == 0
+        assert all(map(math.isnan, pose)) == (where == "kinematics")
+        record = read_reports(controller, 30000, 1)[0]
+        assert np.isnan(record["pose"]).all() == np.isnan(record["joint_position"]).all() == (where == "reports")
+
+
+def test_a_controller_in_error(lite6, connect):
+    """lite6.md: in error the SDK's tool offset stays zero, whatever is set."""
+    tool = [0, 0, 100, 0, 0, 0]
+    with faulty(lite6, "error:2", "warning:11", path=draw_sines(lite6.arm.joint_limits), tool=tool) as controller:
+        arm = connect(controller)
+        assert controller.look().state == 4  # it does not move
+        until(lambda: arm.error_code == 2)
+        assert arm.get_err_warn_code() == (0, [2, 11])
+        assert arm.tcp_offset == [0] * 6
+        code, pose = arm.get_forward_kinematics(Q)  # masked on reads
+        assert (code, len(pose)) == (0, 6)
+        assert arm.set_servo_angle(angle=Q) == 1
+        assert arm.clean_error() == 1  # still there
+        assert arm.motion_enable(True) == 0
+        assert arm.set_state(0) == 0
+        assert arm.get_state() == (0, 5)
+        controller.set_faults(Faults())
+        assert arm.get_err_warn_code() == (0, [0, 0])
+        until(lambda: arm.tcp_offset == tool)
+
+
+def test_an_error_that_comes_while_it_moves(lite6, connect):
+    with faulty(lite6, path=draw_sines(lite6.arm.joint_limits), speed=5.0) as controller:
+        arm = connect(controller)
+        until(lambda: controller.look().time > 1)
+        controller.fail(31)
+        assert arm.get_err_warn_code() == (0, [31, 0])
+        until(lambda: np.ptp([controller.look().joints[0] for _ in range(5)]) == 0)
+        controller.fail(0)
+        assert arm.get_err_warn_code() == (0, [0, 0])
+
+
+def test_status_bits(lite6, raw):
+    with faulty(lite6, "status:8") as controller, raw(controller) as line:
+        assert line.ask(8)[7] == 0x18
+
+
+def test_a_controller_that_computes_with_another_chain_than_its_calibration(lite6, connect, raw):
+    with faulty(lite6, "nominal") as controller:
+        code, pose = connect(controller).get_forward_kinematics(Q)
+        assert code == 0
+        own = lite6.flange(np.array(Q))[:3, 3]
+        nominal = lite6.flange(np.array(Q), nominal=True)[:3, 3]
+        np.testing.assert_allclose(pose[:3], 1e3 * nominal, atol=2e-4)
+        assert np.linalg.norm(pose[:3] - 1e3 * own) > 0.5
+        with raw(controller) as line:
+            rows = np.frombuffer(line.ask(8)[11:], "<f4").reshape(7, 6)
+        np.testing.assert_array_equal(rows[:6], lite6.kinematics)
+
+
+def test_turns_that_are_rotation_vectors(lite6):
+    path = draw_sines(lite6.arm.joint_limits)
+    with faulty(lite6, "rotation_vectors", path=path, speed=20.0) as controller:
+        records = read_reports(controller, 30000, 50)
+    T = lite6.flange(records["joint_position"][:, :6])
+    np.testing.assert_allclose(records["pose"][:, :3], 1e3 * T[:, :3, 3], atol=3e-4)
+    turn = Rotation.from_rotvec(records["pose"][:, 3:]).inv() * Rotation.from_matrix(T[:, :3, :3])
+    assert turn.magnitude().max() < 2e-6
+
+
+# ------------------------------------------------------------------------------------------ how it is run
+
+
+def test_several_arms_at_once(connect):
+    nominal = load_bundled("lite6")
+    bodies = [Body(nominal, nominal.kinematics + 1e-3 * k) for k in range(3)]
+    with faulty(bodies[0]) as a, faulty(bodies[1]) as b, faulty(bodies[2]) as c:
+        poses = [connect(controller).get_forward_kinematics(Q)[1] for controller in (a, b, c)]
+        for body, pose in zip(bodies, poses, strict=True):
+            np.testing.assert_allclose(pose[:3], 1e3 * body.flange(np.array(Q))[:3, 3], atol=2e-4)
+    assert len({pose[0] for pose in poses}) == 3
+
+
+def test_any_free_control_port(lite6, raw):
+    with faulty(lite6, control_port=0) as controller:
+        assert controller.control_port > 1023
+        with raw(controller) as line:
+            assert line.ask(1)[8:15] == b"6,9,LI1"
+
+
+def test_it_can_be_opened_again_and_leaves_nothing_behind(lite6, raw):
+    controller = faulty(lite6)
+    for _ in range(2):
+        with controller, raw(controller) as line:
+            assert line.ask(13)[6] == 13
+            before = controller.look().time
+            until(lambda before=before: controller.look().time > before + 0.1)
+        with pytest.raises(ConnectionRefusedError):
+            socket.create_connection((controller.address, controller.control_port), timeout=1)
+    controller.close()
+
+
+@pytest.mark.parametrize("address", ["0.0.0.0", "192.168.1.5", "8.8.8.8"])
+def test_loopback_only(lite6, address):
+    with pytest.raises(InputError, match=rf"{address}: is not of loopback: an emulator is nothing to put on a network"):
+        faulty(lite6, address=address)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"address": "localhost"}, "'localhost': is no address; write it like 127.0.0.1"),
+        ({"address": "::1"}, "'::1': is no address"),
+        ({"speed": 0.0}, "speed 0.0: the clock runs forward"),
+        ({"control_port": 70000}, "control port 70000: is none"),
+    ],
+)
+def test_what_cannot_be(lite6, options, message):
+    with pytest.raises(InputError, match=message):
+        faulty(lite6, **options)
+
+
+def test_ports_in_use(lite6):
+    with faulty(lite6) as controller:
+        with pytest.raises(InputError, match=r"is in use, by another emulator perhaps; choose another address"):
+            faulty(lite6, address=controller.address).open()
+        with pytest.raises(InputError, match="is in use"):
+            faulty(lite6, address=controller.address, control_port=0).open()
+
+
+def test_without_the_right_to_port_502(lite6, monkeypatch):
+    controller = faulty(lite6, control_port=502)
+
+    async def refuse(*_, **__):
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr("asyncio.start_server", refuse)
+    with pytest.raises(InputError) as raised:
+        controller.open()
+    said = str(raised.value)
+    assert "502: ports below 1024 need the right to them; add --control-port 5020" in said
+    assert "XCONF.SocketConf.TCP_CONTROL_PORT = 5020" in said
+    assert "\n" not in said
+
+
+def test_bodies_that_cannot_be():
+    lite6 = load_bundled("lite6")
+    with pytest.raises(InputError, match=r"a calibration \(5, 6\); it must be \(6, 6\)"):
+        Body(lite6, lite6.kinematics[:5])
+    effect, values = parse_effect("joint_compliance:joint=7,compliance_rad_per_Nm=1e-5")
+    with pytest.raises(InputError, match="concerns joint 7, and the arm has 6"):
+        Body(lite6, lite6.kinematics, Physics((effect,)), values)
+    effect, values = parse_effect("time_offset:offset_s=3")
+    with pytest.raises(InputError, match="looks 1 s ahead at most"):
+        Body(lite6, lite6.kinematics, Physics((effect,)), values)

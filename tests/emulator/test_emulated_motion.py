@@ -1,0 +1,208 @@
+"""Paths as functions of time: their laws, their limits, and how they follow one another."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from lite6jax.arms.bundled import load_bundled
+from lite6jax.emulator.motion import (
+    MAX_ACCELERATION,
+    MAX_SPEED,
+    Brake,
+    PointToPoint,
+    Rest,
+    Servo,
+    Timeline,
+    draw_places,
+    draw_sines,
+    peak_speed,
+    played,
+    read_path,
+    visits,
+)
+from lite6jax.errors import InputError
+
+LITE6 = load_bundled("lite6")
+HERE = np.array([0.1, -0.2, 0.3, 0.4, -0.5, 0.6])
+THERE = np.array([1.1, 0.2, 0.3, -0.4, -0.1, 0.5])
+PATHS = {
+    "rest": Rest(HERE, 2.0),
+    "move": PointToPoint(HERE, THERE, 0.5, 3.0),
+    "short move": PointToPoint(HERE, HERE + 1e-3, 3.0, 3.0),
+    "no move": PointToPoint(HERE, HERE),
+    "brake": Brake(HERE, THERE),
+    "servo": Servo(HERE, THERE, 0.004),
+    "sines": draw_sines(LITE6.joint_limits, seed=2),
+    "visits": visits([HERE, THERE, HERE * 2]),
+    "played": played(np.linspace(3, 8, 40), np.sin(np.linspace(0, 2, 40))[:, None] * THERE),
+}
+
+
+@pytest.mark.parametrize("name", PATHS)
+def test_velocity_is_the_derivative_of_position(name):
+    path = PATHS[name]
+    t, h = np.linspace(1e-3, min(path.duration, 30.0) - 1e-3, 501) if path.duration else np.array([0.5]), 1e-5
+    slope = (path.at(t + h)[0] - path.at(t - h)[0]) / (2 * h)
+    np.testing.assert_allclose(path.at(t)[1], slope, atol=1e-3 if name in ("move", "short move", "visits") else 1e-5)
+
+
+@pytest.mark.parametrize("name", [name for name in PATHS if np.isfinite(PATHS[name].duration)])
+def test_it_stands_before_and_after(name):
+    path = PATHS[name]
+    q, dq = path.at(np.array([path.duration + 1.0, path.duration + 1e-9]))
+    np.testing.assert_array_equal(q, [path.end, path.end])
+    assert not dq.any()
+
+
+def test_a_move_meets_both_ends_exactly():
+    path = PATHS["move"]
+    assert path.start.tolist() == HERE.tolist()
+    assert path.end.tolist() == THERE.tolist()
+
+
+@given(st.floats(0.01, 3.1), st.floats(0.1, 20.0), st.floats(1e-6, 6.0))
+def test_a_move_keeps_to_its_limits_and_wastes_no_time(speed, acceleration, way):
+    path = PointToPoint(np.zeros(2), np.array([way, -way / 3]), speed, acceleration)
+    ramp = speed / acceleration
+    trapezoid = way / speed + ramp
+    expected = trapezoid if way > speed * ramp else 2 * np.sqrt(way / acceleration)
+    assert path.duration == pytest.approx(expected, rel=1e-9)
+    t = np.linspace(0, path.duration, 400)
+    q, dq = path.at(t)
+    assert np.abs(dq).max() <= speed * (1 + 1e-9)
+    assert np.abs(np.diff(dq[:, 0]) / np.diff(t)).max() <= acceleration * (1 + 1e-6)
+    np.testing.assert_allclose(q[:, 1], -q[:, 0] / 3, atol=1e-12)  # in time with each other
+
+
+def test_servo_keeps_to_the_limit_of_speed():
+    assert Servo(np.zeros(1), np.full(1, 1e-3), 0.004).duration == 0.004
+    assert Servo(np.zeros(1), np.ones(1), 0.004).duration == pytest.approx(1 / np.pi)
+
+
+@pytest.mark.parametrize("name", ["lite6", "xarm5", "xarm7"])
+def test_programs_stay_within_limits_and_speed(name):
+    arm = load_bundled(name)
+    for what in ("sines", "poses"):
+        path = read_path(what, arm, seed=4)
+        q, dq = path.at(np.linspace(0, 300, 30001))
+        assert (q >= arm.joint_limits[:, 0]).all()
+        assert (q <= arm.joint_limits[:, 1]).all()
+        assert np.abs(dq).max() <= MAX_SPEED
+        assert not path.at(np.zeros(1))[1].any()
+        assert np.ptp(q, axis=0).min() > 1.0
+    assert read_path("rest", arm) is None
+
+
+def test_programs_are_drawn_by_seed():
+    a, b, c = (draw_places(LITE6.joint_limits, 5, seed) for seed in (1, 1, 2))
+    np.testing.assert_array_equal(a, b)
+    assert not np.allclose(a, c)
+
+
+def test_visits_go_round():
+    path = visits([HERE, THERE], pause=1.0)
+    turn = float(path._starts[-1])
+    t = np.linspace(0, turn, 57)[:-1]
+    np.testing.assert_allclose(path.at(t)[0], path.at(t + 3 * turn)[0], atol=1e-9)
+    assert path.at(np.array([0.5]))[0][0].tolist() == HERE.tolist()
+
+
+def test_acceleration_of_the_arm():
+    assert pytest.approx(20.0, abs=0.01) == MAX_ACCELERATION
+
+
+# ------------------------------------------------------------------------------------------ one after the other
+
+
+def test_a_timeline_is_its_paths_in_turn():
+    line = Timeline(HERE)
+    assert line.end == -np.inf
+    line.then(PATHS["move"], 1.0)
+    assert line.end == 1.0 + PATHS["move"].duration
+    line.then(PointToPoint(THERE, HERE, 1.0, 5.0), line.end)
+    t = np.linspace(-1, line.end + 1, 3001)
+    q, dq = line.at(t)
+    assert np.abs(np.diff(q, axis=0)).max() < 0.01
+    assert q[0].tolist() == q[-1].tolist() == HERE.tolist()
+    assert not dq[0].any()
+    for k in (0, 500, 1500, 3000):
+        np.testing.assert_array_equal(line.at(t[k : k + 1])[0][0], q[k])
+
+
+def test_stopping_brakes_and_forgets_the_rest():
+    line = Timeline(HERE)
+    line.then(PATHS["move"], 0.0)
+    line.then(PointToPoint(THERE, HERE), line.end)
+    before = line.at(np.array([1.0]))
+    line.stop(1.0)
+    after = line.at(np.array([1.0, 1.0 + 1e-6]))
+    np.testing.assert_allclose(after[0][0], before[0][0])
+    np.testing.assert_allclose(after[1][1], before[1][0], rtol=1e-3)
+    assert line.end == pytest.approx(1.0 + 0.5 / MAX_ACCELERATION)
+    assert not line.at(np.array([line.end + 1e-6, 100.0]))[1].any()
+    # what was, is still known
+    np.testing.assert_allclose(line.at(np.array([0.5]))[0], PATHS["move"].at(np.array([0.5]))[0])
+
+
+def test_a_timeline_does_not_grow_for_ever():
+    line = Timeline(np.zeros(1))
+    for k in range(5000):
+        line.then(Servo(np.zeros(1), np.zeros(1), 0.004), 0.004 * k)
+    assert len(line._paths) < 1300
+
+
+# ------------------------------------------------------------------------------------------ from a file
+
+
+def recording(path, text):
+    path.write_text(text)
+    return str(path)
+
+
+def test_a_trajectory_is_played(tmp_path):
+    rows = ["time_s," + ",".join(f"q{i}_rad" for i in range(1, 7))]
+    rows += [f"{0.1 * k},{0.1 * np.sin(k / 5)},0,1,0,0,0" for k in range(60)]
+    path = read_path(recording(tmp_path / "run.csv", "\n".join(rows)), LITE6)
+    assert path.duration == pytest.approx(5.9)
+    np.testing.assert_allclose(path.at(np.array([2.0]))[0][0], [0.1 * np.sin(4), 0, 1, 0, 0, 0], atol=1e-9)
+
+
+def test_static_poses_are_visited(tmp_path):
+    rows = [",".join(f"q{i}_deg" for i in range(1, 7)), "0,0,60,0,0,0", "30,0,60,0,0,0"]
+    path = read_path(recording(tmp_path / "poses.csv", "\n".join(rows)), LITE6)
+    assert path.duration == np.inf
+    np.testing.assert_allclose(path.start, np.deg2rad([0, 0, 60, 0, 0, 0]))
+
+
+@pytest.mark.parametrize(
+    ("rows", "message"),
+    [
+        (["0,0,1,0,0,0", "0,3,1,0,0,0"], "joint 2 is 21.9° beyond its limits in row 2; give a motion that this arm"),
+        (["0,0,1,0,0", "0,0,1,0,0"], "has 5 joints .*, the arm has 6; choose the arm it is of"),
+    ],
+)
+def test_motions_that_the_arm_cannot_do(tmp_path, rows, message):
+    header = ",".join(f"q{i}_rad" for i in range(1, len(rows[0].split(",")) + 1))
+    file = recording(tmp_path / "run.csv", "\n".join([header, *rows]))
+    with pytest.raises(InputError, match=message):
+        read_path(file, LITE6)
+
+
+def test_motions_that_are_too_fast_or_out_of_order(tmp_path):
+    header = "time_s," + ",".join(f"q{i}_rad" for i in range(1, 7))
+    fast = recording(tmp_path / "fast.csv", "\n".join([header, *(f"{0.1 * k},{k % 2},0,1,0,0,0" for k in range(20))]))
+    with pytest.raises(InputError, match=r"a joint turns at \d+°/s, and the arm at 180°/s at most; give a slower"):
+        read_path(fast, LITE6)
+    back = recording(tmp_path / "back.csv", "\n".join([header, "0,0,0,1,0,0,0", "0.2,0,0,1,0,0,0", "0.1,0,0,1,0,0,0"]))
+    with pytest.raises(InputError, match="time does not rise from row to row; sort the rows, and keep one run"):
+        read_path(back, LITE6)
+
+
+def test_neither_a_program_nor_a_file():
+    with pytest.raises(InputError, match="--motion 'dance': is neither rest, sines, poses nor a recording's file"):
+        read_path("dance", LITE6)
+
+
+def test_the_peak_of_speed():
+    assert peak_speed(PATHS["move"]) == pytest.approx(0.5, rel=1e-6)

@@ -1,0 +1,257 @@
+"""What the report ports say, to a plain socket and to the SDK; and that hidden physics is where it is said to be."""
+
+import socket
+import threading
+
+import numpy as np
+import pytest
+from emulated import CONTROL_PORT, new_address, read_reports, until
+from plain_chain import six_parameter_poses
+from scipy.spatial.transform import Rotation
+
+from lite6jax.controller import protocol
+from lite6jax.emulator import Body, Controller, draw_sines, visits
+from lite6jax.emulator.motion import PointToPoint
+from lite6jax.physics.catalogue import parse_effect
+from lite6jax.physics.composition import Physics
+
+
+def emulated(body, **options):
+    return Controller(body, **{"address": new_address(), "control_port": CONTROL_PORT, "speed": 40.0} | options)
+
+
+@pytest.fixture(scope="module")
+def sines(lite6):
+    return draw_sines(lite6.arm.joint_limits, seed=5)
+
+
+@pytest.fixture(scope="module")
+def recorded(lite6, sines):
+    """Twelve seconds of port 30000."""
+    with emulated(lite6, path=sines) as controller:
+        return read_reports(controller, 30000, 3000)
+
+
+def seconds(records):
+    return (records["time_us"].astype(float) - 60e6) / 1e6
+
+
+def test_every_sample_once_and_at_its_time(recorded):
+    assert set(np.diff(recorded["time_us"].astype(np.int64))) == {4000}
+    assert set(recorded["length"]) == {784}
+
+
+def test_targets_are_the_path(recorded, sines):
+    q, dq = sines.at(seconds(recorded))
+    np.testing.assert_allclose(recorded["target_position"][:, :6], q, atol=3e-7)
+    np.testing.assert_allclose(recorded["target_velocity"][:, :6], dq, atol=5e-7)
+    assert not recorded["target_position"][:, 6].any()
+
+
+def test_the_encoders_follow_two_samples_late(recorded):
+    for actual, target in (("joint_position", "target_position"), ("joint_velocity", "target_velocity")):
+        np.testing.assert_allclose(recorded[actual][2:], recorded[target][:-2], atol=1e-6)
+    np.testing.assert_allclose(recorded["joint_acceleration"][2:], recorded["target_acceleration"][:-2], atol=2e-3)
+
+
+def test_velocities_and_accelerations_are_derivatives(recorded):
+    for prefix in ("target", "joint"):
+        step = np.diff(recorded[f"{prefix}_position"].astype(float), axis=0) / 0.004
+        mean = (recorded[f"{prefix}_velocity"][1:] + recorded[f"{prefix}_velocity"][:-1]) / 2
+        np.testing.assert_allclose(step, mean, atol=3e-4)
+        step = np.diff(recorded[f"{prefix}_velocity"].astype(float), axis=0) / 0.004
+        np.testing.assert_allclose(step, recorded[f"{prefix}_acceleration"][1:], atol=0.15)
+
+
+def test_without_physics_the_pose_is_the_chain_at_the_encoders(recorded, lite6):
+    T = six_parameter_poses(lite6.kinematics, recorded["joint_position"][:, :6].astype(float))
+    np.testing.assert_allclose(recorded["pose"][:, :3], 1e3 * T[:, :3, 3], atol=2e-4)
+    turn = Rotation.from_euler("xyz", recorded["pose"][:, 3:]).inv() * Rotation.from_matrix(T[:, :3, :3])
+    assert turn.magnitude().max() < 2e-6
+    T = six_parameter_poses(lite6.kinematics, recorded["target_position"][:, :6].astype(float))
+    np.testing.assert_allclose(recorded["target_pose"][:, :3], 1e3 * T[:, :3, 3], atol=2e-4)
+
+
+def test_the_speed_of_the_tool(recorded):
+    moved = np.gradient(recorded["pose"][:, :3].astype(float), 0.004, axis=0)
+    np.testing.assert_allclose(recorded["pose_speed"][5:-5, :3], moved[5:-5], atol=1.5)
+    R = Rotation.from_euler("xyz", recorded["pose"][:, 3:])
+    spin = (R[2:] * R[:-2].inv()).as_rotvec() / 0.008
+    np.testing.assert_allclose(recorded["pose_speed"][5:-5, 3:], spin[4:-4], atol=5e-3)
+
+
+def test_currents_follow_torques_and_speeds(recorded):
+    factors, rest, *_ = np.linalg.lstsq(
+        np.stack([recorded["torque"][:, 1], recorded["joint_velocity"][:, 1]], -1), recorded["current"][:, 1]
+    )
+    assert (factors > 0).all()
+    assert rest[0] < 1e-8
+
+
+@pytest.mark.parametrize(("port", "count", "field"), [
+    (30000, 500, "target_position"), (30001, 10, "joint_position"), (30002, 10, "joint_position"),
+    (30003, 200, "joint_position"),
+])  # fmt: skip
+def test_ports_keep_their_rates(lite6, port, count, field):
+    """Joint 1 turns evenly: it is the clock."""
+    there = np.array([3.0, 0, 1, 0, 0, 0])
+    path = PointToPoint(there * [-1, 1, 1, 1, 1, 1], there, speed=0.1)  # for a minute
+    with emulated(lite6, path=path, speed=4.0) as controller:
+        until(lambda: controller.look().time > 0.1)
+        turned = np.diff(read_reports(controller, port, count)[field][:, 0].astype(float))
+    np.testing.assert_allclose(turned / 0.1, 1 / protocol.RATES[port], atol=1e-5)
+
+
+def test_the_rich_report_through_the_sdk(lite6, connect):
+    path = visits([[0.3, 0.2, 1.0, 0.1, 0.5, 0.2], [0.3, 0.2, 1.0, 0.1, 0.5, 0.3]], pause=1e6)
+    tool = [0, 0, 50, 0, 0, 0.25]
+    with emulated(
+        lite6, path=path, tool=tool, payload=[0.4, 0, 0, 20], speed=500.0, report_ports=(30002,)
+    ) as controller:
+        arm = connect(controller)
+        until(lambda: arm.tcp_offset == tool)
+        assert arm.tcp_load == [0.4, [0, 0, 20]]
+        np.testing.assert_allclose(arm.angles[:6], path.start, atol=1e-6)
+        assert (arm.state, arm.mode, arm.error_code, arm.warn_code) == (1, 0, 0, 0)
+        pose = arm.get_forward_kinematics(path.start.tolist())[1]
+        np.testing.assert_allclose(arm.position, pose, atol=1e-3)
+        pose = arm.get_position()[1]
+        np.testing.assert_allclose(arm.position, pose, atol=1e-3)
+        assert arm.get_position_aa()[1][:3] == pytest.approx(pose[:3], abs=1e-3)
+        turn = Rotation.from_rotvec(arm.get_position_aa()[1][3:]).inv() * Rotation.from_euler("xyz", pose[3:])
+        assert turn.magnitude() < 2e-6
+        assert arm.voltages == [24.0] * 7
+        assert arm.currents[1] == pytest.approx(0.08 * arm.get_joints_torque()[1][1], abs=1e-5)
+        np.testing.assert_allclose(arm.joints_torque, arm.get_joints_torque()[1], atol=1e-4)
+        until(lambda: arm.temperatures[0] > 30)  # it warms up by 12 K with 1200 s: 600 s, compressed
+        first, *_, sixth, none = arm.temperatures
+        assert (first > sixth, none) == (True, 0)
+        assert arm.joint_speed_limit[1] == pytest.approx(np.pi)
+        assert all(arm.motor_enable_states[:6])
+
+
+@pytest.mark.parametrize("kind", ["real", "normal"])
+def test_the_other_reports_through_the_sdk(lite6, connect, kind):
+    path = visits([[0.3, 0.2, 1.0, 0.1, 0.5, 0.2], [0.3, 0.2, 1.0, 0.1, 0.5, 0.3]], pause=1e6)
+    tool = [0, 0, 50, 0, 0, 0.25]
+    with emulated(lite6, path=path, tool=tool) as controller:
+        arm = connect(controller, report_type=kind)
+        until(lambda: np.allclose(arm.angles[:6], path.start, atol=1e-6))
+        np.testing.assert_allclose(arm.position, arm.get_position()[1], atol=1e-3)
+        np.testing.assert_allclose(arm.joints_torque, arm.get_joints_torque()[1], atol=1e-4)
+        until(lambda: arm.state == 1)
+        if kind == "normal":
+            until(lambda: arm.tcp_offset == tool)
+        else:
+            assert arm.tcp_offset == [0] * 6  # the SDK's trap: port 30003 does not say
+
+
+# ------------------------------------------------------------------------------------------ hidden physics
+
+
+def hidden(lite6, *texts):
+    """The same arm with physics."""
+    parsed = [parse_effect(text) for text in texts]
+    physics = Physics(tuple(effect for effect, _ in parsed))
+    return Body(lite6.arm, lite6.kinematics, physics, physics.join([values for _, values in parsed]))
+
+
+def shown(body, path, count=600, **options):
+    with emulated(body, path=path, **options) as controller:
+        return read_reports(controller, 30000, count)
+
+
+def assert_poses(records, T, atol=3e-4):
+    np.testing.assert_allclose(records["pose"][:, :3], 1e3 * T[:, :3, 3], atol=atol)
+
+
+def test_compliance_is_in_the_pose_and_nowhere_else(lite6, sines):
+    records = shown(hidden(lite6, "joint_compliance:joint=2,compliance_rad_per_Nm=1e-3"), sines)
+    q = records["joint_position"][:, :6].astype(float)
+    np.testing.assert_allclose(q, sines.at(seconds(records) - 0.008)[0], atol=3e-7)
+    np.testing.assert_allclose(
+        records["target_pose"][:, :3],
+        1e3 * six_parameter_poses(lite6.kinematics, records["target_position"][:, :6])[:, :3, 3],
+        atol=2e-4,
+    )
+    q[:, 1] += 1e-3 * -records["torque"][:, 1]  # gravity's torque is what the motor holds against
+    assert_poses(records, six_parameter_poses(lite6.kinematics, q))
+
+
+def test_register_44_knows_nothing_of_it(lite6, connect):
+    with emulated(hidden(lite6, "joint_compliance:joint=2,compliance_rad_per_Nm=1e-2")) as controller:
+        q = np.array([0.1, 0.5, 1.0, 0.2, 0.3, 0.4])
+        code, pose = connect(controller).get_forward_kinematics(q.tolist())
+        assert code == 0
+        np.testing.assert_allclose(pose[:3], 1e3 * six_parameter_poses(lite6.kinematics, q[None])[0, :3, 3], atol=2e-4)
+        # nor the slow ports
+        slow = read_reports(controller, 30003, 3)
+        at_rest = six_parameter_poses(lite6.kinematics, np.zeros((1, 6)))[0, :3, 3]
+        np.testing.assert_allclose(slow["pose"][:, :3], 1e3 * at_rest[None].repeat(3, 0), atol=2e-4)
+        fast = read_reports(controller, 30000, 3)
+        assert np.abs(fast["pose"][:, :3] - 1e3 * at_rest).max() > 1.0
+
+
+def test_backlash_remembers_the_last_direction_while_it_stands(lite6):
+    """Each time the arm comes to a place from the other side, the link lies at the other end of the gap."""
+    path = visits([[0, 0, 1, 0, 0, 0], [0.5, 0, 1, 0, 0, 0]], pause=0.5)
+    records = shown(hidden(lite6, "joint_backlash:joint=1,gap_rad=0.01"), path, 2500)
+    q = records["joint_position"][:, :6].astype(float)
+    still = np.abs(records["joint_velocity"][:, 0]) == 0
+    first_move = np.argmax(~still)
+    direction = np.sign(records["joint_velocity"][:, 0].astype(float))
+    for k in range(1, len(direction)):
+        direction[k] = direction[k] or direction[k - 1]
+    assert {direction[k] for k in np.flatnonzero(still) if k > first_move} == {-1.0, 1.0}
+    q[:, 0] -= 0.005 * direction
+    assert_poses(records[first_move:], six_parameter_poses(lite6.kinematics, q[first_move:]))
+
+
+def test_a_lag_and_a_clock_that_is_off(lite6, sines):
+    lag = shown(hidden(lite6, "joint_lag:joint=1,lag_s=0.02"), sines)
+    q = lag["joint_position"][:, :6].astype(float)
+    q[:, 0] -= 0.02 * lag["joint_velocity"][:, 0]
+    assert_poses(lag, six_parameter_poses(lite6.kinematics, q))
+    late = shown(hidden(lite6, "time_offset:offset_s=-0.05"), sines)
+    assert_poses(late, six_parameter_poses(lite6.kinematics, sines.at(seconds(late) - 0.008 - 0.05)[0]), atol=3e-3)
+    early = shown(hidden(lite6, "time_offset:offset_s=0.05"), sines)
+    assert_poses(early, six_parameter_poses(lite6.kinematics, sines.at(seconds(early) - 0.008 + 0.05)[0]), atol=3e-3)
+
+
+def test_warmth_and_a_payload_that_is_not_as_declared(lite6, sines):
+    warm = shown(hidden(lite6, "link_thermal_expansion:expansion_per_K=2e-4"), sines, 2000, speed=400.0)
+    rigid = six_parameter_poses(lite6.kinematics, warm["joint_position"][:, :6].astype(float))[:, :3, 3]
+    growth = np.linalg.norm(warm["pose"][:, :3] / 1e3, axis=1) / np.linalg.norm(rigid, axis=1) - 1
+    mean_rise = 12 * -np.expm1(-seconds(warm) / 1200) * np.mean(np.linspace(1, 0.8, 6))
+    np.testing.assert_allclose(growth, 2e-4 * mean_rise, atol=2e-6)
+    heavy = "joint_compliance:joint=2,compliance_rad_per_Nm=1e-3", "payload_error:mass_kg=0.5"
+    declared = shown(hidden(lite6, heavy[0]), sines, 300, payload=[0.5, 0, 0, 0])
+    hidden_mass = shown(hidden(lite6, *heavy), sines, 300)
+    same = np.isin(declared["time_us"], hidden_mass["time_us"])
+    again = np.isin(hidden_mass["time_us"], declared["time_us"])
+    assert same.sum() > 250
+    np.testing.assert_allclose(declared["pose"][same], hidden_mass["pose"][again], atol=2e-4)
+
+
+# ------------------------------------------------------------------------------------------ a long stream
+
+
+def test_a_minute_without_a_sample_lost_or_doubled(lite6, sines):
+    """Port 30000 at 200 times the speed, by a reader that now and then does nothing for a while."""
+    with (
+        emulated(lite6, path=sines, speed=200.0) as controller,
+        socket.create_connection((controller.address, 30000), timeout=10) as line,
+    ):
+        buffer, times = bytearray(), []
+        while len(times) < 15000:
+            buffer += line.recv(1 << 20)
+            reports = b"".join(protocol.take_reports(buffer))
+            times.extend(np.frombuffer(reports, protocol.report_layout(30000))["time_us"].tolist())
+            if len(times) % 7 == 0:
+                threading.Event().wait(0.05)
+    assert set(np.diff(times)) == {4000}
+
+
+def test_a_reader_that_never_reads_holds_nobody_up(lite6):
+    with emulated(lite6, speed=1.0) as controller, socket.create_connection((controller.address, 30000)):
+        assert len(read_reports(controller, 30000, 100)) == 100

@@ -1,0 +1,289 @@
+"""The wire format against bytes written by hand, the vendor's printed examples, and the structures of the SDK."""
+
+import ctypes
+import struct
+
+import hypothesis.strategies as st
+import numpy as np
+import pytest
+from hypothesis import given
+from scipy.spatial.transform import Rotation
+
+from lite6jax.controller import protocol
+from lite6jax.controller.protocol import Calibration, Frame, Identity, MalformedError, Register, Status
+
+
+def bytes_of(text):
+    return bytes.fromhex(text)
+
+
+# Requests and replies as the vendor's "Private TCP protocol" prints them.
+ENABLE = bytes_of("00 01 00 02 00 03 0B 08 01")
+MOVE = bytes_of(
+    "00 01 00 02 00 29 17 92 0A 86 3F 00 00 00 00 00 00 00 00 00 00 00 00 00 00 00 00 00 00 00 00 00 00 00 00"
+    "C2 B8 B2 3E 58 A0 0B 41 00 00 00 00"
+)
+POSE = bytes_of("00 01 00 02 00 1A 29 10 43 00 4F 43 B4 CE 18 3A 3A 00 E0 42 DB 0F 49 40 FD AD 80 B6 7C D9 20 37")
+VERSION = bytes_of(
+    "00 01 00 02 00 2A 01 00 36 2C 36 2C 58 49 31 32 30 32 2C 41 43 31 33 30 32 2C 76 31 2E 31 32 2E 31 30"
+    "00 00 00 00 00 00 00 00 00 00 00 00 00 00"
+)
+
+
+def only(received):
+    buffer = bytearray(received)
+    (frame,) = protocol.take_frames(buffer)
+    assert not buffer
+    return frame
+
+
+def test_a_request_is_header_register_and_parameters():
+    assert protocol.request(Register.MOTION_ENABLE, bytes([8, 1])).encode() == ENABLE
+    assert only(ENABLE) == Frame(1, 2, 11, b"\x08\x01")
+    # the calibration read of the vendor's own script
+    assert protocol.request(Register.CALIBRATION).encode() == bytes([0, 1, 0, 2, 0, 1, 8])
+    assert protocol.request(13, transaction=0x1234, protocol=3).encode() == bytes_of("12 34 00 03 00 01 0D")
+
+
+def test_floats_are_little_endian_and_the_header_is_not():
+    frame = only(MOVE)
+    assert frame.register == Register.MOVE_JOINTS
+    values = protocol.read_floats(frame.body, 10)
+    np.testing.assert_allclose(values, [np.pi / 3, *[0] * 6, np.deg2rad(20), np.deg2rad(500), 0], atol=1.5e-4)
+    joints = np.frombuffer(bytes_of("92 0A 86 3F"), "<f4")
+    assert protocol.floats([*joints, 0.0]) == bytes_of("92 0A 86 3F 00 00 00 00")
+
+
+def test_a_reply_has_a_status_and_a_payload():
+    frame = only(POSE)
+    assert frame.status == Status.CANNOT_MOVE
+    np.testing.assert_allclose(protocol.read_floats(frame.payload, 6), [207, 0, 112, np.pi, 0, 0], atol=2e-3)
+    assert protocol.request(Register.POSE).reply(frame.payload, Status.CANNOT_MOVE).encode() == POSE
+
+
+def test_a_reply_echoes_transaction_and_protocol():
+    asked = protocol.request(Register.STATE, transaction=65535, protocol=3)
+    assert asked.reply(b"\x02", Status.ERROR).encode() == bytes_of("FF FF 00 03 00 03 0D 40 02")
+
+
+@pytest.mark.parametrize(("bit", "value"), [("INVALID", 8), ("CANNOT_MOVE", 16), ("WARNING", 32), ("ERROR", 64)])
+def test_bits_of_the_status(bit, value):
+    assert Status[bit] == value
+
+
+@given(st.lists(st.tuples(st.integers(0, 65535), st.integers(0, 255), st.binary(max_size=60)), max_size=5), st.data())
+def test_frames_survive_any_fragmentation(messages, data):
+    frames = [Frame(transaction, 2, register, body) for transaction, register, body in messages]
+    stream = b"".join(frame.encode() for frame in frames)
+    buffer, found, sent = bytearray(), [], 0
+    while sent < len(stream):
+        size = data.draw(st.integers(1, len(stream) - sent))
+        buffer += stream[sent : sent + size]
+        sent += size
+        found += protocol.take_frames(buffer)
+    assert found == frames
+    assert not buffer
+
+
+def test_a_frame_without_a_register_is_none():
+    with pytest.raises(MalformedError, match="length 0"):
+        list(protocol.take_frames(bytearray(6)))
+    with pytest.raises(MalformedError, match="without a status"):
+        _ = Frame(1, 2, 8, b"").status
+
+
+def test_the_version_is_forty_bytes_of_text():
+    assert protocol.read_identity(only(VERSION).payload) == Identity(6, 6, "XI1202", "AC1302", (1, 12, 10))
+    lite6 = Identity(6, 9, "LI1006", "DL1000", (2, 7, 1))
+    assert lite6.encode() == b"6,9,LI1006,DL1000,v2.7.1".ljust(40, b"\0")
+    assert protocol.read_identity(lite6.encode()) == lite6
+    assert Frame(1, 2, 1, b"\0" + Identity(6, 6, "XI1202", "AC1302", (1, 12, 10)).encode()).encode() == VERSION
+    with pytest.raises(ValueError, match="not shorter than 40"):
+        Identity(6, 9, "L" * 20, "D" * 20, (2, 7, 1)).encode()
+    with pytest.raises(MalformedError, match="not axes,type,arm,box"):
+        protocol.read_identity(bytes(40))
+
+
+def test_serial_numbers():
+    # register 2 as printed: the arm's, NUL, the box's, a line feed
+    printed = bytes_of(
+        "58 49 31 32 30 32 30 34 32 30 31 42 30 32 00 41 43 31 33 30 32 30 32 42 30 32 4C 30 32 0A 00 00 00 00 00"
+        "00 00 00 00 00"
+    )
+    assert protocol.read_serial_numbers(printed) == ("XI120204201B02", "AC130202B02L02")
+    assert protocol.serial_numbers("XI120204201B02", "AC130202B02L02") == printed
+    assert protocol.read_serial_numbers(bytes(40)) == ("", "")
+
+
+def test_the_calibration_reply_is_179_bytes():
+    rows = np.arange(36.0).reshape(6, 6) / 64  # exact in fp32
+    message = protocol.request(Register.CALIBRATION).reply(Calibration(1, 6, 9, rows).encode()).encode()
+    assert len(message) == 179 == protocol.CALIBRATION_REPLY
+    assert message[:11] == bytes_of("00 01 00 02 00 AD 08 00 01 06 09")
+    assert message[11:] == struct.pack("<42f", *rows.ravel(), *[0] * 6)
+    read = protocol.read_calibration(only(message).payload)
+    assert read[:3] == (1, 6, 9)
+    np.testing.assert_array_equal(read.rows, [*rows, np.zeros(6)])
+    with pytest.raises(MalformedError, match="170 bytes"):
+        protocol.read_calibration(bytes(170))
+
+
+def test_the_calibration_of_seven_joints_fills_it():
+    rows = np.random.default_rng(0).normal(size=(7, 6)).astype(np.float32).astype(float)
+    read = protocol.read_calibration(Calibration(1, 7, 7, rows).encode())
+    np.testing.assert_array_equal(read.rows, rows)
+
+
+def test_what_floats_are_refused():
+    with pytest.raises(MalformedError, match="multiple of 4"):
+        protocol.read_floats(bytes(7))
+    with pytest.raises(MalformedError, match="must be 24"):
+        protocol.read_floats(bytes(28), 6)
+    assert protocol.read_floats(bytes(8)).tolist() == [0, 0]
+
+
+def test_joints_are_always_seven():
+    np.testing.assert_array_equal(protocol.seven(np.ones((2, 5))), [[1, 1, 1, 1, 1, 0, 0]] * 2)
+    assert protocol.seven(np.ones(7)).tolist() == [1] * 7
+
+
+def test_poses_are_millimetres_and_fixed_angles():
+    rng = np.random.default_rng(1)
+    angles = np.concatenate([rng.uniform(-np.pi, np.pi, (50, 3)) * [1, 0.499, 1], [[0.3, np.pi / 2, 0.0]]])
+    T = np.tile(np.eye(4), (51, 1, 1))
+    T[:, :3, :3] = Rotation.from_euler("xyz", angles).as_matrix()  # lower case: about fixed axes
+    T[:, :3, 3] = rng.normal(size=(51, 3))
+    pose = protocol.wire_pose(T)
+    np.testing.assert_allclose(pose[:, :3], 1000 * T[:, :3, 3], rtol=1e-15)
+    np.testing.assert_allclose(pose[:50, 3:], angles[:50], atol=1e-12)
+    np.testing.assert_allclose(protocol.transform_of_wire_pose(pose), T, atol=1e-14)
+    rotation_vector = protocol.axis_angle_of_wire_pose(pose)
+    np.testing.assert_allclose(rotation_vector[:, 3:], Rotation.from_matrix(T[:, :3, :3]).as_rotvec(), atol=1e-12)
+    np.testing.assert_array_equal(rotation_vector[:, :3], pose[:, :3])
+
+
+@pytest.mark.parametrize("turn", [(0, 0, 0), (np.pi, 0, 0), (0, np.pi, 0), (0, 0, np.pi), (1e-9, 0, 0), (3.1, 0.1, 0)])
+def test_axis_and_angle_at_their_ends(turn):
+    R = Rotation.from_rotvec(turn)
+    T = np.eye(4)
+    T[:3, :3] = R.as_matrix()
+    vector = protocol.axis_angle_of_wire_pose(protocol.wire_pose(T))[3:]
+    np.testing.assert_allclose(Rotation.from_rotvec(vector).as_matrix(), R.as_matrix(), atol=1e-12)
+    np.testing.assert_allclose(np.linalg.norm(vector), np.linalg.norm(turn), atol=1e-12)
+
+
+def test_feedback_is_where_the_sdk_reads_it():
+    """The SDK's documentation of a feedback's bytes."""
+    command = protocol.request(Register.MOVE_JOINTS, transaction=0x0A0B, protocol=3)
+    told = protocol.feedback(command, protocol.MOTION_ENDED, protocol.Feedback(23, 7, 2, 1_000_000)).encode()
+    assert struct.unpack(">H", told[0:2]) == (0x0A0B,)
+    assert struct.unpack(">H", told[4:6]) == (len(told) - 6,)
+    assert (told[6], told[8], told[9], told[12]) == (0xFF, 2, 23, 2)
+    assert struct.unpack(">H", told[10:12]) == (7,)
+    assert struct.unpack(">Q", told[13:21]) == (1_000_000,)
+
+
+# The offsets of lite6.md, and the first bytes of the vendor's table of port 30000.
+OFFSETS = [
+    (30000, "time_us", 4), (30000, "target_position", 32), (30000, "joint_position", 116),
+    (30000, "joint_velocity", 144), (30000, "joint_acceleration", 172), (30000, "current", 200),
+    (30000, "torque", 228), (30000, "target_pose", 424), (30000, "pose", 472),
+    (30001, "tool_offset", 91), (30002, "tool_offset", 91), (30002, "temperature", 245), (30002, "current", 355),
+    (30003, "state_mode", 4), (30003, "commands", 5), (30003, "joint_position", 7), (30003, "pose", 35),
+    (30003, "torque", 59),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("port", "field", "offset"), OFFSETS)
+def test_where_fields_stand(port, field, offset):
+    fields = protocol.report_layout(port).fields
+    assert fields is not None
+    assert fields[field][1] == offset
+
+
+SDK_NAMES = {
+    30000: {
+        "length": "data_size", "time_us": "timestamp", "state_mode": "state_mode", "commands": "cmd_num",
+        "target_position": "target_joint_angle", "target_velocity": "target_joint_velocity",
+        "target_acceleration": "target_joint_acceleration", "joint_position": "actual_joint_angle",
+        "joint_velocity": "actual_joint_velocity", "joint_acceleration": "actual_joint_acceleration",
+        "current": "actual_joint_current", "torque": "estimated_joint_torque", "target_pose": "target_tcp_pose",
+        "target_pose_speed": "target_tcp_speed", "pose": "actual_tcp_pose", "pose_speed": "actual_tcp_speed",
+    },
+    30002: {
+        "length": "data_size", "state_mode": "state_mode", "commands": "cmd_num",
+        "joint_position": "actual_joint_angle", "pose": "actual_tcp_pose", "torque": "estimated_joint_torque",
+        "brakes": "motor_brake_status", "enabled": "motor_enable_status", "error": "error_code",
+        "warning": "warn_code", "tool_offset": "tcp_offset", "payload": "tcp_payload",
+        "collision_sensitivity": "collision_sens", "teach_sensitivity": "teaching_sens",
+        "gravity_direction": "gravity_direction", "type": "robot_type", "dof": "robot_axis", "master": "master_id",
+        "slave": "slave_id", "version": "version", "servo_status": "servo_status_codes",
+        "temperature": "temperatures", "pose_speed": "target_tcp_speed", "joint_velocity": "target_joint_speed",
+        "counter": "counter", "world_offset": "world_offset", "voltage": "joint_voltages",
+        "current": "joint_currents", "axis_angle": "axis_angle",
+    },
+}  # fmt: skip
+SDK_NAMES[30001] = {ours: theirs for ours, theirs in SDK_NAMES[30002].items() if ours in (
+    protocol.report_layout(30001).names or ())}  # fmt: skip
+SDK_NAMES[30003] = {name: SDK_NAMES[30002][name] for name in protocol.report_layout(30003).names or ()}
+GROUPED = {"pose_limits": ("tcp_jerk", 20), "joint_limits": ("joint_jerk", 20), "turn_limits": ("rot_jerk", 8)}
+
+
+@pytest.mark.parametrize("port", list(protocol.RATES))
+def test_reports_are_laid_out_as_the_sdk_reads_them(port, sdk_reports):
+    theirs = type(sdk_reports.create(port))
+    layout = protocol.report_layout(port)
+    assert layout.fields is not None
+    for name in layout.names or ():
+        dtype, offset = layout.fields[name][:2]
+        if name in GROUPED:
+            first, size = GROUPED[name]
+            assert (offset, dtype.itemsize) == (getattr(theirs, f"_{first}").offset, size)
+            continue
+        field = getattr(theirs, f"_{SDK_NAMES[port][name]}")
+        assert (offset, dtype.itemsize) == (field.offset, field.size), name
+    whole = ctypes.sizeof(theirs)
+    # newer firmware appends general inputs and outputs to port 30000
+    assert layout.itemsize == {30000: whole - 20}.get(port, whole)
+
+
+@pytest.mark.parametrize("port", list(protocol.RATES))
+def test_reports_are_read_as_written(port):
+    rng = np.random.default_rng(port)
+    records = np.zeros(3, protocol.report_layout(port))
+    records["length"] = protocol.LENGTHS[port]
+    records["joint_position"] = rng.normal(size=(3, 7))
+    records["pose"] = rng.normal(size=(3, 6))
+    records["state_mode"] = 0x12
+    buffer = bytearray(records.tobytes()) + b"\0\0"
+    reports = list(protocol.take_reports(buffer))
+    assert buffer == b"\0\0"
+    for report, record in zip(reports, records, strict=True):
+        read = protocol.read_report(port, report)
+        np.testing.assert_array_equal(read["joint_position"], record["joint_position"])
+        np.testing.assert_array_equal(read["pose"], record["pose"])
+        assert protocol.state_of(read["state_mode"]) == (2, 1)
+
+
+def test_the_clock_is_a_big_endian_number_of_microseconds():
+    record = np.zeros(1, protocol.report_layout(30000))
+    record["time_us"] = 0x0102030405060708
+    record["length"] = 784
+    assert record.tobytes()[:12] == bytes_of("00 00 03 10 01 02 03 04 05 06 07 08")
+
+
+def test_longer_and_shorter_reports_are_read_as_far_as_they_go():
+    assert "current" not in (protocol.report_layout(30002, 245).names or ())
+    assert "tool_offset" in (protocol.report_layout(30002, 245).names or ())
+    assert protocol.report_layout(30000, 804).itemsize == 804
+    assert protocol.report_layout(30003, 87).names == protocol.report_layout(30003).names
+    with pytest.raises(MalformedError, match="a report of 80 bytes on port 30003; it has 135"):
+        protocol.report_layout(30003, 80)
+    with pytest.raises(MalformedError, match="another length"):
+        protocol.read_report(30003, bytes(135))
+
+
+@pytest.mark.parametrize("start", [b"\0\0\0\0", b"\0\0\0\4", b"\xff\0\0\0", b"GET "])
+def test_a_stream_that_is_none_is_refused(start):
+    with pytest.raises(MalformedError, match="a report of"):
+        list(protocol.take_reports(bytearray(start + bytes(100))))
