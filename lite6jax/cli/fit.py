@@ -2,11 +2,18 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from tyro.conf import Positional, arg
 
 from lite6jax.cli.arguments import DONE, NOT_CONVERGED, ArmName, Folder, OutFile, check_out
+from lite6jax.errors import InputError
+
+if TYPE_CHECKING:
+    from lite6jax.arms.arm import Arm
+    from lite6jax.arms.factory import FactoryCalibration
+    from lite6jax.controller.verification import Verification
+    from lite6jax.recordings import Recording
 
 DEMO = Path(__file__).parents[1] / "demo" / "lite6_simulated.yaml"
 
@@ -19,10 +26,18 @@ class Fit:
 
         lite6jax fit arm.yaml --out model.json
         lite6jax fit run7.csv --figures figures
+        lite6jax fit --ip 192.168.1.185
     """
 
-    source: Annotated[Positional[Path], arg(metavar="FILE")]
+    source: Annotated[Positional[Path | None], arg(metavar="FILE")] = None
     """A calibration (.yaml, .json) or a recording (.csv, .parquet, with its sidecar .yaml beside it)."""
+    ip: Annotated[str | None, arg(metavar="ADDRESS")] = None
+    """In place of a file: read the calibration of the arm at this address, fit it, and compare it with the controller's
+    own forward kinematics. The arm does not move."""
+    no_sdk: bool = False
+    """With --ip: read and fit only."""
+    fk_samples: int = 1000
+    """With --ip: joint positions at which to ask the controller."""
     arm: ArmName = None
     """The nominal arm: a bundled name, or a description or URDF. Recognised, or from the sidecar, where not given."""
     out: OutFile = None
@@ -48,25 +63,32 @@ class Fit:
 
     def run(self) -> int:
         """Reads, fits, prints, writes."""
+        if (self.source is None) == (self.ip is None):
+            raise InputError("fit needs a FILE, or an arm with --ip ADDRESS; give one of the two")
         if self.out:
             check_out(self.out, ".json", self.force)
-        from lite6jax.fitting.fit import fit_calibration, fit_recording, load_nominal, read_source
+        from lite6jax.fitting.fit import fit_calibration, fit_recording, load_nominal
         from lite6jax.recordings import Recording
 
         nominal = load_nominal(self.arm)
-        source = read_source(
-            self.source, nominal, assume_degrees=self.assume_degrees, assume_millimetres=self.assume_millimetres
-        )
+        stem = self.source.stem if self.source else str(self.ip).replace(":", "_")
+        title = self.source.name if self.source else str(self.ip)
+        names = [f"{stem}_error_by_joint", f"{stem}_error_distribution", f"{stem}_controller"]
+        source = self._read(nominal)
         recording = source if isinstance(source, Recording) else None
-        names = [f"{self.source.stem}_error_by_joint", f"{self.source.stem}_error_distribution"]
+        verified = self.ip is not None and not self.no_sdk
         if self.figures:
             from lite6jax.report import canvas
 
-            canvas.check_names(self.figures, names if recording else names[:1], self.force)
+            kept = (True, recording is not None, verified)
+            canvas.check_names(self.figures, [n for n, keep in zip(names, kept, strict=True) if keep], self.force)
         if isinstance(source, Recording):
             solution = fit_recording(source, nominal, geometry=self.geometry, loss=self.loss, solver=self.solver)
         else:
             solution = fit_calibration(source, solver=self.solver, samples=self.samples, seed=self.seed)
+        verification = None
+        if verified and not isinstance(source, Recording):
+            verification = self._verify(source)
 
         from lite6jax.report import screen, tables
 
@@ -78,17 +100,46 @@ class Fit:
         if self.figures:
             from lite6jax.report import canvas, figures
 
-            drawn = {names[0]: figures.error_by_joint(solution, self.source.name)}
+            drawn = {names[0]: figures.error_by_joint(solution, title)}
             if recording:
-                drawn[names[1]] = figures.error_distribution(solution, recording, self.source.name)
+                drawn[names[1]] = figures.error_distribution(solution, recording, title)
+            if verification:
+                from lite6jax.report import live_figures
+
+                drawn[names[2]] = live_figures.verification_figure(verification, title)
             written += canvas.save(drawn, self.figures, self.force)
         if isinstance(source, Recording):
             screen.show(tables.recording_read(source, solution))
         else:
             screen.show(tables.calibration_read(source))
         screen.show(tables.solution_report(solution, recording))
+        if verification:
+            from lite6jax.report import live_tables
+
+            screen.show(live_tables.verification_report(verification, str(self.ip)))
         screen.written(written)
-        return DONE if solution.result.name == "CONVERGED" else NOT_CONVERGED
+        passed = verification is None or verification.passed
+        return DONE if solution.result.name == "CONVERGED" and passed else NOT_CONVERGED
+
+    def _read(self, nominal: "Arm | None") -> "FactoryCalibration | Recording":
+        if self.source is None:
+            from lite6jax.controller.calibration import read_calibration
+            from lite6jax.controller.exchange import parse_address
+
+            return read_calibration(parse_address(str(self.ip)), nominal).calibration
+        from lite6jax.fitting.fit import read_source
+
+        return read_source(
+            self.source, nominal, assume_degrees=self.assume_degrees, assume_millimetres=self.assume_millimetres
+        )
+
+    def _verify(self, calibration: "FactoryCalibration") -> "Verification":
+        from lite6jax.controller.exchange import parse_address
+        from lite6jax.controller.verification import verify
+        from lite6jax.report import screen
+
+        with screen.progress(self.fk_samples, "asking the controller") as advance:
+            return verify(calibration, parse_address(str(self.ip)), self.fk_samples, self.seed, advance)
 
 
 @dataclass(frozen=True)

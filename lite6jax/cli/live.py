@@ -1,0 +1,161 @@
+"""Commands for an arm on the network: read its calibration, record it. They never move it."""
+
+import signal
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from types import FrameType
+from typing import Annotated
+
+from tyro.conf import arg
+
+from lite6jax.cli.arguments import DONE, ArmName, OutFile
+from lite6jax.errors import InputError
+from lite6jax.storage import check_writable
+
+PATIENCE_S = 10.0
+"""After the first Ctrl-C; what is asked for then has its own, shorter deadlines."""
+
+IP = Annotated[str, arg(metavar="ADDRESS")]
+
+
+@dataclass(frozen=True)
+class Read:
+    """Read an arm's factory calibration from its controller. One request that changes nothing; the arm does not move.
+
+    For example:
+
+        lite6jax read --ip 192.168.1.185 --out arm.yaml
+    """
+
+    ip: IP
+    """The control box, such as 192.168.1.185; of an emulator also 127.0.0.1:1502."""
+    out: OutFile = None
+    """Write the calibration here (YAML of the vendor's form, which `lite6jax fit` reads)."""
+    arm: ArmName = None
+    """The nominal arm that is expected there; a Lite 6 where not given."""
+    timeout: Annotated[float, arg(metavar="S")] = 5.0
+    """For the whole exchange."""
+    force: bool = False
+    """Replace the file if it exists."""
+
+    def run(self) -> int:
+        """Reads, writes, prints."""
+        if self.out:
+            if self.out.suffix.lower() not in (".yaml", ".yml"):
+                raise InputError(f"{self.out}: what is written here is YAML; let the name end in .yaml")
+            check_writable(self.out, self.force)
+        if not 0 < self.timeout < 3600:
+            raise InputError(f"--timeout {self.timeout:g}: give seconds, more than zero and less than an hour")
+        from lite6jax.arms.factory import write_factory
+        from lite6jax.arms.files import read_arm
+        from lite6jax.controller.calibration import read_calibration
+        from lite6jax.controller.exchange import parse_address
+
+        arm = None if self.arm is None else read_arm(self.arm)
+        read = read_calibration(parse_address(self.ip), arm, self.timeout)
+        written = []  # before anything is printed: a reader who leaves early must not cost the file
+        if self.out:
+            written.append(write_factory(read.calibration.kinematics, self.out, overwrite=self.force))
+        from lite6jax.report import live_tables, screen
+
+        screen.show(live_tables.calibration_report(read))
+        screen.written(written)
+        return DONE
+
+
+@dataclass(frozen=True)
+class Record:
+    """Record a live arm at 250 Hz, or what its controller computes for given joints. It never moves the arm.
+
+    For example:
+
+        lite6jax record --ip 192.168.1.185 --out run.parquet --seconds 60
+        lite6jax record --ip 192.168.1.185 --poses poses.csv --out fk.csv
+    """
+
+    ip: IP
+    """The control box, such as 192.168.1.185; of an emulator also 127.0.0.1:1502."""
+    out: Annotated[Path, arg(metavar="FILE")]
+    """The recording (.parquet, .csv). Its sidecar .yaml and the arm's calibration are written beside it. A .csv can be
+    read at every moment, whatever ends the process; a .parquet, a fifth of the size, once the recording has ended."""
+    seconds: Annotated[float | None, arg(metavar="S")] = None
+    """End after so long by the controller's clock; without, Ctrl-C ends it."""
+    poses: Annotated[Path | None, arg(metavar="FILE")] = None
+    """Ask the controller's forward kinematics for the joints in this recording (.csv, .parquet) instead."""
+    arm: ArmName = None
+    """The nominal arm; a Lite 6 where not given."""
+    force: bool = False
+    """Replace files that exist."""
+
+    def run(self) -> int:
+        """Asks, records, prints."""
+        from lite6jax.controller.recorded import check_targets
+
+        check_targets(self.out, self.force)
+        if self.poses is not None and self.seconds is not None:
+            raise InputError("--seconds and --poses: a list of joints has its own end; leave one out")
+        if self.seconds is not None and not 0 < self.seconds < float("inf"):
+            raise InputError(f"--seconds {self.seconds:g}: give more than zero")
+        from lite6jax.arms.files import read_arm
+        from lite6jax.controller.asked import record_poses
+        from lite6jax.controller.exchange import parse_address
+        from lite6jax.controller.recorder import record
+        from lite6jax.controller.station import read_station
+        from lite6jax.recordings import read_recording
+        from lite6jax.report import live_tables, screen
+
+        address = parse_address(self.ip)
+        arm = read_arm(self.arm or "lite6")
+        poses = None
+        if self.poses is not None:
+            poses = read_recording(self.poses, dof=arm.dof, joint_limits=arm.joint_limits)
+        with _stop_on_interrupt() as stop:
+            station = read_station(address, arm, self.arm or "lite6")
+            if poses is not None:
+                with screen.progress(poses.samples, "asking") as advance:
+                    recorded = record_poses(
+                        address, self.out, station, poses, overwrite=self.force, stop=stop, advance=advance
+                    )
+            else:
+                with live_tables.recording_progress() as show:
+                    recorded = record(
+                        address, self.out, station, seconds=self.seconds, overwrite=self.force, stop=stop, show=show
+                    )
+        screen.show(live_tables.recorded_report(recorded))
+        screen.written(recorded.written)
+        if recorded.unwritten:
+            raise InputError(
+                f"{self.out}: the disk took {recorded.rows} rows and not the last {recorded.unwritten}"
+                f" ({recorded.refusal}); free space before the next recording"
+            )
+        if recorded.refusal:
+            raise InputError(recorded.refusal)
+        return DONE
+
+
+@contextmanager
+def _stop_on_interrupt() -> Iterator[threading.Event]:
+    """Ctrl-C, or a request to end, sets the event. Impatience costs no row: only what hangs is interrupted as ever."""
+    stop = threading.Event()
+    asked: list[float] = []
+
+    def ask(number: int, frame: FrameType | None) -> None:
+        asked.append(time.monotonic())
+        stop.set()
+        if asked[-1] - asked[0] > PATIENCE_S:
+            raise KeyboardInterrupt
+
+    wanted = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
+    wanted = [number for number in wanted if signal.getsignal(number) != signal.SIG_IGN]  # as nohup has it
+    if threading.current_thread() is not threading.main_thread():  # only there may handlers be set
+        wanted = []
+    before = {number: signal.signal(number, ask) for number in wanted}
+    try:
+        yield stop
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)

@@ -1,0 +1,251 @@
+"""Reports of 250 Hz as rows of a recording: units, clock, doubles, gaps, and which way orientations are meant."""
+
+from collections.abc import Mapping
+from itertools import groupby
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from lite6jax.arms import frames
+from lite6jax.controller import protocol
+from lite6jax.controller.condition import Condition
+from lite6jax.controller.station import Station
+from lite6jax.controller.stream import Reports
+from lite6jax.errors import InputError
+
+Array = NDArray[np.floating]
+
+PERIOD_US = round(1e6 / protocol.RATES[protocol.REALTIME])
+_STANDS_STILL = 100
+"""Reports of one time, after which the clock is none."""
+_TELLS_RAD = 0.02
+"""A difference between two readings of an orientation that tells which is meant."""
+_UNLIKE_RAD = 0.05
+"""An orientation further than this from the chain's is read the wrong way; assembly turns a flange by less."""
+
+SOURCES: Mapping[str, str] = {
+    "time_s": "controller's clock",
+    **{f"q{i}_rad": "measured, encoders" for i in range(1, 8)},
+    **{f"dq{i}_rad_per_s": "measured, encoders" for i in range(1, 8)},
+    **{f"tau{i}_Nm": "estimated by the controller" for i in range(1, 8)},
+    **{f"current{i}_A": "measured" for i in range(1, 8)},
+    **{f"temp{i}_degC": "measured, at 5 Hz" for i in range(1, 8)},
+    "payload_kg": "as set",
+    "run": "counts connections",
+    **dict.fromkeys(("x_m", "y_m", "z_m", "qw", "qx", "qy", "qz"), "computed by the controller, from measured joints"),
+}
+"""Where the numbers of each column come from."""
+
+
+class Rows:
+    """Turns reports into columns, in order, once each.
+
+    Attributes:
+        condition: the last slow report's, or None; set it as they come.
+        seconds: when to stop by the controller's clock, or None.
+        complete: whether that time has come.
+        count, run, time: rows so far, and the last one's run and time in s.
+        missing: reports that the clock has passed over within runs.
+        repeated: reports that were there already.
+        names: the columns, once there is a row.
+    """
+
+    def __init__(self, station: Station, seconds: float | None = None) -> None:
+        self.condition: Condition | None = station.condition
+        self.seconds, self.complete = seconds, False
+        self.count = self.missing = self.repeated = self.run = 0
+        self.time = self.recent_rate = 0.0
+        self.names: tuple[str, ...] = ()
+        self._station = station
+        rows = station.arm.kinematics if station.calibration is None else station.calibration.kinematics
+        self._links = np.stack([frames.transform_from_row(row) for row in rows])
+        self._payload = station.condition is not None
+        self._temperature = station.condition is not None and station.condition.temperature is not None
+        self._turns: _Turns | None = None
+        self._connection = 0
+        self._last_us: int | None = None  # of the controller's clock
+        self._offset_us = 0  # from that clock to the recording's time
+        self._heard = 0.0
+        self._steps = self._elapsed_us = 0
+        self._still = self._restarts = self._not_finite = 0
+        self._span = (0.0, 0.0, 0.0, 0.0)  # first and last time of the first connection, and when they were heard
+
+    @property
+    def rate(self) -> float:
+        """Rows a second within runs."""
+        return 1e6 * self._steps / self._elapsed_us if self._elapsed_us else 0.0
+
+    def take(self, event: Reports) -> dict[str, NDArray] | None:
+        """The rows of some reports; None where there is none that is new.
+
+        Raises:
+            InputError: the controller's clock stands still.
+        """
+        parts = []
+        for length, same in groupby(event.reports, len):
+            layout = protocol.report_layout(protocol.REALTIME, length)
+            parts += self._segments(np.frombuffer(b"".join(same), layout), event)
+        if not parts:
+            return None
+        columns = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+        self.names = self.names or tuple(columns)
+        return columns
+
+    def _segments(self, reports: NDArray, event: Reports) -> list[dict[str, NDArray]]:
+        """Columns of reports of one length: a clock that is set back begins a new run."""
+        back = np.flatnonzero(np.diff(reports["time_us"].astype(np.int64)) < 0) + 1
+        made = [self._columns(part, event) for part in np.split(reports, back)]
+        return [columns for columns in made if columns is not None]
+
+    def _columns(self, reports: NDArray, event: Reports) -> dict[str, NDArray] | None:
+        clock = reports["time_us"].astype(np.int64)
+        before = self._last_us
+        new_connection = event.connection != self._connection
+        run = self.run
+        if before is None:
+            self._offset_us = -int(clock[0])
+            self._span = (0.0, 0.0, event.heard, event.heard)
+        elif clock[0] < before:  # started anew, or set back
+            paused = max(PERIOD_US, round(1e6 * (event.heard - self._heard)) if new_connection else PERIOD_US)
+            self._offset_us += before + paused - int(clock[0])
+            self._restarts += 1
+            run += 1
+            before = None
+        elif new_connection:
+            run += 1
+        new = np.diff(clock, prepend=-1 if before is None else before) > 0
+        self.repeated += int((~new).sum())
+        self._still = len(new) - 1 - int(np.flatnonzero(new)[-1]) if new.any() else self._still + len(new)
+        if self._still > _STANDS_STILL:
+            raise InputError(
+                f"port {protocol.REALTIME}: the controller's clock stands still at {int(clock[-1])} µs; update the "
+                "firmware"
+            )
+        time = (clock + self._offset_us) / 1e6
+        if self.seconds is not None:
+            late = time >= self.seconds - 1e-9
+            self.complete = self.complete or bool(late.any())
+            new &= ~late
+        if not new.any():
+            return None
+        self.run = run
+        reports, clock, time = reports[new], clock[new], time[new]
+        self._account(clock, new_connection or before is None, time, event)
+        return self._table(reports, time)
+
+    def _account(self, clock: NDArray[np.int64], first_of_run: bool, time: Array, event: Reports) -> None:
+        """Counts rows, gaps and rates."""
+        steps = np.diff(clock) if first_of_run or self._last_us is None else np.diff(clock, prepend=self._last_us)
+        self.missing += int((np.maximum(np.rint(steps / PERIOD_US), 1) - 1).sum())
+        self._steps += len(steps)
+        self._elapsed_us += int(steps.sum())
+        if len(steps):
+            weight = min(1.0, len(steps) / 250)  # over about a second
+            rate = 1e6 * len(steps) / max(int(steps.sum()), 1)
+            self.recent_rate += (weight if self.recent_rate else 1.0) * (rate - self.recent_rate)
+        self._connection, self._heard = event.connection, event.heard
+        self.count += len(clock)
+        self.time = float(time[-1])
+        self._last_us = int(clock[-1])
+        if self.run == 0:
+            self._span = (self._span[0], self.time, self._span[2], event.heard)
+
+    def _table(self, reports: NDArray, time: Array) -> dict[str, NDArray]:
+        dof, count = self._station.arm.dof, len(reports)
+        fields = {
+            "q{}_rad": "joint_position",
+            "dq{}_rad_per_s": "joint_velocity",
+            "tau{}_Nm": "torque",
+            "current{}_A": "current",
+        }
+        table: dict[str, NDArray] = {"time_s": time}
+        for pattern, field in fields.items():
+            values = reports[field].astype(float)
+            table |= {pattern.format(i + 1): values[:, i] for i in range(dof)}
+        if self.condition is not None:
+            if self._temperature and self.condition.temperature is not None:
+                table |= {f"temp{i + 1}_degC": np.full(count, self.condition.temperature[i]) for i in range(dof)}
+            if self._payload:
+                table["payload_kg"] = np.full(count, max(float(self.condition.payload[0]), 0.0))
+        table["run"] = np.full(count, self.run)
+        pose = reports["pose"].astype(float)
+        table |= {f"{axis}_m": pose[:, i] / protocol.MM for i, axis in enumerate("xyz")}
+        q = reports["joint_position"][:, :dof].astype(float)
+        if self._turns is None:
+            self._turns = _Turns(self._links, self._station.T_flange_tool)
+        quaternions = self._turns.quaternions(q, pose[:, 3:])
+        if quaternions is not None:
+            table |= {name: quaternions[:, i] for i, name in enumerate(("qw", "qx", "qy", "qz"))}
+        finite = np.isfinite(np.column_stack([values for name, values in table.items() if name != "run"]))
+        self._not_finite += int((~finite.all(axis=1)).sum())
+        return table
+
+    def notes(self) -> tuple[str, ...]:
+        """What there is to say about the rows, one sentence each."""
+        said = []
+        if self._turns is not None:
+            said += self._turns.notes()
+        if self._not_finite:
+            said.append(f"{self._not_finite} rows hold numbers that are not finite, as the controller sent them")
+        if self._restarts:
+            said.append(f"the controller's clock was set back {self._restarts} times; each begins a run")
+        began, ended, first, last = self._span
+        if last - first > 5 and not 0.95 < (ended - began) / (last - first) < 1.05:
+            said.append(f"the controller's clock runs {(ended - began) / (last - first):.3g} times as fast as this one")
+        return tuple(said)
+
+
+class _Turns:
+    """Reads the three numbers of an orientation as roll pitch yaw or as a rotation vector, as the chain has it.
+
+    The vendor calls them rx ry rz on port 30000 and says not what they are. At many poses, the zero pose among them,
+    both are the same.
+    """
+
+    def __init__(self, links: Array, T_flange_tool: Array) -> None:
+        self._links, self._tool = links, T_flange_tool
+        self._choice: str | None = None
+        self._decided = False
+        self._left_out = False
+
+    def quaternions(self, q: Array, numbers: Array) -> Array | None:
+        """`(sample, 4)` scalar first, or None where neither reading is like the chain's orientation."""
+        if self._left_out:
+            return None
+        given = np.logical_and.reduce(np.isfinite(np.hstack([numbers, q])), axis=1)
+        safe = np.where(given[:, None], numbers, 0.0)
+        read = {
+            "roll pitch yaw": Rotation.from_euler("xyz", safe),
+            "a rotation vector": Rotation.from_rotvec(safe),
+        }
+        if not self._decided and given.any():
+            some = np.flatnonzero(given)[:: max(1, int(given.sum()) // 20)]
+            ours = (frames.chain(self._links, q[some]) @ self._tool)[:, :3, :3]
+            off = {name: _largest_turn(ours, turns.as_matrix()[some]) for name, turns in read.items()}
+            best = min(off, key=lambda name: off[name])
+            if self._choice is None and off[best] > _UNLIKE_RAD:
+                self._left_out = True
+                return None
+            self._choice = best
+            self._decided = max(off.values()) - off[best] > _TELLS_RAD
+        choice = self._choice or "roll pitch yaw"
+        quaternions = read[choice].as_quat(scalar_first=True)
+        quaternions[~given] = np.nan
+        return quaternions
+
+    def notes(self) -> list[str]:
+        """What was decided."""
+        if self._left_out:
+            return [
+                "orientations are left out: read either way they are more than 3° from the chain's; is the tool known?"
+            ]
+        if not self._decided:
+            return []
+        return [f"the controller's orientations are {self._choice}: the other reading is not the chain's"]
+
+
+def _largest_turn(a: Array, b: Array) -> float:
+    """rad: the largest angle between rotations `(sample, 3, 3)`."""
+    chord = np.linalg.norm(a - b, axis=(1, 2))
+    return float(2 * np.arcsin(np.clip(chord / np.sqrt(8), 0, 1)).max())

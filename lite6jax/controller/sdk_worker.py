@@ -1,0 +1,76 @@
+"""Runs xarm-python-sdk in a process of its own, and lets nothing out to the arm but what reads.
+
+Importing the SDK prints, sets a socket timeout for the whole process and makes a folder in the home directory; its
+connection may clear the controller's warnings (register 17) and may wait minutes for a silent controller. Here all of
+that happens to a process without a screen, whose home is a folder that its parent removes, and which can be ended.
+
+It imports nothing of this package, and speaks JSON in lines: first what it connected to, or `{"error": …}`; then for
+each line of joints (rad) `[code, what came]`, where a pose (mm, rad) comes with code 0.
+"""
+
+import json
+import os
+import signal
+import sys
+from collections.abc import Callable
+from typing import Any
+
+READS = {1: "version", 13: "state", 14: "commands waiting", 15: "error and warning", 44: "forward kinematics"}
+"""All registers that may be asked for; none of them changes anything."""
+
+
+def only_reads(write: Callable[[Any, bytes], int], refused: list[int]) -> Callable[[Any, bytes], int]:
+    """The SDK's way out to the controller, shut for every register but `READS`.
+
+    Args:
+        write: of a port and the bytes to send; 0 where they were sent.
+        refused: is given the registers that were held back.
+    """
+
+    def guarded(port: Any, data: bytes) -> int:
+        if len(data) > 6 and data[6] in READS and data[2] == 0 and data[3] in (2, 3):
+            return write(port, data)
+        refused.append(data[6] if len(data) > 6 else -1)
+        return -1
+
+    return guarded
+
+
+def serve(host: str, port: int, home: str) -> None:
+    """Connects, then answers every line of joints on stdin, until there is none."""
+    answers = os.fdopen(os.dup(1), "w", buffering=1)
+    os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # the SDK prints
+
+    def answer(value: object) -> None:
+        answers.write(json.dumps(value) + "\n")
+
+    os.environ["HOME"] = os.environ["USERPROFILE"] = home
+    refused: list[int] = []
+    try:
+        from xarm.core.comm.base import Port
+        from xarm.core.config.x_config import XCONF
+        from xarm.wrapper import XArmAPI
+
+        setattr(XCONF.SocketConf, "TCP_CONTROL_PORT", port)  # noqa: B010 (typed as the constant 502)
+        setattr(Port, "write", only_reads(Port.write, refused))  # noqa: B010 (its own type is narrower)
+        # With its report off, connecting would clear the controller's warnings. It would talk to another program's
+        # Unix socket in /tmp rather than to the arm, were that not forbidden.
+        arm = XArmAPI(host, is_radian=True, enable_report=True, forbid_uds=True)
+        answer({"version": arm.version, "axis": arm.axis, "type": arm.device_type})
+    except Exception as error:
+        return answer({"error": f"{type(error).__name__}: {error}", "missing": isinstance(error, ImportError)})
+    for line in sys.stdin:
+        try:
+            code, pose = arm.get_forward_kinematics(json.loads(line), input_is_radian=True, return_is_radian=True)
+        except Exception as error:  # a short payload is a ValueError
+            code, pose = None, f"{type(error).__name__}: {error}"
+        if refused:
+            return answer({"error": f"the SDK wanted to send register {refused[0]}, which was held back"})
+        answer([code, pose])
+
+
+if __name__ == "__main__":
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent decides what an interrupt ends
+    serve(sys.argv[1], int(sys.argv[2]), sys.argv[3])
+    sys.stdout.flush()
+    os._exit(0)  # its threads would wait for the controller

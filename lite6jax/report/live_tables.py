@@ -1,0 +1,208 @@
+"""What a person reads who has an arm on the line: its calibration, its agreement with the controller, a recording."""
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+import numpy as np
+from numpy.typing import NDArray
+from rich.console import RenderableType
+from rich.live import Live
+from rich.table import Table
+from rich.text import Text
+
+from lite6jax.arms import entries, frames
+from lite6jax.arms.arm import sample_joints
+from lite6jax.arms.factory import FactoryCalibration
+from lite6jax.controller.calibration import CalibrationRead
+from lite6jax.controller.recorded import Recorded
+from lite6jax.controller.recorder import Progress
+from lite6jax.controller.verification import FLOOR_M, GATE_M, GATE_RAD, Verification
+from lite6jax.report import screen
+from lite6jax.report.cells import fixed, listing, number
+from lite6jax.report.tables import STATISTICS
+
+Array = NDArray[np.floating]
+
+
+def calibration_report(read: CalibrationRead) -> Iterator[RenderableType]:
+    """What was read, and how far it is from nominal."""
+    calibration = read.calibration
+    arm = calibration.arm
+    yield Text(f"{calibration.source}: factory calibration of {arm.dof} joints, of a {arm.name}.")
+    if read.error:
+        yield Text(
+            "Note: the controller reports an error or a warning of its own; the calibration is not touched by it."
+        )
+    q = sample_joints(arm.dof, 1000)
+    links = np.stack([frames.transform_from_row(row) for row in calibration.kinematics])
+    apart = frames.chain(links, q)[:, :3, 3] - frames.chain(arm.links, q)[:, :3, 3]
+    distance = 1e3 * np.linalg.norm(apart, axis=1)
+    yield Text(
+        f"Its flange is {number(float(distance.mean()), 3)} mm from the nominal one on average and"
+        f" {number(float(distance.max()), 3)} mm at most (1000 joint positions)."
+    )
+    yield ""
+    yield Text("Six parameters (mm, deg); below each number its difference from nominal")
+    yield _six_parameters(calibration)
+
+
+def _six_parameters(calibration: FactoryCalibration) -> Table:
+    table = listing("joint", *entries.SIX)
+    scale = np.array([1e3, 1e3, 1e3, *[180 / np.pi] * 3])
+    for i, (row, nominal) in enumerate(zip(calibration.kinematics, calibration.arm.kinematics, strict=True)):
+        turned = row - nominal
+        turned[3:] = (turned[3:] + np.pi) % (2 * np.pi) - np.pi  # -180° and 180° are one angle
+        cells = (f"{fixed(v)}\n{fixed(d, sign='+')}" for v, d in zip(scale * row, scale * turned, strict=True))
+        table.add_row(f"J{i + 1}", *cells)
+    return table
+
+
+def verification_report(verification: Verification, where: str) -> Iterator[RenderableType]:
+    """The controller's forward kinematics beside the calibration's, and what follows."""
+    yield Text(
+        f"Forward kinematics: the controller's (xarm-python-sdk, {verification.version}) beside the calibration's, at"
+        f" {len(verification.position)} random joint positions"
+    )
+    table = listing("", "", *(name for name, _ in STATISTICS))
+    table.columns[1].justify = "left"
+    for name, position, orientation in (
+        ("joints as sent (32 bits)", verification.position, verification.orientation),
+        ("joints as asked", verification.position_as_asked, verification.orientation_as_asked),
+    ):
+        for values, scale, unit in ((position, 1e3, "mm"), (orientation, 180 / np.pi, "deg")):
+            cells = (number(scale * float(statistic(values)), 6) for _, statistic in STATISTICS)
+            table.add_row(name if unit == "mm" else "", unit, *cells)
+    yield table
+    yield from (Text(line) for line in _tool_in_words(verification))
+    most = 1e3 * float(verification.position.max())
+    if verification.passed:
+        yield Text(
+            f"Passed: they agree within {number(1e3 * GATE_M, 3)} mm; 32-bit numbers on the wire alone make up to"
+            f" {number(1e3 * FLOOR_M, 5)} mm. The controller computes with this calibration."
+        )
+        return
+    turn = float(np.degrees(verification.orientation.max()))
+    yield Text(
+        f"Not passed: they differ by up to {number(most, 4)} mm and {number(turn, 4)}°; above {1e3 * GATE_M:g} mm"
+        f" or {np.degrees(GATE_RAD):.4f}° a difference is real."
+    )
+    if verification.hidden_tool is not None:
+        shown = _offset(verification.hidden_tool)
+        yield Text(
+            f"One offset after the flange makes up all of it: {shown}. The controller has a tool that its report does"
+            " not show; set the tool offset to zero with the vendor's program, and run this again."
+        )
+        return
+    if verification.other_chain is not None:
+        yield Text(
+            f"The controller computes with the nominal chain {verification.other_chain}, not with the calibration that"
+            " it holds; update its firmware, or use that chain for what it computes."
+        )
+        return
+    yield Text(
+        "The six-parameter chain is not the whole story of this controller. Record what it computes and let it be"
+        " diagnosed:"
+    )
+    for command in (
+        "lite6jax design lite6 --poses 200 --out poses.csv",
+        f"lite6jax record --ip {where} --poses poses.csv --out fk.csv",
+        "lite6jax diagnose fk.csv --out diagnosis.json",
+        "lite6jax fit fk.csv --geometry free",
+    ):
+        yield Text(f"  {command}", no_wrap=True, overflow="ignore")
+
+
+def _tool_in_words(verification: Verification) -> Iterator[str]:
+    condition = verification.condition
+    distance, angle = 1e3 * verification.tool_agrees[0], np.degrees(verification.tool_agrees[1])
+    agrees = verification.tool_agrees[0] <= GATE_M
+    here = f"{number(float(distance))} mm and {number(float(angle))}° apart"
+    if verification.tool == "none":
+        said = "Tool offset: none in the controller's report"
+    elif verification.tool == "taken into account":
+        said = f"Tool offset: {_offset(condition.tool_offset)} in the controller's report, and taken into account"
+    else:
+        said = f"Tool offset: {_offset(condition.tool_offset)} in its report, which its forward kinematics leave out"
+    cross = "and that agrees" if agrees else "but that does not agree"
+    yield f"{said}; {cross} with the forward kinematics where the arm stands ({here})."
+    if condition.has_world:
+        yield f"Note: a base offset is set, {_offset(condition.world_offset)}; its effect is not taken into account."
+    if condition.warning:
+        yield f"Note: the controller has warning {condition.warning}, which is left as it is."
+
+
+def _offset(offset: Array) -> str:
+    x, y, z = (fixed(float(v), 3) for v in offset[:3])
+    roll, pitch, yaw = (fixed(float(np.degrees(v)), 3) for v in offset[3:])
+    return f"x {x} y {y} z {z} mm, roll {roll} pitch {pitch} yaw {yaw} deg"
+
+
+@contextmanager
+def recording_progress() -> Iterator[Callable[[Progress], None]]:
+    """A line on stderr on how a recording stands: renewed in place on a terminal, else a new one every ten seconds."""
+    console = screen.console(stderr=True)
+    if not console.is_terminal:
+        last = [0.0]
+
+        def say(progress: Progress) -> None:
+            if progress.time - last[0] >= 10 or (progress.trouble and last[0] != progress.time):
+                last[0] = progress.time
+                console.print(_progress_line(progress), soft_wrap=True)
+
+        yield say
+        return
+    with Live(console=console, transient=True, refresh_per_second=5) as live:
+        yield lambda progress: live.update(Text(_progress_line(progress), overflow="fold"))
+
+
+def _progress_line(progress: Progress) -> str:
+    line = f"{progress.time:8.1f} s  {progress.rows} rows  {progress.rate:.1f} Hz"
+    line += f"  run {progress.run}" if progress.run else ""
+    line += f"  {progress.missing} missing" if progress.missing else ""
+    return f"{line}  {progress.trouble}" if progress.trouble else f"{line}  (Ctrl-C ends it)"
+
+
+def recorded_report(recorded: Recorded) -> Iterator[RenderableType]:
+    """What was recorded, from where each column is, and what there is to know about it."""
+    asked = recorded.settings.joint_source == "commanded"
+    if not recorded.rows:
+        yield Text("Nothing was recorded, and nothing is written.")
+    elif not asked:
+        runs = f" in {recorded.runs} runs" if recorded.runs > 1 else ""
+        yield Text(
+            f"Recorded {recorded.rows} rows{runs}: {recorded.duration:.3f} s at {recorded.rate:.2f} Hz by the"
+            " controller's clock."
+        )
+        lost = f"{recorded.missing} reports missing" if recorded.missing else "no report missing"
+        twice = f", {recorded.repeated} came twice and are kept once" if recorded.repeated else ", none twice"
+        yield Text(f"Within the runs: {lost}{twice}.")
+    else:
+        yield Text(f"Recorded the controller's forward kinematics at {recorded.rows} joint positions; nothing moved.")
+    if asked and recorded.missing:
+        yield Text(f"{recorded.missing} joint positions were not asked for any more.")
+    if recorded.rows:
+        yield _sources(recorded)
+    for note in recorded.notes:
+        yield Text(f"Note: {note[0].upper()}{note[1:]}.")
+
+
+def _sources(recorded: Recorded) -> Table:
+    """Neighbouring columns of one origin in one row."""
+    grouped: list[tuple[list[str], str]] = []
+    for name, source in recorded.sources.items():
+        if grouped and grouped[-1][1] == source and _kind(grouped[-1][0][0]) == _kind(name):
+            grouped[-1][0].append(name)
+        else:
+            grouped.append(([name], source))
+    table = listing("columns", "their numbers are")
+    table.columns[1].justify = "left"
+    table.columns[1].no_wrap = False
+    for names, source in grouped:
+        table.add_row(names[0] if len(names) == 1 else f"{names[0]} … {names[-1]}", source)
+    return table
+
+
+def _kind(name: str) -> str:
+    return (
+        "pose" if name in ("x_m", "y_m", "z_m", "qw", "qx", "qy", "qz") else name.rstrip("0123456789_radNmCsegp/")[:2]
+    )

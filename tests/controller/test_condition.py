@@ -1,0 +1,81 @@
+"""The slow report: what it says of errors, tool, payload and mounting, and when it says nothing to rely on."""
+
+import numpy as np
+import pytest
+from live_arm import ARM, emulated
+
+from lite6jax.controller import protocol
+from lite6jax.controller.condition import condition_of, read_condition, require_no_error
+from lite6jax.controller.exchange import Address
+from lite6jax.controller.station import Station
+from lite6jax.emulator import Faults
+from lite6jax.errors import InputError
+
+
+def report(length=587, **fields):
+    made = np.zeros((), protocol.report_layout(protocol.RICH, length))
+    made["length"] = length
+    made["gravity_direction"] = [0, 0, -1]
+    for name, value in fields.items():
+        made[name] = value
+    return made[()]
+
+
+def settings(tmp_path, **fields):
+    condition = condition_of(report(**fields), "here")
+    return Station(ARM, "lite6", None, condition, ()).settings_beside(tmp_path / "run.csv")
+
+
+def test_an_emulated_arms_condition_is_read():
+    with emulated(tool=[1, 2, 3, 0.1, 0.2, 0.3], payload=[0.7, 4, 5, 6], faults=Faults(warning=11)) as (_, address):
+        condition = read_condition(address)
+    np.testing.assert_allclose(condition.tool_offset, [1, 2, 3, 0.1, 0.2, 0.3], rtol=1e-6)
+    np.testing.assert_allclose(condition.payload, [0.7, 4, 5, 6], rtol=1e-6)
+    assert (condition.error, condition.warning) == (0, 11)
+    assert condition.has_tool
+    assert not condition.has_world
+    assert condition.temperature.shape == (7,)
+    require_no_error(condition, address)
+
+
+def test_an_error_is_refused_with_its_number():
+    with pytest.raises(InputError, match=r"192\.0\.2\.7: the controller reports error 31, .*; clear the error"):
+        require_no_error(condition_of(report(error=31), "here"), Address("192.0.2.7"))
+
+
+def test_an_arm_on_the_ceiling_and_its_payload_are_in_the_sidecar(tmp_path):
+    made = settings(tmp_path, gravity_direction=[0, 0, 1], payload=[0.5, 10, 20, 30])
+    np.testing.assert_allclose(made.gravity_m_per_s2, [0, 0, 9.81])
+    np.testing.assert_allclose(made.payload_com_m, [0.01, 0.02, 0.03], rtol=1e-6)
+    assert settings(tmp_path, gravity_direction=[0, 0, 0]).gravity_m_per_s2 == (0, 0, -9.81)  # never set
+    assert settings(tmp_path, payload=[0, 10, 20, 30]).payload_com_m == (0, 0, 0)
+
+
+def test_a_base_offset_makes_the_frame_unknown(tmp_path):
+    assert settings(tmp_path, world_offset=[0, 0, 1, 0, 0, 0]).pose_frame == "unknown"
+    assert settings(tmp_path).pose_frame == "base"
+    assert settings(tmp_path).tool == "none"
+
+
+def test_an_arm_of_ones_own_is_named_by_its_path(tmp_path):
+    station = Station(ARM, str(tmp_path / "arms" / "mine.yaml"), None, condition_of(report(), "here"), ())
+    assert station.settings_beside(tmp_path / "data" / "run.csv").arm == "../arms/mine.yaml"
+
+
+@pytest.mark.parametrize("length", [587, 417, 252, 233])
+def test_firmware_that_says_less_is_read_as_far_as_it_goes(length):
+    made = np.zeros((), protocol.report_layout(protocol.RICH, length))
+    made["tool_offset"][2] = 50
+    condition = condition_of(made[()], "here")
+    assert condition.tool_offset[2] == 50
+    assert (condition.temperature is None) == (length < 252)
+    np.testing.assert_array_equal(condition.world_offset, 0)
+
+
+def test_what_is_not_to_be_relied_on_is_refused():
+    short = np.zeros((), protocol.report_layout(protocol.RICH, 133))[()]
+    with pytest.raises(InputError, match=r"here: reports of .* end before the tool offset; update the firmware"):
+        condition_of(short, "here")
+    for name in ("tool_offset", "payload", "joint_position", "world_offset"):
+        with pytest.raises(InputError, match=rf"{name.replace('_', ' ')} is not finite"):
+            condition_of(report(**{name: np.nan}), "here")

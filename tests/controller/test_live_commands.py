@@ -1,0 +1,262 @@
+"""The commands for a live arm as they are typed: what they print, write and refuse, and what ends them."""
+
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pyarrow.parquet
+import pytest
+import yaml
+from live_arm import ARM, KINEMATICS, emulated, new_host
+from typed import flat, refused, run
+
+from lite6jax.arms.factory import read_factory
+from lite6jax.controller import calibration
+from lite6jax.emulator import Faults, draw_sines
+from lite6jax.recordings import read_recording
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+# ------------------------------------------------------------------ read
+
+
+def test_read_prints_what_it_read_and_writes_a_file_that_fits(capsys, tmp_path):
+    out = tmp_path / "arm.yaml"
+    with emulated() as (controller, address):
+        code, said, err = run(capsys, "read", "--ip", address, "--out", out)
+        assert controller.look().asked == {8: 1}
+    assert (code, err) == (0, "")
+    assert f"{address}: factory calibration of 6 joints, of a lite6." in said
+    assert "mm from the nominal one on average" in flat(said)
+    assert f"Wrote {out}" in said
+    np.testing.assert_array_equal(read_factory(out).kinematics, KINEMATICS)
+    assert list(yaml.safe_load(out.read_text())["kinematics"]) == [f"joint{i}" for i in range(1, 7)]
+    assert run(capsys, "fit", out)[0] == 0
+
+
+def test_read_refuses_before_it_calls(capsys, tmp_path):
+    out = tmp_path / "arm.yaml"
+    out.write_text("mine")
+    nobody = new_host()
+    assert "exists already" in refused(capsys, "read", "--ip", nobody, "--out", out)
+    assert out.read_text() == "mine"
+    assert "let the name end in .yaml" in refused(capsys, "read", "--ip", nobody, "--out", tmp_path / "arm.json")
+    assert "does not exist" in refused(capsys, "read", "--ip", nobody, "--out", tmp_path / "no" / "arm.yaml")
+    assert "--timeout 0" in refused(capsys, "read", "--ip", nobody, "--timeout", 0)
+    assert "is no IPv4 address" in refused(capsys, "read", "--ip", "arm.local")
+    assert "nothing listens there" in refused(capsys, "read", "--ip", f"{nobody}:1")
+    assert run(capsys, "read")[0] == 2
+
+
+def test_read_replaces_with_force_and_leaves_the_file_where_the_read_fails(capsys, tmp_path):
+    out = tmp_path / "arm.yaml"
+    out.write_text("mine")
+    with emulated(faults=Faults(invalid=True)) as (controller, address):
+        message = refused(capsys, "read", "--ip", address, "--out", out, "--force")
+        assert message.startswith(f"{address}: the controller says that it holds no valid calibration")
+        assert out.read_text() == "mine"
+        controller.set_faults(Faults(error=9))
+        code, said, _ = run(capsys, "read", "--ip", address, "--out", out, "--force")
+    assert code == 0
+    assert "reports an error or a warning of its own" in flat(said)
+    assert read_factory(out).arm.name == "lite6"
+
+
+def test_read_of_another_arm_needs_its_name(capsys):
+    with emulated(faults=Faults(says=(6, 12))) as (_, address):
+        assert "--arm uf850" in refused(capsys, "read", "--ip", address)
+
+
+# ------------------------------------------------------------------ fit --ip
+
+
+def test_fit_reads_fits_and_verifies(capsys, tmp_path):
+    with emulated(faults=Faults(warning=11)) as (controller, address):
+        code, said, err = run(
+            capsys, "fit", "--ip", address, "--fk-samples", 300, "--out", tmp_path / "model.json",
+            "--figures", tmp_path / "figures",
+        )  # fmt: skip
+        assert set(controller.look().asked) == {1, 8, 44}
+    assert (code, err) == (0, "")
+    said = flat(said)
+    assert "Converged" in said
+    assert "at 300 random joint positions" in said
+    assert "Passed: they agree within 0.001 mm; 32-bit numbers on the wire alone make up to 0.00012 mm." in said
+    assert "Tool offset: none in the controller's report; and that agrees" in said
+    assert "warning 11, which is left as it is" in said
+    row = re.search(r"joints as sent \(32 bits\) mm ([\d.e-]+) ([\d.e-]+) ([\d.e-]+) ([\d.e-]+)", said)
+    assert row is not None
+    assert float(row[4]) <= 1.2e-4
+    names = {path.name for path in (tmp_path / "figures").iterdir()}
+    stem = str(address).replace(":", "_")
+    kinds = ("error_by_joint", "controller")
+    assert names == {f"{stem}_{kind}.{suffix}" for kind in kinds for suffix in ("png", "svg")}
+
+
+def test_fit_without_the_sdk_asks_for_the_calibration_only(capsys):
+    with emulated() as (controller, address):
+        code, said, _ = run(capsys, "fit", "--ip", address, "--no-sdk")
+        assert controller.look().asked == {8: 1}
+    assert code == 0
+    assert "Passed" not in said
+
+
+def test_a_controller_of_the_nominal_chain_does_not_pass(capsys):
+    with emulated(faults=Faults(nominal_kinematics=True)) as (_, address):
+        code, said, _ = run(capsys, "fit", "--ip", address, "--fk-samples", 40)
+    assert code == 1
+    assert "computes with the nominal chain lite6, not with the calibration that it holds" in flat(said)
+
+
+def test_a_controller_of_an_unknown_chain_does_not_pass_and_is_sent_to_diagnose(capsys, monkeypatch):
+    read = calibration.ask
+
+    def micrometres_off(*args):
+        found = read(*args)
+        rows = found.calibration.kinematics.copy()
+        rows[3, 1] += 5e-6
+        return found._replace(calibration=replace(found.calibration, kinematics=rows))
+
+    monkeypatch.setattr(calibration, "ask", micrometres_off)
+    with emulated() as (_, address):
+        code, said, _ = run(capsys, "fit", "--ip", address, "--fk-samples", 40)
+    assert code == 1
+    assert "Not passed: they differ by up to" in flat(said)
+    assert "The six-parameter chain is not the whole story" in flat(said)
+    assert f"  lite6jax record --ip {address} --poses poses.csv --out fk.csv\n" in said
+    assert "  lite6jax diagnose fk.csv --out diagnosis.json\n" in said
+
+
+def test_a_tool_is_said(capsys):
+    with emulated(tool=[0, 0, 50, 0, 0, 0]) as (_, address):
+        code, said, _ = run(capsys, "fit", "--ip", address, "--fk-samples", 20, width=60)
+    assert code == 0
+    assert "x 0.000 y 0.000 z 50.000 mm, roll 0.000 pitch 0.000 yaw 0.000 deg in the controller's report" in flat(said)
+    assert "and taken into account" in flat(said)
+    assert max(map(len, said.splitlines())) <= 62
+
+
+def test_fit_wants_a_file_or_an_address(capsys, tmp_path):
+    assert "needs a FILE, or an arm with --ip ADDRESS" in refused(capsys, "fit")
+    assert "one of the two" in refused(capsys, "fit", tmp_path / "arm.yaml", "--ip", "127.0.0.1")
+    with emulated(faults=Faults(error=22)) as (_, address):
+        assert "reports error 22" in refused(capsys, "fit", "--ip", address, "--fk-samples", 3)
+        assert "--fk-samples 0" in refused(capsys, "fit", "--ip", address, "--fk-samples", 0)
+
+
+# ------------------------------------------------------------------ record
+
+
+def test_record_says_of_every_column_where_it_is_from(capsys, tmp_path):
+    out = tmp_path / "run.parquet"
+    with emulated(path=draw_sines(ARM.joint_limits), speed=10.0) as (controller, address):
+        code, said, err = run(capsys, "record", "--ip", address, "--out", out, "--seconds", 2)
+        assert controller.look().asked == {8: 1}
+    assert code == 0
+    assert "Recorded 500 rows: 1.996 s at 250.00 Hz by the controller's clock." in said
+    assert "no report missing, none twice" in said
+    for line in (
+        r"q1_rad … q6_rad +measured, encoders",
+        r"tau1_Nm … tau6_Nm +estimated by the controller",
+        r"temp1_degC … temp6_degC +measured, at 5 Hz",
+        r"x_m … qz +computed by the controller",
+    ):
+        assert re.search(line, said)
+    names = set(pyarrow.parquet.read_schema(out).names)
+    assert {"time_s", "q6_rad", "dq6_rad_per_s", "current6_A", "tau6_Nm", "temp6_degC", "run", "x_m", "qz"} <= names
+    for command in (["check", out], ["fit", out]):
+        code, said, err = run(capsys, *command)
+        assert (code, err) == (0, "")
+    assert "Geometry: the factory calibration, held. Sensor frame: the arm's base. Tool: none." in flat(said)
+
+
+def test_what_the_controller_computes_is_recorded_for_given_poses_and_diagnosed(capsys, tmp_path):
+    poses, out = tmp_path / "poses.csv", tmp_path / "fk.csv"
+    limits = ARM.joint_limits
+    q = np.random.default_rng(1).uniform(limits[:, 0], limits[:, 1], (80, 6))
+    header = ",".join(f"q{i}_rad" for i in range(1, 7))
+    np.savetxt(poses, q, delimiter=",", header=header, comments="", fmt="%.17g")
+    with emulated() as (_, address):
+        code, said, _ = run(capsys, "record", "--ip", address, "--poses", poses, "--out", out)
+    assert code == 0
+    assert "forward kinematics at 80 joint positions; nothing moved" in flat(said)
+    assert read_recording(out).settings.pose_source == "controller_fk"
+    assert re.search(r"q1_rad … q6_rad +as asked, not measured", said)
+    code, said, _ = run(capsys, "diagnose", out, "--out", tmp_path / "d.json")
+    assert code == 0
+    assert "Nothing is missing" in said
+
+
+def test_record_refuses_before_it_calls(capsys, tmp_path):
+    nobody = new_host()
+    for name in ("run.csv", "run.yaml", "run_factory.yaml"):
+        (tmp_path / name).write_text("mine")
+        message = refused(capsys, "record", "--ip", nobody, "--out", tmp_path / "run.csv")
+        assert message.startswith(f"{tmp_path / name}: exists already")
+        (tmp_path / name).unlink()
+    assert "ends in .csv or .parquet" in refused(capsys, "record", "--ip", nobody, "--out", tmp_path / "run.mcap")
+    out = tmp_path / "run.csv"
+    assert "leave one out" in refused(
+        capsys, "record", "--ip", nobody, "--out", out, "--poses", tmp_path / "p.csv", "--seconds", 3
+    )
+    assert "more than zero" in refused(capsys, "record", "--ip", nobody, "--out", out, "--seconds", 0)
+    assert "no such file" in refused(capsys, "record", "--ip", nobody, "--out", out, "--poses", tmp_path / "p.csv")
+    assert "nothing listens there" in refused(capsys, "record", "--ip", nobody, "--out", out)
+
+
+@contextmanager
+def recording(address, out, *more):
+    """The command in a process of its own, from which Ctrl-C can be had."""
+    command = [sys.executable, "-m", "lite6jax.cli", "record", "--ip", str(address), "--out", str(out), *more]
+    environment = {**os.environ, "COLUMNS": "80"}
+    process = subprocess.Popen(
+        command, cwd=ROOT, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    try:
+        yield process
+    finally:
+        process.kill()
+        process.communicate()
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="signals of POSIX")
+@pytest.mark.parametrize(("name", "number"), [("run.parquet", signal.SIGINT), ("run.csv", signal.SIGTERM)])
+def test_an_interrupt_keeps_every_row(tmp_path, name, number):
+    out = tmp_path / name
+    with emulated(path=draw_sines(ARM.joint_limits)) as (_, address), recording(address, out) as process:
+        deadline = time.monotonic() + 60
+        while not (tmp_path / "run.yaml").exists() and time.monotonic() < deadline:
+            time.sleep(0.05)
+        time.sleep(0.6)
+        for _ in range(3):  # impatience costs no row
+            process.send_signal(number)
+            time.sleep(0.02)
+        said, err = process.communicate(timeout=60)
+    assert process.returncode == 0, err
+    rows = int(re.search(r"Recorded (\d+) rows", said)[1])
+    read = read_recording(out)
+    assert read.samples == rows > 50
+    assert (np.rint(1e6 * np.diff(read.time)) == 4000).all()
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="limits of POSIX")
+def test_a_full_disk_is_said_and_what_is_there_is_kept(capsys, tmp_path, monkeypatch):
+    from test_growing import room_for
+
+    out = tmp_path / "run.csv"
+    with emulated(speed=20.0) as (_, address), room_for(400_000):
+        code, said, err = run(capsys, "record", "--ip", address, "--out", out, "--seconds", 20)
+    assert code == 2
+    rows = int(re.search(r"Recorded (\d+) rows", said)[1])
+    assert read_recording(out).samples == rows
+    assert f"run.csv: the disk took {rows} rows and not the last {5000 - rows} (" in err
+    assert err.endswith("free space before the next recording\n")
+    assert err.count("error: ") == 1

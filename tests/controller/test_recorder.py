@@ -1,0 +1,330 @@
+"""Recording a live arm: every report once, whatever happens to the line, the disk or the person at the keyboard."""
+
+import threading
+import time
+
+import numpy as np
+import pyarrow.parquet
+import pytest
+from live_arm import ARM, KINEMATICS, emulated, new_host, serving
+from plain_chain import six_parameter_poses
+from test_growing import room_for
+
+from lite6jax.arms.factory import read_factory
+from lite6jax.controller import protocol, recorder
+from lite6jax.controller.asked import record_poses
+from lite6jax.controller.exchange import Address
+from lite6jax.controller.recorder import record
+from lite6jax.controller.station import read_station
+from lite6jax.controller.stream import Lost, ReportPort, Reports, first_report
+from lite6jax.emulator import Faults, draw_sines
+from lite6jax.errors import InputError
+from lite6jax.recordings import Recording, read_recording
+
+TOOL = [0.0, 0.0, 120.0, 0.0, 0.3, 0.0]
+
+
+def recorded(tmp_path, seconds=2.0, name="run.parquet", faults=Faults(), during=None, speed=20.0, **options):  # noqa: B008
+    """A recording of a moving arm, and what it reads back as."""
+    out = tmp_path / name
+    path = draw_sines(ARM.joint_limits, seed=2)
+    with emulated(path=path, faults=faults, speed=speed, **options) as (controller, address):
+        station = read_station(address, ARM, "lite6")
+        if during is not None:
+            threading.Thread(target=during, args=(controller,), daemon=True).start()
+        done = record(address, out, station, seconds=seconds)
+    return done, read_recording(out, joint_limits=ARM.joint_limits, reach=ARM.reach)
+
+
+def test_ten_minutes_at_250_hz_lose_and_double_nothing(tmp_path):
+    done, read = recorded(tmp_path, 600.0, speed=200.0)
+    assert (done.rows, done.missing, done.repeated, done.runs, done.unwritten) == (150_000, 0, 0, 1, 0)
+    assert read.samples == 150_000
+    np.testing.assert_array_equal(np.rint(1e6 * read.time), 4000 * np.arange(150_000))
+    assert len(np.unique(read.joint_position, axis=0)) > 149_000  # the arm moved, and no row stands for another
+    np.testing.assert_allclose(done.rate, 250)
+
+
+def test_a_recording_is_what_the_arm_did_and_says_what_it_is(tmp_path):
+    done, read = recorded(tmp_path, 4.0, tool=TOOL, payload=[0.4, 1.0, 2.0, 30.0])
+    assert read.settings == done.settings
+    settings = read.settings
+    assert (settings.arm, settings.joint_source, settings.pose_source) == ("lite6", "measured", "controller_fk")
+    assert (settings.motion, settings.pose_frame) == ("trajectory", "base")
+    np.testing.assert_allclose(settings.tool, [0, 0, 0.12, 0, 0.3, 0], atol=1e-7)
+    np.testing.assert_allclose(settings.payload_com_m, [1e-3, 2e-3, 30e-3], rtol=1e-6)
+    np.testing.assert_allclose(read.payload, 0.4, rtol=1e-6)
+    calibration = read_factory(settings.factory_path(tmp_path))
+    np.testing.assert_array_equal(calibration.kinematics, KINEMATICS)
+    T = six_parameter_poses(KINEMATICS, read.joint_position) @ protocol.transform_of_wire_pose(np.array(TOOL))
+    np.testing.assert_allclose(read.position, T[:, :3, 3], atol=4e-7)
+    assert read.quaternion is not None
+    assert read.joint_temperature.shape == read.motor_current.shape == read.joint_torque.shape == (1000, 6)
+    slope = np.gradient(read.joint_position[:, 0], read.time)
+    np.testing.assert_allclose(read.joint_velocity[5:-5, 0], slope[5:-5], atol=0.05)
+    source = pyarrow.parquet.read_schema(tmp_path / "run.parquet").field("q1_rad").metadata[b"source"]
+    assert source == b"measured, encoders"
+    assert [path.name for path in done.written] == ["run.parquet", "run.yaml", "run_factory.yaml"]
+
+
+def test_missing_reports_are_counted(tmp_path):
+    done, read = recorded(tmp_path, 4.0, faults=Faults(lose_every=50))
+    assert done.missing == pytest.approx(20, abs=1)
+    assert done.rows == read.samples == 1000 - done.missing
+
+
+def test_a_line_that_drops_is_made_anew_and_every_report_of_a_connection_is_there(tmp_path):
+    done, read = recorded(tmp_path, 12.0, faults=Faults(close_reports_after=300), speed=8.0)
+    assert done.runs == read.run.max() + 1 >= 3
+    assert done.missing == done.repeated == 0
+    assert done.rows == read.samples
+    for run in range(done.runs - 1):
+        clock = np.rint(1e6 * read.time[read.run == run])
+        assert len(clock) == 300
+        assert (np.diff(clock) == 4000).all()
+    assert (np.diff(read.time) > 0).all()
+
+
+def test_a_controller_that_hangs_up_now_and_then(tmp_path):
+    def hang_up(controller):
+        for _ in range(2):
+            time.sleep(0.4)
+            controller.hang_up()
+
+    done, read = recorded(tmp_path, 15.0, during=hang_up, speed=8.0)
+    assert done.runs == 3
+    assert (np.diff(read.time) > 0).all()
+    steps = np.rint(1e6 * np.diff(read.time))[np.diff(read.run) == 0]
+    assert (steps == 4000).all()
+
+
+def test_a_line_that_stays_away_ends_the_recording_of_so_many_seconds(tmp_path, monkeypatch):
+    monkeypatch.setattr(recorder, "FIRST_REPORT_S", 0.3)
+
+    def go_away(controller):
+        time.sleep(0.5)
+        controller.set_faults(Faults(silent_reports=True))
+
+    done, read = recorded(tmp_path, 1.0, during=go_away, speed=1.0)
+    assert 0 < done.rows == read.samples < 250
+    assert any("ended without all 1 s" in note for note in done.notes)
+
+
+def test_pieces_of_single_bytes_and_an_error_do_not_matter(tmp_path):
+    done, read = recorded(tmp_path, 0.4, faults=Faults(fragment=1), speed=1.0)
+    assert read.samples == 100
+    done, read = recorded(tmp_path, 0.4, "error.csv", faults=Faults(error=22))
+    assert read.samples == 100
+    assert any("reports error 22" in note for note in done.notes)
+
+
+def test_nan_rows_are_recorded_and_said(tmp_path):
+    out = tmp_path / "run.csv"
+    with emulated(faults=Faults(nan=frozenset({"reports"})), speed=20.0) as (_, address):
+        done = record(address, out, read_station(address, ARM, "lite6"), seconds=1.0)
+    assert done.rows == 250
+    assert done.settings.tool == done.settings.pose_frame == "unknown"
+    assert any("report's joint position is not finite" in note for note in done.notes)
+    assert any("rows hold numbers that are not finite" in note for note in done.notes)
+
+
+def test_without_a_calibration_or_a_slow_report_it_records_what_there_is(tmp_path):
+    done, read = recorded(tmp_path, 1.0, faults=Faults(invalid=True))
+    assert read.settings.factory_calibration is None
+    assert any("geometry stays unknown" in note for note in done.notes)
+    assert not (tmp_path / "run_factory.yaml").exists()
+    done, read = recorded(tmp_path, 1.0, "fast.csv", report_ports=(30000,))
+    assert read.settings.tool == read.settings.pose_frame == "unknown"
+    assert read.joint_temperature is None
+    assert any("no temperatures" in note for note in done.notes)
+
+
+def test_it_ends_when_asked_and_keeps_what_it_has(tmp_path):
+    stop = threading.Event()
+    shown = []
+
+    def show(progress):
+        shown.append(progress)
+        if progress.rows > 300:
+            stop.set()
+
+    with emulated(speed=4.0) as (_, address):
+        done = record(address, tmp_path / "run.csv", read_station(address, ARM, "lite6"), stop=stop, show=show)
+    assert done.rows == read_recording(tmp_path / "run.csv").samples > 300
+    assert [p.rows for p in shown] == sorted(p.rows for p in shown)
+    np.testing.assert_allclose(shown[-1].rate, 250)
+
+
+def test_stopped_before_the_first_report_there_is_nothing(tmp_path):
+    stop = threading.Event()
+    stop.set()
+    with emulated() as (_, address):
+        done = record(address, tmp_path / "run.csv", read_station(address, ARM, "lite6"), stop=stop)
+    assert (done.rows, done.written) == (0, ())
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("name", ["run.parquet", "run.csv"])
+def test_a_full_disk_costs_only_what_does_not_fit(tmp_path, name):
+    out = tmp_path / name
+    with emulated(path=draw_sines(ARM.joint_limits), speed=40.0) as (_, address):
+        station = read_station(address, ARM, "lite6")
+        with room_for(1_500_000):
+            done = record(address, out, station, seconds=60.0)
+    assert done.unwritten > 0
+    assert "large" in done.refusal.lower()
+    assert done.rows + done.unwritten == 15_000
+    read = read_recording(out)
+    assert read.samples == done.rows > 1000
+    np.testing.assert_array_equal(np.rint(1e6 * read.time), 4000 * np.arange(done.rows))
+
+
+def test_a_disk_that_has_room_again_in_time_costs_nothing(tmp_path):
+    out, full = tmp_path / "run.csv", []
+
+    def show(progress):
+        if "the disk takes nothing" in progress.trouble and not full:
+            full.append(progress.trouble)
+            room.__exit__(None, None, None)
+
+    with emulated(speed=20.0) as (_, address):
+        station = read_station(address, ARM, "lite6")
+        room = room_for(300_000)
+        room.__enter__()
+        done = record(address, out, station, seconds=30.0, show=show)
+    assert full
+    assert "rows wait in memory" in full[0]
+    assert (done.unwritten, done.refusal, done.rows) == (0, "", 7500)
+    np.testing.assert_array_equal(np.rint(1e6 * read_recording(out).time), 4000 * np.arange(7500))
+
+
+def test_what_stands_there_is_not_replaced_unasked(tmp_path):
+    for name in ("run.csv", "run.yaml", "run_factory.yaml"):
+        (tmp_path / name).write_text("mine")
+        with emulated() as (_, address):
+            station = read_station(address, ARM, "lite6")
+            with pytest.raises(InputError, match=rf"{name}: exists already"):
+                record(address, tmp_path / "run.csv", station, seconds=1.0)
+        assert (tmp_path / name).read_text() == "mine"
+        (tmp_path / name).unlink()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_port_that_is_not_there_or_silent(tmp_path, monkeypatch):
+    monkeypatch.setattr(recorder, "FIRST_REPORT_S", 0.5)
+    with emulated(report_ports=(30002,)) as (_, address):
+        station = read_station(address, ARM, "lite6")
+        with pytest.raises(InputError, match="port 30000: nothing listens there"):
+            record(address, tmp_path / "run.csv", station, seconds=1.0)
+    with emulated() as (controller, address):
+        station = read_station(address, ARM, "lite6")
+        controller.set_faults(Faults(silent_reports=True))
+        with pytest.raises(InputError, match=r"port 30000: no report within 0\.5 s; check"):
+            record(address, tmp_path / "run.csv", station, seconds=1.0)
+        with pytest.raises(InputError, match="give more than zero"):
+            record(address, tmp_path / "run.csv", station, seconds=-1.0)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_stream_that_is_none_is_left_for_another_connection():
+    report = np.zeros(1, protocol.report_layout(protocol.REALTIME))
+    report["length"] = 784
+    answers = [report.tobytes() * 2 + b"\xff" * 50, report.tobytes() + b"\0\0\0\x20" + bytes(28), report.tobytes() * 3]
+    waits = threading.Event()
+
+    def answer(connection):
+        connection.sendall(answers.pop(0))
+        if not answers:
+            waits.wait(10)
+
+    with serving(answer, 30000) as address, ReportPort(address, 30000) as port:
+        events = [port.events.get(timeout=5) for _ in range(5)]
+        waits.set()
+    assert [type(event) for event in events] == [Reports, Lost, Reports, Lost, Reports]
+    assert [len(event.reports) for event in events[::2]] == [2, 1, 3]
+    assert [event.connection for event in events[::2]] == [0, 1, 2]
+    assert "a report of 4294967295 bytes" in events[1].reason
+    assert "a report of 32 bytes on port 30000" in events[3].reason
+
+
+def test_the_first_report_has_a_deadline():
+    started = time.monotonic()
+    with (
+        emulated(faults=Faults(silent_reports=True)) as (_, address),
+        pytest.raises(InputError, match=r"within 0\.2 s"),
+    ):
+        first_report(address, 30002, 0.2)
+    with pytest.raises(InputError, match="port 30002: nothing listens"):
+        first_report(Address(new_host()), 30002, 0.2)
+    assert time.monotonic() - started < 5
+
+
+# ------------------------------------------------------------------ forward kinematics for given joints
+
+
+def poses(count=30, seed=0):
+    limits = ARM.joint_limits
+    q = np.random.default_rng(seed).uniform(limits[:, 0], limits[:, 1], (count, 6))
+    return Recording.from_arrays(q, source="poses.csv")
+
+
+def test_given_joints_are_answered_by_the_controller(tmp_path):
+    wanted, out = poses(), tmp_path / "fk.csv"
+    with emulated(tool=TOOL) as (controller, address):
+        done = record_poses(address, out, read_station(address, ARM, "lite6"), wanted)
+        seen = controller.look()
+    assert set(seen.asked) == {1, 8, 44}
+    np.testing.assert_array_equal(seen.joints, np.zeros(6))
+    read = read_recording(out)
+    np.testing.assert_array_equal(read.joint_position, wanted.joint_position.astype(np.float32))
+    T = six_parameter_poses(KINEMATICS, read.joint_position) @ protocol.transform_of_wire_pose(np.array(TOOL))
+    np.testing.assert_allclose(read.position, T[:, :3, 3], atol=1e-7)
+    settings = read.settings
+    assert (settings.pose_source, settings.joint_source, settings.motion) == ("controller_fk", "commanded", "static")
+    assert settings.factory_calibration == "fk_factory.yaml"
+    assert done.sources["q1_rad"] == "as asked, not measured"
+    assert done.rows == 30
+
+
+def test_a_connection_that_is_lost_is_made_anew_and_no_row_is_left_out(tmp_path):
+    wanted, out = poses(400), tmp_path / "fk.parquet"
+    count = []
+
+    with emulated(faults=Faults(latency=0.001)) as (controller, address):
+
+        def advance(done):
+            count.append(done)
+            if len(count) == 100:
+                controller.hang_up()
+
+        done = record_poses(address, out, read_station(address, ARM, "lite6"), wanted, advance=advance)
+    assert (done.rows, done.missing, done.refusal) == (400, 0, "")
+    np.testing.assert_array_equal(read_recording(out).joint_position, wanted.joint_position.astype(np.float32))
+
+
+def test_interrupted_it_keeps_what_was_answered(tmp_path):
+    stop, count = threading.Event(), []
+
+    def advance(done):
+        count.append(done)
+        if len(count) == 12:
+            stop.set()
+
+    with emulated() as (_, address):
+        station = read_station(address, ARM, "lite6")
+        done = record_poses(address, tmp_path / "fk.csv", station, poses(), stop=stop, advance=advance)
+        assert (done.rows, done.missing) == (12, 18)
+        done = record_poses(address, tmp_path / "none.csv", station, poses(), stop=stop)
+    assert (done.rows, done.written) == (0, ())
+    assert read_recording(tmp_path / "fk.csv").samples == 12
+
+
+def test_joints_of_another_arm_or_a_controller_that_refuses(tmp_path):
+    with emulated(faults=Faults(nan=frozenset({"kinematics"}))) as (_, address):
+        station = read_station(address, ARM, "lite6")
+        with pytest.raises(InputError, match=r"refuses all joints of poses\.csv, the first with a pose that is not"):
+            record_poses(address, tmp_path / "fk.csv", station, poses(3))
+        seven = Recording.from_arrays(np.zeros((2, 7)), source="seven.csv")
+        with pytest.raises(InputError, match=r"seven\.csv: has 7 joints, the lite6 6"):
+            record_poses(address, tmp_path / "fk.csv", station, seven)
+    assert list(tmp_path.iterdir()) == []

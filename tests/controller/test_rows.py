@@ -1,0 +1,206 @@
+"""Reports as rows: every report once, gaps counted, clocks that jump, and which way orientations are meant."""
+
+import numpy as np
+import pytest
+from live_arm import ARM, KINEMATICS
+from plain_chain import six_parameter_poses
+from scipy.spatial.transform import Rotation
+
+from lite6jax.arms.factory import FactoryCalibration
+from lite6jax.controller import protocol
+from lite6jax.controller.condition import Condition
+from lite6jax.controller.rows import SOURCES, Rows
+from lite6jax.controller.station import Station
+from lite6jax.controller.stream import Reports
+from lite6jax.errors import InputError
+
+STEP = 4000
+
+
+def condition(**changed):
+    values = {
+        "error": 0,
+        "warning": 0,
+        "joint_position": np.zeros(7),
+        "tool_offset": np.zeros(6),
+        "world_offset": np.zeros(6),
+        "payload": np.zeros(4),
+        "gravity_direction": np.array([0.0, 0.0, -1.0]),
+        "temperature": np.arange(20.0, 27.0),
+    }
+    return Condition(**(values | changed))
+
+
+def station(calibrated=True, known=True, **changed):
+    own = FactoryCalibration(np.array(KINEMATICS), ARM, ARM.T_joint_flange, "arm") if calibrated else None
+    return Station(ARM, "lite6", own, condition(**changed) if known else None, ())
+
+
+def reports(time_us, q=None, vector=False, length=784, seed=0):
+    """Reports of port 30000 with poses of the calibrated chain."""
+    time_us = np.asarray(time_us)
+    q = np.random.default_rng(seed).uniform(-1, 1, (len(time_us), 6)) if q is None else q
+    made = np.zeros(len(time_us), protocol.report_layout(protocol.REALTIME, length))
+    made["length"], made["time_us"] = length, time_us
+    made["joint_position"][:, :6] = q
+    made["joint_velocity"][:, :6] = q / 2
+    made["current"][:, :6], made["torque"][:, :6] = q / 3, q / 4
+    T = six_parameter_poses(KINEMATICS, made["joint_position"][:, :6].astype(float))
+    made["pose"] = protocol.wire_pose(T)
+    if vector:
+        made["pose"][:, 3:] = Rotation.from_matrix(T[:, :3, :3]).as_rotvec()
+    return [row.tobytes() for row in made]
+
+
+def took(rows, many, connection=0, heard=0.0):
+    return rows.take(Reports(connection, many, heard))
+
+
+def test_a_row_is_what_the_report_says_in_si():
+    rows = Rows(station(payload=np.array([0.5, 0, 0, 30.0])))
+    q = np.random.default_rng(1).uniform(-2, 2, (5, 6))
+    table = took(rows, reports(1_000_000 + STEP * np.arange(5), q))
+    sent = q.astype(np.float32).astype(float)
+    np.testing.assert_allclose(table["time_s"], 0.004 * np.arange(5), atol=1e-12)
+    np.testing.assert_array_equal(np.stack([table[f"q{i}_rad"] for i in range(1, 7)], 1), sent)
+    np.testing.assert_allclose(np.stack([table[f"dq{i}_rad_per_s"] for i in range(1, 7)], 1), sent / 2, rtol=1e-6)
+    np.testing.assert_allclose(np.stack([table[f"current{i}_A"] for i in range(1, 7)], 1), sent / 3, rtol=1e-6)
+    np.testing.assert_allclose(np.stack([table[f"tau{i}_Nm"] for i in range(1, 7)], 1), sent / 4, rtol=1e-6)
+    np.testing.assert_array_equal([table[f"temp{i}_degC"][0] for i in range(1, 7)], np.arange(20, 26))
+    assert (table["payload_kg"] == 0.5).all()
+    T = six_parameter_poses(KINEMATICS, sent)
+    np.testing.assert_allclose(np.stack([table[f"{axis}_m"] for axis in "xyz"], 1), T[:, :3, 3], atol=1e-7)
+    turn = Rotation.from_quat(np.stack([table[f"q{part}"] for part in "wxyz"], 1), scalar_first=True)
+    np.testing.assert_allclose(turn.as_matrix(), T[:, :3, :3], atol=1e-6)
+    assert set(table) <= set(SOURCES)
+    assert rows.names == tuple(table)
+    assert (rows.count, rows.missing, rows.repeated, rows.run, rows.rate) == (5, 0, 0, 0, 250)
+
+
+def test_what_comes_twice_is_kept_once_within_and_across_connections():
+    rows = Rows(station())
+    clock = STEP * np.array([1, 2, 2, 3])
+    assert len(took(rows, reports(clock))["time_s"]) == 3
+    again = took(rows, reports(STEP * np.array([2, 3])), connection=0)  # set back by 4 ms: another clock, another run
+    assert (again["run"] == 1).all()
+    rows = Rows(station())
+    took(rows, reports(STEP * np.array([1, 2, 3])))
+    assert took(rows, reports(STEP * np.array([3])), connection=1) is None
+    table = took(rows, reports(STEP * np.array([3, 4, 5])), connection=1)
+    np.testing.assert_allclose(table["time_s"], [0.012, 0.016])
+    assert (table["run"] == 1).all()
+    assert (rows.count, rows.repeated, rows.missing) == (5, 2, 0)
+
+
+def test_gaps_are_counted_within_a_run_and_not_between_runs():
+    rows = Rows(station())
+    took(rows, reports(STEP * np.array([1, 2, 4, 8])))
+    assert rows.missing == 1 + 3
+    took(rows, reports(STEP * np.array([10, 11])))
+    assert rows.missing == 5
+    table = took(rows, reports(STEP * np.array([100, 101])), connection=1)
+    assert (rows.missing, rows.run) == (5, 1)
+    np.testing.assert_allclose(table["time_s"], [0.396, 0.4])
+
+
+def test_a_clock_that_starts_anew_goes_on_in_another_run():
+    rows = Rows(station())
+    took(rows, reports(10**9 + STEP * np.arange(3)), heard=100.0)
+    table = took(rows, reports(STEP * np.arange(3)), connection=1, heard=107.0)
+    np.testing.assert_allclose(table["time_s"], 0.008 + 7.0 + 0.004 * np.arange(3), atol=1e-9)
+    assert (table["run"] == 1).all()
+    assert any("clock was set back 1 times" in note for note in rows.notes())
+    # in the middle of a piece
+    rows = Rows(station())
+    table = took(rows, reports(STEP * np.array([5, 6, 7, 2, 3])))
+    np.testing.assert_array_equal(table["run"], [0, 0, 0, 1, 1])
+    assert (np.diff(table["time_s"]) > 0).all()
+
+
+def test_a_clock_that_stands_still_is_refused():
+    rows = Rows(station())
+    with pytest.raises(InputError, match="clock stands still at 77 µs; update"):
+        took(rows, reports(np.full(150, 77)))
+
+
+def test_it_is_complete_when_the_time_has_come():
+    rows = Rows(station(), seconds=0.02)
+    took(rows, reports(STEP * np.arange(3)))
+    assert not rows.complete
+    table = took(rows, reports(STEP * np.arange(3, 9)))
+    assert rows.complete
+    np.testing.assert_allclose(table["time_s"], [0.012, 0.016])
+    assert rows.count == 5
+
+
+def test_a_rotation_vector_is_recognised_by_the_chain():
+    q = np.random.default_rng(4).uniform(-2, 2, (30, 6))
+    T = six_parameter_poses(KINEMATICS, q.astype(np.float32).astype(float))
+    for vector, said in ((True, "a rotation vector"), (False, "roll pitch yaw")):
+        for calibrated in (True, False):
+            rows = Rows(station(calibrated))
+            table = took(rows, reports(STEP * np.arange(30), q, vector))
+            turn = Rotation.from_quat(np.stack([table[f"q{part}"] for part in "wxyz"], 1), scalar_first=True)
+            np.testing.assert_allclose(turn.as_matrix(), T[:, :3, :3], atol=2e-6)
+            assert any(f"orientations are {said}" in note for note in rows.notes())
+
+
+def test_what_is_not_to_be_told_is_decided_when_it_is():
+    home = np.zeros((4, 6))  # nearly roll 180°, where both readings are nearly the same
+    rows = Rows(station())
+    took(rows, reports(STEP * np.arange(4), home, vector=True))
+    assert rows.notes() == ()
+    q = np.random.default_rng(5).uniform(-2, 2, (4, 6))
+    table = took(rows, reports(STEP * np.arange(4, 8), q, vector=True))
+    turn = Rotation.from_quat(np.stack([table[f"q{part}"] for part in "wxyz"], 1), scalar_first=True)
+    T = six_parameter_poses(KINEMATICS, q.astype(np.float32).astype(float))
+    np.testing.assert_allclose(turn.as_matrix(), T[:, :3, :3], atol=2e-6)
+    assert "a rotation vector" in rows.notes()[0]
+
+
+def test_an_orientation_that_is_not_the_chains_is_left_out():
+    many = reports(STEP * np.arange(5))
+    layout = protocol.report_layout(protocol.REALTIME, 784)
+    changed = np.frombuffer(b"".join(many), layout).copy()
+    changed["pose"][:, 3:] += [0.4, -0.3, 0.5]
+    rows = Rows(station())
+    table = took(rows, [row.tobytes() for row in changed])
+    assert "qw" not in table
+    assert "x_m" in table
+    assert "orientations are left out" in rows.notes()[0]
+
+
+def test_the_tool_turns_the_orientation_that_is_expected():
+    T = protocol.transform_of_wire_pose(np.array([0, 0, 100.0, 0.5, 0.6, 0.7]))
+    q = np.random.default_rng(6).uniform(-2, 2, (5, 6)).astype(np.float32)
+    made = np.frombuffer(b"".join(reports(STEP * np.arange(5), q)), protocol.report_layout(protocol.REALTIME)).copy()
+    made["pose"] = protocol.wire_pose(six_parameter_poses(KINEMATICS, q.astype(float)) @ T)
+    rows = Rows(station(tool_offset=np.array([0, 0, 100.0, 0.5, 0.6, 0.7])))
+    assert "qw" in took(rows, [row.tobytes() for row in made])
+
+
+def test_numbers_that_are_not_finite_stay_and_are_counted():
+    many = np.frombuffer(b"".join(reports(STEP * np.arange(6))), protocol.report_layout(protocol.REALTIME)).copy()
+    many["pose"][2] = np.nan
+    many["joint_position"][4, 1] = np.inf
+    rows = Rows(station())
+    table = took(rows, [row.tobytes() for row in many])
+    assert len(table["time_s"]) == 6
+    assert np.isnan(table["qw"][2])
+    assert np.isinf(table["q2_rad"][4])
+    assert "2 rows hold numbers that are not finite" in rows.notes()[-1]
+
+
+def test_reports_of_other_lengths_are_read_by_their_length():
+    rows = Rows(station(known=False))
+    table = took(rows, reports(STEP * np.arange(3), length=640) + reports(STEP * np.arange(3, 6), length=784))
+    assert len(table["time_s"]) == 6
+    assert "temp1_degC" not in table
+    assert "payload_kg" not in table
+
+
+def test_a_clock_of_another_speed_is_said():
+    rows = Rows(station())
+    took(rows, reports(STEP * np.arange(2)), heard=0.0)
+    took(rows, reports(STEP * np.arange(2, 5000)), heard=10.0)
+    assert any("runs 2 times as fast" in note for note in rows.notes())
