@@ -20,7 +20,7 @@ from lite6jax.arms.factory import write_factory
 from lite6jax.diagnosis.case import Case, case_of
 from lite6jax.diagnosis.diagnose import diagnose as diagnosis_of
 from lite6jax.diagnosis.evidence import evidence_of
-from lite6jax.diagnosis.faults.examine import Fault, examine
+from lite6jax.diagnosis.faults.examination import Fault, examine
 from lite6jax.diagnosis.prediction import read_model
 from lite6jax.diagnosis.refit import refit
 from lite6jax.diagnosis.selection import search_of

@@ -15,7 +15,7 @@ from benchmarks import __main__ as harness
 from benchmarks import command, diagnose, fits, measure, one_by_one, problem, rivals, samples, seed_way
 from benchmarks.measure import Record
 from lite6jax.diagnosis.evidence import Score
-from lite6jax.diagnosis.faults.examine import Fault
+from lite6jax.diagnosis.faults.examination import Fault
 from lite6jax.diagnosis.steps import Step
 from lite6jax.physics.catalogue import catalogue, parse_effect
 from lite6jax.physics.surroundings import TimeOffset

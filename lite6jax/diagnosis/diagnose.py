@@ -7,10 +7,11 @@ from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
 
 from lite6jax.arms.arm import Arm
 from lite6jax.diagnosis.case import Case, arm_moved, case_of
-from lite6jax.diagnosis.faults.examine import Fault, examine
+from lite6jax.diagnosis.faults.examination import Fault, examine
 from lite6jax.diagnosis.selection import Selection, search_of
 from lite6jax.diagnosis.separation import Separation, separations
 from lite6jax.fitting.problem import Geometry
@@ -93,7 +94,16 @@ class Diagnosis:
                     "heldout_rms_before_m": before["heldout_position_rms_m"],
                     "heldout_rms_after_m": after["heldout_position_rms_m"],
                     "confusable_with": [
-                        {"effect": rival.effect.name, "site": rival.effect.site, "log_likelihood_gap": rival.gap}
+                        {
+                            "effect": rival.effect.name,
+                            "site": rival.effect.site,
+                            "log_likelihood_gap": rival.gap,
+                            **{
+                                key: getattr(rival.effect, key)
+                                for key in ("order", "source_joint")
+                                if hasattr(rival.effect, key)
+                            },
+                        }
                         for rival in step.rivals
                     ],
                     "statement": statement(step.effect, parameters),
@@ -186,6 +196,18 @@ def diagnose(
     Raises:
         InputError: as `examine` and `case_of`.
     """
+    # A second thread gains little on matrices of this size, and costs many times as much where another job has a core.
+    with threadpool_limits(1, user_api="blas"):
+        return _diagnosed(recording, arm, geometry, effects, progress)
+
+
+def _diagnosed(
+    recording: Recording,
+    arm: Arm | None,
+    geometry: Geometry,
+    effects: Sequence[Effect],
+    progress: Callable[[int], object] | None,
+) -> Diagnosis:
     examined = examine(recording, arm, geometry)
     recording = examined.recording
     case = case_of(recording, examined.arm, geometry)

@@ -51,9 +51,10 @@ class Evidence:
     Attributes:
         case: the data.
         fitted: the model that the candidates are added to.
-        basis: orthonormal rows `(k, row sample)` that span what the nuisance and the model's effects can do, once the
-            noise is made white.
-        residual: `(row sample)` white, of unit noise, wild samples cut down to what four standard deviations would be.
+        basis: orthonormal rows `(k, reading)` that span what the nuisance and the model's effects can do, once the
+            noise is made white. Readings are the rows of all samples, and then what is known beforehand of each
+            number, a reading each.
+        residual: `(reading,)` white, of unit noise, wild samples cut down to what four standard deviations would be.
         blocks: where blocks of neighbouring samples begin.
         freedom: numbers measured, less those fitted.
         memory: over how many samples the residual remembers; 1 where it is white.
@@ -77,7 +78,7 @@ class Evidence:
     def given(self, columns: Array) -> "Evidence":
         """The evidence once columns `(number, row, sample)` are fitted as well, to first order."""
         flat = self._flat(columns)
-        flat = flat / np.maximum(np.linalg.norm(flat, axis=1), 1e-300)[:, None]
+        flat /= np.maximum(np.linalg.norm(flat, axis=1), 1e-300)[:, None]
         new = _orthonormal(flat - (flat @ self.basis.T) @ self.basis)
         residual = self.residual - (new @ self.residual) @ new
         return replace(self, basis=np.concatenate([self.basis, new]), residual=residual)
@@ -102,8 +103,7 @@ class Evidence:
         flat = self._flat(np.concatenate(groups))
         norms = np.linalg.norm(flat, axis=1)
         projected = flat - (flat @ self.basis.T) @ self.basis
-        products = projected * self.residual
-        per_block = _by_block(products, self.blocks, self.case.samples)
+        per_block = self._by_block(projected * self.residual)
         scores, at = [], 0
         for group in groups:
             part = slice(at, at + len(group))
@@ -127,8 +127,8 @@ class Evidence:
         white = float(chdtrc(k, statistic))
         B = s.shape[1]
         # what each block pulls beyond its share of the whole effect, which is not noise
-        Z = (T.T @ G).reshape(k, self.case.rows, -1)
-        share = np.add.reduceat(np.einsum("irs,jrs->ijs", Z, Z), self.blocks, axis=2)
+        Z = T.T @ G
+        share = np.stack([self._by_block(z * Z) for z in Z])
         centred = s - np.einsum("ijb,j->ib", share, total)
         spread = centred @ centred.T * B / (B - 1)
         robust = 1.0
@@ -139,9 +139,19 @@ class Evidence:
         return Score(0.5 * statistic, k, max(white, robust), False, values)
 
     def _flat(self, columns: Array) -> Array:
-        """Columns `(number, row, sample)` as the residual is: white, of the rows used, `(number, row sample)`."""
+        """Columns `(number, row, sample)` as the residual is: white, of the rows used, `(number, reading)`."""
+        flat = np.zeros((len(columns), len(self.residual)))
         white = self.fitted.colour.whitened(columns) * self.fitted.used
-        return white.reshape(len(columns), self.case.rows * self.case.samples)
+        flat[:, : self.case.rows * self.case.samples] = white.reshape(len(columns), -1)
+        return flat
+
+    def _by_block(self, products: Array) -> Array:
+        """Sums over blocks of samples, `(column, block)`, of products `(column, reading)`; the last: known before."""
+        measured = self.case.rows * self.case.samples
+        per_sample = products[:, :measured].reshape(len(products), -1, self.case.samples).sum(1)
+        sums = np.add.reduceat(per_sample, self.blocks, axis=1)
+        known = products[:, measured:]
+        return np.concatenate([sums, known.sum(1, keepdims=True)], 1) if known.shape[1] else sums
 
 
 def evidence_of(case: Case, fitted: Fitted, memory: float | None = None) -> Evidence:
@@ -154,23 +164,19 @@ def evidence_of(case: Case, fitted: Fitted, memory: float | None = None) -> Evid
     """
     used = np.tile(fitted.used, case.rows).astype(float)
     columns = fitted.colour.whitened(_columns(case, fitted)).reshape(-1, used.size) * used
+    known = np.flatnonzero(case.precision)
+    before = np.zeros((len(columns), len(known)))  # a few more readings, which no candidate changes
+    before[known, np.arange(len(known))] = np.sqrt(case.precision[known]) * fitted.residual.scale
     norms = np.linalg.norm(columns, axis=1)
-    columns = columns[norms > 0] / norms[norms > 0, None]
-    if case.precision.any() and len(columns):
-        # a prior is a few more readings, which the candidates do not change
-        known = np.sqrt(case.precision) * fitted.residual.scale
-        extra = np.zeros((len(norms), len(norms)))
-        extra[np.arange(len(known)), np.arange(len(known))] = known
-        extra = (extra / np.where(norms > 0, norms, 1.0)[:, None])[norms > 0]
-        stacked = np.concatenate([columns, extra], 1)
-        basis = _orthonormal(stacked)[:, : used.size]
-    else:
-        basis = _orthonormal(columns)
+    columns = np.concatenate([columns, before], 1)[norms > 0] / norms[norms > 0, None]
+    basis = _orthonormal(columns)
     rows = _tamed(fitted.residual.innovations, fitted.residual.scale)
     residual = rows.ravel() * used
     n = float(used.sum())
     residual = residual / np.sqrt(max(np.sum(residual**2) / max(n - fitted.parameters, 1.0), 1e-300))
     memory = correlation_length(residual.reshape(case.rows, -1)) if memory is None else memory
+    off = np.sqrt(case.precision[known]) * (case.offset + fitted.moved)[known]
+    residual = np.concatenate([residual, off])
     return Evidence(case, fitted, basis, residual, _blocks(case.samples, memory), n - fitted.parameters, memory)
 
 
@@ -221,9 +227,3 @@ def _blocks(samples: int, memory: float) -> NDArray[np.integer]:
     length = max(_LEAST_IN_BLOCK, int(np.ceil(_LENGTHS * memory)))
     count = int(np.clip(samples // length, 4, _MOST_BLOCKS))
     return (np.arange(count) * samples) // count
-
-
-def _by_block(products: Array, starts: NDArray[np.integer], samples: int) -> Array:
-    """Sums over blocks of samples, `(column, block)`, of products `(column, row sample)`."""
-    per_sample = products.reshape(len(products), -1, samples).sum(1)
-    return np.add.reduceat(per_sample, starts, axis=1)

@@ -54,6 +54,7 @@ class Fitted:
         parameters: how many numbers were fitted, those that only the prior determines not counted.
         converged: whether it settled.
         colour: of the noise.
+        surprise: squared standard deviations by which all numbers are off what is known of them beforehand.
     """
 
     physics: Physics
@@ -64,7 +65,8 @@ class Fitted:
     used: NDArray[np.bool_]
     parameters: float
     converged: bool
-    colour: Colour = WHITE
+    colour: Colour
+    surprise: float
 
     @property
     def freedom(self) -> float:
@@ -72,11 +74,13 @@ class Fitted:
         return float(len(self.residual.rows) * self.used.sum()) - self.parameters
 
     def log_likelihood(self, scale: float) -> float:
-        """Of the rows used, Student's t, the noise given as a multiple of the whitener's."""
+        """Of the rows used, Student's t, the noise given as a multiple of the whitener's, and what is known before."""
         squares = np.sum(self.residual.innovations[:, self.used] ** 2, 0) / scale**2
         rows = len(self.residual.rows)
         return float(
-            -0.5 * (FREEDOM + rows) * np.sum(np.log1p(squares / FREEDOM)) - squares.size * rows * np.log(scale)
+            -0.5 * (FREEDOM + rows) * np.sum(np.log1p(squares / FREEDOM))
+            - squares.size * rows * np.log(scale)
+            - 0.5 * self.surprise
         )
 
 
@@ -150,7 +154,9 @@ def refit(
             break
     factor = variance_factor(state.squares[used], case.rows, FREEDOM, 0)
     covariance = _inverse(H)[k:, k:] * factor if len(H) else np.zeros((0, 0))
-    return Fitted(physics, at[:k], at[k:], covariance, state, used, _determined(H, precision), converged, colour)
+    surprise = float(np.sum(precision * (offset + at) ** 2))
+    told = _determined(H, precision)
+    return Fitted(physics, at[:k], at[k:], covariance, state, used, told, converged, colour, surprise)
 
 
 def without(case: Case, fitted: Fitted, k: int) -> Fitted:

@@ -40,7 +40,7 @@ _ROWS = 2000
 _PIECES = (8, 24)
 _UNNAMED_BETTER = 10.0
 _SUSPICIOUS = 3
-"""Named effects of one joint that together may be one that has no name."""
+"""Named effects of one joint that together may be one that has no name; an order that is not whole counts twice."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -233,7 +233,7 @@ class Search:
         for _ in range(3):
             evidence = evidence_of(self.case, fitted)
             scores = evidence.score(self.curves)
-            counts = Counter(step.effect.site for step in steps)
+            counts = Counter(step.effect.site for step in steps for _ in range(1 + _is_fractional(step.effect)))
             sites = {site for site, count in counts.items() if count >= _SUSPICIOUS}
             worth = [
                 (curve, score)
@@ -296,3 +296,7 @@ def _relinearised(case: Case, physics: Physics, values: Array) -> tuple[Case, Ar
 def select(case: Case, extra: Sequence[Effect] = (), level: float = LEVEL) -> Selection:
     """The physics that a case asks for."""
     return search_of(case, extra, level).run()
+
+
+def _is_fractional(effect: Effect) -> bool:
+    return isinstance(effect, JointHarmonic) and effect.order is not None and not float(effect.order).is_integer()

@@ -49,7 +49,7 @@ def spectrum(evidence: Evidence, joint: int) -> tuple[Array, Array]:
     q = np.asarray(case.motion.joint_position[joint - 1])
     site = case.sites["joint", joint - 1, 0]
     used = evidence.fitted.used
-    pull = np.sum(site * evidence.residual.reshape(site.shape), 0)[used]
+    pull = np.sum(site * evidence.residual[: site.size].reshape(site.shape), 0)[used]
     weight = np.sum(site**2, 0)[used]
     # sums over samples of e^{i n q}, for all n at once: a transform of histograms over q
     span = max(float(np.ptp(q)), 1e-3)

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from lite6jax.errors import InputError
 from lite6jax.physics.deflection import Deflection
 from lite6jax.physics.effect import Altering, Bending, Effect, Estimate
+from lite6jax.physics.links import FrameOffset
 from lite6jax.physics.motion import Motion
 from lite6jax.physics.statics import Loads
 from lite6jax.physics.unnamed import Unnamed
@@ -62,9 +63,10 @@ class Physics:
     @cached_property
     def prior(self) -> NDArray:
         """`(size,)`, one standard deviation of each number about neutral, as known beforehand."""
-        known = [effect.spread if isinstance(effect, Unnamed) else None for effect in self.effects]
-        sizes = [effect.size for effect in self.effects]
-        return np.repeat([np.inf if spread is None else spread for spread in known], sizes)
+        spreads = [effect.spread if isinstance(effect, Unnamed | FrameOffset) else None for effect in self.effects]
+        known = [np.inf if spread is None else spread for spread in spreads]
+        parts = [np.broadcast_to(spread, effect.size) for spread, effect in zip(known, self.effects, strict=True)]
+        return np.concatenate([np.zeros(0), *parts])
 
     @cached_property
     def slices(self) -> tuple[slice, ...]:

@@ -99,6 +99,11 @@ class FrameOffset(Bending):
     name: ClassVar[str] = "frame_offset"
 
     @property
+    def spread(self) -> tuple[float, ...]:
+        """Standard deviations known beforehand, m and rad: any arm's; they settle what the sensor cannot see."""
+        return (0.02,) * 3 + (0.05,) * 3
+
+    @property
     def coordinates(self) -> tuple[Coordinate, ...]:
         return TWIST
 

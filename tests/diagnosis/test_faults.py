@@ -14,7 +14,7 @@ from lite6jax.arms.bundled import load_bundled
 from lite6jax.arms.factory import write_factory
 from lite6jax.diagnosis.case import case_of
 from lite6jax.diagnosis.faults import hypotheses
-from lite6jax.diagnosis.faults.examine import examine
+from lite6jax.diagnosis.faults.examination import examine
 from lite6jax.diagnosis.faults.projection import Projected, estimated
 from lite6jax.diagnosis.faults.rigid import physics_columns, rigid_of
 from lite6jax.diagnosis.refit import refit
