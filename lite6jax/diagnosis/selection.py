@@ -11,6 +11,7 @@ from scipy.special import chdtrc
 
 from lite6jax.diagnosis.case import Case, moved_to
 from lite6jax.diagnosis.clock import clock_offset
+from lite6jax.diagnosis.colour import WHITE
 from lite6jax.diagnosis.evidence import Score, chance, evidence_of
 from lite6jax.diagnosis.refit import Fitted, refit
 from lite6jax.diagnosis.spectrum import lines
@@ -130,8 +131,8 @@ class Search:
                 part, case=self.case, plain=self.plain, baseline=baseline, fitted=fitted, steps=tuple(steps)
             )
         if not any(isinstance(step.effect, Unnamed) and step.effect.orders for step in selection.steps):
-            judged = assured(self.case, selection.fitted, list(selection.steps), self.tried, self.level)
-            selection = replace(selection, fitted=judged[0], steps=tuple(judged[1]))
+            fitted, steps = self._assured(selection.fitted, list(selection.steps))
+            selection = replace(selection, fitted=fitted, steps=tuple(steps))
         return self._reviewed(selection) if whole else selection
 
     def _selected(self, used: NDArray[np.bool_]) -> Selection:
@@ -143,6 +144,24 @@ class Search:
             fitted, steps = self._unnamed(baseline, fitted, steps)
             fitted, steps = pruned(self.case, fitted, steps, self.tried)
         return Selection(self.case, self.plain, baseline, fitted, tuple(steps), self.candidates)
+
+    def _assured(self, fitted: Fitted, steps: list[Step]) -> tuple[Fitted, list[Step]]:
+        """Judged by the colour of the noise that is left; with what else is clear in noise of that colour."""
+        fitted, steps = assured(self.case, fitted, steps, self.tried, self.level)
+        while fitted.colour is not WHITE and len(steps) < MOST:
+            scores = zip(self.candidates, evidence_of(self.case, fitted).score(self.candidates), strict=True)
+            clear = [(e, s) for e, s in scores if not s.hidden and s.p * self.tried < self.level]
+            if not clear:
+                break
+            effect, score = max(clear, key=lambda pair: pair[1].gain - 0.5 * pair[1].size * np.log(fitted.freedom))
+            more = self._with(fitted, effect, score.values)
+            more, kept = assured(
+                self.case, more, [*steps, Step(effect, min(score.p * self.tried, 1.0), score)], self.tried, self.level
+            )
+            if len(kept) <= len(steps):
+                break
+            fitted, steps = more, kept
+        return fitted, steps
 
     def _reviewed(self, selection: Selection) -> Selection:
         """With what could not be seen, and what comes next after all that was found."""
@@ -225,7 +244,7 @@ class Search:
     def _with(self, fitted: Fitted, effect: Effect, values: Array) -> Fitted:
         physics = Physics((*fitted.physics.effects, effect))
         start = np.concatenate([fitted.values, values])
-        return refit(self.case, physics, start, fitted.moved, fitted.used)
+        return refit(self.case, physics, start, fitted.moved, fitted.used, fitted.colour)
 
     def _unnamed(self, baseline: Fitted, fitted: Fitted, steps: list[Step]) -> tuple[Fitted, list[Step]]:
         """Curves in place of named effects of a joint, where they explain clearly more than these together."""

@@ -213,7 +213,7 @@ def other_table(arm: Rigid) -> OtherTable:
     """Whether the data are of another table of the same model than the one declared.
 
     Where the chain is declared and is a published table, one number along the line to the other table is estimated with
-    all physics beside it. Where it is fitted, the data must agree with the other table as well as with a fitted chain,
+    all physics beside it; where that leaves it vague, the other table must halve the residuals. Where it is fitted, the data must agree with the other table as well as with a fitted chain,
     and not with the declared one.
 
     Args:
@@ -232,7 +232,8 @@ def other_table(arm: Rigid) -> OtherTable:
             between[k] = np.concatenate([T[:3, 3], Rotation.from_matrix(T[:3, :3]).as_rotvec()])
         column = np.einsum("k,krs->rs", between.ravel(), arm.twists)[None]
         share, std = (float(value[0]) for value in estimated(arm, physics_columns(arm, skip=("links",)), column))
-        told = std < 0.1 and abs(share - 1) < 0.1 + 4 * std and share > 6 * std
+        clear = std < 0.1 or _with_table(arm, other).fitted().scale < 0.5 * arm.scale
+        told = clear and abs(share - 1) < 0.1 + 4 * std and share > 6 * std
         return OtherTable(other.name, (share, std), decided=told)
     free = arm.scale
     scales = [_with_table(arm, table).fitted().scale for table in (arm.arm, other)]
