@@ -16,9 +16,12 @@ import tyro
 from tyro.conf import FlagCreatePairsOff, OmitArgPrefixes, subcommand
 
 from lite6jax.cli.arguments import BAD_INPUT, DONE, INTERRUPTED
+from lite6jax.cli.compensate import Compensate
 from lite6jax.cli.diagnose import Diagnose, Predict
+from lite6jax.cli.emulate import Emulate
 from lite6jax.cli.files import Check, Convert
 from lite6jax.cli.fit import Compare, Demo, Fit, Fleet
+from lite6jax.cli.live import Read, Record
 from lite6jax.cli.simulate import Simulate
 from lite6jax.cli.study import Design, Identify, Sensitivity
 from lite6jax.errors import InputError
@@ -32,14 +35,19 @@ COMMANDS = {
     "design": Design,
     "diagnose": Diagnose,
     "predict": Predict,
+    "compensate": Compensate,
     "simulate": Simulate,
+    "emulate": Emulate,
     "convert": Convert,
     "check": Check,
+    "read": Read,
+    "record": Record,
     "demo": Demo,
 }
 DESCRIPTION = """Fit a UFACTORY Lite 6, or any serial arm, to its calibration or to measured poses.
 
-Exit codes: 0 done, 1 the fit did not converge, 2 the input cannot be used, 130 interrupted."""
+Exit codes: 0 done, 1 a fit did not converge, a target is out of reach or a controller does not agree with its
+calibration, 2 the input cannot be used, 130 interrupted."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

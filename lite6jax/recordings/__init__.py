@@ -12,7 +12,7 @@ from lite6jax.recordings.checks import (
     require_samples,
     time_disorder,
 )
-from lite6jax.recordings.formats import read_recording, recording_file, write_recording
+from lite6jax.recordings.formats import Targets, read_recording, read_targets, recording_file, write_recording
 from lite6jax.recordings.recording import Recording
 from lite6jax.recordings.settings import (
     FactoryUncertainty,
@@ -28,6 +28,7 @@ __all__ = [
     "Recording",
     "RecordingSettings",
     "RepeatedRows",
+    "Targets",
     "TimeDisorder",
     "check_joint_scale",
     "check_position_scale",
@@ -35,6 +36,7 @@ __all__ = [
     "outside_limits",
     "read_recording",
     "read_settings",
+    "read_targets",
     "recording_file",
     "repeated_rows",
     "require_samples",

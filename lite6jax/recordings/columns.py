@@ -44,13 +44,16 @@ class Column:
         return _spelled(self.quantity, self.joint, 0)
 
 
-def recognise(names: Sequence[str], source: str, dof: int | None = None) -> tuple[dict[str, Column], int, list[str]]:
+def recognise(
+    names: Sequence[str], source: str, dof: int | None = None, joints_optional: bool = False
+) -> tuple[dict[str, Column], int, list[str]]:
     """What the columns of a table mean.
 
     Args:
         names: the column names, in order.
         source: the file's name, for messages.
         dof: the number of joints expected, where known.
+        joints_optional: whether joint positions may be absent; then `dof` is to be known.
 
     Returns:
         the recognised columns by their SI name, the number of joints, and the names that mean nothing here.
@@ -71,7 +74,8 @@ def recognise(names: Sequence[str], source: str, dof: int | None = None) -> tupl
             raise InputError(f"{source}: column {column.name} stands there twice; keep one")
         else:
             raise InputError(f"{source}: columns {twin.name} and {column.name} give the same quantity; keep one")
-    joints = _joint_count(found, names, source)
+    without = joints_optional and not any(column.quantity == "q" for column in found.values())
+    joints = dof if without and dof is not None else _joint_count(found, names, source)
     if dof is not None and joints != dof:
         raise InputError(
             f"{source}: has {joints} joints (q1 ... q{joints}), the arm has {dof}; choose the arm it is of"

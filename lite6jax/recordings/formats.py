@@ -2,11 +2,11 @@
 
 import csv
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from math import pi
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pyarrow as pa
@@ -64,20 +64,8 @@ def read_recording(
     """
     path, topics = split_topics(path)
     readers = {".csv": _read_csv, ".parquet": _read_parquet, ".mcap": partial(_read_mcap, topics=topics)}
-    read = readers.get(path.suffix.lower())
-    if read is None:
-        raise InputError(f"{path}: a recording ends in .csv, .parquet or .mcap; convert it or correct the name")
-    if path.is_dir():
-        raise InputError(f"{path}: is a folder; name a file")
-    if not path.exists():
-        raise InputError(f"{path}: no such file; check the name")
     notes: list[str] = []
-    try:
-        columns, joints, values = read(path, dof, notes)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({_one_line(error.strerror or error)}); check the file") from error
-    if not len(next(iter(values.values()))):
-        raise InputError(f"{path}: has column names but no rows; record again")
+    columns, joints, values = _read(path, readers, "a recording ends in .csv, .parquet or .mcap", dof, notes)
     settings = read_settings(sidecar_path(path))
     if not sidecar_path(path).exists():
         notes.append(f"there is no sidecar {sidecar_path(path).name}: the defaults are assumed")
@@ -100,6 +88,57 @@ def read_recording(
     if reach is not None:
         check_position_scale(recording, reach, spelling, assumed=assume_millimetres)
     return recording
+
+
+class Targets(NamedTuple):
+    """Poses that an arm is to reach.
+
+    Attributes:
+        recording: the targets as its poses, a sample a row; joints are zero where `start` is None. Rows with NaN stay.
+        start: `(sample, joint)` rad, the joints given beside them, or None.
+    """
+
+    recording: Recording
+    start: np.ndarray | None
+
+
+def read_targets(
+    path: str | Path, dof: int, joint_limits: ArrayLike | None = None, reach: float | None = None
+) -> Targets:
+    """Reads poses to be reached, in the columns of a recording: positions, orientations or not, joints or not.
+
+    Args:
+        path: a `.csv` or `.parquet` file; the sidecar as in `read_recording`.
+        dof: the arm's number of joints.
+        joint_limits: `(joint, 2)` in rad, to recognise degrees; unchecked without.
+        reach: in m, to recognise millimetres; unchecked without.
+
+    Raises:
+        InputError: as `read_recording`; or there are no positions, or none in any row.
+    """
+    path, notes = Path(path), []
+    readers = {
+        ".csv": partial(_read_csv, joints_optional=True),
+        ".parquet": partial(_read_parquet, joints_optional=True),
+    }
+    columns, joints, values = _read(path, readers, "targets end in .csv or .parquet", dof, notes)
+    if "x_m" not in columns:
+        raise InputError(f"{path}: has no positions to reach; name their columns x_m y_m z_m (or x_mm y_mm z_mm)")
+    given = "q1_rad" in columns
+    if not given:
+        values |= {f"q{joint}_rad": np.zeros(len(values["x_m"])) for joint in range(1, joints + 1)}
+    settings = read_settings(sidecar_path(path))
+    recording = _assembled(path, columns, joints, values, settings=settings, notes=tuple(notes))
+    assert recording.position is not None
+    seen = np.asarray(np.isfinite(recording.position).all(1))
+    if not seen.any():
+        raise InputError(f"{path}: columns x_m y_m z_m: no row holds a whole position; fill them")
+    spelling = {name: column.name for name, column in columns.items()}
+    if given and joint_limits is not None:
+        check_joint_scale(recording, joint_limits, spelling, assumed=True)
+    if reach is not None:
+        check_position_scale(recording.select(seen), reach, spelling, assumed=True)
+    return Targets(recording, recording.joint_position if given else None)
 
 
 def write_recording(recording: Recording, path: str | Path, overwrite: bool = False) -> Path:
@@ -182,11 +221,30 @@ def _assembled(
 _Read = tuple[dict[str, Column], int, dict[str, np.ndarray]]
 
 
-def _read_parquet(path: Path, dof: int | None, notes: list[str]) -> _Read:
+def _read(
+    path: Path, readers: Mapping[str, Callable[..., _Read]], kinds: str, dof: int | None, notes: list[str]
+) -> _Read:
+    read = readers.get(path.suffix.lower())
+    if read is None:
+        raise InputError(f"{path}: {kinds}; convert it or correct the name")
+    if path.is_dir():
+        raise InputError(f"{path}: is a folder; name a file")
+    if not path.exists():
+        raise InputError(f"{path}: no such file; check the name")
+    try:
+        columns, joints, values = read(path, dof, notes)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({_one_line(error.strerror or error)}); check the file") from error
+    if not len(next(iter(values.values()))):
+        raise InputError(f"{path}: has column names but no rows; record again")
+    return columns, joints, values
+
+
+def _read_parquet(path: Path, dof: int | None, notes: list[str], joints_optional: bool = False) -> _Read:
     try:
         with pa_parquet.ParquetFile(path) as file:
             schema = file.schema_arrow
-            columns, joints = _recognised(path, schema.names, dof, notes)
+            columns, joints = _recognised(path, schema.names, dof, notes, joints_optional)
             for column in columns.values():
                 kind = schema.field(column.index).type
                 if not (pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_null(kind)):
@@ -207,9 +265,9 @@ def _read_mcap(path: Path, dof: int | None, notes: list[str], topics: Sequence[s
     return *_recognised(path, list(values), dof, notes), values
 
 
-def _read_csv(path: Path, dof: int | None, notes: list[str]) -> _Read:
+def _read_csv(path: Path, dof: int | None, notes: list[str], joints_optional: bool = False) -> _Read:
     names, tail = _csv_header(path), _csv_tail(path)
-    columns, joints = _recognised(path, names, dof, notes)
+    columns, joints = _recognised(path, names, dof, notes, joints_optional)
     if not tail.endswith((b"\n", b"\r")):
         notes.append("the file does not end with a line break: its last number may have been cut short")
     table = _csv_table(path, names, columns, tail)
@@ -299,8 +357,10 @@ def _csv_tail(path: Path) -> bytes:
         return file.read()
 
 
-def _recognised(path: Path, names: Sequence[str], dof: int | None, notes: list[str]) -> tuple[dict[str, Column], int]:
-    columns, joints, ignored = recognise(names, str(path), dof)
+def _recognised(
+    path: Path, names: Sequence[str], dof: int | None, notes: list[str], joints_optional: bool = False
+) -> tuple[dict[str, Column], int]:
+    columns, joints, ignored = recognise(names, str(path), dof, joints_optional)
     if ignored:
         shown = ", ".join(
             f"{n[:40]!r}" + (f" (meant {near}?)" if (near := nearest_known(n)) else "") for n in ignored[:6]

@@ -1,0 +1,87 @@
+"""The command that removes what a diagnosis has found: joints whose real pose is the wanted one."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+from tyro.conf import Positional, arg
+
+from lite6jax.cli.arguments import DONE, NOT_CONVERGED, check_out
+from lite6jax.errors import InputError
+from lite6jax.storage import check_writable, write_atomically
+
+
+@dataclass(frozen=True)
+class Compensate:
+    """Give the joints at which a diagnosed arm really shows given poses.
+
+    The targets are a table with x_m y_m z_m, with qw qx qy qz where orientation matters, with q1_rad … where the joints
+    are to stay near some (as those of the nominal inverse kinematics), and with what the model's effects depend on
+    (payload_kg, temp1_degC …, time_s). Each row of the output has the joints, whether the target is reached, how far
+    it is missed if not, and why. Exit code 0 if every target is reached, 1 if not.
+
+    For example:
+
+        lite6jax compensate diagnosis.json targets.csv --out joints.csv
+        lite6jax compensate diagnosis.json targets.csv --frame base --approach 1 --out joints.csv
+    """
+
+    diagnosis: Annotated[Positional[Path], arg(metavar="DIAGNOSIS")]
+    """What `diagnose` wrote (.json)."""
+    targets: Annotated[Positional[Path], arg(metavar="FILE")]
+    """Poses to reach, of the point that was measured (.csv, .parquet)."""
+    out: Annotated[Path, arg(metavar="FILE")]
+    """Write the joints here (.csv), a row per row."""
+    frame: Literal["sensor", "base"] = "sensor"
+    """Whose coordinates the targets are in: those of the diagnosed recording's sensor, or of the arm's base."""
+    approach: Annotated[tuple[int, ...], arg(metavar="-1|0|1")] = ()
+    """From which side the joints come to every target, one number for all or one for each, for backlash; by default
+    each row is approached from the one before."""
+    effects: Annotated[Path | None, arg(metavar="FILE.py")] = None
+    """Effects of your own that the model has. Runs the file."""
+    force: bool = False
+    """Replace the file if it exists."""
+
+    def run(self) -> int:
+        """Reads, solves, writes, prints."""
+        check_out(self.out, ".csv", self.force)
+        import pyarrow as pa
+        import pyarrow.csv as pa_csv
+
+        from lite6jax.diagnosis.compensation import compensate, read_limits, read_wanted
+        from lite6jax.diagnosis.prediction import read_model
+        from lite6jax.physics.catalogue import load_effects
+        from lite6jax.recordings import sidecar_path, write_settings
+        from lite6jax.report import compensation_tables, screen
+
+        model = read_model(self.diagnosis, load_effects(self.effects) if self.effects else ())
+        limits, document = read_limits(self.diagnosis, model)
+        approach = self.approach * (model.dof if len(self.approach) == 1 else 1)
+        if approach and (len(approach) != model.dof or not set(approach) <= {-1, 0, 1}):
+            raise InputError(
+                f"--approach {' '.join(map(str, self.approach))}: give -1, 0 or 1, once or for each of the "
+                f"{model.dof} joints"
+            )
+        sidecar = sidecar_path(self.out)
+        declared = sidecar_path(self.targets).exists()
+        if declared:
+            check_writable(sidecar, self.force)
+        targets = read_wanted(self.targets, model, limits)
+        found = compensate(model, targets, limits, frame=self.frame, approach=approach or None)
+        columns = pa.table({name: pa.array(values) for name, values in found.table().items()})
+
+        def write(target: Path) -> None:
+            with open(target, "wb") as file:  # Arrow would put the names in quotes
+                file.write(",".join(columns.column_names).encode() + b"\n")
+                options = pa_csv.WriteOptions(include_header=False, quoting_style="none")
+                pa_csv.write_csv(columns, file, options)
+
+        written = [write_atomically(self.out, write, self.force)]
+        if declared:  # as `predict` is to take the joints
+            settings = targets.recording.settings.moved(self.targets.parent, self.out.parent)
+            written.append(write_settings(settings, sidecar, self.force))
+        if model.remark:
+            screen.show([model.remark])
+        screen.show(compensation_tables.compensation_report(found, model, document, str(self.targets), self.frame))
+        screen.written(written)
+        return DONE if found.reached.all() else NOT_CONVERGED

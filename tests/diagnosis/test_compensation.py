@@ -1,0 +1,418 @@
+"""At the joints of a compensation the independent generator's arm shows the targets; what cannot be reached is said."""
+
+import copy
+import json
+from dataclasses import replace
+
+import numpy as np
+import pyarrow.csv
+import pytest
+from diagnosis.recorded import LITE6, Made, moving_motion, quaternions, static_motion
+from diagnosis.test_prediction import document, refused, stored
+from plain_chain import six_parameter_poses
+from typed import flat, run
+from typed import refused as refused_as_typed
+
+from benchmarks import compensation as benchmark
+from lite6jax.arms.bundled import load_bundled
+from lite6jax.diagnosis.compensation import compensate, read_limits
+from lite6jax.diagnosis.prediction import read_model
+from lite6jax.recordings import Recording, RecordingSettings, Targets, read_targets, write_recording
+
+SAMPLES = 40
+STATIC = (
+    "joint_compliance:joint=2,compliance_rad_per_Nm=9e-5",
+    "joint_harmonic:joint=4,order=63.3,amplitude_rad=5e-4,phase_rad=3",
+    "joint_backlash:joint=4,gap_rad=1.2e-3",
+    "link_thermal_expansion:expansion_per_K=2.3e-5",
+    "measurement_scale:scale=4e-4",
+    "base_drift:vx_m_per_s=1e-6,vy_m_per_s=-2e-6,vz_m_per_s=1e-6",
+)
+MOVING = ("joint_lag:joint=2,lag_s=2e-3", "time_offset:offset_s=0.006")
+
+
+@pytest.fixture(autouse=True)
+def _terminal(monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+
+
+@pytest.fixture(scope="module")
+def arm(tmp_path_factory):
+    return Made(tmp_path_factory.mktemp("arm"), STATIC, seed=1, frame=True, tool=True)
+
+
+@pytest.fixture(scope="module")
+def diagnosis(arm, tmp_path_factory):
+    return stored(tmp_path_factory.mktemp("diagnosis"), document(arm, STATIC))
+
+
+@pytest.fixture(scope="module")
+def motion():
+    return static_motion(3, SAMPLES)
+
+
+@pytest.fixture(scope="module")
+def poses(arm, motion):
+    return arm.poses(motion)
+
+
+def wanted(motion, poses, turned=True, **given):
+    """Targets without joints that are to be shown in a motion's circumstances."""
+    circumstances = {
+        "time": motion["time"],
+        "joint_temperature": motion["joint_temperature"],
+        "payload": motion["payload"],
+        "settings": RecordingSettings(motion="static"),
+    }
+    return Recording.from_arrays(
+        motion["joint_position"],
+        position=poses[:, :3, 3],
+        quaternion=quaternions(poses) if turned else None,
+        **(circumstances | given),
+    )
+
+
+def solved(path, recording, start=None, **options):
+    model = read_model(path)
+    limits, _ = read_limits(path, model)
+    return compensate(model, Targets(recording, start), limits, **options)
+
+
+def shown(arm, motion, q, direction=None):
+    """What the plain arm shows where it goes through joints in a motion's circumstances."""
+    if direction is None:
+        direction = np.sign(np.diff(q, axis=0, prepend=0.0))
+    return arm.poses({**motion, "joint_position": q, "direction": np.broadcast_to(direction, q.shape)})
+
+
+def near(motion, size=0.01):
+    """Joints as a nominal inverse kinematics would give them."""
+    return motion["joint_position"] + size * np.random.default_rng(1).standard_normal((SAMPLES, 6))
+
+
+def inside(q):
+    return ((q >= LITE6.joint_limits[:, 0]) & (q <= LITE6.joint_limits[:, 1])).all()
+
+
+# ------------------------------------------------------------------ what is reached
+
+
+def test_the_plain_arm_shows_the_targets_on_the_branch_of_the_joints_given(arm, diagnosis, motion, poses):
+    found = solved(diagnosis, wanted(motion, poses), near(motion))
+    assert found.reached.all()
+    assert set(found.reason) == {""}
+    q = found.joint_position
+    np.testing.assert_allclose(shown(arm, motion, q), poses, atol=1e-9)
+    np.testing.assert_allclose(q, motion["joint_position"], atol=1e-6)
+    np.testing.assert_allclose(found.correction, q - near(motion), atol=0)
+    assert inside(q)
+    assert found.position_error.max() < 1e-9
+    assert found.orientation_error.max() < 1e-9
+
+
+def test_without_joints_a_way_through_solutions_inside_the_limits_is_found(arm, diagnosis, motion, poses):
+    found = solved(diagnosis, wanted(motion, poses))
+    q, reached = found.joint_position, found.reached
+    assert reached.mean() > 0.95
+    np.testing.assert_allclose(shown(arm, motion, q)[reached], poses[reached], atol=1e-9)
+    assert inside(q)
+    assert found.correction is None
+    # the way moves less than that through the joints of which the targets were made, drawn at random
+    assert np.sum(np.diff(q, axis=0) ** 2) < 0.8 * np.sum(np.diff(motion["joint_position"], axis=0) ** 2)
+
+
+def test_positions_alone_are_reached_with_any_orientation(arm, diagnosis, motion, poses):
+    found = solved(diagnosis, wanted(motion, poses, turned=False), near(motion))
+    assert found.reached.all()
+    assert found.orientation_error is None
+    np.testing.assert_allclose(shown(arm, motion, found.joint_position)[:, :3, 3], poses[:, :3, 3], atol=1e-9)
+    assert np.abs(found.correction).max() < 0.1
+
+
+def test_an_approach_from_one_side_holds_for_every_row(arm, diagnosis, motion, poses):
+    for side in (-1, 1):
+        found = solved(diagnosis, wanted(motion, poses), near(motion), approach=(side,) * 6)
+        assert found.reached.all()
+        np.testing.assert_allclose(shown(arm, motion, found.joint_position, side), poses, atol=1e-9)
+
+
+def test_targets_in_the_arms_base_concern_no_sensor(arm, diagnosis, motion):
+    made = replace(arm, effects=STATIC[:4], frame=False)
+    poses = made.poses(motion)
+    asked = wanted(motion, poses, time=None)
+    found = solved(diagnosis, asked, near(motion), frame="base")
+    assert found.reached.all()
+    np.testing.assert_allclose(shown(made, motion, found.joint_position), poses, atol=1e-9)
+    assert found.notes == (
+        "left out: measurement_scale:sensor and base_drift:base, which concern the sensor and not where the arm is",
+    )
+
+
+def test_an_arm_of_seven_joints(tmp_path):
+    arm, rng = load_bundled("xarm7"), np.random.default_rng(4)
+    lower, upper = np.clip(arm.joint_limits, -2.5, 2.5).T
+    q = rng.uniform(lower, upper, (20, 7))
+    content = document(Made(tmp_path, seed=1), [])
+    content["model"] |= {
+        "kinematics": arm.kinematics.tolist(),
+        "joint_limits": arm.joint_limits.tolist(),
+        "inertia": None,
+        **{name: np.eye(4).tolist() for name in ("T_sensor_base", "T_flange_tool")},
+    }
+    poses = six_parameter_poses(arm.kinematics, q)
+    asked = Recording.from_arrays(q, position=poses[:, :3, 3], quaternion=quaternions(poses))
+    found = solved(stored(tmp_path, content), asked)
+    assert found.reached.all()
+    np.testing.assert_allclose(six_parameter_poses(arm.kinematics, found.joint_position), poses, atol=1e-9)
+    assert ((found.joint_position >= arm.joint_limits[:, 0]) & (found.joint_position <= arm.joint_limits[:, 1])).all()
+
+
+def test_a_moving_arm_lags_and_its_clock_is_left_out(tmp_path):
+    made = Made(tmp_path, MOVING[:1], seed=1)
+    motion = moving_motion(3, SAMPLES)
+    poses = made.poses(motion)
+    path = stored(tmp_path, document(made, MOVING, motion="trajectory"))
+    recording = Recording.from_arrays(
+        motion["joint_position"],
+        position=poses[:, :3, 3],
+        quaternion=quaternions(poses),
+        time=motion["time"],
+        run=motion["run"],
+        joint_velocity=motion["joint_velocity"],
+        settings=RecordingSettings(motion="trajectory"),
+    )
+    found = solved(path, recording, near(motion))
+    assert found.reached.all()
+    np.testing.assert_allclose(made.poses({**motion, "joint_position": found.joint_position}), poses, atol=1e-9)
+    assert any("left out: time_offset:clock, which concerns the sensor" in note for note in found.notes)
+    # velocities that are not recorded are those of the joints found, as `predict` has them
+    given = replace(recording, joint_velocity=None, velocity_differentiated=True)
+    derived = solved(path, given, near(motion))
+    assert derived.reached.all()
+    velocity = derived.recording.joint_velocity
+    assert derived.recording.velocity_differentiated
+    again = made.poses({**motion, "joint_position": derived.joint_position, "joint_velocity": velocity})
+    np.testing.assert_allclose(again, poses, atol=1e-9)
+
+
+# ------------------------------------------------------------------ what is not
+
+
+def test_what_is_out_of_reach_is_said_row_by_row(arm, diagnosis, motion, poses):
+    far, spoiled = poses.copy(), wanted(motion, poses)
+    away = far[5, :3, 3] - arm.T_sensor_base[:3, 3]
+    far[5, :3, 3] += 2 * away / np.linalg.norm(away)
+    spoiled = wanted(motion, far)
+    spoiled.position[7, 1] = np.nan
+    found = solved(diagnosis, spoiled, near(motion))
+    others = ~np.isin(np.arange(SAMPLES), (5, 7))
+    assert (found.reason[5], found.reason[7]) == ("out of reach", "an empty field")
+    np.testing.assert_array_equal(found.reached, others)
+    assert 1.0 < found.position_error[5] < 2.5
+    assert np.isnan(found.joint_position[7]).all()
+    assert np.isnan(found.position_error[7])
+    assert inside(found.joint_position[others])
+    np.testing.assert_allclose(found.joint_position[others], motion["joint_position"][others], atol=1e-6)
+
+
+def test_a_joint_at_its_limit_is_named(arm, diagnosis, motion, poses, tmp_path):
+    content = json.loads(diagnosis.read_text())
+    row = int(np.argmax(motion["joint_position"][:, 2]))
+    at = motion["joint_position"][row]
+    narrow = np.stack([at - 0.3, at + 0.3], 1)
+    narrow[2, 1] = at[2] - 0.05
+    content["model"]["joint_limits"] = narrow.tolist()
+    found = solved(stored(tmp_path, content), wanted(motion, poses), near(motion))
+    assert not found.reached[row]
+    assert f"joint 3 at its limit of {np.rad2deg(narrow[2, 1]):.4g} deg" in found.reason[row]
+    assert found.joint_position[row, 2] == narrow[2, 1]
+    assert found.position_error[row] > 1e-4
+    assert (found.joint_position <= narrow[:, 1]).all()
+    assert (found.joint_position >= narrow[:, 0]).all()
+
+
+def test_joints_far_from_those_given_are_worth_a_word(diagnosis, motion, poses):
+    start = near(motion)
+    start[4, 0] += 1.5
+    found = solved(diagnosis, wanted(motion, poses), start)
+    assert found.reached.all()
+    assert found.reason[4].endswith("deg from where it was given")
+
+
+def test_an_arm_that_turns_back_on_its_way_is_said(arm, diagnosis, motion, poses):
+    """A target within the gap of the one before: from the one side it lies on the other."""
+    direction = np.sign(np.diff(motion["joint_position"], axis=0, prepend=0.0))
+    q, side = motion["joint_position"].copy(), direction.copy()
+    q[9] = q[8]
+    q[9, 3] -= 1e-4 * side[8, 3]
+    side[9] = side[8]
+    wide = with_gap(diagnosis, -1.2e-3)
+    poses = replace(arm, effects=tuple(t.replace("gap_rad=", "gap_rad=-") for t in STATIC)).poses(
+        {**motion, "joint_position": q, "direction": side}
+    )
+    found = solved(wide, wanted(motion, poses), q)
+    assert found.reason[9] == "turns back on its way here; approach it from one side"
+    assert not found.reached[9]
+    assert 1e-6 < found.position_error[9] < 2e-3
+
+
+def with_gap(diagnosis, gap):
+    content = json.loads(diagnosis.read_text())
+    (backlash,) = (e for e in content["model"]["effects"] if e["effect"] == "joint_backlash")
+    backlash["parameters"]["gap_rad"]["value"] = gap
+    return stored(diagnosis.parent, content, "wide.json")
+
+
+# ------------------------------------------------------------------ what is refused
+
+
+@pytest.mark.parametrize(
+    ("leave_out", "says"),
+    [
+        ("joint_temperature", "link_thermal_expansion:links: needs the temperature rise: give a temperature"),
+        ("time", "base_drift:base: needs the time: give the times of the samples; record time_s"),
+    ],
+)
+def test_targets_that_lack_what_the_model_needs(diagnosis, motion, poses, leave_out, says):
+    assert says in refused(lambda: solved(diagnosis, wanted(motion, poses, **{leave_out: None})))
+
+
+def test_a_lag_needs_a_moving_arm(tmp_path, motion, poses):
+    path = stored(tmp_path, document(Made(tmp_path, seed=1), MOVING, motion="trajectory"))
+    assert "joint_lag:joint2: needs the velocity of joint 2" in refused(lambda: solved(path, wanted(motion, poses)))
+
+
+def test_rows_that_are_all_empty(diagnosis, motion, poses):
+    recording = wanted(motion, poses, payload=np.full(SAMPLES, np.nan))
+    assert refused(lambda: solved(diagnosis, recording)) == (
+        "recording: every row has an empty field; fill one row at least"
+    )
+
+
+def test_an_approach_of_another_arm(diagnosis, motion, poses):
+    for approach in ((1, 1), (2,) * 6):
+        said = refused(lambda approach=approach: solved(diagnosis, wanted(motion, poses), approach=approach))
+        assert said == "approach: give -1, 0 or 1 for each of the 6 joints"
+
+
+@pytest.mark.parametrize("limits", [None, [[0.0, 1.0]] * 5, [[1.0, 0.0]] * 6, [[0.0, "x"]] * 6])
+def test_damaged_limits(diagnosis, tmp_path, limits):
+    content = copy.deepcopy(json.loads(diagnosis.read_text()))
+    content["model"]["joint_limits"] = limits
+    path = stored(tmp_path, content)
+    said = refused(read_limits, path, read_model(path))
+    assert said.startswith(f"{path}: its model is damaged (")
+    assert said.endswith("); run `lite6jax diagnose` again")
+
+
+@pytest.mark.parametrize(
+    ("content", "says"),
+    [
+        ("q1_rad,q2_rad,q3_rad,q4_rad,q5_rad,q6_rad\n0,0,0,0,0,0\n", "has no positions to reach; name their columns"),
+        ("x_m,y_m\n0,0\n", "z_m or z_mm is missing"),
+        ("x,y,z\n0,0,0\n", "column 'x': the unit is missing; write x_m or x_mm"),
+        ("x_m,y_m,z_m\n,0,0\n", "columns x_m y_m z_m: no row holds a whole position; fill them"),
+        ("x_m,y_m,z_m\n", "has column names but no rows"),
+        ("x_m,y_m,z_m\n300,0,0\n0,400,0\n-300,0,9\n", "the positions lie 300"),
+        ("x_m,y_m,z_m,q1_rad\n0,0,0,1\n", "has 1 joints (q1 ... q1), the arm has 6"),
+        ("x_m,y_m,z_m,dq7_rad_per_s\n0,0,0,1\n", "column dq7_rad_per_s or dq7_deg_per_s"),
+        ("x_m,y_m,z_m,qw,qx,qy,qz\n0,0,0,2,0,0,0\n", "row 1 has length 2, not 1"),
+        ("x_m,y_m,z_m," + ",".join(f"q{i}_rad" for i in range(1, 7)) + "\n0,0,0,90,9,9,9,9,9\n", "is at 90 rad"),
+        ("", "is empty"),
+    ],
+)
+def test_files_that_are_no_targets(tmp_path, content, says):
+    path = tmp_path / "targets.csv"
+    path.write_text(content)
+    said = refused(read_targets, path, 6, LITE6.joint_limits, 0.7)
+    assert said.startswith(f"{path}: ")
+    assert says in said
+
+
+def test_targets_of_another_kind_of_file(tmp_path):
+    path = tmp_path / "targets.mcap"
+    assert refused(read_targets, path, 6) == (
+        f"{path}: targets end in .csv or .parquet; convert it or correct the name"
+    )
+    assert refused(read_targets, tmp_path / "none.csv", 6).endswith("no such file; check the name")
+
+
+# ------------------------------------------------------------------ as it is typed
+
+
+@pytest.fixture
+def targets(arm, motion, poses, tmp_path):
+    """A file of targets with joints in degrees, the last one out of reach."""
+    far = poses.copy()
+    far[-1, :3, 3] += 3.0
+    path = write_recording(wanted(motion, far), tmp_path / "targets.csv")
+    path.with_suffix(".yaml").unlink()
+    text = path.read_text().split("\n")
+    head = text[0].split(",")
+    rows = [dict(zip(head, line.split(","), strict=True)) for line in text[1:] if line]
+    for row in rows:
+        row |= {f"q{i}_deg": f"{np.rad2deg(float(row.pop(f'q{i}_rad'))):.3f}" for i in range(1, 7)}
+    path.write_text("\n".join([",".join(rows[0]), *(",".join(row.values()) for row in rows)]) + "\n")
+    return path
+
+
+def test_what_is_written_is_a_motion_that_predicts_the_targets(capsys, diagnosis, targets, poses, tmp_path):
+    out = tmp_path / "joints.csv"
+    code, said, err = run(capsys, "compensate", diagnosis, targets, "--out", out)
+    assert (code, err) == (1, "")
+    text = flat(said)
+    assert "40 targets (positions and orientations in the sensor's frame) for a lite6 with 6 effects beyond" in text
+    assert "39 targets reached, 1 target not: out of reach: row 40, off by up to " in text
+    assert "moved from the joints given (deg) q1" in text
+    assert f"Wrote {out}" in said.replace("\n", "")
+    table = pyarrow.csv.read_csv(out).to_pydict()
+    assert table["ok"] == [1] * 39 + [0]
+    assert table["reason"] == [""] * 39 + ["out of reach"]
+    assert max(table["position_error_mm"][:-1]) < 1e-6 < table["position_error_mm"][-1]
+    assert set(table) >= {"payload_kg", "time_s", "temp1_degC", "orientation_error_deg"}
+    assert not out.with_suffix(".yaml").exists()
+    code, _, _ = run(capsys, "predict", diagnosis, out, "--out", tmp_path / "p.csv")
+    assert code == 0
+    shown = pyarrow.csv.read_csv(tmp_path / "p.csv").to_pydict()
+    position = np.column_stack([shown[name] for name in ("x_m", "y_m", "z_m")])
+    np.testing.assert_allclose(position[:-1], poses[:-1, :3, 3], atol=1e-9)
+
+
+def test_a_sidecar_of_the_targets_goes_with_the_joints(capsys, diagnosis, targets, tmp_path):
+    targets.with_suffix(".yaml").write_text("recording: {motion: static, reference_temperature_degC: 20}\n")
+    out = tmp_path / "joints.csv"
+    code, _, _ = run(capsys, "compensate", diagnosis, targets, "--approach", "-1", "--out", out)
+    assert code == 1
+    assert "reference_temperature_degC: 20" in out.with_suffix(".yaml").read_text()
+    assert refused_as_typed(capsys, "compensate", diagnosis, targets, "--out", out).endswith(
+        "add --force to replace it"
+    )
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        (["--out", "joints.json"], "joints.json: what is written here is csv; let the name end in .csv"),
+        (
+            ["--out", "joints.csv", "--approach", "1", "-1"],
+            "--approach 1 -1: give -1, 0 or 1, once or for each of the 6",
+        ),
+        (["--out", "nowhere/joints.csv"], "nowhere/joints.csv: the folder nowhere does not exist"),
+    ],
+)
+def test_refused_in_one_line(capsys, diagnosis, targets, tmp_path, monkeypatch, options, says):
+    monkeypatch.chdir(tmp_path)
+    assert says in refused_as_typed(capsys, "compensate", diagnosis, targets, *options)
+    assert not (tmp_path / "joints.csv").exists()
+
+
+# ------------------------------------------------------------------ another physics
+
+
+def test_a_soft_arm_in_mujoco_hits_its_targets():
+    values = {
+        (r.subject, r.metric): r for r in benchmark.compensation(rows=90, targets=30, kinds=("positions",), known=True)
+    }
+    before, after = (values[name, "error, RMS"].value for name in ("fitted geometry", "compensated"))
+    assert after < 0.1 * before
+    assert [record.failed for record in values.values()] == [""] * len(values)
