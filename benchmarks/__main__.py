@@ -16,30 +16,45 @@ from lite6jax.errors import InputError
 from lite6jax.storage import check_writable, write_atomically
 
 COMPARED = ("models",)
-NEEDS = {"scipy": "scipy", "pinocchio": "pin"}
+NEEDS = {"scipy": "scipy", "pinocchio": "pin", "mujoco": "mujoco"}
+RIVALS = {"mujoco": "mujoco", "sklearn": "scikit-learn"}
 
 
 def workloads() -> dict[str, Workload]:
     """The workloads by name, in the order in which they run."""
     from benchmarks.command import command
+    from benchmarks.compensation import compensation
     from benchmarks.diagnose import diagnose
     from benchmarks.fits import fleet, one
     from benchmarks.models import models
     from benchmarks.profile import profile
     from benchmarks.samples import samples
+    from benchmarks.soak import soak
     from benchmarks.study import study
 
-    return {run.__name__: run for run in (one, fleet, samples, study, command, diagnose, models, profile)}
+    return {
+        run.__name__: run
+        for run in (one, fleet, samples, study, command, diagnose, compensation, models, profile, soak)
+    }
 
 
 def main(arguments: Sequence[str] | None = None, known: Mapping[str, Workload] | None = None) -> int:
     """The exit code: 0, 1 where an answer was wrong, 2 where the benchmarks cannot run."""
+    arguments = sys.argv[1:] if arguments is None else list(arguments)
+    if arguments[:1] == ["concealed"]:
+        return _concealed(arguments[1:])
+    if arguments[:1] == ["rivals"]:
+        return _rivals(arguments[1:])
     missing = [package for module, package in NEEDS.items() if importlib.util.find_spec(module) is None]
     if missing:
         print(f"benchmarks: {' and '.join(missing)} missing; pip install 'lite6jax[benchmark]'", file=sys.stderr)
         return 2
     known = dict(known or workloads())
-    parser = argparse.ArgumentParser(prog="python -m benchmarks", description=__doc__)
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks",
+        description=__doc__,
+        epilog="`concealed` and `rivals` have options of their own: concealed --help.",
+    )
     parser.add_argument("name", nargs="?", choices=list(known), help="one workload; all of them without it")
     parser.add_argument("--json", type=Path, metavar="OUT", help="write the records to this file, over an older one")
     parser.add_argument(
@@ -70,6 +85,27 @@ def main(arguments: Sequence[str] | None = None, known: Mapping[str, Workload] |
     for record in failed:
         console.print(f"wrong: {record.workload}, {record.subject}, {record.metric}: {record.failed}", style="red")
     return 1 if failed else 0
+
+
+def _concealed(arguments: Sequence[str]) -> int:
+    """The concealed trials, which take an hour and are run by name only."""
+    if importlib.util.find_spec("mujoco") is None:
+        print("benchmarks: mujoco missing; pip install 'lite6jax[benchmark]'", file=sys.stderr)
+        return 2
+    from benchmarks.concealed.command import main as concealed
+
+    return concealed(arguments)
+
+
+def _rivals(arguments: Sequence[str]) -> int:
+    """The diagnosis beside what others would do, which needs data or an hour and is run by name only."""
+    missing = [package for module, package in RIVALS.items() if importlib.util.find_spec(module) is None]
+    if missing:
+        print(f"benchmarks: {' and '.join(missing)} missing; pip install 'lite6jax[benchmark]'", file=sys.stderr)
+        return 2
+    from benchmarks.residual.command import main as rivals
+
+    return rivals(arguments)
 
 
 def table(name: str, records: Sequence[Record]) -> Table:

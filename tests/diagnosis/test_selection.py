@@ -14,6 +14,7 @@ from diagnosis.recorded import (
 
 from lite6jax.diagnosis.case import case_of
 from lite6jax.diagnosis.selection import search_of, select
+from lite6jax.physics.catalogue import parse_effect
 
 
 @pytest.fixture(scope="module")
@@ -177,3 +178,23 @@ def test_clocks_that_are_seconds_apart(arm, offset):
     assert selection.fitted.residual.scale == pytest.approx(1, abs=0.1)
     late = selection.case.seen
     assert 0 < np.sum(~late) <= 2 * abs(offset) / 0.02 + 2  # of two runs
+
+
+@pytest.mark.parametrize("orientation", [True, False])
+@pytest.mark.parametrize(
+    "text",
+    [
+        "frame_offset:link=5,x_m=3e-3,y_m=1e-3,z_m=0,rx_rad=0,ry_rad=0,rz_rad=0",
+        "joint_offset:joint=3,offset_rad=1.6e-3",
+    ],
+)
+def test_what_a_calibration_cannot_be_off_by_is_found_although_it_could_explain_it(tmp_path, text, orientation):
+    """A chain known to 50 µm and 50 µrad that would have to be off by thirty times as much."""
+    made = Made(tmp_path, (text,), 2, geometry="prior", orientation=orientation)
+    selection = searched(made, static_motion(2))
+    effect, values = parse_effect(text)
+    assert [step.effect for step in selection.steps] == [effect]
+    off = selection.fitted.values - values
+    assert np.abs(off[np.abs(values) > 0]).max() < 3e-4
+    std = np.sqrt(np.diagonal(selection.fitted.covariance))
+    assert (np.abs(off) < 4 * std).all()

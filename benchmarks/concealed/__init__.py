@@ -1,0 +1,1 @@
+"""Trials whose hidden physics a generator draws that shares no code with the library; sealed first and opened last."""

@@ -1,0 +1,171 @@
+"""What a recording can tell: the detection threshold of an effect, its Cramér–Rao bound, its nearest rival.
+
+All from the generator's own derivatives (central differences of `plain_physics.poses`), whitened by the sensor's true
+noise, and seen only across what the recording leaves open: sensor frame, tool and geometry.
+
+The **threshold** of an effect is the size at which a test finds it half the time that is told its name, its site and
+the sensor's noise, and is as strict as one of `SEARCHED` must be for all to raise a false alarm once in `1 / ALARM`.
+Nothing that does not know where to look does better; at twice the threshold this test finds 99.99 %.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from scipy.optimize import brentq
+from scipy.stats import chi2, ncx2
+
+from benchmarks.concealed.chain import Array
+from benchmarks.concealed.plain_physics import OUTSIDE, Hidden, poses
+from benchmarks.concealed.view import View, across, reported_slopes, source
+
+SEARCHED = 100
+ALARM = 0.01
+LEAST_SEEN = 0.01
+"""The share of what an effect does that the rest cannot do, below which it is out of sight."""
+
+
+@lru_cache
+def least_power(size: int) -> float:
+    """The χ² distance at which an effect of so many numbers is found half the time."""
+    limit = chi2.isf(ALARM / SEARCHED, size)
+    found: Any = brentq(lambda power: ncx2.sf(limit, size, power) - 0.5, 1e-3, 1e3)
+    return float(found)
+
+
+@dataclass(frozen=True, eq=False)
+class Threshold:
+    """How large an effect must be.
+
+    Attributes:
+        size: by what its values must be multiplied to be at the threshold.
+        seen: the share of what it does that frames, tool and geometry cannot do as well.
+        moved: m RMS, how far it moves the measured point at the threshold.
+    """
+
+    size: float
+    seen: float
+    moved: float
+
+
+def threshold(view: View, hidden: tuple[Hidden, ...], place: int, span: Array) -> Threshold:
+    """Of one of the hidden effects, the direction of its values given.
+
+    Args:
+        view: of the recording.
+        hidden: all effects.
+        place: which of them.
+        span: the columns of all that may vary beside it.
+    """
+    effect = hidden[place]
+    unit = 1e-3 * _typical(effect)
+    scaled = effect.scaled(unit)
+    others = (*hidden[:place], *hidden[place + 1 :])
+    absent, there = poses(view.setup, others, view.motion), poses(view.setup, (*others, scaled), view.motion)
+    g = view.padded(view.difference(absent, there)[:, None] / unit)
+    left = across(span, g)[:, 0]
+    length, whole = float(np.linalg.norm(left)), float(np.linalg.norm(g))
+    if length == 0 or whole == 0:
+        return Threshold(np.inf, 0.0, np.inf)
+    count = 1 if effect.name in OUTSIDE else effect.linear
+    size = np.sqrt(least_power(count)) / length
+    moved = np.sqrt(np.mean(np.sum((there[1] - absent[1]) ** 2, 1))) / unit * size
+    return Threshold(size, length / whole, float(moved))
+
+
+def _typical(effect: Hidden) -> float:
+    """A factor that makes values of unit size small enough for a derivative."""
+    return 1.0 if effect.name in ("time_offset", "payload_error") else 0.1
+
+
+def candidates(dof: int, moving: bool, orientation: bool) -> Iterator[Hidden]:
+    """What an effect may be taken for: the catalogue, each site on its own."""
+    joints = range(1, dof + 1)
+    for joint in joints:
+        for name in ("joint_offset", "joint_scale", "joint_compliance", "joint_backlash"):
+            yield Hidden(name, f"joint{joint}", (0.0,))
+        if moving:
+            yield Hidden("joint_lag", f"joint{joint}", (0.0,))
+        for order in (1.0, 2.0):
+            yield Hidden("joint_harmonic", f"joint{joint}", (0.0, 0.0), {"order": order})
+        for other in joints:
+            if other != joint:
+                yield Hidden("joint_coupling", f"joint{joint}", (0.0,), {"source_joint": other})
+        yield Hidden("link_compliance", f"link{joint}", (0.0, 0.0))
+        yield Hidden("frame_offset", f"link{joint}", (0.0,) * 6)
+        if joint < dof:
+            yield Hidden("link_thermal_expansion", f"link{joint}", (0.0,))
+    yield Hidden("link_thermal_expansion", "links", (0.0,))
+    yield Hidden("frame_offset", "base", (0.0,) * 6)
+    yield Hidden("base_compliance", "base", (0.0, 0.0))
+    yield Hidden("base_drift", "base", (0.0,) * 3)
+    yield Hidden("tool_offset", "tool", (0.0,) * (6 if orientation else 3))
+    yield Hidden("measurement_scale", "sensor", (0.0,))
+    if moving:
+        yield Hidden("time_offset", "clock", (0.0,))
+
+
+@dataclass(frozen=True)
+class Rival:
+    """The candidate that comes nearest to an effect.
+
+    Attributes:
+        name: of the effect.
+        site: of it.
+        apart: standard deviations by which the data tell them apart; what is below 3 no method can name for sure.
+    """
+
+    name: str
+    site: str
+    apart: float
+
+
+def nearest_rival(view: View, hidden: tuple[Hidden, ...], place: int, span: Array) -> Rival:
+    """Which other candidate explains most of one of the hidden effects, beside all that may vary."""
+    effect = hidden[place]
+    absent = (*hidden[:place], *hidden[place + 1 :])
+    g = view.difference(poses(view.setup, absent, view.motion), poses(view.setup, hidden, view.motion))
+    lengths = np.linalg.norm(span, axis=0) if span.shape[1] else np.ones(0)
+    u, s, _ = np.linalg.svd(span / np.where(lengths > 0, lengths, 1.0), full_matrices=False)
+    u = u[:, s > 1e-9 * s[0]] if len(s) else u
+
+    def left(columns: Array) -> Array:
+        return columns - u @ (u.T @ columns)
+
+    r = left(view.padded(g[:, None]))[:, 0]
+    best = Rival("", "", float(np.linalg.norm(r)))
+    moving = view.motion.curve is not None
+    for rival in candidates(view.setup.chain.dof, moving, bool(view.noise[1])):
+        order = effect.fixed.get("order")
+        same = (rival.name, rival.site) == (effect.name, effect.site)
+        if same and dict(rival.fixed) == ({} if order is None else {"order": order}) | source(effect):
+            continue
+        # where the effects are as they are: elsewhere, what cancels here would leave what effects do to each other
+        columns = view.padded(view.columns((*hidden, rival), len(hidden)))
+        lengths = np.linalg.norm(columns, axis=0)
+        directions, sizes, _ = np.linalg.svd(left(columns / np.where(lengths > 0, lengths, 1.0)), full_matrices=False)
+        done = directions[:, sizes > LEAST_SEEN**2].T @ r
+        apart = float(np.sqrt(max(0.0, r @ r - done @ done)))
+        if apart < best.apart:
+            best = Rival(rival.name, rival.site, apart)
+    return best
+
+
+def bounds(view: View, hidden: tuple[Hidden, ...]) -> list[dict[str, float]]:
+    """The Cramér–Rao bound of every reported number: one standard deviation of the best unbiased estimate."""
+    if not hidden:
+        return []
+    blocks = [view.padded(view.columns(hidden, k)) for k in range(len(hidden))]
+    found = across(view.nuisance(hidden), np.concatenate(blocks, 1))
+    covariance = np.linalg.pinv(found.T @ found, rcond=1e-14, hermitian=True)
+    out, first = [], 0
+    for effect in hidden:
+        size = len(effect.values)
+        own = covariance[first : first + size, first : first + size]
+        first += size
+        names, J = reported_slopes(effect)
+        variances = np.einsum("ia,ab,ib->i", J, own, J)
+        out.append(dict(zip(names, np.sqrt(np.maximum(variances, 0)).tolist(), strict=True)))
+    return out

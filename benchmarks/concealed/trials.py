@@ -1,0 +1,145 @@
+"""One trial: what is drawn from a seed and an index, what the diagnosis is given, and the truth that is sealed."""
+
+import json
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.concealed import chain as chains
+from benchmarks.concealed.chain import Array, Chain, quaternion_from_rotation, vector_from_rotation
+from benchmarks.concealed.hiding import described, hide
+from benchmarks.concealed.mujoco_physics import Arm
+from benchmarks.concealed.oracle import oracle
+from benchmarks.concealed.plain_physics import Hidden, Motion, Setup, poses
+from benchmarks.concealed.plans import LOOSE, OFF, SENSORS, UNCERTAIN, Plan, draw_plan
+from benchmarks.concealed.recorded import PAYLOAD_CENTER, ROWS, UNSEEN_ROWS, draw_motion, files_of, measure
+from benchmarks.concealed.view import Open, View, turned
+
+_TRIES = 200
+
+
+@dataclass(frozen=True, eq=False)
+class Trial:
+    """A trial as it is written.
+
+    Attributes:
+        plan: what was drawn.
+        truth: for the sealed file.
+        files: name to text, all that the diagnosis is given.
+    """
+
+    plan: Plan
+    truth: dict[str, Any]
+    files: dict[str, str]
+
+
+def draw(seed: int, index: int) -> Trial:
+    """The trial of an index: what is hidden is drawn again until some sensor there could see it."""
+    for again in range(_TRIES):
+        rng = np.random.default_rng([seed, 0, index, again])
+        plan = draw_plan(seed, index, rng)
+        made = _make(plan, rng)
+        if made is not None:
+            return made
+    raise RuntimeError(f"trial {index} of seed {seed}: nothing visible drawn in {_TRIES} tries")
+
+
+def _make(plan: Plan, rng: np.random.Generator) -> Trial | None:
+    """The trial of a plan; None where what it would hide cannot be seen there, or only when huge."""
+    nominal, actual, declared = _arms(plan, rng)
+    sensor, tool = np.eye(4), np.eye(4)
+    if plan.mounted:
+        sensor = turned(rng.uniform(-np.pi, np.pi, 3), rng.uniform(-2, 2, 3))
+        tool = turned(rng.uniform(-0.5, 0.5, 3), np.array([0.02, -0.01, 0.06]) + rng.uniform(-0.02, 0.02, 3))
+    setup = Setup(actual, sensor, tool, np.array(PAYLOAD_CENTER))
+    noise = SENSORS[plan.sensor][:2]
+    left_open = Open(
+        frame=plan.mounted,
+        tool=0 if not plan.mounted else 6 if noise[1] else 3,
+        geometry=plan.geometry != "known",
+        prior={"uncertain": (UNCERTAIN, UNCERTAIN), "unknown": LOOSE}.get(plan.geometry),
+    )
+    warming = "link_thermal_expansion" in plan.effects or rng.random() < 0.3
+    loading = "payload_error" in plan.effects or rng.random() < 0.4
+    fixed_load = plan.engine == "mujoco"
+    motion = draw_motion(rng, actual, plan.moving, ROWS, warming, loading, fixed_load)
+    unseen = draw_motion(rng, actual, plan.moving, UNSEEN_ROWS, warming, loading, fixed_load)
+    view = View(setup, left_open, motion, noise)  # type: ignore[arg-type]
+
+    hidden = hide(plan, rng, view)
+    if hidden is None:
+        return None
+    if plan.engine == "mujoco":
+        body = Arm(setup, hidden, float(motion.payload[0]))
+        shown, later = (body.moving(m) if plan.moving else body.at_rest(m) for m in (motion, unseen))
+        motion, unseen = shown.motion, later.motion
+        seen, unseen_truth = (shown.rotation, shown.position), (later.rotation, later.position)
+        view = replace(view, motion=motion)
+    else:
+        seen, unseen_truth = poses(setup, hidden, motion), poses(setup, hidden, unseen)
+
+    measured, recorded, used, faulty = measure(plan, rng, setup, motion, seen)
+    # of faults the oracle is told, of a file that is another arm's too; of noise it is not
+    read = replace(view, motion=replace(motion, q=recorded)) if plan.noise == "in the joints" else view
+    believed = setup if plan.fault == "nominal_table" else replace(setup, chain=declared)
+    truth = {
+        "schema": "concealed/truth/1",
+        **asdict(plan),
+        "hidden": described(view, hidden),
+        "fault_rows": faulty,
+        "moved_rms_m": float(np.sqrt(np.mean(np.sum((seen[1] - poses(setup, (), motion)[1]) ** 2, 1)))),
+        "noise_m": noise[0],
+        "noise_rad": noise[1],
+        "oracle": _oracle(read, believed, hidden, measured, used, unseen, unseen_truth),
+        "unseen_position_m": unseen_truth[1].tolist(),
+        "unseen_quaternion": quaternion_from_rotation(unseen_truth[0]).tolist(),
+    }
+    files = files_of(plan, nominal, declared, motion, measured, recorded, noise, unseen)
+    return Trial(plan, truth, files)
+
+
+def _arms(plan: Plan, rng: np.random.Generator) -> tuple[Chain, Chain, Chain]:
+    """The arm as it is designed, as it is, and as the sidecar says that it is."""
+    nominal = {"lite6": chains.lite6, "seven": chains.seven, "six": lambda: chains.drawn_six(rng)}[plan.arm]()
+    if plan.fault == "nominal_table":
+        return nominal, chains.lite6_ros(), nominal
+    actual = nominal.moved(rng, *chains.MADE)
+    if plan.geometry == "unknown":
+        return nominal, actual, nominal
+    off = UNCERTAIN if plan.geometry == "uncertain" else OFF if plan.noise == "factory file off" else 0.0
+    return nominal, actual, actual.moved(rng, off, off)
+
+
+def _oracle(
+    view: View,
+    believed: Setup,
+    hidden: tuple[Hidden, ...],
+    measured: tuple[Array, Array],
+    used: NDArray[np.bool_],
+    unseen: Motion,
+    truth: tuple[Array, Array],
+) -> dict[str, float]:
+    """How well the fit that is told the form of the truth predicts the unseen motion."""
+    fitted = oracle(view, believed, hidden, measured, used)
+    rotation, position = poses(fitted.setup, fitted.hidden, unseen)
+    turn = vector_from_rotation(np.swapaxes(truth[0], 1, 2) @ rotation)
+    return {
+        "unseen_position_rms_m": float(np.sqrt(np.mean(np.sum((position - truth[1]) ** 2, 1)))),
+        "unseen_rotation_rms_rad": float(np.sqrt(np.mean(np.sum(turn**2, 1)))),
+        "estimated_numbers": view.open.size(view.setup.chain.dof) + sum(len(effect.values) for effect in hidden),
+    }
+
+
+def write_trial(trial: Trial, folder: Path) -> None:
+    """The files of a trial, all under names that say nothing."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, text in trial.files.items():
+        (folder / name).write_text(text)
+
+
+def sealed_text(trial: Trial) -> str:
+    """The truth as it is sealed, byte for byte the same whenever it is drawn."""
+    return json.dumps(trial.truth, indent=1, allow_nan=False, default=float) + "\n"

@@ -1,0 +1,174 @@
+"""A motion seen by a sensor, what the sidecar leaves open of it, and how what is seen moves with every number."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from benchmarks.concealed.chain import Array, rotation_from_rpy, rotation_from_vector, vector_from_rotation
+from benchmarks.concealed.plain_physics import COORDINATES, Hidden, Motion, Setup, poses
+
+_STEPS = {"m": 1e-5, "rad": 1e-5, "s": 1e-4, "Nm": 1e-6, "K": 1e-6, "kg": 1e-3}
+
+
+@dataclass(frozen=True)
+class Open:
+    """What the sidecar leaves open of a set-up.
+
+    Attributes:
+        frame: whether the sensor's frame is.
+        tool: how many numbers of the tool are: 0, 3 or 6.
+        geometry: whether the chain is.
+        prior: m and rad, one standard deviation of each of its numbers where it is known so well; None where not.
+    """
+
+    frame: bool
+    tool: int
+    geometry: bool
+    prior: tuple[float, float] | None = None
+
+    def size(self, dof: int) -> int:
+        """How many numbers those are."""
+        return 6 * self.frame + self.tool + 6 * dof * self.geometry
+
+    def moved(self, setup: Setup, x: Array) -> Setup:
+        """The set-up with those numbers changed by `x`."""
+        chain, sensor, tool = setup.chain, setup.sensor, setup.tool
+        if self.frame:
+            step, x = x[:6], x[6:]
+            sensor = sensor.copy()
+            sensor[:3, :3], sensor[:3, 3] = rotation_from_vector(step[3:]) @ sensor[:3, :3], sensor[:3, 3] + step[:3]
+        if self.tool:
+            step, x = x[: self.tool], x[self.tool :]
+            tool = tool.copy()
+            tool[:3, 3] += step[:3]
+            if self.tool == 6:
+                tool[:3, :3] = tool[:3, :3] @ rotation_from_vector(step[3:])
+        if self.geometry:
+            chain = replace(chain, rows=chain.rows + x.reshape(-1, 6))
+        return Setup(chain, sensor, tool, setup.payload_center)
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """A motion seen by a sensor.
+
+    Attributes:
+        setup: the arm and the sensor as they are.
+        open: what is not known of them.
+        motion: what the arm did.
+        noise: m and rad, one standard deviation; rad is None where only positions are measured.
+    """
+
+    setup: Setup
+    open: Open
+    motion: Motion
+    noise: tuple[float, float | None]
+
+    def difference(self, a: tuple[Array, Array], b: tuple[Array, Array]) -> Array:
+        """Whitened numbers `(sample · 3 or 6,)` by which poses b differ from a."""
+        parts: list[Array] = [(b[1] - a[1]) / self.noise[0]]
+        if self.noise[1]:
+            parts.append(vector_from_rotation(np.swapaxes(a[0], 1, 2) @ b[0]) / self.noise[1])
+        return np.concatenate(parts, 1).ravel()
+
+    def columns(self, hidden: tuple[Hidden, ...], place: int) -> Array:
+        """`(number, coordinate)`: how one of the hidden effects moves what is seen, where all are as they are."""
+        effect = hidden[place]
+        values = np.array(effect.values)
+
+        def at(moved: Array) -> tuple[Array, Array]:
+            return poses(self.setup, (*hidden[:place], effect.sized(moved), *hidden[place + 1 :]), self.motion)
+
+        return self._slopes(at, values, [_step(name) for name in coordinates(effect)])
+
+    def nuisance(self, hidden: tuple[Hidden, ...] = ()) -> Array:
+        """`(number, open)`: what moves with the numbers that are left open, the prior's rows below."""
+        size = self.open.size(self.setup.chain.dof)
+
+        def at(x: Array) -> tuple[Array, Array]:
+            return poses(self.open.moved(self.setup, x), hidden, self.motion)
+
+        found = self._slopes(at, np.zeros(size), [1e-6] * size)
+        return np.concatenate([found, self.prior()]) if self.open.prior else found
+
+    def prior(self) -> Array:
+        """`(geometry, open)`: the rows by which what is known of the geometry counts as measured."""
+        size, geometry = self.open.size(self.setup.chain.dof), 6 * self.setup.chain.dof
+        rows = np.zeros((geometry, size))
+        assert self.open.prior is not None
+        rows[:, size - geometry :] = np.diag(1 / np.tile(np.repeat(self.open.prior, 3), geometry // 6))
+        return rows
+
+    def padded(self, columns: Array) -> Array:
+        """Columns with zeros for the prior's rows."""
+        if not self.open.prior:
+            return columns
+        return np.concatenate([columns, np.zeros((6 * self.setup.chain.dof, columns.shape[1]))])
+
+    def _slopes(self, at: Callable[[Array], tuple[Array, Array]], x: Array, steps: Sequence[float]) -> Array:
+        found = np.empty((len(self.motion.q) * (6 if self.noise[1] else 3), len(x)))
+        for i, step in enumerate(steps):
+            move = np.zeros(len(x))
+            move[i] = step
+            found[:, i] = self.difference(at(x - move), at(x + move)) / (2 * step)
+        return found
+
+
+def across(span: Array, columns: Array) -> Array:
+    """What of the columns no mixture of `span` can do."""
+    if not span.shape[1]:
+        return columns
+    lengths = np.linalg.norm(span, axis=0)
+    u, s, _ = np.linalg.svd(span / np.where(lengths > 0, lengths, 1.0), full_matrices=False)
+    u = u[:, s > 1e-9 * s[0]]
+    return columns - u @ (u.T @ columns)
+
+
+def coordinates(effect: Hidden) -> tuple[str, ...]:
+    """The names of an effect's numbers; a harmonic's order is one of them where it has three."""
+    names = COORDINATES[effect.name][: len(effect.values)]
+    return (*names, "order") if effect.name == "joint_harmonic" and len(effect.values) == 3 else names
+
+
+def _step(name: str) -> float:
+    return _STEPS.get(name.rsplit("_", 1)[-1], 1e-5)
+
+
+def reported(effect: Hidden) -> dict[str, float]:
+    """An effect's numbers under the names that the library reports."""
+    if effect.name != "joint_harmonic":
+        return dict(zip(COORDINATES[effect.name], effect.values, strict=False)) | source(effect)
+    sine, cosine = effect.values[:2]
+    order = effect.values[2] if len(effect.values) == 3 else effect.fixed["order"]
+    return {
+        "order": order,
+        "amplitude_rad": float(np.hypot(sine, cosine)),
+        "phase_rad": float(np.arctan2(cosine, sine)),
+    }
+
+
+def reported_slopes(effect: Hidden) -> tuple[tuple[str, ...], Array]:
+    """Names of the estimated numbers that are reported, and their derivatives by the effect's own."""
+    size = len(effect.values)
+    if effect.name != "joint_harmonic":
+        return coordinates(effect), np.eye(size)
+    sine, cosine = effect.values[:2]
+    length = max(float(np.hypot(sine, cosine)), 1e-300)
+    J = np.zeros((size, size))
+    J[0, :2] = sine / length, cosine / length
+    J[1, :2] = -cosine / length**2, sine / length**2
+    if size == 3:
+        J[2, 2] = 1.0
+    return ("amplitude_rad", "phase_rad", "order")[:size], J
+
+
+def source(effect: Hidden) -> dict[str, float]:
+    return {key: value for key, value in effect.fixed.items() if key == "source_joint"}
+
+
+def turned(rpy: Array, position: Array) -> Array:
+    """`(4, 4)` of roll, pitch, yaw and a position."""
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = rotation_from_rpy(*rpy), position
+    return T
