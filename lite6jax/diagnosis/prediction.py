@@ -19,6 +19,7 @@ from lite6jax.physics.catalogue import effect_from_dict, kinds_of
 from lite6jax.physics.composition import Physics
 from lite6jax.physics.effect import Effect
 from lite6jax.physics.statics import Inertia, inertia_of
+from lite6jax.physics.surroundings import BaseDrift
 from lite6jax.recordings import (
     Recording,
     RecordingSettings,
@@ -158,12 +159,14 @@ def with_settings(recording: Recording, settings: RecordingSettings) -> Recordin
 def register_motion(model: Enriched, recording: Recording) -> tuple[Enriched, Registration]:
     """The model with sensor frame and tool as in a recording of another set-up; all else stays, and how it fits.
 
-    Where only positions were measured, the tool keeps its rotation, and the model shows positions only.
+    Where only positions were measured, the tool keeps its rotation, and the model shows positions only. How the old
+    set-up drifted stays behind with it.
 
     Raises:
         InputError: no poses, too few of them (both counts), poses that leave a frame open, or as `predict_motion`.
     """
     require_samples(recording, _TO_REGISTER[recording.numbers_per_sample or 3])
+    model = _without_drift(model)
     bare = [replace(model, model=ArmModel(model.model.geometry, _shift(x), np.eye(4))) for x in (0.0, 1.0)]  # type: ignore[arg-type]
     (flange, beyond), (shifted, _) = (predict_motion(one, recording) for one in bare)
     # a sensor's scale multiplies what it sees: it is how far a shift of the frame by a metre moves that
@@ -190,6 +193,13 @@ def register_motion(model: Enriched, recording: Recording) -> tuple[Enriched, Re
         )
     frames = ArmModel(model.model.geometry, found.T_sensor_base, found.T_flange_tool)  # type: ignore[arg-type]
     return replace(model, model=frames, orientation=rotation is not None), found
+
+
+def _without_drift(model: Enriched) -> Enriched:
+    pairs = zip(model.physics.effects, model.physics.slices, strict=True)
+    kept = [(effect, model.values[part]) for effect, part in pairs if not isinstance(effect, BaseDrift)]
+    values = np.concatenate([np.zeros(0), *(values for _, values in kept)])
+    return replace(model, physics=Physics(tuple(effect for effect, _ in kept)), values=values)
 
 
 def _shift(x: float) -> Array:

@@ -270,6 +270,8 @@ def test_other_settings_of_a_recording(arm):
 
 # ------------------------------------------------------------------ another set-up
 
+LASTING = [text for text in STATIC if not text.startswith("base_drift")]
+
 
 def elsewhere(arm, *texts, orientation=True, turned=True):
     """The same arm under another sensor, with another tool."""
@@ -295,18 +297,30 @@ def registered(arm, tmp_path, path, *texts, motion="static"):
 def test_another_set_up_is_found_under_all_physics(arm, tmp_path, samples):
     """Exact poses give exact frames, the sensor's scale and the bent tool included."""
     motion = static_motion(9, samples)
-    other = elsewhere(arm, *STATIC)
+    other = elsewhere(arm, *LASTING)
     moved, found, poses = registered(arm, tmp_path, shown(other, motion), *STATIC)
     np.testing.assert_allclose(moved.model.T_sensor_base, other.T_sensor_base, rtol=0, atol=1e-9)
     np.testing.assert_allclose(moved.model.T_flange_tool, other.T_flange_tool, rtol=0, atol=1e-9)
     np.testing.assert_allclose(poses, other.poses(motion), rtol=0, atol=1e-9)
     assert found.distance.max() < 1e-9
-    np.testing.assert_array_equal(moved.values, read_model(tmp_path / "diagnosis.json").values)
+    before = read_model(tmp_path / "diagnosis.json")
+    numbers = dict(zip(before.physics.names, before.values, strict=True))
+    drift = [name for name in numbers if name.startswith("base_drift")]
+    assert drift, "the old set-up drifted"
+    assert moved.physics.names == tuple(name for name in numbers if name not in drift)
+    np.testing.assert_array_equal(moved.values, [numbers[name] for name in moved.physics.names])
+
+
+def test_the_drift_of_the_old_set_up_asks_the_new_one_for_no_clock(arm, tmp_path):
+    motion = {**static_motion(9, SAMPLES), "time": None}
+    other = elsewhere(arm)
+    _, found, _ = registered(arm, tmp_path, shown(other, motion), "base_drift:vx_m_per_s=1e-7")
+    assert found.distance.max() < 1e-9
 
 
 def test_positions_tell_the_tools_offset_not_its_rotation(arm, tmp_path):
     motion = static_motion(9, SAMPLES)
-    other = elsewhere(arm, *STATIC, orientation=False, turned=False)
+    other = elsewhere(arm, *LASTING, orientation=False, turned=False)
     moved, found, poses = registered(arm, tmp_path, shown(other, motion), *STATIC)
     np.testing.assert_allclose(moved.model.T_flange_tool, other.T_flange_tool, rtol=0, atol=1e-9)
     np.testing.assert_allclose(poses[:, :3, 3], other.poses(motion)[:, :3, 3], rtol=0, atol=1e-9)
@@ -318,7 +332,7 @@ def test_positions_tell_the_tools_offset_not_its_rotation(arm, tmp_path):
 def test_wild_rows_do_not_move_the_set_up(arm, tmp_path, orientation):
     """Noise of 20 µm and a tenth of the rows off by 20 mm: frames to a few standard deviations."""
     motion = static_motion(9, 80)
-    other = elsewhere(arm, *STATIC, orientation=orientation, turned=False)
+    other = elsewhere(arm, *LASTING, orientation=orientation, turned=False)
     recording = other.recording(motion, seed=3)
     position = recording.position.copy()
     position[::10] += np.random.default_rng(0).normal(0, 0.02, (8, 3))
