@@ -213,8 +213,8 @@ def other_table(arm: Rigid) -> OtherTable:
     """Whether the data are of another table of the same model than the one declared.
 
     Where the chain is declared and is a published table, one number along the line to the other table is estimated with
-    all physics beside it; where that leaves it vague, the other table must halve the residuals. Where it is fitted, the data must agree with the other table as well as with a fitted chain,
-    and not with the declared one.
+    all physics beside it; where that leaves it vague, the other table must halve the residuals. Where the chain is
+    fitted, the data must agree with the other table as well as with a fitted chain, and not with the declared one.
 
     Args:
         arm: fitted.
