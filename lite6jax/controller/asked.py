@@ -45,7 +45,7 @@ def record_poses(
         address: the controller's.
         out: a `.csv` or `.parquet` file; its sidecar, and the arm's calibration where there is one, stand beside it.
         station: what is known of the arm, from `read_station`.
-        poses: the joints; all else of it is ignored.
+        poses: the joints, and what is said of rows that are not among them; all else of it is ignored.
         overwrite: whether the files may be replaced.
         stop: ends the asking when set, from any thread; what was answered is written.
         advance: called with 1 after each row.
@@ -112,7 +112,7 @@ def record_poses(
         repeated=0,
         sources={name: _JOINTS if name.startswith("q") and name[1].isdigit() else _POSE for name in columns},
         settings=station.settings_beside(out, joints="commanded"),
-        notes=(*station.notes, *_refusals(refused)),
+        notes=(*station.notes, *(note for note in poses.notes if note.startswith("dropped")), *_refusals(refused)),
     )
 
 

@@ -18,7 +18,7 @@ class Recorded:
         rows: on the disk.
         unwritten: rows that the disk did not take.
         refusal: why not.
-        duration: s, by the controller's clock.
+        duration: s, by the controller's clock; by this computer's where the controller was asked.
         rate: rows a second within runs, by the controller's clock.
         runs: how many connections gave rows.
         missing: reports that the controller's clock has passed over within runs.

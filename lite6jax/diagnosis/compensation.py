@@ -387,7 +387,7 @@ def _told(
         full[whole] = values
         return full
 
-    ok, q = reached(found), found.joint_position.T
+    ok, q, near = reached(found), found.joint_position.T, found.cost < _SINGULAR**2
     reason = np.full(count, "an empty field", object)
     correction = None if start is None else spread(q) - start
     for k, row in enumerate(np.flatnonzero(whole)):
@@ -397,8 +397,7 @@ def _told(
             reason[row] = "turns back on its way here; approach it from one side"
         elif not ok[k]:
             side = [f"joint {j + 1} at its limit of {_limit(q[k, j], limits[j]):.4g} deg" for j in pressed]
-            near = found.cost[k] < _SINGULAR**2
-            reason[row] = " and ".join(side) or ("next to a singular position" if near else "out of reach")
+            reason[row] = " and ".join(side) or ("next to a singular position" if near[k] else "out of reach")
         elif correction is not None and np.abs(correction[row]).max() > _FAR:
             joint = int(np.argmax(np.abs(correction[row])))
             reason[row] = f"joint {joint + 1} is {np.rad2deg(correction[row, joint]):.0f} deg from where it was given"

@@ -16,7 +16,7 @@ from lite6jax.diagnosis.evidence import Score, chance, evidence_of
 from lite6jax.diagnosis.refit import Fitted, refit
 from lite6jax.diagnosis.spectrum import lines
 from lite6jax.diagnosis.steps import Rival, Step, assured, cost, most_specific, pruned, sure
-from lite6jax.diagnosis.sweep import sweep
+from lite6jax.diagnosis.sweep import sweep, waves_of
 from lite6jax.physics.catalogue import Untestable, catalogue, untestable
 from lite6jax.physics.composition import Physics
 from lite6jax.physics.drivers import Driver
@@ -40,7 +40,9 @@ _ROWS = 2000
 """That a search looks at to begin with."""
 _PIECES = (8, 24)
 _UNNAMED_BETTER = 10.0
-_SUSPICIOUS = 3
+_MANY = 3
+"""Harmonics of one joint that together have no name."""
+_SUSPICIOUS = 2
 """Named effects of one joint that together may be one that has no name; an order that is not whole counts twice."""
 
 
@@ -138,11 +140,13 @@ class Search:
     def _selected(self, used: NDArray[np.bool_]) -> Selection:
         baseline = refit(self.plain, Physics(), moved=self.start, used=used)
         fitted, steps = self._grown(*self._clocked(baseline))
-        if len(steps) == MOST:
-            fitted, steps = self._swept(baseline, fitted, steps)
+        swept = self._swept(baseline, fitted, steps) if len(steps) == MOST else None
+        if swept:
+            fitted, steps = swept
         else:
             fitted, steps = self._unnamed(baseline, fitted, steps)
             fitted, steps = pruned(self.case, fitted, steps, self.tried)
+            fitted, steps = self._merged(baseline, fitted, steps)
         return Selection(self.case, self.plain, baseline, fitted, tuple(steps), self.candidates)
 
     def _assured(self, fitted: Fitted, steps: list[Step]) -> tuple[Fitted, list[Step]]:
@@ -182,13 +186,13 @@ class Search:
         p = min(chance(gain, 1, evidence_of(self.case, fitted).memory) * self.tried, 1.0)
         return fitted, [Step(TimeOffset(), p, Score(gain, 1, p, False, fitted.values), ())]
 
-    def _swept(self, baseline: Fitted, fitted: Fitted, steps: list[Step]) -> tuple[Fitted, list[Step]]:
-        """All orders of all joints at once, where there are so many effects and that explains more."""
+    def _swept(self, baseline: Fitted, fitted: Fitted, steps: list[Step]) -> tuple[Fitted, list[Step]] | None:
+        """All orders of all joints at once, where that explains more than so many effects."""
         state, swept = sweep(self.case, baseline, steps, self.candidates, self.tried, self.level)
         scale, n = min(state.residual.scale, fitted.residual.scale), baseline.freedom
         gained = state.log_likelihood(scale) - fitted.log_likelihood(scale)
         if gained < 0.5 * (state.physics.size - fitted.physics.size) * np.log(n):
-            return fitted, steps
+            return None
         return state, swept
 
     def _grown(self, fitted: Fitted, steps: list[Step]) -> tuple[Fitted, list[Step]]:
@@ -255,14 +259,14 @@ class Search:
             counts = Counter(step.effect.site for step in steps for _ in range(1 + _is_fractional(step.effect)))
             sites = {site for site, count in counts.items() if count >= _SUSPICIOUS}
             worth = [
-                (curve, score)
+                curve
                 for curve, score in zip(self.curves, scores, strict=True)
                 if score.p * self.tried < self.level or curve.where in sites
             ]
             best: tuple[Fitted, list[Step]] | None = None
-            for curve, score in worth:
+            for curve in worth:
                 kept = [step for step in steps if step.effect.site != curve.where]
-                fit, path = self._replaced(baseline, kept, curve, score)
+                fit, path = self._replaced(baseline, kept, curve)
                 scale = min(fit.residual.scale, fitted.residual.scale)
                 ours = fit.log_likelihood(scale) - cost(path, n)
                 theirs = (best[0] if best else fitted).log_likelihood(scale) - cost(best[1] if best else steps, n)
@@ -273,7 +277,18 @@ class Search:
             fitted, steps = self._grown(*best)
         return fitted, steps
 
-    def _replaced(self, baseline: Fitted, kept: list[Step], curve: Unnamed, score: Score) -> tuple[Fitted, list[Step]]:
+    def _merged(self, baseline: Fitted, fitted: Fitted, steps: list[Step]) -> tuple[Fitted, list[Step]]:
+        """One curve in place of a joint's many harmonics: no gear has so many orders that are not whole."""
+        for joint in range(1, self.case.motion.dof + 1):
+            waves = [e for e in (step.effect for step in steps) if isinstance(e, JointHarmonic) and e.joint == joint]
+            if len(waves) < _MANY or sum(map(_is_fractional, waves)) < _MANY - 1:
+                continue
+            orders = tuple(sorted({float(wave.order) for wave in waves if wave.order is not None}))
+            kept = [step for step in steps if step.effect not in waves]
+            fitted, steps = self._replaced(baseline, kept, waves_of(self.case, joint, orders, baseline.used))
+        return fitted, steps
+
+    def _replaced(self, baseline: Fitted, kept: list[Step], curve: Unnamed) -> tuple[Fitted, list[Step]]:
         beside = refit(
             self.case, Physics(tuple(step.effect for step in kept)), moved=baseline.moved, used=baseline.used
         )

@@ -168,17 +168,22 @@ def _curves(case: Case, lines: _Lines, used: NDArray[np.bool_]) -> list[Effect]:
         if len(orders) <= _FEW:
             curves += [JointHarmonic(int(joint) + 1, order) for order in orders]
             continue
-        q = np.asarray(case.motion.joint_position[joint])[used]
-        lower, upper = float(q.min()) - 3 * _FADES_WITHIN, float(q.max()) + 3 * _FADES_WITHIN
-        at = np.linspace(lower, upper, int(np.ceil((upper - lower) / (_FADES_WITHIN / 4))))
-        nth = max(_NEIGHBOURS, len(q) // 150)
-        away = np.asarray(KDTree(q[:, None]).query(at[:, None], k=nth)[0])[:, -1]
-        trust = tuple(float(t) for t in np.exp(-((away / _FADES_WITHIN) ** 2)).round(4))
-        where, driver = f"joint{joint + 1}", f"position of joint {joint + 1}"
-        curves.append(
-            Unnamed(where, driver, lower, upper, orders=orders, trust=trust, spread=float(lines.spread[joint]))
-        )
+        curves.append(waves_of(case, int(joint) + 1, orders, used, float(lines.spread[joint])))
     return curves
+
+
+def waves_of(
+    case: Case, joint: int, orders: Sequence[float], used: NDArray[np.bool_], spread: float | None = None
+) -> Unnamed:
+    """The curve of some orders of a joint, counted from 1, that fades where none of the rows used was."""
+    q = np.asarray(case.motion.joint_position[joint - 1])[used]
+    lower, upper = float(q.min()) - 3 * _FADES_WITHIN, float(q.max()) + 3 * _FADES_WITHIN
+    at = np.linspace(lower, upper, int(np.ceil((upper - lower) / (_FADES_WITHIN / 4))))
+    nth = min(max(_NEIGHBOURS, len(q) // 150), len(q))
+    away = np.asarray(KDTree(q[:, None]).query(at[:, None], k=nth)[0])[:, -1]
+    trust = tuple(float(t) for t in np.exp(-((away / _FADES_WITHIN) ** 2)).round(4))
+    driver = f"position of joint {joint}"
+    return Unnamed(f"joint{joint}", driver, lower, upper, orders=tuple(orders), trust=trust, spread=spread)
 
 
 def _named(

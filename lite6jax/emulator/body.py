@@ -27,6 +27,8 @@ TYPES = {"lite6": 9, "xarm5": 5, "xarm6": 6, "xarm7": 7, "uf850": 12}
 SPACING_S = 0.02
 """Of the samples around a block that an effect of the clock looks at."""
 LONGEST_OFFSET_S = 1.0
+MOST_WARM_UP = 100.0
+"""K; reports hold temperatures from -128 to 127 °C."""
 BLOCK = 128
 """Samples that are compiled for; fewer are filled up."""
 
@@ -70,8 +72,8 @@ class Body:
         warm_up: K by which it warms up in the end, with a time constant of 20 min from 25 °C.
 
     Raises:
-        InputError: an arm that has no such controller, a chain or values of another size, or physics that this arm
-            cannot show.
+        InputError: an arm that has no such controller, a chain or values of another size, physics that this arm
+            cannot show, or a warm-up that no report holds.
     """
 
     arm: Arm
@@ -91,6 +93,10 @@ class Body:
             )
         if self.values.shape != (self.physics.size,):
             raise InputError(f"{self.arm.name}: {self.values.size} values of effects that take {self.physics.size}")
+        if not abs(self.warm_up) <= MOST_WARM_UP:
+            raise InputError(
+                f"{self.arm.name}: warms up by {self.warm_up:g} K; give at most {MOST_WARM_UP:g} either way"
+            )
         if abs(self.clock_offset) > LONGEST_OFFSET_S:
             raise InputError(f"time_offset: an emulator looks {LONGEST_OFFSET_S:g} s ahead at most; give a smaller one")
         if self.physics.effects:

@@ -1,7 +1,6 @@
 """Where the joints are commanded to be at any instant: paths, each a function of time, and their sequence."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import final
@@ -322,10 +321,9 @@ class Timeline:
         return np.concatenate(positions), np.concatenate(velocities)
 
 
-def peak_speed(path: Path, horizon: float = 600.0, samples: Sequence[float] | None = None) -> float:
-    """rad/s, the highest speed of any joint over a path, or over its first `horizon` s."""
-    end = min(path.duration, horizon)
-    times = np.linspace(0.0, end, 20001) if samples is None else np.asarray(samples)
+def peak_speed(path: Path, time: ArrayLike | None = None) -> float:
+    """rad/s, the highest speed of any joint at `time` `(sample,)` s; all along a path that ends where not given."""
+    times = np.linspace(0.0, path.duration, 20001) if time is None else np.asarray(time)
     return float(np.abs(path.at(times)[1]).max())
 
 
@@ -361,12 +359,13 @@ def read_path(what: str, arm: Arm, seed: int = 0) -> Path | None:
             f"{what}: joint {outside.joint} is {np.rad2deg(outside.largest_excess_rad):.3g}° beyond its limits in row "
             f"{outside.rows[0]}; give a motion that this arm can do"
         )
-    if recording.motion == "static" or recording.time is None:
+    if recording.motion == "static" or recording.time is None or recording.samples == 1:
         return visits(recording.joint_position)
     if (np.diff(recording.time) <= 0).any():
         raise InputError(f"{what}: time does not rise from row to row; sort the rows, and keep one run")
     path = played(recording.time, recording.joint_position)
-    speed = peak_speed(path)
+    knots = path.spline.x
+    speed = peak_speed(path, np.sort(np.concatenate([knots, (knots[1:] + knots[:-1]) / 2])))
     if speed > 1.02 * MAX_SPEED:
         raise InputError(
             f"{what}: a joint turns at {np.rad2deg(speed):.0f}°/s, and the arm at {np.rad2deg(MAX_SPEED):.0f}°/s at "

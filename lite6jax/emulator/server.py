@@ -17,6 +17,7 @@ from lite6jax.emulator.body import Body
 from lite6jax.emulator.core import STOPPED, Core
 from lite6jax.emulator.faults import Faults
 from lite6jax.emulator.motion import Path
+from lite6jax.emulator.registers import PLAUSIBLE
 from lite6jax.emulator.reports import report
 from lite6jax.emulator.sockets import Sockets
 from lite6jax.errors import InputError
@@ -94,7 +95,7 @@ class Controller:
             speed: how much faster than real time the controller's clock runs; it waits for readers that cannot follow.
 
         Raises:
-            InputError: an address that is not of loopback, a speed that is not above 0, or as `Body`.
+            InputError: an address that is not of loopback, a speed that is not above 0, or a tool or payload that is none.
         """
         try:
             if not ipaddress.IPv4Address(address).is_loopback:
@@ -109,6 +110,10 @@ class Controller:
             raise InputError(f"speed {speed}: the clock runs forward; give a number above 0")
         if not 0 <= control_port <= 65535:
             raise InputError(f"control port {control_port}: is none; give 0 to 65535")
+        for name, values in (("tool", np.array(tool, float)), ("payload", np.array(payload, float))):
+            if not (np.abs(values) < PLAUSIBLE).all():
+                shown = " ".join(f"{value:g}" for value in values)
+                raise InputError(f"{name} {shown}: is none that an arm could have; give mm, radians and kg")
         stands = np.zeros(body.arm.dof) if start is None else np.asarray(start, float)
         self.body = body
         self._core = Core(

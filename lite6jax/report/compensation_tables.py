@@ -9,7 +9,7 @@ from rich.console import RenderableType
 from rich.padding import Padding
 from rich.text import Text
 
-from lite6jax.diagnosis.compensation import Compensation
+from lite6jax.diagnosis.compensation import REACHED, Compensation
 from lite6jax.diagnosis.prediction import Enriched
 from lite6jax.report.cells import fixed, listing, number
 
@@ -71,13 +71,25 @@ def _groups(found: Compensation, chosen: np.ndarray) -> Iterator[RenderableType]
     for reason, _ in reasons.most_common(_ROWS_NAMED):
         rows = [k for k in np.flatnonzero(chosen) if found.reason[k] == reason]
         named = ", ".join(str(found.recording.row[k]) for k in rows[:_ROWS_NAMED])
-        errors = found.position_error[rows]
-        missed = f", off by up to {number(1e3 * float(np.nanmax(errors)))} mm" if np.nanmax(errors) > 1e-6 else ""
+        missed = _missed(found, rows)
         more = ", …" if len(rows) > _ROWS_NAMED else ""
         yield _indented(f"{reason}: row{'' if len(rows) == 1 else 's'} {named}{more}{missed}")
     rest = sum(reasons.values()) - sum(n for _, n in reasons.most_common(_ROWS_NAMED))
     if rest:
         yield _indented(f"and {rest} more; the file says which")
+
+
+def _missed(found: Compensation, rows: list[int]) -> str:
+    """By how much, in what is missed; rows without a target miss nothing."""
+    largest = []
+    for errors, scale, unit, least in (
+        (found.position_error, 1e3, " mm", REACHED[0]),
+        (found.orientation_error, 180 / np.pi, "°", REACHED[1]),
+    ):
+        most = 0.0 if errors is None else float(np.nan_to_num(errors[rows]).max())
+        if most > least:
+            largest.append(f"{number(scale * most)}{unit}")
+    return f", off by up to {' and '.join(largest)}" if largest else ""
 
 
 def _corrections(degrees: np.ndarray) -> Iterator[RenderableType]:

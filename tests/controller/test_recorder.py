@@ -302,6 +302,16 @@ def test_a_connection_that_is_lost_is_made_anew_and_no_row_is_left_out(tmp_path)
     np.testing.assert_array_equal(read_recording(out).joint_position, wanted.joint_position.astype(np.float32))
 
 
+def test_rows_without_joints_are_not_asked_for_and_that_is_said(tmp_path):
+    rows = [",".join(f"q{i}_rad" for i in range(1, 7)), "0,0,1,0,0,0", ",0,1,0,0,0", "0,1,1,0,0,0"]
+    (tmp_path / "poses.csv").write_text("\n".join(rows) + "\n")
+    with emulated() as (_, address):
+        asked = read_recording(tmp_path / "poses.csv")
+        done = record_poses(address, tmp_path / "fk.csv", read_station(address, ARM, "lite6"), asked)
+    assert done.rows == 2
+    assert done.notes == ("dropped 1 row with NaN, infinite or empty fields, that is row 2",)
+
+
 def test_interrupted_it_keeps_what_was_answered(tmp_path):
     stop, count = threading.Event(), []
 

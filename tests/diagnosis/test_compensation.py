@@ -18,6 +18,7 @@ from lite6jax.arms.bundled import load_bundled
 from lite6jax.diagnosis.compensation import compensate, read_limits
 from lite6jax.diagnosis.prediction import read_model
 from lite6jax.recordings import Recording, RecordingSettings, Targets, read_targets, write_recording
+from lite6jax.report.compensation_tables import compensation_report
 
 SAMPLES = 40
 STATIC = (
@@ -213,6 +214,13 @@ def test_what_is_out_of_reach_is_said_row_by_row(arm, diagnosis, motion, poses):
     assert np.isnan(found.position_error[7])
     assert inside(found.joint_position[others])
     np.testing.assert_allclose(found.joint_position[others], motion["joint_position"][others], atol=1e-6)
+    lines = [
+        getattr(part, "renderable", part)
+        for part in compensation_report(found, read_model(diagnosis), {}, "t", "sensor")
+    ]
+    said = [str(line) for line in lines]
+    assert "an empty field: row 8" in said
+    assert any(line.startswith("out of reach: row 6, off by up to ") and line.endswith("°") for line in said)
 
 
 def test_a_joint_at_its_limit_is_named(arm, diagnosis, motion, poses, tmp_path):

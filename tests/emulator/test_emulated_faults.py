@@ -308,6 +308,8 @@ def test_loopback_only(lite6, address):
         ({"address": "::1"}, "'::1': is no address"),
         ({"speed": 0.0}, "speed 0.0: the clock runs forward"),
         ({"control_port": 70000}, "control port 70000: is none"),
+        ({"tool": [np.nan, 0, 0, 0, 0, 0]}, "tool nan 0 0 0 0 0: is none that an arm could have"),
+        ({"payload": [0.5, np.inf, 0, 0]}, "payload 0.5 inf 0 0: is none that an arm could have"),
     ],
 )
 def test_what_cannot_be(lite6, options, message):
@@ -342,6 +344,9 @@ def test_bodies_that_cannot_be():
     lite6 = load_bundled("lite6")
     with pytest.raises(InputError, match=r"a calibration \(5, 6\); it must be \(6, 6\)"):
         Body(lite6, lite6.kinematics[:5])
+    for rise in (math.nan, 1000.0):
+        with pytest.raises(InputError, match=f"lite6: warms up by {rise:g} K; give at most 100"):
+            Body(lite6, lite6.kinematics, warm_up=rise)
     effect, values = parse_effect("joint_compliance:joint=7,compliance_rad_per_Nm=1e-5")
     with pytest.raises(InputError, match="concerns joint 7, and the arm has 6"):
         Body(lite6, lite6.kinematics, Physics((effect,)), values)

@@ -175,6 +175,12 @@ def test_static_poses_are_visited(tmp_path):
     np.testing.assert_allclose(path.start, np.deg2rad([0, 0, 60, 0, 0, 0]))
 
 
+def test_a_trajectory_of_one_row_is_a_place(tmp_path):
+    header = "time_s," + ",".join(f"q{i}_rad" for i in range(1, 7))
+    path = read_path(recording(tmp_path / "one.csv", f"{header}\n0,0,0,1,0,0,0"), LITE6)
+    np.testing.assert_array_equal(path.at(np.array([0.0, 50.0]))[0], [[0, 0, 1, 0, 0, 0]] * 2)
+
+
 @pytest.mark.parametrize(
     ("rows", "message"),
     [
@@ -194,6 +200,10 @@ def test_motions_that_are_too_fast_or_out_of_order(tmp_path):
     fast = recording(tmp_path / "fast.csv", "\n".join([header, *(f"{0.1 * k},{k % 2},0,1,0,0,0" for k in range(20))]))
     with pytest.raises(InputError, match=r"a joint turns at \d+°/s, and the arm at 180°/s at most; give a slower"):
         read_path(fast, LITE6)
+    rows = (f"{0.1 * k},{int(k == 15000)},0,1,0,0,0" for k in range(20000))
+    jerk = recording(tmp_path / "jerk.csv", "\n".join([header, *rows]))
+    with pytest.raises(InputError, match=r"a joint turns at \d+°/s"):  # once in half an hour
+        read_path(jerk, LITE6)
     back = recording(tmp_path / "back.csv", "\n".join([header, "0,0,0,1,0,0,0", "0.2,0,0,1,0,0,0", "0.1,0,0,1,0,0,0"]))
     with pytest.raises(InputError, match="time does not rise from row to row; sort the rows, and keep one run"):
         read_path(back, LITE6)
