@@ -1,7 +1,7 @@
 """The diagnosis of a recording: what is missing, how sure that is, and what it is worth on rows it did not see."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Literal
 
@@ -16,8 +16,11 @@ from lite6jax.diagnosis.selection import Selection, search_of
 from lite6jax.diagnosis.separation import Separation, separations
 from lite6jax.fitting.problem import Geometry
 from lite6jax.physics.catalogue import Untestable, effect_as_dict
+from lite6jax.physics.composition import Physics
 from lite6jax.physics.effect import Effect
-from lite6jax.recordings import Recording, require_samples
+from lite6jax.physics.joints import JointOffset
+from lite6jax.physics.links import FrameOffset
+from lite6jax.recordings import FactoryUncertainty, Recording, require_samples
 
 Array = NDArray[np.floating]
 Verdict = Literal["consistent", "explained", "partly_explained", "unnamed"]
@@ -26,6 +29,11 @@ FOLDS = 5
 _OUTLIER = 30.0
 """Squared whitened residual a number, over the scale, beyond which a row is a fault of the data."""
 _AS_NOISE = 1.1
+_SEVERAL = 2
+_A_LITTLE = 3e-4
+"""m that the measured point is moved by."""
+_MATTER = 12.0
+"""Numbers of a chain that move a point by about as much as they are off."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -213,8 +221,16 @@ def _diagnosed(
     case = case_of(recording, examined.arm, geometry)
     require_samples(recording, len(case.unknown) + 1)
     search = search_of(case, effects)
-    case = search.case
     selection = search.run()
+    off = _calibration_off(selection, geometry)
+    if off:
+        fault, uncertainty = off
+        settings = replace(recording.settings, factory_uncertainty=uncertainty)
+        recording = replace(recording, settings=settings)
+        examined = replace(examined, faults=(*examined.faults, fault))
+        search = search_of(case_of(recording, examined.arm, geometry), effects)
+        selection = search.run()
+    case = search.case
     if progress:
         progress(1)
     outliers = (selection.fitted.residual.squares > _OUTLIER * case.rows) | ~case.seen
@@ -249,6 +265,35 @@ def statement(effect: Effect, parameters: dict[str, dict[str, float]]) -> str:
         return f"Something real at {effect.site}, a function of {driver}, that no entry of the catalogue explains."
     return (
         f"{effect.name.replace('_', ' ').capitalize()} at {effect.site}{f', by {driver}' if driver else ''}: {shown}."
+    )
+
+
+def _calibration_off(selection: Selection, geometry: Geometry) -> tuple[Fault, FactoryUncertainty] | None:
+    """A calibration of which several frames are a little off, where that is all that was found, and by how much.
+
+    One frame that is off may have been bent; a file that is stale, or rounded, is off everywhere.
+    """
+    case, fitted = selection.case, selection.fitted
+    settings, effects = case.recording.settings, fitted.physics.effects
+    exact = geometry == "declared" and settings.factory_calibration and not settings.factory_uncertainty
+    if not exact or len(effects) < _SEVERAL or not all(isinstance(e, FrameOffset | JointOffset) for e in effects):
+        return None
+    moved = case.position_errors(fitted.moved, fitted.physics, fitted.values)
+    moved = moved - case.position_errors(fitted.moved, Physics(), np.zeros(0))
+    size = float(np.sqrt(np.mean(np.sum(moved**2, 0))))
+    if size > _A_LITTLE:
+        return None
+    each = size / np.sqrt(_MATTER)
+    sites = ", ".join(effect.site for effect in effects)
+    return (
+        Fault(
+            "calibration_off",
+            (),
+            f"The calibration file is a little off at several places ({sites}), as a rounded or an old one is: that "
+            f"moves the measured point by {1e3 * size:.2g} mm. It is taken to be known to {1e3 * each:.1g} mm and "
+            f"{1e3 * each:.1g} mrad; declare factory_uncertainty in the sidecar.",
+        ),
+        FactoryUncertainty(each, each),
     )
 
 

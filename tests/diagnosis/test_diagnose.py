@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from diagnosis.recorded import NOISE, Made, check_values, found, static_motion, with_effects
 
+from lite6jax.arms.factory import write_factory
 from lite6jax.diagnosis.case import case_of
 from lite6jax.diagnosis.diagnose import FOLDS, diagnose, statement
 from lite6jax.diagnosis.faults import jumps
@@ -155,3 +156,25 @@ def test_a_recording_without_poses_is_refused(arm, still):
 def test_a_sequence_whose_arm_is_not_known(arm, still):
     with pytest.raises(InputError, match=r"needs a factory_calibration in the sidecar; use --geometry free"):
         case_of(Made(arm.folder, seed=1, geometry="free").recording(still), geometry="exact")
+
+
+def test_a_calibration_that_is_a_little_off_everywhere_is_a_fault_of_the_file(tmp_path):
+    """Ten micrometres in each number, declared as exact: said with its size, and no physics is made of it."""
+    made = Made(tmp_path, seed=5)
+    recording = made.recording(static_motion(5, 300))
+    path = recording.settings.factory_calibration
+    off = 1e-5 * np.random.default_rng(0).standard_normal(made.kinematics.shape)
+    write_factory(made.kinematics + off, path, overwrite=True)
+    seen = diagnose(recording)
+    assert [fault.fault for fault in seen.faults] == ["calibration_off"]
+    assert not seen.selection.steps
+    uncertainty = seen.case.recording.settings.factory_uncertainty
+    assert 4e-6 < uncertainty.position_m < 2.5e-5
+    assert "factory_uncertainty" in seen.faults[0].statement
+
+
+def test_one_frame_that_is_off_is_physics(tmp_path):
+    text = "frame_offset:link=3,x_m=1e-4,y_m=-1e-4,z_m=0,rx_rad=2e-4,ry_rad=0,rz_rad=0"
+    seen = diagnose(Made(tmp_path, (text,), seed=5).recording(static_motion(5, 300)))
+    assert [step.effect.label for step in seen.selection.steps] == ["frame_offset:link3"]
+    assert not seen.faults
