@@ -66,6 +66,11 @@ class Compensate:
         declared = sidecar_path(self.targets).exists()
         if declared:
             check_writable(sidecar, self.force)
+        elif sidecar.exists():
+            raise InputError(
+                f"{sidecar}: would be taken for the settings of {self.out.name}, and is not; choose another name for "
+                "the joints, or remove it"
+            )
         targets = read_wanted(self.targets, model, limits)
         found = compensate(model, targets, limits, frame=self.frame, approach=approach or None)
         columns = pa.table({name: pa.array(values) for name, values in found.table().items()})

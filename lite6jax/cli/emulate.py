@@ -176,8 +176,8 @@ class Emulate:
             yield Text(f"An emulated {name} at {controller.address}: control port {port}, reports on 30000 to 30003.")
         drawn = "as drawn" if not self.factory else ", ".join(map(str, self.factory))
         clock = "" if self.speed == 1 else f" Its clock runs {self.speed:g} times as fast."
-        yield Text(f"Calibration: {drawn}.", no_wrap=True)
-        yield Text(f"Motion: {self.motion}.{clock}", no_wrap=True)
+        yield Text(f"Calibration: {drawn}.", no_wrap=True, overflow="ignore")
+        yield Text(f"Motion: {self.motion}.{clock}", no_wrap=True, overflow="ignore")
         physics, values = first.body.physics, first.body.values
         if physics.effects:
             yield Text("Hidden physics, in the pose on port 30000 and unknown to the controller's own kinematics")
@@ -187,13 +187,18 @@ class Emulate:
         if self.fault:
             yield Text(f"Faults: {', '.join(self.fault)}.")
         ip = first.address if first.control_port == 502 else f"{first.address}:{first.control_port}"
-        yield Text(f"Try: lite6jax read --ip {ip}", no_wrap=True)
-        yield Text(f'Or:  from xarm.wrapper import XArmAPI; arm = XArmAPI("{first.address}")', no_wrap=True)
+        named = first.body.arm.name if self.arm is None else self.arm
+        other = "" if named == "lite6" else f" --arm {named}"  # which is what the commands expect
+        yield Text(f"Try: lite6jax read --ip {ip}{other}", no_wrap=True, overflow="ignore")
+        yield Text(
+            f'Or:  from xarm.wrapper import XArmAPI; arm = XArmAPI("{first.address}")', no_wrap=True, overflow="ignore"
+        )
         if first.control_port != 502:
             yield Text(
                 "     and before it: from xarm.core.config.x_config import XCONF\n"
                 f"     XCONF.SocketConf.TCP_CONTROL_PORT = {first.control_port}",
                 no_wrap=True,
+                overflow="ignore",
             )
         yield Text("Ctrl-C ends it.")
 

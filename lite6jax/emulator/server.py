@@ -95,7 +95,8 @@ class Controller:
             speed: how much faster than real time the controller's clock runs; it waits for readers that cannot follow.
 
         Raises:
-            InputError: an address that is not of loopback, a speed that is not above 0, or a tool or payload that is none.
+            InputError: an address that is not of loopback, a speed that is not above 0, or a tool or payload that is
+                none.
         """
         try:
             if not ipaddress.IPv4Address(address).is_loopback:

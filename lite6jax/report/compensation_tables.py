@@ -69,7 +69,7 @@ def _groups(found: Compensation, chosen: np.ndarray) -> Iterator[RenderableType]
     """A line a reason, with the rows and the largest error."""
     reasons = Counter(found.reason[k] for k in np.flatnonzero(chosen) if found.reason[k])
     for reason, _ in reasons.most_common(_ROWS_NAMED):
-        rows = [k for k in np.flatnonzero(chosen) if found.reason[k] == reason]
+        rows = [int(k) for k in np.flatnonzero(chosen) if found.reason[k] == reason]
         named = ", ".join(str(found.recording.row[k]) for k in rows[:_ROWS_NAMED])
         missed = _missed(found, rows)
         more = ", …" if len(rows) > _ROWS_NAMED else ""
@@ -94,6 +94,7 @@ def _missed(found: Compensation, rows: list[int]) -> str:
 
 def _corrections(degrees: np.ndarray) -> Iterator[RenderableType]:
     table = listing("moved from the joints given (deg)", *(f"q{joint}" for joint in range(1, degrees.shape[1] + 1)))
+    table.columns[0].no_wrap = False  # rather than that numbers are cut short
     for name, values in (("median", np.median(degrees, 0)), ("max", degrees.max(0))):
         table.add_row(name, *(fixed(float(value)) for value in values))
     yield table

@@ -43,16 +43,21 @@ def calibration_report(read: CalibrationRead) -> Iterator[RenderableType]:
     )
     yield ""
     yield Text("Six parameters (mm, deg); below each number its difference from nominal")
-    yield _six_parameters(calibration)
+    console = screen.console()
+    unbounded = console.options.update(max_width=1000)
+    tables = [_six_parameters(calibration, digits) for digits in (4, 3, 2)]
+    fits = (table for table in tables if console.measure(table, options=unbounded).maximum <= console.width)
+    yield next(fits, tables[-1])
 
 
-def _six_parameters(calibration: FactoryCalibration) -> Table:
+def _six_parameters(calibration: FactoryCalibration, digits: int) -> Table:
     table = listing("joint", *entries.SIX)
     scale = np.array([1e3, 1e3, 1e3, *[180 / np.pi] * 3])
     for i, (row, nominal) in enumerate(zip(calibration.kinematics, calibration.arm.kinematics, strict=True)):
         turned = row - nominal
         turned[3:] = (turned[3:] + np.pi) % (2 * np.pi) - np.pi  # -180° and 180° are one angle
-        cells = (f"{fixed(v)}\n{fixed(d, sign='+')}" for v, d in zip(scale * row, scale * turned, strict=True))
+        pairs = zip(scale * row, scale * turned, strict=True)
+        cells = (f"{fixed(value, digits)}\n{fixed(change, digits, '+')}" for value, change in pairs)
         table.add_row(f"J{i + 1}", *cells)
     return table
 
@@ -64,13 +69,14 @@ def verification_report(verification: Verification, where: str) -> Iterator[Rend
         f" {len(verification.position)} random joint positions"
     )
     table = listing("", "", *(name for name, _ in STATISTICS))
-    table.columns[1].justify = "left"
+    table.columns[0].no_wrap, table.columns[1].justify = False, "left"
     for name, position, orientation in (
         ("joints as sent (32 bits)", verification.position, verification.orientation),
         ("joints as asked", verification.position_as_asked, verification.orientation_as_asked),
     ):
         for values, scale, unit in ((position, 1e3, "mm"), (orientation, 180 / np.pi, "deg")):
-            cells = (number(scale * float(statistic(values)), 6) for _, statistic in STATISTICS)
+            digits = 6 if scale * values.max() < 1 else 4
+            cells = (number(scale * float(statistic(values)), digits) for _, statistic in STATISTICS)
             table.add_row(name if unit == "mm" else "", unit, *cells)
     yield table
     yield from (Text(line) for line in _tool_in_words(verification))

@@ -42,6 +42,17 @@ def test_read_prints_what_it_read_and_writes_a_file_that_fits(capsys, tmp_path):
     assert run(capsys, "fit", out)[0] == 0
 
 
+def test_no_number_is_cut_short_sixty_columns_wide(capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "60")
+    with emulated() as (_, address):
+        code, said, _ = run(capsys, "read", "--ip", address)
+        assert code == 0
+        assert "…" not in said
+        code, said, _ = run(capsys, "fit", "--ip", address, "--fk-samples", 3)
+        assert code == 0
+        assert "…" not in said
+
+
 def test_read_refuses_before_it_calls(capsys, tmp_path):
     out = tmp_path / "arm.yaml"
     out.write_text("mine")

@@ -395,6 +395,9 @@ def test_a_sidecar_of_the_targets_goes_with_the_joints(capsys, diagnosis, target
     assert refused_as_typed(capsys, "compensate", diagnosis, targets, "--out", out).endswith(
         "add --force to replace it"
     )
+    targets.with_suffix(".yaml").unlink()
+    said = refused_as_typed(capsys, "compensate", diagnosis, targets, "--out", out, "--force")
+    assert "joints.yaml: would be taken for the settings of joints.csv, and is not; choose another name" in said
 
 
 @pytest.mark.parametrize(
