@@ -20,6 +20,7 @@ from lite6jax.physics.composition import Physics
 from lite6jax.physics.effect import Effect
 from lite6jax.physics.joints import JointOffset
 from lite6jax.physics.links import FrameOffset
+from lite6jax.physics.surroundings import MeasurementScale, ToolOffset
 from lite6jax.recordings import FactoryUncertainty, Recording, require_samples
 
 Array = NDArray[np.floating]
@@ -225,11 +226,12 @@ def _diagnosed(
     off = _calibration_off(selection, geometry)
     if off:
         fault, uncertainty = off
-        settings = replace(recording.settings, factory_uncertainty=uncertainty)
-        recording = replace(recording, settings=settings)
-        examined = replace(examined, faults=(*examined.faults, fault))
-        search = search_of(case_of(recording, examined.arm, geometry), effects)
-        selection = search.run()
+        known = replace(recording, settings=replace(recording.settings, factory_uncertainty=uncertainty))
+        other = search_of(case_of(known, examined.arm, geometry), effects)
+        simpler = other.run()
+        if len(simpler.steps) <= len(selection.steps) - _SEVERAL:
+            recording, search, selection = known, other, simpler
+            examined = replace(examined, faults=(*examined.faults, fault))
     case = search.case
     if progress:
         progress(1)
@@ -269,22 +271,26 @@ def statement(effect: Effect, parameters: dict[str, dict[str, float]]) -> str:
 
 
 def _calibration_off(selection: Selection, geometry: Geometry) -> tuple[Fault, FactoryUncertainty] | None:
-    """A calibration of which several frames are a little off, where that is all that was found, and by how much.
+    """A calibration of which several frames seem to be a little off, and by how much.
 
     One frame that is off may have been bent; a file that is stale, or rounded, is off everywhere.
     """
     case, fitted = selection.case, selection.fitted
     settings, effects = case.recording.settings, fitted.physics.effects
     exact = geometry == "declared" and settings.factory_calibration and not settings.factory_uncertainty
-    if not exact or len(effects) < _SEVERAL or not all(isinstance(e, FrameOffset | JointOffset) for e in effects):
+    if not exact or sum(isinstance(effect, FrameOffset | JointOffset) for effect in effects) < _SEVERAL:
         return None
+    lasting = [isinstance(effect, FrameOffset | JointOffset | ToolOffset | MeasurementScale) for effect in effects]
+    rest = Physics(tuple(effect for effect, constant in zip(effects, lasting, strict=True) if not constant))
+    pairs = zip(fitted.physics.slices, lasting, strict=True)
+    values = np.concatenate([np.zeros(0), *(fitted.values[part] for part, constant in pairs if not constant)])
     moved = case.position_errors(fitted.moved, fitted.physics, fitted.values)
-    moved = moved - case.position_errors(fitted.moved, Physics(), np.zeros(0))
+    moved = moved - case.position_errors(fitted.moved, rest, values)
     size = float(np.sqrt(np.mean(np.sum(moved**2, 0))))
     if size > _A_LITTLE:
         return None
     each = size / np.sqrt(_MATTER)
-    sites = ", ".join(effect.site for effect in effects)
+    sites = ", ".join(effect.site for effect in effects if isinstance(effect, FrameOffset | JointOffset))
     return (
         Fault(
             "calibration_off",

@@ -43,7 +43,7 @@ _UNNAMED_BETTER = 10.0
 _MANY = 3
 """Harmonics of one joint that together have no name."""
 _SUSPICIOUS = 2
-"""Named effects of one joint that together may be one that has no name; an order that is not whole counts twice."""
+"""Named effects of one joint that may be one without a name; an order that is not whole counts as two."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,7 +132,7 @@ class Search:
             selection = replace(
                 part, case=self.case, plain=self.plain, baseline=baseline, fitted=fitted, steps=tuple(steps)
             )
-        if not any(isinstance(step.effect, Unnamed) and step.effect.orders for step in selection.steps):
+        if not any(isinstance(step.effect, Unnamed) and step.effect.spread for step in selection.steps):  # not swept
             fitted, steps = self._assured(selection.fitted, list(selection.steps))
             selection = replace(selection, fitted=fitted, steps=tuple(steps))
         return self._reviewed(selection) if whole else selection
@@ -285,7 +285,9 @@ class Search:
                 continue
             orders = tuple(sorted({float(wave.order) for wave in waves if wave.order is not None}))
             kept = [step for step in steps if step.effect not in waves]
-            fitted, steps = self._replaced(baseline, kept, waves_of(self.case, joint, orders, baseline.used))
+            fit, path = self._replaced(baseline, kept, waves_of(self.case, joint, orders, baseline.used))
+            if path[-1].p < self.level:
+                fitted, steps = fit, path
         return fitted, steps
 
     def _replaced(self, baseline: Fitted, kept: list[Step], curve: Unnamed) -> tuple[Fitted, list[Step]]:

@@ -123,6 +123,8 @@ def assured(case: Case, fitted: Fitted, steps: list[Step], tried: float, level: 
                 fitted, steps = _renamed(case, fitted, steps, k, tried)
             return fitted, steps
         fitted, steps = judged[worst][0], [step for k, step in enumerate(steps) if k != worst]
+    if fitted.colour is not WHITE:
+        fitted = refit(case, fitted.physics, fitted.values, fitted.moved, fitted.used)
     return fitted, steps
 
 
@@ -133,8 +135,9 @@ def _renamed(case: Case, fitted: Fitted, steps: list[Step], k: int, tried: float
     choices = [(step, fitted)]
     for rival in step.rivals:
         score = evidence.score([rival.effect])[0]
-        physics = Physics((*rest.physics.effects, rival.effect))
-        fit = refit(case, physics, np.concatenate([rest.values, score.values]), rest.moved, rest.used, rest.colour)
+        physics = Physics((*rest.physics.effects[:k], rival.effect, *rest.physics.effects[k:]))
+        values = np.insert(rest.values, fitted.physics.slices[k].start, score.values)
+        fit = refit(case, physics, values, rest.moved, rest.used, rest.colour)
         choices.append((Step(rival.effect, min(score.p * tried, 1.0), score), fit))
     scale, n = min(fit.residual.scale for _, fit in choices), rest.freedom
 
@@ -148,10 +151,7 @@ def _renamed(case: Case, fitted: Fitted, steps: list[Step], k: int, tried: float
         for other, fit in sorted(choices, key=lambda choice: -judged(choice))
         if other is not best[0]
     )
-    renamed = replace(best[0], rivals=rivals)
-    if best[0] is step:
-        return fitted, [renamed if i == k else each for i, each in enumerate(steps)]
-    return best[1], [*(each for i, each in enumerate(steps) if i != k), renamed]
+    return best[1], [replace(best[0], rivals=rivals) if i == k else each for i, each in enumerate(steps)]
 
 
 def pruned(case: Case, fitted: Fitted, steps: list[Step], tried: float) -> tuple[Fitted, list[Step]]:
