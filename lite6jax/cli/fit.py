@@ -65,6 +65,8 @@ class Fit:
         """Reads, fits, prints, writes."""
         if (self.source is None) == (self.ip is None):
             raise InputError("fit needs a FILE, or an arm with --ip ADDRESS; give one of the two")
+        if self.fk_samples < 1:
+            raise InputError(f"--fk-samples {self.fk_samples}: give 1 or more, or --no-sdk to ask for none")
         if self.out:
             check_out(self.out, ".json", self.force)
         from lite6jax.fitting.fit import fit_calibration, fit_recording, load_nominal
@@ -86,9 +88,12 @@ class Fit:
             solution = fit_recording(source, nominal, geometry=self.geometry, loss=self.loss, solver=self.solver)
         else:
             solution = fit_calibration(source, solver=self.solver, samples=self.samples, seed=self.seed)
-        verification = None
+        verification, refusal = None, None
         if verified and not isinstance(source, Recording):
-            verification = self._verify(source)
+            try:
+                verification = self._verify(source)
+            except InputError as error:  # the fit is good all the same: it is shown and written first
+                refusal = error
 
         from lite6jax.report import screen, tables
 
@@ -118,6 +123,8 @@ class Fit:
 
             screen.show(live_tables.verification_report(verification, str(self.ip)))
         screen.written(written)
+        if refusal:
+            raise refusal
         passed = verification is None or verification.passed
         return DONE if solution.result.name == "CONVERGED" and passed else NOT_CONVERGED
 
