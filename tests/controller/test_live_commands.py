@@ -159,7 +159,12 @@ def test_fit_wants_a_file_or_an_address(capsys, tmp_path):
     assert "needs a FILE, or an arm with --ip ADDRESS" in refused(capsys, "fit")
     assert "one of the two" in refused(capsys, "fit", tmp_path / "arm.yaml", "--ip", "127.0.0.1")
     with emulated(faults=Faults(error=22)) as (_, address):
-        assert "reports error 22" in refused(capsys, "fit", "--ip", address, "--fk-samples", 3)
+        out = tmp_path / "fitted.json"
+        code, said, err = run(capsys, "fit", "--ip", address, "--fk-samples", 3, "--out", out)
+        assert code == 2
+        assert "reports error 22" in err
+        assert "Converged" in said, "the fit is good, whatever the controller says"
+        assert out.exists()
         assert "--fk-samples 0" in refused(capsys, "fit", "--ip", address, "--fk-samples", 0)
 
 
