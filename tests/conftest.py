@@ -1,6 +1,7 @@
 """What every test runs under: types checked at run time, one compilation cache, the same random examples each time."""
 
 import os
+import signal
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -19,6 +20,10 @@ UNCHECKED = {"lite6jax.arms.arm"}
 # Before anything imports the package: functions are instrumented as their modules load.
 modules = {".".join(path.relative_to(ROOT).with_suffix("").parts) for path in (ROOT / "lite6jax").rglob("*.py")}
 jaxtyping.install_import_hook(sorted(m for m in modules - UNCHECKED if "__" not in m), "beartype.beartype")
+
+# A shell that runs this in the background has it ignore interrupts, and the commands that are interrupted here with it.
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 hypothesis.settings.register_profile("repeatable", derandomize=True, deadline=None, max_examples=40)
 hypothesis.settings.load_profile("repeatable")
