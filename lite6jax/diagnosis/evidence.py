@@ -175,8 +175,10 @@ def evidence_of(case: Case, fitted: Fitted, memory: float | None = None) -> Evid
     n = float(used.sum())
     residual = residual / np.sqrt(max(np.sum(residual**2) / max(n - fitted.parameters, 1.0), 1e-300))
     memory = correlation_length(residual.reshape(case.rows, -1)) if memory is None else memory
-    off = np.sqrt(case.precision[known]) * (case.offset + fitted.moved)[known]
-    residual = np.concatenate([residual, off])
+    if case.recording.settings.factory_uncertainty:  # else the prior is a gauge, and no knowledge
+        off = np.sqrt(case.precision[known]) * (case.offset + fitted.moved)[known]
+        residual = np.concatenate([residual, off])
+    basis = basis[:, : len(residual)]
     return Evidence(case, fitted, basis, residual, _blocks(case.samples, memory), n - fitted.parameters, memory)
 
 
