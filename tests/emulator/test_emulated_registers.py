@@ -5,18 +5,12 @@ import struct
 import numpy as np
 import pytest
 from emulated import CONTROL_PORT, new_address, until
-from hypothesis import example, given, settings
-from hypothesis import strategies as st
 from plain_chain import six_parameter_poses
 from scipy.spatial.transform import Rotation
 
 from lite6jax.arms.bundled import load_bundled
 from lite6jax.controller import protocol
-from lite6jax.controller.protocol import Register
 from lite6jax.emulator import Body, Controller, draw_sines
-from lite6jax.emulator.core import Client, Core
-from lite6jax.emulator.registers import answer
-from lite6jax.emulator.reports import report
 from lite6jax.simulation import draw_calibration
 
 
@@ -417,37 +411,3 @@ def test_garbage_on_the_control_port_hangs_up(raw, controller):
             line.socket.sendall(rng.bytes(size))
     with raw(controller) as line:
         assert line.ask(13)[6] == 13
-
-
-EXTREME = st.sampled_from([0.0, 1.0, -3.0, 1e30, -1e30, float("inf"), float("nan"), 1e-30])
-BODY = st.one_of(
-    st.binary(max_size=60),
-    st.lists(EXTREME, max_size=12).map(lambda values: struct.pack(f"<{len(values)}f", *values)),
-    st.tuples(st.lists(EXTREME, min_size=6, max_size=10), st.binary(max_size=30)).map(
-        lambda parts: struct.pack(f"<{len(parts[0])}f", *parts[0]) + parts[1]
-    ),
-)
-
-
-@example(requests=[(36, struct.pack("<4f", 8388608, 0, 0, 1e36))], enabled=False)  # overflowed a report
-@settings(max_examples=80)
-@given(
-    requests=st.lists(st.tuples(st.sampled_from([*Register, 0, 99, 199]), BODY), min_size=1, max_size=6),
-    enabled=st.booleans(),
-)
-def test_nothing_that_is_asked_breaks_it(lite6, requests, enabled):
-    core = Core(lite6)
-    if enabled:
-        core.enabled, core.state = core.every_motor, 2
-    told = []
-    client = Client(told.append)
-    for transaction, (register, body) in enumerate(requests):
-        asked = protocol.request(register, body, transaction)
-        reply = answer(core, asked, client)
-        assert reply is not None
-        assert (reply.transaction, reply.register) == (transaction, register)
-        core.advance(core.time + 0.1)
-        for port in protocol.RATES:
-            assert len(report(core, port, np.array([core.time, core.time + 0.01]))) == 2 * protocol.LENGTHS[port]
-    assert np.isfinite(core.measured(np.array([core.time]))[0]).all()
-    assert core.state in (1, 2, 3, 4, 5)
