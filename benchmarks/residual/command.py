@@ -20,7 +20,7 @@ from rich.table import Table
 
 from benchmarks.measure import Record
 from benchmarks.residual.score import OURS, Outcome, compare, diagnosed, diagnosed_elsewhere, transfer, unseen
-from lite6jax.diagnosis.prediction import predict_motion, read_model, read_motion, with_settings
+from lite6jax.diagnosis.prediction import predict_motion, read_model, read_motion
 from lite6jax.errors import InputError
 from lite6jax.fitting.compiled import keep_compiled_code
 from lite6jax.recordings import Recording, read_recording, sidecar_path
@@ -230,7 +230,7 @@ def on_trial(folder: Path, ours: bool, progress: Callable[[str], object]) -> tup
     """Everyone on one trial; the diagnosis as the campaign left it, where it did."""
     recording, truth = read_recording(folder / "recording.csv"), truth_of(folder)
     told = replace(recording.settings, motion=recording.motion)
-    motion = with_settings(read_recording(folder / "unseen.csv", dof=recording.dof), told)
+    motion = read_recording(folder / "unseen.csv", dof=recording.dof).made_anew(settings=told)
 
     def said(who: str) -> object:
         return progress(f"{folder.name}: {who}")

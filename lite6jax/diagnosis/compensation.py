@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from lite6jax.arms.se3 import rotation_from_quaternion
 from lite6jax.diagnosis import inverse
 from lite6jax.diagnosis.inverse import Reached, Target
-from lite6jax.diagnosis.prediction import Enriched, with_settings
+from lite6jax.diagnosis.prediction import Enriched
 from lite6jax.errors import InputError
 from lite6jax.model import ArmModel
 from lite6jax.physics.composition import Physics
@@ -113,7 +113,7 @@ def read_wanted(path: str | Path, model: Enriched, limits: Array) -> Targets:
         settings = replace(settings, reference_temperature_degC=model.reference_temperature)
     if settings.motion is None:
         settings = replace(settings, motion=model.motion)  # type: ignore[arg-type]
-    return Targets(with_settings(recording, settings), start)
+    return Targets(recording.made_anew(settings=settings), start)
 
 
 def compensate(
@@ -312,18 +312,7 @@ def reached(found: Reached) -> Flags:
 
 def moved(recording: Recording, q: Array) -> Recording:
     """The recording without poses at other joints: directions and velocities that were not recorded follow anew."""
-    return Recording.from_arrays(
-        q,
-        time=recording.time,
-        joint_velocity=None if recording.velocity_differentiated else recording.joint_velocity,
-        joint_temperature=recording.joint_temperature,
-        ambient_temperature=recording.ambient_temperature,
-        payload=recording.payload,
-        run=recording.run,
-        row=recording.row,
-        settings=recording.settings,
-        source=recording.source,
-    )
+    return recording.made_anew(joint_position=q, position=None, quaternion=None)
 
 
 def _distinct(rows: NDArray[np.integer], q: Array) -> tuple[NDArray[np.integer], Array]:

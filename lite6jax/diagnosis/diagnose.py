@@ -16,7 +16,6 @@ from lite6jax.diagnosis.selection import Selection, search_of
 from lite6jax.diagnosis.separation import Separation, separations
 from lite6jax.fitting.problem import Geometry
 from lite6jax.physics.catalogue import Untestable, effect_as_dict
-from lite6jax.physics.composition import Physics
 from lite6jax.physics.effect import Effect
 from lite6jax.physics.joints import JointOffset
 from lite6jax.physics.links import FrameOffset
@@ -185,6 +184,8 @@ class Diagnosis:
         }
 
 
+# A second thread gains little on matrices of this size, and costs many times as much where another job has a core.
+@threadpool_limits.wrap(limits=1, user_api="blas")
 def diagnose(
     recording: Recording,
     arm: Arm | None = None,
@@ -205,18 +206,6 @@ def diagnose(
     Raises:
         InputError: as `examine` and `case_of`.
     """
-    # A second thread gains little on matrices of this size, and costs many times as much where another job has a core.
-    with threadpool_limits(1, user_api="blas"):
-        return _diagnosed(recording, arm, geometry, effects, progress)
-
-
-def _diagnosed(
-    recording: Recording,
-    arm: Arm | None,
-    geometry: Geometry,
-    effects: Sequence[Effect],
-    progress: Callable[[int], object] | None,
-) -> Diagnosis:
     examined = examine(recording, arm, geometry)
     recording = examined.recording
     case = case_of(recording, examined.arm, geometry)
@@ -280,10 +269,8 @@ def _calibration_off(selection: Selection, geometry: Geometry) -> tuple[Fault, F
     exact = geometry == "declared" and settings.factory_calibration and not settings.factory_uncertainty
     if not exact or sum(isinstance(effect, FrameOffset | JointOffset) for effect in effects) < _SEVERAL:
         return None
-    lasting = [isinstance(effect, FrameOffset | JointOffset | ToolOffset | MeasurementScale) for effect in effects]
-    rest = Physics(tuple(effect for effect, constant in zip(effects, lasting, strict=True) if not constant))
-    pairs = zip(fitted.physics.slices, lasting, strict=True)
-    values = np.concatenate([np.zeros(0), *(fitted.values[part] for part, constant in pairs if not constant)])
+    constant = [isinstance(effect, FrameOffset | JointOffset | ToolOffset | MeasurementScale) for effect in effects]
+    rest, values = fitted.physics.part(fitted.values, [not it for it in constant])
     moved = case.position_errors(fitted.moved, fitted.physics, fitted.values)
     moved = moved - case.position_errors(fitted.moved, rest, values)
     size = float(np.sqrt(np.mean(np.sum(moved**2, 0))))

@@ -43,6 +43,10 @@ class Score(NamedTuple):
     hidden: bool
     values: Array
 
+    def familywise(self, tried: float) -> float:
+        """That noise alone explains so much by one or other of so many independent candidates."""
+        return min(self.p * tried, 1.0)
+
 
 @dataclass(frozen=True, eq=False)
 class Evidence:

@@ -135,25 +135,7 @@ def read_motion(path: str | Path, model: Enriched) -> Recording:
     recording = read_recording(path, dof=model.dof)
     if settings.motion is None and recording.motion != model.motion:
         settings = replace(settings, motion=model.motion)  # type: ignore[arg-type]
-    return with_settings(recording, settings)
-
-
-def with_settings(recording: Recording, settings: RecordingSettings) -> Recording:
-    """The recording under other settings: directions and velocities follow anew."""
-    return Recording.from_arrays(
-        recording.joint_position,
-        position=recording.position,
-        quaternion=recording.quaternion,
-        time=recording.time,
-        joint_velocity=None if recording.velocity_differentiated else recording.joint_velocity,
-        joint_temperature=recording.joint_temperature,
-        ambient_temperature=recording.ambient_temperature,
-        payload=recording.payload,
-        run=recording.run,
-        row=recording.row,
-        settings=settings,
-        source=recording.source,
-    )
+    return recording.made_anew(settings=settings)
 
 
 def register_motion(model: Enriched, recording: Recording) -> tuple[Enriched, Registration]:
@@ -196,10 +178,9 @@ def register_motion(model: Enriched, recording: Recording) -> tuple[Enriched, Re
 
 
 def _without_drift(model: Enriched) -> Enriched:
-    pairs = zip(model.physics.effects, model.physics.slices, strict=True)
-    kept = [(effect, model.values[part]) for effect, part in pairs if not isinstance(effect, BaseDrift)]
-    values = np.concatenate([np.zeros(0), *(values for _, values in kept)])
-    return replace(model, physics=Physics(tuple(effect for effect, _ in kept)), values=values)
+    lasting = [not isinstance(effect, BaseDrift) for effect in model.physics.effects]
+    physics, values = model.physics.part(model.values, lasting)
+    return replace(model, physics=physics, values=values)
 
 
 def _shift(x: float) -> Array:

@@ -161,8 +161,7 @@ def refit(
 
 def without(case: Case, fitted: Fitted, k: int) -> Fitted:
     """The fit without the k-th effect, from where it stands."""
-    rest = Physics(tuple(effect for i, effect in enumerate(fitted.physics.effects) if i != k))
-    values = np.delete(fitted.values, fitted.physics.slices[k])
+    rest, values = fitted.physics.part(fitted.values, [i != k for i in range(len(fitted.physics.effects))])
     return refit(case, rest, values, fitted.moved, fitted.used, fitted.colour)
 
 

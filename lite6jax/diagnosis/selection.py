@@ -160,7 +160,7 @@ class Search:
             effect, score = max(clear, key=lambda pair: pair[1].gain - 0.5 * pair[1].size * np.log(fitted.freedom))
             more = self._with(fitted, effect, score.values)
             more, kept = assured(
-                self.case, more, [*steps, Step(effect, min(score.p * self.tried, 1.0), score)], self.tried, self.level
+                self.case, more, [*steps, Step(effect, score.familywise(self.tried), score)], self.tried, self.level
             )
             if len(kept) <= len(steps):
                 break
@@ -174,7 +174,7 @@ class Search:
         hidden = tuple(effect for effect, score in zip(self.candidates, scores, strict=True) if score.hidden)
         left = [effect for effect in self.candidates if effect not in fitted.physics.effects]
         scored = zip(left, evidence_of(self.case, fitted).score(left), strict=True)
-        chances = [(effect, min(score.p * self.tried, 1.0)) for effect, score in scored if not score.hidden]
+        chances = [(effect, score.familywise(self.tried)) for effect, score in scored if not score.hidden]
         return replace(selection, hidden=hidden, nearest=min(chances, key=lambda pair: pair[1], default=None))
 
     def _clocked(self, baseline: Fitted) -> tuple[Fitted, list[Step]]:
@@ -243,7 +243,7 @@ class Search:
             Rival(pair[0][0], float(likely - pair[1].log_likelihood(scale))) for pair in fits if pair is not best
         )
         effect, score, _ = best[0]
-        return best[1], Step(effect, min(score.p * self.tried, 1.0), score, rivals)
+        return best[1], Step(effect, score.familywise(self.tried), score, rivals)
 
     def _with(self, fitted: Fitted, effect: Effect, values: Array) -> Fitted:
         physics = Physics((*fitted.physics.effects, effect))

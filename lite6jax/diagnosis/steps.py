@@ -138,7 +138,7 @@ def _renamed(case: Case, fitted: Fitted, steps: list[Step], k: int, tried: float
         physics = Physics((*rest.physics.effects[:k], rival.effect, *rest.physics.effects[k:]))
         values = np.insert(rest.values, fitted.physics.slices[k].start, score.values)
         fit = refit(case, physics, values, rest.moved, rest.used, rest.colour)
-        choices.append((Step(rival.effect, min(score.p * tried, 1.0), score), fit))
+        choices.append((Step(rival.effect, score.familywise(tried), score), fit))
     scale, n = min(fit.residual.scale for _, fit in choices), rest.freedom
 
     def judged(choice: tuple[Step, Fitted]) -> float:
@@ -179,7 +179,7 @@ def _judged(
     if case.clock and isinstance(step.effect, TimeOffset):
         return fit, step  # seconds off are far from where a score holds
     score = evidence_of(case, fit, memory).score([step.effect])[0]
-    return fit, replace(step, p=min(score.p * tried, 1.0), score=score)
+    return fit, replace(step, p=score.familywise(tried), score=score)
 
 
 def _specific(effect: Effect) -> int:

@@ -196,7 +196,7 @@ def _named(
     for effect, _ in sorted(pairs, key=lambda pair: -pair[1].gain)[:_NAMED_MOST]:
         columns = case.columns([effect])
         score = evidence.score_columns([columns])[0]
-        p = min(score.p * tried, 1.0)
+        p = score.familywise(tried)
         known = any(effect == have for have in state.physics.effects)
         wild = (np.abs(score.values) > _PLAUSIBLE * Physics((effect,)).typical).any()
         if known or wild or score.hidden or p >= level or score.gain < effect.size * np.log(evidence.freedom):

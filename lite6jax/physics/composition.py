@@ -15,10 +15,8 @@ from numpy.typing import ArrayLike, NDArray
 from lite6jax.errors import InputError
 from lite6jax.physics.deflection import Deflection
 from lite6jax.physics.effect import Altering, Bending, Effect, Estimate
-from lite6jax.physics.links import FrameOffset
 from lite6jax.physics.motion import Motion
 from lite6jax.physics.statics import Loads
-from lite6jax.physics.unnamed import Unnamed
 
 
 @final
@@ -63,10 +61,7 @@ class Physics:
     @cached_property
     def prior(self) -> NDArray:
         """`(size,)`, one standard deviation of each number about neutral, as known beforehand."""
-        spreads = [effect.spread if isinstance(effect, Unnamed | FrameOffset) else None for effect in self.effects]
-        known = [np.inf if spread is None else spread for spread in spreads]
-        parts = [np.broadcast_to(spread, effect.size) for spread, effect in zip(known, self.effects, strict=True)]
-        return np.concatenate([np.zeros(0), *parts])
+        return np.array([coordinate.spread for effect in self.effects for coordinate in effect.coordinates])
 
     @cached_property
     def slices(self) -> tuple[slice, ...]:
@@ -87,6 +82,19 @@ class Physics:
     def join(self, values: Sequence[ArrayLike]) -> NDArray:
         """`(size,)` from the values of each effect."""
         return np.concatenate([np.zeros(0), *(np.asarray(value, float) for value in values)])
+
+    def part(self, values: NDArray, kept: Sequence[bool]) -> "tuple[Physics, NDArray]":
+        """Some of the effects, and of `values` `(size,)` theirs.
+
+        Args:
+            values: of all effects.
+            kept: of each effect, whether it stays.
+        """
+        rest = [
+            (effect, values[at]) for effect, at, stays in zip(self.effects, self.slices, kept, strict=True) if stays
+        ]
+        physics = Physics(tuple(effect for effect, _ in rest))
+        return physics, physics.join([value for _, value in rest])
 
     def check(self, motion: Motion, loads_known: bool) -> None:
         """Refuses a motion that lacks what an effect needs.

@@ -23,11 +23,13 @@ class Coordinate(NamedTuple):
         name: with its unit, such as `compliance_rad_per_Nm`.
         unit: such as `rad/Nm`; `1` for a ratio.
         typical: the size that real arms show, by which a fit scales it.
+        spread: one standard deviation about neutral, where that is known beforehand.
     """
 
     name: str
     unit: str
     typical: float
+    spread: float = np.inf
 
 
 class Estimate(NamedTuple):

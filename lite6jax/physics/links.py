@@ -19,6 +19,9 @@ TWIST = (
 )
 """A translation and a rotation vector."""
 
+_SPREAD = {"m": 0.02, "rad": 0.05}
+"""What any arm's frames may be off by: it settles what the sensor cannot see of an offset."""
+
 
 @final
 @dataclass(frozen=True)
@@ -99,13 +102,8 @@ class FrameOffset(Bending):
     name: ClassVar[str] = "frame_offset"
 
     @property
-    def spread(self) -> tuple[float, ...]:
-        """Standard deviations known beforehand, m and rad: any arm's; they settle what the sensor cannot see."""
-        return (0.02,) * 3 + (0.05,) * 3
-
-    @property
     def coordinates(self) -> tuple[Coordinate, ...]:
-        return TWIST
+        return tuple(c._replace(spread=_SPREAD[c.unit]) for c in TWIST)
 
     @property
     def drivers(self) -> tuple[Driver, ...]:

@@ -102,10 +102,10 @@ class Unnamed(Bending):
     def coordinates(self) -> tuple[Coordinate, ...]:
         """The coefficients."""
         unit = "m" if self.component in ("x", "y", "z") else "rad"
-        if self.orders:
-            names = [f"{wave}_{order:g}_{unit}" for order in self.orders for wave in ("sine", "cosine")]
-            return tuple(Coordinate(name, unit, 1e-4) for name in names)
-        return tuple(Coordinate(f"coefficient{i + 1}_{unit}", unit, 1e-4) for i in range(self.pieces + 3))
+        names = [f"{wave}_{order:g}_{unit}" for order in self.orders for wave in ("sine", "cosine")]
+        names = names or [f"coefficient{i + 1}_{unit}" for i in range(self.pieces + 3)]
+        spread = float("inf") if self.spread is None else self.spread
+        return tuple(Coordinate(name, unit, 1e-4, spread) for name in names)
 
     @property
     def drivers(self) -> tuple[Driver, ...]:

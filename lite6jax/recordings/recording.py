@@ -211,6 +211,23 @@ class Recording:
         moved = int(np.sum(order != np.arange(self.samples)))
         return replace(self, **arrays, notes=(*self.notes, f"{moved} rows were out of time order and have been sorted"))
 
+    def made_anew(self, **changes: Any) -> "Recording":
+        """With other arguments of `from_arrays`; directions, and velocities that were not recorded, follow from them.
+
+        Torques and currents are left out, as they belong to the motion as it was, and notes as well.
+
+        Args:
+            changes: by name.
+
+        Raises:
+            InputError: as `from_arrays`.
+        """
+        kept = ("joint_position", "position", "quaternion", "time", "joint_temperature", "ambient_temperature")
+        kept = (*kept, "payload", "run", "row", "settings", "source")
+        velocity = None if self.velocity_differentiated else self.joint_velocity
+        arguments: dict[str, Any] = {name: getattr(self, name) for name in kept} | {"joint_velocity": velocity}
+        return Recording.from_arrays(**(arguments | changes))
+
     def columns(self) -> dict[str, np.ndarray]:
         """The table that a file of this recording holds: column name in SI units to `(sample,)` values.
 

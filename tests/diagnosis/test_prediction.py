@@ -27,7 +27,6 @@ from lite6jax.diagnosis.prediction import (
     read_motion,
     register_motion,
     table,
-    with_settings,
 )
 from lite6jax.errors import InputError
 from lite6jax.physics.catalogue import effect_as_dict, load_effects, parse_effect
@@ -261,7 +260,7 @@ def test_other_settings_of_a_recording(arm):
     """Directions follow the kind of motion; what was measured of the motion stays."""
     motion = static_motion(9, SAMPLES)
     recording = arm.recording(motion)
-    other = with_settings(recording, RecordingSettings(motion="trajectory", reference_temperature_degC=20.0))
+    other = recording.made_anew(settings=RecordingSettings(motion="trajectory", reference_temperature_degC=20.0))
     assert (other.motion, other.settings.reference_temperature_degC) == ("trajectory", 20.0)
     assert other.joint_velocity is not None
     np.testing.assert_array_equal(other.direction_of_motion, np.sign(other.joint_velocity))

@@ -215,13 +215,7 @@ def without_turns(recording: Recording, arm: Arm, found: Findings) -> Recording:
             "encoder wraps.",
         )
     )
-    fresh = Recording.from_arrays(
-        q,
-        time=recording.time,
-        joint_velocity=None if recording.velocity_differentiated else recording.joint_velocity,
-        run=recording.run,
-        settings=replace(recording.settings, motion=recording.motion),
-    )
+    fresh = recording.made_anew(joint_position=q, settings=replace(recording.settings, motion=recording.motion))
     velocity = fresh.joint_velocity if recording.velocity_differentiated else recording.joint_velocity
     return replace(recording, joint_position=q, joint_velocity=velocity, direction_of_motion=fresh.direction_of_motion)
 
