@@ -62,6 +62,7 @@ class Evidence:
         blocks: where blocks of neighbouring samples begin.
         freedom: numbers measured, less those fitted.
         memory: over how many samples the residual remembers; 1 where it is white.
+        scale: of the noise, over the whitener's.
     """
 
     case: Case
@@ -71,6 +72,7 @@ class Evidence:
     blocks: NDArray[np.integer]
     freedom: float
     memory: float
+    scale: float
 
     def score(self, effects: Sequence[Effect]) -> list[Score]:
         """A score for each effect."""
@@ -139,7 +141,7 @@ class Evidence:
         if k + 2 < B:
             t2 = float(total @ np.linalg.lstsq(spread, total, rcond=None)[0])
             robust = float(fdtrc(k, B - k, t2 * (B - k) / (k * (B - 1))))
-        values = -(T @ total) / scale * self.fitted.residual.scale
+        values = -(T @ total) / scale * self.scale
         return Score(0.5 * statistic, k, max(white, robust), False, values)
 
     def _flat(self, columns: Array) -> Array:
@@ -158,13 +160,15 @@ class Evidence:
         return np.concatenate([sums, known.sum(1, keepdims=True)], 1) if known.shape[1] else sums
 
 
-def evidence_of(case: Case, fitted: Fitted, memory: float | None = None) -> Evidence:
+def evidence_of(case: Case, fitted: Fitted, memory: float | None = None, within: Fitted | None = None) -> Evidence:
     """The evidence against a fitted model.
 
     Args:
         case: the data.
         fitted: the model.
         memory: over how many samples noise remembers; from the residual where not given.
+        within: a model with more effects: what these do is put back into what it leaves, and is judged in its noise.
+            What a model that lacks a large effect takes for noise hides how others differ from that effect.
     """
     used = np.tile(fitted.used, case.rows).astype(float)
     columns = fitted.colour.whitened(_columns(case, fitted)).reshape(-1, used.size) * used
@@ -174,16 +178,23 @@ def evidence_of(case: Case, fitted: Fitted, memory: float | None = None) -> Evid
     norms = np.linalg.norm(columns, axis=1)
     columns = np.concatenate([columns, before], 1)[norms > 0] / norms[norms > 0, None]
     basis = _orthonormal(columns)
-    rows = _tamed(fitted.residual.innovations, fitted.residual.scale)
-    residual = rows.ravel() * used
-    n = float(used.sum())
-    residual = residual / np.sqrt(max(np.sum(residual**2) / max(n - fitted.parameters, 1.0), 1e-300))
+    best, n = within or fitted, float(used.sum())
+    residual = _tamed(best.residual.innovations, best.residual.scale).ravel() * used
+    rms = np.sqrt(max(np.sum(residual**2) / max(n - best.parameters, 1.0), 1e-300))
+    residual = residual / rms
     memory = correlation_length(residual.reshape(case.rows, -1)) if memory is None else memory
+    if within:
+        more, values = within.physics.part(
+            within.values, [effect not in fitted.physics.effects for effect in within.physics.effects]
+        )
+        done = fitted.colour.whitened(np.tensordot(values, case.columns(more.effects, values), 1)).ravel() * used
+        residual = residual - done / (rms * within.residual.scale)
     if case.recording.settings.factory_uncertainty:  # else the prior is a gauge, and no knowledge
-        off = np.sqrt(case.precision[known]) * (case.offset + fitted.moved)[known]
+        off = np.sqrt(case.precision[known]) * (case.offset + best.moved)[known]
         residual = np.concatenate([residual, off])
     basis = basis[:, : len(residual)]
-    return Evidence(case, fitted, basis, residual, _blocks(case.samples, memory), n - fitted.parameters, memory)
+    blocks, scale = _blocks(case.samples, memory), rms * best.residual.scale
+    return Evidence(case, fitted, basis, residual, blocks, n - fitted.parameters, memory, scale)
 
 
 def colour_left(case: Case, fitted: Fitted) -> Colour:

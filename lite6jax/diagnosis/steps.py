@@ -15,11 +15,14 @@ from lite6jax.physics.composition import Physics
 from lite6jax.physics.effect import Effect
 from lite6jax.physics.joints import JointHarmonic
 from lite6jax.physics.surroundings import TimeOffset
+from lite6jax.physics.unnamed import Unnamed
 
 Array = NDArray[np.floating]
 
 CLOSE = 6.0
 """Log-likelihood within which two candidates cannot be told apart."""
+SEARCHED = 400.0
+"""Orders, or shapes, of a joint that are looked through, about."""
 _SPECIFIC = (
     *(
         "joint_offset",
@@ -82,10 +85,12 @@ def most_specific(choices: Sequence[T], judged: Callable[[T], float], named: Cal
 
 
 def cost(steps: Sequence[Step], n: float) -> float:
-    """What a set of effects costs: half a logarithm a number, and the choice of each order among hundreds."""
-    orders = [step.effect for step in steps if isinstance(step.effect, JointHarmonic)]
-    searched = sum(0.5 * np.log(n) + np.log(400.0) for effect in orders if effect.order not in (1.0, 2.0))
-    return float(0.5 * sum(step.effect.size for step in steps) * np.log(n) + searched)
+    """What a set of effects costs: half a logarithm a number, and the choice of an order or shape among hundreds."""
+    effects = [step.effect for step in steps]
+    orders = sum(isinstance(effect, JointHarmonic) and effect.order not in (1.0, 2.0) for effect in effects)
+    shapes = sum(isinstance(effect, Unnamed) for effect in effects)
+    numbers = sum(effect.size for effect in effects) + orders
+    return float(0.5 * numbers * np.log(n) + (orders + shapes) * np.log(SEARCHED))
 
 
 def sure(case: Case, fitted: Fitted, steps: list[Step], tried: float, level: float) -> tuple[Fitted, list[Step]]:
@@ -115,7 +120,8 @@ def assured(case: Case, fitted: Fitted, steps: list[Step], tried: float, level: 
     """
     while (colour := colour_left(case, fitted)) is not WHITE:
         fitted = refit(case, fitted.physics, fitted.values, fitted.moved, fitted.used, colour)
-        judged = {k: _judged(case, fitted, step, k, tried) for k, step in enumerate(steps)}
+        memory = evidence_of(case, fitted).memory
+        judged = {k: _judged(case, fitted, step, k, tried, memory) for k, step in enumerate(steps)}
         worst = max(judged, key=lambda k: judged[k][1].p, default=None)
         if worst is None or judged[worst][1].p < level:
             steps = [step for _, step in judged.values()]
@@ -171,10 +177,8 @@ def pruned(case: Case, fitted: Fitted, steps: list[Step], tried: float) -> tuple
     return fitted, steps
 
 
-def _judged(
-    case: Case, fitted: Fitted, step: Step, k: int, tried: float, memory: float | None = None
-) -> tuple[Fitted, Step]:
-    """The fit without the k-th step, and that step judged against it."""
+def _judged(case: Case, fitted: Fitted, step: Step, k: int, tried: float, memory: float) -> tuple[Fitted, Step]:
+    """The fit without the k-th step, and that step judged against it, by what noise remembers beside all steps."""
     fit = without(case, fitted, k)
     if case.clock and isinstance(step.effect, TimeOffset):
         return fit, step  # seconds off are far from where a score holds

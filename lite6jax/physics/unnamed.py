@@ -1,4 +1,4 @@
-"""Physics without a name: a curve over one driver at one site, as a cubic spline or as waves of many orders."""
+"""Physics without a name: a curve over one driver at one site, a cubic spline, waves of many orders, or with memory."""
 
 import re
 from dataclasses import dataclass
@@ -7,7 +7,7 @@ from typing import ClassVar, final
 
 import jax
 import jax.numpy as jnp
-from jax import Array
+from jax import Array, lax
 
 from lite6jax.errors import InputError
 from lite6jax.physics.deflection import Deflection, at_joint, twist
@@ -40,12 +40,35 @@ def spline_basis(values: Array, lower: float | Array, upper: float | Array, piec
     return (far**3 - 4 * near**3) / 6  # the fourth difference of cubes (C. de Boor, A Practical Guide to Splines, IX)
 
 
+@jax.jit
+def plays(values: Array, widths: Array, run: Array) -> Array:
+    """What follows a driver with play, `(width, sample)`: pushed along, and left behind by `width` at most.
+
+    Sums of such plays are all hysteresis whose loops close and do not depend on speed (I. Mayergoyz, Mathematical
+    Models of Hysteresis, 1991, ch. 1; of L. Prandtl and A. Ishlinskii). Each run begins at 0, as nearly as it can.
+
+    Args:
+        values: `(sample,)`, of the driver.
+        widths: `(width,)` in its unit, from 0.
+        run: `(2, sample)`, the first and the last sample of the run of each.
+    """
+
+    def pushed(left: Array, now: tuple[Array, Array]) -> tuple[Array, Array]:
+        value, begins = now
+        left = jnp.clip(jnp.where(begins, 0.0, left), value - widths, value + widths)
+        return left, left
+
+    begins = run[0] == jnp.arange(run.shape[1])
+    return lax.scan(pushed, jnp.zeros_like(widths), (values, begins))[1].T
+
+
 @final
 @dataclass(frozen=True)
 class Unnamed(Bending):
     """δ = Σ coefficient · B(driver): whatever one driver does at one site.
 
-    B are cubic B-splines; or, with `orders`, the sine and cosine of each order of the driver, an angle.
+    B are cubic B-splines; with `orders`, the sine and cosine of each order of the driver, an angle; with `memory`, what
+    follows the driver with so much play each.
 
     Attributes:
         where: `jointN` (an angle), `linkN`, `base` or `tool` (one component of a twist).
@@ -58,6 +81,7 @@ class Unnamed(Bending):
         trust: by how much to believe waves, from 0 to 1, at equal steps of the driver from `lower` to `upper`: they
             mean nothing where nothing was measured.
         spread: one standard deviation of the coefficients, where that is known beforehand.
+        memory: half the widths of the plays, in the driver's unit, that are there instead of a spline.
 
     Raises:
         InputError: no such site, driver or component, or an empty range.
@@ -72,6 +96,7 @@ class Unnamed(Bending):
     orders: tuple[float, ...] = ()
     trust: tuple[float, ...] = ()
     spread: float | None = None
+    memory: tuple[float, ...] = ()
 
     name: ClassVar[str] = "unnamed"
 
@@ -91,6 +116,10 @@ class Unnamed(Bending):
                 f"unnamed:{self.where}: {len(self.orders)} orders and {len(self.trust)} numbers of trust; give both, "
                 "two of these at least, or none"
             )
+        if self.memory and (self.orders or min(self.memory) < 0):
+            raise InputError(
+                f"unnamed:{self.where}: memory {self.memory} is not possible; give widths from 0 on, and no orders"
+            )
         driver_of(self.driver)
 
     @property
@@ -103,7 +132,7 @@ class Unnamed(Bending):
         """The coefficients."""
         unit = "m" if self.component in ("x", "y", "z") else "rad"
         names = [f"{wave}_{order:g}_{unit}" for order in self.orders for wave in ("sine", "cosine")]
-        names = names or [f"coefficient{i + 1}_{unit}" for i in range(self.pieces + 3)]
+        names = names or [f"coefficient{i + 1}_{unit}" for i in range(len(self.memory) or self.pieces + 3)]
         spread = float("inf") if self.spread is None else self.spread
         return tuple(Coordinate(name, unit, 1e-4, spread) for name in names)
 
@@ -112,8 +141,16 @@ class Unnamed(Bending):
         """The one driver."""
         return (driver_of(self.driver),)
 
-    def basis(self, driver: Array) -> Array:
-        """What each coefficient is times, `(size, sample)`, at values `(sample,)` of the driver."""
+    def basis(self, driver: Array, run: Array | None = None) -> Array:
+        """What each coefficient is times, `(size, sample)`, at values `(sample,)` of the driver.
+
+        Args:
+            driver: its values, one after another.
+            run: `(2, sample)`, where runs begin and end, which a memory asks for; all are one where not given.
+        """
+        if self.memory:
+            one = jnp.zeros((2, driver.size), int)
+            return plays(driver, jnp.asarray(self.memory), one if run is None else run)
         if not self.orders:
             return spline_basis(driver, self.lower, self.upper, self.pieces)
         turned = jnp.asarray(self.orders)[:, None] * driver
@@ -123,15 +160,16 @@ class Unnamed(Bending):
 
     def units(self, motion: Motion, loads: Loads | None) -> Deflection:
         """The deflection by each coefficient, per unit of it; a leading axis `(coordinate, …)`."""
-        return jax.vmap(lambda shift: self._at_site(shift, motion))(self.basis(self.drivers[0].values(motion, loads)))
+        basis = self.basis(self.drivers[0].values(motion, loads), motion.run)
+        return jax.vmap(lambda shift: self._at_site(shift, motion))(basis)
 
-    def curve(self, values: Array, driver: Array) -> Array:
-        """The curve's value `(sample,)`, m or rad, at values `(sample,)` of the driver."""
-        return values @ self.basis(driver)
+    def curve(self, values: Array, driver: Array, run: Array | None = None) -> Array:
+        """The curve's value `(sample,)`, m or rad, at values `(sample,)` of the driver; `run` as in `basis`."""
+        return values @ self.basis(driver, run)
 
     def deflect(self, values: Array, motion: Motion, loads: Loads | None) -> Deflection:
         """The curve at its site."""
-        return self._at_site(self.curve(values, self.drivers[0].values(motion, loads)), motion)
+        return self._at_site(self.curve(values, self.drivers[0].values(motion, loads), motion.run), motion)
 
     def _at_site(self, shift: Array, motion: Motion) -> Deflection:
         """A curve `(sample,)` where this effect is."""

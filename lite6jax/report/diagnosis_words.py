@@ -190,6 +190,8 @@ def unnamed_title(effect: Unnamed) -> str:
         driver = f"its {driver.removesuffix(f' of {place}')}"
     component = "" if place.startswith("joint") else f" {effect.component}"
     shape = "a smooth curve"
+    if effect.memory:
+        driver, shape = f"{driver} and of its past", "a loop"
     if effect.orders:
         count = len(effect.orders)
         shape = f"waves of {count} orders {min(effect.orders):g}–{max(effect.orders):g}" if count > 1 else "a wave"
@@ -203,7 +205,8 @@ def peak_to_peak(case: Case, effect: Unnamed, values: Array, covariance: Array) 
     """
     driver = effect.drivers[0].values(case.motion, case.loads)
     low, high = np.percentile(np.asarray(driver), (2, 98))
-    basis = np.asarray(effect.basis(driver))[:, (np.asarray(driver) >= low) & (np.asarray(driver) <= high)]
+    inside = (np.asarray(driver) >= low) & (np.asarray(driver) <= high)
+    basis = np.asarray(effect.basis(driver, case.motion.run))[:, inside]
     curve = values @ basis
     apart = basis[:, np.argmax(curve)] - basis[:, np.argmin(curve)]
     return float(apart @ values), float(np.sqrt(max(float(apart @ covariance @ apart), 0.0)))

@@ -162,10 +162,13 @@ def _over_driver(
     scale, name = _MOVES["1" if key[0] in ("stretch", "scale") else unit]
     at, curve, slope = x, shape, jacobian
     waves = max(effect.orders, default=0.0) * np.ptp(x) / (2 * np.pi) if isinstance(effect, Unnamed) else 0.0
+    loop = isinstance(effect, Unnamed) and bool(effect.memory)
     if isinstance(effect, Unnamed):
         at = np.linspace(x.min(), x.max(), max(400, int(_POINTS_PER_WAVE * waves)))
+        at = np.concatenate([at, at[::-1], at]) if loop else at
         slope = np.asarray(effect.basis(jnp.asarray(at))).T
         curve = slope @ values
+        at, curve, slope = (whole[-2 * len(whole) // 3 :] if loop else whole for whole in (at, curve, slope))
     elif driver.quantity == "position" and at_joint:
         at = np.linspace(x.min(), x.max(), 1000)
         q = np.zeros((len(at), case.motion.dof))
@@ -184,7 +187,7 @@ def _over_driver(
         assert effect.order is not None
         x, at = (np.mod(effect.order * v, 2 * np.pi) for v in (x, at))
         across = f"phase of order {effect.order:.4g} of joint {effect.joint} (deg)"
-    order = np.argsort(at, kind="stable")
+    order = np.arange(len(at)) if loop else np.argsort(at, kind="stable")
     what = {"joint": "turn of the joint", "stretch": "growth of the links", "scale": "growth"}.get(
         key[0], f"{'shift' if key[2] < 3 else 'turn'} about {'xyz'[key[2] % 3]}".replace("shift about", "shift along")
     )

@@ -139,7 +139,7 @@ NAMES = ", ".join(catalogue_module.BUILT_IN)
         (
             "unnamed:joint=1",
             "unnamed: where is not given; the keys are where, driver, lower, upper, pieces, component, orders, trust, "
-            "spread, its parameters",
+            "spread, memory, its parameters",
         ),
     ],
 )

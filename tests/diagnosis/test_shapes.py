@@ -1,0 +1,103 @@
+"""Physics that no entry of the catalogue has, at one joint each: found there, called unnamed, and of its shape."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from diagnosis.recorded import Made, found, moving_motion, static_motion
+from physics.plain_physics import gravity_moments
+
+from lite6jax.diagnosis.case import case_of
+from lite6jax.diagnosis.evidence import evidence_of
+from lite6jax.diagnosis.selection import search_of
+from lite6jax.diagnosis.shapes import shapes
+from lite6jax.physics.unnamed import Unnamed
+
+
+@pytest.fixture(scope="module")
+def arm(tmp_path_factory):
+    return Made(tmp_path_factory.mktemp("arm"), seed=3)
+
+
+@pytest.fixture(scope="module")
+def still():
+    return static_motion(3)
+
+
+def torque_of(arm, motion, joint):
+    """(sample,) Nm about the joint's axis."""
+    pairs = zip(motion["joint_position"], motion["payload"], strict=True)
+    return np.array([gravity_moments(arm.kinematics, q, m, arm.inertia())[0][joint - 1][2] for q, m in pairs])
+
+
+def slipping(load, most):
+    """Of a spring beside one that slides from a quarter of the largest load on."""
+    x, slid = np.zeros(len(load)), 0.0
+    for k, force in enumerate(load / most):
+        x[k] = (force + 4 * slid) / 5
+        if abs(x[k] - slid) > 0.05:
+            side = np.sign(x[k] - slid)
+            x[k] = force - side * 0.2
+            slid = x[k] - side * 0.05
+    return x
+
+
+def the_one(made, motion, bump):
+    """The one finding, unnamed and at the joint of the bump, and what it does at every sample."""
+    selection = search_of(case_of(made.recording(motion, bump=bump))).run()
+    assert found(selection) == [("unnamed", f"joint{bump[0]}")]
+    (effect,) = selection.fitted.physics.effects
+    assert isinstance(effect, Unnamed)
+    case = selection.case
+    done = effect.curve(
+        jnp.asarray(selection.fitted.values), effect.drivers[0].values(case.motion, case.loads), case.motion.run
+    )
+    return effect, np.asarray(done)
+
+
+def test_a_step(arm, still):
+    effect, done = the_one(arm, still, (4, lambda q: 6e-4 * (q > 0.5)))
+    assert effect.lower < 0.5 < effect.upper
+    assert effect.upper - effect.lower < 0.4
+    q = still["joint_position"][:, 3]
+    beyond = (q < effect.lower) | (q > effect.upper)
+    np.testing.assert_allclose(done[beyond], 6e-4 * (q > 0.5)[beyond], atol=5e-5)
+
+
+def test_a_bump(arm, still):
+    def bump(q):
+        return -7e-4 * np.exp(-0.5 * ((q - 0.3) / 0.25) ** 2)
+
+    _, done = the_one(arm, still, (3, bump))
+    np.testing.assert_allclose(done, bump(still["joint_position"][:, 2]), atol=1.2e-4)
+
+
+def test_a_spring_that_hardens(arm, still):
+    load = torque_of(arm, still, 2)
+    turned = 8e-4 * np.tanh(2 * load / np.abs(load).max())
+    effect, done = the_one(arm, still, (2, lambda _: turned))
+    assert effect.drivers[0].phrase == "gravity torque of joint 2"
+    assert not effect.memory
+    np.testing.assert_allclose(done, turned, atol=6e-5)
+
+
+@pytest.mark.parametrize("motion", [static_motion(3), moving_motion(3)], ids=["at rest", "moving"])
+def test_a_spring_that_yields_and_remembers(arm, motion):
+    load = torque_of(arm, motion, 3)
+    begins = np.flatnonzero(np.diff(motion["run"], prepend=-1))
+    most = np.abs(load).max()
+    turned = np.concatenate([1.5e-3 * slipping(part, most) for part in np.split(load, begins[1:])])
+    effect, done = the_one(arm, motion, (3, lambda _: turned))
+    assert effect.drivers[0].phrase == "gravity torque of joint 3"
+    assert effect.memory
+    assert np.sqrt(np.mean((done - turned) ** 2)) < 0.1 * np.sqrt(np.mean(turned**2))
+
+
+def test_nothing_is_likely_where_nothing_is(arm, still):
+    """Of all curves of all joints of three recordings, none is likelier than one in three hundred is by chance."""
+    for seed in range(3):
+        search = search_of(case_of(arm.recording(still, seed=seed)))
+        selection = search.run()
+        evidence = evidence_of(selection.case, selection.baseline)
+        for joint in range(1, 7):
+            for shape in shapes(evidence, joint, local=False):
+                assert shape.score.p * search.tried > search.level
