@@ -1,7 +1,7 @@
 """The diagnosis of a recording: what is missing, how sure that is, and what it is worth on rows it did not see."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Literal
 
@@ -10,17 +10,15 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from lite6jax.arms.arm import Arm
-from lite6jax.diagnosis.case import Case, arm_moved, case_of
-from lite6jax.diagnosis.faults.examination import Fault, examine
-from lite6jax.diagnosis.selection import Selection, search_of
+from lite6jax.diagnosis.case import Case, arm_moved
+from lite6jax.diagnosis.faults.rivals import explain
+from lite6jax.diagnosis.faults.rows import Fault
+from lite6jax.diagnosis.selection import Selection
 from lite6jax.diagnosis.separation import Separation, separations
 from lite6jax.fitting.problem import Geometry
 from lite6jax.physics.catalogue import Untestable, effect_as_dict
 from lite6jax.physics.effect import Effect
-from lite6jax.physics.joints import JointOffset
-from lite6jax.physics.links import FrameOffset
-from lite6jax.physics.surroundings import MeasurementScale, ToolOffset
-from lite6jax.recordings import FactoryUncertainty, Recording, require_samples
+from lite6jax.recordings import Recording
 
 Array = NDArray[np.floating]
 Verdict = Literal["consistent", "explained", "partly_explained", "unnamed"]
@@ -29,11 +27,6 @@ FOLDS = 5
 _OUTLIER = 30.0
 """Squared whitened residual a number, over the scale, beyond which a row is a fault of the data."""
 _AS_NOISE = 1.1
-_SEVERAL = 2
-_A_LITTLE = 3e-4
-"""m that the measured point is moved by."""
-_MATTER = 12.0
-"""Numbers of a chain that move a point by about as much as they are off."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -206,21 +199,9 @@ def diagnose(
     Raises:
         InputError: as `examine` and `case_of`.
     """
-    examined = examine(recording, arm, geometry)
+    explanation = explain(recording, arm, geometry, effects)
+    examined, search, selection = explanation.examined, explanation.search, explanation.selection
     recording = examined.recording
-    case = case_of(recording, examined.arm, geometry)
-    require_samples(recording, len(case.unknown) + 1)
-    search = search_of(case, effects)
-    selection = search.run()
-    off = _calibration_off(selection, geometry)
-    if off:
-        fault, uncertainty = off
-        known = replace(recording, settings=replace(recording.settings, factory_uncertainty=uncertainty))
-        other = search_of(case_of(known, examined.arm, geometry), effects)
-        simpler = other.run()
-        if len(simpler.steps) <= len(selection.steps) - _SEVERAL:
-            recording, search, selection = known, other, simpler
-            examined = replace(examined, faults=(*examined.faults, fault))
     case = search.case
     if progress:
         progress(1)
@@ -256,37 +237,6 @@ def statement(effect: Effect, parameters: dict[str, dict[str, float]]) -> str:
         return f"Something real at {effect.site}, a function of {driver}, that no entry of the catalogue explains."
     return (
         f"{effect.name.replace('_', ' ').capitalize()} at {effect.site}{f', by {driver}' if driver else ''}: {shown}."
-    )
-
-
-def _calibration_off(selection: Selection, geometry: Geometry) -> tuple[Fault, FactoryUncertainty] | None:
-    """A calibration of which several frames seem to be a little off, and by how much.
-
-    One frame that is off may have been bent; a file that is stale, or rounded, is off everywhere.
-    """
-    case, fitted = selection.case, selection.fitted
-    settings, effects = case.recording.settings, fitted.physics.effects
-    exact = geometry == "declared" and settings.factory_calibration and not settings.factory_uncertainty
-    if not exact or sum(isinstance(effect, FrameOffset | JointOffset) for effect in effects) < _SEVERAL:
-        return None
-    constant = [isinstance(effect, FrameOffset | JointOffset | ToolOffset | MeasurementScale) for effect in effects]
-    rest, values = fitted.physics.part(fitted.values, [not it for it in constant])
-    moved = case.position_errors(fitted.moved, fitted.physics, fitted.values)
-    moved = moved - case.position_errors(fitted.moved, rest, values)
-    size = float(np.sqrt(np.mean(np.sum(moved**2, 0))))
-    if size > _A_LITTLE:
-        return None
-    each = size / np.sqrt(_MATTER)
-    sites = ", ".join(effect.site for effect in effects if isinstance(effect, FrameOffset | JointOffset))
-    return (
-        Fault(
-            "calibration_off",
-            (),
-            f"The calibration file is a little off at several places ({sites}), as a rounded or an old one is: that "
-            f"moves the measured point by {1e3 * size:.2g} mm. It is taken to be known to {1e3 * each:.1g} mm and "
-            f"{1e3 * each:.1g} mrad; declare factory_uncertainty in the sidecar.",
-        ),
-        FactoryUncertainty(each, each),
     )
 
 

@@ -5,17 +5,23 @@ from dataclasses import replace
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from diagnosis.recorded import NOISE, Made, check_values, found, static_motion, with_effects
+from diagnosis.recorded import NOISE, Made, check_values, found, moving_motion, static_motion, with_effects
 
+from lite6jax.arms import frames
+from lite6jax.arms.bundled import load_bundled
 from lite6jax.arms.factory import write_factory
 from lite6jax.diagnosis.case import case_of
 from lite6jax.diagnosis.diagnose import FOLDS, diagnose, statement
 from lite6jax.diagnosis.faults import jumps
+from lite6jax.diagnosis.faults.examination import examine
+from lite6jax.diagnosis.faults.rivals import explain
 from lite6jax.diagnosis.selection import search_of
 from lite6jax.errors import InputError
 from lite6jax.recordings import Recording
 
 SAMPLES = 300
+MOTION_CAPTURE = (2e-4, 1e-3)
+"""m and rad per axis."""
 COMPLIANCE = "joint_compliance:joint=2,compliance_rad_per_Nm=9e-5"
 
 
@@ -80,6 +86,33 @@ def test_a_frame_that_jumps_is_put_back_and_said(arm, still):
     assert [fault["fault"] for fault in diagnosis.to_dict()["data_faults"]] == ["frame_jump"]
     assert diagnosis.verdict == "consistent"
     assert rms(diagnosis.after) == pytest.approx(np.sqrt(3) * NOISE[0], rel=0.1)
+
+
+def test_a_jump_is_said_beside_physics(arm, still):
+    """What jumped stays a jump, also where an effect is found beside it, and says how unlikely it is without."""
+    recording = with_effects(arm, COMPLIANCE).recording(still)
+    position = recording.position.copy()
+    position[100:] += np.array([2e-4, 0, 1e-4])
+    explanation = explain(replace(recording, position=position), None, "declared")
+    assert found(explanation.selection) == [("joint_compliance", "joint2")]
+    check_values(explanation.selection, COMPLIANCE)
+    (fault,) = explanation.examined.faults
+    assert (fault.fault, fault.rows[0]) == ("frame_jump", 101)
+    assert "Without it the best explanation (" in fault.statement
+
+
+def test_physics_that_looks_like_a_jump_is_physics(arm):
+    """A step of a joint's transmission that the arm crosses: the poses after it are elsewhere, as if moved."""
+    motion = moving_motion(21, 160)
+    crossed = np.median(motion["joint_position"][:, 4])
+    recording = arm.recording(motion, bump=(5, lambda q: 5e-4 * (q > crossed)))
+    assert [fault.fault for fault in examine(recording).faults] == ["frame_jump"]
+    explanation = explain(recording, None, "declared")
+    assert [step.effect.site for step in explanation.selection.steps] == ["joint5"]
+    assert explanation.examined.faults == ()
+    (said,) = (fault for fault in explanation.examined.checked if fault.fault == "frame_jump")
+    assert "What looks like a jump of a frame at row" in said.statement
+    assert "unnamed:joint5" in said.statement
 
 
 def test_held_out_errors_are_those_of_the_rest(arm, still, monkeypatch):
@@ -171,6 +204,68 @@ def test_a_calibration_that_is_a_little_off_everywhere_is_a_fault_of_the_file(tm
     uncertainty = seen.case.recording.settings.factory_uncertainty
     assert 7e-6 < uncertainty.position_m < 3e-5
     assert "factory_uncertainty" in seen.faults[0].statement
+
+
+def test_physics_is_found_beside_a_calibration_that_is_off(tmp_path):
+    made = Made(tmp_path, (COMPLIANCE,), seed=5)
+    recording = made.recording(static_motion(5, 200))
+    off = 1.5e-5 * np.random.default_rng(0).standard_normal(made.kinematics.shape)
+    write_factory(made.kinematics + off, recording.settings.factory_calibration, overwrite=True)
+    explanation = explain(recording, None, "declared")
+    assert [fault.fault for fault in explanation.examined.faults] == ["calibration_off"]
+    assert found(explanation.selection) == [("joint_compliance", "joint2")]
+    check_values(explanation.selection, COMPLIANCE)
+
+
+def test_one_number_that_is_off_is_physics(tmp_path):
+    made = Made(tmp_path, ("joint_offset:joint=3,offset_rad=1e-4",), seed=5)
+    explanation = explain(made.recording(static_motion(5, 200)), None, "declared")
+    assert found(explanation.selection) == [("joint_offset", "joint3")]
+    assert explanation.examined.faults == ()
+
+
+class TestPublishedTables:
+    """A file that holds one of the two published tables, under motion capture: their difference is like physics'."""
+
+    @pytest.fixture
+    def captured(self, tmp_path):
+        """Makes the recording of an arm of one table, whose file has the declared one."""
+
+        def recorded(true, declared, effects=(), setup="exact"):
+            made = Made(tmp_path, effects, seed=7, geometry=setup, frame=True)
+            motion = moving_motion(8, 200)
+            made.__dict__["kinematics"] = load_bundled(true).kinematics
+            recording = made.recording(motion, noise=MOTION_CAPTURE)
+            if setup == "exact":
+                write_factory(load_bundled(declared).kinematics, recording.settings.factory_calibration, overwrite=True)
+            noise = {"position_noise_m": MOTION_CAPTURE[0], "orientation_noise_rad": MOTION_CAPTURE[1]}
+            return replace(recording, settings=replace(recording.settings, arm=declared, **noise))
+
+        return recorded
+
+    def test_the_other_in_the_file(self, captured):
+        recording = captured("lite6_ros", "lite6")
+        assert examine(recording).doubted == "lite6_ros"
+        diagnosis = diagnose(recording)
+        (fault,) = diagnosis.faults
+        assert fault.fault == "nominal_table"
+        assert "taken as published" in fault.statement
+        assert diagnosis.verdict == "consistent"
+        model = diagnosis.model()
+        assert model["arm"] == "lite6_ros"
+        links = [frames.transform_from_row(row) for row in model["kinematics"]]
+        np.testing.assert_allclose(links, load_bundled("lite6_ros").links, atol=1e-12)
+
+    @pytest.mark.parametrize("table", ["lite6", "lite6_ros"])
+    def test_the_right_one_in_the_file(self, captured, table):
+        explanation = explain(captured(table, table, ("joint_offset:joint=3,offset_rad=1e-3",)), None, "declared")
+        assert explanation.examined.faults == ()
+        assert found(explanation.selection) == [("joint_offset", "joint3")]
+
+    def test_the_other_named_and_the_chain_fitted(self, captured):
+        (fault,) = examine(captured("lite6_ros", "lite6", setup="free")).faults
+        assert fault.fault == "nominal_table"
+        assert examine(captured("lite6", "lite6", setup="free")).faults == ()
 
 
 def test_one_frame_that_is_off_is_physics(tmp_path):

@@ -14,7 +14,7 @@ from lite6jax.arms.bundled import load_bundled
 from lite6jax.arms.factory import write_factory
 from lite6jax.diagnosis.case import case_of
 from lite6jax.diagnosis.faults import hypotheses
-from lite6jax.diagnosis.faults.examination import examine
+from lite6jax.diagnosis.faults.examination import Mending, examine
 from lite6jax.diagnosis.faults.projection import Projected, estimated
 from lite6jax.diagnosis.faults.rigid import physics_columns, rigid_of
 from lite6jax.diagnosis.refit import refit
@@ -375,6 +375,12 @@ class TestNominalTable:
         assert own.faults == ()
         assert "the chain is fitted" in ruled_out(own, "nominal_table")
 
+    def test_where_the_frame_is_known(self, folder, still):
+        """A fitted chain moves the base too; the other table is compared from where the base is said to be."""
+        made = Made(folder, seed=5, geometry="free")
+        poses = six_parameter_poses(load_bundled("lite6_ros").kinematics, still["joint_position"])
+        only(examine(made.recording(still, poses=poses)), "nominal_table")
+
     def test_where_there_is_no_other(self, seven, good):
         assert "xarm7 has one table" in ruled_out(examine(seven), "nominal_table")
         assert "the arm's own file" in ruled_out(examine(good), "nominal_table")
@@ -500,6 +506,21 @@ class TestFrameJump:
         examined = examine(bumped(recording, 101))
         assert only(examined, "frame_jump").rows[0] == 102
         assert np.abs(examined.recording.position - recording.position).max() < 4e-4
+
+    def test_as_if_there_were_no_physics(self, good):
+        """Where there is none, a jump is better told without what physics could do beside it."""
+        off = []
+        for beside in (True, False):
+            examined = examine(bumped(good, 61), mending=Mending(beside_physics=beside))
+            only(examined, "frame_jump")
+            off.append(np.sqrt(np.mean((examined.recording.position - good.position)[61:] ** 2)))
+        assert off[1] < 0.7 * off[0]
+
+    def test_left_as_it_is(self, good):
+        recording = bumped(good, 61)
+        examined = examine(recording, mending=Mending(jumps=0))
+        assert examined.faults == ()
+        np.testing.assert_array_equal(examined.recording.position, recording.position)
 
     def test_of_seven_joints(self, seven):
         examined = examine(bumped(seven, 40))

@@ -1,1 +1,1 @@
-"""Faults of a recording, which come before physics: looked for, said, put right."""
+"""Faults of a recording: looked for, said, put right before physics, and weighed against it where it looks alike."""

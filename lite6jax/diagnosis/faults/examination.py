@@ -1,6 +1,7 @@
 """Faults of the data before any physics: found, located, said in words, and put right in the recording that is used."""
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -21,8 +22,21 @@ from lite6jax.diagnosis.faults.rows import (
 from lite6jax.fitting.problem import Geometry
 from lite6jax.recordings import Recording, require_samples
 
-_MOST_JUMPS = 3
 _MOST_REREAD = 3
+
+
+class Mending(NamedTuple):
+    """Which faults that physics may look like are put right.
+
+    Attributes:
+        jumps: how many at most.
+        beside_physics: whether a jump is measured beside all that physics could do, or as if there were none.
+        table: the nominal table to be taken where the data leave it open.
+    """
+
+    jumps: int = 3
+    beside_physics: bool = True
+    table: str | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,26 +48,35 @@ class Examined:
         arm: the nominal arm.
         faults: what was wrong, in the order in which it was put right.
         checked: what was looked for and is not there, each with the number that rules it out.
+        mending: what was to be put right of what physics may look like.
+        doubted: another nominal table that fits better than the declared one, though not so that physics is no
+            other reason; None where there is none.
     """
 
     recording: Recording
     arm: Arm
     faults: tuple[Fault, ...]
     checked: tuple[Fault, ...]
+    mending: Mending
+    doubted: str | None = None
 
 
-def examine(recording: Recording, arm: Arm | None = None, geometry: Geometry = "declared") -> Examined:
+def examine(
+    recording: Recording, arm: Arm | None = None, geometry: Geometry = "declared", mending: Mending | None = None
+) -> Examined:
     """Looks for faults of the data, the coarsest first, and puts each right before the next is looked for.
 
     Args:
         recording: measured poses.
         arm: the nominal arm; from the sidecar where not given.
         geometry: what is known of it, as in `fit`.
+        mending: of faults that physics may look like; all where not given.
 
     Raises:
         InputError: no measured poses, or as `recording_problem`.
     """
     require_samples(recording, 1)
+    mending = mending or Mending()
     found = Findings([], [])
     recording = in_order(recording, found)
     recording = once(recording, found)
@@ -62,10 +85,10 @@ def examine(recording: Recording, arm: Arm | None = None, geometry: Geometry = "
     check_commanded(recording, found)
     rigid = _reread(rigid, geometry, found)
     rigid = replace(rigid, recording=without_turns(rigid.recording, rigid.arm, found))
-    rigid = _settled_frame(rigid.fitted(), found)
+    rigid = _settled_frame(rigid.fitted(), found, mending)
     rigid = _settled_joints(rigid, found)
-    recording, nominal = _table(rigid, geometry, found)
-    return Examined(recording, nominal, tuple(found.faults), tuple(found.checked))
+    recording, nominal, doubted = _table(rigid, geometry, found, mending.table)
+    return Examined(recording, nominal, tuple(found.faults), tuple(found.checked), mending, doubted)
 
 
 def _reread(arm: Rigid, geometry: Geometry, found: Findings) -> Rigid:
@@ -111,11 +134,15 @@ _RULED_OUT = {
 }
 
 
-def _settled_frame(arm: Rigid, found: Findings) -> Rigid:
-    count = 0
-    while (sought := jumps.seek_jump(arm)).jump is not None and count < _MOST_JUMPS:
-        count += 1
-        arm, jump = jumps.put_back(arm, sought.jump)
+def _settled_frame(arm: Rigid, found: Findings, mending: Mending) -> Rigid:
+    if not mending.jumps:
+        return arm
+    known: set[tuple[int, str]] = set()
+    while (sought := jumps.seek_jump(arm)).jump is not None and len(known) < mending.jumps:
+        if sought.jump[:2] in known:  # what is left after it was put back is no constant twist
+            break
+        known.add(sought.jump[:2])
+        arm, jump = jumps.put_back(arm, sought.jump, mending.beside_physics)
         recording, k = arm.recording, sought.jump.sample
         row, runs = int(recording.row[k]), recording.run
         place = f"at row {row}"
@@ -132,7 +159,7 @@ def _settled_frame(arm: Rigid, found: Findings) -> Rigid:
                 "on have been put back by this constant twist. Check the mount; record again where it matters.",
             )
         )
-    if not count:
+    if not known:
         reason = f"the likeliest row is as likely as p = {sought.p:.2g} by chance"
         if sought.drifted:
             reason = "what changes does so over many rows, as physics does, and between no two of them"
@@ -193,13 +220,13 @@ def _settled_joints(arm: Rigid, found: Findings) -> Rigid:
     return arm
 
 
-def _table(arm: Rigid, geometry: Geometry, found: Findings) -> tuple[Recording, Arm]:
+def _table(arm: Rigid, geometry: Geometry, found: Findings, taken: str | None) -> tuple[Recording, Arm, str | None]:
     compared = hypotheses.other_table(arm)
     recording, nominal, other = arm.recording, arm.arm, compared.name
     if other is None:
         why = "the chain is the arm's own file" if arm.exact else f"{nominal.name} has one table here"
         found.clear("nominal_table", f"No other nominal table comes into question: {why}.")
-        return recording, nominal
+        return recording, nominal, None
     if compared.share is not None:
         share, std = compared.share
         number = f"on the way from the declared table (0) to {other} (1) the data lie at {share:.2f} ± {std:.1g}"
@@ -212,16 +239,18 @@ def _table(arm: Rigid, geometry: Geometry, found: Findings) -> tuple[Recording, 
             f"residuals are {ours / free:.3g} times those of a fitted chain with {nominal.name}, {theirs / free:.3g} "
             f"times with {other}"
         )
-    if not compared.decided:
+    if not compared.decided and other != taken:
         rest = "" if arm.exact else "; the chain is fitted, so that it matters little"
         found.clear("nominal_table", f"The data do not ask for the table {other}: {number}{rest}.")
-        return recording, nominal
+        return recording, nominal, other if compared.likelier else None
+    if not compared.decided:
+        number = f"{other} leaves smaller residuals, and no physics with the declared one makes up for it"
     done, advice = f"{other} is used", "Name it in the sidecar."
     if arm.exact and geometry != "declared":
         done, advice = "the chain was asked for and is left", f"Use --geometry free, or the file of {other}."
     else:
         recording, nominal = hypotheses.with_table(recording, other)
         if arm.exact:
-            done = f"the chain is fitted, from {other}"
+            done = f"{other} is used in place of the file"
     found.faults.append(Fault("nominal_table", (), f"The declared table is not this arm's: {number}; {done}. {advice}"))
-    return recording, nominal
+    return recording, nominal, None

@@ -31,6 +31,8 @@ PLAUSIBLE = 0.05
 _ALIKE = 1.5
 _SCREENED, _SCREENED_PAIRS, _FIRST_OF_PAIRS = 200, 60, 8
 _SLACK = 0.01
+TRUSTED = float(np.log(300.0))
+"""Log-likelihood that it takes to doubt what a sidecar says: of 300 that are right, one."""
 _TABLE_AS_IS = 2e-5
 """m and rad within which a factory calibration is a published table and not an arm's own."""
 
@@ -201,12 +203,14 @@ class OtherTable(NamedTuple):
             where the chain is fitted.
         scales: of the residual with the declared table, the other and a fitted chain; None where it is not fitted.
         decided: whether the data are the other's.
+        likelier: whether they are likelier with the other, if no physics is at work.
     """
 
     name: str | None
     share: tuple[float, float] | None = None
     scales: tuple[float, float, float] | None = None
     decided: bool = False
+    likelier: bool = False
 
 
 def other_table(arm: Rigid) -> OtherTable:
@@ -214,7 +218,7 @@ def other_table(arm: Rigid) -> OtherTable:
 
     Where the chain is declared and is a published table, one number along the line to the other table is estimated with
     all physics beside it; where that leaves it vague, the other table must halve the residuals. Where the chain is
-    fitted, the data must agree with the other table as well as with a fitted chain, and not with the declared one.
+    fitted, the other table must be likelier than the declared one, and than a fitted chain for so many more numbers.
 
     Args:
         arm: fitted.
@@ -232,13 +236,16 @@ def other_table(arm: Rigid) -> OtherTable:
             between[k] = np.concatenate([T[:3, 3], Rotation.from_matrix(T[:3, :3]).as_rotvec()])
         column = np.einsum("k,krs->rs", between.ravel(), arm.twists)[None]
         share, std = (float(value[0]) for value in estimated(arm, physics_columns(arm, skip=("links",)), column))
-        clear = std < 0.1 or _with_table(arm, other).fitted().scale < 0.5 * arm.scale
+        rival = _with_table(arm, other).fitted()
+        clear = std < 0.1 or rival.scale < 0.5 * arm.scale
         told = clear and abs(share - 1) < 0.1 + 4 * std and share > 6 * std
-        return OtherTable(other.name, (share, std), decided=told)
-    free = arm.scale
-    scales = [_with_table(arm, table).fitted().scale for table in (arm.arm, other)]
-    told = scales[1] < 1.2 * free and scales[0] > 1.5 * free
-    return OtherTable(other.name, scales=(scales[0], scales[1], free), decided=told)
+        return OtherTable(other.name, (share, std), decided=told, likelier=rival.scale < arm.scale)
+    ours, theirs = (_with_table(arm, table).fitted() for table in (arm.arm, other))
+    numbers = len(arm.unknown) - len(theirs.unknown)
+    fitted = arm.log_likelihood(arm.scale) - 0.5 * numbers * np.log(arm.rows * arm.samples)
+    likely = theirs.log_likelihood(arm.scale)
+    told = likely > max(fitted, ours.log_likelihood(arm.scale) + TRUSTED)
+    return OtherTable(other.name, scales=(ours.scale, theirs.scale, arm.scale), decided=told)
 
 
 def with_table(recording: Recording, name: str) -> tuple[Recording, Arm]:
@@ -320,10 +327,9 @@ def _with_table(arm: Rigid, table: Arm) -> Rigid:
     frame = arm.recording.settings.pose_frame != "base"
     last = 6 * arm.recording.dof
     kept = (arm.unknown >= last) | ((arm.unknown < 6) & frame)
-    return replace(
-        arm, links=table.links, unknown=arm.unknown[kept], precision=np.zeros(int(kept.sum())),
-        offset=np.zeros(int(kept.sum())),
-    )  # fmt: skip
+    none = np.zeros(int(kept.sum()))
+    T = arm.T_sensor_base if frame else np.eye(4)  # where it is known, it moved as the first link's
+    return replace(arm, links=table.links, T_sensor_base=T, unknown=arm.unknown[kept], precision=none, offset=none)
 
 
 __all__ = ["OtherTable", "Reading", "Reread", "other_table", "readings", "reread", "with_table"]

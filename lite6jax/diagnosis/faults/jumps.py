@@ -130,8 +130,14 @@ def _located(arm: Rigid, low: int, high: int, first: int, values: Array) -> int:
     return low + 1 + int(np.argmin(np.cumsum(plain - moved)[:-1]))
 
 
-def put_back(arm: Rigid, jump: Jump) -> tuple[Rigid, Jump]:
-    """The arm with the poses after a jump where they would have been without it, fitted; and the jump as refined."""
+def put_back(arm: Rigid, jump: Jump, beside_physics: bool = True) -> tuple[Rigid, Jump]:
+    """The arm with the poses after a jump where they would have been without it, fitted; and the jump as refined.
+
+    Args:
+        arm: fitted.
+        jump: as found.
+        beside_physics: whether it is measured beside all that physics could do.
+    """
     total, moved = np.eye(4), arm
     twist = transform_of(jump.twist)
     if jump.what == "base" and jump.moved > _LARGE * arm.noise[0]:
@@ -148,7 +154,8 @@ def put_back(arm: Rigid, jump: Jump) -> tuple[Rigid, Jump]:
         total = twist @ total if jump.what == "tool" else total @ twist
         recording = _moved_back(arm, moved, jump, total)
         moved = replace(moved, recording=recording).fitted()
-        projected = Projected(moved, physics_columns(moved, skip=("drift",)))
+        physics = physics_columns(moved, skip=("drift",)) if beside_physics else np.zeros((0, arm.rows, arm.samples))
+        projected = Projected(moved, physics)
         last = 6 * arm.recording.dof
         columns = moved.twists[:6] if jump.what == "base" else moved.twists[last:][: arm.rows]
         values, covariance, _ = projected.regression(np.where(np.arange(arm.samples) >= jump.sample, columns, 0.0))

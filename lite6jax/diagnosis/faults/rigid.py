@@ -151,10 +151,10 @@ class Rigid:
             gradient = weighted @ state.residual.ravel() + state.precision * state.offset
             root = np.sqrt(np.maximum(np.diagonal(H), np.finfo(float).tiny))
             step = -np.linalg.lstsq(H / np.outer(root, root), gradient / root, rcond=1e-12)[0] / root
-            cost = state._cost(scale)
+            likely = state.log_likelihood(scale)
             for _ in range(_HALVINGS):
                 trial = state.moved(step)
-                if trial._cost(scale) <= cost:
+                if trial.log_likelihood(scale) >= likely:
                     break
                 step = step / 2
             else:
@@ -204,9 +204,10 @@ class Rigid:
         turn = Rotation.from_matrix(self.tool[:, :3, :3]) * measured.inv()
         return np.concatenate([apart, turn.as_rotvec().T])
 
-    def _cost(self, scale: float) -> float:
+    def log_likelihood(self, scale: float) -> float:
+        """Student's t, in noise of `scale` times the whitener's, and what is known beforehand, but for a constant."""
         spread = (FREEDOM + self.rows) * np.sum(np.log1p(self.squares / scale**2 / FREEDOM))
-        return float(spread + np.sum(self.precision * self.offset**2))
+        return -0.5 * float(spread + np.sum(self.precision * self.offset**2))
 
 
 def rigid_of(recording: Recording, arm: Arm | None = None, geometry: Geometry = "declared") -> Rigid:
