@@ -20,7 +20,8 @@ from lite6jax.arms.factory import write_factory
 from lite6jax.diagnosis.case import Case, case_of
 from lite6jax.diagnosis.diagnose import diagnose as diagnosis_of
 from lite6jax.diagnosis.evidence import evidence_of
-from lite6jax.diagnosis.faults.examination import Fault, examine
+from lite6jax.diagnosis.faults.rivals import explain
+from lite6jax.diagnosis.faults.rows import Fault
 from lite6jax.diagnosis.prediction import read_model
 from lite6jax.diagnosis.refit import refit
 from lite6jax.diagnosis.selection import search_of
@@ -156,9 +157,8 @@ def false_alarms(recordings: int, folder: Path) -> Iterator[Record]:
 
 def searched(recording: Recording) -> tuple[tuple[Step, ...], list[Fault]]:
     """What the diagnosis of a recording finds, and which faults of the data; outliers are none."""
-    examined = examine(recording)
-    search = search_of(case_of(examined.recording, examined.arm))
-    return search.run().steps, [fault for fault in examined.faults if fault.fault != "outliers"]
+    explanation = explain(recording, None, "declared")
+    return explanation.selection.steps, [fault for fault in explanation.examined.faults if fault.fault != "outliers"]
 
 
 def hidden(folder: Path, geometry: Geometry, samples: int) -> Recording:
