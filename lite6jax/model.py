@@ -135,7 +135,19 @@ def predict_frames_with(
     motion = physics.alter(values, motion)
     if isinstance(statics, Inertia):
         joint = turn(motion.joint_position)
-        statics = loads(chain, model.geometry, joint, motion.payload, statics) if physics.loaded else None
+        statics = (
+            loads(
+                chain,
+                model.geometry,
+                joint,
+                motion.payload,
+                statics,
+                motion.joint_velocity,
+                motion.joint_acceleration,
+            )
+            if physics.loaded
+            else None
+        )
     return predict_bent(chain, model, motion.joint_position, physics.deflect(values, motion, statics))
 
 

@@ -143,7 +143,7 @@ class Case:
         return select(alter(motion), chosen)
 
     def loads_on(self, model: ArmModel, motion: Motion) -> Loads | None:
-        """Gravity's loads on a rigid chain in a motion."""
+        """The loads on a rigid chain in a motion."""
         if self.inertia is None:
             return None
         return _loads(self.chain, jnp.asarray(model.geometry), motion, self.inertia)
@@ -413,7 +413,15 @@ def _scaled(unit: Deflection, values: Array) -> Deflection:
 
 @partial(jax.jit, static_argnums=0)
 def _loads(form: Form, kinematics: jax.Array, motion: Motion, inertia: Inertia) -> Loads:
-    return loads(form, kinematics, turn(motion.joint_position), motion.payload, inertia)
+    return loads(
+        form,
+        kinematics,
+        turn(motion.joint_position),
+        motion.payload,
+        inertia,
+        motion.joint_velocity,
+        motion.joint_acceleration,
+    )
 
 
 def _plain_residual(

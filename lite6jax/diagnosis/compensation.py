@@ -21,7 +21,6 @@ from lite6jax.physics.composition import Physics
 from lite6jax.physics.motion import Motion
 from lite6jax.physics.surroundings import BaseDrift, MeasurementScale, TimeOffset
 from lite6jax.recordings import Recording, Targets, read_targets, sidecar_path
-from lite6jax.recordings.motion import motion_of_recording
 from lite6jax.storage import read_text
 
 Array = NDArray[np.floating]
@@ -193,7 +192,7 @@ class _Search:
     def motion(self, q: Array) -> Motion:
         """What the arm does if it goes through these joints `(row, joint)`."""
         at = moved(self.targets, q)
-        motion = motion_of_recording(at)
+        motion = self.model.motion_of(at)
         if self.approach is None:
             return motion
         towards = np.broadcast_to(np.array(self.approach, float)[:, None], q.T.shape)

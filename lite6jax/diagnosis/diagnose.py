@@ -15,6 +15,7 @@ from lite6jax.diagnosis.faults.rivals import explain
 from lite6jax.diagnosis.faults.rows import Fault
 from lite6jax.diagnosis.selection import Selection
 from lite6jax.diagnosis.separation import Separation, separations
+from lite6jax.diagnosis.stated import stated
 from lite6jax.fitting.problem import Geometry
 from lite6jax.physics.catalogue import Untestable, effect_as_dict
 from lite6jax.physics.effect import Effect
@@ -170,6 +171,7 @@ class Diagnosis:
             else {name: np.asarray(value).tolist() for name, value in inertia._asdict().items()},
             "reference_temperature_degC": settings.reference_temperature_degC,
             "motion": case.recording.motion,
+            "accelerated": case.motion.joint_acceleration is not None,
             "effects": [
                 effect_as_dict(effect, fitted.values[part], fitted.covariance[part, part])
                 for effect, part in zip(fitted.physics.effects, fitted.physics.slices, strict=True)
@@ -201,6 +203,7 @@ def diagnose(
     """
     explanation = explain(recording, arm, geometry, effects)
     examined, search, selection = explanation.examined, explanation.search, explanation.selection
+    selection = stated(selection)
     recording = examined.recording
     case = search.case
     if progress:

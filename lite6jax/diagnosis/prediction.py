@@ -18,6 +18,7 @@ from lite6jax.model import ArmModel, predict_poses
 from lite6jax.physics.catalogue import effect_from_dict, kinds_of
 from lite6jax.physics.composition import Physics
 from lite6jax.physics.effect import Effect
+from lite6jax.physics.motion import Motion, accelerated
 from lite6jax.physics.statics import Inertia, inertia_of
 from lite6jax.physics.surroundings import BaseDrift
 from lite6jax.recordings import (
@@ -52,6 +53,7 @@ class Enriched:
         orientation: whether the sensor showed orientations.
         reference_temperature: °C, at which the geometry holds.
         motion: of the diagnosed recording: "static" or "trajectory".
+        accelerated: whether loads hold what it takes to accelerate the arm.
         remark: what a prediction means where the recording was diagnosed against another one; else empty.
     """
 
@@ -63,12 +65,18 @@ class Enriched:
     orientation: bool
     reference_temperature: float
     motion: str
+    accelerated: bool = False
     remark: str = ""
 
     @property
     def dof(self) -> int:
         """The number of joints."""
         return np.asarray(self.model.geometry).size // 6
+
+    def motion_of(self, recording: Recording) -> Motion:
+        """The motion of a recording, with its accelerations where they count."""
+        motion = motion_of_recording(recording)
+        return accelerated(motion) if self.accelerated else motion
 
 
 def read_model(path: str | Path, effects: tuple[Effect, ...] = ()) -> Enriched:
@@ -112,6 +120,7 @@ def read_model(path: str | Path, effects: tuple[Effect, ...] = ()) -> Enriched:
             orientation=bool(model["orientation"]),
             reference_temperature=float(model["reference_temperature_degC"]),
             motion=str(model["motion"]),
+            accelerated=bool(model.get("accelerated", False)),
             remark=str(document.get("against", {}).get("statement", "")),
         )
     except InputError as error:
@@ -195,7 +204,7 @@ def predict_motion(model: Enriched, recording: Recording) -> tuple[Array, NDArra
     Raises:
         InputError: the motion lacks what an effect of the model needs, by name.
     """
-    motion = motion_of_recording(recording)
+    motion = model.motion_of(recording)
     chain = SixParameterForm(model.dof)
     poses = predict_poses(chain, model.physics, model.model, model.values, motion, model.inertia)
     beyond = np.asarray(_beyond(model.physics, model.values, motion))

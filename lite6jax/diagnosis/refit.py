@@ -16,7 +16,11 @@ Array = NDArray[np.floating]
 _STEPS = 25
 _SETTLED = 1e-3
 """Length of a step, in standard deviations of what it estimates, under which a refit has settled."""
+_EXACT_STEPS, _ENOUGH = 8, 0.02
+"""The same by differences, of which each step takes many: a search has been there before."""
 _HALVINGS = 6
+_STEP, _TYPICAL = 1e-6, 1e-4
+"""m and rad of a difference, and of what a number of typical size does."""
 
 
 class Weighed(NamedTuple):
@@ -91,11 +95,14 @@ def refit(
     moved: Array | None = None,
     used: NDArray[np.bool_] | None = None,
     colour: Colour = WHITE,
+    exact: bool = False,
 ) -> Fitted:
     """Fits what is unknown of the geometry, the frames and the numbers of `physics` together.
 
     The loss is Student's t, its scale estimated. Derivatives are those at the case's start, residuals are exact: a step
-    leaves a thousandth of the error, or what the start is off in radians.
+    leaves a thousandth of the error, or what the start is off in radians. That finds what is there; but where some
+    mixture of the nuisance does nearly what an effect does, even a hundredth that the derivatives are off makes
+    information of nothing, and `exact` ones are needed to say how sure a number is.
 
     Args:
         case: the data.
@@ -104,6 +111,7 @@ def refit(
         moved: `(unknown,)` where to start; the case's start where not given.
         used: `(sample,)` bool; all where not given.
         colour: of the noise.
+        exact: whether derivatives are those where the fit stands, by differences: one residual a number and step.
     """
     values = np.zeros(physics.size) if values is None else np.array(values, float)
     moved = np.zeros(len(case.unknown)) if moved is None else np.array(moved, float)
@@ -127,9 +135,11 @@ def refit(
     at = np.concatenate([moved, values])
     state = weighed(case.residual(moved, physics, values))
     converged, H = False, np.eye(0)
-    for _ in range(_STEPS):
+    for _ in range(_EXACT_STEPS if exact else _STEPS):
         columns = nuisance
-        if physics.size:
+        if exact:
+            columns = colour.whitened(_differences(case, physics, at, state.rows))
+        elif physics.size:
             columns = np.concatenate([nuisance, colour.whitened(case.columns(physics.effects, at[k:]))])
         if not len(columns):
             converged = True
@@ -149,7 +159,7 @@ def refit(
             change = change / 2
             rows = case.residual(at[:k] + change[:k], physics, at[k:] + change[k:])
         at, state = at + change, weighed(rows)
-        if length < _SETTLED:
+        if length < (_ENOUGH if exact else _SETTLED):
             converged = True
             break
     factor = variance_factor(state.squares[used], case.rows, FREEDOM, 0)
@@ -163,6 +173,18 @@ def without(case: Case, fitted: Fitted, k: int) -> Fitted:
     """The fit without the k-th effect, from where it stands."""
     rest, values = fitted.physics.part(fitted.values, [i != k for i in range(len(fitted.physics.effects))])
     return refit(case, rest, values, fitted.moved, fitted.used, fitted.colour)
+
+
+def _differences(case: Case, physics: Physics, at: Array, rows: Array) -> Array:
+    """How residuals `rows` change with all numbers where they stand, `(number, row, sample)`."""
+    k = len(at) - physics.size
+    steps = np.concatenate([np.full(k, _STEP), _STEP / _TYPICAL * physics.typical])
+    columns = np.empty((len(at), *rows.shape))
+    for i, step in enumerate(steps):
+        moved = at.copy()
+        moved[i] += step
+        columns[i] = (case.residual(moved[:k], physics, moved[k:]) - rows) / step
+    return columns
 
 
 def _solve(H: Array, gradient: Array) -> Array:

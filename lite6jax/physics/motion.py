@@ -10,6 +10,9 @@ from numpy.typing import ArrayLike
 
 from lite6jax.errors import InputError
 
+_SLOPE = 0.05
+"""s."""
+
 
 class Motion(NamedTuple):
     """A whole sequence of samples, the sample last; build it with `motion_of`. A pytree; None is what is not known.
@@ -22,6 +25,7 @@ class Motion(NamedTuple):
         run: `(2, sample)` int, the first and the last sample of the run of each.
         temperature_rise: `(sample,)` K above the temperature at which the geometry holds.
         payload: `(sample,)` kg at the flange.
+        joint_acceleration: `(joint, sample)` rad/s², where loads are to hold what it takes; see `accelerated`.
     """
 
     joint_position: Array
@@ -31,6 +35,7 @@ class Motion(NamedTuple):
     run: Array
     temperature_rise: Array | None
     payload: Array
+    joint_acceleration: Array | None = None
 
     @property
     def dof(self) -> int:
@@ -158,8 +163,35 @@ def shifted(motion: Motion, offset: Array | float) -> Motion:
         name: None if value is None else at(value, own)
         for name, value in (("temperature_rise", motion.temperature_rise), ("payload", motion.payload))
     }
+    if motion.joint_acceleration is not None:
+        a_start, a_end = at(motion.joint_acceleration, before), at(motion.joint_acceleration, after)
+        rest["joint_acceleration"] = (1 - u) * a_start + u * a_end
     direction = None if motion.direction is None else jnp.sign(velocity)
     return motion._replace(joint_position=position, joint_velocity=velocity, direction=direction, **rest)
+
+
+def accelerated(motion: Motion) -> Motion:
+    """The motion with its accelerations, so that loads hold what they take; unchanged without velocities and times.
+
+    They are the slopes of the velocity over `_SLOPE` s on either side, or a sample's step where that is longer: shorter
+    ones would be noise of the encoders, longer ones miss what an arm does. At the ends of a run they are one-sided.
+    """
+    if motion.joint_velocity is None or motion.time is None:
+        return motion
+    time, velocity, (first, last) = np.asarray(motion.time), np.asarray(motion.joint_velocity), np.asarray(motion.run)
+    found = np.zeros_like(velocity)
+    for start in np.unique(first):
+        rows = slice(start, last[start] + 1)
+        t = time[rows]
+        if len(t) < 2:
+            continue
+        step = np.diff(t)
+        reach = np.maximum(_SLOPE, np.maximum(np.append(step, 0), np.insert(step, 0, 0)))
+        early, late = np.maximum(t - reach, t[0]), np.minimum(t + reach, t[-1])
+        apart = np.where(late > early, late - early, 1.0)
+        for joint, v in enumerate(velocity[:, rows]):
+            found[joint, rows] = (np.interp(late, t, v) - np.interp(early, t, v)) / apart
+    return motion._replace(joint_acceleration=jnp.asarray(found))
 
 
 def beyond(motion: Motion, offset: Array | float) -> Array:

@@ -1,5 +1,6 @@
-"""What gravity does to the arm: its torque on each joint and its moments on each link and on the base."""
+"""What gravity, and the inertia of what moves, does to the arm: torques on joints, moments on links and on the base."""
 
+from collections.abc import Callable
 from functools import partial
 from typing import NamedTuple
 
@@ -34,6 +35,8 @@ class Inertia(NamedTuple):
 
 class Loads(NamedTuple):
     """The moments of gravity on everything outboard, links and payload; N·m, as gravity exerts them. A pytree.
+
+    Where the arm accelerates, and that is to count, what it holds against is added: m (g − a) in place of m g.
 
     Attributes:
         moment: `(joint, 3, sample)` about the origin of the frame after each joint's rotation, in that frame's axes.
@@ -74,11 +77,21 @@ def inertia_of(
     return Inertia(**{name: jnp.asarray(np.asarray(value, float)) for name, value in given.items()})
 
 
-def loads(form: Form, kinematics: Array, joint: Turn, payload: Array, inertia: Inertia) -> Loads:
-    """The loads on a rigid chain at rest; plain JAX, to be called inside a jitted function.
+def loads(
+    form: Form,
+    kinematics: Array,
+    joint: Turn,
+    payload: Array,
+    inertia: Inertia,
+    velocity: Array | None = None,
+    acceleration: Array | None = None,
+) -> Loads:
+    """The loads on a rigid chain; plain JAX, to be called inside a jitted function.
 
-    One walk outwards for the frames, then sums over what is outboard of each: with W and F the mass and the first
-    moment (about the base's origin) of all that is outboard of the origin o, M = (F − W o) × g.
+    One walk outwards for the frames, then sums over what is outboard of each: with F and P the force and its moment
+    (about the base's origin) of all that is outboard of the origin o, M = P − o × F. A body of mass m whose centre c
+    accelerates by a exerts m (g − a) there (Newton and Euler; J. Luh, M. Walker and R. Paul, 1980); how bodies resist
+    to be turned about their own centres is left out, as descriptions do not say it.
 
     Args:
         form: a six-parameter chain.
@@ -86,6 +99,8 @@ def loads(form: Form, kinematics: Array, joint: Turn, payload: Array, inertia: I
         joint: the joints' angles, each `(joint, sample)`.
         payload: `(sample,)` kg.
         inertia: masses and gravity.
+        velocity: `(joint, sample)` rad/s.
+        acceleration: `(joint, sample)` rad/s²; without it the arm is at rest, or what it accelerates does not count.
 
     Raises:
         InputError: a Hayati chain, whose frames are not those in which centres of mass are given; or another number
@@ -109,20 +124,47 @@ def loads(form: Form, kinematics: Array, joint: Turn, payload: Array, inertia: I
         return frame, frame
 
     rows = kinematics[form.walking_order].reshape(form.dof, 6)
-    flange, frames = lax.scan(outwards, base_frame(jnp.eye(4), samples), (rows, joint.cos, joint.sin))
+    _, frames = lax.scan(outwards, base_frame(jnp.eye(4), samples), (rows, joint.cos, joint.sin))
+    x, y, z, origin = (jnp.moveaxis(part, 1, 0) for part in frames)  # (3, joint, sample)
 
-    def carried(center: Array, frame: Frame) -> Array:
-        center = center[..., None, None]
-        x, y, z = (jnp.take(center, i, axis=-3) for i in range(3))
-        return frame.origin + x * frame.x + y * frame.y + z * frame.z
+    def arm_to(center: Array, last: slice) -> Array:
+        a, b, c = jnp.moveaxis(center, -1, 0)[..., None]
+        return a * x[:, last] + b * y[:, last] + c * z[:, last]
 
-    first_moment = inertia.mass[:, None, None] * carried(inertia.center_of_mass, frames)
-    first_moment = first_moment.at[-1].add(payload * carried(inertia.payload_center, flange))
-    outboard = partial(lax.cumsum, axis=0, reverse=True)
-    weight = outboard(inertia.mass)[:, None] + payload
-    pulled = outboard(first_moment)
-    lever = jnp.moveaxis(pulled - weight[:, None] * frames.origin, 1, 0)  # (3, joint, sample)
-    g = inertia.gravity
-    moment = cross(lever, g)
-    in_frame = [jnp.sum(jnp.moveaxis(axis, 1, 0) * moment, 0) for axis in (frames.x, frames.y, frames.z)]
-    return Loads(jnp.stack(in_frame, 1), cross(pulled[0], g))
+    links, end = slice(None), slice(-1, None)
+    to_link, to_payload = arm_to(inertia.center_of_mass, links), arm_to(inertia.payload_center[None], end)
+    felt = _felt(z, origin, velocity, acceleration, inertia.gravity)
+    force, held = inertia.mass[:, None] * felt(to_link, links), payload * felt(to_payload, end)
+    moment = cross(origin + to_link, force).at[:, -1:].add(cross(origin[:, end] + to_payload, held))
+    outboard = partial(lax.cumsum, axis=1, reverse=True)
+    pull, about_base = outboard(force.at[:, -1:].add(held)), outboard(moment)
+    about = about_base - cross(origin, pull)
+    return Loads(jnp.stack([jnp.sum(axis * about, 0) for axis in (x, y, z)], 1), about_base[:, 0])
+
+
+def _felt(
+    axis: Array, origin: Array, velocity: Array | None, acceleration: Array | None, gravity: Array
+) -> Callable[[Array, slice], Array]:
+    """Of an arm `(3, joint, sample)` from the origins of some frames, g − a at its end.
+
+    Args:
+        axis: `(3, joint, sample)` of each joint.
+        origin: `(3, joint, sample)` of each joint's frame.
+        velocity: `(joint, sample)` rad/s.
+        acceleration: `(joint, sample)` rad/s².
+        gravity: `(3,)` m/s².
+    """
+    g = gravity[:, None, None]
+    if velocity is None or acceleration is None:
+        return lambda arm, _: jnp.broadcast_to(g, arm.shape)
+    outwards = partial(lax.cumsum, axis=1)
+    turning = axis * velocity
+    omega = outwards(turning)
+    alpha = outwards(axis * acceleration + cross(omega, turning))  # a joint's own turn changes nothing of its axis
+
+    def swung(arm: Array, at: slice) -> Array:
+        return cross(alpha[:, at], arm) + cross(omega[:, at], cross(omega[:, at], arm))
+
+    between = swung(jnp.diff(origin, axis=1), slice(-1))
+    carried = jnp.concatenate([jnp.zeros_like(origin[:, :1]), outwards(between)], 1)
+    return lambda arm, at: g - carried[:, at] - swung(arm, at)

@@ -7,7 +7,7 @@ import pytest
 from plain_physics import later, simulated_motion
 
 from lite6jax.errors import InputError
-from lite6jax.physics.motion import beyond, motion_of, select, shifted
+from lite6jax.physics.motion import accelerated, beyond, motion_of, select, shifted
 
 shift = jax.jit(shifted)
 outside = jax.jit(beyond)
@@ -166,3 +166,40 @@ def test_gradients_pass_backwards_through_a_later_motion():
     backward = jax.grad(cost)(0.013)
     _, forward = jax.jvp(cost, (0.013,), (1.0,))
     np.testing.assert_allclose(backward, forward, rtol=1e-12)
+
+
+def test_accelerations_are_the_slopes_of_the_velocity_within_each_run():
+    time = np.array([0.0, 0.1, 0.25, 0.3, 0.5, 7.0, 7.2, 9.0])
+    run = np.array([0, 0, 0, 0, 0, 1, 1, 2])
+    slope = np.array([2.0, -3.0])
+    dq = np.where(run[:, None] == 1, 5.0, 1.0) + slope * time[:, None] * np.where(run[:, None] == 1, 2, 1)
+    motion = motion_of(dq, joint_velocity=dq, time=time, run=run)
+    wanted = slope[:, None] * np.array([1, 1, 1, 1, 1, 2, 2, 0])  # a run of one sample shows none
+    np.testing.assert_allclose(accelerated(motion).joint_acceleration, wanted, rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("step", [0.05, 0.004])
+def test_accelerations_of_a_smooth_motion_are_near_however_dense_its_samples(step):
+    t = np.arange(0, 3, step)
+    motion = accelerated(motion_of(np.sin(2 * t)[:, None], joint_velocity=2 * np.cos(2 * t)[:, None], time=t))
+    inside = (t > 0.06) & (t < t[-1] - 0.06)
+    off = motion.joint_acceleration[0] + 4 * np.sin(2 * t)
+    assert np.abs(off[inside]).max() < 4 * (2 * 0.05) ** 2 / 6 * 1.01  # of a central difference
+    noise = np.random.default_rng(0).normal(0, 1e-3, (len(t), 1))
+    noisy = accelerated(motion_of(np.zeros_like(noise), joint_velocity=noise, time=t)).joint_acceleration[0]
+    assert np.std(noisy[inside]) < 1.1 * np.sqrt(2) * 1e-3 / 0.1
+
+
+def test_a_later_motion_has_the_acceleration_between_its_samples():
+    t = np.arange(6) * 0.1
+    motion = accelerated(motion_of((t**3)[:, None], joint_velocity=(3 * t**2)[:, None], time=t))
+    inner = slice(1, 4)
+    np.testing.assert_allclose(shift(motion, 0.03).joint_acceleration[0, inner], 6 * (t + 0.03)[inner], atol=1e-12)
+    np.testing.assert_array_equal(shift(motion, 0.0).joint_acceleration, motion.joint_acceleration)
+    assert select(motion, [2]).joint_acceleration.shape == (1, 1)
+
+
+def test_nothing_accelerates_without_velocities_or_times():
+    q = np.zeros((3, 2))
+    for motion in (motion_of(q, time=np.arange(3.0)), motion_of(q, joint_velocity=q)):
+        assert accelerated(motion) is motion

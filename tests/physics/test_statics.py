@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pinocchio as pin
 import pytest
+from pinocchio_arm import pinocchio_arm
 from plain_chain import random_kinematics, random_positions
 from plain_physics import gravity_moments, rigid_frames, simulated_inertia
 
@@ -23,30 +24,23 @@ def simulated(seed, dof, samples=5):
     return *arm, rng.uniform(0, 2, samples), simulated_inertia(rng, dof)
 
 
-def found(kinematics, positions, payload, inertia):
+def found(kinematics, positions, payload, inertia, *rates):
     joint = turn(jnp.asarray(positions.T))
     form = SixParameterForm(len(kinematics))
-    return loads_of(form, jnp.asarray(kinematics.ravel()), joint, jnp.asarray(payload), inertia_of(**inertia))
+    rates = [jnp.asarray(rate.T) for rate in rates]
+    return loads_of(form, jnp.asarray(kinematics.ravel()), joint, jnp.asarray(payload), inertia_of(**inertia), *rates)
 
 
 def pinocchio_loads(kinematics, positions, payload, inertia):
-    """Generalised gravity and the moments through each joint, of a model with the payload on the last link."""
+    """Generalised gravity and the moments through each joint."""
     torques, moments = [], []
     for q, mass in zip(positions, payload, strict=True):
-        model = pin.Model()
-        joint = 0
-        for (x, y, z, *rpy), m, c in zip(kinematics, inertia["mass"], inertia["center_of_mass"], strict=True):
-            placement = pin.SE3(pin.rpy.rpyToMatrix(*rpy), np.array([x, y, z]))
-            joint = model.addJoint(joint, pin.JointModelRZ(), placement, f"joint{joint + 1}")
-            model.appendBodyToJoint(joint, pin.Inertia(m, c, np.zeros((3, 3))), pin.SE3.Identity())
-        held = pin.Inertia(mass, inertia["payload_center"], np.zeros((3, 3)))
-        model.appendBodyToJoint(joint, held, pin.SE3.Identity())
-        model.gravity.linear = inertia["gravity"]
+        model = pinocchio_arm(kinematics, mass, inertia)
         data = model.createData()
         torques.append(-pin.computeGeneralizedGravity(model, data, q))
         still = np.zeros(model.nv)
         pin.rnea(model, data, q, still, still)
-        moments.append([-data.f[i].angular for i in range(1, joint + 1)])
+        moments.append([-data.f[i].angular for i in range(1, model.njoints)])
     return np.array(torques), np.array(moments)
 
 
@@ -62,6 +56,31 @@ def test_loads_agree_with_pinocchio_and_numpy(dof, seed):
     plain = [gravity_moments(kinematics, q, mass, inertia) for q, mass in zip(positions, payload, strict=True)]
     np.testing.assert_allclose(result.base_moment.T, [base for _, base in plain], rtol=0, atol=1e-12)
     np.testing.assert_allclose(jnp.moveaxis(result.moment, -1, 0), [m for m, _ in plain], rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("dof", [1, 2, 6])
+def test_loads_of_a_moving_arm_are_pinocchios_inverse_dynamics(dof):
+    kinematics, positions, payload, inertia = simulated(3, dof)
+    rng = np.random.default_rng(dof)
+    velocity, acceleration = rng.uniform(-2, 2, (2, *positions.shape))
+    result = found(kinematics, positions, payload, inertia, velocity, acceleration)
+    cases = zip(positions, velocity, acceleration, payload, strict=True)
+    for k, (q, dq, ddq, mass) in enumerate(cases):
+        model = pinocchio_arm(kinematics, mass, inertia)
+        data = model.createData()
+        torque = pin.rnea(model, data, q, dq, ddq)
+        np.testing.assert_allclose(result.torque[:, k], -torque, rtol=0, atol=1e-11)
+        moments = [-data.f[i].angular for i in range(1, dof + 1)]
+        np.testing.assert_allclose(result.moment[:, :, k], moments, rtol=0, atol=1e-11)
+        pin.forwardKinematics(model, data, q)
+        np.testing.assert_allclose(result.base_moment[:, k], -data.oMi[1].act(data.f[1]).angular, rtol=0, atol=1e-11)
+    still = np.zeros_like(positions)
+    for a, b in zip(
+        found(kinematics, positions, payload, inertia, still, still),
+        found(kinematics, positions, payload, inertia),
+        strict=True,
+    ):
+        np.testing.assert_array_equal(a, b)
 
 
 def test_the_lite6_turns_freely_about_the_vertical_and_feels_a_kilogram_by_its_distance():

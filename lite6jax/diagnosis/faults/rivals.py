@@ -8,12 +8,13 @@ from numpy.typing import NDArray
 
 from lite6jax.arms import frames
 from lite6jax.arms.arm import Arm
+from lite6jax.diagnosis.burden import searched
 from lite6jax.diagnosis.case import case_of
 from lite6jax.diagnosis.colour import WHITE, Colour
 from lite6jax.diagnosis.faults.examination import Examined, Mending, examine
 from lite6jax.diagnosis.faults.hypotheses import TRUSTED
 from lite6jax.diagnosis.faults.rows import Fault
-from lite6jax.diagnosis.selection import Search, Selection, search_of
+from lite6jax.diagnosis.selection import Search, Selection
 from lite6jax.diagnosis.steps import cost
 from lite6jax.fitting.problem import Geometry
 from lite6jax.physics.effect import Effect
@@ -105,8 +106,7 @@ class _Given:
         """By what a search finds then."""
         case = case_of(examined.recording, examined.arm, self.geometry)
         require_samples(examined.recording, len(case.unknown) + 1)
-        search = search_of(case, self.effects)
-        selection = search.run()
+        search, selection = searched(case, self.effects)
         log_n = float(np.log(case.rows * selection.fitted.used.sum()))
         # six numbers are chosen for a jump, and its row
         price = _count(examined, "frame_jump") * (3 * log_n + np.log(case.samples))
@@ -179,8 +179,8 @@ def _published(examined: Examined, file: str, price: float, effects: Sequence[Ef
     settings = replace(examined.recording.settings, factory_calibration=file, factory_uncertainty=None)
     case = case_of(replace(examined.recording, settings=settings), examined.arm, "exact")
     rows = np.array([frames.row_from_transform(link) for link in examined.arm.links])
-    search = search_of(replace(case, start=case.start._replace(geometry=rows.ravel())), effects)
-    return Explanation(examined, search, search.run(), price)
+    search, selection = searched(replace(case, start=case.start._replace(geometry=rows.ravel())), effects)
+    return Explanation(examined, search, selection, price)
 
 
 def _calibration_weighed(best: Explanation, given: _Given) -> Explanation:

@@ -1,0 +1,102 @@
+"""Loads of arms that move: whether they hold what it takes to accelerate, by data made with Pinocchio; and how sure."""
+
+from dataclasses import replace
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from diagnosis.recorded import Made, estimates, found, moving_motion, static_motion
+from physics.pinocchio_arm import pinocchio_arm
+
+from lite6jax.diagnosis.burden import gain_of, searched, with_other_loads
+from lite6jax.diagnosis.case import case_of
+from lite6jax.diagnosis.evidence import Score
+from lite6jax.diagnosis.refit import refit
+from lite6jax.diagnosis.selection import Selection, search_of
+from lite6jax.diagnosis.stated import stated
+from lite6jax.diagnosis.steps import Step
+from lite6jax.physics.composition import Physics
+from lite6jax.physics.joints import JointCompliance
+
+COMPLIANCE = 2e-4
+SURE = Step(JointCompliance(2), 0.0, Score(100.0, 1, 0.0, False, np.zeros(1)))
+
+
+@pytest.fixture(scope="module")
+def moving():
+    return moving_motion(3, 240)
+
+
+def recorded(made, motion, accelerating):
+    """Joint 2 gives way by the torque of inverse dynamics, or of gravity alone."""
+    model = pinocchio_arm(made.kinematics, 0.0, made.inertia())
+    data, nothing = model.createData(), np.zeros(6)
+    q, dq = motion["joint_position"], motion["joint_velocity"]
+    ddq = np.concatenate([np.gradient(dq[motion["run"] == k], 0.02, axis=0, edge_order=2) for k in (0, 1)])
+    torque = [
+        -pin.rnea(model, data, *(row if accelerating else (row[0], nothing, nothing)))[1]
+        for row in zip(q, dq, ddq, strict=True)
+    ]
+    bent = q.copy()
+    bent[:, 1] += COMPLIANCE * np.array(torque)
+    return case_of(made.recording(motion, poses=made.poses({**motion, "joint_position": bent}), seed=4))
+
+
+@pytest.mark.parametrize("accelerating", [True, False])
+def test_the_data_say_which_loads_bend_an_arm(tmp_path, moving, accelerating):
+    case = recorded(Made(tmp_path, seed=1), moving, accelerating)
+    search, selection = searched(case)
+    assert (search.case.motion.joint_acceleration is not None) == accelerating
+    assert selection.case is search.case
+    assert found(selection) == [("joint_compliance", "joint2")]
+    other = with_other_loads(selection)
+    assert gain_of(selection.fitted, other) > 100
+    got = estimates(stated(selection), "joint_compliance", "joint2")["compliance_rad_per_Nm"]
+    assert abs(got.value - COMPLIANCE) < 4 * got.std < 0.05 * COMPLIANCE
+    wrong = abs(other.values[0] - COMPLIANCE)
+    assert wrong > 10 * got.std
+
+
+def test_what_is_unsure_of_the_loads_is_in_the_deviation(tmp_path, moving):
+    """In noise that hides which loads they are, the difference between the two counts by its probability."""
+    made = Made(tmp_path, seed=1)
+    case = recorded(made, moving, True)
+    rng = np.random.default_rng(0)
+    recording = replace(case.recording, position=case.recording.position + rng.normal(0, 5e-4, (240, 3)))
+    settings = replace(recording.settings, position_noise_m=5e-4)
+    recording = replace(recording, quaternion=None, settings=replace(settings, orientation_noise_rad=None))
+    physics = Physics((SURE.effect,))
+    search = search_of(case_of(recording))
+    fitted = refit(search.case, physics)
+    selection = Selection(search.case, search.plain, fitted, fitted, (SURE,), search.candidates)
+    other = with_other_loads(selection)
+    gain = gain_of(selection.fitted, other)
+    assert abs(gain) < 6
+    said = stated(selection).fitted
+    difference = other.values - selection.fitted.values
+    wanted = selection.fitted.covariance + np.outer(difference, difference) / (1 + np.exp(gain))
+    np.testing.assert_allclose(said.covariance, wanted, rtol=1e-9)
+    assert np.abs(said.values - COMPLIANCE) < 4 * np.sqrt(said.covariance[0])
+
+
+def test_an_arm_at_rest_has_no_other_loads(tmp_path):
+    made = Made(tmp_path, ("joint_compliance:joint=2,compliance_rad_per_Nm=2e-4",), seed=1)
+    search, selection = searched(case_of(made.recording(static_motion(5, 80))))
+    assert search.case.motion.joint_acceleration is None
+    assert with_other_loads(selection) is None
+    assert found(selection) == [("joint_compliance", "joint2")]
+
+
+def test_orders_read_off_a_spectrum_are_fitted_along(tmp_path, moving):
+    order = 3.37
+    made = Made(tmp_path, (f"joint_harmonic:joint=1,order={order},amplitude_rad=3e-4,phase_rad=0.5",), seed=1)
+    selection = searched(case_of(made.recording(moving, seed=2)))[1]
+    said = stated(selection)
+    assert [step.effect for step in said.steps] == list(said.fitted.physics.effects)
+    got = estimates(said, "joint_harmonic", "joint1")
+    before = estimates(selection, "joint_harmonic", "joint1")
+    assert abs(got["order"].value - order) < 0.02
+    for name, true in (("amplitude_rad", 3e-4), ("phase_rad", 0.5)):
+        assert abs(got[name].value - true) < 4 * got[name].std
+    # a phase is known no better than the order by which it turns
+    assert got["phase_rad"].std > 1.05 * before["phase_rad"].std
