@@ -44,6 +44,9 @@ def hide(plan: Plan, rng: np.random.Generator, view: View) -> tuple[Hidden, ...]
         sized = effect.scaled(found.size * times)
         if max(map(abs, sized.values[: sized.linear])) > _MOST.get(effect.name, 0.02):
             return None
+        # bodies weigh something: an engine that is to carry less than nothing carries nothing, and truth would lie
+        if plan.engine == "mujoco" and effect.name == "payload_error" and view.motion.payload.min() < -sized.values[0]:
+            return None
         hidden = (*hidden, sized)
     return hidden
 
