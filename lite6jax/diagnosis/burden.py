@@ -20,6 +20,8 @@ from lite6jax.physics.composition import Physics
 from lite6jax.physics.effect import Effect
 from lite6jax.physics.motion import accelerated
 
+INERTIA_COUNTS = "Torques and moments are those of gravity and of the masses' inertia: the data ask for it."
+
 
 def searched(case: Case, effects: Sequence[Effect] = ()) -> tuple[Search, Selection]:
     """The search of a case over the catalogue and `effects`, of the loads that the data ask for, and what it selects.
@@ -77,6 +79,9 @@ def _turned(search: Search) -> Search:
 
 def _otherwise(case: Case) -> Case | None:
     """The case with the other loads; None where the arm stood still, or masses or times are not known."""
-    motion = case.motion
-    other = accelerated(motion) if motion.joint_acceleration is None else motion._replace(joint_acceleration=None)
-    return None if case.inertia is None or other is motion else replace(case, motion=other)
+    motion, notes = case.motion, tuple(note for note in case.notes if note != INERTIA_COUNTS)
+    if motion.joint_acceleration is None:
+        other, notes = accelerated(motion), (*notes, INERTIA_COUNTS)
+    else:
+        other = motion._replace(joint_acceleration=None)
+    return None if case.inertia is None or other is motion else replace(case, motion=other, notes=notes)

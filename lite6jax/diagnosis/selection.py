@@ -12,7 +12,7 @@ from lite6jax.diagnosis.case import Case, moved_to
 from lite6jax.diagnosis.clock import clock_offset
 from lite6jax.diagnosis.colour import WHITE
 from lite6jax.diagnosis.evidence import Score, chance, evidence_of
-from lite6jax.diagnosis.refit import Fitted, refit
+from lite6jax.diagnosis.refit import Fitted, refit, without
 from lite6jax.diagnosis.shapes import TRIED, Shape, shapes
 from lite6jax.diagnosis.spectrum import lines
 from lite6jax.diagnosis.steps import CLOSE, SEARCHED, Rival, Step, assured, cost, most_specific, pruned, sure
@@ -38,6 +38,9 @@ _DOUBTFUL = 3
 _ROWS = 2000
 """That a search looks at to begin with."""
 _CURVES = 3
+_SEVERAL = 3
+"""Effects of which some may stand in for another set."""
+_EXCHANGED = 2
 _MANY = 3
 """Harmonics of one joint that together have no name."""
 
@@ -96,16 +99,16 @@ class Search:
         """Selects on some rows; all where not given.
 
         Of very many rows, a part finds the physics; then all of them are fitted, and asked for what is still left. What
-        else might have been there is only looked for in all rows.
+        might be there instead, or was beside it, is only looked for in all rows.
         """
         whole = used is None
         used = self.case.seen if used is None else used & self.case.seen
         every = max(int(used.sum()) // _ROWS, 1)
         if every == 1:
-            selection = self._selected(used)
+            selection = self._selected(used, whole)
         else:
             thin = replace(self, case=self.case.thinned(every), plain=self.plain.thinned(every))
-            part = thin._selected(used[::every])
+            part = thin._selected(used[::every], whole)
             physics, values = part.fitted.physics, part.fitted.values
             baseline = refit(self.plain, Physics(), moved=self.start, used=used)
             fitted = refit(self.case, physics, values, part.fitted.moved, used) if physics.effects else baseline
@@ -118,7 +121,7 @@ class Search:
             selection = replace(selection, fitted=fitted, steps=tuple(steps))
         return self._reviewed(selection) if whole else selection
 
-    def _selected(self, used: NDArray[np.bool_]) -> Selection:
+    def _selected(self, used: NDArray[np.bool_], exchanging: bool) -> Selection:
         baseline = refit(self.plain, Physics(), moved=self.start, used=used)
         added = self._added(*self._clocked(baseline))
         fitted, steps = sure(self.case, *added, self.tried, self.level)
@@ -128,6 +131,7 @@ class Search:
         else:
             fitted, steps = self._unnamed(baseline, *added)
             fitted, steps = pruned(self.case, fitted, steps, self.tried)
+            fitted, steps = self._exchanged(fitted, steps) if exchanging else (fitted, steps)
             fitted, steps = self._merged(baseline, fitted, steps)
         return Selection(self.case, self.plain, baseline, fitted, tuple(steps), self.candidates)
 
@@ -283,6 +287,24 @@ class Search:
 
         best = max(shapes(evidence, joint, local=True), key=likely)
         return best.effect if likely(best) > has else None
+
+    def _exchanged(self, fitted: Fitted, steps: list[Step]) -> tuple[Fitted, list[Step]]:
+        """With rivals in place of steps where that, and what comes next, is likelier: steps were chosen one by one."""
+        best, tried, improved = (fitted, steps), {frozenset(fitted.physics.effects)}, len(steps) >= _SEVERAL
+        while improved:
+            improved, (fitted, steps) = False, best
+            for k, rival in [(k, rival) for k, step in enumerate(steps) for rival in step.rivals[:_EXCHANGED]]:
+                kept, rest = [*steps[:k], *steps[k + 1 :]], without(self.case, fitted, k)
+                begun = frozenset((*rest.physics.effects, rival.effect))
+                if begun in tried:
+                    continue
+                tried.add(begun)
+                score = evidence_of(self.case, rest, within=fitted).score([rival.effect])[0]
+                other = self._with(rest, rival.effect, score.values), [*kept, Step(rival.effect, 0.0, score)]
+                other = sure(self.case, *self._added(*other), self.tried, self.level)
+                if self._better(other, best, CLOSE):
+                    best, improved = pruned(self.case, *other, self.tried), True
+        return best
 
     def _merged(self, baseline: Fitted, fitted: Fitted, steps: list[Step]) -> tuple[Fitted, list[Step]]:
         """One curve in place of a joint's many harmonics: no gear has so many orders that are not whole."""

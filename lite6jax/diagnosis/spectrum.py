@@ -83,7 +83,7 @@ def lines(evidence: Evidence) -> list[Line]:
             near = order + width * np.linspace(-1, 1, 9)
             order = _best(evidence, joint, near[near >= 0.5])
         whole = round(order)
-        if whole >= 1 and abs(order - whole) < 0.15 * step + 0.02:
+        if whole >= 1:  # most gears are: another order must be clearly likelier
             exact, free = evidence.gains(evidence.case.harmonics(joint, np.array([float(whole), order])))
             order = float(whole) if exact > free - 2.0 else order
         score = evidence.score_columns(list(evidence.case.harmonics(joint, np.array([order]))))[0]

@@ -10,6 +10,7 @@ from rich.text import Text
 
 from lite6jax.arms import frames
 from lite6jax.diagnosis.against import Against
+from lite6jax.diagnosis.burden import INERTIA_COUNTS
 from lite6jax.diagnosis.diagnose import Diagnosis, statement
 from lite6jax.diagnosis.registration import Registration
 from lite6jax.diagnosis.separation import Separation
@@ -45,6 +46,8 @@ def diagnosis_report(found: Diagnosis, source: str, against: Against | None = No
     if found.selection.steps:
         yield ""
         yield from _findings(found)
+        if INERTIA_COUNTS in case.notes:
+            yield Text(INERTIA_COUNTS)
     yield from _headed("Looked for in the data and not found:", words.in_short(words.ruled_out(found)))
     groups = []
     for group in words.untested(found):

@@ -8,7 +8,7 @@ import pytest
 from diagnosis.recorded import Made, estimates, found, moving_motion, static_motion
 from physics.pinocchio_arm import pinocchio_arm
 
-from lite6jax.diagnosis.burden import gain_of, searched, with_other_loads
+from lite6jax.diagnosis.burden import INERTIA_COUNTS, gain_of, searched, with_other_loads
 from lite6jax.diagnosis.case import case_of
 from lite6jax.diagnosis.evidence import Score
 from lite6jax.diagnosis.refit import refit
@@ -48,6 +48,7 @@ def test_the_data_say_which_loads_bend_an_arm(tmp_path, moving, accelerating):
     search, selection = searched(case)
     assert (search.case.motion.joint_acceleration is not None) == accelerating
     assert selection.case is search.case
+    assert (INERTIA_COUNTS in search.case.notes) == accelerating
     assert found(selection) == [("joint_compliance", "joint2")]
     other = with_other_loads(selection)
     assert gain_of(selection.fitted, other) > 100

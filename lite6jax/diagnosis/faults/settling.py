@@ -14,7 +14,7 @@ from lite6jax.recordings.recording import run_segments
 
 Array = NDArray[np.floating]
 
-LEVEL = 1e-3
+LEVEL = 1e-4
 """Family-wise."""
 LEAST_SHARE = 0.01
 """Of what the physics leaves, that unsettled read-outs explain: less may be anything where poses are in an order."""
