@@ -19,6 +19,7 @@ from lite6jax.diagnosis.stated import stated
 from lite6jax.fitting.problem import Geometry
 from lite6jax.physics.catalogue import Untestable, effect_as_dict
 from lite6jax.physics.effect import Effect
+from lite6jax.physics.unnamed import Unnamed
 from lite6jax.recordings import Recording
 
 Array = NDArray[np.floating]
@@ -236,7 +237,8 @@ def statement(effect: Effect, parameters: dict[str, dict[str, float]]) -> str:
         f"{name} {entry['value']:.4g} ± {entry['std']:.1g}" for name, entry in list(parameters.items())[:3]
     )
     driver = " and ".join(d.phrase for d in effect.drivers)
-    if effect.name == "unnamed":
+    if isinstance(effect, Unnamed):
+        driver += " and of its past" if effect.memory else ""
         return f"Something real at {effect.site}, a function of {driver}, that no entry of the catalogue explains."
     return (
         f"{effect.name.replace('_', ' ').capitalize()} at {effect.site}{f', by {driver}' if driver else ''}: {shown}."

@@ -17,7 +17,8 @@ TRIED = 20.0
 """Curves of a joint that are looked through wherever something may be, about."""
 _PIECES = {"position": (8, 24), "gravity torque": (1, 3, 8, 24), "velocity": (8, 24)}
 _PLAYS = (0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8)
-"""Half the width of a play over the largest value of its driver."""
+"""Half the width of a play over the largest value of its driver; of several at once:"""
+_SOFTLY = (0.05, 0.1, 0.2, 0.4, 0.7)
 _WIDTHS = (0.02, 0.05, 0.1, 0.2, 0.35, 0.5)
 """rad, of what is only here and there: half a step's, and a bump's standard deviation."""
 _CENTRES = 40
@@ -56,7 +57,7 @@ def shapes(evidence: Evidence, joint: int, local: bool) -> list[Shape]:
         if quantity == "position" and local:
             curves += _here_and_there(evidence, joint, values)
         elif quantity == "gravity torque":
-            curves.append(_with_memory(evidence, joint, driver, values))
+            curves += _with_memory(evidence, joint, driver, values)
     return list(map(Shape, curves, evidence.score(curves)))
 
 
@@ -97,13 +98,14 @@ def _bump(u: Array) -> Array:
     return np.exp(-0.5 * u**2)
 
 
-def _with_memory(evidence: Evidence, joint: int, driver: Driver, values: Array) -> Unnamed:
-    """Along with the driver and behind it, with the play that fits."""
+def _with_memory(evidence: Evidence, joint: int, driver: Driver, values: Array) -> list[Unnamed]:
+    """Along with the driver and behind it: with the one play that fits, and with several, as what gives way softly."""
     case = evidence.case
     site = case.sites["joint", joint - 1, 0]
-    widths = float(np.abs(values).max()) * np.array(_PLAYS)
+    most, low, high = float(np.abs(values).max()), float(values.min()), float(values.max())
+    widths = most * np.array(_PLAYS)
     behind = np.asarray(plays(jnp.asarray(values), jnp.asarray(widths), case.lived.run))
     pairs = np.stack([np.broadcast_to(values, behind.shape), behind], 1)
     best = float(widths[int(np.argmax(evidence.gains(site * pairs[:, :, None])))])
-    low, high = float(values.min()), float(values.max())
-    return Unnamed(f"joint{joint}", driver.phrase, low, high, memory=(0.0, best))
+    memories = ((0.0, best), (0.0, *(most * share for share in _SOFTLY)))
+    return [Unnamed(f"joint{joint}", driver.phrase, low, high, memory=memory) for memory in memories]

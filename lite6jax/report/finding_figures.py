@@ -55,8 +55,11 @@ def finding_curves(found: Diagnosis, title: str, chosen: Sequence[int] | None = 
             _draw_view(panel, view)
             panel.set_title(f"{k + 1}. {steps[k].effect.name.replace('_', ' ')}, {steps[k].effect.site}", fontsize=13)
         panels[0].plot([], [], color=AFTER, linewidth=2.5, label="fitted")
-        panels[0].fill_between([], [], [], color=AFTER, alpha=0.3, linewidth=0, label="± 2 std. deviations")
-        panels[0].errorbar([], [], [], fmt="o", color="black", capsize=3, label="data: medians ± std. error")
+        if all(view.loops for _, view in shown):
+            panels[0].plot([], [], ".", color=GREY, markersize=8, label="data")
+        else:
+            panels[0].fill_between([], [], [], color=AFTER, alpha=0.3, linewidth=0, label="± 2 std. deviations")
+            panels[0].errorbar([], [], [], fmt="o", color="black", capsize=3, label="data: medians ± std. error")
         legend_below(figure, panels[0], 3)
         figure.suptitle(title, fontsize=15)
     return figure
@@ -65,7 +68,8 @@ def finding_curves(found: Diagnosis, title: str, chosen: Sequence[int] | None = 
 class _View(NamedTuple):
     """A finding over one driver, on the screen's units: the data `(sample,)`, and the curve `(point,)` in order.
 
-    Medians are of `bins` bins: as many as a curve of many waves needs to be followed.
+    Medians are of `bins` bins: as many as a curve of many waves needs to be followed. What loops is no curve over the
+    driver: it has a point at each sample.
     """
 
     driver: Array
@@ -78,6 +82,7 @@ class _View(NamedTuple):
     angle: bool
     discrete: bool
     bins: int = BINS
+    loops: bool = False
 
 
 def _views(found: Diagnosis, k: int) -> list[_View]:
@@ -162,14 +167,12 @@ def _over_driver(
     scale, name = _MOVES["1" if key[0] in ("stretch", "scale") else unit]
     at, curve, slope = x, shape, jacobian
     waves = max(effect.orders, default=0.0) * np.ptp(x) / (2 * np.pi) if isinstance(effect, Unnamed) else 0.0
-    loop = isinstance(effect, Unnamed) and bool(effect.memory)
-    if isinstance(effect, Unnamed):
+    loops = isinstance(effect, Unnamed) and bool(effect.memory)
+    if isinstance(effect, Unnamed) and not loops:
         at = np.linspace(x.min(), x.max(), max(400, int(_POINTS_PER_WAVE * waves)))
-        at = np.concatenate([at, at[::-1], at]) if loop else at
         slope = np.asarray(effect.basis(jnp.asarray(at))).T
         curve = slope @ values
-        at, curve, slope = (whole[-2 * len(whole) // 3 :] if loop else whole for whole in (at, curve, slope))
-    elif driver.quantity == "position" and at_joint:
+    elif not loops and driver.quantity == "position" and at_joint:
         at = np.linspace(x.min(), x.max(), 1000)
         q = np.zeros((len(at), case.motion.dof))
         q[:, driver.place - 1] = at
@@ -187,14 +190,14 @@ def _over_driver(
         assert effect.order is not None
         x, at = (np.mod(effect.order * v, 2 * np.pi) for v in (x, at))
         across = f"phase of order {effect.order:.4g} of joint {effect.joint} (deg)"
-    order = np.arange(len(at)) if loop else np.argsort(at, kind="stable")
+    order = np.argsort(at, kind="stable")
     what = {"joint": "turn of the joint", "stretch": "growth of the links", "scale": "growth"}.get(
         key[0], f"{'shift' if key[2] < 3 else 'turn'} about {'xyz'[key[2] % 3]}".replace("shift about", "shift along")
     )
     return _View(
         per * x[good], scale * seen[good], per * at[order], scale * curve[order], scale * std[order], across,
         f"{what} ({name})", unit == "deg", driver.quantity == "direction of motion",
-        int(np.clip(_BINS_PER_WAVE * waves, BINS, max(len(x) // _SAMPLES_PER_BIN, BINS))),
+        int(np.clip(_BINS_PER_WAVE * waves, BINS, max(len(x) // _SAMPLES_PER_BIN, BINS))), loops,
     )  # fmt: skip
 
 
@@ -226,6 +229,10 @@ def _draw_view(panel: Axes, view: _View) -> None:
         view.driver[shown], view.seen[shown], ".", color=GREY, markersize=5, alpha=0.4, markeredgewidth=0,
         rasterized=True, zorder=2,
     )  # fmt: skip
+    if view.loops:
+        panel.plot(view.at, view.curve, ".", color=AFTER, markersize=5, zorder=4)
+        panel.set(xlabel=view.across, ylabel=view.up)
+        return
     panel.fill_between(
         view.at, view.curve - 2 * view.std, view.curve + 2 * view.std, color=AFTER, alpha=0.3, linewidth=0, zorder=3
     )

@@ -3,6 +3,7 @@
 from dataclasses import replace
 from io import StringIO
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from rich.console import Console
@@ -10,6 +11,7 @@ from rich.text import Text
 from test_diagnosis_page import COMPLIANCE, LITE6, Reader, diagnosed, recording_maker
 
 from lite6jax.diagnosis.against import Against
+from lite6jax.diagnosis.diagnose import statement
 from lite6jax.diagnosis.faults.rows import Fault
 from lite6jax.diagnosis.separation import Separation
 from lite6jax.diagnosis.steps import Rival
@@ -204,6 +206,25 @@ def test_a_curve_of_waves_lies_on_its_data(wavy):
     assert tuple(marks[0].get_xdata()) == WAVES
 
 
+def test_a_loop_has_a_point_at_each_sample(recorded):
+    """Over its driver it has more than one value."""
+    settings = recorded(COMPLIANCE)[0].settings
+    slack = Unnamed("joint2", "position of joint 2", -2.0, 2.0, memory=(0.0, 0.5))
+    values = np.array([4e-4, 1.5e-3])
+    recording = simulate(LITE6, Physics((slack,)), values, motion="static", samples=300, settings=settings)
+    loop = diagnosed(recording, Physics((slack,)))
+    (panel,) = diagnosis_figures.finding_curves(loop, "", [0]).axes
+    dots, curve = panel.lines[0], panel.lines[1]
+    assert curve.get_linestyle() == "None"
+    motion = loop.case.motion
+    fitted = np.asarray(slack.curve(jnp.asarray(values), motion.joint_position[1], motion.run))
+    order = np.argsort(np.asarray(motion.joint_position[1]), kind="stable")
+    np.testing.assert_allclose(np.deg2rad(curve.get_xdata()), np.asarray(motion.joint_position[1])[order], atol=1e-12)
+    np.testing.assert_allclose(1e-3 * np.asarray(curve.get_ydata()), fitted[order], atol=5e-5)
+    assert len(dots.get_xdata()) > 100
+    assert not panel.collections
+
+
 @pytest.mark.parametrize(
     ("effect", "title"),
     [
@@ -217,6 +238,14 @@ def test_a_curve_of_waves_lies_on_its_data(wavy):
 )
 def test_a_smooth_curve_is_named(effect, title):
     assert diagnosis_words.named(effect) == f"unnamed: {title}a smooth curve"
+
+
+def test_a_curve_with_memory_is_named():
+    effect = Unnamed("joint2", "gravity torque of joint 2", -1.0, 1.0, memory=(0.0, 0.3))
+    assert diagnosis_words.named(effect) == "unnamed: joint 2, function of its gravity torque and of its past, a loop"
+    assert statement(effect, {}).startswith(
+        "Something real at joint2, a function of gravity torque of joint 2 and of its past, that no entry"
+    )
 
 
 def test_many_findings_fit_a_page(compliant):
