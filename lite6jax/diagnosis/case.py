@@ -258,7 +258,7 @@ class Case:
 
         # loads are linear in masses, and all that gives way but curves in loads: no derivative has to be traced
         less, more = deflected(float(mass[0]) - _GRAM), deflected(float(mass[0]) + _GRAM)
-        shapes = (np.asarray(b - a)[None] / (2 * _GRAM) for a, b in zip(less, more, strict=True))
+        shapes = ((np.asarray(b) - np.asarray(a))[None] / (2 * _GRAM) for a, b in zip(less, more, strict=True))
         return Deflection(*shapes)  # type: ignore[arg-type]
 
     def _unit(self, effect: Effect) -> Deflection:
