@@ -26,8 +26,8 @@ from lite6jax.physics.unnamed import Unnamed
 
 Array = NDArray[np.floating]
 
-LEVEL = 0.001
-"""Family-wise: of a thousand recordings with nothing missing, one may show something."""
+LEVEL = 0.003
+"""Family-wise: of 300 recordings with nothing missing, one may show something."""
 MOST = 8
 _RELINEARISED = 3
 _REFITTED = 4

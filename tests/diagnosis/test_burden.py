@@ -16,10 +16,15 @@ from lite6jax.diagnosis.selection import Selection, search_of
 from lite6jax.diagnosis.stated import stated
 from lite6jax.diagnosis.steps import Step
 from lite6jax.physics.composition import Physics
-from lite6jax.physics.joints import JointCompliance
+from lite6jax.physics.joints import JointCompliance, JointHarmonic
 
 COMPLIANCE = 2e-4
 SURE = Step(JointCompliance(2), 0.0, Score(100.0, 1, 0.0, False, np.zeros(1)))
+
+
+@pytest.fixture(scope="module")
+def still():
+    return static_motion(6)
 
 
 @pytest.fixture(scope="module")
@@ -101,3 +106,21 @@ def test_orders_read_off_a_spectrum_are_fitted_along(tmp_path, moving):
         assert abs(got[name].value - true) < 4 * got[name].std
     # a phase is known no better than the order by which it turns
     assert got["phase_rad"].std > 1.05 * before["phase_rad"].std
+
+
+@pytest.mark.parametrize(("order", "said"), [(5.0, 5.0), (4.96, None)])
+def test_a_whole_order_is_kept_while_the_data_allow_it(tmp_path, still, order, said):
+    made = Made(tmp_path, (f"joint_harmonic:joint=1,order={order},amplitude_rad=4e-4,phase_rad=0.5",), seed=1)
+    selection = searched(case_of(made.recording(still, seed=2)))[1]
+    (step,) = selection.steps
+    whole = JointHarmonic(1, 5.0)
+    fitted = refit(selection.case, Physics((whole,)), moved=selection.fitted.moved, used=selection.fitted.used)
+    got = stated(replace(selection, fitted=fitted, steps=(replace(step, effect=whole),)))
+    (effect,) = got.fitted.physics.effects
+    assert isinstance(effect, JointHarmonic)
+    assert effect.order is not None
+    assert effect == got.steps[0].effect
+    if said is None:
+        assert abs(effect.order - order) < 0.01
+    else:
+        assert effect.order == said

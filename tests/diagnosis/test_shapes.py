@@ -93,7 +93,7 @@ def test_a_spring_that_yields_and_remembers(arm, motion):
 
 
 def test_nothing_is_likely_where_nothing_is(arm, still):
-    """Of all curves of all joints of three recordings, none is what a recording in a thousand shows by chance."""
+    """Of all curves of all joints of three recordings, none is what one recording in 300 shows by chance."""
     for seed in range(3):
         search = search_of(case_of(arm.recording(still, seed=seed)))
         selection = search.run()
