@@ -555,3 +555,13 @@ class TestFrameJump:
         text = "base_drift:vx_m_per_s=1e-6,vy_m_per_s=-5e-7,vz_m_per_s=3e-7"
         for setup in SETUPS.values():
             assert examine(Made(folder, (text,), seed=13, **setup).recording(still)).faults == ()
+
+
+def test_a_chain_far_from_its_table_is_no_other_reading(tmp_path):
+    """A zero 150 mrad off misses grossly with the nominal chain; one that is fitted meets the poses as they stand."""
+    far = ("joint_offset:joint=3,offset_rad=0.15",)
+    made = Made(tmp_path, far, seed=8, geometry="free", frame=True, tool=True, orientation=False)
+    examined = examine(made.recording(moving_motion(8, 200)))
+    assert examined.faults == ()
+    said = next(fault for fault in examined.checked if fault.fault == "joint_unit").statement
+    assert "as they stand the poses are met within 0.0" in said

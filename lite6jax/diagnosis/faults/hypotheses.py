@@ -161,7 +161,7 @@ def reread(arm: Rigid) -> Reread:
     """The reading of the columns with which a recording fits, where as they stand it misses grossly.
 
     All are screened on some rows of the nominal arm, frames in closed form; the best are fitted, and must leave a fifth
-    of the misfit at most. Pairs are tried where no single one does.
+    of the misfit at most, and be likelier than a fit as they stand. Pairs are tried where no single one does.
 
     Args:
         arm: not fitted yet, of a recording with poses.
@@ -189,6 +189,11 @@ def reread(arm: Rigid) -> Reread:
     rank = {reading: k for k, reading in enumerate(singles)}
     inside = [(_outside(arm, reading), rank.get(reading, 0), k) for k, (_, _, reading) in enumerate(alike)]
     chosen = alike[min(inside)[-1]][2]
+    # a chain that is not known may be further from its table than is gross, and fit as the columns stand
+    read, stands = _read(arm, chosen).fitted(), arm.fitted()
+    scale = min(read.scale, stands.scale)
+    if read.log_likelihood(scale) < stands.log_likelihood(scale) + TRUSTED:
+        return Reread(_median_misfit(stands), gross)
     others = [reading for _, _, reading in alike if reading is not chosen]
     words = dict.fromkeys(reading.words for reading in others if not _a_turn_away(reading, chosen))
     return Reread(misfit, gross, chosen, least, tuple(words))
