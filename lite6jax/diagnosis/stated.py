@@ -33,11 +33,13 @@ def stated(selection: Selection) -> Selection:
     else:
         unsure = np.zeros_like(fitted.covariance)
     free = [isinstance(e, JointHarmonic) and e.order not in (None, 1.0, 2.0) for e in fitted.physics.effects]
-    if any(free):
-        opened = _opened(case, fitted, free)
-        free = [is_free and not _is_whole(opened, k, fitted) for k, is_free in enumerate(free)]
     if any(free) or case.unknown:
-        fitted = _held(_opened(case, fitted, free), free)
+        opened = _opened(case, fitted, free)
+        still = [is_free and not _is_whole(opened, k, fitted) for k, is_free in enumerate(free)]
+        if still == free:
+            fitted = _held(opened, free)
+        elif any(still) or case.unknown:
+            fitted = _held(_opened(case, fitted, still), still)
     fitted = replace(fitted, covariance=fitted.covariance + unsure)
     steps = zip(selection.steps, fitted.physics.effects, strict=True)
     return replace(selection, fitted=fitted, steps=tuple(replace(step, effect=effect) for step, effect in steps))
