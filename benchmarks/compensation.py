@@ -14,9 +14,9 @@ from benchmarks.concealed.chain import MADE, Array, factory_text, lite6, quatern
 from benchmarks.concealed.mujoco_physics import Arm
 from benchmarks.concealed.plain_physics import Hidden, Motion, Setup
 from benchmarks.measure import Record, timed
-from lite6jax.diagnosis.compensation import compensate, read_limits, read_wanted
 from lite6jax.diagnosis.diagnose import diagnose
-from lite6jax.diagnosis.prediction import read_model
+from lite6jax.domains.pose.compensate import compensate, read_limits, read_wanted
+from lite6jax.domains.pose.predict import read_model
 from lite6jax.fitting.fit import fit
 from lite6jax.recordings import Recording, RecordingSettings, read_recording, write_recording
 from lite6jax.storage import write_atomically

@@ -17,19 +17,19 @@ from benchmarks.measure import Record, timed
 from benchmarks.one_by_one import Readings, refit_each
 from lite6jax.arms.bundled import load_bundled
 from lite6jax.arms.factory import write_factory
-from lite6jax.diagnosis.case import Case, case_of
 from lite6jax.diagnosis.diagnose import diagnose as diagnosis_of
-from lite6jax.diagnosis.evidence import evidence_of
-from lite6jax.diagnosis.faults.rivals import explain
-from lite6jax.diagnosis.faults.rows import Fault
-from lite6jax.diagnosis.prediction import read_model
-from lite6jax.diagnosis.refit import refit
-from lite6jax.diagnosis.selection import search_of
-from lite6jax.diagnosis.steps import Step
-from lite6jax.physics.catalogue import parse_effect
-from lite6jax.physics.composition import Physics
-from lite6jax.physics.effect import Effect
+from lite6jax.diagnosis.explanation import explain
+from lite6jax.domains.pose.predict import read_model
+from lite6jax.domains.pose.problem import Case, case_of
+from lite6jax.domains.pose.screening.rows import Fault
+from lite6jax.effects.catalogue import parse_effect
+from lite6jax.effects.composition import Physics
+from lite6jax.effects.effect import Effect
+from lite6jax.estimation.least_squares import refit
+from lite6jax.estimation.score_test import evidence_of
 from lite6jax.recordings import FactoryUncertainty, Recording, RecordingSettings, write_recording
+from lite6jax.search.backward import Step
+from lite6jax.search.forward import search_of
 from lite6jax.simulation import Undeclared, draw_calibration, draw_sensor_frame, perturbed, simulate
 
 OURS = "lite6jax"

@@ -12,11 +12,11 @@ from jax.typing import ArrayLike
 from lite6jax.arms.chains import Bend, Form, fk, sweep
 from lite6jax.arms.moves import Frame, base_frame, displace, turn
 from lite6jax.arms.se3 import rotation_exp, transform
+from lite6jax.effects.composition import Physics
+from lite6jax.effects.deflection import Deflection
+from lite6jax.effects.motion import Motion
+from lite6jax.effects.statics import Inertia, Loads, loads
 from lite6jax.errors import InputError
-from lite6jax.physics.composition import Physics
-from lite6jax.physics.deflection import Deflection
-from lite6jax.physics.motion import Motion
-from lite6jax.physics.statics import Inertia, Loads, loads
 
 TWIST_NAMES = ("x", "y", "z", "rx", "ry", "rz")
 

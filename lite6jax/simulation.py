@@ -13,10 +13,10 @@ from lite6jax.arms import frames
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.chains import SixParameterForm
 from lite6jax.arms.se3 import quaternion_from_rotation
+from lite6jax.effects.composition import Physics
 from lite6jax.errors import InputError
 from lite6jax.identifiability.sensor import SENSORS, Sensor
 from lite6jax.model import arm_model, predict_poses
-from lite6jax.physics.composition import Physics
 from lite6jax.recordings import Recording, RecordingSettings
 from lite6jax.recordings.motion import inertia_of_arm, motion_of_recording
 from lite6jax.recordings.settings import Motion as MotionKind

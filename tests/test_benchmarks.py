@@ -7,18 +7,18 @@ from functools import partial
 
 import numpy as np
 import pytest
-from physics.plain_physics import predicted_poses
+from effects.plain_physics import predicted_poses
 from plain_chain import ASSEMBLY, hayati_poses, six_parameter_poses
 from scipy.spatial.transform import Rotation
 
 from benchmarks import __main__ as harness
 from benchmarks import command, diagnose, fits, measure, one_by_one, problem, rivals, samples, seed_way
 from benchmarks.measure import Record
-from lite6jax.diagnosis.evidence import Score
-from lite6jax.diagnosis.faults.examination import Fault
-from lite6jax.diagnosis.steps import Step
-from lite6jax.physics.catalogue import catalogue, parse_effect
-from lite6jax.physics.surroundings import TimeOffset
+from lite6jax.domains.pose.screening.screen import Fault
+from lite6jax.effects.catalogue import catalogue, parse_effect
+from lite6jax.effects.kinematic.surroundings import TimeOffset
+from lite6jax.estimation.score_test import Score
+from lite6jax.search.backward import Step
 
 KEYS = {"workload", "subject", "metric", "value", "unit", "better"}
 RNG_SEED = 11

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from physics.plain_physics import predicted_poses
+from effects.plain_physics import predicted_poses
 from plain_chain import origin_transform, product, six_parameter_poses
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
@@ -19,11 +19,11 @@ from lite6jax import cli
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.bundled import bundled_arms, load_bundled
 from lite6jax.arms.factory import read_factory, write_factory
+from lite6jax.effects.catalogue import parse_effect
+from lite6jax.effects.composition import Physics
 from lite6jax.errors import InputError
 from lite6jax.fitting.fit import fit_recording
 from lite6jax.identifiability.sensor import Sensor
-from lite6jax.physics.catalogue import parse_effect
-from lite6jax.physics.composition import Physics
 from lite6jax.recordings import RecordingSettings, read_recording
 from lite6jax.simulation import (
     INSTRUMENTS,
@@ -528,7 +528,7 @@ def test_effects_of_the_users_own(capsys, tmp_path):
     own = tmp_path / "my_effects.py"
     own.write_text(
         "from dataclasses import dataclass\nfrom typing import ClassVar, final\nimport jax.numpy as jnp\n"
-        "from lite6jax.physics.drivers import Driver\nfrom lite6jax.physics.effect import Coordinate, JointEffect\n"
+        "from lite6jax.effects.drivers import Driver\nfrom lite6jax.effects.effect import Coordinate, JointEffect\n"
         "@final\n@dataclass(frozen=True)\nclass CableDrag(JointEffect):\n    name: ClassVar[str] = 'cable_drag'\n"
         "    @property\n    def coordinates(self):\n        return (Coordinate('drag_rad', 'rad', 1e-4),)\n"
         "    @property\n    def drivers(self):\n        return (Driver('position', self.joint),)\n"

@@ -18,8 +18,8 @@ from benchmarks.residual.black_boxes import gaussian_process, geometry_alone, ne
 from benchmarks.residual.linear import ridge, stepwise
 from benchmarks.residual.view import Array, Fitted, Geometry, Rival, View, rotations
 from lite6jax.diagnosis.diagnose import diagnose
-from lite6jax.diagnosis.prediction import Enriched, register_motion
-from lite6jax.diagnosis.registration import register
+from lite6jax.domains.pose.predict import Enriched, register_motion
+from lite6jax.domains.pose.registration import register
 from lite6jax.recordings import Recording
 
 OURS = "lite6jax"

@@ -48,9 +48,9 @@ class Compensate:
         import pyarrow as pa
         import pyarrow.csv as pa_csv
 
-        from lite6jax.diagnosis.compensation import compensate, read_limits, read_wanted
-        from lite6jax.diagnosis.prediction import read_model
-        from lite6jax.physics.catalogue import load_effects
+        from lite6jax.domains.pose.compensate import compensate, read_limits, read_wanted
+        from lite6jax.domains.pose.predict import read_model
+        from lite6jax.effects.catalogue import load_effects
         from lite6jax.recordings import sidecar_path, write_settings
         from lite6jax.report import compensation_tables, screen
 

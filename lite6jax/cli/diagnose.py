@@ -59,10 +59,10 @@ class Diagnose:
             canvas.check_names(self.figures, [f"{self.source.stem}_{name}" for name in NAMES], self.force)
         from lite6jax.arms.arm import Arm
         from lite6jax.arms.files import read_arm
-        from lite6jax.diagnosis.against import diagnose_against
         from lite6jax.diagnosis.diagnose import FOLDS, diagnose
+        from lite6jax.domains.pose.reference import diagnose_against
+        from lite6jax.effects.catalogue import load_effects
         from lite6jax.fitting.fit import load_nominal, read_source
-        from lite6jax.physics.catalogue import load_effects
         from lite6jax.recordings import Recording
         from lite6jax.report import diagnosis_tables, screen
 
@@ -139,8 +139,8 @@ class Predict:
         import pyarrow as pa
         import pyarrow.csv as pa_csv
 
-        from lite6jax.diagnosis.prediction import predict_motion, read_model, read_motion, register_motion, table
-        from lite6jax.physics.catalogue import load_effects
+        from lite6jax.domains.pose.predict import predict_motion, read_model, read_motion, register_motion, table
+        from lite6jax.effects.catalogue import load_effects
         from lite6jax.report import diagnosis_tables, screen
 
         model = read_model(self.diagnosis, load_effects(self.effects) if self.effects else ())

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from rich.console import RenderableType
 
     from lite6jax.arms.arm import Arm
-    from lite6jax.physics.composition import Physics
+    from lite6jax.effects.composition import Physics
     from lite6jax.recordings import RecordingSettings
     from lite6jax.simulation import Instrument, Measured
 
@@ -175,8 +175,8 @@ class Simulate:
         return DONE
 
     def _physics(self) -> "tuple[Physics, np.ndarray]":
-        from lite6jax.physics.catalogue import kinds_of, load_effects, parse_effect
-        from lite6jax.physics.composition import Physics
+        from lite6jax.effects.catalogue import kinds_of, load_effects, parse_effect
+        from lite6jax.effects.composition import Physics
 
         own = () if self.effects is None else load_effects(self.effects)
         parsed = [parse_effect(text, kinds_of(own)) for text in self.effect]

@@ -85,7 +85,7 @@ class Setup:
         )
         if not self.effect:
             return setup
-        from lite6jax.physics.catalogue import parse_effect
+        from lite6jax.effects.catalogue import parse_effect
 
         effects, values = zip(*(parse_effect(text, neutral=True) for text in self.effect), strict=True)
         try:
@@ -136,9 +136,9 @@ class Identify:
     def run(self) -> int:
         """Studies, draws, prints."""
         from lite6jax.arms.files import read_arm
+        from lite6jax.effects.catalogue import parse_effect
         from lite6jax.fitting.fit import load_nominal, read_source
         from lite6jax.identifiability.identify import identify, identify_recording
-        from lite6jax.physics.catalogue import parse_effect
         from lite6jax.recordings import Recording, recording_file
 
         _check_seed(self.seed)
@@ -357,7 +357,7 @@ class Design:
                 experiment, drawn.joint_position, self.poses, criterion=self.criterion, accuracy=accuracy, **asked
             )
         else:
-            from lite6jax.physics.catalogue import parse_effect
+            from lite6jax.effects.catalogue import parse_effect
 
             rivals = (parse_effect(self.rivals[0]), parse_effect(self.rivals[1], neutral=True))
             found = separate_poses(experiment, rivals, drawn.joint_position, self.poses, **asked)

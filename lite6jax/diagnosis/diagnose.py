@@ -10,17 +10,17 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from lite6jax.arms.arm import Arm
-from lite6jax.diagnosis.case import Case, arm_moved
-from lite6jax.diagnosis.faults.rivals import explain
-from lite6jax.diagnosis.faults.rows import Fault
-from lite6jax.diagnosis.selection import Selection
-from lite6jax.diagnosis.separation import Separation, separations
-from lite6jax.diagnosis.stated import stated
+from lite6jax.diagnosis.discrimination import Separation, separations
+from lite6jax.diagnosis.explanation import explain
+from lite6jax.domains.pose.problem import Case, arm_moved
+from lite6jax.domains.pose.screening.rows import Fault
+from lite6jax.effects.catalogue import Untestable, effect_as_dict
+from lite6jax.effects.effect import Effect
+from lite6jax.effects.nonparametric import Unnamed
 from lite6jax.fitting.problem import Geometry
-from lite6jax.physics.catalogue import Untestable, effect_as_dict
-from lite6jax.physics.effect import Effect
-from lite6jax.physics.unnamed import Unnamed
 from lite6jax.recordings import Recording
+from lite6jax.search.final_estimates import stated
+from lite6jax.search.forward import Selection
 
 Array = NDArray[np.floating]
 Verdict = Literal["consistent", "explained", "partly_explained", "unnamed"]

@@ -13,11 +13,11 @@ from lite6jax.arms.arm import Arm
 from lite6jax.arms.chains import SixParameterForm
 from lite6jax.arms.factory import recognise
 from lite6jax.controller import protocol
+from lite6jax.effects.composition import Physics
+from lite6jax.effects.motion import Motion
+from lite6jax.effects.statics import STANDARD_GRAVITY, Inertia, inertia_of
 from lite6jax.errors import InputError
 from lite6jax.model import ArmModel, predict_poses
-from lite6jax.physics.composition import Physics
-from lite6jax.physics.motion import Motion
-from lite6jax.physics.statics import STANDARD_GRAVITY, Inertia, inertia_of
 
 Array = NDArray[np.floating]
 

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lite6jax.arms.arm import Arm
+from lite6jax.effects.effect import Effect
 from lite6jax.fitting.fit import fit_recording
 from lite6jax.fitting.fleet import sample_within_limits
 from lite6jax.fitting.problem import Geometry
@@ -16,7 +17,6 @@ from lite6jax.identifiability.indices import Observability, observability
 from lite6jax.identifiability.information import Experiment, recorded
 from lite6jax.identifiability.monte_carlo import Refits, refit
 from lite6jax.identifiability.sensor import BARE
-from lite6jax.physics.effect import Effect
 from lite6jax.recordings import Recording
 
 Array = NDArray[np.floating]

@@ -17,15 +17,15 @@ from numpy.typing import ArrayLike, NDArray
 from lite6jax.arms import bundled
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.chains import SixParameterForm
+from lite6jax.effects.composition import Physics
+from lite6jax.effects.effect import Effect
+from lite6jax.effects.statics import inertia_of
 from lite6jax.errors import InputError
 from lite6jax.fitting.fleet import BLOCK, pad
 from lite6jax.fitting.problem import Geometry, recording_problem
 from lite6jax.identifiability.readings import Numbers, reading_columns, total_information
 from lite6jax.identifiability.sensor import Sensor, sensor_named
 from lite6jax.model import ArmModel, ModelForm
-from lite6jax.physics.composition import Physics
-from lite6jax.physics.effect import Effect
-from lite6jax.physics.statics import inertia_of
 from lite6jax.recordings import Recording
 
 Array = NDArray[np.floating]

@@ -10,13 +10,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from lite6jax.arms.moves import Frame, turn
 from lite6jax.arms.se3 import rotation_exp, rotation_log_components
+from lite6jax.effects.composition import Physics
 from lite6jax.errors import InputError
 from lite6jax.identifiability.determination import Determination, determine
 from lite6jax.identifiability.information import Experiment
 from lite6jax.identifiability.readings import Numbers, joint_changes, tool_frame
 from lite6jax.identifiability.sensor import Sensor, joint_whitener
 from lite6jax.model import ModelForm
-from lite6jax.physics.composition import Physics
 
 Array = NDArray[np.floating]
 

@@ -8,6 +8,7 @@ import jax
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from lite6jax.effects.effect import Effect
 from lite6jax.errors import InputError
 from lite6jax.fitting.fleet import sample_within_limits
 from lite6jax.identifiability.criteria import (
@@ -23,7 +24,6 @@ from lite6jax.identifiability.identify import WORKSPACE
 from lite6jax.identifiability.information import Experiment
 from lite6jax.identifiability.refine import Refinement, refine
 from lite6jax.identifiability.sensor import BARE
-from lite6jax.physics.effect import Effect
 
 Array = NDArray[np.floating]
 CriterionName = Literal["D", "A", "E", "I"]

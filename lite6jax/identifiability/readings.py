@@ -8,12 +8,12 @@ import jax.numpy as jnp
 
 from lite6jax.arms.chains import SixParameterForm
 from lite6jax.arms.moves import Frame, Turn, Twist, cross, turn
+from lite6jax.effects.composition import Physics
+from lite6jax.effects.motion import Motion
+from lite6jax.effects.statics import Inertia, Loads, loads
 from lite6jax.fitting.residual import predict_frames, step_order, twist_columns
 from lite6jax.identifiability.sensor import Sensor, joint_whitener
 from lite6jax.model import ArmModel, ModelForm, predict_frames_with
-from lite6jax.physics.composition import Physics
-from lite6jax.physics.motion import Motion
-from lite6jax.physics.statics import Inertia, Loads, loads
 
 
 class Numbers(NamedTuple):

@@ -3,8 +3,8 @@
 import numpy as np
 
 from lite6jax.arms.arm import Arm
-from lite6jax.physics.motion import Motion, motion_of
-from lite6jax.physics.statics import Inertia, inertia_of
+from lite6jax.effects.motion import Motion, motion_of
+from lite6jax.effects.statics import Inertia, inertia_of
 from lite6jax.recordings.recording import Recording
 from lite6jax.recordings.settings import RecordingSettings
 

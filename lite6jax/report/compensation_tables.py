@@ -9,8 +9,8 @@ from rich.console import RenderableType
 from rich.padding import Padding
 from rich.text import Text
 
-from lite6jax.diagnosis.compensation import REACHED, Compensation
-from lite6jax.diagnosis.prediction import Enriched
+from lite6jax.domains.pose.compensate import REACHED, Compensation
+from lite6jax.domains.pose.predict import Enriched
 from lite6jax.report.cells import fixed, listing, number
 
 _ROWS_NAMED = 8

@@ -10,19 +10,19 @@ from matplotlib.ticker import FixedLocator, NullFormatter, StrMethodFormatter
 from numpy.typing import NDArray
 from scipy.special import chdtri
 
-from lite6jax.diagnosis.case import Case
-from lite6jax.diagnosis.colour import autocorrelation
 from lite6jax.diagnosis.diagnose import Diagnosis
-from lite6jax.diagnosis.evidence import Evidence, Score, evidence_of
-from lite6jax.diagnosis.refit import Fitted
-from lite6jax.diagnosis.selection import LEVEL
-from lite6jax.diagnosis.spectrum import spectrum
-from lite6jax.physics.drivers import Driver
-from lite6jax.physics.joints import JointHarmonic
-from lite6jax.physics.unnamed import Unnamed, spline_basis
+from lite6jax.domains.pose.problem import Case
+from lite6jax.effects.drivers import Driver
+from lite6jax.effects.kinematic.joints import JointHarmonic
+from lite6jax.effects.nonparametric import Unnamed, spline_basis
+from lite6jax.estimation.least_squares import Fitted
+from lite6jax.estimation.noise import autocorrelation
+from lite6jax.estimation.score_test import Evidence, Score, evidence_of
 from lite6jax.report.canvas import AFTER, BEFORE, FRAMED, STYLE, blank, degree_ticks, thinned
 from lite6jax.report.finding_figures import finding_curves
 from lite6jax.report.panels import GREY, legend_below, medians, panels_in_rows
+from lite6jax.search.forward import LEVEL
+from lite6jax.search.spectrum import spectrum
 
 Array = NDArray[np.floating]
 

@@ -9,13 +9,13 @@ from rich.table import Table
 from rich.text import Text
 
 from lite6jax.arms import frames
-from lite6jax.diagnosis.against import Against
-from lite6jax.diagnosis.burden import INERTIA_COUNTS
 from lite6jax.diagnosis.diagnose import Diagnosis, statement
-from lite6jax.diagnosis.registration import Registration
-from lite6jax.diagnosis.separation import Separation
-from lite6jax.physics.catalogue import effect_as_dict
-from lite6jax.physics.unnamed import Unnamed
+from lite6jax.diagnosis.discrimination import Separation
+from lite6jax.domains.pose.load_model import INERTIA_COUNTS
+from lite6jax.domains.pose.reference import Against
+from lite6jax.domains.pose.registration import Registration
+from lite6jax.effects.catalogue import effect_as_dict
+from lite6jax.effects.nonparametric import Unnamed
 from lite6jax.report import diagnosis_words as words
 from lite6jax.report.cells import SCREEN, fixed, listing, number
 

@@ -8,16 +8,16 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lite6jax.diagnosis.against import Against
-from lite6jax.diagnosis.case import Case
 from lite6jax.diagnosis.diagnose import Diagnosis
-from lite6jax.diagnosis.faults.rows import named as rows_in_words
-from lite6jax.diagnosis.separation import Separation, differ
-from lite6jax.diagnosis.steps import CLOSE, Rival, Step
-from lite6jax.physics.catalogue import Untestable
-from lite6jax.physics.effect import Effect
-from lite6jax.physics.unnamed import Unnamed
+from lite6jax.diagnosis.discrimination import Separation, differ
+from lite6jax.domains.pose.problem import Case
+from lite6jax.domains.pose.reference import Against
+from lite6jax.domains.pose.screening.rows import named as rows_in_words
+from lite6jax.effects.catalogue import Untestable
+from lite6jax.effects.effect import Effect
+from lite6jax.effects.nonparametric import Unnamed
 from lite6jax.report.cells import number, plus_minus
+from lite6jax.search.backward import CLOSE, Rival, Step
 
 Array = NDArray[np.floating]
 

@@ -12,16 +12,16 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
-from lite6jax.diagnosis.case import Case
 from lite6jax.diagnosis.diagnose import Diagnosis
-from lite6jax.diagnosis.refit import Fitted
-from lite6jax.physics.deflection import Deflection
-from lite6jax.physics.drivers import Driver
-from lite6jax.physics.effect import Bending, Effect
-from lite6jax.physics.joints import JointHarmonic
-from lite6jax.physics.motion import Motion, motion_of
-from lite6jax.physics.statics import Loads
-from lite6jax.physics.unnamed import Unnamed
+from lite6jax.domains.pose.problem import Case
+from lite6jax.effects.deflection import Deflection
+from lite6jax.effects.drivers import Driver
+from lite6jax.effects.effect import Bending, Effect
+from lite6jax.effects.kinematic.joints import JointHarmonic
+from lite6jax.effects.motion import Motion, motion_of
+from lite6jax.effects.nonparametric import Unnamed
+from lite6jax.effects.statics import Loads
+from lite6jax.estimation.least_squares import Fitted
 from lite6jax.report.canvas import AFTER, STYLE, degree_ticks, thinned
 from lite6jax.report.panels import BINS, GREY, legend_below, medians, panels_in_rows
 

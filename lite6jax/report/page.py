@@ -12,16 +12,16 @@ from matplotlib import rc_context
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from lite6jax.diagnosis.against import Against
-from lite6jax.diagnosis.case import Case
 from lite6jax.diagnosis.diagnose import Diagnosis
-from lite6jax.diagnosis.separation import Separation
-from lite6jax.diagnosis.steps import Step
-from lite6jax.physics.unnamed import Unnamed
+from lite6jax.diagnosis.discrimination import Separation
+from lite6jax.domains.pose.problem import Case
+from lite6jax.domains.pose.reference import Against
+from lite6jax.effects.nonparametric import Unnamed
 from lite6jax.report import diagnosis_words as words
 from lite6jax.report.canvas import STYLE
 from lite6jax.report.cells import fixed, number
 from lite6jax.report.finding_figures import finding_curves
+from lite6jax.search.backward import Step
 
 Array = NDArray[np.floating]
 

@@ -4,13 +4,13 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from physics.plain_physics import predicted_poses
+from effects.plain_physics import predicted_poses
 from plain_chain import perturb_poses, perturbed, random_positions
 from scipy.spatial.transform import Rotation
 
 from lite6jax.arms.bundled import load_bundled
 from lite6jax.arms.factory import write_factory
-from lite6jax.physics.catalogue import parse_effect
+from lite6jax.effects.catalogue import parse_effect
 from lite6jax.recordings import Recording, RecordingSettings
 from lite6jax.recordings.settings import FactoryUncertainty
 

@@ -22,10 +22,10 @@ from typed import flat, refused, run
 from lite6jax import simulation
 from lite6jax.arms.bundled import load_bundled
 from lite6jax.arms.factory import write_factory
-from lite6jax.diagnosis.against import SAME_JOINTS, compare, diagnose_against
+from lite6jax.domains.pose.reference import SAME_JOINTS, compare, diagnose_against
+from lite6jax.effects.catalogue import parse_effect
+from lite6jax.effects.composition import Physics
 from lite6jax.errors import InputError
-from lite6jax.physics.catalogue import parse_effect
-from lite6jax.physics.composition import Physics
 from lite6jax.recordings import Recording, write_recording
 
 SAMPLES = 160

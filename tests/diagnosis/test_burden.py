@@ -6,17 +6,17 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from diagnosis.recorded import Made, estimates, found, moving_motion, static_motion
-from physics.pinocchio_arm import pinocchio_arm
+from effects.pinocchio_arm import pinocchio_arm
 
-from lite6jax.diagnosis.burden import INERTIA_COUNTS, gain_of, searched, with_other_loads
-from lite6jax.diagnosis.case import case_of
-from lite6jax.diagnosis.evidence import Score
-from lite6jax.diagnosis.refit import refit
-from lite6jax.diagnosis.selection import Selection, search_of
-from lite6jax.diagnosis.stated import stated
-from lite6jax.diagnosis.steps import Step
-from lite6jax.physics.composition import Physics
-from lite6jax.physics.joints import JointCompliance, JointHarmonic
+from lite6jax.domains.pose.load_model import INERTIA_COUNTS, gain_of, searched, with_other_loads
+from lite6jax.domains.pose.problem import case_of
+from lite6jax.effects.composition import Physics
+from lite6jax.effects.kinematic.joints import JointCompliance, JointHarmonic
+from lite6jax.estimation.least_squares import refit
+from lite6jax.estimation.score_test import Score
+from lite6jax.search.backward import Step
+from lite6jax.search.final_estimates import stated
+from lite6jax.search.forward import Selection, search_of
 
 COMPLIANCE = 2e-4
 SURE = Step(JointCompliance(2), 0.0, Score(100.0, 1, 0.0, False, np.zeros(1)))

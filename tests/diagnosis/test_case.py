@@ -8,10 +8,10 @@ from diagnosis.recorded import NOISE, Made, moving_motion, plain_effect, static_
 from plain_chain import six_parameter_poses
 from scipy.spatial.transform import Rotation
 
-from lite6jax.diagnosis.case import arm_moved, case_of, moved_to
-from lite6jax.physics.catalogue import parse_effect
-from lite6jax.physics.composition import Physics
-from lite6jax.physics.joints import JointHarmonic
+from lite6jax.domains.pose.problem import arm_moved, case_of, moved_to
+from lite6jax.effects.catalogue import parse_effect
+from lite6jax.effects.composition import Physics
+from lite6jax.effects.kinematic.joints import JointHarmonic
 
 SAMPLES = 12
 NOTHING = Physics()

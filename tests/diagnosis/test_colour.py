@@ -6,12 +6,12 @@ from diagnosis.recorded import NOISE, Made, found, moving_motion, static_motion
 from scipy.linalg import toeplitz
 from scipy.stats import chi2
 
-from lite6jax.diagnosis.case import case_of
-from lite6jax.diagnosis.colour import WHITE, Colour, autocorrelation, colour_of, correlation_length, stretches
-from lite6jax.diagnosis.evidence import colour_left
-from lite6jax.diagnosis.refit import refit
-from lite6jax.diagnosis.selection import search_of, select
-from lite6jax.physics.composition import Physics
+from lite6jax.domains.pose.problem import case_of
+from lite6jax.effects.composition import Physics
+from lite6jax.estimation.least_squares import refit
+from lite6jax.estimation.noise import WHITE, Colour, autocorrelation, colour_of, correlation_length, stretches
+from lite6jax.estimation.score_test import colour_left
+from lite6jax.search.forward import search_of, select
 
 
 def noise(rng, memory, slow, rows, samples):

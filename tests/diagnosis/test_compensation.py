@@ -15,8 +15,8 @@ from typed import refused as refused_as_typed
 
 from benchmarks import compensation as benchmark
 from lite6jax.arms.bundled import load_bundled
-from lite6jax.diagnosis.compensation import compensate, read_limits
-from lite6jax.diagnosis.prediction import read_model
+from lite6jax.domains.pose.compensate import compensate, read_limits
+from lite6jax.domains.pose.predict import read_model
 from lite6jax.recordings import Recording, RecordingSettings, Targets, read_targets, write_recording
 from lite6jax.report.compensation_tables import compensation_report
 

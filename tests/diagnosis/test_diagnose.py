@@ -10,14 +10,14 @@ from diagnosis.recorded import NOISE, Made, check_values, found, moving_motion, 
 from lite6jax.arms import frames
 from lite6jax.arms.bundled import load_bundled
 from lite6jax.arms.factory import write_factory
-from lite6jax.diagnosis.case import case_of
 from lite6jax.diagnosis.diagnose import FOLDS, diagnose, statement
-from lite6jax.diagnosis.faults import jumps
-from lite6jax.diagnosis.faults.examination import examine
-from lite6jax.diagnosis.faults.rivals import explain
-from lite6jax.diagnosis.selection import search_of
+from lite6jax.diagnosis.explanation import explain
+from lite6jax.domains.pose.problem import case_of
+from lite6jax.domains.pose.screening import frame_jumps as jumps
+from lite6jax.domains.pose.screening.screen import examine
 from lite6jax.errors import InputError
 from lite6jax.recordings import Recording
+from lite6jax.search.forward import search_of
 
 SAMPLES = 300
 MOTION_CAPTURE = (2e-4, 1e-3)
@@ -117,7 +117,9 @@ def test_physics_that_looks_like_a_jump_is_physics(arm):
 
 def test_held_out_errors_are_those_of_the_rest(arm, still, monkeypatch):
     """An error that only one block has is no reason to believe in physics, and stays in the errors of that block."""
-    monkeypatch.setattr("lite6jax.diagnosis.faults.jumps.seek_jump", lambda rigid: jumps.Sought(None, 1.0, False))
+    monkeypatch.setattr(
+        "lite6jax.domains.pose.screening.frame_jumps.seek_jump", lambda rigid: jumps.Sought(None, 1.0, False)
+    )
     recording = arm.recording(still)
     position = recording.position.copy()
     position[:60] += np.array([1e-4, 0, 0])

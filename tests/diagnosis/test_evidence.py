@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from diagnosis.recorded import Made, static_motion, truth, with_effects
 
-from lite6jax.diagnosis.case import case_of
-from lite6jax.diagnosis.evidence import evidence_of
-from lite6jax.diagnosis.refit import refit
-from lite6jax.physics.catalogue import catalogue, parse_effect
-from lite6jax.physics.composition import Physics
-from lite6jax.physics.joints import JointCompliance, JointOffset
-from lite6jax.physics.links import FrameOffset
+from lite6jax.domains.pose.problem import case_of
+from lite6jax.effects.catalogue import catalogue, parse_effect
+from lite6jax.effects.composition import Physics
+from lite6jax.effects.kinematic.joints import JointCompliance, JointOffset
+from lite6jax.effects.kinematic.links import FrameOffset
+from lite6jax.estimation.least_squares import refit
+from lite6jax.estimation.score_test import evidence_of
 
 SAMPLES = 160
 

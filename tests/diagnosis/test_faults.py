@@ -6,20 +6,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 from diagnosis.recorded import LITE6, Made, moving_motion, plain_effect, static_motion, with_effects
-from physics.plain_physics import predicted_poses
+from effects.plain_physics import predicted_poses
 from plain_chain import perturb_poses, perturbed, six_parameter_poses
 from scipy.spatial.transform import Rotation
 
 from lite6jax.arms.bundled import load_bundled
 from lite6jax.arms.factory import write_factory
-from lite6jax.diagnosis.case import case_of
-from lite6jax.diagnosis.faults import hypotheses
-from lite6jax.diagnosis.faults.examination import Mending, examine
-from lite6jax.diagnosis.faults.projection import Projected, estimated
-from lite6jax.diagnosis.faults.rigid import physics_columns, rigid_of
-from lite6jax.diagnosis.refit import refit
+from lite6jax.domains.pose.problem import case_of
+from lite6jax.domains.pose.screening import columns as hypotheses
+from lite6jax.domains.pose.screening.projection import Projected, estimated
+from lite6jax.domains.pose.screening.rigid import physics_columns, rigid_of
+from lite6jax.domains.pose.screening.screen import Mending, examine
+from lite6jax.effects.composition import Physics
 from lite6jax.errors import InputError
-from lite6jax.physics.composition import Physics
+from lite6jax.estimation.least_squares import refit
 from lite6jax.recordings import Recording, RecordingSettings, read_recording
 
 SHARED = Path(__file__).resolve().parents[2] / "../shared"

@@ -21,15 +21,15 @@ from typed import flat, run
 from typed import refused as refused_as_typed
 
 from lite6jax.diagnosis.diagnose import diagnose
-from lite6jax.diagnosis.prediction import (
+from lite6jax.domains.pose.predict import (
     predict_motion,
     read_model,
     read_motion,
     register_motion,
     table,
 )
+from lite6jax.effects.catalogue import effect_as_dict, load_effects, parse_effect
 from lite6jax.errors import InputError
-from lite6jax.physics.catalogue import effect_as_dict, load_effects, parse_effect
 from lite6jax.recordings import Recording, RecordingSettings, write_recording
 
 SAMPLES = 30
@@ -214,8 +214,8 @@ from typing import ClassVar, final
 
 import jax.numpy as jnp
 
-from lite6jax.physics.drivers import Driver
-from lite6jax.physics.effect import Coordinate, JointEffect
+from lite6jax.effects.drivers import Driver
+from lite6jax.effects.effect import Coordinate, JointEffect
 
 
 @final

@@ -6,7 +6,7 @@ from diagnosis.recorded import LITE6
 from plain_chain import perturb_poses, random_positions, six_parameter_poses
 from scipy.spatial.transform import Rotation
 
-from lite6jax.diagnosis.registration import register
+from lite6jax.domains.pose.registration import register
 
 NOISE = (2e-5, 1e-4)
 

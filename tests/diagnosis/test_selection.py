@@ -12,9 +12,9 @@ from diagnosis.recorded import (
     with_effects,
 )
 
-from lite6jax.diagnosis.case import case_of
-from lite6jax.diagnosis.selection import search_of, select
-from lite6jax.physics.catalogue import parse_effect
+from lite6jax.domains.pose.problem import case_of
+from lite6jax.effects.catalogue import parse_effect
+from lite6jax.search.forward import search_of, select
 
 
 @pytest.fixture(scope="module")

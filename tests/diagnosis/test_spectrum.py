@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 from diagnosis.recorded import Made, static_motion, with_effects
 
-from lite6jax.diagnosis.case import case_of
-from lite6jax.diagnosis.evidence import evidence_of
-from lite6jax.diagnosis.refit import refit
-from lite6jax.diagnosis.spectrum import HIGHEST, lines, spectrum
-from lite6jax.physics.composition import Physics
-from lite6jax.physics.joints import JointHarmonic
+from lite6jax.domains.pose.problem import case_of
+from lite6jax.effects.composition import Physics
+from lite6jax.effects.kinematic.joints import JointHarmonic
+from lite6jax.estimation.least_squares import refit
+from lite6jax.estimation.score_test import evidence_of
+from lite6jax.search.spectrum import HIGHEST, lines, spectrum
 
 
 @pytest.fixture(scope="module")

@@ -5,11 +5,11 @@ import numpy as np
 import pytest
 from diagnosis.recorded import LITE6, NOISE, Made, static_motion
 
-from lite6jax.diagnosis.case import case_of
-from lite6jax.diagnosis.selection import search_of
-from lite6jax.diagnosis.sweep import LINES_PER_JOINT
-from lite6jax.physics.catalogue import effect_as_dict, effect_from_dict
-from lite6jax.physics.unnamed import Unnamed
+from lite6jax.domains.pose.problem import case_of
+from lite6jax.effects.catalogue import effect_as_dict, effect_from_dict
+from lite6jax.effects.nonparametric import Unnamed
+from lite6jax.search.forward import search_of
+from lite6jax.search.shrinkage import LINES_PER_JOINT
 
 COMPLIANCE = "joint_compliance:joint=2,compliance_rad_per_Nm=3e-5"
 

@@ -11,10 +11,10 @@ from scipy.spatial.transform import Rotation
 
 from lite6jax.arms.bundled import load_bundled
 from lite6jax.controller import protocol
+from lite6jax.effects.catalogue import parse_effect
+from lite6jax.effects.composition import Physics
 from lite6jax.emulator import Body, Controller, Faults, describe_faults, draw_sines, parse_faults
 from lite6jax.errors import InputError
-from lite6jax.physics.catalogue import parse_effect
-from lite6jax.physics.composition import Physics
 
 Q = [0.1, 0.2, 0.9, 0.3, 0.4, 0.5]
 

@@ -7,13 +7,13 @@ import pytest
 from plain_chain import random_positions
 
 from lite6jax.arms.bundled import load_bundled
+from lite6jax.effects.kinematic.joints import JointCompliance, JointHarmonic
 from lite6jax.errors import InputError
 from lite6jax.fitting.fleet import sample_within_limits
 from lite6jax.identifiability.identify import WORKSPACE
 from lite6jax.identifiability.information import plan_experiment
 from lite6jax.identifiability.planning import plan_poses, separate_poses, shortest_round
 from lite6jax.identifiability.sensor import BARE
-from lite6jax.physics.joints import JointCompliance, JointHarmonic
 
 LITE6 = load_bundled("lite6")
 SETUP = plan_experiment("lite6", "tracker_6d", frame=False)

@@ -12,18 +12,18 @@ from matplotlib.image import imread
 from lite6jax.arms.bundled import load_bundled
 from lite6jax.arms.factory import write_factory
 from lite6jax.cli import main
-from lite6jax.diagnosis.case import case_of
 from lite6jax.diagnosis.diagnose import Diagnosis
-from lite6jax.diagnosis.evidence import evidence_of
-from lite6jax.diagnosis.refit import refit
-from lite6jax.diagnosis.selection import Selection
-from lite6jax.diagnosis.steps import Rival, Step
-from lite6jax.physics.catalogue import catalogue, parse_effect, untestable
-from lite6jax.physics.composition import Physics
-from lite6jax.physics.unnamed import Unnamed
+from lite6jax.domains.pose.problem import case_of
+from lite6jax.effects.catalogue import catalogue, parse_effect, untestable
+from lite6jax.effects.composition import Physics
+from lite6jax.effects.nonparametric import Unnamed
+from lite6jax.estimation.least_squares import refit
+from lite6jax.estimation.score_test import evidence_of
 from lite6jax.recordings import RecordingSettings, write_recording
 from lite6jax.report import canvas, diagnosis_figures
 from lite6jax.report.page import diagnosis_page
+from lite6jax.search.backward import Rival, Step
+from lite6jax.search.forward import Selection
 from lite6jax.simulation import simulate
 
 LITE6 = load_bundled("lite6")

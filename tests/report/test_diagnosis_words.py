@@ -10,17 +10,17 @@ from rich.console import Console
 from rich.text import Text
 from test_diagnosis_page import COMPLIANCE, LITE6, Reader, diagnosed, recording_maker
 
-from lite6jax.diagnosis.against import Against
 from lite6jax.diagnosis.diagnose import statement
-from lite6jax.diagnosis.faults.rows import Fault
-from lite6jax.diagnosis.separation import Separation
-from lite6jax.diagnosis.steps import Rival
-from lite6jax.physics.catalogue import catalogue, parse_effect
-from lite6jax.physics.composition import Physics
-from lite6jax.physics.unnamed import Unnamed
+from lite6jax.diagnosis.discrimination import Separation
+from lite6jax.domains.pose.reference import Against
+from lite6jax.domains.pose.screening.rows import Fault
+from lite6jax.effects.catalogue import catalogue, parse_effect
+from lite6jax.effects.composition import Physics
+from lite6jax.effects.nonparametric import Unnamed
 from lite6jax.report import diagnosis_figures, diagnosis_words
 from lite6jax.report.diagnosis_tables import diagnosis_report
 from lite6jax.report.page import diagnosis_page
+from lite6jax.search.backward import Rival
 from lite6jax.simulation import simulate
 
 WAVES = (3.0, 5.5, 9.0, 20.0, 33.0)

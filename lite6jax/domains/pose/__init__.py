@@ -1,0 +1,1 @@
+"""Measured poses as an estimation problem, and what a diagnosed arm predicts."""

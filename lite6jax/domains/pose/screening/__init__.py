@@ -1,0 +1,1 @@
+"""Faults of pose recordings: each detected, corrected, and weighed against physics."""

@@ -1,0 +1,102 @@
+"""Residuals without what known columns can do, and what other columns explain of the rest, with honest deviations."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import solve_triangular
+
+from lite6jax.domains.pose.screening.rigid import WINSOR, Rigid
+
+Array = NDArray[np.floating]
+
+MOST = 1500
+"""Samples that are looked at: more cost time and tell nothing that is needed here."""
+SEEN = 1e-6
+"""Share of the squares of a column that the known ones leave, under which nothing tells them apart."""
+_RIDGE = 1e-10
+
+
+@dataclass(frozen=True, eq=False)
+class Projected:
+    """Residuals from which all that known columns can do is taken out; samples far off count for less.
+
+    Attributes:
+        arm: fitted.
+        known: `(number, row, sample)`, beside the arm's own unknowns.
+    """
+
+    arm: Rigid
+    known: Array
+
+    @cached_property
+    def weight(self) -> Array:
+        """`(sample,)` square root of Huber's, at four standard deviations a number."""
+        length = np.sqrt(self.arm.squares / self.arm.rows) / self.arm.scale
+        return np.sqrt(np.minimum(1.0, WINSOR / np.maximum(length, 1e-300)))
+
+    @cached_property
+    def basis(self) -> Array:
+        """Rows `(number, row sample)`, orthonormal but for those that the others make; these nearly vanish."""
+        columns = np.concatenate([self.arm.twists[self.arm.unknown], self.known]) * self.weight
+        flat = columns.reshape(len(columns), self.arm.rows * self.arm.samples)
+        norms = np.linalg.norm(flat, axis=1)
+        flat = flat[norms > 0] / norms[norms > 0, None]
+        if not len(flat):
+            return flat
+        L = np.linalg.cholesky(flat @ flat.T + _RIDGE * np.eye(len(flat)))
+        return solve_triangular(L, flat, lower=True, check_finite=False)
+
+    @cached_property
+    def residual(self) -> Array:
+        """`(row sample)`."""
+        return self.without(self.arm.residual[None])[0]
+
+    @cached_property
+    def freedom(self) -> float:
+        """Numbers left."""
+        return self.arm.rows * self.arm.samples - float(np.sum(self.basis**2))
+
+    def without(self, columns: Array) -> Array:
+        """Weighted columns `(number, row, sample)` less what the known ones can do, `(number, row sample)`."""
+        flat = (columns * self.weight).reshape(len(columns), -1)
+        for _ in range(2):  # the ridge leaves a little the first time
+            flat = flat - (flat @ self.basis.T) @ self.basis
+        return flat
+
+    def regression(self, columns: Array) -> tuple[Array, Array, float]:
+        """Numbers `(number,)` of columns that explain the residual, their covariance, and the squares they explain.
+
+        The covariance is the larger of that of white noise and that of samples of unequal noise (H. White,
+        Econometrica 48, 1980).
+        """
+        X = self.without(columns)
+        size = np.linalg.norm((columns * self.weight).reshape(len(columns), -1), axis=1)
+        G = X @ X.T
+        hidden = np.sqrt(np.diagonal(G)) <= np.sqrt(SEEN) * size
+        G[hidden, hidden] = np.inf if hidden.all() else np.maximum(G[hidden, hidden], size[hidden] ** 2 * 1e9 + 1e300)
+        inverse = np.linalg.pinv(np.where(np.isfinite(G), G, 0.0)) if hidden.all() else np.linalg.inv(G)
+        if hidden.any():
+            inverse[hidden] = inverse[:, hidden] = 0.0
+        values = -inverse @ (X @ self.residual)
+        left = self.residual + values @ X
+        white = inverse * max(float(left @ left) / max(self.freedom - len(X), 1), 1e-300)
+        pulls = (X * left).reshape(len(X), self.arm.rows, -1).sum(1)
+        uneven = inverse @ (pulls @ pulls.T) @ inverse
+        grown = np.sqrt(np.maximum(1.0, np.diagonal(uneven) / np.maximum(np.diagonal(white), 1e-300)))
+        covariance = white * np.outer(grown, grown)
+        covariance[hidden, hidden] = np.inf
+        explained = float(values @ (X @ X.T) @ values)
+        return values, covariance, explained / max(float(left @ left) / max(self.freedom - len(X), 1), 1e-300)
+
+
+def estimated(arm: Rigid, known: Array, columns: Array) -> tuple[Array, Array]:
+    """The numbers of `columns` `(number, row, sample)` and their standard deviations, beside the known ones."""
+    values, covariance, _ = Projected(arm, known).regression(columns)
+    return values, np.sqrt(np.diagonal(covariance))
+
+
+def thinned(samples: int) -> NDArray[np.integer]:
+    """Some thousand samples, evenly."""
+    return np.unique(np.linspace(0, samples - 1, min(samples, MOST)).astype(int))

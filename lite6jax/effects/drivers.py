@@ -1,0 +1,126 @@
+"""What effects depend on: each quantity with the words for it, its values in a motion, and what it takes to know it."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import NamedTuple, final
+
+from jax import Array
+
+from lite6jax.effects.motion import Motion
+from lite6jax.effects.statics import Loads
+from lite6jax.errors import InputError
+
+
+class _Source(NamedTuple):
+    """Where the values of a quantity are: an array with a row per joint or link where it has a `place`."""
+
+    values: Callable[[Motion, Loads | None], Array | None]
+    unit: str
+    place: str
+    remedy: str
+    loaded: bool = False
+
+
+_MASSES = "the masses of the links; add `inertial` to the arm's description"
+_SOURCES = {
+    "position": _Source(lambda m, _: m.joint_position, "rad", "joint", "the joint positions; add q1_rad …"),
+    "direction of motion": _Source(
+        lambda m, _: m.direction, "1", "joint", "the directions of motion; keep the rows in the order of recording"
+    ),
+    "velocity": _Source(
+        lambda m, _: m.joint_velocity,
+        "rad/s",
+        "joint",
+        "the velocities of a moving arm; record a trajectory with time_s or dq1_rad_per_s …",
+    ),
+    "gravity torque": _Source(lambda _, l: None if l is None else l.torque, "Nm", "joint", _MASSES, True),
+    "gravity moment x": _Source(lambda _, l: None if l is None else l.moment[:, 0], "Nm", "link", _MASSES, True),
+    "gravity moment y": _Source(lambda _, l: None if l is None else l.moment[:, 1], "Nm", "link", _MASSES, True),
+    "base moment x": _Source(lambda _, l: None if l is None else l.base_moment[0], "Nm", "", _MASSES, True),
+    "base moment y": _Source(lambda _, l: None if l is None else l.base_moment[1], "Nm", "", _MASSES, True),
+    "temperature rise": _Source(
+        lambda m, _: m.temperature_rise, "K", "", "a temperature; record temp1_degC … or ambient_degC"
+    ),
+    "time": _Source(lambda m, _: m.time, "s", "", "the times of the samples; record time_s"),
+    "payload": _Source(lambda m, _: m.payload, "kg", "", "the payload; add payload_kg"),
+}
+
+
+@final
+@dataclass(frozen=True)
+class Driver:
+    """A quantity that varies over a motion, of one joint or link where it has one.
+
+    Attributes:
+        quantity: one of `QUANTITIES`.
+        place: the joint or link, counted from 1; 0 for a quantity of the whole arm.
+
+    Raises:
+        InputError: an unknown quantity, or a place where there is none, or none where there is one.
+    """
+
+    quantity: str
+    place: int = 0
+
+    def __post_init__(self) -> None:
+        if self.quantity not in _SOURCES:
+            raise InputError(f"driver {self.quantity!r}: unknown; choose one of {', '.join(_SOURCES)}")
+        kind = _SOURCES[self.quantity].place
+        if kind and self.place < 1:
+            raise InputError(f"driver {self.quantity!r}: say of which {kind}, as in '{self.quantity} of {kind} 1'")
+        if self.place and not kind:
+            raise InputError(f"driver {self.quantity!r}: is one of the whole arm; give no joint")
+
+    @property
+    def phrase(self) -> str:
+        """As a person says it, such as "gravity torque of joint 2"."""
+        kind = _SOURCES[self.quantity].place
+        return f"{self.quantity} of {kind} {self.place}" if kind else self.quantity
+
+    @property
+    def unit(self) -> str:
+        """The unit of its values."""
+        return _SOURCES[self.quantity].unit
+
+    @property
+    def remedy(self) -> str:
+        """What to add so that it is known."""
+        return _SOURCES[self.quantity].remedy
+
+    @property
+    def loaded(self) -> bool:
+        """Whether it follows from gravity's loads."""
+        return _SOURCES[self.quantity].loaded
+
+    def known(self, motion: Motion, loads: Loads | None) -> bool:
+        """Whether the motion and the loads have it."""
+        return _SOURCES[self.quantity].values(motion, loads) is not None
+
+    def values(self, motion: Motion, loads: Loads | None) -> Array:
+        """`(sample,)` in its unit.
+
+        Raises:
+            InputError: it is not known, or the arm has no such joint.
+        """
+        values = _SOURCES[self.quantity].values(motion, loads)
+        if values is None:
+            raise InputError(f"{self.phrase}: is needed and not known; it takes {self.remedy}")
+        if self.place > motion.dof:
+            raise InputError(f"{self.phrase}: the arm has {motion.dof} joints; choose one of them")
+        return values[self.place - 1] if self.place else values
+
+
+QUANTITIES = tuple(_SOURCES)
+"""What a driver can be."""
+
+
+def driver_of(phrase: str) -> Driver:
+    """The driver whose `phrase` this is.
+
+    Raises:
+        InputError: it is none.
+    """
+    quantity, _, where = phrase.partition(" of joint " if " of joint " in phrase else " of link ")
+    if where and not where.isdecimal():
+        raise InputError(f"driver {phrase!r}: ends in no number; write it like 'gravity torque of joint 2'")
+    return Driver(quantity, int(where or 0))

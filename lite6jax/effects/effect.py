@@ -1,0 +1,190 @@
+"""What an effect is: a small pure function of a motion, with a site, drivers, numbers to fit and a neutral value."""
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import ClassVar, NamedTuple, final
+
+import numpy as np
+from jax import Array
+from numpy.typing import ArrayLike, NDArray
+
+from lite6jax.effects.deflection import Deflection, at_joint
+from lite6jax.effects.drivers import Driver
+from lite6jax.effects.motion import Motion
+from lite6jax.effects.statics import Loads
+from lite6jax.errors import InputError
+
+
+class Coordinate(NamedTuple):
+    """A number of an effect that a fit moves; zero is neutral.
+
+    Attributes:
+        name: with its unit, such as `compliance_rad_per_Nm`.
+        unit: such as `rad/Nm`; `1` for a ratio.
+        typical: the size that real arms show, by which a fit scales it.
+        spread: one standard deviation about neutral, where that is known beforehand.
+    """
+
+    name: str
+    unit: str
+    typical: float
+    spread: float = np.inf
+
+
+class Estimate(NamedTuple):
+    """A parameter's value and standard deviation."""
+
+    value: float
+    std: float
+
+
+class Reporting(NamedTuple):
+    """How an effect's coordinates, in which it is smooth at neutral, relate to the parameters that people read.
+
+    Attributes:
+        names: of an effect, the names of the parameters.
+        parameters: of an effect and `values` `(coordinate,)`, the parameters and their derivatives
+            `(parameter, coordinate)`.
+        values: the inverse, of an effect and parameters by name; those not given are zero.
+    """
+
+    names: "Callable[[Effect], tuple[str, ...]]"
+    parameters: "Callable[[Effect, NDArray], tuple[NDArray, NDArray]]"
+    values: "Callable[[Effect, Mapping[str, float]], NDArray]"
+
+
+def _coordinate_names(effect: "Effect") -> tuple[str, ...]:
+    return tuple(coordinate.name for coordinate in effect.coordinates)
+
+
+DIRECT = Reporting(
+    names=_coordinate_names,
+    parameters=lambda effect, values: (values, np.eye(len(values))),
+    values=lambda effect, given: np.array([given.get(name, 0.0) for name in _coordinate_names(effect)]),
+)
+"""The coordinates are the parameters."""
+
+UNINFORMED_PHASE = np.pi / np.sqrt(3)
+"""The standard deviation of an angle of which nothing is known."""
+
+
+@dataclass(frozen=True)
+class Effect(ABC):
+    """Something a rigid arm with perfect encoders does not show. Frozen and hashable: a static argument of `jax.jit`.
+
+    A final subclass is a frozen dataclass whose fields say where it acts; its numbers are not in it, but are given to
+    its functions as `values` `(coordinate,)`, in the order of `coordinates`; at zero it changes nothing.
+    """
+
+    name: ClassVar[str]
+    reporting: ClassVar[Reporting] = DIRECT
+
+    @property
+    @abstractmethod
+    def site(self) -> str:
+        """`joint2`, `link3`, `links`, `base`, `tool`, `sensor`, `clock` or `payload`."""
+
+    @property
+    @abstractmethod
+    def coordinates(self) -> tuple[Coordinate, ...]:
+        """The numbers that a fit moves."""
+
+    @property
+    @abstractmethod
+    def drivers(self) -> tuple[Driver, ...]:
+        """What it depends on."""
+
+    @property
+    def size(self) -> int:
+        """How many numbers it has."""
+        return len(self.coordinates)
+
+    @property
+    def label(self) -> str:
+        """Name and site, such as `joint_compliance:joint2`."""
+        return f"{self.name}:{self.site}"
+
+    def reported(self, values: ArrayLike, covariance: ArrayLike | None = None) -> dict[str, Estimate]:
+        """The parameters that people read, with standard deviations to first order.
+
+        Args:
+            values: `(coordinate,)`.
+            covariance: `(coordinate, coordinate)`; standard deviations are 0 without it.
+        """
+        values = np.asarray(values, float)
+        parameters, jacobian = self.reporting.parameters(self, values)
+        C = np.zeros((values.size, values.size)) if covariance is None else np.asarray(covariance, float)
+        std = np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", jacobian, C, jacobian), 0.0))
+        names = self.reporting.names(self)
+        std = [min(s, UNINFORMED_PHASE) if name == "phase_rad" else s for name, s in zip(names, std, strict=True)]
+        return {name: Estimate(float(p), float(s)) for name, p, s in zip(names, parameters, std, strict=True)}
+
+    def values_of(self, parameters: Mapping[str, float]) -> NDArray:
+        """The values `(coordinate,)` of parameters by name, the inverse of `reported`; those not given are zero.
+
+        Raises:
+            InputError: an unknown name, none at all, or a number that is not finite or not possible.
+        """
+        names = self.reporting.names(self)
+        unknown = [name for name in parameters if name not in names]
+        if unknown:
+            raise InputError(f"{self.label}: has no {unknown[0]!r}; it takes {', '.join(names)}")
+        if not parameters:
+            raise InputError(f"{self.label}: no number is given; it takes {', '.join(names)}")
+        for name, value in parameters.items():
+            if not np.isfinite(value):
+                raise InputError(f"{self.label}: {name} is {value}; give a finite number")
+        return self.reporting.values(self, parameters)
+
+    @property
+    def joints_needed(self) -> int:
+        """How many joints an arm has at least that can have this effect."""
+        digits = "".join(character for character in self.site if character.isdecimal())
+        return max([int(digits or 0), *(driver.place for driver in self.drivers)])
+
+
+class Bending(Effect, ABC):
+    """An effect that deflects the arm."""
+
+    @abstractmethod
+    def deflect(self, values: Array, motion: Motion, loads: Loads | None) -> Deflection:
+        """The deflection by `values` `(coordinate,)` in a motion."""
+
+
+class Altering(Effect, ABC):
+    """An effect by which the arm's motion is another than the one declared, before loads and deflections follow."""
+
+    @abstractmethod
+    def alter(self, values: Array, motion: Motion) -> Motion:
+        """The motion as it really was."""
+
+    @abstractmethod
+    def beyond(self, values: Array, motion: Motion) -> Array:
+        """`(sample,)` bool: where that takes what the motion does not hold, so that the prediction means nothing."""
+
+
+@dataclass(frozen=True)
+class JointEffect(Bending, ABC):
+    """An effect that adds to one joint's angle.
+
+    Attributes:
+        joint: counted from 1.
+    """
+
+    joint: int
+
+    @abstractmethod
+    def angle(self, values: Array, motion: Motion, loads: Loads | None) -> Array:
+        """`(sample,)` rad that add to what the encoder says."""
+
+    @property
+    @final
+    def site(self) -> str:
+        """`jointN`."""
+        return f"joint{self.joint}"
+
+    @final
+    def deflect(self, values: Array, motion: Motion, loads: Loads | None) -> Deflection:
+        """The angle at its joint."""
+        return Deflection(joint=at_joint(motion.dof, self.joint, self.angle(values, motion, loads)))

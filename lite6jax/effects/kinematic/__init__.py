@@ -1,0 +1,1 @@
+"""Effects that move the tool: of joints, of links, and of what surrounds the arm."""

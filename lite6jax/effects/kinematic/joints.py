@@ -1,0 +1,227 @@
+"""Effects of joints: what adds to the angle that an encoder says."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import ClassVar, final
+
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from numpy.typing import NDArray
+
+from lite6jax.effects.drivers import Driver
+from lite6jax.effects.effect import Coordinate, Effect, JointEffect, Reporting
+from lite6jax.effects.motion import Motion
+from lite6jax.effects.statics import Loads
+from lite6jax.errors import InputError
+
+
+@final
+@dataclass(frozen=True)
+class JointOffset(JointEffect):
+    """δq = c: the encoder's zero is elsewhere."""
+
+    name: ClassVar[str] = "joint_offset"
+
+    @property
+    def coordinates(self) -> tuple[Coordinate, ...]:
+        return (Coordinate("offset_rad", "rad", 1e-4),)
+
+    @property
+    def drivers(self) -> tuple[Driver, ...]:
+        return ()
+
+    def angle(self, values: Array, motion: Motion, loads: Loads | None) -> Array:
+        return jnp.broadcast_to(values[0], (motion.samples,))
+
+
+@final
+@dataclass(frozen=True)
+class JointScale(JointEffect):
+    """δq = s·q: the encoder's radian is another."""
+
+    name: ClassVar[str] = "joint_scale"
+
+    @property
+    def coordinates(self) -> tuple[Coordinate, ...]:
+        return (Coordinate("scale", "1", 1e-4),)
+
+    @property
+    def drivers(self) -> tuple[Driver, ...]:
+        return (Driver("position", self.joint),)
+
+    def angle(self, values: Array, motion: Motion, loads: Loads | None) -> Array:
+        return values[0] * self.drivers[0].values(motion, loads)
+
+
+@final
+@dataclass(frozen=True)
+class JointCompliance(JointEffect):
+    """δq = c·τ: the gear gives way to the torque that gravity exerts on it."""
+
+    name: ClassVar[str] = "joint_compliance"
+
+    @property
+    def coordinates(self) -> tuple[Coordinate, ...]:
+        return (Coordinate("compliance_rad_per_Nm", "rad/Nm", 1e-5),)
+
+    @property
+    def drivers(self) -> tuple[Driver, ...]:
+        return (Driver("gravity torque", self.joint),)
+
+    def angle(self, values: Array, motion: Motion, loads: Loads | None) -> Array:
+        return values[0] * self.drivers[0].values(motion, loads)
+
+
+def _harmonic_parameters(effect: Effect, values: NDArray) -> tuple[NDArray, NDArray]:
+    assert isinstance(effect, JointHarmonic)
+    sine, cosine = values[:2]
+    order = values[2] if effect.order is None else effect.order
+    amplitude = np.hypot(sine, cosine)
+    phase = np.arctan2(cosine, sine)
+    jacobian = np.zeros((3, values.size))
+    jacobian[0, 2:] = 1.0
+    # at no amplitude the phase is anything: a huge derivative, which `reported` takes for no knowledge
+    along = np.array([sine, cosine]) / amplitude if amplitude else np.array([1.0, 0.0])
+    jacobian[1, :2] = along
+    jacobian[2, :2] = np.array([-along[1], along[0]]) / max(amplitude, 1e-300)
+    return np.array([order, amplitude, np.pi if phase == -np.pi else phase]), jacobian
+
+
+def _harmonic_values(effect: Effect, given: Mapping[str, float]) -> NDArray:
+    assert isinstance(effect, JointHarmonic)
+    order = given.get("order", effect.order)
+    if order is None:
+        raise InputError(f"{effect.label}: no order is given; say how often the error comes in a turn, as order=2")
+    if effect.order is not None and order != effect.order:
+        raise InputError(f"{effect.label}: order {order:g} beside the fixed order {effect.order:g}; give one of them")
+    amplitude, phase = given.get("amplitude_rad", 0.0), given.get("phase_rad", 0.0)
+    if amplitude < 0:
+        raise InputError(f"{effect.label}: amplitude_rad is {amplitude:g}; make it positive and add pi to phase_rad")
+    values = [amplitude * np.cos(phase), amplitude * np.sin(phase)]
+    return np.array(values if effect.order is not None else [*values, order])
+
+
+@final
+@dataclass(frozen=True)
+class JointHarmonic(JointEffect):
+    """δq = A·sin(n·q + φ): eccentric encoders and gears (n = 1, 2), gear teeth and wave generators (n up to 200).
+
+    Its coordinates are A cos φ and A sin φ, in which it is linear; without a fixed `order` the order is the third, so
+    that one compiled function serves every order.
+
+    Attributes:
+        order: n ≥ 1, where it is fixed; not necessarily an integer.
+    """
+
+    order: float | None = None
+
+    name: ClassVar[str] = "joint_harmonic"
+    reporting: ClassVar[Reporting] = Reporting(
+        names=lambda effect: ("order", "amplitude_rad", "phase_rad"),
+        parameters=_harmonic_parameters,
+        values=_harmonic_values,
+    )
+
+    def __post_init__(self) -> None:
+        if self.order is not None and not 0 < self.order < np.inf:
+            raise InputError(f"joint_harmonic:joint{self.joint}: order is {self.order:g}; give a positive number")
+
+    @property
+    def coordinates(self) -> tuple[Coordinate, ...]:
+        amplitudes = (Coordinate("sine_rad", "rad", 1e-4), Coordinate("cosine_rad", "rad", 1e-4))
+        return amplitudes if self.order is not None else (*amplitudes, Coordinate("order", "1", 0.1))
+
+    @property
+    def drivers(self) -> tuple[Driver, ...]:
+        return (Driver("position", self.joint),)
+
+    def angle(self, values: Array, motion: Motion, loads: Loads | None) -> Array:
+        turned = (values[2] if self.order is None else self.order) * self.drivers[0].values(motion, loads)
+        return values[0] * jnp.sin(turned) + values[1] * jnp.cos(turned)
+
+
+@final
+@dataclass(frozen=True)
+class JointBacklash(JointEffect):
+    """δq = −½·gap·sign(direction): the gear lies against the flank that it came from."""
+
+    name: ClassVar[str] = "joint_backlash"
+
+    @property
+    def coordinates(self) -> tuple[Coordinate, ...]:
+        return (Coordinate("gap_rad", "rad", 1e-4),)
+
+    @property
+    def drivers(self) -> tuple[Driver, ...]:
+        return (Driver("direction of motion", self.joint),)
+
+    def angle(self, values: Array, motion: Motion, loads: Loads | None) -> Array:
+        return -0.5 * values[0] * jnp.sign(self.drivers[0].values(motion, loads))
+
+
+@final
+@dataclass(frozen=True)
+class JointLag(JointEffect):
+    """δq = −lag·dq: the joint is behind what its encoder says."""
+
+    name: ClassVar[str] = "joint_lag"
+
+    @property
+    def coordinates(self) -> tuple[Coordinate, ...]:
+        return (Coordinate("lag_s", "s", 1e-3),)
+
+    @property
+    def drivers(self) -> tuple[Driver, ...]:
+        return (Driver("velocity", self.joint),)
+
+    def angle(self, values: Array, motion: Motion, loads: Loads | None) -> Array:
+        return -values[0] * self.drivers[0].values(motion, loads)
+
+
+def _coupling_values(effect: Effect, given: Mapping[str, float]) -> NDArray:
+    assert isinstance(effect, JointCoupling)
+    source = given.get("source_joint", effect.source_joint)
+    if source != effect.source_joint:
+        raise InputError(
+            f"{effect.label}: source_joint {source:g} beside joint {effect.source_joint}; give one of them"
+        )
+    return np.array([given.get("coupling", 0.0)])
+
+
+@final
+@dataclass(frozen=True)
+class JointCoupling(JointEffect):
+    """δq = k·q_source: another joint's motion leaks into this one's, as through a shared gear or cable.
+
+    Attributes:
+        source_joint: the other joint, counted from 1.
+    """
+
+    source_joint: int
+
+    name: ClassVar[str] = "joint_coupling"
+
+    @property
+    def coordinates(self) -> tuple[Coordinate, ...]:
+        return (Coordinate("coupling", "1", 1e-4),)
+
+    reporting: ClassVar[Reporting] = Reporting(
+        names=lambda effect: ("coupling", "source_joint"),
+        parameters=lambda effect, values: (
+            np.array([values[0], effect.drivers[0].place]),
+            np.array([[1.0], [0.0]]),
+        ),
+        values=_coupling_values,
+    )
+
+    def __post_init__(self) -> None:
+        if self.source_joint == self.joint:
+            raise InputError(f"joint_coupling:joint{self.joint}: its source_joint is itself; that is joint_scale")
+
+    @property
+    def drivers(self) -> tuple[Driver, ...]:
+        return (Driver("position", self.source_joint),)
+
+    def angle(self, values: Array, motion: Motion, loads: Loads | None) -> Array:
+        return values[0] * self.drivers[0].values(motion, loads)

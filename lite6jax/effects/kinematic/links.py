@@ -1,0 +1,120 @@
+"""Effects of links: what bends, stretches or displaces the frames between joints."""
+
+from dataclasses import dataclass
+from typing import ClassVar, final
+
+import jax.numpy as jnp
+from jax import Array
+
+from lite6jax.effects.deflection import Deflection, at_joint, twist
+from lite6jax.effects.drivers import Driver
+from lite6jax.effects.effect import Bending, Coordinate
+from lite6jax.effects.motion import Motion
+from lite6jax.effects.statics import Loads
+from lite6jax.errors import InputError
+
+TWIST = (
+    *(Coordinate(f"{axis}_m", "m", 1e-4) for axis in "xyz"),
+    *(Coordinate(f"r{axis}_rad", "rad", 1e-4) for axis in "xyz"),
+)
+"""A translation and a rotation vector."""
+
+_SPREAD = {"m": 0.02, "rad": 0.05}
+"""What any arm's frames may be off by: it settles what the sensor cannot see of an offset."""
+
+
+@final
+@dataclass(frozen=True)
+class LinkCompliance(Bending):
+    """A link's frame turns about its x and y by c times gravity's moment about them.
+
+    Attributes:
+        link: counted from 1; link N is what joint N moves.
+    """
+
+    link: int
+
+    name: ClassVar[str] = "link_compliance"
+
+    @property
+    def coordinates(self) -> tuple[Coordinate, ...]:
+        return tuple(Coordinate(f"compliance_{axis}_rad_per_Nm", "rad/Nm", 1e-5) for axis in "xy")
+
+    @property
+    def site(self) -> str:
+        return f"link{self.link}"
+
+    @property
+    def drivers(self) -> tuple[Driver, ...]:
+        return Driver("gravity moment x", self.link), Driver("gravity moment y", self.link)
+
+    def deflect(self, values: Array, motion: Motion, loads: Loads | None) -> Deflection:
+        about_x, about_y = (driver.values(motion, loads) for driver in self.drivers)
+        turned = twist(motion.samples, rx=values[0] * about_x, ry=values[1] * about_y)
+        return Deflection(link=at_joint(motion.dof, self.link, turned))
+
+
+@final
+@dataclass(frozen=True)
+class LinkThermalExpansion(Bending):
+    """The vector from a link's frame to the next joint's origin grows by α times the temperature's rise.
+
+    Attributes:
+        link: counted from 1, the last has no next joint; None for every vector of the chain.
+    """
+
+    link: int | None = None
+
+    name: ClassVar[str] = "link_thermal_expansion"
+
+    @property
+    def coordinates(self) -> tuple[Coordinate, ...]:
+        return (Coordinate("expansion_per_K", "1/K", 1e-5),)
+
+    @property
+    def drivers(self) -> tuple[Driver, ...]:
+        return (Driver("temperature rise"),)
+
+    @property
+    def site(self) -> str:
+        return "links" if self.link is None else f"link{self.link}"
+
+    def deflect(self, values: Array, motion: Motion, loads: Loads | None) -> Deflection:
+        growth = values[0] * self.drivers[0].values(motion, loads)
+        if self.link is None:
+            return Deflection(stretch=jnp.broadcast_to(growth, (motion.dof, motion.samples)))
+        if self.link >= motion.dof:
+            raise InputError(f"{self.label}: no joint follows the last link; choose a link from 1 to {motion.dof - 1}")
+        return Deflection(stretch=at_joint(motion.dof, self.link + 1, growth))
+
+
+@final
+@dataclass(frozen=True)
+class FrameOffset(Bending):
+    """A constant twist of a link's frame, after its joint's rotation and in its own axes, or of the base frame.
+
+    Attributes:
+        link: counted from 1; None for the base.
+    """
+
+    link: int | None = None
+
+    name: ClassVar[str] = "frame_offset"
+
+    @property
+    def coordinates(self) -> tuple[Coordinate, ...]:
+        return tuple(c._replace(spread=_SPREAD[c.unit]) for c in TWIST)
+
+    @property
+    def drivers(self) -> tuple[Driver, ...]:
+        return ()
+
+    @property
+    def site(self) -> str:
+        return "base" if self.link is None else f"link{self.link}"
+
+    def deflect(self, values: Array, motion: Motion, loads: Loads | None) -> Deflection:
+        displaced = jnp.broadcast_to(values[:, None], (6, motion.samples))
+        if self.link is None:
+            return Deflection(base=displaced)
+        return Deflection(link=at_joint(motion.dof, self.link, displaced))

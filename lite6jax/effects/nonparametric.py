@@ -1,0 +1,182 @@
+"""Physics without a name: a curve over one driver at one site, a cubic spline, waves of many orders, or with memory."""
+
+import re
+from dataclasses import dataclass
+from functools import partial
+from typing import ClassVar, final
+
+import jax
+import jax.numpy as jnp
+from jax import Array, lax
+
+from lite6jax.effects.deflection import Deflection, at_joint, twist
+from lite6jax.effects.drivers import Driver, driver_of
+from lite6jax.effects.effect import Bending, Coordinate
+from lite6jax.effects.motion import Motion
+from lite6jax.effects.statics import Loads
+from lite6jax.errors import InputError
+
+COMPONENTS = ("x", "y", "z", "rx", "ry", "rz")
+"""Of a twist: a translation in m and a rotation vector in rad."""
+
+_SITE = re.compile(r"joint([1-9]\d*)|link([1-9]\d*)|base|tool")
+
+
+@partial(jax.jit, static_argnames="pieces")
+def spline_basis(values: Array, lower: float | Array, upper: float | Array, pieces: int) -> Array:
+    """The cubic B-splines on `pieces` equal intervals from `lower` to `upper`, `(pieces + 3, sample)`.
+
+    They add up to 1; before `lower` and beyond `upper` they keep their values there.
+
+    Args:
+        values: `(sample,)`.
+        lower: the first interval's start.
+        upper: the last interval's end.
+        pieces: the number of intervals.
+    """
+    u = jnp.clip((values - lower) / (upper - lower), 0.0, 1.0) * pieces
+    t = jnp.abs(u - jnp.arange(-1.0, pieces + 2.0)[:, None])
+    near, far = jnp.maximum(1 - t, 0.0), jnp.maximum(2 - t, 0.0)
+    return (far**3 - 4 * near**3) / 6  # the fourth difference of cubes (C. de Boor, A Practical Guide to Splines, IX)
+
+
+@jax.jit
+def plays(values: Array, widths: Array, run: Array) -> Array:
+    """What follows a driver with play, `(width, sample)`: pushed along, and left behind by `width` at most.
+
+    Sums of such plays are all hysteresis whose loops close and do not depend on speed (I. Mayergoyz, Mathematical
+    Models of Hysteresis, 1991, ch. 1; of L. Prandtl and A. Ishlinskii). Each run begins at 0, as nearly as it can.
+
+    Args:
+        values: `(sample,)`, of the driver.
+        widths: `(width,)` in its unit, from 0.
+        run: `(2, sample)`, the first and the last sample of the run of each.
+    """
+
+    def pushed(left: Array, now: tuple[Array, Array]) -> tuple[Array, Array]:
+        value, begins = now
+        left = jnp.clip(jnp.where(begins, 0.0, left), value - widths, value + widths)
+        return left, left
+
+    begins = run[0] == jnp.arange(run.shape[1])
+    return lax.scan(pushed, jnp.zeros_like(widths), (values, begins))[1].T
+
+
+@final
+@dataclass(frozen=True)
+class Unnamed(Bending):
+    """δ = Σ coefficient · B(driver): whatever one driver does at one site.
+
+    B are cubic B-splines; with `orders`, the sine and cosine of each order of the driver, an angle; with `memory`, what
+    follows the driver with so much play each.
+
+    Attributes:
+        where: `jointN` (an angle), `linkN`, `base` or `tool` (one component of a twist).
+        driver: the phrase of a `Driver`, such as "position of joint 3".
+        lower: of the driver's range, in its unit; beyond the range the curve is constant.
+        upper: of the driver's range.
+        pieces: the intervals of the spline; it has three more coefficients.
+        component: of the twist, one of x y z rx ry rz; at a joint it is rz.
+        orders: of the waves, that are there instead of a spline.
+        trust: by how much to believe waves, from 0 to 1, at equal steps of the driver from `lower` to `upper`: they
+            mean nothing where nothing was measured.
+        spread: one standard deviation of the coefficients, where that is known beforehand.
+        memory: half the widths of the plays, in the driver's unit, that are there instead of a spline.
+
+    Raises:
+        InputError: no such site, driver or component, or an empty range.
+    """
+
+    where: str
+    driver: str
+    lower: float
+    upper: float
+    pieces: int = 8
+    component: str = "rz"
+    orders: tuple[float, ...] = ()
+    trust: tuple[float, ...] = ()
+    spread: float | None = None
+    memory: tuple[float, ...] = ()
+
+    name: ClassVar[str] = "unnamed"
+
+    def __post_init__(self) -> None:
+        if not _SITE.fullmatch(self.where):
+            raise InputError(f"unnamed: no site is called {self.where!r}; choose jointN, linkN, base or tool")
+        if self.component not in COMPONENTS or (self.where.startswith("joint") and self.component != "rz"):
+            wanted = "rz" if self.where.startswith("joint") else "one of " + " ".join(COMPONENTS)
+            raise InputError(f"unnamed:{self.where}: component {self.component!r} is not possible there; give {wanted}")
+        if not self.lower < self.upper or self.pieces < 1:
+            raise InputError(
+                f"unnamed:{self.where}: {self.pieces} pieces from {self.lower:g} to {self.upper:g} are no curve; give "
+                "lower < upper and at least one piece"
+            )
+        if bool(self.orders) != (len(self.trust) > 1):
+            raise InputError(
+                f"unnamed:{self.where}: {len(self.orders)} orders and {len(self.trust)} numbers of trust; give both, "
+                "two of these at least, or none"
+            )
+        if self.memory and (self.orders or min(self.memory) < 0):
+            raise InputError(
+                f"unnamed:{self.where}: memory {self.memory} is not possible; give widths from 0 on, and no orders"
+            )
+        driver_of(self.driver)
+
+    @property
+    def site(self) -> str:
+        """Where it acts."""
+        return self.where
+
+    @property
+    def coordinates(self) -> tuple[Coordinate, ...]:
+        """The coefficients."""
+        unit = "m" if self.component in ("x", "y", "z") else "rad"
+        names = [f"{wave}_{order:g}_{unit}" for order in self.orders for wave in ("sine", "cosine")]
+        names = names or [f"coefficient{i + 1}_{unit}" for i in range(len(self.memory) or self.pieces + 3)]
+        spread = float("inf") if self.spread is None else self.spread
+        return tuple(Coordinate(name, unit, 1e-4, spread) for name in names)
+
+    @property
+    def drivers(self) -> tuple[Driver, ...]:
+        """The one driver."""
+        return (driver_of(self.driver),)
+
+    def basis(self, driver: Array, run: Array | None = None) -> Array:
+        """What each coefficient is times, `(size, sample)`, at values `(sample,)` of the driver.
+
+        Args:
+            driver: its values, one after another.
+            run: `(2, sample)`, where runs begin and end, which a memory asks for; all are one where not given.
+        """
+        if self.memory:
+            one = jnp.zeros((2, driver.size), int)
+            return plays(driver, jnp.asarray(self.memory), one if run is None else run)
+        if not self.orders:
+            return spline_basis(driver, self.lower, self.upper, self.pieces)
+        turned = jnp.asarray(self.orders)[:, None] * driver
+        waves = jnp.stack([jnp.sin(turned), jnp.cos(turned)], 1).reshape(self.size, -1)
+        at = jnp.linspace(self.lower, self.upper, len(self.trust))
+        return waves * jnp.interp(driver, at, jnp.asarray(self.trust), left=0.0, right=0.0)
+
+    def units(self, motion: Motion, loads: Loads | None) -> Deflection:
+        """The deflection by each coefficient, per unit of it; a leading axis `(coordinate, …)`."""
+        basis = self.basis(self.drivers[0].values(motion, loads), motion.run)
+        return jax.vmap(lambda shift: self._at_site(shift, motion))(basis)
+
+    def curve(self, values: Array, driver: Array, run: Array | None = None) -> Array:
+        """The curve's value `(sample,)`, m or rad, at values `(sample,)` of the driver; `run` as in `basis`."""
+        return values @ self.basis(driver, run)
+
+    def deflect(self, values: Array, motion: Motion, loads: Loads | None) -> Deflection:
+        """The curve at its site."""
+        return self._at_site(self.curve(values, self.drivers[0].values(motion, loads), motion.run), motion)
+
+    def _at_site(self, shift: Array, motion: Motion) -> Deflection:
+        """A curve `(sample,)` where this effect is."""
+        kind, number = self.where.rstrip("0123456789"), int("0" + "".join(filter(str.isdecimal, self.where)))
+        if kind == "joint":
+            return Deflection(joint=at_joint(motion.dof, number, shift))
+        displaced = twist(motion.samples, **{self.component: shift})
+        if kind == "link":
+            return Deflection(link=at_joint(motion.dof, number, displaced))
+        return Deflection(**{kind: displaced})

@@ -1,0 +1,472 @@
+"""Effects as text, JSON and a user's file; what a motion cannot show; and every message."""
+
+import json
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from plain_chain import random_kinematics
+from scipy.interpolate import BSpline
+
+from lite6jax.arms.chains import SixParameterForm
+from lite6jax.effects import catalogue as catalogue_module
+from lite6jax.effects.catalogue import (
+    catalogue,
+    effect_as_dict,
+    effect_from_dict,
+    kinds_of,
+    load_effects,
+    parse_effect,
+    untestable,
+)
+from lite6jax.effects.composition import Physics
+from lite6jax.effects.drivers import QUANTITIES, Driver, driver_of
+from lite6jax.effects.kinematic.joints import JointBacklash, JointCompliance, JointCoupling, JointHarmonic, JointLag
+from lite6jax.effects.kinematic.links import FrameOffset, LinkCompliance, LinkThermalExpansion
+from lite6jax.effects.kinematic.surroundings import BaseDrift, TimeOffset, ToolOffset
+from lite6jax.effects.motion import motion_of
+from lite6jax.effects.nonparametric import Unnamed, spline_basis
+from lite6jax.effects.statics import Loads
+from lite6jax.errors import InputError
+from lite6jax.model import arm_model, predict, predict_poses
+
+RNG = np.random.default_rng(0)
+BARE = motion_of(RNG.uniform(-1, 1, (4, 6)))
+
+
+def refused(function, *arguments):
+    with pytest.raises(InputError) as error:
+        function(*arguments)
+    message = str(error.value)
+    assert "\n" not in message
+    return message
+
+
+@pytest.mark.parametrize(
+    ("text", "effect", "values"),
+    [
+        ("joint_compliance:joint=2,compliance_rad_per_Nm=9e-5", JointCompliance(2), [9e-5]),
+        (" joint_compliance : joint = 2 , compliance_rad_per_Nm = 9e-5 ", JointCompliance(2), [9e-5]),
+        ("joint_harmonic:joint=1,order=2,amplitude_rad=1e-3", JointHarmonic(1, 2.0), [1e-3, 0]),
+        ("joint_coupling:joint=3,source_joint=2,coupling=1e-3", JointCoupling(3, 2), [1e-3]),
+        ("link_thermal_expansion:expansion_per_K=2e-5", LinkThermalExpansion(), [2e-5]),
+        ("link_thermal_expansion:link=2,expansion_per_K=2e-5", LinkThermalExpansion(2), [2e-5]),
+        ("frame_offset:rz_rad=1e-3,x_m=2e-3", FrameOffset(), [2e-3, 0, 0, 0, 0, 1e-3]),
+        ("base_drift:vz_m_per_s=1e-7", BaseDrift(), [0, 0, 1e-7]),
+        ("tool_offset:turned=true,rx_rad=0.1", ToolOffset(turned=True), [0, 0, 0, 0.1, 0, 0]),
+        (
+            "unnamed:where=joint3,driver=time,lower=0,upper=2.5,pieces=1,coefficient4_rad=2",
+            Unnamed("joint3", "time", 0.0, 2.5, 1),
+            [0, 0, 0, 2],
+        ),
+    ],
+)
+def test_effects_as_text(text, effect, values):
+    found, numbers = parse_effect(text)
+    assert found == effect
+    np.testing.assert_allclose(numbers, values, rtol=1e-15, atol=1e-19)
+
+
+NAMES = ", ".join(catalogue_module.BUILT_IN)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("joint_complaince:joint=2", f"effect 'joint_complaince': unknown; the catalogue has {NAMES}"),
+        (
+            "joint_compliance:joint=2,stiffness=1",
+            "joint_compliance: the key 'stiffness' is unknown; the keys are joint, compliance_rad_per_Nm",
+        ),
+        (
+            "joint_compliance:compliance_rad_per_Nm=1",
+            "joint_compliance: joint is not given; the keys are joint, compliance_rad_per_Nm",
+        ),
+        (
+            "joint_compliance:joint=2",
+            "joint_compliance: no parameter is given; the keys are joint, compliance_rad_per_Nm",
+        ),
+        ("joint_compliance", "joint_compliance: joint is not given; the keys are joint, compliance_rad_per_Nm"),
+        (
+            "joint_compliance:joint",
+            "joint_compliance: 'joint' is not key=value; the keys are joint, compliance_rad_per_Nm",
+        ),
+        ("joint_compliance:joint=2,joint=3", "joint_compliance: joint is given twice; keep one"),
+        ("joint_compliance:joint=two", "joint_compliance: joint is 'two'; give a whole number"),
+        ("tool_offset:turned=1,x_m=1", "tool_offset: turned is 1; give true or false"),
+        ("unnamed:where=1", "unnamed: where is 1; give a name"),
+        (
+            "joint_compliance:joint=0,compliance_rad_per_Nm=1",
+            "joint_compliance: joint is 0; joints and links count from 1",
+        ),
+        (
+            "joint_compliance:joint=2,compliance_rad_per_Nm=9e",
+            "joint_compliance: compliance_rad_per_Nm is '9e'; give a number",
+        ),
+        (
+            "joint_compliance:joint=2,compliance_rad_per_Nm=nan",
+            "joint_compliance:joint2: compliance_rad_per_Nm is nan; give a finite number",
+        ),
+        (
+            "joint_harmonic:joint=1,amplitude_rad=1e-3",
+            "joint_harmonic:joint1: no order is given; say how often the error comes in a turn, as order=2",
+        ),
+        (
+            "joint_harmonic:joint=1,order=-2,amplitude_rad=1",
+            "joint_harmonic:joint1: order is -2; give a positive number",
+        ),
+        (
+            "joint_harmonic:joint=1,order=2,amplitude_rad=-1",
+            "joint_harmonic:joint1: amplitude_rad is -1; make it positive and add pi to phase_rad",
+        ),
+        (
+            "joint_harmonic:joint=1,order=2,amplitude=1",
+            "joint_harmonic: the key 'amplitude' is unknown; the keys are joint, order, amplitude_rad, phase_rad",
+        ),
+        (
+            "joint_coupling:joint=1,source_joint=1,coupling=1",
+            "joint_coupling:joint1: its source_joint is itself; that is joint_scale",
+        ),
+        (
+            "joint_coupling:joint=1,coupling=1",
+            "joint_coupling: source_joint is not given; the keys are joint, source_joint, coupling",
+        ),
+        (
+            "link_thermal_expansion:link=1.5,expansion_per_K=1",
+            "link_thermal_expansion: link is 1.5; give a whole number",
+        ),
+        (
+            "unnamed:joint=1",
+            "unnamed: where is not given; the keys are where, driver, lower, upper, pieces, component, orders, trust, "
+            "spread, memory, its parameters",
+        ),
+    ],
+)
+def test_text_that_is_no_effect(text, message):
+    assert refused(parse_effect, text).startswith(message)
+
+
+@pytest.mark.parametrize(
+    ("document", "message"),
+    [
+        ("joint_offset", "effect 'joint_offset': is no mapping; give effect, where and parameters"),
+        ({"where": {}}, f"effect None: unknown; the catalogue has {NAMES}"),
+        (
+            {"effect": ["joint_offset"]},
+            f"effect ['joint_offset']: unknown; the catalogue has {NAMES}",
+        ),
+        ({"effect": "joint_offset", "where": [1]}, "joint_offset: where is [1]; give a mapping of names to values"),
+        (
+            {"effect": "joint_offset", "where": {"joint": True}},
+            "joint_offset: joint is True; give a whole number",
+        ),
+        (
+            {"effect": "joint_offset", "where": {"joint": 1}, "site": "joint2", "parameters": {"offset_rad": 1}},
+            "joint_offset: the site 'joint2' is not that of {'joint': 1}; correct one",
+        ),
+        (
+            {"effect": "joint_offset", "where": {"joint": 1}, "parameters": {"offset": 1}},
+            "joint_offset:joint1: has no 'offset'; it takes offset_rad",
+        ),
+        (
+            {"effect": "joint_offset", "where": {"joint": 1}, "parameters": {}},
+            "joint_offset:joint1: no number is given; it takes offset_rad",
+        ),
+        (
+            {"effect": "joint_offset", "where": {"joint": 1}, "parameters": {"offset_rad": {"std": 1}}},
+            "joint_offset:joint1: offset_rad is None; give a number",
+        ),
+        (
+            {
+                "effect": "joint_harmonic",
+                "where": {"joint": 1, "order": 2},
+                "parameters": {"order": 3, "amplitude_rad": 1e-3},
+            },
+            "joint_harmonic:joint1: order 3 beside the fixed order 2; give one of them",
+        ),
+        (
+            {
+                "effect": "joint_coupling",
+                "where": {"joint": 1, "source_joint": 2},
+                "parameters": {"coupling": 1, "source_joint": 3.0},
+            },
+            "joint_coupling:joint1: source_joint 3 beside joint 2; give one of them",
+        ),
+    ],
+)
+def test_documents_that_are_no_effect(document, message):
+    assert refused(effect_from_dict, document) == message
+
+
+def test_a_motion_without_drivers_tests_few_effects_and_says_why():
+    reasons = {u.effect: u.reason for u in untestable(catalogue(6), BARE, loads_known=False)}
+    testable = [effect for effect in catalogue(6) if effect not in reasons]
+    assert {effect.name for effect in testable} == {
+        *("joint_offset", "joint_scale", "joint_harmonic", "joint_coupling", "frame_offset"),
+        *("tool_offset", "measurement_scale"),
+    }
+    masses = "the masses of the links; add `inertial` to the arm's description"
+    assert reasons[JointCompliance(2)] == f"needs the gravity torque of joint 2: give {masses}"
+    assert reasons[LinkCompliance(3)] == f"needs the gravity moment x of link 3: give {masses}"
+    assert reasons[LinkThermalExpansion()] == (
+        "needs the temperature rise: give a temperature; record temp1_degC … or ambient_degC"
+    )
+    assert reasons[JointLag(1)] == (
+        "needs the velocity of joint 1: give the velocities of a moving arm; record a trajectory with time_s or "
+        "dq1_rad_per_s …"
+    )
+    assert reasons[JointBacklash(6)] == (
+        "needs the direction of motion of joint 6: give the directions of motion; keep the rows in the "
+        "order of recording"
+    )
+    assert reasons[TimeOffset()] == "needs the time: give the times of the samples; record time_s"
+    assert reasons[BaseDrift()] == reasons[TimeOffset()]
+
+
+def test_a_motion_with_all_drivers_tests_the_whole_catalogue():
+    q = RNG.uniform(-1, 1, (4, 6))
+    full = motion_of(q, joint_velocity=q, direction=q, time=np.arange(4.0), ambient_temperature=np.full(4, 30.0))
+    assert untestable(catalogue(6), full, loads_known=True) == []
+
+
+@pytest.mark.parametrize(
+    ("effect", "message"),
+    [
+        (
+            LinkThermalExpansion(),
+            "link_thermal_expansion:links: needs the temperature rise: give a temperature; record temp1_degC … or "
+            "ambient_degC",
+        ),
+        (
+            JointCompliance(2),
+            "joint_compliance:joint2: needs the gravity torque of joint 2: give the masses of the links; add "
+            "`inertial` to the arm's description",
+        ),
+        (FrameOffset(7), "frame_offset:link7: concerns joint 7, and the arm has 6; choose one of those"),
+        (JointCoupling(1, 8), "joint_coupling:joint1: concerns joint 8, and the arm has 6; choose one of those"),
+    ],
+)
+def test_a_prediction_without_its_driver_is_refused_by_name(effect, message):
+    chain, model = SixParameterForm(6), arm_model(random_kinematics(RNG, 6).ravel())
+    values = np.zeros(effect.size)
+    assert refused(predict_poses, chain, Physics((effect,)), model, values, BARE) == message
+
+
+def test_the_last_link_has_no_next_joint():
+    warm = motion_of(np.zeros((2, 3)), ambient_temperature=[30.0, 31.0])
+    chain, model = SixParameterForm(3), arm_model(random_kinematics(RNG, 3).ravel())
+    message = refused(predict_poses, chain, Physics((LinkThermalExpansion(3),)), model, np.zeros(1), warm)
+    assert message == ("link_thermal_expansion:link3: no joint follows the last link; choose a link from 1 to 2")
+
+
+def everything():
+    q = RNG.uniform(-1, 1, (5, 2))
+    motion = motion_of(
+        q,
+        joint_velocity=2 * q,
+        direction=np.sign(q),
+        time=np.arange(5.0),
+        ambient_temperature=np.linspace(20, 30, 5),
+        payload=np.arange(5.0),
+    )
+    return motion, Loads(jnp.asarray(RNG.uniform(-1, 1, (2, 3, 5))), jnp.asarray(RNG.uniform(-1, 1, (3, 5))))
+
+
+def test_drivers_are_read_and_said():
+    motion, loads = everything()
+    for driver, values, unit in [
+        (Driver("position", 2), motion.joint_position[1], "rad"),
+        (Driver("direction of motion", 1), motion.direction[0], "1"),
+        (Driver("velocity", 2), motion.joint_velocity[1], "rad/s"),
+        (Driver("gravity torque", 2), loads.moment[1, 2], "Nm"),
+        (Driver("gravity moment x", 1), loads.moment[0, 0], "Nm"),
+        (Driver("gravity moment y", 1), loads.moment[0, 1], "Nm"),
+        (Driver("base moment x"), loads.base_moment[0], "Nm"),
+        (Driver("base moment y"), loads.base_moment[1], "Nm"),
+        (Driver("temperature rise"), motion.temperature_rise, "K"),
+        (Driver("time"), motion.time, "s"),
+        (Driver("payload"), motion.payload, "kg"),
+    ]:
+        np.testing.assert_array_equal(driver.values(motion, loads), values)
+        assert (driver.unit, driver.known(motion, loads)) == (unit, True)
+        assert driver_of(driver.phrase) == driver
+    assert Driver("gravity torque", 2).phrase == "gravity torque of joint 2"
+    assert Driver("gravity moment x", 2).phrase == "gravity moment x of link 2"
+    assert len(QUANTITIES) == 11
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: Driver("torque", 1), f"driver 'torque': unknown; choose one of {', '.join(QUANTITIES)}"),
+        (lambda: Driver("position"), "driver 'position': say of which joint, as in 'position of joint 1'"),
+        (lambda: Driver("time", 1), "driver 'time': is one of the whole arm; give no joint"),
+        (
+            lambda: driver_of("position of joint two"),
+            "driver 'position of joint two': ends in no number; write it like 'gravity torque of joint 2'",
+        ),
+        (
+            lambda: Driver("velocity", 1).values(BARE, None),
+            "velocity of joint 1: is needed and not known; it takes the velocities of a moving arm; record a "
+            "trajectory with time_s or dq1_rad_per_s …",
+        ),
+        (
+            lambda: Driver("position", 7).values(BARE, None),
+            "position of joint 7: the arm has 6 joints; choose one of them",
+        ),
+        (
+            lambda: Unnamed("elbow", "time", 0.0, 1.0),
+            "unnamed: no site is called 'elbow'; choose jointN, linkN, base or tool",
+        ),
+        (
+            lambda: Unnamed("joint1", "time", 0.0, 1.0, component="x"),
+            "unnamed:joint1: component 'x' is not possible there; give rz",
+        ),
+        (
+            lambda: Unnamed("base", "time", 0.0, 1.0, orders=(1.0, 2.0)),
+            "unnamed:base: 2 orders and 0 numbers of trust; give both, two of these at least, or none",
+        ),
+        (
+            lambda: Unnamed("base", "time", 0.0, 1.0, component="w"),
+            "unnamed:base: component 'w' is not possible there; give one of x y z rx ry rz",
+        ),
+        (
+            lambda: Unnamed("base", "time", 1.0, 1.0),
+            "unnamed:base: 8 pieces from 1 to 1 are no curve; give lower < upper and at least one piece",
+        ),
+        (
+            lambda: Unnamed("base", "weather", 0.0, 1.0),
+            f"driver 'weather': unknown; choose one of {', '.join(QUANTITIES)}",
+        ),
+    ],
+)
+def test_drivers_and_curves_that_are_not(make, message):
+    assert refused(make) == message
+
+
+@pytest.mark.parametrize("pieces", [1, 2, 7])
+def test_the_basis_is_scipys_b_splines_and_constant_beyond(pieces):
+    lower, upper = -0.7, 2.1
+    x = np.linspace(lower, upper, 41)[:-1]
+    step = (upper - lower) / pieces
+    knots = lower + step * np.arange(-3, pieces + 4)
+    basis = np.asarray(spline_basis(jnp.asarray(x), lower, upper, pieces))
+    np.testing.assert_allclose(basis.T, BSpline.design_matrix(x, knots, 3).toarray(), rtol=0, atol=1e-14)
+    ends = spline_basis(jnp.asarray([lower, upper]), lower, upper, pieces)
+    np.testing.assert_array_equal(spline_basis(jnp.asarray([-9.0, 9.0]), lower, upper, pieces), ends)
+    np.testing.assert_allclose(basis.sum(axis=0), 1, rtol=0, atol=1e-14)
+
+
+def test_a_curve_at_a_joint_is_an_angle_there():
+    bump = Unnamed("joint2", "position of joint 1", -1.0, 1.0, 5)
+    motion, loads = everything()
+    values = jnp.asarray(RNG.uniform(-1, 1, bump.size))
+    found = bump.deflect(values, motion, loads)
+    np.testing.assert_array_equal(found.joint[0], 0)
+    np.testing.assert_allclose(found.joint[1], bump.curve(values, motion.joint_position[0]))
+    assert [c.name for c in bump.coordinates][::7] == ["coefficient1_rad", "coefficient8_rad"]
+    tilt = Unnamed("tool", "time", 0.0, 4.0, 1, "z").deflect(values[:4], motion, loads)
+    assert np.abs(tilt.tool[2]).max() > 0
+    np.testing.assert_array_equal(np.delete(tilt.tool, 2, axis=0), 0)
+
+
+def example():
+    """The file that the catalogue's documentation shows."""
+    return catalogue_module.__doc__.split("```python\n")[1].split("```")[0]
+
+
+def test_the_documented_file_of_a_user_works_like_the_catalogue(tmp_path):
+    path = tmp_path / "my_effects.py"
+    path.write_text(example())
+    effects = load_effects(path)
+    assert [effect.label for effect in effects] == [f"cable_drag:joint{i}" for i in range(1, 7)]
+    kinds = kinds_of(effects)
+    effect, values = parse_effect("cable_drag:joint=2,drag_rad=2e-3", kinds)
+    assert effect == effects[1]
+    document = json.loads(json.dumps(effect_as_dict(effect, values)))
+    again, numbers = effect_from_dict(document, kinds)
+    assert again == effect
+    np.testing.assert_array_equal(numbers, values)
+    # it deflects, and can be differentiated, like a built-in one
+    chain, model = SixParameterForm(6), arm_model(random_kinematics(RNG, 6).ravel())
+    physics = Physics((effect,))
+    q = np.asarray(BARE.joint_position.T).copy()
+    q[:, 1] += 2e-3 * np.tanh(q[:, 1])
+    found = predict_poses(chain, physics, model, values, BARE)
+    np.testing.assert_allclose(found, predict(chain, model, q), rtol=0, atol=1e-14)
+    slope = jax.jvp(lambda v: predict_poses(chain, physics, model, v, BARE), (jnp.zeros(1),), (jnp.ones(1),))[1]
+    assert np.abs(slope).max() > 0.01
+    assert untestable(effects, BARE, loads_known=False) == []
+    assert refused(parse_effect, "cable_drag:joint=2,drag=1", kinds) == (
+        "cable_drag: the key 'drag' is unknown; the keys are joint, drag_rad"
+    )
+
+
+HEAD = example().split("EFFECTS")[0]
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("x = (1,\n", "line 1: SyntaxError: '(' was never closed"),
+        ("import math\n\nmath.sqrt(-1)\n", "line 3: ValueError: "),
+        (HEAD, "has no list EFFECTS; end it with EFFECTS = [MyEffect(joint=1), …]"),
+        (HEAD + "EFFECTS = []", "has no list EFFECTS; end it with EFFECTS = [MyEffect(joint=1), …]"),
+        (
+            HEAD + "EFFECTS = [CableDrag(1), CableDrag]",
+            "EFFECTS[1]: is the class CableDrag; give one of it, as CableDrag(joint=1)",
+        ),
+        (
+            HEAD + "EFFECTS = [3]",
+            "EFFECTS[0]: 3 is no effect; derive its class from JointEffect or Bending",
+        ),
+        (
+            HEAD.replace("@final\n", "") + "EFFECTS = [CableDrag(1)]",
+            "EFFECTS[0]: CableDrag is not final; write @final above the class",
+        ),
+        (
+            HEAD.replace("@dataclass(frozen=True)\n", "") + "EFFECTS = [CableDrag(1)]",
+            "EFFECTS[0]: CableDrag is not frozen; write @dataclass(frozen=True) above the class",
+        ),
+        (
+            HEAD.replace("cable_drag", "joint_lag") + "EFFECTS = [CableDrag(1)]",
+            "EFFECTS[0]: CableDrag has the name of a built-in effect, joint_lag; choose another",
+        ),
+        (
+            HEAD.replace('    name: ClassVar[str] = "cable_drag"\n', "") + "EFFECTS = [CableDrag(1)]",
+            'EFFECTS[0]: CableDrag has no name; write name: ClassVar[str] = "…" in the class',
+        ),
+        (
+            HEAD.replace("values[0] * ", "values[0] + ") + "EFFECTS = [CableDrag(1)]",
+            "EFFECTS[0]: cable_drag:joint1 changes joint at zero; make zero the value at which nothing changes",
+        ),
+        (
+            HEAD.replace("motion.joint_position[self.joint - 1]", "motion.joint_position") + "EFFECTS = [CableDrag(1)]",
+            "EFFECTS[0]: cable_drag:joint1 gives joint of shape (2, 2, 3); give (2, 3)",
+        ),
+        (
+            HEAD.replace("jnp.tanh", "jnp.tanhh") + "EFFECTS = [CableDrag(1)]",
+            "EFFECTS[0]: CableDrag(joint=1) fails on a trial motion (AttributeError: ",
+        ),
+        (
+            HEAD.replace('(Coordinate("drag_rad", "rad", 1e-4),)', "()") + "EFFECTS = [CableDrag(1)]",
+            "EFFECTS[0]: cable_drag:joint1 has the coordinates []; give at least one, each with a name of its own",
+        ),
+    ],
+)
+def test_files_of_a_user_that_fail(tmp_path, text, message):
+    path = tmp_path / "mine.py"
+    path.write_text(text)
+    assert refused(load_effects, path).startswith(f"{path}: {message}")
+
+
+def test_a_users_file_that_is_missing(tmp_path):
+    assert refused(load_effects, tmp_path / "none.py") == f"{tmp_path / 'none.py'}: no such file; check the name"
+
+
+def test_a_user_may_postpone_annotations(tmp_path):
+    path = tmp_path / "postponed.py"
+    path.write_text("from __future__ import annotations\n" + example())
+    effects = load_effects(path)
+    assert parse_effect("cable_drag:joint=3,drag_rad=1", kinds_of(effects))[0] == effects[2]

@@ -1,0 +1,253 @@
+"""What every effect of the catalogue obeys, and each one's prediction against plain NumPy."""
+
+import json
+from dataclasses import FrozenInstanceError
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from plain_chain import random_kinematics
+from plain_physics import moved, predicted_poses, simulated_inertia, simulated_motion
+
+from lite6jax.arms.chains import SixParameterForm
+from lite6jax.arms.moves import turn
+from lite6jax.effects.catalogue import BUILT_IN, catalogue, effect_as_dict, effect_from_dict, parse_effect
+from lite6jax.effects.composition import Physics
+from lite6jax.effects.effect import Altering, Bending
+from lite6jax.effects.kinematic.joints import JointCompliance, JointHarmonic
+from lite6jax.effects.kinematic.links import LinkCompliance
+from lite6jax.effects.kinematic.surroundings import ToolOffset
+from lite6jax.effects.motion import motion_of
+from lite6jax.effects.nonparametric import Unnamed
+from lite6jax.effects.statics import inertia_of, loads
+from lite6jax.model import arm_model, predict, predict_poses
+
+DOF = 3
+FORM = SixParameterForm(DOF)
+RNG = np.random.default_rng(20)
+KINEMATICS = random_kinematics(RNG, DOF)
+MOTION_ARRAYS = simulated_motion(RNG, DOF)
+INERTIA_ARRAYS = simulated_inertia(RNG, DOF)
+T_SENSOR_BASE, T_FLANGE_TOOL = moved(0.3, -0.2, 0.5, 0.4, 0.3, -0.8), moved(0.05, 0.02, 0.1, -0.2, 0.5, 0.1)
+
+MODEL = arm_model(KINEMATICS.ravel(), T_SENSOR_BASE, T_FLANGE_TOOL)
+MOTION = motion_of(**MOTION_ARRAYS)
+INERTIA = inertia_of(**INERTIA_ARRAYS)
+
+EFFECTS = (
+    *catalogue(DOF),
+    *(JointHarmonic(2), JointHarmonic(3, 50.5), ToolOffset(turned=True)),
+    Unnamed("joint2", "gravity torque of joint 2", -5.0, 5.0, pieces=3),
+    Unnamed("link1", "position of joint 3", -1.0, 1.5, pieces=4, component="y"),
+    Unnamed("base", "time", 0.0, 6.0, pieces=2, component="rx"),
+    Unnamed("tool", "temperature rise", -5.0, 15.0, pieces=1, component="z"),
+)
+every_effect = pytest.mark.parametrize("effect", EFFECTS, ids=lambda effect: f"{effect.label}{effect.size}")
+
+
+def values_of(effect, size=1.0):
+    """Values of the size that real arms show; an order is a number that the motion can show."""
+    values = size * RNG.uniform(0.5, 1, effect.size) * [c.typical for c in effect.coordinates]
+    if isinstance(effect, JointHarmonic) and effect.order is None:
+        values[2] = 1.7
+    return values
+
+
+def physics_of(effect):
+    """The effect, with a compliance beside it where it shows in nothing else."""
+    return Physics((effect, JointCompliance(2))) if effect.name == "payload_error" else Physics((effect,))
+
+
+def predicted(physics, values):
+    return predict_poses(FORM, physics, MODEL, values, MOTION, INERTIA)
+
+
+@every_effect
+def test_zero_changes_nothing(effect):
+    rigid = predict(FORM, MODEL, MOTION.joint_position.T)
+    np.testing.assert_allclose(predicted(Physics((effect,)), np.zeros(effect.size)), rigid, rtol=0, atol=1e-14)
+
+
+@every_effect
+def test_something_else_changes_something(effect):
+    physics = physics_of(effect)
+    values = physics.join([values_of(e) for e in physics.effects])
+    without = physics.join([np.zeros(effect.size), values[effect.size :]])
+    change = np.abs(predicted(physics, values) - predicted(physics, without)).max()
+    assert 1e-9 < change < 0.2
+
+
+@every_effect
+@pytest.mark.parametrize("at_neutral", [True, False])
+def test_derivative_is_that_of_finite_differences(effect, at_neutral):
+    physics = physics_of(effect)
+    at = physics.join([values_of(e) * (not at_neutral or e is not effect) for e in physics.effects])
+    typical = physics.typical
+    step = 1e-3 * RNG.uniform(0.5, 1, physics.size) * typical
+    step = np.maximum(step, 1e-6) if effect.name in ("base_drift",) else step
+    _, slope = jax.jvp(lambda v: predicted(physics, v), (jnp.asarray(at),), (jnp.asarray(step),))
+    difference = (predicted(physics, at + step) - predicted(physics, at - step)) / 2
+    np.testing.assert_allclose(slope, difference, rtol=0, atol=1e-15 + 2e-6 * np.abs(difference).max())
+
+
+@every_effect
+def test_names_say_units_and_sizes_are_positive(effect):
+    suffixes = {"1": "", "1/K": "_per_K", "rad/Nm": "_rad_per_Nm", "m/s": "_m_per_s"}
+    assert effect.coordinates
+    for coordinate in effect.coordinates:
+        assert coordinate.name.endswith(suffixes.get(coordinate.unit, f"_{coordinate.unit}"))
+        assert 0 < coordinate.typical < 1
+    assert effect.label == f"{effect.name}:{effect.site}"
+    assert all(driver.phrase and driver.unit and driver.remedy for driver in effect.drivers)
+
+
+@every_effect
+def test_an_effect_is_a_frozen_final_value(effect):
+    kind = type(effect)
+    assert kind.__final__
+    assert hash(effect) == hash(kind(**vars(effect)))
+    assert effect == kind(**vars(effect))
+    assert isinstance(effect, Bending) != isinstance(effect, Altering)
+    with pytest.raises((FrozenInstanceError, TypeError)):
+        effect.name = "other"
+
+
+@every_effect
+def test_nobody_overrides_a_method(effect):
+    ancestors = [c for c in type(effect).__mro__ if c.__module__.startswith("lite6jax")]
+    for i, c in enumerate(ancestors):
+        for name, member in vars(c).items():
+            if name.startswith("__") or not (callable(member) or isinstance(member, property)):
+                continue
+            for above in ancestors[i + 1 :]:
+                inherited = vars(above).get(name)
+                assert inherited is None or getattr(inherited, "__isabstractmethod__", False), (c, name)
+
+
+@every_effect
+def test_json_gives_the_same_effect_back(effect):
+    values = values_of(effect)
+    document = json.loads(json.dumps(effect_as_dict(effect, values, np.diag(values**2))))
+    again, numbers = effect_from_dict(document)
+    assert again == effect
+    np.testing.assert_allclose(numbers, values, rtol=1e-14)
+    assert document["site"] == effect.site
+    assert BUILT_IN[document["effect"]] is type(effect)
+    plain = {name: p["value"] for name, p in document["parameters"].items()}
+    np.testing.assert_allclose(effect_from_dict({**document, "parameters": plain})[1], values, rtol=1e-14)
+
+
+@every_effect
+def test_text_gives_the_same_prediction(effect):
+    values = values_of(effect)
+    document = effect_as_dict(effect, values)
+    items = dict(document["where"]) | {name: p["value"] for name, p in document["parameters"].items()}
+    text = f"{effect.name}:" + ",".join(f"{name}={value!r}" for name, value in items.items())
+    again, numbers = parse_effect(text.replace("'", ""))
+    assert again.label == effect.label
+    assert list(again.reported(numbers)) == list(effect.reported(values))
+    numbers_of = lambda e, v: [estimate.value for estimate in e.reported(v).values()]  # noqa: E731
+    np.testing.assert_allclose(numbers_of(again, numbers), numbers_of(effect, values), rtol=1e-13)
+
+
+@every_effect
+def test_standard_deviations_are_those_of_finite_differences(effect):
+    values = values_of(effect)
+    typical = np.array([c.typical for c in effect.coordinates])
+    root = 0.01 * typical[:, None] * RNG.uniform(-1, 1, (effect.size, effect.size))
+    reported = effect.reported(values, root @ root.T)
+    assert list(reported) == list(effect.reporting.names(effect))
+
+    def parameters(at):
+        return np.array([estimate.value for estimate in effect.reported(at).values()])
+
+    slopes = [
+        (parameters(values + step) - parameters(values - step)) / (2 * step.sum()) for step in np.diag(1e-5 * typical)
+    ]
+    stds = np.sqrt(np.sum((np.transpose(slopes) @ root) ** 2, axis=1))
+    np.testing.assert_allclose([estimate.std for estimate in reported.values()], stds, rtol=1e-6, atol=1e-16)
+
+
+def plain_form(effect, values):
+    document = effect_as_dict(effect, values)
+    parameters = {name: p["value"] for name, p in document["parameters"].items()}
+    return effect.name, {**document["where"], **parameters}
+
+
+NAMED = [effect for effect in EFFECTS if effect.name != "unnamed"]
+
+
+@pytest.mark.parametrize("effect", NAMED, ids=lambda effect: f"{effect.label}{effect.size}")
+def test_prediction_is_that_of_plain_numpy(effect):
+    physics = physics_of(effect)
+    parts = [values_of(e) for e in physics.effects]
+    poses = predicted(physics, physics.join(parts))
+    effects = [plain_form(e, v) for e, v in zip(physics.effects, parts, strict=True)]
+    plain = predicted_poses(KINEMATICS, T_SENSOR_BASE, T_FLANGE_TOOL, MOTION_ARRAYS, INERTIA_ARRAYS, effects)
+    np.testing.assert_allclose(poses, plain, rtol=0, atol=1e-13)
+
+
+def test_all_effects_together_are_those_of_plain_numpy_in_any_order():
+    parts = [values_of(e, 3.0) for e in NAMED]
+    effects = [plain_form(e, v) for e, v in zip(NAMED, parts, strict=True)]
+    plain = predicted_poses(KINEMATICS, T_SENSOR_BASE, T_FLANGE_TOOL, MOTION_ARRAYS, INERTIA_ARRAYS, effects)
+    for order in (np.arange(len(NAMED)), RNG.permutation(len(NAMED))):
+        physics = Physics(tuple(NAMED[i] for i in order))
+        poses = predicted(physics, physics.join([parts[i] for i in order]))
+        np.testing.assert_allclose(poses, plain, rtol=0, atol=1e-13)
+
+
+def test_deflections_add_up():
+    physics = Physics(tuple(e for e in EFFECTS if isinstance(e, Bending)))
+    values = jnp.asarray(physics.join([values_of(e) for e in physics.effects]))
+    pulled = loads(FORM, MODEL.geometry, turn(MOTION.joint_position), MOTION.payload, INERTIA)
+    together = physics.deflect(values, MOTION, pulled)
+    alone = [e.deflect(values[part], MOTION, pulled) for e, part in zip(physics.effects, physics.slices, strict=True)]
+    for name in together._fields:
+        parts = [getattr(one, name) for one in alone]
+        total = sum(np.asarray(part) for part in parts if part is not None)
+        np.testing.assert_allclose(getattr(together, name), total, rtol=0, atol=1e-17)
+
+
+def test_numbers_of_several_effects_stand_one_after_the_other():
+    physics = Physics((JointHarmonic(1, 1.0), JointHarmonic(1, 2.0), LinkCompliance(2)))
+    assert physics.size == 6
+    assert physics.names == (
+        "joint_harmonic:joint1:sine_rad",
+        "joint_harmonic:joint1:cosine_rad",
+        "joint_harmonic:joint1#2:sine_rad",
+        "joint_harmonic:joint1#2:cosine_rad",
+        "link_compliance:link2:compliance_x_rad_per_Nm",
+        "link_compliance:link2:compliance_y_rad_per_Nm",
+    )
+    assert physics.units == ("rad", "rad", "rad", "rad", "rad/Nm", "rad/Nm")
+    assert [len(np.arange(6)[part]) for part in physics.slices] == [2, 2, 2]
+    covariance = np.diag(np.arange(1.0, 7.0) ** 2)
+    first, second, third = physics.reported([3e-4, 4e-4, 0, -1e-4, 1e-5, 2e-5], covariance)
+    assert first["amplitude_rad"].value == pytest.approx(5e-4)
+    assert first["phase_rad"].value == pytest.approx(np.arctan2(4, 3))
+    assert second["phase_rad"].value == pytest.approx(-np.pi / 2)
+    assert third["compliance_y_rad_per_Nm"] == (2e-5, 6.0)
+    assert Physics().size == 0
+    assert physics.loaded
+    assert not Physics((JointHarmonic(1),)).loaded
+
+
+def test_phases_lie_above_minus_pi_and_at_most_at_pi():
+    harmonic = JointHarmonic(1, 1.0)
+    assert harmonic.reported([-1e-4, -0.0])["phase_rad"].value == np.pi
+    assert harmonic.reported([-1e-4, 0.0])["phase_rad"].value == np.pi
+    nothing = harmonic.reported([0.0, 0.0], np.eye(2) * 1e-12)
+    assert nothing["amplitude_rad"] == (0.0, pytest.approx(1e-6))
+    assert nothing["phase_rad"].std == pytest.approx(np.pi / np.sqrt(3))
+    for phase in (-3.0, -0.2, 1.1, np.pi):
+        values = harmonic.values_of({"order": 1.0, "amplitude_rad": 2e-4, "phase_rad": phase})
+        assert harmonic.reported(values)["phase_rad"].value == pytest.approx(phase)
+
+
+def test_the_catalogue_has_every_site_once():
+    labels = [f"{e.label}:{getattr(e, 'order', '')}{getattr(e, 'source_joint', '')}" for e in catalogue(6)]
+    assert len(set(labels)) == len(labels) == 5 * 6 + 12 + 30 + 6 + 6 + 7 + 6
+    assert {e.name for e in catalogue(6)} == set(BUILT_IN) - {"unnamed"}
+    assert max(e.joints_needed for e in catalogue(4)) == 4

@@ -1,0 +1,99 @@
+"""Curves with memory: a plain loop, laws of hysteresis, and springs that yield as oracles."""
+
+import json
+from itertools import pairwise
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from lite6jax.effects.catalogue import effect_as_dict, effect_from_dict
+from lite6jax.effects.motion import motion_of
+from lite6jax.effects.nonparametric import Unnamed, plays
+from lite6jax.errors import InputError
+
+RNG = np.random.default_rng(5)
+
+
+def runs_of(run):
+    """(2, sample): first and last sample of the run of each."""
+    return motion_of(np.zeros((len(run), 1)), run=run).run
+
+
+def plainly(values, width, run):
+    left, out = 0.0, []
+    for k, value in enumerate(values):
+        if k == 0 or run[k] != run[k - 1]:
+            left = 0.0
+        if value - left > width:
+            left = value - width
+        elif left - value > width:
+            left = value + width
+        out.append(left)
+    return np.array(out)
+
+
+def test_a_play_is_pushed_along_and_left_behind():
+    run = np.repeat([0, 1, 2], [20, 1, 29])
+    values, widths = RNG.normal(size=50), np.array([0.0, 0.3, 1.1, 5.0])
+    found = np.asarray(plays(jnp.asarray(values), jnp.asarray(widths), runs_of(run)))
+    for row, width in zip(found, widths, strict=True):
+        np.testing.assert_allclose(row, plainly(values, width, run), rtol=0, atol=1e-15)
+    np.testing.assert_array_equal(found[0], values)
+    np.testing.assert_array_equal(found[3], 0)
+
+
+def test_the_rate_does_not_matter_and_loops_close():
+    turning = np.array([0.0, 1.0, -0.6, 0.4, -0.6, 1.0])
+    slow = np.concatenate([np.linspace(a, b, 40) for a, b in pairwise(turning)])
+    widths, one = jnp.array([0.1, 0.25, 0.5]), np.zeros(len(slow), int)
+    fine = np.asarray(plays(jnp.asarray(slow), widths, runs_of(one)))
+    coarse = np.asarray(plays(jnp.asarray(turning), widths, runs_of(one[:6])))
+    np.testing.assert_allclose(fine[:, 39::40], coarse[:, 1:], rtol=0, atol=1e-14)
+    np.testing.assert_allclose(coarse[:, 2], coarse[:, 4], rtol=0, atol=1e-15)  # the inner loop's two ends
+    np.testing.assert_allclose(coarse[:, 1], coarse[:, 5], rtol=0, atol=1e-15)  # and the outer one's
+
+
+def test_springs_beside_a_slider_are_a_curve_with_memory():
+    """Of stiffness a, beside one of stiffness b whose slider gives way at a force f (Masing)."""
+    a, b, f = 0.7, 1.9, 0.4
+    load = np.cumsum(RNG.normal(scale=0.3, size=300))
+    x, slid, spring = 0.0, 0.0, []
+    for force in load:
+        x = (force + b * slid) / (a + b)
+        if abs(b * (x - slid)) > f:
+            side = np.sign(x - slid)
+            x = (force - side * f) / a
+            slid = x - side * f / b
+        spring.append(x)
+    driver = jnp.asarray(load)
+    curve = Unnamed("joint1", "gravity torque of joint 1", -1.0, 1.0, memory=(0.0, f * (a + b) / b))
+    found = curve.curve(jnp.array([1 / (a + b), 1 / a - 1 / (a + b)]), driver)
+    np.testing.assert_allclose(found, spring, rtol=0, atol=1e-12)
+
+
+def test_a_curve_with_memory_is_written_and_deflects_by_runs():
+    curve = Unnamed("joint1", "position of joint 2", -1.0, 1.0, memory=(0.0, 0.2))
+    assert [c.name for c in curve.coordinates] == ["coefficient1_rad", "coefficient2_rad"]
+    values = np.array([1e-3, -2e-3])
+    again, numbers = effect_from_dict(json.loads(json.dumps(effect_as_dict(curve, values))))
+    assert again == curve
+    np.testing.assert_array_equal(numbers, values)
+    q, run = RNG.normal(size=(40, 2)), np.repeat([0, 1], 20)
+    motion = motion_of(q, run=run)
+    expected = values[0] * q[:, 1] + values[1] * plainly(q[:, 1], 0.2, run)
+    bent, units = curve.deflect(jnp.asarray(values), motion, None).joint, curve.units(motion, None).joint
+    assert bent is not None
+    assert units is not None
+    np.testing.assert_allclose(bent[0], expected, rtol=0, atol=1e-15)
+    np.testing.assert_allclose(np.tensordot(values, np.asarray(units), 1)[0], expected, rtol=0, atol=1e-15)
+
+
+@pytest.mark.parametrize(
+    "options", [{"memory": (0.1, -0.2)}, {"memory": (0.1,), "orders": (2.0,), "trust": (1.0, 1.0)}]
+)
+def test_a_memory_that_is_not(options):
+    with pytest.raises(InputError) as caught:
+        Unnamed("base", "time", 0.0, 1.0, **options)
+    widths = options["memory"]
+    assert str(caught.value) == (f"unnamed:base: memory {widths} is not possible; give widths from 0 on, and no orders")
