@@ -22,9 +22,9 @@ from lite6jax.diagnosis.explanation import explain
 from lite6jax.domains.pose.predict import read_model
 from lite6jax.domains.pose.problem import Case, case_of
 from lite6jax.domains.pose.screening.rows import Fault
-from lite6jax.effects.catalogue import parse_effect
 from lite6jax.effects.composition import Physics
 from lite6jax.effects.effect import Effect
+from lite6jax.effects.serialization import parse_effect
 from lite6jax.estimation.least_squares import refit
 from lite6jax.estimation.score_test import evidence_of
 from lite6jax.recordings import FactoryUncertainty, Recording, RecordingSettings, write_recording

@@ -15,8 +15,9 @@ from benchmarks import __main__ as harness
 from benchmarks import command, diagnose, fits, measure, one_by_one, problem, rivals, samples, seed_way
 from benchmarks.measure import Record
 from lite6jax.domains.pose.screening.screen import Fault
-from lite6jax.effects.catalogue import catalogue, parse_effect
+from lite6jax.effects.catalogue import catalogue
 from lite6jax.effects.kinematic.surroundings import TimeOffset
+from lite6jax.effects.serialization import parse_effect
 from lite6jax.estimation.score_test import Score
 from lite6jax.search.backward import Step
 

@@ -44,9 +44,9 @@ from lite6jax.arms.arm import Arm as LibraryArm
 from lite6jax.arms.bundled import load_bundled
 from lite6jax.arms.chains import SixParameterForm
 from lite6jax.arms.description import read_description
-from lite6jax.effects.catalogue import effect_from_dict
 from lite6jax.effects.composition import Physics
 from lite6jax.effects.motion import motion_of
+from lite6jax.effects.serialization import effect_from_dict
 from lite6jax.effects.statics import inertia_of
 from lite6jax.model import ArmModel, predict_poses
 from lite6jax.recordings import read_recording

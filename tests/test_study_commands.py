@@ -268,10 +268,14 @@ def test_design_with_what_is_recorded(capsys, tmp_path, measured):
     assert "5 poses of 300 candidates" in text
 
 
-def test_design_tells_rivals_apart(capsys, tmp_path):
-    rivals = ("--rivals", "joint_compliance:joint=2,compliance_rad_per_Nm=5e-5", "joint_harmonic:joint=2,order=1")
+def test_design_discriminates_between_two_effects(capsys, tmp_path):
+    effects = (
+        "--discriminate",
+        "joint_compliance:joint=2,compliance_rad_per_Nm=5e-5",
+        "joint_harmonic:joint=2,order=1",
+    )
     out = tmp_path / "poses.csv"
-    code, said, _ = run(capsys, "design", "lite6", *SMALL, *rivals, "--out", out, "--figures", tmp_path)
+    code, said, _ = run(capsys, "design", "lite6", *SMALL, *effects, "--out", out, "--figures", tmp_path)
     assert code == 0
     text = flat(said)
     assert "If joint_compliance:joint2 has the size given, joint_harmonic:joint2 cannot pass for it by" in text
@@ -301,13 +305,13 @@ def test_design_of_an_arm_from_a_file(capsys, tmp_path):
         (("--box", "5000", "0", "0", "6000", "10", "10"), "box refused 100 % of them; widen it"),
         (("--filter", "nothing.py:f"), "nothing.py: no such file; a filter is FILE.py:function"),
         (("--limit-margin", "900"), "leaves joint1 no room; give a smaller one"),
-        (("--rivals", "joint_compliance:joint=2", "joint_harmonic:joint=2,order=1"), "no parameter is given"),
-        (("--geometry", "none.urdf"), "none.urdf"),
+        (("--discriminate", "joint_compliance:joint=2", "joint_harmonic:joint=2,order=1"), "no parameter is given"),
+        (("--collision-geometry", "none.urdf"), "none.urdf"),
         (("--seed", "-3"), "--seed -3: give 0 or more"),
         (("--floor", "nan"), "--floor nan: give a height in mm"),
         (
-            ("--rivals", "joint_scale:joint=2,scale=1e-4", "joint_offset:joint=2", "--criterion", "D"),
-            "--rivals: chooses what tells two effects apart; leave --criterion and --accuracy out",
+            ("--discriminate", "joint_scale:joint=2,scale=1e-4", "joint_offset:joint=2", "--criterion", "D"),
+            "--discriminate: chooses by the distance between two effects; leave --criterion and --accuracy out",
         ),
     ],
 )
@@ -320,7 +324,7 @@ def test_the_shapes_of_another_arm_are_refused(capsys, tmp_path):
     from lite6jax.arms.files import write_urdf
 
     other = write_urdf(load_bundled("xarm7"), tmp_path / "x.urdf")
-    line = refused(capsys, "design", "lite6", "--geometry", other, "--out", tmp_path / "poses.csv")
+    line = refused(capsys, "design", "lite6", "--collision-geometry", other, "--out", tmp_path / "poses.csv")
     assert line == f"{other}: is of another arm than lite6; give its own URDF, or name the tip"
 
 

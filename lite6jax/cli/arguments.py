@@ -25,3 +25,18 @@ def check_out(path: Path, suffix: str, overwrite: bool) -> None:
     if path.suffix.lower() != suffix:
         raise InputError(f"{path}: what is written here is {suffix[1:]}; let the name end in {suffix}")
     check_writable(path, overwrite)
+
+
+def check_seed(seed: int) -> None:
+    """Refuses a negative seed, which NumPy's generators do not take.
+
+    Raises:
+        InputError: as said.
+    """
+    if seed < 0:
+        raise InputError(f"--seed {seed}: give 0 or more")
+
+
+def stem(source: str) -> str:
+    """The name of an arm, or of its file without folder, suffix and tip: figures are named after it."""
+    return Path(source.partition("#")[0]).stem

@@ -50,7 +50,7 @@ class Compensate:
 
         from lite6jax.domains.pose.compensate import compensate, read_limits, read_wanted
         from lite6jax.domains.pose.predict import read_model
-        from lite6jax.effects.catalogue import load_effects
+        from lite6jax.effects.user_effects import load_effects
         from lite6jax.recordings import sidecar_path, write_settings
         from lite6jax.report import compensation_tables, screen
 

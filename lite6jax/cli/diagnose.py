@@ -20,14 +20,14 @@ class Diagnose:
 
         lite6jax diagnose run7.csv --out diagnosis.json
         lite6jax diagnose run7.csv --out diagnosis.json --report report.html
-        lite6jax diagnose run7.csv --against gazebo.csv --out diagnosis.json
+        lite6jax diagnose run7.csv --reference gazebo.csv --out diagnosis.json
     """
 
     source: Annotated[Positional[Path], arg(metavar="FILE")]
     """A recording of measured poses (.csv, .parquet, .mcap), with its sidecar .yaml beside it."""
     out: Annotated[Path, arg(metavar="FILE")]
     """Write findings and model here (JSON)."""
-    against: Annotated[Path | None, arg(metavar="OTHER")] = None
+    reference: Annotated[Path | None, arg(metavar="OTHER")] = None
     """Take the other side from this recording instead of the model: what another simulator gives for the same joints,
     or the same arm earlier. Says first whether the model reproduces it, and if not, in what they differ."""
     arm: ArmName = None
@@ -61,7 +61,7 @@ class Diagnose:
         from lite6jax.arms.files import read_arm
         from lite6jax.diagnosis.diagnose import FOLDS, diagnose
         from lite6jax.domains.pose.reference import diagnose_against
-        from lite6jax.effects.catalogue import load_effects
+        from lite6jax.effects.user_effects import load_effects
         from lite6jax.fitting.fit import load_nominal, read_source
         from lite6jax.recordings import Recording
         from lite6jax.report import diagnosis_tables, screen
@@ -77,7 +77,7 @@ class Diagnose:
         nominal = load_nominal(self.arm)
         recording = read(self.source, nominal)
         arm = nominal or read_arm(recording.settings.arm_reference(Path(recording.source).parent))
-        other = read(self.against, arm) if self.against else None
+        other = read(self.reference, arm) if self.reference else None
         effects = load_effects(self.effects) if self.effects else ()
         with screen.progress(FOLDS + 1, "searching") as advance:
             if other is None:
@@ -140,7 +140,7 @@ class Predict:
         import pyarrow.csv as pa_csv
 
         from lite6jax.domains.pose.predict import predict_motion, read_model, read_motion, register_motion, table
-        from lite6jax.effects.catalogue import load_effects
+        from lite6jax.effects.user_effects import load_effects
         from lite6jax.report import diagnosis_tables, screen
 
         model = read_model(self.diagnosis, load_effects(self.effects) if self.effects else ())

@@ -149,8 +149,10 @@ class Emulate:
     def _body(self, index: int) -> "Body":
         from lite6jax.arms.factory import read_factory
         from lite6jax.arms.files import read_arm
-        from lite6jax.effects.catalogue import kinds_of, load_effects, parse_effect
+        from lite6jax.effects.catalogue import kinds_of
         from lite6jax.effects.composition import Physics
+        from lite6jax.effects.serialization import parse_effect
+        from lite6jax.effects.user_effects import load_effects
         from lite6jax.emulator import Body
         from lite6jax.simulation import draw_calibration
 

@@ -17,13 +17,15 @@ from tyro.conf import FlagCreatePairsOff, OmitArgPrefixes, subcommand
 
 from lite6jax.cli.arguments import BAD_INPUT, DONE, INTERRUPTED
 from lite6jax.cli.compensate import Compensate
+from lite6jax.cli.deprecated import current_spelling
+from lite6jax.cli.design import Design
 from lite6jax.cli.diagnose import Diagnose, Predict
 from lite6jax.cli.emulate import Emulate
 from lite6jax.cli.files import Check, Convert
 from lite6jax.cli.fit import Compare, Demo, Fit, Fleet
 from lite6jax.cli.live import Read, Record
 from lite6jax.cli.simulate import Simulate
-from lite6jax.cli.study import Design, Identify, Sensitivity
+from lite6jax.cli.study import Identify, Sensitivity
 from lite6jax.errors import InputError
 
 COMMANDS = {
@@ -68,7 +70,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             print(f"lite6jax {_version()}")
             return DONE
         command = tyro.cli(
-            _subcommands(), prog="lite6jax", description=DESCRIPTION, args=arguments,
+            _subcommands(), prog="lite6jax", description=DESCRIPTION, args=current_spelling(arguments),
             config=(FlagCreatePairsOff, OmitArgPrefixes),
         )  # fmt: skip
         from lite6jax.fitting.compiled import keep_compiled_code

@@ -175,8 +175,10 @@ class Simulate:
         return DONE
 
     def _physics(self) -> "tuple[Physics, np.ndarray]":
-        from lite6jax.effects.catalogue import kinds_of, load_effects, parse_effect
+        from lite6jax.effects.catalogue import kinds_of
         from lite6jax.effects.composition import Physics
+        from lite6jax.effects.serialization import parse_effect
+        from lite6jax.effects.user_effects import load_effects
 
         own = () if self.effects is None else load_effects(self.effects)
         parsed = [parse_effect(text, kinds_of(own)) for text in self.effect]

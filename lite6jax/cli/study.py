@@ -1,21 +1,17 @@
-"""Commands that study an arm: what poses determine, which parameters matter, which poses to record."""
+"""Commands that study an arm: what poses determine of its parameters, and which parameters its error comes from."""
 
 import json
 import math
-import os
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 from tyro.conf import Positional, UseAppendAction, arg
 
-from lite6jax.cli.arguments import DONE, ArmName, Folder
+from lite6jax.cli.arguments import DONE, ArmName, Folder, check_seed, stem
 from lite6jax.errors import InputError
-from lite6jax.storage import check_writable
 
 if TYPE_CHECKING:
     from lite6jax.arms.arm import Arm
-    from lite6jax.identifiability.candidates import Filter
     from lite6jax.identifiability.information import Experiment
 
 SensorName = Literal["tracker", "tracker_6d", "motion_capture", "camera", "dial_gauge", "ball_bar"]
@@ -24,7 +20,7 @@ Known = Literal["known", "unknown"]
 
 @dataclass(frozen=True)
 class Setup:
-    """How poses are measured. Not asked of a recording that has poses: its sidecar says it."""
+    """How poses are measured; of a recording that has poses its sidecar says so."""
 
     sensor: SensorName = "tracker"
     """Positions: tracker; poses: tracker_6d, motion_capture, camera; along an axis: dial_gauge; distance: ball_bar."""
@@ -85,7 +81,7 @@ class Setup:
         )
         if not self.effect:
             return setup
-        from lite6jax.effects.catalogue import parse_effect
+        from lite6jax.effects.serialization import parse_effect
 
         effects, values = zip(*(parse_effect(text, neutral=True) for text in self.effect), strict=True)
         try:
@@ -136,13 +132,13 @@ class Identify:
     def run(self) -> int:
         """Studies, draws, prints."""
         from lite6jax.arms.files import read_arm
-        from lite6jax.effects.catalogue import parse_effect
+        from lite6jax.effects.serialization import parse_effect
         from lite6jax.fitting.fit import load_nominal, read_source
         from lite6jax.identifiability.identify import identify, identify_recording
         from lite6jax.recordings import Recording, recording_file
 
-        _check_seed(self.seed)
-        names = [f"{_stem(self.source)}_{what}" for what in ("singular_values", "correlation", "deviations")]
+        check_seed(self.seed)
+        names = [f"{stem(self.source)}_{what}" for what in ("singular_values", "correlation", "deviations")]
         if self.figures:
             from lite6jax.report import canvas
 
@@ -233,11 +229,11 @@ class Sensitivity:
         from lite6jax.identifiability.sensitivity import global_sensitivity, sensitivity
         from lite6jax.report import canvas, screen, study_tables
 
-        _check_seed(self.seed)
+        check_seed(self.seed)
         for name, value in (("length", self.length), ("angle", self.angle)):
             if not (math.isfinite(value) and value >= 0) or self.length == self.angle == 0:
                 raise InputError(f"--{name} {value}: give one standard deviation, not below 0, and not both 0")
-        names = [f"{_stem(self.source)}_{what}" for what in ("sensitivity_by_joint", "sensitivity_workspace")]
+        names = [f"{stem(self.source)}_{what}" for what in ("sensitivity_by_joint", "sensitivity_workspace")]
         if self.figures:
             canvas.check_names(self.figures, names, self.force)
         arm = read_arm(self.source)
@@ -258,162 +254,3 @@ class Sensitivity:
         screen.show(study_tables.sensitivity_report(found, over_arms, self.source))
         screen.written(written)
         return DONE
-
-
-@dataclass(frozen=True)
-class Design:
-    """Which poses to record: those that tell an arm's parameters best, and how many are enough.
-
-    For example:
-
-        lite6jax design lite6 --poses 40 --sensor tracker --out poses.csv
-        lite6jax design lite6 --poses 30 --box 100 -300 0 500 300 500 --floor 20 --out poses.csv
-        lite6jax design lite6 --rivals joint_compliance:joint=2,compliance_rad_per_Nm=1e-5
-            joint_harmonic:joint=2,order=1 --out poses.csv
-    """
-
-    out: Annotated[Path, arg(metavar="FILE")]
-    """Write the joint positions here (.csv or .parquet), in an order of short moves, and a sidecar beside it."""
-    source: Annotated[Positional[str], arg(metavar="ARM|FILE")] = "lite6"
-    """A bundled arm or an arm's file."""
-    setup: Setup = Setup()
-    poses: int = 40
-    """How many."""
-    accuracy: Annotated[float | None, arg(metavar="MM")] = None
-    """Say how many reach this accuracy of predicted positions (one standard deviation)."""
-    criterion: Literal["I", "D", "A", "E"] = "I"
-    """I: positions predicted over the workspace; D, A, E: the parameters' volume, mean variance, worst direction."""
-    rivals: Annotated[tuple[str, str] | None, arg(metavar="EFFECT EFFECT")] = None
-    """Choose the poses that tell these two kinds of physics apart instead; the first needs its size, the second may."""
-    candidates: int = 100_000
-    """Joint positions drawn, among which to choose."""
-    recorded: Annotated[Path | None, arg(metavar="FILE")] = None
-    """A recording whose poses are there already and count."""
-    limit_margin: Annotated[float, arg(metavar="DEG")] = 2.0
-    """How far each joint stays from its limits."""
-    box: Annotated[tuple[float, float, float, float, float, float] | None, arg(metavar="MM…")] = None
-    """Where the sensor sees the tool: least x y z, then greatest x y z, mm in the base's frame."""
-    floor: Annotated[float | None, arg(metavar="MM")] = None
-    """Height that every joint, flange and tool stay above."""
-    link_radius: Annotated[float | None, arg(metavar="MM")] = None
-    """Of the capsules that stand for the links; a twentieth of the reach where not given, 0 for no check."""
-    geometry: Annotated[str | None, arg(metavar="URDF")] = None
-    """Take the links' shapes from this URDF's collision geometry instead (robot.urdf#tip)."""
-    filter: Annotated[tuple[str, ...], UseAppendAction, arg(metavar="FILE.py:FUNCTION")] = ()
-    """A function of yours: (sample, joint) rad to bool, true where a pose may be recorded. Runs the file."""
-    refine: bool = True
-    """Move the chosen poses on, between the candidates, as long as that gains."""
-    seed: int = 0
-    """Of what is drawn."""
-    figures: Folder = None
-    """Draw the accuracy against the number of poses into this folder (PNG and SVG)."""
-    force: bool = False
-    """Replace files that exist."""
-
-    def run(self) -> int:
-        """Draws candidates, chooses, writes, prints."""
-        from lite6jax.arms.files import read_arm
-        from lite6jax.fitting.fit import read_source
-        from lite6jax.identifiability.candidates import all_pass, candidates, inside_limits
-        from lite6jax.identifiability.planning import plan_poses, separate_poses, shortest_round
-        from lite6jax.recordings import Recording, RecordingSettings, sidecar_path, write_recording
-        from lite6jax.report import screen, study_tables
-
-        check_writable(self.out, self.force)
-        check_writable(sidecar_path(self.out), self.force)
-        _check_seed(self.seed)
-        if self.rivals is not None and (self.criterion != "I" or self.accuracy is not None):
-            raise InputError("--rivals: chooses what tells two effects apart; leave --criterion and --accuracy out")
-        if self.floor is not None and not math.isfinite(self.floor):
-            raise InputError(f"--floor {self.floor}: give a height in mm")
-        if self.accuracy is not None and not self.accuracy > 0:
-            raise InputError(f"--accuracy {self.accuracy}: give a standard deviation in mm, above 0")
-        name = f"{self.out.stem}_accuracy"
-        if self.figures:
-            from lite6jax.report import canvas
-
-            canvas.check_names(self.figures, [name], self.force)
-        arm = read_arm(self.source)
-        experiment = self.setup.experiment(arm)
-        recorded = None
-        if self.recorded is not None:
-            recorded = read_source(self.recorded, arm)
-            if not isinstance(recorded, Recording):
-                raise InputError(f"{self.recorded}: is no recording; --recorded takes a .csv or .parquet")
-            recorded = recorded.joint_position
-        margin = math.radians(self.limit_margin)
-        filters, disabled = self._filters(arm)
-        drawn = candidates(arm, self.candidates, self.seed, filters, margin)
-        asked = {
-            "recorded": recorded,
-            "refined": self.refine,
-            "limits": inside_limits(arm, margin),
-            "feasible": lambda q: all_pass(filters, q),
-            "seed": self.seed,
-        }
-        accuracy = None if self.accuracy is None else self.accuracy / 1e3
-        if self.rivals is None:
-            found = plan_poses(
-                experiment, drawn.joint_position, self.poses, criterion=self.criterion, accuracy=accuracy, **asked
-            )
-        else:
-            from lite6jax.effects.catalogue import parse_effect
-
-            rivals = (parse_effect(self.rivals[0]), parse_effect(self.rivals[1], neutral=True))
-            found = separate_poses(experiment, rivals, drawn.joint_position, self.poses, **asked)
-        q = found.joint_position[shortest_round(found.joint_position)]
-        settings = RecordingSettings(arm=self._arm_reference(), motion="static")
-        written = [write_recording(Recording.from_arrays(q, settings=settings), self.out, self.force)]
-        written.append(sidecar_path(self.out))
-        if self.figures:
-            from lite6jax.report import canvas, study_figures
-
-            drawing = study_figures.accuracy_by_count(found, self.source)
-            written += canvas.save({name: drawing}, self.figures, self.force)
-        screen.show(study_tables.design_report(found, drawn, disabled, self.source, accuracy))
-        screen.written(written)
-        return DONE
-
-    def _filters(self, arm: "Arm") -> "tuple[list[Filter], tuple[tuple[str, str], ...]]":
-        from lite6jax.identifiability import candidates, clearance
-
-        at = [value / 1e3 for value in self.setup.tool_at]
-        filters: list[Filter] = []
-        disabled: tuple[tuple[str, str], ...] = ()
-        if self.box is not None:
-            low, high = (tuple(value / 1e3 for value in corner) for corner in (self.box[:3], self.box[3:]))
-            filters.append(candidates.inside_box(arm, candidates.Box(low, high), at))  # type: ignore[arg-type]
-        if self.floor is not None:
-            filters.append(candidates.above_floor(arm, self.floor / 1e3, at))
-        if self.geometry is not None:
-            file, _, tip = str(self.geometry).partition("#")
-            capsules = clearance.urdf_capsules(file, arm, tip=tip or None)
-        elif self.link_radius != 0:
-            radius = None if self.link_radius is None else self.link_radius / 1e3
-            capsules = clearance.chain_capsules(arm, radius, at)
-        else:
-            capsules = []
-        if capsules:
-            apart = clearance.self_collision(arm, capsules)
-            disabled = apart.disabled
-            filters.append(candidates.clear_of_itself(apart))
-        filters += map(candidates.user_filter, self.filter)
-        return filters, disabled
-
-    def _arm_reference(self) -> str:
-        """What the sidecar calls the arm: a bundled name, or its file's path from where the sidecar stands."""
-        from lite6jax.arms.bundled import bundled_arms
-
-        if self.source in bundled_arms():
-            return self.source
-        return Path(os.path.relpath(Path(self.source).resolve(), self.out.resolve().parent)).as_posix()
-
-
-def _check_seed(seed: int) -> None:
-    if seed < 0:
-        raise InputError(f"--seed {seed}: give 0 or more")
-
-
-def _stem(source: str) -> str:
-    """What the figures of a source are named after."""
-    return Path(source.partition("#")[0]).stem

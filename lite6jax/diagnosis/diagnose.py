@@ -14,9 +14,10 @@ from lite6jax.diagnosis.discrimination import Separation, separations
 from lite6jax.diagnosis.explanation import explain
 from lite6jax.domains.pose.problem import Case, arm_moved
 from lite6jax.domains.pose.screening.rows import Fault
-from lite6jax.effects.catalogue import Untestable, effect_as_dict
+from lite6jax.effects.catalogue import Untestable
 from lite6jax.effects.effect import Effect
 from lite6jax.effects.nonparametric import Unnamed
+from lite6jax.effects.serialization import effect_as_dict
 from lite6jax.fitting.problem import Geometry
 from lite6jax.recordings import Recording
 from lite6jax.search.final_estimates import stated

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from lite6jax.domains.pose.problem import Case
 from lite6jax.effects.composition import Physics
 from lite6jax.estimation.noise import WHITE, Colour
-from lite6jax.fitting.robust import FREEDOM, gaussian_t_scale, t_scale, variance_factor
+from lite6jax.estimation.robust import FREEDOM, gaussian_t_scale, t_scale, variance_factor
 
 Array = NDArray[np.floating]
 

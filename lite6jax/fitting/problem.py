@@ -19,7 +19,7 @@ from lite6jax.arms.forms import hayati_of
 from lite6jax.arms.moves import Turn
 from lite6jax.arms.se3 import rotation_from_quaternion, rotation_from_rpy, transform
 from lite6jax.errors import InputError
-from lite6jax.fitting.fleet import LEVER, observe, pad, padded_size
+from lite6jax.fitting.chunks import observe, pad, padded_size
 from lite6jax.fitting.residual import POSE, POSITION, Observations, differences, predict_frames
 from lite6jax.fitting.start import frames_from_poses
 from lite6jax.model import ArmModel, ModelForm
@@ -28,6 +28,8 @@ from lite6jax.recordings import Recording, require_samples
 Array = NDArray[np.floating]
 Geometry = Literal["declared", "exact", "prior", "free"]
 
+LEVER = 0.1
+"""Metres that a radian counts as where no noise is declared, as in the seed."""
 UNDECLARED_NOISE = (1e-4, 1e-3)
 """Position (m) and orientation (rad) noise per axis of the first fit, where a recording does not declare both."""
 DEFAULT_UNCERTAINTY = (1e-4, 1e-4)
@@ -115,18 +117,27 @@ def calibration_problem(calibration: FactoryCalibration, joint_position: Array, 
     )
 
 
+def sample_within_limits(arm: Arm, samples: int, seed: int) -> np.ndarray:
+    """Joint positions `(sample, joint)`, uniform inside the arm's limits."""
+    lower, upper = arm.joint_limits.T
+    return np.random.default_rng(seed).uniform(lower, upper, (samples, arm.dof))
+
+
 def calibration_poses(calibration: FactoryCalibration, joint_position: Array) -> Array:
     """The calibrated chain's flange poses `(sample, 4, 4)`."""
     links = np.array([frames.transform_from_row(row) for row in calibration.kinematics])
     return frames.chain(links, joint_position) @ calibration.T_joint_flange
 
 
-def recording_problem(recording: Recording, arm: Arm | None, geometry: Geometry) -> Problem:
+def recording_problem(
+    recording: Recording, arm: Arm | None, geometry: Geometry, factory: FactoryCalibration | None = None
+) -> Problem:
     """What a recording and its sidecar say is to be fitted.
 
     Geometry: with a factory calibration it is that (`exact`), with `factory_uncertainty` near it (`prior`: the
     six-parameter chain, each number with its standard deviation), without one it is unknown (`free`: the Hayati chain
-    from nominal). Frames that the sidecar calls unknown start where a closed form puts them.
+    from nominal). Frames that the sidecar calls unknown start where a closed form puts them. A `factory` calibration
+    that is given replaces the sidecar's, its uncertainty included.
 
     Raises:
         InputError: no measured poses, too few of them, joints that the arm does not have, a `geometry` that needs a
@@ -140,14 +151,16 @@ def recording_problem(recording: Recording, arm: Arm | None, geometry: Geometry)
         )
     require_samples(recording, 1)
     notes: list[str] = []
-    factory_path = settings.factory_path(folder)
-    factory = read_factory(factory_path, arm) if factory_path else None
+    factory_path, uncertainty = settings.factory_path(folder), settings.factory_uncertainty
+    if factory is not None:
+        factory_path, uncertainty = factory.source, None
+    elif factory_path is not None:
+        factory = read_factory(factory_path, arm)
     if factory is not None and not np.allclose(factory.T_joint_flange, arm.T_joint_flange, rtol=0, atol=1e-12):
         raise InputError(
             f"{factory_path}: holds a transform after the last joint (a{arm.dof}, alpha{arm.dof}), where a recording "
             f"has its tool; give the six-parameter file, or the tool in the sidecar"
         )
-    uncertainty = settings.factory_uncertainty
     if geometry == "declared":
         geometry = "free" if factory is None else "exact" if uncertainty is None else "prior"
     if geometry in ("exact", "prior") and factory is None:

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from lite6jax.arms.arm import Arm
 from lite6jax.fitting import gauss_newton
+from lite6jax.fitting.chunks import pad, padded_size
 from lite6jax.model import ArmModel, ModelForm, predict
 
 Array = NDArray[np.floating]
@@ -60,6 +61,18 @@ class Errors:
     def position_rms(self) -> float:
         """Root of the mean squared 3-D distance, m."""
         return float(np.sqrt(np.mean(self.position**2)))
+
+
+def prediction_errors(form: ModelForm, model: ArmModel, joint_position: Array, pose: Array) -> Errors:
+    """Distances (m) and angles (rad) of a model's prediction from poses `(sample, 4, 4)` or positions `(sample, 3)`."""
+    size = padded_size(len(pose))[0]
+    predicted = np.asarray(predict(form.chain, model, pad(joint_position, 0, size)))[: len(pose)]
+    if pose.ndim == 2:
+        return Errors(np.linalg.norm(predicted[:, :3, 3] - pose, axis=1), None, joint_position)
+    # ‖R̂ − R‖ = 2 √2 sin(angle / 2), which small angles do not round away
+    chord = np.linalg.norm(predicted[:, :3, :3] - pose[:, :3, :3], axis=(1, 2))
+    angle = 2 * np.arcsin(np.minimum(chord / np.sqrt(8), 1.0))
+    return Errors(np.linalg.norm(predicted[:, :3, 3] - pose[:, :3, 3], axis=1), angle, joint_position)
 
 
 @dataclass(frozen=True)

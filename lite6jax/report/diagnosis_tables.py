@@ -14,8 +14,8 @@ from lite6jax.diagnosis.discrimination import Separation
 from lite6jax.domains.pose.load_model import INERTIA_COUNTS
 from lite6jax.domains.pose.reference import Against
 from lite6jax.domains.pose.registration import Registration
-from lite6jax.effects.catalogue import effect_as_dict
 from lite6jax.effects.nonparametric import Unnamed
+from lite6jax.effects.serialization import effect_as_dict
 from lite6jax.report import diagnosis_words as words
 from lite6jax.report.cells import SCREEN, fixed, listing, number
 

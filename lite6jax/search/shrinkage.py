@@ -20,7 +20,7 @@ from lite6jax.effects.kinematic.joints import JointHarmonic
 from lite6jax.effects.nonparametric import Unnamed
 from lite6jax.estimation.least_squares import Fitted, refit, without
 from lite6jax.estimation.score_test import Score, chance, evidence_of
-from lite6jax.fitting.robust import FREEDOM
+from lite6jax.estimation.robust import FREEDOM
 from lite6jax.search.backward import Step
 
 Array = NDArray[np.floating]

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from lite6jax.arms.bundled import load_bundled
 from lite6jax.arms.factory import write_factory
-from lite6jax.effects.catalogue import parse_effect
+from lite6jax.effects.serialization import parse_effect
 from lite6jax.recordings import Recording, RecordingSettings
 from lite6jax.recordings.settings import FactoryUncertainty
 

@@ -23,8 +23,8 @@ from lite6jax import simulation
 from lite6jax.arms.bundled import load_bundled
 from lite6jax.arms.factory import write_factory
 from lite6jax.domains.pose.reference import SAME_JOINTS, compare, diagnose_against
-from lite6jax.effects.catalogue import parse_effect
 from lite6jax.effects.composition import Physics
+from lite6jax.effects.serialization import parse_effect
 from lite6jax.errors import InputError
 from lite6jax.recordings import Recording, write_recording
 
@@ -414,7 +414,7 @@ def files(arm, tmp_path_factory):
 def test_diagnose_against_as_it_is_typed(capsys, files, tmp_path):
     ours, theirs = files
     out, page = tmp_path / "d.json", tmp_path / "d.html"
-    code, said, _ = run(capsys, "diagnose", ours, "--against", theirs, "--out", out, "--report", page)
+    code, said, _ = run(capsys, "diagnose", ours, "--reference", theirs, "--out", out, "--report", page)
     assert code == 0
     text = flat(said)
     assert f"Against gazebo.csv, {SAMPLES} rows: the model does not reproduce it, 2.1" in text
@@ -449,7 +449,7 @@ def test_agreement_as_it_is_typed(capsys, folder, tmp_path):
     same = Made(folder, (HARMONIC, COMPLIANCE), seed=1, geometry="free", frame=True, tool=True)
     paths = [write_recording(same.recording(STILL, seed=k), tmp_path / f"run{k}.csv") for k in (1, 2)]
     out = tmp_path / "d.json"
-    code, said, _ = run(capsys, "diagnose", paths[0], "--against", paths[1], "--out", out)
+    code, said, _ = run(capsys, "diagnose", paths[0], "--reference", paths[1], "--out", out)
     assert code == 0
     assert "Beyond that both sides agree: what is left of their difference is noise." in flat(said)
     assert "`lite6jax diagnose run2.csv` would name." in flat(said)
@@ -467,11 +467,11 @@ def test_what_the_command_refuses(capsys, files, tmp_path):
     ours, _ = files
     out = tmp_path / "d.json"
     calibration = write_factory(LITE6.kinematics, tmp_path / "factory.yaml")
-    assert refused(capsys, "diagnose", ours, "--against", calibration, "--out", out) == (
+    assert refused(capsys, "diagnose", ours, "--reference", calibration, "--out", out) == (
         f"{calibration}: is a calibration; diagnose takes a recording (.csv, .parquet, .mcap)"
     )
-    assert "none.csv" in refused(capsys, "diagnose", ours, "--against", tmp_path / "none.csv", "--out", out)
+    assert "none.csv" in refused(capsys, "diagnose", ours, "--reference", tmp_path / "none.csv", "--out", out)
     other = write_recording(simulator(rigid(LITE6.kinematics), static_motion(5, SAMPLES)), tmp_path / "other.csv")
-    said = refused(capsys, "diagnose", ours, "--against", other, "--out", out)
+    said = refused(capsys, "diagnose", ours, "--reference", other, "--out", out)
     assert said.startswith(f"{other}: 0 of its {SAMPLES} rows are at joint positions of the {SAMPLES} of {ours}")
     assert not out.exists()

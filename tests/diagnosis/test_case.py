@@ -9,9 +9,9 @@ from plain_chain import six_parameter_poses
 from scipy.spatial.transform import Rotation
 
 from lite6jax.domains.pose.problem import arm_moved, case_of, moved_to
-from lite6jax.effects.catalogue import parse_effect
 from lite6jax.effects.composition import Physics
 from lite6jax.effects.kinematic.joints import JointHarmonic
+from lite6jax.effects.serialization import parse_effect
 
 SAMPLES = 12
 NOTHING = Physics()

@@ -7,10 +7,11 @@ import pytest
 from diagnosis.recorded import Made, static_motion, truth, with_effects
 
 from lite6jax.domains.pose.problem import case_of
-from lite6jax.effects.catalogue import catalogue, parse_effect
+from lite6jax.effects.catalogue import catalogue
 from lite6jax.effects.composition import Physics
 from lite6jax.effects.kinematic.joints import JointCompliance, JointOffset
 from lite6jax.effects.kinematic.links import FrameOffset
+from lite6jax.effects.serialization import parse_effect
 from lite6jax.estimation.least_squares import refit
 from lite6jax.estimation.score_test import evidence_of
 

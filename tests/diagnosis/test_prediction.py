@@ -28,7 +28,8 @@ from lite6jax.domains.pose.predict import (
     register_motion,
     table,
 )
-from lite6jax.effects.catalogue import effect_as_dict, load_effects, parse_effect
+from lite6jax.effects.serialization import effect_as_dict, parse_effect
+from lite6jax.effects.user_effects import load_effects
 from lite6jax.errors import InputError
 from lite6jax.recordings import Recording, RecordingSettings, write_recording
 

@@ -12,7 +12,7 @@ from scipy.stats import chi2, multivariate_t
 from lite6jax.domains.pose.problem import case_of, moved_to
 from lite6jax.effects.composition import Physics
 from lite6jax.estimation.least_squares import refit
-from lite6jax.fitting.robust import FREEDOM
+from lite6jax.estimation.robust import FREEDOM
 
 TEXTS = ("joint_compliance:joint=2,compliance_rad_per_Nm=9e-5", "joint_backlash:joint=4,gap_rad=8e-4")
 PHYSICS = Physics(tuple(truth(text)[0] for text in TEXTS))

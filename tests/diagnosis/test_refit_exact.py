@@ -8,7 +8,7 @@ from scipy.optimize import least_squares
 from lite6jax.domains.pose.problem import case_of, moved_to
 from lite6jax.effects.composition import Physics
 from lite6jax.estimation.least_squares import refit
-from lite6jax.fitting.robust import FREEDOM, variance_factor
+from lite6jax.estimation.robust import FREEDOM, variance_factor
 
 TEXT = "link_compliance:link=3,compliance_x_rad_per_Nm=2e-3,compliance_y_rad_per_Nm=1e-3"
 PHYSICS = Physics((truth(TEXT)[0],))

@@ -13,7 +13,7 @@ from diagnosis.recorded import (
 )
 
 from lite6jax.domains.pose.problem import case_of
-from lite6jax.effects.catalogue import parse_effect
+from lite6jax.effects.serialization import parse_effect
 from lite6jax.search.forward import search_of, select
 
 

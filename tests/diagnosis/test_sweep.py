@@ -6,8 +6,8 @@ import pytest
 from diagnosis.recorded import LITE6, NOISE, Made, static_motion
 
 from lite6jax.domains.pose.problem import case_of
-from lite6jax.effects.catalogue import effect_as_dict, effect_from_dict
 from lite6jax.effects.nonparametric import Unnamed
+from lite6jax.effects.serialization import effect_as_dict, effect_from_dict
 from lite6jax.search.forward import search_of
 from lite6jax.search.shrinkage import LINES_PER_JOINT
 

@@ -11,15 +11,8 @@ from scipy.interpolate import BSpline
 
 from lite6jax.arms.chains import SixParameterForm
 from lite6jax.effects import catalogue as catalogue_module
-from lite6jax.effects.catalogue import (
-    catalogue,
-    effect_as_dict,
-    effect_from_dict,
-    kinds_of,
-    load_effects,
-    parse_effect,
-    untestable,
-)
+from lite6jax.effects import user_effects
+from lite6jax.effects.catalogue import catalogue, kinds_of, untestable
 from lite6jax.effects.composition import Physics
 from lite6jax.effects.drivers import QUANTITIES, Driver, driver_of
 from lite6jax.effects.kinematic.joints import JointBacklash, JointCompliance, JointCoupling, JointHarmonic, JointLag
@@ -27,7 +20,9 @@ from lite6jax.effects.kinematic.links import FrameOffset, LinkCompliance, LinkTh
 from lite6jax.effects.kinematic.surroundings import BaseDrift, TimeOffset, ToolOffset
 from lite6jax.effects.motion import motion_of
 from lite6jax.effects.nonparametric import Unnamed, spline_basis
+from lite6jax.effects.serialization import effect_as_dict, effect_from_dict, parse_effect
 from lite6jax.effects.statics import Loads
+from lite6jax.effects.user_effects import load_effects
 from lite6jax.errors import InputError
 from lite6jax.model import arm_model, predict, predict_poses
 
@@ -372,8 +367,8 @@ def test_a_curve_at_a_joint_is_an_angle_there():
 
 
 def example():
-    """The file that the catalogue's documentation shows."""
-    return catalogue_module.__doc__.split("```python\n")[1].split("```")[0]
+    """The file that the documentation of user effects shows."""
+    return user_effects.__doc__.split("```python\n")[1].split("```")[0]
 
 
 def test_the_documented_file_of_a_user_works_like_the_catalogue(tmp_path):

@@ -12,7 +12,7 @@ from plain_physics import moved, predicted_poses, simulated_inertia, simulated_m
 
 from lite6jax.arms.chains import SixParameterForm
 from lite6jax.arms.moves import turn
-from lite6jax.effects.catalogue import BUILT_IN, catalogue, effect_as_dict, effect_from_dict, parse_effect
+from lite6jax.effects.catalogue import BUILT_IN, catalogue
 from lite6jax.effects.composition import Physics
 from lite6jax.effects.effect import Altering, Bending
 from lite6jax.effects.kinematic.joints import JointCompliance, JointHarmonic
@@ -20,6 +20,7 @@ from lite6jax.effects.kinematic.links import LinkCompliance
 from lite6jax.effects.kinematic.surroundings import ToolOffset
 from lite6jax.effects.motion import motion_of
 from lite6jax.effects.nonparametric import Unnamed
+from lite6jax.effects.serialization import effect_as_dict, effect_from_dict, parse_effect
 from lite6jax.effects.statics import inertia_of, loads
 from lite6jax.model import arm_model, predict, predict_poses
 

@@ -7,9 +7,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from lite6jax.effects.catalogue import effect_as_dict, effect_from_dict
 from lite6jax.effects.motion import motion_of
 from lite6jax.effects.nonparametric import Unnamed, plays
+from lite6jax.effects.serialization import effect_as_dict, effect_from_dict
 from lite6jax.errors import InputError
 
 RNG = np.random.default_rng(5)

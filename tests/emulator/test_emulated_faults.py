@@ -11,8 +11,8 @@ from scipy.spatial.transform import Rotation
 
 from lite6jax.arms.bundled import load_bundled
 from lite6jax.controller import protocol
-from lite6jax.effects.catalogue import parse_effect
 from lite6jax.effects.composition import Physics
+from lite6jax.effects.serialization import parse_effect
 from lite6jax.emulator import Body, Controller, Faults, describe_faults, draw_sines, parse_faults
 from lite6jax.errors import InputError
 

@@ -10,8 +10,8 @@ from plain_chain import six_parameter_poses
 from scipy.spatial.transform import Rotation
 
 from lite6jax.controller import protocol
-from lite6jax.effects.catalogue import parse_effect
 from lite6jax.effects.composition import Physics
+from lite6jax.effects.serialization import parse_effect
 from lite6jax.emulator import Body, Controller, draw_sines, visits
 from lite6jax.emulator.motion import PointToPoint
 

@@ -5,7 +5,7 @@ import pytest
 import simulated as sim
 
 import lite6jax
-from lite6jax.fitting.robust import gaussian_t_scale, t_scale
+from lite6jax.estimation.robust import gaussian_t_scale, t_scale
 from lite6jax.recordings import FactoryUncertainty, Recording, RecordingSettings
 
 POSITION_NOISE, ORIENTATION_NOISE = 2e-5, 1e-4

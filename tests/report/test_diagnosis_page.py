@@ -14,9 +14,10 @@ from lite6jax.arms.factory import write_factory
 from lite6jax.cli import main
 from lite6jax.diagnosis.diagnose import Diagnosis
 from lite6jax.domains.pose.problem import case_of
-from lite6jax.effects.catalogue import catalogue, parse_effect, untestable
+from lite6jax.effects.catalogue import catalogue, untestable
 from lite6jax.effects.composition import Physics
 from lite6jax.effects.nonparametric import Unnamed
+from lite6jax.effects.serialization import parse_effect
 from lite6jax.estimation.least_squares import refit
 from lite6jax.estimation.score_test import evidence_of
 from lite6jax.recordings import RecordingSettings, write_recording

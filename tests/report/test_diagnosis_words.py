@@ -14,9 +14,10 @@ from lite6jax.diagnosis.diagnose import statement
 from lite6jax.diagnosis.discrimination import Separation
 from lite6jax.domains.pose.reference import Against
 from lite6jax.domains.pose.screening.rows import Fault
-from lite6jax.effects.catalogue import catalogue, parse_effect
+from lite6jax.effects.catalogue import catalogue
 from lite6jax.effects.composition import Physics
 from lite6jax.effects.nonparametric import Unnamed
+from lite6jax.effects.serialization import parse_effect
 from lite6jax.report import diagnosis_figures, diagnosis_words
 from lite6jax.report.diagnosis_tables import diagnosis_report
 from lite6jax.report.page import diagnosis_page

@@ -12,11 +12,12 @@ from numpy.typing import NDArray
 from lite6jax.arms.chains import SixParameterForm
 from lite6jax.arms.se3 import quaternion_from_rotation, rotation_from_quaternion
 from lite6jax.domains.pose.registration import Registration, register
-from lite6jax.effects.catalogue import effect_from_dict, kinds_of
+from lite6jax.effects.catalogue import kinds_of
 from lite6jax.effects.composition import Physics
 from lite6jax.effects.effect import Effect
 from lite6jax.effects.kinematic.surroundings import BaseDrift
 from lite6jax.effects.motion import Motion, accelerated
+from lite6jax.effects.serialization import effect_from_dict
 from lite6jax.effects.statics import Inertia, inertia_of
 from lite6jax.errors import InputError
 from lite6jax.fitting.problem import UNDECLARED_NOISE

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from lite6jax.fitting.check import DOWNWEIGHTED
-from lite6jax.fitting.robust import FREEDOM, gaussian_t_scale, t_scale, weights_left
+from lite6jax.estimation.robust import FREEDOM, gaussian_t_scale, t_scale, weights_left
 from lite6jax.fitting.start import frames_from_poses
 
 Array = NDArray[np.floating]

@@ -12,7 +12,7 @@ from lite6jax.arms.arm import Arm
 from lite6jax.arms.chains import SixParameterForm
 from lite6jax.domains.pose.problem import GAUGE
 from lite6jax.fitting.problem import Geometry, recording_problem
-from lite6jax.fitting.robust import FREEDOM, gaussian_t_scale, t_scale
+from lite6jax.estimation.robust import FREEDOM, gaussian_t_scale, t_scale
 from lite6jax.recordings import Recording
 from lite6jax.recordings.recording import differentiate, run_segments
 
