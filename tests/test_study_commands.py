@@ -6,13 +6,14 @@ import re
 import numpy as np
 import pyarrow.csv
 import pytest
-from plain_chain import random_positions, six_parameter_poses
 from typed import flat, refused, run
 
 from lite6jax.arms.bundled import load_bundled
 from lite6jax.identifiability.identify import identify, identify_recording
 from lite6jax.identifiability.information import plan_experiment
 from lite6jax.recordings import Recording, RecordingSettings, read_recording, write_recording
+from tests.oracles.arms import random_positions
+from tests.oracles.chains import six_parameter_poses
 
 LITE6 = load_bundled("lite6")
 

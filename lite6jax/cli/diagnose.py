@@ -62,7 +62,7 @@ class Diagnose:
         from lite6jax.diagnosis.diagnose import FOLDS, diagnose
         from lite6jax.domains.pose.reference import diagnose_against
         from lite6jax.effects.user_effects import load_effects
-        from lite6jax.fitting.fit import load_nominal, read_source
+        from lite6jax.fitting.source import load_nominal, read_source
         from lite6jax.recordings import Recording
         from lite6jax.report import diagnosis_tables, screen
 

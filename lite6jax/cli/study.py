@@ -133,7 +133,7 @@ class Identify:
         """Studies, draws, prints."""
         from lite6jax.arms.files import read_arm
         from lite6jax.effects.serialization import parse_effect
-        from lite6jax.fitting.fit import load_nominal, read_source
+        from lite6jax.fitting.source import load_nominal, read_source
         from lite6jax.identifiability.identify import identify, identify_recording
         from lite6jax.recordings import Recording, recording_file
 

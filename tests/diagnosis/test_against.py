@@ -15,7 +15,6 @@ from diagnosis.recorded import (
     static_motion,
     with_effects,
 )
-from plain_chain import six_parameter_poses
 from scipy.spatial.transform import Rotation
 from typed import flat, refused, run
 
@@ -27,6 +26,7 @@ from lite6jax.effects.composition import Physics
 from lite6jax.effects.serialization import parse_effect
 from lite6jax.errors import InputError
 from lite6jax.recordings import Recording, write_recording
+from tests.oracles.chains import six_parameter_poses
 
 SAMPLES = 160
 COMPLIANCE = "joint_compliance:joint=2,compliance_rad_per_Nm=9e-5"

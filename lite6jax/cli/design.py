@@ -1,0 +1,170 @@
+"""The command that chooses poses to record, for the parameters or to discriminate between two effects."""
+
+import math
+import os
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+from tyro.conf import Positional, UseAppendAction, arg
+
+from lite6jax.cli.arguments import DONE, Folder, check_seed
+from lite6jax.cli.study import Setup
+from lite6jax.errors import InputError
+from lite6jax.storage import check_writable
+
+if TYPE_CHECKING:
+    from lite6jax.arms.arm import Arm
+    from lite6jax.identifiability.candidates import Filter
+
+
+@dataclass(frozen=True)
+class Design:
+    """Which poses to record: those that tell an arm's parameters best, and how many are enough.
+
+    For example:
+
+        lite6jax design lite6 --poses 40 --sensor tracker --out poses.csv
+        lite6jax design lite6 --poses 30 --box 100 -300 0 500 300 500 --floor 20 --out poses.csv
+        lite6jax design lite6 --discriminate joint_compliance:joint=2,compliance_rad_per_Nm=1e-5
+            joint_harmonic:joint=2,order=1 --out poses.csv
+    """
+
+    out: Annotated[Path, arg(metavar="FILE")]
+    """Write the joint positions here (.csv or .parquet), in an order of short moves, and a sidecar beside it."""
+    source: Annotated[Positional[str], arg(metavar="ARM|FILE")] = "lite6"
+    """A bundled arm or an arm's file."""
+    setup: Setup = field(default_factory=Setup)
+    poses: int = 40
+    """How many."""
+    accuracy: Annotated[float | None, arg(metavar="MM")] = None
+    """Say how many reach this accuracy of predicted positions (one standard deviation)."""
+    criterion: Literal["I", "D", "A", "E"] = "I"
+    """I: positions predicted over the workspace; D, A, E: the parameters' volume, mean variance, worst direction."""
+    discriminate: Annotated[tuple[str, str] | None, arg(metavar="EFFECT EFFECT")] = None
+    """Choose the poses that discriminate between these two effects instead. The first must have a size; the second
+    may have one, and then each is tested against the other."""
+    candidates: int = 100_000
+    """Joint positions drawn, among which to choose."""
+    recorded: Annotated[Path | None, arg(metavar="FILE")] = None
+    """A recording whose poses are there already and count."""
+    limit_margin: Annotated[float, arg(metavar="DEG")] = 2.0
+    """How far each joint stays from its limits."""
+    box: Annotated[tuple[float, float, float, float, float, float] | None, arg(metavar="MM…")] = None
+    """Where the sensor sees the tool: least x y z, then greatest x y z, mm in the base's frame."""
+    floor: Annotated[float | None, arg(metavar="MM")] = None
+    """Height that every joint, flange and tool stay above."""
+    link_radius: Annotated[float | None, arg(metavar="MM")] = None
+    """Of the capsules that stand for the links; a twentieth of the reach where not given, 0 for no check."""
+    collision_geometry: Annotated[str | None, arg(metavar="URDF")] = None
+    """Take the links' shapes from this URDF's collision geometry instead (robot.urdf#tip)."""
+    filter: Annotated[tuple[str, ...], UseAppendAction, arg(metavar="FILE.py:FUNCTION")] = ()
+    """A function of yours: (sample, joint) rad to bool, true where a pose may be recorded. Runs the file."""
+    refine: bool = True
+    """Move the chosen poses on, between the candidates, as long as that gains."""
+    seed: int = 0
+    """Of what is drawn."""
+    figures: Folder = None
+    """Draw the accuracy against the number of poses into this folder (PNG and SVG)."""
+    force: bool = False
+    """Replace files that exist."""
+
+    def run(self) -> int:
+        """Draws candidates, chooses, writes, prints."""
+        from lite6jax.arms.files import read_arm
+        from lite6jax.fitting.source import read_source
+        from lite6jax.identifiability.candidates import all_pass, candidates, inside_limits
+        from lite6jax.identifiability.planning import plan_poses, separate_poses, shortest_round
+        from lite6jax.recordings import Recording, RecordingSettings, sidecar_path, write_recording
+        from lite6jax.report import screen, study_tables
+
+        check_writable(self.out, self.force)
+        check_writable(sidecar_path(self.out), self.force)
+        check_seed(self.seed)
+        if self.discriminate is not None and (self.criterion != "I" or self.accuracy is not None):
+            raise InputError(
+                "--discriminate: chooses by the distance between two effects; leave --criterion and --accuracy out"
+            )
+        if self.floor is not None and not math.isfinite(self.floor):
+            raise InputError(f"--floor {self.floor}: give a height in mm")
+        if self.accuracy is not None and not self.accuracy > 0:
+            raise InputError(f"--accuracy {self.accuracy}: give a standard deviation in mm, above 0")
+        name = f"{self.out.stem}_accuracy"
+        if self.figures:
+            from lite6jax.report import canvas
+
+            canvas.check_names(self.figures, [name], self.force)
+        arm = read_arm(self.source)
+        experiment = self.setup.experiment(arm)
+        recorded = None
+        if self.recorded is not None:
+            recorded = read_source(self.recorded, arm)
+            if not isinstance(recorded, Recording):
+                raise InputError(f"{self.recorded}: is no recording; --recorded takes a .csv or .parquet")
+            recorded = recorded.joint_position
+        margin = math.radians(self.limit_margin)
+        filters, disabled = self._filters(arm)
+        drawn = candidates(arm, self.candidates, self.seed, filters, margin)
+        asked = {
+            "recorded": recorded,
+            "refined": self.refine,
+            "limits": inside_limits(arm, margin),
+            "feasible": lambda q: all_pass(filters, q),
+            "seed": self.seed,
+        }
+        accuracy = None if self.accuracy is None else self.accuracy / 1e3
+        if self.discriminate is None:
+            found = plan_poses(
+                experiment, drawn.joint_position, self.poses, criterion=self.criterion, accuracy=accuracy, **asked
+            )
+        else:
+            from lite6jax.effects.serialization import parse_effect
+
+            rivals = (parse_effect(self.discriminate[0]), parse_effect(self.discriminate[1], neutral=True))
+            found = separate_poses(experiment, rivals, drawn.joint_position, self.poses, **asked)
+        q = found.joint_position[shortest_round(found.joint_position)]
+        settings = RecordingSettings(arm=self._arm_reference(), motion="static")
+        written = [write_recording(Recording.from_arrays(q, settings=settings), self.out, self.force)]
+        written.append(sidecar_path(self.out))
+        if self.figures:
+            from lite6jax.report import canvas, study_figures
+
+            drawing = study_figures.accuracy_by_count(found, self.source)
+            written += canvas.save({name: drawing}, self.figures, self.force)
+        screen.show(study_tables.design_report(found, drawn, disabled, self.source, accuracy))
+        screen.written(written)
+        return DONE
+
+    def _filters(self, arm: "Arm") -> "tuple[list[Filter], tuple[tuple[str, str], ...]]":
+        from lite6jax.identifiability import candidates, clearance
+
+        at = [value / 1e3 for value in self.setup.tool_at]
+        filters: list[Filter] = []
+        disabled: tuple[tuple[str, str], ...] = ()
+        if self.box is not None:
+            low, high = (tuple(value / 1e3 for value in corner) for corner in (self.box[:3], self.box[3:]))
+            filters.append(candidates.inside_box(arm, candidates.Box(low, high), at))  # type: ignore[arg-type]
+        if self.floor is not None:
+            filters.append(candidates.above_floor(arm, self.floor / 1e3, at))
+        if self.collision_geometry is not None:
+            file, _, tip = str(self.collision_geometry).partition("#")
+            capsules = clearance.urdf_capsules(file, arm, tip=tip or None)
+        elif self.link_radius != 0:
+            radius = None if self.link_radius is None else self.link_radius / 1e3
+            capsules = clearance.chain_capsules(arm, radius, at)
+        else:
+            capsules = []
+        if capsules:
+            apart = clearance.self_collision(arm, capsules)
+            disabled = apart.disabled
+            filters.append(candidates.clear_of_itself(apart))
+        filters += map(candidates.user_filter, self.filter)
+        return filters, disabled
+
+    def _arm_reference(self) -> str:
+        """What the sidecar calls the arm: a bundled name, or its file's path from where the sidecar stands."""
+        from lite6jax.arms.bundled import bundled_arms
+
+        if self.source in bundled_arms():
+            return self.source
+        return Path(os.path.relpath(Path(self.source).resolve(), self.out.resolve().parent)).as_posix()
