@@ -60,11 +60,12 @@ class Diagnose:
         from lite6jax.arms.arm import Arm
         from lite6jax.arms.files import read_arm
         from lite6jax.diagnosis.diagnose import FOLDS, diagnose
-        from lite6jax.domains.pose.reference import diagnose_against
+        from lite6jax.diagnosis.reference_diagnosis import diagnose_against
         from lite6jax.effects.user_effects import load_effects
         from lite6jax.fitting.source import load_nominal, read_source
         from lite6jax.recordings import Recording
         from lite6jax.report import diagnosis_tables, screen
+        from lite6jax.report.reference import with_statements
 
         def read(path: Path, of: Arm | None) -> Recording:
             source = read_source(
@@ -86,7 +87,9 @@ class Diagnose:
                 found, seen = diagnose_against(
                     recording, other, arm, geometry=self.geometry, effects=effects, progress=advance
                 )
-        document = found.to_dict() if seen is None else found.to_dict() | {"against": seen.to_dict()}
+        document = found.to_dict()
+        if seen is not None:
+            document["against"] = with_statements(seen.to_dict())
         written = [write_atomically(self.out, json.dumps(document, indent=1, allow_nan=False), self.force)]
         if self.report or self.figures:
             from lite6jax.report import canvas, diagnosis_figures, page

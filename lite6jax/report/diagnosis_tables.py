@@ -12,22 +12,25 @@ from lite6jax.arms import frames
 from lite6jax.diagnosis.diagnose import Diagnosis, statement
 from lite6jax.diagnosis.discrimination import Separation
 from lite6jax.domains.pose.load_model import INERTIA_COUNTS
-from lite6jax.domains.pose.reference import Against
+from lite6jax.domains.pose.reference import ReferenceComparison
 from lite6jax.domains.pose.registration import Registration
 from lite6jax.effects.nonparametric import Unnamed
 from lite6jax.effects.serialization import effect_as_dict
 from lite6jax.report import diagnosis_words as words
+from lite6jax.report import reference
 from lite6jax.report.cells import SCREEN, fixed, listing, number
 
 
-def diagnosis_report(found: Diagnosis, source: str, against: Against | None = None) -> Iterator[RenderableType]:
+def diagnosis_report(
+    found: Diagnosis, source: str, against: ReferenceComparison | None = None
+) -> Iterator[RenderableType]:
     """The page; with what the other side is, where there is one."""
     case = found.case
     yield Text(source, no_wrap=True, overflow="ignore")
     yield Text(f"{case.arm.name}, {case.samples} samples ({case.recording.motion}).")
     yield ""
     if against is not None:
-        yield from against_report(against)
+        yield from reference_report(against)
         yield ""
     yield Text(words.verdict_of(found, against))
     yield ""
@@ -63,10 +66,12 @@ def diagnosis_report(found: Diagnosis, source: str, against: Against | None = No
     yield ""
 
 
-def against_report(seen: Against) -> Iterator[RenderableType]:
-    """What the other side is."""
-    yield Text(words.against_headline(seen))
-    yield from map(_indented, (*seen.differences, *seen.notes, seen.statement))
+def reference_report(comparison: ReferenceComparison) -> Iterator[RenderableType]:
+    """How the reference differs from the model."""
+    codes = comparison.to_dict()
+    yield Text(reference.headline(codes))
+    yield from map(_indented, reference.difference_sentences(codes) + reference.note_sentences(codes))
+    yield _indented(reference.model_statement(comparison.file, comparison.rigid))
 
 
 def _findings(found: Diagnosis) -> Iterator[RenderableType]:

@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 from lite6jax.diagnosis.diagnose import Diagnosis
 from lite6jax.diagnosis.discrimination import Separation, differ
 from lite6jax.domains.pose.problem import Case
-from lite6jax.domains.pose.reference import Against
+from lite6jax.domains.pose.reference import ReferenceComparison
 from lite6jax.domains.pose.screening.rows import named as rows_in_words
 from lite6jax.effects.catalogue import Untestable
 from lite6jax.effects.effect import Effect
 from lite6jax.effects.nonparametric import Unnamed
-from lite6jax.report.cells import number, plus_minus
+from lite6jax.report.cells import plus_minus
 from lite6jax.search.backward import CLOSE, Rival, Step
 
 Array = NDArray[np.floating]
@@ -80,7 +80,7 @@ _FAR = 5.0
 """Times the declared noise, beyond which it is not believed that only noise is left."""
 
 
-def verdict_of(found: Diagnosis, against: Against | None) -> str:
+def verdict_of(found: Diagnosis, against: ReferenceComparison | None) -> str:
     """The verdict in a sentence or two."""
     if found.verdict == "consistent":
         times = found.estimated_noise / found.case.noise[0]
@@ -260,18 +260,6 @@ def separation_title(item: Separation) -> str:
     """What the poses of a table are for."""
     one, other = (label.replace("_", " ").replace(":", " at ") for label in item.effects)
     return f"Poses that separate {one} from {other} (deg)"
-
-
-def against_headline(seen: Against) -> str:
-    """Whether the model makes the other side, and how far it is off."""
-    figures = seen.to_dict()
-    makes = "reproduces" if seen.reproduced else "does not reproduce"
-    rows = f"{seen.matched} rows" if seen.matched == seen.rows else f"{seen.matched} of {seen.rows} rows"
-    left = ""
-    if seen.differences:
-        left = f" With the differences below, {number(1e3 * figures['left_position_rms_m'])} mm RMS are left."
-    rms, most = (number(1e3 * figures[key]) for key in ("position_rms_m", "position_max_m"))
-    return f"Against {seen.file}, {rows}: the model {makes} it, {rms} mm RMS and {most} mm at most.{left}"
 
 
 def _unhidden(case: Case) -> list[str]:

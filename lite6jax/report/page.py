@@ -15,9 +15,10 @@ from numpy.typing import NDArray
 from lite6jax.diagnosis.diagnose import Diagnosis
 from lite6jax.diagnosis.discrimination import Separation
 from lite6jax.domains.pose.problem import Case
-from lite6jax.domains.pose.reference import Against
+from lite6jax.domains.pose.reference import ReferenceComparison
 from lite6jax.effects.nonparametric import Unnamed
 from lite6jax.report import diagnosis_words as words
+from lite6jax.report import reference
 from lite6jax.report.canvas import STYLE
 from lite6jax.report.cells import fixed, number
 from lite6jax.report.finding_figures import finding_curves
@@ -66,7 +67,9 @@ class Picture(NamedTuple):
     narrow: bool
 
 
-def diagnosis_page(found: Diagnosis, source: str, figures: Mapping[str, Figure], against: Against | None = None) -> str:
+def diagnosis_page(
+    found: Diagnosis, source: str, figures: Mapping[str, Figure], against: ReferenceComparison | None = None
+) -> str:
     """The page, HTML; the same diagnosis gives the same bytes.
 
     Args:
@@ -220,14 +223,15 @@ def _poses(item: Separation) -> dict[str, Any]:
     }
 
 
-def _against(seen: Against | None) -> dict[str, Any] | None:
-    if seen is None:
+def _against(comparison: ReferenceComparison | None) -> dict[str, Any] | None:
+    if comparison is None:
         return None
+    codes = comparison.to_dict()
     return {
-        "headline": words.against_headline(seen),
-        "differences": seen.differences,
-        "notes": seen.notes,
-        "statement": seen.statement,
+        "headline": reference.headline(codes),
+        "differences": reference.difference_sentences(codes),
+        "notes": reference.note_sentences(codes),
+        "statement": reference.model_statement(comparison.file, comparison.rigid),
     }
 
 

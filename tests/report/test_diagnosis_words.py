@@ -12,13 +12,13 @@ from test_diagnosis_page import COMPLIANCE, LITE6, Reader, diagnosed, recording_
 
 from lite6jax.diagnosis.diagnose import statement
 from lite6jax.diagnosis.discrimination import Separation
-from lite6jax.domains.pose.reference import Against
+from lite6jax.domains.pose.reference import ReferenceComparison
 from lite6jax.domains.pose.screening.rows import Fault
 from lite6jax.effects.catalogue import catalogue
 from lite6jax.effects.composition import Physics
 from lite6jax.effects.nonparametric import Unnamed
 from lite6jax.effects.serialization import parse_effect
-from lite6jax.report import diagnosis_figures, diagnosis_words
+from lite6jax.report import diagnosis_figures, diagnosis_words, reference
 from lite6jax.report.diagnosis_tables import diagnosis_report
 from lite6jax.report.page import diagnosis_page
 from lite6jax.search.backward import Rival
@@ -51,18 +51,26 @@ def compliant(recorded):
 
 @pytest.fixture(scope="module")
 def against(compliant):
-    return Against(
+    return ReferenceComparison(
         file="gazebo.csv",
         rows=200,
         matched=198,
         reproduced=False,
         rigid=True,
         distance=np.array([3e-3, 4e-3]),
-        left=np.array([1e-5, 1e-5]),
-        differences=("gazebo.csv has the table of lite6 (ROS).",),
-        notes=("2 of 200 rows have none of gazebo.csv at their joints and are left out.",),
+        remaining=np.array([1e-5, 1e-5]),
+        differences=(
+            {
+                "difference": "other_table",
+                "model": {"kind": "factory_calibration", "name": "arm7.yaml"},
+                "reference": {"kind": "ros_default_table", "name": "lite6_ros"},
+                "position_rms_before_m": 3.5e-3,
+                "position_rms_after_m": 1e-5,
+            },
+        ),
+        notes=({"note": "unmatched_rows", "count": 2, "rows": 200},),
         recording=compliant.case.recording,
-        kinematics=None,
+        factory=None,
         geometry="declared",
     )
 
@@ -279,18 +287,24 @@ def test_numbers_have_the_digits_that_they_are_known_to():
 
 
 def test_the_other_side_comes_first(compliant, drawn, against):
-    said = "Against gazebo.csv, 198 of 200 rows: the model does not reproduce it, 3.5355 mm RMS and 4.0000 mm at most."
+    said = (
+        "Reference gazebo.csv, 198 of 200 rows: the model does not reproduce it, with position errors of 3.5355 mm RMS "
+        "and 4.0000 mm at most."
+    )
     for text in (page(compliant, drawn, against), screen(compliant, against)[1]):
-        assert f"{said} With the differences below, 0.0100 mm RMS are left." in text
+        assert f"{said} With the differences below, 0.0100 mm RMS remain." in text
         start = text.index(said)
-        parts = [*against.differences, *against.notes, against.statement, "Explained: with the physics below"]
+        codes = against.to_dict()
+        parts = [*reference.difference_sentences(codes), *reference.note_sentences(codes)]
+        parts += [reference.model_statement("gazebo.csv", rigid=True), "Explained: with the physics below"]
         assert sorted(parts, key=lambda part: text.index(part, start)) == parts
     assert "The other side" in page(compliant, drawn, against)
     assert "The other side" not in page(compliant, drawn)
     same = replace(against, reproduced=True, matched=200, differences=(), notes=())
-    assert "Against gazebo.csv, 200 rows: the model reproduces it, 3.5355 mm RMS and 4.0000 mm at most. gazebo" in page(
-        compliant, drawn, same
+    said = (
+        "Reference gazebo.csv, 200 rows: the model reproduces it, with position errors of 3.5355 mm RMS and 4.0000 mm"
     )
+    assert f"{said} at most. gazebo" in page(compliant, drawn, same)
 
 
 def test_both_sides_agree(recorded, drawn, against):

@@ -1,71 +1,68 @@
-"""Another side of a recording, a simulator's answer or the same arm earlier: what it is, and what differs from it."""
+"""A recording compared with a reference recording: another simulator's poses, or the same arm at an earlier time."""
 
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
 from lite6jax.arms.arm import Arm
-from lite6jax.arms.factory import JOINTS, write_factory
+from lite6jax.arms.factory import FactoryCalibration
 from lite6jax.arms.files import read_arm
-from lite6jax.diagnosis.diagnose import Diagnosis, diagnose
 from lite6jax.domains.pose.reference_arm import (
-    CLEARLY,
+    SUBSTANTIAL,
     RigidArm,
     chains_of,
     declared_tool,
-    difference_statements,
+    differences,
     explained_by,
     flange_of,
-    freedoms,
-    geometry_statement,
-    of_any_geometry,
+    frame_hypotheses,
+    geometry_difference,
     registered,
-    remainder_statement,
     rotations,
-    shared_statement,
     simplest,
+    with_fitted_geometry,
 )
-from lite6jax.effects.effect import Effect
+from lite6jax.domains.pose.reference_rows import matched
 from lite6jax.errors import InputError
 from lite6jax.fitting.problem import Geometry
 from lite6jax.recordings import Recording, RecordingSettings, require_samples
 
 Array = NDArray[np.floating]
 
-SAME_JOINTS = 1e-3
-"""rad within which two rows are of the same joint positions: what differs, differs there by a thousandth less."""
-_ROUNDED = (1e-6, 2e-6)
-"""m and rad that files lose by rounding."""
-_AS_NOISE = 1.2
-_NEIGHBOURS = 8
-_SAME_WARMTH = 0.1
+_ROUNDING = (1e-6, 2e-6)
+"""m and rad, the rounding of numbers in files."""
+_NOISE_MARGIN = 1.2
+"""Residuals up to this multiple of the declared noise are taken as noise."""
+_SAME_TEMPERATURE = 0.1
 """K."""
+_SAME_PAYLOAD = 1e-6
+"""kg."""
 
 
 @dataclass(frozen=True, eq=False)
-class Against:
-    """Two sides compared, and what is left to be diagnosed.
+class ReferenceComparison:
+    """A recording's rigid model compared with a reference recording, and what remains to be diagnosed.
+
+    `differences` and `notes` are plain JSON values in SI units, each with a code under `difference` or `note`; the
+    sentences are those of `lite6jax.report.reference`.
 
     Attributes:
-        file: the other side's name.
+        file: the reference's name.
         rows: of the recording.
-        matched: of these, with a row of the other side at the same joints.
-        reproduced: whether the recording's model makes the other side, as it is declared.
-        rigid: whether a rigid arm makes it exactly: a simulator without physics.
-        distance: `(kept,)` m from that model to the other side, in rows that do not stand out.
-        left: `(kept,)` m that remains of it with the differences below.
-        differences: what the other side has otherwise, a sentence each.
-        notes: what cancels between the two, and what was assumed.
-        recording: the recording less what the other side has beyond the model.
-        kinematics: `(joint, 6)` of the chain that both share, where it is the other side that tells it; or None.
-        geometry: how the recording's geometry is to be taken.
+        matched: of these, with a row of the reference at the same joint positions.
+        reproduced: whether the recording's rigid model, with the frames as declared, gives the reference's poses.
+        rigid: whether a rigid arm gives them exactly: a simulator without further effects.
+        distance: `(kept,)` m from that model to the reference, outliers excluded.
+        remaining: `(kept,)` m after the differences are applied.
+        differences: between the recording's model and the reference.
+        notes: which effects cancel between the two recordings, and what was left out or assumed.
+        recording: the recording corrected by what the reference has beyond the rigid arm.
+        factory: the chain that both share, where it was fitted to the reference; None where it is known.
+        geometry: what is known of the corrected recording's geometry, as in `fit`.
     """
 
     file: str
@@ -74,282 +71,230 @@ class Against:
     reproduced: bool
     rigid: bool
     distance: Array
-    left: Array
-    differences: tuple[str, ...]
-    notes: tuple[str, ...]
+    remaining: Array
+    differences: tuple[dict[str, Any], ...]
+    notes: tuple[dict[str, Any], ...]
     recording: Recording
-    kinematics: Array | None
+    factory: FactoryCalibration | None
     geometry: Geometry
 
-    @property
-    def statement(self) -> str:
-        """What the model in the diagnosis, and a prediction from it, is."""
-        if self.rigid:
-            return f"{self.file} is a rigid arm: the model is this arm's own, whole."
-        return (
-            f"The model is this arm's rigid one with the difference from {self.file}: what both have beyond a rigid "
-            f"arm is not in it, and what only {self.file} has is in it with its sign reversed."
-        )
-
     def to_dict(self) -> dict[str, Any]:
-        """Plain numbers and words in SI units."""
+        """Codes and numbers in SI units."""
         return {
             "file": self.file,
             "rows": self.rows,
             "matched_rows": self.matched,
             "reproduced": self.reproduced,
+            "rigid": self.rigid,
             "position_rms_m": _rms(self.distance),
             "position_max_m": float(self.distance.max()),
-            "left_position_rms_m": _rms(self.left),
+            "left_position_rms_m": _rms(self.remaining),
             "differences": list(self.differences),
             "notes": list(self.notes),
-            "statement": self.statement,
         }
 
 
-def diagnose_against(
-    recording: Recording,
-    other: Recording,
-    arm: Arm | None = None,
-    *,
-    geometry: Geometry = "declared",
-    effects: Sequence[Effect] = (),
-    progress: Callable[[int], object] | None = None,
-) -> tuple[Diagnosis, Against]:
-    """Diagnoses what a recording has beyond another one; arguments and errors as `compare` and `diagnose`."""
-    arm = arm or _arm_of(recording)
-    seen = compare(recording, other, arm, geometry)
-    difference = seen.recording
-    with TemporaryDirectory() as folder:
-        if seen.kinematics is not None:
-            path = write_factory(seen.kinematics, Path(folder) / "shared.yaml")
-            shared = replace(difference.settings, factory_calibration=str(path), factory_uncertainty=None)
-            difference = replace(difference, settings=shared)
-        found = diagnose(difference, arm, geometry=seen.geometry, effects=effects, progress=progress)
-    return found, seen
+def compare(
+    recording: Recording, reference: Recording, arm: Arm | None = None, geometry: Geometry = "declared"
+) -> ReferenceComparison:
+    """Explains the reference by a rigid arm, and corrects the recording by what the reference has beyond that arm.
 
-
-def compare(recording: Recording, other: Recording, arm: Arm | None = None, geometry: Geometry = "declared") -> Against:
-    """What the other side is, seen from the recording's model, and the recording without it.
-
-    The other side is explained by the recording's chain, the arm's nominal tables, another tool and another frame, the
-    fewest changes first. What it has beyond the rigid arm that explains it, a motion of the flange in its own axes, is
-    taken out of the recording's poses: with it goes the geometry that both share, and physics that both have under the
-    same load, direction and temperature. Where the geometry is not known, the other side tells it. A frame or a tool
-    that its own sidecar declares is believed: another one is named, and stays in the difference.
+    Candidates are the recording's chain, the arm's nominal tables, another tool and another frame, in the order of the
+    number of changes. The reference's motion of the flange relative to the rigid arm that explains it, in the flange's
+    axes, is removed from the recording's poses. This removes the geometry that both share, and the effects that both
+    have under the same load, direction of motion and temperature. Where the geometry is not known, it is fitted to the
+    reference. A frame or a tool that the reference's own sidecar declares is kept: if another one fits, the difference
+    is reported and remains in the corrected recording.
 
     Args:
         recording: measured poses.
-        other: poses at the same joint positions, in any order. Where its settings declare nothing at all, frame and
-            tool are expected as in the recording's. Noise that they do not declare is taken for none.
+        reference: poses at the same joint positions, in any order. Where its settings declare nothing at all, frame and
+            tool are taken from the recording's. Undeclared noise is taken as zero.
         arm: the nominal arm; from the recording's settings where not given.
-        geometry: of the recording, as in `fit`; `declared` holds a chain that both share exactly.
+        geometry: of the recording, as in `fit`; `declared` keeps a shared chain fixed.
 
     Raises:
-        InputError: no positions on either side, another number of joints, or too few rows of the same joints.
+        InputError: no positions in one of them, another number of joints, or too few rows at the same joint positions.
     """
-    arm = arm or _arm_of(recording)
-    for side in (recording, other):
+    arm = arm or read_arm(recording.settings.arm_reference(Path(recording.source).parent))
+    for side in (recording, reference):
         if side.dof != arm.dof:
             raise InputError(f"{side.source}: has {side.dof} joints, but {arm.name} has {arm.dof}; give that arm's")
         require_samples(side, 1)
-    name, rows = Path(other.source).name, recording.samples
-    recording, other = _matched(recording, other)
-    notes = []
-    if other.samples < rows:
-        notes.append(f"{rows - other.samples} of {rows} rows have none of {name} at their joints and are left out.")
-    if recording.numbers_per_sample != other.numbers_per_sample:
-        notes.append("Only one side has orientations: positions alone are compared.")
-        recording, other = replace(recording, quaternion=None), replace(other, quaternion=None)
-    undeclared = other.settings == RecordingSettings()
+    file, rows = Path(reference.source).name, recording.samples
+    recording, reference = matched(recording, reference)
+    notes: list[dict[str, Any]] = []
+    if reference.samples < rows:
+        notes.append({"note": "unmatched_rows", "count": rows - reference.samples, "rows": rows})
+    if recording.numbers_per_sample != reference.numbers_per_sample:
+        notes.append({"note": "positions_only"})
+        recording, reference = replace(recording, quaternion=None), replace(reference, quaternion=None)
+    undeclared = reference.settings == RecordingSettings()
     if undeclared:
-        expected = replace(other.settings, pose_frame=recording.settings.pose_frame, tool=recording.settings.tool)
-        other = replace(other, settings=expected)
+        settings = replace(reference.settings, pose_frame=recording.settings.pose_frame, tool=recording.settings.tool)
+        reference = replace(reference, settings=settings)
 
-    tables = chains_of(recording, other, arm)
+    chains = chains_of(recording, reference, arm)
     known = recording.settings.factory_calibration is not None and geometry != "free"
-    noise = other.settings.position_noise_m, other.settings.orientation_noise_rad
-    allowed = (max(_AS_NOISE * (noise[0] or 0.0), _ROUNDED[0]), max(_AS_NOISE * (noise[1] or 0.0), _ROUNDED[1]))
-    tried = [
-        explained_by(other, arm, label, kinematics, freed)
-        for freed in freedoms(other.settings)
-        for label, kinematics in tables.items()
+    declared_noise = reference.settings.position_noise_m, reference.settings.orientation_noise_rad
+    position, orientation = (
+        max(_NOISE_MARGIN * (declared or 0.0), rounding)
+        for declared, rounding in zip(declared_noise, _ROUNDING, strict=True)
+    )
+    noise = (position, orientation)
+    candidates = [
+        explained_by(reference, arm, chain, fitted)
+        for fitted in frame_hypotheses(reference.settings)
+        for chain in chains
     ]
-    declared, chosen = tried[0], simplest(tried, allowed)
-    explained = chosen.within(allowed)
+    declared, chosen = candidates[0], simplest(candidates, noise)
+    explained = chosen.within(noise)
     if not explained and not known:
-        chosen = declared  # frames found beside a wrong geometry mean nothing
-    differences = difference_statements(declared, chosen, name)
+        chosen = declared  # frames fitted together with a wrong geometry mean nothing
+    found = differences(declared, chosen)
     nearest, shared = chosen, None
     if not explained:
-        free = of_any_geometry(other, arm, chosen)
-        if free is not None and free.rms <= CLEARLY * chosen.rms:
+        free = with_fitted_geometry(reference, arm, chosen)
+        if free is not None and free.rms <= SUBSTANTIAL * chosen.rms:
             nearest = free
-            differences.append(geometry_statement(free, chosen) if known else shared_statement(free, name))
-        if not known and free is not None and geometry != "free" and arm.dof in JOINTS:
+            unknown = {"difference": "unknown_geometry", "position_rms_after_m": free.rms}
+            found.append(geometry_difference(free, chosen) if known else unknown)
+        if not known and geometry != "free":
             shared = free
-        if not nearest.within(allowed):
-            differences.append(remainder_statement(nearest, name, noise[0] is not None))
-    held = chosen if undeclared else next(r for r in tried if r.label == chosen.label and not any(r.freed))
-    exactly = held.within(_ROUNDED)  # then nothing of its physics can hide in a frame or under noise
+        if not nearest.within(noise):
+            found.append(
+                {
+                    "difference": "not_rigid",
+                    "position_rms_after_m": nearest.rms,
+                    "noise_declared": declared_noise[0] is not None,
+                }
+            )
+    held = chosen
+    if not undeclared:
+        held = next(c for c in candidates if c.chain[:2] == chosen.chain[:2] and not any(c.fitted))
+    exactly = held.within(_ROUNDING)  # no effect of the reference is then absorbed by a frame or lost in its noise
     if not exactly:
-        notes += _cancelling(recording, other)
-    kept = nearest.found.kept | (nearest.found.distance < _ROUNDED[0])
+        notes += _cancelling(recording, reference)
+    kept = nearest.registration.kept | (nearest.registration.distance < _ROUNDING[0])
     if not kept.all():
-        notes.append(f"Of {name} stand out, and are in no figure here, {np.sum(~kept)} of {kept.size} rows.")
-    if geometry == "declared" and not held.within(allowed) and (known or shared is not None):
+        notes.append({"note": "outlying_rows", "count": int(np.sum(~kept)), "rows": kept.size})
+    if geometry == "declared" and not held.within(noise) and (known or shared is not None):
         geometry = "exact"
     common = shared or held
-    base = next(iter(tables.values())) if known else common.kinematics
-    difference = _less(recording, other, arm, common, base)
+    base = chains[0] if known else common.chain
+    corrected = _corrected(recording, reference, arm, common, base.kinematics)
     if not exactly:
-        difference = _less_warmth(_declared_with(difference, common.freed, other.settings), other)
-    return Against(
-        file=name,
+        corrected = _with_common_declarations(corrected, common.fitted, reference.settings)
+        corrected = _relative_temperature(corrected, reference)
+    factory = None
+    if shared is not None:
+        factory = FactoryCalibration(shared.chain.kinematics, arm, arm.T_joint_flange, reference.source)
+    return ReferenceComparison(
+        file=file,
         rows=rows,
-        matched=other.samples,
+        matched=reference.samples,
         reproduced=explained and chosen is declared,
         rigid=exactly,
-        distance=declared.found.distance[kept],
-        left=nearest.found.distance[kept],
-        differences=tuple(differences),
+        distance=declared.registration.distance[kept],
+        remaining=nearest.registration.distance[kept],
+        differences=tuple(found),
         notes=tuple(notes),
-        recording=replace(difference, notes=(*difference.notes, *notes)),
-        kinematics=None if shared is None else shared.kinematics,
+        recording=corrected,
+        factory=factory,
         geometry=geometry,
     )
 
 
-def _arm_of(recording: Recording) -> Arm:
-    return read_arm(recording.settings.arm_reference(Path(recording.source).parent))
+def _corrected(recording: Recording, reference: Recording, arm: Arm, common: RigidArm, base: Array) -> Recording:
+    """The recording's poses without what the reference has beyond a rigid arm, at the flange of the chain `base`.
 
-
-def _matched(recording: Recording, other: Recording) -> tuple[Recording, Recording]:
-    """The rows of both that are of the same joints, in the recording's order: by their number, else the nearest."""
-    _, i, j = np.intersect1d(recording.row, other.row, return_indices=True)
-    same = np.abs(recording.joint_position[i] - other.joint_position[j]).max(1, initial=0.0) <= SAME_JOINTS
-    partner = np.full(recording.samples, -1)
-    partner[i[same]] = j[same]
-    left = np.flatnonzero(partner < 0)
-    spare = np.setdiff1d(np.arange(other.samples), partner)
-    if left.size and spare.size:
-        nearby = min(_NEIGHBOURS, spare.size)
-        near = KDTree(other.joint_position[spare]).query(
-            recording.joint_position[left], k=nearby, p=np.inf, distance_upper_bound=SAME_JOINTS
-        )
-        distance, found = (np.reshape(part, (left.size, nearby)) for part in near)
-        taken = np.zeros(other.samples, bool)
-        for at in np.argsort(distance, axis=None, kind="stable"):
-            row, k = divmod(int(at), nearby)
-            if not np.isfinite(distance[row, k]):
-                break
-            theirs = spare[found[row, k]]
-            if partner[left[row]] < 0 and not taken[theirs]:
-                partner[left[row]], taken[theirs] = theirs, True
-    ours = np.flatnonzero(partner >= 0)
-    fewer = min(recording.samples, other.samples)
-    if 2 * ours.size < fewer:
-        raise InputError(
-            f"{other.source}: {ours.size} of its {other.samples} rows are at joint positions of the "
-            f"{recording.samples} of {recording.source} (to {SAME_JOINTS:g} rad), and half of the fewer, "
-            f"{-(-fewer // 2)}, are needed; give the same motion on both sides"
-        )
-    return recording.select(ours), other.select(partner[ours])
-
-
-def _less(recording: Recording, other: Recording, arm: Arm, common: RigidArm, base: Array) -> Recording:
-    """The recording's poses without what the other side has beyond a rigid arm, at the flange of the chain `base`.
-
-    With D the other side's flange in that of the rigid arm that explains it, and P the recording's own by its model,
-    Y' = P D⁻¹ P⁻¹ Y. Where both have Y = P D E, this leaves P E: what they share goes, whatever its size.
+    With D the reference's flange relative to that of the rigid arm that explains it, and P the recording's pose by its
+    own model, Y' = P D⁻¹ P⁻¹ Y. Where Y = P D E, this leaves P E: what both share cancels exactly, whatever its size.
     """
     settings, position = recording.settings, recording.position
-    measured = other.position
+    measured = reference.position
     assert position is not None
     assert measured is not None
-    F, U = common.found.T_sensor_base, common.found.T_flange_tool
-    own = flange_of(base, recording, arm)
+    F, U = common.registration.T_sensor_base, common.registration.T_flange_tool
+    flange = flange_of(base, recording, arm)
     frame = np.eye(4) if settings.pose_frame == "base" else None
-    P = registered(recording, own, frame, declared_tool(settings)).T_sensor_base @ own
-    seen = (measured - F[:3, 3]) @ F[:3, :3]
-    rotation, turned, quaternion = rotations(recording), rotations(other), None
-    if rotation is None or turned is None:
-        off = seen - (common.flange @ U)[:, :3, 3]
-        in_flange = np.einsum("sji,sj->si", common.flange[:, :3, :3], off)
+    P = registered(recording, flange, frame, declared_tool(settings)).T_sensor_base @ flange
+    in_base = (measured - F[:3, 3]) @ F[:3, :3]
+    rotation, reference_rotation, quaternion = rotations(recording), rotations(reference), None
+    if rotation is None or reference_rotation is None:
+        offset = in_base - (common.flange @ U)[:, :3, 3]
+        in_flange = np.einsum("sji,sj->si", common.flange[:, :3, :3], offset)
         position = position - np.einsum("sij,sj->si", P[:, :3, :3], in_flange)
     else:
         O, Y = (np.broadcast_to(np.eye(4), P.shape).copy() for _ in range(2))
-        O[:, :3, :3], O[:, :3, 3] = F[:3, :3].T @ turned, seen
+        O[:, :3, :3], O[:, :3, 3] = F[:3, :3].T @ reference_rotation, in_base
         Y[:, :3, :3], Y[:, :3, 3] = rotation, position
         D = np.linalg.inv(common.flange) @ O @ np.linalg.inv(U)
-        left = P @ np.linalg.inv(D) @ np.linalg.inv(P) @ Y
-        position = left[:, :3, 3]
-        quaternion = np.roll(Rotation.from_matrix(left[:, :3, :3]).as_quat(), 1, axis=1)
-    both = {}
+        corrected = P @ np.linalg.inv(D) @ np.linalg.inv(P) @ Y
+        position = corrected[:, :3, 3]
+        quaternion = np.roll(Rotation.from_matrix(corrected[:, :3, :3]).as_quat(), 1, axis=1)
+    combined = {}
     for key in ("position_noise_m", "orientation_noise_rad", "joint_noise_rad"):
-        ours, theirs = getattr(settings, key), getattr(other.settings, key)
-        both[key] = ours if ours is None else float(np.hypot(ours, theirs or 0.0))
-    return replace(recording, position=position, quaternion=quaternion, settings=replace(settings, **both))
+        own, other = getattr(settings, key), getattr(reference.settings, key)
+        combined[key] = own if own is None else float(np.hypot(own, other or 0.0))
+    return replace(recording, position=position, quaternion=quaternion, settings=replace(settings, **combined))
 
 
-def _declared_with(recording: Recording, freed: tuple[bool, bool], others: RecordingSettings) -> Recording:
-    """With frame and tool declared only where both sides declare them: where one is fitted, the difference lacks it."""
+def _with_common_declarations(
+    recording: Recording, fitted: tuple[bool, bool], reference: RecordingSettings
+) -> Recording:
+    """With frame and tool declared only where both recordings declare them: a fitted one is not in the difference."""
     settings = recording.settings
-    if freed[0] or others.tool == "unknown":
+    if fitted[0] or reference.tool == "unknown":
         settings = replace(settings, tool="unknown")
-    if freed[1] or others.pose_frame == "unknown":
+    if fitted[1] or reference.pose_frame == "unknown":
         settings = replace(settings, pose_frame="unknown")
     return replace(recording, settings=settings)
 
 
-def _less_warmth(recording: Recording, other: Recording) -> Recording:
-    """Warmth counted from the other side's: an expansion that both have shows by the difference of their warmth."""
-    theirs, ours = _warmth(other), _warmth(recording)
-    if theirs is None or ours is None:
+def _relative_temperature(recording: Recording, reference: Recording) -> Recording:
+    """Temperatures relative to the reference's, as an expansion of both acts by the difference."""
+    other, own = _temperature(reference), _temperature(recording)
+    if other is None or own is None:
         return recording
-    mean = float(theirs.mean())
-    off = theirs - mean
+    mean = float(other.mean())
+    rise = other - mean
     joints, ambient = recording.joint_temperature, recording.ambient_temperature
     return replace(
         recording,
-        joint_temperature=None if joints is None else joints - off[:, None],
-        ambient_temperature=None if ambient is None else ambient - off,
+        joint_temperature=None if joints is None else joints - rise[:, None],
+        ambient_temperature=None if ambient is None else ambient - rise,
         settings=replace(recording.settings, reference_temperature_degC=mean),
     )
 
 
-def _warmth(recording: Recording) -> Array | None:
+def _temperature(recording: Recording) -> Array | None:
     """`(sample,)` °C of the arm; None where it was not recorded."""
     joints = recording.joint_temperature
     return recording.ambient_temperature if joints is None else joints.mean(1)
 
 
-def _cancelling(recording: Recording, other: Recording) -> list[str]:
-    """What drove both sides alike, so that what it causes in both is not seen, and what did not."""
-    ours, theirs = _warmth(recording), _warmth(other)
-    colder = None if ours is None or theirs is None else np.abs(ours - theirs) > _SAME_WARMTH
-    drivers = [
-        ("payload", np.abs(recording.payload - other.payload) > 1e-6),
-        ("direction of motion", (recording.direction_of_motion != other.direction_of_motion).any(1)),
-        *([] if colder is None else [("temperature", colder)]),
-    ]
-    alike = [driver for driver, differs in drivers if not differs.any()]
-    notes = []
-    if alike:
-        notes.append(
-            f"The same on both sides: {' and '.join(alike)}. What depends on nothing else cancels where both have it."
-        )
-    for driver, what in (("payload", "what bends under load"), ("direction of motion", "backlash")):
-        count = sum(int(differs.sum()) for name, differs in drivers if name == driver)
-        if count:
-            notes.append(f"The {driver} differs in {count} rows: there {what} that both sides have does not cancel.")
-    if ours is not None and theirs is not None and "temperature" not in alike:
-        notes.append(
-            f"The arm was at {ours.mean():.1f} °C, on the other side at {theirs.mean():.1f} °C: expansion is sought by "
-            "the difference."
-        )
-    if (ours is None) != (theirs is None):
-        notes.append("Only one side has temperatures: an expansion that both sides have does not cancel.")
+def _cancelling(recording: Recording, reference: Recording) -> list[dict[str, Any]]:
+    """Which drivers are equal in both recordings, so that their effects cancel, and which are not."""
+    own, other = _temperature(recording), _temperature(reference)
+    differs = {
+        "payload": np.abs(recording.payload - reference.payload) > _SAME_PAYLOAD,
+        "direction_of_motion": (recording.direction_of_motion != reference.direction_of_motion).any(1),
+    }
+    if own is not None and other is not None:
+        differs["temperature"] = np.abs(own - other) > _SAME_TEMPERATURE
+    notes: list[dict[str, Any]] = []
+    equal = [driver for driver, rows in differs.items() if not rows.any()]
+    if equal:
+        notes.append({"note": "equal_drivers", "drivers": equal})
+    for driver in ("payload", "direction_of_motion"):
+        if driver not in equal:
+            notes.append({"note": f"{driver}_differs", "count": int(differs[driver].sum())})
+    if own is not None and other is not None and "temperature" not in equal:
+        mean, reference_mean = float(own.mean()), float(other.mean())
+        notes.append({"note": "temperature_differs", "mean_degC": mean, "reference_mean_degC": reference_mean})
+    if (own is None) != (other is None):
+        notes.append({"note": "one_temperature"})
     return notes
 
 

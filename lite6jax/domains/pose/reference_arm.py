@@ -1,9 +1,9 @@
-"""Which rigid arm made another side's poses, among those it may be, and how that differs from a model, in words."""
+"""Which rigid arm explains the poses of a reference recording, and how it differs from the recording's model."""
 
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,96 +22,116 @@ from lite6jax.model import ArmModel
 from lite6jax.recordings import Recording, RecordingSettings
 
 Array = NDArray[np.floating]
+ChainKind = Literal[
+    "factory_calibration", "reference_factory_calibration", "published_table", "ros_default_table", "nominal_table"
+]
 
-CLEARLY = 0.5
-"""Share of what was left that a difference worth a name leaves."""
+SUBSTANTIAL = 0.5
+"""A difference is reported where it reduces the RMS position error at least to this share."""
 _NEARLY = 1.5
-"""How much worse than the best a simpler explanation may be."""
-_RELINEARISED = 3
-_NAMED = 3
-_SPARE = 1.5
-"""Numbers measured over those fitted, for a free geometry."""
+"""A simpler explanation is preferred while its noise is below this multiple of the best one's."""
+_RELINEARISATIONS = 3
+_LARGEST = 3
+"""Displaced links reported of a chain of another geometry."""
+_REDUNDANCY = 1.5
+"""Measured numbers per parameter that a fit of the geometry requires."""
 _LEVER = 0.3
-"""m by which turned frames are set against displaced ones."""
+"""m, the lever arm by which rotations of links are compared with translations."""
+
+
+class Chain(NamedTuple):
+    """A candidate for the reference's chain.
+
+    Attributes:
+        kind: where it is from.
+        name: of the file or the bundled table.
+        kinematics: `(joint, 6)`, x y z roll pitch yaw in m and rad.
+    """
+
+    kind: ChainKind
+    name: str
+    kinematics: Array
 
 
 class RigidArm(NamedTuple):
-    """A rigid arm that may have made the other side.
+    """A rigid arm as explanation of the reference.
 
     Attributes:
-        label: its chain, in a sentence.
-        kinematics: `(joint, 6)`.
-        flange: `(sample, 4, 4)` T_base_flange at the other side's joints.
-        found: frames, and what is left.
-        freed: whether the tool, and the frame, are others than declared.
+        chain: of the arm.
+        flange: `(sample, 4, 4)` T_base_flange at the reference's joint positions.
+        registration: sensor frame and tool, with residuals.
+        fitted: whether the tool, and the frame, were fitted although they are declared.
     """
 
-    label: str
-    kinematics: Array
+    chain: Chain
     flange: Array
-    found: Registration
-    freed: tuple[bool, bool]
+    registration: Registration
+    fitted: tuple[bool, bool]
 
     @property
     def rms(self) -> float:
-        """m left, wild rows apart."""
-        return self.found.rms
+        """RMS position error in m, outliers excluded."""
+        return self.registration.rms
 
-    def within(self, allowed: tuple[float, float]) -> bool:
-        """Whether no more is left than is allowed of position (m) and orientation (rad) per axis."""
-        return all((left or 0.0) <= most for left, most in zip(self.found.noise, allowed, strict=True))
+    def within(self, noise: tuple[float, float]) -> bool:
+        """Whether the residuals of position (m) and orientation (rad) per axis are no larger than noise."""
+        return all((found or 0.0) <= most for found, most in zip(self.registration.noise, noise, strict=True))
 
 
-def chains_of(recording: Recording, other: Recording, arm: Arm) -> dict[str, Array]:
-    """Chains `(joint, 6)` by what to call them: the recording's own, the nominal ones of its model, the other's own."""
+def chains_of(recording: Recording, reference: Recording, arm: Arm) -> list[Chain]:
+    """The recording's own chain first, then the nominal ones of its model, then the reference's own calibration."""
+    kinds: tuple[ChainKind, ChainKind] = ("factory_calibration", "reference_factory_calibration")
     calibrated = [
-        (f"{whose} factory calibration ({path.name})", read_factory(path, arm).kinematics)
-        for whose, side in (("the", recording), ("its own", other))
+        Chain(kind, path.name, read_factory(path, arm).kinematics)
+        for kind, side in zip(kinds, (recording, reference), strict=True)
         if (path := side.settings.factory_path(Path(side.source).parent)) is not None
     ]
     family = arm.name.split("_")[0]
-    same = [load_bundled(name) for name in bundled_arms() if name != arm.name and name.split("_")[0] == family]
-    nominal = []
-    for table in (arm, *same):
-        if table.dof == arm.dof:
-            published = "the vendor's ROS default" if table.name in VARIANTS else "the published table"
-            called = published if table.name in bundled_arms() else "the table"
-            nominal.append((f"{called} ({table.name})", table.kinematics))
+    others = [load_bundled(name) for name in bundled_arms() if name != arm.name and name.split("_")[0] == family]
+    nominal = [
+        Chain(_kind_of(table.name), table.name, table.kinematics) for table in (arm, *others) if table.dof == arm.dof
+    ]
     own = 0 if recording.settings.factory_calibration is None else 1
-    return dict([*calibrated[:own], *nominal, *calibrated[own:]])
+    return [*calibrated[:own], *nominal, *calibrated[own:]]
 
 
-def freedoms(settings: RecordingSettings) -> list[tuple[bool, bool]]:
-    """Which of tool and frame may be others than declared, fewest first; what is unknown is fitted in any case."""
+def _kind_of(table: str) -> ChainKind:
+    if table not in bundled_arms():
+        return "nominal_table"
+    return "ros_default_table" if table in VARIANTS else "published_table"
+
+
+def frame_hypotheses(settings: RecordingSettings) -> list[tuple[bool, bool]]:
+    """Whether the tool, and the frame, are fitted although declared, fewest first; undeclared ones always are."""
     tool, frame = settings.tool != "unknown", settings.pose_frame == "base"
     every = [(False, False), (True, False), (False, True), (True, True)]
-    return [freed for freed in every if (tool or not freed[0]) and (frame or not freed[1])]
+    return [fitted for fitted in every if (tool or not fitted[0]) and (frame or not fitted[1])]
 
 
-def explained_by(other: Recording, arm: Arm, label: str, kinematics: Array, freed: tuple[bool, bool]) -> RigidArm:
-    """A chain under the other side's poses, its frames where they fit best."""
-    settings = other.settings
-    flange = flange_of(kinematics, other, arm)
-    frame = np.eye(4) if settings.pose_frame == "base" and not freed[1] else None
-    tool = None if freed[0] else declared_tool(settings)
-    return RigidArm(label, kinematics, flange, registered(other, flange, frame, tool), freed)
+def explained_by(reference: Recording, arm: Arm, chain: Chain, fitted: tuple[bool, bool]) -> RigidArm:
+    """A chain with the sensor frame and the tool that fit the reference's poses best."""
+    settings = reference.settings
+    flange = flange_of(chain.kinematics, reference, arm)
+    frame = np.eye(4) if settings.pose_frame == "base" and not fitted[1] else None
+    tool = None if fitted[0] else declared_tool(settings)
+    return RigidArm(chain, flange, registered(reference, flange, frame, tool), fitted)
 
 
 def flange_of(kinematics: Array, recording: Recording, arm: Arm) -> Array:
-    """`(sample, 4, 4)` T_base_flange of a chain `(joint, 6)` at a recording's joints."""
+    """`(sample, 4, 4)` T_base_flange of a chain `(joint, 6)` at a recording's joint positions."""
     links = np.stack([frames.transform_from_row(row) for row in kinematics])
     return frames.chain(links, recording.joint_position) @ arm.T_joint_flange
 
 
 def declared_tool(settings: RecordingSettings) -> Array | None:
-    """`(4, 4)`; None where it is unknown."""
+    """`(4, 4)` T_flange_tool; None where it is unknown."""
     if settings.tool == "unknown":
         return None
     return np.eye(4) if settings.tool == "none" else frames.transform_from_row(settings.tool)
 
 
 def registered(recording: Recording, flange: Array, frame: Array | None, tool: Array | None) -> Registration:
-    """`register` of a recording, what is None fitted."""
+    """`register` of a recording's poses: a frame or a tool that is None is fitted."""
     settings, position = recording.settings, recording.position
     assert position is not None
     noise = (
@@ -122,107 +142,93 @@ def registered(recording: Recording, flange: Array, frame: Array | None, tool: A
 
 
 def rotations(recording: Recording) -> Array | None:
-    """`(sample, 3, 3)` measured, or None."""
+    """`(sample, 3, 3)` measured orientations, or None."""
     quaternion = recording.quaternion
     return None if quaternion is None else Rotation.from_quat(np.roll(quaternion, -1, axis=1)).as_matrix()
 
 
-def simplest(tried: Sequence[RigidArm], allowed: tuple[float, float]) -> RigidArm:
-    """The first that is as good as noise lets it; else the first that is nearly as good as the best, if that is clearly
-    better than the first of all."""
-    for rigid in tried:
-        if rigid.within(allowed):
+def simplest(candidates: Sequence[RigidArm], noise: tuple[float, float]) -> RigidArm:
+    """The first candidate within the noise.
+
+    Otherwise the first that is nearly as good as the best, if it is substantially better than the first of all; else
+    the first of all.
+    """
+    for rigid in candidates:
+        if rigid.within(noise):
             return rigid
-    best = [min(rigid.found.noise[k] or 0.0 for rigid in tried) for k in (0, 1)]
-    most = (max(allowed[0], _NEARLY * best[0]), max(allowed[1], _NEARLY * best[1]))
-    near = next((rigid for rigid in tried if rigid.within(most)), tried[0])
-    return near if near.rms < CLEARLY * tried[0].rms else tried[0]
+    best = [min(rigid.registration.noise[k] or 0.0 for rigid in candidates) for k in (0, 1)]
+    most = (max(noise[0], _NEARLY * best[0]), max(noise[1], _NEARLY * best[1]))
+    near = next((rigid for rigid in candidates if rigid.within(most)), candidates[0])
+    return near if near.rms < SUBSTANTIAL * candidates[0].rms else candidates[0]
 
 
-def of_any_geometry(other: Recording, arm: Arm, start: RigidArm) -> RigidArm | None:
-    """The chain, of any geometry, that comes nearest to the other side; None where it has too few rows to tell."""
+def with_fitted_geometry(reference: Recording, arm: Arm, start: RigidArm) -> RigidArm | None:
+    """The chain of free geometry that fits the reference best; None where it has too few rows."""
     settings = replace(
-        other.settings,
+        reference.settings,
         factory_calibration=None,
         factory_uncertainty=None,
-        tool="unknown" if start.freed[0] else other.settings.tool,
-        pose_frame="unknown" if start.freed[1] else other.settings.pose_frame,
+        tool="unknown" if start.fitted[0] else reference.settings.tool,
+        pose_frame="unknown" if start.fitted[1] else reference.settings.pose_frame,
     )
-    moved = replace(other, settings=settings)
-    case = case_of(moved, arm, "free")
-    if other.numbers_per_sample * other.samples < _SPARE * len(case.unknown):
+    freed = replace(reference, settings=settings)
+    case = case_of(freed, arm, "free")
+    if reference.numbers_per_sample * reference.samples < _REDUNDANCY * len(case.unknown):
         return None
-    found = start.found
-    model = ArmModel(start.kinematics.ravel(), found.T_sensor_base, arm.T_joint_flange @ found.T_flange_tool)  # type: ignore[arg-type]
+    found = start.registration
+    model = ArmModel(start.chain.kinematics.ravel(), found.T_sensor_base, arm.T_joint_flange @ found.T_flange_tool)  # type: ignore[arg-type]
     case = replace(case, start=model, offset=np.zeros(len(case.unknown)))
-    for _ in range(_RELINEARISED):
+    for _ in range(_RELINEARISATIONS):
         case = moved_to(case, refit(case, Physics()).moved)
     model = arm_moved(case, np.zeros(len(case.unknown)))
     rows, T_sensor_base = np.array(model.geometry).reshape(-1, 6), np.asarray(model.T_sensor_base)
-    if settings.pose_frame == "base":  # there the base's displacement is the chain's
+    if settings.pose_frame == "base":  # a displacement of the base then belongs to the chain
         rows[0] = frames.row_from_transform(T_sensor_base @ frames.transform_from_row(rows[0]))
-    return explained_by(moved, arm, start.label, rows, (False, False))._replace(freed=start.freed)
+    fitted = explained_by(freed, arm, start.chain._replace(kinematics=rows), (False, False))
+    return fitted._replace(fitted=start.fitted)
 
 
-def difference_statements(declared: RigidArm, chosen: RigidArm, name: str) -> list[str]:
-    """Table, frame and tool, a sentence each."""
-    said = []
-    if chosen.label != declared.label:
-        said.append(f"{name} has {chosen.label} where this model has {declared.label}.")
-    T, expected = chosen.found, declared.found
-    if chosen.freed[1]:
-        said.append(f"Its base frame is another: {_offset(expected.T_sensor_base, T.T_sensor_base)}.")
-    if chosen.freed[0]:
-        turned = T.turned is not None
-        said.append(f"Its tool is another: {_offset(expected.T_flange_tool, T.T_flange_tool, turned)}.")
-    if said:
-        said.append(f"That takes it from {_mm(declared.rms)} mm RMS to {_mm(chosen.rms)} mm.")
-    return said
+def differences(declared: RigidArm, chosen: RigidArm) -> list[dict[str, Any]]:
+    """`other_table`, `other_frame` and `other_tool`, as plain JSON values in SI units."""
+    step = {"position_rms_before_m": declared.rms, "position_rms_after_m": chosen.rms}
+    found: list[dict[str, Any]] = []
+    if chosen.chain[:2] != declared.chain[:2]:
+        model, reference = ({"kind": kind, "name": name} for kind, name, _ in (declared.chain, chosen.chain))
+        found.append({"difference": "other_table", "model": model, "reference": reference, **step})
+    expected, T = declared.registration, chosen.registration
+    if chosen.fitted[1]:
+        found.append({"difference": "other_frame", **_displacement(expected.T_sensor_base, T.T_sensor_base), **step})
+    if chosen.fitted[0]:
+        tool = _displacement(expected.T_flange_tool, T.T_flange_tool)
+        if T.turned is None:
+            tool["rotation_rad"] = None
+        found.append({"difference": "other_tool", **tool, **step})
+    return found
 
 
-def geometry_statement(free: RigidArm, start: RigidArm) -> str:
-    """Which frames of the chain stand otherwise; of many changes that do the same, those of a wide prior."""
-    moved = []
-    for j, (row, before) in enumerate(zip(free.kinematics, start.kinematics, strict=True)):
+def geometry_difference(free: RigidArm, start: RigidArm) -> dict[str, Any]:
+    """`other_geometry` with the links displaced most; link 0 is the base.
+
+    Of many displacements with the same effect, these are the smallest: the fit's prior is wide.
+    """
+    links = []
+    for j, (row, before) in enumerate(zip(free.chain.kinematics, start.chain.kinematics, strict=True)):
         T = frames.transform_from_row(row) @ np.linalg.inv(frames.transform_from_row(before))
-        length, angle = float(np.linalg.norm(T[:3, 3])), _angle(T)
-        place = f"link {j}" if j else "the base"
-        moved.append((length + _LEVER * angle, f"{place} by {_mm(length)} mm and {_mm(angle)} mrad"))
-    largest = [text for _, text in sorted(moved, reverse=True)[:_NAMED]]
-    return (
-        f"Its geometry is another: displaced are {', '.join(largest)} (the smallest changes that do it). That takes it "
-        f"from {_mm(start.rms)} mm RMS to {_mm(free.rms)} mm."
-    )
+        links.append({"link": j, "distance_m": float(np.linalg.norm(T[:3, 3])), "rotation_rad": _angle(T)})
+    links.sort(key=lambda link: link["distance_m"] + _LEVER * link["rotation_rad"], reverse=True)
+    return {
+        "difference": "other_geometry",
+        "links": links[:_LARGEST],
+        "position_rms_before_m": start.rms,
+        "position_rms_after_m": free.rms,
+    }
 
 
-def shared_statement(free: RigidArm, name: str) -> str:
-    """That an unknown geometry is the other side's."""
-    return (
-        f"No nominal table makes it. This arm's own geometry is not known: that which {name} shows, to "
-        f"{_mm(free.rms)} mm RMS, is taken for both sides."
-    )
-
-
-def remainder_statement(nearest: RigidArm, name: str, declared: bool) -> str:
-    """What no rigid arm explains, and what would; `declared` is whether the noise is."""
-    remedy = "" if declared else "; if that is noise, declare position_noise_m in its sidecar"
-    return (
-        f"No rigid arm makes all of it: {_mm(nearest.rms)} mm RMS are left, which `lite6jax diagnose {name}` would "
-        f"name{remedy}."
-    )
-
-
-def _offset(before: Array, after: Array, turned: bool = True) -> str:
-    """Where a frame is in another, in words."""
+def _displacement(before: Array, after: Array) -> dict[str, Any]:
+    """Of a frame, in the axes of where it was before."""
     T = np.linalg.inv(before) @ after
-    angle = f", turned by {_mm(_angle(T))} mrad" if turned else ""
-    return f"({', '.join(_mm(value) for value in T[:3, 3])}) mm from the declared one{angle}"
+    return {"translation_m": T[:3, 3].tolist(), "rotation_rad": _angle(T)}
 
 
 def _angle(T: Array) -> float:
     return float(np.linalg.norm(Rotation.from_matrix(T[:3, :3]).as_rotvec()))
-
-
-def _mm(length: float) -> str:
-    """In thousandths, three digits; what rounding leaves is zero."""
-    return f"{1e3 * length:.3g}" if abs(length) > 1e-9 else "0"
