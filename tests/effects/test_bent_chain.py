@@ -4,8 +4,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from plain_chain import random_kinematics, random_positions
-from plain_physics import moved, simulated_inertia, simulated_motion
 
 from lite6jax.arms.bundled import load_bundled
 from lite6jax.arms.chains import Bend, SixParameterForm, sweep
@@ -20,6 +18,10 @@ from lite6jax.effects.motion import motion_of
 from lite6jax.effects.statics import Inertia, Loads, inertia_of, loads
 from lite6jax.errors import InputError
 from lite6jax.model import arm_model, predict, predict_bent, predict_poses
+from tests.oracles.arms import random_kinematics, random_positions
+from tests.oracles.effects import random_motion
+from tests.oracles.gravity import random_inertia
+from tests.oracles.transforms import displacement, shift
 
 
 @pytest.mark.parametrize("size", [0.0, 1e-12, 1e-6, 0.9e-4, 1.1e-4, 1e-2, 1.0, 3.1])
@@ -27,10 +29,10 @@ def test_displacing_is_a_translation_and_then_a_rotation(size):
     rng = np.random.default_rng(0)
     twists = rng.standard_normal((6, 4))
     twists[3:] *= size / np.linalg.norm(twists[3:], axis=0)
-    start = moved(*rng.uniform(-1, 1, 6))
+    start = displacement(rng.uniform(-1, 1, 6))
     frame = jax.jit(displace)(base_frame(jnp.asarray(start), 4), jnp.asarray(twists))
     for k in range(4):
-        expected = start @ moved(*twists[:, k])
+        expected = start @ displacement(twists[:, k])
         found = np.stack([np.asarray(part)[:, k] for part in frame], axis=1)
         np.testing.assert_allclose(found, expected[:3], rtol=0, atol=5e-15)
 
@@ -91,7 +93,7 @@ def hayati_and_six():
 
 def test_joint_base_tool_and_sensor_effects_work_on_a_hayati_chain():
     rng = np.random.default_rng(5)
-    motion = motion_of(**simulated_motion(rng, 6))
+    motion = motion_of(**random_motion(rng, 6))
     hayati, model, six, same = hayati_and_six()
     assert np.allclose(same.T_flange_tool, np.eye(4), atol=5e-3)
     physics = Physics((JointHarmonic(2, 1.5), BaseDrift(), MeasurementScale(), TimeOffset()))
@@ -104,7 +106,7 @@ def test_joint_base_tool_and_sensor_effects_work_on_a_hayati_chain():
     )
     # a tool's offset is along the flange's axes, which is where the Hayati chain ends
     tool = Physics((ToolOffset(),))
-    shifted = arm_model(model.geometry, None, moved(1e-3, 2e-3, 3e-3))
+    shifted = arm_model(model.geometry, None, shift(1e-3, 2e-3, 3e-3))
     np.testing.assert_allclose(
         predict_poses(hayati, tool, model, np.array([1e-3, 2e-3, 3e-3]), motion),
         predict(hayati, shifted, motion.joint_position.T),
@@ -115,7 +117,7 @@ def test_joint_base_tool_and_sensor_effects_work_on_a_hayati_chain():
 
 @pytest.mark.parametrize("effect", [FrameOffset(2), LinkThermalExpansion(), LinkThermalExpansion(3)])
 def test_link_effects_of_a_hayati_chain_are_refused(effect):
-    motion = motion_of(**simulated_motion(np.random.default_rng(6), 6))
+    motion = motion_of(**random_motion(np.random.default_rng(6), 6))
     hayati, model, _, _ = hayati_and_six()
     with pytest.raises(InputError) as error:
         predict_poses(hayati, Physics((effect,)), model, np.zeros(effect.size), motion)
@@ -127,8 +129,8 @@ def test_link_effects_of_a_hayati_chain_are_refused(effect):
 
 def test_loads_of_a_hayati_chain_are_given():
     rng = np.random.default_rng(7)
-    arrays = simulated_motion(rng, 6)
-    motion, inertia = motion_of(**arrays), inertia_of(**simulated_inertia(rng, 6))
+    arrays = random_motion(rng, 6)
+    motion, inertia = motion_of(**arrays), inertia_of(**random_inertia(rng, 6))
     hayati, model, six, same = hayati_and_six()
     physics, values = Physics((JointCompliance(2),)), np.array([1e-4])
     with pytest.raises(InputError, match=r"^gravity's loads need the frames of the links; use the six-parameter"):
@@ -148,8 +150,8 @@ def test_loads_of_a_hayati_chain_are_given():
 def test_derivatives_by_geometry_and_frames_are_finite_differences():
     rng = np.random.default_rng(8)
     chain = SixParameterForm(2)
-    motion, inertia = motion_of(**simulated_motion(rng, 2, (3,))), inertia_of(**simulated_inertia(rng, 2))
-    model = arm_model(random_kinematics(rng, 2).ravel(), moved(0.1, 0, 0, 0.1, 0.2, 0.3), moved(0, 0, 0.1))
+    motion, inertia = motion_of(**random_motion(rng, 2, (3,))), inertia_of(**random_inertia(rng, 2))
+    model = arm_model(random_kinematics(rng, 2).ravel(), displacement([0.1, 0, 0, 0.1, 0.2, 0.3]), shift(0, 0, 0.1))
     physics = Physics((JointCompliance(2), LinkCompliance(1), LinkThermalExpansion(), MeasurementScale()))
     values = jnp.asarray([1e-3, 2e-3, 1e-3, 1e-4, 1e-3])
     step = jax.tree.map(lambda leaf: jnp.asarray(1e-6 * rng.standard_normal(leaf.shape)), model)
@@ -170,7 +172,7 @@ def test_derivatives_by_geometry_and_frames_are_finite_differences():
 
 @pytest.mark.parametrize("altering", [TimeOffset(), PayloadError()])
 def test_given_loads_cannot_follow_another_clock_or_payload(altering):
-    motion = motion_of(**simulated_motion(np.random.default_rng(9), 6))
+    motion = motion_of(**random_motion(np.random.default_rng(9), 6))
     _, _, six, model = hayati_and_six()
     given = Loads(jnp.ones((6, 3, motion.samples)), jnp.ones((3, motion.samples)))
     with pytest.raises(InputError) as error:

@@ -6,7 +6,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from plain_chain import random_kinematics
 from scipy.interpolate import BSpline
 
 from lite6jax.arms.chains import SixParameterForm
@@ -25,6 +24,7 @@ from lite6jax.effects.statics import Loads
 from lite6jax.effects.user_effects import load_effects
 from lite6jax.errors import InputError
 from lite6jax.model import arm_model, predict, predict_poses
+from tests.oracles.arms import random_kinematics
 
 RNG = np.random.default_rng(0)
 BARE = motion_of(RNG.uniform(-1, 1, (4, 6)))

@@ -7,8 +7,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from plain_chain import random_kinematics
-from plain_physics import moved, predicted_poses, simulated_inertia, simulated_motion
 
 from lite6jax.arms.chains import SixParameterForm
 from lite6jax.arms.moves import turn
@@ -23,14 +21,21 @@ from lite6jax.effects.nonparametric import Unnamed
 from lite6jax.effects.serialization import effect_as_dict, effect_from_dict, parse_effect
 from lite6jax.effects.statics import inertia_of, loads
 from lite6jax.model import arm_model, predict, predict_poses
+from tests.oracles.arms import random_kinematics
+from tests.oracles.effects import predicted_poses, random_motion
+from tests.oracles.gravity import random_inertia
+from tests.oracles.transforms import displacement
 
 DOF = 3
 FORM = SixParameterForm(DOF)
 RNG = np.random.default_rng(20)
 KINEMATICS = random_kinematics(RNG, DOF)
-MOTION_ARRAYS = simulated_motion(RNG, DOF)
-INERTIA_ARRAYS = simulated_inertia(RNG, DOF)
-T_SENSOR_BASE, T_FLANGE_TOOL = moved(0.3, -0.2, 0.5, 0.4, 0.3, -0.8), moved(0.05, 0.02, 0.1, -0.2, 0.5, 0.1)
+MOTION_ARRAYS = random_motion(RNG, DOF)
+INERTIA_ARRAYS = random_inertia(RNG, DOF)
+T_SENSOR_BASE, T_FLANGE_TOOL = (
+    displacement([0.3, -0.2, 0.5, 0.4, 0.3, -0.8]),
+    displacement([0.05, 0.02, 0.1, -0.2, 0.5, 0.1]),
+)
 
 MODEL = arm_model(KINEMATICS.ravel(), T_SENSOR_BASE, T_FLANGE_TOOL)
 MOTION = motion_of(**MOTION_ARRAYS)

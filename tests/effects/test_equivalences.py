@@ -4,8 +4,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from plain_chain import random_kinematics
-from plain_physics import moved, simulated_inertia, simulated_motion
 
 from lite6jax.arms.bundled import load_bundled
 from lite6jax.arms.chains import SixParameterForm
@@ -23,14 +21,20 @@ from lite6jax.effects.kinematic.surroundings import MeasurementScale, PayloadErr
 from lite6jax.effects.motion import motion_of
 from lite6jax.effects.statics import inertia_of, loads
 from lite6jax.model import arm_model, predict, predict_poses
+from tests.oracles.arms import random_kinematics
+from tests.oracles.effects import random_motion
+from tests.oracles.gravity import random_inertia
+from tests.oracles.transforms import displacement
 
 DOF = 3
 FORM = SixParameterForm(DOF)
 RNG = np.random.default_rng(3)
 KINEMATICS = random_kinematics(RNG, DOF)
-ARRAYS = simulated_motion(RNG, DOF)
-MOTION, INERTIA = motion_of(**ARRAYS), inertia_of(**simulated_inertia(RNG, DOF))
-MODEL = arm_model(KINEMATICS.ravel(), moved(0.1, 0.2, -0.1, 0.5, -0.3, 0.2), moved(0.02, 0.03, 0.1, 0.4, 0.1, 0.7))
+ARRAYS = random_motion(RNG, DOF)
+MOTION, INERTIA = motion_of(**ARRAYS), inertia_of(**random_inertia(RNG, DOF))
+MODEL = arm_model(
+    KINEMATICS.ravel(), displacement([0.1, 0.2, -0.1, 0.5, -0.3, 0.2]), displacement([0.02, 0.03, 0.1, 0.4, 0.1, 0.7])
+)
 BARE = arm_model(KINEMATICS.ravel())
 
 

@@ -4,17 +4,17 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from plain_physics import later, simulated_motion
 
 from lite6jax.effects.motion import accelerated, beyond, motion_of, select, shifted
 from lite6jax.errors import InputError
+from tests.oracles.effects import later, random_motion
 
 shift = jax.jit(shifted)
 outside = jax.jit(beyond)
 
 
 def simulated(seed=0, samples=(9, 5, 14)):
-    return simulated_motion(np.random.default_rng(seed), 3, samples)
+    return random_motion(np.random.default_rng(seed), 3, samples)
 
 
 @pytest.mark.parametrize("offset", [0.0, 0.011, -0.017, 0.2, -0.33])

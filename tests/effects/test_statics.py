@@ -5,15 +5,16 @@ import jax.numpy as jnp
 import numpy as np
 import pinocchio as pin
 import pytest
-from pinocchio_arm import pinocchio_arm
-from plain_chain import random_kinematics, random_positions
-from plain_physics import gravity_moments, rigid_frames, simulated_inertia
 
 from lite6jax.arms.bundled import load_bundled
 from lite6jax.arms.chains import HayatiForm, SixParameterForm
 from lite6jax.arms.moves import turn
 from lite6jax.effects.statics import Loads, inertia_of, loads
 from lite6jax.errors import InputError
+from tests.oracles.arms import random_kinematics, random_positions
+from tests.oracles.chains import six_parameter_poses
+from tests.oracles.gravity import gravity_moments, mass_points, random_inertia
+from tests.oracles.pinocchio_arm import pinocchio_arm
 
 loads_of = jax.jit(loads, static_argnums=0)
 
@@ -21,7 +22,7 @@ loads_of = jax.jit(loads, static_argnums=0)
 def simulated(seed, dof, samples=5):
     rng = np.random.default_rng(seed)
     arm = random_kinematics(rng, dof), random_positions(rng, samples, dof)
-    return *arm, rng.uniform(0, 2, samples), simulated_inertia(rng, dof)
+    return *arm, rng.uniform(0, 2, samples), random_inertia(rng, dof)
 
 
 def found(kinematics, positions, payload, inertia, *rates):
@@ -52,10 +53,9 @@ def test_loads_agree_with_pinocchio_and_numpy(dof, seed):
     torques, moments = pinocchio_loads(*case)
     np.testing.assert_allclose(result.torque.T, torques, rtol=0, atol=1e-12)
     np.testing.assert_allclose(jnp.moveaxis(result.moment, -1, 0), moments, rtol=0, atol=1e-12)
-    kinematics, positions, payload, inertia = case
-    plain = [gravity_moments(kinematics, q, mass, inertia) for q, mass in zip(positions, payload, strict=True)]
-    np.testing.assert_allclose(result.base_moment.T, [base for _, base in plain], rtol=0, atol=1e-12)
-    np.testing.assert_allclose(jnp.moveaxis(result.moment, -1, 0), [m for m, _ in plain], rtol=0, atol=1e-12)
+    plain, plain_base = gravity_moments(*case)
+    np.testing.assert_allclose(result.base_moment.T, plain_base, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(jnp.moveaxis(result.moment, -1, 0), plain, rtol=0, atol=1e-12)
 
 
 @pytest.mark.parametrize("dof", [1, 2, 6])
@@ -90,7 +90,7 @@ def test_the_lite6_turns_freely_about_the_vertical_and_feels_a_kilogram_by_its_d
     empty, laden = (found(arm.kinematics, q, mass, inertia).torque[:, 0] for mass in (np.zeros(1), np.ones(1)))
     assert abs(laden[0]) < 1e-12
     # joint 2's axis is horizontal, across the direction in which joint 1 points
-    ahead = np.array([np.cos(0.7), np.sin(0.7), 0.0]) @ rigid_frames(arm.kinematics, q[0])[-1][:3, 3]
+    ahead = np.array([np.cos(0.7), np.sin(0.7), 0.0]) @ six_parameter_poses(arm.kinematics, q[0])[:3, 3]
     assert abs(ahead) > 0.1
     np.testing.assert_allclose(abs(laden[1] - empty[1]), 9.81 * abs(ahead), rtol=1e-12)
 
@@ -100,12 +100,8 @@ def test_moments_are_the_power_of_gravity():
     kinematics, positions, payload, inertia = simulated(5, 4)
 
     def height(q):
-        frames = rigid_frames(kinematics, q)
-        energy = sum(
-            m * inertia["gravity"] @ (T @ [*c, 1.0])[:3]
-            for m, T, c in zip(inertia["mass"], frames, inertia["center_of_mass"], strict=True)
-        )
-        return energy + payload[0] * inertia["gravity"] @ (frames[-1] @ [*inertia["payload_center"], 1.0])[:3]
+        points, masses = mass_points(kinematics, q, payload[0], inertia)
+        return masses @ points @ inertia["gravity"]
 
     steps = 1e-5 * np.eye(4)
     work = [(height(positions[0] + step) - height(positions[0] - step)) / 2e-5 for step in steps]

@@ -6,7 +6,6 @@ import threading
 import numpy as np
 import pytest
 from emulated import CONTROL_PORT, new_address, read_reports, until
-from plain_chain import six_parameter_poses
 from scipy.spatial.transform import Rotation
 
 from lite6jax.controller import protocol
@@ -14,6 +13,7 @@ from lite6jax.effects.composition import Physics
 from lite6jax.effects.serialization import parse_effect
 from lite6jax.emulator import Body, Controller, draw_sines, visits
 from lite6jax.emulator.motion import PointToPoint
+from tests.oracles.chains import six_parameter_poses
 
 
 def emulated(body, **options):

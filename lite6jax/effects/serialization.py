@@ -1,0 +1,168 @@
+"""The text form and the JSON form of effects with their parameters."""
+
+import ast
+import typing
+from collections.abc import Mapping
+from dataclasses import MISSING, fields
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lite6jax.effects.catalogue import BUILT_IN
+from lite6jax.effects.effect import Effect
+from lite6jax.errors import InputError
+
+_TYPES = {
+    int: "a whole number",
+    float: "a number",
+    str: "a name",
+    bool: "true or false",
+    tuple: "a list of numbers",
+}
+
+
+def _field_types(kind: type[Effect]) -> dict[str, tuple[type, ...]]:
+    """The fields of an effect's class and the plain types that each takes."""
+    hints = typing.get_type_hints(kind)
+    return {
+        field.name: (tuple,)
+        if typing.get_origin(hint := hints[field.name]) is tuple
+        else typing.get_args(hint) or (hint,)
+        for field in fields(kind)  # type: ignore[arg-type]
+    }
+
+
+def _kind(name: Any, kinds: Mapping[str, type[Effect]]) -> type[Effect]:
+    if not isinstance(name, str) or name not in kinds:
+        raise InputError(f"effect {name!r}: unknown; the catalogue has {', '.join(kinds)}")
+    return kinds[name]
+
+
+def _keys(kind: type[Effect]) -> str:
+    """The keys that the text form of an effect takes, for messages."""
+    taken = _field_types(kind)
+    required = [f.name for f in fields(kind) if f.default is MISSING]  # type: ignore[arg-type]
+    try:
+        example = kind(**{name: number for number, name in enumerate(required, 1)})
+        parameters = example.reporting.names(example)
+    except (InputError, TypeError):  # its fields are no numbers, and its parameters follow from them
+        parameters = ("its parameters",)
+    return ", ".join([*taken, *(name for name in parameters if name not in taken)])
+
+
+def _build(kind: type[Effect], given: Mapping[str, Any]) -> Effect:
+    """An effect of its fields, whose types are checked first: a file or a person wrote them."""
+    taken, checked = _field_types(kind), {}
+    for name, value in given.items():
+        if name not in taken:
+            raise InputError(f"{kind.name}: the key {name!r} is unknown; the keys are {_keys(kind)}")
+        if float in taken[name] and type(value) is int:
+            value = float(value)
+        elif int in taken[name] and type(value) is float and value.is_integer():
+            value = int(value)  # as `reported` gives a source_joint
+        elif tuple in taken[name] and isinstance(value, list) and all(type(v) in (int, float) for v in value):
+            value = tuple(map(float, value))
+        if type(value) not in taken[name]:
+            wanted = " or ".join(_TYPES.get(t, t.__name__) for t in taken[name] if t is not type(None))
+            raise InputError(f"{kind.name}: {name} is {value!r}; give {wanted}")
+        if name in ("joint", "link", "source_joint") and isinstance(value, int) and value < 1:
+            raise InputError(f"{kind.name}: {name} is {value}; joints and links count from 1")
+        checked[name] = value
+    for field in fields(kind):  # type: ignore[arg-type]
+        if field.default is MISSING and field.name not in checked:
+            raise InputError(f"{kind.name}: {field.name} is not given; the keys are {_keys(kind)}")
+    return kind(**checked)
+
+
+def parse_effect(
+    text: str, kinds: Mapping[str, type[Effect]] = BUILT_IN, neutral: bool = False
+) -> tuple[Effect, NDArray]:
+    """An effect and its values from text such as `joint_compliance:joint=2,compliance_rad_per_Nm=9e-5`.
+
+    Keys that are an effect's fields say where it acts, the others are its parameters; those not given are zero.
+
+    Args:
+        text: name, colon, key=value separated by commas.
+        kinds: the effects there are.
+        neutral: whether all parameters may be left out.
+
+    Raises:
+        InputError: an unknown name or key, with the accepted ones; a key twice, or no value where one is needed.
+    """
+    name, _, rest = text.partition(":")
+    kind = _kind(name.strip(), kinds)
+    written: dict[str, str] = {}
+    for item in filter(None, (part.strip() for part in rest.split(","))):
+        key, _, value = (part.strip() for part in item.partition("="))
+        if not key or not value:
+            raise InputError(f"{kind.name}: {item!r} is not key=value; the keys are {_keys(kind)}")
+        if key in written:
+            raise InputError(f"{kind.name}: {key} is given twice; keep one")
+        written[key] = value
+    taken = _field_types(kind)
+    effect = _build(kind, {key: _literal(value) for key, value in written.items() if key in taken})
+    numbers = {}
+    for key, value in written.items():
+        if key in taken:
+            continue
+        if key not in effect.reporting.names(effect):
+            raise InputError(f"{kind.name}: the key {key!r} is unknown; the keys are {_keys(kind)}")
+        try:
+            numbers[key] = float(value)
+        except ValueError as error:
+            raise InputError(f"{kind.name}: {key} is {value!r}; give a number") from error
+    if not numbers and neutral:
+        return effect, np.zeros(effect.size)
+    if not numbers:
+        raise InputError(f"{kind.name}: no parameter is given; the keys are {_keys(kind)}")
+    return effect, effect.values_of(numbers)
+
+
+def _literal(text: str) -> Any:
+    try:
+        return ast.literal_eval(text)
+    except (ValueError, SyntaxError):
+        return {"true": True, "false": False}.get(text, text)
+
+
+def effect_as_dict(effect: Effect, values: ArrayLike, covariance: ArrayLike | None = None) -> dict[str, Any]:
+    """An effect and its parameters as JSON holds them: `effect`, `site`, its fields as `where`, `parameters`.
+
+    Args:
+        effect: the effect.
+        values: `(coordinate,)`.
+        covariance: `(coordinate, coordinate)`; standard deviations are 0 without it.
+    """
+    where = {field.name: getattr(effect, field.name) for field in fields(effect)}  # type: ignore[arg-type]
+    return {
+        "effect": effect.name,
+        "site": effect.site,
+        "where": {name: list(v) if isinstance(v, tuple) else v for name, v in where.items() if v not in (None, ())},
+        "parameters": {name: e._asdict() for name, e in effect.reported(values, covariance).items()},
+    }
+
+
+def effect_from_dict(document: Any, kinds: Mapping[str, type[Effect]] = BUILT_IN) -> tuple[Effect, NDArray]:
+    """The inverse of `effect_as_dict`; a parameter may also be a plain number, and `site` may be absent.
+
+    Raises:
+        InputError: an unknown effect, key or parameter, or something of another type than it should be.
+    """
+    if not isinstance(document, Mapping):
+        raise InputError(f"effect {document!r}: is no mapping; give effect, where and parameters")
+    kind = _kind(document.get("effect"), kinds)
+    where, parameters = document.get("where", {}), document.get("parameters", {})
+    for name, part in (("where", where), ("parameters", parameters)):
+        if not isinstance(part, Mapping):
+            raise InputError(f"{kind.name}: {name} is {part!r}; give a mapping of names to values")
+    effect = _build(kind, where)
+    if document.get("site", effect.site) != effect.site:
+        raise InputError(f"{kind.name}: the site {document['site']!r} is not that of {dict(where)}; correct one")
+    numbers = {}
+    for name, value in parameters.items():
+        value = value.get("value") if isinstance(value, Mapping) else value
+        if not isinstance(value, int | float) or isinstance(value, bool):
+            raise InputError(f"{effect.label}: {name} is {value!r}; give a number")
+        numbers[name] = float(value)
+    return effect, effect.values_of(numbers)

@@ -1,0 +1,139 @@
+"""Effects that a user defines: reading and checking the Python file that holds them.
+
+The file defines final subclasses of `JointEffect` or `Bending` and a list `EFFECTS` of the candidates to test:
+
+```python
+from dataclasses import dataclass
+from typing import ClassVar, final
+
+import jax.numpy as jnp
+
+from lite6jax.effects.drivers import Driver
+from lite6jax.effects.effect import Coordinate, JointEffect
+
+
+@final
+@dataclass(frozen=True)
+class CableDrag(JointEffect):
+    \"\"\"δq = d·tanh(q): a cable that pulls the joint back.\"\"\"
+
+    name: ClassVar[str] = "cable_drag"
+
+    @property
+    def coordinates(self):
+        return (Coordinate("drag_rad", "rad", 1e-4),)
+
+    @property
+    def drivers(self):
+        return (Driver("position", self.joint),)
+
+    def angle(self, values, motion, loads):
+        return values[0] * jnp.tanh(motion.joint_position[self.joint - 1])
+
+
+EFFECTS = [CableDrag(joint) for joint in range(1, 7)]
+```
+"""
+
+import sys
+import traceback
+import types
+from pathlib import Path
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+
+from lite6jax.effects.catalogue import BUILT_IN
+from lite6jax.effects.deflection import Deflection, dense
+from lite6jax.effects.effect import Altering, Bending, Effect
+from lite6jax.effects.motion import motion_of
+from lite6jax.effects.statics import Loads
+from lite6jax.errors import InputError
+from lite6jax.storage import read_text
+
+SIZE_LIMIT = 1 << 20
+"""Bytes of a user's file of effects."""
+
+
+def load_effects(path: str | Path) -> tuple[Effect, ...]:
+    """The effects of a user's own Python file, its list `EFFECTS`; the module's first lines show one. Runs the file.
+
+    Raises:
+        InputError: the file fails (with the line), has no list, or something in it is no final, frozen effect, has the
+            name of a built-in one, deflects in other shapes than a `Deflection`'s, or does so at zero.
+    """
+    path = Path(path)
+    text = read_text(path, SIZE_LIMIT)
+    module = types.ModuleType(f"lite6jax_effects_{path.stem}")
+    module.__file__ = str(path)
+    sys.modules[module.__name__] = module  # dataclasses and type hints look their module up there
+    try:
+        exec(compile(text, str(path), "exec"), module.__dict__)
+    except Exception as error:
+        line = getattr(error, "lineno", None)
+        for entry in traceback.extract_tb(error.__traceback__):
+            line = entry.lineno if entry.filename == str(path) else line
+        raise InputError(
+            f"{path}: line {line}: {type(error).__name__}: {_one_line(error)}; correct the file"
+        ) from error
+    effects = getattr(module, "EFFECTS", None)
+    if not isinstance(effects, list | tuple) or not effects:
+        raise InputError(f"{path}: has no list EFFECTS; end it with EFFECTS = [MyEffect(joint=1), …]")
+    for index, effect in enumerate(effects):
+        reason = _fault(effect)
+        if reason:
+            raise InputError(f"{path}: EFFECTS[{index}]: {reason}")
+    return tuple(effects)
+
+
+def _one_line(error: Exception) -> str:
+    return " ".join(str(error).split())
+
+
+def _fault(effect: Any) -> str | None:
+    """What keeps an object of a user's file from being an effect, with the remedy."""
+    if isinstance(effect, type):
+        return f"is the class {effect.__name__}; give one of it, as {effect.__name__}(joint=1)"
+    kind = type(effect)
+    if not isinstance(effect, Bending | Altering):
+        return f"{effect!r} is no effect; derive its class from JointEffect or Bending"
+    if not getattr(kind, "__final__", False):
+        return f"{kind.__name__} is not final; write @final above the class"
+    if kind.__hash__ is None or "__eq__" not in kind.__dict__ or not kind.__dataclass_params__.frozen:  # type: ignore[attr-defined]
+        return f"{kind.__name__} is not frozen; write @dataclass(frozen=True) above the class"
+    if not isinstance(getattr(kind, "name", None), str):
+        return f'{kind.__name__} has no name; write name: ClassVar[str] = "…" in the class'
+    if kind.name in BUILT_IN:
+        return f"{kind.__name__} has the name of a built-in effect, {kind.name}; choose another"
+    try:
+        _try(effect)
+    except InputError as error:
+        return str(error)
+    except Exception as error:
+        return f"{effect!r} fails on a trial motion ({type(error).__name__}: {_one_line(error)}); correct it"
+    return None
+
+
+def _try(effect: Bending | Altering) -> None:
+    """Runs an effect at zero on a small motion that has everything."""
+    dof, samples = max(effect.joints_needed, 2), 3
+    q = np.linspace(0.1, 1.0, samples * dof).reshape(samples, dof)
+    row = np.arange(float(samples))
+    motion = motion_of(q, joint_velocity=q, direction=np.sign(q), time=row, ambient_temperature=row, payload=row)
+    loads = Loads(jnp.ones((dof, 3, samples)), jnp.ones((3, samples)))
+    names = [coordinate.name for coordinate in effect.coordinates]
+    if not names or len(set(names)) != len(names):
+        raise InputError(f"{effect.label} has the coordinates {names}; give at least one, each with a name of its own")
+    zero = jnp.zeros(effect.size)
+    if isinstance(effect, Altering):
+        rigid, found = motion, effect.alter(zero, motion)
+    else:
+        rigid, found = dense(Deflection(), dof, samples), dense(effect.deflect(zero, motion, loads), dof, samples)
+    for name, plain, value in zip(rigid._fields, rigid, found, strict=True):
+        if plain is None or value is None:
+            continue
+        if jnp.shape(value) != jnp.shape(plain):
+            raise InputError(f"{effect.label} gives {name} of shape {jnp.shape(value)}; give {jnp.shape(plain)}")
+        if not np.allclose(value, plain, rtol=0, atol=1e-12):
+            raise InputError(f"{effect.label} changes {name} at zero; make zero the value at which nothing changes")
