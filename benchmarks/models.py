@@ -24,14 +24,15 @@ from jax import Array
 from scipy.optimize import least_squares
 
 from benchmarks.measure import AGREES, Record, disagreement
-from benchmarks.problem import dh_links, dh_poses, simulated_arms, six_parameter_poses
+from benchmarks.problem import simulated_arms
 from benchmarks.seed_way import LEVER, sample_joints
 from lite6jax.arms.bundled import load_bundled
 from lite6jax.arms.chains import HayatiForm
-from lite6jax.fitting.fleet import MAX_STEPS, fit_chunks, observe
+from lite6jax.fitting.chunks import MAX_STEPS, fit_chunks, observe
 from lite6jax.fitting.gauss_newton import CONVERGED, Prior, Solved
 from lite6jax.fitting.residual import Observations, identification_jacobian, residuals
 from lite6jax.model import ModelForm, arm_model
+from tests.oracles.chains import hayati_poses, six_parameter_poses
 
 STEPS = 1000
 """Most evaluations a fit may take."""
@@ -175,6 +176,5 @@ def _library(chain: HayatiForm, start: np.ndarray, free: np.ndarray, q: np.ndarr
 def _positions(form: HayatiForm, parameters: np.ndarray, joint_position: np.ndarray) -> np.ndarray:
     """Flange positions `(sample, 3)` in plain NumPy."""
     base, table, beta = form.unpack(parameters)
-    every = np.zeros(6)
-    every[list(form.parallel)] = beta
-    return dh_poses(*dh_links(base, table, every), joint_position)[:, :3, 3]
+    betas = dict(zip(form.parallel, beta, strict=True))
+    return hayati_poses(base, table, betas, joint_position)[:, :3, 3]

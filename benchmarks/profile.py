@@ -10,11 +10,12 @@ import numpy as np
 
 from benchmarks.fits import wrong_fit
 from benchmarks.measure import Record, disagreement, median_time
-from benchmarks.problem import NOISE, SCALE, hayati_poses, measured
+from benchmarks.problem import NOISE, SCALE, measured
 from lite6jax.arms.bundled import load_bundled
 from lite6jax.arms.convert import six_parameter_to_hayati
 from lite6jax.fitting import gauss_newton
-from lite6jax.fitting.fleet import CHUNK, fit_fleet, observe, padded_size
+from lite6jax.fitting.chunks import CHUNK, observe, padded_size
+from lite6jax.fitting.fleet import fit_fleet
 from lite6jax.fitting.residual import (
     POSE,
     evaluate,
@@ -24,6 +25,7 @@ from lite6jax.fitting.residual import (
     residuals,
 )
 from lite6jax.model import ModelForm, arm_model
+from tests.oracles.chains import seed_poses
 
 SUBJECT = "one thread"
 
@@ -71,7 +73,7 @@ def profile(samples: int = 300, repeats: int = 50) -> Iterator[Record]:
 
     seconds, frame = median_time(partial(_done, per_arm(walked), model, observed), repeats)
     reached = np.moveaxis(np.asarray(frame.origin), 1, 2)[:, :samples]
-    plain = np.array([hayati_poses(lite6.hayati, q)[:, :3, 3] for q in problem.joint_position])
+    plain = np.array([seed_poses(lite6.hayati, q)[:, :3, 3] for q in problem.joint_position])
     yield _record("chain alone", seconds, disagreement(reached, plain, 1e-12, "flange positions"))
     seconds, answer = median_time(partial(_done, per_arm(evaluate), model, observed), repeats)
     yield _record("cost and gradient", seconds, relative(answer, cost, gradient, within=1e-10))

@@ -20,13 +20,14 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from benchmarks import seed_way
-from benchmarks.problem import SCALE, hayati_links, hayati_poses
+from benchmarks.problem import SCALE
 from benchmarks.seed_way import D2, NOMINAL
 from lite6jax.arms.chains import HayatiForm
 from lite6jax.arms.se3 import rotation_log
-from lite6jax.fitting.fleet import observe
+from lite6jax.fitting.chunks import observe
 from lite6jax.fitting.residual import Observations, residuals
 from lite6jax.model import ModelForm, arm_model
+from tests.oracles.chains import hayati_links, seed_model, seed_poses
 
 TOLERANCE = 1e-12
 """Of step and cost, relative: tight enough to agree to 1e-9, loose enough that no rival runs in place."""
@@ -72,7 +73,7 @@ def python_loop(joint_position: np.ndarray, pose: np.ndarray) -> np.ndarray:
 
 def vectorised_numpy(joint_position: np.ndarray, pose: np.ndarray) -> np.ndarray:
     """SciPy with finite differences over NumPy arrays of all samples."""
-    return minimise(lambda x: whitened(hayati_poses(x, joint_position), pose))
+    return minimise(lambda x: whitened(seed_poses(x, joint_position), pose))
 
 
 def pinocchio_chain(joint_position: np.ndarray, pose: np.ndarray) -> np.ndarray:
@@ -84,7 +85,7 @@ def pinocchio_chain(joint_position: np.ndarray, pose: np.ndarray) -> np.ndarray:
     predicted = np.empty_like(pose)
 
     def function(x: np.ndarray) -> np.ndarray:
-        base, links = hayati_links(x)
+        base, links = hayati_links(*seed_model(x))
         for i, fixed in enumerate([base, *links[:-1]]):
             model.jointPlacements[i + 1] = pin.SE3(fixed)
         for k, q in enumerate(joint_position):

@@ -113,7 +113,7 @@ class Diagnose:
 
 @dataclass(frozen=True)
 class Predict:
-    """Predict what the sensor of a diagnosed recording would show in another motion of the same arm.
+    """Predict what the sensor of a diagnosed recording would measure in another motion of the same arm.
 
     For example:
 
@@ -124,11 +124,11 @@ class Predict:
     diagnosis: Annotated[Positional[Path], arg(metavar="DIAGNOSIS")]
     """What `diagnose` wrote (.json)."""
     motion: Annotated[Positional[Path], arg(metavar="FILE")]
-    """Joint positions, and what else the model's effects depend on (.csv, .parquet)."""
+    """Joint positions, and the other quantities on which the model's effects depend (.csv, .parquet)."""
     out: Annotated[Path, arg(metavar="FILE")]
-    """Write the poses here (.csv), a row per row."""
+    """Write the poses here (.csv), one row per sample."""
     register: bool = False
-    """Fit sensor frame and tool anew to the poses in the file, for another set-up of the same arm."""
+    """First fit sensor frame and tool to the poses in the file, for another set-up of the same arm."""
     effects: Annotated[Path | None, arg(metavar="FILE.py")] = None
     """Effects of your own that the model has. Runs the file."""
     force: bool = False
@@ -139,20 +139,24 @@ class Predict:
         check_writable(self.out, self.force)
         if self.out.suffix.lower() != ".csv":
             raise InputError(f"{self.out}: what is written here is csv; let the name end in .csv")
+        import numpy as np
         import pyarrow as pa
         import pyarrow.csv as pa_csv
 
-        from lite6jax.domains.pose.predict import predict_motion, read_model, read_motion, register_motion, table
+        from lite6jax.domains.pose.files import pose_columns, read_motion
+        from lite6jax.domains.pose.predict import predict, read_model
+        from lite6jax.domains.pose.registration import register_model
         from lite6jax.effects.user_effects import load_effects
         from lite6jax.report import diagnosis_tables, screen
+        from lite6jax.report.reference import origin_statement
 
         model = read_model(self.diagnosis, load_effects(self.effects) if self.effects else ())
         recording = read_motion(self.motion, model)
         found = None
         if self.register:
-            model, found = register_motion(model, recording)
-        poses, beyond = predict_motion(model, recording)
-        columns = pa.table(table(poses, beyond, model.orientation))
+            model, found = register_model(model, recording)
+        poses = predict(model, recording)
+        columns = pa.table(pose_columns(poses, model.orientation))
 
         def write(target: Path) -> None:
             with open(target, "wb") as file:  # Arrow would put the names in quotes
@@ -160,11 +164,12 @@ class Predict:
                 pa_csv.write_csv(columns, file, pa_csv.WriteOptions(include_header=False))
 
         path = write_atomically(self.out, write, self.force)
-        if model.remark:
-            screen.show([model.remark])
+        if model.reference is not None:
+            screen.show([origin_statement(model.reference)])
         if found is not None:
             screen.show(diagnosis_tables.registration_report(found))
-        if beyond.any():
-            print(f"{int(beyond.sum())} rows are empty: there the clock's offset reaches beyond the motion's ends.")
+        empty = int(np.isnan(poses[:, 0, 0]).sum())
+        if empty:
+            print(f"{empty} rows are empty: there, the clock offset reaches beyond the ends of the motion.")
         screen.written([path])
         return DONE

@@ -13,7 +13,7 @@ from lite6jax.storage import check_writable
 
 @dataclass(frozen=True)
 class Convert:
-    """Write one arm's file in another form; what the new form cannot hold is said, or refused.
+    """Write one arm's file in another form; what the new form cannot hold is reported, or refused.
 
     For example:
 
@@ -27,7 +27,7 @@ class Convert:
     """The file to write."""
     to: Annotated[Literal["vendor", "ur", "table", "urdf", "description"] | None, arg(metavar="FORM")] = None
     """vendor or ur (.yaml), table (.json), urdf, or description (.yaml). By the suffix where not given: a calibration
-    becomes vendor .yaml, all else a description."""
+    becomes vendor .yaml, everything else a description."""
     arm: ArmName = None
     """The nominal arm of a calibration; recognised where not given."""
     force: bool = False
@@ -37,7 +37,7 @@ class Convert:
         """Converts and reads back."""
         check_writable(self.target, self.force)
         from lite6jax.arms.forms import convert_file
-        from lite6jax.fitting.fit import load_nominal
+        from lite6jax.fitting.source import load_nominal
         from lite6jax.report import screen, tables
 
         done = convert_file(self.source, self.target, self.to, load_nominal(self.arm), self.force)
@@ -65,11 +65,11 @@ class Check:
     """Take position columns that say m as millimetres."""
 
     def run(self) -> int:
-        """Reads, asks, prints."""
+        """Reads, checks, prints."""
         if not self.files:
             raise InputError("check needs a file or more; name them")
         from lite6jax.fitting.check import check_calibration, check_recording
-        from lite6jax.fitting.fit import load_nominal, read_source
+        from lite6jax.fitting.source import load_nominal, read_source
         from lite6jax.recordings import Recording
         from lite6jax.report import screen, tables
 

@@ -69,7 +69,7 @@ class Fit:
             raise InputError(f"--fk-samples {self.fk_samples}: give 1 or more, or --no-sdk to ask for none")
         if self.out:
             check_out(self.out, ".json", self.force)
-        from lite6jax.fitting.fit import fit_calibration, fit_recording, load_nominal
+        from lite6jax.fitting.source import load_nominal
         from lite6jax.recordings import Recording
 
         nominal = load_nominal(self.arm)
@@ -85,8 +85,12 @@ class Fit:
             kept = (True, recording is not None, verified)
             canvas.check_names(self.figures, [n for n, keep in zip(names, kept, strict=True) if keep], self.force)
         if isinstance(source, Recording):
+            from lite6jax.fitting.recording_fit import fit_recording
+
             solution = fit_recording(source, nominal, geometry=self.geometry, loss=self.loss, solver=self.solver)
         else:
+            from lite6jax.fitting.calibration_fit import fit_calibration
+
             solution = fit_calibration(source, solver=self.solver, samples=self.samples, seed=self.seed)
         verification, refusal = None, None
         if verified and not isinstance(source, Recording):
@@ -134,7 +138,7 @@ class Fit:
             from lite6jax.controller.exchange import parse_address
 
             return read_calibration(parse_address(str(self.ip)), nominal).calibration
-        from lite6jax.fitting.fit import read_source
+        from lite6jax.fitting.source import read_source
 
         return read_source(
             self.source, nominal, assume_degrees=self.assume_degrees, assume_millimetres=self.assume_millimetres
@@ -194,7 +198,7 @@ class Compare:
         """Reads, compares, prints, draws."""
         from lite6jax.arms.factory import read_factory
         from lite6jax.fitting.compare import compare
-        from lite6jax.fitting.fit import load_nominal
+        from lite6jax.fitting.source import load_nominal
 
         nominal = load_nominal(self.arm)
         names = ("compare_parameters", "compare_distances")
@@ -238,8 +242,8 @@ class Fleet:
     def run(self) -> int:
         """Fits, writes, prints."""
         check_out(self.out, ".parquet", self.force)
-        from lite6jax.fitting.fit import load_nominal
         from lite6jax.fitting.folder import fit_folder, folder_files, write_rows
+        from lite6jax.fitting.source import load_nominal
         from lite6jax.report import screen, tables
 
         nominal = load_nominal(self.arm)

@@ -13,7 +13,7 @@ from lite6jax.arms.bundled import VARIANTS, bundled_arms, load_bundled
 from lite6jax.arms.factory import FactoryCalibration, read_factory
 from lite6jax.arms.files import read_arm
 from lite6jax.arms.se3 import rotation_from_quaternion, rotation_from_rpy, transform
-from lite6jax.fitting.fit import fit_recording
+from lite6jax.fitting.recording_fit import fit_recording
 from lite6jax.fitting.start import frames_from_poses
 from lite6jax.recordings import Recording, outside_limits, repeated_rows, require_samples, time_disorder
 

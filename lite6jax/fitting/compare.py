@@ -12,8 +12,7 @@ from lite6jax.arms.chains import hayati_fk
 from lite6jax.arms.factory import FactoryCalibration
 from lite6jax.arms.forms import hayati_of
 from lite6jax.errors import InputError
-from lite6jax.fitting.fleet import sample_within_limits
-from lite6jax.fitting.problem import calibration_poses
+from lite6jax.fitting.problem import calibration_poses, sample_within_limits
 
 Array = NDArray[np.floating]
 SAMPLES = 1000

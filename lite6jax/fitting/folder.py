@@ -12,10 +12,13 @@ from lite6jax import storage
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.factory import FactoryCalibration, read_factory
 from lite6jax.errors import InputError
-from lite6jax.fitting.fit import CHECK_SAMPLES, SAMPLES, errors, fit_recording, read_source
-from lite6jax.fitting.fleet import CHUNK, fit_fleet, sample_within_limits
-from lite6jax.fitting.problem import calibration_poses
-from lite6jax.fitting.solution import Errors, Result
+from lite6jax.fitting.calibration_fit import CHECK_SAMPLES, SAMPLES
+from lite6jax.fitting.chunks import CHUNK
+from lite6jax.fitting.fleet import fit_fleet
+from lite6jax.fitting.problem import calibration_poses, sample_within_limits
+from lite6jax.fitting.recording_fit import fit_recording
+from lite6jax.fitting.solution import Errors, Result, prediction_errors
+from lite6jax.fitting.source import read_source
 from lite6jax.model import ArmModel, ModelForm
 from lite6jax.recordings import Recording
 
@@ -173,9 +176,9 @@ def _fit_batch(paths: Sequence[Path], calibrations: Sequence[FactoryCalibration]
             samples=SAMPLES,
             steps=int(solution.steps[i]),
             parameters=_named(form, solution.parameters[i]),
-            fitted=errors(form, model, q, poses[i]),
-            checked=errors(form, model, fresh, pose),
-            nominal=errors(form, start, fresh, pose),
+            fitted=prediction_errors(form, model, q, poses[i]),
+            checked=prediction_errors(form, model, fresh, pose),
+            nominal=prediction_errors(form, start, fresh, pose),
         )
 
 

@@ -9,9 +9,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from lite6jax.arms.arm import Arm
 from lite6jax.effects.effect import Effect
-from lite6jax.fitting.fit import fit_recording
-from lite6jax.fitting.fleet import sample_within_limits
-from lite6jax.fitting.problem import Geometry
+from lite6jax.fitting.problem import Geometry, sample_within_limits
+from lite6jax.fitting.recording_fit import fit_recording
 from lite6jax.identifiability.determination import Determination, determine
 from lite6jax.identifiability.indices import Observability, observability
 from lite6jax.identifiability.information import Experiment, recorded
@@ -25,7 +24,7 @@ WORKSPACE = 1000
 """Joint positions inside the limits over which accuracy is averaged, and at which an arm shows all it can."""
 NARROW = np.deg2rad(10.0)
 """A joint that moves over less than this tells little of what stands on either side of it."""
-_TOLD = 1e-6
+_UNDETERMINED = 1e-6
 """Share of the readings' change that may lie in directions nothing determines; rounding leaves 1e-12."""
 
 
@@ -35,14 +34,14 @@ class Accuracy(NamedTuple):
     Attributes:
         position: `(sample,)` m, 3-D.
         orientation: `(sample,)` rad.
-        position_told: whether all that positions depend on is determined; else they may be off by more.
-        orientation_told: likewise.
+        position_determined: whether all that positions depend on is determined; else their error is unbounded.
+        orientation_determined: likewise.
     """
 
     position: Array
     orientation: Array
-    position_told: bool
-    orientation_told: bool
+    position_determined: bool
+    orientation_determined: bool
 
     @property
     def position_rms(self) -> float:
@@ -66,7 +65,7 @@ class Identification:
         possible: by many poses anywhere inside the arm's limits.
         observability: the indices, or None where nothing is determined.
         accuracy: over the arm's whole workspace.
-        refits: of simulated readings, where they were asked for.
+        refits: fits of simulated readings; None where none were requested.
         notes: what was assumed of a recording, a sentence each.
     """
 
@@ -123,8 +122,8 @@ class Identification:
             "correlation": [[float(value) for value in row] for row in d.correlation],
             "observability": None if self.observability is None else asdict(self.observability),
             "predicted_accuracy": {
-                "position_rms_m": self.accuracy.position_rms if self.accuracy.position_told else None,
-                "orientation_rms_rad": self.accuracy.orientation_rms if self.accuracy.orientation_told else None,
+                "position_rms_m": self.accuracy.position_rms if self.accuracy.position_determined else None,
+                "orientation_rms_rad": self.accuracy.orientation_rms if self.accuracy.orientation_determined else None,
             },
             "refits": None
             if self.refits is None
@@ -214,7 +213,8 @@ def predicted_accuracy(experiment: Experiment, determination: Determination, joi
     J = experiment.with_sensor(BARE).rows(joint_position)
     spread = np.sum((J / experiment.unit @ determination.covariance) * (J / experiment.unit), 2)
     lost = J @ determination.open_directions
-    told = [
-        bool(np.linalg.norm(lost[:, part]) <= _TOLD * np.linalg.norm(J[:, part])) for part in (slice(3), slice(3, 6))
+    determined = [
+        bool(np.linalg.norm(lost[:, part]) <= _UNDETERMINED * np.linalg.norm(J[:, part]))
+        for part in (slice(3), slice(3, 6))
     ]
-    return Accuracy(np.sqrt(spread[:, :3].sum(1)), np.sqrt(spread[:, 3:].sum(1)), *told)
+    return Accuracy(np.sqrt(spread[:, :3].sum(1)), np.sqrt(spread[:, 3:].sum(1)), *determined)

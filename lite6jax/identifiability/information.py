@@ -21,7 +21,7 @@ from lite6jax.effects.composition import Physics
 from lite6jax.effects.effect import Effect
 from lite6jax.effects.statics import inertia_of
 from lite6jax.errors import InputError
-from lite6jax.fitting.fleet import BLOCK, pad
+from lite6jax.fitting.chunks import BLOCK, pad
 from lite6jax.fitting.problem import Geometry, recording_problem
 from lite6jax.identifiability.readings import Numbers, reading_columns, total_information
 from lite6jax.identifiability.sensor import Sensor, sensor_named

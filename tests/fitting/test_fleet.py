@@ -1,20 +1,20 @@
 import numpy as np
 import pytest
-import simulated as sim
 
 import lite6jax
-from lite6jax.fitting.fleet import padded_size
+from lite6jax.fitting.chunks import padded_size
+from tests.oracles.arms import lite6_positions, perturbed_parameters
+from tests.oracles.chains import seed_poses
+from tests.oracles.transforms import perturb_poses
 
 NOISE = (2e-5, 1e-4)
 
 
 def fleet(arms=11, samples=60, seed=0):
     rng = np.random.default_rng(seed)
-    x = np.array([sim.perturbed(rng) for _ in range(arms)])
-    q = np.array([sim.sample(rng, samples) for _ in range(arms)])
-    T = np.array([sim.flange(xi, qi) for xi, qi in zip(x, q, strict=True)])
-    T[..., :3, 3] += NOISE[0] * rng.normal(size=(arms, samples, 3))
-    T[..., :3, :3] = T[..., :3, :3] @ sim.small_rotation(NOISE[1] * rng.normal(size=(arms, samples, 3)))
+    x = np.array([perturbed_parameters(rng) for _ in range(arms)])
+    q = np.array([lite6_positions(rng, samples) for _ in range(arms)])
+    T = np.array([perturb_poses(rng, seed_poses(xi, qi), *NOISE) for xi, qi in zip(x, q, strict=True)])
     return x, q, T
 
 
@@ -72,9 +72,9 @@ def test_a_fleet_never_throws_for_one_arm():
 
 def test_shared_joint_positions():
     rng = np.random.default_rng(4)
-    q = sim.sample(rng, 60)
-    x = np.array([sim.perturbed(rng) for _ in range(3)])
-    T = np.array([sim.flange(xi, q) for xi in x])
+    q = lite6_positions(rng, 60)
+    x = np.array([perturbed_parameters(rng) for _ in range(3)])
+    T = np.array([seed_poses(xi, q) for xi in x])
     shared = lite6jax.fit_fleet(q, T, nominal="lite6")
     own = lite6jax.fit_fleet(np.repeat(q[None], 3, 0), T, nominal="lite6")
     np.testing.assert_allclose(shared.parameters, x, atol=1e-13)

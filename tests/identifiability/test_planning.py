@@ -1,19 +1,16 @@
 """Plans beat chance, keep what they promise, and count what is there already."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
-from plain_chain import random_positions
 
 from lite6jax.arms.bundled import load_bundled
-from lite6jax.effects.kinematic.joints import JointCompliance, JointHarmonic
 from lite6jax.errors import InputError
-from lite6jax.fitting.fleet import sample_within_limits
+from lite6jax.fitting.problem import sample_within_limits
 from lite6jax.identifiability.identify import WORKSPACE
 from lite6jax.identifiability.information import plan_experiment
-from lite6jax.identifiability.planning import plan_poses, separate_poses, shortest_round
+from lite6jax.identifiability.planning import plan_poses
 from lite6jax.identifiability.sensor import BARE
+from tests.oracles.arms import random_positions
 
 LITE6 = load_bundled("lite6")
 SETUP = plan_experiment("lite6", "tracker_6d", frame=False)
@@ -94,72 +91,24 @@ def test_other_criteria(criterion):
     assert best > max(value(random.choice(400, 10, replace=False)) for _ in range(100))
 
 
-def test_rivals_are_told_apart_better_than_by_chance():
-    setup = plan_experiment("lite6", "tracker", frame=False, tool_at=(0.06, 0.0, 0.04))
-    compliance, harmonic = JointCompliance(2), JointHarmonic(2, 1.0)
-    found = separate_poses(setup, [(compliance, [5e-5]), (harmonic, [0.0, 0.0])], CANDIDATES, 15, refined=False)
-    assert found.distance[-1] > 1.5 * np.median(found.random_distance)
-    assert not found.both_ways
-    # the definition: what of the one's effect the other and all else cannot explain, at the chosen poses
-    both = replace(setup, approach="zero").with_physics([compliance, harmonic])
-    J = both.rows(found.joint_position).reshape(-1, both.size) / both.unit
-    effect = 5e-5 * J[:, 28]
-    rest = np.delete(J, 28, axis=1)
-    scaled = rest * np.delete(both.unit, 28)
-    left = effect - scaled @ np.linalg.lstsq(scaled, effect, rcond=1e-9)[0]
-    assert found.distance[-1] == pytest.approx(np.linalg.norm(left), rel=1e-4)
-
-
-def test_rivals_both_ways():
-    setup = plan_experiment("lite6", "tracker", frame=False, tool_at=(0.06, 0.0, 0.04))
-    rivals = [(JointCompliance(2), [5e-5]), (JointHarmonic(2, 1.0), [0.0, 1e-4])]
-    found = separate_poses(setup, rivals, CANDIDATES, 15, refined=False)
-    assert found.both_ways
-    assert found.rivals == ("joint_compliance:joint2", "joint_harmonic:joint2")
-    assert found.distance[-1] > np.median(found.random_distance)
-
-
-def test_the_first_rival_needs_a_size():
-    with pytest.raises(InputError, match="joint_compliance:joint2: has no size to look for; give a value"):
-        separate_poses(SETUP, [(JointCompliance(2), [0.0]), (JointHarmonic(2, 1.0), [0.0, 0.0])], CANDIDATES, 15)
-
-
 def test_too_few_poses():
     with pytest.raises(InputError, match="2 poses: too few for the 28 directions"):
         plan_poses(SETUP, CANDIDATES, 2)
 
 
-def test_a_short_round():
-    rng = np.random.default_rng(5)
-    q = rng.uniform(-1, 1, (7, 3))
-    order = shortest_round(q)
-    assert sorted(order) == list(range(7))
-
-    def length(order, q=q):
-        points = np.vstack([np.zeros(q.shape[1]), q[list(order)]])
-        return np.abs(np.diff(points, axis=0)).max(1).sum()
-
-    from itertools import permutations
-
-    best = min(length(p) for p in permutations(range(7)))
-    assert length(order) <= 1.15 * best
-    many = rng.uniform(-3, 3, (60, 6))
-    assert length(shortest_round(many), many) < 0.6 * length(range(60), many)
-
-
-def test_how_many_poses_reach_a_wish():
+def test_how_many_poses_reach_an_accuracy():
     """By designs of more poses, not by a square root: where the first are hardly enough that would be far off."""
     first = plan_poses(SETUP, CANDIDATES, 6, refined=False)
-    wish = 0.4 * first.accuracy[-1]
-    found = plan_poses(SETUP, CANDIDATES, 6, refined=False, accuracy=wish)
+    target = 0.4 * first.accuracy[-1]
+    found = plan_poses(SETUP, CANDIDATES, 6, refined=False, accuracy=target)
     assert found.needed is not None
     assert found.needed > 6
     enough = plan_poses(SETUP, CANDIDATES, found.needed, refined=False)
-    assert enough.accuracy[-1] <= 1.05 * wish
+    assert enough.accuracy[-1] <= 1.05 * target
     assert plan_poses(SETUP, CANDIDATES, 6, refined=False, accuracy=1e-9).needed is None
 
 
-def test_nothing_is_promised_of_what_no_pose_tells():
+def test_no_accuracy_is_promised_of_what_no_pose_determines():
     setup = plan_experiment("lite6", "ball_bar", tool_at=(0.06, 0.0, 0.04))
     found = plan_poses(setup, CANDIDATES, 30, criterion="D", refined=False, accuracy=1e-3)
     assert np.isinf(found.accuracy).all()
@@ -177,7 +126,7 @@ def test_poses_are_not_said_to_be_worth_others_where_something_is_recorded():
     assert plan_poses(SETUP, CANDIDATES, 6, recorded=recorded, refined=False).efficiency is None
 
 
-def test_random_draws_that_do_not_tell_all_are_worth_nothing():
+def test_random_draws_that_do_not_determine_all_are_worth_nothing():
     same = np.vstack([np.repeat(CANDIDATES[:1], 300, 0), CANDIDATES[:20]])
     found = plan_poses(SETUP, same, 8, criterion="E", refined=False)
     assert np.isinf(found.efficiency).sum() > 25
