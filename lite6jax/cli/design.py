@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Design:
-    """Which poses to record: those that tell an arm's parameters best, and how many are enough.
+    """Which poses to record: those that determine an arm's parameters best, and how many are enough.
 
     For example:
 
@@ -38,7 +38,7 @@ class Design:
     poses: int = 40
     """How many."""
     accuracy: Annotated[float | None, arg(metavar="MM")] = None
-    """Say how many reach this accuracy of predicted positions (one standard deviation)."""
+    """Say how many poses predict positions to this accuracy (one standard deviation)."""
     criterion: Literal["I", "D", "A", "E"] = "I"
     """I: positions predicted over the workspace; D, A, E: the parameters' volume, mean variance, worst direction."""
     discriminate: Annotated[tuple[str, str] | None, arg(metavar="EFFECT EFFECT")] = None
@@ -47,23 +47,23 @@ class Design:
     candidates: int = 100_000
     """Joint positions drawn, among which to choose."""
     recorded: Annotated[Path | None, arg(metavar="FILE")] = None
-    """A recording whose poses are there already and count."""
+    """A recording whose poses count as already measured."""
     limit_margin: Annotated[float, arg(metavar="DEG")] = 2.0
-    """How far each joint stays from its limits."""
+    """The least distance of each joint from its limits."""
     box: Annotated[tuple[float, float, float, float, float, float] | None, arg(metavar="MM…")] = None
     """Where the sensor sees the tool: least x y z, then greatest x y z, mm in the base's frame."""
     floor: Annotated[float | None, arg(metavar="MM")] = None
     """Height that every joint, flange and tool stay above."""
     link_radius: Annotated[float | None, arg(metavar="MM")] = None
-    """Of the capsules that stand for the links; a twentieth of the reach where not given, 0 for no check."""
+    """The radius of the capsules around the links; a twentieth of the reach where not given, 0 for no check."""
     collision_geometry: Annotated[str | None, arg(metavar="URDF")] = None
     """Take the links' shapes from this URDF's collision geometry instead (robot.urdf#tip)."""
     filter: Annotated[tuple[str, ...], UseAppendAction, arg(metavar="FILE.py:FUNCTION")] = ()
-    """A function of yours: (sample, joint) rad to bool, true where a pose may be recorded. Runs the file."""
+    """A function of yours from (sample, joint) rad to bool, true where a pose may be recorded. Runs the file."""
     refine: bool = True
-    """Move the chosen poses on, between the candidates, as long as that gains."""
+    """Move the chosen poses on by gradient, between the candidates."""
     seed: int = 0
-    """Of what is drawn."""
+    """Of the random numbers."""
     figures: Folder = None
     """Draw the accuracy against the number of poses into this folder (PNG and SVG)."""
     force: bool = False
@@ -74,9 +74,11 @@ class Design:
         from lite6jax.arms.files import read_arm
         from lite6jax.fitting.source import read_source
         from lite6jax.identifiability.candidates import all_pass, candidates, inside_limits
-        from lite6jax.identifiability.planning import plan_poses, separate_poses, shortest_round
+        from lite6jax.identifiability.discrimination import plan_discrimination
+        from lite6jax.identifiability.planning import plan_poses
+        from lite6jax.identifiability.route import shortest_round
         from lite6jax.recordings import Recording, RecordingSettings, sidecar_path, write_recording
-        from lite6jax.report import screen, study_tables
+        from lite6jax.report import design_tables, screen
 
         check_writable(self.out, self.force)
         check_writable(sidecar_path(self.out), self.force)
@@ -105,7 +107,7 @@ class Design:
         margin = math.radians(self.limit_margin)
         filters, disabled = self._filters(arm)
         drawn = candidates(arm, self.candidates, self.seed, filters, margin)
-        asked = {
+        options = {
             "recorded": recorded,
             "refined": self.refine,
             "limits": inside_limits(arm, margin),
@@ -115,28 +117,28 @@ class Design:
         accuracy = None if self.accuracy is None else self.accuracy / 1e3
         if self.discriminate is None:
             found = plan_poses(
-                experiment, drawn.joint_position, self.poses, criterion=self.criterion, accuracy=accuracy, **asked
+                experiment, drawn.joint_position, self.poses, criterion=self.criterion, accuracy=accuracy, **options
             )
         else:
             from lite6jax.effects.serialization import parse_effect
 
             rivals = (parse_effect(self.discriminate[0]), parse_effect(self.discriminate[1], neutral=True))
-            found = separate_poses(experiment, rivals, drawn.joint_position, self.poses, **asked)
+            found = plan_discrimination(experiment, rivals, drawn.joint_position, self.poses, **options)
         q = found.joint_position[shortest_round(found.joint_position)]
         settings = RecordingSettings(arm=self._arm_reference(), motion="static")
-        written = [write_recording(Recording.from_arrays(q, settings=settings), self.out, self.force)]
+        written = [write_recording(Recording.assembled(q, settings=settings), self.out, self.force)]
         written.append(sidecar_path(self.out))
         if self.figures:
             from lite6jax.report import canvas, study_figures
 
             drawing = study_figures.accuracy_by_count(found, self.source)
             written += canvas.save({name: drawing}, self.figures, self.force)
-        screen.show(study_tables.design_report(found, drawn, disabled, self.source, accuracy))
+        screen.show(design_tables.design_report(found, drawn, disabled, self.source, accuracy))
         screen.written(written)
         return DONE
 
     def _filters(self, arm: "Arm") -> "tuple[list[Filter], tuple[tuple[str, str], ...]]":
-        from lite6jax.identifiability import candidates, clearance
+        from lite6jax.identifiability import candidates, capsules, clearance
 
         at = [value / 1e3 for value in self.setup.tool_at]
         filters: list[Filter] = []
@@ -148,14 +150,14 @@ class Design:
             filters.append(candidates.above_floor(arm, self.floor / 1e3, at))
         if self.collision_geometry is not None:
             file, _, tip = str(self.collision_geometry).partition("#")
-            capsules = clearance.urdf_capsules(file, arm, tip=tip or None)
+            shapes = capsules.urdf_capsules(file, arm, tip=tip or None)
         elif self.link_radius != 0:
             radius = None if self.link_radius is None else self.link_radius / 1e3
-            capsules = clearance.chain_capsules(arm, radius, at)
+            shapes = capsules.chain_capsules(arm, radius, at)
         else:
-            capsules = []
-        if capsules:
-            apart = clearance.self_collision(arm, capsules)
+            shapes = []
+        if shapes:
+            apart = clearance.self_collision(arm, shapes)
             disabled = apart.disabled
             filters.append(candidates.clear_of_itself(apart))
         filters += map(candidates.user_filter, self.filter)

@@ -10,8 +10,9 @@ from lite6jax.effects.composition import missing
 from lite6jax.errors import InputError
 from lite6jax.fitting.problem import Geometry, recording_problem
 from lite6jax.identifiability.candidates import candidates
+from lite6jax.identifiability.discrimination import plan_discrimination
 from lite6jax.identifiability.information import experiment
-from lite6jax.identifiability.planning import separate_poses, shortest_round
+from lite6jax.identifiability.route import shortest_round
 from lite6jax.identifiability.sensor import Sensor
 from lite6jax.search.backward import CLOSE, Rival, Step
 from lite6jax.search.forward import Selection
@@ -82,7 +83,7 @@ def _poses(
     drawn = candidates(case.arm, _CANDIDATES, limit_margin=_MARGIN).joint_position
     try:
         rivals = ((step.effect, values), (rival.effect, np.zeros(rival.effect.size)))
-        chosen = separate_poses(here, rivals, drawn, POSES, recorded=case.recording.joint_position, refined=False)
+        chosen = plan_discrimination(here, rivals, drawn, POSES, recorded=case.recording.joint_position, refined=False)
     except InputError:  # they move with time, temperature or velocity: poses at rest do not show them
         return None
     q = chosen.joint_position

@@ -15,7 +15,7 @@ from lite6jax.identifiability.clearance import SelfCollision, link_frames
 
 _BATCH = 16384
 _FEWEST = 1e-3
-"""A smaller share that passes is a mistake in the filters sooner than a wish."""
+"""A smaller share that passes indicates a mistake in the filters."""
 _ENOUGH_TRIED = 100_000
 
 
@@ -73,7 +73,7 @@ def candidates(
         arm: whose limits.
         count: how many.
         seed: the same gives the same.
-        filters: asked in this order.
+        filters: applied in this order.
         limit_margin: rad, how far each joint stays from its limits.
 
     Raises:
@@ -81,7 +81,7 @@ def candidates(
             refused most.
     """
     if count < 1:
-        raise InputError(f"{count} candidates: ask for 1 or more")
+        raise InputError(f"{count} candidates: give 1 or more")
     lower, upper = inside_limits(arm, limit_margin).T
     rng = np.random.default_rng(seed)
     refused = {condition.name: 0 for condition in filters}
@@ -170,7 +170,7 @@ def user_filter(reference: str) -> Filter:
     Loading it runs the file.
 
     Raises:
-        InputError: no such file or function, or an error in either; here, or where the filter is asked.
+        InputError: no such file or function, or an error in either; here, or where the filter is applied.
     """
     file, separator, name = reference.rpartition(":")
     if not separator or not file.endswith(".py") or not name.isidentifier():

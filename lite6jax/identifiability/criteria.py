@@ -20,8 +20,8 @@ _SHARES = 1e-9
 """What share of a quadratic form may lie in directions that nothing determines; rounding leaves 1e-12."""
 DETERMINED = 1e-10
 """An eigenvalue of the information (columns of unit size) over the largest, above which a direction is determined."""
-_FELT = 1e-20
-"""A parameter's information over the largest, under which no candidate feels it."""
+_OBSERVABLE = 1e-20
+"""A parameter's information over the largest, under which no candidate depends on it."""
 DESIGN_DETERMINES = 1e-12
 """The same of a design's information, whose poses are few."""
 
@@ -86,7 +86,7 @@ class Average(NamedTuple):
         """The same of an information matrix in `coordinates`.
 
         Raises:
-            InputError: the weight asks for what nothing determines.
+            InputError: the weight has a direction that neither data nor prior determine.
         """
         T = coordinates.outward
         if self.weight is None:
@@ -249,7 +249,7 @@ def discrimination(
         rival_a: the columns that only model a has.
         rival_b: the columns that only model b has.
         beta_a: a's hypothesised values, in the scaled units of the columns.
-        beta_b: b's; none asks only whether b could pass for a.
+        beta_b: b's; None tests b against a only.
 
     Raises:
         InputError: columns that are not there or that both claim, a value missing, or all values zero.
@@ -328,8 +328,8 @@ def coordinates_of(information: NDArray[np.float64], candidates: int) -> Coordin
         InputError: it is zero.
     """
     squares = np.diagonal(information)
-    felt = squares > _FELT * squares.max()  # what is not leaves rounding, which must not be scaled up
-    units = np.sqrt(np.where(felt, squares, max(float(squares.max()), np.finfo(float).tiny)))
+    observable = squares > _OBSERVABLE * squares.max()  # the others are rounding, which must not be scaled up
+    units = np.sqrt(np.where(observable, squares, max(float(squares.max()), np.finfo(float).tiny)))
     eigenvalues, V = np.linalg.eigh(information / units[:, None] / units)  # as judged in no unit at all
     kept = eigenvalues > DETERMINED * max(eigenvalues[-1], 0.0)
     if not kept.any():

@@ -18,7 +18,7 @@ _DEPENDENT = 1e-8
 """Sine of a column to the span of those before it, below which it adds nothing; rounding leaves 1e-15."""
 _ON_AXIS = 1e-6
 """m."""
-_UNFELT = 1e-10
+_UNOBSERVABLE = 1e-10
 """Length of a column over the longest, below which readings do not feel the parameter."""
 _TAKES_PART = 1e-6
 """Share of a parameter in a dependency, in tolerances, below which it is rounding."""
@@ -32,7 +32,7 @@ class Dependency(NamedTuple):
     """A direction in which the parameters move without any reading changing.
 
     Attributes:
-        name: the parameter that is held, as nothing tells it from the others.
+        name: the parameter that is held, because it is confounded with the others.
         unit: of it, SI.
         amount: how far it is moved where a statement says what undoes that, in that unit.
         partners: each other's name, its unit, and how far it moves per SI unit of the first, in SI units.
@@ -47,7 +47,7 @@ class Dependency(NamedTuple):
     def statement(self) -> str:
         """In words."""
         if not self.partners:
-            return f"{self.name} is not felt: no reading changes with it."
+            return f"{self.name} is unobservable: no reading changes with it."
         moves = [(name, unit, self.amount * share) for name, unit, share in self.partners]
         moves.sort(key=lambda move: -abs(move[2]) * _shown(move[1])[0])
         listed = ", ".join(_moved(*move) for move in moves[:4])
@@ -85,7 +85,7 @@ class BaseParameter(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Determination:
-    """What readings at some joint positions say about an experiment's parameters.
+    """Which of an experiment's parameters are identifiable from readings at some joint positions, and how precisely.
 
     Attributes:
         names, units: of the unknown parameters, `(size,)`.
@@ -95,9 +95,9 @@ class Determination:
             Those beyond the rank are rounding.
         open_directions: `(size, k)`, orthonormal, in tolerances: what neither readings nor prior determine.
         rank: how many combinations of them the readings determine.
-        free: `(size,)` bool, a largest set of parameters that readings and what is known beforehand determine together;
+        free: `(size,)` bool, a largest set of parameters that the readings and the prior determine together;
             the others are held.
-        dependencies: one for each parameter that readings do not tell from those before it.
+        dependencies: one for each parameter that is confounded with those before it.
         base: the combinations that are determined, where they are more than a parameter.
         theory: how many the best poses determine, by counting; None where it is not known.
         covariance: `(size, size)` of the free ones in m and rad, prior included; zero where held.
@@ -133,7 +133,7 @@ class Determination:
         return self.covariance / np.outer(sigma, sigma)
 
     def weak(self) -> tuple[str, ...]:
-        """Free parameters that readings and prior know no better than the tolerance does."""
+        """Free parameters whose predicted standard deviation exceeds their tolerance."""
         worse = self.free & (self.standard_deviation > self.scale)
         return tuple(self.names[i] for i in np.flatnonzero(worse))
 
@@ -159,10 +159,10 @@ def determination_of(experiment: Experiment, root: Array, samples: int) -> Deter
     names, units, unit = experiment.names, experiment.units, experiment.unit
     singular = np.linalg.svd(root, compute_uv=False)
     order = _order(experiment)
-    told, shares = _independent(root, order)
+    determined, shares = _independent(root, order)
     dependencies = []
-    carried: dict[int, list[tuple[str, float, str]]] = {int(k): [] for k in np.flatnonzero(told)}
-    for k in map(int, np.flatnonzero(~told)):
+    carried: dict[int, list[tuple[str, float, str]]] = {int(k): [] for k in np.flatnonzero(determined)}
+    for k in map(int, np.flatnonzero(~determined)):
         ratio = shares[k] / unit[k] * unit  # of SI units, not of tolerances
         partners = np.flatnonzero(np.abs(shares[k]) > _TAKES_PART)
         # a column that others can copy: its move is undone by theirs the other way round
@@ -179,7 +179,7 @@ def determination_of(experiment: Experiment, root: Array, samples: int) -> Deter
     base = tuple(BaseParameter(names[i], units[i], tuple(adds)) for i, adds in carried.items() if adds)
 
     known = np.sqrt(np.diagonal(experiment.prior))
-    free = _independent(np.vstack([root, np.diag(known)]), order)[0] if known.any() else told
+    free = _independent(np.vstack([root, np.diag(known)]), order)[0] if known.any() else determined
     H = (root.T @ root + experiment.prior)[np.ix_(free, free)]
     covariance = np.zeros((len(names), len(names)))
     covariance[np.ix_(free, free)] = _inverse(H) * np.outer(unit[free], unit[free])
@@ -191,7 +191,7 @@ def determination_of(experiment: Experiment, root: Array, samples: int) -> Deter
         samples=samples,
         singular_values=singular,
         open_directions=_null(np.vstack([root, np.diag(known)]), len(names) - int(free.sum())),
-        rank=int(told.sum()),
+        rank=int(determined.sum()),
         free=free,
         dependencies=tuple(dependencies),
         base=base,
@@ -204,16 +204,17 @@ def count(form: ModelForm, quantity: Quantity, on_last_axis: bool = False) -> in
     """How many parameters the best poses determine of a generic arm with revolute joints, by counting.
 
     By the product of exponentials a chain is its joints' axes, 4 numbers each, and the flange's pose, 6 (R. Brockett,
-    1984; B. Mooring, Z. Roth, M. Driels, Fundamentals of Manipulator Calibration, 1991): 4 n + 6, all of them felt by
+    1984; B. Mooring, Z. Roth, M. Driels, Fundamentals of Manipulator Calibration, 1991): 4 n + 6, all observable in
     full poses. A chain without a free tool has a flange that its last axis carries in a set way: 4 n + 4 of Hayati's,
-    4 n + 2 of six parameters. Positions feel of the flange's pose only the point (3), and one axis or one distance
-    leaves three motions of the whole arm unfelt.
+    4 n + 2 of six parameters. Positions depend on the flange's pose through the point (3) only, and one axis or one
+    distance leaves three motions of the whole arm unobservable.
 
     Args:
         form: the parameters.
         quantity: what is read.
-        on_last_axis: whether the point read lies on the last joint's axis, which then does not move it. Six parameters
-            feel three numbers less for it; Hayati's form, whose last a moves the point off, is counted as off.
+        on_last_axis: whether the point read lies on the last joint's axis, which then does not move it. Six
+            parameters then have three observable numbers less; Hayati's form, whose last a moves the point off the
+            axis, is counted as off it.
 
     Returns:
         None where an arm of one joint moves too little for the count to hold.
@@ -224,8 +225,8 @@ def count(form: ModelForm, quantity: Quantity, on_last_axis: bool = False) -> in
         return 4 * n + (6 if form.tool else 4 if hayati else 2)
     if n == 1 and quantity != "position":
         return None
-    felt = 4 * n + 3 if form.tool or hayati else 4 * n - 1 if on_last_axis else 4 * n + 2
-    return felt if quantity == "position" else felt - 3
+    observable = 4 * n + 3 if form.tool or hayati else 4 * n - 1 if on_last_axis else 4 * n + 2
+    return observable if quantity == "position" else observable - 3
 
 
 def on_last_axis(experiment: Experiment) -> bool:
@@ -241,9 +242,9 @@ def _order(experiment: Experiment) -> list[int]:
 
 
 def _null(root: Array, size: int) -> Array:
-    """The `size` directions that a matrix feels least, orthonormal, with its columns made comparable first."""
+    """The `size` directions along which a matrix changes least, orthonormal, with its columns made comparable first."""
     length = np.linalg.norm(root, axis=0)
-    scale = np.where(length > _UNFELT * length.max(initial=0.0), length, max(length.max(initial=0.0), 1e-300))
+    scale = np.where(length > _UNOBSERVABLE * length.max(initial=0.0), length, max(length.max(initial=0.0), 1e-300))
     right = np.linalg.svd(root / scale)[2]
     return np.linalg.qr((right[len(scale) - size :] / scale).T)[0]
 
@@ -260,7 +261,7 @@ def _independent(root: Array, order: list[int]) -> tuple[NDArray[np.bool_], dict
     shares: dict[int, Array] = {}
     Q = np.zeros((len(root), 0))
     for k in order:
-        if length[k] <= _UNFELT * largest:
+        if length[k] <= _UNOBSERVABLE * largest:
             shares[k] = np.zeros(size)
             continue
         rest = root[:, k] / length[k]

@@ -16,10 +16,10 @@ class Observability:
     how the parameters are scaled, O1's ranking of pose sets excepted.
 
     Attributes:
-        O1: (σ₁ … σ_L)^(1/L) / √m, the volume of the ellipsoid of what is felt (J. Borm, C. Menq, IJRR 10(5), 1991):
-            D-optimality.
+        O1: (σ₁ … σ_L)^(1/L) / √m, the volume of the ellipsoid of the observable parameters (J. Borm, C. Menq,
+            IJRR 10(5), 1991): D-optimality.
         O2: σ_L / σ₁, the inverse of the condition number (M. Driels, U. Pathre, J. Robotic Systems 7(2), 1990).
-        O3: σ_L, the least that is felt (A. Nahvi, J. Hollerbach, V. Hayward, ICRA 1994): E-optimality.
+        O3: σ_L, the smallest singular value (A. Nahvi, J. Hollerbach, V. Hayward, ICRA 1994): E-optimality.
         O4: σ_L² / σ₁, the noise amplification index (A. Nahvi, J. Hollerbach, ICRA 1996).
         O5: 1 / Σ 1/σᵢ, the harmonic mean over L (Sun and Hollerbach): close to A-optimality.
         condition: σ₁ / σ_L.

@@ -7,8 +7,9 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
+from lite6jax.identifiability.discrimination import DiscriminationPlan
 from lite6jax.identifiability.identify import Identification
-from lite6jax.identifiability.planning import Plan, Separation
+from lite6jax.identifiability.planning import Plan
 from lite6jax.identifiability.sensitivity import Sensitivity
 from lite6jax.report.canvas import AFTER, BEFORE, FRAMED, MARKERS, OKABE_ITO, STYLE, blank, degree_ticks
 from lite6jax.report.cells import SCREEN
@@ -29,13 +30,14 @@ def singular_values(found: Identification, title: str) -> Figure:
         panel = figure.subplots()
         panel.axhline(1, color="black", linewidth=1, linestyle="--")
         panel.text(d.size + 0.6, 1, " noise as large\n as a tolerance", va="center", fontsize=11)
-        told = at <= d.rank
-        panel.plot(at[told], values[told], "o", color=AFTER, markersize=8, label=f"determined: {d.rank}")
-        if not told.all():
-            panel.plot(at[~told], values[~told], "X", color=BEFORE, markersize=9, label=f"rounding: {d.size - d.rank}")
+        determined = at <= d.rank
+        panel.plot(at[determined], values[determined], "o", color=AFTER, markersize=8, label=f"determined: {d.rank}")
+        if not determined.all():
+            rounding = values[~determined]
+            panel.plot(at[~determined], rounding, "X", color=BEFORE, markersize=9, label=f"rounding: {len(rounding)}")
         panel.set_yscale("log")
         panel.set(
-            xlabel="direction of the parameters, by how well it is told",
+            xlabel="direction of the parameters, best determined first",
             ylabel="singular value\n(standard deviations per tolerance)",
             xlim=(0.2, d.size + 0.8),
         )
@@ -45,7 +47,7 @@ def singular_values(found: Identification, title: str) -> Figure:
 
 
 def correlation(found: Identification, title: str) -> Figure:
-    """The correlations of the estimates, without those of what is held."""
+    """The correlations of the estimates, without those of parameters that are held."""
     d = found.determination
     free = np.flatnonzero(d.free)
     names = [d.names[i] for i in free]
@@ -59,7 +61,7 @@ def correlation(found: Identification, title: str) -> Figure:
         held = d.size - len(free)
         figure.colorbar(image, label="correlation of the estimates", shrink=0.8)
         rest = f" ({held} held, not shown)" if held else ""
-        figure.suptitle(f"{title}: which estimates move together{rest}", fontsize=15)
+        figure.suptitle(f"{title}: correlations of the estimates{rest}", fontsize=15)
     return figure
 
 
@@ -104,12 +106,12 @@ def deviations(found: Identification, title: str) -> Figure:
         if not d.free.all():
             handles.append(Line2D([], [], color=BEFORE, marker="X", linestyle="", markersize=9, label="held"))
         figure.legend(handles=handles, loc="outside lower center", ncols=3, frameon=False)
-        figure.suptitle(f"{title}: how well {d.samples} poses tell each parameter", fontsize=15)
+        figure.suptitle(f"{title}: how well {d.samples} poses determine each parameter", fontsize=15)
     return figure
 
 
-def accuracy_by_count(found: Plan | Separation, title: str) -> Figure:
-    """What each further pose brings, designed and drawn at random."""
+def accuracy_by_count(found: Plan | DiscriminationPlan, title: str) -> Figure:
+    """Accuracy, or distance between two models, against the number of poses: designed and drawn at random."""
     planned = isinstance(found, Plan)
     with rc_context(STYLE):
         figure = blank(9.0, 5.4)
@@ -120,7 +122,9 @@ def accuracy_by_count(found: Plan | Separation, title: str) -> Figure:
             low, middle, high = np.quantile(random, (0.05, 0.5, 0.95), axis=0, method="nearest")
             at = np.arange(1, len(middle) + 1)
             there = np.isfinite(middle)
-            high = np.where(np.isfinite(high), high, middle[there].max())  # of draws that do not determine all
+            high = np.where(
+                np.isfinite(high), high, middle[there].max()
+            )  # infinite for draws that do not determine all parameters
             panel.fill_between(at[there], low[there], high[there], color=BEFORE, alpha=0.2, linewidth=0)
             panel.plot(at[there], middle[there], "--", color=BEFORE, linewidth=2.5, label="random, median and 90 %")
             designed = 1e3 * found.accuracy
@@ -133,16 +137,18 @@ def accuracy_by_count(found: Plan | Separation, title: str) -> Figure:
                 [found.count], [middle], [[middle - low], [high - middle]], fmt="s", color=BEFORE, capsize=5,
                 markersize=8, label="random, median and 90 %",
             )  # fmt: skip
-            label = "rivals apart (standard deviations)"
+            label = "distance between the models\n(standard deviations)"
         count = np.arange(1, found.count + 1)
-        told = np.isfinite(designed)
-        panel.plot(count[told], designed[told], "-", color=AFTER, linewidth=2.5)
+        determined = np.isfinite(designed)
+        panel.plot(count[determined], designed[determined], "-", color=AFTER, linewidth=2.5)
         panel.plot(count[-1], designed[-1], "o", color=AFTER, markersize=9)
         panel.plot([], [], "-o", color=AFTER, linewidth=2.5, label="designed")
         panel.set(xlabel="poses", ylabel=label)
         panel.xaxis.set_major_locator(MaxNLocator(integer=True))
         panel.legend(frameon=False)
-        what = f"{found.count} poses" if planned else f"{found.count} poses to tell rivals apart"
+        what = f"{found.count} poses"
+        if not planned:
+            what += f" to discriminate between {found.rivals[0]} and {found.rivals[1]}"
         figure.suptitle(f"{title}: {what}", fontsize=15)
     return figure
 
@@ -179,14 +185,14 @@ def sensitivity_by_joint(found: Sensitivity, title: str) -> Figure:
 
 
 def sensitivity_over_workspace(found: Sensitivity, title: str) -> Figure:
-    """The error to expect of an arm as assembled, over the plane of its reach, and which parameters make it up."""
+    """The expected error of an arm as assembled, over the plane of its reach, and each parameter's share of it."""
     across, up, expected = found.over_workspace()
     with rc_context(FRAMED):
         figure = blank(12.0, 5.6)
         left, right = figure.subplots(1, 2, width_ratios=(1, 1.15))
         image = left.pcolormesh(1e3 * across, 1e3 * up, 1e3 * expected.T, cmap="cividis")
         left.set(xlabel="distance from the base's axis (mm)", ylabel="height (mm)", aspect="equal")
-        figure.colorbar(image, ax=left, label="error to expect, RMS (mm)")
+        figure.colorbar(image, ax=left, label="expected error, RMS (mm)")
         order = np.argsort(-found.share, kind="stable")[:12][::-1]
         right.barh(np.arange(len(order)), 100 * found.share[order], color=AFTER)
         right.axvline(100 / len(found.names), color="black", linestyle="--", linewidth=1.5)
@@ -195,5 +201,5 @@ def sensitivity_over_workspace(found: Sensitivity, title: str) -> Figure:
         right.set(xlabel="share of the mean squared error (%)")
         for side in ("top", "right"):
             right.spines[side].set_visible(False)
-        figure.suptitle(f"{title}: where the error of assembly shows, and what makes it", fontsize=15)
+        figure.suptitle(f"{title}: where the error of assembly is largest, and its sources", fontsize=15)
     return figure

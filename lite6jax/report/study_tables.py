@@ -1,4 +1,4 @@
-"""What a person reads of a study of an arm: what poses determine, which parameters matter, which poses to record."""
+"""Terminal reports of a study of an arm: what poses determine, and which parameters its error comes from."""
 
 from collections.abc import Iterator, Sequence
 
@@ -8,12 +8,10 @@ from rich.console import RenderableType
 from rich.text import Text
 
 from lite6jax.arms.chains import HayatiForm
-from lite6jax.identifiability.candidates import Candidates
 from lite6jax.identifiability.determination import Dependency, Determination, on_last_axis
 from lite6jax.identifiability.identify import Identification
 from lite6jax.identifiability.information import Experiment
 from lite6jax.identifiability.monte_carlo import Refits
-from lite6jax.identifiability.planning import MOST_POSES, Plan, Separation
 from lite6jax.identifiability.sensitivity import GlobalSensitivity, Sensitivity
 from lite6jax.identifiability.sensor import Sensor
 from lite6jax.model import TWIST_NAMES
@@ -23,8 +21,6 @@ Array = NDArray[np.floating]
 
 _MOST_LISTED = 12
 _MOST_PAIRS = 6
-_CLEAR = 5.0
-"""Standard deviations apart at which two models are told apart in 99 of 100 recordings at a level of 1 %."""
 
 
 def described(sensor: Sensor) -> str:
@@ -44,7 +40,7 @@ def described(sensor: Sensor) -> str:
 
 
 def identification_report(found: Identification, source: str, drawn: bool) -> Iterator[RenderableType]:
-    """What poses determine, from the verdict to what might help.
+    """What poses determine: the rank, the dependent parameters, the predicted deviations, the remedy.
 
     Args:
         found: the study.
@@ -104,22 +100,22 @@ def _reasons(found: Identification) -> Iterator[str]:
 
 
 def _in_words(experiment: Experiment, dependencies: Sequence[Dependency]) -> Iterator[RenderableType]:
-    """What moves together; what the sensor's frame or the tool does as well is said in one sentence each."""
+    """The dependent parameters; those confounded with the sensor's frame or the tool take one sentence each."""
     rest = list(dependencies)
-    if experiment.precision.any():  # of a first-order direction that a prior keeps short, amounts would mislead
-        yield Text(f"Readings leave {len(rest)} combinations open; what is known of them beforehand decides.")
+    if experiment.precision.any():  # the amounts of a direction that a prior keeps short would mislead
+        yield Text(f"The readings do not determine {len(rest)} combinations; their prior does.")
         return
     for part, phrase in (("frame_", "The sensor's frame does"), ("tool_", "The tool does")):
         same = [d for d in rest if d.partners and all(name.startswith(part) for name, _, _ in d.partners)]
         if len(same) > 1:
             rest = [d for d in rest if d not in same]
             yield Text(f"{phrase} what {_listed([d.name for d in same])} do.")
-    unfelt = [d for d in rest if not d.partners]
-    if len(unfelt) > 1:
+    unobservable = [d for d in rest if not d.partners]
+    if len(unobservable) > 1:
         rest = [d for d in rest if d.partners]
-        yield Text(f"No reading changes with {_listed([d.name for d in unfelt])}.")
+        yield Text(f"No reading changes with {_listed([d.name for d in unobservable])}.")
     yield from (Text(d.statement) for d in rest)
-    yield Text("Nothing in the data tells these apart: a fit holds the first of each at nominal.")
+    yield Text("The data do not distinguish these: a fit holds the first of each at nominal.")
 
 
 def deviation_tables(experiment: Experiment, determination: Determination) -> Iterator[RenderableType]:
@@ -174,12 +170,12 @@ def _warnings(determination: Determination) -> Iterator[RenderableType]:
     weak = determination.weak()
     if weak:
         are = "is" if len(weak) == 1 else "are"
-        yield Text(f"Weak: {_listed(weak)} {are} told no better than assembly tolerances tell.")
+        yield Text(f"Weak: {_listed(weak)} {are} determined no better than by the tolerances of assembly.")
     pairs = determination.correlated()
     if pairs:
         listed = ", ".join(f"{a} with {b} ({rho:+.3f})" for a, b, rho in pairs[:_MOST_PAIRS])
         more = f" and {len(pairs) - _MOST_PAIRS} pairs more" if len(pairs) > _MOST_PAIRS else ""
-        yield Text(f"Estimated together, hard to tell apart (correlation above 0.95): {listed}{more}.")
+        yield Text(f"Strongly correlated estimates (above 0.95): {listed}{more}.")
 
 
 def _indices(found: Identification) -> Iterator[RenderableType]:
@@ -198,14 +194,14 @@ def _indices(found: Identification) -> Iterator[RenderableType]:
 
 
 def refits_in_words(refits: Refits) -> str:
-    """What the simulated fits say of the prediction."""
+    """How far the spread of the simulated fits is from the prediction."""
     count, ratio = len(refits.errors), refits.ratio
     if not len(ratio):
-        return "Nothing was refitted: nothing is determined."
+        return "No parameter is determined, so that none was refitted."
     if not refits.settled.any():
-        return f"None of {count} refits settled: the readings are too noisy for a linear prediction to hold."
+        return f"None of {count} refits converged: the noise is too large for the linear prediction to hold."
     lost = int((~refits.settled).sum())
-    ended = f" {lost} of them did not settle." if lost else ""
+    ended = f" {lost} of them did not converge." if lost else ""
     return (
         f"{count} refits of simulated readings spread {ratio.min():.2f} to {ratio.max():.2f} times as far as predicted"
         f" (chance alone: ±{3 / np.sqrt(2 * count):.2f}).{ended}"
@@ -267,125 +263,15 @@ def sensitivity_report(
         )
 
 
-def design_report(
-    found: Plan | Separation,
-    drawn: Candidates,
-    disabled: Sequence[tuple[str, str]],
-    source: str,
-    accuracy: float | None = None,
-) -> Iterator[RenderableType]:
-    """Which poses were chosen, from how many, and what they are worth.
-
-    Args:
-        found: the design.
-        drawn: the candidates.
-        disabled: pairs of links that are not checked against each other.
-        source: the arm.
-        accuracy: m, a wish.
-    """
-    yield Text(source, no_wrap=True, overflow="ignore")
-    refused = {name: count for name, count in drawn.refused.items() if count}
-    why = f" ({', '.join(f'{name} refused {count}' for name, count in refused.items())})" if refused else ""
-    yield Text(
-        f"{found.count} poses of {len(drawn.joint_position)} candidates{why}; a sensor of"
-        f" {described(found.experiment.sensor)}."
-    )
-    if disabled:
-        pairs = ", ".join(f"{a} with {b}" for a, b in disabled)
-        yield Text(f"Not checked for collision, as they overlap nearly always: {pairs}.")
-    yield ""
-    yield from _plan_report(found, accuracy) if isinstance(found, Plan) else _separation_report(found)
-    yield ""
-    if any(driver.quantity == "direction of motion" for e in found.experiment.physics.effects for driver in e.drivers):
-        yield Text("For effects of the direction of motion, come to each pose from where all joints are at zero.")
-    d = found.design
-    way = f"{d.exchanges} exchanges in {d.cycles} rounds"
-    if found.refinement is not None:
-        moved = len(found.refinement.values)
-        way += f", then {moved} steps between the candidates"
-    yield Text(f"Chosen by {way}; {d.rank} combinations of {found.experiment.size} unknown parameters can be told.")
-
-
-def _plan_report(found: Plan, accuracy: float | None) -> Iterator[RenderableType]:
-    reached, random = found.accuracy[-1], found.random_accuracy[:, found.count - 1]
-    if np.isfinite(reached):
-        middle = float(np.quantile(random, 0.5, method="nearest"))
-        times = f" ({middle / reached:.2f} times as much)" if np.isfinite(middle) else ""
-        drawn = f"to ±{number(1e3 * middle)} mm{times}" if np.isfinite(middle) else "do not tell enough to"
-        yield Text(
-            f"These poses let the fit predict positions to ±{number(1e3 * reached)} mm over the workspace; as many"
-            f" drawn at random {drawn}."
-        )
-        worth = found.worth
-        if worth is None:
-            yield Text(f"Not even {found.random_accuracy.shape[1]} random poses do as well.")
-        else:
-            yield Text(f"They are worth {worth} random poses.")
-    else:
-        yield Text(
-            "With this sensor something that moves positions over the workspace stays open, however many poses: no"
-            " accuracy of predictions can be promised (lite6jax identify names it)."
-        )
-    if accuracy is not None:
-        wanted = number(1e3 * accuracy)
-        if found.needed is None:
-            yield Text(f"±{wanted} mm is not reached by {MOST_POSES} poses either.")
-        elif found.needed <= found.count:
-            yield Text(f"±{wanted} mm is reached by {found.needed} of them; ask for --poses {found.needed}.")
-        else:
-            yield Text(f"±{wanted} mm takes {found.needed} poses; ask for --poses {found.needed}.")
-    yield ""
-    if np.isfinite(reached):
-        table = listing("best of these", "designed", "random", "ratio")
-        table.columns[0].justify = "right"
-        for n in _steps(found):
-            designed, drawn = found.accuracy[n - 1], found.random_median[n - 1]
-            cells = [f"±{number(1e3 * value)} mm" if np.isfinite(value) else "–" for value in (designed, drawn)]
-            ratio = f"{drawn / designed:.2f}" if np.isfinite(designed) and np.isfinite(drawn) else "–"
-            table.add_row(str(n), *cells, ratio)
-        yield table
-    if found.efficiency is not None:
-        low, median, high = np.quantile(found.efficiency, (0.05, 0.5, 0.95), method="nearest")
-        if np.isfinite(median):
-            most = f"{high:.2f}" if np.isfinite(high) else "never enough"
-            yield Text(
-                f"By the criterion {found.criterion} a random selection would have to be recorded {median:.2f} times"
-                f" over (90 % of {len(found.efficiency)} draws: {low:.2f} to {most})."
-            )
-        else:
-            yield Text("Most random selections of as many poses do not tell all that these do.")
-
-
-def _steps(found: Plan) -> list[int]:
-    """A few numbers of poses, from a third more than the least that tell anything: fewer are a matter of luck."""
-    told = np.flatnonzero(np.isfinite(found.accuracy))
-    least = min(-(-4 * (int(told[0]) + 1) // 3), found.count) if len(told) else found.count
-    return sorted({int(n) for n in np.geomspace(least, found.count, 6).round()})
-
-
-def _separation_report(found: Separation) -> Iterator[RenderableType]:
-    one, other = found.rivals
-    reached = found.distance[-1]
-    random = float(np.median(np.nan_to_num(found.random_distance)))
-    asked = "either cannot pass for the other" if found.both_ways else f"{other} cannot pass for it"
-    yield Text(
-        f"If {one} has the size given, {asked} by {reached:.1f} standard deviations at these poses, whatever else is"
-        f" fitted; by {random:.1f} at as many drawn at random"
-        f"{f' (ratio {reached / random:.2f})' if random > 0 else ''}."
-    )
-    if reached < _CLEAR:
-        yield Text(f"Too little to be sure, which takes {_CLEAR:g}: ask for more poses, or a sensor that reads finer.")
-
-
 def _expected(found: Identification) -> str:
     accuracy = found.accuracy
-    if not accuracy.position_told:
+    if not accuracy.position_determined:
         return (
-            "The fitted model cannot be relied on over the workspace: positions there depend on combinations that stay"
-            " open."
+            "The fitted model does not predict the whole workspace: positions there depend on combinations that these"
+            " poses do not determine."
         )
     expected = f"±{number(1e3 * accuracy.position_rms)} mm"
-    if accuracy.orientation_told:
+    if accuracy.orientation_determined:
         expected += f" and ±{number(np.rad2deg(accuracy.orientation_rms))}°"
     return f"The fitted model predicts the whole workspace to {expected}."
 

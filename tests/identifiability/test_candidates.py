@@ -17,7 +17,7 @@ from lite6jax.identifiability.candidates import (
     user_filter,
 )
 from lite6jax.identifiability.clearance import self_collision
-from tests.plain_chain import six_parameter_poses
+from tests.oracles.chains import six_parameter_poses
 
 ARM = load_bundled("lite6")
 BOX = Box((0.0, -0.4, 0.1), (0.6, 0.4, 0.7))
@@ -86,7 +86,7 @@ HALF = Filter("half", lambda q: q[:, 0] > 0)
 @pytest.mark.parametrize(
     ("call", "words"),
     [
-        (lambda: candidates(ARM, 0), "0 candidates: ask for 1 or more"),
+        (lambda: candidates(ARM, 0), "0 candidates: give 1 or more"),
         (lambda: candidates(ARM, 10, filters=[HALF, NOTHING]), "0 of 114688 joint positions pass; "),
         (lambda: candidates(ARM, 10, limit_margin=10.0), "limit margin 572.958°: leaves joint1 no room"),
         (lambda: candidates(ARM, 10, limit_margin=-1.0), "limit margin -1 rad: give zero or more"),

@@ -14,16 +14,10 @@ from lite6jax.arms.arm import Arm
 from lite6jax.arms.bundled import load_bundled
 from lite6jax.arms.urdf import read_urdf
 from lite6jax.errors import InputError
-from lite6jax.identifiability.clearance import (
-    Capsule,
-    chain_capsules,
-    enclosing_capsule,
-    link_frames,
-    segment_distance,
-    self_collision,
-    urdf_capsules,
-)
-from tests.plain_chain import random_kinematics, random_positions, six_parameter_poses
+from lite6jax.identifiability.capsules import Capsule, chain_capsules, enclosing_capsule, urdf_capsules
+from lite6jax.identifiability.clearance import link_frames, segment_distance, self_collision
+from tests.oracles.arms import random_kinematics, random_positions
+from tests.oracles.chains import six_parameter_poses
 
 
 def distance_to_segment(point, p, q):

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from lite6jax.errors import InputError
-from lite6jax.identifiability import design
+from lite6jax.identifiability import exchange
 from lite6jax.identifiability.criteria import (
     CRITERIA,
     Average,
@@ -136,10 +136,10 @@ def test_a_design_is_never_worse_than_its_start(name):
 
 @pytest.mark.parametrize("name", ["D", "A", "I", "T one way"])
 def test_the_damped_gain_of_single_rows_ranks_as_the_exact_criterion_does(name):
-    """The claim of the module's first lines; E and T both ways are sought by a smooth kin and may differ."""
+    """The claim of the exchange's first lines; E and T both ways are sought by a smooth function and may differ."""
     rows = random_rows(11, candidates=40, rows=1)
     M = information(random_rows(12, rows=2))
-    gains = np.asarray(design._gains(KINDS[name], design._blocks(rows), jnp.asarray(M)))[:40]
+    gains = np.asarray(exchange._gains(KINDS[name], exchange._blocks(rows), jnp.asarray(M)))[:40]
     exact = [ORACLES[name](M + J.T @ J) for J in rows]
     np.testing.assert_array_equal(np.argsort(gains), np.argsort(exact))
 

@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from plain_chain import perturbed, random_kinematics, random_positions
 
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.bundled import load_bundled
@@ -12,6 +11,7 @@ from lite6jax.identifiability.determination import count, determination_of, dete
 from lite6jax.identifiability.identify import identify
 from lite6jax.identifiability.information import Experiment, experiment, plan_experiment
 from lite6jax.identifiability.sensor import SENSORS, Sensor
+from tests.oracles.arms import perturbed, random_kinematics, random_positions
 
 LITE6 = load_bundled("lite6")
 
@@ -221,7 +221,7 @@ def test_correlated_pairs():
 def test_an_unfelt_parameter_is_said_to_be():
     found = determine(plan_experiment("lite6", "tracker", frame=False), joints(100))
     said = {d.name: d.statement for d in found.dependencies}
-    assert said["theta_off6"] == "theta_off6 is not felt: no reading changes with it."
+    assert said["theta_off6"] == "theta_off6 is unobservable: no reading changes with it."
     assert said["a5"] == "a5 and theta_off5 move together: a5 +1 mm is undone by theta_off5 +0.932 deg."
 
 
@@ -255,11 +255,11 @@ def test_no_accuracy_is_promised_where_something_stays_open():
     """One pose tells 3 numbers; a dial gauge never tells x; a tracker tells all that positions depend on."""
     offset = (0.06, 0.0, 0.04)
     one = identify(plan_experiment("lite6", "tracker", tool_at=offset), joints(1))
-    assert not one.accuracy.position_told
+    assert not one.accuracy.position_determined
     assert one.to_dict()["predicted_accuracy"] == {"position_rms_m": None, "orientation_rms_rad": None}
     gauge = identify(plan_experiment("lite6", "dial_gauge", tool_at=offset), joints(200))
-    assert not gauge.accuracy.position_told
+    assert not gauge.accuracy.position_determined
     tracker = identify(plan_experiment("lite6", "tracker", tool_at=offset), joints(60))
-    assert (tracker.accuracy.position_told, tracker.accuracy.orientation_told) == (True, False)
+    assert (tracker.accuracy.position_determined, tracker.accuracy.orientation_determined) == (True, False)
     full = identify(plan_experiment("lite6", "tracker_6d", tool_at=offset), joints(60))
-    assert (full.accuracy.position_told, full.accuracy.orientation_told) == (True, True)
+    assert (full.accuracy.position_determined, full.accuracy.orientation_determined) == (True, True)

@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from plain_chain import hayati_poses, perturbed, random_positions, six_parameter_poses
 from scipy.spatial.transform import Rotation
 
 from lite6jax.arms.bundled import load_bundled
@@ -14,6 +13,8 @@ from lite6jax.identifiability.information import TOLERANCE, experiment, plan_exp
 from lite6jax.identifiability.sensor import SENSORS, Sensor, sensor_named
 from lite6jax.model import ArmModel, ModelForm
 from lite6jax.recordings import Recording, RecordingSettings
+from tests.oracles.arms import perturbed, random_positions
+from tests.oracles.chains import hayati_poses, six_parameter_poses
 
 LITE6 = load_bundled("lite6")
 RNG = np.random.default_rng(7)

@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from plain_chain import perturb_poses, random_positions
 from scipy.stats import chi2
 
 from lite6jax import fit_fleet
@@ -13,6 +12,8 @@ from lite6jax.identifiability.determination import determine
 from lite6jax.identifiability.information import experiment, plan_experiment
 from lite6jax.identifiability.monte_carlo import refit
 from lite6jax.identifiability.sensor import SENSORS, Sensor
+from tests.oracles.arms import random_positions
+from tests.oracles.transforms import perturb_poses
 
 LITE6 = load_bundled("lite6")
 Q = random_positions(np.random.default_rng(0), 30, 6)

@@ -4,13 +4,14 @@ import sys
 
 import numpy as np
 import pytest
-from plain_chain import random_positions, six_parameter_poses
 
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.bundled import load_bundled
 from lite6jax.errors import InputError
 from lite6jax.identifiability.information import plan_experiment
 from lite6jax.identifiability.sensitivity import arm_errors, global_sensitivity, sensitivity
+from tests.oracles.arms import random_positions
+from tests.oracles.chains import six_parameter_poses
 
 LITE6 = load_bundled("lite6")
 Q = random_positions(np.random.default_rng(0), 40, 6)
