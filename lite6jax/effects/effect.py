@@ -23,13 +23,19 @@ class Coordinate(NamedTuple):
         name: with its unit, such as `compliance_rad_per_Nm`.
         unit: such as `rad/Nm`; `1` for a ratio.
         typical: the size that real arms show, by which a fit scales it.
-        spread: one standard deviation about neutral, where that is known beforehand.
+        spread: standard deviation of its prior about zero; infinite where there is none.
+        lower: the least value that is physically possible.
+        upper: the largest value that is physically possible.
+        linear: whether the deflection is proportional to it.
     """
 
     name: str
     unit: str
     typical: float
     spread: float = np.inf
+    lower: float = -np.inf
+    upper: float = np.inf
+    linear: bool = True
 
 
 class Estimate(NamedTuple):
@@ -65,6 +71,22 @@ DIRECT = Reporting(
 )
 """The coordinates are the parameters."""
 
+class Choice(NamedTuple):
+    """A number of an effect that a search chooses from a spectrum, such as a harmonic's order.
+
+    Attributes:
+        number: of an effect, its chosen number; None where it is free.
+        searched: of an effect, whether the number is one of many: the first orders have names of their own.
+        released: the same effect with the number as its last coordinate.
+        held: the same effect with the number fixed.
+    """
+
+    number: "Callable[[Effect], float | None]"
+    searched: "Callable[[Effect], bool]"
+    released: "Callable[[Effect], Effect]"
+    held: "Callable[[Effect, float], Effect]"
+
+
 UNINFORMED_PHASE = np.pi / np.sqrt(3)
 """The standard deviation of an angle of which nothing is known."""
 
@@ -78,6 +100,13 @@ class Effect(ABC):
     """
 
     name: ClassVar[str]
+    domain: ClassVar[str] = "kinematic"
+    """What it acts on: `kinematic` effects move the tool."""
+    specificity: ClassVar[int] = 14
+    """Rank of its name among effects that the data do not distinguish; the least is reported."""
+    nonparametric: ClassVar[bool] = False
+    """Whether it is a flexible curve rather than a named effect."""
+    choice: ClassVar[Choice | None] = None
     reporting: ClassVar[Reporting] = DIRECT
 
     @property
@@ -104,6 +133,36 @@ class Effect(ABC):
     def label(self) -> str:
         """Name and site, such as `joint_compliance:joint2`."""
         return f"{self.name}:{self.site}"
+
+    @property
+    @final
+    def linear(self) -> bool:
+        """Whether its deflection is proportional to its numbers; columns are then computed once."""
+        return isinstance(self, Bending) and all(coordinate.linear for coordinate in self.coordinates)
+
+    @property
+    @final
+    def periodic(self) -> bool:
+        """Whether a spectrum of orders finds it."""
+        return self.choice is not None
+
+    @property
+    @final
+    def chosen(self) -> float | None:
+        """The number that a search chose from many instead of fitting it, or None."""
+        return self.choice.number(self) if self.choice is not None and self.choice.searched(self) else None
+
+    @final
+    def released(self) -> "Effect":
+        """The same effect with its chosen number as its last coordinate."""
+        assert self.choice is not None
+        return self.choice.released(self)
+
+    @final
+    def held(self, number: float) -> "Effect":
+        """The same effect with its chosen number fixed."""
+        assert self.choice is not None
+        return self.choice.held(self, number)
 
     def reported(self, values: ArrayLike, covariance: ArrayLike | None = None) -> dict[str, Estimate]:
         """The parameters that people read, with standard deviations to first order.

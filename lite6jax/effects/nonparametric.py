@@ -99,6 +99,8 @@ class Unnamed(Bending):
     memory: tuple[float, ...] = ()
 
     name: ClassVar[str] = "unnamed"
+    nonparametric: ClassVar[bool] = True
+    specificity: ClassVar[int] = 17
 
     def __post_init__(self) -> None:
         if not _SITE.fullmatch(self.where):

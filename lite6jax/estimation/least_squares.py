@@ -1,205 +1,262 @@
-"""The nuisance and the physics fitted together, robustly: Gauss–Newton on exact residuals."""
+"""Nuisance and terms fitted together, robustly: the one Gauss–Newton of the engine, on exact residuals."""
 
-from dataclasses import dataclass
-from typing import NamedTuple
+from dataclasses import dataclass, replace
+from typing import NamedTuple, final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lite6jax.domains.pose.problem import Case
-from lite6jax.effects.composition import Physics
-from lite6jax.estimation.noise import WHITE, Colour
+from lite6jax.estimation.noise import NoiseModel, white_noise
+from lite6jax.estimation.options import EngineOptions
+from lite6jax.estimation.problem import Mask, Problem
+from lite6jax.estimation.projection import scaled_inverse, scaled_solve
 from lite6jax.estimation.robust import FREEDOM, gaussian_t_scale, t_scale, variance_factor
+from lite6jax.estimation.terms import Terms
 
 Array = NDArray[np.floating]
-
-_STEPS = 25
-_SETTLED = 1e-3
-"""Length of a step, in standard deviations of what it estimates, under which a refit has settled."""
-_EXACT_STEPS, _ENOUGH = 8, 0.02
-"""The same by differences, of which each step takes many: a search has been there before."""
-_HALVINGS = 6
-_STEP, _TYPICAL = 1e-6, 1e-4
-"""m and rad of a difference, and of what a number of typical size does."""
+_TYPICAL = 1e-4
+"""What a number of typical size deflects, m or rad."""
 
 
-class Weighed(NamedTuple):
-    """Residuals and what a robust loss makes of them.
+class Residuals(NamedTuple):
+    """Residuals and what Student's t makes of them.
 
     Attributes:
-        rows: `(row, sample)`, whitened by what the sensor's noise is said to be.
-        innovations: `(row, sample)`, what of them cannot be foretold from the rows before.
-        scale: of the noise, over the whitener's.
-        weight: `(sample,)`, 1 for a sample as expected, down to 0.
+        rows: `(row, sample)`, over the declared noise.
+        innovations: `(row, sample)`, what of them is not predicted by the samples before.
+        scale: `(group,)`, of the noise over the declared one.
+        weight: `(group, sample)`, near 1 for a sample as expected, down to 0.
+        groups: `(row,)`.
     """
 
     rows: Array
     innovations: Array
-    scale: float
+    scale: Array
     weight: Array
+    groups: NDArray[np.integer]
 
     @property
     def squares(self) -> Array:
-        """`(sample,)`, over the scale."""
-        return np.sum(self.rows**2, 0) / self.scale**2
+        """`(sample,)`, over the scale of each group."""
+        return np.sum((self.rows / self.scale[self.groups, None]) ** 2, 0)
+
+    @property
+    def row_weight(self) -> Array:
+        """`(row, sample)`, of each number in the normal equations."""
+        return (self.weight / self.scale[:, None] ** 2)[self.groups]
 
 
+@final
 @dataclass(frozen=True, eq=False)
-class Fitted:
-    """A case with some physics, fitted.
+class Fit:
+    """A problem with some terms, fitted.
 
     Attributes:
-        physics: which.
-        moved: `(unknown,)` the nuisance, from the case's start.
-        values: `(physics.size,)`.
-        covariance: `(physics.size, physics.size)` of the values, the nuisance's uncertainty included.
-        residual: of all rows, those left out of the fit too.
-        used: `(sample,)` bool, the rows it was fitted to.
-        parameters: how many numbers were fitted, those that only the prior determines not counted.
-        converged: whether it settled.
-        colour: of the noise.
-        surprise: squared standard deviations by which all numbers are off what is known of them beforehand.
+        terms: of the model.
+        nuisance: `(number,)`, from the problem's point of linearisation.
+        values: `(terms.size,)`.
+        covariance: `(terms.size, terms.size)` of the values, the nuisance's uncertainty included.
+        residuals: of all samples, those left out of the fit too.
+        training: `(sample,)` bool, the samples it was fitted to.
+        parameters: effective number of fitted parameters: those that only the prior determines do not count.
+        converged: whether the last step was short enough.
+        noise: the noise model.
+        penalty: squared standard deviations by which all numbers are off their prior.
     """
 
-    physics: Physics
-    moved: Array
+    terms: Terms
+    nuisance: Array
     values: Array
     covariance: Array
-    residual: Weighed
-    used: NDArray[np.bool_]
+    residuals: Residuals
+    training: Mask
     parameters: float
     converged: bool
-    colour: Colour
-    surprise: float
+    noise: NoiseModel
+    penalty: float
+
+    @property
+    def scale(self) -> Array:
+        """`(group,)`, of the noise over the declared one."""
+        return self.residuals.scale
 
     @property
     def freedom(self) -> float:
-        """Numbers it was fitted to, less those fitted."""
-        return float(len(self.residual.rows) * self.used.sum()) - self.parameters
+        """Residual degrees of freedom."""
+        return float(len(self.residuals.rows) * self.training.sum()) - self.parameters
 
-    def log_likelihood(self, scale: float) -> float:
-        """Of the rows used, Student's t, the noise given as a multiple of the whitener's, and what is known before."""
-        squares = np.sum(self.residual.innovations[:, self.used] ** 2, 0) / scale**2
-        rows = len(self.residual.rows)
-        return float(
-            -0.5 * (FREEDOM + rows) * np.sum(np.log1p(squares / FREEDOM))
-            - squares.size * rows * np.log(scale)
-            - 0.5 * self.surprise
-        )
+    def log_likelihood(self, scale: Array) -> float:
+        """Of the training samples under Student's t and of the prior, but for a constant, at noise of `scale`."""
+        r, total = self.residuals, -0.5 * self.penalty
+        for group, s in enumerate(scale):
+            squares = np.sum(r.innovations[r.groups == group][:, self.training] ** 2, 0) / s**2
+            rows = int(np.sum(r.groups == group))
+            total -= 0.5 * (FREEDOM + rows) * np.sum(np.log1p(squares / FREEDOM)) + squares.size * rows * np.log(s)
+        return float(total)
+
+    def gain_over(self, other: "Fit") -> float:
+        """Log-likelihood over another fit's, at the smaller of their noise scales."""
+        scale = np.minimum(self.scale, other.scale)
+        return self.log_likelihood(scale) - other.log_likelihood(scale)
 
 
-def refit(
-    case: Case,
-    physics: Physics,
+def fit(
+    problem: Problem,
+    terms: Terms,
+    options: EngineOptions,
     values: Array | None = None,
-    moved: Array | None = None,
-    used: NDArray[np.bool_] | None = None,
-    colour: Colour = WHITE,
+    nuisance: Array | None = None,
+    training: Mask | None = None,
+    noise: NoiseModel | None = None,
     exact: bool = False,
-) -> Fitted:
-    """Fits what is unknown of the geometry, the frames and the numbers of `physics` together.
+) -> Fit:
+    """Fits the nuisance and the numbers of `terms` under Student's t, whose scale is estimated in each group.
 
-    The loss is Student's t, its scale estimated. Derivatives are those at the case's start, residuals are exact: a step
-    leaves a thousandth of the error, or what the start is off in radians. That finds what is there; but where some
-    mixture of the nuisance does nearly what an effect does, even a hundredth that the derivatives are off makes
-    information of nothing, and `exact` ones are needed to say how sure a number is.
+    Derivatives are those at the problem's point of linearisation, residuals are exact: a step leaves a thousandth of
+    the error, or what the start is off in radians. Where a combination of nuisance numbers is nearly confounded with a
+    term, an error of a hundredth in the derivatives changes the information, and `exact` derivatives are needed for the
+    covariance.
 
     Args:
-        case: the data.
-        physics: the effects.
-        values: `(physics.size,)` where to start; neutral where not given.
-        moved: `(unknown,)` where to start; the case's start where not given.
-        used: `(sample,)` bool; all where not given.
-        colour: of the noise.
-        exact: whether derivatives are those where the fit stands, by differences: one residual a number and step.
+        problem: the data.
+        terms: of the model.
+        options: thresholds.
+        values: `(terms.size,)` to start from; zero where not given.
+        nuisance: `(number,)` to start from; zero where not given.
+        training: `(sample,)` bool; all where not given.
+        noise: the noise model; white where not given.
+        exact: whether derivatives are taken where the fit is, by differences: one residual for each number and step.
     """
-    values = np.zeros(physics.size) if values is None else np.array(values, float)
-    moved = np.zeros(len(case.unknown)) if moved is None else np.array(moved, float)
-    used = np.ones(case.samples, bool) if used is None else used
-    nuisance = colour.whitened(case.nuisance)
-    k = len(nuisance)
-    precision = np.concatenate([case.precision, physics.prior**-2.0])
-    offset = np.concatenate([case.offset, np.zeros(physics.size)])
+    return _fitted(problem, terms, options, values, nuisance, training, noise, exact, False)[1]
 
-    def weighed(rows: Array) -> Weighed:
-        innovations = colour.whitened(rows)
-        squares = np.sum(innovations**2, 0)
-        scale = t_scale(squares[used], case.rows, FREEDOM) / gaussian_t_scale(case.rows, FREEDOM)
-        return Weighed(rows, innovations, scale, (FREEDOM + case.rows) / (FREEDOM + squares / scale**2))
 
-    def cost(rows: Array, at: Array, scale: float) -> float:
-        squares = np.sum(colour.whitened(rows)[:, used] ** 2, 0) / scale**2
-        prior = np.sum(precision * (offset + at) ** 2)
-        return float((FREEDOM + case.rows) * np.sum(np.log1p(squares / FREEDOM)) + prior)
+def relinearise(
+    problem: Problem, options: EngineOptions, training: Mask | None = None, steps: int | None = None
+) -> Problem:
+    """The problem about the nuisance that fits best without further terms, linearised anew at every step.
 
-    at = np.concatenate([moved, values])
-    state = weighed(case.residual(moved, physics, values))
-    converged, H = False, np.eye(0)
-    for _ in range(_EXACT_STEPS if exact else _STEPS):
-        columns = nuisance
+    Args:
+        problem: the data.
+        options: thresholds.
+        training: `(sample,)` bool; all where not given.
+        steps: the most; `options.steps` where not given.
+    """
+    terms, values = problem.preset
+    if steps is not None:
+        options = replace(options, steps=steps)
+    return _fitted(problem, terms, options, values, None, training, None, False, True)[0]
+
+
+def _fitted(
+    problem: Problem,
+    terms: Terms,
+    options: EngineOptions,
+    values: Array | None,
+    nuisance: Array | None,
+    training: Mask | None,
+    noise: NoiseModel | None,
+    exact: bool,
+    moving: bool,
+) -> tuple[Problem, Fit]:
+    """The problem, linearised where the fit is if `moving`, and the fit."""
+    k = len(problem.precision)
+    at = np.concatenate(
+        [np.zeros(k) if nuisance is None else nuisance, np.zeros(terms.size) if values is None else values]
+    )
+    training = np.ones(problem.samples, bool) if training is None else training
+    noise = white_noise(problem.groups) if noise is None else noise
+    precision = np.concatenate([problem.precision, terms.precision])
+
+    def residual(where: Problem, numbers: Array) -> Array:
+        return where.residual(numbers[:k], terms, numbers[k:])
+
+    def prior(where: Problem, numbers: Array) -> Array:
+        return np.concatenate([where.offset, np.zeros(terms.size)]) + numbers
+
+    fixed = None if exact or moving else noise.whitened(problem.nuisance)
+
+    def columns_at(where: Problem, numbers: Array, rows: Array) -> Array:
         if exact:
-            columns = colour.whitened(_differences(case, physics, at, state.rows))
-        elif physics.size:
-            columns = np.concatenate([nuisance, colour.whitened(case.columns(physics.effects, at[k:]))])
+            return noise.whitened(_differences(where, terms, numbers, rows, options.difference))
+        base = noise.whitened(where.nuisance) if fixed is None else fixed
+        if not terms.size:
+            return base
+        return np.concatenate([base, noise.whitened(where.columns(terms.terms, numbers[k:]))])
+
+    state = weighed(residual(problem, at), noise, training)
+    converged, H = False, np.eye(0)
+    for _ in range(options.exact_steps if exact else options.steps):
+        columns = columns_at(problem, at, state.rows)
         if not len(columns):
             converged = True
             break
-        w = np.where(used, state.weight, 0.0) / state.scale**2
-        weighted = (columns * w).reshape(len(columns), -1)
-        H = weighted @ columns.reshape(len(columns), -1).T
-        gradient = weighted @ state.innovations.ravel() + precision * (offset + at)
+        weighted = columns * np.where(training, state.row_weight, 0.0)
+        flat = weighted.reshape(len(columns), -1)
+        H = flat @ columns.reshape(len(columns), -1).T
+        gradient = flat @ state.innovations.ravel() + precision * prior(problem, at)
         H[np.diag_indices_from(H)] += precision
-        change = -_solve(H, gradient)
+        change = -scaled_solve(H, gradient)
         length = float(np.sqrt(max(-change @ gradient, 0.0)))
-        before = cost(state.rows, at, state.scale)
-        rows = case.residual(at[:k] + change[:k], physics, at[k:] + change[k:])
-        for _ in range(_HALVINGS):
-            if cost(rows, at + change, state.scale) <= before + 1e-9 * abs(before):
+        before = _cost(state.innovations, state, training) + _square(precision, prior(problem, at))
+        for halving in range(options.halvings + 1):
+            trial, there = at + change, problem
+            if moving:
+                there, trial = problem.relinearised(trial[:k]), np.concatenate([np.zeros(k), trial[k:]])
+            rows = residual(there, trial)
+            cost = _cost(noise.whitened(rows), state, training) + _square(precision, prior(there, trial))
+            if cost <= before + 1e-9 * abs(before) or halving == options.halvings:
                 break
             change = change / 2
-            rows = case.residual(at[:k] + change[:k], physics, at[k:] + change[k:])
-        at, state = at + change, weighed(rows)
-        if length < (_ENOUGH if exact else _SETTLED):
+        at, problem, state = trial, there, weighed(rows, noise, training)
+        if length < (options.exact_settled if exact else options.settled):
             converged = True
             break
-    factor = variance_factor(state.squares[used], case.rows, FREEDOM, 0)
-    covariance = _inverse(H)[k:, k:] * factor if len(H) else np.zeros((0, 0))
-    surprise = float(np.sum(precision * (offset + at) ** 2))
-    told = _determined(H, precision)
-    return Fitted(physics, at[:k], at[k:], covariance, state, used, told, converged, colour, surprise)
+    factor = variance_factor(state.squares[training], problem.rows, FREEDOM, 0)
+    inverse = scaled_inverse(H) if len(H) else H
+    covariance = inverse[k:, k:] * factor if len(H) else np.zeros((0, 0))
+    effective = float(len(H) - np.sum(precision * np.diagonal(inverse))) if len(H) else 0.0
+    penalty = _square(precision, prior(problem, at))
+    found = Fit(terms, at[:k], at[k:], covariance, state, training, effective, converged, noise, penalty)
+    return problem, found
 
 
-def without(case: Case, fitted: Fitted, k: int) -> Fitted:
-    """The fit without the k-th effect, from where it stands."""
-    rest, values = fitted.physics.part(fitted.values, [i != k for i in range(len(fitted.physics.effects))])
-    return refit(case, rest, values, fitted.moved, fitted.used, fitted.colour)
+def weighed(rows: Array, noise: NoiseModel, training: Mask) -> Residuals:
+    """Residuals with the scale of each group, from the training samples, and the weights of Student's t."""
+    innovations, groups = noise.whitened(rows), noise.groups
+    scale, weight = np.empty(len(noise.models)), np.empty((len(noise.models), rows.shape[1]))
+    for group in range(len(scale)):
+        part = innovations[groups == group]
+        squares = np.sum(part**2, 0)
+        scale[group] = t_scale(squares[training], len(part), FREEDOM) / gaussian_t_scale(len(part), FREEDOM)
+        weight[group] = (FREEDOM + len(part)) / (FREEDOM + squares / scale[group] ** 2)
+    return Residuals(rows, innovations, scale, weight, groups)
 
 
-def _differences(case: Case, physics: Physics, at: Array, rows: Array) -> Array:
-    """How residuals `rows` change with all numbers where they stand, `(number, row, sample)`."""
-    k = len(at) - physics.size
-    steps = np.concatenate([np.full(k, _STEP), _STEP / _TYPICAL * physics.typical])
+def without(problem: Problem, fitted: Fit, k: int, options: EngineOptions) -> Fit:
+    """The fit without the k-th term, started from where it is."""
+    rest, values = fitted.terms.part(fitted.values, [i != k for i in range(len(fitted.terms.terms))])
+    return fit(problem, rest, options, values, fitted.nuisance, fitted.training, fitted.noise)
+
+
+def _cost(innovations: Array, at: Residuals, training: Mask) -> float:
+    """Twice the negative log-likelihood at the scales of `at`."""
+    total = 0.0
+    for group, scale in enumerate(at.scale):
+        part = innovations[at.groups == group][:, training]
+        total += (FREEDOM + len(part)) * float(np.sum(np.log1p(np.sum(part**2, 0) / scale**2 / FREEDOM)))
+    return total
+
+
+def _square(precision: Array, off: Array) -> float:
+    return float(np.sum(precision * off**2))
+
+
+def _differences(problem: Problem, terms: Terms, at: Array, rows: Array, step: float) -> Array:
+    """How residuals `rows` change with all numbers where they are, `(number, row, sample)`."""
+    k = len(at) - terms.size
     columns = np.empty((len(at), *rows.shape))
-    for i, step in enumerate(steps):
+    for i, size in enumerate(np.concatenate([np.full(k, step), step / _TYPICAL * terms.typical])):
         moved = at.copy()
-        moved[i] += step
-        columns[i] = (case.residual(moved[:k], physics, moved[k:]) - rows) / step
+        moved[i] += size
+        columns[i] = (problem.residual(moved[:k], terms, moved[k:]) - rows) / size
     return columns
-
-
-def _solve(H: Array, gradient: Array) -> Array:
-    root = np.sqrt(np.maximum(np.diagonal(H), np.finfo(float).tiny))
-    scaled = H / np.outer(root, root)
-    return np.linalg.lstsq(scaled, gradient / root, rcond=1e-13)[0] / root
-
-
-def _inverse(H: Array) -> Array:
-    root = np.sqrt(np.maximum(np.diagonal(H), np.finfo(float).tiny))
-    return np.linalg.pinv(H / np.outer(root, root), rcond=1e-13, hermitian=True) / np.outer(root, root)
-
-
-def _determined(H: Array, precision: Array) -> float:
-    """The effective number of parameters: the trace of what the data alone has of the information."""
-    if not len(H):
-        return 0.0
-    return float(len(H) - np.sum(precision * np.diagonal(_inverse(H))))

@@ -1,152 +1,204 @@
-"""Noise that remembers: how much of it does, for how long, and the filter that makes it white.
+"""Autocorrelated noise: its model for each group of rows, and the filter that whitens it.
 
-Noise of which one part is an autoregression of first order and the rest is white is an ARMA(1, 1), whose innovations
-are white (G. Box and G. Jenkins, Time Series Analysis, A4.4).
+Noise that is the sum of a first-order autoregression and white noise is an ARMA(1, 1) process, whose innovations are
+white (G. Box and G. Jenkins, Time Series Analysis, A4.4).
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
+from typing import final
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_banded
 
+from lite6jax.estimation.options import EngineOptions
+
 Array = NDArray[np.floating]
+Integers = NDArray[np.integer]
 
-_MEMORIES = (0.3, 0.5, 0.6, 0.7, 0.8, 0.85, 0.9, 0.93, 0.95, 0.97, 0.98, 0.99, 0.995, 0.999)
-_SLOW = (0.05, 0.1, 0.2, 0.3, 0.45, 0.6, 0.75, 0.9, 1.0)
-_CLEARLY = 6.0
-"""Log-likelihood that noise must gain by remembering, which has two numbers."""
-_LAGS = 32
-_SUSPICIOUS = 2.5
-"""Standard deviations of the first autocorrelations, added up, under which noise is white without a closer look."""
-_LEAST = 4
-"""Samples in a stretch, in the mean, that remembering can be seen in."""
-_MOST = 2000
-"""Samples that are looked at."""
+_COEFFICIENTS = (0.3, 0.5, 0.6, 0.7, 0.8, 0.85, 0.9, 0.93, 0.95, 0.97, 0.98, 0.99, 0.995, 0.999)
+_SHARES = (0.05, 0.1, 0.2, 0.3, 0.45, 0.6, 0.75, 0.9, 1.0)
 
 
+@final
 @dataclass(frozen=True, eq=False)
-class Colour:
-    """How noise remembers, in stretches of samples that know nothing of each other.
+class Autocorrelation:
+    """The autocorrelation of one group of rows, independent between runs.
 
     Attributes:
-        memory: correlation of the slow part with itself a sample later, from 0 to 1.
-        slow: share of the variance that is slow, from 0 to 1.
-        starts: the first sample of each stretch.
+        coefficient: of the autoregressive part, from 0 to 1.
+        share: of the variance that is autoregressive, from 0 to 1; the rest is white.
     """
 
-    memory: float
-    slow: float
-    starts: tuple[int, ...] = (0,)
+    coefficient: float
+    share: float
 
-    def whitened(self, rows: Array) -> Array:
-        """Innovations of rows `(…, sample)`, scaled so that noise of this colour keeps its variance."""
-        if not self.slow:
+    def whitened(self, rows: Array, starts: Sequence[int]) -> Array:
+        """Innovations of rows `(…, sample)`, scaled so that noise of this model keeps its variance.
+
+        Args:
+            rows: the sample last.
+            starts: the first sample of each run.
+        """
+        if not self.share or not rows.size:
             return rows
         theta, sigma = self._innovation
-        if not rows.size:
-            return rows
         change = rows.copy()
-        change[..., 1:] -= self.memory * rows[..., :-1]
+        change[..., 1:] -= self.coefficient * rows[..., :-1]
         band = np.stack([np.ones(rows.shape[-1]), np.full(rows.shape[-1], theta)])
-        starts = np.array(self.starts)
-        band[1, starts - 1] = 0.0
-        # so that what the first sample of a stretch foretells of the second is their correlation
-        change[..., starts] = rows[..., starts] * ((self.slow - 1) * self.memory / theta if theta else 1.0)
+        first = np.asarray(starts)
+        band[1, first - 1] = 0.0
+        # so that what the first sample of a run predicts of the second is their correlation
+        change[..., first] = rows[..., first] * ((self.share - 1) * self.coefficient / theta if theta else 1.0)
         flat = change.reshape(-1, rows.shape[-1]).T
         out = (solve_banded((1, 0), band, flat, check_finite=False) / sigma).T.reshape(rows.shape)
-        out[..., starts] = rows[..., starts]
+        out[..., first] = rows[..., first]
         return out
 
-    def log_volume(self, samples: int) -> float:
-        """The logarithm of the determinant of the filter on a row."""
-        return -(samples - len(self.starts)) * float(np.log(self._innovation[1])) if self.slow else 0.0
+    def log_volume(self, samples: int, runs: int) -> float:
+        """The logarithm of the determinant of the whitening filter of a row."""
+        return -(samples - runs) * float(np.log(self._innovation[1])) if self.share else 0.0
 
     @property
-    def length(self) -> float:
-        """How many samples count as one where a signal is slow: the noise's spectrum at its lower end."""
-        return 1 + 2 * self.slow * self.memory / (1 - self.memory)
+    def time(self) -> float:
+        """The autocorrelation time in samples: the noise's spectrum at frequency zero over that of white noise."""
+        return 1 + 2 * self.share * self.coefficient / (1 - self.coefficient)
 
     @cached_property
     def _innovation(self) -> tuple[float, float]:
-        """θ of x_t − memory x_{t−1} = e_t + θ e_{t−1}, and the standard deviation of e where x has 1."""
-        fast = 1 - self.slow
-        same = self.slow * (1 - self.memory**2) + fast * (1 + self.memory**2)
-        neighbour = -fast * self.memory
+        """θ of x_t − coefficient·x_{t−1} = e_t + θ e_{t−1}, and the standard deviation of e where x has 1."""
+        white = 1 - self.share
+        same = self.share * (1 - self.coefficient**2) + white * (1 + self.coefficient**2)
+        neighbour = -white * self.coefficient
         theta = 2 * neighbour / (same + np.sqrt(max(same**2 - 4 * neighbour**2, 0.0)))
         return float(theta), float(np.sqrt(same / (1 + theta**2)))
 
 
-WHITE = Colour(0.0, 0.0)
+UNCORRELATED = Autocorrelation(0.0, 0.0)
 
 
-def colour_of(rows: Array, columns: Array, prior: Array, run: NDArray[np.integer]) -> Colour:
-    """The likeliest colour of residuals; `WHITE` where another is not clearly likelier.
+@final
+@dataclass(frozen=True, eq=False)
+class NoiseModel:
+    """The autocorrelation of every group of rows.
 
-    What a fit has taken away of the noise is allowed for by the restricted likelihood (D. Harville, Journal of the
+    Attributes:
+        models: one for each group.
+        groups: `(row,)` int, the group of each row.
+        starts: the first sample of each run.
+    """
+
+    models: tuple[Autocorrelation, ...]
+    groups: Integers
+    starts: tuple[int, ...] = (0,)
+
+    @property
+    def white(self) -> bool:
+        """Whether no group is autocorrelated."""
+        return not any(model.share for model in self.models)
+
+    def whitened(self, rows: Array) -> Array:
+        """Innovations of rows `(…, row, sample)`."""
+        if self.white:
+            return rows
+        out = np.empty_like(rows)
+        for group, model in enumerate(self.models):
+            there = self.groups == group
+            out[..., there, :] = model.whitened(rows[..., there, :], self.starts)
+        return out
+
+    def log_volume(self, samples: int) -> float:
+        """The logarithm of the determinant of the whitening filter of all rows."""
+        counts = np.bincount(self.groups, minlength=len(self.models))
+        return float(sum(n * m.log_volume(samples, len(self.starts)) for n, m in zip(counts, self.models, strict=True)))
+
+
+def white_noise(groups: Integers) -> NoiseModel:
+    """The model without autocorrelation, of rows in these groups."""
+    return NoiseModel((UNCORRELATED,) * (int(groups.max(initial=0)) + 1), groups)
+
+
+def noise_model(
+    rows: Array, columns: Array, prior: Array, groups: Integers, run: Integers, options: EngineOptions
+) -> NoiseModel:
+    """The most likely noise model of residuals; a group stays white where that is not clearly less likely.
+
+    What a fit has removed of the noise is allowed for by the restricted likelihood (D. Harville, Journal of the
     American Statistical Association 72, 1977, eq. 3.2).
 
     Args:
-        rows: `(row, sample)`, of one variance.
-        columns: `(number, row, sample)`, what has been fitted.
-        prior: `(number,)` what is known of each number beforehand: one over its standard deviation.
-        run: `(sample,)`, changes where a sample knows nothing of those before it.
+        rows: residuals `(row, sample)`, of one variance in each group.
+        columns: `(number, row, sample)`, of what has been fitted.
+        prior: `(number,)`, one over the standard deviation of each number's prior.
+        groups: `(row,)`.
+        run: `(sample,)`, changes where a sample is independent of those before it.
+        options: thresholds.
     """
-    rows, columns, starts = rows[:, :_MOST], columns[..., :_MOST], stretches(run[:_MOST])
-    if not _suspicious(rows) or len(starts) * _LEAST > rows.shape[1]:
-        return WHITE
+    models = []
+    for group in range(int(groups.max(initial=0)) + 1):
+        there = groups == group
+        few = slice(None, options.most_for_noise)
+        models.append(_autocorrelation(rows[there, few], columns[:, there, few], prior, run[few], options))
+    return NoiseModel(tuple(models), groups, run_starts(run))
 
-    def likelihood(colour: Colour) -> float:
-        X = colour.whitened(columns).reshape(len(columns), rows.size)
-        y = colour.whitened(rows).ravel()
+
+def _autocorrelation(
+    rows: Array, columns: Array, prior: Array, run: Integers, options: EngineOptions
+) -> Autocorrelation:
+    starts = run_starts(run)
+    if not _suspicious(rows, options) or len(starts) * options.least_in_run > rows.shape[1]:
+        return UNCORRELATED
+
+    def likelihood(model: Autocorrelation) -> float:
+        X = model.whitened(columns, starts).reshape(len(columns), rows.size)
+        y = model.whitened(rows, starts).ravel()
         G = X @ X.T
         G[np.diag_indices_from(G)] += prior**2
         root = np.sqrt(np.maximum(np.diagonal(G), np.finfo(float).tiny))
         eigenvalues, V = np.linalg.eigh(G / np.outer(root, root))
-        told = eigenvalues > 1e-12 * eigenvalues.max(initial=0.0)
-        pull = V[:, told].T @ ((X @ y) / root)
-        left = float(y @ y - np.sum(pull**2 / eigenvalues[told]))
-        freedom = rows.size - int(told.sum())
-        volume = float(np.sum(np.log(eigenvalues[told])) + 2 * np.sum(np.log(root)))
-        return -0.5 * freedom * np.log(max(left, 1e-300)) - 0.5 * volume + len(rows) * colour.log_volume(rows.shape[1])
+        determined = eigenvalues > options.rounding * eigenvalues.max(initial=0.0)
+        pull = V[:, determined].T @ ((X @ y) / root)
+        left = float(y @ y - np.sum(pull**2 / eigenvalues[determined]))
+        freedom = rows.size - int(determined.sum())
+        volume = float(np.sum(np.log(eigenvalues[determined])) + 2 * np.sum(np.log(root)))
+        filtered = len(rows) * model.log_volume(rows.shape[1], len(starts))
+        return -0.5 * freedom * np.log(max(left, 1e-300)) - 0.5 * volume + filtered
 
-    coarse = [Colour(memory, slow, starts) for memory, slow in product(_MEMORIES[1::3], _SLOW[1::3])]
+    coarse = [Autocorrelation(*pair) for pair in product(_COEFFICIENTS[1::3], _SHARES[1::3])]
     best = max(coarse, key=likelihood)
-    around = [
-        Colour(memory, slow, starts) for memory, slow in product(_near(_MEMORIES, best.memory), _near(_SLOW, best.slow))
-    ]
-    best = max(around, key=likelihood)
-    return replace(best, starts=stretches(run)) if likelihood(best) > likelihood(WHITE) + _CLEARLY else WHITE
+    near = product(_near(_COEFFICIENTS, best.coefficient), _near(_SHARES, best.share))
+    best = max((Autocorrelation(*pair) for pair in near), key=likelihood)
+    return best if likelihood(best) > likelihood(UNCORRELATED) + options.close else UNCORRELATED
 
 
-def stretches(run: NDArray[np.integer]) -> tuple[int, ...]:
-    """The first sample of each stretch."""
+def run_starts(run: Integers) -> tuple[int, ...]:
+    """The first sample of each run."""
     return (0, *(int(start) for start in np.flatnonzero(np.diff(run)) + 1))
 
 
 def autocorrelation(rows: Array, most: int) -> Array:
-    """Of rows `(row, sample)` with what follows 0, 1, … `most` samples later, the mean over rows; 1 at none."""
+    """The autocorrelation of rows `(row, sample)` at lags 0, 1, … `most`, mean over rows; 1 at lag 0."""
     centred = rows - rows.mean(1, keepdims=True)
     power = np.abs(np.fft.rfft(centred, 2 * rows.shape[1], axis=1)) ** 2
     alike = np.fft.irfft(power.sum(0))[: most + 1]
     return alike / max(float(alike[0]), np.finfo(float).tiny)
 
 
-def correlation_length(rows: Array) -> float:
-    """Over how many samples residuals `(row, sample)` remember: the sum of their autocorrelation, 1 for white noise."""
+def autocorrelation_time(rows: Array) -> float:
+    """The autocorrelation time of rows `(row, sample)` in samples, 1 for white noise: the sum over significant lags."""
     n = rows.shape[1]
     alike = autocorrelation(rows, max(n // 4, 2) - 1)
-    forgotten = alike < 2 / np.sqrt(n)
-    last = int(np.argmax(forgotten)) if forgotten.any() else len(alike)
+    insignificant = alike < 2 / np.sqrt(n)
+    last = int(np.argmax(insignificant)) if insignificant.any() else len(alike)
     return float(1 + 2 * alike[1:last].sum())
 
 
-def _suspicious(rows: Array) -> bool:
-    added = np.cumsum(autocorrelation(rows, min(_LAGS, rows.shape[1] // 4))[1:])
-    return bool((added * np.sqrt(rows.size / np.arange(1, len(added) + 1)) > _SUSPICIOUS).any())
+def _suspicious(rows: Array, options: EngineOptions) -> bool:
+    summed = np.cumsum(autocorrelation(rows, min(options.lags, rows.shape[1] // 4))[1:])
+    return bool((summed * np.sqrt(rows.size / np.arange(1, len(summed) + 1)) > options.suspicious).any())
 
 
 def _near(grid: Sequence[float], value: float) -> Sequence[float]:

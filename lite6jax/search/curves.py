@@ -1,91 +1,168 @@
-"""What a joint does that has no name: the likeliest curve of each family over what drives the joint."""
+"""Nonparametric terms: the most likely curves of each site, and curves in place of named terms."""
 
 from collections.abc import Callable
 from typing import NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
-from lite6jax.effects.drivers import Driver
-from lite6jax.effects.nonparametric import Unnamed, plays
-from lite6jax.estimation.score_test import Evidence, Score
+from lite6jax.estimation.least_squares import Fit
+from lite6jax.estimation.options import EngineOptions
+from lite6jax.estimation.problem import CurveDriver, CurveFamily, Problem
+from lite6jax.estimation.score_test import Score, ScoreTest, gain_p_value, score_test, searched_size
+from lite6jax.estimation.terms import Term
+from lite6jax.search.backward import eliminate
+from lite6jax.search.forward import forward
+from lite6jax.search.state import Alternative, State, Tested, added, description_length, preferred, refitted
 
 Array = NDArray[np.floating]
 
-TRIED = 20.0
-"""Curves of a joint that are looked through wherever something may be, about."""
-_PIECES = {"position": (8, 24), "gravity torque": (1, 3, 8, 24), "velocity": (8, 24)}
 _PLAYS = (0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8)
-"""Half the width of a play over the largest value of its driver; of several at once:"""
-_SOFTLY = (0.05, 0.1, 0.2, 0.4, 0.7)
+"""Half-widths of a single play operator over the largest value of its driver."""
+_SEVERAL_PLAYS = (0.05, 0.1, 0.2, 0.4, 0.7)
+"""The same of several at once, as of hysteresis that sets in gradually."""
 _WIDTHS = (0.02, 0.05, 0.1, 0.2, 0.35, 0.5)
-"""rad, of what is only here and there: half a step's, and a bump's standard deviation."""
-_CENTRES = 40
-_CLOSER = 4
+"""Of local forms, in the driver's unit: half a step's width, and a bump's standard deviation."""
+_REFINED_WIDTHS = (0.3, 0.6, 1.0, 1.5)
 _BUMP = ((2, 2.0), (4, 2.5))
-"""Pieces of a bump, and the widths on either side beyond which it is nothing."""
-_LEAST_VARIED = 1e-6
+"""Intervals of the spline of a bump, and the widths on either side beyond which it is zero."""
 
 
-class Shape(NamedTuple):
-    """A curve of a joint, and what it would explain."""
+class Curve(NamedTuple):
+    """A nonparametric term and its score."""
 
-    effect: Unnamed
+    term: Term
     score: Score
 
 
-def shapes(evidence: Evidence, joint: int, local: bool) -> list[Shape]:
-    """Curves of one joint, the likeliest few of each family.
+def best_curves(test: ScoreTest, family: CurveFamily, local: bool) -> list[Curve]:
+    """The curves of one site, the most likely few of each kind.
 
     Args:
-        evidence: against a model without curves of this joint.
-        joint: counted from 1.
-        local: whether to look for steps and bumps, which are many, as well.
+        test: against a model without curves of this site.
+        family: of the site.
+        local: whether steps and bumps, which are many, are tried as well.
     """
-    case = evidence.case
-    curves: list[Unnamed] = []
-    for quantity, pieces in _PIECES.items():
-        driver = Driver(quantity, joint)
-        if (driver.loaded and case.loads is None) or not driver.known(case.motion, case.loads):
+    curves: list[Term] = []
+    for driver in family.drivers:
+        if np.ptp(driver.values) <= test.options.least_varied:
             continue
-        values = np.asarray(driver.values(case.lived, case.loads))
-        if np.ptp(values) <= _LEAST_VARIED:
-            continue
-        low, high = float(values.min()), float(values.max())
-        curves += [Unnamed(f"joint{joint}", driver.phrase, low, high, count) for count in pieces]
-        if quantity == "position" and local:
-            curves += _here_and_there(evidence, joint, values)
-        elif quantity == "gravity torque":
-            curves += _with_memory(evidence, joint, driver, values)
-    return list(map(Shape, curves, evidence.score(curves)))
+        low, high = float(driver.values.min()), float(driver.values.max())
+        curves += [driver.spline(low, high, count) for count in driver.pieces]
+        if driver.local and local:
+            curves += _local(test, family, driver)
+        if driver.play is not None:
+            curves += _hysteretic(test, family, driver)
+    return list(map(Curve, curves, test.score(curves)))
 
 
-def _here_and_there(evidence: Evidence, joint: int, q: Array) -> list[Unnamed]:
-    """The likeliest step and the likeliest bump, each of the width that fits."""
+def replace_by_curves(problem: Problem, state: State, options: EngineOptions) -> State:
+    """Puts curves in place of the named terms of a site, where they explain clearly more than these together."""
+    for _ in range(options.curve_rounds):
+        better = _with_curve(problem, state, options)
+        if better is None:
+            break
+        state = forward(problem, better, options)
+    return eliminate(problem, state, options)
+
+
+def merge_harmonics(problem: Problem, state: State, options: EngineOptions) -> State:
+    """Puts one curve in place of many harmonics at one site: no gear has so many orders that are not whole."""
+    for family in problem.periodic:
+        waves = [t.term for t in state.tested if t.term.periodic and t.term.site == family.site]
+        fractional = sum(wave.chosen is not None and not wave.chosen.is_integer() for wave in waves)
+        if len(waves) < options.merged or fractional < options.merged - 1:
+            continue
+        orders = tuple(sorted({order for wave in waves if (order := family.order(wave)) is not None}))
+        beside = refitted(problem, state, [t for t in state.tested if t.term not in waves], options)
+        merged = _replaced(problem, beside, family.curve(orders, state.baseline.training, None, options.fade), options)
+        if merged.tested[-1].p_value < options.level:
+            state = merged
+    return state
+
+
+def _with_curve(problem: Problem, state: State, options: EngineOptions) -> State | None:
+    """The most likely curve of a site in place of all named terms there, or None where names explain as much."""
+    test, searched = score_test(problem, state.fit, options), searched_size(problem, options)
+    best: State | None = None
+    for family in problem.curves:
+        kept = [tested for tested in state.tested if tested.term.site != family.site]
+        if len(kept) == len(state.tested):
+            curves = best_curves(test, family, local=False)
+            worth = [curve.term for curve in curves if curve.score.familywise(searched) < options.level]
+            further = [_replaced(problem, state, term, options) for term in worth]
+        else:
+            beside = refitted(problem, state, kept, options)
+            further = [state]
+            # each in the noise of the last: a large effect masks the differences between curves
+            for _ in range(options.curve_rounds):
+                term = _more_likely(problem, beside.fit, further[-1], family, options)
+                if term is None:
+                    break
+                further.append(_replaced(problem, beside, term, options))
+            further = further[1:]
+        for one in further:
+            significant = one.tested[-1].p_value < options.level
+            if significant and preferred(one, best or state, 0.0 if best else options.close, options):
+                best = one
+    return best
+
+
+def _more_likely(
+    problem: Problem, beside: Fit, state: State, family: CurveFamily, options: EngineOptions
+) -> Term | None:
+    """The curve of a site that may be more likely than the terms fitted there, to first order."""
+    test = score_test(problem, beside, options, within=state.fit)
+    there = [tested.term.site == family.site for tested in state.tested]
+    terms, values = state.fit.terms.part(state.fit.values, there)
+    now = test.score_columns([problem.columns(terms.terms, values)])[0].gain
+    now -= description_length(terms.terms, test.freedom, options)
+
+    def likely(curve: Curve) -> float:
+        return curve.score.gain - description_length([curve.term], test.freedom, options)
+
+    best = max(best_curves(test, family, local=True), key=likely)
+    return best.term if likely(best) > now else None
+
+
+def _replaced(problem: Problem, beside: State, curve: Term, options: EngineOptions) -> State:
+    """The state with a curve added, tested by its gain; the named terms nearest to it are its alternatives."""
+    test = score_test(problem, beside.fit, options)
+    score = test.score([curve])[0]
+    fit = added(problem, beside.fit, curve, score.values, options)
+    gain = fit.gain_over(beside.fit)
+    time = score_test(problem, fit, options).time
+    p_value = min(gain_p_value(gain, curve.size, time) * searched_size(problem, options), 1.0)
+    named = zip(problem.candidates, test.score(problem.candidates), strict=True)
+    near = sorted((pair for pair in named if not pair[1].confounded), key=lambda pair: -pair[1].gain)
+    alternatives = tuple(Alternative(term, float(gain - s.gain)) for term, s in near[: options.nearest])
+    tested = Tested(curve, p_value, score._replace(gain=gain), alternatives)
+    return State(beside.baseline, fit, (*beside.tested, tested))
+
+
+def _local(test: ScoreTest, family: CurveFamily, driver: CurveDriver) -> list[Term]:
+    """The most likely step and the most likely bump, each of its best width."""
     found = []
-    for drawn, forms in ((_step, ((1, 1.0),)), (_bump, _BUMP)):
-        at, width = _placed(evidence, evidence.case.sites["joint", joint - 1, 0], q, drawn)
-        for pieces, reach in forms:
-            low, high = at - reach * width, at + reach * width
-            found.append(Unnamed(f"joint{joint}", Driver("position", joint).phrase, low, high, pieces))
+    for form, shapes in ((_step, ((1, 1.0),)), (_bump, _BUMP)):
+        at, width = _placed(test, family.column, driver.values, form)
+        found += [driver.spline(at - reach * width, at + reach * width, pieces) for pieces, reach in shapes]
     return found
 
 
-def _placed(evidence: Evidence, site: Array, q: Array, drawn: Callable[[Array], Array]) -> tuple[float, float]:
-    """Where, and how wide, rad, a form explains most; looked for ever closer to where it is."""
-    used = q[evidence.fitted.used]
+def _placed(test: ScoreTest, column: Array, values: Array, form: Callable[[Array], Array]) -> tuple[float, float]:
+    """Where a form explains most, and its width, in the driver's unit; the grid is refined around the best."""
+    options, used = test.options, values[test.fit.training]
     lower, upper = np.percentile(used, (2, 98))
-    centres, widths = np.percentile(used, np.linspace(2, 98, _CENTRES)), np.array(_WIDTHS)
+    centres, widths = np.percentile(used, np.linspace(2, 98, options.centres)), np.array(_WIDTHS)
     apart, found = float(np.diff(centres).max()), (float(lower), float(widths[0]))
-    for _ in range(_CLOSER):
+    for _ in range(options.closer):
         at, width = (grid.ravel() for grid in np.meshgrid(centres, widths))
-        form = drawn((q - at[:, None]) / width[:, None])
-        lifted = np.stack([form, np.ones_like(form)], 1)  # a step begins anywhere
-        best = int(np.argmax(evidence.gains(site * lifted[:, :, None])))
+        drawn = form((values - at[:, None]) / width[:, None])
+        lifted = np.stack([drawn, np.ones_like(drawn)], 1)  # a step may start from any level
+        best = int(np.argmax(test.gains(column * lifted[:, :, None])))
         found = (float(at[best]), float(width[best]))
         centres = np.clip(found[0] + apart * np.linspace(-1, 1, 7), lower, upper)
-        widths, apart = found[1] * np.array([0.3, 0.6, 1.0, 1.5]), apart / 3
+        widths, apart = found[1] * np.array(_REFINED_WIDTHS), apart / 3
     return found
 
 
@@ -98,14 +175,14 @@ def _bump(u: Array) -> Array:
     return np.exp(-0.5 * u**2)
 
 
-def _with_memory(evidence: Evidence, joint: int, driver: Driver, values: Array) -> list[Unnamed]:
-    """Along with the driver and behind it: with the one play that fits, and with several, as what gives way softly."""
-    case = evidence.case
-    site = case.sites["joint", joint - 1, 0]
-    most, low, high = float(np.abs(values).max()), float(values.min()), float(values.max())
+def _hysteretic(test: ScoreTest, family: CurveFamily, driver: CurveDriver) -> list[Term]:
+    """Proportional to the driver and to what follows it with play: of the best width, and of several widths."""
+    assert driver.play is not None
+    assert driver.hysteresis is not None
+    most = float(np.abs(driver.values).max())
     widths = most * np.array(_PLAYS)
-    behind = np.asarray(plays(jnp.asarray(values), jnp.asarray(widths), case.lived.run))
-    pairs = np.stack([np.broadcast_to(values, behind.shape), behind], 1)
-    best = float(widths[int(np.argmax(evidence.gains(site * pairs[:, :, None])))])
-    memories = ((0.0, best), (0.0, *(most * share for share in _SOFTLY)))
-    return [Unnamed(f"joint{joint}", driver.phrase, low, high, memory=memory) for memory in memories]
+    behind = driver.play(widths)
+    pairs = np.stack([np.broadcast_to(driver.values, behind.shape), behind], 1)
+    best = float(widths[int(np.argmax(test.gains(family.column * pairs[:, :, None])))])
+    several = tuple(most * share for share in _SEVERAL_PLAYS)
+    return [driver.hysteresis((0.0, best)), driver.hysteresis((0.0, *several))]

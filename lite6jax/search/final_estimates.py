@@ -1,79 +1,84 @@
-"""How sure the numbers of a selection are: what the search took for certain is let go once more."""
+"""Final estimates: values and covariance with all that the search held fixed set free once more."""
 
 from dataclasses import replace
 
 import numpy as np
 
-from lite6jax.domains.pose.load_model import gain_of, with_other_loads
-from lite6jax.domains.pose.problem import Case
-from lite6jax.effects.composition import Physics
-from lite6jax.effects.effect import Effect
-from lite6jax.effects.kinematic.joints import JointHarmonic
-from lite6jax.estimation.least_squares import Fitted, refit
-from lite6jax.search.forward import Selection
-
-_UNSURE = 2.0
-"""Standard deviations."""
+from lite6jax.estimation.least_squares import Fit, fit
+from lite6jax.estimation.options import EngineOptions
+from lite6jax.estimation.problem import Problem
+from lite6jax.estimation.terms import Terms, join
+from lite6jax.search.state import State
 
 
-def stated(selection: Selection) -> Selection:
-    """The selection with its numbers, and their covariance, as they are to be said.
+def final_estimates(problem: Problem, state: State, options: EngineOptions) -> State:
+    """The state with its numbers and their covariance as they are reported.
 
-    Derivatives are those where the fit ended; of harmonics, orders above 2 were read off a spectrum, and are fitted
-    along, unless that leaves a whole number within what is unsure of it. Which loads the data ask for is not certain
-    either: covariances hold the square by which the other loads' values differ, times how probable those are (J.
-    Hoeting et al., Bayesian Model Averaging, Statistical Science 14, 1999, eq. 3).
+    Derivatives are taken where the fit ended. Orders that were chosen from a spectrum are fitted as well, unless that
+    leaves a whole number within the order's standard deviation. Which of two models of the inputs holds is uncertain
+    too: covariances include the squared difference between the values under both, times the probability of the other
+    (J. Hoeting et al., Bayesian Model Averaging, Statistical Science 14, 1999, eq. 3).
     """
-    case, fitted = selection.case, selection.fitted
-    other = with_other_loads(selection)
-    if other is not None:
-        difference = other.values - fitted.values
-        probable = 1 / (1 + np.exp(np.clip(gain_of(fitted, other), -700, 700)))
-        unsure = probable * np.outer(difference, difference)
-    else:
-        unsure = np.zeros_like(fitted.covariance)
-    free = [isinstance(e, JointHarmonic) and e.order not in (None, 1.0, 2.0) for e in fitted.physics.effects]
-    if any(free) or case.unknown:
-        opened = _opened(case, fitted, free)
-        still = [is_free and not _is_whole(opened, k, fitted) for k, is_free in enumerate(free)]
+    fitted, between = state.fit, _between_models(problem, state.fit, options)
+    free = [term.chosen is not None for term in fitted.terms.terms]
+    uncertain = bool(len(problem.precision))
+    if any(free) or uncertain:
+        released = _released(problem, fitted, free, options)
+        still = [f and not _is_whole(released, k, fitted, options) for k, f in enumerate(free)]
         if still == free:
-            fitted = _held(opened, free)
-        elif any(still) or case.unknown:
-            fitted = _held(_opened(case, fitted, still), still)
-    fitted = replace(fitted, covariance=fitted.covariance + unsure)
-    steps = zip(selection.steps, fitted.physics.effects, strict=True)
-    return replace(selection, fitted=fitted, steps=tuple(replace(step, effect=effect) for step, effect in steps))
+            fitted = _held(released, fitted, free)
+        elif any(still) or uncertain:
+            fitted = _held(_released(problem, fitted, still, options), fitted, still)
+    fitted = replace(fitted, covariance=fitted.covariance + between)
+    tested = tuple(replace(test, term=term) for test, term in zip(state.tested, fitted.terms.terms, strict=True))
+    return State(state.baseline, fitted, tested)
 
 
-def _opened(case: Case, fitted: Fitted, free: list[bool]) -> Fitted:
-    """The fit with exact derivatives and with the orders of some harmonics free."""
-    effects, values = [], []
-    for effect, part, is_free in zip(fitted.physics.effects, fitted.physics.slices, free, strict=True):
-        order = [effect.order] if is_free and isinstance(effect, JointHarmonic) else []
-        effects.append(JointHarmonic(effect.joint) if is_free and isinstance(effect, JointHarmonic) else effect)
-        values.append([*fitted.values[part], *order])
-    physics = Physics(tuple(effects))
-    return refit(
-        case, physics, physics.join(values), fitted.moved, fitted.used, fitted.colour, exact=bool(case.unknown)
-    )
+def _between_models(problem: Problem, fitted: Fit, options: EngineOptions) -> np.ndarray:
+    other = with_alternative(problem, fitted, options)
+    if other is None:
+        return np.zeros_like(fitted.covariance)
+    difference = other.values - fitted.values
+    probability = 1 / (1 + np.exp(np.clip(fitted.gain_over(other), -700, 700)))
+    return probability * np.outer(difference, difference)
 
 
-def _is_whole(opened: Fitted, k: int, fitted: Fitted) -> bool:
-    """Whether an order was a whole number, and is so still for all that is sure."""
-    effect, last = fitted.physics.effects[k], opened.physics.slices[k].stop - 1
-    if not isinstance(effect, JointHarmonic) or effect.order is None or effect.order % 1:
+def with_alternative(problem: Problem, fitted: Fit, options: EngineOptions) -> Fit | None:
+    """The same terms fitted under the other model of the inputs; None where they do not depend on it."""
+    other = problem.alternative(fitted.terms)
+    if other is None:
+        return None
+    return fit(other, fitted.terms, options, fitted.values, fitted.nuisance, fitted.training, fitted.noise)
+
+
+def _released(problem: Problem, fitted: Fit, free: list[bool], options: EngineOptions) -> Fit:
+    """The fit with exact derivatives, and with the chosen numbers of some terms free."""
+    terms, values = [], []
+    for term, part, is_free in zip(fitted.terms.terms, fitted.terms.slices, free, strict=True):
+        terms.append(term.released() if is_free else term)
+        values.append([*fitted.values[part], *([term.chosen] if is_free else [])])
+    exact = bool(len(problem.precision))
+    start = join(values)
+    return fit(problem, Terms(tuple(terms)), options, start, fitted.nuisance, fitted.training, fitted.noise, exact)
+
+
+def _is_whole(released: Fit, k: int, fitted: Fit, options: EngineOptions) -> bool:
+    """Whether a chosen number was whole, and still is within its standard deviation."""
+    chosen, last = fitted.terms.terms[k].chosen, released.terms.slices[k].stop - 1
+    if chosen is None or chosen % 1:
         return False
-    return bool((opened.values[last] - effect.order) ** 2 < _UNSURE**2 * opened.covariance[last, last])
+    return bool((released.values[last] - chosen) ** 2 < options.whole_within**2 * released.covariance[last, last])
 
 
-def _held(opened: Fitted, free: list[bool]) -> Fitted:
-    """The fit with the orders that were free where they are now."""
-    held: list[Effect] = []
-    kept = np.ones(opened.physics.size, bool)
-    for effect, part, is_free in zip(opened.physics.effects, opened.physics.slices, free, strict=True):
+def _held(released: Fit, fitted: Fit, free: list[bool]) -> Fit:
+    """The fit with the numbers that were free held where they are now."""
+    terms, kept = [], np.ones(released.terms.size, bool)
+    for before, term, part, is_free in zip(
+        fitted.terms.terms, released.terms.terms, released.terms.slices, free, strict=True
+    ):
         last = part.stop - 1
-        if is_free and isinstance(effect, JointHarmonic):
-            effect, kept[last] = JointHarmonic(effect.joint, float(opened.values[last])), False
-        held.append(effect)
-    covariance = opened.covariance[np.ix_(kept, kept)]
-    return replace(opened, physics=Physics(tuple(held)), values=opened.values[kept], covariance=covariance)
+        if is_free:
+            term, kept[last] = before.held(float(released.values[last])), False
+        terms.append(term)
+    covariance = released.covariance[np.ix_(kept, kept)]
+    return replace(released, terms=Terms(tuple(terms)), values=released.values[kept], covariance=covariance)

@@ -1,8 +1,8 @@
-"""Joints that err at many orders at once: all orders under one prior, thinned out to the few that the curves need.
+"""Harmonic shrinkage: all orders of all periodic families at once, under one prior, reduced to a curve for each site.
 
-To add orders one by one finds the largest first and fits the others wrongly meanwhile; all at once, their size being
-what the data say it is (D. MacKay, Bayesian Interpolation, Neural Computation 4, 1992, eq. 4.9), none is fitted far
-from where it was measured. What matters least is then taken away, step by step.
+Adding orders one by one finds the largest first and fits the others wrongly meanwhile. All at once, with the prior's
+variance estimated from the data (D. MacKay, Bayesian Interpolation, Neural Computation 4, 1992, eq. 4.9), no order is
+fitted far from where it was measured. The orders that matter least are then removed, step by step.
 """
 
 from collections.abc import Sequence
@@ -10,116 +10,99 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import KDTree
 from scipy.special import chdtri
 
-from lite6jax.domains.pose.problem import Case
-from lite6jax.effects.composition import Physics
-from lite6jax.effects.effect import Effect
-from lite6jax.effects.kinematic.joints import JointHarmonic
-from lite6jax.effects.nonparametric import Unnamed
-from lite6jax.estimation.least_squares import Fitted, refit, without
-from lite6jax.estimation.score_test import Score, chance, evidence_of
+from lite6jax.estimation.least_squares import Fit, fit, without
+from lite6jax.estimation.options import EngineOptions
+from lite6jax.estimation.problem import PeriodicFamily, Problem
 from lite6jax.estimation.robust import FREEDOM
-from lite6jax.search.backward import Step
+from lite6jax.estimation.score_test import Score, gain_p_value, score_test, searched_size
+from lite6jax.estimation.terms import Term, Terms
+from lite6jax.search.state import State, Tested
 
 Array = NDArray[np.floating]
+Integers = NDArray[np.integer]
 
 ORDERS = np.arange(1.0, 60.25, 0.5)
-LINES_PER_JOINT = 11
-"""What is kept at most: a curve of more numbers would be a table of corrections."""
-_NAMED_MOST = 12
-"""Numbers of named effects beside the curves."""
-_FEW = 3
-"""Orders of one joint that stay harmonics, each with its name."""
-_DROPPED = 0.1
-_PLAUSIBLE = 300.0
-"""Times the typical size of a number, beyond which it fits something else."""
-_ROUNDS = 3
-_WEIGHINGS = 3
-_SETTLINGS = 5
-_FADES_WITHIN = 0.2
-_NEIGHBOURS = 8
+"""Half orders, as joints turn about twice a turn's angle; to 60, beyond which shrinkage leaves nothing."""
+_WEIGHINGS, _UPDATES = 3, 5
+"""Rounds of robust weights, and of the prior's variance within each: both settle to a per cent."""
+_MUCH = 0.3
+"""Share of the best named term's gain from which another is added in the same round."""
 
 
 class _Lines(NamedTuple):
-    """The lines that are kept: joints from 0, orders, and the prior's standard deviation of a joint's coefficients."""
+    """The lines that are kept: families, orders, and the prior's standard deviation of a family's coefficients."""
 
-    joint: NDArray[np.integer]
+    family: Integers
     order: Array
     spread: Array
 
 
-def sweep(
-    case: Case, baseline: Fitted, found: Sequence[Step], candidates: Sequence[Effect], tried: float, level: float
-) -> tuple[Fitted, list[Step]]:
-    """The named effects and the curves of joints that explain a case together.
+def shrink(problem: Problem, state: State, options: EngineOptions) -> State | None:
+    """The named terms of a state with curves instead of its periodic terms, where that explains more than these.
 
     Args:
-        case: the data.
-        baseline: the nuisance alone.
-        found: what a search has found that adds one effect after another; its harmonics are found anew.
-        candidates: named effects.
-        tried: how many independent candidates there are.
-        level: of the family-wise error.
+        problem: the data.
+        state: what forward selection found; its periodic terms are estimated anew.
+        options: thresholds.
+
+    Returns:
+        None where the terms of the state are more likely.
     """
-    named = [item for item in found if not isinstance(item.effect, JointHarmonic)]
-    plain = [
-        effect for effect in candidates if effect.drivers and not any(d.quantity == "position" for d in effect.drivers)
-    ]
-    state, curves = _with_curves(case, baseline, baseline, named)
-    for _ in range(_ROUNDS - 1):
-        room = _NAMED_MOST - sum(item.effect.size for item in named)
-        added = _named(case, state, plain, tried, level, room)
-        if not added:
+    named = [tested for tested in state.tested if not tested.term.periodic]
+    plain = [term for term in problem.candidates if problem.shrinkable(term)]
+    current, curves = _with_curves(problem, state.baseline, state.baseline, named, options)
+    for _ in range(options.shrinkage_rounds - 1):
+        room = options.named_numbers - sum(tested.term.size for tested in named)
+        more = _named(problem, current, plain, options, room)
+        if not more:
             break
-        named += added
-        state, curves = _with_curves(case, baseline, state, named)
-    return state, [*named, *(_judged(case, state, curve, tried) for curve in curves)]
+        named += more
+        current, curves = _with_curves(problem, state.baseline, current, named, options)
+    n = state.baseline.freedom
+    if current.gain_over(state.fit) < 0.5 * (current.terms.size - state.fit.terms.size) * np.log(n):
+        return None
+    return State(state.baseline, current, (*named, *(_tested(problem, current, curve, options) for curve in curves)))
 
 
-def _with_curves(case: Case, baseline: Fitted, state: Fitted, named: Sequence[Step]) -> tuple[Fitted, list[Effect]]:
-    """Named effects and the curves that joints need beside them, fitted; `state` is what is known so far."""
-    effects = tuple(item.effect for item in named)
-    curves = _curves(case, _lines(case, state, Physics(effects)), state.used)
-    return refit(case, Physics((*effects, *curves)), moved=baseline.moved, used=baseline.used), curves
+def _with_curves(
+    problem: Problem, baseline: Fit, current: Fit, named: Sequence[Tested], options: EngineOptions
+) -> tuple[Fit, list[Term]]:
+    """Named terms and the curves beside them, fitted; `current` is what is known so far."""
+    terms = tuple(tested.term for tested in named)
+    curves = _curves(problem, _lines(problem, current, Terms(terms), options), current.training, options)
+    model = Terms((*terms, *curves))
+    return fit(problem, model, options, None, baseline.nuisance, baseline.training), curves
 
 
-def _lines(case: Case, state: Fitted, named: Physics) -> _Lines:
-    """The orders of each joint that matter most, beside the nuisance and named effects."""
-    used = np.flatnonzero(state.used)
-    fixed = np.concatenate([case.nuisance, case.columns(named.effects)])[..., used]
-    q = np.asarray(case.motion.joint_position)[:, used]
-    turned = ORDERS[:, None] * q[:, None]
-    waves = np.stack([np.sin(turned), np.cos(turned)], 2)
-    sites = np.stack([case.sites["joint", j, 0] for j in range(len(q))])[..., used]
-    lines = (sites[:, None, None] * waves[..., None, :]).reshape(-1, *fixed.shape[1:])
-    columns = np.concatenate([fixed, lines]).reshape(len(fixed) + len(lines), -1)
+def _lines(problem: Problem, current: Fit, named: Terms, options: EngineOptions) -> _Lines:
+    """The orders of each family that matter most, beside the nuisance and named terms."""
+    training, families = np.flatnonzero(current.training), problem.periodic
+    fixed = np.concatenate([problem.nuisance, problem.columns(named.terms)])[..., training]
+    waves = [family.columns(ORDERS)[..., training].reshape(-1, *fixed.shape[1:]) for family in families]
+    columns = np.concatenate([fixed, *waves]).reshape(len(fixed) + 2 * len(ORDERS) * len(families), -1)
     norms = np.maximum(np.linalg.norm(columns, axis=1), 1e-300)
     columns /= norms[:, None]
-    # residuals of the state, with all that it has put back
-    target = (state.residual.rows - _shown(case, state))[:, used].ravel()
+    # residuals of the current fit, with all that it explains added back, to first order
+    model = np.concatenate([problem.nuisance, problem.columns(current.terms.terms, current.values)])
+    explained = np.tensordot(np.concatenate([current.nuisance, current.values]), model, 1)
+    target = (current.residuals.rows - explained)[:, training].ravel()
     free, shrink = len(fixed), 0.01
-    weight = np.ones(len(used))
-    total = squares = np.sum(target.reshape(-1, len(used)) ** 2, 0)
+    weight = np.ones(len(training))
+    total = squares = np.sum(target.reshape(-1, len(training)) ** 2, 0)
     for _ in range(_WEIGHINGS):
         H, g = _normal(columns, target, weight)
-        solved, shrink = _settled(H, g, free, shrink, float(weight @ total), target.size)
-        squares = np.sum((target - solved @ columns).reshape(-1, len(used)) ** 2, 0)
-        scale = np.median(squares) / chdtri(case.rows, 0.5)
-        weight = (FREEDOM + case.rows) / (FREEDOM + squares / scale)
+        solved, shrink = _ridge(H, g, free, shrink, float(weight @ total), target.size)
+        squares = np.sum((target - solved @ columns).reshape(-1, len(training)) ** 2, 0)
+        scale = np.median(squares) / chdtri(problem.rows, 0.5)
+        weight = (FREEDOM + problem.rows) / (FREEDOM + squares / scale)
     H, g = _normal(columns, target, weight)
     noise = float(weight @ squares / max(target.size - len(H), 1))
-    active = _thinned_out(H, g, free, shrink, LINES_PER_JOINT * len(q))
-    joint, order = np.divmod(active, len(ORDERS))
-    size = np.sqrt(noise / shrink) / norms[free:].reshape(len(q), -1)
-    return _Lines(joint, ORDERS[order], np.median(size, axis=1))
-
-
-def _shown(case: Case, state: Fitted) -> Array:
-    """What the effects and the nuisance of a state do to its residuals, to first order."""
-    columns = np.concatenate([case.nuisance, case.columns(state.physics.effects, state.values)])
-    return np.tensordot(np.concatenate([state.moved, state.values]), columns, 1)
+    active = _reduced(H, g, free, shrink, options.lines_per_site * len(families), options.dropped)
+    family, order = np.divmod(active, len(ORDERS))
+    size = np.sqrt(noise / shrink) / norms[free:].reshape(len(families), -1)
+    return _Lines(family, ORDERS[order], np.median(size, axis=1))
 
 
 def _normal(columns: Array, target: Array, weight: Array) -> tuple[Array, Array]:
@@ -128,92 +111,80 @@ def _normal(columns: Array, target: Array, weight: Array) -> tuple[Array, Array]
     return weighted @ weighted.T, weighted @ (weights * target)
 
 
-def _settled(H: Array, g: Array, free: int, shrink: float, total: float, count: int) -> tuple[Array, float]:
-    """The coefficients, and the prior's precision over the noise's that their own size asks for."""
+def _ridge(H: Array, g: Array, free: int, shrink: float, total: float, count: int) -> tuple[Array, float]:
+    """The coefficients, and the prior's precision over the noise's, by MacKay's fixed point."""
     x = np.zeros(len(H))
-    for _ in range(_SETTLINGS):
-        inverse = np.linalg.inv(_regular(H, free, shrink))
+    for _ in range(_UPDATES):
+        inverse = np.linalg.inv(_penalised(H, free, shrink))
         x = inverse @ g
         left = total - 2 * x @ g + x @ H @ x
-        told = len(H) - shrink * np.trace(inverse[free:, free:])
-        asked = (told - free) * left / max(count - told, 1.0) / max(float(np.sum(x[free:] ** 2)), 1e-300)
-        shrink = float(np.clip(asked, 1e-8, 1e8))
+        effective = len(H) - shrink * np.trace(inverse[free:, free:])
+        wanted = (effective - free) * left / max(count - effective, 1.0) / max(float(np.sum(x[free:] ** 2)), 1e-300)
+        shrink = float(np.clip(wanted, 1e-8, 1e8))
     return x, shrink
 
 
-def _regular(H: Array, free: int, shrink: float) -> Array:
+def _penalised(H: Array, free: int, shrink: float) -> Array:
     return H + np.diag(np.where(np.arange(len(H)) < free, 1e-9, shrink))
 
 
-def _thinned_out(H: Array, g: Array, free: int, shrink: float, most: int) -> NDArray[np.integer]:
-    """The lines left when those that matter least have been taken away, a few at a time."""
+def _reduced(H: Array, g: Array, free: int, shrink: float, most: int, share: float) -> Integers:
+    """The lines left when those that matter least have been removed, a `share` at a time."""
     active = np.arange((len(H) - free) // 2)
     while len(active) > most:
         at = np.concatenate([np.arange(free), (free + 2 * active[:, None] + np.arange(2)).ravel()])
-        inverse = np.linalg.inv(_regular(H[np.ix_(at, at)], free, shrink))
+        inverse = np.linalg.inv(_penalised(H[np.ix_(at, at)], free, shrink))
         pairs = (inverse @ g[at])[free:].reshape(-1, 2)
         k = np.arange(len(active))
         blocks = inverse[free:, free:].reshape(len(active), 2, len(active), 2)[k, :, k]
         matters = np.einsum("pi,pij,pj->p", pairs, np.linalg.inv(blocks), pairs)
-        dropped = max(1, min(len(active) - most, int(_DROPPED * len(active))))
+        dropped = max(1, min(len(active) - most, int(share * len(active))))
         active = np.sort(active[np.argsort(matters)[dropped:]])
     return active
 
 
-def _curves(case: Case, lines: _Lines, used: NDArray[np.bool_]) -> list[Effect]:
-    """One effect for each joint that has lines: a curve, or harmonics where they are few."""
-    curves: list[Effect] = []
-    for joint in np.unique(lines.joint):
-        orders = tuple(float(order) for order in lines.order[lines.joint == joint])
-        if len(orders) <= _FEW:
-            curves += [JointHarmonic(int(joint) + 1, order) for order in orders]
-            continue
-        curves.append(waves_of(case, int(joint) + 1, orders, used, float(lines.spread[joint])))
+def _curves(problem: Problem, lines: _Lines, training: NDArray[np.bool_], options: EngineOptions) -> list[Term]:
+    """One term for each family that has lines: a curve, or harmonics where they are few."""
+    curves: list[Term] = []
+    for at in np.unique(lines.family):
+        family: PeriodicFamily = problem.periodic[int(at)]
+        orders = tuple(float(order) for order in lines.order[lines.family == at])
+        if len(orders) <= options.few_lines:
+            curves += [family.term(order) for order in orders]
+        else:
+            curves.append(family.curve(orders, training, float(lines.spread[at]), options.fade))
     return curves
 
 
-def waves_of(
-    case: Case, joint: int, orders: Sequence[float], used: NDArray[np.bool_], spread: float | None = None
-) -> Unnamed:
-    """The curve of some orders of a joint, counted from 1, that fades where none of the rows used was."""
-    q = np.asarray(case.motion.joint_position[joint - 1])[used]
-    lower, upper = float(q.min()) - 3 * _FADES_WITHIN, float(q.max()) + 3 * _FADES_WITHIN
-    at = np.linspace(lower, upper, int(np.ceil((upper - lower) / (_FADES_WITHIN / 4))))
-    nth = min(max(_NEIGHBOURS, len(q) // 150), len(q))
-    away = np.asarray(KDTree(q[:, None]).query(at[:, None], k=nth)[0])[:, -1]
-    trust = tuple(float(t) for t in np.exp(-((away / _FADES_WITHIN) ** 2)).round(4))
-    driver = f"position of joint {joint}"
-    return Unnamed(f"joint{joint}", driver, lower, upper, orders=tuple(orders), trust=trust, spread=spread)
-
-
 def _named(
-    case: Case, state: Fitted, candidates: Sequence[Effect], tried: float, level: float, room: int
-) -> list[Step]:
-    """Named effects that what is left still asks for, each judged after those before it."""
-    evidence = evidence_of(case, state)
-    pairs = [pair for pair in zip(candidates, evidence.score(candidates), strict=True) if not pair[1].hidden]
-    added: list[Step] = []
-    for effect, _ in sorted(pairs, key=lambda pair: -pair[1].gain)[:_NAMED_MOST]:
-        columns = case.columns([effect])
-        score = evidence.score_columns([columns])[0]
-        p = score.familywise(tried)
-        known = any(effect == have for have in state.physics.effects)
-        wild = (np.abs(score.values) > _PLAUSIBLE * Physics((effect,)).typical).any()
-        if known or wild or score.hidden or p >= level or score.gain < effect.size * np.log(evidence.freedom):
+    problem: Problem, current: Fit, candidates: Sequence[Term], options: EngineOptions, room: int
+) -> list[Tested]:
+    """Named terms that are significant beside the model, each tested after those before it."""
+    test, searched = score_test(problem, current, options), searched_size(problem, options)
+    pairs = [pair for pair in zip(candidates, test.score(candidates), strict=True) if not pair[1].confounded]
+    found: list[Tested] = []
+    for term, _ in sorted(pairs, key=lambda pair: -pair[1].gain)[: options.named_numbers]:
+        columns = problem.columns([term])
+        score = test.score_columns([columns])[0]
+        p_value = score.familywise(searched)
+        implausible = (np.abs(score.values) > options.plausible * Terms((term,)).typical).any()
+        if term in current.terms.terms or implausible or score.confounded or p_value >= options.level:
             continue
-        if effect.size > room or (added and score.gain < 0.3 * added[0].score.gain):
+        if score.gain < term.size * np.log(test.freedom) or term.size > room:
             continue
-        added.append(Step(effect, p, score))
-        room -= effect.size
-        evidence = evidence.given(columns)
-    return added
+        if found and score.gain < _MUCH * found[0].score.gain:
+            continue
+        found.append(Tested(term, p_value, score))
+        room -= term.size
+        test = test.given(columns)
+    return found
 
 
-def _judged(case: Case, state: Fitted, curve: Effect, tried: float) -> Step:
-    """What a curve explains beside all else; too many numbers for a test by blocks, so as many samples as forget."""
-    at = state.physics.effects.index(curve)
-    part = state.physics.slices[at]
-    scale = state.residual.scale
-    gain = state.log_likelihood(scale) - without(case, state, at).log_likelihood(scale)
-    p = min(chance(gain, curve.size, evidence_of(case, state).memory) * tried, 1.0)
-    return Step(curve, p, Score(gain, curve.size, p, False, state.values[part]))
+def _tested(problem: Problem, current: Fit, curve: Term, options: EngineOptions) -> Tested:
+    """The test of a curve beside all else, by its gain: it has too many numbers for a test by blocks."""
+    at = current.terms.terms.index(curve)
+    scale = current.scale
+    gain = current.log_likelihood(scale) - without(problem, current, at, options).log_likelihood(scale)
+    time = score_test(problem, current, options).time
+    p_value = min(gain_p_value(gain, curve.size, time) * searched_size(problem, options), 1.0)
+    return Tested(curve, p_value, Score(gain, curve.size, p_value, False, current.values[current.terms.slices[at]]))

@@ -1,36 +1,43 @@
-"""A clock that is off by seconds: found by how fast the tool moves, which no frame, tool or geometry changes much."""
+"""A clock offset of many samples: found by the tool's speed, which no frame, tool or geometry changes much."""
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lite6jax.domains.pose.problem import Case
-from lite6jax.effects.composition import Physics
-from lite6jax.recordings.recording import run_segments
+from lite6jax.domains.pose.problem import PoseProblem
+from lite6jax.estimation.problem import Mask
+from lite6jax.recordings.sequence import run_segments
 
 Array = NDArray[np.floating]
 
 _FEWEST = 50
+"""Samples of a run: fewer do not tell a lag from chance."""
 _LEAST_SAMPLES = 3
-"""An offset of fewer samples is found as any other effect is."""
-_ALIKE = 0.5
-"""Correlation of the speeds, under which their likeness means nothing."""
+"""An offset of fewer samples is within reach of a score test, like any other effect."""
+_CORRELATED = 0.5
+"""Correlation of measured and predicted speed below which its maximum means nothing."""
 _BETTER = 0.1
+"""Correlation that the lag must gain over none."""
 _MOST_OF_RUN = 0.5
+"""Share of the longest run that a lag may have: of longer ones too little overlaps."""
 
 
-def clock_offset(case: Case) -> float:
-    """By how many seconds the poses show the arm later than their stamps say, where that is several samples; else 0."""
-    recording = case.recording
-    if recording.motion != "trajectory" or recording.time is None or case.samples < _FEWEST:
+def clock_offset(problem: PoseProblem, training: Mask | None = None) -> float:
+    """By how many seconds poses show the arm later than their stamps, where that is several samples; else 0.
+
+    Args:
+        problem: with frames about where they are.
+        training: `(sample,)` bool, the rows to use; all where not given. Held-out rows divide a run.
+    """
+    recording = problem.recording
+    if recording.motion != "trajectory" or recording.time is None or problem.samples < _FEWEST:
         return 0.0
-    predicted = case.position_errors(np.zeros(len(case.unknown)), Physics(), np.zeros(0))
-    measured = np.asarray(case.measured.position)
-    predicted = predicted + measured
+    measured, predicted = problem.measured.position, problem.rigid.tool[:, :3, 3].T
+    used = np.ones(problem.samples, bool) if training is None else training
     dt = float(np.median(np.diff(recording.time)[np.diff(recording.time) > 0]))
-    runs = run_segments(recording.run)
+    runs = run_segments(2 * run_segments(recording.run) + used)
     found: list[tuple[Array, Array]] = []
     for number in range(runs[-1] + 1):
-        rows = runs == number
+        rows = (runs == number) & used
         t = recording.time[rows]
         if t.size >= _FEWEST and (np.diff(t) > 0).all():
             grid = np.arange(t[0], t[-1], dt)
@@ -53,7 +60,7 @@ def clock_offset(case: Case) -> float:
         squares[1, there] += _between(other**2, first + lag, last + lag) - sums[1] ** 2 / count
     likeness = products / np.sqrt(np.maximum(squares.prod(0), 1e-300))
     best = int(np.argmax(likeness))
-    if abs(lags[best]) < _LEAST_SAMPLES or likeness[best] < max(_ALIKE, likeness[most] + _BETTER):
+    if abs(lags[best]) < _LEAST_SAMPLES or likeness[best] < max(_CORRELATED, likeness[most] + _BETTER):
         return 0.0
     return float(lags[best] * dt)
 

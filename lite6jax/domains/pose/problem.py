@@ -1,11 +1,10 @@
-"""A recording as the diagnosis sees it: whitened residuals, and how every cause inside the arm would change them."""
+"""Measured poses as an estimation problem: one arm, its unknown frames and geometry, and what every effect would do."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
-from typing import NamedTuple
+from typing import final
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
@@ -13,88 +12,89 @@ from scipy.spatial.transform import Rotation
 
 from lite6jax.arms import frames
 from lite6jax.arms.arm import Arm
-from lite6jax.arms.chains import Form, SixParameterForm, link_frames
-from lite6jax.arms.moves import Frame, base_frame, cross, turn
-from lite6jax.effects.catalogue import BUILT_IN
+from lite6jax.arms.chains import SixParameterForm
+from lite6jax.domains.pose import families
+from lite6jax.domains.pose.deflections import Deflections, columns_of, scaled
+from lite6jax.domains.pose.kinematics import (
+    Measured,
+    RigidFrames,
+    Site,
+    bent_positions,
+    bent_residual,
+    joint_columns,
+    rigid_differences,
+    rigid_frames,
+    site_columns,
+    whitened,
+)
+from lite6jax.effects.catalogue import Untestable, catalogue, untestable
 from lite6jax.effects.composition import Physics
 from lite6jax.effects.deflection import Deflection, dense
-from lite6jax.effects.effect import Altering, Bending, Effect
-from lite6jax.effects.kinematic.joints import JointHarmonic
-from lite6jax.effects.kinematic.surroundings import PayloadError
-from lite6jax.effects.motion import Motion, beyond, select, shifted
-from lite6jax.effects.nonparametric import Unnamed
-from lite6jax.effects.statics import Inertia, Loads, loads
-from lite6jax.fitting.problem import Geometry, Problem, recording_problem, whitener_of
-from lite6jax.fitting.residual import Observations, by_twist, differences, tool_frame, whiten
-from lite6jax.model import ArmModel, predict_bent
+from lite6jax.effects.effect import Altering, Effect
+from lite6jax.effects.kinematic.surroundings import PayloadError, TimeOffset
+from lite6jax.effects.motion import Motion, accelerated, beyond, select, shifted
+from lite6jax.effects.statics import Inertia, Loads
+from lite6jax.estimation.problem import CurveFamily, Mask, PeriodicFamily
+from lite6jax.estimation.terms import Term, Terms
+from lite6jax.fitting.problem import Geometry, recording_problem, whitener_of
+from lite6jax.model import ArmModel
 from lite6jax.recordings import Recording
 from lite6jax.recordings.motion import inertia_of_arm, motion_of_recording
+from lite6jax.recordings.recording import run_segments
 
 Array = NDArray[np.floating]
 
 GAUGE = {"m": 0.02, "rad": 0.05}
-"""Prior of each number of a chain that is not known: wide enough for any arm; it settles what nothing determines."""
+"""Prior of each number of an unknown chain: wide enough for any arm, it fixes what nothing determines."""
 
 
-_ROUNDING = 1e-12
-_GRAM = 1e-3
-Site = tuple[str, int, int]
-"""A field of `Deflection`, the joint or link in it from 0, and the component of a twist."""
-
-
-class Measured(NamedTuple):
-    """What the sensor saw, the sample last. A pytree.
-
-    Attributes:
-        position: `(3, sample)` m.
-        rotation: `(3, 3, sample)`; `(3, 3, 0)` where no orientation was measured.
-        whitener: `(2,)` or `(row, row, sample)`, as in `Observations`.
-    """
-
-    position: jax.Array
-    rotation: jax.Array
-    whitener: jax.Array
-
-
+@final
 @dataclass(frozen=True, eq=False)
-class Case:
-    """A recording, the nuisance that must be fitted whatever the physics, and the motion that drives effects.
+class PoseProblem:
+    """A recording of poses, linearised about a rigid arm; `estimation.problem.Problem` describes the members it shares.
+
+    The class has more than twelve members because the engine's protocol has; each is a line or two over `kinematics`,
+    `deflections` and `families`.
 
     Attributes:
-        recording: as read; every row has a pose.
+        recording: as screened; every row has a pose.
         arm: the nominal arm.
-        chain: a six-parameter chain: the frames of its links are those that effects are defined in.
-        start: the arm that everything is linearised about.
-        unknown: the nuisance, constant displacements of frames: the field of `Deflection`, and where in it. What a
-            chain's numbers can do, these can, without the singular spots of angles.
-        precision: `(unknown,)` one over the variance of what is known of them beforehand.
-        offset: `(unknown,)` how far `start` is from what is known beforehand.
-        motion: the whole sequence.
+        start: the rigid arm of the linearisation, a six-parameter chain.
+        unknown: the nuisance, constant displacements of frames: the field of `Deflection`, and where in it. They span
+            what a chain's numbers can do, without the singularities of angles.
+        precision: `(unknown,)`, one over the variance of their prior.
+        offset: `(unknown,)`, from the prior's mean to `start`.
+        informative: whether the sidecar declares the chain's uncertainty.
+        motion: of the whole recording, as declared.
         inertia: the arm's masses, or None where they are not known.
         measured: the poses.
-        noise: one standard deviation per axis of position (m) and orientation (rad), as declared or assumed.
+        noise: standard deviation per axis of position (m) and orientation (rad), declared or assumed.
         declared: whether the sidecar declares it.
-        notes: what was assumed.
-        whole: of a thinned case, the motion that its rows are taken from, and which they are; an effect of the clock
-            looks at their neighbours.
-        clock: s, the offset of the clock that everything is linearised about.
+        candidates: effects that this recording can show.
+        untestable: effects that it cannot show, and why.
+        clock_offset: s, by which poses are later than their stamps, where it was found before the search; else 0.
+        thinned_from: of a thinned problem, the motion that its rows are taken from, and which: a clock effect looks at
+            their neighbours.
+        units: unit deflections that depend on the motion alone, shared between linearisations.
     """
 
     recording: Recording
     arm: Arm
-    chain: SixParameterForm
     start: ArmModel
     unknown: tuple[Site, ...]
     precision: Array
     offset: Array
+    informative: bool
     motion: Motion
     inertia: Inertia | None
     measured: Measured
     noise: tuple[float, float | None]
     declared: bool
-    notes: tuple[str, ...]
-    whole: tuple[Motion, NDArray[np.integer]] | None = None
-    clock: float = 0.0
+    candidates: tuple[Effect, ...]
+    untestable: tuple[Untestable, ...]
+    clock_offset: float
+    thinned_from: tuple[Motion, NDArray[np.integer]] | None
+    units: dict[Effect, Deflection]
 
     @property
     def samples(self) -> int:
@@ -104,381 +104,286 @@ class Case:
     @property
     def rows(self) -> int:
         """Numbers that a sample has: 3 or 6."""
-        return 3 if self.measured.rotation.shape[-1] == 0 else 6
+        return self.measured.rows
+
+    @property
+    def groups(self) -> NDArray[np.integer]:
+        """Position and orientation share one scale over their declared noise."""
+        return np.zeros(self.rows, int)
 
     @cached_property
-    def lived(self) -> Motion:
-        """The motion at the clock that everything is linearised about."""
-        return self.altered(lambda motion: shifted(motion, self.clock)) if self.clock else self.motion
+    def run(self) -> NDArray[np.integer]:
+        """`(sample,)`, the first sample of each sample's run."""
+        return np.asarray(self.motion.run[0])
 
     @cached_property
-    def seen(self) -> NDArray[np.bool_]:
-        """`(sample,)`, the rows whose joints were recorded: a clock that is off leaves some at the ends without."""
-        return ~np.asarray(beyond(self.motion, self.clock)) if self.clock else np.ones(self.samples, bool)
+    def valid(self) -> Mask:
+        """`(sample,)`, the rows whose joints were recorded at the instant of the pose."""
+        if not self.clock_offset:
+            return np.ones(self.samples, bool)
+        return ~np.asarray(beyond(self.motion, self.clock_offset))
+
+    @property
+    def preset(self) -> tuple[Terms, Array]:
+        """A clock offset of several samples, further from zero than a score test reaches."""
+        if not self.clock_offset:
+            return Terms(), np.zeros(0)
+        return Terms((TimeOffset(),)), np.array([self.clock_offset])
 
     @cached_property
+    def time_shifted(self) -> Motion:
+        """The motion at the clock offset of the linearisation."""
+        return self._altered(lambda motion: shifted(motion, self.clock_offset)) if self.clock_offset else self.motion
+
+    @cached_property
+    def deflections(self) -> Deflections:
+        """What effects do in the time-shifted motion."""
+        kinematics = np.asarray(self.start.geometry).reshape(-1, 6)
+        return Deflections(kinematics, self.inertia, self.time_shifted, self._altered, self.units)
+
+    @property
     def loads(self) -> Loads | None:
-        """Gravity's loads on the nominal arm; None where the masses are not known."""
-        return self.loads_on(self.start, self.lived)
-
-    def thinned(self, every: int) -> "Case":
-        """One in `every` rows."""
-        if every == 1:
-            return self
-        rows = slice(None, None, every)
-        whitener = self.measured.whitener
-        measured = Measured(
-            self.measured.position[:, rows],
-            self.measured.rotation[..., rows],
-            whitener[..., rows] if whitener.ndim == 3 else whitener,
-        )
-        chosen = np.arange(self.samples)[rows]
-        recording, motion = self.recording.select(chosen), select(self.motion, chosen)
-        return replace(self, recording=recording, motion=motion, measured=measured, whole=(self.motion, chosen))
-
-    def altered(self, alter: Callable[[Motion], Motion]) -> Motion:
-        """The motion as it really was."""
-        if self.whole is None:
-            return alter(self.motion)
-        motion, chosen = self.whole
-        return select(alter(motion), chosen)
-
-    def loads_on(self, model: ArmModel, motion: Motion) -> Loads | None:
-        """The loads on a rigid chain in a motion."""
-        if self.inertia is None:
-            return None
-        return _loads(self.chain, jnp.asarray(model.geometry), motion, self.inertia)
-
-    def deflection(self, moved: Array, physics: Physics, values: Array) -> tuple[Motion, Deflection]:
-        """The motion as it really was, and the deflections in it, dense: the nuisance `(unknown,)` and the effects."""
-        if all(map(_is_linear, physics.effects)):
-            motion, bent = self.motion, self._rigid
-            for effect, part in zip(physics.effects, physics.slices, strict=True):
-                bent = bent + _scaled(self._unit(effect), np.asarray(values)[part])
-        else:
-            motion = self.altered(partial(physics.alter, jnp.asarray(values)))
-            altered = any(isinstance(effect, Altering) for effect in physics.effects)
-            on_arm = self.loads_on(self.start, motion) if altered and physics.loaded else self.loads
-            bent = dense(physics.deflect(jnp.asarray(values), motion, on_arm), motion.dof, motion.samples)
-        if not self.unknown:
-            return motion, bent
-        base, link, tool = np.zeros(6), np.zeros((motion.dof, 6)), np.zeros(6)
-        for (field, j, k), value in zip(self.unknown, moved, strict=True):
-            {"base": base, "tool": tool, "link": link[j]}[field][k] = value
-        assert bent.base is not None
-        assert bent.link is not None
-        assert bent.tool is not None
-        return motion, bent._replace(
-            base=bent.base + base[:, None], link=bent.link + link[:, :, None], tool=bent.tool + tool[:, None]
-        )
-
-    def residual(self, moved: Array, physics: Physics, values: Array) -> Array:
-        """Whitened residuals `(row, sample)` with the nuisance `(unknown,)` and effects."""
-        motion, deflection = self.deflection(moved, physics, values)
-        return np.asarray(_residual(self.chain, self.start, motion.joint_position, deflection, self.measured))
-
-    def position_errors(self, moved: Array, physics: Physics, values: Array) -> Array:
-        """Predicted minus measured positions `(3, sample)` m."""
-        motion, deflection = self.deflection(moved, physics, values)
-        predicted = _positions(self.chain, self.start, motion.joint_position, deflection)
-        return np.asarray(predicted) - np.asarray(self.measured.position)
+        """The loads on the rigid arm; None where its masses are not known."""
+        return self.deflections.loads
 
     @cached_property
-    def nuisance(self) -> Array:
-        """How whitened residuals change with the nuisance, `(unknown, row, sample)`."""
-        if not self.unknown:
-            return np.zeros((0, self.rows, self.samples))
-        return np.stack([self.sites[site] for site in self.unknown])
+    def rigid(self) -> RigidFrames:
+        """The rigid arm's frames, on the host."""
+        return rigid_frames(self.start, np.asarray(self.time_shifted.joint_position))
 
     @cached_property
     def sites(self) -> dict[Site, Array]:
-        """How they change with a deflection at each site, `(row, sample)`: keys are the field of `Deflection`, and
-        where in it."""
-        dof = self.motion.dof
-        columns = np.array(_sites(self.chain, self.start, self.lived.joint_position, self.measured))
-        felt = np.abs(columns).max((1, 2), initial=0.0)
-        columns[felt < _ROUNDING * felt.max()] = 0.0  # the last joint's, of a point on its axis
-        keys = [
-            *(("joint", j, 0) for j in range(dof)),
-            *(("stretch", j, 0) for j in range(dof)),
-            *(("link", j, k) for j in range(dof) for k in range(6)),
-            *(("base", 0, k) for k in range(6)),
-            *(("tool", 0, k) for k in range(6)),
-            ("scale", 0, 0),
-        ]
-        return dict(zip(keys, columns, strict=True))
+        """How residuals change with a deflection at each site, `(row, sample)`."""
+        return site_columns(self.start, np.asarray(self.time_shifted.joint_position), self.measured)
+
+    @cached_property
+    def nuisance(self) -> Array:
+        """How residuals change with the nuisance, `(unknown, row, sample)`."""
+        none = np.zeros((0, self.rows, self.samples))
+        return np.stack([self.sites[site] for site in self.unknown]) if self.unknown else none
+
+    @cached_property
+    def periodic(self) -> tuple[PeriodicFamily, ...]:
+        """Harmonics of each joint."""
+        return families.periodic(self.time_shifted, self.sites)
+
+    @cached_property
+    def curves(self) -> tuple[CurveFamily, ...]:
+        """Curves of each joint over its position, torque and velocity."""
+        return families.curves(self.time_shifted, self.deflections, self.sites)
+
+    def residual(self, nuisance: Array, terms: Terms, values: Array) -> Array:
+        """Residuals `(row, sample)` over the declared noise, predicted minus measured."""
+        if not terms.terms and not nuisance.any() and not self.clock_offset:
+            return whitened(rigid_differences(self.rigid.tool, self.measured), self.measured.whitener)
+        motion, deflection = self._deflection(nuisance, terms, values)
+        form = SixParameterForm(self.motion.dof)
+        return np.asarray(bent_residual(form, self.start, motion.joint_position, deflection, self.measured))
+
+    def position_errors(self, nuisance: Array, terms: Terms, values: Array) -> Array:
+        """Predicted minus measured positions `(3, sample)` m."""
+        motion, deflection = self._deflection(nuisance, terms, values)
+        form = SixParameterForm(self.motion.dof)
+        return np.asarray(bent_positions(form, self.start, motion.joint_position, deflection)) - self.measured.position
 
     def columns(
-        self, effects: Sequence[Effect], values: Array | None = None, beside: tuple[Physics, Array] | None = None
+        self, terms: Sequence[Term], values: Array | None = None, beside: tuple[Terms, Array] | None = None
     ) -> Array:
-        """How whitened residuals change with the numbers of some effects, `(number, row, sample)`.
+        """How residuals change with the numbers of effects, `(number, row, sample)`.
 
-        Args:
-            effects: any; each must have its drivers.
-            values: `(number,)` where; neutral where not given.
-            beside: the physics through whose compliances a wrong payload is seen, and its values; `effects` themselves
-                where not given.
+        A wrong payload is seen through compliances: those of `beside`, or of `terms` where that is not given.
         """
-        physics = Physics(tuple(effects))
-        values = np.zeros(physics.size) if values is None else np.asarray(values, float)
+        own = Terms(tuple(terms))
+        values = np.zeros(own.size) if values is None else np.asarray(values, float)
         parts: list[Array] = [np.zeros((0, self.rows, self.samples))]
-        for effect, part in zip(physics.effects, physics.slices, strict=True):
+        for effect, part in zip(own.terms, own.slices, strict=True):
+            assert isinstance(effect, Effect)
             if isinstance(effect, PayloadError):
-                others = physics if beside is None else beside[0]
-                at = values if beside is None else beside[1]
-                parts.append(self._felt(self._by_mass(values[part], others, at)))
-            elif _is_linear(effect) or not values[part].any():
-                if effect not in self._known:
-                    self._known[effect] = self._felt(self._unit(effect))
-                parts.append(self._known[effect])
+                others, at = (own, values) if beside is None else beside
+                unit = self.deflections.by_mass(float(values[part][0]), physics_of(others), at)
+                parts.append(columns_of(unit, self.sites))
+            elif effect.linear or not values[part].any():
+                if effect not in self._columns:
+                    self._columns[effect] = columns_of(self.deflections.unit(effect), self.sites)
+                parts.append(self._columns[effect])
             else:
-                parts.append(self._felt(self._shapes(effect, values[part])))
+                parts.append(columns_of(self.deflections.slope(effect, values[part]), self.sites))
         return np.concatenate(parts)
 
-    def harmonics(self, joint: int, orders: Array) -> Array:
-        """The columns of a joint's harmonics, sine and cosine of each order, `(order, 2, row, sample)`."""
-        turned = np.multiply.outer(orders, np.asarray(self.lived.joint_position[joint - 1]))
-        shapes = np.stack([np.sin(turned), np.cos(turned)], 1)
-        return self.sites["joint", joint - 1, 0] * shapes[:, :, None]
+    def relinearised(self, nuisance: Array) -> "PoseProblem":
+        """The same problem about the arm that the nuisance makes: its displacements become the chain's own."""
+        return replace(self, start=self.displaced(nuisance), offset=self.offset + nuisance)
 
-    def _by_mass(self, mass: Array, physics: Physics, values: Array) -> Deflection:
-        """What a kilogram more at the flange makes of deflections that loads cause."""
-        pairs = zip(physics.effects, physics.slices, strict=True)
-        loaded = [(e, jnp.asarray(values[part])) for e, part in pairs if any(d.loaded for d in e.drivers)]
-        if not loaded:
-            return Deflection(scale=np.zeros((1, self.samples)))  # type: ignore[arg-type]
-
-        def deflected(kilograms: float) -> Deflection:
-            motion = self.lived._replace(payload=self.lived.payload + kilograms)
-            loads, total = self.loads_on(self.start, motion), Deflection()
-            for effect, at in loaded:
-                if isinstance(effect, Bending):
-                    total = total + effect.deflect(at, motion, loads)
-            return dense(total, motion.dof, motion.samples)
-
-        # loads are linear in masses, and all that gives way but curves in loads: no derivative has to be traced
-        less, more = deflected(float(mass[0]) - _GRAM), deflected(float(mass[0]) + _GRAM)
-        shapes = ((np.asarray(b) - np.asarray(a))[None] / (2 * _GRAM) for a, b in zip(less, more, strict=True))
-        return Deflection(*shapes)  # type: ignore[arg-type]
-
-    def _unit(self, effect: Effect) -> Deflection:
-        """The deflection per unit of each of an effect's numbers, at neutral, remembered."""
-        if effect not in self._units:
-            if isinstance(effect, Unnamed):
-                shapes = effect.units(self.lived, self.loads)
-                self._units[effect] = Deflection(*(None if part is None else np.asarray(part) for part in shapes))  # type: ignore[arg-type]
-            elif isinstance(effect, Bending) and _is_linear(effect):
-                each = [effect.deflect(jnp.asarray(step), self.lived, self.loads) for step in np.eye(effect.size)]
-                parts = zip(*each, strict=True)  # without a trace: for a hundred candidates those would take seconds
-                self._units[effect] = Deflection(*(None if p[0] is None else np.stack(p) for p in parts))  # type: ignore[arg-type]
+    def displaced(self, nuisance: Array) -> ArmModel:
+        """The rigid arm that the nuisance `(unknown,)` makes of `start`."""
+        twists: dict[tuple[str, int], Array] = {}
+        for (name, j, k), value in zip(self.unknown, nuisance, strict=True):
+            twists.setdefault((name, j), np.zeros(6))[k] = value
+        rows = np.array(np.asarray(self.start.geometry).reshape(-1, 6))
+        T_sensor_base, T_flange_tool = (np.array(leaf) for leaf in self.start[1:])
+        for (name, j), twist in twists.items():
+            T = np.eye(4)
+            T[:3, :3], T[:3, 3] = Rotation.from_rotvec(twist[3:]).as_matrix(), twist[:3]
+            if name == "base":
+                T_sensor_base = T_sensor_base @ T
+            elif name == "tool":
+                T_flange_tool = T @ T_flange_tool
             else:
-                self._units[effect] = self._shapes(effect, np.zeros(effect.size))
-        return self._units[effect]
+                rows[j + 1] = frames.row_from_transform(T @ frames.transform_from_row(rows[j + 1]))
+        return ArmModel(rows.ravel(), T_sensor_base, T_flange_tool)  # type: ignore[arg-type]
 
-    def _shapes(self, effect: Effect, values: Array) -> Deflection:
-        """The deflection per unit of each of an effect's numbers, a leading axis; NumPy."""
-        at, steps = jnp.asarray(values), jnp.eye(len(values))
+    def selected(self, chosen: NDArray[np.integer]) -> "PoseProblem":
+        """Some of the samples, each a run of its own."""
+        p, R, W = self.measured
+        measured = Measured(p[:, chosen], R[..., chosen] if R.size else R, W[..., chosen] if W.ndim == 3 else W)
+        recording, motion = self.recording.select(chosen), select(self.motion, chosen)
+        whole = (
+            (self.motion, chosen) if self.thinned_from is None else (self.thinned_from[0], self.thinned_from[1][chosen])
+        )
+        return replace(self, recording=recording, motion=motion, measured=measured, thinned_from=whole, units={})
 
-        def deflected(v: jax.Array) -> Deflection:
-            if isinstance(effect, Altering):  # of the joints' positions; what follows from loads is of second order
-                return Deflection(joint=self.altered(partial(effect.alter, v)).joint_position)
-            assert isinstance(effect, Bending)
-            return effect.deflect(v, self.lived, self.loads)
+    def thinned(self, every: int) -> "PoseProblem":
+        """One in `every` rows."""
+        return self if every == 1 else self.selected(np.arange(self.samples)[::every])
 
-        shapes = jax.vmap(lambda step: jax.jvp(deflected, (at,), (step,))[1])(steps)
-        return Deflection(*(None if part is None else np.asarray(part) for part in shapes))  # type: ignore[arg-type]
+    def without_preset(self) -> "PoseProblem":
+        """The same problem without a clock offset."""
+        return replace(self, clock_offset=0.0, units={}) if self.clock_offset else self
 
-    def _felt(self, shapes: Deflection) -> Array:
-        """The columns of unit deflections `(number, row, sample)`."""
-        size = next(len(part) for part in shapes if part is not None)
-        out = np.zeros((size, self.rows, self.samples))
-        for field, part in zip(Deflection._fields, shapes, strict=True):
-            if part is not None:
-                for i in range(size):
-                    self._add(out[i], field, np.asarray(part[i]))
-        return out
+    def alternative(self, terms: Terms) -> "PoseProblem | None":
+        """The same problem with inertial forces in the loads, or without; None where no term depends on loads."""
+        if not physics_of(terms).loaded:
+            return None
+        return self.with_other_loads()
 
-    @cached_property
-    def _units(self) -> dict[Effect, Deflection]:
-        return {}
-
-    @cached_property
-    def _known(self) -> dict[Effect, Array]:
-        return {}
-
-    def _add(self, out: Array, field: str, shape: Array) -> None:
-        sites = self.sites
-        if field in ("joint", "stretch"):
-            for j in range(len(shape)):
-                if shape[j].any():
-                    out += sites[field, j, 0] * shape[j]
-        elif field == "link":
-            for j, k in zip(*np.nonzero(shape.any(-1)), strict=True):
-                out += sites["link", int(j), int(k)] * shape[j, k]
-        elif field == "scale":
-            out += sites["scale", 0, 0] * shape
+    def with_other_loads(self) -> "PoseProblem | None":
+        """With inertial forces in the loads, or without; None where the arm stood still, or masses or times lack."""
+        if self.motion.joint_acceleration is None:
+            motion = accelerated(self.motion)
         else:
-            for k in np.flatnonzero(shape.any(-1)):
-                out += sites[field, 0, int(k)] * shape[k]
+            motion = self.motion._replace(joint_acceleration=None)
+        return None if self.inertia is None or motion is self.motion else replace(self, motion=motion, units={})
+
+    def shrinkable(self, term: Term) -> bool:
+        """Whether an effect depends on something else than joint positions alone."""
+        assert isinstance(term, Effect)
+        return bool(term.drivers) and not any(driver.quantity == "position" for driver in term.drivers)
+
+    def _altered(self, alter: Callable[[Motion], Motion]) -> Motion:
+        """The motion as an effect of the clock or the payload makes it."""
+        if self.thinned_from is None:
+            return alter(self.motion)
+        motion, chosen = self.thinned_from
+        return select(alter(motion), chosen)
+
+    def _deflection(self, nuisance: Array, terms: Terms, values: Array) -> tuple[Motion, Deflection]:
+        """The motion as it really was, and the deflections in it, dense: of the nuisance and of the effects."""
+        physics, dof = physics_of(terms), self.motion.dof
+        if all(effect.linear for effect in physics.effects):
+            motion, bent = self.motion, self._undeflected
+            for effect, part in zip(physics.effects, physics.slices, strict=True):
+                bent = bent + scaled(self.deflections.unit(effect), np.asarray(values)[part])
+        else:
+            motion = self._altered(partial(physics.alter, jnp.asarray(values)))
+            altered = any(isinstance(effect, Altering) for effect in physics.effects)
+            loads = self.deflections.loads_in(motion) if altered and physics.loaded else self.loads
+            bent = dense(physics.deflect(jnp.asarray(values), motion, loads), dof, self.samples)
+        if not self.unknown:
+            return motion, bent
+        base, link, tool = np.zeros(6), np.zeros((dof, 6)), np.zeros(6)
+        for (name, j, k), value in zip(self.unknown, nuisance, strict=True):
+            {"base": base, "tool": tool, "link": link[j]}[name][k] = value
+        shifts = {"base": base[:, None], "link": link[:, :, None], "tool": tool[:, None]}
+        return motion, bent._replace(**{name: getattr(bent, name) + shift for name, shift in shifts.items()})
 
     @cached_property
-    def _rigid(self) -> Deflection:
+    def _undeflected(self) -> Deflection:
         return Deflection(*map(np.asarray, dense(Deflection(), self.motion.dof, self.samples)))  # type: ignore[arg-type]
 
+    @cached_property
+    def _columns(self) -> dict[Effect, Array]:
+        return {}
 
-def case_of(recording: Recording, arm: Arm | None = None, geometry: Geometry = "declared") -> Case:
-    """The case that a recording and its sidecar make.
+
+def physics_of(terms: Terms) -> Physics:
+    """The effects that are the terms of a pose problem."""
+    return Physics(tuple(term for term in terms.terms if isinstance(term, Effect)))
+
+
+def pose_problem(
+    recording: Recording, arm: Arm | None = None, geometry: Geometry = "declared", effects: Sequence[Effect] = ()
+) -> PoseProblem:
+    """The problem that a recording and its sidecar make, about the arm where a closed form puts its frames.
+
+    Args:
+        recording: measured poses.
+        arm: the nominal arm; from the sidecar where not given.
+        geometry: what is known of it, as in `fit`.
+        effects: a user's own candidates, beside the catalogue's.
 
     Raises:
         InputError: as `recording_problem`.
     """
-    problem = recording_problem(recording, arm, geometry)
-    arm, form = problem.arm, problem.form
+    fitted = recording_problem(recording, arm, geometry)
+    arm, form = fitted.arm, fitted.form
     known_chain = isinstance(form.chain, SixParameterForm)
-    values = np.asarray(problem.start.geometry) if known_chain else arm.kinematics.ravel()
-    geometry_moves = bool(problem.movable[: form.chain.size].any())
+    values = np.asarray(fitted.start.geometry) if known_chain else arm.kinematics.ravel()
+    start = ArmModel(values, *(np.asarray(leaf) for leaf in fitted.start[1:]))  # type: ignore[arg-type]
+    geometry_moves = bool(fitted.movable[: form.chain.size].any())
     unknown: list[Site] = []
-    precision: list[float] = []
     if geometry_moves or form.frame:
         unknown += [("base", 0, k) for k in range(6)]
     if geometry_moves:
         unknown += [("link", j, k) for j in range(arm.dof - 1) for k in range(6)]
     if form.tool:
-        unknown += [("tool", 0, k) for k in range(6 if problem.rows == 6 else 3)]
-    uncertainty = recording.settings.factory_uncertainty
-    sigma = (GAUGE["m"], GAUGE["rad"])
+        unknown += [("tool", 0, k) for k in range(6 if fitted.rows == 6 else 3)]
+    uncertainty, sigma = recording.settings.factory_uncertainty, (GAUGE["m"], GAUGE["rad"])
     if known_chain and uncertainty is not None:
         sigma = (uncertainty.position_m, uncertainty.rotation_rad)
-    for field, _, k in unknown:
-        free = field == "tool" or (field == "base" and form.frame)
-        precision.append(0.0 if free else 1 / sigma[k > 2] ** 2)
-    return Case(
+    free = [name == "tool" or (name == "base" and form.frame) for name, _, _ in unknown]
+    precision = [0.0 if is_free else sigma[k > 2] ** -2.0 for (_, _, k), is_free in zip(unknown, free, strict=True)]
+    motion, inertia = motion_of_recording(recording), inertia_of_arm(arm, recording.settings)
+    pose = fitted.pose
+    position = pose[:, :3, 3] if pose.ndim == 3 else pose
+    rotation = np.moveaxis(pose[:, :3, :3], 0, -1) if pose.ndim == 3 else np.zeros((3, 3, 0))
+    measured = Measured(np.ascontiguousarray(position.T), rotation, np.ones(2))
+    every = (*catalogue(arm.dof, turned_tool=fitted.rows == 6), *effects)
+    missing = tuple(untestable(every, motion, inertia is not None))
+    lacking = {item.effect for item in missing}
+    whitener = _whitener(start, np.asarray(motion.joint_position), measured, fitted.noise, fitted.joint_noise)
+    return PoseProblem(
         recording=recording,
         arm=arm,
-        chain=SixParameterForm(arm.dof),
-        start=ArmModel(values, *(np.asarray(leaf) for leaf in problem.start[1:])),  # type: ignore[arg-type]
+        start=start,
         unknown=tuple(unknown),
         precision=np.array(precision),
         offset=np.zeros(len(unknown)),
-        motion=motion_of_recording(recording),
-        inertia=inertia_of_arm(arm, recording.settings),
-        measured=_measured(problem),
-        noise=problem.noise,
-        declared=problem.declared,
-        notes=problem.notes,
+        informative=uncertainty is not None,
+        motion=motion,
+        inertia=inertia,
+        measured=measured._replace(whitener=whitener),
+        noise=fitted.noise,
+        declared=fitted.declared,
+        candidates=tuple(effect for effect in every if effect not in lacking),
+        untestable=missing,
+        clock_offset=0.0,
+        thinned_from=None,
+        units={},
     )
 
 
-def moved_to(case: Case, moved: Array) -> Case:
-    """The same case about the arm that the nuisance `(unknown,)` makes: its displacements become the chain's own."""
-    return replace(case, start=arm_moved(case, moved), offset=case.offset + moved)
+def _whitener(
+    start: ArmModel, q: Array, measured: Measured, noise: tuple[float, float | None], joint_noise: float
+) -> Array:
+    """`(2,)`, or `(row, row, sample)` with read-out noise of the joints: the covariance is then Σ + σ_q² J Jᵀ."""
+    sigma = np.repeat((noise[0], noise[1] or noise[0]), 3)[: measured.rows]
+    if not joint_noise:
+        return whitener_of(np.diag(sigma**2))
+    J = joint_columns(start, q, measured)
+    covariance = np.diag(sigma**2) + joint_noise**2 * np.einsum("jas,jbs->sab", J, J, optimize=True)
+    return np.moveaxis(whitener_of(covariance), 0, -1)
 
 
-def arm_moved(case: Case, moved: Array) -> ArmModel:
-    """The rigid arm that the nuisance `(unknown,)` makes of the start."""
-    twists: dict[tuple[str, int], Array] = {}
-    for (field, j, k), value in zip(case.unknown, moved, strict=True):
-        twists.setdefault((field, j), np.zeros(6))[k] = value
-    rows = np.array(np.asarray(case.start.geometry).reshape(-1, 6))
-    T_sensor_base, T_flange_tool = (np.array(leaf) for leaf in case.start[1:])
-    for (field, j), twist in twists.items():
-        T = np.eye(4)
-        T[:3, :3], T[:3, 3] = Rotation.from_rotvec(twist[3:]).as_matrix(), twist[:3]
-        if field == "base":
-            T_sensor_base = T_sensor_base @ T
-        elif field == "tool":
-            T_flange_tool = T @ T_flange_tool
-        else:
-            rows[j + 1] = frames.row_from_transform(T @ frames.transform_from_row(rows[j + 1]))
-    return ArmModel(rows.ravel(), T_sensor_base, T_flange_tool)  # type: ignore[arg-type]
-
-
-def _measured(problem: Problem) -> Measured:
-    pose = problem.pose
-    position = pose[:, :3, 3] if pose.ndim == 3 else pose
-    rotation = np.moveaxis(pose[:, :3, :3], 0, -1) if pose.ndim == 3 else np.zeros((3, 3, 0))
-    whitener = whitener_of(problem.covariance())
-    if whitener.ndim == 3:
-        whitener = np.moveaxis(whitener, 0, -1)
-    return Measured(jnp.asarray(position.T), jnp.asarray(rotation), jnp.asarray(whitener))
-
-
-def _is_linear(effect: Effect) -> bool:
-    """Whether its deflections are proportional to its numbers: all of the catalogue that bends, but a free order."""
-    free_order = isinstance(effect, JointHarmonic) and effect.order is None
-    return isinstance(effect, Bending) and type(effect) in BUILT_IN.values() and not free_order
-
-
-def _scaled(unit: Deflection, values: Array) -> Deflection:
-    """The sum of unit deflections times values."""
-    return Deflection(*(None if part is None else np.tensordot(values, part, 1) for part in unit))  # type: ignore[arg-type]
-
-
-@partial(jax.jit, static_argnums=0)
-def _loads(form: Form, kinematics: jax.Array, motion: Motion, inertia: Inertia) -> Loads:
-    return loads(
-        form,
-        kinematics,
-        turn(motion.joint_position),
-        motion.payload,
-        inertia,
-        motion.joint_velocity,
-        motion.joint_acceleration,
-    )
-
-
-def _plain_residual(
-    form: Form, model: ArmModel, joint_position: jax.Array, deflection: Deflection, measured: Measured
-) -> jax.Array:
-    _, tool = predict_bent(form, model, joint_position, deflection)
-    weight = jnp.ones(joint_position.shape[1])
-    observed = Observations(turn(joint_position), measured.position, measured.rotation, weight, measured.whitener)
-    return whiten(measured.whitener, differences(observed, tool))
-
-
-_ONCE = {"xla_backend_optimization_level": 0}
-_residual = jax.jit(_plain_residual, static_argnums=0, compiler_options=_ONCE)
-
-
-@partial(jax.jit, static_argnums=0, compiler_options=_ONCE)
-def _positions(form: Form, model: ArmModel, joint_position: jax.Array, deflection: Deflection) -> jax.Array:
-    return predict_bent(form, model, joint_position, deflection)[1].origin
-
-
-@partial(jax.jit, static_argnums=0)
-def _sites(form: SixParameterForm, model: ArmModel, joint_position: jax.Array, measured: Measured) -> jax.Array:
-    """`(site, row, sample)`: joints, stretches, links, base, tool, scale; `Deflection`'s own derivatives at none."""
-    samples = joint_position.shape[1]
-    joint = turn(joint_position)
-    start = base_frame(model.T_sensor_base, samples)
-    links = link_frames(form, model.geometry, joint, start)
-    flange = jax.tree.map(lambda leaf: leaf[-1], links)
-    tool = tool_frame(model, flange)
-    rows = 6 if measured.rotation.shape[-1] else 3
-    whitener = measured.whitener
-    if whitener.ndim == 1:
-        whitener = jnp.diag(jnp.repeat(whitener, 3)[:rows])[:, :, None]
-    by_linear, by_angular = by_twist(
-        Observations(joint, measured.position, measured.rotation, jnp.ones(samples), whitener), tool
-    )
-
-    def shifted(linear: jax.Array) -> jax.Array:
-        return jnp.sum(by_linear * linear, 1)
-
-    def turned(axis: jax.Array, origin: jax.Array) -> jax.Array:
-        return shifted(cross(origin, axis)) + jnp.sum(by_angular * axis, 1)
-
-    def displaced(frame: Frame) -> list[jax.Array]:
-        return [*(shifted(axis) for axis in frame[:3]), *(turned(axis, frame.origin) for axis in frame[:3])]
-
-    origins = jnp.concatenate([start.origin[None], links.origin])
-    each = jax.lax.map(lambda frame: jnp.stack(displaced(frame)), links)
-    parts = [
-        each[:, 5],  # a joint's angle is about its frame's z
-        jax.lax.map(shifted, jnp.diff(origins, axis=0)),
-        each.reshape(-1, rows, samples),
-        jnp.stack(displaced(start)),
-        each[-1],
-        shifted(tool.origin)[None],
-    ]
-    return jnp.concatenate(parts)
+def segments(problem: PoseProblem) -> NDArray[np.integer]:
+    """`(sample,)`, the run of each row, counted from 0."""
+    return run_segments(problem.recording.run)

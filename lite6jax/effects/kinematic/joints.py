@@ -10,7 +10,7 @@ from jax import Array
 from numpy.typing import NDArray
 
 from lite6jax.effects.drivers import Driver
-from lite6jax.effects.effect import Coordinate, Effect, JointEffect, Reporting
+from lite6jax.effects.effect import Choice, Coordinate, Effect, JointEffect, Reporting
 from lite6jax.effects.motion import Motion
 from lite6jax.effects.statics import Loads
 from lite6jax.errors import InputError
@@ -22,6 +22,7 @@ class JointOffset(JointEffect):
     """δq = c: the encoder's zero is elsewhere."""
 
     name: ClassVar[str] = "joint_offset"
+    specificity: ClassVar[int] = 0
 
     @property
     def coordinates(self) -> tuple[Coordinate, ...]:
@@ -41,6 +42,7 @@ class JointScale(JointEffect):
     """δq = s·q: the encoder's radian is another."""
 
     name: ClassVar[str] = "joint_scale"
+    specificity: ClassVar[int] = 1
 
     @property
     def coordinates(self) -> tuple[Coordinate, ...]:
@@ -60,10 +62,11 @@ class JointCompliance(JointEffect):
     """δq = c·τ: the gear gives way to the torque that gravity exerts on it."""
 
     name: ClassVar[str] = "joint_compliance"
+    specificity: ClassVar[int] = 2
 
     @property
     def coordinates(self) -> tuple[Coordinate, ...]:
-        return (Coordinate("compliance_rad_per_Nm", "rad/Nm", 1e-5),)
+        return (Coordinate("compliance_rad_per_Nm", "rad/Nm", 1e-5, lower=0.0),)
 
     @property
     def drivers(self) -> tuple[Driver, ...]:
@@ -102,6 +105,16 @@ def _harmonic_values(effect: Effect, given: Mapping[str, float]) -> NDArray:
     return np.array(values if effect.order is not None else [*values, order])
 
 
+def _harmonic_order(effect: Effect) -> float | None:
+    assert isinstance(effect, JointHarmonic)
+    return None if effect.order is None else float(effect.order)
+
+
+def _harmonic_of(effect: Effect, order: float | None) -> "JointHarmonic":
+    assert isinstance(effect, JointHarmonic)
+    return JointHarmonic(effect.joint, order)
+
+
 @final
 @dataclass(frozen=True)
 class JointHarmonic(JointEffect):
@@ -117,6 +130,13 @@ class JointHarmonic(JointEffect):
     order: float | None = None
 
     name: ClassVar[str] = "joint_harmonic"
+    specificity: ClassVar[int] = 5
+    choice: ClassVar[Choice | None] = Choice(
+        number=_harmonic_order,
+        searched=lambda effect: _harmonic_order(effect) not in (None, 1.0, 2.0),
+        released=lambda effect: _harmonic_of(effect, None),
+        held=_harmonic_of,
+    )
     reporting: ClassVar[Reporting] = Reporting(
         names=lambda effect: ("order", "amplitude_rad", "phase_rad"),
         parameters=_harmonic_parameters,
@@ -130,7 +150,7 @@ class JointHarmonic(JointEffect):
     @property
     def coordinates(self) -> tuple[Coordinate, ...]:
         amplitudes = (Coordinate("sine_rad", "rad", 1e-4), Coordinate("cosine_rad", "rad", 1e-4))
-        return amplitudes if self.order is not None else (*amplitudes, Coordinate("order", "1", 0.1))
+        return amplitudes if self.order is not None else (*amplitudes, Coordinate("order", "1", 0.1, lower=0.0, linear=False))
 
     @property
     def drivers(self) -> tuple[Driver, ...]:
@@ -147,10 +167,11 @@ class JointBacklash(JointEffect):
     """δq = −½·gap·sign(direction): the gear lies against the flank that it came from."""
 
     name: ClassVar[str] = "joint_backlash"
+    specificity: ClassVar[int] = 3
 
     @property
     def coordinates(self) -> tuple[Coordinate, ...]:
-        return (Coordinate("gap_rad", "rad", 1e-4),)
+        return (Coordinate("gap_rad", "rad", 1e-4, lower=0.0),)
 
     @property
     def drivers(self) -> tuple[Driver, ...]:
@@ -166,6 +187,7 @@ class JointLag(JointEffect):
     """δq = −lag·dq: the joint is behind what its encoder says."""
 
     name: ClassVar[str] = "joint_lag"
+    specificity: ClassVar[int] = 4
 
     @property
     def coordinates(self) -> tuple[Coordinate, ...]:
@@ -201,6 +223,7 @@ class JointCoupling(JointEffect):
     source_joint: int
 
     name: ClassVar[str] = "joint_coupling"
+    specificity: ClassVar[int] = 10
 
     @property
     def coordinates(self) -> tuple[Coordinate, ...]:

@@ -1,0 +1,152 @@
+"""How much effects deflect an arm in one motion, per unit of each of their numbers."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import cached_property, partial
+from typing import final
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from numpy.typing import NDArray
+
+from lite6jax.arms.chains import Form, SixParameterForm
+from lite6jax.arms.moves import turn
+from lite6jax.domains.pose.kinematics import Site
+from lite6jax.effects.composition import Physics
+from lite6jax.effects.deflection import Deflection, dense
+from lite6jax.effects.effect import Altering, Bending, Effect
+from lite6jax.effects.motion import Motion
+from lite6jax.effects.nonparametric import Unnamed
+from lite6jax.effects.statics import Inertia, Loads, loads
+
+Array = NDArray[np.floating]
+_GRAM = 1e-3
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Deflections:
+    """The deflections of a rigid arm's effects in a motion.
+
+    Attributes:
+        kinematics: `(joint, 6)` of the arm on which the loads act.
+        inertia: the arm's masses, or None where they are not known.
+        motion: what the joints did.
+        altered: the motion as another function of the declared one makes it, row for row.
+        units: unit deflections of effects that do not depend on loads; arms of another geometry share them.
+    """
+
+    kinematics: Array
+    inertia: Inertia | None
+    motion: Motion
+    altered: Callable[[Callable[[Motion], Motion]], Motion]
+    units: dict[Effect, Deflection] = field(default_factory=dict)
+
+    @cached_property
+    def loads(self) -> Loads | None:
+        """The loads of gravity, and of acceleration where the motion has it; None where the masses are not known."""
+        return self.loads_in(self.motion)
+
+    def loads_in(self, motion: Motion) -> Loads | None:
+        """The loads in another motion of the same arm."""
+        if self.inertia is None:
+            return None
+        form = SixParameterForm(len(self.kinematics))
+        return _loads(form, jnp.asarray(self.kinematics.ravel()), motion, self.inertia)
+
+    def unit(self, effect: Effect) -> Deflection:
+        """The deflection per unit of each number of an effect at zero, `(number, …)`; computed once."""
+        cache = self._loaded if any(driver.loaded for driver in effect.drivers) else self.units
+        if effect not in cache:
+            if isinstance(effect, Unnamed):
+                cache[effect] = _host(effect.units(self.motion, self.loads))
+            elif effect.linear:
+                assert isinstance(effect, Bending)
+                # one evaluation a number: traces of a hundred candidates would take seconds
+                each = [effect.deflect(jnp.asarray(step), self.motion, self.loads) for step in np.eye(effect.size)]
+                parts = zip(*each, strict=True)
+                cache[effect] = Deflection(*(None if p[0] is None else np.stack(p) for p in parts))  # type: ignore[arg-type]
+            else:
+                cache[effect] = self.slope(effect, np.zeros(effect.size))
+        return cache[effect]
+
+    def slope(self, effect: Effect, values: Array) -> Deflection:
+        """The derivative of an effect's deflection by each of its numbers, at `values` `(number,)`."""
+        at, steps = jnp.asarray(values), jnp.eye(len(values))
+
+        def deflected(v: jax.Array) -> Deflection:
+            if isinstance(effect, Altering):  # through the joints' positions; what follows from loads is second order
+                return Deflection(joint=self.altered(partial(effect.alter, v)).joint_position)
+            assert isinstance(effect, Bending)
+            return effect.deflect(v, self.motion, self.loads)
+
+        return _host(jax.vmap(lambda step: jax.jvp(deflected, (at,), (step,))[1])(steps))
+
+    def by_mass(self, mass: float, effects: Physics, values: Array) -> Deflection:
+        """The change of the deflections that loads cause, per kilogram at the flange; `(1, …)`."""
+        pairs = zip(effects.effects, effects.slices, strict=True)
+        loaded = [
+            (effect, jnp.asarray(values[part]))
+            for effect, part in pairs
+            if isinstance(effect, Bending) and any(driver.loaded for driver in effect.drivers)
+        ]
+        if not loaded:
+            return Deflection(scale=np.zeros((1, self.motion.samples)))  # type: ignore[arg-type]
+
+        def deflected(kilograms: float) -> Deflection:
+            motion = self.motion._replace(payload=self.motion.payload + kilograms)
+            on_arm, total = self.loads_in(motion), Deflection()
+            for effect, at in loaded:
+                total = total + effect.deflect(at, motion, on_arm)
+            return dense(total, motion.dof, motion.samples)
+
+        # loads are linear in masses, and so is all that deflects but curves over loads: a difference is exact
+        less, more = deflected(mass - _GRAM), deflected(mass + _GRAM)
+        slopes = ((np.asarray(b) - np.asarray(a))[None] / (2 * _GRAM) for a, b in zip(less, more, strict=True))
+        return Deflection(*slopes)  # type: ignore[arg-type]
+
+    @cached_property
+    def _loaded(self) -> dict[Effect, Deflection]:
+        return {}
+
+
+def scaled(unit: Deflection, values: Array) -> Deflection:
+    """The sum of unit deflections times values."""
+    return Deflection(*(None if part is None else np.tensordot(values, part, 1) for part in unit))  # type: ignore[arg-type]
+
+
+def columns_of(unit: Deflection, sites: dict[Site, Array]) -> Array:
+    """The columns `(number, row, sample)` of unit deflections, from those of every site."""
+    size = next(len(part) for part in unit if part is not None)
+    out = np.zeros((size, *sites["scale", 0, 0].shape))
+    for name, part in zip(Deflection._fields, unit, strict=True):
+        if part is not None:
+            for i in range(size):
+                _accumulate(out[i], name, np.asarray(part[i]), sites)
+    return out
+
+
+def _accumulate(out: Array, name: str, shape: Array, sites: dict[Site, Array]) -> None:
+    if name in ("joint", "stretch"):
+        for j in range(len(shape)):
+            if shape[j].any():
+                out += sites[name, j, 0] * shape[j]
+    elif name == "link":
+        for j, k in zip(*np.nonzero(shape.any(-1)), strict=True):
+            out += sites["link", int(j), int(k)] * shape[j, k]
+    elif name == "scale":
+        out += sites["scale", 0, 0] * shape
+    else:
+        for k in np.flatnonzero(shape.any(-1)):
+            out += sites[name, 0, int(k)] * shape[k]
+
+
+def _host(deflection: Deflection) -> Deflection:
+    return Deflection(*(None if part is None else np.asarray(part) for part in deflection))  # type: ignore[arg-type]
+
+
+@partial(jax.jit, static_argnums=0)
+def _loads(form: Form, kinematics: jax.Array, motion: Motion, inertia: Inertia) -> Loads:
+    position, velocity, acceleration = motion.joint_position, motion.joint_velocity, motion.joint_acceleration
+    return loads(form, kinematics, turn(position), motion.payload, inertia, velocity, acceleration)

@@ -1,0 +1,102 @@
+"""The periodic and nonparametric terms of poses: harmonics of each joint, and curves over what drives it."""
+
+from collections.abc import Sequence
+from functools import partial
+
+import jax.numpy as jnp
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import KDTree
+
+from lite6jax.domains.pose.deflections import Deflections
+from lite6jax.domains.pose.kinematics import Site
+from lite6jax.effects.drivers import Driver
+from lite6jax.effects.kinematic.joints import JointHarmonic
+from lite6jax.effects.motion import Motion
+from lite6jax.effects.nonparametric import Unnamed, plays
+from lite6jax.estimation.problem import CurveDriver, CurveFamily, Mask, PeriodicFamily
+from lite6jax.estimation.terms import Term
+
+Array = NDArray[np.floating]
+
+_PIECES = {"position": (8, 24), "gravity torque": (1, 3, 8, 24), "velocity": (8, 24)}
+"""Intervals of the splines over each driver: torques also deflect by a cubic or two."""
+_NEIGHBOURS = 8
+"""Rows that must be near for a place to count as measured."""
+
+
+def periodic(motion: Motion, sites: dict[Site, Array]) -> tuple[PeriodicFamily, ...]:
+    """The harmonics of each joint.
+
+    Args:
+        motion: time-shifted.
+        sites: columns of each site.
+    """
+    found = []
+    for j, q in enumerate(np.asarray(motion.joint_position)):
+        term, curve = partial(_harmonic, j + 1), partial(waves, j + 1, q)
+        found.append(PeriodicFamily(f"joint{j + 1}", sites["joint", j, 0], q, term, _order, curve))
+    return tuple(found)
+
+
+def curves(motion: Motion, deflections: Deflections, sites: dict[Site, Array]) -> tuple[CurveFamily, ...]:
+    """The curves of each joint over its position, its gravity torque and its velocity, as far as these are known."""
+    found = []
+    for j in range(motion.dof):
+        site, drivers = f"joint{j + 1}", []
+        for quantity, pieces in _PIECES.items():
+            driver = Driver(quantity, j + 1)
+            loads = deflections.loads if driver.loaded else None
+            if (driver.loaded and loads is None) or not driver.known(motion, loads):
+                continue
+            values = np.asarray(driver.values(motion, loads))
+            spline = partial(_spline, site, driver.phrase)
+            play = partial(_play, values, motion) if driver.loaded else None
+            hysteresis = partial(_hysteresis, site, driver.phrase, values) if driver.loaded else None
+            drivers.append(CurveDriver(values, pieces, quantity == "position", spline, play, hysteresis))
+        found.append(CurveFamily(site, sites["joint", j, 0], tuple(drivers)))
+    return tuple(found)
+
+
+def waves(
+    joint: int, q: Array, orders: Sequence[float], training: Mask, spread: float | None, fade: float
+) -> Unnamed:
+    """The curve of some orders of a joint, counted from 1, that fades out where no training row was.
+
+    Args:
+        joint: counted from 1.
+        q: `(sample,)` rad, its positions.
+        orders: of the waves.
+        training: `(sample,)` bool.
+        spread: standard deviation of the coefficients' prior, or None.
+        fade: rad beyond the training rows within which the curve fades out.
+    """
+    q = q[training]
+    lower, upper = float(q.min()) - 3 * fade, float(q.max()) + 3 * fade
+    at = np.linspace(lower, upper, int(np.ceil((upper - lower) / (fade / 4))))
+    nth = min(max(_NEIGHBOURS, len(q) // 150), len(q))
+    away = np.asarray(KDTree(q[:, None]).query(at[:, None], k=nth)[0])[:, -1]
+    trust = tuple(float(t) for t in np.exp(-((away / fade) ** 2)).round(4))
+    driver = Driver("position", joint).phrase
+    return Unnamed(f"joint{joint}", driver, lower, upper, orders=tuple(orders), trust=trust, spread=spread)
+
+
+def _harmonic(joint: int, order: float) -> JointHarmonic:
+    return JointHarmonic(joint, order)
+
+
+def _order(term: Term) -> float | None:
+    assert isinstance(term, JointHarmonic)
+    return None if term.order is None else float(term.order)
+
+
+def _spline(site: str, driver: str, lower: float, upper: float, pieces: int) -> Unnamed:
+    return Unnamed(site, driver, lower, upper, pieces)
+
+
+def _play(values: Array, motion: Motion, widths: Array) -> Array:
+    return np.asarray(plays(jnp.asarray(values), jnp.asarray(widths), motion.run))
+
+
+def _hysteresis(site: str, driver: str, values: Array, widths: tuple[float, ...]) -> Unnamed:
+    return Unnamed(site, driver, float(values.min()), float(values.max()), memory=widths)

@@ -1,0 +1,161 @@
+"""Residuals of measured poses and their derivatives: of a rigid arm on the host, of a deflected one in JAX."""
+
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from lite6jax.arms import frames
+from lite6jax.arms.chains import Form
+from lite6jax.arms.moves import turn
+from lite6jax.effects.deflection import Deflection
+from lite6jax.fitting.residual import Observations, differences, whiten
+from lite6jax.model import ArmModel, predict_bent
+
+Array = NDArray[np.floating]
+Site = tuple[str, int, int]
+"""A field of `Deflection`, the joint or link in it from 0, and the component of a twist."""
+
+_ROUNDING = 1e-12
+_ONCE = {"xla_backend_optimization_level": 0}  # compiled for one recording: the optimiser costs more than it saves
+
+
+class Measured(NamedTuple):
+    """What the sensor measured, the sample last. A pytree.
+
+    Attributes:
+        position: `(3, sample)` m.
+        rotation: `(3, 3, sample)`; `(3, 3, 0)` where no orientation was measured.
+        whitener: `(2,)` or `(row, row, sample)`, as in `Observations`.
+    """
+
+    position: Array
+    rotation: Array
+    whitener: Array
+
+    @property
+    def rows(self) -> int:
+        """Numbers that a sample has: 3 or 6."""
+        return 6 if self.rotation.shape[-1] else 3
+
+
+class RigidFrames(NamedTuple):
+    """The frames of a rigid arm in the sensor's frame.
+
+    Attributes:
+        frames: `(joint + 1, sample, 4, 4)`, the base and the frame after each joint's rotation.
+        tool: `(sample, 4, 4)`.
+    """
+
+    frames: Array
+    tool: Array
+
+
+def rigid_frames(model: ArmModel, joint_position: Array) -> RigidFrames:
+    """The frames of a six-parameter chain at `joint_position` `(joint, sample)` rad."""
+    links = [frames.transform_from_row(row) for row in np.asarray(model.geometry).reshape(-1, 6)]
+    turns = frames.joint_rotations(joint_position)
+    T = np.broadcast_to(np.asarray(model.T_sensor_base), (joint_position.shape[1], 4, 4))
+    found = [T]
+    for link, turned in zip(links, turns, strict=True):
+        T = T @ link @ turned
+        found.append(T)
+    return RigidFrames(np.stack(found), T @ np.asarray(model.T_flange_tool))
+
+
+def rigid_differences(tool: Array, measured: Measured) -> Array:
+    """Predicted minus measured poses `(row, sample)`: m in sensor axes, and rad in the measured tool's axes."""
+    apart = tool[:, :3, 3].T - measured.position
+    if measured.rows == 3:
+        return apart
+    relative = np.einsum("abs,sac->sbc", measured.rotation, tool[:, :3, :3])
+    return np.concatenate([apart, Rotation.from_matrix(relative).as_rotvec().T])
+
+
+def whitened(columns: Array, whitener: Array) -> Array:
+    """Columns `(…, row, sample)` in m and rad over the standard deviation of the noise."""
+    if whitener.ndim == 1:
+        return columns * np.repeat(whitener, 3)[: columns.shape[-2], None]
+    return np.einsum("abs,...bs->...as", whitener, columns)
+
+
+def site_columns(model: ArmModel, joint_position: Array, measured: Measured) -> dict[Site, Array]:
+    """How whitened residuals `(row, sample)` change with a unit deflection at each site of a rigid arm."""
+    rigid = rigid_frames(model, joint_position)
+    dof = len(joint_position)
+    twists, stretches, scale = _plain_columns(rigid, measured)
+    columns = whitened(
+        np.concatenate([twists.reshape(-1, *twists.shape[2:]), stretches, scale[None]]), measured.whitener
+    )
+    visible = np.abs(columns).max((1, 2), initial=0.0)
+    columns[visible < _ROUNDING * visible.max()] = 0.0  # the last joint's, of a point on its axis
+    twisted, stretched = columns[: 6 * (dof + 1)].reshape(dof + 1, 6, *columns.shape[1:]), columns[6 * (dof + 1) :]
+    sites: dict[Site, Array] = {("base", 0, k): twisted[0, k] for k in range(6)}
+    for j in range(dof):
+        sites |= {("link", j, k): twisted[j + 1, k] for k in range(6)}
+        sites["joint", j, 0] = twisted[j + 1, 5]  # a joint's angle is about its frame's z
+        sites["stretch", j, 0] = stretched[j]
+    sites |= {("tool", 0, k): twisted[dof, k] for k in range(6)}
+    sites["scale", 0, 0] = stretched[dof]
+    return sites
+
+
+def joint_columns(model: ArmModel, joint_position: Array, measured: Measured) -> Array:
+    """The residual's derivative by each joint's position, `(joint, row, sample)`, m and rad."""
+    return _plain_columns(rigid_frames(model, joint_position), measured)[0][1:, 5]
+
+
+def _plain_columns(rigid: RigidFrames, measured: Measured) -> tuple[Array, Array, Array]:
+    """In m and rad, of frames' twists `(frame, 6, row, sample)`, of stretches `(joint, row, sample)`, and of scale."""
+    F, tool = rigid.frames, rigid.tool
+    axes = np.moveaxis(F[:, :, :3, :3], 1, -1).swapaxes(1, 2)  # (frame, axis, component, sample)
+    origins = np.moveaxis(F[:, :, :3, 3], 1, -1)
+    lever = tool[:, :3, 3].T - origins
+    turned = np.cross(axes, lever[:, None], axis=2)
+    twists = np.concatenate([axes, turned], 1)
+    stretches, scale = np.diff(origins, axis=0), tool[:, :3, 3].T
+    if measured.rows == 6:
+        in_tool = np.einsum("abs,kjas->kjbs", measured.rotation, axes)
+        spin = _left_jacobian_inverse(rigid_differences(tool, measured)[3:], in_tool)
+        twists = np.concatenate([twists, np.concatenate([np.zeros_like(spin), spin], 1)], 2)
+        stretches, scale = (np.concatenate([part, np.zeros_like(part)], -2) for part in (stretches, scale))
+    return twists, stretches, scale
+
+
+def _left_jacobian_inverse(vector: Array, rows: Array) -> Array:
+    """J_l⁻¹(e) v = v − ½ e × v + γ e × (e × v) (T. Barfoot, State Estimation for Robotics, 7.80).
+
+    Args:
+        vector: e, `(3, sample)` rad.
+        rows: v, `(…, 3, sample)`.
+    """
+    angle2 = np.sum(vector**2, 0)
+    small = angle2 < 1e-4
+    safe = np.where(small, 1.0, angle2)
+    angle = np.sqrt(safe)
+    exact = 1 / safe - (1 + np.cos(angle)) / (2 * angle * np.sin(angle))
+    gamma = np.where(small, 1 / 12 + angle2 / 720 + angle2**2 / 30240, exact)
+    once = np.cross(vector, rows, axis=-2)
+    return rows - 0.5 * once + gamma * np.cross(vector, once, axis=-2)
+
+
+@partial(jax.jit, static_argnums=0, compiler_options=_ONCE)
+def bent_residual(
+    form: Form, model: ArmModel, joint_position: jax.Array, deflection: Deflection, measured: Measured
+) -> jax.Array:
+    """Whitened residuals `(row, sample)` of a deflected arm."""
+    _, tool = predict_bent(form, model, joint_position, deflection)
+    joint, weight = turn(joint_position), jnp.ones(joint_position.shape[1])
+    position, rotation, whitener = map(jnp.asarray, measured)
+    observed = Observations(joint, position, rotation, weight, whitener)
+    return whiten(whitener, differences(observed, tool))
+
+
+@partial(jax.jit, static_argnums=0, compiler_options=_ONCE)
+def bent_positions(form: Form, model: ArmModel, joint_position: jax.Array, deflection: Deflection) -> jax.Array:
+    """The tool's positions `(3, sample)` m of a deflected arm, in the sensor's frame."""
+    return predict_bent(form, model, joint_position, deflection)[1].origin

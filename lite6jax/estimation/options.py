@@ -1,0 +1,122 @@
+"""Every threshold of the engine: its value, what it means, and why it has that value."""
+
+from dataclasses import dataclass, field, fields
+from typing import Any, NamedTuple, final
+
+
+def option(value: Any, meaning: str, why: str) -> Any:
+    """A field of an options object, with its documentation."""
+    return field(default=value, metadata={"meaning": meaning, "why": why})
+
+
+class Documented(NamedTuple):
+    """An option as it is documented.
+
+    Attributes:
+        name: of the field.
+        value: its default.
+        meaning: what it is, with its unit.
+        why: the reason for the value.
+    """
+
+    name: str
+    value: Any
+    meaning: str
+    why: str
+
+
+def documented(options: Any) -> list[Documented]:
+    """The options of an object or class, in the order in which they are declared; groups of options are left out."""
+    return [
+        Documented(f.name, getattr(options, f.name, f.default), f.metadata["meaning"], f.metadata["why"])
+        for f in fields(options)
+        if "meaning" in f.metadata
+    ]
+
+
+@final
+@dataclass(frozen=True)
+class EngineOptions:
+    """Thresholds of estimation and search. Lengths of time are counted in samples, evidence in log-likelihood."""
+
+    # evidence
+    level: float = option(0.003, "family-wise false-alarm level of a finding", "one in 300 recordings")
+    close: float = option(
+        6.0,
+        "log-likelihood within which two models are not distinguished",
+        "a likelihood ratio of 400; also what a noise model of two numbers must gain",
+    )
+    searched_orders: float = option(
+        400.0,
+        "independent orders, or shapes, that are searched at one site",
+        "orders to 200 resolve to about one half over a full turn",
+    )
+    searched_curves: float = option(
+        20.0, "independent curves that are searched at one site", "families x drivers x pieces of the curves tried"
+    )
+    confounded: float = option(
+        1e-6,
+        "share of a column's square, outside the span of nuisance and model, below which it is confounded",
+        "a thousandth of its length: linearisation errors are as large",
+    )
+    rounding: float = option(
+        1e-12, "relative eigenvalue below which a direction is rounding", "the square of the rounding of residuals"
+    )
+    winsor: float = option(4.0, "standard deviations at which residuals are winsorised", "one normal sample in 16 000")
+    # blocks of the score test
+    most_blocks: int = option(60, "most blocks of a score test", "more do not sharpen the estimate of their spread")
+    least_in_block: int = option(6, "fewest samples in a block", "fewer make heavy-tailed sums")
+    block_times: float = option(2.0, "autocorrelation times in a block", "neighbouring blocks then correlate little")
+    # noise model
+    lags: int = option(32, "lags of the portmanteau statistic", "covers autocorrelation times to about ten samples")
+    suspicious: float = option(
+        2.5, "standard deviations of summed autocorrelations below which noise is taken as white", "saves time"
+    )
+    least_in_run: int = option(4, "mean samples of a run from which autocorrelation is estimated", "two parameters")
+    most_for_noise: int = option(2000, "samples from which the noise model is estimated", "known to 3 %")
+    # least squares
+    steps: int = option(25, "most Gauss-Newton steps of a fit", "four suffice where the model is right")
+    settled: float = option(1e-3, "length of a last step, in standard deviations", "invisible in any printed digit")
+    exact_steps: int = option(8, "most steps of a fit with derivatives by differences", "it starts at the solution")
+    exact_settled: float = option(0.02, "length of its last step, in standard deviations", "each step is expensive")
+    halvings: int = option(6, "most halvings of a step that does not improve", "a step of 1/64 is no progress")
+    difference: float = option(1e-6, "m or rad by which a difference is taken", "between rounding and curvature")
+    relinearisations: int = option(4, "fits between which the problem is linearised anew", "error falls 1000-fold")
+    # forward selection
+    most_terms: int = option(8, "most terms of a forward selection", "more are a family of curves: see `shrinkage`")
+    refitted: int = option(4, "candidates that are refitted before one is added", "score and refit rank nearly alike")
+    refitted_share: float = option(0.8, "share of the best gain from which a candidate is refitted", "as above")
+    doubtful: int = option(3, "additions in a row that are not significant yet", "masked effects come in small groups")
+    first_samples: int = option(2000, "samples that find the terms; all samples then fit them", "bounds the time")
+    nearest: int = option(3, "named terms reported beside a nonparametric one", "what fits on a screen")
+    # exchange
+    several: int = option(3, "terms from which sets of terms are exchanged", "two are covered by forward and backward")
+    exchanged: int = option(2, "alternatives of a term that are tried in its place", "those are nearly as likely")
+    # curves
+    curve_rounds: int = option(3, "rounds of replacing named terms by curves", "one curve a round")
+    merged: int = option(3, "harmonics at one site that are merged into one curve", "gears have one or two orders")
+    centres: int = option(40, "places of a step or bump that are tried first", "a tenth of the narrowest range")
+    closer: int = option(4, "rounds in which place and width are refined", "each is three times as fine")
+    least_varied: float = option(1e-6, "range of a driver, in its unit, below which it did not vary", "rounding")
+    # spectrum
+    highest_order: float = option(200.0, "highest order of a spectrum", "teeth of strain-wave gears to ratio 100")
+    lowest_order: float = option(1.0, "lowest order of a spectrum", "less than a turn is an offset and a slope")
+    exact_below: float = option(12.0, "order below which gains are exact", "the nuisance is confounded with low orders")
+    kept_lines: int = option(4, "peaks of a spectrum that are scored exactly", "side lobes are lower than these")
+    whole_preferred: float = option(
+        2.0, "log-likelihood by which a whole order is preferred", "most gears have whole orders"
+    )
+    # harmonic shrinkage
+    lines_per_site: int = option(11, "most orders that a curve keeps, mean over sites", "more would be a lookup table")
+    named_numbers: int = option(12, "most numbers of named terms beside the curves", "as many as one curve")
+    few_lines: int = option(3, "orders of one site that stay harmonics by name", "as in `merged`")
+    dropped: float = option(0.1, "share of the orders dropped at a time", "ten rounds halve their number")
+    plausible: float = option(300.0, "typical sizes beyond which a number fits something else", "30 mrad, 3 mrad/Nm")
+    shrinkage_rounds: int = option(3, "rounds of curves and named terms", "the set does not change later")
+    fade: float = option(0.2, "rad beyond the data within which a curve fades out", "half a period of order 15")
+    # final estimates
+    whole_within: float = option(2.0, "standard deviations within which an order is taken as whole", "95 %")
+
+
+DEFAULTS = EngineOptions()
+"""The options as they are documented."""

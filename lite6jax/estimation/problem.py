@@ -1,0 +1,170 @@
+"""What an estimation problem is: residuals, columns of every term, nuisance with its prior, groups of noise, runs.
+
+The engine knows nothing else of a domain. Rows are the numbers that a sample has; arrays have the sample last, and
+residuals and columns are divided by the declared standard deviation of the noise.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Protocol, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lite6jax.estimation.terms import Term, Terms
+
+Array = NDArray[np.floating]
+Mask = NDArray[np.bool_]
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class PeriodicFamily:
+    """Terms that are sine and cosine of some order of an angle, at one site.
+
+    Attributes:
+        site: of its terms.
+        column: `(row, sample)`, how residuals change with the site's deflection.
+        angle: `(sample,)` rad.
+        term: the term of one order.
+        order: of one of its terms; None where that is free.
+        curve: the nonparametric term of several orders: of these, of the mask `(sample,)` of training samples, of
+            the standard deviation of its coefficients' prior, or None, and of the range of the angle in rad within
+            which it fades out beyond the training samples.
+    """
+
+    site: str
+    column: Array
+    angle: Array
+    term: Callable[[float], Term]
+    order: Callable[[Term], float | None]
+    curve: Callable[[Sequence[float], Mask, float | None, float], Term]
+
+    def columns(self, orders: Array) -> Array:
+        """Sine and cosine of each order, `(order, 2, row, sample)`."""
+        turned = np.multiply.outer(orders, self.angle)
+        return self.column * np.stack([np.sin(turned), np.cos(turned)], 1)[:, :, None]
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class CurveDriver:
+    """A quantity over which a curve of one site may run.
+
+    Attributes:
+        values: `(sample,)`.
+        pieces: numbers of intervals of the splines to try.
+        local: whether steps and bumps at some place of its range are tried.
+        spline: the nonparametric term of a range and a number of pieces.
+        play: what play operators of half-widths `(width,)` make of the values, `(width, sample)`; None where the past
+            of this quantity cannot matter.
+        hysteresis: the nonparametric term of the half-widths of several plays.
+    """
+
+    values: Array
+    pieces: tuple[int, ...]
+    local: bool
+    spline: Callable[[float, float, int], Term]
+    play: Callable[[Array], Array] | None = None
+    hysteresis: Callable[[tuple[float, ...]], Term] | None = None
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class CurveFamily:
+    """Nonparametric terms of one site.
+
+    Attributes:
+        site: of its terms.
+        column: `(row, sample)`, how residuals change with the site's deflection.
+        drivers: what the curves run over.
+    """
+
+    site: str
+    column: Array
+    drivers: tuple[CurveDriver, ...]
+
+
+class Problem(Protocol):
+    """One estimation problem, linearised about where its nuisance is zero.
+
+    Attributes:
+        rows: numbers that a sample has.
+        samples: how many.
+        groups: `(row,)` int, which group of noise a row belongs to; each has a scale and a noise model of its own.
+        run: `(sample,)` int; noise is not correlated across a change.
+        valid: `(sample,)` bool, the samples that may be used at all.
+        nuisance: `(number, row, sample)`, how residuals change with each nuisance number.
+        precision: `(number,)`, one over the variance of each nuisance number's prior; zero where there is none.
+        offset: `(number,)`, how far the point of linearisation is from the prior's mean.
+        informative: whether the prior is knowledge, and evidence; else it only fixes a gauge.
+        candidates: the named terms that these data can show.
+        periodic: families of periodic terms.
+        curves: families of nonparametric terms.
+        preset: terms that the domain has estimated before the search, because a score test does not reach so far, and
+            their numbers.
+    """
+
+    @property
+    def rows(self) -> int: ...
+    @property
+    def samples(self) -> int: ...
+    @property
+    def groups(self) -> NDArray[np.integer]: ...
+    @property
+    def run(self) -> NDArray[np.integer]: ...
+    @property
+    def valid(self) -> Mask: ...
+    @property
+    def nuisance(self) -> Array: ...
+    @property
+    def precision(self) -> Array: ...
+    @property
+    def offset(self) -> Array: ...
+    @property
+    def informative(self) -> bool: ...
+    @property
+    def candidates(self) -> tuple[Term, ...]: ...
+    @property
+    def periodic(self) -> tuple[PeriodicFamily, ...]: ...
+    @property
+    def curves(self) -> tuple[CurveFamily, ...]: ...
+    @property
+    def preset(self) -> tuple[Terms, Array]: ...
+
+    def residual(self, nuisance: Array, terms: Terms, values: Array) -> Array:
+        """Residuals `(row, sample)`, predicted minus measured, exact."""
+        ...
+
+    def columns(
+        self, terms: Sequence[Term], values: Array | None = None, beside: tuple[Terms, Array] | None = None
+    ) -> Array:
+        """How residuals change with the numbers of terms, `(number, row, sample)`.
+
+        Args:
+            terms: any of this problem.
+            values: `(number,)` where; zero where not given.
+            beside: the terms of the model, and their numbers, that a term's own columns may depend on; `terms`
+                themselves where not given.
+        """
+        ...
+
+    def relinearised(self, nuisance: Array) -> "Problem":
+        """The same problem about another nuisance, `(number,)` from here."""
+        ...
+
+    def thinned(self, every: int) -> "Problem":
+        """One in `every` samples."""
+        ...
+
+    def without_preset(self) -> "Problem":
+        """The same problem without its preset terms."""
+        ...
+
+    def alternative(self, terms: Terms) -> "Problem | None":
+        """The same problem by the other of two models of the inputs, where these terms depend on it; else None."""
+        ...
+
+    def shrinkable(self, term: Term) -> bool:
+        """Whether a named term is estimated beside many periodic ones at once, none of which does nearly the same."""
+        ...

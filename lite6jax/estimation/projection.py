@@ -1,0 +1,61 @@
+"""Orthonormal bases, rank, and what is left of columns outside the span of others."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.floating]
+
+
+def unit_rows(columns: Array) -> Array:
+    """Rows `(number, reading)` of unit length; those that are zero are left out."""
+    norms = np.linalg.norm(columns, axis=1)
+    return columns[norms > 0] / norms[norms > 0, None]
+
+
+def orthonormal(rows: Array, rounding: float) -> Array:
+    """An orthonormal basis `(rank, reading)` of the span of unit rows.
+
+    Args:
+        rows: `(number, reading)`, of similar length each.
+        rounding: eigenvalue of their products, over the largest, below which a direction does not count.
+    """
+    if not len(rows):
+        return rows
+    eigenvalues, V = np.linalg.eigh(rows @ rows.T)
+    kept = eigenvalues > rounding * eigenvalues[-1]
+    basis = (V[:, kept] / np.sqrt(eigenvalues[kept])).T @ rows
+    return np.linalg.qr(basis.T)[0].T
+
+
+def rank(columns: Array, rounding: float) -> int:
+    """How many directions columns `(number, reading)` span."""
+    return len(orthonormal(unit_rows(columns), rounding))
+
+
+def outside(columns: Array, basis: Array) -> Array:
+    """Columns `(number, reading)` less their projection on an orthonormal basis `(rank, reading)`."""
+    return columns - (columns @ basis.T) @ basis
+
+
+def scaled_solve(H: Array, b: Array, rounding: float = 1e-13) -> Array:
+    """x of H x = b for a positive semidefinite H, shortest in units of unit diagonal where H is singular."""
+    root = _root(H)
+    return np.linalg.lstsq(H / np.outer(root, root), b / root, rcond=rounding)[0] / root
+
+
+def scaled_inverse(H: Array, rounding: float = 1e-13) -> Array:
+    """The pseudo-inverse of a positive semidefinite H, taken in units of unit diagonal."""
+    root = _root(H)
+    return np.linalg.pinv(H / np.outer(root, root), rcond=rounding, hermitian=True) / np.outer(root, root)
+
+
+def schur_complement(G: Array, known: NDArray[np.integer], rounding: float = 1e-12) -> Array:
+    """Products `(number, number)` of what is left of columns outside the span of some of them, from all products."""
+    size = _root(G)
+    C = G / np.outer(size, size)
+    inverse = np.linalg.pinv(C[np.ix_(known, known)], rcond=rounding, hermitian=True)
+    return (C - C[:, known] @ inverse @ C[known]) * np.outer(size, size)
+
+
+def _root(H: Array) -> Array:
+    return np.sqrt(np.maximum(np.diagonal(H), np.finfo(float).tiny))

@@ -1,0 +1,109 @@
+"""Terms of a model: what a search adds, and several of them with their numbers in one vector."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+from typing import Protocol, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.floating]
+
+
+class Number(Protocol):
+    """A number of a term that a fit estimates.
+
+    Attributes:
+        typical: the size that it commonly has, in its unit.
+        spread: the standard deviation of its prior about zero, in its unit; infinite where there is no prior.
+    """
+
+    @property
+    def typical(self) -> float: ...
+    @property
+    def spread(self) -> float: ...
+
+
+class Term(Protocol):
+    """A candidate term. Hashable; at zero it changes nothing.
+
+    Attributes:
+        label: its name and site.
+        site: where it acts; terms of one site can replace each other.
+        size: how many numbers it has.
+        coordinates: these numbers.
+        specificity: rank of its name among terms that the data do not distinguish; the least is reported.
+        periodic: whether it is found by the spectrum of a periodic family.
+        nonparametric: whether it is a flexible curve rather than a named term.
+        chosen: the number that a search chose instead of fitting it (an order), or None.
+    """
+
+    @property
+    def label(self) -> str: ...
+    @property
+    def site(self) -> str: ...
+    @property
+    def size(self) -> int: ...
+    @property
+    def coordinates(self) -> Sequence[Number]: ...
+    @property
+    def specificity(self) -> int: ...
+    @property
+    def periodic(self) -> bool: ...
+    @property
+    def nonparametric(self) -> bool: ...
+    @property
+    def chosen(self) -> float | None: ...
+
+    def released(self) -> "Term":
+        """The same term with its chosen number as its last free coordinate."""
+        ...
+
+    def held(self, number: float) -> "Term":
+        """The same term with its chosen number fixed at `number`."""
+        ...
+
+
+@final
+@dataclass(frozen=True)
+class Terms:
+    """Several terms; their numbers stand one after the other in `values` `(size,)`.
+
+    Attributes:
+        terms: in the order of their numbers.
+    """
+
+    terms: tuple[Term, ...] = ()
+
+    @cached_property
+    def size(self) -> int:
+        """How many numbers."""
+        return sum(term.size for term in self.terms)
+
+    @cached_property
+    def slices(self) -> tuple[slice, ...]:
+        """Where each term's numbers stand."""
+        ends = np.cumsum([0, *(term.size for term in self.terms)]).tolist()
+        return tuple(slice(start, end) for start, end in pairwise(ends))
+
+    @cached_property
+    def typical(self) -> Array:
+        """`(size,)`, the common size of each number."""
+        return np.array([number.typical for term in self.terms for number in term.coordinates])
+
+    @cached_property
+    def precision(self) -> Array:
+        """`(size,)`, one over the variance of each number's prior; zero where there is none."""
+        return np.array([number.spread for term in self.terms for number in term.coordinates], float) ** -2.0
+
+    def part(self, values: Array, kept: Sequence[bool]) -> "tuple[Terms, Array]":
+        """The terms that are kept, and their numbers out of `values` `(size,)`."""
+        pairs = [(t, values[at]) for t, at, stays in zip(self.terms, self.slices, kept, strict=True) if stays]
+        return Terms(tuple(term for term, _ in pairs)), join(value for _, value in pairs)
+
+
+def join(values: Iterable[Sequence[float] | Array]) -> Array:
+    """`(size,)` from the numbers of each term."""
+    return np.concatenate([np.zeros(0), *(np.asarray(value, float) for value in values)])

@@ -1,0 +1,92 @@
+"""Retest with the noise model: the search assumes white noise; its terms are tested again in the noise left."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from lite6jax.estimation.least_squares import Fit, fit
+from lite6jax.estimation.noise import white_noise
+from lite6jax.estimation.options import EngineOptions
+from lite6jax.estimation.problem import Problem
+from lite6jax.estimation.score_test import remaining_noise_model, score_test, searched_size
+from lite6jax.estimation.terms import Terms
+from lite6jax.search.state import (
+    Alternative,
+    State,
+    Tested,
+    description_length,
+    extended,
+    most_specific,
+    reduced,
+    retested,
+)
+
+
+def retest(problem: Problem, state: State, options: EngineOptions) -> State:
+    """The state in its own noise model, and with further terms that are significant in that noise."""
+    state, searched = _in_noise_model(problem, state, options), searched_size(problem, options)
+    while not state.fit.noise.white and len(state.tested) < options.most_terms:
+        test = score_test(problem, state.fit, options)
+        scores = zip(problem.candidates, test.score(problem.candidates), strict=True)
+        clear = [(term, s) for term, s in scores if not s.confounded and s.p_value * searched < options.level]
+        if not clear:
+            break
+        n = state.fit.freedom
+        term, score = max(clear, key=lambda pair: pair[1].gain - 0.5 * pair[1].size * np.log(n))
+        tested = Tested(term, score.familywise(searched), score)
+        more = _in_noise_model(problem, extended(problem, state, tested, score.values, options), options)
+        if len(more.tested) <= len(state.tested):
+            break
+        state = more
+    return state
+
+
+def _in_noise_model(problem: Problem, state: State, options: EngineOptions) -> State:
+    """All terms tested and fitted in the noise that they leave, where that is autocorrelated; insignificant ones go."""
+    while not (noise := remaining_noise_model(problem, state.fit, options)).white:
+        f = state.fit
+        refit = fit(problem, f.terms, options, f.values, f.nuisance, f.training, noise)
+        state = replace(state, fit=refit)
+        time = score_test(problem, refit, options).time
+        rests = [reduced(problem, state, k, options) for k in range(len(state.tested))]
+        tests = [retested(problem, state, k, time, options, rest) for k, rest in enumerate(rests)]
+        worst = max(range(len(tests)), key=lambda k: tests[k].p_value, default=None)
+        if worst is None or tests[worst].p_value < options.level:
+            state = replace(state, tested=tuple(tests))
+            for k in range(len(tests)):
+                state = _renamed(problem, state, k, options)
+            return state
+        state = rests[worst]
+    if not state.fit.noise.white:
+        f = state.fit
+        white = fit(problem, f.terms, options, f.values, f.nuisance, f.training, white_noise(problem.groups))
+        state = replace(state, fit=white)
+    return state
+
+
+def _renamed(problem: Problem, state: State, k: int, options: EngineOptions) -> State:
+    """The state with the most likely of the k-th term and its alternatives: another noise model, another order."""
+    tested, searched = state.tested[k], searched_size(problem, options)
+    rest = reduced(problem, state, k, options).fit
+    test = score_test(problem, rest, options)
+    choices: list[tuple[Tested, Fit]] = [(tested, state.fit)]
+    for alternative in tested.alternatives:
+        score = test.score([alternative.term])[0]
+        terms = Terms((*rest.terms.terms[:k], alternative.term, *rest.terms.terms[k:]))
+        values = np.insert(rest.values, state.fit.terms.slices[k].start, score.values)
+        other = fit(problem, terms, options, values, rest.nuisance, rest.training, rest.noise)
+        choices.append((Tested(alternative.term, score.familywise(searched), score), other))
+    scale, n = np.min([one.scale for _, one in choices], axis=0), rest.freedom
+
+    def judged(choice: tuple[Tested, Fit]) -> float:
+        return choice[1].log_likelihood(scale) - description_length([choice[0].term], n, options)
+
+    best = most_specific(choices, judged, lambda choice: choice[0].term, options.close)
+    likely = best[1].log_likelihood(scale)
+    alternatives = tuple(
+        Alternative(other.term, float(likely - one.log_likelihood(scale)))
+        for other, one in sorted(choices, key=lambda choice: -judged(choice))
+        if other is not best[0]
+    )
+    chosen = replace(best[0], alternatives=alternatives)
+    return State(state.baseline, best[1], (*state.tested[:k], chosen, *state.tested[k + 1 :]))

@@ -1,0 +1,121 @@
+"""The search of one problem: which terms, together, its residuals require."""
+
+from dataclasses import dataclass, replace
+from typing import final
+
+import numpy as np
+
+from lite6jax.estimation.least_squares import Fit, fit
+from lite6jax.estimation.options import EngineOptions
+from lite6jax.estimation.problem import Mask, Problem
+from lite6jax.estimation.score_test import Score, gain_p_value, score_test, searched_size
+from lite6jax.estimation.terms import Term, Terms
+from lite6jax.search.backward import eliminate, prune
+from lite6jax.search.curves import merge_harmonics, replace_by_curves
+from lite6jax.search.exchange import exchange
+from lite6jax.search.forward import forward
+from lite6jax.search.retest import retest
+from lite6jax.search.shrinkage import shrink
+from lite6jax.search.state import State, Tested
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Selection:
+    """The terms that a problem's residuals require.
+
+    Attributes:
+        problem: linearised where its nuisance, and its preset terms, are.
+        reference: the same without preset terms, which `state.baseline` was fitted to.
+        state: the terms with their fit.
+        confounded: candidates that the nuisance can do as well.
+        nearest: the most significant candidate beside those found, and its family-wise p-value.
+    """
+
+    problem: Problem
+    reference: Problem
+    state: State
+    confounded: tuple[Term, ...] = ()
+    nearest: tuple[Term, float] | None = None
+
+
+def search(
+    problem: Problem,
+    options: EngineOptions,
+    training: Mask | None = None,
+    reference: Problem | None = None,
+    thorough: bool = True,
+) -> Selection:
+    """Selects terms: forward, backward, curves, exchange, and a retest with the noise model.
+
+    Of very many samples a part finds the terms; all samples then fit them and are searched for what is left.
+
+    Args:
+        problem: the data, linearised.
+        options: thresholds.
+        training: `(sample,)` bool, the samples to use; all where not given.
+        reference: the problem without its preset terms, linearised on its own; the problem itself where not given.
+        thorough: whether sets of terms are exchanged, and what is confounded or nearest is determined.
+    """
+    training = problem.valid if training is None else training & problem.valid
+    reference = problem if reference is None else reference
+    every = max(int(training.sum()) // options.first_samples, 1)
+    if every == 1:
+        state = _selected(problem, reference, training, options, thorough)
+    else:
+        part = _selected(problem.thinned(every), reference.thinned(every), training[::every], options, thorough)
+        state = _continued(problem, reference, part, training, options)
+    if not any(np.isfinite(number.spread) for term in state.fit.terms.terms for number in term.coordinates):
+        state = retest(problem, state, options)
+    selection = Selection(problem, reference, state)
+    return _reviewed(selection, options) if thorough else selection
+
+
+def _selected(problem: Problem, reference: Problem, training: Mask, options: EngineOptions, thorough: bool) -> State:
+    baseline = fit(reference, Terms(), options, training=training)
+    added = forward(problem, _with_preset(problem, baseline, options), options)
+    state = eliminate(problem, added, options)
+    shrunk = shrink(problem, state, options) if len(state.tested) == options.most_terms else None
+    if shrunk is not None:
+        return shrunk
+    state = prune(problem, replace_by_curves(problem, added, options), options)
+    if thorough:
+        state = exchange(problem, state, options)
+    return merge_harmonics(problem, state, options)
+
+
+def _with_preset(problem: Problem, baseline: Fit, options: EngineOptions) -> State:
+    """The baseline, with the terms that the domain has estimated before the search."""
+    terms, values = problem.preset
+    if not terms.terms:
+        return State(baseline, baseline)
+    fitted = fit(problem, terms, options, values, training=baseline.training)
+    gain = fitted.log_likelihood(fitted.scale) - baseline.log_likelihood(fitted.scale)
+    time = score_test(problem, fitted, options).time
+    tested = []
+    for term, part in zip(terms.terms, terms.slices, strict=True):
+        p_value = min(gain_p_value(gain, term.size, time) * searched_size(problem, options), 1.0)
+        tested.append(Tested(term, p_value, Score(gain, term.size, p_value, False, fitted.values[part])))
+    return State(baseline, fitted, tuple(tested))
+
+
+def _continued(problem: Problem, reference: Problem, part: State, training: Mask, options: EngineOptions) -> State:
+    """The terms found in a part of the samples, fitted to all, with what these show beyond them."""
+    baseline = fit(reference, Terms(), options, training=training)
+    fitted = baseline
+    if part.tested:
+        fitted = fit(problem, part.fit.terms, options, part.fit.values, part.fit.nuisance, training)
+    state = forward(problem, State(baseline, fitted, part.tested), options)
+    return eliminate(problem, state, options)
+
+
+def _reviewed(selection: Selection, options: EngineOptions) -> Selection:
+    """With the candidates that are confounded with the nuisance, and the nearest beside what was found."""
+    problem, state = selection.problem, selection.state
+    candidates, searched = problem.candidates, searched_size(problem, options)
+    scores = score_test(problem, state.baseline, options).score(candidates)
+    confounded = tuple(term for term, score in zip(candidates, scores, strict=True) if score.confounded)
+    left = [term for term in candidates if term not in state.fit.terms.terms]
+    scored = zip(left, score_test(problem, state.fit, options).score(left), strict=True)
+    p_values = [(term, score.familywise(searched)) for term, score in scored if not score.confounded]
+    return replace(selection, confounded=confounded, nearest=min(p_values, key=lambda pair: pair[1], default=None))

@@ -1,0 +1,148 @@
+"""The state of a search: the terms of the model with their fit, and the test of each."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import TypeVar, final
+
+import numpy as np
+
+from lite6jax.estimation.least_squares import Fit, fit, without
+from lite6jax.estimation.options import EngineOptions
+from lite6jax.estimation.problem import Array, Problem
+from lite6jax.estimation.score_test import Score, score_test, searched_size
+from lite6jax.estimation.terms import Term, Terms
+
+T = TypeVar("T")
+
+
+@final
+@dataclass(frozen=True)
+class Alternative:
+    """A term that explains nearly the same as another.
+
+    Attributes:
+        term: which.
+        gap: log-likelihood that its refit has less.
+    """
+
+    term: Term
+    gap: float
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Tested:
+    """A term of the model with its test.
+
+    Attributes:
+        term: which.
+        p_value: family-wise.
+        score: beside the other terms of the model at the time of the test.
+        alternatives: terms that it was preferred to.
+    """
+
+    term: Term
+    p_value: float
+    score: Score
+    alternatives: tuple[Alternative, ...] = ()
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class State:
+    """The terms of a model, their tests, and their fit.
+
+    Attributes:
+        baseline: the fit of the nuisance alone.
+        fit: of the nuisance and all terms.
+        tested: one for each term of `fit`, in its order.
+
+    Raises:
+        ValueError: the tests are not those of the terms that were fitted.
+    """
+
+    baseline: Fit
+    fit: Fit
+    tested: tuple[Tested, ...] = ()
+
+    def __post_init__(self) -> None:
+        if tuple(test.term for test in self.tested) != self.fit.terms.terms:
+            raise ValueError("the tests are not those of the fitted terms; build both from one list")
+
+
+def extended(problem: Problem, state: State, tested: Tested, values: Array, options: EngineOptions) -> State:
+    """The state with one more term, refitted from `values` `(term.size,)`."""
+    return State(state.baseline, added(problem, state.fit, tested.term, values, options), (*state.tested, tested))
+
+
+def added(problem: Problem, fitted: Fit, term: Term, values: Array, options: EngineOptions) -> Fit:
+    """A fit with one more term, started from `values` `(term.size,)`."""
+    terms = Terms((*fitted.terms.terms, term))
+    start = np.concatenate([fitted.values, values])
+    return fit(problem, terms, options, start, fitted.nuisance, fitted.training, fitted.noise)
+
+
+def reduced(problem: Problem, state: State, k: int, options: EngineOptions) -> State:
+    """The state without its k-th term, refitted."""
+    rest = (*state.tested[:k], *state.tested[k + 1 :])
+    return State(state.baseline, without(problem, state.fit, k, options), rest)
+
+
+def refitted(problem: Problem, state: State, terms: Sequence[Tested], options: EngineOptions) -> State:
+    """The baseline with some of the state's terms, fitted from zero."""
+    model = Terms(tuple(test.term for test in terms))
+    base = state.baseline
+    return State(base, fit(problem, model, options, None, base.nuisance, base.training), tuple(terms))
+
+
+def retested(
+    problem: Problem, state: State, k: int, time: float, options: EngineOptions, rest: State | None = None
+) -> Tested:
+    """The k-th term tested beside all others, by the autocorrelation time that the whole model leaves.
+
+    Args:
+        problem: the data.
+        state: the model.
+        k: which of its terms.
+        time: in samples.
+        options: thresholds.
+        rest: the state without it, where it is known.
+    """
+    tested = state.tested[k]
+    if tested.term in problem.preset[0].terms:
+        return tested  # its estimate is further from zero than a score test reaches
+    rest = rest or reduced(problem, state, k, options)
+    score = score_test(problem, rest.fit, options, time).score([tested.term])[0]
+    return replace(tested, p_value=score.familywise(searched_size(problem, options)), score=score)
+
+
+def description_length(terms: Sequence[Term], n: float, options: EngineOptions) -> float:
+    """What a set of terms costs in log-likelihood: ½ log n a number, and the choice of an order or a shape among many.
+
+    Schwarz's approximation (Annals of Statistics 6, 1978).
+
+    Args:
+        terms: of a model.
+        n: readings, or residual degrees of freedom.
+        options: thresholds.
+    """
+    chosen = sum(term.chosen is not None for term in terms)
+    shapes = sum(term.nonparametric for term in terms)
+    numbers = sum(term.size for term in terms) + chosen
+    return float(0.5 * numbers * np.log(n) + (chosen + shapes) * np.log(options.searched_orders))
+
+
+def preferred(ours: State, theirs: State, by: float, options: EngineOptions) -> bool:
+    """Whether a state has more penalised likelihood than another, `by` so much at least."""
+    n = ours.fit.freedom
+    longer = description_length(ours.fit.terms.terms, n, options) - description_length(
+        theirs.fit.terms.terms, n, options
+    )
+    return ours.fit.gain_over(theirs.fit) > longer + by
+
+
+def most_specific(choices: Sequence[T], judged: Callable[[T], float], term: Callable[[T], Term], close: float) -> T:
+    """Of the choices that the data do not distinguish from the best, the one whose term has the most specific name."""
+    most = max(map(judged, choices))
+    near = [choice for choice in choices if most - judged(choice) < close]
+    return min(near, key=lambda choice: (term(choice).specificity, -judged(choice)))
