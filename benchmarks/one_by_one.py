@@ -1,7 +1,7 @@
 """A search for hidden physics as one would first write it: SciPy refits everything anew for each candidate.
 
 Plain vectorised NumPy and finite differences. Of the library it takes which candidates there are and where they sit;
-what each does to the arm, gravity's moments included, is written here again.
+what each does to the arm is written here again; transforms and gravity's moments are those of `tests.oracles`.
 """
 
 from dataclasses import dataclass
@@ -10,9 +10,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.optimize import least_squares
-from scipy.spatial.transform import Rotation
 
-from benchmarks.problem import shift, turns
+from tests.oracles.gravity import gravity_moments
+from tests.oracles.transforms import displacement, origin_transform, rotate
 
 FRAME, TOOL = 6, 3
 GAUGE = np.array([0.02] * 3 + [0.05] * 3)
@@ -83,14 +83,14 @@ class Readings:
         kinematics = self.kinematics.copy()
         if rows.size:
             kinematics[1:] += rows.reshape(-1, 6)
-        T = self.T_sensor_base @ moved(frame)
-        T = T if bent.base is None else T @ moved(bent.base)
+        T = self.T_sensor_base @ displacement(frame)
+        T = T if bent.base is None else T @ displacement(bent.base)
         for i, frame_i in enumerate(self.frames(kinematics, bent)):
             T = T @ frame_i
             if bent.link is not None and bent.link[0] == i + 1:
-                T = T @ moved(bent.link[1])
+                T = T @ displacement(bent.link[1])
         at = self.T_flange_tool[:3, 3] + tool
-        at = at if bent.tool is None else moved(bent.tool)[:3, :3] @ at + bent.tool[:3]
+        at = at if bent.tool is None else displacement(bent.tool)[:3, :3] @ at + bent.tool[:3]
         position = (1 + bent.scale) * (T[:, :3, :3] @ at + T[:, :3, 3])
         prior = (rows.reshape(-1, 6) / GAUGE).ravel()
         return np.concatenate([((position - self.position) / self.noise).ravel(), prior])
@@ -98,7 +98,7 @@ class Readings:
     def frames(self, kinematics: np.ndarray, bent: Bent) -> list[np.ndarray]:
         """What each joint multiplies the chain by, `(sample, 4, 4)` each."""
         angle = self.joint_position + bent.joint
-        return [origin(row) @ turns("z", q) for row, q in zip(kinematics, angle.T, strict=True)]
+        return [origin_transform(row) @ rotate("z", q) for row, q in zip(kinematics, angle.T, strict=True)]
 
     def bent(self, effect: Any, v: np.ndarray) -> Bent:
         """What a candidate does with its numbers."""
@@ -109,7 +109,7 @@ class Readings:
             case "joint_scale":
                 return self._turned(effect.joint, v[0] * q[:, effect.joint - 1])
             case "joint_compliance":
-                return self._turned(effect.joint, v[0] * self.moment[effect.joint - 1, :, 2])
+                return self._turned(effect.joint, v[0] * self.moment[:, effect.joint - 1, 2])
             case "joint_harmonic":
                 turned = effect.order * q[:, effect.joint - 1]
                 return self._turned(effect.joint, v[0] * np.sin(turned) + v[1] * np.cos(turned))
@@ -118,7 +118,7 @@ class Readings:
             case "joint_coupling":
                 return self._turned(effect.joint, v[0] * q[:, effect.source_joint - 1])
             case "link_compliance":
-                about = v * self.moment[effect.link - 1, :, :2]
+                about = v * self.moment[:, effect.link - 1, :2]
                 return Bent(link=(effect.link, np.column_stack([none, none, none, about, none])))
             case "frame_offset":
                 return Bent(base=v) if effect.link is None else Bent(link=(effect.link, v))
@@ -141,17 +141,9 @@ class Readings:
 
     @cached_property
     def moments(self) -> tuple[np.ndarray, np.ndarray]:
-        """Gravity's, N·m: `(6, sample, 3)` about each joint's frame in its axes, `(sample, 3)` about the base's."""
-        T, frames = np.eye(4), []
-        for each in self.frames(self.kinematics, Bent()):
-            T = T @ each
-            frames.append(T)
-        every = np.stack(frames)
-        R, at = every[..., :3, :3], every[..., :3, 3]
-        centre = np.einsum("jsab,jb->jsa", R, self.center_of_mass) + at
-        pull = self.mass[:, None, None] * np.array([0.0, 0.0, -9.81]) + np.zeros_like(centre)
-        about = [np.cross(centre[j:] - at[j], pull[j:]).sum(0) for j in range(len(at))]
-        return np.einsum("jsba,jsb->jsa", R, np.stack(about)), np.cross(centre, pull).sum(0)
+        """Gravity's, N·m: `(sample, 6, 3)` about each joint's frame in its axes, `(sample, 3)` about the base's."""
+        inertia = {"mass": self.mass, "center_of_mass": self.center_of_mass, "gravity": np.array([0.0, 0.0, -9.81])}
+        return gravity_moments(self.kinematics, self.joint_position, 0.0, inertia)
 
     @property
     def moment(self) -> np.ndarray:
@@ -173,18 +165,3 @@ def refit_each(readings: Readings, candidates: tuple[Any, ...]) -> list[Refit]:
         found = least_squares(partial(readings.residual, effect=effect), start, method="lm", x_scale="jac")
         refits.append(Refit(alone.cost - found.cost, found.x[readings.unknown :]))
     return refits
-
-
-def moved(twist: np.ndarray) -> np.ndarray:
-    """A translation and then a rotation vector `(…, 6)` as transforms `(…, 4, 4)`."""
-    T = np.zeros((*twist.shape[:-1], 4, 4))
-    T[..., :3, :3] = Rotation.from_rotvec(twist[..., 3:]).as_matrix()
-    T[..., :3, 3] = twist[..., :3]
-    T[..., 3, 3] = 1.0
-    return T
-
-
-def origin(row: np.ndarray) -> np.ndarray:
-    """(4, 4) of x y z roll pitch yaw."""
-    x, y, z, roll, pitch, yaw = row
-    return shift(x, y, z) @ turns("z", yaw) @ turns("y", pitch) @ turns("x", roll)

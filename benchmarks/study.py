@@ -7,13 +7,14 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from benchmarks.measure import Record, disagreement, median_time, timed
-from benchmarks.problem import NOISE, hayati_poses
+from benchmarks.problem import NOISE
 from benchmarks.seed_way import NOMINAL, sample_joints
 from lite6jax.identifiability.criteria import Determinant
 from lite6jax.identifiability.design import choose
 from lite6jax.identifiability.information import TOLERANCE, Experiment, plan_experiment
 from lite6jax.identifiability.monte_carlo import refit
 from lite6jax.identifiability.sensor import Sensor
+from tests.oracles.chains import seed_poses
 
 OURS, NUMPY, SCIPY = "lite6jax", "NumPy, finite differences", "SciPy, one by one"
 LIMIT = "limit"
@@ -111,11 +112,11 @@ def _raced(
 
 def plain_rows(q: np.ndarray) -> np.ndarray:
     """The same scaled, whitened Jacobian `(6 sample, 28)` by forward differences of the plain chain."""
-    at = hayati_poses(NOMINAL, q)
+    at = seed_poses(NOMINAL, q)
     units = np.array([TOLERANCE[unit] for unit in plan_experiment("lite6", frame=False).form.units])
     columns = []
     for step in STEP * np.eye(len(NOMINAL)):
-        moved = hayati_poses(NOMINAL + step, q)
+        moved = seed_poses(NOMINAL + step, q)
         turned = moved[:, :3, :3] @ np.swapaxes(at[:, :3, :3], 1, 2)
         spin = np.stack([turned[:, 2, 1], turned[:, 0, 2], turned[:, 1, 0]], 1)
         columns.append(np.concatenate([(moved - at)[:, :3, 3] / NOISE[0], spin / NOISE[1]], 1).ravel() / STEP)
@@ -155,12 +156,12 @@ def plain_exchange(rows: np.ndarray, count: int, rounds: int = 1) -> np.ndarray:
 
 def plain_refit(q: np.ndarray, noise: np.ndarray) -> np.ndarray:
     """The error `(28,)` of SciPy's fit to readings with `noise` `(6, sample)`, by finite differences."""
-    true = hayati_poses(NOMINAL, q)
+    true = seed_poses(NOMINAL, q)
     position = true[:, :3, 3] + noise[:3].T
     rotation = Rotation.from_rotvec(noise[3:].T).as_matrix() @ true[:, :3, :3]
 
     def residuals(parameters: np.ndarray) -> np.ndarray:
-        poses = hayati_poses(parameters, q)
+        poses = seed_poses(parameters, q)
         spin = Rotation.from_matrix(np.swapaxes(rotation, 1, 2) @ poses[:, :3, :3]).as_rotvec()
         return np.concatenate([(poses[:, :3, 3] - position) / NOISE[0], spin / NOISE[1]], 1).ravel()
 

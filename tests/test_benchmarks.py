@@ -7,8 +7,6 @@ from functools import partial
 
 import numpy as np
 import pytest
-from effects.plain_physics import predicted_poses
-from plain_chain import ASSEMBLY, hayati_poses, six_parameter_poses
 from scipy.spatial.transform import Rotation
 
 from benchmarks import __main__ as harness
@@ -20,6 +18,10 @@ from lite6jax.effects.kinematic.surroundings import TimeOffset
 from lite6jax.effects.serialization import parse_effect
 from lite6jax.estimation.score_test import Score
 from lite6jax.search.backward import Step
+from tests.oracles.arms import ASSEMBLY
+from tests.oracles.chains import seed_poses, six_parameter_poses
+from tests.oracles.effects import predicted_poses
+from tests.oracles.transforms import displacement
 
 KEYS = {"workload", "subject", "metric", "value", "unit", "better"}
 RNG_SEED = 11
@@ -29,33 +31,24 @@ def some_parameters(rng):
     return seed_way.NOMINAL + 2e-3 * rng.standard_normal(28)
 
 
-def reference_poses(parameters, q):
-    table = np.insert(parameters[4:27], 5, 0.0).reshape(6, 4)
-    return hayati_poses(parameters[:4], table, {1: parameters[27]}, q)
-
-
 def test_a_record_is_six_keys_and_one_more_only_where_it_failed():
     record = Record("one", "lite6jax", "fit", 1.5, "ms", "lower")
     assert record.as_json().keys() == KEYS
     assert Record("one", "x", "fit", None, "ms", "lower", "off").as_json().keys() == KEYS | {"failed"}
 
 
-def test_both_simulated_chains_are_those_of_the_oracle():
+def test_the_rivals_chains_are_those_of_the_oracle():
     rng = np.random.default_rng(RNG_SEED)
     kinematics, parameters = problem.simulated_arms(1, RNG_SEED)[0], some_parameters(rng)
     q = seed_way.sample_joints(20, rng)
     np.testing.assert_allclose(
-        problem.six_parameter_poses(kinematics, q), six_parameter_poses(kinematics, q), atol=1e-14
-    )
-    np.testing.assert_allclose(problem.hayati_poses(parameters, q), reference_poses(parameters, q), atol=1e-14)
-    np.testing.assert_allclose(
         [seed_way.factory_pose(kinematics, each) for each in q], six_parameter_poses(kinematics, q), atol=1e-14
     )
     np.testing.assert_allclose(
-        [seed_way.effective_pose(parameters, each) for each in q], reference_poses(parameters, q), atol=1e-14
+        [seed_way.effective_pose(parameters, each) for each in q], seed_poses(parameters, q), atol=1e-14
     )
     np.testing.assert_allclose(
-        [rivals.naive_pose(parameters, each) for each in q[:3]], reference_poses(parameters, q[:3]), atol=1e-14
+        [rivals.naive_pose(parameters, each) for each in q[:3]], seed_poses(parameters, q[:3]), atol=1e-14
     )
 
 
@@ -74,7 +67,7 @@ def test_the_simulated_sensor_has_the_noise_it_says():
 def test_the_seeds_way_finds_the_parameters_and_writes_the_seeds_table(tmp_path):
     rng = np.random.default_rng(RNG_SEED)
     parameters, q = some_parameters(rng), seed_way.sample_joints(12, rng)
-    found = seed_way.fit(q, reference_poses(parameters, q))
+    found = seed_way.fit(q, seed_poses(parameters, q))
     np.testing.assert_allclose(found, parameters, atol=1e-11)
     table = seed_way.as_table(found)
     assert table.keys() == {"units", "base", "dh", "beta_joint2"}
@@ -196,7 +189,7 @@ def test_the_naive_search_bends_the_arm_as_the_oracle_does(tmp_path):
     links = ASSEMBLY * rng.standard_normal((5, 6))
     frame = np.array([1e-3, -2e-3, 3e-3, 1e-3, -2e-3, 3e-3])
     shifted = [3e-3, -1e-3, 2e-3]
-    T_sensor_base, T_flange_tool = start @ one_by_one.moved(frame), tool.copy()
+    T_sensor_base, T_flange_tool = start @ displacement(frame), tool.copy()
     T_flange_tool[:3, 3] += shifted
     skipped = ("joint_lag", "link_thermal_expansion", "time_offset")
     tried = [effect for effect in catalogue(dof) if effect.name not in skipped]

@@ -13,7 +13,6 @@ import numpy as np
 import pyarrow.parquet
 import pytest
 import yaml
-from plain_chain import LITE6_DH, hayati_poses, perturb_poses, perturbed, random_positions, six_parameter_poses
 from scipy.spatial.transform import Rotation
 from typed import flat, refused, run
 
@@ -23,6 +22,9 @@ from lite6jax.cli import program
 from lite6jax.cli.fit import DEMO
 from lite6jax.fitting import compiled, folder
 from lite6jax.fitting.solution import Result
+from tests.oracles.arms import LITE6_DH, perturbed, random_positions
+from tests.oracles.chains import hayati_poses, six_parameter_poses
+from tests.oracles.transforms import perturb_poses
 
 ROOT = Path(__file__).resolve().parents[1]
 REAL = ROOT / "../shared/real"

@@ -3,7 +3,6 @@
 from pathlib import Path
 
 import numpy as np
-import pin_arm
 import pytest
 import yaml
 
@@ -12,6 +11,9 @@ from lite6jax.arms.bundled import VARIANTS, bundled_arms, load_bundled
 from lite6jax.arms.chains import hayati_fk, six_parameter_fk
 from lite6jax.arms.urdf import write_urdf
 from lite6jax.errors import InputError
+from tests.oracles.arms import LITE6_TABLE
+from tests.oracles.chains import hayati_poses
+from tests.oracles.pinocchio_arm import urdf_link_pose
 
 REAL = Path(__file__).resolve().parents[2] / "../shared/real"
 
@@ -19,14 +21,7 @@ REAL = Path(__file__).resolve().parents[2] / "../shared/real"
 # which is 289.48661 and not the 289.48866 printed after it.
 _A2 = np.hypot(284.5, 53.5)
 PUBLISHED = {
-    "lite6": [
-        (0, 243.3, 0, -90),
-        (-90, 0, 200, 180),
-        (-90, 0, 87, 90),
-        (0, 227.6, 0, 90),
-        (0, 0, 0, -90),
-        (0, 61.5, 0, 0),
-    ],
+    "lite6": LITE6_TABLE,
     "uf850": [(0, 364, 0, 90), (90, 0, 390, 180), (90, 0, 150, -90), (0, 426, 0, -90), (0, 0, 0, 90), (0, 90, 0, 0)],
     "xarm5": [
         (0, 267, 0, -90),
@@ -60,12 +55,8 @@ for _name, (_d1, _a2, _a3, _d4, _d5, _d6) in UR_LENGTHS.items():
 
 
 def dh_fk(table, joints):
-    """Standard DH, written out from its definition."""
-    T = np.eye(4)
-    for (theta, d, a, alpha), q in zip(table, joints, strict=True):
-        c, s, ca, sa = np.cos(q + theta), np.sin(q + theta), np.cos(alpha), np.sin(alpha)
-        T = T @ [[c, -s * ca, s * sa, a * c], [s, c * ca, -c * sa, a * s], [0, sa, ca, d], [0, 0, 0, 1]]
-    return T
+    """Standard DH: a Hayati chain with its base and its betas at zero."""
+    return hayati_poses(np.zeros(4), table, {}, joints)
 
 
 def si(table):
@@ -116,7 +107,7 @@ def test_hayati_nominal_is_the_same_chain_on_the_published_branch(name):
 @pytest.mark.parametrize("name", bundled_arms())
 def test_pinocchio_agrees_through_the_written_urdf(name, tmp_path):
     arm = load_bundled(name)
-    flange = pin_arm.flange_of(write_urdf(arm, tmp_path / "arm.urdf"), "flange")
+    flange = urdf_link_pose(write_urdf(arm, tmp_path / "arm.urdf"), "flange")
     for q in joint_positions(arm):
         np.testing.assert_allclose(six_parameter_fk(arm.kinematics, q), flange(q), atol=1e-12)
 

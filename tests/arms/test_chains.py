@@ -5,17 +5,6 @@ import pinocchio as pin
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from plain_chain import (
-    LITE6_DH,
-    hayati_poses,
-    origin_transform,
-    perturbed,
-    random_kinematics,
-    random_positions,
-    rotate,
-    shift,
-    six_parameter_poses,
-)
 
 from lite6jax.arms.bundled import load_bundled
 from lite6jax.arms.chains import (
@@ -30,25 +19,15 @@ from lite6jax.arms.chains import (
 from lite6jax.arms.se3 import rotation_exp, rpy_from_rotation, transform
 from lite6jax.errors import InputError
 from lite6jax.model import ArmModel, ModelForm, arm_model, predict
+from tests.oracles.arms import LITE6_DH, perturbed, random_kinematics, random_positions
+from tests.oracles.chains import hayati_poses, six_parameter_poses
+from tests.oracles.pinocchio_arm import pinocchio_poses
+from tests.oracles.transforms import origin_transform, rotate, shift
 
 EXACT = 2e-14
 LITE6 = HayatiForm(6, (1,))
 seeds = st.integers(0, 2**32 - 1)
 arms = pytest.mark.parametrize("dof", range(2, 9))
-
-
-def pinocchio_poses(kinematics, positions):
-    model = pin.Model()
-    joint = 0
-    for x, y, z, *rpy in kinematics:
-        placement = pin.SE3(pin.rpy.rpyToMatrix(*rpy), np.array([x, y, z]))
-        joint = model.addJoint(joint, pin.JointModelRZ(), placement, f"joint{joint + 1}")
-    data = model.createData()
-    poses = []
-    for q in positions:
-        pin.forwardKinematics(model, data, q)
-        poses.append(data.oMi[joint].homogeneous)
-    return np.array(poses)
 
 
 @arms
@@ -329,8 +308,8 @@ def test_gauge_directions_of_the_six_parameter_chain(kinematics):
 
     # Their tangents: 10 independent directions that the poses do not see, which with the rank of 26 are all of them.
     # In each origin's own twist, as roll, pitch and yaw are singular at the nominal pitch of -90 deg of joint 2.
-    origins = np.stack([origin_transform(row) for row in kinematics])
-    turns = np.stack([[rotate("z", angle) for angle in q] for q in positions])
+    origins = origin_transform(kinematics)
+    turns = rotate("z", positions)
 
     def entries(twists):
         T = jnp.eye(4)

@@ -2,12 +2,14 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from plain_chain import LITE6_DH, perturbed, random_kinematics, random_positions, six_parameter_poses
 
 from lite6jax.arms.bundled import load_bundled
 from lite6jax.arms.chains import HayatiForm, hayati_fk, hayati_form_of, joint_axes, six_parameter_fk
 from lite6jax.arms.convert import hayati_to_six_parameter, six_parameter_to_hayati
 from lite6jax.errors import InputError
+from tests.oracles.arms import LITE6_DH, perturbed, random_kinematics, random_positions
+from tests.oracles.chains import six_parameter_poses
+from tests.oracles.transforms import rotate, shift
 
 LITE6 = HayatiForm(6, (1,))
 NOMINAL = LITE6.pack(np.zeros(4), LITE6_DH, [0.0])
@@ -67,8 +69,7 @@ def test_inverse_needs_only_a_flange_transform(name, seed):
     np.testing.assert_allclose(six_parameter_poses(kinematics, positions) @ T_joint_flange, expected, atol=1e-13)
     # the flange transform is the last joint's a and alpha
     a, alpha = form.unpack(parameters)[1][-1, 2:]
-    c, s = np.cos(alpha), np.sin(alpha)
-    np.testing.assert_allclose(T_joint_flange, [[1, 0, 0, a], [0, c, -s, 0], [0, s, c, 0], [0, 0, 0, 1]], atol=1e-15)
+    np.testing.assert_allclose(T_joint_flange, shift(a, 0, 0) @ rotate("x", alpha), atol=1e-15)
     # and back: without it, the parameters come again
     without = parameters.copy()
     without[[form.names.index(f"{n}{arm.dof}") for n in ("a", "alpha")]] = 0

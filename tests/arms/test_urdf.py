@@ -1,7 +1,6 @@
 """URDF against Pinocchio: odd axes, fixed joints, branches; and every refusal's message."""
 
 import numpy as np
-import pin_arm
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -12,24 +11,12 @@ from lite6jax.arms.bundled import bundled_arms, load_bundled
 from lite6jax.arms.files import read_arm
 from lite6jax.arms.urdf import read_urdf, write_urdf
 from lite6jax.errors import InputError
+from tests.oracles.chains import six_parameter_poses
+from tests.oracles.pinocchio_arm import urdf_link_pose
 
 
-def rpy(roll, pitch, yaw):
-    (cr, cp, cy), (sr, sp, sy) = np.cos([roll, pitch, yaw]), np.sin([roll, pitch, yaw])
-    Rx = np.array([[1, 0, 0], [0, cr, -sr], [0, sr, cr]])
-    Ry = np.array([[cp, 0, sp], [0, 1, 0], [-sp, 0, cp]])
-    return np.array([[cy, -sy, 0], [sy, cy, 0], [0, 0, 1]]) @ Ry @ Rx
-
-
-def chain_fk(arm, q):
-    """The six-parameter chain, written out from its definition."""
-    T = np.eye(4)
-    for (x, y, z, *angles), angle in zip(arm.kinematics, q, strict=True):
-        step = np.eye(4)
-        step[:3, :3] = rpy(*angles) @ rpy(0, 0, angle)
-        step[:3, 3] = x, y, z
-        T = T @ step
-    return T @ arm.T_joint_flange
+def flange_pose(arm, q):
+    return six_parameter_poses(arm.kinematics, q) @ arm.T_joint_flange
 
 
 def joint(name, parent, child, kind="revolute", xyz="0 0 0", rpy="0 0 0", axis="0 0 1", extra=""):
@@ -71,11 +58,11 @@ ODD = (
 
 def test_odd_axes_and_fixed_joints_agree_with_pinocchio(tmp_path):
     path = write(tmp_path, *ODD)
-    arm, pose = read_urdf(path), pin_arm.flange_of(path, "tool")
+    arm, pose = read_urdf(path), urdf_link_pose(path, "tool")
     assert arm.dof == 4
     assert arm.source == "URDF arm.urdf, world to tool"
     for q in np.random.default_rng(2).uniform(-3, 3, (50, 4)):
-        np.testing.assert_allclose(chain_fk(arm, q), pose(q), rtol=0, atol=1e-12)
+        np.testing.assert_allclose(flange_pose(arm, q), pose(q), rtol=0, atol=1e-12)
     np.testing.assert_array_equal(arm.joint_limits[[0, 1, 3]], [[-2, 3]] * 3)
     np.testing.assert_array_equal(arm.joint_limits[2], [-2 * np.pi, 2 * np.pi])
 
@@ -86,14 +73,14 @@ def test_every_axis_keeps_the_joint_angle_and_its_sign(axis, kind, tmp_path):
     parts = [link("base"), link("a"), link("tip")]
     parts += [joint("j", "base", "a", kind, xyz="0.1 0.2 0.3", rpy="0 0 0.5", axis=axis)]
     path = write(tmp_path, *parts, joint("f", "a", "tip", "fixed", xyz="0.3 0.2 0.1"))
-    arm, pose = read_urdf(path), pin_arm.flange_of(path, "tip")
+    arm, pose = read_urdf(path), urdf_link_pose(path, "tip")
     for q in (-2.5, -0.3, 0.0, 1.2):
-        np.testing.assert_allclose(chain_fk(arm, [q]), pose([q]), rtol=0, atol=1e-14)
+        np.testing.assert_allclose(flange_pose(arm, [q]), pose([q]), rtol=0, atol=1e-14)
 
 
 def test_a_joint_without_axis_turns_about_x_as_urdf_says(tmp_path):
     path = write(tmp_path, link("base"), link("a"), joint("j", "base", "a", axis=""))
-    np.testing.assert_allclose(chain_fk(read_urdf(path), [0.4])[:3, :3], rpy(0.4, 0, 0), atol=1e-15)
+    np.testing.assert_allclose(flange_pose(read_urdf(path), [0.4])[:3, :3], rpy(0.4, 0, 0), atol=1e-15)
 
 
 def test_masses_of_fixed_links_count_to_the_moved_link(tmp_path):
@@ -108,7 +95,7 @@ def test_masses_of_fixed_links_count_to_the_moved_link(tmp_path):
     q = 0.7
     in_base = rpy(0.2, 0, 0) @ rpy(0, -q, 0) @ expected
     first = Arm("first", arm.kinematics[:1])
-    np.testing.assert_allclose((chain_fk(first, [q]) @ [*arm.center_of_mass[0], 1])[:3], in_base, atol=1e-14)
+    np.testing.assert_allclose((flange_pose(first, [q]) @ [*arm.center_of_mass[0], 1])[:3], in_base, atol=1e-14)
 
 
 finite = st.floats(-3, 3)

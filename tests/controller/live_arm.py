@@ -7,12 +7,12 @@ import threading
 from contextlib import closing, contextmanager, suppress
 
 import numpy as np
-from plain_chain import perturbed
 
 from lite6jax.arms.bundled import load_bundled
 from lite6jax.controller import protocol
 from lite6jax.controller.exchange import Address
 from lite6jax.emulator import Body, Controller
+from tests.oracles.arms import perturbed
 
 ARM = load_bundled("lite6")
 KINEMATICS = perturbed(np.random.default_rng(3), ARM.kinematics).astype(np.float32).astype(float)

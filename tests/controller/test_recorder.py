@@ -7,7 +7,6 @@ import numpy as np
 import pyarrow.parquet
 import pytest
 from live_arm import ARM, KINEMATICS, emulated, new_host, serving
-from plain_chain import six_parameter_poses
 from test_growing import room_for
 
 from lite6jax.arms.factory import read_factory
@@ -20,6 +19,7 @@ from lite6jax.controller.stream import Lost, ReportPort, Reports, first_report
 from lite6jax.emulator import Faults, draw_sines
 from lite6jax.errors import InputError
 from lite6jax.recordings import Recording, read_recording
+from tests.oracles.chains import six_parameter_poses
 
 TOOL = [0.0, 0.0, 120.0, 0.0, 0.3, 0.0]
 

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 from live_arm import ARM, KINEMATICS
-from plain_chain import six_parameter_poses
 from scipy.spatial.transform import Rotation
 
 from lite6jax.arms.factory import FactoryCalibration
@@ -13,6 +12,7 @@ from lite6jax.controller.rows import SOURCES, Rows
 from lite6jax.controller.station import Station
 from lite6jax.controller.stream import Reports
 from lite6jax.errors import InputError
+from tests.oracles.chains import six_parameter_poses
 
 STEP = 4000
 

@@ -12,7 +12,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from live_arm import ARM, KINEMATICS, emulated, new_host, serving
-from plain_chain import six_parameter_poses
 
 from lite6jax.controller import protocol
 from lite6jax.controller.exchange import Address
@@ -20,6 +19,7 @@ from lite6jax.controller.sdk import SdkError, connected
 from lite6jax.controller.sdk_worker import READS, only_reads
 from lite6jax.emulator import Faults
 from lite6jax.errors import InputError
+from tests.oracles.chains import six_parameter_poses
 
 Q = np.array([0.3, -0.4, 1.2, 0.5, -0.6, 0.7])
 CHANGES = (11, 12, 16, 17, 19, 23, 24, 25, 29, 31, 35, 36, 40)

@@ -6,7 +6,6 @@ from functools import partial
 import numpy as np
 import pytest
 from live_arm import ARM, KINEMATICS, emulated
-from plain_chain import six_parameter_poses
 from scipy.spatial.transform import Rotation
 
 from lite6jax.arms.factory import FactoryCalibration
@@ -14,6 +13,7 @@ from lite6jax.controller import protocol, verification
 from lite6jax.controller.verification import FLOOR_M, GATE_M, GATE_RAD, differences, hidden_tool, verify
 from lite6jax.emulator import Faults
 from lite6jax.errors import InputError
+from tests.oracles.chains import six_parameter_poses
 
 TOOL = [10.0, -20.0, 150.0, 0.1, -0.2, 0.3]
 

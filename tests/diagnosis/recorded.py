@@ -4,8 +4,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from effects.plain_physics import predicted_poses
-from plain_chain import perturb_poses, perturbed, random_positions
 from scipy.spatial.transform import Rotation
 
 from lite6jax.arms.bundled import load_bundled
@@ -13,6 +11,9 @@ from lite6jax.arms.factory import write_factory
 from lite6jax.effects.serialization import parse_effect
 from lite6jax.recordings import Recording, RecordingSettings
 from lite6jax.recordings.settings import FactoryUncertainty
+from tests.oracles.arms import perturbed, random_positions
+from tests.oracles.effects import predicted_poses
+from tests.oracles.transforms import perturb_poses
 
 LITE6 = load_bundled("lite6")
 NOISE = (2e-5, 1e-4)

@@ -6,7 +6,6 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from diagnosis.recorded import Made, estimates, found, moving_motion, static_motion
-from effects.pinocchio_arm import pinocchio_arm
 
 from lite6jax.domains.pose.load_model import INERTIA_COUNTS, gain_of, searched, with_other_loads
 from lite6jax.domains.pose.problem import case_of
@@ -17,6 +16,7 @@ from lite6jax.estimation.score_test import Score
 from lite6jax.search.backward import Step
 from lite6jax.search.final_estimates import stated
 from lite6jax.search.forward import Selection, search_of
+from tests.oracles.pinocchio_arm import pinocchio_arm
 
 COMPLIANCE = 2e-4
 SURE = Step(JointCompliance(2), 0.0, Score(100.0, 1, 0.0, False, np.zeros(1)))

@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from diagnosis.recorded import NOISE, Made, moving_motion, plain_effect, static_motion, with_effects
-from plain_chain import six_parameter_poses
 from scipy.spatial.transform import Rotation
 
 from lite6jax.domains.pose.problem import arm_moved, case_of, moved_to
 from lite6jax.effects.composition import Physics
 from lite6jax.effects.kinematic.joints import JointHarmonic
 from lite6jax.effects.serialization import parse_effect
+from tests.oracles.chains import six_parameter_poses
 
 SAMPLES = 12
 NOTHING = Physics()

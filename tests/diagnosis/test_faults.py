@@ -6,8 +6,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from diagnosis.recorded import LITE6, Made, moving_motion, plain_effect, static_motion, with_effects
-from effects.plain_physics import predicted_poses
-from plain_chain import perturb_poses, perturbed, six_parameter_poses
 from scipy.spatial.transform import Rotation
 
 from lite6jax.arms.bundled import load_bundled
@@ -21,6 +19,10 @@ from lite6jax.effects.composition import Physics
 from lite6jax.errors import InputError
 from lite6jax.estimation.least_squares import refit
 from lite6jax.recordings import Recording, RecordingSettings, read_recording
+from tests.oracles.arms import perturbed
+from tests.oracles.chains import six_parameter_poses
+from tests.oracles.effects import predicted_poses
+from tests.oracles.transforms import perturb_poses
 
 SHARED = Path(__file__).resolve().parents[2] / "../shared"
 PHYSICS = {

@@ -4,13 +4,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from diagnosis.recorded import Made, found, moving_motion, static_motion
-from effects.plain_physics import gravity_moments
 
 from lite6jax.domains.pose.problem import case_of
 from lite6jax.effects.nonparametric import Unnamed
 from lite6jax.estimation.score_test import evidence_of
 from lite6jax.search.curves import shapes
 from lite6jax.search.forward import search_of
+from tests.oracles.gravity import gravity_moments
 
 
 @pytest.fixture(scope="module")

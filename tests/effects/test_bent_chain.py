@@ -133,7 +133,9 @@ def test_loads_of_a_hayati_chain_are_given():
     motion, inertia = motion_of(**arrays), inertia_of(**random_inertia(rng, 6))
     hayati, model, six, same = hayati_and_six()
     physics, values = Physics((JointCompliance(2),)), np.array([1e-4])
-    with pytest.raises(InputError, match=r"^gravity's loads need the frames of the links; use the six-parameter"):
+    with pytest.raises(
+        InputError, match=r"^the loads of gravity require the frames of the links; use the six-parameter"
+    ):
         predict_poses(hayati, physics, model, values, motion, inertia)
     pulled = loads(six, same.geometry, turn(motion.joint_position), motion.payload, inertia)
     np.testing.assert_allclose(

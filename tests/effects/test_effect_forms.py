@@ -145,7 +145,7 @@ def test_text_that_is_no_effect(text, message):
 @pytest.mark.parametrize(
     ("document", "message"),
     [
-        ("joint_offset", "effect 'joint_offset': is no mapping; give effect, where and parameters"),
+        ("joint_offset", "effect 'joint_offset': is not a mapping; give effect, where and parameters"),
         ({"where": {}}, f"effect None: unknown; the catalogue has {NAMES}"),
         (
             {"effect": ["joint_offset"]},
@@ -238,8 +238,8 @@ def test_a_motion_with_all_drivers_tests_the_whole_catalogue():
             "joint_compliance:joint2: needs the gravity torque of joint 2: give the masses of the links; add "
             "`inertial` to the arm's description",
         ),
-        (FrameOffset(7), "frame_offset:link7: concerns joint 7, and the arm has 6; choose one of those"),
-        (JointCoupling(1, 8), "joint_coupling:joint1: concerns joint 8, and the arm has 6; choose one of those"),
+        (FrameOffset(7), "frame_offset:link7: acts at joint 7, but the arm has 6 joints; choose one of them"),
+        (JointCoupling(1, 8), "joint_coupling:joint1: acts at joint 8, but the arm has 6 joints; choose one of them"),
     ],
 )
 def test_a_prediction_without_its_driver_is_refused_by_name(effect, message):
@@ -295,15 +295,15 @@ def test_drivers_are_read_and_said():
     ("make", "message"),
     [
         (lambda: Driver("torque", 1), f"driver 'torque': unknown; choose one of {', '.join(QUANTITIES)}"),
-        (lambda: Driver("position"), "driver 'position': say of which joint, as in 'position of joint 1'"),
-        (lambda: Driver("time", 1), "driver 'time': is one of the whole arm; give no joint"),
+        (lambda: Driver("position"), "driver 'position': its joint is missing; write 'position of joint 1'"),
+        (lambda: Driver("time", 1), "driver 'time': is a quantity of the whole arm; give no joint"),
         (
             lambda: driver_of("position of joint two"),
-            "driver 'position of joint two': ends in no number; write it like 'gravity torque of joint 2'",
+            "driver 'position of joint two': does not end in a number; write it like 'gravity torque of joint 2'",
         ),
         (
             lambda: Driver("velocity", 1).values(BARE, None),
-            "velocity of joint 1: is needed and not known; it takes the velocities of a moving arm; record a "
+            "velocity of joint 1: is required but missing; give the velocities of a moving arm; record a "
             "trajectory with time_s or dq1_rad_per_s …",
         ),
         (
@@ -410,11 +410,11 @@ HEAD = example().split("EFFECTS")[0]
         (HEAD + "EFFECTS = []", "has no list EFFECTS; end it with EFFECTS = [MyEffect(joint=1), …]"),
         (
             HEAD + "EFFECTS = [CableDrag(1), CableDrag]",
-            "EFFECTS[1]: is the class CableDrag; give one of it, as CableDrag(joint=1)",
+            "EFFECTS[1]: is the class CableDrag; give an instance, such as CableDrag(joint=1)",
         ),
         (
             HEAD + "EFFECTS = [3]",
-            "EFFECTS[0]: 3 is no effect; derive its class from JointEffect or Bending",
+            "EFFECTS[0]: 3 is not an effect; derive its class from JointEffect or Bending",
         ),
         (
             HEAD.replace("@final\n", "") + "EFFECTS = [CableDrag(1)]",
@@ -434,7 +434,7 @@ HEAD = example().split("EFFECTS")[0]
         ),
         (
             HEAD.replace("values[0] * ", "values[0] + ") + "EFFECTS = [CableDrag(1)]",
-            "EFFECTS[0]: cable_drag:joint1 changes joint at zero; make zero the value at which nothing changes",
+            "EFFECTS[0]: cable_drag:joint1 changes joint at zero; choose coordinates that change nothing at zero",
         ),
         (
             HEAD.replace("motion.joint_position[self.joint - 1]", "motion.joint_position") + "EFFECTS = [CableDrag(1)]",
@@ -446,7 +446,7 @@ HEAD = example().split("EFFECTS")[0]
         ),
         (
             HEAD.replace('(Coordinate("drag_rad", "rad", 1e-4),)', "()") + "EFFECTS = [CableDrag(1)]",
-            "EFFECTS[0]: cable_drag:joint1 has the coordinates []; give at least one, each with a name of its own",
+            "EFFECTS[0]: cable_drag:joint1 has the coordinates []; give at least one, with distinct names",
         ),
     ],
 )

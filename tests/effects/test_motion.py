@@ -130,10 +130,13 @@ Q = np.zeros((3, 2))
 @pytest.mark.parametrize(
     ("arrays", "message"),
     [
-        ({"joint_position": np.zeros(3)}, "joint_position has the shape (3,); give (sample, joint), neither zero"),
+        (
+            {"joint_position": np.zeros(3)},
+            "joint_position has the shape (3,); give (sample, joint), neither of them zero",
+        ),
         (
             {"joint_position": np.zeros((0, 2))},
-            "joint_position has the shape (0, 2); give (sample, joint), neither zero",
+            "joint_position has the shape (0, 2); give (sample, joint), neither of them zero",
         ),
         ({"joint_position": Q, "time": [0, 1]}, "time has the shape (2,); give (3,)"),
         ({"joint_position": Q, "joint_velocity": Q[:, :1]}, "joint_velocity has the shape (3, 1); give (3, 2)"),

@@ -5,13 +5,14 @@ import struct
 import numpy as np
 import pytest
 from emulated import CONTROL_PORT, new_address, until
-from plain_chain import six_parameter_poses
 from scipy.spatial.transform import Rotation
 
 from lite6jax.arms.bundled import load_bundled
 from lite6jax.controller import protocol
 from lite6jax.emulator import Body, Controller, draw_sines
 from lite6jax.simulation import draw_calibration
+from tests.oracles.chains import six_parameter_poses
+from tests.oracles.transforms import rotate, shift
 
 
 @pytest.fixture(scope="module")
@@ -108,10 +109,7 @@ def test_the_dh_table_of_a_lite6_walks_its_nominal_chain(arm):
     assert code == 0
     q, T = np.array([0.3, -0.4, 1.2, 0.5, -0.6, 0.7]), np.eye(4)
     for (theta, d, alpha, a), angle in zip(np.reshape(table, (7, 4)), q, strict=False):
-        A, Z = np.eye(4), np.eye(4)
-        A[:3, :3], A[0, 3] = Rotation.from_euler("x", alpha).as_matrix(), a
-        Z[:3, :3], Z[2, 3] = Rotation.from_euler("z", theta + angle).as_matrix(), d
-        T = T @ A @ Z
+        T = T @ rotate("x", alpha) @ shift(a, 0, 0) @ rotate("z", theta + angle) @ shift(0, 0, d)
     nominal = six_parameter_poses(load_bundled("lite6").kinematics, q[None])[0]
     np.testing.assert_allclose(T[:3, 3] / 1e3, nominal[:3, 3], atol=1e-7)
 

@@ -2,11 +2,13 @@ import dataclasses
 
 import numpy as np
 import pytest
-import simulated as sim
 
 import lite6jax
 from lite6jax.estimation.robust import gaussian_t_scale, t_scale
 from lite6jax.recordings import FactoryUncertainty, Recording, RecordingSettings
+from tests.oracles.arms import NOMINAL, lite6_positions, perturbed_parameters
+from tests.oracles.chains import seed_poses
+from tests.oracles.transforms import perturb_poses, quaternions, random_transform
 
 POSITION_NOISE, ORIENTATION_NOISE = 2e-5, 1e-4
 
@@ -24,14 +26,14 @@ def recording(
     **settings,
 ):
     """What a tracker sees of an arm; `frame` and `tool` are 4x4, unknown to the fit where given."""
-    q = sim.sample(rng, samples)
-    T = sim.flange(x, q)
+    q = lite6_positions(rng, samples)
+    T = seed_poses(x, q)
     T = (np.eye(4) if frame is None else frame) @ T @ (np.eye(4) if tool is None else tool)
-    R = T[:, :3, :3] @ sim.small_rotation(noise[1] * rng.normal(size=(samples, 3)))
+    T = perturb_poses(rng, T, *noise)
     return Recording.from_arrays(
         q + joint_noise * rng.normal(size=q.shape),
-        position=T[:, :3, 3] + noise[0] * rng.normal(size=(samples, 3)),
-        quaternion=sim.quaternion(R) if orientation else None,
+        position=T[:, :3, 3],
+        quaternion=quaternions(T) if orientation else None,
         settings=RecordingSettings(
             **{
                 "pose_frame": "base" if frame is None else "unknown",
@@ -53,7 +55,7 @@ def cramer_rao(x, q, noise, rows=6):
     for k in range(28):
         h = np.zeros(28)
         h[k] = 1e-6
-        hi, lo = sim.flange(x + h, q), sim.flange(x - h, q)
+        hi, lo = seed_poses(x + h, q), seed_poses(x - h, q)
         shift = (hi - lo)[:, :3, 3] / 2e-6
         relative = np.swapaxes(lo[:, :3, :3], 1, 2) @ hi[:, :3, :3]
         spin = np.stack([relative[:, 2, 1] - relative[:, 1, 2], relative[:, 0, 2] - relative[:, 2, 0],
@@ -72,7 +74,7 @@ def test_truth_is_recovered_at_the_cramer_rao_bound():
     squares, ratios = [], []
     for seed in range(12):
         rng = np.random.default_rng(seed)
-        x = sim.perturbed(rng)
+        x = perturbed_parameters(rng)
         data = recording(rng, x)
         found = lite6jax.fit(data, loss="least_squares")
         bound = cramer_rao(x, data.joint_position, (POSITION_NOISE, ORIENTATION_NOISE))
@@ -90,7 +92,7 @@ def test_the_robust_loss_states_its_own_uncertainty_and_costs_three_percent():
     squares, ratios = [], []
     for seed in range(12):
         rng = np.random.default_rng(100 + seed)
-        x = sim.perturbed(rng)
+        x = perturbed_parameters(rng)
         data = recording(rng, x)
         found = lite6jax.fit(data)
         bound = cramer_rao(x, data.joint_position, (POSITION_NOISE, ORIENTATION_NOISE))
@@ -104,7 +106,7 @@ def test_the_robust_loss_states_its_own_uncertainty_and_costs_three_percent():
 
 def test_five_percent_wild_samples_change_nothing_that_matters():
     rng = np.random.default_rng(3)
-    x = sim.perturbed(rng)
+    x = perturbed_parameters(rng)
     data = recording(rng, x, 200)
     wild = rng.choice(200, 10, replace=False)
     position = data.position.copy()
@@ -123,12 +125,12 @@ def test_a_sensor_frame_and_a_tool_anywhere_are_found(orientation):
     squares = []
     for seed in range(6):
         rng = np.random.default_rng(seed)
-        x, frame, tool = sim.perturbed(rng), sim.random_pose(rng, 5.0), sim.random_pose(rng, 0.2)
+        x, frame, tool = perturbed_parameters(rng), random_transform(rng, 5.0), random_transform(rng, 0.2)
         data = recording(rng, x, 150, frame=frame, tool=tool, orientation=orientation)
         found = lite6jax.fit(data)
         assert found.result == lite6jax.Result.CONVERGED
-        q = sim.sample(rng, 40)
-        truth = frame @ sim.flange(x, q) @ tool
+        q = lite6_positions(rng, 40)
+        truth = frame @ seed_poses(x, q) @ tool
         wrong = np.linalg.norm((found.predict(q) - truth)[:, :3, 3], axis=1)
         squares.append(np.mean(wrong**2))
     # 30 (or, with positions alone, 27) numbers share the information of 150 samples of 6 (3) numbers each
@@ -139,7 +141,7 @@ def test_a_sensor_frame_and_a_tool_anywhere_are_found(orientation):
 
 def test_what_the_frames_carry_is_held_at_nominal_and_said():
     rng = np.random.default_rng(1)
-    data = recording(rng, sim.perturbed(rng), frame=sim.random_pose(rng, 1.0), tool=sim.random_pose(rng, 0.1))
+    data = recording(rng, perturbed_parameters(rng), frame=random_transform(rng, 1.0), tool=random_transform(rng, 0.1))
     found = lite6jax.fit(data)
     held = {item.name: item.carried_by for item in found.held}
     assert set(held) == {
@@ -150,7 +152,7 @@ def test_what_the_frames_carry_is_held_at_nominal_and_said():
         any(name.startswith("frame_") for name in held[item]) for item in ("base_x", "base_roll", "theta_off1", "d1")
     )
     names = np.array(found.form.names)
-    nominal = sim.nominal()
+    nominal = NOMINAL
     for name in held:
         k = int(np.flatnonzero(names == name)[0])
         assert found.parameters[k] == nominal[k]
@@ -160,7 +162,7 @@ def test_what_the_frames_carry_is_held_at_nominal_and_said():
 def test_what_positions_alone_do_not_determine_is_held_and_said():
     """The flange point stands on joint 6's axis: its turning is not seen, and a5, alpha5 do what theta5, d5 do."""
     rng = np.random.default_rng(2)
-    found = lite6jax.fit(recording(rng, sim.perturbed(rng), orientation=False))
+    found = lite6jax.fit(recording(rng, perturbed_parameters(rng), orientation=False))
     held = {item.name: item.carried_by for item in found.held}
     assert set(held) == {"a5", "alpha5", "theta_off6", "alpha6"}
     assert held["theta_off6"] == held["alpha6"] == ()
@@ -174,7 +176,7 @@ def test_read_out_noise_of_the_joints_is_weighed_in():
     squares, ratio = [], []
     for seed in range(12):
         rng = np.random.default_rng(seed)
-        x = sim.perturbed(rng)
+        x = perturbed_parameters(rng)
         noise = {"noise": (1e-5, 2e-5), "joint_noise": 1e-4}
         data = recording(rng, x, **noise)
         found = lite6jax.fit(data)
@@ -190,7 +192,7 @@ def test_read_out_noise_of_the_joints_is_weighed_in():
 
 def test_the_prior_of_a_factory_file_is_respected(tmp_path):
     rng = np.random.default_rng(5)
-    x = sim.perturbed(rng)
+    x = perturbed_parameters(rng)
     x[25:27] = 0  # a six-parameter file ends at joint 6
     kinematics, _ = lite6jax.hayati_to_six_parameter(lite6jax.HayatiForm(6, (1,)), x)
     file = tmp_path / "factory.yaml"
@@ -203,8 +205,8 @@ def test_the_prior_of_a_factory_file_is_respected(tmp_path):
         factory_uncertainty=FactoryUncertainty(position_m=1e-5, rotation_rad=1e-5),
     )
     exact, prior, free = (lite6jax.fit(data, geometry=g) for g in ("exact", "declared", "free"))
-    q = sim.sample(rng, 300)
-    rms = [np.sqrt(np.mean(np.sum((s.predict(q) - sim.flange(x, q))[:, :3, 3] ** 2, 1))) for s in (exact, prior, free)]
+    q = lite6_positions(rng, 300)
+    rms = [np.sqrt(np.mean(np.sum((s.predict(q) - seed_poses(x, q))[:, :3, 3] ** 2, 1))) for s in (exact, prior, free)]
     assert not exact.free.any()
     assert prior.free.all()
     assert len(prior.parameters) == 36
@@ -216,12 +218,12 @@ def test_the_prior_of_a_factory_file_is_respected(tmp_path):
 @pytest.mark.parametrize(("loss", "unknown"), [("least_squares", True), ("student_t", False)])  # each compiles for long
 def test_the_fast_solver_agrees_with_levenberg_marquardt(loss, unknown):
     rng = np.random.default_rng(7)
-    frames = {"frame": sim.random_pose(rng, 2.0), "tool": sim.random_pose(rng, 0.1)} if unknown else {}
-    data = recording(rng, sim.perturbed(rng), 80, joint_noise=5e-5 if unknown else 0.0, **frames)
+    frames = {"frame": random_transform(rng, 2.0), "tool": random_transform(rng, 0.1)} if unknown else {}
+    data = recording(rng, perturbed_parameters(rng), 80, joint_noise=5e-5 if unknown else 0.0, **frames)
     fast = lite6jax.fit(data, loss=loss)
     record = lite6jax.fit(data, loss=loss, solver="levenberg_marquardt")
     assert record.result == lite6jax.Result.CONVERGED
-    q = sim.sample(rng, 50)
+    q = lite6_positions(rng, 50)
     if loss == "least_squares":
         assert np.abs(fast.predict(q) - record.predict(q)).max() < 1e-12
         assert np.abs(fast.parameters - record.parameters).max() < 1e-12
@@ -234,7 +236,7 @@ def test_the_fast_solver_agrees_with_levenberg_marquardt(loss, unknown):
 def test_held_out_blocks_are_predicted_by_the_others():
     """The checked errors are those of five fits that never saw the block: refitted here by hand."""
     rng = np.random.default_rng(8)
-    data = recording(rng, sim.perturbed(rng), 60)
+    data = recording(rng, perturbed_parameters(rng), 60)
     found = lite6jax.fit(data, loss="least_squares")
     fold = data.contiguous_folds(5)[2]
     others = lite6jax.fit(data.select(~fold), loss="least_squares")
@@ -246,7 +248,7 @@ def test_held_out_blocks_are_predicted_by_the_others():
 def test_a_calibration_is_reproduced_to_rounding():
     rng = np.random.default_rng(9)
     for _ in range(5):
-        x = sim.perturbed(rng)
+        x = perturbed_parameters(rng)
         x[25:27] = 0
         kinematics, _ = lite6jax.hayati_to_six_parameter(lite6jax.HayatiForm(6, (1,)), x)
         found = lite6jax.fit(kinematics, "lite6")
@@ -260,7 +262,7 @@ def test_a_calibration_is_reproduced_to_rounding():
 
 def test_missing_rows_and_unknown_noise():
     rng = np.random.default_rng(10)
-    x = sim.perturbed(rng)
+    x = perturbed_parameters(rng)
     data = recording(rng, x, position_noise_m=None, orientation_noise_rad=None)
     found = lite6jax.fit(data)
     assert found.noise.declared is None
@@ -274,7 +276,7 @@ def test_noise_that_is_not_declared_is_taken_from_the_residuals_in_both_parts():
     squares = []
     for seed in range(8):
         rng = np.random.default_rng(seed)
-        x = sim.perturbed(rng)
+        x = perturbed_parameters(rng)
         undeclared = {"position_noise_m": None, "orientation_noise_rad": None}
         found = lite6jax.fit(recording(rng, x, 150, noise=(2e-4, 1e-4), **undeclared))
         squares.append(((found.parameters - x) / found.standard_deviation) ** 2)
@@ -286,21 +288,19 @@ def test_noise_that_is_not_declared_is_taken_from_the_residuals_in_both_parts():
 
 def test_a_held_out_block_that_alone_moves_a_joint_is_said():
     rng = np.random.default_rng(13)
-    x = sim.perturbed(rng)
+    x = perturbed_parameters(rng)
     data = recording(rng, x, 100)
     q = np.repeat(data.joint_position[:1], 100, 0)
     for k in range(5):
         q[20 * k : 20 * k + 20, k : k + 2] = data.joint_position[:20, k : k + 2]
-    T = sim.flange(x, q)
-    found = lite6jax.fit(
-        dataclasses.replace(data, joint_position=q, position=T[:, :3, 3], quaternion=sim.quaternion(T[:, :3, :3]))
-    )
+    T = seed_poses(x, q)
+    found = lite6jax.fit(dataclasses.replace(data, joint_position=q, position=T[:, :3, 3], quaternion=quaternions(T)))
     assert any("held-out fits did not settle" in note for note in found.notes)
 
 
 def test_messages():
     rng = np.random.default_rng(11)
-    x = sim.perturbed(rng)
+    x = perturbed_parameters(rng)
     with pytest.raises(
         lite6jax.InputError, match=r"simulated.csv: 5 samples give 30 numbers, too few .* record at least 6"
     ):

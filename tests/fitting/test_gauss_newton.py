@@ -6,7 +6,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from plain_chain import LITE6_DH, hayati_poses, origin_transform, perturb_poses, random_kinematics, random_positions
 from scipy.optimize import least_squares
 from scipy.stats import chi2
 
@@ -15,6 +14,9 @@ from lite6jax.arms.moves import turn
 from lite6jax.fitting.gauss_newton import CONVERGED, NOT_FINITE, SINGULAR, STEPS_EXHAUSTED, Prior, solve_chunk
 from lite6jax.fitting.residual import Observations, Robust, residuals
 from lite6jax.model import ModelForm, arm_model
+from tests.oracles.arms import LITE6_DH, random_kinematics, random_positions
+from tests.oracles.chains import hayati_poses
+from tests.oracles.transforms import origin_transform, perturb_poses
 
 ARMS, SAMPLES, MAX_STEPS = 4, 60, 50
 CHAIN = HayatiForm(6, (1,))

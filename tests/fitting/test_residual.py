@@ -6,15 +6,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from plain_chain import (
-    LITE6_DH,
-    hayati_poses,
-    origin_transform,
-    perturb_poses,
-    random_kinematics,
-    random_positions,
-    six_parameter_poses,
-)
 from scipy.spatial.transform import Rotation
 
 from lite6jax.arms.chains import HayatiForm, SixParameterForm
@@ -29,6 +20,9 @@ from lite6jax.fitting.residual import (
     residuals,
 )
 from lite6jax.model import ArmModel, ModelForm, arm_model
+from tests.oracles.arms import LITE6_DH, random_kinematics, random_positions
+from tests.oracles.chains import hayati_poses, six_parameter_poses
+from tests.oracles.transforms import origin_transform, perturb_poses
 
 SAMPLES = 24
 CHAIN = HayatiForm(6, (1,))

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 from matplotlib.image import imread
-from plain_chain import perturbed
 
 from lite6jax import fit
 from lite6jax.arms.bundled import load_bundled
@@ -12,6 +11,7 @@ from lite6jax.errors import InputError
 from lite6jax.fitting.compare import compare
 from lite6jax.recordings import Recording, RecordingSettings
 from lite6jax.report import canvas, figures
+from tests.oracles.arms import perturbed
 
 LITE6 = load_bundled("lite6")
 

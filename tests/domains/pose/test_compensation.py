@@ -9,7 +9,6 @@ import pyarrow.csv
 import pytest
 from diagnosis.recorded import LITE6, Made, moving_motion, quaternions, static_motion
 from diagnosis.test_prediction import document, refused, stored
-from plain_chain import six_parameter_poses
 from typed import flat, run
 from typed import refused as refused_as_typed
 
@@ -19,6 +18,7 @@ from lite6jax.domains.pose.compensate import compensate, read_limits
 from lite6jax.domains.pose.predict import read_model
 from lite6jax.recordings import Recording, RecordingSettings, Targets, read_targets, write_recording
 from lite6jax.report.compensation_tables import compensation_report
+from tests.oracles.chains import six_parameter_poses
 
 SAMPLES = 40
 STATIC = (

@@ -3,10 +3,12 @@
 import numpy as np
 import pytest
 from diagnosis.recorded import LITE6
-from plain_chain import perturb_poses, random_positions, six_parameter_poses
 from scipy.spatial.transform import Rotation
 
 from lite6jax.domains.pose.registration import register
+from tests.oracles.arms import random_positions
+from tests.oracles.chains import six_parameter_poses
+from tests.oracles.transforms import perturb_poses
 
 NOISE = (2e-5, 1e-4)
 
