@@ -225,7 +225,7 @@ def draw_motion(
         duration = max(time[-1], step)
         rise = warm_up * -np.expm1(-3 * time / duration)
         temperature = settings.reference_temperature_degC + np.outer(rise, np.linspace(1.0, 0.8, arm.dof))
-    return Recording.from_arrays(
+    return Recording.assembled(
         position,
         time=time,
         joint_velocity=velocity,

@@ -118,7 +118,7 @@ def record_poses(
 
 def _as_recording(station: Station, out: Path, joints: np.ndarray, poses: np.ndarray, source: str) -> Recording:
     rotations = Rotation.from_matrix(protocol.transform_of_wire_pose(poses)[:, :3, :3])
-    return Recording.from_arrays(
+    return Recording.assembled(
         joints,
         position=poses[:, :3] / protocol.MM,
         quaternion=rotations.as_quat(scalar_first=True),

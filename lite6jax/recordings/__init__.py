@@ -6,14 +6,13 @@ from lite6jax.recordings.checks import (
     TimeDisorder,
     check_joint_scale,
     check_position_scale,
-    drop_missing,
     outside_limits,
     repeated_rows,
     require_samples,
     time_disorder,
 )
 from lite6jax.recordings.formats import Targets, read_recording, read_targets, recording_file, write_recording
-from lite6jax.recordings.recording import Recording
+from lite6jax.recordings.recording import Recording, drop_missing
 from lite6jax.recordings.settings import (
     FactoryUncertainty,
     RecordingSettings,
@@ -21,6 +20,7 @@ from lite6jax.recordings.settings import (
     sidecar_path,
     write_settings,
 )
+from lite6jax.recordings.units import require_radians
 
 __all__ = [
     "FactoryUncertainty",
@@ -39,6 +39,7 @@ __all__ = [
     "read_targets",
     "recording_file",
     "repeated_rows",
+    "require_radians",
     "require_samples",
     "sidecar_path",
     "time_disorder",

@@ -1,57 +1,22 @@
 """What a recording's numbers reveal: refused where nothing can be made of them, located where a fit can still cope."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Int
 from numpy.typing import ArrayLike
 
 from lite6jax.errors import InputError
-from lite6jax.recordings.recording import Recording, run_segments
-
-LARGEST_MISSING_SHARE = 0.5
-FAR_ROWS_SHARE = 0.1  # fewer far rows are outliers, which the diagnosis locates; a wrong unit spoils most rows
-FAR_LIMITS = 2.0  # in multiples of the arm's widest limit: no swapped, mirrored or once-turned joint gets there
-FAR_REACHES = 5.0  # a tool adds to the reach, but not this much
-
-
-def drop_missing(recording: Recording, spelling: Mapping[str, str] | None = None) -> Recording:
-    """The rows in which every recorded number is finite, with a note that counts the others.
-
-    Args:
-        spelling: SI column name to the name in the file, for the message.
-
-    Raises:
-        InputError: over half of the rows would go; the message names the column that costs most.
-    """
-    table = recording.columns()
-    missing = {name: ~np.isfinite(column) for name, column in table.items()}
-    bad = np.logical_or.reduce(list(missing.values()))
-    count = int(bad.sum())
-    if not count:
-        return recording
-    first = recording.row[np.argmax(bad)]
-    if count > LARGEST_MISSING_SHARE * recording.samples:
-        worst = max(missing, key=lambda name: int(missing[name].sum()))
-        raise InputError(
-            f"{recording.source}: {count} of {recording.samples} rows have NaN, infinite or empty fields, the first is "
-            f"row {first}, most of them in column {(spelling or {}).get(worst, worst)} ({int(missing[worst].sum())}); "
-            "fill or remove that column, or record again"
-        )
-    kept = recording.select(~bad)
-    rows, verb = ("row", "that is") if count == 1 else ("rows", "the first is")
-    note = f"dropped {count} {rows} with NaN, infinite or empty fields, {verb} row {first}"
-    return replace(kept, notes=(*kept.notes, note))
+from lite6jax.recordings.recording import Recording
+from lite6jax.recordings.sequence import run_segments
+from lite6jax.recordings.units import far_joint, limits_of, require_metres, unlikely_joint
 
 
 def check_joint_scale(
     recording: Recording, joint_limits: ArrayLike, spelling: Mapping[str, str] | None = None, assumed: bool = False
 ) -> None:
-    """Refuses joint positions so far outside the limits that they must be degrees.
-
-    A few such rows are outliers and pass, and so do joints that are swapped, mirrored or a turn off: the diagnosis
-    locates those.
+    """Refuses joint positions so far outside the limits that they must be degrees (`units.far_joint`).
 
     Args:
         joint_limits: `(joint, 2)` lowest and highest position in rad; infinite for a joint without end.
@@ -61,22 +26,23 @@ def check_joint_scale(
     Raises:
         InputError: a tenth of the rows or more are beyond twice the widest limit of the arm.
     """
-    limits = _limits(recording, joint_limits)
-    widest = np.max(np.abs(limits))
-    far = np.abs(recording.joint_position) > FAR_LIMITS * widest
-    rows = far.any(axis=1)
-    if rows.mean() < FAR_ROWS_SHARE:
+    given = np.asarray(joint_limits, dtype=float)
+    if given.shape != (recording.dof, 2):
+        raise InputError(
+            f"{recording.source}: has {recording.dof} joints, the arm {len(given)}; choose the arm it is of"
+        )
+    found = far_joint(recording.joint_position, given)
+    if found is None:
         return
-    joint = int(np.argmax(far.sum(axis=0)))
-    sample = int(np.argmax(far[:, joint]))
+    sample, joint = found
     name = (spelling or {}).get(f"q{joint + 1}_rad", f"q{joint + 1}_rad")
-    asks = name.endswith("_rad") and not assumed
-    remedy = "are these degrees? name the columns q1_deg ... or add --assume-degrees" if asks else "check the unit"
-    raise InputError(
-        f"{recording.source}: column {name}: row {recording.row[sample]} is at "
-        f"{recording.joint_position[sample, joint]:.5g} rad while the arm's joint {joint + 1} goes from "
-        f"{limits[joint, 0]:.4g} to {limits[joint, 1]:.4g} rad; {remedy}"
-    )
+    if not name.endswith("_rad") or assumed:
+        remedy = "check the unit"
+    else:
+        remedy = "are these degrees? name the columns q1_deg ... or add --assume-degrees"
+    place, row = f"{recording.source}: column {name}", f"row {recording.row[sample]}"
+    value, limits = recording.joint_position[found], limits_of(recording.dof, given)
+    raise InputError(unlikely_joint(place, row, value, joint, limits, remedy))
 
 
 def check_position_scale(
@@ -95,24 +61,14 @@ def check_position_scale(
     """
     if recording.position is None:
         return
-    middle = np.median(recording.position, axis=0)
-    distance = float(np.median(np.linalg.norm(recording.position - middle, axis=1)))
-    place = "from their middle"
-    if recording.settings.pose_frame == "base" and np.linalg.norm(middle) > distance:
-        distance, place = float(np.linalg.norm(middle)), "from the base"
-    if distance <= FAR_REACHES * reach:
-        return
     names = [(spelling or {}).get(name, name) for name in ("x_m", "y_m", "z_m")]
-    asks = names[0].endswith("_m") and not assumed
-    remedy = (
-        "are these millimetres? name the columns x_mm y_mm z_mm or add --assume-millimetres"
-        if asks
-        else "check the unit"
-    )
-    raise InputError(
-        f"{recording.source}: columns {' '.join(names)}: the positions lie {distance:.4g} m {place} (median) while "
-        f"the arm reaches {reach:.3g} m; {remedy}"
-    )
+    if not names[0].endswith("_m") or assumed:
+        remedy = "check the unit"
+    else:
+        remedy = "are these millimetres? name the columns x_mm y_mm z_mm or add --assume-millimetres"
+    place = f"{recording.source}: columns {' '.join(names)}"
+    from_base = recording.settings.pose_frame == "base"
+    require_metres(recording.position, reach, from_base=from_base, remedy=remedy, place=place)
 
 
 def require_samples(recording: Recording, unknowns: int) -> None:
@@ -199,12 +155,3 @@ def outside_limits(recording: Recording, joint_limits: ArrayLike, margin_rad: fl
         samples = np.flatnonzero(excess[:, joint] > margin_rad)
         found.append(OutsideLimits(int(joint) + 1, samples, recording.row[samples], float(excess[:, joint].max())))
     return found
-
-
-def _limits(recording: Recording, joint_limits: ArrayLike) -> Float[np.ndarray, "joint 2"]:
-    limits = np.asarray(joint_limits, dtype=float)
-    if limits.shape != (recording.dof, 2):
-        raise InputError(
-            f"{recording.source}: has {recording.dof} joints, the arm {len(limits)}; choose the arm it is of"
-        )
-    return np.where(np.isfinite(limits), limits, [-2 * np.pi, 2 * np.pi])

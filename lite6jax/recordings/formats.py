@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from math import pi
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import pyarrow as pa
@@ -15,16 +15,15 @@ import pyarrow.parquet as pa_parquet
 from numpy.typing import ArrayLike
 
 from lite6jax.errors import InputError
-from lite6jax.recordings.checks import check_joint_scale, check_position_scale, drop_missing
-from lite6jax.recordings.columns import Column, nearest_known, recognise
+from lite6jax.recordings.checks import check_joint_scale, check_position_scale
+from lite6jax.recordings.columns import Column
 from lite6jax.recordings.mcap import read_mcap, split_topics
-from lite6jax.recordings.recording import Recording
-from lite6jax.recordings.settings import read_settings, sidecar_path, write_settings
+from lite6jax.recordings.recording import Recording, drop_missing
+from lite6jax.recordings.settings import RecordingSettings, read_settings, sidecar_path, write_settings
+from lite6jax.recordings.table import Table, arrays_of, recognised, require_numbers, si_values
 from lite6jax.storage import check_writable, write_atomically
 
 HEADER_LIMIT = 1 << 20
-LATEST_START_S = 1e8  # three years: such a time is a clock's, not counted from a start
-
 
 SUFFIXES = (".csv", ".parquet", ".mcap")
 """Of the files that are recordings."""
@@ -65,7 +64,8 @@ def read_recording(
     path, topics = split_topics(path)
     readers = {".csv": _read_csv, ".parquet": _read_parquet, ".mcap": partial(_read_mcap, topics=topics)}
     notes: list[str] = []
-    columns, joints, values = _read(path, readers, "a recording ends in .csv, .parquet or .mcap", dof, notes)
+    table = _read(path, readers, "a recording ends in .csv, .parquet or .mcap", dof, notes)
+    columns, _, values = table
     settings = read_settings(sidecar_path(path))
     if not sidecar_path(path).exists():
         notes.append(f"there is no sidecar {sidecar_path(path).name}: the defaults are assumed")
@@ -79,9 +79,9 @@ def read_recording(
             notes.append(
                 f"columns {columns[names[0]].name} ... {columns[names[-1]].name} are taken as {unit}, as asked"
             )
-    recording = _assembled(path, columns, joints, values, settings=settings, notes=tuple(notes))
+    recording = _assembled(table, path, settings, notes)
 
-    spelling = {name: column.name for name, column in columns.items()}
+    spelling = table.spelling
     recording = drop_missing(recording, spelling)
     if joint_limits is not None:
         check_joint_scale(recording, joint_limits, spelling, assumed=assume_degrees)
@@ -121,23 +121,22 @@ def read_targets(
         ".csv": partial(_read_csv, joints_optional=True),
         ".parquet": partial(_read_parquet, joints_optional=True),
     }
-    columns, joints, values = _read(path, readers, "targets end in .csv or .parquet", dof, notes)
+    table = _read(path, readers, "targets end in .csv or .parquet", dof, notes)
+    columns, joints, values = table
     if "x_m" not in columns:
         raise InputError(f"{path}: has no positions to reach; name their columns x_m y_m z_m (or x_mm y_mm z_mm)")
     given = "q1_rad" in columns
     if not given:
         values |= {f"q{joint}_rad": np.zeros(len(values["x_m"])) for joint in range(1, joints + 1)}
     settings = read_settings(sidecar_path(path))
-    recording = _assembled(path, columns, joints, values, settings=settings, notes=tuple(notes))
+    recording = _assembled(table, path, settings, notes)
     assert recording.position is not None
-    seen = np.asarray(np.isfinite(recording.position).all(1))
-    if not seen.any():
+    if not np.isfinite(recording.position).all(1).any():
         raise InputError(f"{path}: columns x_m y_m z_m: no row holds a whole position; fill them")
-    spelling = {name: column.name for name, column in columns.items()}
     if given and joint_limits is not None:
-        check_joint_scale(recording, joint_limits, spelling, assumed=True)
+        check_joint_scale(recording, joint_limits, table.spelling, assumed=True)
     if reach is not None:
-        check_position_scale(recording.select(seen), reach, spelling, assumed=True)
+        check_position_scale(recording, reach, table.spelling, assumed=True)
     return Targets(recording, recording.joint_position if given else None)
 
 
@@ -173,57 +172,14 @@ def write_recording(recording: Recording, path: str | Path, overwrite: bool = Fa
     return write_atomically(path, write, overwrite)
 
 
-def _assembled(
-    path: Path, columns: Mapping[str, Column], joints: int, values: dict[str, np.ndarray], **settled: Any
-) -> Recording:
-    def block(*names: str) -> np.ndarray | None:
-        return np.column_stack([values[name] for name in names]) if names[0] in values else None
-
-    def per_joint(pattern: str) -> np.ndarray | None:
-        return block(*(pattern.format(joint) for joint in range(1, joints + 1)))
-
-    joint_position = per_joint("q{}_rad")
-    assert joint_position is not None  # `recognise` has seen to it
-    run = values.get("run")
-    if run is not None:
-        given = np.isfinite(run)
-        wrong = np.flatnonzero(given & ((run != np.round(run)) | (np.abs(run) > 2**53)))
-        if wrong.size:
-            raise InputError(f"{path}: column run: row {wrong[0] + 1} is {run[wrong[0]]:g}; give whole numbers")
-        # a row without a run belongs to none and is dropped with its joints; meanwhile it must not split its neighbours
-        joint_position[~given] = np.nan
-        last = np.maximum.accumulate(np.where(given, np.arange(len(run)), 0))
-        run = np.where(given[last], run[last], 0.0).astype(np.int64)
-    time = values.get("time_s")
-    if time is not None:
-        start = np.min(time, where=np.isfinite(time), initial=np.inf)
-        if LATEST_START_S < start < np.inf:
-            time = time - start
-            note = f"{columns['time_s'].name} is a clock's: times are counted from the first, {start:.0f} s"
-            settled["notes"] = (*settled["notes"], note)
-    return Recording.from_arrays(
-        joint_position,
-        position=block("x_m", "y_m", "z_m"),
-        quaternion=block("qw", "qx", "qy", "qz"),
-        time=time,
-        joint_velocity=per_joint("dq{}_rad_per_s"),
-        joint_torque=per_joint("tau{}_Nm"),
-        motor_current=per_joint("current{}_A"),
-        joint_temperature=per_joint("temp{}_degC"),
-        ambient_temperature=values.get("ambient_degC"),
-        payload=values.get("payload_kg"),
-        run=run,
-        source=str(path),
-        **settled,
-    )
-
-
-_Read = tuple[dict[str, Column], int, dict[str, np.ndarray]]
+def _assembled(table: Table, path: Path, settings: RecordingSettings, notes: list[str]) -> Recording:
+    arrays = arrays_of(table, str(path), notes)
+    return Recording.assembled(**arrays, settings=settings, source=str(path), notes=tuple(notes))
 
 
 def _read(
-    path: Path, readers: Mapping[str, Callable[..., _Read]], kinds: str, dof: int | None, notes: list[str]
-) -> _Read:
+    path: Path, readers: Mapping[str, Callable[..., Table]], kinds: str, dof: int | None, notes: list[str]
+) -> Table:
     read = readers.get(path.suffix.lower())
     if read is None:
         raise InputError(f"{path}: {kinds}; convert it or correct the name")
@@ -232,23 +188,21 @@ def _read(
     if not path.exists():
         raise InputError(f"{path}: no such file; check the name")
     try:
-        columns, joints, values = read(path, dof, notes)
+        table = read(path, dof, notes)
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({_one_line(error.strerror or error)}); check the file") from error
-    if not len(next(iter(values.values()))):
+    if not len(next(iter(table.values.values()))):
         raise InputError(f"{path}: has column names but no rows; record again")
-    return columns, joints, values
+    return table
 
 
-def _read_parquet(path: Path, dof: int | None, notes: list[str], joints_optional: bool = False) -> _Read:
+def _read_parquet(path: Path, dof: int | None, notes: list[str], joints_optional: bool = False) -> Table:
     try:
         with pa_parquet.ParquetFile(path) as file:
             schema = file.schema_arrow
-            columns, joints = _recognised(path, schema.names, dof, notes, joints_optional)
+            columns, joints = recognised(schema.names, str(path), dof, notes, joints_optional)
             for column in columns.values():
-                kind = schema.field(column.index).type
-                if not (pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_null(kind)):
-                    raise InputError(f"{path}: column {column.name}: holds {kind}, not numbers; write it as float64")
+                require_numbers(column, schema.field(column.index).type, str(path))
             table = file.read(columns=[column.name for column in columns.values()])
     except (pa.ArrowException, OSError) as error:
         if isinstance(error, OSError) and error.errno:  # the disk's refusal, not Parquet's
@@ -257,21 +211,22 @@ def _read_parquet(path: Path, dof: int | None, notes: list[str], joints_optional
             start = content.read(4)
         problem = "is truncated or damaged" if start == b"PAR1" else "is not Parquet, whatever its name says"
         raise InputError(f"{path}: {problem} ({_one_line(error)}); write it again") from error
-    return columns, joints, _si_values(columns, {name: table[column.name] for name, column in columns.items()})
+    return Table(columns, joints, si_values(columns, {name: table[column.name] for name, column in columns.items()}))
 
 
-def _read_mcap(path: Path, dof: int | None, notes: list[str], topics: Sequence[str]) -> _Read:
+def _read_mcap(path: Path, dof: int | None, notes: list[str], topics: Sequence[str]) -> Table:
     values = read_mcap(path, topics, dof, notes)
-    return *_recognised(path, list(values), dof, notes), values
+    return Table(*recognised(list(values), str(path), dof, notes), values)
 
 
-def _read_csv(path: Path, dof: int | None, notes: list[str], joints_optional: bool = False) -> _Read:
+def _read_csv(path: Path, dof: int | None, notes: list[str], joints_optional: bool = False) -> Table:
     names, tail = _csv_header(path), _csv_tail(path)
-    columns, joints = _recognised(path, names, dof, notes, joints_optional)
+    columns, joints = recognised(names, str(path), dof, notes, joints_optional)
     if not tail.endswith((b"\n", b"\r")):
         notes.append("the file does not end with a line break: its last number may have been cut short")
     table = _csv_table(path, names, columns, tail)
-    return columns, joints, _si_values(columns, {name: table[str(column.index)] for name, column in columns.items()})
+    chosen = {name: table[str(column.index)] for name, column in columns.items()}
+    return Table(columns, joints, si_values(columns, chosen))
 
 
 def _csv_table(
@@ -355,27 +310,6 @@ def _csv_tail(path: Path) -> bytes:
         file.seek(0, 2)
         file.seek(max(0, file.tell() - HEADER_LIMIT))
         return file.read()
-
-
-def _recognised(
-    path: Path, names: Sequence[str], dof: int | None, notes: list[str], joints_optional: bool = False
-) -> tuple[dict[str, Column], int]:
-    columns, joints, ignored = recognise(names, str(path), dof, joints_optional)
-    if ignored:
-        shown = ", ".join(
-            f"{n[:40]!r}" + (f" (meant {near}?)" if (near := nearest_known(n)) else "") for n in ignored[:6]
-        )
-        rest = f" and {len(ignored) - 6} more" if len(ignored) > 6 else ""
-        notes.append(f"ignored columns that mean nothing here: {shown}{rest}")
-    return columns, joints
-
-
-def _si_values(columns: Mapping[str, Column], table: Mapping[str, pa.ChunkedArray]) -> dict[str, np.ndarray]:
-    values = {}
-    for name, column in columns.items():
-        array = table[name].cast(pa.float64(), safe=False).to_numpy()  # an absent value becomes NaN
-        values[name] = array if column.divisor == 1.0 else array / column.divisor
-    return values
 
 
 def _one_line(error: object) -> str:

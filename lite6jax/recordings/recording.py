@@ -1,28 +1,31 @@
-"""A recording in memory: joints and measured poses of one arm in SI arrays, with what follows from their order."""
+"""A recording in memory: joint positions and measured poses of one arm in SI arrays, checked as files are."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
-from typing import Any
+from typing import Any, final
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy.typing import ArrayLike
 
+from lite6jax.arms.arm import Arm
 from lite6jax.errors import InputError
-from lite6jax.recordings.settings import Motion, RecordingSettings
+from lite6jax.recordings.arguments import checked_arrays, missing_rows, unit_quaternions
+from lite6jax.recordings.sequence import differentiate, directions, inferred_motion, run_segments
+from lite6jax.recordings.settings import Motion, RecordingSettings, declared_settings
+from lite6jax.recordings.table import arrays_of, read_frame
+from lite6jax.summary import Summarised
 
-LONGEST_TRAJECTORY_STEP_S = 0.5  # samples further apart than this are taken as poses at which the arm stood still
-STANDSTILL_RAD_PER_S = 1e-3
-QUATERNION_TOLERANCE = 0.01
-_ROUNDING = 1e-14  # a quaternion this close to unit length is left alone, so that normalising twice changes nothing
 
-
+@final
 @dataclass(frozen=True, eq=False)
-class Recording:
-    """One row per sample, float64, SI: m, rad, s, N·m, A, °C, kg. Build it with `Recording.from_arrays`.
+class Recording(Summarised):
+    """One row per sample, float64, SI: m, rad, s, N·m, A, °C, kg.
+
+    Build it with `Recording.from_arrays`, `Recording.from_dataframe` or `read_recording`.
 
     Attributes:
-        joint_position: `(sample, joint)`, as the encoders (or the commands) say.
+        joint_position: `(sample, joint)`, as measured by the encoders (or as commanded).
         direction_of_motion: `(sample, joint)`, -1, 0 or 1. Static: `sign(q[k] - q[k-1])`, from zero in the first row of
             a run; trajectory: the sign of the velocity. It belongs to the whole sequence: a selection keeps it.
         motion: "static" (the arm stood still at each row) or "trajectory", as declared or inferred (then `notes` says).
@@ -36,7 +39,7 @@ class Recording:
         ambient_temperature: `(sample,)` or None.
         payload: `(sample,)` mass at the flange.
         run: `(sample,)` int, as in the file: a new run starts where it changes.
-        row: `(sample,)` int, the 1-based data row of the file each sample came from.
+        row: `(sample,)` int, the data row that each sample came from, counted from 1.
         settings: what the sidecar declares.
         source: the file's name, or what made the recording; messages begin with it.
         notes: what was dropped, assumed or normalised, one sentence each.
@@ -65,6 +68,91 @@ class Recording:
     def from_arrays(
         cls,
         joint_position: ArrayLike,
+        position: ArrayLike | None = None,
+        quaternion: ArrayLike | None = None,
+        *,
+        arm: Arm | str | None = None,
+        time: ArrayLike | None = None,
+        joint_velocity: ArrayLike | None = None,
+        joint_torque: ArrayLike | None = None,
+        motor_current: ArrayLike | None = None,
+        joint_temperature: ArrayLike | None = None,
+        ambient_temperature: ArrayLike | None = None,
+        payload: ArrayLike | None = None,
+        run: ArrayLike | None = None,
+        settings: RecordingSettings | None = None,
+        source: str = "recording",
+        **declared: Any,
+    ) -> "Recording":
+        """A recording from arrays, checked as a file is.
+
+        Args:
+            joint_position: `(sample, joint)` rad, as measured by the encoders (or as commanded).
+            position: `(sample, 3)` m, the measured tool point in the sensor's frame.
+            quaternion: `(sample, 4)`, the measured orientation of the tool in the sensor's frame, unit, scalar first.
+            arm: the arm's type, an `Arm` or what `read_arm` takes; its limits and reach reveal a wrong unit.
+            joint_velocity, joint_torque, motor_current, joint_temperature: `(sample, joint)` rad/s, N·m, A, °C.
+            time, ambient_temperature, payload: `(sample,)` s, °C, kg at the flange (zero where not given).
+            run: `(sample,)` int, which changes where a new run starts.
+            settings: what a sidecar would declare; the defaults where not given.
+            source: what messages begin with.
+            declared: single keys of the sidecar, such as `pose_frame="base"`, `tool="none"`, `position_noise_m=2e-5`.
+
+        Returns:
+            the recording without the rows that hold NaN or infinite numbers; its `notes` count them.
+
+        Raises:
+            InputError: arrays that do not fit together or do not hold real numbers, degrees for radians, millimetres
+                for metres, a quaternion whose length is more than 1 % off, more than half of the rows not finite, or
+                an unknown key of the sidecar.
+        """
+        arrays = {
+            "joint_position": joint_position,
+            "position": position,
+            "quaternion": quaternion,
+            "time": time,
+            "joint_velocity": joint_velocity,
+            "joint_torque": joint_torque,
+            "motor_current": motor_current,
+            "joint_temperature": joint_temperature,
+            "ambient_temperature": ambient_temperature,
+            "payload": payload,
+        }
+        settings = declared_settings(settings, arm, declared)
+        real = checked_arrays(arrays, arm, settings, source, {})
+        return drop_missing(cls.assembled(**real, run=run, settings=settings, source=source))
+
+    @classmethod
+    def from_dataframe(
+        cls,
+        frame: Any,
+        settings: RecordingSettings | None = None,
+        *,
+        arm: Arm | str | None = None,
+        source: str = "recording",
+        **declared: Any,
+    ) -> "Recording":
+        """A recording from a data frame with the columns of a recording's file, read and checked as a file is.
+
+        Args:
+            frame: a pandas or polars `DataFrame`, a pyarrow `Table`, or a mapping of column names to `(sample,)`
+                arrays. Units stand in the names: `q1_rad` or `q1_deg`, `x_m` or `x_mm`.
+            settings, arm, source, declared: as in `from_arrays`.
+
+        Raises:
+            InputError: as `from_arrays`; a column missing, misspelt, without unit or not of numbers.
+        """
+        notes: list[str] = []
+        settings = declared_settings(settings, arm, declared)
+        table = read_frame(frame, source, notes)
+        arrays = checked_arrays(arrays_of(table, source, notes), arm, settings, source, table.spelling)
+        recording = cls.assembled(**arrays, settings=settings, source=source, notes=tuple(notes))
+        return drop_missing(recording, table.spelling)
+
+    @classmethod
+    def assembled(
+        cls,
+        joint_position: ArrayLike,
         *,
         position: ArrayLike | None = None,
         quaternion: ArrayLike | None = None,
@@ -81,14 +169,13 @@ class Recording:
         source: str = "recording",
         notes: tuple[str, ...] = (),
     ) -> "Recording":
-        """A recording from arrays of the shapes and units above; what is not given is absent, zero, or follows.
+        """As `from_arrays`, of numbers whose units are known: rows with NaN stay, and units are not checked.
 
-        Rows with NaN are kept (`drop_missing` drops them) but the direction and the differentiated velocity of the
-        others pass over those whose joints or time are missing.
+        The direction and the differentiated velocity of the other rows pass over those whose joints or time are NaN.
+        `row` is `(sample,)` int, the data row of each sample in its file, from 1; `notes` say what was done before.
 
         Raises:
-            InputError: arrays that do not fit together, orientation without position, or a quaternion whose length is
-                more than 1 % off.
+            InputError: arrays that do not fit together, orientation without position, or quaternions of another length.
         """
         settings = settings or RecordingSettings()
         q = np.asarray(joint_position, dtype=np.float64)
@@ -109,15 +196,12 @@ class Recording:
         quaternion = shaped("quaternion", quaternion, 4)
         if quaternion is not None and position is None:
             raise InputError(f"{source}: has measured orientations without positions; add x_m y_m z_m")
-        row = shaped("row", row, dtype=np.int64)
-        row = np.arange(1, samples + 1) if row is None else row
-        run = shaped("run", run, dtype=np.int64)
-        run = np.zeros(samples, dtype=np.int64) if run is None else run
-        payload = shaped("payload", payload)
+        row = shaped("row", np.arange(1, samples + 1) if row is None else row, dtype=np.int64)
+        run = shaped("run", np.zeros(samples, dtype=np.int64) if run is None else run, dtype=np.int64)
         time = shaped("time", time)
         velocity = shaped("joint_velocity", joint_velocity, dof)
         if quaternion is not None:
-            quaternion, note = _unit_quaternions(quaternion, row, source)
+            quaternion, note = unit_quaternions(quaternion, row, source)
             notes += (note,) if note else ()
         motion = settings.motion
         if motion is None:
@@ -132,7 +216,7 @@ class Recording:
             notes += ("the trajectory has neither times nor velocities: directions of motion follow the row order",)
         return cls(
             joint_position=q,
-            direction_of_motion=_directions(q, velocity, segment, motion),
+            direction_of_motion=directions(q, velocity, segment, motion),
             motion=motion,
             position=shaped("position", position, 3),
             quaternion=quaternion,
@@ -143,7 +227,7 @@ class Recording:
             motor_current=shaped("motor_current", motor_current, dof),
             joint_temperature=shaped("joint_temperature", joint_temperature, dof),
             ambient_temperature=shaped("ambient_temperature", ambient_temperature),
-            payload=np.zeros(samples) if payload is None else payload,
+            payload=shaped("payload", np.zeros(samples) if payload is None else payload),
             run=run,
             row=row,
             settings=settings,
@@ -178,7 +262,7 @@ class Recording:
 
     def select(self, rows: Bool[np.ndarray, " sample"] | Int[np.ndarray, " chosen"]) -> "Recording":
         """The samples of a boolean mask or of indices; direction, velocity and row number stay those of the whole."""
-        per_sample = {name: array[rows] for name, array in self._arrays().items()}
+        per_sample = {name: array[rows] for name, array in _arrays(self).items()}
         return replace(self, **per_sample)
 
     def contiguous_folds(self, count: int) -> list[Bool[np.ndarray, " sample"]]:
@@ -202,31 +286,28 @@ class Recording:
         order = np.lexsort((self.time, segment))
         if np.array_equal(order, np.arange(self.samples)):
             return self
-        arrays = {name: array[order] for name, array in self._arrays().items()}
+        arrays = {name: array[order] for name, array in _arrays(self).items()}
         if self.velocity_differentiated:
             arrays["joint_velocity"] = differentiate(arrays["joint_position"], arrays["time"], segment)
-        arrays["direction_of_motion"] = _directions(
+        arrays["direction_of_motion"] = directions(
             arrays["joint_position"], arrays.get("joint_velocity"), segment, self.motion
         )
         moved = int(np.sum(order != np.arange(self.samples)))
         return replace(self, **arrays, notes=(*self.notes, f"{moved} rows were out of time order and have been sorted"))
 
     def made_anew(self, **changes: Any) -> "Recording":
-        """With other arguments of `from_arrays`; directions, and velocities that were not recorded, follow from them.
+        """With other arguments of `assembled`; directions, and velocities that were not recorded, follow from them.
 
         Torques and currents are left out, as they belong to the motion as it was, and notes as well.
 
-        Args:
-            changes: by name.
-
         Raises:
-            InputError: as `from_arrays`.
+            InputError: as `assembled`.
         """
         kept = ("joint_position", "position", "quaternion", "time", "joint_temperature", "ambient_temperature")
         kept = (*kept, "payload", "run", "row", "settings", "source")
         velocity = None if self.velocity_differentiated else self.joint_velocity
         arguments: dict[str, Any] = {name: getattr(self, name) for name in kept} | {"joint_velocity": velocity}
-        return Recording.from_arrays(**(arguments | changes))
+        return Recording.assembled(**(arguments | changes))
 
     def columns(self) -> dict[str, np.ndarray]:
         """The table that a file of this recording holds: column name in SI units to `(sample,)` values.
@@ -250,107 +331,20 @@ class Recording:
             table |= dict(zip(names.split(), () if block is None else block.T, strict=False))
         return {name: column for name, column in table.items() if column is not None}
 
-    def _arrays(self) -> Mapping[str, Any]:
-        values = {field.name: getattr(self, field.name) for field in fields(self)}
-        return {name: value for name, value in values.items() if isinstance(value, np.ndarray)}
 
+def drop_missing(recording: Recording, spelling: Mapping[str, str] | None = None) -> Recording:
+    """The rows in which every recorded number is finite, with a note that counts the others.
 
-def run_segments(run: Int[np.ndarray, " sample"]) -> Int[np.ndarray, " sample"]:
-    """Numbers the runs 0, 1, ... in order: `run` only says where a new one starts."""
-    return np.concatenate([[0], np.cumsum(run[1:] != run[:-1])])
+    Args:
+        spelling: column name in SI units to the name in the file, for the message.
 
-
-def inferred_motion(
-    time: Float[np.ndarray, " sample"] | None, velocity: Float[np.ndarray, "sample joint"] | None
-) -> tuple[Motion, str]:
-    """Whether the arm stood still at each row, from velocities or else from the time step, and the reason in words."""
-    if velocity is not None:
-        moving = np.mean(np.nanmax(np.abs(velocity), axis=1, initial=0.0) > STANDSTILL_RAD_PER_S)
-        return "trajectory" if moving > 0.05 else "static", f"the joints move in {moving:.0%} of the rows"
-    if time is None:
-        return "static", "it has neither times nor velocities"
-    steps = np.diff(time[np.isfinite(time)])
-    steps = steps[steps > 0]
-    step = float(np.median(steps)) if steps.size else np.inf
-    return "trajectory" if step <= LONGEST_TRAJECTORY_STEP_S else "static", f"its time step is {step:.3g} s"
-
-
-def differentiate(
-    joint_position: Float[np.ndarray, "sample joint"],
-    time: Float[np.ndarray, " sample"],
-    segment: Int[np.ndarray, " sample"],
-) -> Float[np.ndarray, "sample joint"]:
-    """Velocities by second-order differences over uneven times, within segments and in time order.
-
-    Exact for a parabola, at the ends too; first order in a segment of two rows, zero in one of one row. Rows of equal
-    time are passed over; rows with NaN get NaN and do not touch their neighbours.
+    Raises:
+        InputError: over half of the rows would go; the message names the column with most gaps.
     """
-    velocity = np.full_like(joint_position, np.nan)
-    usable = np.flatnonzero(np.isfinite(joint_position).all(axis=1) & np.isfinite(time))
-    order = usable[np.lexsort((time[usable], segment[usable]))]
-    if not order.size:
-        return velocity
-    q, t, s = joint_position[order], time[order], segment[order]
-    step = np.diff(t)
-    joined = (np.diff(s) == 0) & (step > 0)
-    step = np.where(joined, step, 1.0)
-    slope = np.where(joined[:, None], np.diff(q, axis=0) / step[:, None], 0.0)
-
-    def padded(array: np.ndarray, before: int, after: int) -> np.ndarray:
-        return np.pad(array, [(before, after)] + [(0, 0)] * (array.ndim - 1))
-
-    # per row: the intervals before and after it, and those one further out for the ends of a segment
-    has_left, has_right = padded(joined, 1, 0)[:, None], padded(joined, 0, 1)[:, None]
-    h_left, h_right = padded(step, 1, 0)[:, None], padded(step, 0, 1)[:, None]
-    v_left, v_right = padded(slope, 1, 0), padded(slope, 0, 1)
-    inside = (h_right * v_left + h_left * v_right) / np.maximum(h_left + h_right, np.finfo(float).tiny)
-    value = np.where(has_left & has_right, inside, v_left + v_right)
-    starts = np.flatnonzero(~has_left[:-1, 0] & has_right[:-1, 0] & has_right[1:, 0])
-    ends = 1 + np.flatnonzero(has_left[:-1, 0] & has_left[1:, 0] & ~has_right[1:, 0])
-    for rows, near, far in ((starts, starts, starts + 1), (ends, ends - 1, ends - 2)):
-        weight = (step[near] / (step[near] + step[far]))[:, None]
-        value[rows] = slope[near] + (slope[near] - slope[far]) * weight
-    velocity[order] = value
-    return velocity
+    bad, note = missing_rows(recording.columns(), recording.row, recording.source, spelling or {})
+    return replace(recording.select(~bad), notes=(*recording.notes, note)) if note else recording
 
 
-def _directions(
-    joint_position: Float[np.ndarray, "sample joint"],
-    velocity: Float[np.ndarray, "sample joint"] | None,
-    segment: Int[np.ndarray, " sample"],
-    motion: Motion,
-) -> Float[np.ndarray, "sample joint"]:
-    if motion == "trajectory" and velocity is not None:
-        return np.sign(velocity)
-    if motion == "trajectory":
-        return np.sign(differentiate(joint_position, np.arange(float(len(segment))), segment))
-    direction = np.full_like(joint_position, np.nan)
-    usable = np.isfinite(joint_position).all(axis=1)
-    q, s = joint_position[usable], segment[usable]
-    previous = np.zeros_like(q)
-    previous[1:] = np.where((np.diff(s) == 0)[:, None], q[:-1], 0.0)
-    direction[usable] = np.sign(q - previous)
-    return direction
-
-
-def _unit_quaternions(
-    quaternion: Float[np.ndarray, "sample 4"], row: Int[np.ndarray, " sample"], source: str
-) -> tuple[Float[np.ndarray, "sample 4"], str | None]:
-    given = np.all(np.isfinite(quaternion), axis=1)
-    with np.errstate(over="ignore"):  # an absurdly long one is infinitely long, and refused as such
-        length = np.sqrt(np.sum(np.where(given[:, None], quaternion, 0.5) ** 2, axis=1))
-    off = np.abs(length - 1.0)
-    beyond = np.flatnonzero(off > QUATERNION_TOLERANCE)
-    if beyond.size:
-        others = f" (and {beyond.size - 1} more rows)" if beyond.size > 1 else ""
-        raise InputError(
-            f"{source}: columns qw qx qy qz: row {row[beyond[0]]} has length {length[beyond[0]]:.6g}{others}, not 1; "
-            "give unit quaternions, scalar first, and leave the fields empty where the sensor lost its target"
-        )
-    note = None
-    if off.max() > 1e-6:  # below, it is the rounding of the file's decimals
-        count = int(np.sum(off > 1e-6))
-        note = f"normalised {count} quaternions, the furthest {off.max():.2g} from unit length"
-    unit = np.where((off > _ROUNDING)[:, None], quaternion / length[:, None], quaternion)
-    leading = np.argmax(np.abs(np.sign(unit)), axis=1)
-    return np.where(unit[np.arange(len(unit)), leading, None] < 0, -unit, unit), note
+def _arrays(recording: Recording) -> dict[str, np.ndarray]:
+    values = {field.name: getattr(recording, field.name) for field in fields(recording)}
+    return {name: value for name, value in values.items() if isinstance(value, np.ndarray)}

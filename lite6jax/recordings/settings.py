@@ -103,6 +103,25 @@ class RecordingSettings:
         )
 
 
+def declared_settings(settings: RecordingSettings | None, arm: Any, declared: Mapping[str, Any]) -> RecordingSettings:
+    """Settings with single keys replaced, as `Recording.from_arrays` takes them.
+
+    Args:
+        settings: the defaults where not given.
+        arm: an `Arm`, or what names one; the settings' own where None.
+        declared: keys of the sidecar to their values; arrays serve as lists.
+
+    Raises:
+        InputError: an unknown key (with the nearest accepted one) or an unusable value.
+    """
+    _reject_unknown("", declared, _KINDS)
+    keys = {key: value.tolist() if hasattr(value, "tolist") else value for key, value in declared.items()}
+    if arm is not None:
+        keys["arm"] = str(getattr(arm, "name", arm))
+    parsed = {key: None if value is None else _parsed(key, value) for key, value in keys.items()}
+    return replace(settings or RecordingSettings(), **parsed)
+
+
 def sidecar_path(recording: str | Path) -> Path:
     """Where the sidecar of a recording stands: the same stem, `.yaml`."""
     return Path(recording).with_suffix(".yaml")

@@ -63,19 +63,19 @@ def test_a_dropped_row_does_not_change_its_neighbours_direction_or_velocity():
     q = np.array([[0.0], [2.0], [1.0], [3.0]])
     position = np.array([[0.1, 0, 0], [np.nan, 0, 0], [0.2, 0, 0], [0.3, 0, 0]])
     # the arm did go to 2.0, whether or not the sensor saw it: 1.0 was reached downwards
-    recording = drop_missing(Recording.from_arrays(q, position=position, settings=STATIC))
+    recording = drop_missing(Recording.assembled(q, position=position, settings=STATIC))
     assert recording.row.tolist() == [1, 3, 4]
     assert recording.direction_of_motion.ravel().tolist() == [0, -1, 1]
     # where the joints themselves are missing the last known ones count
     q[1] = np.nan
-    recording = drop_missing(Recording.from_arrays(q, position=np.nan_to_num(position), settings=STATIC))
+    recording = drop_missing(Recording.assembled(q, position=np.nan_to_num(position), settings=STATIC))
     assert recording.direction_of_motion.ravel().tolist() == [0, 1, 1]
     time = uneven_times(30, 0.02)
     q, _ = swing(time)
     seen = np.ones((30, 3))
     seen[[7, 8, 20]] = np.inf
     whole = Recording.from_arrays(q, time=time, settings=TRAJECTORY)
-    part = drop_missing(Recording.from_arrays(q, time=time, position=seen, settings=TRAJECTORY))
+    part = drop_missing(Recording.assembled(q, time=time, position=seen, settings=TRAJECTORY))
     np.testing.assert_array_equal(part.velocities(), np.delete(whole.velocities(), [7, 8, 20], axis=0))
     assert part.notes[-1] == "dropped 3 rows with NaN, infinite or empty fields, the first is row 8"
 
@@ -127,7 +127,7 @@ def test_differentiation_passes_over_rows_of_equal_time_and_rows_with_nan():
     time = np.array([0.0, 0.1, 0.2, 0.2, 0.3, 0.4, 0.5])
     q = 3.0 * time[:, None]
     q[5] = np.nan
-    velocity = Recording.from_arrays(q, time=time, settings=TRAJECTORY).velocities()
+    velocity = Recording.assembled(q, time=time, settings=TRAJECTORY).velocities()
     np.testing.assert_allclose(velocity[[0, 1, 2, 3, 4, 6]], 3.0, atol=1e-12)
     assert np.isnan(velocity[5, 0])
 
@@ -216,9 +216,7 @@ def test_a_quaternion_beyond_one_per_cent_is_refused_with_its_row():
 
 def test_quaternions_with_missing_numbers_are_left_to_be_dropped():
     quaternion = np.array([[1.0, 0, 0, 0], [np.nan, 0, 0, 0], [np.inf, 0, 0, 0], [1.0, 0, 0, 0]])
-    recording = Recording.from_arrays(
-        np.zeros((4, 6)), position=np.zeros((4, 3)), quaternion=quaternion, settings=STATIC
-    )
+    recording = Recording.assembled(np.zeros((4, 6)), position=np.zeros((4, 3)), quaternion=quaternion, settings=STATIC)
     assert drop_missing(recording).row.tolist() == [1, 4]
 
 

@@ -1,0 +1,91 @@
+"""What follows from the order of a recording's samples: runs, the kind of motion, velocities and directions."""
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from lite6jax.recordings.settings import Motion
+
+LONGEST_TRAJECTORY_STEP_S = 0.5  # samples further apart than this are taken as poses at which the arm stood still
+STANDSTILL_RAD_PER_S = 1e-3
+MOVING_SHARE = 0.05  # of the rows; a static recording may hold a few taken before the arm came to rest
+
+
+def run_segments(run: Int[np.ndarray, " sample"]) -> Int[np.ndarray, " sample"]:
+    """Numbers the runs 0, 1, ... in order: `run` only says where a new one starts."""
+    return np.concatenate([[0], np.cumsum(run[1:] != run[:-1])])
+
+
+def inferred_motion(
+    time: Float[np.ndarray, " sample"] | None, velocity: Float[np.ndarray, "sample joint"] | None
+) -> tuple[Motion, str]:
+    """Whether the arm stood still at each row, from velocities or else from the time step, and the reason in words."""
+    if velocity is not None:
+        moving = np.mean(np.nanmax(np.abs(velocity), axis=1, initial=0.0) > STANDSTILL_RAD_PER_S)
+        return "trajectory" if moving > MOVING_SHARE else "static", f"the joints move in {moving:.0%} of the rows"
+    if time is None:
+        return "static", "it has neither times nor velocities"
+    steps = np.diff(time[np.isfinite(time)])
+    steps = steps[steps > 0]
+    step = float(np.median(steps)) if steps.size else np.inf
+    return "trajectory" if step <= LONGEST_TRAJECTORY_STEP_S else "static", f"its time step is {step:.3g} s"
+
+
+def differentiate(
+    joint_position: Float[np.ndarray, "sample joint"],
+    time: Float[np.ndarray, " sample"],
+    segment: Int[np.ndarray, " sample"],
+) -> Float[np.ndarray, "sample joint"]:
+    """Velocities by second-order differences over uneven times, within segments and in time order.
+
+    Exact for a parabola, at the ends too; first order in a segment of two rows, zero in one of one row. Rows of equal
+    time are passed over; rows with NaN get NaN and do not touch their neighbours.
+    """
+    velocity = np.full_like(joint_position, np.nan)
+    usable = np.flatnonzero(np.isfinite(joint_position).all(axis=1) & np.isfinite(time))
+    order = usable[np.lexsort((time[usable], segment[usable]))]
+    if not order.size:
+        return velocity
+    q, t, s = joint_position[order], time[order], segment[order]
+    step = np.diff(t)
+    joined = (np.diff(s) == 0) & (step > 0)
+    step = np.where(joined, step, 1.0)
+    slope = np.where(joined[:, None], np.diff(q, axis=0) / step[:, None], 0.0)
+
+    def padded(array: np.ndarray, before: int, after: int) -> np.ndarray:
+        return np.pad(array, [(before, after)] + [(0, 0)] * (array.ndim - 1))
+
+    # per row: the intervals before and after it, and those one further out for the ends of a segment
+    has_left, has_right = padded(joined, 1, 0)[:, None], padded(joined, 0, 1)[:, None]
+    h_left, h_right = padded(step, 1, 0)[:, None], padded(step, 0, 1)[:, None]
+    v_left, v_right = padded(slope, 1, 0), padded(slope, 0, 1)
+    inside = (h_right * v_left + h_left * v_right) / np.maximum(h_left + h_right, np.finfo(float).tiny)
+    value = np.where(has_left & has_right, inside, v_left + v_right)
+    starts = np.flatnonzero(~has_left[:-1, 0] & has_right[:-1, 0] & has_right[1:, 0])
+    ends = 1 + np.flatnonzero(has_left[:-1, 0] & has_left[1:, 0] & ~has_right[1:, 0])
+    for rows, near, far in ((starts, starts, starts + 1), (ends, ends - 1, ends - 2)):
+        weight = (step[near] / (step[near] + step[far]))[:, None]
+        value[rows] = slope[near] + (slope[near] - slope[far]) * weight
+    velocity[order] = value
+    return velocity
+
+
+def directions(
+    joint_position: Float[np.ndarray, "sample joint"],
+    velocity: Float[np.ndarray, "sample joint"] | None,
+    segment: Int[np.ndarray, " sample"],
+    motion: Motion,
+) -> Float[np.ndarray, "sample joint"]:
+    """The direction of motion, −1, 0 or 1: the velocity's sign in a trajectory, else that of the step from the sample
+    before it (from zero at the start of a segment). Rows with NaN get NaN and are passed over.
+    """
+    if motion == "trajectory" and velocity is not None:
+        return np.sign(velocity)
+    if motion == "trajectory":
+        return np.sign(differentiate(joint_position, np.arange(float(len(segment))), segment))
+    direction = np.full_like(joint_position, np.nan)
+    usable = np.isfinite(joint_position).all(axis=1)
+    q, s = joint_position[usable], segment[usable]
+    previous = np.zeros_like(q)
+    previous[1:] = np.where((np.diff(s) == 0)[:, None], q[:-1], 0.0)
+    direction[usable] = np.sign(q - previous)
+    return direction

@@ -1,0 +1,269 @@
+"""Recordings from arrays and data frames: the numbers they hold, and the line with which each mistake is refused."""
+
+import numpy as np
+import pyarrow as pa
+import pytest
+
+from lite6jax.arms.bundled import load_bundled
+from lite6jax.errors import InputError
+from lite6jax.recordings import Recording, RecordingSettings, read_recording, require_radians, write_recording
+
+LITE6 = load_bundled("lite6")
+SAMPLES = 40
+
+
+@pytest.fixture
+def plausible():
+    rng = np.random.default_rng(0)
+    q = rng.uniform(LITE6.joint_limits[:, 0], LITE6.joint_limits[:, 1], (SAMPLES, 6))
+    quaternion = rng.normal(size=(SAMPLES, 4))
+    quaternion /= np.linalg.norm(quaternion, axis=1, keepdims=True)
+    return {"joint_position": q, "position": rng.uniform(-0.4, 0.4, (SAMPLES, 3)), "quaternion": quaternion}
+
+
+def columns_of(arrays, degrees=False, millimetres=False):
+    """A data frame's columns, made without the library."""
+    scale, unit = (180 / np.pi, "deg") if degrees else (1.0, "rad")
+    table = {f"q{j + 1}_{unit}": scale * arrays["joint_position"][:, j] for j in range(6)}
+    scale, unit = (1e3, "mm") if millimetres else (1.0, "m")
+    table |= {f"{axis}_{unit}": scale * arrays["position"][:, k] for k, axis in enumerate("xyz")}
+    return table | {name: arrays["quaternion"][:, k] for k, name in enumerate(("qw", "qx", "qy", "qz"))}
+
+
+def refused(function, *arguments, **options):
+    with pytest.raises(InputError) as caught:
+        function(*arguments, **options)
+    assert "\n" not in str(caught.value)
+    return str(caught.value)
+
+
+# ------------------------------------------------------------------ arrays
+
+
+def test_arrays_are_kept_and_keys_of_the_sidecar_are_declared(plausible):
+    recording = Recording.from_arrays(
+        *plausible.values(), arm=LITE6, pose_frame="base", tool=np.array([0, 0, 0.1, 0, 0, 0.2]), position_noise_m=2e-5
+    )
+    np.testing.assert_array_equal(recording.joint_position, plausible["joint_position"])
+    np.testing.assert_array_equal(recording.position, plausible["position"])
+    sign = np.sign(plausible["quaternion"][:, :1])
+    np.testing.assert_allclose(recording.quaternion, sign * plausible["quaternion"], atol=1e-15)
+    assert recording.settings == RecordingSettings(
+        arm="lite6", pose_frame="base", tool=(0.0, 0.0, 0.1, 0.0, 0.0, 0.2), position_noise_m=2e-5
+    )
+    settings = RecordingSettings(pose_frame="base", position_noise_m=1e-3)
+    both = Recording.from_arrays(*plausible.values(), settings=settings, position_noise_m=1e-4)
+    assert both.settings == RecordingSettings(pose_frame="base", position_noise_m=1e-4)
+
+
+def test_rows_that_are_not_finite_are_dropped_and_counted(plausible):
+    plausible["position"][[3, 7], 1] = np.nan, np.inf
+    recording = Recording.from_arrays(**plausible)
+    assert recording.row.tolist() == [k for k in range(1, SAMPLES + 1) if k not in (4, 8)]
+    assert recording.notes[-1] == "dropped 2 rows with NaN, infinite or empty fields, the first is row 4"
+    plausible["position"][:30] = np.nan
+    assert refused(Recording.from_arrays, **plausible) == (
+        "recording: 30 of 40 rows have NaN, infinite or empty fields, the first is row 1, most of them in column x_m "
+        "(30); fill or remove that column, or record again"
+    )
+
+
+def test_degrees_are_refused_and_name_the_remedy(plausible):
+    degrees = np.rad2deg(plausible["joint_position"])
+    row, joint = np.argwhere(abs(degrees) > 4 * np.pi)[0][0], 0
+    message = refused(Recording.from_arrays, degrees, arm="lite6", source="mine")
+    assert message.startswith("mine: joint_position: row ")
+    assert message.endswith(" rad; are these degrees? give radians: np.deg2rad(joint_position)")
+    # of one joint alone
+    mixed = plausible["joint_position"].copy()
+    mixed[:, 0] = degrees[:, 0]
+    row = int(np.argmax(abs(degrees[:, joint]) > 4 * np.pi))
+    assert refused(Recording.from_arrays, mixed) == (
+        f"recording: joint_position: row {row + 1} is at {degrees[row, 0]:.5g} rad while the arm's joint 1 goes from "
+        "-6.283 to 6.283 rad; are these degrees? give radians: np.deg2rad(joint_position)"
+    )
+
+
+def test_degrees_are_seen_beside_rows_that_are_not_finite(plausible):
+    degrees = np.rad2deg(plausible["joint_position"])
+    degrees[::3] = np.nan
+    assert "are these degrees?" in refused(Recording.from_arrays, degrees)
+
+
+def test_outliers_and_turned_joints_are_not_taken_for_degrees(plausible):
+    plausible["joint_position"][:3] = 500.0
+    plausible["joint_position"][:, 5] += 2 * np.pi
+    assert Recording.from_arrays(**plausible).samples == SAMPLES
+
+
+def test_millimetres_are_refused_and_name_the_remedy(plausible):
+    message = refused(Recording.from_arrays, plausible["joint_position"], 1e3 * plausible["position"])
+    assert message.startswith("recording: position: the positions lie ")
+    assert message.endswith(
+        f" m from their middle (median) while the arm reaches {LITE6.reach:.3g} m; are these millimetres? give metres: "
+        "position / 1000"
+    )
+    far = plausible["position"] + [30.0, 0.0, 0.0]
+    assert Recording.from_arrays(plausible["joint_position"], far).samples == SAMPLES  # a distant sensor
+    assert "m from the base (median)" in refused(
+        Recording.from_arrays, plausible["joint_position"], far, pose_frame="base"
+    )
+
+
+def test_quaternions_of_another_length_are_refused_with_their_row(plausible):
+    plausible["quaternion"][11] *= 1.5
+    assert "columns qw qx qy qz: row 12 has length 1.5, not 1; give unit quaternions, scalar first" in refused(
+        Recording.from_arrays, **plausible
+    )
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"joint_position": np.zeros((3, 6)) * 1j}, "joint_position: holds complex numbers; give real ones"),
+        ({"position": np.zeros((3, 3), complex)}, "position: holds complex numbers; give real ones"),
+        ({"joint_position": [["a"] * 6] * 3}, "joint_position: holds <U1, not numbers; give an array of floats"),
+        ({"joint_position": [[0.0] * 6, [0.0]]}, "joint_position: its rows have unequal lengths; give one array of"),
+        ({"joint_position": np.zeros(6)}, "joint_position has the shape (6,); give (sample, joint), neither zero"),
+        ({"joint_position": np.zeros((6, 3, 2))}, "joint_position has the shape (6, 3, 2); give (sample, joint)"),
+        ({"position": np.zeros((3, 2))}, "position has the shape (3, 2); give (3, 3)"),
+        ({"quaternion": np.eye(4)}, "quaternion has the shape (4, 4); give (3, 4)"),
+        ({"position": None, "quaternion": np.eye(4)[:3]}, "measured orientations without positions; add x_m y_m z_m"),
+        ({"arm": "xarm7"}, "has 6 joints, but xarm7 has 7; give the arm that it is of"),
+        ({"arm": "lite7"}, "lite7: neither a bundled arm nor a file"),
+        ({"pose_fram": "base"}, "pose_fram: unknown key; did you mean pose_frame?"),
+        ({"tool": "gripper"}, "tool: 'gripper' is not accepted; give none, unknown, or six numbers"),
+        ({"run": [0.0, 0.5, 1.0]}, "run has the type float64; give integers"),
+    ],
+)
+def test_arrays_that_cannot_be_a_recording(changes, message):
+    given = {"joint_position": np.zeros((3, 6)), "position": np.zeros((3, 3))} | changes
+    assert message in refused(Recording.from_arrays, **given)
+
+
+def test_the_default_arm_does_not_judge_an_arm_of_other_joints():
+    q = np.full((3, 5), 6.0)
+    assert Recording.from_arrays(q, 1e3 * np.eye(3)).dof == 5
+
+
+# ------------------------------------------------------------------ data frames
+
+
+class Frame:
+    """The part of a data frame that is relied on: named columns, each an array."""
+
+    def __init__(self, table):
+        self.table, self.columns = table, list(table)
+
+    def __getitem__(self, name):
+        return self.table[name]
+
+
+@pytest.mark.parametrize("kind", [dict, Frame, pa.table, "pandas"])
+@pytest.mark.parametrize("degrees", [False, True])
+def test_data_frames_hold_what_a_file_with_the_same_columns_holds(plausible, tmp_path, kind, degrees):
+    table = columns_of(plausible, degrees=degrees, millimetres=degrees)
+    table |= {"run": np.repeat([0, 1], SAMPLES // 2), "payload_kg": np.linspace(0, 1, SAMPLES)}
+    kind = pytest.importorskip("pandas").DataFrame if kind == "pandas" else kind
+    recording = Recording.from_dataframe(kind(table), RecordingSettings(motion="static"), pose_frame="base")
+    path = tmp_path / "run7.csv"
+    np.savetxt(path, np.column_stack(list(table.values())), "%.17g", ",", header=",".join(table), comments="")
+    path.with_suffix(".yaml").write_text("recording: {motion: static, pose_frame: base}\n")
+    file = read_recording(path)
+    assert recording.settings == file.settings
+    assert recording.notes == file.notes == ()
+    for name in ("joint_position", "position", "quaternion", "payload", "run", "direction_of_motion"):
+        np.testing.assert_array_equal(getattr(recording, name), getattr(file, name), err_msg=name)
+
+
+def test_a_recordings_columns_are_a_data_frame(plausible, tmp_path):
+    recording = Recording.from_arrays(**plausible, motion="static")
+    again = Recording.from_dataframe(recording.columns(), recording.settings)
+    np.testing.assert_array_equal(again.position, recording.position)
+    write_recording(again, tmp_path / "run.parquet")
+
+
+def test_absent_values_are_dropped_and_counted(plausible):
+    table = columns_of(plausible)
+    table["x_m"] = [None if k in (4, 9) else value for k, value in enumerate(table["x_m"].tolist())]
+    for frame in (table, pa.table(table)):
+        recording = Recording.from_dataframe(frame)
+        assert recording.samples == SAMPLES - 2
+        assert recording.notes[-1] == "dropped 2 rows with NaN, infinite or empty fields, the first is row 5"
+
+
+def test_integers_with_absent_values_of_pandas(plausible):
+    pandas = pytest.importorskip("pandas")
+    frame = pandas.DataFrame(columns_of(plausible))
+    frame["run"] = pandas.array([0] * 20 + [1] * 19 + [None], dtype="Int64")
+    recording = Recording.from_dataframe(frame)
+    assert recording.run.tolist() == [0] * 20 + [1] * 19
+
+
+def test_other_columns_are_ignored_and_named(plausible):
+    table = columns_of(plausible) | {"comment": ["a", 1] * 20, "paylod_kg": np.zeros(SAMPLES)}
+    notes = Recording.from_dataframe(table).notes
+    assert notes[0] == "ignored columns that mean nothing here: 'comment', 'paylod_kg' (meant payload_kg?)"
+
+
+def test_units_of_columns_that_cannot_be(plausible):
+    named = columns_of(plausible, degrees=True)
+    wrong = {name.replace("_deg", "_rad"): value for name, value in named.items()}
+    message = refused(Recording.from_dataframe, wrong)
+    assert message.startswith("recording: column q")
+    assert message.endswith("are these degrees? name the columns q1_deg ...")
+    named = columns_of(plausible, millimetres=True)
+    wrong = {name.replace("_mm", "_m"): value for name, value in named.items()}
+    message = refused(Recording.from_dataframe, wrong)
+    assert message.startswith("recording: columns x_m y_m z_m: the positions lie ")
+    assert message.endswith("are these millimetres? name the columns x_mm y_mm z_mm")
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"q1_rad": np.zeros(SAMPLES, complex)}, "column q1_rad: holds complex128, not numbers; give it as float64"),
+        ({"q1_rad": ["a"] * SAMPLES}, "column q1_rad: holds string, not numbers; write it as float64"),
+        ({"q1_rad": [True] * SAMPLES}, "column q1_rad: holds bool, not numbers"),
+        ({"q1_rad": np.zeros(3)}, "its columns have unequal lengths, 3 to 40; give one each"),
+        ({"q1_grad": np.zeros(SAMPLES)}, "column 'q1_grad': the unit 'grad' is unknown; write q1_rad or q1_deg"),
+        ({"q7_rad": np.zeros(SAMPLES)}, "has 7 joints, but lite6 has 6; give the arm that it is of"),
+        ({"run": np.linspace(0, 1, SAMPLES)}, "column run: row 2 is 0.025641; give whole numbers"),
+    ],
+)
+def test_data_frames_that_cannot_be_a_recording(plausible, changes, message):
+    assert message in refused(Recording.from_dataframe, columns_of(plausible) | changes, arm="lite6")
+
+
+@pytest.mark.parametrize("frame", [np.zeros((3, 6)), [[0.0] * 6], {}, {1: [0.0]}, None])
+def test_what_is_no_data_frame(frame):
+    assert "has no named columns; give a data frame with columns q1_rad ... qN_rad" in refused(
+        Recording.from_dataframe, frame
+    )
+
+
+def test_a_data_frame_without_rows():
+    assert refused(Recording.from_dataframe, {"q1_rad": []}) == "recording: has column names but no rows; record again"
+
+
+# ------------------------------------------------------------------ the check that public calls share
+
+
+@pytest.mark.parametrize("shape", [(6,), (20, 6), (3, 20, 6)])
+def test_the_shared_check_of_joint_positions(shape):
+    q = np.random.default_rng(1).uniform(LITE6.joint_limits[:, 0], LITE6.joint_limits[:, 1], shape)
+    require_radians(q, LITE6.joint_limits)
+    require_radians(np.where(q > 1, np.nan, q), LITE6.joint_limits)
+    at = {1: "it", 2: r"row 1", 3: "sample (1, 1)"}[len(shape)]
+    wrong = np.full(shape, 90.0)
+    assert refused(require_radians, wrong, LITE6.joint_limits, "q") == (
+        f"q: {at} is at 90 rad while the arm's joint 1 goes from -6.283 to 6.283 rad; are these degrees? give radians: "
+        "np.deg2rad(q)"
+    )
+    assert refused(require_radians, q + 0j) == "joint_position: holds complex numbers; give real ones"
+
+
+def test_one_arm_of_a_fleet_in_degrees_is_seen():
+    q = np.zeros((50, 20, 6))
+    q[31] = 45.0
+    assert "sample (32, 1) is at 45 rad" in refused(require_radians, q, LITE6.joint_limits)
