@@ -182,7 +182,7 @@ def test_diagnose_replaces_nothing_unasked(capsys, recorded, tmp_path):
     [
         ("x = 1\n", "has no list EFFECTS; end it with EFFECTS = [MyEffect(joint=1), …]"),
         ("EFFECTS = [1 / 0]\n", "line 1: ZeroDivisionError"),
-        ("EFFECTS = [3]\n", "EFFECTS[0]: 3 is no effect; derive its class from JointEffect or Bending"),
+        ("EFFECTS = [3]\n", "EFFECTS[0]: 3 is not an effect; derive its class from JointEffect or Bending"),
         ("def (:\n", "line 1: SyntaxError"),
     ],
 )

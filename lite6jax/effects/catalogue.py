@@ -1,4 +1,4 @@
-"""The catalogue: every effect that the library can test for, and those that a recording cannot show."""
+"""The catalogue: every effect that the library can test, and those that a recording leaves untestable."""
 
 import types
 from collections.abc import Iterable, Mapping, Sequence
@@ -37,19 +37,19 @@ BUILT_IN: Mapping[str, type[Effect]] = types.MappingProxyType({kind.name: kind f
 
 
 class Untestable(NamedTuple):
-    """An effect that a recording cannot show, and why, in words."""
+    """An effect that cannot be tested with a recording, and the reason as a phrase."""
 
     effect: Effect
     reason: str
 
 
 def catalogue(dof: int, *, orders: Sequence[float] = (1.0, 2.0), turned_tool: bool = False) -> tuple[Effect, ...]:
-    """Every named effect of an arm, each site on its own.
+    """Every named effect of an arm at every site.
 
     Args:
         dof: number of joints.
-        orders: of the harmonics of each joint; gear orders are found by a spectrum.
-        turned_tool: whether a tool's orientation can be seen.
+        orders: of the harmonics of each joint, per turn; other orders, as of gears, follow from the spectrum.
+        turned_tool: whether the tool's orientation is measured.
     """
     joints = range(1, dof + 1)
     simple = (JointOffset, JointScale, JointCompliance, JointBacklash, JointLag)
@@ -65,17 +65,17 @@ def catalogue(dof: int, *, orders: Sequence[float] = (1.0, 2.0), turned_tool: bo
 
 
 def untestable(effects: Iterable[Effect], motion: Motion, loads_known: bool) -> list[Untestable]:
-    """Those that lack a driver in a motion, with the reason in words.
+    """The effects of which a motion lacks a driver, with the reason.
 
     Args:
         effects: the candidates.
         motion: what was recorded.
-        loads_known: whether the masses of the arm's links are.
+        loads_known: whether the masses of the arm's links are known.
     """
     reasons = ((effect, missing(effect, motion, loads_known)) for effect in effects)
     return [Untestable(effect, reason) for effect, reason in reasons if reason is not None]
 
 
 def kinds_of(effects: Iterable[Effect] = ()) -> dict[str, type[Effect]]:
-    """The classes of the catalogue and of a user's own `effects`, by name."""
+    """The classes of the catalogue and of a user's `effects`, by name."""
     return {**BUILT_IN, **{effect.name: type(effect) for effect in effects}}

@@ -1,4 +1,4 @@
-"""Several effects at once: their numbers in one vector, their deflections added up."""
+"""A set of effects: one vector of all their coordinates, and the sum of their deflections."""
 
 from collections import Counter
 from collections.abc import Sequence
@@ -22,24 +22,26 @@ from lite6jax.errors import InputError
 @final
 @dataclass(frozen=True)
 class Physics:
-    """What the arm does beyond its rigid model. Hashable: a static argument of `jax.jit`.
+    """The effects of an arm beyond its rigid model. Hashable, so that it can be a static argument of `jax.jit`.
 
-    The numbers of all effects stand one after the other in `values` `(size,)`; zero is neutral.
+    The coordinates of all effects are concatenated in `values` `(size,)`; at zero the arm is rigid. The class has more
+    than twelve members because nine of them are one-line properties of the same concatenation.
 
     Attributes:
-        effects: in any order: it does not matter; the same one may come twice, as two harmonics of one joint do.
+        effects: in any order, which changes nothing but the layout of `values`; an effect may occur more than once, as
+            two harmonics of one joint do.
     """
 
     effects: tuple[Effect, ...] = ()
 
     @cached_property
     def size(self) -> int:
-        """How many numbers."""
+        """The number of coordinates of all effects."""
         return sum(effect.size for effect in self.effects)
 
     @cached_property
     def names(self) -> tuple[str, ...]:
-        """`joint_compliance:joint2:compliance_rad_per_Nm` …; the second of one label is `…:joint2#2:…`."""
+        """Such as `joint_compliance:joint2:compliance_rad_per_Nm`; a label that repeats is numbered, `…:joint2#2:…`."""
         seen: Counter[str] = Counter()
         names = []
         for effect in self.effects:
@@ -50,45 +52,45 @@ class Physics:
 
     @cached_property
     def units(self) -> tuple[str, ...]:
-        """The unit of each number."""
+        """The unit of each coordinate."""
         return tuple(coordinate.unit for effect in self.effects for coordinate in effect.coordinates)
 
     @cached_property
     def typical(self) -> NDArray:
-        """`(size,)`, the size of each number in real arms."""
+        """`(size,)`, the typical magnitude of each coordinate in real arms."""
         return np.array([coordinate.typical for effect in self.effects for coordinate in effect.coordinates])
 
     @cached_property
     def prior(self) -> NDArray:
-        """`(size,)`, one standard deviation of each number about neutral, as known beforehand."""
+        """`(size,)`, the prior standard deviation of each coordinate about zero; infinite without prior knowledge."""
         return np.array([coordinate.spread for effect in self.effects for coordinate in effect.coordinates])
 
     @cached_property
     def slices(self) -> tuple[slice, ...]:
-        """Where each effect's numbers stand."""
+        """The part of `values` that belongs to each effect."""
         ends = np.cumsum([0] + [effect.size for effect in self.effects]).tolist()
         return tuple(slice(start, end) for start, end in pairwise(ends))
 
     @property
     def loaded(self) -> bool:
-        """Whether an effect depends on gravity's loads."""
+        """Whether any effect depends on the loads of gravity."""
         return any(isinstance(e, Bending) and any(driver.loaded for driver in e.drivers) for e in self.effects)
 
     @property
     def altering(self) -> tuple[Altering, ...]:
-        """The effects of clock and payload, which change the motion and its loads."""
+        """The effects of the clock and of the payload, which change the motion and its loads."""
         return tuple(effect for effect in self.effects if isinstance(effect, Altering))
 
     def join(self, values: Sequence[ArrayLike]) -> NDArray:
-        """`(size,)` from the values of each effect."""
+        """`(size,)`, the values of all effects concatenated."""
         return np.concatenate([np.zeros(0), *(np.asarray(value, float) for value in values)])
 
     def part(self, values: NDArray, kept: Sequence[bool]) -> "tuple[Physics, NDArray]":
-        """Some of the effects, and of `values` `(size,)` theirs.
+        """A subset of the effects with its part of `values`.
 
         Args:
-            values: of all effects.
-            kept: of each effect, whether it stays.
+            values: `(size,)`, of all effects.
+            kept: for each effect, whether the subset contains it.
         """
         rest = [
             (effect, values[at]) for effect, at, stays in zip(self.effects, self.slices, kept, strict=True) if stays
@@ -97,34 +99,35 @@ class Physics:
         return physics, physics.join([value for _, value in rest])
 
     def check(self, motion: Motion, loads_known: bool) -> None:
-        """Refuses a motion that lacks what an effect needs.
+        """Checks that a motion has every quantity on which the effects depend.
 
         Args:
-            motion: only what it has and the number of its joints matter.
+            motion: only which of its arrays are given and the number of its joints are used.
             loads_known: whether masses or loads are given.
 
         Raises:
-            InputError: by name, the effect, what it needs and how to record it; or a joint that the arm has not.
+            InputError: a driver is missing, or an effect acts at a joint that the arm does not have. The message names
+                the effect, the quantity and how to record it.
         """
         for effect in self.effects:
             if effect.joints_needed > motion.dof:
                 raise InputError(
-                    f"{effect.label}: concerns joint {effect.joints_needed}, and the arm has {motion.dof}; choose one "
-                    "of those"
+                    f"{effect.label}: acts at joint {effect.joints_needed}, but the arm has {motion.dof} joints; "
+                    "choose one of them"
                 )
             reason = missing(effect, motion, loads_known)
             if reason is not None:
                 raise InputError(f"{effect.label}: {reason}")
 
     def alter(self, values: Array, motion: Motion) -> Motion:
-        """The motion as it really was, by the effects of clock and payload."""
+        """The true motion, by the effects of the clock and of the payload."""
         for effect, part in zip(self.effects, self.slices, strict=True):
             if isinstance(effect, Altering):
                 motion = effect.alter(values[part], motion)
         return motion
 
     def deflect(self, values: Array, motion: Motion, loads: Loads | None) -> Deflection:
-        """The sum of all deflections in a motion that `alter` has been through."""
+        """The sum of all deflections in a motion returned by `alter`."""
         total = Deflection()
         for effect, part in zip(self.effects, self.slices, strict=True):
             if isinstance(effect, Bending):
@@ -132,7 +135,7 @@ class Physics:
         return total
 
     def beyond(self, values: Array, motion: Motion) -> Array:
-        """`(sample,)` bool: the rows for which the motion holds too little, a clock's beyond the ends of a run."""
+        """`(sample,)` bool: rows whose prediction requires the motion beyond the ends of its run, by a clock offset."""
         outside = jnp.zeros(motion.samples, bool)
         for effect, part in zip(self.effects, self.slices, strict=True):
             if isinstance(effect, Altering):
@@ -140,11 +143,11 @@ class Physics:
         return outside
 
     def reported(self, values: ArrayLike, covariance: ArrayLike | None = None) -> list[dict[str, Estimate]]:
-        """Each effect's parameters with standard deviations.
+        """The parameters of each effect with their standard deviations.
 
         Args:
             values: `(size,)`.
-            covariance: `(size, size)` of all numbers.
+            covariance: `(size, size)`, of all coordinates.
         """
         values = np.asarray(values, float)
         C = None if covariance is None else np.asarray(covariance, float)
@@ -155,7 +158,7 @@ class Physics:
 
 
 def missing(effect: Effect, motion: Motion, loads_known: bool) -> str | None:
-    """Why a motion cannot show an effect, in words, or None: the first driver that is not known."""
+    """The reason why an effect cannot be tested in a motion, its first missing driver, as a phrase; or None."""
     for driver in effect.drivers:
         if not (loads_known if driver.loaded else driver.known(motion, None)):
             return f"needs the {driver.phrase}: give {driver.remedy}"

@@ -1,4 +1,4 @@
-"""What effects add to a rigid arm, site by site; deflections add up, so the order of effects does not matter."""
+"""Deflections of a rigid arm at each site. They add up, so that the order of effects does not matter."""
 
 from typing import NamedTuple
 
@@ -8,12 +8,12 @@ from jax import Array
 
 
 class Deflection(NamedTuple):
-    """The difference between the rigid arm and the arm as it is, sample by sample. A pytree; None is nothing.
+    """The difference between the real and the rigid arm at each sample. A pytree; None stands for zero.
 
-    A twist is a translation (m) and then a rotation vector (rad), both in the axes of the frame that it displaces.
+    A twist is a translation (m) followed by a rotation vector (rad), both in the axes of the frame that it displaces.
 
     Attributes:
-        joint: `(joint, sample)` rad, added to what the encoders say.
+        joint: `(joint, sample)` rad, added to the encoders' readings.
         stretch: `(joint, sample)`, the relative growth of the vector to each joint's origin.
         link: `(joint, 6, sample)`, the twist of the frame after each joint's rotation.
         base: `(6, sample)`, the twist of the base frame.
@@ -33,14 +33,14 @@ class Deflection(NamedTuple):
 
 
 def dense(deflection: Deflection, dof: int, samples: int) -> Deflection:
-    """The same with zeros for what is absent, so that one compiled prediction serves every set of effects."""
+    """The deflection with zeros in place of None, so that one compiled prediction serves every set of effects."""
     shapes = ((dof, samples), (dof, samples), (dof, 6, samples), (6, samples), (6, samples), (samples,))
     parts = (jnp.zeros(shape) if part is None else part for part, shape in zip(deflection, shapes, strict=True))
     return Deflection(*parts)
 
 
 def at_joint(dof: int, number: int, values: Array) -> Array:
-    """`values` `(…, sample)` in the row of joint `number`, counted from 1, of `(joint, …, sample)`; zero elsewhere."""
+    """`(joint, …, sample)`: `values` `(…, sample)` at joint `number`, counted from 1, and zero at the others."""
     row = np.zeros((dof,) + (1,) * jnp.ndim(values))
     row[number - 1] = 1.0
     return jnp.asarray(row) * values
@@ -55,6 +55,6 @@ def twist(
     ry: Array | None = None,
     rz: Array | None = None,
 ) -> Array:
-    """The twist `(6, sample)` of its components, each `()` or `(sample,)`, m and rad; zero where not given."""
+    """The twist `(6, sample)` with these components, each `()` or `(sample,)`, in m and rad; zero where not given."""
     parts = (x, y, z, rx, ry, rz)
     return jnp.stack([jnp.zeros(samples) if part is None else jnp.broadcast_to(part, (samples,)) for part in parts])

@@ -1,4 +1,4 @@
-"""What effects depend on: each quantity with the words for it, its values in a motion, and what it takes to know it."""
+"""Drivers: the quantities on which effects depend, with their units, their values and how to record them."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -12,7 +12,11 @@ from lite6jax.errors import InputError
 
 
 class _Source(NamedTuple):
-    """Where the values of a quantity are: an array with a row per joint or link where it has a `place`."""
+    """How to read a quantity.
+
+    `values` gives an array with one row per joint or link where `place` names one of these, else a single row. `remedy`
+    says how to record the quantity; `loaded` marks those that follow from the loads of gravity.
+    """
 
     values: Callable[[Motion, Loads | None], Array | None]
     unit: str
@@ -49,14 +53,14 @@ _SOURCES = {
 @final
 @dataclass(frozen=True)
 class Driver:
-    """A quantity that varies over a motion, of one joint or link where it has one.
+    """A quantity that varies over a motion: of one joint, of one link or of the whole arm.
 
     Attributes:
         quantity: one of `QUANTITIES`.
         place: the joint or link, counted from 1; 0 for a quantity of the whole arm.
 
     Raises:
-        InputError: an unknown quantity, or a place where there is none, or none where there is one.
+        InputError: an unknown quantity, a joint or link that is missing, or one for a quantity of the whole arm.
     """
 
     quantity: str
@@ -67,60 +71,60 @@ class Driver:
             raise InputError(f"driver {self.quantity!r}: unknown; choose one of {', '.join(_SOURCES)}")
         kind = _SOURCES[self.quantity].place
         if kind and self.place < 1:
-            raise InputError(f"driver {self.quantity!r}: say of which {kind}, as in '{self.quantity} of {kind} 1'")
+            raise InputError(f"driver {self.quantity!r}: its {kind} is missing; write '{self.quantity} of {kind} 1'")
         if self.place and not kind:
-            raise InputError(f"driver {self.quantity!r}: is one of the whole arm; give no joint")
+            raise InputError(f"driver {self.quantity!r}: is a quantity of the whole arm; give no joint")
 
     @property
     def phrase(self) -> str:
-        """As a person says it, such as "gravity torque of joint 2"."""
+        """The driver in words, such as "gravity torque of joint 2"."""
         kind = _SOURCES[self.quantity].place
         return f"{self.quantity} of {kind} {self.place}" if kind else self.quantity
 
     @property
     def unit(self) -> str:
-        """The unit of its values."""
+        """The unit of the values."""
         return _SOURCES[self.quantity].unit
 
     @property
     def remedy(self) -> str:
-        """What to add so that it is known."""
+        """What to record or to add where the quantity is missing."""
         return _SOURCES[self.quantity].remedy
 
     @property
     def loaded(self) -> bool:
-        """Whether it follows from gravity's loads."""
+        """Whether the quantity follows from the loads of gravity."""
         return _SOURCES[self.quantity].loaded
 
     def known(self, motion: Motion, loads: Loads | None) -> bool:
-        """Whether the motion and the loads have it."""
+        """Whether the motion and the loads contain the quantity."""
         return _SOURCES[self.quantity].values(motion, loads) is not None
 
     def values(self, motion: Motion, loads: Loads | None) -> Array:
-        """`(sample,)` in its unit.
+        """`(sample,)` in `unit`.
 
         Raises:
-            InputError: it is not known, or the arm has no such joint.
+            InputError: the quantity is missing, or the arm has no such joint.
         """
         values = _SOURCES[self.quantity].values(motion, loads)
         if values is None:
-            raise InputError(f"{self.phrase}: is needed and not known; it takes {self.remedy}")
+            raise InputError(f"{self.phrase}: is required but missing; give {self.remedy}")
         if self.place > motion.dof:
             raise InputError(f"{self.phrase}: the arm has {motion.dof} joints; choose one of them")
         return values[self.place - 1] if self.place else values
 
 
 QUANTITIES = tuple(_SOURCES)
-"""What a driver can be."""
+"""The quantities that a driver can be."""
 
 
 def driver_of(phrase: str) -> Driver:
-    """The driver whose `phrase` this is.
+    """The driver with this `phrase`, the inverse of `Driver.phrase`.
 
     Raises:
-        InputError: it is none.
+        InputError: no driver has this phrase.
     """
     quantity, _, where = phrase.partition(" of joint " if " of joint " in phrase else " of link ")
     if where and not where.isdecimal():
-        raise InputError(f"driver {phrase!r}: ends in no number; write it like 'gravity torque of joint 2'")
+        raise InputError(f"driver {phrase!r}: does not end in a number; write it like 'gravity torque of joint 2'")
     return Driver(quantity, int(where or 0))

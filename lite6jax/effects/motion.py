@@ -1,4 +1,4 @@
-"""What the arm did, sample by sample: all that an effect may depend on, and the same motion at another instant."""
+"""The motion of an arm, sample by sample: every quantity on which an effect may depend, and its shift in time."""
 
 from typing import NamedTuple
 
@@ -10,22 +10,23 @@ from numpy.typing import ArrayLike
 
 from lite6jax.errors import InputError
 
-_SLOPE = 0.05
-"""s."""
+_HALF_WINDOW = 0.05
+"""s, half the window of `accelerated`: encoder noise dominates a shorter one, and a longer one smooths the motion."""
 
 
 class Motion(NamedTuple):
-    """A whole sequence of samples, the sample last; build it with `motion_of`. A pytree; None is what is not known.
+    """A sequence of samples with the sample as the last axis; `motion_of` builds it. A pytree; None is unknown.
 
     Attributes:
         joint_position: `(joint, sample)` rad.
         joint_velocity: `(joint, sample)` rad/s.
         direction: `(joint, sample)`, the direction in which each joint moves or last moved: -1, 0 or 1.
-        time: `(sample,)` s; in order within a run.
-        run: `(2, sample)` int, the first and the last sample of the run of each.
-        temperature_rise: `(sample,)` K above the temperature at which the geometry holds.
+        time: `(sample,)` s, non-decreasing within a run.
+        run: `(2, sample)` int, for each sample the indices of the first and the last sample of its run.
+        temperature_rise: `(sample,)` K above the temperature at which the geometry is valid.
         payload: `(sample,)` kg at the flange.
-        joint_acceleration: `(joint, sample)` rad/s², where loads are to hold what it takes; see `accelerated`.
+        joint_acceleration: `(joint, sample)` rad/s², given where the loads shall contain inertial forces; see
+            `accelerated`.
     """
 
     joint_position: Array
@@ -60,25 +61,25 @@ def motion_of(
     reference_temperature: float = 25.0,
     payload: ArrayLike | None = None,
 ) -> Motion:
-    """The motion in arrays whose sample is the first axis, as a recording holds them.
+    """A `Motion` from arrays whose first axis is the sample, as in a recording.
 
     Args:
         joint_position: `(sample, joint)` rad.
-        joint_velocity: `(sample, joint)` rad/s; leave it out where the arm stood still at each sample.
+        joint_velocity: `(sample, joint)` rad/s; None where the arm was at standstill at each sample.
         direction: `(sample, joint)`, -1, 0 or 1.
         time: `(sample,)` s.
-        run: `(sample,)`, a number that changes where a new run starts; one run without it.
-        joint_temperature: `(sample, joint)` °C; their mean is the arm's temperature.
-        ambient_temperature: `(sample,)` °C, taken where there is no `joint_temperature`.
-        reference_temperature: °C, at which the geometry holds.
-        payload: `(sample,)` kg; 0 without it.
+        run: `(sample,)`, a number that changes where a new run starts; None for a single run.
+        joint_temperature: `(sample, joint)` °C; the mean over joints is the temperature of the arm.
+        ambient_temperature: `(sample,)` °C, used where `joint_temperature` is None.
+        reference_temperature: °C, at which the geometry is valid.
+        payload: `(sample,)` kg; None for 0.
 
     Raises:
-        InputError: shapes that do not fit together, a number that is not finite, or times out of order within a run.
+        InputError: inconsistent shapes, a number that is not finite, or times that decrease within a run.
     """
     q = np.asarray(joint_position, float)
     if q.ndim != 2 or 0 in q.shape:
-        raise InputError(f"motion: joint_position has the shape {q.shape}; give (sample, joint), neither zero")
+        raise InputError(f"motion: joint_position has the shape {q.shape}; give (sample, joint), neither of them zero")
     samples = len(q)
 
     def given(name: str, value: ArrayLike | None, shape: tuple[int, ...]) -> np.ndarray | None:
@@ -133,11 +134,12 @@ def motion_of(
 
 @jax.jit
 def shifted(motion: Motion, offset: Array | float) -> Motion:
-    """The motion `offset` s later: what the arm does at `time + offset`, stamped `time`.
+    """The motion at `time + offset`, with the time stamps `time`.
 
-    Positions follow the cubic through the two samples around the instant and their velocities (Hermite), velocities its
-    derivative, directions their sign; temperature and payload are those of the sample before. Beyond the ends of a run
-    the last cubic goes on for one sample's step, and stands still there: `beyond` tells which rows that concerns.
+    Positions follow the cubic Hermite interpolant of the two samples around the instant and their velocities;
+    velocities are its derivative and directions the sign of that. Temperature and payload are those of the sample
+    before. Beyond the ends of a run the last cubic is extrapolated by at most one sample's step; `beyond` marks the
+    rows that would lie further out.
 
     Args:
         motion: with time and velocity.
@@ -153,11 +155,11 @@ def shifted(motion: Motion, offset: Array | float) -> Motion:
 
     start, end = at(motion.joint_position, before), at(motion.joint_position, after)
     v_start, v_end = at(motion.joint_velocity, before), at(motion.joint_velocity, after)
-    # weights that are exactly 0 and 1 at the ends, so that no offset changes nothing
-    risen, left = u * u * (3 - 2 * u), (1 - u) * (1 - u) * (1 + 2 * u)
-    position = left * start + risen * end + step * u * (1 - u) * ((1 - u) * v_start - u * v_end)
+    # the weights are exactly 0 and 1 at the ends, so that a zero offset changes nothing
+    to_end, to_start = u * u * (3 - 2 * u), (1 - u) * (1 - u) * (1 + 2 * u)
+    position = to_start * start + to_end * end + step * u * (1 - u) * ((1 - u) * v_start - u * v_end)
     velocity = 6 * u * (1 - u) * (end - start) / step + (1 - u) * (1 - 3 * u) * v_start + u * (3 * u - 2) * v_end
-    # a sample's own values where the instant is its own, whichever end of the interval that is
+    # at a sample's own instant its own values, at whichever end of the interval it lies
     own = jnp.where(u < 1, before, after)
     rest = {
         name: None if value is None else at(value, own)
@@ -171,10 +173,10 @@ def shifted(motion: Motion, offset: Array | float) -> Motion:
 
 
 def accelerated(motion: Motion) -> Motion:
-    """The motion with its accelerations, so that loads hold what they take; unchanged without velocities and times.
+    """The motion with its accelerations, so that loads contain inertial forces; unchanged without velocity or time.
 
-    They are the slopes of the velocity over `_SLOPE` s on either side, or a sample's step where that is longer: shorter
-    ones would be noise of the encoders, longer ones miss what an arm does. At the ends of a run they are one-sided.
+    The acceleration is the difference quotient of the velocity over `_HALF_WINDOW` s on either side, or over one
+    sample's step where that is longer. It is one-sided at the ends of a run.
     """
     if motion.joint_velocity is None or motion.time is None:
         return motion
@@ -186,28 +188,33 @@ def accelerated(motion: Motion) -> Motion:
         if len(t) < 2:
             continue
         step = np.diff(t)
-        reach = np.maximum(_SLOPE, np.maximum(np.append(step, 0), np.insert(step, 0, 0)))
+        reach = np.maximum(_HALF_WINDOW, np.maximum(np.append(step, 0), np.insert(step, 0, 0)))
         early, late = np.maximum(t - reach, t[0]), np.minimum(t + reach, t[-1])
-        apart = np.where(late > early, late - early, 1.0)
+        duration = np.where(late > early, late - early, 1.0)
         for joint, v in enumerate(velocity[:, rows]):
-            found[joint, rows] = (np.interp(late, t, v) - np.interp(early, t, v)) / apart
+            found[joint, rows] = (np.interp(late, t, v) - np.interp(early, t, v)) / duration
     return motion._replace(joint_acceleration=jnp.asarray(found))
 
 
 def beyond(motion: Motion, offset: Array | float) -> Array:
-    """`(sample,)` bool: `time + offset` lies more than one sample's step beyond the sample's run."""
+    """`(sample,)` bool: `time + offset` lies more than one sample's step outside the run of the sample."""
     assert motion.time is not None
     first, last = motion.run
     second, last_but_one = jnp.minimum(first + 1, last), jnp.maximum(last - 1, first)
     t = motion.time
-    instant, slack = t + offset, 1e-9 * jnp.abs(t[-1] - t[0])  # of rounding in the times
-    early = instant < t[first] - (t[second] - t[first]) - slack
-    late = instant > t[last] + (t[last] - t[last_but_one]) + slack
+    instant, tolerance = t + offset, 1e-9 * jnp.abs(t[-1] - t[0])  # for rounding of the times
+    early = instant < t[first] - (t[second] - t[first]) - tolerance
+    late = instant > t[last] + (t[last] - t[last_but_one]) + tolerance
     return early | late
 
 
 def _interval(motion: Motion, offset: Array | float) -> tuple[Array, Array, Array]:
-    """The sample before the instant, where in the interval it lies (0 to 1, or one step beyond), and the step in s."""
+    """The interval of samples that contains `time + offset`.
+
+    Returns:
+        the index of its first sample; the position in it, 0 to 1, or -1 to 2 beyond the run, which alone depends on
+        `offset` differentiably; and its length in s.
+    """
     assert motion.time is not None
     t, (first, last) = motion.time, motion.run
     instant = lax.stop_gradient(t + offset)
@@ -222,14 +229,14 @@ def _interval(motion: Motion, offset: Array | float) -> tuple[Array, Array, Arra
     before, _ = lax.fori_loop(0, int(np.ceil(np.log2(motion.samples + 1))), halve, (first, last_interval))
     start = t.at[before].get(mode="promise_in_bounds")
     step = t.at[jnp.minimum(before + 1, last)].get(mode="promise_in_bounds") - start
-    step = jnp.where(step > 0, step, 1.0)  # a run of one sample, or two samples of one instant
+    step = jnp.where(step > 0, step, 1.0)  # a run of one sample, or two samples with equal times
     return before, jnp.clip((t + offset - start) / step, -1.0, 2.0), step
 
 
 def select(motion: Motion, rows: ArrayLike) -> Motion:
-    """The samples of a boolean mask or of indices, each keeping its own velocity and direction.
+    """The samples of a boolean mask or of indices, with their own velocities and directions.
 
-    For effects without a clock only: what is left has no neighbours, and each sample becomes a run of its own.
+    Each sample becomes a run of its own, because its neighbours are missing: a clock offset must not follow.
     """
     chosen = jax.tree.map(lambda leaf: leaf[..., np.asarray(rows)], motion)
     own = jnp.arange(chosen.samples)

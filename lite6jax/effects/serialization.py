@@ -23,7 +23,7 @@ _TYPES = {
 
 
 def _field_types(kind: type[Effect]) -> dict[str, tuple[type, ...]]:
-    """The fields of an effect's class and the plain types that each takes."""
+    """The fields of an effect's class and the types that each accepts."""
     hints = typing.get_type_hints(kind)
     return {
         field.name: (tuple,)
@@ -40,19 +40,19 @@ def _kind(name: Any, kinds: Mapping[str, type[Effect]]) -> type[Effect]:
 
 
 def _keys(kind: type[Effect]) -> str:
-    """The keys that the text form of an effect takes, for messages."""
+    """The keys that the text form of an effect accepts, for messages."""
     taken = _field_types(kind)
     required = [f.name for f in fields(kind) if f.default is MISSING]  # type: ignore[arg-type]
     try:
         example = kind(**{name: number for number, name in enumerate(required, 1)})
         parameters = example.reporting.names(example)
-    except (InputError, TypeError):  # its fields are no numbers, and its parameters follow from them
+    except (InputError, TypeError):  # fields that are not numbers and determine the parameters
         parameters = ("its parameters",)
     return ", ".join([*taken, *(name for name in parameters if name not in taken)])
 
 
 def _build(kind: type[Effect], given: Mapping[str, Any]) -> Effect:
-    """An effect of its fields, whose types are checked first: a file or a person wrote them."""
+    """An effect from its fields, whose types are checked because they come from a file or from the command line."""
     taken, checked = _field_types(kind), {}
     for name, value in given.items():
         if name not in taken:
@@ -80,15 +80,15 @@ def parse_effect(
 ) -> tuple[Effect, NDArray]:
     """An effect and its values from text such as `joint_compliance:joint=2,compliance_rad_per_Nm=9e-5`.
 
-    Keys that are an effect's fields say where it acts, the others are its parameters; those not given are zero.
+    Keys that are fields of the effect say where it acts; the others are its parameters. Missing parameters are zero.
 
     Args:
         text: name, colon, key=value separated by commas.
-        kinds: the effects there are.
-        neutral: whether all parameters may be left out.
+        kinds: the known effects by name.
+        neutral: whether all parameters may be missing.
 
     Raises:
-        InputError: an unknown name or key, with the accepted ones; a key twice, or no value where one is needed.
+        InputError: an unknown name or key, with the accepted ones; a repeated key; a missing value.
     """
     name, _, rest = text.partition(":")
     kind = _kind(name.strip(), kinds)
@@ -127,7 +127,7 @@ def _literal(text: str) -> Any:
 
 
 def effect_as_dict(effect: Effect, values: ArrayLike, covariance: ArrayLike | None = None) -> dict[str, Any]:
-    """An effect and its parameters as JSON holds them: `effect`, `site`, its fields as `where`, `parameters`.
+    """The JSON form of an effect: its name `effect`, its `site`, its fields `where` and its `parameters`.
 
     Args:
         effect: the effect.
@@ -144,13 +144,13 @@ def effect_as_dict(effect: Effect, values: ArrayLike, covariance: ArrayLike | No
 
 
 def effect_from_dict(document: Any, kinds: Mapping[str, type[Effect]] = BUILT_IN) -> tuple[Effect, NDArray]:
-    """The inverse of `effect_as_dict`; a parameter may also be a plain number, and `site` may be absent.
+    """The inverse of `effect_as_dict`; a parameter may also be a plain number, and `site` may be missing.
 
     Raises:
-        InputError: an unknown effect, key or parameter, or something of another type than it should be.
+        InputError: an unknown effect, key or parameter, or a value of the wrong type.
     """
     if not isinstance(document, Mapping):
-        raise InputError(f"effect {document!r}: is no mapping; give effect, where and parameters")
+        raise InputError(f"effect {document!r}: is not a mapping; give effect, where and parameters")
     kind = _kind(document.get("effect"), kinds)
     where, parameters = document.get("where", {}), document.get("parameters", {})
     for name, part in (("where", where), ("parameters", parameters)):

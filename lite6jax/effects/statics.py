@@ -1,4 +1,4 @@
-"""What gravity, and the inertia of what moves, does to the arm: torques on joints, moments on links and on the base."""
+"""Loads of gravity and of inertial forces: torques on the joints, moments on the links and on the base."""
 
 from collections.abc import Callable
 from functools import partial
@@ -14,16 +14,16 @@ from lite6jax.arms.moves import Frame, Turn, base_frame, cross
 from lite6jax.errors import InputError
 
 STANDARD_GRAVITY = (0.0, 0.0, -9.81)
-"""m/s² in the base frame of an arm that stands upright, the default of recordings."""
+"""m/s² in the base frame of an upright arm, the default of recordings."""
 
 
 class Inertia(NamedTuple):
-    """Masses and the gravity that pulls them. A pytree; build it with `inertia_of`.
+    """Masses and gravity. A pytree; `inertia_of` builds and checks it.
 
     Attributes:
-        mass: `(joint,)` kg of the link that each joint moves.
-        center_of_mass: `(joint, 3)` m, in the frame after that joint's rotation.
-        payload_center: `(3,)` m, the payload's centre of mass in the last joint's frame.
+        mass: `(joint,)` kg, of the link after each joint.
+        center_of_mass: `(joint, 3)` m, of that link, in the frame after the joint's rotation.
+        payload_center: `(3,)` m, the centre of mass of the payload in the frame after the last joint.
         gravity: `(3,)` m/s² in the base frame.
     """
 
@@ -34,13 +34,14 @@ class Inertia(NamedTuple):
 
 
 class Loads(NamedTuple):
-    """The moments of gravity on everything outboard, links and payload; N·m, as gravity exerts them. A pytree.
+    """The moments that gravity exerts on all outboard links and the payload, N·m. A pytree.
 
-    Where the arm accelerates, and that is to count, what it holds against is added: m (g − a) in place of m g.
+    With accelerations the inertial forces are included: m (g − a) replaces m g.
 
     Attributes:
-        moment: `(joint, 3, sample)` about the origin of the frame after each joint's rotation, in that frame's axes.
-        base_moment: `(3, sample)` about the base's origin, in the base's axes.
+        moment: `(joint, 3, sample)` about the origin of the frame after each joint's rotation, in the axes of that
+            frame.
+        base_moment: `(3, sample)` about the origin of the base frame, in its axes.
     """
 
     moment: Array
@@ -48,7 +49,7 @@ class Loads(NamedTuple):
 
     @property
     def torque(self) -> Array:
-        """`(joint, sample)` about each joint's +z; the joint's motor exerts the opposite."""
+        """`(joint, sample)` N·m about the +z axis of each joint; the motor exerts the opposite torque."""
         return self.moment[:, 2]
 
 
@@ -58,10 +59,10 @@ def inertia_of(
     payload_center: ArrayLike = (0.0, 0.0, 0.0),
     gravity: ArrayLike = STANDARD_GRAVITY,
 ) -> Inertia:
-    """An `Inertia` of arrays of its shapes and units.
+    """An `Inertia` from arrays with the shapes and units of its attributes.
 
     Raises:
-        InputError: shapes that do not fit together, or a number that is not finite.
+        InputError: inconsistent shapes, or a number that is not finite.
     """
     masses = np.asarray(mass, float)
     if masses.ndim != 1:
@@ -86,29 +87,29 @@ def loads(
     velocity: Array | None = None,
     acceleration: Array | None = None,
 ) -> Loads:
-    """The loads on a rigid chain; plain JAX, to be called inside a jitted function.
+    """The loads on a rigid chain, for use inside a jitted function.
 
-    One walk outwards for the frames, then sums over what is outboard of each: with F and P the force and its moment
-    (about the base's origin) of all that is outboard of the origin o, M = P − o × F. A body of mass m whose centre c
-    accelerates by a exerts m (g − a) there (Newton and Euler; J. Luh, M. Walker and R. Paul, 1980); how bodies resist
-    to be turned about their own centres is left out, as descriptions do not say it.
+    The frames follow from one forward recursion, the loads from sums over the outboard bodies: with F the force on all
+    bodies outboard of the origin o and P its moment about the base's origin, M = P − o × F. A body of mass m with the
+    acceleration a of its centre contributes m (g − a) (recursive Newton–Euler; J. Luh, M. Walker and R. Paul, 1980).
+    The moments of the bodies' inertia tensors are omitted, because descriptions do not contain these tensors.
 
     Args:
         form: a six-parameter chain.
-        kinematics: its parameters `(size,)`.
-        joint: the joints' angles, each `(joint, sample)`.
+        kinematics: `(size,)`, its parameters.
+        joint: cosine and sine of the joint angles, each `(joint, sample)`.
         payload: `(sample,)` kg.
         inertia: masses and gravity.
         velocity: `(joint, sample)` rad/s.
-        acceleration: `(joint, sample)` rad/s²; without it the arm is at rest, or what it accelerates does not count.
+        acceleration: `(joint, sample)` rad/s²; None omits inertial forces, as at standstill.
 
     Raises:
-        InputError: a Hayati chain, whose frames are not those in which centres of mass are given; or another number
-            of masses than joints.
+        InputError: a Hayati chain, whose frames differ from those in which centres of mass are given; or the number of
+            masses differs from the number of joints.
     """
     if isinstance(form, HayatiForm):
         raise InputError(
-            "gravity's loads need the frames of the links; use the six-parameter chain, to which "
+            "the loads of gravity require the frames of the links; use the six-parameter chain, to which "
             "hayati_to_six_parameter converts a Hayati chain exactly, or give the loads themselves"
         )
     if inertia.mass.shape != (form.dof,):
@@ -133,19 +134,22 @@ def loads(
 
     links, end = slice(None), slice(-1, None)
     to_link, to_payload = arm_to(inertia.center_of_mass, links), arm_to(inertia.payload_center[None], end)
-    felt = _felt(z, origin, velocity, acceleration, inertia.gravity)
-    force, held = inertia.mass[:, None] * felt(to_link, links), payload * felt(to_payload, end)
-    moment = cross(origin + to_link, force).at[:, -1:].add(cross(origin[:, end] + to_payload, held))
+    specific_force = _specific_force(z, origin, velocity, acceleration, inertia.gravity)
+    force, weight = inertia.mass[:, None] * specific_force(to_link, links), payload * specific_force(to_payload, end)
+    moment = cross(origin + to_link, force).at[:, -1:].add(cross(origin[:, end] + to_payload, weight))
     outboard = partial(lax.cumsum, axis=1, reverse=True)
-    pull, about_base = outboard(force.at[:, -1:].add(held)), outboard(moment)
-    about = about_base - cross(origin, pull)
+    outboard_force, about_base = outboard(force.at[:, -1:].add(weight)), outboard(moment)
+    about = about_base - cross(origin, outboard_force)
     return Loads(jnp.stack([jnp.sum(axis * about, 0) for axis in (x, y, z)], 1), about_base[:, 0])
 
 
-def _felt(
+def _specific_force(
     axis: Array, origin: Array, velocity: Array | None, acceleration: Array | None, gravity: Array
 ) -> Callable[[Array, slice], Array]:
-    """Of an arm `(3, joint, sample)` from the origins of some frames, g − a at its end.
+    """The specific force g − a at points of the links, as a function.
+
+    The function takes the vectors `(3, joint, sample)` m from the origins of some frames to points fixed in them, and
+    the slice of joints to which they belong, and gives g − a of the points in m/s².
 
     Args:
         axis: `(3, joint, sample)` of each joint.
@@ -158,13 +162,13 @@ def _felt(
     if velocity is None or acceleration is None:
         return lambda arm, _: jnp.broadcast_to(g, arm.shape)
     outwards = partial(lax.cumsum, axis=1)
-    turning = axis * velocity
-    omega = outwards(turning)
-    alpha = outwards(axis * acceleration + cross(omega, turning))  # a joint's own turn changes nothing of its axis
+    rates = axis * velocity
+    omega = outwards(rates)
+    alpha = outwards(axis * acceleration + cross(omega, rates))  # a joint's own rotation leaves its axis unchanged
 
-    def swung(arm: Array, at: slice) -> Array:
+    def relative(arm: Array, at: slice) -> Array:
         return cross(alpha[:, at], arm) + cross(omega[:, at], cross(omega[:, at], arm))
 
-    between = swung(jnp.diff(origin, axis=1), slice(-1))
-    carried = jnp.concatenate([jnp.zeros_like(origin[:, :1]), outwards(between)], 1)
-    return lambda arm, at: g - carried[:, at] - swung(arm, at)
+    steps = relative(jnp.diff(origin, axis=1), slice(-1))
+    of_origin = jnp.concatenate([jnp.zeros_like(origin[:, :1]), outwards(steps)], 1)
+    return lambda arm, at: g - of_origin[:, at] - relative(arm, at)

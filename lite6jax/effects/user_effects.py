@@ -53,15 +53,16 @@ from lite6jax.errors import InputError
 from lite6jax.storage import read_text
 
 SIZE_LIMIT = 1 << 20
-"""Bytes of a user's file of effects."""
+"""The largest size of a file of effects, bytes."""
 
 
 def load_effects(path: str | Path) -> tuple[Effect, ...]:
-    """The effects of a user's own Python file, its list `EFFECTS`; the module's first lines show one. Runs the file.
+    """The list `EFFECTS` of a user's Python file; the docstring of this module shows one. Executes the file.
 
     Raises:
-        InputError: the file fails (with the line), has no list, or something in it is no final, frozen effect, has the
-            name of a built-in one, deflects in other shapes than a `Deflection`'s, or does so at zero.
+        InputError: the file raises (the message gives the line) or has no list, or an entry is not an instance of a
+            final and frozen effect, has the name of a built-in effect, or gives a deflection of wrong shape or one that
+            does not vanish at zero.
     """
     path = Path(path)
     text = read_text(path, SIZE_LIMIT)
@@ -92,12 +93,12 @@ def _one_line(error: Exception) -> str:
 
 
 def _fault(effect: Any) -> str | None:
-    """What keeps an object of a user's file from being an effect, with the remedy."""
+    """The reason why an entry of `EFFECTS` is not a valid effect, with the remedy; or None."""
     if isinstance(effect, type):
-        return f"is the class {effect.__name__}; give one of it, as {effect.__name__}(joint=1)"
+        return f"is the class {effect.__name__}; give an instance, such as {effect.__name__}(joint=1)"
     kind = type(effect)
     if not isinstance(effect, Bending | Altering):
-        return f"{effect!r} is no effect; derive its class from JointEffect or Bending"
+        return f"{effect!r} is not an effect; derive its class from JointEffect or Bending"
     if not getattr(kind, "__final__", False):
         return f"{kind.__name__} is not final; write @final above the class"
     if kind.__hash__ is None or "__eq__" not in kind.__dict__ or not kind.__dataclass_params__.frozen:  # type: ignore[attr-defined]
@@ -107,7 +108,7 @@ def _fault(effect: Any) -> str | None:
     if kind.name in BUILT_IN:
         return f"{kind.__name__} has the name of a built-in effect, {kind.name}; choose another"
     try:
-        _try(effect)
+        _check_at_zero(effect)
     except InputError as error:
         return str(error)
     except Exception as error:
@@ -115,8 +116,8 @@ def _fault(effect: Any) -> str | None:
     return None
 
 
-def _try(effect: Bending | Altering) -> None:
-    """Runs an effect at zero on a small motion that has everything."""
+def _check_at_zero(effect: Bending | Altering) -> None:
+    """Evaluates an effect at zero on a small motion that has every driver."""
     dof, samples = max(effect.joints_needed, 2), 3
     q = np.linspace(0.1, 1.0, samples * dof).reshape(samples, dof)
     row = np.arange(float(samples))
@@ -124,16 +125,16 @@ def _try(effect: Bending | Altering) -> None:
     loads = Loads(jnp.ones((dof, 3, samples)), jnp.ones((3, samples)))
     names = [coordinate.name for coordinate in effect.coordinates]
     if not names or len(set(names)) != len(names):
-        raise InputError(f"{effect.label} has the coordinates {names}; give at least one, each with a name of its own")
+        raise InputError(f"{effect.label} has the coordinates {names}; give at least one, with distinct names")
     zero = jnp.zeros(effect.size)
     if isinstance(effect, Altering):
-        rigid, found = motion, effect.alter(zero, motion)
+        expected, found = motion, effect.alter(zero, motion)
     else:
-        rigid, found = dense(Deflection(), dof, samples), dense(effect.deflect(zero, motion, loads), dof, samples)
-    for name, plain, value in zip(rigid._fields, rigid, found, strict=True):
+        expected, found = dense(Deflection(), dof, samples), dense(effect.deflect(zero, motion, loads), dof, samples)
+    for name, plain, value in zip(expected._fields, expected, found, strict=True):
         if plain is None or value is None:
             continue
         if jnp.shape(value) != jnp.shape(plain):
             raise InputError(f"{effect.label} gives {name} of shape {jnp.shape(value)}; give {jnp.shape(plain)}")
         if not np.allclose(value, plain, rtol=0, atol=1e-12):
-            raise InputError(f"{effect.label} changes {name} at zero; make zero the value at which nothing changes")
+            raise InputError(f"{effect.label} changes {name} at zero; choose coordinates that change nothing at zero")

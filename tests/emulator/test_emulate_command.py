@@ -83,7 +83,7 @@ def test_the_faults_are_listed(capsys):
         (["--factory", "absent.yaml"], "absent.yaml"),
         (["--fault", "nonsense"], "no fault 'nonsense'"),
         (["--motion", "dance"], "--motion 'dance': is neither rest, sines, poses nor a recording's file"),
-        (["--effect", "joint_compliance:joint=9,compliance_rad_per_Nm=1e-5"], "concerns joint 9, and the arm has 6"),
+        (["--effect", "joint_compliance:joint=9,compliance_rad_per_Nm=1e-5"], "acts at joint 9, but the arm has 6"),
         (["--effect", "nothing"], "nothing"),
         (["--speed", "-1"], "speed -1.0: the clock runs forward"),
         (["--duration", "0"], "--duration 0.0: give seconds above 0"),

@@ -348,7 +348,7 @@ def test_bodies_that_cannot_be():
         with pytest.raises(InputError, match=f"lite6: warms up by {rise:g} K; give at most 100"):
             Body(lite6, lite6.kinematics, warm_up=rise)
     effect, values = parse_effect("joint_compliance:joint=7,compliance_rad_per_Nm=1e-5")
-    with pytest.raises(InputError, match="concerns joint 7, and the arm has 6"):
+    with pytest.raises(InputError, match="acts at joint 7, but the arm has 6"):
         Body(lite6, lite6.kinematics, Physics((effect,)), values)
     effect, values = parse_effect("time_offset:offset_s=3")
     with pytest.raises(InputError, match="looks 1 s ahead at most"):

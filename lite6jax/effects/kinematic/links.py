@@ -1,4 +1,4 @@
-"""Effects of links: what bends, stretches or displaces the frames between joints."""
+"""Effects of links: compliance, thermal expansion and offsets of the frames between joints."""
 
 from dataclasses import dataclass
 from typing import ClassVar, final
@@ -20,21 +20,22 @@ TWIST = (
 """A translation and a rotation vector."""
 
 _SPREAD = {"m": 0.02, "rad": 0.05}
-"""What any arm's frames may be off by: it settles what the sensor cannot see of an offset."""
+"""The prior standard deviation of frame offsets; it determines the directions that the sensor cannot observe."""
 
 
 @final
 @dataclass(frozen=True)
 class LinkCompliance(Bending):
-    """A link's frame turns about its x and y by c times gravity's moment about them.
+    """A link's frame rotates about its x and y axes by a compliance times the moment of gravity about them.
 
     Attributes:
-        link: counted from 1; link N is what joint N moves.
+        link: counted from 1; link N follows joint N.
     """
 
     link: int
 
     name: ClassVar[str] = "link_compliance"
+    specificity: ClassVar[int] = 15
 
     @property
     def coordinates(self) -> tuple[Coordinate, ...]:
@@ -50,22 +51,23 @@ class LinkCompliance(Bending):
 
     def deflect(self, values: Array, motion: Motion, loads: Loads | None) -> Deflection:
         about_x, about_y = (driver.values(motion, loads) for driver in self.drivers)
-        turned = twist(motion.samples, rx=values[0] * about_x, ry=values[1] * about_y)
-        return Deflection(link=at_joint(motion.dof, self.link, turned))
+        rotation = twist(motion.samples, rx=values[0] * about_x, ry=values[1] * about_y)
+        return Deflection(link=at_joint(motion.dof, self.link, rotation))
 
 
 @final
 @dataclass(frozen=True)
 class LinkThermalExpansion(Bending):
-    """The vector from a link's frame to the next joint's origin grows by α times the temperature's rise.
+    """The vector from a link's frame to the origin of the next joint grows by α times the temperature rise.
 
     Attributes:
-        link: counted from 1, the last has no next joint; None for every vector of the chain.
+        link: counted from 1, without the last link, which no joint follows; None for every vector of the chain.
     """
 
     link: int | None = None
 
     name: ClassVar[str] = "link_thermal_expansion"
+    specificity: ClassVar[int] = 9
 
     @property
     def coordinates(self) -> tuple[Coordinate, ...]:
@@ -100,6 +102,7 @@ class FrameOffset(Bending):
     link: int | None = None
 
     name: ClassVar[str] = "frame_offset"
+    specificity: ClassVar[int] = 16
 
     @property
     def coordinates(self) -> tuple[Coordinate, ...]:

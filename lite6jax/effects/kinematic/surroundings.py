@@ -1,4 +1,4 @@
-"""Effects around the arm: what it stands on, what it carries, and what looks at it."""
+"""Effects of the base, the tool, the payload, the sensor and its clock."""
 
 from dataclasses import dataclass
 from typing import ClassVar, final
@@ -18,9 +18,10 @@ from lite6jax.effects.statics import Loads
 @final
 @dataclass(frozen=True)
 class BaseCompliance(Bending):
-    """The base tilts about its x and y by c times the moment of all links and the payload about its origin."""
+    """The base tilts about its x and y axes by a compliance times the moment of links and payload about them."""
 
     name: ClassVar[str] = "base_compliance"
+    specificity: ClassVar[int] = 12
 
     @property
     def site(self) -> str:
@@ -42,9 +43,10 @@ class BaseCompliance(Bending):
 @final
 @dataclass(frozen=True)
 class BaseDrift(Bending):
-    """The base, or the sensor against it, moves at a constant velocity, in the base's axes, from zero at time 0."""
+    """The base drifts relative to the sensor at a constant velocity, in the base's axes, from zero at time 0."""
 
     name: ClassVar[str] = "base_drift"
+    specificity: ClassVar[int] = 13
 
     @property
     def site(self) -> str:
@@ -66,15 +68,16 @@ class BaseDrift(Bending):
 @final
 @dataclass(frozen=True)
 class ToolOffset(Bending):
-    """The measured point is elsewhere on the flange, along the flange's axes.
+    """The measured point is displaced on the flange, along the flange's axes.
 
     Attributes:
-        turned: whether its orientation is another as well, as a rotation vector in the flange's axes.
+        turned: whether its orientation differs as well, by a rotation vector in the flange's axes.
     """
 
     turned: bool = False
 
     name: ClassVar[str] = "tool_offset"
+    specificity: ClassVar[int] = 7
 
     @property
     def site(self) -> str:
@@ -95,9 +98,10 @@ class ToolOffset(Bending):
 @final
 @dataclass(frozen=True)
 class MeasurementScale(Bending):
-    """p ← (1 + s)·p: the sensor's metre is another."""
+    """Positions measured by the sensor are scaled: p ← (1 + s)·p."""
 
     name: ClassVar[str] = "measurement_scale"
+    specificity: ClassVar[int] = 8
 
     @property
     def site(self) -> str:
@@ -118,9 +122,10 @@ class MeasurementScale(Bending):
 @final
 @dataclass(frozen=True)
 class TimeOffset(Altering):
-    """The pose stamped t shows the arm (joints, velocities, loads) at t + offset."""
+    """The pose with the time stamp t is that of the arm (joints, velocities, loads) at t + offset."""
 
     name: ClassVar[str] = "time_offset"
+    specificity: ClassVar[int] = 6
 
     @property
     def site(self) -> str:
@@ -144,9 +149,10 @@ class TimeOffset(Altering):
 @final
 @dataclass(frozen=True)
 class PayloadError(Altering):
-    """The mass at the flange differs from the one declared; seen only through a compliance."""
+    """The payload differs from the declared mass; it is observable only through a compliance."""
 
     name: ClassVar[str] = "payload_error"
+    specificity: ClassVar[int] = 11
 
     @property
     def site(self) -> str:
