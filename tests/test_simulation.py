@@ -10,8 +10,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from effects.plain_physics import predicted_poses
-from plain_chain import origin_transform, product, six_parameter_poses
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
@@ -22,7 +20,7 @@ from lite6jax.arms.factory import read_factory, write_factory
 from lite6jax.effects.composition import Physics
 from lite6jax.effects.serialization import parse_effect
 from lite6jax.errors import InputError
-from lite6jax.fitting.fit import fit_recording
+from lite6jax.fitting.recording_fit import fit_recording
 from lite6jax.identifiability.sensor import Sensor
 from lite6jax.recordings import RecordingSettings, read_recording
 from lite6jax.simulation import (
@@ -36,6 +34,9 @@ from lite6jax.simulation import (
     measure,
     simulate,
 )
+from tests.oracles.chains import six_parameter_poses
+from tests.oracles.effects import predicted_poses
+from tests.oracles.transforms import origin_transform
 
 ROOT = Path(__file__).resolve().parents[1]
 LITE6 = load_bundled("lite6")
@@ -157,7 +158,7 @@ MOVING = ("joint_lag:joint=5,lag_s=2e-3", "time_offset:offset_s=0.012")
 @pytest.mark.parametrize(("kind", "texts"), [("static", EFFECTS), ("trajectory", EFFECTS + MOVING)])
 def test_poses_are_those_of_an_independent_generator(kind, texts):
     gravity, center = (0.3, -0.4, -9.7), (0.01, 0.02, 0.05)
-    arm = replace(LITE6, T_joint_flange=product(origin_transform([0, 0, 0.01, 0.1, 0, 0.2])), dh=None)
+    arm = replace(LITE6, T_joint_flange=origin_transform([0, 0, 0.01, 0.1, 0, 0.2]), dh=None)
     settings = RecordingSettings(gravity_m_per_s2=gravity, payload_com_m=center)
     motion = draw_motion(arm, kind, 60, runs=2, payload=[0.0, 1.0], warm_up=15.0, settings=settings, seed=7)
     chain = draw_calibration(arm, 8)
