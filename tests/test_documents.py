@@ -1,0 +1,73 @@
+"""What the documents say of the code is so: files and links exist, tables and orders are those of the code."""
+
+import re
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from lite6jax.cli.deprecated import RENAMED
+
+ROOT = Path(__file__).resolve().parents[1]
+DOCUMENTS = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+CONTRIBUTING = (ROOT / "docs/CONTRIBUTING.md").read_text()
+CHANGELOG = (ROOT / "docs/CHANGELOG.md").read_text()
+
+
+def table_rows(text):
+    """The cells of each row of the tables in a text, without markup."""
+    return [
+        [cell.strip(" `") for cell in line.strip("|").split("|")] for line in text.splitlines() if line.startswith("|")
+    ]
+
+
+def anchors(text):
+    """What links can point to in a document: its headings as a forge spells them."""
+    headings = re.findall(r"^#+ (.*)$", text, re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
+
+
+@pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.name)
+def test_the_files_that_a_document_names_exist(document):
+    named = re.findall(r"`((?:lite6jax|tests|benchmarks|docs)/[\w./]*)`", document.read_text())
+    files = [name for name in named if "NAME" not in name and not name.rpartition("/")[2].isdecimal()]  # schemas
+    missing = [name for name in files if not (ROOT / name).exists()]
+    assert missing == []
+
+
+@pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.name)
+def test_the_links_of_a_document_lead_somewhere(document):
+    for target in re.findall(r"\]\(([^)\s]+)\)", document.read_text()):
+        if target.startswith("http"):
+            continue
+        name, _, anchor = target.partition("#")
+        path = document.parent / name if name else document
+        assert path.exists(), target
+        assert not anchor or anchor in anchors(path.read_text()), target
+
+
+def test_the_screens_are_documented_in_their_order():
+    from lite6jax.domains.pose.screening.registry import SCREENS
+
+    section = CONTRIBUTING.partition("### What happens to a recording with swapped joints")[2].partition("\n1. ")[2]
+    documented = re.findall(r"`([a-z_]+)`", section.partition("\n\n")[0])
+    assert documented == [code for screen in SCREENS for code in screen.codes]
+
+
+def test_the_changelog_lists_every_old_spelling():
+    listed = [tuple(row) for row in table_rows(CHANGELOG) if row[0] in RENAMED]
+    assert listed == [(command, old, new.new) for command, names in RENAMED.items() for old, new in names.items()]
+
+
+def test_the_newest_entry_of_the_changelog_is_the_version():
+    version = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["version"]
+    assert re.findall(r"^## (.*)$", CHANGELOG, re.MULTILINE)[0] == version
+
+
+def test_each_term_of_the_glossary_is_defined_once_and_in_full():
+    rows = [row for row in table_rows((ROOT / "docs/glossary.md").read_text()) if row[0] not in ("term", "---")]
+    terms = [row[0] for row in rows]
+    assert len(terms) == len(set(terms)) > 70
+    for term, meaning, _, code in rows:
+        assert meaning.endswith("."), term
+        assert code, term
