@@ -17,7 +17,7 @@ Folder = Annotated[Path | None, arg(metavar="DIR")]
 
 
 def check_out(path: Path, suffix: str, overwrite: bool) -> None:
-    """Refuses a file of another kind than is written here, or one that stands there already.
+    """Refuses a file name of another type than the one written, or a file that exists already.
 
     Raises:
         InputError: as said, or the place cannot be written to.

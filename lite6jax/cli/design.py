@@ -4,7 +4,7 @@ import math
 import os
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal, final
 
 from tyro.conf import Positional, UseAppendAction, arg
 
@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from lite6jax.identifiability.candidates import Filter
 
 
+@final
 @dataclass(frozen=True)
 class Design:
     """Which poses to record: those that determine an arm's parameters best, and how many are enough.
@@ -36,7 +37,7 @@ class Design:
     """A bundled arm or an arm's file."""
     setup: Setup = field(default_factory=Setup)
     poses: int = 40
-    """How many."""
+    """Number of poses to choose."""
     accuracy: Annotated[float | None, arg(metavar="MM")] = None
     """Say how many poses predict positions to this accuracy (one standard deviation)."""
     criterion: Literal["I", "D", "A", "E"] = "I"
@@ -45,15 +46,15 @@ class Design:
     """Choose the poses that discriminate between these two effects instead. The first must have a size; the second
     may have one, and then each is tested against the other."""
     candidates: int = 100_000
-    """Joint positions drawn, among which to choose."""
+    """Number of joint positions drawn, among which poses are chosen."""
     recorded: Annotated[Path | None, arg(metavar="FILE")] = None
     """A recording whose poses count as already measured."""
     limit_margin: Annotated[float, arg(metavar="DEG")] = 2.0
     """The least distance of each joint from its limits."""
     box: Annotated[tuple[float, float, float, float, float, float] | None, arg(metavar="MM…")] = None
-    """Where the sensor sees the tool: least x y z, then greatest x y z, mm in the base's frame."""
+    """Where the sensor measures the tool: least x y z, then greatest x y z, mm in the base's frame."""
     floor: Annotated[float | None, arg(metavar="MM")] = None
-    """Height that every joint, flange and tool stay above."""
+    """Height above which all joints, the flange and the tool stay, mm in the base's frame."""
     link_radius: Annotated[float | None, arg(metavar="MM")] = None
     """The radius of the capsules around the links; a twentieth of the reach where not given, 0 for no check."""
     collision_geometry: Annotated[str | None, arg(metavar="URDF")] = None
@@ -63,7 +64,7 @@ class Design:
     refine: bool = True
     """Move the chosen poses on by gradient, between the candidates."""
     seed: int = 0
-    """Of the random numbers."""
+    """Seed of the random numbers."""
     figures: Folder = None
     """Draw the accuracy against the number of poses into this folder (PNG and SVG)."""
     force: bool = False
@@ -164,7 +165,7 @@ class Design:
         return filters, disabled
 
     def _arm_reference(self) -> str:
-        """What the sidecar calls the arm: a bundled name, or its file's path from where the sidecar stands."""
+        """The arm's name in the sidecar: a bundled name, or the path of its file relative to the sidecar."""
         from lite6jax.arms.bundled import bundled_arms
 
         if self.source in bundled_arms():

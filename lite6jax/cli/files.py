@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, final
 
 from tyro.conf import Positional, arg
 
@@ -11,6 +11,7 @@ from lite6jax.errors import InputError
 from lite6jax.storage import check_writable
 
 
+@final
 @dataclass(frozen=True)
 class Convert:
     """Write one arm's file in another form; what the new form cannot hold is reported, or refused.
@@ -46,6 +47,7 @@ class Convert:
         return DONE
 
 
+@final
 @dataclass(frozen=True)
 class Check:
     """Rule out the easy causes of a mismatch first: nominal table, tool offset, smooth or jumping error.

@@ -3,7 +3,7 @@
 import json
 import math
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal, final
 
 from tyro.conf import Positional, UseAppendAction, arg
 
@@ -18,37 +18,38 @@ SensorName = Literal["tracker", "tracker_6d", "motion_capture", "camera", "dial_
 Known = Literal["known", "unknown"]
 
 
+@final
 @dataclass(frozen=True)
 class Setup:
-    """How poses are measured; of a recording that has poses its sidecar says so."""
+    """How poses are measured; the sidecar states it for a recording that has poses."""
 
     sensor: SensorName = "tracker"
     """Positions: tracker; poses: tracker_6d, motion_capture, camera; along an axis: dial_gauge; distance: ball_bar."""
     chain: Literal["hayati", "six_parameter"] = "hayati"
     """The parameters: Hayati's effective model, or the six numbers a joint of a factory file."""
     frame: Known = "unknown"
-    """Where the sensor stands."""
+    """Whether the sensor's frame is known."""
     tool: Known = "known"
-    """Where the measured point or probe is on the flange."""
+    """Whether the measured point's place on the flange is known."""
     tool_at: Annotated[tuple[float, float, float], arg(metavar="X Y Z")] = (0.0, 0.0, 0.0)
-    """Where it nominally is, mm in the flange's frame."""
+    """The nominal place of the measured point, mm in the flange's frame."""
     axis: Annotated[tuple[float, float, float], arg(metavar="X Y Z")] = (0.0, 0.0, 1.0)
     """The dial gauge's direction, in the sensor's frame."""
     center: Annotated[tuple[float, float, float], arg(metavar="X Y Z")] = (300.0, 0.0, 0.0)
     """The ball bar's other end, mm in the sensor's frame."""
     position_noise: Annotated[float | None, arg(metavar="MM")] = None
-    """One standard deviation per axis, mm, of a sensor of your own."""
+    """One standard deviation per axis, mm, in place of the sensor's."""
     orientation_noise: Annotated[float | None, arg(metavar="DEG")] = None
     """One standard deviation per axis, degrees."""
     joint_noise: Annotated[float, arg(metavar="DEG")] = 0.0
     """One standard deviation of a joint's read-out, degrees."""
     effect: Annotated[tuple[str, ...], UseAppendAction, arg(metavar="NAME:KEY=VALUE,…")] = ()
-    """Physics that is unknown too, such as joint_compliance:joint=2; may be given more than once."""
+    """An effect that is unknown too, such as joint_compliance:joint=2; may be given more than once."""
     payload: Annotated[float, arg(metavar="KG")] = 0.0
-    """At the flange, for effects of gravity."""
+    """Mass at the flange, for effects of gravity."""
 
     def experiment(self, arm: "Arm") -> "Experiment":
-        """What this measures of an arm.
+        """The experiment that this set-up is on an arm.
 
         Raises:
             InputError: noise that is not positive, or of what the sensor does not measure.
@@ -94,6 +95,7 @@ class Setup:
             raise
 
 
+@final
 @dataclass(frozen=True)
 class Identify:
     """What poses determine of an arm's parameters, and how well: before anything is measured, or of a recording.
@@ -109,15 +111,16 @@ class Identify:
     """A bundled arm, an arm's file, or a recording (.csv, .parquet, .mcap); one without poses lists joint positions."""
     setup: Setup = Setup()
     poses: int = 100
-    """Of an arm: how many to draw inside its limits."""
+    """Number of poses drawn inside the limits of an arm."""
     seed: int = 0
-    """Of those."""
+    """Seed of the poses and of simulated readings."""
     refits: int = 0
-    """Fit so many sets of simulated readings, to put the prediction to the test."""
+    """Number of sets of simulated readings that are fitted to test the prediction."""
     geometry: Literal["declared", "exact", "prior", "free"] = "declared"
-    """Of a recording: what its sidecar says; the factory calibration exactly, or near it; or unknown."""
+    """The geometry of a recording's arm: as its sidecar states; the factory calibration exactly, or with a prior about
+    it; or unknown."""
     arm: ArmName = None
-    """Of a recording: the nominal arm, from the sidecar where not given."""
+    """The nominal arm of a recording; from the sidecar where not given."""
     figures: Folder = None
     """Draw singular values, correlations and standard deviations into this folder (PNG and SVG)."""
     force: bool = False
@@ -130,7 +133,7 @@ class Identify:
     """Take position columns that say m as millimetres."""
 
     def run(self) -> int:
-        """Studies, draws, prints."""
+        """Computes, draws, prints."""
         from lite6jax.arms.files import read_arm
         from lite6jax.effects.serialization import parse_effect
         from lite6jax.fitting.source import load_nominal, read_source
@@ -167,7 +170,7 @@ class Identify:
             else:
                 if replace(self.setup, effect=()) != Setup():
                     raise InputError(
-                        f"{self.source}: has measured poses, and its sidecar says how; leave out all options of a"
+                        f"{self.source}: has measured poses, and its sidecar states how; leave out all options of a"
                         " set-up but --effect"
                     )
                 effects = [parse_effect(text, neutral=True)[0] for text in self.setup.effect]
@@ -195,6 +198,7 @@ class Identify:
         return DONE
 
 
+@final
 @dataclass(frozen=True)
 class Sensitivity:
     """Which parameters move the flange, where, and which make up the error of an arm as assembled.
@@ -209,22 +213,22 @@ class Sensitivity:
     chain: Literal["hayati", "six_parameter"] = "six_parameter"
     """The parameters: the six numbers a joint of a factory file, or Hayati's effective model."""
     length: Annotated[float, arg(metavar="MM")] = 0.8
-    """Tolerance of a length, one standard deviation."""
+    """Tolerance of a length, one standard deviation, mm."""
     angle: Annotated[float, arg(metavar="DEG")] = 0.15
-    """Tolerance of an angle."""
+    """Tolerance of an angle, one standard deviation, degrees."""
     global_indices: bool = False
     """Sobol's indices of an arm's largest error too, with SALib (pip install 'lite6jax[sensitivity]')."""
     arms: int = 1024
-    """Of those, a power of 2."""
+    """Number of arms for Sobol's indices, a power of 2."""
     seed: int = 0
-    """Of what is drawn."""
+    """Seed of the random numbers."""
     figures: Folder = None
     """Draw maps over each joint and over the workspace into this folder (PNG and SVG)."""
     force: bool = False
     """Replace files that exist."""
 
     def run(self) -> int:
-        """Studies, draws, prints."""
+        """Computes, draws, prints."""
         from lite6jax.arms.files import read_arm
         from lite6jax.identifiability.sensitivity import global_sensitivity, sensitivity
         from lite6jax.report import canvas, screen, study_tables

@@ -5,6 +5,7 @@ import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -19,6 +20,7 @@ _FEWEST = 1e-3
 _ENOUGH_TRIED = 100_000
 
 
+@final
 @dataclass(frozen=True, eq=False)
 class Filter:
     """A condition on joint positions.
@@ -32,6 +34,7 @@ class Filter:
     accepts: Callable[[NDArray[np.floating]], NDArray[np.bool_]]
 
 
+@final
 @dataclass(frozen=True)
 class Box:
     """A box in the base's frame, along its axes.
@@ -49,6 +52,7 @@ class Box:
             raise InputError(f"box {self.lower} to {self.upper} m: empty; give the least x, y, z, then the greatest")
 
 
+@final
 @dataclass(frozen=True, eq=False)
 class Candidates:
     """Joint positions that pass every filter.

@@ -4,6 +4,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import final
 from xml.etree import ElementTree as ET
 
 import numpy as np
@@ -21,6 +22,7 @@ _MESH_SIZE_LIMIT = 1 << 26
 """Bytes; a coarser mesh gives nearly the same capsule."""
 
 
+@final
 @dataclass(frozen=True, eq=False)
 class Capsule:
     """All points within `radius` of a segment, in m, in the frame of the link that carries it.

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import final
 
 import jax
 import jax.numpy as jnp
@@ -20,6 +21,7 @@ _SAMPLES = 2048
 _BLOCK = 4096
 
 
+@final
 @dataclass(frozen=True, eq=False)
 class SelfCollision:
     """The capsules of an arm and the pairs of them that must stay apart.

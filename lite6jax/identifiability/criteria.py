@@ -153,7 +153,7 @@ class Discrimination(NamedTuple):
 
     Linearised: with u what the hypothesised effect adds to the parameters, and Q spanning those that the rival may
     move, the noncentrality Δ = min_γ (u − Qγ)ᵀ M (u − Qγ) = uᵀMu − uᵀMQ (QᵀMQ)⁻¹ QᵀMu; a χ² test between the models has
-    this much to go on. Of several directions (a against b, b against a) the smallest counts. (Biometrika 62, eq. 2.3;
+    this noncentrality. Of several directions (a against b, b against a) the smallest counts. (Biometrika 62, eq. 2.3;
     for normal linear models Dₛ with one contrast.)
 
     Attributes:
@@ -203,14 +203,14 @@ class Discrimination(NamedTuple):
                 )
             U, sizes, _ = np.linalg.svd(S @ Q, full_matrices=False)
             U = U[:, sizes > 1e-10 * max(sizes.max(initial=0.0), np.finfo(float).tiny)]
-            seen = S @ u
-            rest = seen - U @ (U.T @ seen)
-            if not rest @ rest > _SHARES * (seen @ seen):
+            shown = S @ u
+            rest = shown - U @ (U.T @ shown)
+            if not rest @ rest > _SHARES * (shown @ shown):
                 raise InputError(
                     "criterion T: no candidate separates the rivals: what one model predicts the other explains; give"
                     " other candidates, another sensor, or fewer free parameters"
                 )
-            effects.append(jnp.asarray(seen))
+            effects.append(jnp.asarray(shown))
             rivals.append(jnp.asarray(U))
         return Discrimination(tuple(effects), tuple(rivals))
 
@@ -330,10 +330,10 @@ def coordinates_of(information: NDArray[np.float64], candidates: int) -> Coordin
     squares = np.diagonal(information)
     observable = squares > _OBSERVABLE * squares.max()  # the others are rounding, which must not be scaled up
     units = np.sqrt(np.where(observable, squares, max(float(squares.max()), np.finfo(float).tiny)))
-    eigenvalues, V = np.linalg.eigh(information / units[:, None] / units)  # as judged in no unit at all
+    eigenvalues, V = np.linalg.eigh(information / units[:, None] / units)  # in units of the columns' own lengths
     kept = eigenvalues > DETERMINED * max(eigenvalues[-1], 0.0)
     if not kept.any():
-        raise InputError("rows: all zero; no candidate says anything about any parameter")
+        raise InputError("rows: all zero; no candidate depends on any parameter")
     scale, V = np.sqrt(eigenvalues[kept] / candidates), V[:, kept]
     inward = scale[:, None] * V.T * units
     determined, _ = np.linalg.qr(V * units[:, None])  # the undetermined directions are orthogonal to these

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from functools import partial
+from typing import final
 
 import jax
 import jax.numpy as jnp
@@ -21,6 +22,7 @@ from lite6jax.identifiability.criteria import (
 from lite6jax.identifiability.exchange import RIDGE, Pool, build_greedily, exchange, one_by_one
 
 
+@final
 @dataclass(frozen=True, eq=False)
 class Design:
     """Chosen poses, best first.

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
+from typing import NamedTuple, final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -83,6 +83,7 @@ class BaseParameter(NamedTuple):
         )
 
 
+@final
 @dataclass(frozen=True, eq=False)
 class Determination:
     """Which of an experiment's parameters are identifiable from readings at some joint positions, and how precisely.

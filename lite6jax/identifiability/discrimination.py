@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -23,6 +24,7 @@ from lite6jax.identifiability.refine import Refinement
 Array = NDArray[np.floating]
 
 
+@final
 @dataclass(frozen=True, eq=False)
 class DiscriminationPlan:
     """Poses that discriminate between two rival models of the physics.

@@ -13,6 +13,7 @@ them exactly, ranked anew for each pose by the same products, until the foremost
 
 from collections.abc import Callable
 from functools import partial
+from typing import final
 
 import jax
 import jax.numpy as jnp
@@ -35,6 +36,7 @@ _COLUMNS = 6000
 _IMPROVES = 1e-9
 
 
+@final
 class Pool:
     """The candidates, and those of them that are foremost for an information matrix."""
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -54,6 +54,7 @@ class Accuracy(NamedTuple):
         return float(np.sqrt(np.mean(self.orientation**2)))
 
 
+@final
 @dataclass(frozen=True, eq=False)
 class Identification:
     """What some poses determine.
@@ -150,8 +151,8 @@ def identify(
         experiment: from `plan_experiment` or `recorded`.
         joint_position: `(sample, joint)` rad; drawn inside the arm's limits where not given.
         poses: how many to draw.
-        refits: of simulated readings, to put the prediction to the test; 0 is none.
-        seed: of what is drawn.
+        refits: of simulated readings, to test the prediction; 0 is none.
+        seed: of the random numbers.
 
     Raises:
         InputError: joints that the arm does not have.

@@ -1,6 +1,7 @@
 """Observability indices: one number for how well a set of poses determines a model."""
 
 from dataclasses import dataclass
+from typing import final
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -8,6 +9,7 @@ from numpy.typing import ArrayLike
 from lite6jax.errors import InputError
 
 
+@final
 @dataclass(frozen=True)
 class Observability:
     """The five indices of Y. Sun and J. Hollerbach, "Observability index selection for robot calibration", ICRA 2008.

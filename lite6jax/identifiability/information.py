@@ -7,7 +7,8 @@ tolerance that it plausibly has. What follows, indices, designs and null spaces,
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, Literal
+from itertools import compress
+from typing import Any, Literal, final
 
 import jax
 import jax.numpy as jnp
@@ -38,6 +39,7 @@ TOLERANCE = {"m": 0.8e-3, "rad": float(np.deg2rad(0.15))}
 RIGID = Physics()
 
 
+@final
 @dataclass(frozen=True, eq=False)
 class Experiment:
     """Which model is to be identified with which sensor.
@@ -48,15 +50,15 @@ class Experiment:
         arm: the nominal arm; its masses cause the loads that effects depend on.
         form: the geometry, sensor frame and tool.
         model: where they are linearised; NumPy leaves.
-        sensor: what is read.
+        sensor: what is measured.
         movable: `(parameter,)` bool, those that are unknown.
-        precision: `(parameter,)` what is known of them beforehand, one over a variance; zero is nothing.
-        scale: `(parameter,)` the size that each counts in.
+        precision: `(parameter,)` the prior of each, one over its variance; zero is no prior.
+        scale: `(parameter,)` the unit of each: its tolerance or typical size, SI.
         physics: effects beyond the rigid arm.
         values: `(physics.size,)` where those are linearised.
         payload: kg at the flange.
-        approach: from where each pose is come to, which effects of the direction of motion feel: the pose before it,
-            the first from all joints at zero; or always from zero.
+        approach: from where each pose is approached, on which effects of the direction of motion depend:
+            the pose before it, for the first all joints at zero; or always all joints at zero.
     """
 
     arm: Arm
@@ -74,15 +76,12 @@ class Experiment:
     @cached_property
     def names(self) -> tuple[str, ...]:
         """Of the unknown parameters."""
-        return self._unknown((*self.form.names, *self.physics.names))
+        return tuple(compress((*self.form.names, *self.physics.names), self.movable))
 
     @cached_property
     def units(self) -> tuple[str, ...]:
         """`m`, `rad`, or an effect's unit, of each."""
-        return self._unknown((*self.form.units, *self.physics.units))
-
-    def _unknown(self, all_of_them: tuple[str, ...]) -> tuple[str, ...]:
-        return tuple(one for one, moves in zip(all_of_them, self.movable, strict=True) if moves)
+        return tuple(compress((*self.form.units, *self.physics.units), self.movable))
 
     @property
     def size(self) -> int:
@@ -91,12 +90,12 @@ class Experiment:
 
     @cached_property
     def unit(self) -> Array:
-        """`(size,)` in SI units: what 1 of an unknown parameter means here."""
+        """`(size,)`, the tolerance or typical size of each unknown parameter, SI."""
         return self.scale[self.movable]
 
     @cached_property
     def prior(self) -> Array:
-        """`(size, size)` the information there is beforehand, in these units."""
+        """`(size, size)`, the information of the prior, in these units."""
         return np.diag(self.precision[self.movable] * self.unit**2)
 
     def rows(self, joint_position: ArrayLike) -> Array:
@@ -111,13 +110,13 @@ class Experiment:
         Raises:
             InputError: joints that the arm does not have, or effects that poses at rest do not show.
         """
-        q = self._checked(joint_position)
-        columns = np.asarray(self._columns(q, self.direction(q)))
+        q = _checked(self, joint_position)
+        columns = np.asarray(_columns(self, q, direction(self, q)))
         return np.transpose(columns[self.movable], (2, 1, 0)) * self.unit
 
     def traced_rows(self, joint_position: jax.Array) -> jax.Array:
         """As `rows`, of and to JAX arrays, unchecked: to be differentiated by the joint positions."""
-        columns = self._columns(joint_position, self.direction(joint_position))
+        columns = _columns(self, joint_position, direction(self, joint_position))
         return jnp.transpose(columns[self.movable], (2, 1, 0)) * self.unit
 
     def root(self, joint_position: ArrayLike) -> Array:
@@ -127,16 +126,16 @@ class Experiment:
         eigenvalue of RᵀR would lose half the digits.
         """
         R = np.zeros((0, self.size))
-        q = self._checked(joint_position)
-        for first, (block, direction) in zip(range(0, len(q), BLOCK), self._blocks(q), strict=True):
-            columns = np.asarray(self._columns(block, direction))[self.movable, :, : len(q) - first]
+        q = _checked(self, joint_position)
+        for first, (block, towards) in zip(range(0, len(q), BLOCK), _blocks(self, q), strict=True):
+            columns = np.asarray(_columns(self, block, towards))[self.movable, :, : len(q) - first]
             R = np.linalg.qr(np.concatenate([R, columns.reshape(self.size, -1).T * self.unit]), mode="r")
         return np.concatenate([R, np.zeros((self.size - len(R), self.size))])
 
     def information(self, joint_position: ArrayLike) -> Array:
         """The Fisher information `(size, size)` of readings at `joint_position` `(sample, joint)` and of the prior."""
-        q = self._checked(joint_position)
-        blocks, directions = map(np.stack, zip(*self._blocks(q), strict=True))
+        q = _checked(self, joint_position)
+        blocks, directions = map(np.stack, zip(*_blocks(self, q), strict=True))
         weight = pad(np.ones(len(q)), 0, blocks.shape[0] * blocks.shape[1]).reshape(blocks.shape[:2])
         H = np.asarray(
             total_information(self.form, self.physics, self.sensor, self.numbers, blocks, directions, weight)
@@ -144,7 +143,7 @@ class Experiment:
         return H[np.ix_(self.movable, self.movable)] * np.outer(self.unit, self.unit) + self.prior
 
     def with_sensor(self, sensor: Sensor) -> "Experiment":
-        """The same model seen by another sensor."""
+        """The same model with another sensor."""
         return replace(self, sensor=sensor)
 
     def with_physics(self, effects: Sequence[Effect], values: ArrayLike | None = None) -> "Experiment":
@@ -166,7 +165,7 @@ class Experiment:
             physics=physics,
             values=(0.0,) * physics.size if values is None else tuple(map(float, np.asarray(values, float))),
         )
-        extended.rows(np.zeros((1, self.arm.dof)))  # at once, rather than after long work
+        extended.rows(np.zeros((1, self.arm.dof)))  # raises now rather than after a long computation
         return extended
 
     @cached_property
@@ -178,30 +177,40 @@ class Experiment:
             inertia = inertia_of(arm.mass, arm.center_of_mass, arm.T_joint_flange[:3, 3])
         return Numbers(self.model, np.array(self.values, float), arm.kinematics.ravel(), inertia, self.payload)  # type: ignore[arg-type]
 
-    def _columns(self, q: ArrayLike, direction: ArrayLike) -> jax.Array:
-        return reading_columns(self.form, self.physics, self.sensor, self.numbers, q, direction)  # type: ignore[arg-type]
 
-    def direction(self, q: Any) -> Any:
-        """`(sample, joint)` −1, 0 or 1: as recordings define it of an arm that stands still at each sample."""
-        if self.approach == "zero" or not isinstance(q, np.ndarray):
-            return jnp.sign(q) if isinstance(q, jax.Array) else np.sign(q)
-        return np.sign(np.diff(q, axis=0, prepend=np.zeros((1, q.shape[1]))))
+def direction(experiment: Experiment, q: Any) -> Any:
+    """`(sample, joint)` −1, 0 or 1: the direction in which each joint approached, as recordings define it at rest.
 
-    def _blocks(self, q: Array) -> Iterator[tuple[Array, Array]]:
-        """Joint positions and directions in blocks of one shape, that it is compiled for once."""
-        direction = self.direction(q)
-        size = min(len(q), BLOCK)
-        for first in range(0, len(q), size):
-            yield pad(q[first : first + size], 0, size), pad(direction[first : first + size], 0, size)
+    Args:
+        experiment: its `approach` says from where.
+        q: `(sample, joint)` rad, NumPy or JAX.
+    """
+    if experiment.approach == "zero" or not isinstance(q, np.ndarray):
+        return jnp.sign(q) if isinstance(q, jax.Array) else np.sign(q)
+    return np.sign(np.diff(q, axis=0, prepend=np.zeros((1, q.shape[1]))))
 
-    def _checked(self, joint_position: ArrayLike) -> Array:
-        q = np.asarray(joint_position, float)
-        if q.ndim != 2 or q.shape[1] != self.arm.dof or not len(q):
-            raise InputError(f"joint_position of shape {q.shape}: {self.arm.name} takes (sample, {self.arm.dof})")
-        if not np.isfinite(q).all():
-            row = int(np.argmin(np.isfinite(q).all(1))) + 1
-            raise InputError(f"joint_position: row {row} is not finite; leave it out")
-        return q
+
+def _columns(experiment: Experiment, q: ArrayLike, direction: ArrayLike) -> jax.Array:
+    e = experiment
+    return reading_columns(e.form, e.physics, e.sensor, e.numbers, q, direction)  # type: ignore[arg-type]
+
+
+def _blocks(experiment: Experiment, q: Array) -> Iterator[tuple[Array, Array]]:
+    """Joint positions and directions in blocks of one shape, for which the readings are compiled once."""
+    directions = direction(experiment, q)
+    size = min(len(q), BLOCK)
+    for first in range(0, len(q), size):
+        yield pad(q[first : first + size], 0, size), pad(directions[first : first + size], 0, size)
+
+
+def _checked(experiment: Experiment, joint_position: ArrayLike) -> Array:
+    q, arm = np.asarray(joint_position, float), experiment.arm
+    if q.ndim != 2 or q.shape[1] != arm.dof or not len(q):
+        raise InputError(f"joint_position of shape {q.shape}: {arm.name} takes (sample, {arm.dof})")
+    if not np.isfinite(q).all():
+        row = int(np.argmin(np.isfinite(q).all(1))) + 1
+        raise InputError(f"joint_position: row {row} is not finite; leave it out")
+    return q
 
 
 def plan_experiment(
@@ -222,8 +231,8 @@ def plan_experiment(
             in a factory file).
         frame: whether the sensor's frame is unknown too.
         tool: whether the tool is.
-        tool_at: where it nominally is in the flange's frame, m. A point on the last joint's axis does not feel that
-            joint turn.
+        tool_at: where it nominally is in the flange's frame, m. A point on the last joint's axis does not
+            depend on that joint.
 
     Raises:
         InputError: no such bundled arm or sensor.
@@ -247,7 +256,7 @@ def experiment(
     movable: NDArray[np.bool_] | None = None,
     precision: Array | None = None,
 ) -> Experiment:
-    """An experiment of any model; all parameters are unknown, and nothing known beforehand, where not said."""
+    """An experiment of any model; all parameters are unknown and without a prior where not given."""
     return Experiment(
         arm=arm,
         form=form,
@@ -260,7 +269,7 @@ def experiment(
 
 
 def recorded(recording: Recording, arm: Arm | None = None, geometry: Geometry = "declared") -> Experiment:
-    """The experiment that a recording is: what its sidecar leaves unknown, seen by its sensor.
+    """The experiment of a recording: what its sidecar leaves unknown, measured by its sensor.
 
     Raises:
         InputError: as `recording_problem`; nothing unknown.

@@ -1,7 +1,8 @@
-"""The predicted precision put to the test: many refits of simulated readings, all in one call."""
+"""The predicted precision tested by Monte Carlo: many refits of simulated readings, all in one call."""
 
 from dataclasses import dataclass
 from functools import partial
+from typing import final
 
 import jax
 import jax.numpy as jnp
@@ -13,7 +14,7 @@ from lite6jax.arms.se3 import rotation_exp, rotation_log_components
 from lite6jax.effects.composition import Physics
 from lite6jax.errors import InputError
 from lite6jax.identifiability.determination import Determination, determine
-from lite6jax.identifiability.information import Experiment
+from lite6jax.identifiability.information import Experiment, direction
 from lite6jax.identifiability.readings import Numbers, joint_changes, tool_frame
 from lite6jax.identifiability.sensor import Sensor, joint_whitener
 from lite6jax.model import ModelForm
@@ -26,12 +27,13 @@ STEPS = 12
 """Most steps of a refit. The curvature stays that of the truth, from which noise leads away by 1e-4 of its size or so:
 each step leaves that share of the error, four leave rounding."""
 _SETTLED = 1e-4
-"""Length of the last step, in standard deviations, under which a refit has settled."""
+"""Length of the last step, in standard deviations, below which a refit has converged."""
 
 
+@final
 @dataclass(frozen=True, eq=False)
 class Refits:
-    """What refits of simulated readings gave.
+    """Estimates of simulated readings beside their prediction.
 
     Attributes:
         determination: what was predicted.
@@ -45,13 +47,13 @@ class Refits:
 
     @property
     def standard_deviation(self) -> Array:
-        """`(size,)` as it came out of those that settled, m and rad, about the truth; NaN where none did."""
+        """`(size,)` of the converged refits about the truth, m and rad; NaN where none converged."""
         errors = self.errors[self.settled]
         return np.sqrt(np.mean(errors**2, 0)) if len(errors) else np.full(self.errors.shape[1], np.nan)
 
     @property
     def ratio(self) -> Array:
-        """`(rank,)` as it came out over as predicted, of the free parameters; 1 ± 1/√(2 refits) where linear."""
+        """`(rank,)` observed over predicted, of the free parameters; 1 ± 1/√(2 refits) where the model is linear."""
         free = self.determination.free
         return self.standard_deviation[free] / self.determination.standard_deviation[free]
 
@@ -59,8 +61,8 @@ class Refits:
 def refit(experiment: Experiment, joint_position: ArrayLike, count: int = 1000, seed: int = 0) -> Refits:
     """Simulates `count` sets of readings of the same poses and fits each, in one vmapped call.
 
-    The truth is the experiment's model; what is known beforehand is drawn about it, as a prior would be. Noise of the
-    joints' read-outs is simulated as such: the fit sees other joints than the arm had.
+    The truth is the experiment's model; the means of the prior are drawn about it. Noise of the joints' read-outs is
+    simulated as such: the fit is given other joint positions than the arm had.
 
     Args:
         experiment: which model and sensor.
@@ -84,7 +86,7 @@ def refit(experiment: Experiment, joint_position: ArrayLike, count: int = 1000, 
     together = min(count, max(_TOGETHER // len(q), 1))
     spread = 1 / np.sqrt(np.where(precision > 0, precision, np.inf))
     select, static = np.eye(len(experiment.movable))[active], (form, experiment.physics, sensor)
-    shared = (experiment.numbers, q, experiment.direction(q), select, covariance, precision)
+    shared = (experiment.numbers, q, direction(experiment, q), select, covariance, precision)
     errors, lengths = np.zeros((count, experiment.size)), np.zeros(count)
     for first in range(0, count, together):
         drawn = random.standard_normal((together, sensor.rows, len(q))) * sensor.noise[:, None]

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Literal, final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -32,6 +32,7 @@ _UNDETERMINED = 1e-6
 """Share of what moves positions over the workspace that may lie in directions no candidate determines: rounding."""
 
 
+@final
 @dataclass(frozen=True, eq=False)
 class Plan:
     """Poses to record.
@@ -159,6 +160,7 @@ def _first_within(curve: Array, accuracy: float) -> int | None:
     return int(enough[0]) + 1 if len(enough) else None
 
 
+@final
 class _Curve:
     """The accuracy over a workspace after the first 1, 2, … of some poses."""
 

@@ -49,7 +49,7 @@ def reading_columns(
         form, physics, sensor: static; the parameters are those of a step of `form`, then the numbers of `physics`.
         numbers: where.
         joint_position: `(sample, joint)` rad.
-        direction: `(sample, joint)`, in which each pose was come to.
+        direction: `(sample, joint)`, in which each pose was approached.
     """
     model, joint = numbers.model, turn(joint_position.T)
     if physics.effects:
@@ -100,7 +100,7 @@ def tool_frame(
         form, physics: static.
         numbers: where from.
         joint_position: `(sample, joint)` rad.
-        direction: `(sample, joint)`, in which each pose was come to.
+        direction: `(sample, joint)`, in which each pose was approached.
         step: of `form`, then of `physics`.
     """
     model, values = form.retract(numbers.model, step[: form.size]), numbers.values + step[form.size :]

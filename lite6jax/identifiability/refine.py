@@ -1,7 +1,8 @@
-"""Poses moved on between the candidates, uphill in a criterion, where they may be."""
+"""Refinement of chosen poses by gradient ascent of a criterion, within limits and filters."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import final
 
 import jax
 import jax.numpy as jnp
@@ -15,6 +16,7 @@ from lite6jax.identifiability.criteria import Criterion, checked_rows, coordinat
 _FIRST_STEP, _LONGEST_STEP, _LAST_STEP = 0.02, 0.3, 1e-6  # rad
 
 
+@final
 @dataclass(frozen=True, eq=False)
 class Refinement:
     """Poses moved to where the criterion is better.

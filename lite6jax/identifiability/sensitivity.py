@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from functools import partial
-from typing import Literal
+from typing import Literal, final
 
 import jax
 import jax.numpy as jnp
@@ -25,6 +25,7 @@ _TOGETHER = 256
 """Arms evaluated together: their frames stay in cache."""
 
 
+@final
 @dataclass(frozen=True, eq=False)
 class Sensitivity:
     """How far the flange moves per tolerance of each parameter, to first order.
@@ -128,6 +129,7 @@ def sensitivity(
     )
 
 
+@final
 @dataclass(frozen=True, eq=False)
 class GlobalSensitivity:
     """Sobol's indices of an arm's error over its poses, and the error's distribution over arms.
@@ -163,7 +165,7 @@ def global_sensitivity(
     """Sobol's first-order and total indices (I. Sobol', 2001; A. Saltelli et al., 2010), computed by SALib.
 
     The output is an arm's largest (or root-mean-square) distance from nominal over a set of poses: a norm and a
-    maximum, so that the parameters act together and first-order sensitivities do not tell the whole.
+    maximum, so that the parameters interact and first-order sensitivities do not suffice.
 
     Args:
         arm, chain, tolerance: as in `sensitivity`; the numbers are normal and independent.

@@ -1,7 +1,7 @@
 """What a sensor reads off the tool, with which noise, and how its reading changes as the tool moves."""
 
 from dataclasses import asdict, dataclass, replace
-from typing import Any, Literal
+from typing import Any, Literal, final
 
 import jax
 import jax.numpy as jnp
@@ -14,6 +14,7 @@ from lite6jax.errors import InputError
 Quantity = Literal["position", "pose", "axis", "distance"]
 
 
+@final
 @dataclass(frozen=True)
 class Sensor:
     """A sensor that stands still. Hashable: a static argument of jitted functions.
