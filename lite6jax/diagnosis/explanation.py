@@ -1,250 +1,284 @@
-"""Faults that physics looks like: each is weighed against physics, with all that a search finds beside it."""
+"""Data faults weighed against physics: of both, the more likely explanation of a recording.
 
-from collections.abc import Sequence
+This is the one orchestrator above screening and search. Screening corrects what is plainly a fault. A frame jump,
+another nominal table and a calibration file that is off everywhere resemble physics: each is believed only where it is
+clearly more likely than the physics found without it.
+"""
+
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from typing import final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lite6jax.arms import frames
 from lite6jax.arms.arm import Arm
-from lite6jax.domains.pose.load_model import searched
-from lite6jax.domains.pose.problem import case_of
-from lite6jax.domains.pose.screening.columns import TRUSTED
-from lite6jax.domains.pose.screening.rows import Fault
-from lite6jax.domains.pose.screening.screen import Examined, Mending, examine
+from lite6jax.arms.factory import FactoryCalibration
+from lite6jax.diagnosis.options import Options
+from lite6jax.domains.pose.clock import clock_offset
+from lite6jax.domains.pose.load_model import search_load_model
+from lite6jax.domains.pose.problem import PoseProblem, pose_problem
+from lite6jax.domains.pose.screening.fault import DataFault
+from lite6jax.domains.pose.screening.registry import price
+from lite6jax.domains.pose.screening.screen import screen
+from lite6jax.domains.pose.screening.screened import Corrections, Screened
 from lite6jax.effects.effect import Effect
-from lite6jax.estimation.noise import WHITE, Colour
+from lite6jax.estimation.least_squares import relinearise
+from lite6jax.estimation.noise import NoiseModel, white_noise
+from lite6jax.estimation.problem import Mask
+from lite6jax.estimation.projection import schur_complement
 from lite6jax.fitting.problem import Geometry
 from lite6jax.recordings import FactoryUncertainty, Recording, require_samples
-from lite6jax.search.backward import cost
-from lite6jax.search.forward import Search, Selection
+from lite6jax.search.search import Selection
+from lite6jax.search.state import description_length
 
 Array = NDArray[np.floating]
 
 _UNCERTAINTIES = np.geomspace(1e-7, 1e-3, 81)
-"""m and rad that a calibration may be off by: from a controller's last digit to what makes one arm another."""
+"""m and rad that a calibration may be off by: from a controller's last digit to another arm."""
 
 
+@final
 @dataclass(frozen=True, eq=False)
 class Explanation:
-    """What a recording shows, once some faults are taken for granted.
+    """What a recording shows, once some of its faults are corrected.
 
     Attributes:
-        examined: the recording with these put right.
-        search: of what is left.
-        selection: the physics found.
-        cost: log-likelihood that the faults must gain at least, for the numbers that were chosen for them.
+        screened: the recording with these faults corrected; of the training rows.
+        selection: the physics found in what is left.
+        price: log-likelihood that the corrections must gain, for the quantities that were chosen for them.
+        options: thresholds.
     """
 
-    examined: Examined
-    search: Search
+    screened: Screened
     selection: Selection
-    cost: float = 0.0
+    price: float
+    options: Options
 
     @property
-    def numbers(self) -> float:
-        """How many were measured."""
-        return float(self.search.case.rows * self.selection.fitted.used.sum())
+    def problem(self) -> PoseProblem:
+        """The problem that was searched."""
+        assert isinstance(self.selection.problem, PoseProblem)
+        return self.selection.problem
+
+    @property
+    def readings(self) -> float:
+        """How many numbers were measured."""
+        return float(self.problem.rows * self.selection.state.fit.training.sum())
 
     @property
     def evidence(self) -> float:
-        """Log-likelihood of the rows in noise of the size and the colour that it leaves, less all costs.
-
-        Schwarz's approximation (Annals of Statistics 6, 1978), as between the effects of a search.
-        """
-        fitted = self.selection.fitted
-        likely = fitted.log_likelihood(fitted.residual.scale)
-        likely += self.search.case.rows * fitted.colour.log_volume(int(fitted.used.sum()))
-        coloured = 0.0 if fitted.colour is WHITE else np.log(self.numbers)  # for how much remembers, and how long
-        return float(likely - coloured - cost(self.selection.steps, self.numbers) - self.cost)
+        """Log-likelihood in the noise that is left, less the description length of physics, noise model and faults."""
+        fit = self.selection.state.fit
+        likely = fit.log_likelihood(fit.scale) + fit.noise.log_volume(int(fit.training.sum()))
+        model = 0.0 if fit.noise.white else float(np.log(self.readings))  # its two parameters
+        terms = description_length(fit.terms.terms, self.readings, self.options.engine)
+        return float(likely - model - terms - self.price)
 
     @property
-    def recording(self) -> Recording:
-        """As it is searched."""
-        return self.search.case.recording
-
-    @property
-    def words(self) -> str:
-        """What physics it has."""
-        return ", ".join(step.effect.label for step in self.selection.steps) or "no physics"
+    def labels(self) -> list[str]:
+        """The effects it has."""
+        return [term.label for term in self.selection.state.fit.terms.terms]
 
 
-def explain(recording: Recording, arm: Arm | None, geometry: Geometry, effects: Sequence[Effect] = ()) -> Explanation:
-    """The likelier of what faults and what physics make of a recording.
+def explain(
+    recording: Recording,
+    arm: Arm | None,
+    geometry: Geometry,
+    options: Options,
+    effects: Sequence[Effect] = (),
+    factory: FactoryCalibration | None = None,
+    training: Mask | None = None,
+    thorough: bool = True,
+) -> Explanation:
+    """The most likely explanation of a recording by data faults and physics.
 
     Args:
         recording: measured poses.
         arm: the nominal arm; from the sidecar where not given.
         geometry: what is known of it, as in `fit`.
-        effects: a user's own.
+        options: thresholds.
+        effects: a user's own candidates.
+        factory: the arm's calibration; from the sidecar where not given.
+        training: `(sample,)` bool, the rows that may be used; all where not given. Screening, clock, linearisation and
+            search then look at nothing else.
+        thorough: as in `search`.
 
     Raises:
-        InputError: as `examine` and `case_of`.
+        InputError: as `screen` and `pose_problem`.
     """
-    given = _Given(recording, arm, geometry, tuple(effects))
-    best = given.explained(Mending())
+    given = _Given(recording, arm, geometry, options, tuple(effects), factory, training, thorough)
+    best = given.explained(Corrections())
     for weighed in (_jumps_weighed, _table_weighed, _calibration_weighed):
         best = weighed(best, given)
     return best
 
 
+@final
 @dataclass(frozen=True, eq=False)
 class _Given:
-    """What is to be explained."""
+    """What is to be explained; attributes as the arguments of `explain`."""
 
     recording: Recording
     arm: Arm | None
     geometry: Geometry
+    options: Options
     effects: tuple[Effect, ...]
+    factory: FactoryCalibration | None
+    training: Mask | None
+    thorough: bool
 
-    def examined(self, mending: Mending) -> Examined:
-        """With these faults put right."""
-        return examine(self.recording, self.arm, self.geometry, mending)
+    def screened(self, corrections: Corrections) -> Screened:
+        """With these faults corrected, from the training rows."""
+        seen = self.recording if self.training is None else self.recording.select(self.training)
+        return screen(seen, self.arm, self.geometry, self.options.screening, corrections, self.factory)
 
-    def found(self, examined: Examined) -> Explanation:
-        """By what a search finds then."""
-        case = case_of(examined.recording, examined.arm, self.geometry)
-        require_samples(examined.recording, len(case.unknown) + 1)
-        search, selection = searched(case, self.effects)
-        log_n = float(np.log(case.rows * selection.fitted.used.sum()))
-        # six numbers are chosen for a jump, and its row
-        price = _count(examined, "frame_jump") * (3 * log_n + np.log(case.samples))
-        return Explanation(examined, search, selection, float(price))
+    def problem(self, screened: Screened, geometry: Geometry | None = None) -> PoseProblem:
+        """The problem of all rows, with the corrections that the training rows support; not linearised yet."""
+        recording = screened.recording if self.training is None else screened.transferred(self.recording)
+        return pose_problem(recording, screened.arm, geometry or self.geometry, self.effects, self.factory)
 
-    def explained(self, mending: Mending) -> Explanation:
-        """By what a search finds once these faults are put right."""
-        return self.found(self.examined(mending))
+    def found(self, screened: Screened, problem: PoseProblem | None = None, price_: float | None = None) -> Explanation:
+        """With the physics that a search finds then."""
+        problem = self.problem(screened) if problem is None else problem
+        training, engine = self.training, self.options.engine
+        require_samples(screened.recording, len(problem.unknown) + 1)
+        offset = clock_offset(problem, training)
+        reference = relinearise(problem, engine, training)
+        late = reference
+        if offset:
+            late = relinearise(replace(problem, clock_offset=offset, units={}), engine, training)
+        selection = search_load_model(late, reference, engine, training, self.thorough)
+        if price_ is None:
+            readings = float(problem.rows * selection.state.fit.training.sum())
+            price_ = price(screened, readings, problem.samples)
+        return Explanation(screened, selection, price_, self.options)
+
+    def explained(self, corrections: Corrections) -> Explanation:
+        """With these faults corrected, and the physics found then."""
+        return self.found(self.screened(corrections))
 
 
 def _jumps_weighed(best: Explanation, given: _Given) -> Explanation:
-    """With as many of the jumps put back as physics does not explain better."""
-    count = _count(best.examined, "frame_jump")
+    """With as many of the frame jumps corrected as physics does not explain better."""
+    count = best.screened.count("frame_jump")
     if not count:
         return best
-    # a twist told beside all physics is vague, one told beside none takes some of it along
-    bare = given.explained(Mending(beside_physics=False))
-    fewer = [given.explained(Mending(jumps=k)) for k in range(count)]
+    # a twist estimated beside all physics is vague, and one estimated beside none absorbs some physics
+    bare = given.explained(Corrections(beside_physics=False))
+    fewer = [given.explained(Corrections(jumps=k)) for k in range(count)]
     best, rival = max(best, bare, key=_evidence), max(fewer, key=_evidence)
     gap = best.evidence - rival.evidence
     if gap > 0:
-        said = f" Without it the best explanation ({rival.words}) is less likely by {gap:.3g} of log-likelihood."
-        return replace(best, examined=_said(best.examined, "frame_jump", said))
-    rows = ", ".join(str(found.rows[0]) for found in best.examined.faults if found.fault == "frame_jump")
-    ruled_out = Fault(
-        "frame_jump",
-        (),
-        f"What looks like a jump of a frame at row {rows} is none: left as they are, the poses are likelier by "
-        f"{-gap:.3g} of log-likelihood, with {rival.words}.",
-    )
-    return replace(rival, examined=replace(rival.examined, checked=(*rival.examined.checked, ruled_out)))
+        return _annotated(best, "frame_jump", log_likelihood_gap=gap, rival_terms=rival.labels)
+    rows = [fault.rows[0] for fault in best.screened.found if fault.code == "frame_jump"]
+    numbers = {"candidate_rows": rows, "log_likelihood_gap": -gap, "rival_terms": rival.labels}
+    ruled_out = DataFault("frame_jump", (), {"reason": "physics", **numbers})
+    return replace(rival, screened=replace(rival.screened, ruled_out=(*rival.screened.ruled_out, ruled_out)))
 
 
 def _table_weighed(best: Explanation, given: _Given) -> Explanation:
-    """With another nominal table than the file's, where that is likelier than physics; as it is, or fitted from there.
+    """With another nominal table than the file's, where that is more likely than physics: as published, or fitted.
 
-    A table that an examination doubts is weighed against physics; of one that it has decided on, and of the other, it
-    is asked whether the data want it fitted.
+    A table that the screening leaves open is weighed against physics. Of one that it has decided on, and of the other,
+    the question is whether the chain is fitted from there.
     """
-    file, doubted = given.recording.settings.factory_calibration, best.examined.doubted
-    if file is None or (doubted is None and not _count(best.examined, "nominal_table")):
+    file, likelier = given.recording.settings.factory_calibration, best.screened.likelier_table
+    if file is None or (likelier is None and not best.screened.count("nominal_table")):
         return best
-    taken = best.examined
-    if doubted is not None:
-        other = given.examined(taken.mending._replace(table=doubted))
-        faults = (*taken.faults, *(found for found in other.faults if found.fault == "nominal_table"))
-        checked = tuple(found for found in taken.checked if found.fault != "nominal_table")
-        taken = replace(other, faults=faults, checked=checked)
-    published = _published(taken, file, best.cost, given.effects)
+    used = best.screened
+    if likelier is not None:
+        other = given.screened(replace(used.corrections, table=likelier))
+        found = (*used.found, *(fault for fault in other.found if fault.code == "nominal_table"))
+        ruled_out = tuple(fault for fault in used.ruled_out if fault.code != "nominal_table")
+        used = replace(other, found=found, ruled_out=ruled_out)
+    published = _published(used, given, file, best.price)
     gap = published.evidence - best.evidence
-    if doubted is not None:
-        if gap <= TRUSTED:
+    more: dict[str, object] = {}
+    if likelier is not None:
+        if gap <= given.options.screening.trusted_log_likelihood:
             return best
-        said = (
-            f" The poses are likelier with it, by {gap:.3g} of log-likelihood, than the declared one with {best.words}."
-        )
-        taken = _said(taken, "nominal_table", said)
+        more = {"log_likelihood_gap": gap, "rival_terms": best.labels}
     if given.geometry != "declared":
-        return replace(best, examined=taken)
-    fitted = best if doubted is None else given.found(taken)
-    more = len(fitted.search.case.unknown) - len(published.search.case.unknown)
-    if fitted.evidence - 0.5 * more * np.log(fitted.numbers) > published.evidence:
-        return replace(fitted, examined=_said(taken, "nominal_table", " The chain is fitted from there."))
-    said = f" It is taken as published: a fitted chain is too little likelier for {more} numbers more."
-    return replace(published, examined=replace(_said(taken, "nominal_table", said), recording=published.recording))
+        return replace(best, screened=_with_numbers(used, "nominal_table", more))
+    fitted = best if likelier is None else given.found(used)
+    numbers = len(fitted.problem.unknown) - len(published.problem.unknown)
+    if fitted.evidence - 0.5 * numbers * np.log(fitted.readings) > published.evidence:
+        return replace(fitted, screened=_with_numbers(used, "nominal_table", more | {"chain": "fitted"}))
+    more |= {"chain": "as_published", "numbers_more": numbers}
+    recording = published.screened.recording
+    return replace(published, screened=replace(_with_numbers(used, "nominal_table", more), recording=recording))
 
 
-def _published(examined: Examined, file: str, price: float, effects: Sequence[Effect]) -> Explanation:
-    """With the nominal table in place of the calibration file, and as exact as that was said to be."""
-    settings = replace(examined.recording.settings, factory_calibration=file, factory_uncertainty=None)
-    case = case_of(replace(examined.recording, settings=settings), examined.arm, "exact")
-    rows = np.array([frames.row_from_transform(link) for link in examined.arm.links])
-    search, selection = searched(replace(case, start=case.start._replace(geometry=rows.ravel())), effects)
-    return Explanation(examined, search, selection, price)
+def _published(screened: Screened, given: _Given, file: str, price_: float) -> Explanation:
+    """With the nominal table in place of the calibration file, held exactly as the file's was."""
+    assert screened.arm is not None
+    settings = replace(screened.recording.settings, factory_calibration=file, factory_uncertainty=None)
+    exact = replace(screened, recording=replace(screened.recording, settings=settings))
+    problem = given.problem(exact, "exact")
+    rows = np.array([frames.row_from_transform(link) for link in screened.arm.links])
+    start = problem.start._replace(geometry=rows.ravel())  # type: ignore[arg-type]
+    return replace(given.found(exact, replace(problem, start=start), price_), screened=exact)
 
 
 def _calibration_weighed(best: Explanation, given: _Given) -> Explanation:
-    """With a calibration of which every number is off by chance, where that is likelier than some physics.
+    """With a calibration of which every number is off at random, where that is more likely than some physics.
 
     One frame that is off may have been bent; a file that is stale, or rounded, is off everywhere.
     """
-    settings = best.examined.recording.settings
+    settings = best.screened.recording.settings
     exact = given.geometry == "declared" and settings.factory_calibration and not settings.factory_uncertainty
-    if not exact or not best.selection.steps or _count(best.examined, "nominal_table"):
+    if not exact or not best.selection.state.tested or best.screened.count("nominal_table"):
         return best
-    # physics that is left out looks like noise that remembers, and so does a chain that is off, in a trajectory
-    gain, sigma = max(_off(best, given.geometry, colour) for colour in {best.selection.fitted.colour, WHITE})
+    # physics that is left out resembles autocorrelated noise, and so does a chain that is off, in a trajectory
+    fit = best.selection.state.fit
+    models = [fit.noise] if fit.noise.white else [fit.noise, white_noise(best.problem.groups)]
+    gain, sigma = max(_gain_of_uncertainty(best, given, model) for model in models)
     if gain <= 0:
         return best
-    uncertain = _uncertain(best.examined, sigma)
+    uncertain = _uncertain(best.screened, sigma)
     rival = given.found(uncertain)
-    # the chain's numbers are no longer chosen but integrated over; how far they are off is one number that is
-    rival = replace(rival, cost=rival.cost + _occam(rival) + 0.5 * np.log(rival.numbers))
+    # the chain's numbers are integrated over; their common size is one number that was chosen
+    rival = replace(rival, price=rival.price + _occam_factor(rival) + 0.5 * float(np.log(rival.readings)))
     gap = rival.evidence - best.evidence
-    if gap <= TRUSTED:
+    if gap <= given.options.screening.trusted_log_likelihood:
         return best
-    fault = Fault(
-        "calibration_off",
-        (),
-        f"Every number of the calibration file is a little off, as of a rounded or an old one: by {1e3 * sigma:.2g} mm "
-        f"and {1e3 * sigma:.2g} mrad. That is likelier, by {gap:.3g} of log-likelihood, than {best.words} with an "
-        "exact file, and the chain is fitted within that; declare factory_uncertainty in the sidecar.",
-    )
-    return replace(rival, examined=replace(uncertain, faults=(*uncertain.faults, fault)))
+    numbers = {"sigma_m": sigma, "sigma_rad": sigma, "log_likelihood_gap": gap, "rival_terms": best.labels}
+    fault = DataFault("calibration_off", (), numbers)
+    return replace(rival, screened=replace(uncertain, found=(*uncertain.found, fault)))
 
 
-def _off(best: Explanation, geometry: Geometry, colour: Colour) -> tuple[float, float]:
-    """What a calibration that is off everywhere gains over the physics found, and by how much it is off (m and rad).
+def _gain_of_uncertainty(best: Explanation, given: _Given, noise: NoiseModel) -> tuple[float, float]:
+    """The gain of a calibration that is off everywhere over the physics found, and its standard deviation (m and rad).
 
-    To first order, in noise of a colour, with those of the effects beside it that are still needed; the size of the
-    numbers is where their marginal likelihood is largest (D. MacKay, Bayesian Interpolation, Neural Computation 4,
-    1992).
+    To first order, in one noise model, with those of the effects beside it that are still needed; the standard
+    deviation maximises the marginal likelihood (D. MacKay, Bayesian Interpolation, Neural Computation 4, 1992).
     """
-    case, fitted, steps = best.search.case, best.selection.fitted, best.selection.steps
-    chain = case_of(_uncertain(best.examined, 1.0).recording, best.examined.arm, geometry)
-    effects = case.columns(fitted.physics.effects, fitted.values)
-    groups = (case.nuisance, effects, chain.nuisance[chain.precision > 0], fitted.residual.rows[None])
-    G = _products(best, np.concatenate(groups), colour)
+    problem, fit, engine = best.problem, best.selection.state.fit, best.options.engine
+    chain = given.problem(_uncertain(best.screened, 1.0))
+    terms = fit.terms.terms
+    effects = problem.columns(terms, fit.values)
+    groups = (problem.nuisance, effects, chain.nuisance[chain.precision > 0], fit.residuals.rows[None])
+    G = _products(best, np.concatenate(groups), noise)
     nuisance, shifts, moved, _ = np.split(np.arange(len(G)), np.cumsum([len(group) for group in groups])[:-1])
 
     def weighed(kept: tuple[int, ...]) -> tuple[float, float, float]:
         """Evidence with an exact file and without, and how far off it then is."""
         left = np.zeros(len(G))  # the residual, less what the other effects do
-        left[-1], left[shifts] = 1.0, -fitted.values
-        beside = [nuisance]
-        for k in kept:
-            beside.append(shifts[fitted.physics.slices[k]])
-        seen = np.concatenate(beside)
-        left[seen] = 0.0
-        S = _without(G, seen)
+        left[-1], left[shifts] = 1.0, -fit.values
+        fitted = np.concatenate([nuisance, *(shifts[fit.terms.slices[k]] for k in kept)])
+        left[fitted] = 0.0
+        S = schur_complement(G, fitted)
         eigenvalues, V = np.linalg.eigh(S[np.ix_(moved, moved)])
-        told, pulled = np.multiply.outer(_UNCERTAINTIES**2, np.maximum(eigenvalues, 0.0)), V.T @ (S[moved] @ left)
-        gains = 0.5 * np.sum(_UNCERTAINTIES[:, None] ** 2 * pulled**2 / (1 + told) - np.log1p(told), 1)
-        plain = -0.5 * float(left @ S @ left) - cost([steps[k] for k in kept], best.numbers)
+        ratio, pulled = np.multiply.outer(_UNCERTAINTIES**2, np.maximum(eigenvalues, 0.0)), V.T @ (S[moved] @ left)
+        gains = 0.5 * np.sum(_UNCERTAINTIES[:, None] ** 2 * pulled**2 / (1 + ratio) - np.log1p(ratio), 1)
+        length = description_length([terms[k] for k in kept], best.readings, engine)
+        plain = -0.5 * float(left @ S @ left) - length
         k = int(np.argmax(gains))
-        return plain, plain + float(gains[k]) - 0.5 * np.log(best.numbers), float(_UNCERTAINTIES[k])
+        return plain, plain + float(gains[k]) - 0.5 * float(np.log(best.readings)), float(_UNCERTAINTIES[k])
 
-    kept = tuple(range(len(steps)))
+    kept = tuple(range(len(terms)))
     exact, off, sigma = weighed(kept)
     while kept:
         fewer = (tuple(other for other in kept if other != k) for k in kept)
@@ -255,49 +289,40 @@ def _off(best: Explanation, geometry: Geometry, colour: Colour) -> tuple[float, 
     return off - exact, sigma
 
 
-def _occam(explanation: Explanation) -> float:
-    """Half the logarithm of how many times narrower the data make what is known of the chain beforehand."""
-    case, fitted = explanation.search.case, explanation.selection.fitted
-    columns = np.concatenate([case.nuisance, case.columns(fitted.physics.effects, fitted.values)])
-    G = _products(explanation, columns, fitted.colour)
-    known = np.flatnonzero(case.precision)
-    S = _without(G, np.setdiff1d(np.arange(len(G)), known))[np.ix_(known, known)]
-    root = np.sqrt(case.precision[known])
+def _occam_factor(explanation: Explanation) -> float:
+    """Half the logarithm of the prior's volume of the chain's numbers over their posterior's."""
+    problem, fit = explanation.problem, explanation.selection.state.fit
+    columns = np.concatenate([problem.nuisance, problem.columns(fit.terms.terms, fit.values)])
+    G = _products(explanation, columns, fit.noise)
+    known = np.flatnonzero(problem.precision)
+    S = schur_complement(G, np.setdiff1d(np.arange(len(G)), known))[np.ix_(known, known)]
+    root = np.sqrt(problem.precision[known])
     return 0.5 * float(np.linalg.slogdet(np.eye(len(known)) + S / np.outer(root, root))[1])
 
 
-def _products(explanation: Explanation, columns: Array, colour: Colour) -> Array:
-    """Of columns `(number, row, sample)` with each other, in noise of unit size, as far as samples count."""
-    fitted = explanation.selection.fitted
-    root = np.sqrt(np.where(fitted.used, fitted.residual.weight, 0.0)) / fitted.residual.scale
-    flat = (colour.whitened(columns) * root).reshape(len(columns), -1)
+def _products(explanation: Explanation, columns: Array, noise: NoiseModel) -> Array:
+    """Products of columns `(number, row, sample)` in noise of unit size, of the training rows with their weights."""
+    fit = explanation.selection.state.fit
+    root = np.sqrt(np.where(fit.training, fit.residuals.row_weight, 0.0))
+    flat = (noise.whitened(columns) * root).reshape(len(columns), -1)
     return flat @ flat.T
 
 
-def _without(G: Array, known: NDArray[np.integer]) -> Array:
-    """Products of what is left of columns when some of them are fitted: the Schur complement."""
-    size = np.sqrt(np.maximum(np.diagonal(G), np.finfo(float).tiny))
-    C = G / np.outer(size, size)
-    inverse = np.linalg.pinv(C[np.ix_(known, known)], rcond=1e-12, hermitian=True)
-    return (C - C[:, known] @ inverse @ C[known]) * np.outer(size, size)
-
-
-def _uncertain(examined: Examined, sigma: float) -> Examined:
+def _uncertain(screened: Screened, sigma: float) -> Screened:
     """With a calibration known to `sigma` m and rad."""
-    recording = examined.recording
-    settings = replace(recording.settings, factory_uncertainty=FactoryUncertainty(sigma, sigma))
-    return replace(examined, recording=replace(recording, settings=settings))
+    settings = replace(screened.recording.settings, factory_uncertainty=FactoryUncertainty(sigma, sigma))
+    return replace(screened, recording=replace(screened.recording, settings=settings))
 
 
-def _said(examined: Examined, fault: str, words: str) -> Examined:
-    """With more words to a fault."""
-    faults = (f._replace(statement=f.statement + words) if f.fault == fault else f for f in examined.faults)
-    return replace(examined, faults=tuple(faults))
+def _annotated(explanation: Explanation, code: str, **numbers: object) -> Explanation:
+    return replace(explanation, screened=_with_numbers(explanation.screened, code, numbers))
+
+
+def _with_numbers(screened: Screened, code: str, numbers: dict[str, object]) -> Screened:
+    """With more numbers for the faults of one code."""
+    faults: Iterable[DataFault] = screened.found
+    return replace(screened, found=tuple(f.with_numbers(**numbers) if f.code == code else f for f in faults))
 
 
 def _evidence(explanation: Explanation) -> float:
     return explanation.evidence
-
-
-def _count(examined: Examined, fault: str) -> int:
-    return sum(found.fault == fault for found in examined.faults)

@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 from lite6jax.arms import frames
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.chains import SixParameterForm
+from lite6jax.arms.factory import FactoryCalibration
 from lite6jax.domains.pose import families
 from lite6jax.domains.pose.deflections import Deflections, columns_of, scaled
 from lite6jax.domains.pose.kinematics import (
@@ -40,7 +41,6 @@ from lite6jax.fitting.problem import Geometry, recording_problem, whitener_of
 from lite6jax.model import ArmModel
 from lite6jax.recordings import Recording
 from lite6jax.recordings.motion import inertia_of_arm, motion_of_recording
-from lite6jax.recordings.recording import run_segments
 
 Array = NDArray[np.floating]
 
@@ -311,7 +311,11 @@ def physics_of(terms: Terms) -> Physics:
 
 
 def pose_problem(
-    recording: Recording, arm: Arm | None = None, geometry: Geometry = "declared", effects: Sequence[Effect] = ()
+    recording: Recording,
+    arm: Arm | None = None,
+    geometry: Geometry = "declared",
+    effects: Sequence[Effect] = (),
+    factory: FactoryCalibration | None = None,
 ) -> PoseProblem:
     """The problem that a recording and its sidecar make, about the arm where a closed form puts its frames.
 
@@ -320,11 +324,12 @@ def pose_problem(
         arm: the nominal arm; from the sidecar where not given.
         geometry: what is known of it, as in `fit`.
         effects: a user's own candidates, beside the catalogue's.
+        factory: the arm's calibration; from the sidecar where not given.
 
     Raises:
         InputError: as `recording_problem`.
     """
-    fitted = recording_problem(recording, arm, geometry)
+    fitted = recording_problem(recording, arm, geometry, factory)
     arm, form = fitted.arm, fitted.form
     known_chain = isinstance(form.chain, SixParameterForm)
     values = np.asarray(fitted.start.geometry) if known_chain else arm.kinematics.ravel()
@@ -337,7 +342,8 @@ def pose_problem(
         unknown += [("link", j, k) for j in range(arm.dof - 1) for k in range(6)]
     if form.tool:
         unknown += [("tool", 0, k) for k in range(6 if fitted.rows == 6 else 3)]
-    uncertainty, sigma = recording.settings.factory_uncertainty, (GAUGE["m"], GAUGE["rad"])
+    uncertainty = None if factory is not None else recording.settings.factory_uncertainty
+    sigma = (GAUGE["m"], GAUGE["rad"])
     if known_chain and uncertainty is not None:
         sigma = (uncertainty.position_m, uncertainty.rotation_rad)
     free = [name == "tool" or (name == "base" and form.frame) for name, _, _ in unknown]
@@ -382,8 +388,3 @@ def _whitener(
     J = joint_columns(start, q, measured)
     covariance = np.diag(sigma**2) + joint_noise**2 * np.einsum("jas,jbs->sab", J, J, optimize=True)
     return np.moveaxis(whitener_of(covariance), 0, -1)
-
-
-def segments(problem: PoseProblem) -> NDArray[np.integer]:
-    """`(sample,)`, the run of each row, counted from 0."""
-    return run_segments(problem.recording.run)

@@ -1,0 +1,62 @@
+"""Errors on rows that were not used: screening, clock, linearisation and search are repeated without each block."""
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lite6jax.arms.arm import Arm
+from lite6jax.arms.factory import FactoryCalibration
+from lite6jax.diagnosis.explanation import explain
+from lite6jax.diagnosis.options import Options
+from lite6jax.domains.pose.problem import PoseProblem
+from lite6jax.effects.effect import Effect
+from lite6jax.estimation.least_squares import Fit
+from lite6jax.fitting.problem import Geometry
+from lite6jax.recordings import Recording
+
+Array = NDArray[np.floating]
+
+
+class HeldOut(NamedTuple):
+    """Position errors on held-out rows, `(sample,)` m each.
+
+    Attributes:
+        before: with the nuisance alone.
+        after: with the physics that the other rows support.
+    """
+
+    before: Array
+    after: Array
+
+
+def held_out_errors(
+    recording: Recording,
+    arm: Arm | None,
+    geometry: Geometry,
+    options: Options,
+    effects: Sequence[Effect] = (),
+    factory: FactoryCalibration | None = None,
+    progress: Callable[[int], object] | None = None,
+) -> HeldOut:
+    """The errors on every row, predicted from the other contiguous blocks; arguments as of `diagnose`.
+
+    Args:
+        recording: whose rows are in order, each once and in one unit; all other faults are looked for in each fold.
+    """
+    before, after = np.zeros(recording.samples), np.zeros(recording.samples)
+    for held in recording.contiguous_folds(min(options.folds, max(2, recording.samples // options.least_in_fold))):
+        found = explain(recording, arm, geometry, options, effects, factory, training=~held, thorough=False)
+        state, reference = found.selection.state, found.selection.reference
+        assert isinstance(reference, PoseProblem)
+        before[held] = _distance(reference, state.baseline)[held]
+        after[held] = _distance(found.problem, state.fit)[held]
+        if progress:
+            progress(1)
+    return HeldOut(before, after)
+
+
+def _distance(problem: PoseProblem, fit: Fit) -> Array:
+    """`(sample,)` m between predicted and measured positions."""
+    return np.linalg.norm(problem.position_errors(fit.nuisance, fit.terms, fit.values), axis=0)

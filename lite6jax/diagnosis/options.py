@@ -1,0 +1,38 @@
+"""All options of a diagnosis in one object: the engine's, the screening's, and its own."""
+
+from dataclasses import dataclass, field
+from typing import final
+
+from lite6jax.domains.pose.screening.options import ScreeningOptions
+from lite6jax.estimation.options import EngineOptions, option
+
+
+@final
+@dataclass(frozen=True)
+class Options:
+    """The thresholds of a diagnosis. Each field documents its meaning and the reason for its value.
+
+    For example, `Options(engine=EngineOptions(level=0.01))` reports findings at a false-alarm level of 1 %.
+
+    Attributes:
+        engine: of estimation and search.
+        screening: of the screening of data faults.
+    """
+
+    engine: EngineOptions = field(default_factory=EngineOptions)
+    screening: ScreeningOptions = field(default_factory=ScreeningOptions)
+    folds: int = option(5, "contiguous held-out blocks", "each leaves four fifths of the rows for the search")
+    least_in_fold: int = option(10, "fewest rows of a held-out block", "fewer have no meaningful percentiles")
+    outlier_squares: float = option(
+        30.0, "squared residual over the scale, per number, beyond which a row is an outlier", "5.5 standard deviations"
+    )
+    as_noise: float = option(
+        1.1, "held-out error over the declared noise up to which a recording is explained", "scatter of 100 rows"
+    )
+    most_separated: int = option(3, "pairs of effects for which separating poses are designed", "each takes 0.1 s")
+    separating_poses: int = option(12, "poses that separate a pair", "half an hour of recording")
+    separating_candidates: int = option(3000, "candidate poses they are chosen from", "dense enough for six joints")
+    separating_margin: float = option(0.035, "rad from the joint limits that a separating pose keeps", "two degrees")
+    same_effect: float = option(
+        1e-4, "share of an effect that its alternative cannot do, below which both are the same", "1 % of its length"
+    )

@@ -1,0 +1,136 @@
+"""The result of a diagnosis: findings, data faults, errors before and after, verdict; codes and numbers only."""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Literal, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lite6jax.diagnosis.discrimination import SeparatingPoses
+from lite6jax.diagnosis.options import Options
+from lite6jax.domains.pose.problem import PoseProblem
+from lite6jax.domains.pose.screening.fault import DataFault
+from lite6jax.effects.catalogue import Untestable
+from lite6jax.effects.effect import Effect, Estimate
+from lite6jax.estimation.least_squares import Fit
+from lite6jax.search.search import Selection
+
+Array = NDArray[np.floating]
+Verdict = Literal["consistent", "explained", "partly_explained", "unnamed"]
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Rival:
+    """An effect that explains nearly as much as a finding.
+
+    Attributes:
+        effect: which.
+        gap: log-likelihood that its refit has less.
+    """
+
+    effect: Effect
+    gap: float
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Finding:
+    """An effect that the recording shows.
+
+    Attributes:
+        effect: which, and where.
+        values: `(coordinate,)`, its numbers.
+        covariance: `(coordinate, coordinate)` of these.
+        p_value: family-wise, over all that was searched.
+        gain: log-likelihood that it explains.
+        rivals: effects that it was preferred to, the nearest first.
+    """
+
+    effect: Effect
+    values: Array
+    covariance: Array
+    p_value: float
+    gain: float
+    rivals: tuple[Rival, ...]
+
+    @property
+    def parameters(self) -> dict[str, Estimate]:
+        """Value and standard deviation of each parameter, by name with its unit."""
+        return self.effect.reported(self.values, self.covariance)
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Diagnosis:
+    """What a recording shows that the arm's model does not have.
+
+    Attributes:
+        problem: the screened recording as an estimation problem, linearised where the geometry is.
+        selection: the search's result: fits without and with the effects.
+        findings: the effects, in the order of their numbers in `fit`.
+        before: `(sample,)` m, held-out position errors with the nuisance alone.
+        after: `(sample,)` m, held-out errors with the effects that the other blocks support.
+        outliers: `(sample,)` bool, rows that no model explains and rows without joints; they are in no error above.
+        faults: of the data, in the order in which they were corrected.
+        ruled_out: faults that were tested for and are not there.
+        separating: poses that separate findings from their rivals.
+        options: thresholds.
+    """
+
+    problem: PoseProblem
+    selection: Selection
+    findings: tuple[Finding, ...]
+    before: Array
+    after: Array
+    outliers: NDArray[np.bool_]
+    faults: tuple[DataFault, ...]
+    ruled_out: tuple[DataFault, ...]
+    separating: tuple[SeparatingPoses, ...]
+    options: Options
+
+    @property
+    def fit(self) -> Fit:
+        """Of the nuisance and all findings."""
+        return self.selection.state.fit
+
+    @property
+    def untestable(self) -> tuple[Untestable, ...]:
+        """Effects that this recording cannot show, and why."""
+        return self.problem.untestable
+
+    @property
+    def confounded(self) -> tuple[Effect, ...]:
+        """Effects that frames and geometry, being fitted, can do as well."""
+        return tuple(term for term in self.selection.confounded if isinstance(term, Effect))
+
+    @property
+    def nearest(self) -> tuple[Effect, float] | None:
+        """The most significant effect that is no finding, and its family-wise p-value."""
+        if self.selection.nearest is None:
+            return None
+        term, p_value = self.selection.nearest
+        assert isinstance(term, Effect)
+        return term, p_value
+
+    @property
+    def inertial_loads(self) -> bool:
+        """Whether loads include the inertial forces of the moving arm."""
+        return self.problem.motion.joint_acceleration is not None
+
+    @property
+    def estimated_noise(self) -> float:
+        """Standard deviation per axis of position, m, as the residuals have it."""
+        return float(self.fit.scale[0] * self.problem.noise[0])
+
+    @cached_property
+    def verdict(self) -> Verdict:
+        """In one word."""
+        if not self.findings:
+            return "consistent"
+        if max(self.findings, key=lambda finding: finding.gain).effect.nonparametric:
+            return "unnamed"
+        left = np.sqrt(np.mean(self.after[~self.outliers] ** 2) / 3)
+        as_noise = self.problem.declared and left < self.options.as_noise * self.problem.noise[0]
+        return "explained" if as_noise else "partly_explained"
