@@ -51,7 +51,7 @@ def diagnosis_report(
         yield from _findings(found)
         if INERTIA_COUNTS in case.notes:
             yield Text(INERTIA_COUNTS)
-    yield from _headed("Looked for in the data and not found:", words.in_short(words.ruled_out(found)))
+    yield from _headed("Looked for in the data and not found:", words.ruled_out_in_short(found))
     groups = []
     for group in words.untested(found):
         names = ", ".join(f"{name}:{sites}" for name, sites in words.by_site(group.effects))

@@ -12,11 +12,12 @@ from lite6jax.diagnosis.diagnose import Diagnosis
 from lite6jax.diagnosis.discrimination import Separation, differ
 from lite6jax.domains.pose.problem import Case
 from lite6jax.domains.pose.reference import ReferenceComparison
-from lite6jax.domains.pose.screening.rows import named as rows_in_words
+from lite6jax.domains.pose.screening.fault import DataFault, row_numbers
 from lite6jax.effects.catalogue import Untestable
 from lite6jax.effects.effect import Effect
 from lite6jax.effects.nonparametric import Unnamed
 from lite6jax.report.cells import plus_minus
+from lite6jax.report.data_faults import fault_name, fault_statement, ruled_out_statement, ruled_out_statements
 from lite6jax.search.backward import CLOSE, Rival, Step
 
 Array = NDArray[np.floating]
@@ -30,21 +31,6 @@ VERDICTS = {
 AGREE = "Beyond that both sides agree: what is left of their difference is noise."
 NOT_CHECKED = "They are inside the arm's limits, in an order of short moves, and not checked for collisions."
 
-_FAULTS = {
-    "time_order": "Rows out of order",
-    "repeated_rows": "Repeated rows",
-    "position_unit": "Positions in another unit",
-    "commanded_joints": "Joints commanded, not measured",
-    "swapped_joints": "Joints in another order",
-    "mirrored_joint": "A joint's sign reversed",
-    "joint_unit": "A joint in another unit",
-    "joint_turns": "A joint's zero or turns",
-    "orientation_convention": "Orientations written otherwise",
-    "frame_jump": "A jump of the sensor or the tool",
-    "unsettled_readouts": "Joints read before rest",
-    "nominal_table": "Another nominal table",
-    "outliers": "Rows that stand out",
-}
 _MOST_ROWS = 12
 
 
@@ -54,7 +40,7 @@ class Told(NamedTuple):
     Attributes:
         name: in plain words.
         statement: what is known of it.
-        rows: of the file, a list that is short; empty where the statement has them or all are concerned.
+        rows: of the file, a short list; empty where all are concerned.
     """
 
     name: str
@@ -104,37 +90,22 @@ def capital(text: str) -> str:
 
 
 def faults_of(found: Diagnosis) -> list[Told]:
-    """The faults of the data, in the order in which they were put right; the rows that stand out last."""
-    told = []
-    for fault in found.faults:
-        there = rows_in_words(fault.rows, False) in fault.statement if fault.rows else True
-        whole = there and " more)" not in fault.statement
-        told.append(Told(_fault_named(fault.fault), fault.statement, "" if whole else listed(fault.rows)))
-    rows = [int(row) for row in found.case.recording.row[found.outliers & found.case.seen]]
-    if rows:
-        stand, count = ("row stands", "counts") if len(rows) == 1 else ("rows stand", "count")
-        out = f"{len(rows)} {stand} out of what noise allows: {listed(rows)}."
-        told.append(Told(_fault_named("outliers"), f"{out} {'It' if len(rows) == 1 else 'They'} {count} for little."))
-    return told
+    """The faults of the data, in the order in which they were corrected; outliers last."""
+    faults = list(found.faults)
+    wild = found.outliers & found.problem.valid
+    if wild.any():
+        faults.append(DataFault("outliers", row_numbers(found.problem.recording.row[wild])))
+    return [Told(fault_name(fault.code), fault_statement(fault), listed(fault.rows)) for fault in faults]
 
 
 def ruled_out(found: Diagnosis) -> list[Told]:
-    """The easy causes that were looked for, each with what speaks against it."""
-    return [Told(_fault_named(item.fault), item.statement) for item in found.checked]
+    """The faults that were tested for, each with what rules it out."""
+    return [Told(fault_name(fault.code), ruled_out_statement(fault)) for fault in found.ruled_out]
 
 
-def in_short(told: Iterable[Told]) -> list[str]:
-    """Their statements, those that end in the same reason as one."""
-    heads: dict[str, list[str]] = {}
-    for item in told:
-        head, colon, reason = item.statement.partition(": ")
-        heads.setdefault(reason if colon else item.statement, []).append(head if colon else "")
-    lines = []
-    for reason, said in heads.items():
-        first, *others = said
-        rest = "".join(f"; {head[:1].lower()}{head[1:]}" for head in others if head)
-        lines.append(f"{first}{rest}: {reason}" if first else reason)
-    return lines
+def ruled_out_in_short(found: Diagnosis) -> list[str]:
+    """The same, with one sentence for the faults that the same numbers rule out."""
+    return ruled_out_statements(found.ruled_out)
 
 
 def listed(rows: Iterable[int]) -> str:
@@ -279,10 +250,6 @@ def _by_gap(step: Step) -> list[Rival]:
 
 def _gap_named(effect: Effect, gap: float) -> str:
     return f"{named(effect)} ({gap:+.1f})"
-
-
-def _fault_named(fault: str) -> str:
-    return _FAULTS.get(fault, capital(fault.replace("_", " ")))
 
 
 def _joined(words: Iterable[str], last: str = "and") -> str:

@@ -7,14 +7,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
-from lite6jax.domains.pose.screening.rigid import WINSOR, Rigid
+from lite6jax.domains.pose.screening.options import ScreeningOptions
+from lite6jax.domains.pose.screening.rigid import Rigid
 
 Array = NDArray[np.floating]
 
-MOST = 1500
-"""Samples that are looked at: more cost time and tell nothing that is needed here."""
-SEEN = 1e-6
-"""Share of the squares of a column that the known ones leave, under which nothing tells them apart."""
 _RIDGE = 1e-10
 
 
@@ -25,16 +22,18 @@ class Projected:
     Attributes:
         arm: fitted.
         known: `(number, row, sample)`, beside the arm's own unknowns.
+        options: the thresholds.
     """
 
     arm: Rigid
     known: Array
+    options: ScreeningOptions
 
     @cached_property
     def weight(self) -> Array:
-        """`(sample,)` square root of Huber's, at four standard deviations a number."""
+        """`(sample,)` square root of Huber's."""
         length = np.sqrt(self.arm.squares / self.arm.rows) / self.arm.scale
-        return np.sqrt(np.minimum(1.0, WINSOR / np.maximum(length, 1e-300)))
+        return np.sqrt(np.minimum(1.0, self.options.huber_sigmas / np.maximum(length, 1e-300)))
 
     @cached_property
     def basis(self) -> Array:
@@ -74,11 +73,13 @@ class Projected:
         X = self.without(columns)
         size = np.linalg.norm((columns * self.weight).reshape(len(columns), -1), axis=1)
         G = X @ X.T
-        hidden = np.sqrt(np.diagonal(G)) <= np.sqrt(SEEN) * size
-        G[hidden, hidden] = np.inf if hidden.all() else np.maximum(G[hidden, hidden], size[hidden] ** 2 * 1e9 + 1e300)
-        inverse = np.linalg.pinv(np.where(np.isfinite(G), G, 0.0)) if hidden.all() else np.linalg.inv(G)
-        if hidden.any():
-            inverse[hidden] = inverse[:, hidden] = 0.0
+        confounded = np.sqrt(np.diagonal(G)) <= np.sqrt(self.options.observable_share) * size
+        G[confounded, confounded] = (
+            np.inf if confounded.all() else np.maximum(G[confounded, confounded], size[confounded] ** 2 * 1e9 + 1e300)
+        )
+        inverse = np.linalg.pinv(np.where(np.isfinite(G), G, 0.0)) if confounded.all() else np.linalg.inv(G)
+        if confounded.any():
+            inverse[confounded] = inverse[:, confounded] = 0.0
         values = -inverse @ (X @ self.residual)
         left = self.residual + values @ X
         white = inverse * max(float(left @ left) / max(self.freedom - len(X), 1), 1e-300)
@@ -86,17 +87,17 @@ class Projected:
         uneven = inverse @ (pulls @ pulls.T) @ inverse
         grown = np.sqrt(np.maximum(1.0, np.diagonal(uneven) / np.maximum(np.diagonal(white), 1e-300)))
         covariance = white * np.outer(grown, grown)
-        covariance[hidden, hidden] = np.inf
+        covariance[confounded, confounded] = np.inf
         explained = float(values @ (X @ X.T) @ values)
         return values, covariance, explained / max(float(left @ left) / max(self.freedom - len(X), 1), 1e-300)
 
 
-def estimated(arm: Rigid, known: Array, columns: Array) -> tuple[Array, Array]:
+def estimated(arm: Rigid, known: Array, columns: Array, options: ScreeningOptions) -> tuple[Array, Array]:
     """The numbers of `columns` `(number, row, sample)` and their standard deviations, beside the known ones."""
-    values, covariance, _ = Projected(arm, known).regression(columns)
+    values, covariance, _ = Projected(arm, known, options).regression(columns)
     return values, np.sqrt(np.diagonal(covariance))
 
 
-def thinned(samples: int) -> NDArray[np.integer]:
+def thinned(samples: int, options: ScreeningOptions) -> NDArray[np.integer]:
     """Some thousand samples, evenly."""
-    return np.unique(np.linspace(0, samples - 1, min(samples, MOST)).astype(int))
+    return np.unique(np.linspace(0, samples - 1, min(samples, options.most_samples)).astype(int))

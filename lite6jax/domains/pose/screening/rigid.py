@@ -10,16 +10,15 @@ from scipy.spatial.transform import Rotation
 from lite6jax.arms import frames
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.chains import SixParameterForm
+from lite6jax.arms.factory import FactoryCalibration
 from lite6jax.domains.pose.problem import GAUGE
-from lite6jax.fitting.problem import Geometry, recording_problem
 from lite6jax.estimation.robust import FREEDOM, gaussian_t_scale, t_scale
+from lite6jax.fitting.problem import Geometry, recording_problem
 from lite6jax.recordings import Recording
-from lite6jax.recordings.recording import differentiate, run_segments
+from lite6jax.recordings.sequence import differentiate, run_segments
 
 Array = NDArray[np.floating]
 
-WINSOR = 4.0
-"""Standard deviations a number beyond which a sample's residual counts no more than that."""
 _MOST_FITTED = 2000
 _ROUNDS = 15
 _HALVINGS = 4
@@ -210,13 +209,18 @@ class Rigid:
         return -0.5 * float(spread + np.sum(self.precision * self.offset**2))
 
 
-def rigid_of(recording: Recording, arm: Arm | None = None, geometry: Geometry = "declared") -> Rigid:
+def rigid_of(
+    recording: Recording,
+    arm: Arm | None = None,
+    geometry: Geometry = "declared",
+    factory: FactoryCalibration | None = None,
+) -> Rigid:
     """The rigid arm that a recording and its sidecar make, frames where a closed form puts them, not fitted yet.
 
     Raises:
         InputError: as `recording_problem`.
     """
-    problem = recording_problem(recording, arm, geometry)
+    problem = recording_problem(recording, arm, geometry, factory)
     form = problem.form
     chain_moves = bool(problem.movable[: form.chain.size].any())
     known = isinstance(form.chain, SixParameterForm)
@@ -224,7 +228,7 @@ def rigid_of(recording: Recording, arm: Arm | None = None, geometry: Geometry = 
     if known:
         links = np.stack([frames.transform_from_row(row) for row in np.asarray(problem.start.geometry).reshape(-1, 6)])
     dof = recording.dof
-    uncertainty = recording.settings.factory_uncertainty
+    uncertainty = None if factory is not None else recording.settings.factory_uncertainty
     sigma = np.repeat((GAUGE["m"], GAUGE["rad"]), 3)
     if known and uncertainty is not None:
         sigma = np.repeat((uncertainty.position_m, uncertainty.rotation_rad), 3)

@@ -1,234 +1,177 @@
-"""What the rows of a recording show of themselves, without a fit: order, repeats, units, turns, round numbers."""
+"""Faults that the rows of a recording show without a fit: order, repeats, units, turns, commands for measurements."""
 
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lite6jax.arms.arm import Arm
-from lite6jax.recordings import Recording, repeated_rows, time_disorder
-from lite6jax.recordings.recording import run_segments
+from lite6jax.domains.pose.screening.fault import DataFault, row_numbers
+from lite6jax.domains.pose.screening.options import ScreeningOptions
+from lite6jax.domains.pose.screening.screened import Detection, Screened, not_there
+from lite6jax.recordings import Recording, RepeatedRows, TimeDisorder, repeated_rows, time_disorder
+from lite6jax.recordings.sequence import run_segments
 
 Array = NDArray[np.floating]
 
-FAR = 5.0
-"""Median distances from the middle of all poses within which a row converted to their unit must lie; one in another
-unit lies ten times further."""
-GRIDS = ((1e-4, "0.0001 rad"), (float(np.deg2rad(0.01)), "0.01°"))
-ROUNDED = 6e-7
-"""rad; a command in degrees, written with six decimals in radians, is so far from its grid."""
-FEWEST_VALUES = 20
-_SHOWN = 6
+_GRIDS = ((1e-4, "rad"), (float(np.deg2rad(0.01)), "deg"))
+"""Spacing of commands in rad, and the unit in which it is round."""
 
 
-class Fault(NamedTuple):
-    """A fault of the data, or a cause that was ruled out.
-
-    Attributes:
-        fault: its name.
-        rows: of the file, from 1; empty where all are concerned.
-        statement: what, where, what was done about it, what to do next; or what ruled it out.
-    """
-
-    fault: str
-    rows: tuple[int, ...]
-    statement: str
-
-
-class Findings(NamedTuple):
-    """What is being gathered."""
-
-    faults: list[Fault]
-    checked: list[Fault]
-
-    def clear(self, fault: str, statement: str) -> None:
-        """Notes that a cause was ruled out, and by what."""
-        self.checked.append(Fault(fault, (), statement))
-
-
-def in_order(recording: Recording, found: Findings) -> Recording:
-    """The rows of each run by time."""
+def detect_time_order(state: Screened, options: ScreeningOptions) -> Detection:
+    """Rows whose time is before that of an earlier row of their run."""
+    recording = state.recording
     disorder = time_disorder(recording)
-    if not disorder.rows.size:
-        what = (
-            "follow the clock within each run"
-            if recording.time is not None
-            else "carry no times: their order is the sequence"
-        )
-        found.clear("time_order", f"All {recording.samples} rows {what}.")
-        return recording
-    rows = rows_of(disorder.rows)
-    found.faults.append(
-        Fault(
-            "time_order",
-            rows,
-            f"{named(rows)} out of time order within their run, by {disorder.largest_step_back_s:.4g} s at most; the "
-            "rows of each run have been sorted by time. Check how the file was put together.",
-        )
-    )
-    return recording.sorted_by_time()
+    if disorder.rows.size:
+        return Detection(disorder)
+    return not_there("time_order", samples=recording.samples, timed=recording.time is not None)
 
 
-def once(recording: Recording, found: Findings) -> Recording:
-    """Without rows that repeat an earlier one in joints and pose, to the last digit."""
-    repeated = repeated_rows(recording)
-    if not repeated.rows.size:
-        found.clear("repeated_rows", f"None of {recording.samples} rows repeats the joints and the pose of another.")
-        return recording
-    rows = rows_of(repeated.rows)
-    kept = np.ones(recording.samples, bool)
+def sort_rows(state: Screened, disorder: TimeDisorder, options: ScreeningOptions) -> Screened:
+    """The rows of each run by time."""
+    numbers = {"largest_step_back_s": disorder.largest_step_back_s}
+    fault = DataFault("time_order", row_numbers(disorder.rows), numbers)
+    return state.corrected(fault, state.recording.sorted_by_time())
+
+
+def detect_repeats(state: Screened, options: ScreeningOptions) -> Detection:
+    """Rows that repeat an earlier one in joints and pose, to the last digit."""
+    repeated = repeated_rows(state.recording)
+    if repeated.rows.size:
+        return Detection(repeated)
+    return not_there("repeated_rows", samples=state.recording.samples)
+
+
+def drop_repeats(state: Screened, repeated: RepeatedRows, options: ScreeningOptions) -> Screened:
+    """Each row once."""
+    kept = np.ones(state.recording.samples, bool)
     kept[repeated.samples] = False
-    found.faults.append(
-        Fault(
-            "repeated_rows",
-            rows,
-            f"{named(rows)} exact repeats of earlier rows, in joints and pose (row {rows[0]} of row "
-            f"{int(repeated.first_rows[0])}), which no sensor's noise gives twice; each is used once. Check whether "
-            "the logger wrote them again or the sensor had stopped.",
-        )
-    )
-    return recording.select(kept)
+    first = repeated.first_rows[np.argsort(repeated.rows)]
+    fault = DataFault("repeated_rows", row_numbers(repeated.rows), {"first_rows": [int(row) for row in first]})
+    return state.corrected(fault, state.recording.select(kept))
 
 
-def in_metres(recording: Recording, found: Findings) -> Recording:
-    """With rows a thousand times too far away, or too near, put right."""
-    position = recording.position
+def detect_position_unit(state: Screened, options: ScreeningOptions) -> Detection:
+    """Rows a thousand times too far away, or too near."""
+    position = state.recording.position
     assert position is not None
     middle = np.median(position, axis=0)
     size = max(float(np.median(np.linalg.norm(position - middle, axis=1))), 1e-6)
 
-    def off(points: Array) -> Array:
+    def distance(points: Array) -> Array:
         return np.linalg.norm(points - middle, axis=1)
 
-    far = (off(position) > 10 * FAR * size) & (off(position / 1000) < FAR * size)
-    near = (np.linalg.norm(position, axis=1) < 0.005 * size) & (off(position * 1000) < 2 * size)
-    if not (far | near).any():
-        found.clear(
-            "position_unit",
-            f"No position is further than {off(position).max():.3g} m from their middle, half of them within "
-            f"{size:.3g} m: all are in one unit.",
-        )
-        return recording
-    factor = np.where(far, 1e-3, np.where(near, 1e3, 1.0))
-    rows = rows_of(recording.row[far | near])
-    found.faults.append(
-        Fault(
-            "position_unit",
-            rows,
-            f"The positions of {named(rows)} a factor of 1000 {'too large' if far.any() else 'too small'}, in "
-            "another unit than the rest; they have been converted. Check what wrote these rows.",
-        )
-    )
-    return replace(recording, position=position * factor[:, None])
+    far = distance(position) > options.suspect_distances * size
+    far &= distance(position / 1000) < options.cluster_distances * size
+    near = np.linalg.norm(position, axis=1) < options.near_share * size
+    near &= distance(position * 1000) < options.near_distances * size
+    if (far | near).any():
+        return Detection(np.where(far, 1e3, np.where(near, 1e-3, 1.0)))
+    largest = float(distance(position).max())
+    return not_there("position_unit", largest_distance_m=largest, median_distance_m=size)
 
 
-def check_commanded(recording: Recording, found: Findings) -> None:
-    """Whether the joints are round numbers, or the same to the last digit at each return to a pose."""
-    looks_like = "a servo's error and a gear's droop under load then look like the arm's own physics"
+def convert_positions(state: Screened, factor: Array, options: ScreeningOptions) -> Screened:
+    """Positions `(sample, 3)` divided by the factor `(sample,)` by which each row is too large."""
+    recording = state.recording
+    assert recording.position is not None
+    numbers = {"factor": float(factor.max() if factor.max() > 1 else factor.min())}
+    fault = DataFault("position_unit", row_numbers(recording.row[factor != 1]), numbers)
+    return state.corrected(fault, replace(recording, position=recording.position * (1 / factor)[:, None]))
+
+
+def detect_commanded(state: Screened, options: ScreeningOptions) -> Detection:
+    """Whether joints are round numbers, or the same to the last digit at each return to a pose."""
+    recording = state.recording
     if recording.settings.joint_source == "commanded":
-        found.clear("commanded_joints", f"The sidecar says that the joints are commands: {looks_like}.")
-        return
+        return not_there("commanded_joints", reason="declared")
     values = np.unique(np.abs(recording.joint_position))
-    values = values[values > 1e-3]
-    nearest = {words: float(np.mean(np.abs(values - np.round(values / g) * g) < ROUNDED)) for g, words in GRIDS}
-    words = max(nearest, key=lambda key: nearest[key]) if values.size else ""
-    again = _exact_visits(recording)
-    if values.size >= FEWEST_VALUES and nearest[words] == 1.0:
-        reason = f"all {values.size} joint positions are multiples of {words}, as commands are and encoders are not"
-    elif recording.settings.joint_noise_rad > 0 and again[0] >= 3 and again[0] == again[1]:
-        reason = (
-            f"all {again[0]} returns to an earlier pose read the same joints to the last digit, in spite of a declared "
-            f"read-out noise of {recording.settings.joint_noise_rad:.2g} rad"
-        )
-    else:
-        share = nearest[words] if values.size else 0.0
-        found.clear(
-            "commanded_joints",
-            f"{share:.0%} of the joint positions are multiples of {words or 'a round number'}: they are not round "
-            "numbers as commands are.",
-        )
-        return
-    found.faults.append(
-        Fault(
-            "commanded_joints",
-            (),
-            f"The joints look commanded, or rounded, not measured: {reason}. They are used as they are; {looks_like}. "
-            "Record the encoders, or declare joint_source: commanded.",
-        )
-    )
+    values = values[values > options.grid_smallest_rad]
+
+    def share(grid: float) -> float:
+        on_grid = np.abs(values - np.round(values / grid) * grid) < options.grid_tolerance_rad
+        return float(np.mean(on_grid)) if values.size else 0.0
+
+    largest, (grid, unit) = max(((share(grid), (grid, unit)) for grid, unit in _GRIDS), key=lambda item: item[0])
+    named = {"grid_rad": grid, "grid_unit": unit}
+    exact, near = _returns(recording, options)
+    noise = recording.settings.joint_noise_rad
+    if values.size >= options.grid_positions and largest == 1.0:
+        return Detection({"reason": "grid", "distinct_positions": int(values.size), **named})
+    if noise > 0 and exact >= options.exact_returns and exact == near:
+        return Detection({"reason": "returns", "returns": exact, "joint_noise_rad": noise})
+    return not_there("commanded_joints", reason="not_round", share=largest, **named)
 
 
-def _exact_visits(recording: Recording) -> tuple[int, int]:
-    """How many samples of a static recording repeat an earlier one's joints exactly, and how many within 1 mrad."""
+def note_commanded(state: Screened, numbers: dict[str, object], options: ScreeningOptions) -> Screened:
+    """As it is: what was not measured cannot be restored."""
+    return state.corrected(DataFault("commanded_joints", (), numbers))
+
+
+def _returns(recording: Recording, options: ScreeningOptions) -> tuple[int, int]:
+    """How many samples of a static recording repeat an earlier one's joints exactly, and how many nearly."""
     if recording.motion != "static":
         return 0, 0
     q = recording.joint_position
     exact = len(q) - len(np.unique(q, axis=0))
-    near = len(q) - len(np.unique(np.round(q, 3), axis=0))
+    near = len(q) - len(np.unique(np.round(q, options.return_decimals), axis=0))
     return exact, max(exact, near)
 
 
-def without_turns(recording: Recording, arm: Arm, found: Findings) -> Recording:
-    """Joints without whole turns: those that wrap round in a trajectory, and those that their limits exclude."""
-    q = recording.joint_position.copy()
-    segment = run_segments(recording.run)
-    if recording.motion == "trajectory":
-        for run in np.unique(segment):
-            q[segment == run] = np.unwrap(q[segment == run], axis=0)
-    low, high = arm.joint_limits.T
-    slack = 0.01
-    for joint in range(recording.dof):
-        width = high[joint] - low[joint]
-        for part in [segment == run for run in np.unique(segment)] if recording.motion == "trajectory" else [None]:
-            values = q[:, joint] if part is None else q[part, joint]
-            out = (values < low[joint] - slack) | (values > high[joint] + slack)
-            if not out.any() or not np.isfinite(width):
-                continue
-            middle = (low[joint] + high[joint]) / 2
-            turns = np.round((values - middle) / (2 * np.pi))
-            if part is not None:
-                turns = np.full(values.shape, np.round((np.median(values) - middle) / (2 * np.pi)))
-            back = values - 2 * np.pi * turns * (out if part is None else 1.0)
-            if ((back >= low[joint] - slack) & (back <= high[joint] + slack)).all():
-                q[slice(None) if part is None else part, joint] = back
+def detect_turns(state: Screened, options: ScreeningOptions) -> Detection:
+    """Joints that wrap round in a trajectory, or are beyond their limits by whole turns."""
+    recording, slack = state.recording, options.limit_slack_rad
+    low, high = state.fitted_arm.arm.joint_limits.T
+    q = _without_turns(recording, low, high, slack)
+    if (np.abs(q - recording.joint_position) > 1.0).any():
+        return Detection(q)
+    beyond = np.maximum(low - recording.joint_position, recording.joint_position - high)
+    outside = float(np.max(beyond, initial=-np.inf))
+    return not_there("joint_turns", outside_limits_rad=outside if outside > slack else 0.0)
+
+
+def remove_turns(state: Screened, q: Array, options: ScreeningOptions) -> Screened:
+    """Joint positions `(sample, joint)` without the turns; velocities and directions with them."""
+    assert state.arm is not None
+    recording, limits = state.recording, state.arm.joint_limits
     changed = np.abs(q - recording.joint_position) > 1.0
-    if not changed.any():
-        outside = float(
-            np.max(np.maximum(low - recording.joint_position, recording.joint_position - high), initial=-np.inf)
-        )
-        within = (
-            "all joints are within their limits"
-            if outside <= slack
-            else f"joints pass their limits by {outside:.3g} rad, but by no whole turns"
-        )
-        found.clear("joint_turns", f"No joint is off by turns: {within}.")
-        return recording
-    joints = [f"joint {j + 1}" for j in np.flatnonzero(changed.any(0))]
-    rows = rows_of(recording.row[changed.any(1)])
-    found.faults.append(
-        Fault(
-            "joint_turns",
-            rows,
-            f"{' and '.join(joints)} {'is' if len(joints) == 1 else 'are'} off by whole turns in "
-            f"{named(rows, False)}; these have been taken out, since gears and limits know them. Check where the "
-            "encoder wraps.",
-        )
-    )
+    joints = [int(j) + 1 for j in np.flatnonzero(changed.any(0))]
+    fault = DataFault("joint_turns", row_numbers(recording.row[changed.any(1)]), {"joints": joints})
+    state = state.corrected(fault, _at_positions(recording, q))
+    return state.transformed(lambda r: _at_positions(r, _without_turns(r, *limits.T, options.limit_slack_rad)))
+
+
+def _at_positions(recording: Recording, q: Array) -> Recording:
+    """The recording with other joint positions, whole turns away; differentiated velocities are taken anew."""
     fresh = recording.made_anew(joint_position=q, settings=replace(recording.settings, motion=recording.motion))
     velocity = fresh.joint_velocity if recording.velocity_differentiated else recording.joint_velocity
     return replace(recording, joint_position=q, joint_velocity=velocity, direction_of_motion=fresh.direction_of_motion)
 
 
-def rows_of(rows: NDArray[np.integer]) -> tuple[int, ...]:
-    """Row numbers in order."""
-    return tuple(int(row) for row in np.sort(rows))
-
-
-def named(rows: tuple[int, ...], verb: bool = True) -> str:
-    """A few row numbers in words."""
-    if len(rows) == 1:
-        return f"row {rows[0]}{' is' if verb else ''}"
-    few = ", ".join(map(str, rows[:_SHOWN]))
-    more = f" and {len(rows) - _SHOWN} more" if len(rows) > _SHOWN else ""
-    return f"{len(rows)} rows ({few}{more}){' are' if verb else ''}"
+def _without_turns(recording: Recording, low: Array, high: Array, slack: float) -> Array:
+    """`(sample, joint)` positions, unwrapped within each run of a trajectory and turned back into the limits."""
+    q = recording.joint_position.copy()
+    trajectory = recording.motion == "trajectory"
+    segment = run_segments(recording.run)
+    runs = [segment == run for run in np.unique(segment)]
+    if trajectory:
+        for run in runs:
+            q[run] = np.unwrap(q[run], axis=0)
+    for joint in range(recording.dof):
+        if not np.isfinite(high[joint] - low[joint]):
+            continue
+        middle = (low[joint] + high[joint]) / 2
+        for part in runs if trajectory else [np.ones(recording.samples, bool)]:
+            values = q[part, joint]
+            outside = (values < low[joint] - slack) | (values > high[joint] + slack)
+            if not outside.any():
+                continue
+            # a trajectory is continuous, so that all of a run is turned; at rest, each row for itself
+            turns = (
+                np.round((np.median(values) - middle) / (2 * np.pi))
+                if trajectory
+                else np.round((values - middle) / (2 * np.pi)) * outside
+            )
+            back = values - 2 * np.pi * turns
+            if ((back >= low[joint] - slack) & (back <= high[joint] + slack)).all():
+                q[part, joint] = back
+    return q

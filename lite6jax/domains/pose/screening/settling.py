@@ -1,30 +1,27 @@
 """Joints that were read before the arm had settled: the poses are further along each move than the joints say."""
 
 from dataclasses import replace
-from typing import Literal, NamedTuple
+from functools import partial
+from typing import Any, Literal, NamedTuple, final
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import bdtrc, chdtri, ndtr
 
+from lite6jax.domains.pose.screening.fault import DataFault, row_numbers
+from lite6jax.domains.pose.screening.options import ScreeningOptions
 from lite6jax.domains.pose.screening.projection import Projected, thinned
 from lite6jax.domains.pose.screening.rigid import Rigid, physics_columns
+from lite6jax.domains.pose.screening.screened import Detection, Screened, not_there
 from lite6jax.recordings import Recording
-from lite6jax.recordings.recording import run_segments
+from lite6jax.recordings.sequence import run_segments
 
 Array = NDArray[np.floating]
 
-LEVEL = 1e-4
-"""Family-wise."""
-LEAST_SHARE = 0.01
-"""Of what the physics leaves, that unsettled read-outs explain: less may be anything where poses are in an order."""
-_WILD = 30.0
-_ALONG = 0.9
-_APART = 0.03
-_NUMBERS_A_PIECE, _FEWEST_PIECES, _MOST_PIECES = 10, 4, 16
-_POLISHED = 6
+Shape = Literal["move", "velocity", "constant", "rows"]
 
 
+@final
 class Unsettled(NamedTuple):
     """What a search for unsettled read-outs found.
 
@@ -37,20 +34,61 @@ class Unsettled(NamedTuple):
         correction: `(sample, joint)` rad to be added.
         samples: concerned.
         p: family-wise, of the best candidate if nothing was found; NaN where there are too few rows to tell.
-        foretold: whether one was turned down because the moves that follow explain the poses as well.
+        ordered: whether one was rejected because the moves that follow explain the poses as well.
     """
 
-    shape: Literal["move", "velocity", "constant", "rows"] | None
+    shape: Shape | None
     joints: tuple[int, ...]
     rest: Array
     std: Array
     correction: Array
     samples: NDArray[np.integer]
     p: float
-    foretold: bool = False
+    ordered: bool = False
 
 
-def seek_unsettled(arm: Rigid) -> Unsettled:
+def detect_unsettled(state: Screened, options: ScreeningOptions) -> Detection:
+    """Joints of a static recording that were read before the arm had settled."""
+    samples = state.recording.samples
+    if state.recording.motion != "static":
+        return not_there("unsettled_readouts", reason="moving", samples=samples)
+    searched = seek_unsettled(state.fitted_arm, options)
+    if searched.shape is not None:
+        return Detection(searched)
+    if np.isnan(searched.p):
+        return not_there("unsettled_readouts", reason="too_few_rows", samples=samples)
+    reason = "ordered_poses" if searched.ordered else "chance"
+    return not_there("unsettled_readouts", reason=reason, samples=samples, p_value=searched.p)
+
+
+def settle_joints(state: Screened, found: Unsettled, options: ScreeningOptions) -> Screened:
+    """The joints with the rest of their moves added; single rows are left, as they count for little."""
+    arm, rows = state.fitted_arm, ()
+    numbers: dict[str, Any] = {
+        "shape": found.shape,
+        "joints": [joint + 1 for joint in found.joints],
+        "all_joints": len(found.joints) == arm.recording.dof,
+    }
+    if found.shape == "rows":
+        rows = row_numbers(arm.recording.row[found.samples])
+        return state.corrected(DataFault("unsettled_readouts", rows, numbers | {"rest": float(found.rest[0])}))
+    arm, found = settled(arm, found, options)
+    largest = int(np.argmax(np.abs(found.rest)))
+    numbers |= {
+        "rest": float(found.rest[largest]),
+        "rest_std": float(found.std[largest]),
+        "largest_rms_rad": float(np.sqrt(np.mean(found.correction**2, 0)).max()),
+    }
+    state = state.corrected(DataFault("unsettled_readouts", rows, numbers), rigid=arm)
+    return state.transformed(partial(_settled_rows, found.shape or "move", found.rest))
+
+
+def _settled_rows(shape: Shape, rest: Array, recording: Recording) -> Recording:
+    """The correction in other rows of the same recording."""
+    return replace(recording, joint_position=recording.joint_position + _rests(recording)[shape] * rest)
+
+
+def seek_unsettled(arm: Rigid, options: ScreeningOptions) -> Unsettled:
     """Whether the joints of a static recording were read before the arm had come to rest.
 
     Then the pose shows the arm at q + rest, rest in the direction of the move: a share of it, or a time at the recorded
@@ -59,28 +97,30 @@ def seek_unsettled(arm: Rigid) -> Unsettled:
 
     Args:
         arm: fitted.
+        options: the thresholds.
     """
     recording = arm.recording
     dof, n = recording.dof, arm.samples
     none = Unsettled(None, (), np.zeros(dof), np.zeros(dof), np.zeros((n, dof)), np.zeros(0, int), 1.0)
     if recording.motion != "static" or n < 3:
         return none
-    wild = _unsettled_rows(arm)
-    if wild is not None:
-        return wild
+    single = _unsettled_rows(arm, options)
+    if single is not None:
+        return single
     every = _rests(recording)
-    few = thinned(n)
+    few = thinned(n, options)
     shapes, future, arm = (
         {name: shape[few] for name, shape in every.items()},
         _next_moves(recording)[few],
         arm.select(few),
     )
     columns = {name: arm.joints * shape.T[:, None] for name, shape in shapes.items()}
-    plain = np.concatenate([physics_columns(arm, skip=("direction",)), _curves(arm)])
-    tests, least, foretold = len(shapes) * (1 + dof), 1.0, False
+    known = np.concatenate([physics_columns(arm, skip=("direction",)), _curves(arm, options)])
+    tests, least, ordered = len(shapes) * (1 + dof), 1.0, False
     found: list[tuple[float, Unsettled]] = []
     for name in shapes:
-        projected = Projected(arm, np.concatenate([plain, *(columns[other] for other in shapes if other != name)]))
+        others = [columns[other] for other in shapes if other != name]
+        projected = Projected(arm, np.concatenate([known, *others]), options)
         if projected.freedom < arm.samples:
             return none._replace(p=np.nan)
         each, covariance, separate = projected.regression(columns[name])
@@ -89,52 +129,59 @@ def seek_unsettled(arm: Rigid) -> Unsettled:
         p_each = ndtr(-each / np.sqrt(np.diagonal(covariance))) * tests
         p = min(p_one, float(p_each.min()))
         least = min(least, p)
-        if p > LEVEL:
+        if p > options.settling_level:
             continue
         rest, std = np.full(dof, one[0]), np.full(dof, np.sqrt(spread[0, 0]))
         concerned, explained = np.ones(dof, bool), common
-        apart = separate - common > max(chdtri(max(dof - 1, 1), 1e-4), _APART * separate)
-        if p_one > LEVEL or apart:
-            concerned = p_each < LEVEL
+        apart = separate - common > max(
+            chdtri(max(dof - 1, 1), options.separate_level), options.separate_share * separate
+        )
+        if p_one > options.settling_level or apart:
+            concerned = p_each < options.settling_level
             rest, std = np.where(concerned, each, 0.0), np.sqrt(np.diagonal(covariance))
             explained = float(np.sum((rest / std) ** 2))
-        if explained < LEAST_SHARE * projected.freedom:
+        if explained < options.settling_share * projected.freedom:
             continue
-        if name != "velocity" and _foretold(projected, columns[name], future if name == "move" else np.sign(future)):
-            foretold = True
+        after = future if name == "move" else np.sign(future)
+        if name != "velocity" and _explained_by_next(projected, columns[name], after, options):
+            ordered = True
             continue
         joints = tuple(int(j) for j in np.flatnonzero(concerned))
         if joints:
-            unsettled = Unsettled(name, joints, rest, std, every[name] * rest, np.arange(n), min(p, 1.0))  # type: ignore[arg-type]
+            unsettled = Unsettled(name, joints, rest, std, every[name] * rest, np.arange(n), min(p, 1.0))
             found.append((separate, unsettled))
-    return max(found, key=lambda item: item[0])[1] if found else none._replace(p=min(least, 1.0), foretold=foretold)
+    return max(found, key=lambda item: item[0])[1] if found else none._replace(p=min(least, 1.0), ordered=ordered)
 
 
-def settled(arm: Rigid, found: Unsettled) -> tuple[Rigid, Unsettled]:
-    """The arm with the rest added to its joints, fitted; and what was found as refined, each step linearised anew."""
+def settled(arm: Rigid, found: Unsettled, options: ScreeningOptions) -> tuple[Rigid, Unsettled]:
+    """The arm with the rest added to its joints, fitted; and the refined rest, each step linearised anew."""
     rest, concerned = np.zeros(len(found.rest)), np.isin(np.arange(len(found.rest)), found.joints)
-    alike = np.ptp(found.rest) == 0
-    few, step, shape = thinned(arm.samples), found.rest, _rests(arm.recording)[str(found.shape)]
+    common = np.ptp(found.rest) == 0
+    few, step = thinned(arm.samples, options), found.rest
+    shape = _rests(arm.recording)[found.shape or "move"]
     start = arm.recording
-    for _ in range(_POLISHED):
+    for _ in range(options.refinements):
         rest = rest + step
         arm = replace(arm, recording=replace(start, joint_position=start.joint_position + shape * rest)).fitted()
         part = arm.select(few)
         columns = part.joints * shape[few].T[:, None]
-        known = [physics_columns(part, skip=("direction",) if found.shape == "constant" else ()), _curves(part)]
-        group = columns.sum(0, keepdims=True) if alike else columns[concerned]
-        values, covariance, _ = Projected(part, np.concatenate(known)).regression(group)
+        known = [
+            physics_columns(part, skip=("direction",) if found.shape == "constant" else ()),
+            _curves(part, options),
+        ]
+        group = columns.sum(0, keepdims=True) if common else columns[concerned]
+        values, covariance, _ = Projected(part, np.concatenate(known), options).regression(group)
         std = np.sqrt(np.diagonal(covariance))
-        if np.all(np.abs(values) < 0.1 * std):
+        if np.all(np.abs(values) < options.converged * std):
             break
         step = np.zeros_like(rest)
         step[concerned] = np.where(np.isfinite(std), values, 0.0)
     return arm, found._replace(rest=rest, correction=shape * rest)
 
 
-def _rests(recording: Recording) -> dict[str, Array]:
-    """What a rest may be proportional to, `(sample, joint)` each."""
-    shapes = {"move": moves(recording), "constant": recording.direction_of_motion}
+def _rests(recording: Recording) -> dict[Shape, Array]:
+    """What the rest of a move may be proportional to, `(sample, joint)` each."""
+    shapes: dict[Shape, Array] = {"move": moves(recording), "constant": recording.direction_of_motion}
     if recording.joint_velocity is not None and np.any(recording.joint_velocity):
         shapes["velocity"] = recording.joint_velocity
     return shapes
@@ -148,25 +195,26 @@ def moves(recording: Recording) -> Array:
     return q - np.where(first[:, None], 0.0, before)
 
 
-def _curves(arm: Rigid) -> Array:
-    """`(number, row, sample)` of any curve over each joint's position, piecewise linear: what moves there may depend on
-    where they lead, as in a sweep to and fro."""
+def _curves(arm: Rigid, options: ScreeningOptions) -> Array:
+    """`(number, row, sample)` of any curve over each joint's position, piecewise linear: in a sweep to and fro, the
+    moves depend on where they lead."""
     dof = arm.recording.dof
-    pieces = min(arm.rows * arm.samples // (_NUMBERS_A_PIECE * dof), _MOST_PIECES)
+    pieces = min(arm.rows * arm.samples // (options.numbers_per_piece * dof), options.most_pieces)
     out = [np.zeros((0, arm.rows, arm.samples))]
     for column, q in zip(arm.joints, arm.recording.joint_position.T, strict=True):
         knots = np.unique(np.quantile(q, np.linspace(0, 1, max(pieces, 2)), method="nearest"))
-        if pieces >= _FEWEST_PIECES and len(knots) > 1:
+        if pieces >= options.fewest_pieces and len(knots) > 1:
             out.append(column * np.stack([np.interp(q, knots, hat) for hat in np.eye(len(knots))])[:, None])
     return np.concatenate(out)
 
 
-def _foretold(projected: Projected, columns: Array, future: Array) -> bool:
+def _explained_by_next(projected: Projected, columns: Array, future: Array, options: ScreeningOptions) -> bool:
     """Whether the moves that follow explain the poses too, beside those that led there: then the order of the poses is
     tied to where they are, and it is something else that depends on that."""
     past = projected.regression(columns)[2]
     both = projected.regression(np.concatenate([columns, projected.arm.joints * future.T[:, None]]))[2]
-    return bool(both - past > max(chdtri(len(columns), 1e-6), 0.1 * past))
+    chance = chdtri(len(columns), options.next_move_level)
+    return bool(both - past > max(chance, options.next_move_share * past))
 
 
 def _next_moves(recording: Recording) -> Array:
@@ -176,21 +224,21 @@ def _next_moves(recording: Recording) -> Array:
     return np.roll(back, -1, axis=0)
 
 
-def _unsettled_rows(arm: Rigid) -> Unsettled | None:
+def _unsettled_rows(arm: Rigid, options: ScreeningOptions) -> Unsettled | None:
     """Rows far off whose residual lies along the move that led there."""
     recording, scale = arm.recording, arm.scale
-    wild = arm.squares > _WILD * arm.rows * scale**2
-    if not 3 <= wild.sum() <= arm.samples // 3:
+    wild = arm.squares > options.wild_squares * arm.rows * scale**2
+    if not options.wild_rows <= wild.sum() <= arm.samples // 3:
         return None
     along = np.einsum("jrs,sj->rs", arm.joints, moves(recording))
     length = np.sum(along**2, 0)
     product = np.sum(along * arm.residual, 0)
     share = -product / np.maximum(length, 1e-300)
     cosine2 = product**2 / np.maximum(length * arm.squares, 1e-300)
-    hit = wild & (cosine2 > _ALONG) & (share > 0)
-    by_chance = (1 - np.sqrt(_ALONG)) / 2
+    hit = wild & (cosine2 > options.along_move) & (share > 0)
+    by_chance = (1 - np.sqrt(options.along_move)) / 2
     p = float(bdtrc(hit.sum() - 1, wild.sum(), by_chance))
-    if p > LEVEL or hit.sum() < 3:
+    if p > options.settling_level or hit.sum() < options.wild_rows:
         return None
     rest = np.full(recording.dof, float(np.median(share[hit])))
     none = np.zeros_like(recording.joint_position)

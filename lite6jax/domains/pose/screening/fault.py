@@ -1,0 +1,76 @@
+"""A fault of the data as a code, rows and numbers; every sentence about one is made in `report.data_faults`."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+@final
+@dataclass(frozen=True)
+class DataFault:
+    """A fault of the data that was found, or one that was tested for and ruled out.
+
+    The numbers are plain JSON values in SI units; joints count from 1, rows as in the file. Numbers of a fault that was
+    found, by code (those marked * are added where it is compared with physics):
+
+        time_order              largest_step_back_s
+        repeated_rows           first_rows: the rows that `rows` repeat
+        position_unit           factor: by which the rows are too large
+        commanded_joints        reason: "grid" (grid_rad, grid_unit, distinct_positions) or "returns" (returns,
+                                joint_noise_rad)
+        swapped_joints          joints, and those of columns
+        mirrored_joint          joint, and those of columns
+        joint_unit              joint, unit of its column ("deg" or "rad"), and those of columns
+        joint_turns             joints (whole turns); or joint, added_rad, and those of columns
+        orientation_convention  convention ("inverted", "scalar_last" or "inverted_scalar_last"), and those of columns
+        (columns)               median_error_m, corrected_error_m, alternatives: lists of faults that fit as well
+        frame_jump              row, run (where one begins there), part ("base" or "tool"), translation_m, rotation_rad,
+                                twist, displacement_rms_m, p_value, log_likelihood_gap*, rival_terms*
+        unsettled_readouts      shape ("move", "rows", "velocity" or "constant"), joints, all_joints, rest (a share, s
+                                or rad by the shape), rest_std, largest_rms_rad
+        nominal_table           declared, table, used ("table", "instead_of_file" or "none"), decided, share and
+                                share_std or declared_ratio and table_ratio, log_likelihood_gap*, rival_terms*, chain*
+                                ("as_published" or "fitted"), numbers_more*
+        calibration_off         sigma_m, sigma_rad, log_likelihood_gap, rival_terms
+        no_joints               clock_offset_s
+        outliers                none
+
+    Numbers of a fault that was ruled out:
+
+        time_order              samples, timed
+        repeated_rows           samples
+        position_unit           largest_distance_m, median_distance_m: from the middle of all
+        commanded_joints        reason: "declared" or "not_round" (share, grid_rad, grid_unit)
+        (columns)               median_error_m, suspected_above_m, best_alternative_m (where others were tried)
+        joint_turns             outside_limits_rad: 0 where all are inside
+        frame_jump              reason: "chance", "gradual", "too_few_rows" or "physics" (candidate_rows,
+                                log_likelihood_gap, rival_terms); samples, p_value
+        unsettled_readouts      reason: "moving", "chance", "too_few_rows" or "ordered_poses"; samples, p_value
+        nominal_table           reason: "own_chain", "single_table", "indistinguishable" or "declared_fits"; declared,
+                                table, fitted, likelier, and shares or ratios as above
+
+    Attributes:
+        code: which fault.
+        rows: of the file, from 1, in order; empty where all are concerned.
+        numbers: as listed above.
+    """
+
+    code: str
+    rows: tuple[int, ...] = ()
+    numbers: Mapping[str, Any] = field(default_factory=dict)
+
+    def with_numbers(self, **numbers: Any) -> "DataFault":
+        """The fault with more numbers."""
+        return replace(self, numbers={**self.numbers, **numbers})
+
+    def to_dict(self) -> dict[str, Any]:
+        """As in `lite6jax/diagnosis/2`."""
+        return {"fault": self.code, "rows": list(self.rows), "numbers": dict(self.numbers)}
+
+
+def row_numbers(rows: NDArray[np.integer]) -> tuple[int, ...]:
+    """Row numbers in order, as plain integers."""
+    return tuple(int(row) for row in np.sort(rows))

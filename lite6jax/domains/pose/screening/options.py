@@ -1,0 +1,186 @@
+"""Every threshold of the screening of pose recordings, each with its meaning, its unit and the reason for its value."""
+
+from dataclasses import dataclass
+from typing import final
+
+from lite6jax.estimation.options import option
+
+
+@final
+@dataclass(frozen=True)
+class ScreeningOptions:
+    """Thresholds of the screening of pose recordings. Probabilities are those of a whole recording.
+
+    Reasons that begin with "set on" refer to simulated recordings of arms with and without each fault.
+    """
+
+    # rows
+    cluster_distances: float = option(
+        5.0,
+        "median distances from the middle of all poses within which a row lies once its unit is corrected",
+        "a row in another unit lies a thousand times further",
+    )
+    suspect_distances: float = option(
+        10.0,
+        "median distances beyond which a row may be in a unit a thousand times smaller",
+        "no pose of an arm is so far",
+    )
+    near_share: float = option(
+        0.005, "share of the median distance within which of the origin a row may be in a larger unit", "few poses are"
+    )
+    near_distances: float = option(
+        2.0, "as cluster_distances, for rows in a larger unit", "most origins lie beside the poses"
+    )
+    grid_tolerance_rad: float = option(
+        6e-7, "rad from its grid at which a joint position is a command", "degrees written with six decimals in radians"
+    )
+    grid_smallest_rad: float = option(1e-3, "rad below which positions are left out", "they are near every grid")
+    grid_positions: int = option(20, "distinct positions that must all lie on a grid", "fewer do so by chance")
+    exact_returns: int = option(3, "returns to a pose that must all read the same joints", "fewer do so by chance")
+    return_decimals: int = option(
+        3, "decimals of rad to which joints agree at a return to a pose", "controllers repeat to less than a mrad"
+    )
+    limit_slack_rad: float = option(
+        0.01, "rad by which a joint may be beyond its limits", "controllers stop a little late"
+    )
+    # columns
+    suspect_reach: float = option(
+        0.01,
+        "share of the reach that the median error exceeds before columns are suspected",
+        "physics hardly moves an arm so far",
+    )
+    suspect_noise: float = option(10.0, "the same in standard deviations of the sensor", "noise alone is below four")
+    column_gain: float = option(
+        5.0,
+        "ratio by which a correction of columns must reduce the median error",
+        "set on wrong columns beside large physics",
+    )
+    corrected_reach: float = option(
+        0.05, "share of the reach that the median error may have then", "the effect of a clock offset in a fast motion"
+    )
+    equal_ratio: float = option(
+        1.5,
+        "ratio of median errors below which two corrections are indistinguishable",
+        "errors of wrong columns differ more",
+    )
+    equal_noise: float = option(
+        0.1, "the same as a difference, in standard deviations of the sensor", "below the scatter of a median"
+    )
+    column_rows: int = option(200, "rows on which single corrections are compared", "their median is known to a tenth")
+    pair_rows: int = option(60, "rows on which pairs of corrections are compared", "there are hundreds of pairs")
+    pairs_first: int = option(
+        8, "best single corrections that are paired with all others, and best ones that are fitted", "bounds the time"
+    )
+    unfitted_ratio: float = option(
+        2.0, "ratio by which the allowed error may be exceeded before a fit", "frames in closed form are less exact"
+    )
+    fitted_ratio: float = option(
+        3.0, "median error over the least up to which a correction is fitted", "a fit changes the order of few"
+    )
+    column_rounds: int = option(3, "corrections of columns in turn", "more wrong columns are beyond repair")
+    trusted_log_likelihood: float = option(
+        5.703782474656201,
+        "log-likelihood that a correction of what a file or its sidecar declares must gain",
+        "log 300: one file in some hundred is wrong",
+    )
+    # nominal table
+    published_tolerance: float = option(
+        2e-5,
+        "m and rad within which a calibration is a published table",
+        "angles of four decimals move a link by 8.4e-6 m",
+    )
+    share_std: float = option(
+        0.1,
+        "standard deviation of the share of the way to the other table above which it is vague",
+        "a tenth of the way",
+    )
+    share_tolerance: float = option(
+        0.1, "distance of the share from 1, beside four standard deviations", "arms differ from their table"
+    )
+    share_sigmas: float = option(
+        6.0, "standard deviations of the share from 0", "the tables differ by little more than physics"
+    )
+    table_ratio: float = option(
+        0.5,
+        "residual scale over that with the declared table at which a vague share is decided",
+        "physics rarely halves it",
+    )
+    # frame jumps
+    most_jumps: int = option(3, "jumps that are corrected", "a mount that slips more often must be repaired")
+    jump_level: float = option(
+        1e-6, "probability of the best row by chance", "residuals of unknown physics in neighbouring rows are dependent"
+    )
+    jump_margin: int = option(8, "rows on either side of a jump", "six numbers are estimated from them")
+    jump_noise: float = option(
+        1.0, "standard deviations of the sensor by which a jump displaces the rows after it", "less does no harm"
+    )
+    jump_share: float = option(
+        0.03,
+        "squares that a jump explains over the residual degrees of freedom",
+        "set on recordings with physics and no jump",
+    )
+    jump_share_between_runs: float = option(
+        2.0, "the same without any physics where a moving arm begins another run", "all conditions change there"
+    )
+    jump_window: int = option(
+        12,
+        "rows on either side of a jump in a trajectory that show it beside the motion",
+        "a quarter of a second at 50 Hz",
+    )
+    jump_sharpness: float = option(
+        1.5, "ratio of the step at a row to the largest elsewhere in a trajectory", "an arm's own physics is smooth"
+    )
+    tool_advantage: float = option(
+        1.05, "ratio by which a jump of the tool explains more than one of the base", "the base is knocked more often"
+    )
+    jump_blocks: int = option(300, "blocks of rows between which jumps are first sought", "bounds the time")
+    large_jump_noise: float = option(
+        20.0, "standard deviations beyond which a jump starts from a closed form", "a linear step is wrong there"
+    )
+    # unsettled read-outs
+    settling_level: float = option(
+        1e-4, "probability of the best candidate by chance", "three shapes are tested in each recording"
+    )
+    settling_share: float = option(
+        0.01,
+        "share of the residual degrees of freedom that unsettled read-outs explain",
+        "poses in an order mimic less",
+    )
+    wild_squares: float = option(
+        30.0, "squared residual per number, over the scale, beyond which a row is far off", "5.5 standard deviations"
+    )
+    along_move: float = option(
+        0.9, "squared cosine between a residual and the last move", "one direction in twenty is so near"
+    )
+    wild_rows: int = option(3, "rows that must lie along their moves", "fewer do so by chance")
+    separate_share: float = option(
+        0.03, "share of what separate joints explain that a common share leaves", "set on servos with equal lags"
+    )
+    separate_level: float = option(1e-4, "probability of that difference by chance", "as settling_level")
+    next_move_share: float = option(
+        0.1,
+        "share of what the last move explains that the next explains beyond it",
+        "the order of poses then depends on where they are",
+    )
+    next_move_level: float = option(1e-6, "probability of that by chance", "as jump_level")
+    numbers_per_piece: int = option(
+        10, "measured numbers for each piece of a curve over a joint position", "each is then known to a third"
+    )
+    fewest_pieces: int = option(
+        4, "pieces below which no curve is fitted beside the moves", "fewer are in the harmonics"
+    )
+    most_pieces: int = option(16, "pieces of a curve at most", "finer ones only take time")
+    # estimation
+    most_samples: int = option(1500, "samples on which columns of physics are compared", "more change no decision")
+    observable_share: float = option(
+        1e-6,
+        "share of the square of a column outside the span of the known ones below which it is confounded",
+        "a thousandth of its length",
+    )
+    huber_sigmas: float = option(
+        4.0, "standard deviations per number beyond which a sample counts less", "one normal sample in 16 000"
+    )
+    refinements: int = option(6, "linearisations of a correction", "two suffice for most")
+    converged: float = option(
+        0.1, "standard deviations below which a further step is not taken", "below what the correction is known to"
+    )

@@ -1,0 +1,93 @@
+"""The faults of pose recordings that are screened for, in the order in which they are detected and corrected.
+
+A screen detects a fault in a recording that all earlier screens have corrected, and corrects it before the next looks.
+The coarsest come first: rows need nothing, columns the nominal arm with frames in closed form, and what is of the size
+of the sensor's noise a fitted arm. A new fault is one entry here, its two functions, and its sentences in
+`report.data_faults`.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Literal, final
+
+import numpy as np
+
+from lite6jax.domains.pose.screening import columns, frame_jumps, nominal_table, rows, settling
+from lite6jax.domains.pose.screening.options import ScreeningOptions
+from lite6jax.domains.pose.screening.screened import Detection, Screened
+
+
+@final
+@dataclass(frozen=True)
+class Screen:
+    """One kind of fault: how it is detected, how it is corrected, and what the correction costs.
+
+    Attributes:
+        codes: those of the faults that it reports.
+        needs: the recording alone, the rigid arm beside it, or that arm fitted.
+        detect: what there is of it, and what rules it out.
+        correct: the recording without it, with the fault found.
+        rounds: how often at most, each time in what the last correction left.
+        estimated: continuous quantities that a correction estimates and a comparison with physics must pay for; none
+            where the detector decides alone.
+        located: whether the comparison must pay for a row that is chosen too.
+    """
+
+    codes: tuple[str, ...]
+    needs: Literal["recording", "arm", "fit"]
+    detect: Callable[[Screened, ScreeningOptions], Detection]
+    correct: Callable[[Screened, Any, ScreeningOptions], Screened]
+    rounds: Callable[[Screened, ScreeningOptions], int] = lambda state, options: 1
+    estimated: int = 0
+    located: bool = False
+
+    def price(self, numbers: float, samples: int) -> float:
+        """Log-likelihood that a correction must gain over physics: Schwarz's, and one row of all.
+
+        Args:
+            numbers: measured, of all samples.
+            samples: how many.
+        """
+        return 0.5 * self.estimated * float(np.log(numbers)) + (float(np.log(samples)) if self.located else 0.0)
+
+
+def _column_rounds(state: Screened, options: ScreeningOptions) -> int:
+    return options.column_rounds
+
+
+def _jump_rounds(state: Screened, options: ScreeningOptions) -> int:
+    most = state.corrections.jumps
+    return options.most_jumps if most is None else most
+
+
+SCREENS = (
+    Screen(("time_order",), "recording", rows.detect_time_order, rows.sort_rows),
+    Screen(("repeated_rows",), "recording", rows.detect_repeats, rows.drop_repeats),
+    Screen(("position_unit",), "recording", rows.detect_position_unit, rows.convert_positions),
+    Screen(("commanded_joints",), "arm", rows.detect_commanded, rows.note_commanded),
+    Screen(
+        ("swapped_joints", "mirrored_joint", "joint_unit", "joint_turns", "orientation_convention"),
+        "arm",
+        columns.detect_columns,
+        columns.correct_columns,
+        _column_rounds,
+    ),
+    Screen(("joint_turns",), "arm", rows.detect_turns, rows.remove_turns),
+    Screen(
+        ("frame_jump",),
+        "fit",
+        frame_jumps.detect_jump,
+        frame_jumps.remove_jump,
+        _jump_rounds,
+        estimated=6,
+        located=True,
+    ),
+    Screen(("unsettled_readouts",), "fit", settling.detect_unsettled, settling.settle_joints),
+    Screen(("nominal_table",), "fit", nominal_table.detect_other_table, nominal_table.use_other_table),
+)
+"""All screens, in order."""
+
+
+def price(screened: Screened, numbers: float, samples: int) -> float:
+    """Log-likelihood that the corrections made must gain over physics, as in `Screen.price`."""
+    return sum(sum(map(screened.count, screen.codes)) * screen.price(numbers, samples) for screen in SCREENS)

@@ -1,0 +1,113 @@
+"""A recording on its way through the screening: corrected so far, with the faults found and those ruled out."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple, final
+
+from lite6jax.arms.arm import Arm
+from lite6jax.arms.factory import FactoryCalibration
+from lite6jax.domains.pose.screening.fault import DataFault
+from lite6jax.domains.pose.screening.rigid import Rigid
+from lite6jax.fitting.problem import Geometry
+from lite6jax.recordings import Recording
+
+
+@final
+@dataclass(frozen=True)
+class Corrections:
+    """Which of the faults that physics resembles are corrected.
+
+    Attributes:
+        jumps: frame jumps at most; None for as many as the options allow.
+        beside_physics: whether a jump is estimated beside all physics, or as if there were none.
+        table: the nominal table to be used where the data leave it open.
+    """
+
+    jumps: int | None = None
+    beside_physics: bool = True
+    table: str | None = None
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Screened:
+    """A recording without the faults that were found.
+
+    Attributes:
+        recording: corrected.
+        arm: the nominal arm; None until it has been read from the sidecar.
+        geometry: what is known of it, as in `fit`.
+        corrections: what was to be corrected of the faults that physics resembles.
+        found: the faults, in the order in which they were corrected.
+        ruled_out: those tested for and not there.
+        rigid: the rigid arm beside the recording, from the first screen on that needs it.
+        factory: the arm's calibration where it is not the sidecar's.
+        transforms: what was done to the columns and poses, each applicable to other rows of the same recording.
+    """
+
+    recording: Recording
+    arm: Arm | None
+    geometry: Geometry
+    corrections: Corrections
+    found: tuple[DataFault, ...] = ()
+    ruled_out: tuple[DataFault, ...] = ()
+    rigid: Rigid | None = None
+    factory: FactoryCalibration | None = None
+    transforms: tuple[Callable[[Recording], Recording], ...] = ()
+
+    def transferred(self, recording: Recording) -> Recording:
+        """Another selection of rows, corrected as these were; what single rows have is left as it is."""
+        for transform in self.transforms:
+            recording = transform(recording)
+        return replace(recording, settings=self.recording.settings)
+
+    def transformed(self, transform: Callable[[Recording], Recording]) -> "Screened":
+        """With one more transform of `transferred`."""
+        return replace(self, transforms=(*self.transforms, transform))
+
+    @property
+    def fitted_arm(self) -> Rigid:
+        """The rigid arm, for screens that need it."""
+        assert self.rigid is not None
+        return self.rigid
+
+    @property
+    def likelier_table(self) -> str | None:
+        """Another nominal table that fits better than the declared one, while physics may be the reason."""
+        tables = (fault for fault in self.ruled_out if fault.code == "nominal_table")
+        return next((fault.numbers["table"] for fault in tables if fault.numbers.get("likelier")), None)
+
+    def count(self, code: str) -> int:
+        """How many faults of a code were found."""
+        return sum(fault.code == code for fault in self.found)
+
+    def corrected(self, fault: DataFault, recording: Recording | None = None, rigid: Rigid | None = None) -> "Screened":
+        """With a fault found and corrected; a rigid arm brings its recording."""
+        rigid = rigid or self.rigid
+        if recording is None:
+            recording = self.recording if rigid is None else rigid.recording
+        elif rigid is not None:
+            rigid = replace(rigid, recording=recording)
+        return replace(self, recording=recording, rigid=rigid, found=(*self.found, fault))
+
+    def cleared(self, faults: tuple[DataFault, ...]) -> "Screened":
+        """With faults ruled out, but for those of which one was found before."""
+        codes = {fault.code for fault in self.found}
+        return replace(self, ruled_out=(*self.ruled_out, *(fault for fault in faults if fault.code not in codes)))
+
+
+class Detection(NamedTuple):
+    """What a detector found in a recording.
+
+    Attributes:
+        evidence: what the correction needs; None where nothing was found.
+        ruled_out: what was tested for and is not there.
+    """
+
+    evidence: Any = None
+    ruled_out: tuple[DataFault, ...] = ()
+
+
+def not_there(code: str, **numbers: Any) -> Detection:
+    """A detection of nothing, with the numbers that rule the fault out."""
+    return Detection(None, (DataFault(code, (), numbers),))
