@@ -25,7 +25,6 @@ from lite6jax.identifiability.sensor import Sensor
 from lite6jax.recordings import RecordingSettings, read_recording
 from lite6jax.simulation import (
     INSTRUMENTS,
-    SPEED,
     Instrument,
     Undeclared,
     draw_calibration,
@@ -34,6 +33,7 @@ from lite6jax.simulation import (
     measure,
     simulate,
 )
+from lite6jax.simulation.motions import SPEED
 from tests.oracles.chains import six_parameter_poses
 from tests.oracles.effects import predicted_poses
 from tests.oracles.transforms import origin_transform
@@ -213,8 +213,78 @@ def test_rows_beyond_the_motion_are_dropped_and_counted():
     assert len(measured.poses) == len(measured.rigid) == len(measured.outlier) == 152
     assert measured.recording.notes == ("dropped 48 rows whose instant lies beyond the motion, by a clock's offset",)
     assert refused(measure, motion, LITE6, physics, values * 100) == (
-        "simulation: every row asks beyond the motion; give a smaller offset or a longer motion"
+        "simulation: at every row the clock offset requires the motion beyond its ends; give a smaller offset or a "
+        "longer motion"
     )
+
+
+# ------------------------------------------------------------------ one call
+
+
+def test_a_call_simulates_given_joint_positions_with_effects_as_text_or_with_values():
+    rng = np.random.default_rng(0)
+    q = rng.uniform(*(0.9 * LITE6.joint_limits.T), (40, 6))
+    text = "joint_harmonic:joint=1,order=2,amplitude_rad=6e-4,phase_rad=0.7"
+    physics, values, plain = physics_of(text)
+    chain = draw_calibration(LITE6, 1)
+    given = {"kinematics": chain, "sensor": "tracker_6d", "undeclared": NO_NOISE, "payload": [0.0, 0.5]}
+    recording = simulate("lite6", q, effects=[text], **given)
+    np.testing.assert_array_equal(recording.joint_position, q)
+    np.testing.assert_array_equal(recording.payload, np.repeat([0.0, 0.5], 20))
+    np.testing.assert_array_equal(recording.time, 8.0 * np.arange(40))
+    told = {"joint_position": q, "payload": np.repeat([0.0, 0.5], 20), "joint_temperature": np.full((40, 6), 25.0)}
+    inertia = {"mass": LITE6.mass, "center_of_mass": LITE6.center_of_mass}
+    inertia |= {"payload_center": np.zeros(3), "gravity": np.array([0, 0, -9.81])}
+    oracle = predicted_poses(chain, np.eye(4), np.eye(4), told, inertia, plain)
+    np.testing.assert_allclose(recording.position, oracle[:, :3, 3], atol=1e-10)
+    pair = simulate("lite6", q, effects=[(physics.effects[0], values)], **given)
+    np.testing.assert_array_equal(pair.position, recording.position)
+
+
+def test_a_trajectory_through_given_joint_positions_has_velocities():
+    time = np.arange(50) * 0.05
+    q = np.sin(time)[:, None] * np.linspace(0.1, 0.6, 6)
+    recording = simulate(LITE6, q, motion="trajectory", time=time, effects=["joint_lag:joint=3,lag_s=2e-3"])
+    np.testing.assert_allclose(recording.joint_velocity, np.gradient(q, time, axis=0, edge_order=2), atol=1e-12)
+    assert recording.motion == "trajectory"
+
+
+def test_noise_that_is_given_is_declared_and_true():
+    recording = simulate(
+        LITE6, samples=500, sensor="camera", position_noise=3e-4, orientation_noise=4e-3, joint_noise=1e-5, seed=2
+    )
+    settings = recording.settings
+    declared = (settings.position_noise_m, settings.orientation_noise_rad, settings.joint_noise_rad)
+    assert declared == (3e-4, 4e-3, 1e-5)
+    motion = draw_motion(LITE6, samples=500, seed=2)
+    error = recording.position - six_parameter_poses(LITE6.kinematics, motion.joint_position)[:, :3, 3]
+    assert likely(np.sum(error**2) / 9e-8, 1500)
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"joint_position": np.full((4, 6), 30.0)}, "joint_position: row 1 is at 30 rad while the arm's joint 1 goes"),
+        ({"joint_position": np.full((4, 6), 30.0)}, "are these degrees? give radians: np.deg2rad(joint_position)"),
+        ({"joint_position": np.zeros((4, 6)) * 1j}, "joint_position: holds complex numbers; give real ones"),
+        ({"joint_position": np.zeros((4, 5))}, "joint_position of shape (4, 5): lite6 takes (sample, 6)"),
+        ({"joint_position": [[0.0] * 6, [np.nan] * 6]}, "joint_position: row 2 is not finite; leave it out"),
+        ({"joint_position": np.zeros((4, 6)), "time": [0.0]}, "time of shape (1,): give (4,) finite numbers, in s"),
+        ({"joint_position": np.zeros((4, 6)), "samples": 4}, "samples and runs: belong to a drawn motion; leave them"),
+        ({"time": [0.0]}, "time: belongs to given joint positions; give joint_position as well, or leave it out"),
+        ({"arm": "lite7"}, "lite7: neither a bundled arm nor a file"),
+        ({"sensor": "laser"}, "sensor 'laser': is none of tracker"),
+        ({"position_noise": 0.0}, "position noise 0.0: give one standard deviation in m, above 0"),
+        ({"effects": ["joint_wobble:joint=1"]}, "effect 'joint_wobble': unknown; the catalogue has joint_offset"),
+        ({"effects": ["joint_lag:joint=1,lag_s=1e-3"]}, "joint velocities; simulate with motion='trajectory'"),
+        (
+            {"effects": ["link_thermal_expansion:expansion_per_K=2e-5"]},
+            "link_thermal_expansion:links: depends on temperatures that rise; give warm_up, such as 15 K",
+        ),
+    ],
+)
+def test_what_a_call_refuses(given, message):
+    assert message in refused(simulate, **{"arm": "lite6"} | given)
 
 
 # ------------------------------------------------------------------ noise
@@ -389,7 +459,7 @@ def test_measurements_that_cannot_be():
     )
     assert "give 1 finite numbers" in refused(measure, motion, LITE6, compliance, value * np.nan)
     assert refused(measure, motion, load_bundled("xarm7")) == (
-        "simulation: has 6 joints, and xarm7 has 7; give that arm's"
+        "simulation: has 6 joints, but xarm7 has 7; give a motion of it"
     )
     assert "kinematics has the shape (5, 6); give (6, 6)" in refused(
         measure, motion, LITE6, kinematics=LITE6.kinematics[1:]
@@ -458,7 +528,7 @@ def test_the_command_writes_what_the_library_simulates(capsys, tmp_path):
     flat = " ".join(said.split())
     assert flat.startswith("Simulated 50 positions of a lite6 by laser tracker, static. Geometry: as drawn.")
     assert "joint_compliance at joint2: compliance_rad_per_Nm = 9e-05" in flat
-    assert f"moves the measured point by {rms:.4f} mm RMS, {distance.max():.4f} mm at most" in flat
+    assert f"The effects displace the measured point by {rms:.4f} mm RMS ({distance.max():.4f} mm at most)" in flat
     for name in ("run.csv", "run.yaml", "run_factory.yaml"):
         assert f"Wrote {tmp_path / name}\n" in said
 
@@ -476,11 +546,11 @@ def test_everything_the_command_can_hide_is_said(capsys, tmp_path):
     assert code == 0
     flat = " ".join(said.split())
     assert "Simulated 200 poses of a lite6 by motion capture, trajectory in 2 runs." in flat
-    assert "Geometry: as drawn, which the sidecar does not say. Sensor frame: unknown. Tool: unknown." in flat
+    assert "Geometry: as drawn, not declared. Sensor frame: unknown. Tool: unknown." in flat
     assert "Noise, as declared: 0.1 mm, 0.01°, joints 0.001°." in flat
     assert (
-        "Noise, not declared: 2 times as large, correlated by 0.5 from row to row, growing by 30 % per m from the "
-        "base, joints' read-outs 0.002°, 5 % of the rows wild."
+        "Noise, not declared: 2 times as large, with autocorrelation 0.5 from row to row, growing by 30 % per m from "
+        "the base, joints' read-outs 0.002°, 5 % outliers."
     ) in flat
     assert max(map(len, said.splitlines()[:-3])) <= 80
     recording = read_recording(out)
@@ -510,7 +580,7 @@ def test_a_given_calibration_is_named_from_where_the_sidecar_stands(capsys, tmp_
         "--sensor", "tracker_6d", "--tool-at", 0, 0, 100, "--out", out,
     )  # fmt: skip
     assert code == 0
-    assert "No physics: the arm is rigid" in said
+    assert "No effects: the arm is rigid." in said
     assert ", within its declared uncertainty." in " ".join(said.split())
     settings = read_recording(out).settings
     assert settings.factory_calibration == "../arms/arm.yaml"
@@ -601,11 +671,11 @@ def test_nothing_is_left_where_writing_fails(capsys, tmp_path, monkeypatch):
         ),
         (
             ["--effect", "link_thermal_expansion:expansion_per_K=2e-5"],
-            r"link_thermal_expansion:links: needs temperatures that rise; add --warm-up 15",
+            r"link_thermal_expansion:links: depends on temperatures that rise; add --warm-up 15",
         ),
         (
             ["--effect", "joint_lag:joint=1,lag_s=1e-3"],
-            r"joint_lag:joint1: needs a moving arm; add --motion trajectory",
+            r"joint_lag:joint1: depends on joint velocities; add --motion trajectory",
         ),
         (["--effects", "no.py"], r"no\.py: no such file; check the name"),
         (["--samples", "0"], r"simulation: 0 samples in 1 runs; give at least 1 a run, and one run"),

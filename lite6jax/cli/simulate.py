@@ -1,4 +1,4 @@
-"""The command that simulates: a recording of an arm with chosen physics, as a sensor would write it."""
+"""The command that simulates: a recording of an arm with chosen effects, as a sensor measures it."""
 
 import math
 import os
@@ -24,12 +24,11 @@ if TYPE_CHECKING:
 
 Known = Literal["known", "unknown"]
 Triple = Annotated[tuple[float, float, float], arg(metavar="X Y Z")]
-SAMPLES = {"static": 400, "trajectory": 3000}
 
 
 @dataclass(frozen=True)
 class Noise:
-    """The sensor's noise, and how it differs from what the sidecar declares."""
+    """The sensor's noise, and how it differs from the declared one."""
 
     position_noise: Annotated[float | None, arg(metavar="MM")] = None
     """One standard deviation per axis, mm, instead of the sensor's."""
@@ -40,20 +39,20 @@ class Noise:
     noise_factor: float = 1.0
     """Undeclared: the poses' true noise over the declared one; 0 for none."""
     noise_correlation: float = 0.0
-    """Undeclared: of each sample's noise with the one before."""
+    """Undeclared: autocorrelation of the noise from one sample to the next."""
     noise_growth: Annotated[float, arg(metavar="PER_M")] = 0.0
-    """Undeclared: the noise is 1 + this x distance from the base (m) times larger."""
+    """Undeclared: relative growth of the noise per m of distance from the base."""
     undeclared_joint_noise: Annotated[float, arg(metavar="DEG")] = 0.0
     """Undeclared: noise of each joint's read-out, degrees."""
     outliers: Annotated[float, arg(metavar="SHARE")] = 0.0
-    """Undeclared: share of wild rows, 0 to 1."""
+    """Undeclared: share of the rows that are outliers, 0 to 1."""
     outlier_size: Annotated[float, arg(metavar="MM")] = 5.0
-    """Of those; each is 0.5 to 2 times this off."""
+    """Displacement of an outlier, mm; each is 0.5 to 2 times this."""
 
 
 @dataclass(frozen=True)
 class Simulate:
-    """Write a recording of a simulated arm with chosen physics, and its sidecar.
+    """Write a recording of a simulated arm with chosen effects, and its sidecar.
 
     For example:
 
@@ -67,14 +66,14 @@ class Simulate:
     out: Annotated[Path, arg(metavar="FILE")]
     """Write the recording here (.csv or .parquet), and its sidecar beside it."""
     effect: Annotated[tuple[str, ...], UseAppendAction, arg(metavar="NAME:KEY=VALUE,…")] = ()
-    """Physics with its numbers, such as joint_compliance:joint=2,compliance_rad_per_Nm=9e-5; may be given more than
-    once."""
+    """An effect with its parameters, such as joint_compliance:joint=2,compliance_rad_per_Nm=9e-5; may be
+    repeated."""
     effects: Annotated[Path | None, arg(metavar="FILE.py")] = None
     """Effects of your own that --effect may name. Runs the file."""
     sensor: Literal["tracker", "tracker_6d", "motion_capture", "camera", "controller_fk"] = "tracker"
     """Positions: tracker; poses: the others."""
     motion: Literal["static", "trajectory"] = "static"
-    """Poses at which the arm stands still, all over the joints' ranges; or a smooth motion."""
+    """static: poses over the joints' whole ranges, at which the arm stands still; trajectory: a smooth motion."""
     samples: int | None = None
     """400 of a static recording, 3000 of a trajectory where not given."""
     runs: int = 1
@@ -88,24 +87,25 @@ class Simulate:
     payload_at: Triple = (0.0, 0.0, 0.0)
     """Its centre of mass, mm in the flange's frame."""
     warm_up: Annotated[float | None, arg(metavar="K")] = None
-    """Record temperatures, which rise by so much. 0: they stay."""
+    """Record temperatures that rise by this. 0: constant temperatures."""
     factory: Annotated[Path | None, arg(metavar="FILE")] = None
     """The arm's own calibration: its geometry, which the sidecar names."""
     tolerance: bool = False
-    """Draw the geometry, 0.8 mm and 0.15 deg off in each number, and write its calibration beside the recording."""
+    """Draw the geometry with errors of 0.8 mm and 0.15 deg (one standard deviation) in each number, and write its
+    calibration beside the recording."""
     factory_uncertainty: Annotated[tuple[float, float] | None, arg(metavar="MM DEG")] = None
-    """The geometry is so far off its calibration in each number, one standard deviation, and the sidecar says so."""
+    """Standard deviation of the geometry about its calibration in each number, which the sidecar declares."""
     geometry: Known = "known"
-    """Whether the sidecar names the calibration; without one the geometry is unknown to it."""
+    """known: the sidecar names the calibration; unknown: it does not."""
     frame: Known = "known"
-    """known: poses are in the arm's base frame; unknown: the sensor stands somewhere, and the sidecar does not say."""
+    """known: poses are in the arm's base frame; unknown: in the frame of a sensor whose place is not declared."""
     tool: Known = "known"
-    """Whether the sidecar says where the measured point is on the flange."""
+    """Whether the sidecar declares the measured point on the flange."""
     tool_at: Triple = (0.0, 0.0, 0.0)
-    """Where it is, mm in the flange's frame."""
+    """The measured point, mm in the flange's frame."""
     noise: Noise = Noise()
     seed: int = 0
-    """Of all that is drawn."""
+    """Of the random numbers."""
     force: bool = False
     """Replace files that exist."""
 
@@ -139,7 +139,7 @@ class Simulate:
         motion = draw_motion(
             arm,
             self.motion,
-            SAMPLES[self.motion] if self.samples is None else self.samples,
+            self.samples,
             runs=self.runs,
             step=self.step,
             speed=math.radians(self.speed),
@@ -184,14 +184,14 @@ class Simulate:
         parsed = [parse_effect(text, kinds_of(own)) for text in self.effect]
         for effect, _ in parsed:
             if self.warm_up is None and any(driver.quantity == "temperature rise" for driver in effect.drivers):
-                raise InputError(f"{effect.label}: needs temperatures that rise; add --warm-up 15")
+                raise InputError(f"{effect.label}: depends on temperatures that rise; add --warm-up 15")
             if self.motion == "static" and any(driver.quantity == "velocity" for driver in effect.drivers):
-                raise InputError(f"{effect.label}: needs a moving arm; add --motion trajectory")
+                raise InputError(f"{effect.label}: depends on joint velocities; add --motion trajectory")
         physics = Physics(tuple(effect for effect, _ in parsed))
         return physics, physics.join([values for _, values in parsed])
 
     def _geometry(self, arm: "Arm") -> "tuple[np.ndarray, np.ndarray]":
-        """The chain that the calibration says, and the one that the arm has."""
+        """The kinematics of the calibration, and those of the arm."""
         import numpy as np
 
         from lite6jax.arms.factory import read_factory
@@ -255,7 +255,7 @@ class Simulate:
     def _page(
         self, arm: "Arm", physics: "Physics", values: "np.ndarray", measured: "Measured"
     ) -> "Iterator[RenderableType]":
-        """What was simulated, with what numbers, and how large the hidden effect is."""
+        """What was simulated, with which numbers, and how far the effects displace the measured point."""
         import numpy as np
         from rich.text import Text
 
@@ -266,13 +266,13 @@ class Simulate:
         by = settings.pose_source.replace("_", " ")
         runs = f" in {self.runs} runs" if self.runs > 1 else ""
         yield Text(f"Simulated {recording.samples} {kind} of a {arm.name} by {by}, {recording.motion}{runs}.")
-        chain = "nominal, which the sidecar does not say"
+        chain = "nominal, not declared"
         if self.factory is not None or self.tolerance:
             chain = "as drawn" if self.tolerance else f"that of {self.factory}"
             if self.factory_uncertainty is not None:
                 chain += ", within its declared uncertainty"
             if self.geometry == "unknown":
-                chain += ", which the sidecar does not say"
+                chain += ", not declared"
         frame = "the arm's base" if self.frame == "known" else "unknown"
         tool = settings.tool if isinstance(settings.tool, str) else "declared"
         yield Text(f"Geometry: {chain}. Sensor frame: {frame}. Tool: {tool}.")
@@ -287,27 +287,27 @@ class Simulate:
             yield Text(f"Note: {note}.")
         yield ""
         if not physics.effects:
-            yield Text("No physics: the arm is rigid, and the sensor's noise is all there is to find.")
+            yield Text("No effects: the arm is rigid.")
             return
-        yield Text("Physics that the model does not have")
+        yield Text("Effects beyond the rigid model")
         for effect, parameters in zip(physics.effects, physics.reported(values), strict=True):
             numbers = ", ".join(f"{name} = {estimate.value:.6g}" for name, estimate in parameters.items())
             yield Text(f"  {effect.name} at {effect.site}: {numbers}")
         distance, turn = 1e3 * measured.displacement, np.degrees(measured.turn)
-        rms = float(np.sqrt(np.mean(distance**2)))
+        rms, largest = float(np.sqrt(np.mean(distance**2))), float(distance.max())
         turned = float(np.sqrt(np.mean(turn**2)))
         yield Text(
-            f"It moves the measured point by {number(rms)} mm RMS, {number(float(distance.max()))} mm at most, and "
-            f"turns it by {fixed(turned)}° RMS."
+            f"The effects displace the measured point by {number(rms)} mm RMS ({number(largest)} mm at most) "
+            f"and rotate it by {fixed(turned)}° RMS."
         )
 
     def _undeclared(self) -> str:
         noise = self.noise
         parts = [
             (noise.noise_factor != 1, f"{noise.noise_factor:g} times as large"),
-            (noise.noise_correlation, f"correlated by {noise.noise_correlation:g} from row to row"),
+            (noise.noise_correlation, f"with autocorrelation {noise.noise_correlation:g} from row to row"),
             (noise.noise_growth, f"growing by {100 * noise.noise_growth:g} % per m from the base"),
             (noise.undeclared_joint_noise, f"joints' read-outs {noise.undeclared_joint_noise:g}°"),
-            (noise.outliers, f"{100 * noise.outliers:g} % of the rows wild"),
+            (noise.outliers, f"{100 * noise.outliers:g} % outliers"),
         ]
         return ", ".join(text for given, text in parts if given)

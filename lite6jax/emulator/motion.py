@@ -12,7 +12,7 @@ from scipy.interpolate import CubicSpline
 from lite6jax.arms.arm import Arm
 from lite6jax.errors import InputError
 from lite6jax.recordings import outside_limits, read_recording, recording_file
-from lite6jax.simulation import MARGIN, PERIODS_S, RUN_UP_S, SINES, SPEED
+from lite6jax.simulation.motions import MARGIN, PERIODS_S, RUN_UP_S, SINES, SPEED
 
 Array = NDArray[np.floating]
 
