@@ -163,9 +163,8 @@ def searched(recording: Recording) -> tuple[tuple[Step, ...], list[Fault]]:
 
 def hidden(folder: Path, geometry: Geometry, samples: int) -> Recording:
     """A static recording of positions with `TRUE` in it, the sensor's frame and the tool unknown."""
-    effect, values = parse_effect(TRUE)
     simulated = simulation_of(folder, geometry, 7, mounted=True)
-    return simulated(physics=Physics((effect,)), values=values, samples=samples)
+    return simulated(effects=[TRUE], samples=samples)
 
 
 def speed(folder: Path, long: int = 12_000, repeats: int = 3) -> Iterator[Record]:

@@ -39,8 +39,7 @@ def recording_maker(folder):
         effects = [parse_effect(text) for text in texts]
         physics = Physics(tuple(effect for effect, _ in effects))
         settings = RecordingSettings(motion=motion, factory_calibration=str(calibration), position_noise_m=2e-5)
-        values = physics.join([values for _, values in effects])
-        return simulate(LITE6, physics, values, motion=motion, samples=SAMPLES, settings=settings, **given), physics
+        return simulate(LITE6, effects=effects, motion=motion, samples=SAMPLES, settings=settings, **given), physics
 
     return make
 

@@ -84,8 +84,8 @@ def wavy(recorded):
     """Of an arm whose first four joints err at five orders each, as a search of real arms finds it."""
     settings = recorded(COMPLIANCE)[0].settings
     physics = Physics(tuple(waves(joint) for joint in (1, 2, 3, 4)))
-    values = np.tile(AMPLITUDES, 4)
-    recording = simulate(LITE6, physics, values, motion="static", samples=400, settings=settings)
+    effects = [(effect, AMPLITUDES) for effect in physics.effects]
+    recording = simulate(LITE6, effects=effects, motion="static", samples=400, settings=settings)
     return diagnosed(recording, physics)
 
 
@@ -220,7 +220,7 @@ def test_a_loop_has_a_point_at_each_sample(recorded):
     settings = recorded(COMPLIANCE)[0].settings
     slack = Unnamed("joint2", "position of joint 2", -2.0, 2.0, memory=(0.0, 0.5))
     values = np.array([4e-4, 1.5e-3])
-    recording = simulate(LITE6, Physics((slack,)), values, motion="static", samples=300, settings=settings)
+    recording = simulate(LITE6, effects=[(slack, values)], motion="static", samples=300, settings=settings)
     loop = diagnosed(recording, Physics((slack,)))
     (panel,) = diagnosis_figures.finding_curves(loop, "", [0]).axes
     dots, curve = panel.lines[0], panel.lines[1]
