@@ -1,50 +1,104 @@
-"""The public names. Importing the package enables 64-bit floats in JAX: fits here reach 1e-13 m."""
+"""The public names. Importing the package enables 64-bit floats in JAX: fits here reach 1e-13 m.
+
+A name's module is imported when the name is first used, so that a program waits only for what it needs. To add a name,
+add it to `_NAMES` and, for type checkers, to the imports above it; `tests/test_public_names.py` compares the two.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
 
 import jax
 
 jax.config.update("jax_enable_x64", True)
 
-from lite6jax.arms.arm import Arm  # noqa: E402
-from lite6jax.arms.chains import HayatiForm, hayati_fk, six_parameter_fk  # noqa: E402
-from lite6jax.arms.convert import hayati_to_six_parameter, six_parameter_to_hayati  # noqa: E402
-from lite6jax.arms.files import read_arm, read_factory, write_factory  # noqa: E402
-from lite6jax.errors import InputError  # noqa: E402
-from lite6jax.fitting.fit import fit  # noqa: E402
-from lite6jax.fitting.fleet import fit_fleet, fit_fleet_calibrations  # noqa: E402
-from lite6jax.fitting.solution import FleetSolution, Result, Solution  # noqa: E402
-from lite6jax.identifiability.identify import identify, identify_recording  # noqa: E402
-from lite6jax.identifiability.information import Experiment, plan_experiment  # noqa: E402
-from lite6jax.identifiability.planning import plan_poses  # noqa: E402
-from lite6jax.identifiability.sensitivity import global_sensitivity, sensitivity  # noqa: E402
-from lite6jax.identifiability.sensor import Sensor  # noqa: E402
-from lite6jax.recordings import Recording, read_recording, write_recording  # noqa: E402
+if TYPE_CHECKING:
+    from lite6jax.arms.arm import Arm as Arm
+    from lite6jax.arms.chains import (
+        HayatiForm as HayatiForm,
+    )
+    from lite6jax.arms.convert import (
+        hayati_to_six_parameter as hayati_to_six_parameter,
+    )
+    from lite6jax.arms.convert import (
+        six_parameter_to_hayati as six_parameter_to_hayati,
+    )
+    from lite6jax.arms.files import read_arm as read_arm
+    from lite6jax.arms.files import read_factory as read_factory
+    from lite6jax.arms.files import write_factory as write_factory
+    from lite6jax.arms.forward_kinematics import hayati_fk as hayati_fk
+    from lite6jax.arms.forward_kinematics import six_parameter_fk as six_parameter_fk
+    from lite6jax.diagnosis.diagnose import Diagnosis as Diagnosis
+    from lite6jax.diagnosis.diagnose import diagnose as diagnose
+    from lite6jax.diagnosis.options import Options as Options
+    from lite6jax.domains.pose.compensate import compensate as compensate
+    from lite6jax.domains.pose.predict import predict as predict
+    from lite6jax.domains.pose.predict import read_model as read_model
+    from lite6jax.effects.effect import Effect as Effect
+    from lite6jax.effects.effect import JointEffect as JointEffect
+    from lite6jax.errors import InputError as InputError
+    from lite6jax.domains.pose.fit import fit as fit
+    from lite6jax.fitting.fleet import fit_fleet as fit_fleet
+    from lite6jax.fitting.fleet import fit_fleet_calibrations as fit_fleet_calibrations
+    from lite6jax.fitting.solution import FleetSolution as FleetSolution
+    from lite6jax.fitting.solution import Result as Result
+    from lite6jax.fitting.solution import Solution as Solution
+    from lite6jax.identifiability.identify import identify as identify
+    from lite6jax.identifiability.identify import identify_recording as identify_recording
+    from lite6jax.identifiability.information import Experiment as Experiment
+    from lite6jax.identifiability.information import plan_experiment as plan_experiment
+    from lite6jax.identifiability.planning import plan_poses as plan_poses
+    from lite6jax.identifiability.sensitivity import (
+        global_sensitivity as global_sensitivity,
+    )
+    from lite6jax.identifiability.sensitivity import (
+        sensitivity as sensitivity,
+    )
+    from lite6jax.identifiability.sensor import Sensor as Sensor
+    from lite6jax.recordings import (
+        Recording as Recording,
+    )
+    from lite6jax.recordings import (
+        read_recording as read_recording,
+    )
+    from lite6jax.recordings import (
+        write_recording as write_recording,
+    )
+    from lite6jax.simulation import simulate as simulate
 
-__all__ = [
-    "Arm",
-    "Experiment",
-    "FleetSolution",
-    "HayatiForm",
-    "InputError",
-    "Recording",
-    "Result",
-    "Sensor",
-    "Solution",
-    "fit",
-    "fit_fleet",
-    "fit_fleet_calibrations",
-    "global_sensitivity",
-    "hayati_fk",
-    "hayati_to_six_parameter",
-    "identify",
-    "identify_recording",
-    "plan_experiment",
-    "plan_poses",
-    "read_arm",
-    "read_factory",
-    "read_recording",
-    "sensitivity",
-    "six_parameter_fk",
-    "six_parameter_to_hayati",
-    "write_factory",
-    "write_recording",
-]
+_NAMES = {
+    "lite6jax.arms.arm": ("Arm",),
+    "lite6jax.arms.chains": ("HayatiForm",),
+    "lite6jax.arms.convert": ("hayati_to_six_parameter", "six_parameter_to_hayati"),
+    "lite6jax.arms.forward_kinematics": ("hayati_fk", "six_parameter_fk"),
+    "lite6jax.arms.files": ("read_arm", "read_factory", "write_factory"),
+    "lite6jax.diagnosis.diagnose": ("Diagnosis", "diagnose"),
+    "lite6jax.diagnosis.options": ("Options",),
+    "lite6jax.domains.pose.compensate": ("compensate",),
+    "lite6jax.domains.pose.predict": ("predict", "read_model"),
+    "lite6jax.effects.effect": ("Effect", "JointEffect"),
+    "lite6jax.errors": ("InputError",),
+    "lite6jax.domains.pose.fit": ("fit",),
+    "lite6jax.fitting.fleet": ("fit_fleet", "fit_fleet_calibrations"),
+    "lite6jax.fitting.solution": ("FleetSolution", "Result", "Solution"),
+    "lite6jax.identifiability.identify": ("identify", "identify_recording"),
+    "lite6jax.identifiability.information": ("Experiment", "plan_experiment"),
+    "lite6jax.identifiability.planning": ("plan_poses",),
+    "lite6jax.identifiability.sensitivity": ("global_sensitivity", "sensitivity"),
+    "lite6jax.identifiability.sensor": ("Sensor",),
+    "lite6jax.recordings": ("Recording", "read_recording", "write_recording"),
+    "lite6jax.simulation": ("simulate",),
+}
+"""The public names of each module."""
+_MODULES = {name: module for module, names in _NAMES.items() for name in names}
+__all__ = [*_MODULES]  # pyright: ignore[reportUnsupportedDunderAll]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _MODULES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    value = globals()[name] = getattr(import_module(_MODULES[name]), name)
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *_MODULES})

@@ -93,7 +93,7 @@ def test_an_interrupt_is_one_line_and_130(capsys, monkeypatch, calibration):
     def interrupt(*args, **kwargs):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("lite6jax.fitting.fit.fit_calibration", interrupt)
+    monkeypatch.setattr("lite6jax.fitting.calibration_fit.fit_calibration", interrupt)
     out = calibration.with_suffix(".json")
     code, said, err = run(capsys, "fit", calibration, "--out", out)
     assert (code, said, err) == (130, "", "interrupted: nothing is left half-written\n")
