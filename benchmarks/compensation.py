@@ -15,9 +15,10 @@ from benchmarks.concealed.mujoco_physics import Arm
 from benchmarks.concealed.plain_physics import Hidden, Motion, Setup
 from benchmarks.measure import Record, timed
 from lite6jax.diagnosis.diagnose import diagnose
-from lite6jax.domains.pose.compensate import compensate, read_limits, read_wanted
+from lite6jax.domains.pose.compensate import compensate
+from lite6jax.domains.pose.files import read_pose_targets
 from lite6jax.domains.pose.predict import read_model
-from lite6jax.fitting.fit import fit
+from lite6jax.domains.pose.fit import fit
 from lite6jax.recordings import Recording, RecordingSettings, read_recording, write_recording
 from lite6jax.storage import write_atomically
 
@@ -125,9 +126,8 @@ def compensation(
                 settings=replace(recording.settings, motion="static"),
             )
             model = read_model(document)
-            limits, _ = read_limits(document, model)
             asked_path = write_recording(asked, Path(folder) / "targets.csv")
-            solve = partial(compensate, model, read_wanted(asked_path, model, limits), limits)
+            solve = partial(compensate, model, read_pose_targets(asked_path, model))
             first, _ = timed(solve)
             taken, solved = timed(solve)
         before, after = (

@@ -7,7 +7,7 @@ import numpy as np
 import pyarrow.csv
 import pytest
 from diagnosis.recorded import LITE6, Made, quaternions, static_motion, with_effects
-from diagnosis.test_prediction import OWN, document
+from domains.pose.documents import OWN, document
 from typed import flat, refused, run
 
 from lite6jax import cli
@@ -234,7 +234,7 @@ def test_predict_says_which_rows_are_empty(capsys, arm, tmp_path):
     out = tmp_path / "predicted.csv"
     code, said, _ = run(capsys, "predict", model, path, "--out", out)
     assert code == 0
-    assert "4 rows are empty: there the clock's offset reaches beyond the motion's ends." in flat(said)
+    assert "4 rows are empty: there, the clock offset reaches beyond the ends of the motion." in flat(said)
     lines = out.read_text().splitlines()
     assert lines[0] == "x_m,y_m,z_m"
     assert len(lines) == 31

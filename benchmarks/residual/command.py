@@ -20,7 +20,8 @@ from rich.table import Table
 
 from benchmarks.measure import Record
 from benchmarks.residual.score import OURS, Outcome, compare, diagnosed, diagnosed_elsewhere, transfer, unseen
-from lite6jax.domains.pose.predict import predict_motion, read_model, read_motion
+from lite6jax.domains.pose.files import read_motion
+from lite6jax.domains.pose.predict import predict, read_model
 from lite6jax.errors import InputError
 from lite6jax.fitting.compiled import keep_compiled_code
 from lite6jax.recordings import Recording, read_recording, sidecar_path
@@ -246,8 +247,8 @@ def on_trial(folder: Path, ours: bool, progress: Callable[[str], object]) -> tup
                 stored = write_atomically(Path(temporary) / "d.json", json.dumps(document, allow_nan=False))
             model = read_model(stored)
             said_by = json.loads(stored.read_text())
-        shown, beyond = predict_motion(model, read_motion(folder / "unseen.csv", model))
-        errors = np.where(beyond, np.nan, np.linalg.norm(shown[:, :3, 3] - truth.position, axis=1))
+        shown = predict(model, read_motion(folder / "unseen.csv", model))
+        errors = np.linalg.norm(shown[:, :3, 3] - truth.position, axis=1)
         names = tuple(f"{finding['effect']}:{finding['site']}" for finding in said_by["findings"])
         outcomes.append(Outcome(OURS, errors, model.physics.size, names, seconds))
     return outcomes, truth

@@ -18,8 +18,8 @@ from benchmarks.residual.black_boxes import gaussian_process, geometry_alone, ne
 from benchmarks.residual.linear import ridge, stepwise
 from benchmarks.residual.view import Array, Fitted, Geometry, Rival, View, rotations
 from lite6jax.diagnosis.diagnose import diagnose
-from lite6jax.domains.pose.predict import Enriched, register_motion
-from lite6jax.domains.pose.registration import register
+from lite6jax.domains.pose.predict import DiagnosedArm
+from lite6jax.domains.pose.registration import register, register_model
 from lite6jax.recordings import Recording
 
 OURS = "lite6jax"
@@ -141,7 +141,7 @@ def diagnosed(recording: Recording) -> tuple[Outcome, dict[str, Any]]:
     return outcome, found.to_dict()
 
 
-def diagnosed_elsewhere(model: Enriched, other: Recording) -> Array:
+def diagnosed_elsewhere(model: DiagnosedArm, other: Recording) -> Array:
     """`(sample,)` m: errors of a diagnosis' model on another recording, frame and tool registered anew."""
-    _, found = register_motion(model, other)
+    _, found = register_model(model, other)
     return found.distance

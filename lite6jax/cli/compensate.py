@@ -1,4 +1,4 @@
-"""The command that removes what a diagnosis has found: joints whose real pose is the wanted one."""
+"""The command that compensates the errors of a diagnosed arm: joint positions at which it reaches given poses."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,12 +13,12 @@ from lite6jax.storage import check_writable, write_atomically
 
 @dataclass(frozen=True)
 class Compensate:
-    """Give the joints at which a diagnosed arm really shows given poses.
+    """Compute the joint positions at which a diagnosed arm reaches given poses.
 
-    The targets are a table with x_m y_m z_m, with qw qx qy qz where orientation matters, with q1_rad … where the joints
-    are to stay near some (as those of the nominal inverse kinematics), and with what the model's effects depend on
-    (payload_kg, temp1_degC …, time_s). Each row of the output has the joints, whether the target is reached, how far
-    it is missed if not, and why. Exit code 0 if every target is reached, 1 if not.
+    The targets are a table with x_m y_m z_m; with qw qx qy qz where orientation matters; with q1_rad … where the joints
+    are to stay near given ones (such as those of the nominal inverse kinematics); and with the quantities on which the
+    model's effects depend (payload_kg, temp1_degC …, time_s). Each row of the output has the joint positions, whether
+    the target is reached, the error, and the reason. Exit code 0 if every target is reached, 1 if not.
 
     For example:
 
@@ -31,12 +31,12 @@ class Compensate:
     targets: Annotated[Positional[Path], arg(metavar="FILE")]
     """Poses to reach, of the point that was measured (.csv, .parquet)."""
     out: Annotated[Path, arg(metavar="FILE")]
-    """Write the joints here (.csv), a row per row."""
+    """Write the joint positions here (.csv), one row per target."""
     frame: Literal["sensor", "base"] = "sensor"
-    """Whose coordinates the targets are in: those of the diagnosed recording's sensor, or of the arm's base."""
+    """The frame of the targets: that of the diagnosed recording's sensor, or the arm's base."""
     approach: Annotated[tuple[int, ...], arg(metavar="-1|0|1")] = ()
-    """From which side the joints come to every target, one number for all or one for each, for backlash; by default
-    each row is approached from the one before."""
+    """The direction from which the joints approach every target, one number for all or one for each, for backlash; by
+    default each row is approached from the one before."""
     effects: Annotated[Path | None, arg(metavar="FILE.py")] = None
     """Effects of your own that the model has. Runs the file."""
     force: bool = False
@@ -48,14 +48,15 @@ class Compensate:
         import pyarrow as pa
         import pyarrow.csv as pa_csv
 
-        from lite6jax.domains.pose.compensate import compensate, read_limits, read_wanted
+        from lite6jax.domains.pose.compensate import compensate
+        from lite6jax.domains.pose.files import read_pose_targets
         from lite6jax.domains.pose.predict import read_model
         from lite6jax.effects.user_effects import load_effects
         from lite6jax.recordings import sidecar_path, write_settings
         from lite6jax.report import compensation_tables, screen
+        from lite6jax.report.reference import origin_statement
 
         model = read_model(self.diagnosis, load_effects(self.effects) if self.effects else ())
-        limits, document = read_limits(self.diagnosis, model)
         approach = self.approach * (model.dof if len(self.approach) == 1 else 1)
         if approach and (len(approach) != model.dof or not set(approach) <= {-1, 0, 1}):
             raise InputError(
@@ -68,12 +69,13 @@ class Compensate:
             check_writable(sidecar, self.force)
         elif sidecar.exists():
             raise InputError(
-                f"{sidecar}: would be taken for the settings of {self.out.name}, and is not; choose another name for "
-                "the joints, or remove it"
+                f"{sidecar}: would be read as the settings of {self.out.name}, but belongs to another file; choose "
+                "another name for the joint positions, or remove it"
             )
-        targets = read_wanted(self.targets, model, limits)
-        found = compensate(model, targets, limits, frame=self.frame, approach=approach or None)
-        columns = pa.table({name: pa.array(values) for name, values in found.table().items()})
+        targets = read_pose_targets(self.targets, model)
+        found = compensate(model, targets, frame=self.frame, approach=approach or None)
+        table = compensation_tables.compensation_columns(found)
+        columns = pa.table({name: pa.array(values) for name, values in table.items()})
 
         def write(target: Path) -> None:
             with open(target, "wb") as file:  # Arrow would put the names in quotes
@@ -82,11 +84,11 @@ class Compensate:
                 pa_csv.write_csv(columns, file, options)
 
         written = [write_atomically(self.out, write, self.force)]
-        if declared:  # as `predict` is to take the joints
+        if declared:  # so that `predict` reads the joint positions under the same settings
             settings = targets.recording.settings.moved(self.targets.parent, self.out.parent)
             written.append(write_settings(settings, sidecar, self.force))
-        if model.remark:
-            screen.show([model.remark])
-        screen.show(compensation_tables.compensation_report(found, model, document, str(self.targets), self.frame))
+        if model.reference is not None:
+            screen.show([origin_statement(model.reference)])
+        screen.show(compensation_tables.compensation_report(found, model, str(self.targets), self.frame))
         screen.written(written)
         return DONE if found.reached.all() else NOT_CONVERGED

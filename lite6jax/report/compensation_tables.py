@@ -1,32 +1,64 @@
-"""What a person reads of a compensation: which targets are reached, which are not and why, and how far to trust it."""
+"""What a person reads of a compensation: which targets are reached, which are not and why, and how accurately."""
 
 from collections import Counter
-from collections.abc import Iterator, Mapping
-from typing import Any
+from collections.abc import Iterator
 
 import numpy as np
+from numpy.typing import NDArray
 from rich.console import RenderableType
 from rich.padding import Padding
 from rich.text import Text
 
-from lite6jax.domains.pose.compensate import REACHED, Compensation
-from lite6jax.domains.pose.predict import Enriched
+from lite6jax.domains.pose.compensate import Compensation, Reason, TargetFrame
+from lite6jax.domains.pose.compensation_search import REACHED
+from lite6jax.domains.pose.predict import DiagnosedArm
 from lite6jax.report.cells import fixed, listing, number
 
 _ROWS_NAMED = 8
 
 
+def compensation_columns(found: Compensation) -> dict[str, NDArray]:
+    """Column name to values: a motion for `predict`, and for each target whether it is reached, its error and why."""
+    columns: dict[str, NDArray] = dict(found.recording.columns())
+    columns["ok"] = found.reached.astype(int)
+    columns["position_error_mm"] = 1e3 * found.position_error
+    if found.orientation_error is not None:
+        columns["orientation_error_deg"] = np.rad2deg(found.orientation_error)
+    columns["reason"] = np.array([reason_text(reason) for reason in found.reason], object)
+    return columns
+
+
+def reason_text(reason: Reason | None) -> str:
+    """A phrase; empty where there is nothing to report."""
+    if reason is None:
+        return ""
+    degrees = np.rad2deg(reason.angles)
+    match reason.code:
+        case "empty_field":
+            return "an empty field"
+        case "reverses":
+            return "the direction of approach reverses; approach it from one side"
+        case "at_limit":
+            sides = zip(reason.joints, degrees, strict=True)
+            return " and ".join(f"joint {joint} at its limit of {angle:.4g} deg" for joint, angle in sides)
+        case "near_singular":
+            return "next to a singular position"
+        case "out_of_reach":
+            return "out of reach"
+        case "far_from_start":
+            return f"joint {reason.joints[0]} is {degrees[0]:.0f} deg from where it was given"
+
+
 def compensation_report(
-    found: Compensation, model: Enriched, document: Mapping[str, Any], source: str, frame: str
+    found: Compensation, model: DiagnosedArm, source: str, frame: TargetFrame
 ) -> Iterator[RenderableType]:
     """The page.
 
     Args:
-        found: what was found.
-        model: with what.
-        document: the diagnosis file's content.
+        found: the joint positions.
+        model: with which they were found.
         source: the targets' file.
-        frame: "sensor" or "base".
+        frame: of the targets.
     """
     count, hit = len(found.reached), int(found.reached.sum())
     kind = "positions" if found.orientation_error is None else "positions and orientations"
@@ -39,21 +71,25 @@ def compensation_report(
     )
     yield ""
     yield Text(f"{_rows(hit)} reached" + (f", {_rows(count - hit)} not:" if hit < count else "."))
-    yield from _groups(found, ~found.reached)
-    if any(reason for reason, ok in zip(found.reason, found.reached, strict=True) if ok):
-        yield Text("Reached, and worth a look:")
-        yield from _groups(found, found.reached)
+    texts = np.array([reason_text(reason) for reason in found.reason], object)
+    yield from _groups(found, texts, ~found.reached)
+    if texts[found.reached].any():
+        yield Text("Reached, but to be noted:")
+        yield from _groups(found, texts, found.reached)
     if found.correction is not None and hit:
         yield ""
         yield from _corrections(np.abs(np.rad2deg(found.correction[found.reached])))
     for note in found.notes:
         yield Text(f"Note: {note}.")
-    after, before = (document.get(part, {}).get("heldout_position_rms_m") for part in ("after", "before"))
-    if isinstance(after, float) and isinstance(before, float):
+    if found.omitted:
+        verb = "concerns" if len(found.omitted) == 1 else "concern"
+        yield Text(f"Note: omitted: {' and '.join(found.omitted)}, which {verb} the sensor and not the arm's position.")
+    if model.heldout_rms is not None:
+        before, after = (number(1e3 * rms) for rms in model.heldout_rms)
         yield ""
         yield Text(
-            f"To expect: this model missed rows that it had not seen by {number(1e3 * after)} mm RMS; without its "
-            f"effects it was {number(1e3 * before)} mm."
+            f"Expected accuracy: in cross-validation this model had position errors of {after} mm RMS, and {before} mm "
+            "without its effects."
         )
 
 
@@ -65,22 +101,21 @@ def _rows(count: int) -> str:
     return f"{count} target{'' if count == 1 else 's'}"
 
 
-def _groups(found: Compensation, chosen: np.ndarray) -> Iterator[RenderableType]:
-    """A line a reason, with the rows and the largest error."""
-    reasons = Counter(found.reason[k] for k in np.flatnonzero(chosen) if found.reason[k])
+def _groups(found: Compensation, texts: NDArray, chosen: NDArray) -> Iterator[RenderableType]:
+    """A line per reason, with the rows and the largest error."""
+    reasons = Counter(text for text in texts[chosen] if text)
     for reason, _ in reasons.most_common(_ROWS_NAMED):
-        rows = [int(k) for k in np.flatnonzero(chosen) if found.reason[k] == reason]
+        rows = np.flatnonzero(chosen & (texts == reason))
         named = ", ".join(str(found.recording.row[k]) for k in rows[:_ROWS_NAMED])
-        missed = _missed(found, rows)
         more = ", …" if len(rows) > _ROWS_NAMED else ""
-        yield _indented(f"{reason}: row{'' if len(rows) == 1 else 's'} {named}{more}{missed}")
+        yield _indented(f"{reason}: row{'' if len(rows) == 1 else 's'} {named}{more}{_missed(found, rows)}")
     rest = sum(reasons.values()) - sum(n for _, n in reasons.most_common(_ROWS_NAMED))
     if rest:
-        yield _indented(f"and {rest} more; the file says which")
+        yield _indented(f"and {rest} more, which are in the file")
 
 
-def _missed(found: Compensation, rows: list[int]) -> str:
-    """By how much, in what is missed; rows without a target miss nothing."""
+def _missed(found: Compensation, rows: NDArray) -> str:
+    """The largest error; rows without a target have none."""
     largest = []
     for errors, scale, unit, least in (
         (found.position_error, 1e3, " mm", REACHED[0]),
@@ -89,12 +124,12 @@ def _missed(found: Compensation, rows: list[int]) -> str:
         most = 0.0 if errors is None else float(np.nan_to_num(errors[rows]).max())
         if most > least:
             largest.append(f"{number(scale * most)}{unit}")
-    return f", off by up to {' and '.join(largest)}" if largest else ""
+    return f", with errors up to {' and '.join(largest)}" if largest else ""
 
 
-def _corrections(degrees: np.ndarray) -> Iterator[RenderableType]:
-    table = listing("moved from the joints given (deg)", *(f"q{joint}" for joint in range(1, degrees.shape[1] + 1)))
-    table.columns[0].no_wrap = False  # rather than that numbers are cut short
+def _corrections(degrees: NDArray) -> Iterator[RenderableType]:
+    table = listing("correction of the joints (deg)", *(f"q{joint}" for joint in range(1, degrees.shape[1] + 1)))
+    table.columns[0].no_wrap = False  # rather than cut numbers short
     for name, values in (("median", np.median(degrees, 0)), ("max", degrees.max(0))):
         table.add_row(name, *(fixed(float(value)) for value in values))
     yield table

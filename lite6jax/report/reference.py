@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from typing import Any
 
+from lite6jax.domains.pose.predict import ReferenceOrigin
 from lite6jax.report.cells import number
 
 _CHAINS = {
@@ -39,6 +40,11 @@ def model_statement(file: str, rigid: bool) -> str:
         f"The model is the rigid arm with the difference from {file}: effects that both recordings have are not in "
         f"it, and effects of {file} alone are in it with reversed sign."
     )
+
+
+def origin_statement(origin: ReferenceOrigin) -> str:
+    """The same of a model that was read from a file; a file of version 1 has the sentence itself."""
+    return origin.statement if origin.rigid is None else model_statement(origin.file, origin.rigid)
 
 
 def with_statements(comparison: Mapping[str, Any]) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""Joints at which an arm with physics shows given poses: damped least squares inside the limits, all rows at once."""
+"""Joint positions at which an arm with effects reaches given poses: damped least squares within limits, batched."""
 
 from functools import partial
 from typing import Any, NamedTuple
@@ -18,24 +18,24 @@ from lite6jax.effects.statics import Inertia
 from lite6jax.model import ArmModel, predict_frames_with
 
 LEVER = 0.2
-"""m: where a pose is out of reach, a rotation counts as the arc that it is at this distance."""
+"""m: where a pose is out of reach, rotations are weighed against translations by this lever arm."""
 STEPS = 300
-"""As many as a row next to a singular position takes; _MOST_NEED suffices nearly everywhere."""
+"""Steps that a row next to a singular position takes; `_MOST_NEED` suffice nearly everywhere."""
 _MOST_NEED = 16
 _CHUNKS = (64, 1024)
-"""Rows solved together, few or many: one of two compiled functions serves any number, and Jacobians stay in cache."""
+"""Rows solved together, few or many: two compiled functions serve any number, and Jacobians stay in cache."""
 _FINE = 1e-11
-"""m: an error below this is none, …"""
+"""m: an error below this is rounding, …"""
 _STILL = 1e-12
 """… and a step below this, in rad, is rounding."""
 _CREEPING = 1e-8
-"""A step that lowers the cost by a smaller part is the last."""
+"""Relative decrease of the cost below which a step is the last."""
 _LONGEST = 0.5
-"""rad; the longest step of a joint."""
+"""rad, the longest step of a joint."""
 
 
 class Target(NamedTuple):
-    """Poses to be shown, the sample last.
+    """Poses to be reached, the sample last.
 
     Attributes:
         position: `(3, sample)` m, sensor frame.
@@ -46,15 +46,15 @@ class Target(NamedTuple):
     rotation: Array | None
 
 
-class Reached(NamedTuple):
-    """Where the search ended; NumPy arrays outside of jitted functions.
+class Solved(NamedTuple):
+    """Joint positions found; NumPy arrays outside of jitted functions.
 
     Attributes:
         joint_position: `(joint, sample)` rad, inside the limits.
         position_error: `(sample,)` m.
         orientation_error: `(sample,)` rad; zero where any orientation will do.
-        pressed: `(joint, sample)`, joints at a limit that would have to go beyond it to come nearer.
-        ended: `(sample,)`, whether more steps would change nothing.
+        pressed: `(joint, sample)`, joints at a limit beyond which the error would decrease.
+        ended: `(sample,)`, whether it converged.
     """
 
     joint_position: Any
@@ -78,29 +78,29 @@ def solve(
     target: Target,
     limits: np.ndarray,
     steps: int = STEPS,
-) -> Reached:
-    """The joints nearest to those of `motion` at which the sensor shows `target`, or comes nearest to it.
+) -> Solved:
+    """Joint positions, from those of `motion`, at which the sensor shows `target`, or with the smallest error.
 
     Levenberg–Marquardt for each sample by itself, with exact derivatives and projection into the limits (C. Kanzow,
     N. Yamashita, M. Fukushima, J. Comput. Appl. Math. 172, 2004): a joint at a limit that would have to go beyond is
     held. Velocity, direction, time, load and temperature stay those of `motion`.
 
     Args:
-        physics: without effects that look at neighbouring samples.
+        physics: without effects of a whole sequence.
         model: the rigid arm.
         values: `(physics.size,)`.
-        motion: where to start from, and all that effects depend on.
+        motion: the start, and everything that effects depend on.
         inertia: the masses, or None where no effect needs them.
-        target: what is to be shown, as many samples.
+        target: the poses, as many samples.
         limits: `(joint, 2)` rad.
-        steps: the most; with zero the joints stay, and their errors are told.
+        steps: the most; with zero the joint positions stay, and their errors are evaluated.
 
     Raises:
         InputError: as `predict_frames_with`.
     """
     rows = np.arange(motion.samples)
     found = _in_chunks(physics, model, values, motion, inertia, target, limits, rows, min(steps, _MOST_NEED))
-    if steps > _MOST_NEED and not found.ended.all():  # the others go on by themselves
+    if steps > _MOST_NEED and not found.ended.all():  # only those continue
         rows = rows[~found.ended]
         onward = motion._replace(joint_position=found.joint_position)  # type: ignore[arg-type]
         later = _in_chunks(physics, model, values, onward, inertia, target, limits, rows, steps - _MOST_NEED)
@@ -119,7 +119,7 @@ def _in_chunks(
     limits: np.ndarray,
     rows: np.ndarray,
     steps: int,
-) -> Reached:
+) -> Solved:
     size = next(size for size in _CHUNKS if size >= min(len(rows), _CHUNKS[-1]))
     parts = []
     for first in range(0, len(rows), size):
@@ -128,7 +128,7 @@ def _in_chunks(
         alone = picked._replace(run=np.tile(np.arange(size), (2, 1)))
         chain = SixParameterForm(motion.dof)
         parts.append(_solve(chain, physics, model, values, alone, inertia, wanted, limits, steps))
-    return Reached(*(np.concatenate(leaves, -1)[..., : len(rows)] for leaves in zip(*parts, strict=True)))  # type: ignore[arg-type]
+    return Solved(*(np.concatenate(leaves, -1)[..., : len(rows)] for leaves in zip(*parts, strict=True)))  # type: ignore[arg-type]
 
 
 class _State(NamedTuple):
@@ -156,7 +156,7 @@ def _solve(
     target: Target,
     limits: Array,
     steps: ArrayLike,
-) -> Reached:
+) -> Solved:
     dof = motion.dof
     lower, upper = limits[:, :1], limits[:, 1:]
 
@@ -201,7 +201,7 @@ def _solve(
     damping = jnp.full(samples, 1e-3)
     state = _State(start, start, flat, none, unmet, nowhere, damping, undone, jnp.zeros((), int))
     state = lax.while_loop(lambda s: (s.step <= steps) & ~s.done.all(), improve, state)
-    return Reached(
+    return Solved(
         state.joints,
         jnp.sqrt(jnp.sum(state.missed[:3] ** 2, 0)),
         jnp.sqrt(jnp.sum(state.missed[3:] ** 2, 0)) / LEVER,

@@ -1,86 +1,205 @@
-"""What a diagnosed arm's sensor would show in another motion, from the model in a diagnosis file."""
+"""The model of a diagnosed arm: read from a diagnosis, evaluated as a JAX function, predicted over a motion."""
 
 import json
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple, final
 
 import jax
+import jax.numpy as jnp
 import numpy as np
+from jax.typing import ArrayLike
 from numpy.typing import NDArray
 
 from lite6jax.arms.chains import SixParameterForm
-from lite6jax.arms.se3 import quaternion_from_rotation, rotation_from_quaternion
-from lite6jax.domains.pose.registration import Registration, register
 from lite6jax.effects.catalogue import kinds_of
 from lite6jax.effects.composition import Physics
 from lite6jax.effects.effect import Effect
-from lite6jax.effects.kinematic.surroundings import BaseDrift
+from lite6jax.effects.kinematic.surroundings import TimeOffset
 from lite6jax.effects.motion import Motion, accelerated
 from lite6jax.effects.serialization import effect_from_dict
 from lite6jax.effects.statics import Inertia, inertia_of
 from lite6jax.errors import InputError
-from lite6jax.fitting.problem import UNDECLARED_NOISE
 from lite6jax.model import ArmModel, predict_poses
-from lite6jax.recordings import (
-    Recording,
-    RecordingSettings,
-    read_recording,
-    read_settings,
-    require_samples,
-    sidecar_path,
-)
+from lite6jax.recordings import Recording, RecordingSettings, require_radians
 from lite6jax.recordings.motion import motion_of_recording
 from lite6jax.storage import read_text
 
 Array = NDArray[np.floating]
 
-SCHEMA = "lite6jax/diagnosis/1"
+SCHEMAS = ("lite6jax/diagnosis/2", "lite6jax/diagnosis/1")
 _SIZE_LIMIT = 1 << 26
-_TO_REGISTER = {3: 15, 6: 12}
-"""Numbers that tell sensor frame and tool: with positions alone a closed form takes the frame's nine cosines first."""
+_DAMAGED = "run `lite6jax diagnose` again"
+_ARGUMENTS = {
+    "direction of motion": "direction",
+    "velocity": "joint_velocity",
+    "temperature rise": "temperature_rise",
+    "time": "time",
+}
+"""The argument of `DiagnosedArm.pose` that provides a quantity which effects depend on."""
 
 
-@dataclass(frozen=True, eq=False)
-class Enriched:
-    """An arm with its physics, as a diagnosis left it.
+class ReferenceOrigin(NamedTuple):
+    """The reference recording relative to which a model was estimated.
 
     Attributes:
-        arm: the nominal arm's name.
-        model: the rigid part, NumPy leaves.
-        physics: the effects.
-        values: their numbers.
-        inertia: masses, or None where none are known.
-        orientation: whether the sensor showed orientations.
-        reference_temperature: °C, at which the geometry holds.
-        motion: of the diagnosed recording: "static" or "trajectory".
-        accelerated: whether loads hold what it takes to accelerate the arm.
-        remark: what a prediction means where the recording was diagnosed against another one; else empty.
+        file: the recording's name.
+        rigid: whether it has no effects beyond a rigid arm; None where the diagnosis does not say.
+        statement: what the diagnosis says of the model.
     """
 
-    arm: str
+    file: str
+    rigid: bool | None
+    statement: str
+
+
+_LEAVES = ("model", "values", "inertia", "joint_limits")
+_STATIC = (
+    *("arm", "physics", "orientation", "reference_temperature", "motion", "accelerated", "heldout_rms", "reference"),
+)
+
+
+@final
+@partial(jax.tree_util.register_dataclass, data_fields=_LEAVES, meta_fields=_STATIC)
+@dataclass(frozen=True, eq=False)
+class DiagnosedArm:
+    """An arm with the effects that a diagnosis found. A pytree: arrays are its leaves, all else is static.
+
+    Attributes:
+        model: the rigid part.
+        values: `(physics.size,)`, the numbers of the effects.
+        inertia: masses, or None where none are known.
+        joint_limits: `(joint, 2)` rad, or None where the diagnosis has none.
+        arm: the nominal arm's name.
+        physics: the effects.
+        orientation: whether the sensor measured orientations.
+        reference_temperature: °C, at which the geometry holds.
+        motion: of the diagnosed recording: "static" or "trajectory".
+        accelerated: whether loads include the arm's accelerations.
+        heldout_rms: cross-validated position errors in m RMS, without and with the effects; None where not known.
+        reference: the recording relative to which the effects were estimated; None where absolute.
+    """
+
     model: ArmModel
-    physics: Physics
-    values: Array
+    values: Any  # JAX puts other objects than arrays into leaves while it transforms
     inertia: Inertia | None
-    orientation: bool
-    reference_temperature: float
-    motion: str
+    joint_limits: Any
+    arm: str
+    physics: Physics
+    orientation: bool = True
+    reference_temperature: float = 25.0
+    motion: str = "static"
     accelerated: bool = False
-    remark: str = ""
+    heldout_rms: tuple[float, float] | None = None
+    reference: ReferenceOrigin | None = None
 
     @property
     def dof(self) -> int:
         """The number of joints."""
-        return np.asarray(self.model.geometry).size // 6
+        return self.model.geometry.size // 6
+
+    def pose(
+        self,
+        joint_position: ArrayLike,
+        *,
+        payload: ArrayLike = 0.0,
+        temperature_rise: ArrayLike | None = None,
+        direction: ArrayLike | None = None,
+        joint_velocity: ArrayLike | None = None,
+        time: ArrayLike | None = None,
+    ) -> jax.Array:
+        """The poses `T_sensor_tool` `(..., 4, 4)` that the sensor shows, each of one instant alone.
+
+        A pure function for `jax.jit`, `jax.grad` and `jax.vmap`, of its arguments and of this model's arrays:
+
+            jax.jacfwd(model.pose)(q)
+            jax.grad(lambda model: jnp.sum(model.pose(q) ** 2))(model)
+
+        Args:
+            joint_position: `(..., joint)` rad.
+            payload: `(...)` kg at the flange.
+            temperature_rise: `(...)` K above the temperature at which the geometry holds.
+            direction: `(..., joint)` -1, 0 or 1, from which side each joint was approached.
+            joint_velocity: `(..., joint)` rad/s.
+            time: `(...)` s since the recording began.
+
+        Raises:
+            InputError: another number of joints, degrees, a quantity not given on which an effect depends, or an effect
+                of a whole sequence (a clock's offset, play), which `predict` evaluates and `without` removes.
+        """
+        q = jnp.asarray(joint_position, float)
+        if q.ndim < 1 or q.shape[-1] != self.dof:
+            raise InputError(f"pose: joint_position has the shape {q.shape}; give (..., {self.dof}) in rad")
+        if not isinstance(q, jax.core.Tracer):
+            limits = None if isinstance(self.joint_limits, jax.core.Tracer) else self.joint_limits
+            require_radians(q, limits)
+
+        each, samples = q.shape[:-1], int(np.prod(q.shape[:-1], dtype=int))
+
+        def row(name: str, value: ArrayLike | None, shape: tuple[int, ...]) -> jax.Array | None:
+            if value is None:
+                return None
+            array = jnp.asarray(value, float)
+            try:
+                full = jnp.broadcast_to(array, shape)
+            except ValueError as error:
+                given = f"pose: {name} has the shape {array.shape}"
+                raise InputError(f"{given}; give one that broadcasts to {shape}") from error
+            return jnp.moveaxis(full.reshape(samples, *shape[q.ndim - 1 :]), 0, -1)
+
+        motion = Motion(
+            joint_position=q.reshape(samples, self.dof).T,
+            joint_velocity=row("joint_velocity", joint_velocity, q.shape),
+            direction=row("direction", direction, q.shape),
+            time=row("time", time, each),
+            run=jnp.tile(jnp.arange(samples), (2, 1)),
+            temperature_rise=row("temperature_rise", temperature_rise, each),
+            payload=row("payload", payload, each),  # type: ignore[arg-type]
+        )
+        self._require(motion)
+        chain = SixParameterForm(self.dof)
+        poses = predict_poses(chain, self.physics, self.model, self.values, motion, self.inertia)
+        return poses.reshape(*each, 4, 4)
+
+    def without(self, *effects: str) -> "DiagnosedArm":
+        """The same arm without some effects, each given by name (all of that name) or by label.
+
+        Raises:
+            InputError: the model has no such effect.
+        """
+        present = self.physics.effects
+        for name in effects:
+            if not any(name in (effect.name, effect.label) for effect in present):
+                labels = ", ".join(effect.label for effect in present) or "none"
+                raise InputError(f"effect {name!r}: the model has {labels}; choose one of them")
+        return self.keeping([effect.name not in effects and effect.label not in effects for effect in present])
+
+    def keeping(self, kept: list[bool]) -> "DiagnosedArm":
+        """The same arm with the effects for which `kept` is true."""
+        physics, values = self.physics.part(self.values, kept)
+        return replace(self, physics=physics, values=values)
 
     def motion_of(self, recording: Recording) -> Motion:
-        """The motion of a recording, with its accelerations where they count."""
+        """The motion of a recording, with accelerations where loads include them."""
         motion = motion_of_recording(recording)
         return accelerated(motion) if self.accelerated else motion
 
+    def _require(self, motion: Motion) -> None:
+        for effect in self.physics.effects:
+            if isinstance(effect, TimeOffset) or getattr(effect, "memory", ()):
+                raise InputError(
+                    f"{effect.label}: depends on other samples, and pose() takes one at a time; give the motion to "
+                    f"predict(), or remove the effect by model.without({effect.label!r})"
+                )
+            for driver in effect.drivers:
+                argument = _ARGUMENTS.get(driver.quantity)
+                if argument and not driver.known(motion, None):
+                    raise InputError(f"{effect.label}: needs the {driver.phrase}: give {argument}=")
 
-def read_model(path: str | Path, effects: tuple[Effect, ...] = ()) -> Enriched:
+
+def read_model(path: str | Path, effects: tuple[Effect, ...] = ()) -> DiagnosedArm:
     """The model in a diagnosis file.
 
     Args:
@@ -94,12 +213,29 @@ def read_model(path: str | Path, effects: tuple[Effect, ...] = ()) -> Enriched:
         document = json.loads(read_text(path, _SIZE_LIMIT))
     except (ValueError, RecursionError) as error:
         raise InputError(f"{path}: is no JSON ({error}); give what `lite6jax diagnose --out` wrote") from error
+    return model_from_document(document, effects, str(path))
+
+
+def model_from_document(document: Any, effects: tuple[Effect, ...] = (), source: str = "diagnosis") -> DiagnosedArm:
+    """The model in a diagnosis of version 1 or 2, as JSON holds it.
+
+    Args:
+        document: all of it.
+        effects: a user's own, where the model has them.
+        source: what messages begin with.
+
+    Raises:
+        InputError: not a diagnosis, or something in it is missing or not possible.
+    """
     if (
         not isinstance(document, dict)
-        or document.get("schema") != SCHEMA
+        or document.get("schema") not in SCHEMAS
         or not isinstance(document.get("model"), dict)
     ):
-        raise InputError(f"{path}: is no diagnosis ({SCHEMA} with a model); give what `lite6jax diagnose --out` wrote")
+        raise InputError(
+            f"{source}: is no diagnosis ({' or '.join(SCHEMAS)} with a model); give what `lite6jax diagnose --out` "
+            "wrote"
+        )
     model: dict[str, Any] = document["model"]
     try:
         kinematics = np.asarray(model["kinematics"], float)
@@ -111,116 +247,92 @@ def read_model(path: str | Path, effects: tuple[Effect, ...] = ()) -> Enriched:
         pairs = [effect_from_dict(entry, kinds_of(effects)) for entry in model["effects"]]
         physics = Physics(tuple(effect for effect, _ in pairs))
         masses = model["inertia"]
-        inertia = None if masses is None else inertia_of(**{name: np.asarray(v, float) for name, v in masses.items()})
-        return Enriched(
+        return DiagnosedArm(
             arm=str(model["arm"]),
             model=ArmModel(kinematics.ravel(), *frames),  # type: ignore[arg-type]
             physics=physics,
             values=physics.join([value for _, value in pairs]),
-            inertia=inertia,
+            inertia=None if masses is None else inertia_of(**{k: np.asarray(v, float) for k, v in masses.items()}),
+            joint_limits=_limits(model.get("joint_limits"), len(kinematics)),
             orientation=bool(model["orientation"]),
             reference_temperature=float(model["reference_temperature_degC"]),
             motion=str(model["motion"]),
             accelerated=bool(model.get("accelerated", False)),
-            remark=str(document.get("against", {}).get("statement", "")),
+            heldout_rms=_heldout(document),
+            reference=_origin(document.get("against")),
         )
     except InputError as error:
-        raise InputError(f"{path}: {error}") from error
+        raise InputError(f"{source}: {error}") from error
     except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
-        raise InputError(f"{path}: its model is damaged ({error}); run `lite6jax diagnose` again") from error
+        raise InputError(f"{source}: its model is damaged ({error}); {_DAMAGED}") from error
 
 
-def read_motion(path: str | Path, model: Enriched) -> Recording:
-    """A motion to predict; what its own sidecar does not say is as it was in the diagnosed recording.
+def predict(model: DiagnosedArm, motion: Recording | ArrayLike, **circumstances: ArrayLike) -> Array:
+    """The poses `T_sensor_tool` `(sample, 4, 4)` that the sensor shows in a motion.
 
-    Raises:
-        InputError: as `read_recording`.
-    """
-    sidecar = sidecar_path(path)
-    settings = (
-        read_settings(sidecar)
-        if sidecar.exists()
-        else RecordingSettings(reference_temperature_degC=model.reference_temperature)
-    )
-    recording = read_recording(path, dof=model.dof)
-    if settings.motion is None and recording.motion != model.motion:
-        settings = replace(settings, motion=model.motion)  # type: ignore[arg-type]
-    return recording.made_anew(settings=settings)
+    Rows are NaN where a clock's offset reaches beyond the ends of a run.
 
-
-def register_motion(model: Enriched, recording: Recording) -> tuple[Enriched, Registration]:
-    """The model with sensor frame and tool as in a recording of another set-up; all else stays, and how it fits.
-
-    Where only positions were measured, the tool keeps its rotation, and the model shows positions only. How the old
-    set-up drifted stays behind with it.
+    Args:
+        model: the arm, from a diagnosis.
+        motion: a recording, whose settings say at which temperature the geometry holds and whether the arm stands
+            still at each row; or joint positions `(sample, joint)` in rad, for which the diagnosed recording's hold.
+        circumstances: beside joint positions, arrays by the names of `Recording.from_arrays` in its shapes and units:
+            `payload`, `time`, `run`, `joint_velocity`, `joint_temperature`, `ambient_temperature`.
 
     Raises:
-        InputError: no poses, too few of them (both counts), poses that leave a frame open, or as `predict_motion`.
+        InputError: another number of joints, degrees, or the motion lacks what an effect needs, by name.
     """
-    require_samples(recording, _TO_REGISTER[recording.numbers_per_sample or 3])
-    model = _without_drift(model)
-    bare = [replace(model, model=ArmModel(model.model.geometry, _shift(x), np.eye(4))) for x in (0.0, 1.0)]  # type: ignore[arg-type]
-    (flange, beyond), (shifted, _) = (predict_motion(one, recording) for one in bare)
-    # a sensor's scale multiplies what it sees: it is how far a shift of the frame by a metre moves that
-    growth = (shifted - flange)[:, 0, 3]
-    flange = flange.copy()
-    flange[:, :3, 3] /= growth[:, None]
-    used = ~beyond
-    require_samples(recording.select(used), _TO_REGISTER[recording.numbers_per_sample])
-    position, rotation = recording.position, None
-    assert position is not None
-    if recording.quaternion is not None:
-        rotation = np.asarray(rotation_from_quaternion(recording.quaternion))[used]
-    settings = recording.settings
-    noise = (
-        settings.position_noise_m or UNDECLARED_NOISE[0],
-        settings.orientation_noise_rad or UNDECLARED_NOISE[1],
-    )
-    before = np.asarray(model.model.T_flange_tool)[:3, :3]
-    found = register(flange[used], (position / growth[:, None])[used], rotation, noise, tool_rotation=before)
-    if not found.determined:
-        raise InputError(
-            f"{recording.source}: its poses leave sensor frame or tool open; record some that turn the flange about "
-            "other axes"
-        )
-    frames = ArmModel(model.model.geometry, found.T_sensor_base, found.T_flange_tool)  # type: ignore[arg-type]
-    return replace(model, model=frames, orientation=rotation is not None), found
-
-
-def _without_drift(model: Enriched) -> Enriched:
-    lasting = [not isinstance(effect, BaseDrift) for effect in model.physics.effects]
-    physics, values = model.physics.part(model.values, lasting)
-    return replace(model, physics=physics, values=values)
-
-
-def _shift(x: float) -> Array:
-    T = np.eye(4)
-    T[0, 3] = x
-    return T
-
-
-def predict_motion(model: Enriched, recording: Recording) -> tuple[Array, NDArray[np.bool_]]:
-    """The poses `T_sensor_tool` `(sample, 4, 4)` and which rows, `(sample,)`, the motion holds too little for.
-
-    Raises:
-        InputError: the motion lacks what an effect of the model needs, by name.
-    """
-    motion = model.motion_of(recording)
+    if isinstance(motion, Recording):
+        if circumstances:
+            raise InputError(f"predict: a recording has its own {', '.join(circumstances)}; give joint positions")
+        recording = motion
+    else:
+        recording = recording_of(model, motion, **circumstances)
+    sequence = model.motion_of(recording)
     chain = SixParameterForm(model.dof)
-    poses = predict_poses(chain, model.physics, model.model, model.values, motion, model.inertia)
-    beyond = np.asarray(_beyond(model.physics, model.values, motion))
-    return np.asarray(poses), beyond
+    poses = np.array(predict_poses(chain, model.physics, model.model, model.values, sequence, model.inertia))
+    poses[np.asarray(_beyond(model.physics, model.values, sequence))] = np.nan
+    return poses
+
+
+def recording_of(model: DiagnosedArm, joint_position: ArrayLike, **arrays: Any) -> Recording:
+    """A recording of arrays, as `Recording.assembled`; temperature and kind of motion as in the diagnosed one.
+
+    Raises:
+        InputError: degrees, another number of joints, or arrays that do not fit together.
+    """
+    settings = RecordingSettings(
+        motion=model.motion,  # type: ignore[arg-type]
+        reference_temperature_degC=model.reference_temperature,
+    )
+    recording = Recording.assembled(joint_position, settings=settings, source="motion", **arrays)
+    if recording.dof != model.dof:
+        raise InputError(f"motion: has {recording.dof} joints, and the arm {model.dof}; give that arm's motion")
+    require_radians(recording.joint_position, model.joint_limits)
+    return recording
 
 
 _beyond = jax.jit(Physics.beyond, static_argnums=0)
-_quaternions = jax.jit(quaternion_from_rotation)
 
 
-def table(poses: Array, beyond: NDArray[np.bool_], orientation: bool) -> dict[str, Array]:
-    """Column name to values, as a recording has them; NaN where nothing can be said."""
-    position = np.where(beyond[:, None], np.nan, poses[:, :3, 3])
-    columns: dict[str, Array] = dict(zip(("x_m", "y_m", "z_m"), position.T, strict=True))
-    if orientation:
-        quaternion = np.where(beyond[:, None], np.nan, np.asarray(_quaternions(poses[:, :3, :3])))
-        columns.update(zip(("qw", "qx", "qy", "qz"), quaternion.T, strict=True))
-    return columns
+def _limits(limits: Any, joints: int) -> Array | None:
+    if limits is None:
+        return None
+    array = np.asarray(limits, float)
+    if array.shape != (joints, 2) or not (np.isfinite(array).all() and (array[:, 0] < array[:, 1]).all()):
+        raise ValueError("joint_limits are not the lower and the upper one of each joint")
+    return array
+
+
+def _heldout(document: Mapping[str, Any]) -> tuple[float, float] | None:
+    before, after = (document.get(part, {}).get("heldout_position_rms_m") for part in ("before", "after"))
+    return None if before is None or after is None else (float(before), float(after))
+
+
+def _origin(entry: Mapping[str, Any] | None) -> ReferenceOrigin | None:
+    if entry is None:
+        return None
+    rigid = entry.get("rigid")
+    return ReferenceOrigin(
+        str(entry.get("file", "")), None if rigid is None else bool(rigid), str(entry.get("statement", ""))
+    )

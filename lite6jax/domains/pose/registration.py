@@ -1,14 +1,21 @@
-"""Where the sensor and the tool of a known chain are: a closed form to start from, then robust Gauss–Newton."""
+"""Sensor frame and tool of a known chain from measured poses: a closed form, then robust Gauss–Newton."""
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from lite6jax.fitting.check import DOWNWEIGHTED
-from lite6jax.estimation.robust import FREEDOM, gaussian_t_scale, t_scale, weights_left
+from lite6jax.arms.se3 import rotation_from_quaternion
+from lite6jax.domains.pose.predict import DiagnosedArm, predict
+from lite6jax.effects.kinematic.surroundings import BaseDrift
+from lite6jax.errors import InputError
+from lite6jax.estimation.robust import DOWNWEIGHTED, FREEDOM, gaussian_t_scale, t_scale, weights_left
+from lite6jax.fitting.problem import UNDECLARED_NOISE
 from lite6jax.fitting.start import frames_from_poses
+from lite6jax.model import ArmModel
+from lite6jax.recordings import Recording, require_samples
 
 Array = NDArray[np.floating]
 
@@ -17,6 +24,8 @@ _SETTLED = 1e-4
 """Length of a step, in standard deviations of what it estimates."""
 _DETERMINED = 1e-8
 """Least eigenvalue of the information of unit columns: below it a combination of numbers moves nothing."""
+_NUMBERS = {3: 15, 6: 12}
+"""Numbers that determine both frames: from positions alone, a closed form first finds the nine cosines of one."""
 
 
 class Registration(NamedTuple):
@@ -116,6 +125,50 @@ def register(
     assert noises[0] is not None
     known = _determined(J[:, :, free].reshape(rows * len(flange), free.size))
     return Registration(F, T, missed, turned, w, (noises[0], noises[1]), known)
+
+
+def register_model(model: DiagnosedArm, recording: Recording) -> tuple[DiagnosedArm, Registration]:
+    """The model with sensor frame and tool fitted to a recording of another set-up, and that fit.
+
+    All else stays, but for a drift of the old set-up, which is removed. Where only positions were measured, the tool
+    keeps its rotation, and the model predicts positions only.
+
+    Raises:
+        InputError: no poses, too few of them (both counts), poses that do not determine a frame, or as `predict`.
+    """
+    require_samples(recording, _NUMBERS[recording.numbers_per_sample or 3])
+    model = model.keeping([not isinstance(effect, BaseDrift) for effect in model.physics.effects])
+    bare = [replace(model, model=ArmModel(model.model.geometry, _shift(x), np.eye(4))) for x in (0.0, 1.0)]  # type: ignore[arg-type]
+    flange, shifted = (predict(one, recording) for one in bare)
+    # an effect of the sensor's scale multiplies positions: by how much a frame shifted by a metre shows them moved
+    growth = (shifted - flange)[:, 0, 3]
+    flange[:, :3, 3] /= growth[:, None]
+    used = np.isfinite(growth)
+    require_samples(recording.select(used), _NUMBERS[recording.numbers_per_sample])
+    position, rotation = recording.position, None
+    assert position is not None
+    if recording.quaternion is not None:
+        rotation = np.asarray(rotation_from_quaternion(recording.quaternion))[used]
+    settings = recording.settings
+    noise = (
+        settings.position_noise_m or UNDECLARED_NOISE[0],
+        settings.orientation_noise_rad or UNDECLARED_NOISE[1],
+    )
+    before = np.asarray(model.model.T_flange_tool)[:3, :3]
+    found = register(flange[used], (position / growth[:, None])[used], rotation, noise, tool_rotation=before)
+    if not found.determined:
+        raise InputError(
+            f"{recording.source}: its poses do not determine sensor frame and tool; record some that turn the flange "
+            "about other axes"
+        )
+    frames = ArmModel(model.model.geometry, found.T_sensor_base, found.T_flange_tool)  # type: ignore[arg-type]
+    return replace(model, model=frames, orientation=rotation is not None), found
+
+
+def _shift(x: float) -> Array:
+    T = np.eye(4)
+    T[0, 3] = x
+    return T
 
 
 def _start(

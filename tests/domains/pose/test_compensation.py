@@ -1,6 +1,5 @@
-"""At the joints of a compensation the independent generator's arm shows the targets; what cannot be reached is said."""
+"""At the joint positions of a compensation, the independent generator's arm reaches the targets; the rest is said."""
 
-import copy
 import json
 from dataclasses import replace
 
@@ -8,16 +7,16 @@ import numpy as np
 import pyarrow.csv
 import pytest
 from diagnosis.recorded import LITE6, Made, moving_motion, quaternions, static_motion
-from diagnosis.test_prediction import document, refused, stored
+from domains.pose.documents import document, refused, stored
 from typed import flat, run
 from typed import refused as refused_as_typed
 
 from benchmarks import compensation as benchmark
 from lite6jax.arms.bundled import load_bundled
-from lite6jax.domains.pose.compensate import compensate, read_limits
+from lite6jax.domains.pose.compensate import Reason, compensate
 from lite6jax.domains.pose.predict import read_model
 from lite6jax.recordings import Recording, RecordingSettings, Targets, read_targets, write_recording
-from lite6jax.report.compensation_tables import compensation_report
+from lite6jax.report.compensation_tables import compensation_report, reason_text
 from tests.oracles.chains import six_parameter_poses
 
 SAMPLES = 40
@@ -65,7 +64,7 @@ def wanted(motion, poses, turned=True, **given):
         "payload": motion["payload"],
         "settings": RecordingSettings(motion="static"),
     }
-    return Recording.from_arrays(
+    return Recording.assembled(
         motion["joint_position"],
         position=poses[:, :3, 3],
         quaternion=quaternions(poses) if turned else None,
@@ -74,9 +73,7 @@ def wanted(motion, poses, turned=True, **given):
 
 
 def solved(path, recording, start=None, **options):
-    model = read_model(path)
-    limits, _ = read_limits(path, model)
-    return compensate(model, Targets(recording, start), limits, **options)
+    return compensate(read_model(path), Targets(recording, start), **options)
 
 
 def shown(arm, motion, q, direction=None):
@@ -91,6 +88,12 @@ def near(motion, size=0.01):
     return motion["joint_position"] + size * np.random.default_rng(1).standard_normal((SAMPLES, 6))
 
 
+def page(found, path, frame="sensor"):
+    """The lines of the report."""
+    parts = compensation_report(found, read_model(path), "targets.csv", frame)
+    return [str(getattr(part, "renderable", part)) for part in parts]
+
+
 def inside(q):
     return ((q >= LITE6.joint_limits[:, 0]) & (q <= LITE6.joint_limits[:, 1])).all()
 
@@ -101,7 +104,7 @@ def inside(q):
 def test_the_plain_arm_shows_the_targets_on_the_branch_of_the_joints_given(arm, diagnosis, motion, poses):
     found = solved(diagnosis, wanted(motion, poses), near(motion))
     assert found.reached.all()
-    assert set(found.reason) == {""}
+    assert set(found.reason) == {None}
     q = found.joint_position
     np.testing.assert_allclose(shown(arm, motion, q), poses, atol=1e-9)
     np.testing.assert_allclose(q, motion["joint_position"], atol=1e-6)
@@ -144,9 +147,11 @@ def test_targets_in_the_arms_base_concern_no_sensor(arm, diagnosis, motion):
     found = solved(diagnosis, asked, near(motion), frame="base")
     assert found.reached.all()
     np.testing.assert_allclose(shown(made, motion, found.joint_position), poses, atol=1e-9)
-    assert found.notes == (
-        "left out: measurement_scale:sensor and base_drift:base, which concern the sensor and not where the arm is",
-    )
+    assert found.omitted == ("measurement_scale:sensor", "base_drift:base")
+    assert (
+        "Note: omitted: measurement_scale:sensor and base_drift:base, which concern the sensor and not the arm's "
+        "position."
+    ) in page(found, diagnosis, "base")
 
 
 def test_an_arm_of_seven_joints(tmp_path):
@@ -185,7 +190,8 @@ def test_a_moving_arm_lags_and_its_clock_is_left_out(tmp_path):
     found = solved(path, recording, near(motion))
     assert found.reached.all()
     np.testing.assert_allclose(made.poses({**motion, "joint_position": found.joint_position}), poses, atol=1e-9)
-    assert any("left out: time_offset:clock, which concerns the sensor" in note for note in found.notes)
+    assert found.omitted == ("time_offset:clock",)
+    assert any("omitted: time_offset:clock, which concerns the sensor" in line for line in page(found, path))
     # velocities that are not recorded are those of the joints found, as `predict` has them
     given = replace(recording, joint_velocity=None, velocity_differentiated=True)
     derived = solved(path, given, near(motion))
@@ -196,10 +202,36 @@ def test_a_moving_arm_lags_and_its_clock_is_left_out(tmp_path):
     np.testing.assert_allclose(again, poses, atol=1e-9)
 
 
+def test_arrays_serve_as_targets(arm, diagnosis, motion, poses):
+    """As the recording of them does: poses and positions, with joint positions to start from and circumstances."""
+    given = {name: motion[name] for name in ("time", "joint_temperature", "payload")}
+    model, start = read_model(diagnosis), near(motion)
+    found = compensate(model, poses, start=start, **given)
+    np.testing.assert_allclose(
+        found.joint_position, solved(diagnosis, wanted(motion, poses), start).joint_position, rtol=0, atol=1e-9
+    )
+    positions = compensate(model, poses[:, :3, 3], start=start, **given)
+    assert positions.reached.all()
+    assert positions.orientation_error is None
+
+
+def test_arrays_that_are_no_targets(diagnosis, motion, poses):
+    model = read_model(diagnosis)
+    assert refused(compensate, model, poses[:, :3]) == (
+        f"compensate: targets have the shape ({SAMPLES}, 3, 4); give (row, 4, 4), or (row, 3) positions in m"
+    )
+    said = refused(lambda: compensate(model, poses, start=np.zeros((SAMPLES, 5))))
+    assert said == f"compensate: start has the shape ({SAMPLES}, 5); give ({SAMPLES}, 6) in rad"
+    said = refused(lambda: compensate(model, poses, start=np.rad2deg(near(motion))))
+    assert said.endswith("are these degrees? give radians: np.deg2rad(joint_position)")
+    said = refused(lambda: compensate(model, Targets(wanted(motion, poses), None), payload=np.zeros(SAMPLES)))
+    assert said == "compensate: these targets have their own joint positions; give the poses as an array"
+
+
 # ------------------------------------------------------------------ what is not
 
 
-def test_what_is_out_of_reach_is_said_row_by_row(arm, diagnosis, motion, poses):
+def test_what_is_out_of_reach_is_reported_row_by_row(arm, diagnosis, motion, poses):
     far, spoiled = poses.copy(), wanted(motion, poses)
     away = far[5, :3, 3] - arm.T_sensor_base[:3, 3]
     far[5, :3, 3] += 2 * away / np.linalg.norm(away)
@@ -207,20 +239,16 @@ def test_what_is_out_of_reach_is_said_row_by_row(arm, diagnosis, motion, poses):
     spoiled.position[7, 1] = np.nan
     found = solved(diagnosis, spoiled, near(motion))
     others = ~np.isin(np.arange(SAMPLES), (5, 7))
-    assert (found.reason[5], found.reason[7]) == ("out of reach", "an empty field")
+    assert (found.reason[5], found.reason[7]) == (Reason("out_of_reach"), Reason("empty_field"))
     np.testing.assert_array_equal(found.reached, others)
     assert 1.0 < found.position_error[5] < 2.5
     assert np.isnan(found.joint_position[7]).all()
     assert np.isnan(found.position_error[7])
     assert inside(found.joint_position[others])
     np.testing.assert_allclose(found.joint_position[others], motion["joint_position"][others], atol=1e-6)
-    lines = [
-        getattr(part, "renderable", part)
-        for part in compensation_report(found, read_model(diagnosis), {}, "t", "sensor")
-    ]
-    said = [str(line) for line in lines]
+    said = page(found, diagnosis)
     assert "an empty field: row 8" in said
-    assert any(line.startswith("out of reach: row 6, off by up to ") and line.endswith("°") for line in said)
+    assert any(line.startswith("out of reach: row 6, with errors up to ") and line.endswith("°") for line in said)
 
 
 def test_a_joint_at_its_limit_is_named(arm, diagnosis, motion, poses, tmp_path):
@@ -232,22 +260,27 @@ def test_a_joint_at_its_limit_is_named(arm, diagnosis, motion, poses, tmp_path):
     content["model"]["joint_limits"] = narrow.tolist()
     found = solved(stored(tmp_path, content), wanted(motion, poses), near(motion))
     assert not found.reached[row]
-    assert f"joint 3 at its limit of {np.rad2deg(narrow[2, 1]):.4g} deg" in found.reason[row]
+    reason = found.reason[row]
+    assert (reason.code, dict(zip(reason.joints, reason.angles, strict=True))[3]) == ("at_limit", narrow[2, 1])
+    assert f"joint 3 at its limit of {np.rad2deg(narrow[2, 1]):.4g} deg" in reason_text(reason)
     assert found.joint_position[row, 2] == narrow[2, 1]
     assert found.position_error[row] > 1e-4
     assert (found.joint_position <= narrow[:, 1]).all()
     assert (found.joint_position >= narrow[:, 0]).all()
 
 
-def test_joints_far_from_those_given_are_worth_a_word(diagnosis, motion, poses):
+def test_joints_far_from_those_given_are_reported(diagnosis, motion, poses):
     start = near(motion)
     start[4, 0] += 1.5
     found = solved(diagnosis, wanted(motion, poses), start)
     assert found.reached.all()
-    assert found.reason[4].endswith("deg from where it was given")
+    reason = found.reason[4]
+    assert reason.code == "far_from_start"
+    assert reason.angles == (found.correction[4, reason.joints[0] - 1],)
+    assert reason_text(reason).endswith("deg from where it was given")
 
 
-def test_an_arm_that_turns_back_on_its_way_is_said(arm, diagnosis, motion, poses):
+def test_an_approach_that_reverses_is_reported(arm, diagnosis, motion, poses):
     """A target within the gap of the one before: from the one side it lies on the other."""
     direction = np.sign(np.diff(motion["joint_position"], axis=0, prepend=0.0))
     q, side = motion["joint_position"].copy(), direction.copy()
@@ -259,7 +292,8 @@ def test_an_arm_that_turns_back_on_its_way_is_said(arm, diagnosis, motion, poses
         {**motion, "joint_position": q, "direction": side}
     )
     found = solved(wide, wanted(motion, poses), q)
-    assert found.reason[9] == "turns back on its way here; approach it from one side"
+    assert found.reason[9] == Reason("reverses")
+    assert reason_text(found.reason[9]) == "the direction of approach reverses; approach it from one side"
     assert not found.reached[9]
     assert 1e-6 < found.position_error[9] < 2e-3
 
@@ -303,14 +337,11 @@ def test_an_approach_of_another_arm(diagnosis, motion, poses):
         assert said == "approach: give -1, 0 or 1 for each of the 6 joints"
 
 
-@pytest.mark.parametrize("limits", [None, [[0.0, 1.0]] * 5, [[1.0, 0.0]] * 6, [[0.0, "x"]] * 6])
-def test_damaged_limits(diagnosis, tmp_path, limits):
-    content = copy.deepcopy(json.loads(diagnosis.read_text()))
-    content["model"]["joint_limits"] = limits
-    path = stored(tmp_path, content)
-    said = refused(read_limits, path, read_model(path))
-    assert said.startswith(f"{path}: its model is damaged (")
-    assert said.endswith("); run `lite6jax diagnose` again")
+def test_a_model_without_limits(diagnosis, motion, poses, tmp_path):
+    content = json.loads(diagnosis.read_text())
+    del content["model"]["joint_limits"]
+    said = refused(lambda: solved(stored(tmp_path, content), wanted(motion, poses)))
+    assert said == "compensate: the model has no joint limits; run `lite6jax diagnose` again"
 
 
 @pytest.mark.parametrize(
@@ -370,8 +401,8 @@ def test_what_is_written_is_a_motion_that_predicts_the_targets(capsys, diagnosis
     assert (code, err) == (1, "")
     text = flat(said)
     assert "40 targets (positions and orientations in the sensor's frame) for a lite6 with 6 effects beyond" in text
-    assert "39 targets reached, 1 target not: out of reach: row 40, off by up to " in text
-    assert "moved from the joints given (deg) q1" in text
+    assert "39 targets reached, 1 target not: out of reach: row 40, with errors up to " in text
+    assert "correction of the joints (deg) q1" in text
     assert f"Wrote {out}" in said.replace("\n", "")
     table = pyarrow.csv.read_csv(out).to_pydict()
     assert table["ok"] == [1] * 39 + [0]
@@ -397,7 +428,7 @@ def test_a_sidecar_of_the_targets_goes_with_the_joints(capsys, diagnosis, target
     )
     targets.with_suffix(".yaml").unlink()
     said = refused_as_typed(capsys, "compensate", diagnosis, targets, "--out", out, "--force")
-    assert "joints.yaml: would be taken for the settings of joints.csv, and is not; choose another name" in said
+    assert "joints.yaml: would be read as the settings of joints.csv, but belongs to another file; choose" in said
 
 
 @pytest.mark.parametrize(

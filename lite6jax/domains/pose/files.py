@@ -1,0 +1,73 @@
+"""Motions and targets from files for a diagnosed arm, and the columns in which its poses are written."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import jax
+import numpy as np
+from numpy.typing import NDArray
+
+from lite6jax.arms.se3 import quaternion_from_rotation
+from lite6jax.domains.pose.predict import DiagnosedArm
+from lite6jax.recordings import (
+    Recording,
+    RecordingSettings,
+    Targets,
+    read_recording,
+    read_settings,
+    read_targets,
+    sidecar_path,
+)
+
+Array = NDArray[np.floating]
+
+
+def read_motion(path: str | Path, model: DiagnosedArm) -> Recording:
+    """A motion to predict; what its own sidecar does not declare is taken from the diagnosed recording.
+
+    Raises:
+        InputError: as `read_recording`.
+    """
+    sidecar = sidecar_path(path)
+    settings = (
+        read_settings(sidecar)
+        if sidecar.exists()
+        else RecordingSettings(reference_temperature_degC=model.reference_temperature)
+    )
+    recording = read_recording(path, dof=model.dof)
+    if settings.motion is None and recording.motion != model.motion:
+        settings = replace(settings, motion=model.motion)  # type: ignore[arg-type]
+    return recording.made_anew(settings=settings)
+
+
+def read_pose_targets(path: str | Path, model: DiagnosedArm) -> Targets:
+    """Targets for `compensate`; what their own sidecar does not declare is taken from the diagnosed recording.
+
+    Raises:
+        InputError: as `read_targets`.
+    """
+    reach = float(np.linalg.norm(np.asarray(model.model.geometry).reshape(-1, 6)[:, :3], axis=1).sum())
+    reach += float(np.linalg.norm(np.asarray(model.model.T_flange_tool)[:3, 3]))
+    recording, start = read_targets(path, model.dof, model.joint_limits, reach)
+    settings = recording.settings
+    if not sidecar_path(path).exists():
+        settings = replace(settings, reference_temperature_degC=model.reference_temperature)
+    if settings.motion is None:
+        settings = replace(settings, motion=model.motion)  # type: ignore[arg-type]
+    return Targets(recording.made_anew(settings=settings), start)
+
+
+def pose_columns(poses: Array, orientation: bool) -> dict[str, Array]:
+    """Column name to values, as in a file of a recording; a pose of NaN gives NaN.
+
+    Args:
+        poses: `(sample, 4, 4)`.
+        orientation: whether to give quaternions as well.
+    """
+    columns: dict[str, Array] = dict(zip(("x_m", "y_m", "z_m"), poses[:, :3, 3].T, strict=True))
+    if orientation:
+        columns.update(zip(("qw", "qx", "qy", "qz"), np.asarray(_quaternions(poses[:, :3, :3])).T, strict=True))
+    return columns
+
+
+_quaternions = jax.jit(quaternion_from_rotation)
