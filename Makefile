@@ -2,14 +2,23 @@
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
+# A worker that is done takes over the last half of what another has left: each module stays on one worker but where it
+# is cut, which keeps its fixtures and compiled functions, and no worker waits for the longest module.
+PYTEST := $(BIN)/python -m pytest --numprocesses=auto --maxprocesses=4 --dist=worksteal --durations=25
+# The parts of which the types are checked as they run; tests of the others run the same functions, only longer.
+TYPED := $(addprefix tests/,arms effects estimation search recordings fitting test_notebooks.py)
 
-.PHONY: demo test benchmark clean
+.PHONY: demo test test-slow benchmark clean
 
 demo: $(VENV)/installed
 	$(BIN)/lite6jax demo
 
 test: $(VENV)/installed-test
-	$(BIN)/python -m pytest --numprocesses=auto --maxprocesses=4
+	$(PYTEST) --ignore=tests/test_notebooks.py
+
+# The second stage of .ci/run: annotated types checked in each call, and the notebooks.
+test-slow: $(VENV)/installed-test
+	CHECK_TYPES=1 $(PYTEST) $(wildcard $(TYPED))
 
 benchmark: $(VENV)/installed-test
 	$(BIN)/python -m benchmarks

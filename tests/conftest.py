@@ -1,4 +1,4 @@
-"""What every test runs under: types checked at run time, one compilation cache, the same random examples each time."""
+"""What every test runs under: one compilation cache, the same random examples each time, types checked on request."""
 
 import os
 import signal
@@ -17,9 +17,10 @@ ROOT = Path(__file__).resolve().parents[1]
 # Its constructor takes whatever numpy makes an array of, and refuses the rest itself, in one line.
 UNCHECKED = {"lite6jax.arms.arm"}
 
-# Before anything imports the package: functions are instrumented as their modules load.
-modules = {".".join(path.relative_to(ROOT).with_suffix("").parts) for path in (ROOT / "lite6jax").rglob("*.py")}
-jaxtyping.install_import_hook(sorted(m for m in modules - UNCHECKED if "__" not in m), "beartype.beartype")
+if os.environ.get("CHECK_TYPES"):
+    # Before anything imports the package: functions are instrumented as their modules load.
+    modules = {".".join(path.relative_to(ROOT).with_suffix("").parts) for path in (ROOT / "lite6jax").rglob("*.py")}
+    jaxtyping.install_import_hook(sorted(m for m in modules - UNCHECKED if "__" not in m), "beartype.beartype")
 
 # A shell that runs this in the background has it ignore interrupts, and the commands that are interrupted here with it.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:

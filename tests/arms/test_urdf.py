@@ -13,6 +13,7 @@ from lite6jax.arms.urdf import read_urdf, write_urdf
 from lite6jax.errors import InputError
 from tests.oracles.chains import six_parameter_poses
 from tests.oracles.pinocchio_arm import urdf_link_pose
+from tests.oracles.transforms import origin_transform, rotate
 
 
 def flange_pose(arm, q):
@@ -80,7 +81,7 @@ def test_every_axis_keeps_the_joint_angle_and_its_sign(axis, kind, tmp_path):
 
 def test_a_joint_without_axis_turns_about_x_as_urdf_says(tmp_path):
     path = write(tmp_path, link("base"), link("a"), joint("j", "base", "a", axis=""))
-    np.testing.assert_allclose(flange_pose(read_urdf(path), [0.4])[:3, :3], rpy(0.4, 0, 0), atol=1e-15)
+    np.testing.assert_allclose(flange_pose(read_urdf(path), [0.4])[:3, :3], rotate("x", 0.4)[:3, :3], atol=1e-15)
 
 
 def test_masses_of_fixed_links_count_to_the_moved_link(tmp_path):
@@ -93,7 +94,7 @@ def test_masses_of_fixed_links_count_to_the_moved_link(tmp_path):
     # In link a's own frame: the plate's centre is at (0, 0.5, 0) + Rx(90 deg) (0, 0, 0.1) = (0, 0.4, 0).
     expected = (2 * np.array([0.1, 0, 0]) + np.array([0, 0.4, 0])) / 3
     q = 0.7
-    in_base = rpy(0.2, 0, 0) @ rpy(0, -q, 0) @ expected
+    in_base = (rotate("x", 0.2) @ rotate("y", -q))[:3, :3] @ expected
     first = Arm("first", arm.kinematics[:1])
     np.testing.assert_allclose((flange_pose(first, [q]) @ [*arm.center_of_mass[0], 1])[:3], in_base, atol=1e-14)
 
@@ -263,6 +264,6 @@ def test_an_existing_file_is_kept(tmp_path):
 @given(st.lists(st.floats(-7, 7), min_size=3, max_size=3), st.sampled_from([None, np.pi / 2, -np.pi / 2]))
 def test_roll_pitch_yaw_and_back_at_every_pitch(angles, pole):
     angles[1] = angles[1] if pole is None else pole
-    R = rpy(*angles)
+    R = origin_transform([0, 0, 0, *angles])[:3, :3]
     np.testing.assert_allclose(frames.rotation_from_rpy(angles), R, rtol=0, atol=1e-15)
     np.testing.assert_allclose(frames.rotation_from_rpy(frames.rpy_from_rotation(R)), R, rtol=0, atol=3e-15)
