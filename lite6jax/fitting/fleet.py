@@ -18,6 +18,8 @@ from lite6jax.fitting.problem import LEVER, sample_within_limits
 from lite6jax.fitting.residual import POSE
 from lite6jax.fitting.solution import FleetSolution, Result
 from lite6jax.model import ModelForm, arm_model
+from lite6jax.recordings import require_radians
+from lite6jax.recordings.units import real_array
 
 
 def fit_fleet(
@@ -49,7 +51,7 @@ def fit_fleet(
         InputError: arrays whose shapes do not fit each other or the arm, noise that is not positive, negative weights.
     """
     arm = bundled.load_bundled(nominal) if isinstance(nominal, str) else nominal
-    q, T = np.asarray(joint_position, float), np.asarray(T_base_flange, float)
+    q, T = real_array("joint_position", joint_position), real_array("T_base_flange", T_base_flange)
     if T.ndim != 4 or T.shape[2:] != (4, 4):
         raise InputError(f"T_base_flange of shape {T.shape}: give (arm, sample, 4, 4)")
     arms, samples = T.shape[:2]
@@ -58,6 +60,7 @@ def fit_fleet(
             f"joint_position of shape {q.shape}: {arm.name} with these poses takes ({arms}, {samples}, {arm.dof}), "
             f"or ({samples}, {arm.dof}) shared by all arms"
         )
+    require_radians(q, arm.joint_limits)
     w = np.ones((arms, samples)) if weight is None else np.asarray(weight, float)
     if w.shape != (arms, samples) or not (np.isfinite(w) & (w >= 0)).all():
         raise InputError(

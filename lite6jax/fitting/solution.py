@@ -3,6 +3,7 @@
 from dataclasses import dataclass, field
 from enum import IntEnum
 from functools import cached_property
+from typing import final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +12,8 @@ from lite6jax.arms.arm import Arm
 from lite6jax.fitting import gauss_newton
 from lite6jax.fitting.chunks import pad, padded_size
 from lite6jax.model import ArmModel, ModelForm, predict
+from lite6jax.recordings import require_radians
+from lite6jax.summary import Summarised
 
 Array = NDArray[np.floating]
 
@@ -103,8 +106,9 @@ class Held:
     carried_by: tuple[str, ...]
 
 
+@final
 @dataclass(frozen=True)
-class Solution:
+class Solution(Summarised):
     """The fit of one arm.
 
     Attributes:
@@ -151,12 +155,18 @@ class Solution:
         return None if self.covariance is None else np.sqrt(np.diagonal(self.covariance))
 
     def predict(self, joint_position: Array) -> Array:
-        """The poses `T_sensor_tool` `(..., 4, 4)` at `joint_position` `(..., joint)` rad."""
+        """The poses `T_sensor_tool` `(..., 4, 4)` at `joint_position` `(..., joint)` rad.
+
+        Raises:
+            InputError: joint positions in degrees.
+        """
+        require_radians(joint_position, self.arm.joint_limits)
         return np.asarray(predict(self.form.chain, self.model, joint_position))
 
 
+@final
 @dataclass(frozen=True)
-class FleetSolution:
+class FleetSolution(Summarised):
     """The fits of many arms; every array has the arm as its first axis.
 
     Attributes:

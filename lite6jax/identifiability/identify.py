@@ -17,6 +17,7 @@ from lite6jax.identifiability.information import Experiment, recorded
 from lite6jax.identifiability.monte_carlo import Refits, refit
 from lite6jax.identifiability.sensor import BARE
 from lite6jax.recordings import Recording
+from lite6jax.summary import Summarised
 
 Array = NDArray[np.floating]
 
@@ -56,7 +57,7 @@ class Accuracy(NamedTuple):
 
 @final
 @dataclass(frozen=True, eq=False)
-class Identification:
+class Identification(Summarised):
     """What some poses determine.
 
     Attributes:

@@ -27,7 +27,8 @@ from lite6jax.fitting.problem import Geometry, recording_problem
 from lite6jax.identifiability.readings import Numbers, reading_columns, total_information
 from lite6jax.identifiability.sensor import Sensor, sensor_named
 from lite6jax.model import ArmModel, ModelForm
-from lite6jax.recordings import Recording
+from lite6jax.recordings import Recording, require_radians
+from lite6jax.recordings.units import real_array
 
 Array = NDArray[np.floating]
 Chain = Literal["hayati", "six_parameter"]
@@ -204,12 +205,13 @@ def _blocks(experiment: Experiment, q: Array) -> Iterator[tuple[Array, Array]]:
 
 
 def _checked(experiment: Experiment, joint_position: ArrayLike) -> Array:
-    q, arm = np.asarray(joint_position, float), experiment.arm
+    q, arm = real_array("joint_position", joint_position), experiment.arm
     if q.ndim != 2 or q.shape[1] != arm.dof or not len(q):
         raise InputError(f"joint_position of shape {q.shape}: {arm.name} takes (sample, {arm.dof})")
     if not np.isfinite(q).all():
         row = int(np.argmin(np.isfinite(q).all(1))) + 1
         raise InputError(f"joint_position: row {row} is not finite; leave it out")
+    require_radians(q, arm.joint_limits)
     return q
 
 

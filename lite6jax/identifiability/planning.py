@@ -22,6 +22,7 @@ from lite6jax.identifiability.identify import WORKSPACE
 from lite6jax.identifiability.information import Experiment
 from lite6jax.identifiability.refine import Refinement
 from lite6jax.identifiability.sensor import BARE
+from lite6jax.summary import Summarised
 
 Array = NDArray[np.floating]
 CriterionName = Literal["D", "A", "E", "I"]
@@ -34,7 +35,7 @@ _UNDETERMINED = 1e-6
 
 @final
 @dataclass(frozen=True, eq=False)
-class Plan:
+class Plan(Summarised):
     """Poses to record.
 
     Attributes:

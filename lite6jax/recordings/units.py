@@ -49,7 +49,7 @@ def require_radians(
         *place, joint = found
         at = f"row {place[-1] + 1}" if len(place) == 1 else f"sample {tuple(k + 1 for k in place)}" if place else "it"
         limits = limits_of(q.shape[-1], joint_limits)
-        remedy = f"are these degrees? give radians: np.deg2rad({name})"
+        remedy = f"are these degrees? give radians: np.deg2rad({name.rpartition(': ')[2]})"
         raise InputError(unlikely_joint(name, at, q[found], joint, limits, remedy))
 
 

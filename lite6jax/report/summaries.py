@@ -1,0 +1,264 @@
+"""`summary()` and a notebook's table of each kind of result: a title, sentences and rows, worded in one function each.
+
+To add a kind, let its class inherit `lite6jax.summary.Summarised` and register a function with `described` here.
+"""
+
+from functools import singledispatch
+from html import escape
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lite6jax.fitting.solution import Errors, FleetSolution, Result, Solution
+from lite6jax.identifiability.discrimination import DiscriminationPlan
+from lite6jax.identifiability.identify import Identification
+from lite6jax.identifiability.planning import Plan
+from lite6jax.recordings import Recording
+from lite6jax.report.cells import number
+
+MOST_NOTES = 4
+
+
+class Description(NamedTuple):
+    """What a person reads of a result.
+
+    Attributes:
+        title: a few words.
+        sentences: whole ones, with units.
+        rows: of the table: quantity with its unit, and value.
+        notes: what was assumed, a sentence each.
+    """
+
+    title: str
+    sentences: tuple[str, ...]
+    rows: tuple[tuple[str, str], ...]
+    notes: tuple[str, ...] = ()
+
+
+@singledispatch
+def described(result: object) -> Description:
+    """The description of a result.
+
+    Raises:
+        TypeError: a class for which no function is registered here.
+    """
+    raise TypeError(f"{type(result).__name__} has no description in lite6jax.report.summaries; register one")
+
+
+def summary(result: object) -> str:
+    """The sentences of a result as one text."""
+    return " ".join(described(result).sentences)
+
+
+def html(result: object) -> str:
+    """The table of a result with its notes, without styles, scripts or links."""
+    title, _, rows, notes = described(result)
+    lines = [f"<table><caption>{escape(title)}</caption><tbody>"]
+    lines += [f"<tr><th scope=row>{escape(name)}</th><td>{escape(value)}</td></tr>" for name, value in rows]
+    lines.append("</tbody></table>")
+    if notes:
+        shown = [*notes[:MOST_NOTES], *([f"{len(notes) - MOST_NOTES} more notes"] if len(notes) > MOST_NOTES else [])]
+        lines.append(f"<ul>{''.join(f'<li>{escape(note)}</li>' for note in shown)}</ul>")
+    return "".join(lines)
+
+
+@described.register
+def _recording(recording: Recording) -> Description:
+    settings = recording.settings
+    poses = {0: "no poses", 3: "positions", 6: "positions and orientations"}[recording.numbers_per_sample]
+    by = "" if settings.pose_source == "unknown" else f" by {settings.pose_source.replace('_', ' ')}"
+    runs = 1 + int(np.count_nonzero(np.diff(recording.run)))
+    span = np.ptp(recording.joint_position, axis=0)
+    sentences = [
+        f"{recording.source} has {_counted(recording.samples, 'sample')} of {recording.dof} joints in "
+        f"{_counted(runs, 'run')} ({recording.motion}), with {poses}{by}.",
+        f"The joints move over ranges of {np.rad2deg(span.min()):.0f}° to {np.rad2deg(span.max()):.0f}°.",
+    ]
+    rows = [
+        ("samples", str(recording.samples)),
+        ("joints", str(recording.dof)),
+        ("runs", str(runs)),
+        ("motion", recording.motion),
+        ("measured", f"{poses}{by}"),
+        ("range of the joints (deg)", ", ".join(f"{np.rad2deg(value):.0f}" for value in span)),
+    ]
+    if recording.position is not None:
+        extent = np.ptp(recording.position, axis=0)
+        sentences.append(f"The measured points lie within {' × '.join(f'{x:.3f}' for x in extent)} m.")
+        rows.append(("extent of the positions (m)", " × ".join(f"{x:.3f}" for x in extent)))
+    if settings.position_noise_m is not None:
+        rows.append(("declared position noise (mm)", f"{1e3 * settings.position_noise_m:.3g}"))
+    if recording.notes:
+        sentences.append(f"{_counted(len(recording.notes), 'note')} {_be(len(recording.notes))} in `notes`.")
+    return Description(f"Recording of {settings.arm}", tuple(sentences), tuple(rows), recording.notes)
+
+
+@described.register
+def _solution(solution: Solution) -> Description:
+    moved, held = int(solution.free.sum()), len(solution.held)
+    data = "calibration" if solution.noise is None else "recording"
+    on = "fresh samples" if solution.noise is None else "held-out blocks"
+    before, after = solution.nominal_errors, solution.checked
+    sentences = [
+        f"The fit of the {data} {solution.result.message}.",
+        f"It took {_counted(solution.steps, 'step')} and estimated {_counted(moved, 'parameter')} of a "
+        f"{solution.arm.name}.",
+        f"The error on {on} is {_errors(after)}; that of the nominal geometry is {_errors(before)}.",
+    ]
+    if held:
+        names = ", ".join(each.name for each in solution.held[:6]) + (", …" if held > 6 else "")
+        sentences.append(f"{_counted(held, 'parameter')} {_be(held)} held, because the data do not determine: {names}.")
+    rows = [
+        ("arm", solution.arm.name),
+        ("result", solution.result.message),
+        ("parameters estimated", str(moved)),
+        ("parameters held", str(held)),
+        ("position error, nominal geometry (mm RMS)", _millimetres(before.position_rms)),
+        (f"position error, fitted (mm RMS, {on})", _millimetres(after.position_rms)),
+    ]
+    for name, errors in (("nominal geometry", before), ("fitted", after)):
+        if errors.orientation is not None:
+            rows.append((f"orientation error, {name} (deg RMS)", _degrees(_rms(errors.orientation))))
+    if solution.noise is not None:
+        found = _millimetres(solution.noise.position)
+        declared = "" if solution.noise.declared is None else f"; declared {_millimetres(solution.noise.declared[0])}"
+        sentences.append(
+            f"The residuals have a standard deviation of {found} mm per axis{declared and declared + ' mm'}."
+        )
+        rows.append(("residual standard deviation per axis (mm)", f"{found}{declared}"))
+    return Description(f"Fit of a {data}, {solution.arm.name}", tuple(sentences), tuple(rows), solution.notes)
+
+
+@described.register
+def _fleet(fleet: FleetSolution) -> Description:
+    arms = len(fleet.result)
+    converged = fleet.result == Result.CONVERGED
+    good = int(converged.sum())
+    sentences = [
+        f"{good} of {_counted(arms, 'fit')} converged, each of {_counted(fleet.parameters.shape[1], 'parameter')}."
+    ]
+    rows = [("arms", str(arms)), ("converged", str(good)), ("parameters per arm", str(fleet.parameters.shape[1]))]
+    if good:
+        position, turned = fleet.position_rms[converged], fleet.orientation_rms[converged]
+        sentences.append(
+            f"Of these the position error of the fitted data is {_millimetres(float(np.median(position)))} mm RMS in "
+            f"the median and {_millimetres(float(position.max()))} mm at most."
+        )
+        rows += [
+            ("position error (mm RMS, median of the arms)", _millimetres(float(np.median(position)))),
+            ("position error (mm RMS, largest of the arms)", _millimetres(float(position.max()))),
+            ("orientation error (deg RMS, median of the arms)", _degrees(float(np.median(turned)))),
+        ]
+    for code in sorted(set(fleet.result[~converged].tolist())):
+        count = int((fleet.result == code).sum())
+        sentences.append(f"For {_counted(count, 'arm')} the fit {Result(code).message}.")
+        rows.append((Result(code).name.lower().replace("_", " "), str(count)))
+    return Description("Fits of a fleet", tuple(sentences), tuple(rows))
+
+
+@described.register
+def _identification(found: Identification) -> Description:
+    d, accuracy = found.determination, found.accuracy
+    sentences = [
+        f"{_counted(d.samples, 'pose')} of a {found.experiment.arm.name} determine{'s' * (d.samples == 1)} {d.rank} of "
+        f"{_counted(d.size, 'unknown parameter')}."
+    ]
+    if found.missed:
+        sentences.append(f"Other poses within the joint limits determine {found.possible.rank}.")
+    rows = [
+        ("poses", str(d.samples)),
+        ("unknown parameters", str(d.size)),
+        ("determined by these poses", str(d.rank)),
+        ("determined by any poses within the limits", str(found.possible.rank)),
+    ]
+    position = f"±{_millimetres(accuracy.position_rms)}" if accuracy.position_determined else "undetermined"
+    orientation = f"±{_degrees(accuracy.orientation_rms)}" if accuracy.orientation_determined else "undetermined"
+    rows.append(("predicted position over the workspace (mm, one standard deviation)", position))
+    rows.append(("predicted orientation over the workspace (deg, one standard deviation)", orientation))
+    if accuracy.position_determined:
+        sentences.append(
+            f"The fitted model predicts positions over the workspace with a standard deviation of {position[1:]} mm."
+        )
+    else:
+        sentences.append("Positions over the workspace depend on combinations that these poses do not determine.")
+    if weak := d.weak():
+        sentences.append(f"No more precise than the assembly tolerance {_be(len(weak))}: {', '.join(weak)}.")
+    if found.observability is not None:
+        rows.append(("condition number", f"{found.observability.condition:.3g}"))
+        rows.append(("observability index O1", f"{found.observability.O1:.3g}"))
+    return Description(f"Identifiability, {found.experiment.arm.name}", tuple(sentences), tuple(rows), found.notes)
+
+
+@described.register
+def _plan(plan: Plan) -> Description:
+    reached = float(plan.accuracy[-1])
+    sentences = [
+        f"{_counted(plan.count, 'pose')} of {_counted(plan.candidates, 'candidate')} for a "
+        f"{plan.experiment.arm.name} {_be(plan.count)} chosen by the criterion {plan.criterion}."
+    ]
+    rows = [("poses", str(plan.count)), ("candidates", str(plan.candidates)), ("criterion", plan.criterion)]
+    if np.isfinite(reached):
+        random = float(np.median(plan.random_accuracy[:, plan.count - 1]))
+        beside = f"{_millimetres(random)} mm" if np.isfinite(random) else "no finite accuracy"
+        sentences.append(
+            f"A fit to them predicts positions over the workspace with a standard deviation of "
+            f"{_millimetres(reached)} mm; as many random poses reach {beside} in the median."
+        )
+        rows.append(("predicted position over the workspace (mm)", f"±{_millimetres(reached)}"))
+        rows.append(("the same of as many random poses (mm)", beside.removesuffix(" mm")))
+    else:
+        sentences.append("Positions over the workspace depend on combinations that these poses do not determine.")
+    if plan.worth is not None:
+        sentences.append(f"They are as accurate as {plan.worth} random poses.")
+        rows.append(("random poses of the same accuracy", str(plan.worth)))
+    if plan.needed is not None:
+        sentences.append(f"{_counted(plan.needed, 'pose')} {_be(plan.needed)} needed for the accuracy given.")
+        rows.append(("poses for the accuracy given", str(plan.needed)))
+    return Description(f"Poses to record, {plan.experiment.arm.name}", tuple(sentences), tuple(rows))
+
+
+@described.register
+def _discrimination(plan: DiscriminationPlan) -> Description:
+    one, other = plan.rivals
+    reached, random = float(plan.distance[-1]), float(np.nanmedian(plan.random_distance))
+    sentences = (
+        f"{_counted(plan.count, 'pose')} of {_counted(plan.candidates, 'candidate')} {_be(plan.count)} chosen to "
+        f"discriminate between {one} and {other}.",
+        f"Their readings differ by {reached:.1f} standard deviations, those at as many random poses by {random:.1f}.",
+    )
+    rows = (
+        ("poses", str(plan.count)),
+        ("candidates", str(plan.candidates)),
+        ("rivals", f"{one}; {other}"),
+        ("distance (standard deviations)", f"{reached:.1f}"),
+        ("distance at random poses (standard deviations, median)", f"{random:.1f}"),
+    )
+    return Description(f"Poses that discriminate, {plan.experiment.arm.name}", sentences, rows)
+
+
+def _counted(count: int, noun: str) -> str:
+    return f"{count} {noun}{'s' * (count != 1)}"
+
+
+def _be(count: int) -> str:
+    return "is" if count == 1 else "are"
+
+
+def _millimetres(metres: float) -> str:
+    return number(1e3 * metres)
+
+
+def _degrees(radians: float) -> str:
+    return number(float(np.rad2deg(radians)), 3)
+
+
+def _rms(values: NDArray[np.floating]) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def _errors(errors: Errors) -> str:
+    parts = [f"{_millimetres(errors.position_rms)} mm RMS"]
+    if errors.orientation is not None:
+        parts.append(f"{_degrees(_rms(errors.orientation))}° RMS")
+    return " and ".join(parts)
