@@ -1,19 +1,20 @@
 """Nuisance and terms fitted together, robustly: the one Gauss–Newton of the engine, on exact residuals."""
 
 from dataclasses import dataclass, replace
-from typing import NamedTuple, final
+from typing import NamedTuple, TypeVar, final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lite6jax.estimation.noise import NoiseModel, white_noise
 from lite6jax.estimation.options import EngineOptions
-from lite6jax.estimation.problem import Mask, Problem
+from lite6jax.estimation.problem import LinearisedProblem, Mask
 from lite6jax.estimation.projection import scaled_inverse, scaled_solve
 from lite6jax.estimation.robust import FREEDOM, gaussian_t_scale, t_scale, variance_factor
 from lite6jax.estimation.terms import Terms
 
 Array = NDArray[np.floating]
+P = TypeVar("P", bound=LinearisedProblem)
 _TYPICAL = 1e-4
 """What a number of typical size deflects, m or rad."""
 
@@ -101,7 +102,7 @@ class Fit:
 
 
 def fit(
-    problem: Problem,
+    problem: LinearisedProblem,
     terms: Terms,
     options: EngineOptions,
     values: Array | None = None,
@@ -130,9 +131,7 @@ def fit(
     return _fitted(problem, terms, options, values, nuisance, training, noise, exact, False)[1]
 
 
-def relinearise(
-    problem: Problem, options: EngineOptions, training: Mask | None = None, steps: int | None = None
-) -> Problem:
+def relinearise(problem: P, options: EngineOptions, training: Mask | None = None, steps: int | None = None) -> P:
     """The problem about the nuisance that fits best without further terms, linearised anew at every step.
 
     Args:
@@ -148,7 +147,7 @@ def relinearise(
 
 
 def _fitted(
-    problem: Problem,
+    problem: P,
     terms: Terms,
     options: EngineOptions,
     values: Array | None,
@@ -157,7 +156,7 @@ def _fitted(
     noise: NoiseModel | None,
     exact: bool,
     moving: bool,
-) -> tuple[Problem, Fit]:
+) -> tuple[P, Fit]:
     """The problem, linearised where the fit is if `moving`, and the fit."""
     k = len(problem.precision)
     at = np.concatenate(
@@ -167,15 +166,15 @@ def _fitted(
     noise = white_noise(problem.groups) if noise is None else noise
     precision = np.concatenate([problem.precision, terms.precision])
 
-    def residual(where: Problem, numbers: Array) -> Array:
+    def residual(where: P, numbers: Array) -> Array:
         return where.residual(numbers[:k], terms, numbers[k:])
 
-    def prior(where: Problem, numbers: Array) -> Array:
+    def prior(where: P, numbers: Array) -> Array:
         return np.concatenate([where.offset, np.zeros(terms.size)]) + numbers
 
     fixed = None if exact or moving else noise.whitened(problem.nuisance)
 
-    def columns_at(where: Problem, numbers: Array, rows: Array) -> Array:
+    def columns_at(where: P, numbers: Array, rows: Array) -> Array:
         if exact:
             return noise.whitened(_differences(where, terms, numbers, rows, options.difference))
         base = noise.whitened(where.nuisance) if fixed is None else fixed
@@ -232,7 +231,7 @@ def weighed(rows: Array, noise: NoiseModel, training: Mask) -> Residuals:
     return Residuals(rows, innovations, scale, weight, groups)
 
 
-def without(problem: Problem, fitted: Fit, k: int, options: EngineOptions) -> Fit:
+def without(problem: LinearisedProblem, fitted: Fit, k: int, options: EngineOptions) -> Fit:
     """The fit without the k-th term, started from where it is."""
     rest, values = fitted.terms.part(fitted.values, [i != k for i in range(len(fitted.terms.terms))])
     return fit(problem, rest, options, values, fitted.nuisance, fitted.training, fitted.noise)
@@ -251,7 +250,7 @@ def _square(precision: Array, off: Array) -> float:
     return float(np.sum(precision * off**2))
 
 
-def _differences(problem: Problem, terms: Terms, at: Array, rows: Array, step: float) -> Array:
+def _differences(problem: LinearisedProblem, terms: Terms, at: Array, rows: Array, step: float) -> Array:
     """How residuals `rows` change with all numbers where they are, `(number, row, sample)`."""
     k = len(at) - terms.size
     columns = np.empty((len(at), *rows.shape))

@@ -6,7 +6,7 @@ residuals and columns are divided by the declared standard deviation of the nois
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Protocol, final
+from typing import Protocol, Self, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -85,22 +85,16 @@ class CurveFamily:
     drivers: tuple[CurveDriver, ...]
 
 
-class Problem(Protocol):
-    """One estimation problem, linearised about where its nuisance is zero.
+class LinearisedProblem(Protocol):
+    """What a fit needs: residuals and their columns, linearised about where the nuisance is zero.
 
     Attributes:
         rows: numbers that a sample has.
         samples: how many.
         groups: `(row,)` int, which group of noise a row belongs to; each has a scale and a noise model of its own.
-        run: `(sample,)` int; noise is not correlated across a change.
-        valid: `(sample,)` bool, the samples that may be used at all.
         nuisance: `(number, row, sample)`, how residuals change with each nuisance number.
         precision: `(number,)`, one over the variance of each nuisance number's prior; zero where there is none.
         offset: `(number,)`, how far the point of linearisation is from the prior's mean.
-        informative: whether the prior is knowledge, and evidence; else it only fixes a gauge.
-        candidates: the named terms that these data can show.
-        periodic: families of periodic terms.
-        curves: families of nonparametric terms.
         preset: terms that the domain has estimated before the search, because a score test does not reach so far, and
             their numbers.
     """
@@ -112,23 +106,11 @@ class Problem(Protocol):
     @property
     def groups(self) -> NDArray[np.integer]: ...
     @property
-    def run(self) -> NDArray[np.integer]: ...
-    @property
-    def valid(self) -> Mask: ...
-    @property
     def nuisance(self) -> Array: ...
     @property
     def precision(self) -> Array: ...
     @property
     def offset(self) -> Array: ...
-    @property
-    def informative(self) -> bool: ...
-    @property
-    def candidates(self) -> tuple[Term, ...]: ...
-    @property
-    def periodic(self) -> tuple[PeriodicFamily, ...]: ...
-    @property
-    def curves(self) -> tuple[CurveFamily, ...]: ...
     @property
     def preset(self) -> tuple[Terms, Array]: ...
 
@@ -149,9 +131,35 @@ class Problem(Protocol):
         """
         ...
 
-    def relinearised(self, nuisance: Array) -> "Problem":
+    def relinearised(self, nuisance: Array) -> Self:
         """The same problem about another nuisance, `(number,)` from here."""
         ...
+
+
+class Problem(LinearisedProblem, Protocol):
+    """One estimation problem, with all that a search of it needs.
+
+    Attributes:
+        run: `(sample,)` int; noise is not correlated across a change.
+        valid: `(sample,)` bool, the samples that may be used at all.
+        informative: whether the prior is knowledge, and evidence; else it only fixes a gauge.
+        candidates: the named terms that these data can show.
+        periodic: families of periodic terms.
+        curves: families of nonparametric terms.
+    """
+
+    @property
+    def run(self) -> NDArray[np.integer]: ...
+    @property
+    def valid(self) -> Mask: ...
+    @property
+    def informative(self) -> bool: ...
+    @property
+    def candidates(self) -> tuple[Term, ...]: ...
+    @property
+    def periodic(self) -> tuple[PeriodicFamily, ...]: ...
+    @property
+    def curves(self) -> tuple[CurveFamily, ...]: ...
 
     def thinned(self, every: int) -> "Problem":
         """One in `every` samples."""
