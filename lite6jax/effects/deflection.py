@@ -41,9 +41,9 @@ def dense(deflection: Deflection, dof: int, samples: int) -> Deflection:
 
 def at_joint(dof: int, number: int, values: Array) -> Array:
     """`(joint, …, sample)`: `values` `(…, sample)` at joint `number`, counted from 1, and zero at the others."""
-    row = np.zeros((dof,) + (1,) * jnp.ndim(values))
+    row = np.zeros((dof,) + (1,) * np.ndim(values))
     row[number - 1] = 1.0
-    return jnp.asarray(row) * values
+    return row * values  # of NumPy values on the host: columns of a hundred candidates compile nothing
 
 
 def twist(
@@ -57,4 +57,5 @@ def twist(
 ) -> Array:
     """The twist `(6, sample)` with these components, each `()` or `(sample,)`, in m and rad; zero where not given."""
     parts = (x, y, z, rx, ry, rz)
-    return jnp.stack([jnp.zeros(samples) if part is None else jnp.broadcast_to(part, (samples,)) for part in parts])
+    xp = jnp if any(isinstance(part, Array) for part in parts) else np
+    return xp.stack([xp.zeros(samples) if part is None else xp.broadcast_to(part, (samples,)) for part in parts])

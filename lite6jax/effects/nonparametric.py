@@ -7,6 +7,7 @@ from typing import ClassVar, final
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array, lax
 
 from lite6jax.effects.deflection import Deflection, at_joint, twist
@@ -162,8 +163,9 @@ class Unnamed(Bending):
 
     def units(self, motion: Motion, loads: Loads | None) -> Deflection:
         """The deflection by each coefficient, per unit of it; a leading axis `(coordinate, …)`."""
-        basis = self.basis(self.drivers[0].values(motion, loads), motion.run)
-        return jax.vmap(lambda shift: self._at_site(shift, motion))(basis)
+        basis = np.asarray(self.basis(self.drivers[0].values(motion, loads), motion.run))
+        parts = zip(*(self._at_site(shift, motion) for shift in basis), strict=True)  # type: ignore[arg-type]
+        return Deflection(*(None if part[0] is None else np.stack(part) for part in parts))  # type: ignore[arg-type]
 
     def curve(self, values: Array, driver: Array, run: Array | None = None) -> Array:
         """The curve's value `(sample,)`, m or rad, at values `(sample,)` of the driver; `run` as in `basis`."""

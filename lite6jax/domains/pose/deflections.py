@@ -60,11 +60,11 @@ class Deflections:
         cache = self._loaded if any(driver.loaded for driver in effect.drivers) else self.units
         if effect not in cache:
             if isinstance(effect, Unnamed):
-                cache[effect] = _host(effect.units(self.motion, self.loads))
+                cache[effect] = effect.units(self._host_motion, self._host_loads)
             elif effect.linear:
                 assert isinstance(effect, Bending)
-                # one evaluation a number: traces of a hundred candidates would take seconds
-                each = [effect.deflect(jnp.asarray(step), self.motion, self.loads) for step in np.eye(effect.size)]
+                # on the host, one evaluation a number: traces of a hundred candidates would take seconds
+                each = [effect.deflect(step, self._host_motion, self._host_loads) for step in np.eye(effect.size)]  # type: ignore[arg-type]
                 parts = zip(*each, strict=True)
                 cache[effect] = Deflection(*(None if p[0] is None else np.stack(p) for p in parts))  # type: ignore[arg-type]
             else:
@@ -105,6 +105,14 @@ class Deflections:
         less, more = deflected(mass - _GRAM), deflected(mass + _GRAM)
         slopes = ((np.asarray(b) - np.asarray(a))[None] / (2 * _GRAM) for a, b in zip(less, more, strict=True))
         return Deflection(*slopes)  # type: ignore[arg-type]
+
+    @cached_property
+    def _host_motion(self) -> Motion:
+        return jax.tree.map(np.asarray, self.motion)
+
+    @cached_property
+    def _host_loads(self) -> Loads | None:
+        return None if self.loads is None else jax.tree.map(np.asarray, self.loads)
 
     @cached_property
     def _loaded(self) -> dict[Effect, Deflection]:
