@@ -70,10 +70,10 @@ class Check:
         """Reads, checks, prints."""
         if not self.files:
             raise InputError("check needs a file or more; name them")
-        from lite6jax.fitting.check import check_calibration, check_recording
+        from lite6jax.domains.pose.check import check_calibration, check_recording
         from lite6jax.fitting.source import load_nominal, read_source
         from lite6jax.recordings import Recording
-        from lite6jax.report import screen, tables
+        from lite6jax.report import checks, screen
 
         nominal = load_nominal(self.arm)
         for path in self.files:
@@ -81,5 +81,5 @@ class Check:
                 path, nominal, assume_degrees=self.assume_degrees, assume_millimetres=self.assume_millimetres
             )
             found = check_recording(source, nominal) if isinstance(source, Recording) else check_calibration(source)
-            screen.show(tables.findings_report(path, found))
+            screen.show(checks.check_report(path, found))
         return DONE

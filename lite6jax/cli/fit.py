@@ -85,13 +85,14 @@ class Fit:
             kept = (True, recording is not None, verified)
             canvas.check_names(self.figures, [n for n, keep in zip(names, kept, strict=True) if keep], self.force)
         if isinstance(source, Recording):
-            from lite6jax.fitting.recording_fit import fit_recording
+            from lite6jax.domains.pose.fit_recording import fit_recording
 
             solution = fit_recording(source, nominal, geometry=self.geometry, loss=self.loss, solver=self.solver)
         else:
             from lite6jax.fitting.calibration_fit import fit_calibration
 
             solution = fit_calibration(source, solver=self.solver, samples=self.samples, seed=self.seed)
+        recording = solution.recording
         verification, refusal = None, None
         if verified and not isinstance(source, Recording):
             try:

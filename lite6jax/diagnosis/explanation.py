@@ -19,7 +19,7 @@ from lite6jax.diagnosis.options import Options
 from lite6jax.domains.pose.clock import clock_offset
 from lite6jax.domains.pose.load_model import search_load_model
 from lite6jax.domains.pose.problem import PoseProblem, pose_problem
-from lite6jax.domains.pose.screening.fault import DataFault
+from lite6jax.recordings.fault import DataFault
 from lite6jax.domains.pose.screening.registry import price
 from lite6jax.domains.pose.screening.screen import screen
 from lite6jax.domains.pose.screening.screened import Corrections, Screened

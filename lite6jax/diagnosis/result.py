@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from lite6jax.diagnosis.discrimination import SeparatingPoses
 from lite6jax.diagnosis.options import Options
 from lite6jax.domains.pose.problem import PoseProblem
-from lite6jax.domains.pose.screening.fault import DataFault
+from lite6jax.recordings.fault import DataFault
 from lite6jax.effects.catalogue import Untestable
 from lite6jax.effects.effect import Effect, Estimate
 from lite6jax.estimation.least_squares import Fit

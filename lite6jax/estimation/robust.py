@@ -9,6 +9,8 @@ Array = NDArray[np.floating]
 
 FREEDOM = 15.0
 """Degrees of freedom of the robust loss: 97 % efficient on Gaussian noise; a sample's pull falls beyond four sigma."""
+DOWNWEIGHTED = 0.3
+"""Weight below which a sample is an outlier; of Gaussian samples, about four in a million."""
 
 
 def t_scale(squares: Array, rows: int, freedom: float | None) -> float:

@@ -79,6 +79,7 @@ def fit_recording(
         noise=Noise(problem.noise if problem.declared else None, *_noise_level(fitted)),
         weight=weights_left(fits.estimates.squares[0] / fits.scale[0] ** 2, freedom),
         notes=(*problem.notes, *_unconverged_folds(fits)),
+        recording=recording,
     )
 
 

@@ -12,7 +12,8 @@ from lite6jax.arms.arm import Arm
 from lite6jax.fitting import gauss_newton
 from lite6jax.fitting.chunks import pad, padded_size
 from lite6jax.model import ArmModel, ModelForm, predict
-from lite6jax.recordings import require_radians
+from lite6jax.recordings import Recording, require_radians
+from lite6jax.recordings.fault import DataFault
 from lite6jax.summary import Summarised
 
 Array = NDArray[np.floating]
@@ -127,6 +128,8 @@ class Solution(Summarised):
         noise: of the data; None for a calibration.
         weight: `(sample,)` in 0…1, what the robust loss left of each sample.
         notes: what was assumed, each one sentence.
+        recording: the recording that was fitted; None for a calibration.
+        faults: of its data, in the order in which they were corrected.
     """
 
     arm: Arm
@@ -143,6 +146,8 @@ class Solution(Summarised):
     noise: Noise | None
     weight: Array
     notes: tuple[str, ...] = field(default=())
+    recording: Recording | None = None
+    faults: tuple[DataFault, ...] = ()
 
     @property
     def parameters(self) -> Array:

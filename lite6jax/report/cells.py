@@ -1,4 +1,7 @@
-"""Numbers as they are read on a screen: mm and degrees, the digits that matter, in tables without clutter."""
+"""Formatting of numbers for the screen: units, significant digits, ranges of rows, and table layout."""
+
+from collections.abc import Iterable
+from itertools import pairwise
 
 import numpy as np
 from rich import box
@@ -6,26 +9,28 @@ from rich.table import Table
 from rich.text import Text
 
 SCREEN = {"m": (1e3, "mm"), "rad": (180 / np.pi, "deg")}
-"""From SI to what is printed."""
+"""Factor and name of the printed unit, by SI unit."""
 SHOWS_AS_ZERO = 0.5e-4
-"""What four decimals round to nothing."""
+"""The largest magnitude that four decimals round to zero."""
+MOST_ROWS = 12
+"""The largest number of row numbers that are listed."""
 
 
 def number(value: float, digits: int = 4) -> str:
-    """A number to be read: fixed point, or powers of ten where that would show zeros only."""
+    """A number in fixed point, or in scientific notation where fixed point would show only zeros."""
     if value != 0 and abs(value) < SHOWS_AS_ZERO * 10 ** (4 - digits):
         return f"{value:.1e}"
     return f"{value:.{digits}f}"
 
 
 def fixed(value: float, digits: int = 4, sign: str = "") -> str:
-    """Fixed point, and no minus before zeros."""
+    """A number in fixed point, without a minus before zero."""
     text = f"{value:{sign}.{digits}f}"
     return text if float(text) else text.replace("-", sign)
 
 
 def listing(*headers: str) -> Table:
-    """A table of numbers: the first column names the row."""
+    """An empty table of numbers whose first column names the row."""
     table = Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False, show_edge=False, header_style="")
     for i, header in enumerate(headers):
         table.add_column(Text(header), justify="left" if i == 0 else "right", no_wrap=True)
@@ -33,7 +38,28 @@ def listing(*headers: str) -> Table:
 
 
 def plus_minus(value: float) -> str:
-    """A standard deviation to two digits."""
+    """A standard deviation to two significant digits."""
     if value == 0 or not np.isfinite(value):
         return f"{value:.0f}"
     return f"{value:.1e}" if value < 1e-4 else f"{value:.{max(0, 1 - int(np.floor(np.log10(value))))}f}"
+
+
+def listed(rows: Iterable[int]) -> str:
+    """Row numbers with consecutive ones as ranges; at most `MOST_ROWS` parts, then the number of the others."""
+    parts = ranges(rows)
+    shown = ", ".join(text for text, _ in parts[:MOST_ROWS])
+    rest = sum(count for _, count in parts[MOST_ROWS:])
+    return shown + (f" and {rest} more" if rest else "")
+
+
+def ranges(numbers: Iterable[int]) -> list[tuple[str, int]]:
+    """The numbers as texts, three or more consecutive ones as a range, each with its count."""
+    numbers = list(dict.fromkeys(numbers))
+    starts = [0, *(i + 1 for i, (a, b) in enumerate(pairwise(numbers)) if b != a + 1), len(numbers)]
+    parts = []
+    for start, end in pairwise(starts):
+        if end - start > 2:
+            parts.append((f"{numbers[start]}–{numbers[end - 1]}", end - start))
+        else:
+            parts += [(str(value), 1) for value in numbers[start:end]]
+    return parts

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from lite6jax.domains.pose.screening.fault import DataFault
+from lite6jax.recordings.fault import DataFault
 
 Numbers = Mapping[str, Any]
 

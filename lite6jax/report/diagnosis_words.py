@@ -2,7 +2,6 @@
 
 import re
 from collections.abc import Iterable
-from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -12,11 +11,11 @@ from lite6jax.diagnosis.diagnose import Diagnosis
 from lite6jax.diagnosis.discrimination import Separation, differ
 from lite6jax.domains.pose.problem import Case
 from lite6jax.domains.pose.reference import ReferenceComparison
-from lite6jax.domains.pose.screening.fault import DataFault, row_numbers
 from lite6jax.effects.catalogue import Untestable
 from lite6jax.effects.effect import Effect
 from lite6jax.effects.nonparametric import Unnamed
-from lite6jax.report.cells import plus_minus
+from lite6jax.recordings.fault import DataFault, row_numbers
+from lite6jax.report.cells import listed, plus_minus, ranges
 from lite6jax.report.data_faults import fault_name, fault_statement, ruled_out_statement, ruled_out_statements
 from lite6jax.search.backward import CLOSE, Rival, Step
 
@@ -30,8 +29,6 @@ VERDICTS = {
 }
 AGREE = "Beyond that both sides agree: what is left of their difference is noise."
 NOT_CHECKED = "They are inside the arm's limits, in an order of short moves, and not checked for collisions."
-
-_MOST_ROWS = 12
 
 
 class Told(NamedTuple):
@@ -106,14 +103,6 @@ def ruled_out(found: Diagnosis) -> list[Told]:
 def ruled_out_in_short(found: Diagnosis) -> list[str]:
     """The same, with one sentence for the faults that the same numbers rule out."""
     return ruled_out_statements(found.ruled_out)
-
-
-def listed(rows: Iterable[int]) -> str:
-    """Numbers of rows, those that follow each other as a range, and no more than can be read."""
-    parts = _ranges(rows)
-    shown = ", ".join(text for text, _ in parts[:_MOST_ROWS])
-    rest = sum(count for _, count in parts[_MOST_ROWS:])
-    return shown + (f" and {rest} more" if rest else "")
 
 
 def untested(found: Diagnosis) -> list[Untested]:
@@ -257,23 +246,10 @@ def _joined(words: Iterable[str], last: str = "and") -> str:
     return f"{', '.join(first)} {last} {final}" if first else final
 
 
-def _ranges(numbers: Iterable[int]) -> list[tuple[str, int]]:
-    """Three or more that follow each other as a range, with how many each text stands for."""
-    numbers = list(dict.fromkeys(numbers))
-    starts = [0, *(i + 1 for i, (a, b) in enumerate(pairwise(numbers)) if b != a + 1), len(numbers)]
-    parts = []
-    for start, end in pairwise(starts):
-        if end - start > 2:
-            parts.append((f"{numbers[start]}–{numbers[end - 1]}", end - start))
-        else:
-            parts += [(str(value), 1) for value in numbers[start:end]]
-    return parts
-
-
 def _sites_listed(sites: Iterable[str]) -> str:
     kinds: dict[str, list[int]] = {}
     for site in sites:
         kind = site.rstrip("0123456789")
         kinds.setdefault(kind, [])
         kinds[kind] += [int(site.removeprefix(kind))] if site != kind else []
-    return ", ".join(kind + ", ".join(text for text, _ in _ranges(sorted(held))) for kind, held in kinds.items())
+    return ", ".join(kind + ", ".join(text for text, _ in ranges(sorted(held))) for kind, held in kinds.items())

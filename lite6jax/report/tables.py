@@ -1,12 +1,10 @@
 """What a person in a lab reads on the screen: sentences and tables in mm and degrees, 60 columns and up."""
 
 from collections.abc import Iterator, Sequence
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 from rich.console import RenderableType
-from rich.padding import Padding
 from rich.table import Table
 from rich.text import Text
 
@@ -14,12 +12,13 @@ from lite6jax.arms import frames
 from lite6jax.arms.chains import HayatiForm
 from lite6jax.arms.factory import FactoryCalibration
 from lite6jax.arms.forms import Conversion
-from lite6jax.fitting.check import DOWNWEIGHTED, Finding
+from lite6jax.estimation.robust import DOWNWEIGHTED
 from lite6jax.fitting.compare import Comparison
 from lite6jax.fitting.folder import Row, failed
 from lite6jax.fitting.solution import Errors, Held, Noise, Result, Solution
 from lite6jax.recordings import Recording
-from lite6jax.report.cells import SCREEN, SHOWS_AS_ZERO, fixed, listing, number, plus_minus
+from lite6jax.report.cells import SCREEN, SHOWS_AS_ZERO, fixed, listed, listing, number, plus_minus
+from lite6jax.report.data_faults import fault_statement
 
 Array = NDArray[np.floating]
 
@@ -81,6 +80,7 @@ def solution_report(solution: Solution, recording: Recording | None = None) -> I
         yield ""
     if recording is not None:
         yield from frame_tables(solution)
+        yield from _fault_lines(solution)
         yield from _held_in_words(solution.held)
         yield from _noise_in_words(solution.noise, solution.checked)
         yield from _weights_in_words(solution.weight, recording)
@@ -232,6 +232,12 @@ def _noise_in_words(noise: Noise | None, checked: Errors) -> Iterator[Text]:
     yield Text(f"Noise per axis: declared {said}; the residuals have {found}, {verdict}.")
 
 
+def _fault_lines(solution: Solution) -> Iterator[Text]:
+    for fault in solution.faults:
+        rows = f" Rows {listed(fault.rows)}." if fault.rows else ""
+        yield Text(f"Data fault: {fault_statement(fault)}{rows}")
+
+
 def _weights_in_words(weight: Array, recording: Recording) -> Iterator[Text]:
     low = np.flatnonzero(weight < DOWNWEIGHTED)
     if not low.size:
@@ -354,11 +360,3 @@ def conversion_report(done: Conversion) -> Iterator[RenderableType]:
     yield Text(f"Form {done.form}, arm {done.arm.name}; read back, the flange differs by at most {kept} mm.")
     if done.left_out:
         yield Text(f"Left out: {'; '.join(done.left_out)}.")
-
-
-def findings_report(path: str | Path, findings: Sequence[Finding]) -> Iterator[RenderableType]:
-    """A question and its answer each; a mark before those to look at."""
-    yield Text(str(path), no_wrap=True, overflow="ignore")
-    for finding in findings:
-        mark = "!" if finding.suspicious else "·"
-        yield Padding(Text(f"{mark} {finding.question}: {finding.verdict}"), (0, 0, 0, 2))

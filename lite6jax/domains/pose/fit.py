@@ -1,4 +1,4 @@
-"""The fit of one arm, from its calibration or from a recording."""
+"""The fit of one arm, from its calibration or from a recording; the latter is screened for data faults first."""
 
 from pathlib import Path
 
@@ -9,7 +9,7 @@ from lite6jax.arms.factory import FactoryCalibration
 from lite6jax.fitting.calibration_fit import SAMPLES, calibration_of_array, fit_calibration
 from lite6jax.fitting.chunks import MAX_STEPS
 from lite6jax.fitting.problem import Geometry
-from lite6jax.fitting.recording_fit import Loss, fit_recording
+from lite6jax.fitting.recording_fit import Loss
 from lite6jax.fitting.solution import Solution
 from lite6jax.fitting.solve import Solver
 from lite6jax.fitting.source import load_nominal, read_source
@@ -48,6 +48,9 @@ def fit(
     if isinstance(source, str | Path):
         source = read_source(source, arm)
     if isinstance(source, Recording):
+        # the screening takes as long to import as a calibration takes to fit
+        from lite6jax.domains.pose.fit_recording import fit_recording
+
         return fit_recording(source, arm, geometry=geometry, loss=loss, solver=solver, max_steps=max_steps)
     if not isinstance(source, FactoryCalibration):
         source = calibration_of_array(source, arm)

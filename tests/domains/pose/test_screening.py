@@ -247,7 +247,7 @@ class TestRows:
         screened = screen(twice)
         fault = only(screened, "repeated_rows")
         assert fault.rows == (6, 82)
-        assert fault.numbers == {"first_rows": [5, 21]}
+        assert fault.numbers == {"first_rows": [5, 22]}
         np.testing.assert_array_equal(screened.recording.position, good.position)
 
     def test_a_pose_visited_again_is_no_repeat(self, folder, still):

@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from lite6jax.arms import frames
-from lite6jax.domains.pose.screening.fault import DataFault
 from lite6jax.domains.pose.screening.options import ScreeningOptions
 from lite6jax.domains.pose.screening.rigid import Rigid, rigid_of
 from lite6jax.domains.pose.screening.screened import Detection, Screened
 from lite6jax.fitting.problem import LEVER
 from lite6jax.fitting.start import frames_from_poses
 from lite6jax.recordings import Recording
+from lite6jax.recordings.fault import DataFault
 
 Array = NDArray[np.floating]
 

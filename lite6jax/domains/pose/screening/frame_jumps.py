@@ -9,15 +9,15 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from scipy.special import chdtrc
 
-from lite6jax.domains.pose.screening.fault import DataFault, row_numbers
 from lite6jax.domains.pose.screening.options import ScreeningOptions
 from lite6jax.domains.pose.screening.projection import Projected, thinned
 from lite6jax.domains.pose.screening.rigid import Rigid, physics_columns, transform_of
 from lite6jax.domains.pose.screening.screened import Detection, Screened, not_there
 from lite6jax.estimation.noise import autocorrelation_time, noise_model
-from lite6jax.estimation.options import EngineOptions
+from lite6jax.estimation.options import DEFAULTS
 from lite6jax.fitting.start import frames_from_poses
 from lite6jax.recordings import Recording
+from lite6jax.recordings.fault import DataFault, row_numbers
 from lite6jax.recordings.sequence import run_segments
 
 Array = NDArray[np.floating]
@@ -129,12 +129,7 @@ def seek_jump(arm: Rigid, options: ScreeningOptions) -> JumpSearch:
     _, k, part, columns = max(found, key=lambda item: item[0])
     after = np.where(np.arange(n) >= k, columns, 0.0)
     values, _, statistic = projected.regression(after)
-    left = projected.residual + values @ projected.without(after)
-    rows, fitted = left.reshape(arm.rows, n), projected.basis.reshape(-1, arm.rows, n)
-    groups = np.zeros(arm.rows, int)
-    model = noise_model(rows, fitted, np.zeros(len(fitted)), groups, segment, EngineOptions()).models[0]
-    length = max(autocorrelation_time(rows), model.time)
-    p = min(float(n * 2 * chdtrc(len(columns), statistic / length)), 1.0)
+    p = _p_value(projected, after, values, statistic, options)
     plain = np.einsum(
         "k,krs->rs", values, arm.plain_twists[:6] if part == "base" else arm.plain_twists[last:][: arm.rows]
     )
@@ -154,6 +149,26 @@ def seek_jump(arm: Rigid, options: ScreeningOptions) -> JumpSearch:
     if not _sharp(whole, k, run_segments(whole.recording.run), options):
         return JumpSearch(None, p, True)
     return JumpSearch(Jump(k, part, twist, displacement, p), p, False)
+
+
+def _p_value(projected: Projected, after: Array, values: Array, statistic: float, options: ScreeningOptions) -> float:
+    """The probability by chance of the best row's statistic, of two kinds of jumps at every row.
+
+    The noise model, which makes it larger, takes long; it is estimated only where it decides.
+    """
+    arm = projected.arm
+    rows = (projected.residual + values @ projected.without(after)).reshape(arm.rows, arm.samples)
+
+    def at(time: float) -> float:
+        return min(float(2 * arm.samples * chdtrc(len(after), statistic / time)), 1.0)
+
+    time = autocorrelation_time(rows)
+    if at(time) > options.jump_level:
+        return at(time)
+    fitted, segment = projected.basis.reshape(-1, arm.rows, arm.samples), run_segments(arm.recording.run)
+    groups = np.zeros(arm.rows, int)
+    model = noise_model(rows, fitted, np.zeros(len(fitted)), groups, segment, DEFAULTS).models[0]
+    return at(max(time, model.time))
 
 
 def _located(arm: Rigid, low: int, high: int, first: int, values: Array) -> int:

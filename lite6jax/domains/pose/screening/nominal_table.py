@@ -8,12 +8,12 @@ from scipy.spatial.transform import Rotation
 
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.bundled import VARIANTS, bundled_arms, load_bundled
-from lite6jax.domains.pose.screening.fault import DataFault
 from lite6jax.domains.pose.screening.options import ScreeningOptions
 from lite6jax.domains.pose.screening.projection import estimated
 from lite6jax.domains.pose.screening.rigid import Rigid, physics_columns
 from lite6jax.domains.pose.screening.screened import Detection, Screened, not_there
 from lite6jax.recordings import Recording
+from lite6jax.recordings.fault import DataFault
 
 
 @final
@@ -21,7 +21,8 @@ class OtherTable(NamedTuple):
     """How a nominal table compares with another of the same model.
 
     Attributes:
-        name: of the other arm; None where there is none, or the chain is the arm's own.
+        declared: name of the declared table.
+        name: of the other; None where there is none, or the chain is the arm's own.
         share: of the way from the declared table to the other at which the data lie, and its standard deviation; None
             where the chain is fitted.
         ratios: residual scales with the declared table and the other, over that of a fitted chain; None where it is
@@ -30,6 +31,7 @@ class OtherTable(NamedTuple):
         likelier: whether they are likelier with the other, if no physics is at work.
     """
 
+    declared: str
     name: str | None
     share: tuple[float, float] | None = None
     ratios: tuple[float, float] | None = None
@@ -38,7 +40,7 @@ class OtherTable(NamedTuple):
 
     def numbers(self) -> dict[str, Any]:
         """Of a fault, as in `DataFault`."""
-        numbers: dict[str, Any] = {"table": self.name, "decided": self.decided}
+        numbers: dict[str, Any] = {"declared": self.declared, "table": self.name, "decided": self.decided}
         if self.share is not None and np.isfinite(self.share[1]):
             numbers |= {"share": self.share[0], "share_std": self.share[1]}
         if self.ratios is not None:
@@ -52,11 +54,11 @@ def detect_other_table(state: Screened, options: ScreeningOptions) -> Detection:
     compared = compare_tables(arm, options)
     if compared.name is None:
         reason = "own_chain" if arm.exact else "single_table"
-        return not_there("nominal_table", reason=reason, declared=arm.arm.name)
+        return not_there("nominal_table", reason=reason, declared=compared.declared)
     if compared.decided or compared.name == state.corrections.table:
         return Detection(compared)
     vague = compared.share is not None and np.isinf(compared.share[1])
-    numbers = compared.numbers() | {"declared": arm.arm.name, "fitted": not arm.exact}
+    numbers = compared.numbers() | {"fitted": not arm.exact}
     reason = "indistinguishable" if vague else "declared_fits"
     return not_there("nominal_table", reason=reason, likelier=compared.likelier, **numbers)
 
@@ -65,7 +67,7 @@ def use_other_table(state: Screened, compared: OtherTable, options: ScreeningOpt
     """The other table in the sidecar's place, unless the declared chain was asked for."""
     arm = state.fitted_arm
     assert compared.name is not None
-    numbers = compared.numbers() | {"declared": arm.arm.name, "used": "none"}
+    numbers = compared.numbers() | {"used": "none"}
     recording, nominal, factory = arm.recording, arm.arm, state.factory
     if not arm.exact or state.geometry == "declared":
         recording, nominal = with_table(recording, compared.name)
@@ -92,22 +94,22 @@ def compare_tables(arm: Rigid, options: ScreeningOptions) -> OtherTable:
         declared = [t for t in tables if np.abs(t.links - arm.links).max() < options.published_tolerance]
     others = [table for table in tables if declared and table.name != declared[0].name]
     if not others:
-        return OtherTable(None)
-    other = others[0]
+        return OtherTable(arm.arm.name, None)
+    other, name = others[0], declared[0].name
     if arm.exact:
         share, std = _share(arm, other, options)
         rival = _with_table(arm, other).fitted()
         clear = std < options.share_std or rival.scale < options.table_ratio * arm.scale
         there = abs(share - 1) < options.share_tolerance + 4 * std and share > options.share_sigmas * std
         return OtherTable(
-            other.name, (share, std), decided=bool(clear and there), likelier=bool(rival.scale < arm.scale)
+            name, other.name, (share, std), decided=bool(clear and there), likelier=bool(rival.scale < arm.scale)
         )
     ours, theirs = (_with_table(arm, table).fitted() for table in (arm.arm, other))
     more = len(arm.unknown) - len(theirs.unknown)
     fitted = arm.log_likelihood(arm.scale) - 0.5 * more * np.log(arm.rows * arm.samples)
     required = max(fitted, ours.log_likelihood(arm.scale) + options.trusted_log_likelihood)
     ratios = (ours.scale / arm.scale, theirs.scale / arm.scale)
-    return OtherTable(other.name, ratios=ratios, decided=bool(theirs.log_likelihood(arm.scale) > required))
+    return OtherTable(name, other.name, ratios=ratios, decided=bool(theirs.log_likelihood(arm.scale) > required))
 
 
 def with_table(recording: Recording, name: str) -> tuple[Recording, Arm]:

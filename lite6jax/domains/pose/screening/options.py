@@ -170,6 +170,10 @@ class ScreeningOptions:
         4, "pieces below which no curve is fitted beside the moves", "fewer are in the harmonics"
     )
     most_pieces: int = option(16, "pieces of a curve at most", "finer ones only take time")
+    # check
+    mostly_explained: float = option(0.8, "share of the squared error at which a cause is likely", "set on real arms")
+    partly_explained: float = option(0.3, "share of the squared error at which it is possible", "set on real arms")
+    as_noise_ratio: float = option(2.0, "error over the declared noise up to which it is noise", "set on real arms")
     # estimation
     most_samples: int = option(1500, "samples on which columns of physics are compared", "more change no decision")
     observable_share: float = option(

@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from lite6jax.domains.pose.screening.fault import DataFault, row_numbers
 from lite6jax.domains.pose.screening.options import ScreeningOptions
 from lite6jax.domains.pose.screening.screened import Detection, Screened, not_there
 from lite6jax.recordings import Recording, RepeatedRows, TimeDisorder, repeated_rows, time_disorder
+from lite6jax.recordings.fault import DataFault, row_numbers
 from lite6jax.recordings.sequence import run_segments
 
 Array = NDArray[np.floating]

@@ -6,10 +6,10 @@ from typing import Any, NamedTuple, final
 
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.factory import FactoryCalibration
-from lite6jax.domains.pose.screening.fault import DataFault
 from lite6jax.domains.pose.screening.rigid import Rigid
 from lite6jax.fitting.problem import Geometry
 from lite6jax.recordings import Recording
+from lite6jax.recordings.fault import DataFault
 
 
 @final

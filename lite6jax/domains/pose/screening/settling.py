@@ -8,12 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import bdtrc, chdtri, ndtr
 
-from lite6jax.domains.pose.screening.fault import DataFault, row_numbers
 from lite6jax.domains.pose.screening.options import ScreeningOptions
 from lite6jax.domains.pose.screening.projection import Projected, thinned
 from lite6jax.domains.pose.screening.rigid import Rigid, physics_columns
 from lite6jax.domains.pose.screening.screened import Detection, Screened, not_there
 from lite6jax.recordings import Recording
+from lite6jax.recordings.fault import DataFault, row_numbers
 from lite6jax.recordings.sequence import run_segments
 
 Array = NDArray[np.floating]

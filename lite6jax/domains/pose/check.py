@@ -1,0 +1,204 @@
+"""The simple causes of a mismatch, before calibration is suspected: codes and numbers; `report.checks` words them.
+
+A recording is screened for data faults as in a fit and a diagnosis; what remains is compared with a constant tool
+offset, with a change of geometry, and with outliers. A calibration is compared with the nominal tables and with a
+constant tool offset.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lite6jax.arms import frames
+from lite6jax.arms.arm import Arm, sample_joints
+from lite6jax.arms.bundled import bundled_arms, load_bundled
+from lite6jax.arms.factory import FactoryCalibration, read_factory
+from lite6jax.arms.se3 import rotation_from_quaternion, rotation_from_rpy, transform
+from lite6jax.domains.pose.screening.options import ScreeningOptions
+from lite6jax.domains.pose.screening.screen import screen
+from lite6jax.estimation.robust import DOWNWEIGHTED
+from lite6jax.fitting.recording_fit import fit_recording
+from lite6jax.fitting.start import frames_from_poses
+from lite6jax.recordings import Recording, outside_limits
+from lite6jax.recordings.fault import DataFault, row_numbers
+
+Array = NDArray[np.floating]
+
+_SAMPLES = 1000
+_RMS_OF_MEDIAN = 1.1260
+"""Of the length of an isotropic Gaussian 3-vector: √3 / √(median of χ²₃). Outliers move the median little."""
+
+
+@final
+@dataclass(frozen=True)
+class Cause:
+    """One simple cause of a mismatch.
+
+    Attributes:
+        code: `default_table`, `nominal_table`, `tool_offset`, `joint_limits`, `geometry`, `outliers` or `missing_rows`.
+        suspicious: whether it is to be removed before anything is fitted.
+        rows: of the file, from 1; empty where all or none are concerned.
+        numbers: in SI units, plain JSON values.
+    """
+
+    code: str
+    suspicious: bool
+    rows: tuple[int, ...] = ()
+    numbers: Mapping[str, Any] = field(default_factory=dict)
+
+
+@final
+@dataclass(frozen=True)
+class RecordingCheck:
+    """What a check of a recording found.
+
+    Attributes:
+        faults: of the data, as in a diagnosis; what follows is without them.
+        ruled_out: faults that were tested for and are not there.
+        causes: what else may explain a mismatch.
+        notes: of the reader, a sentence each.
+    """
+
+    faults: tuple[DataFault, ...]
+    ruled_out: tuple[DataFault, ...]
+    causes: tuple[Cause, ...]
+    notes: tuple[str, ...]
+
+
+def check_calibration(calibration: FactoryCalibration, options: ScreeningOptions | None = None) -> list[Cause]:
+    """A calibration's distance to each nominal table, and a constant displacement of the flange."""
+    options, arm = options or ScreeningOptions(), calibration.arm
+    q = sample_joints(arm.dof, _SAMPLES)
+    links = np.stack([frames.transform_from_row(row) for row in calibration.kinematics])
+    pose = frames.chain(links, q) @ calibration.T_joint_flange
+    tables = _tables(arm)
+    nominal = [frames.chain(table.links, q) @ table.T_joint_flange for table in tables]
+    distances = [np.linalg.norm(pose[:, :3, 3] - T[:, :3, 3], axis=1) for T in nominal]
+    nearest = int(np.argmin([distance.max() for distance in distances]))
+    compared = [
+        {"table": table.name, "rms_m": _rms(d), "largest_m": float(d.max())}
+        for table, d in zip(tables, distances, strict=True)
+    ]
+    numbers = {"arm": arm.name, "nearest": tables[nearest].name, "tables": compared}
+    if distances[nearest].max() < options.published_tolerance:
+        return [Cause("default_table", True, (), numbers)]
+    difference = pose[:, :3, 3] - nominal[0][:, :3, 3]
+    in_flange = np.einsum("sji,sj->si", nominal[0][:, :3, :3], difference)
+    shift = in_flange.mean(0)
+    offset = _tool_offset(shift, np.sum(in_flange**2, 1), np.sum((in_flange - shift) ** 2, 1), options)
+    return [Cause("nominal_table", False, (), numbers), offset]
+
+
+def check_recording(
+    recording: Recording, nominal: Arm | None = None, options: ScreeningOptions | None = None
+) -> RecordingCheck:
+    """Data faults, joint limits, tool offset, outliers, and how much of the error a change of geometry explains.
+
+    Args:
+        recording: measured poses.
+        nominal: the nominal arm; from the sidecar where not given.
+        options: the thresholds.
+
+    Raises:
+        InputError: as `fit_recording`.
+    """
+    options = options or ScreeningOptions()
+    screened = screen(recording, nominal, options=options)
+    recording, arm = screened.recording, screened.arm
+    assert arm is not None
+    causes = [
+        *_joint_limits(recording, arm),
+        *_recorded_tool_offset(recording, arm, options),
+        *_geometry_and_outliers(recording, arm, options),
+    ]
+    return RecordingCheck(screened.found, screened.ruled_out, tuple(causes), recording.notes)
+
+
+def _joint_limits(recording: Recording, arm: Arm) -> list[Cause]:
+    return [
+        Cause(
+            "joint_limits",
+            True,
+            row_numbers(outside.rows),
+            {"joint": outside.joint, "largest_excess_rad": outside.largest_excess_rad},
+        )
+        for outside in outside_limits(recording, arm.joint_limits)
+    ]
+
+
+def _recorded_tool_offset(recording: Recording, arm: Arm, options: ScreeningOptions) -> list[Cause]:
+    """A constant displacement of the measured point on the flange; none where the tool is fitted."""
+    settings = recording.settings
+    if settings.tool == "unknown":
+        return []
+    path = settings.factory_path(Path(recording.source).parent)
+    links, after = arm.links, arm.T_joint_flange
+    if path is not None:
+        factory = read_factory(path, arm)
+        links = np.stack([frames.transform_from_row(row) for row in factory.kinematics])
+        after = factory.T_joint_flange
+    flange = frames.chain(links, recording.joint_position) @ after
+    known = np.eye(4)
+    if isinstance(settings.tool, tuple):
+        known = np.asarray(transform(rotation_from_rpy(np.array(settings.tool[3:])), np.array(settings.tool[:3])))
+    before, declared = _residual(recording, flange, known)
+    rest, tool = _residual(recording, flange, None)
+    return [_tool_offset(tool[:3, 3] - declared[:3, 3], np.sum(before**2, 1), np.sum(rest**2, 1), options)]
+
+
+def _residual(recording: Recording, flange: Array, tool: Array | None) -> tuple[Array, Array]:
+    """Measured minus predicted positions `(sample, 3)` m with unknown frames in closed form, and the tool `(4, 4)`."""
+    position = recording.position
+    assert position is not None
+    rotation = None if recording.quaternion is None else np.asarray(rotation_from_quaternion(recording.quaternion))
+    frame = np.eye(4) if recording.settings.pose_frame == "base" else None
+    T_sensor_base, T_flange_tool = frames_from_poses(flange, position, rotation, frame, tool)
+    return position - (T_sensor_base @ flange @ T_flange_tool)[:, :3, 3], T_flange_tool
+
+
+def _tool_offset(shift: Array, before: Array, rest: Array, options: ScreeningOptions) -> Cause:
+    """`before` and `rest`: squared distances without and with the shift; medians, so that outliers do not decide."""
+    share = max(0.0, 1 - float(np.median(rest)) / max(float(np.median(before)), np.finfo(float).tiny))
+    numbers = {"shift_m": shift.tolist(), "explained": share, "likely": share >= options.mostly_explained}
+    return Cause("tool_offset", share >= options.partly_explained, (), numbers)
+
+
+def _geometry_and_outliers(recording: Recording, arm: Arm, options: ScreeningOptions) -> list[Cause]:
+    solution = fit_recording(recording, arm, geometry="free")
+    before, after = (
+        float(np.median(errors.position)) * _RMS_OF_MEDIAN for errors in (solution.nominal_errors, solution.checked)
+    )
+    share = 1 - min(after / before, 1.0) ** 2 if before > 0 else 0.0
+    noise = solution.noise
+    declared = noise.declared[0] * np.sqrt(3) if noise and noise.declared else 0.0
+    kind = "none" if before <= options.as_noise_ratio * declared else "geometry"
+    if kind == "geometry" and share < options.mostly_explained:
+        kind = "partly" if share >= options.partly_explained else "other"
+    numbers = {
+        "kind": kind,
+        "explained": share,
+        "before_rms_m": before,
+        "heldout_rms_m": after,
+        "start": "factory_calibration" if recording.settings.factory_calibration else "nominal_arm",
+    }
+    geometry = Cause("geometry", kind in ("partly", "other"), (), numbers)
+    wild = np.flatnonzero(solution.weight < DOWNWEIGHTED)
+    if not wild.size:
+        return [geometry, Cause("outliers", False)]
+    worst = float(solution.errors.position[wild].max())
+    return [geometry, Cause("outliers", True, row_numbers(recording.row[wild]), {"largest_m": worst})]
+
+
+def _tables(arm: Arm) -> list[Arm]:
+    """The arm's own nominal table first, then those of the same model that the vendor publishes elsewhere."""
+    family = arm.name.split("_")[0]
+    same = [name for name in bundled_arms() if name != arm.name and name.split("_")[0] == family]
+    return [arm, *(table for table in map(load_bundled, same) if table.dof == arm.dof)]
+
+
+def _rms(distance: Array) -> float:
+    return float(np.sqrt(np.mean(distance**2)))

@@ -1,0 +1,99 @@
+"""The sentences of a check: each made from the code and the numbers of a cause."""
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+from rich.console import RenderableType
+from rich.padding import Padding
+from rich.text import Text
+
+from lite6jax.arms.bundled import VARIANTS, bundled_arms
+from lite6jax.domains.pose.check import Cause, RecordingCheck
+from lite6jax.report.cells import listed
+from lite6jax.report.data_faults import fault_name, fault_statement, ruled_out_statements
+
+_NAMES = {
+    "default_table": "Nominal table",
+    "nominal_table": "Nominal table",
+    "tool_offset": "Tool offset",
+    "joint_limits": "Joint limits",
+    "geometry": "Geometry",
+    "outliers": "Outliers",
+}
+
+
+def check_report(path: str | Path, found: Sequence[Cause] | RecordingCheck) -> Iterator[RenderableType]:
+    """A line for each possible cause, with a mark before those to be removed first."""
+    yield Text(str(path), no_wrap=True, overflow="ignore")
+    causes = found.causes if isinstance(found, RecordingCheck) else found
+    if isinstance(found, RecordingCheck):
+        yield from (_line(True, "Note", note) for note in found.notes)
+        for fault in found.faults:
+            rows = f" Rows {listed(fault.rows)}." if fault.rows else ""
+            yield _line(True, fault_name(fault.code), fault_statement(fault) + rows)
+        yield from (_line(False, "Data", sentence) for sentence in ruled_out_statements(found.ruled_out))
+    yield from (_line(cause.suspicious, _NAMES[cause.code], statement(cause)) for cause in causes)
+
+
+def statement(cause: Cause) -> str:
+    """What the data say of a possible cause, and the remedy where there is one."""
+    n = cause.numbers
+    if cause.code in ("default_table", "nominal_table"):
+        distances = "; ".join(
+            f"{_named(t['table'])} {_mm(t['rms_m'])} mm RMS, {_mm(t['largest_m'])} mm at most" for t in n["tables"]
+        )
+        if cause.code == "default_table":
+            return f"This is {_named(n['nearest'])}, not the calibration of one arm ({distances})."
+        other = "" if n["nearest"] == n["tables"][0]["table"] else f", but {_named(n['nearest'])} is nearer"
+        return f"This is a calibration of a {n['arm']}{other}: {distances}."
+    if cause.code == "tool_offset":
+        shift = ", ".join(map(_mm, n["shift_m"]))
+        share = f"a shift of ({shift}) mm in the flange frame explains {_percent(n['explained'])} of the squared error"
+        if n["likely"]:
+            return f"A tool offset is likely: {share}. Set the tool offset (TCP) to zero, or declare it."
+        if cause.suspicious:
+            return f"A tool offset is possible: {share}. Check that the tool offset (TCP) is zero."
+        return f"No tool offset: {share}."
+    if cause.code == "joint_limits":
+        beyond = np.rad2deg(n["largest_excess_rad"])
+        return f"Joint {n['joint']} is beyond its limits by up to {beyond:.3g}° in rows {listed(cause.rows)}."
+    if cause.code == "outliers":
+        if not cause.rows:
+            return "There are no outliers."
+        return f"Rows {listed(cause.rows)} are outliers, by up to {_mm(n['largest_m'])} mm. Check them."
+    return _geometry(cause)
+
+
+def _geometry(cause: Cause) -> str:
+    n = cause.numbers
+    start = "factory calibration" if n["start"] == "factory_calibration" else "nominal arm"
+    share = (
+        f"a change of geometry explains {_percent(n['explained'])} of the squared error ({_mm(n['before_rms_m'])} mm "
+        f"RMS before, {_mm(n['heldout_rms_m'])} mm on held-out rows)"
+    )
+    if n["kind"] == "none":
+        return f"The {start} is correct to within the sensor noise: {share}."
+    if n["kind"] == "geometry":
+        return f"The error is a calibration error: {share}."
+    part = "partly" if n["kind"] == "partly" else "not"
+    return f"The error is {part} a calibration error: {share}. Diagnose the recording."
+
+
+def _line(suspicious: bool, name: str, sentence: str) -> RenderableType:
+    return Padding(Text(f"{'!' if suspicious else '·'} {name}: {sentence}"), (0, 0, 0, 2))
+
+
+def _named(table: str) -> str:
+    if table in VARIANTS:
+        return f"the vendor's ROS default ({table})"
+    return f"the published table ({table})" if table in bundled_arms() else f"the table of {table}"
+
+
+def _percent(share: float) -> str:
+    """A share that is not quite whole is not shown as whole."""
+    return f"{100 * share:.1f} %" if 0.99 < share < 0.9995 else f"{100 * share:.0f} %"
+
+
+def _mm(length: float) -> str:
+    return f"{1e3 * length:.3g}"
