@@ -1,7 +1,9 @@
-"""Sensor frame and tool of a known chain from measured poses: a closed form, then robust Gauss–Newton."""
+"""Sensor frame and tool of a known chain from measured poses: a closed form, then a robust fit."""
 
-from dataclasses import replace
-from typing import NamedTuple
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import NamedTuple, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +13,11 @@ from lite6jax.arms.se3 import rotation_from_quaternion
 from lite6jax.domains.pose.predict import DiagnosedArm, predict
 from lite6jax.effects.kinematic.surroundings import BaseDrift
 from lite6jax.errors import InputError
+from lite6jax.estimation.least_squares import relinearise
+from lite6jax.estimation.options import DEFAULTS
+from lite6jax.estimation.projection import rank
 from lite6jax.estimation.robust import DOWNWEIGHTED, FREEDOM, gaussian_t_scale, t_scale, weights_left
+from lite6jax.estimation.terms import Term, Terms
 from lite6jax.fitting.problem import UNDECLARED_NOISE
 from lite6jax.fitting.start import frames_from_poses
 from lite6jax.model import ArmModel
@@ -19,11 +25,8 @@ from lite6jax.recordings import Recording, require_samples
 
 Array = NDArray[np.floating]
 
-_STEPS = 40
-_SETTLED = 1e-4
-"""Length of a step, in standard deviations of what it estimates."""
 _DETERMINED = 1e-8
-"""Least eigenvalue of the information of unit columns: below it a combination of numbers moves nothing."""
+"""Eigenvalue of the information of unit columns, over the largest, below which a combination is not determined."""
 _NUMBERS = {3: 15, 6: 12}
 """Numbers that determine both frames: from positions alone, a closed form first finds the nine cosines of one."""
 
@@ -36,9 +39,9 @@ class Registration(NamedTuple):
         T_flange_tool: `(4, 4)`; its rotation is what was given where no orientation was measured.
         missed: `(sample, 3)` m, predicted minus measured, sensor axes.
         turned: `(sample, 3)` rad, the rotation vector from measured to predicted, tool axes; None without orientation.
-        weight: `(sample,)`, what the loss leaves of each, 1 down to 0.
-        noise: robust standard deviations per axis of position (m) and orientation (rad), those fitted allowed for.
-        determined: whether the poses tell every number that was fitted.
+        weight: `(sample,)`, of each in the loss, from 1 down to 0.
+        noise: robust standard deviations per axis of position (m) and orientation (rad), for the degrees of freedom.
+        determined: whether the poses determine every number that was fitted.
     """
 
     T_sensor_base: Array
@@ -56,12 +59,12 @@ class Registration(NamedTuple):
 
     @property
     def kept(self) -> NDArray[np.bool_]:
-        """`(sample,)`, those that the loss has not all but left out."""
+        """`(sample,)`, those that are no outliers."""
         return self.weight > DOWNWEIGHTED
 
     @property
     def rms(self) -> float:
-        """m, of the samples kept."""
+        """m, outliers excluded."""
         return float(np.sqrt(np.mean(self.distance[self.kept] ** 2)))
 
 
@@ -83,48 +86,24 @@ def register(
         noise: standard deviations per axis of position (m) and orientation (rad); only their ratio matters.
         frame: `(4, 4)`, or None where unknown.
         tool: `(4, 4)`, or None where unknown.
-        tool_rotation: `(3, 3)` of an unknown tool whose rotation no orientation tells; the identity if not given.
+        tool_rotation: `(3, 3)` of an unknown tool, which positions do not determine; the identity if not given.
     """
     F, T = _start(flange, position, rotation, frame, tool)
     if tool is None and rotation is None and tool_rotation is not None:
         T[:3, :3] = tool_rotation
-    R, rows = flange[:, :3, :3], 3 if rotation is None else 6
-    moved = [frame is None] * 6 + [tool is None] * 3 + [tool is None and rotation is not None] * 3
-    free = np.flatnonzero(moved)
-    J = np.zeros((len(flange), rows, 12))
-    scale, w = 1.0, np.ones(len(flange))
-    for _ in range(_STEPS):
-        missed, turned = _missed(flange, position, rotation, F, T)
-        errors = missed / noise[0] if turned is None else np.hstack([missed / noise[0], turned / noise[1]])
-        squares = np.sum(errors**2, 1)
-        scale = t_scale(squares, rows, FREEDOM)
-        w = weights_left(squares / scale**2, FREEDOM)
-        if not free.size:
-            break
-        arm = R @ T[:3, 3] + flange[:, :3, 3]
-        J[:, :3, :3] = np.eye(3) / noise[0]
-        J[:, :3, 3:6] = -F[:3, :3] @ _cross(arm) / noise[0]
-        J[:, :3, 6:9] = F[:3, :3] @ R / noise[0]
-        if rotation is not None:
-            J[:, 3:, 3:6] = np.swapaxes(R @ T[:3, :3], 1, 2) / noise[1]
-            J[:, 3:, 9:12] = np.eye(3) / noise[1]
-        columns = J[:, :, free] * np.sqrt(w)[:, None, None]
-        change = np.zeros(12)
-        change[free], length = _step(
-            columns.reshape(rows * len(flange), free.size), (errors * np.sqrt(w)[:, None]).ravel()
-        )
-        F[:3, 3] += change[:3]
-        F[:3, :3] = F[:3, :3] @ Rotation.from_rotvec(change[3:6]).as_matrix()
-        T[:3, 3] += change[6:9]
-        T[:3, :3] = T[:3, :3] @ Rotation.from_rotvec(change[9:12]).as_matrix()
-        if length < _SETTLED * scale or np.abs(change).max() < 1e-14:
-            break
-    missed, turned = _missed(flange, position, rotation, F, T)
-    left = np.sqrt(rows * len(flange) / max(rows * len(flange) - free.size, 1))
-    noises = [None if e is None else float(left * _spread(e)) for e in (missed, turned)]
-    assert noises[0] is not None
-    known = _determined(J[:, :, free].reshape(rows * len(flange), free.size))
-    return Registration(F, T, missed, turned, w, (noises[0], noises[1]), known)
+    unknown = [frame is None] * 6 + [tool is None] * 3 + [tool is None and rotation is not None] * 3
+    problem = relinearise(_Frames(flange, position, rotation, noise, F, T, np.flatnonzero(unknown)), DEFAULTS)
+    missed, turned = problem.differences
+    squares = np.sum(problem.whitened**2, 0)
+    weight = weights_left(squares / t_scale(squares, problem.rows, FREEDOM) ** 2, FREEDOM)
+    count, parameters = problem.rows * problem.samples, len(problem.unknown)
+    lost = np.sqrt(count / max(count - parameters, 1))
+    scales = [None if errors is None else float(lost * _spread(errors)) for errors in (missed, turned)]
+    assert scales[0] is not None
+    determined = rank(problem.nuisance.reshape(parameters, count), _DETERMINED) == parameters
+    return Registration(
+        problem.T_sensor_base, problem.T_flange_tool, missed, turned, weight, (scales[0], scales[1]), determined
+    )
 
 
 def register_model(model: DiagnosedArm, recording: Recording) -> tuple[DiagnosedArm, Registration]:
@@ -171,6 +150,105 @@ def _shift(x: float) -> Array:
     return T
 
 
+@final
+@dataclass(frozen=True, eq=False)
+class _Frames:
+    """Sensor frame and tool of a known chain as a problem of least squares, whose nuisance they are.
+
+    The nuisance's twelve numbers displace the sensor frame by a translation in its axes and a rotation in the base's,
+    and the tool by a translation in the flange's axes and a rotation in its own.
+
+    Attributes:
+        flange: `(sample, 4, 4)`.
+        position: `(sample, 3)`.
+        rotation: `(sample, 3, 3)` or None.
+        noise: of position and orientation.
+        T_sensor_base: `(4, 4)`.
+        T_flange_tool: `(4, 4)`.
+        unknown: which of the twelve.
+    """
+
+    flange: Array
+    position: Array
+    rotation: Array | None
+    noise: tuple[float, float]
+    T_sensor_base: Array
+    T_flange_tool: Array
+    unknown: NDArray[np.integer]
+
+    @property
+    def rows(self) -> int:
+        return 3 if self.rotation is None else 6
+
+    @property
+    def samples(self) -> int:
+        return len(self.flange)
+
+    @property
+    def groups(self) -> NDArray[np.integer]:
+        return np.zeros(self.rows, int)
+
+    @property
+    def precision(self) -> Array:
+        return np.zeros(len(self.unknown))
+
+    offset = precision
+
+    @property
+    def preset(self) -> tuple[Terms, Array]:
+        return Terms(), np.zeros(0)
+
+    @cached_property
+    def differences(self) -> tuple[Array, Array | None]:
+        """Predicted minus measured: `(sample, 3)` m in sensor axes, and rotation vectors in tool axes."""
+        predicted = self.T_sensor_base @ self.flange @ self.T_flange_tool
+        missed = predicted[:, :3, 3] - self.position
+        if self.rotation is None:
+            return missed, None
+        relative = np.swapaxes(self.rotation, 1, 2) @ predicted[:, :3, :3]
+        return missed, Rotation.from_matrix(relative).as_rotvec()
+
+    @property
+    def whitened(self) -> Array:
+        """`(row, sample)`."""
+        missed, turned = self.differences
+        parts = [missed / self.noise[0]] + ([] if turned is None else [turned / self.noise[1]])
+        return np.hstack(parts).T
+
+    @cached_property
+    def nuisance(self) -> Array:
+        """`(unknown, row, sample)`."""
+        R, R_sensor = self.flange[:, :3, :3], self.T_sensor_base[:3, :3]
+        arm = R @ self.T_flange_tool[:3, 3] + self.flange[:, :3, 3]
+        J = np.zeros((self.samples, self.rows, 12))
+        J[:, :3, :3] = np.eye(3) / self.noise[0]
+        J[:, :3, 3:6] = -R_sensor @ _cross(arm) / self.noise[0]
+        J[:, :3, 6:9] = R_sensor @ R / self.noise[0]
+        if self.rotation is not None:
+            J[:, 3:, 3:6] = np.swapaxes(R @ self.T_flange_tool[:3, :3], 1, 2) / self.noise[1]
+            J[:, 3:, 9:12] = np.eye(3) / self.noise[1]
+        return np.moveaxis(J[:, :, self.unknown], 0, -1).swapaxes(0, 1)
+
+    def residual(self, nuisance: Array, terms: Terms, values: Array) -> Array:
+        return self.relinearised(nuisance).whitened
+
+    def columns(
+        self, terms: Sequence[Term], values: Array | None = None, beside: tuple[Terms, Array] | None = None
+    ) -> Array:
+        return np.zeros((0, self.rows, self.samples))
+
+    def relinearised(self, nuisance: Array) -> "_Frames":
+        if not nuisance.any():
+            return self
+        change = np.zeros(12)
+        change[self.unknown] = nuisance
+        F, T = self.T_sensor_base.copy(), self.T_flange_tool.copy()
+        for frame, shift, turn in ((F, change[:3], change[3:6]), (T, change[6:9], change[9:])):
+            frame[:3, 3] += shift
+            frame[:3, :3] = frame[:3, :3] @ Rotation.from_rotvec(turn).as_matrix()
+        return replace(self, T_sensor_base=F, T_flange_tool=T)
+
+
 def _start(
     flange: Array, position: Array, rotation: Array | None, frame: Array | None, tool: Array | None
 ) -> tuple[Array, Array]:
@@ -188,30 +266,6 @@ def _start(
     found = np.linalg.lstsq(columns, (position - p @ F[:3, :3].T).ravel(), rcond=1e-9)[0]
     T[:3, 3], F[:3, 3] = found[:3], found[3:]
     return F, T
-
-
-def _missed(flange: Array, position: Array, rotation: Array | None, F: Array, T: Array) -> tuple[Array, Array | None]:
-    predicted = F @ flange @ T
-    missed = predicted[:, :3, 3] - position
-    if rotation is None:
-        return missed, None
-    return missed, Rotation.from_matrix(np.swapaxes(rotation, 1, 2) @ predicted[:, :3, :3]).as_rotvec()
-
-
-def _step(columns: Array, errors: Array) -> tuple[Array, float]:
-    """The Gauss–Newton step and its length in whitened units; the shortest where columns depend on each other."""
-    unit = np.linalg.norm(columns, axis=0)
-    unit = np.where(unit > 0, unit, 1.0)
-    scaled = -np.linalg.lstsq(columns / unit, errors, rcond=1e-9)[0]
-    return scaled / unit, float(np.linalg.norm(columns / unit @ scaled))
-
-
-def _determined(columns: Array) -> bool:
-    if not columns.shape[1]:
-        return True
-    unit = np.linalg.norm(columns, axis=0)
-    scaled = columns / np.where(unit > 0, unit, 1.0)
-    return bool(np.linalg.eigvalsh(scaled.T @ scaled)[0] > _DETERMINED)
 
 
 def _spread(errors: Array) -> float:
