@@ -13,7 +13,7 @@ from lite6jax.estimation.score_test import Score, ScoreTest, gain_p_value, score
 from lite6jax.estimation.terms import Term
 from lite6jax.search.backward import eliminate
 from lite6jax.search.forward import forward
-from lite6jax.search.state import Alternative, State, Tested, added, description_length, preferred, refitted
+from lite6jax.search.state import Alternative, SelectedTerm, State, added, description_length, preferred, refitted
 
 Array = NDArray[np.floating]
 
@@ -136,7 +136,7 @@ def _replaced(problem: Problem, beside: State, curve: Term, options: EngineOptio
     named = zip(problem.candidates, test.score(problem.candidates), strict=True)
     near = sorted((pair for pair in named if not pair[1].confounded), key=lambda pair: -pair[1].gain)
     alternatives = tuple(Alternative(term, float(gain - s.gain)) for term, s in near[: options.nearest])
-    tested = Tested(curve, p_value, score._replace(gain=gain), alternatives)
+    tested = SelectedTerm(curve, p_value, score._replace(gain=gain), alternatives)
     return State(beside.baseline, fit, (*beside.tested, tested))
 
 

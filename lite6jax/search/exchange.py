@@ -5,7 +5,7 @@ from lite6jax.estimation.problem import Problem
 from lite6jax.estimation.score_test import score_test, searched_size
 from lite6jax.search.backward import eliminate, prune
 from lite6jax.search.forward import forward
-from lite6jax.search.state import State, Tested, extended, preferred, reduced
+from lite6jax.search.state import SelectedTerm, State, extended, preferred, reduced
 
 
 def exchange(problem: Problem, state: State, options: EngineOptions) -> State:
@@ -23,7 +23,7 @@ def exchange(problem: Problem, state: State, options: EngineOptions) -> State:
                 continue
             tried.add(begun)
             score = score_test(problem, rest.fit, options, within=state.fit).score([term])[0]
-            tested = Tested(term, score.familywise(searched), score)
+            tested = SelectedTerm(term, score.familywise(searched), score)
             other = forward(problem, extended(problem, rest, tested, score.values, options), options)
             other = eliminate(problem, other, options)
             if preferred(other, best, options.close, options):

@@ -11,7 +11,7 @@ from lite6jax.estimation.problem import Problem
 from lite6jax.estimation.score_test import Score, score_test, searched_size
 from lite6jax.estimation.terms import Term
 from lite6jax.search.spectrum import lines
-from lite6jax.search.state import Alternative, State, Tested, added, most_specific
+from lite6jax.search.state import Alternative, SelectedTerm, State, added, most_specific
 
 
 class _Scored(NamedTuple):
@@ -78,5 +78,5 @@ def _with_next(problem: Problem, state: State, options: EngineOptions) -> State 
         if one is not chosen[0]
     )
     term, score, _ = chosen[0]
-    tested = Tested(term, score.familywise(searched), score, alternatives)
+    tested = SelectedTerm(term, score.familywise(searched), score, alternatives)
     return State(state.baseline, chosen[1], (*state.tested, tested))

@@ -12,8 +12,8 @@ from lite6jax.estimation.score_test import remaining_noise_model, score_test, se
 from lite6jax.estimation.terms import Terms
 from lite6jax.search.state import (
     Alternative,
+    SelectedTerm,
     State,
-    Tested,
     description_length,
     extended,
     most_specific,
@@ -33,7 +33,7 @@ def retest(problem: Problem, state: State, options: EngineOptions) -> State:
             break
         n = state.fit.freedom
         term, score = max(clear, key=lambda pair: pair[1].gain - 0.5 * pair[1].size * np.log(n))
-        tested = Tested(term, score.familywise(searched), score)
+        tested = SelectedTerm(term, score.familywise(searched), score)
         more = _in_noise_model(problem, extended(problem, state, tested, score.values, options), options)
         if len(more.tested) <= len(state.tested):
             break
@@ -69,16 +69,16 @@ def _renamed(problem: Problem, state: State, k: int, options: EngineOptions) -> 
     tested, searched = state.tested[k], searched_size(problem, options)
     rest = reduced(problem, state, k, options).fit
     test = score_test(problem, rest, options)
-    choices: list[tuple[Tested, Fit]] = [(tested, state.fit)]
+    choices: list[tuple[SelectedTerm, Fit]] = [(tested, state.fit)]
     for alternative in tested.alternatives:
         score = test.score([alternative.term])[0]
         terms = Terms((*rest.terms.terms[:k], alternative.term, *rest.terms.terms[k:]))
         values = np.insert(rest.values, state.fit.terms.slices[k].start, score.values)
         other = fit(problem, terms, options, values, rest.nuisance, rest.training, rest.noise)
-        choices.append((Tested(alternative.term, score.familywise(searched), score), other))
+        choices.append((SelectedTerm(alternative.term, score.familywise(searched), score), other))
     scale, n = np.min([one.scale for _, one in choices], axis=0), rest.freedom
 
-    def judged(choice: tuple[Tested, Fit]) -> float:
+    def judged(choice: tuple[SelectedTerm, Fit]) -> float:
         return choice[1].log_likelihood(scale) - description_length([choice[0].term], n, options)
 
     best = most_specific(choices, judged, lambda choice: choice[0].term, options.close)

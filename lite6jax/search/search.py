@@ -16,7 +16,7 @@ from lite6jax.search.exchange import exchange
 from lite6jax.search.forward import forward
 from lite6jax.search.retest import retest
 from lite6jax.search.shrinkage import shrink
-from lite6jax.search.state import State, Tested
+from lite6jax.search.state import SelectedTerm, State
 
 
 @final
@@ -95,7 +95,7 @@ def _with_preset(problem: Problem, baseline: Fit, options: EngineOptions) -> Sta
     tested = []
     for term, part in zip(terms.terms, terms.slices, strict=True):
         p_value = min(gain_p_value(gain, term.size, time) * searched_size(problem, options), 1.0)
-        tested.append(Tested(term, p_value, Score(gain, term.size, p_value, False, fitted.values[part])))
+        tested.append(SelectedTerm(term, p_value, Score(gain, term.size, p_value, False, fitted.values[part])))
     return State(baseline, fitted, tuple(tested))
 
 

@@ -18,13 +18,13 @@ from lite6jax.estimation.problem import PeriodicFamily, Problem
 from lite6jax.estimation.robust import FREEDOM
 from lite6jax.estimation.score_test import Score, gain_p_value, score_test, searched_size
 from lite6jax.estimation.terms import Term, Terms
-from lite6jax.search.state import State, Tested
+from lite6jax.search.state import SelectedTerm, State
 
 Array = NDArray[np.floating]
 Integers = NDArray[np.integer]
 
 ORDERS = np.arange(1.0, 60.25, 0.5)
-"""Half orders, as joints turn about twice a turn's angle; to 60, beyond which shrinkage leaves nothing."""
+"""Half orders, which resolve an angle that varies over two turns; to 60, beyond which shrinkage leaves nothing."""
 _WEIGHINGS, _UPDATES = 3, 5
 """Rounds of robust weights, and of the prior's variance within each: both settle to a per cent."""
 _MUCH = 0.3
@@ -67,7 +67,7 @@ def shrink(problem: Problem, state: State, options: EngineOptions) -> State | No
 
 
 def _with_curves(
-    problem: Problem, baseline: Fit, current: Fit, named: Sequence[Tested], options: EngineOptions
+    problem: Problem, baseline: Fit, current: Fit, named: Sequence[SelectedTerm], options: EngineOptions
 ) -> tuple[Fit, list[Term]]:
     """Named terms and the curves beside them, fitted; `current` is what is known so far."""
     terms = tuple(tested.term for tested in named)
@@ -158,11 +158,11 @@ def _curves(problem: Problem, lines: _Lines, training: NDArray[np.bool_], option
 
 def _named(
     problem: Problem, current: Fit, candidates: Sequence[Term], options: EngineOptions, room: int
-) -> list[Tested]:
+) -> list[SelectedTerm]:
     """Named terms that are significant beside the model, each tested after those before it."""
     test, searched = score_test(problem, current, options), searched_size(problem, options)
     pairs = [pair for pair in zip(candidates, test.score(candidates), strict=True) if not pair[1].confounded]
-    found: list[Tested] = []
+    found: list[SelectedTerm] = []
     for term, _ in sorted(pairs, key=lambda pair: -pair[1].gain)[: options.named_numbers]:
         columns = problem.columns([term])
         score = test.score_columns([columns])[0]
@@ -174,17 +174,19 @@ def _named(
             continue
         if found and score.gain < _MUCH * found[0].score.gain:
             continue
-        found.append(Tested(term, p_value, score))
+        found.append(SelectedTerm(term, p_value, score))
         room -= term.size
         test = test.given(columns)
     return found
 
 
-def _tested(problem: Problem, current: Fit, curve: Term, options: EngineOptions) -> Tested:
+def _tested(problem: Problem, current: Fit, curve: Term, options: EngineOptions) -> SelectedTerm:
     """The test of a curve beside all else, by its gain: it has too many numbers for a test by blocks."""
     at = current.terms.terms.index(curve)
     scale = current.scale
     gain = current.log_likelihood(scale) - without(problem, current, at, options).log_likelihood(scale)
     time = score_test(problem, current, options).time
     p_value = min(gain_p_value(gain, curve.size, time) * searched_size(problem, options), 1.0)
-    return Tested(curve, p_value, Score(gain, curve.size, p_value, False, current.values[current.terms.slices[at]]))
+    return SelectedTerm(
+        curve, p_value, Score(gain, curve.size, p_value, False, current.values[current.terms.slices[at]])
+    )

@@ -31,7 +31,7 @@ class Alternative:
 
 @final
 @dataclass(frozen=True, eq=False)
-class Tested:
+class SelectedTerm:
     """A term of the model with its test.
 
     Attributes:
@@ -63,14 +63,14 @@ class State:
 
     baseline: Fit
     fit: Fit
-    tested: tuple[Tested, ...] = ()
+    tested: tuple[SelectedTerm, ...] = ()
 
     def __post_init__(self) -> None:
         if tuple(test.term for test in self.tested) != self.fit.terms.terms:
             raise ValueError("the tests are not those of the fitted terms; build both from one list")
 
 
-def extended(problem: Problem, state: State, tested: Tested, values: Array, options: EngineOptions) -> State:
+def extended(problem: Problem, state: State, tested: SelectedTerm, values: Array, options: EngineOptions) -> State:
     """The state with one more term, refitted from `values` `(term.size,)`."""
     return State(state.baseline, added(problem, state.fit, tested.term, values, options), (*state.tested, tested))
 
@@ -88,7 +88,7 @@ def reduced(problem: Problem, state: State, k: int, options: EngineOptions) -> S
     return State(state.baseline, without(problem, state.fit, k, options), rest)
 
 
-def refitted(problem: Problem, state: State, terms: Sequence[Tested], options: EngineOptions) -> State:
+def refitted(problem: Problem, state: State, terms: Sequence[SelectedTerm], options: EngineOptions) -> State:
     """The baseline with some of the state's terms, fitted from zero."""
     model = Terms(tuple(test.term for test in terms))
     base = state.baseline
@@ -97,7 +97,7 @@ def refitted(problem: Problem, state: State, terms: Sequence[Tested], options: E
 
 def retested(
     problem: Problem, state: State, k: int, time: float, options: EngineOptions, rest: State | None = None
-) -> Tested:
+) -> SelectedTerm:
     """The k-th term tested beside all others, by the autocorrelation time that the whole model leaves.
 
     Args:

@@ -1,0 +1,199 @@
+"""An estimation problem without any robot: a linear regression with planted terms and groups of unequal noise."""
+
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+
+from lite6jax.estimation.problem import CurveDriver, CurveFamily, PeriodicFamily
+from lite6jax.estimation.terms import Terms
+
+
+@dataclass(frozen=True)
+class Number:
+    typical: float = 1.0
+    spread: float = np.inf
+
+
+@dataclass(frozen=True)
+class Column:
+    """A named term, proportional to one regressor."""
+
+    name: str
+    specificity: int = 1
+    site: str = "x"
+    periodic: bool = False
+    nonparametric: bool = False
+    chosen: float | None = None
+    coordinates: tuple = (Number(),)
+
+    size = property(lambda self: len(self.coordinates))
+    label = property(lambda self: f"{self.name}:{self.site}")
+
+    def basis(self, data):
+        return data[self.name][None]
+
+
+@dataclass(frozen=True)
+class Wave:
+    """Sine and cosine of an order of the angle."""
+
+    order: float | None
+    site: str = "wheel"
+    specificity: int = 2
+    periodic: bool = True
+    nonparametric: bool = False
+
+    chosen = property(lambda self: None if self.order in (None, 1.0) else self.order)
+    coordinates = property(lambda self: (Number(),) * (2 if self.order else 3))
+    size = property(lambda self: len(self.coordinates))
+    label = property(lambda self: f"wave:{self.site}")
+
+    def released(self):
+        return Wave(None)
+
+    def held(self, number):
+        return Wave(number)
+
+    def basis(self, data, values=None):
+        if self.order:
+            turned = self.order * data["angle"]
+            return np.stack([np.sin(turned), np.cos(turned)])
+        s, c, order = (0, 0, 1) if values is None else values
+        turned = order * data["angle"]
+        slope = data["angle"] * (s * np.cos(turned) - c * np.sin(turned))
+        return np.stack([np.sin(turned), np.cos(turned), slope])
+
+
+@dataclass(frozen=True)
+class Hat:
+    """A piecewise linear curve over the angle, or a sum of waves of it."""
+
+    lower: float
+    upper: float
+    pieces: int
+    orders: tuple = ()
+    spread: float = np.inf
+    site: str = "wheel"
+    specificity: int = 9
+    periodic: bool = False
+    nonparametric: bool = True
+    chosen: float | None = None
+
+    size = property(lambda self: 2 * len(self.orders) or self.pieces + 1)
+    coordinates = property(lambda self: (Number(1.0, self.spread),) * self.size)
+    label = property(lambda self: f"curve:{self.site}")
+
+    def basis(self, data):
+        if self.orders:
+            return np.concatenate([Wave(order).basis(data) for order in self.orders])
+        knots = np.linspace(self.lower, self.upper, self.pieces + 1)
+        return np.stack([np.interp(data["angle"], knots, hat) for hat in np.eye(len(knots))])
+
+
+@dataclass(frozen=True, eq=False)
+class LinearProblem:
+    """y = level + Σ terms + noise, two rows of which each is a group with a scale and a noise model of its own.
+
+    The second row has half of every regressor.
+    """
+
+    data: dict
+    measured: np.ndarray
+    candidates: tuple
+    scale: np.ndarray = field(default_factory=lambda: np.ones(2))
+    run: np.ndarray = None
+    offset: np.ndarray = field(default_factory=lambda: np.zeros(2))
+    precision: np.ndarray = field(default_factory=lambda: np.zeros(2))
+    informative: bool = False
+    preset: tuple = (Terms(), np.zeros(0))
+
+    rows = 2
+    groups = np.array([0, 1])
+    samples = property(lambda self: self.measured.shape[1])
+    valid = property(lambda self: np.ones(self.samples, bool))
+
+    @cached_property
+    def nuisance(self):
+        """The level of each row, which nothing is known of."""
+        return np.eye(2)[:, :, None] * np.ones(self.samples)
+
+    def _rows(self, basis):
+        return np.stack([basis, 0.5 * basis], 1)
+
+    def columns(self, terms, values=None, beside=None):
+        out, at = [np.zeros((0, 2, self.samples))], 0
+        for term in terms:
+            part = None if values is None else values[at : at + term.size]
+            at += term.size
+            free = isinstance(term, Wave) and term.order is None
+            out.append(self._rows(term.basis(self.data, part) if free else term.basis(self.data)))
+        return np.concatenate(out)
+
+    def residual(self, nuisance, terms, values):
+        predicted = np.tensordot(self.offset + nuisance, self.nuisance, 1)
+        for term, part in zip(terms.terms, terms.slices, strict=True):
+            free = isinstance(term, Wave) and term.order is None
+            basis = Wave(values[part][2]).basis(self.data) if free else term.basis(self.data)
+            numbers = values[part][:2] if free else values[part]
+            predicted = predicted + np.tensordot(numbers, self._rows(basis), 1)
+        return predicted - self.measured
+
+    def relinearised(self, nuisance):
+        return replace(self, offset=self.offset + nuisance)
+
+    def thinned(self, every):
+        data = {name: values[::every] for name, values in self.data.items()}
+        return replace(self, data=data, measured=self.measured[:, ::every], run=self.run[::every])
+
+    def without_preset(self):
+        return self
+
+    def alternative(self, terms):
+        return None
+
+    def shrinkable(self, term):
+        return not term.periodic
+
+    @cached_property
+    def periodic(self):
+        angle = self.data["angle"]
+        column = np.stack([np.ones(self.samples), np.full(self.samples, 0.5)])
+
+        def curve(orders, training, spread, fade):
+            return Hat(angle.min(), angle.max(), 1, tuple(orders), np.inf if spread is None else spread)
+
+        return (PeriodicFamily("wheel", column, angle, Wave, lambda term: term.order, curve),)
+
+    @cached_property
+    def curves(self):
+        column = np.stack([np.ones(self.samples), np.full(self.samples, 0.5)])
+        return (CurveFamily("wheel", column, (CurveDriver(self.data["angle"], (8,), True, Hat),)),)
+
+
+def linear_problem(rng, samples=400, planted=None, noise=(1.0, 3.0), correlated=(0.0, 0.0), runs=1):
+    """A problem with regressors u1 … u6, an angle over several turns, and what `planted` adds to the first row.
+
+    Args:
+        rng: of all that is random.
+        samples: how many.
+        planted: maps the data to `(sample,)`; half of it is in the second row.
+        noise: standard deviation of each row.
+        correlated: first-order autoregressive coefficient of each row's noise.
+        runs: into how many runs the samples are divided.
+    """
+    data = {f"u{k}": rng.normal(size=samples) for k in range(1, 7)}
+    data["angle"] = rng.uniform(-9.0, 9.0, samples)
+    signal = np.zeros(samples) if planted is None else planted(data)
+    white = rng.normal(size=(2, samples))
+    run = np.arange(samples) * runs // samples
+    errors = np.empty_like(white)
+    for row, (sigma, coefficient) in enumerate(zip(noise, correlated, strict=True)):
+        for k in range(samples):
+            first = k == 0 or run[k] != run[k - 1]
+            before = 0.0 if first else coefficient * errors[row, k - 1]
+            errors[row, k] = before + (1.0 if first else np.sqrt(1 - coefficient**2)) * white[row, k]
+        errors[row] *= sigma
+    measured = np.stack([5 + signal, -2 + 0.5 * signal]) + errors
+    candidates = (*(Column(f"u{k}") for k in range(1, 7)), Wave(1.0))
+    return LinearProblem(data, measured, candidates, run=run)

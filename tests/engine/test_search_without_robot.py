@@ -1,0 +1,166 @@
+"""The engine on a problem without any robot: planted terms are found, and nothing where nothing was planted."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from engine.linear_problem import Column, Hat, Wave, linear_problem
+
+from lite6jax.estimation.least_squares import fit
+from lite6jax.estimation.noise import autocorrelation_time, noise_model
+from lite6jax.estimation.options import EngineOptions, documented
+from lite6jax.estimation.score_test import score_test, searched_size
+from lite6jax.estimation.terms import Terms
+from lite6jax.search.final_estimates import final_estimates
+from lite6jax.search.search import search
+from lite6jax.search.state import SelectedTerm, State
+
+OPTIONS = EngineOptions()
+
+
+def found(problem, options=OPTIONS):
+    return final_estimates(problem, search(problem, options).state, options)
+
+
+def terms(state):
+    return [test.term for test in state.tested]
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_planted_terms_are_found_with_their_numbers(seed):
+    problem = linear_problem(np.random.default_rng(seed), planted=lambda d: 0.8 * d["u2"] - 0.5 * d["u5"])
+    state = found(problem)
+    assert set(terms(state)) == {Column("u2"), Column("u5")}
+    for term, truth in ((Column("u2"), 0.8), (Column("u5"), -0.5)):
+        at = terms(state).index(term)
+        std = np.sqrt(state.fit.covariance[at, at])
+        assert abs(state.fit.values[at] - truth) < 4 * std
+        # what weighted least squares leaves: both rows, the second with half the regressor and three times the noise
+        bound = 1 / np.sqrt(np.sum(problem.data[term.name] ** 2) * (1 + 0.25 / 9))
+        assert std == pytest.approx(bound, rel=0.15)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_nothing_is_found_in_noise_of_unequal_scale(seed):
+    assert terms(found(linear_problem(np.random.default_rng(100 + seed)))) == []
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_nothing_is_found_in_noise_that_is_autocorrelated_in_one_group(seed):
+    problem = linear_problem(np.random.default_rng(200 + seed), correlated=(0.0, 0.9), runs=3)
+    assert terms(found(problem)) == []
+
+
+def test_a_term_is_found_in_autocorrelated_noise_and_each_group_has_its_own_model():
+    rng = np.random.default_rng(5)
+    problem = linear_problem(rng, 800, lambda d: 0.8 * d["u3"], correlated=(0.0, 0.9))
+    state = found(problem)
+    assert terms(state) == [Column("u3")]
+    white, correlated = state.fit.noise.models
+    assert white.share == 0.0
+    assert correlated.coefficient * correlated.share > 0.7
+    assert state.fit.scale == pytest.approx([1.0, 3.0], rel=0.25)
+
+
+def test_an_order_is_found_released_and_stated_with_its_numbers():
+    problem = linear_problem(np.random.default_rng(6), planted=lambda d: 0.9 * np.sin(7.3 * d["angle"] + 0.4))
+    state = found(problem)
+    (wave,) = terms(state)
+    assert isinstance(wave, Wave)
+    assert wave.order == pytest.approx(7.3, abs=0.02)
+    assert np.hypot(*state.fit.values) == pytest.approx(0.9, abs=0.25)
+
+
+def test_a_whole_order_stays_whole():
+    problem = linear_problem(np.random.default_rng(7), planted=lambda d: 0.9 * np.cos(12 * d["angle"]))
+    assert terms(found(problem)) == [Wave(12.0)]
+
+
+def test_a_bump_that_no_name_explains_becomes_a_curve():
+    problem = linear_problem(
+        np.random.default_rng(8), 800, lambda d: 3.0 * np.exp(-0.5 * ((d["angle"] - 2) / 0.4) ** 2)
+    )
+    (curve,) = terms(found(problem))
+    assert isinstance(curve, Hat)
+    assert curve.lower < 2 < curve.upper
+
+
+def test_many_samples_are_searched_in_part_and_fitted_whole():
+    few = replace(OPTIONS, first_samples=300)
+    problem = linear_problem(np.random.default_rng(9), 1200, lambda d: 0.6 * d["u4"])
+    state = found(problem, few)
+    assert terms(state) == [Column("u4")]
+    assert state.fit.training.sum() == 1200
+
+
+def test_the_most_specific_of_indistinguishable_names_is_reported():
+    problem = linear_problem(np.random.default_rng(10), planted=lambda d: 0.8 * d["u1"])
+    twin = problem.data | {"twin": problem.data["u1"] + 1e-3 * problem.data["u6"]}
+    candidates = (*(c for c in problem.candidates if c != Column("u1")), Column("twin", 3), Column("u1", 1))
+    problem = replace(problem, data=twin, candidates=candidates)
+    (test,) = search(problem, OPTIONS).state.tested
+    assert test.term == Column("u1", 1)
+    assert test.alternatives[0].term == Column("twin", 3)
+    assert abs(test.alternatives[0].gap) < OPTIONS.close
+
+
+def test_a_candidate_in_the_span_of_the_nuisance_is_confounded():
+    problem = linear_problem(np.random.default_rng(11))
+    problem = replace(problem, data=problem.data | {"u1": np.ones(problem.samples)})
+    assert search(problem, OPTIONS).confounded == (Column("u1"),)
+
+
+def test_p_values_of_a_candidate_are_uniform_in_white_noise():
+    p_values = []
+    for seed in range(200):
+        problem = linear_problem(np.random.default_rng(1000 + seed), 150)
+        test = score_test(problem, fit(problem, Terms(), OPTIONS), OPTIONS)
+        p_values.append(test.score([Column("u1")])[0].p_value)
+    # the larger of two p-values is conservative, never optimistic
+    assert np.mean(np.array(p_values) < 0.05) <= 0.05 + 3 * np.sqrt(0.05 * 0.95 / 200)
+    assert np.mean(np.array(p_values) < 0.5) > 0.3
+
+
+def test_fitted_groups_have_scales_of_their_own_and_noise_models_their_times():
+    rng = np.random.default_rng(12)
+    problem = linear_problem(rng, 2000, correlated=(0.0, 0.8))
+    found_fit = fit(problem, Terms(), OPTIONS)
+    assert found_fit.scale == pytest.approx([1.0, 3.0], rel=0.12)
+    assert found_fit.freedom == pytest.approx(4000 - 2)
+    rows = found_fit.residuals.rows / found_fit.scale[:, None]
+    assert autocorrelation_time(rows[:1]) < 1.3
+    assert autocorrelation_time(rows[1:]) == pytest.approx(1.8 / 0.2, rel=0.4)
+    model = noise_model(rows, problem.nuisance, np.zeros(2), problem.groups, problem.run, OPTIONS)
+    innovations = model.whitened(rows)
+    assert autocorrelation_time(innovations[1:]) < 1.3
+    assert model.models[1].time == pytest.approx(9.0, rel=0.4)
+
+
+def test_held_out_samples_do_not_touch_a_fit():
+    rng = np.random.default_rng(13)
+    problem = linear_problem(rng, planted=lambda d: 0.8 * d["u2"])
+    training = np.arange(problem.samples) % 5 > 0
+    spoilt = problem.measured.copy()
+    spoilt[:, ~training] += 1e3
+    clean, other = (search(p, OPTIONS, training) for p in (problem, replace(problem, measured=spoilt)))
+    assert np.array_equal(clean.state.fit.values, other.state.fit.values)
+    assert terms(clean.state) == terms(other.state) == [Column("u2")]
+
+
+def test_a_state_refuses_tests_of_other_terms_than_were_fitted():
+    problem = linear_problem(np.random.default_rng(14))
+    empty = fit(problem, Terms(), OPTIONS)
+    score = score_test(problem, empty, OPTIONS).score([Column("u1")])[0]
+    with pytest.raises(ValueError, match="not those of the fitted terms"):
+        State(empty, empty, (SelectedTerm(Column("u1"), 0.1, score),))
+
+
+def test_every_option_is_documented_once():
+    options = documented(EngineOptions)
+    assert len({option.name for option in options}) == len(options) > 40
+    assert all(option.meaning and option.why for option in options)
+
+
+def test_the_size_of_a_search_counts_names_orders_and_curves():
+    problem = linear_problem(np.random.default_rng(15))
+    assert searched_size(problem, OPTIONS) == 7 + OPTIONS.searched_orders + OPTIONS.searched_curves
