@@ -1,7 +1,6 @@
 """`diagnose` and `predict` as they are typed: what is printed, written and refused."""
 
 import json
-from dataclasses import replace
 
 import numpy as np
 import pyarrow.csv
@@ -10,11 +9,10 @@ from diagnosis.recorded import LITE6, Made, quaternions, static_motion, with_eff
 from domains.pose.documents import OWN, document
 from typed import flat, refused, run
 
-from lite6jax import cli
 from lite6jax.arms.factory import write_factory
 from lite6jax.recordings import Recording, write_recording
+from tests.corpus import COMPLIANCE
 
-COMPLIANCE = "joint_compliance:joint=2,compliance_rad_per_Nm=9e-5"
 SAMPLES = 300
 
 
@@ -29,24 +27,15 @@ def arm(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def recorded(arm, tmp_path_factory):
-    """A recording of a compliant arm, with three wild rows."""
-    recording = with_effects(arm, COMPLIANCE).recording(static_motion(1, SAMPLES))
-    position = recording.position.copy()
-    position[[3, 50, 99]] += 0.02
-    return write_recording(replace(recording, position=position), tmp_path_factory.mktemp("runs") / "run7.csv")
+def recorded(corpus):
+    """A recording of a compliant arm, with three outliers."""
+    return corpus["compliance"].path
 
 
 @pytest.fixture(scope="module")
-def diagnosed(recorded):
+def diagnosed(corpus):
     """The file that `diagnose` wrote of it, and what it printed."""
-    import contextlib
-    import io
-
-    out, said = recorded.with_name("diagnosis.json"), io.StringIO()
-    with contextlib.redirect_stdout(said):
-        assert cli.main(["diagnose", str(recorded), "--out", str(out)]) == 0
-    return out, said.getvalue()
+    return corpus["compliance"].printed
 
 
 @pytest.fixture(scope="module")

@@ -2,76 +2,23 @@
 
 import base64
 import re
-from html.parser import HTMLParser
 from io import BytesIO
 
 import numpy as np
 import pytest
+from diagnosed import COMPLIANCE, HARMONIC, Reader, diagnosed, recording_maker
 from matplotlib.image import imread
 
-from lite6jax.arms.bundled import load_bundled
-from lite6jax.arms.factory import write_factory
 from lite6jax.cli import main
-from lite6jax.diagnosis.diagnose import Diagnosis
-from lite6jax.domains.pose.problem import case_of
-from lite6jax.effects.catalogue import catalogue, untestable
-from lite6jax.effects.composition import Physics
 from lite6jax.effects.nonparametric import Unnamed
-from lite6jax.effects.serialization import parse_effect
-from lite6jax.estimation.least_squares import refit
-from lite6jax.estimation.score_test import evidence_of
-from lite6jax.recordings import RecordingSettings, write_recording
+from lite6jax.recordings import write_recording
 from lite6jax.report import canvas, diagnosis_figures
 from lite6jax.report.page import diagnosis_page
-from lite6jax.search.backward import Rival, Step
-from lite6jax.search.forward import Selection
-from lite6jax.simulation import simulate
-
-LITE6 = load_bundled("lite6")
-SAMPLES = 200
-
-
-def recording_maker(folder):
-    """Makes a recording with physics given as text, of a nominal arm whose geometry is known."""
-    calibration = write_factory(LITE6.kinematics, folder / "arm.yaml")
-
-    def make(*texts, motion="static", **given):
-        effects = [parse_effect(text) for text in texts]
-        physics = Physics(tuple(effect for effect, _ in effects))
-        settings = RecordingSettings(motion=motion, factory_calibration=str(calibration), position_noise_m=2e-5)
-        return simulate(LITE6, effects=effects, motion=motion, samples=SAMPLES, settings=settings, **given), physics
-
-    return make
 
 
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory):
     return recording_maker(tmp_path_factory.mktemp("arm"))
-
-
-def diagnosed(recording, physics, outliers=()):
-    """What a search that adds just these effects finds: no search is run."""
-    case = case_of(recording, LITE6, "exact")
-    baseline = refit(case, Physics())
-    scores = evidence_of(case, baseline).score(physics.effects) if physics.effects else []
-    fitted = refit(case, physics)
-    steps = tuple(
-        Step(effect, 1e-9, score, (Rival(effect, 1.5), Rival(effect, 44.0)))
-        for effect, score in zip(physics.effects, scores, strict=True)
-    )
-    every = catalogue(6)
-    selection = Selection(case, case, baseline, fitted, steps, every, every[:2])
-    wild = np.zeros(case.samples, bool)
-    wild[list(outliers)] = True
-    before, after = (
-        np.linalg.norm(case.position_errors(f.moved, f.physics, f.values), axis=0) for f in (baseline, fitted)
-    )
-    missing = untestable(every, case.motion, case.inertia is not None)
-    return Diagnosis(case, selection, before, after, wild, tuple(missing))
-
-
-COMPLIANCE = "joint_compliance:joint=2,compliance_rad_per_Nm=9e-5"
-HARMONIC = "joint_harmonic:joint=1,order=2,amplitude_rad=4e-4,phase_rad=0.5"
 
 
 @pytest.fixture(scope="module")
@@ -89,28 +36,6 @@ def html(found, drawn):
     return diagnosis_page(found, "folder/run.csv", drawn)
 
 
-class Reader(HTMLParser):
-    """The tags with their attributes, and the text that a person sees."""
-
-    def __init__(self, html):
-        super().__init__()
-        self.tags, self.open, self.text = [], [], ""
-        self.feed(html)
-
-    def handle_starttag(self, tag, attrs):
-        self.tags.append((tag, dict(attrs)))
-        if tag not in ("meta", "img", "br", "!doctype"):
-            self.open.append(tag)
-
-    def handle_endtag(self, tag):
-        assert self.open.pop() == tag
-        self.text += " " if tag in ("td", "th", "li", "strong") else ""
-
-    def handle_data(self, data):
-        if self.open and self.open[-1] != "style":
-            self.text += data
-
-
 def test_all_that_was_found_is_said(found, html):
     page = Reader(html)
     assert page.open == []
@@ -125,8 +50,7 @@ def test_all_that_was_found_is_said(found, html):
     assert f"{kept.sum()} rows" in text
     assert "1. Joint compliance at joint2 Acts at joint2, by gravity torque of joint 2." in text
     assert "2. Joint harmonic of order 2 at joint1" in text
-    fitted = found.selection.fitted
-    compliance, std = 1e6 * fitted.values[0], 1e6 * np.sqrt(fitted.covariance[0, 0])
+    compliance, std = 1e6 * found.fit.values[0], 1e6 * np.sqrt(found.fit.covariance[0, 0])
     row = re.search(r"compliance ([\d.]+) ([\d.]+) µrad/Nm", text)
     assert row
     assert float(row[1]) == pytest.approx(compliance, abs=std)
@@ -137,7 +61,7 @@ def test_all_that_was_found_is_said(found, html):
     assert "joint compliance at joint2 (+1.5)" in text
     assert "rejected: joint compliance at joint2 (+44.0)" in text
     assert "2 rows stand out" in text
-    assert ", ".join(map(str, found.case.recording.row[[3, 5]])) in text
+    assert ", ".join(map(str, found.problem.recording.row[[3, 5]])) in text
     for item in found.untestable:
         assert f"{item.effect.name.replace('_', ' ')} at " in text
     assert text.count("Needs the velocity of its joint. joint lag at joint1–6") == 1  # once for all six
@@ -194,7 +118,7 @@ def test_nothing_missing(recorded):
 def test_physics_without_a_name(recorded):
     recording, _ = recorded(HARMONIC)
     curve = Unnamed("joint1", "position of joint 1", -np.pi, np.pi, 8)
-    found = diagnosed(recording, Physics((curve,)))
+    found = diagnosed(recording, (curve,))
     drawn = dict(diagnosis_figures.drawings(found, "run.csv"))
     text = " ".join(Reader(diagnosis_page(found, "run.csv", drawn)).text.split())
     assert "Something real is there that no entry of the catalogue explains." in text
@@ -218,7 +142,7 @@ def test_a_panel_for_each_joint(found, drawn):
     assert labels == [
         f"{name}: {value:.3g} mm RMS, held out" for name, value in zip(("before", "after"), rms, strict=True)
     ]
-    q = np.rad2deg(np.asarray(found.case.motion.joint_position)[:, kept])
+    q = np.rad2deg(np.asarray(found.problem.motion.joint_position)[:, kept])
     for joint, panel in enumerate(figure.axes):
         dots = panel.lines[0]
         np.testing.assert_allclose(dots.get_xdata(), q[joint])
@@ -243,14 +167,14 @@ def test_where_it_is(recorded):
 def test_the_share_is_what_a_plain_fit_explains(recorded):
     """Of joint 2 and gravity's torque, by least squares on the residuals, the adjusted share of the variance."""
     only = diagnosed(*recorded(COMPLIANCE))
-    case, baseline = only.selection.case, only.selection.baseline
+    problem, baseline = only.problem, only.selection.state.baseline
     sites, drivers, shares = diagnosis_figures.explained_shares(only)
-    torque = np.asarray(case.loads.torque[1])
+    torque = np.asarray(problem.loads.torque[1])
     u = 8 * (torque - torque.min()) / np.ptp(torque)
     t = np.abs(u - np.arange(-1, 10)[:, None])
     splines = (np.maximum(2 - t, 0) ** 3 - 4 * np.maximum(1 - t, 0) ** 3) / 6
-    A = (case.sites["joint", 1, 0] * splines[:, None]).reshape(11, -1).T
-    e = baseline.residual.rows.ravel()
+    A = (problem.sites["joint", 1, 0] * splines[:, None]).reshape(11, -1).T
+    e = baseline.residuals.rows.ravel()
     left = e - A @ np.linalg.lstsq(A, e, rcond=None)[0]
     share = 1 - np.sum(left**2) / np.sum(e**2) * e.size / (e.size - 11)
     assert shares[sites.index("joint 2"), drivers.index("gravity\nload")] == pytest.approx(share, abs=0.01)
@@ -276,9 +200,9 @@ def test_the_residual_left_is_the_noise(found, drawn):
     assert alike.get_xlabel() == "rows apart"
     labels = [text.get_text() for text in sizes.get_legend().get_texts()]
     kept = ~found.outliers
-    rms = np.sqrt(np.mean(found.selection.fitted.residual.rows[:, kept] ** 2))
+    rms = np.sqrt(np.mean(found.fit.residuals.rows[:, kept] ** 2))
     assert labels[1] == f"after: {rms:.3g} RMS"
-    rows = found.selection.fitted.residual.rows[:, kept]
+    rows = found.fit.residuals.rows[:, kept]
     rows = rows - rows.mean(1, keepdims=True)
     after = alike.lines[1].get_ydata()
     for lag in (1, 7):
@@ -334,9 +258,9 @@ def test_written_as_png_and_svg(tmp_path, drawn):
 
 
 def test_the_command_writes_both(tmp_path, recorded, monkeypatch, capsys):
-    recording, physics = recorded(COMPLIANCE)
+    recording, effects = recorded(COMPLIANCE)
     run = write_recording(recording, tmp_path / "<b>run.csv")
-    monkeypatch.setattr("lite6jax.diagnosis.diagnose.diagnose", lambda *_, **__: diagnosed(recording, physics))
+    monkeypatch.setattr("lite6jax.diagnosis.diagnose.diagnose", lambda *_, **__: diagnosed(recording, effects))
     out, report, figures = (str(tmp_path / name) for name in ("d.json", "r.html", "figures"))
     command = ["diagnose", str(run), "--out", out, "--report", report, "--figures", figures]
     assert main(command) == 0

@@ -6,35 +6,44 @@ from io import StringIO
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from diagnosed import COMPLIANCE, LITE6, Reader, diagnosed, recording_maker, with_rivals
 from rich.console import Console
 from rich.text import Text
-from test_diagnosis_page import COMPLIANCE, LITE6, Reader, diagnosed, recording_maker
 
 from lite6jax.diagnosis.diagnose import statement
-from lite6jax.diagnosis.discrimination import Separation
+from lite6jax.diagnosis.discrimination import SeparatingPoses
 from lite6jax.domains.pose.reference import ReferenceComparison
-from lite6jax.domains.pose.screening.rows import Fault
 from lite6jax.effects.catalogue import catalogue
-from lite6jax.effects.composition import Physics
 from lite6jax.effects.nonparametric import Unnamed
 from lite6jax.effects.serialization import parse_effect
+from lite6jax.recordings.fault import DataFault
 from lite6jax.report import diagnosis_figures, diagnosis_words, reference
+from lite6jax.report.data_faults import fault_name, fault_statement, ruled_out_statement, ruled_out_statements
 from lite6jax.report.diagnosis_tables import diagnosis_report
 from lite6jax.report.page import diagnosis_page
-from lite6jax.search.backward import Rival
 from lite6jax.simulation import simulate
 
 WAVES = (3.0, 5.5, 9.0, 20.0, 33.0)
 AMPLITUDES = np.array([3e-4, 0, 2e-4, 1e-4, 0, 1e-4, -2e-4, 0, 5e-5, 5e-5])
+JUMP = {
+    "row": 90,
+    "part": "base",
+    "translation_m": 3e-3,
+    "rotation_rad": 1e-3,
+    "twist": [3e-3, 0, 0, 1e-3, 0, 0],
+    "displacement_rms_m": 3e-3,
+    "p_value": 1e-9,
+}
 FAULTS = (
-    Fault("repeated_rows", (7, 9), "2 rows (7, 9) are exact repeats of earlier rows; each is used once."),
-    Fault("frame_jump", tuple(range(90, 201)), "Something moved at row 90: the sensor or the base by 3 mm."),
-    Fault("of_tomorrow", (), "Something else; it was put right."),
+    DataFault("repeated_rows", (7, 9), {"first_rows": [3, 4]}),
+    DataFault("frame_jump", tuple(range(90, 201)), JUMP),
+    DataFault("of_tomorrow"),
 )
-CHECKED = (
-    Fault("swapped_joints", (), "No joints are exchanged: as they stand the poses are met within 0.3 mm."),
-    Fault("mirrored_joint", (), "No joint has its sign reversed: as they stand the poses are met within 0.3 mm."),
-    Fault("time_order", (), "All 200 rows carry no times: their order is the sequence."),
+COLUMNS = {"median_error_m": 3e-4, "suspected_above_m": 7e-3}
+RULED_OUT = (
+    DataFault("swapped_joints", (), COLUMNS),
+    DataFault("mirrored_joint", (), COLUMNS),
+    DataFault("time_order", (), {"samples": 200, "timed": False}),
 )
 
 
@@ -69,7 +78,7 @@ def against(compliant):
             },
         ),
         notes=({"note": "unmatched_rows", "count": 2, "rows": 200},),
-        recording=compliant.case.recording,
+        recording=compliant.problem.recording,
         factory=None,
         geometry="declared",
     )
@@ -83,10 +92,10 @@ def waves(joint):
 def wavy(recorded):
     """Of an arm whose first four joints err at five orders each, as a search of real arms finds it."""
     settings = recorded(COMPLIANCE)[0].settings
-    physics = Physics(tuple(waves(joint) for joint in (1, 2, 3, 4)))
-    effects = [(effect, AMPLITUDES) for effect in physics.effects]
-    recording = simulate(LITE6, effects=effects, motion="static", samples=400, settings=settings)
-    return diagnosed(recording, physics)
+    effects = tuple(waves(joint) for joint in (1, 2, 3, 4))
+    given = [(effect, AMPLITUDES) for effect in effects]
+    recording = simulate(LITE6, effects=given, motion="static", samples=400, settings=settings)
+    return diagnosed(recording, effects)
 
 
 @pytest.fixture(scope="module")
@@ -111,34 +120,36 @@ def screen(found, against=None, width=96):
 
 
 def test_faults_come_before_the_findings(compliant, drawn):
-    wild = np.zeros(compliant.case.samples, bool)
+    wild = np.zeros(compliant.problem.samples, bool)
     wild[[3, 4, 5, 50]] = True
-    found = replace(compliant, faults=FAULTS, checked=CHECKED, outliers=wild)
+    found = replace(compliant, faults=FAULTS, ruled_out=RULED_OUT, outliers=wild)
+    outliers = DataFault("outliers", (4, 5, 6, 51))
     text = page(found, drawn)
-    assert "Repeated rows. 2 rows (7, 9) are exact repeats of earlier rows; each is used once. A jump" in text
-    assert "A jump of the sensor or the tool. Something moved at row 90" in text
-    assert "by 3 mm. Rows 90–200." in text
-    assert "Of tomorrow. Something else; it was put right. Rows that stand out." in text
-    assert "4 rows stand out of what noise allows: 4–6, 51. They count for little." in text
-    assert text.index("Data faults") < text.index("Repeated rows") < text.index("Findings") < text.index("Ruled out")
-    assert text.index("Ruled out") < text.index("Joints in another order. No joints are exchanged")
-    assert text.index("Rows out of order. All 200 rows") < text.index("Not tested")
+    start = text.index("Data faults")
+    for fault in (*FAULTS, outliers):
+        start = text.index(f"{fault_name(fault.code)}. {fault_statement(fault)}", start)
+    assert "Rows 90–200." in text
+    assert start < text.index("Findings") < text.index("Ruled out")
+    start = text.index("Ruled out")
+    for fault in RULED_OUT:
+        start = text.index(f"{fault_name(fault.code)}. {ruled_out_statement(fault)}", start)
+    assert start < text.index("Not tested")
 
     _, said = screen(found)
-    assert "Data faults: 2 rows (7, 9) are exact repeats" in said
-    assert "by 3 mm. Rows 90–200." in said
-    assert "4 rows stand out of what noise allows: 4–6, 51." in said
-    assert said.index("Data faults") < said.index("1. Joint compliance") < said.index("Looked for in the data")
-    reason = "as they stand the poses are met within 0.3 mm."
-    assert f"No joints are exchanged; no joint has its sign reversed: {reason} All 200 rows" in said
-    assert said.count(reason) == 1
+    start = said.index("Data faults: ")
+    for fault in (*FAULTS, outliers):
+        start = said.index(fault_statement(fault), start)
+    assert "Rows 90–200." in said
+    short = ruled_out_statements(RULED_OUT)
+    assert len(short) == 2
+    assert start < said.index("1. Joint compliance") < said.index(short[0]) < said.index(short[1])
 
 
 def test_one_row_stands_out(compliant):
-    wild = np.zeros(compliant.case.samples, bool)
+    wild = np.zeros(compliant.problem.samples, bool)
     wild[11] = True
     (told,) = diagnosis_words.faults_of(replace(compliant, outliers=wild))
-    assert told.statement == "1 row stands out of what noise allows: 12. It counts for little."
+    assert told.statement == fault_statement(DataFault("outliers", (12,)))
     assert diagnosis_words.faults_of(compliant) == []
 
 
@@ -165,8 +176,8 @@ def test_what_was_not_tested_is_grouped_alike_everywhere(compliant, drawn):
     assert velocity.reason == "Needs the velocity of its joint"
     assert velocity.remedy.startswith("give the velocities of a moving arm; record a trajectory")
     tested = {effect for group in groups for effect in group.effects}
-    assert tested == {item.effect for item in compliant.untestable} | set(compliant.selection.hidden)
-    assert groups[-1].effects == compliant.selection.hidden
+    assert tested == {item.effect for item in compliant.untestable} | set(compliant.confounded)
+    assert groups[-1].effects == compliant.confounded
     assert groups[-1].reason == "The sensor does not see it here"  # no frame, no number of the chain is fitted
     assert "Needs the velocity of its joint. joint lag at joint1–6" in page(compliant, drawn)
     assert "Needs the velocity of its joint: joint_lag:joint1–6" in screen(compliant)[1]
@@ -185,12 +196,12 @@ def test_curves_of_many_waves_are_named_in_short(wavy, drawn):
     for told in (text, said):
         assert "sine" not in told
         assert "coefficient" not in told
-    q = np.asarray(wavy.case.motion.joint_position[0])
+    q = np.asarray(wavy.problem.motion.joint_position[0])
     inside = q[(q >= np.percentile(q, 2)) & (q <= np.percentile(q, 98))]
     turned = np.multiply.outer(np.array(WAVES), inside)
     truth = AMPLITUDES[::2] @ np.sin(turned) + AMPLITUDES[1::2] @ np.cos(turned)
     swing, std = diagnosis_words.peak_to_peak(
-        wavy.case, waves(1), wavy.selection.fitted.values[:10], wavy.selection.fitted.covariance[:10, :10]
+        wavy.problem, waves(1), wavy.fit.values[:10], wavy.fit.covariance[:10, :10]
     )
     assert 0 < std < 3e-5
     assert swing == pytest.approx(np.ptp(truth), abs=5 * std)
@@ -221,11 +232,11 @@ def test_a_loop_has_a_point_at_each_sample(recorded):
     slack = Unnamed("joint2", "position of joint 2", -2.0, 2.0, memory=(0.0, 0.5))
     values = np.array([4e-4, 1.5e-3])
     recording = simulate(LITE6, effects=[(slack, values)], motion="static", samples=300, settings=settings)
-    loop = diagnosed(recording, Physics((slack,)))
+    loop = diagnosed(recording, (slack,))
     (panel,) = diagnosis_figures.finding_curves(loop, "", [0]).axes
     dots, curve = panel.lines[0], panel.lines[1]
     assert curve.get_linestyle() == "None"
-    motion = loop.case.motion
+    motion = loop.problem.motion
     fitted = np.asarray(slack.curve(jnp.asarray(values), motion.joint_position[1], motion.run))
     order = np.argsort(np.asarray(motion.joint_position[1]), kind="stable")
     np.testing.assert_allclose(np.deg2rad(curve.get_xdata()), np.asarray(motion.joint_position[1])[order], atol=1e-12)
@@ -323,12 +334,11 @@ def undecided(compliant):
     link, _ = parse_effect("link_compliance:link=1,compliance_x_rad_per_Nm=1e-5,compliance_y_rad_per_Nm=1e-5")
     lag, _ = parse_effect("joint_lag:joint=2,lag_s=1e-3")
     harmonic, _ = parse_effect("joint_harmonic:joint=2,order=1,amplitude_rad=1e-4,phase_rad=0")
-    (step,) = compliant.selection.steps
-    rivals = (Rival(lag, 5.9), Rival(link, -0.1), Rival(harmonic, 6.1), Rival(step.effect, 0.0))
-    selection = replace(compliant.selection, steps=(replace(step, rivals=rivals),))
+    (finding,) = compliant.findings
+    found = with_rivals(compliant, (lag, 5.9), (link, -0.1), (harmonic, 6.1), (finding.effect, 0.0))
     q = np.deg2rad([[10.04, -20, 30, 40, 50, 60], [-175, 80, 200, -100, -0.01, 5]])
-    poses = Separation(("joint_compliance:joint2", "link_compliance:link1"), q)
-    return replace(compliant, selection=selection, separating=(poses,))
+    poses = SeparatingPoses(("joint_compliance:joint2", "link_compliance:link1"), q)
+    return replace(found, separating=(poses,))
 
 
 def test_what_to_record_next(undecided, drawn):
@@ -362,8 +372,10 @@ def test_no_poses_are_shown_where_there_are_none(compliant, drawn):
 def test_what_hides_effects_is_to_be_declared(compliant):
     hidden = "To see more of what is hidden, "
     assert diagnosis_words.to_record(compliant)[-1] == f"{hidden}measure orientations too."
-    case = replace(compliant.case, unknown=(("base", 0, 0), ("link", 1, 3)), precision=np.ones(2), offset=np.zeros(2))
+    sites = (("base", 0, 0), ("link", 1, 3))
+    problem = replace(compliant.problem, unknown=sites, precision=np.ones(2), offset=np.zeros(2))
     said = f"{hidden}declare the sensor's frame and the arm's own calibration and measure orientations too."
-    assert diagnosis_words.to_record(replace(compliant, case=case))[-1] == said
-    nothing = replace(compliant, selection=replace(compliant.selection, hidden=()), untestable=())
+    assert diagnosis_words.to_record(replace(compliant, problem=problem))[-1] == said
+    selection, problem = replace(compliant.selection, confounded=()), replace(compliant.problem, untestable=())
+    nothing = replace(compliant, selection=selection, problem=problem)
     assert diagnosis_words.to_record(nothing) == []

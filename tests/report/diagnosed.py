@@ -1,0 +1,94 @@
+"""Diagnoses of simulated arms without a search, for what a report shows; and a reader of its page."""
+
+from dataclasses import replace
+from html.parser import HTMLParser
+
+import numpy as np
+
+from lite6jax.arms.bundled import load_bundled
+from lite6jax.arms.factory import write_factory
+from lite6jax.diagnosis.options import Options
+from lite6jax.diagnosis.result import Diagnosis, Finding, Rival
+from lite6jax.domains.pose.problem import pose_problem
+from lite6jax.effects.catalogue import catalogue
+from lite6jax.effects.serialization import parse_effect
+from lite6jax.estimation.least_squares import fit
+from lite6jax.estimation.score_test import score_test
+from lite6jax.estimation.terms import Terms
+from lite6jax.recordings import RecordingSettings
+from lite6jax.search.search import Selection
+from lite6jax.search.state import Alternative, State, Tested
+from lite6jax.simulation import simulate
+
+LITE6 = load_bundled("lite6")
+SAMPLES = 200
+COMPLIANCE = "joint_compliance:joint=2,compliance_rad_per_Nm=9e-5"
+HARMONIC = "joint_harmonic:joint=1,order=2,amplitude_rad=4e-4,phase_rad=0.5"
+GAPS = (1.5, 44.0)
+"""Log-likelihood that two rivals of each finding have less: one as good, one rejected."""
+
+
+def recording_maker(folder):
+    """Makes a recording with effects given as text, of a nominal arm whose geometry is known."""
+    calibration = write_factory(LITE6.kinematics, folder / "arm.yaml")
+
+    def make(*texts, motion="static", **given):
+        effects = tuple(parse_effect(text)[0] for text in texts)
+        settings = RecordingSettings(motion=motion, factory_calibration=str(calibration), position_noise_m=2e-5)
+        return simulate(LITE6, effects=texts, motion=motion, samples=SAMPLES, settings=settings, **given), effects
+
+    return make
+
+
+def diagnosed(recording, effects, outliers=()):
+    """The result of a search that adds just these effects: no search is run."""
+    options = Options()
+    problem = pose_problem(recording, LITE6, "exact")
+    baseline = fit(problem, Terms(), options.engine)
+    fitted = fit(problem, Terms(effects), options.engine)
+    scores = score_test(problem, baseline, options.engine).score(effects) if effects else []
+    pairs = list(zip(effects, scores, strict=True))
+    tested = (Tested(e, 1e-9, score, tuple(Alternative(e, gap) for gap in GAPS)) for e, score in pairs)
+    state = State(baseline, fitted, tuple(tested))
+    findings = tuple(
+        Finding(e, fitted.values[at], fitted.covariance[at, at], 1e-9, s.gain, tuple(Rival(e, gap) for gap in GAPS))
+        for (e, s), at in zip(pairs, fitted.terms.slices, strict=True)
+    )
+    wild = np.zeros(problem.samples, bool)
+    wild[list(outliers)] = True
+    before, after = (
+        np.linalg.norm(problem.position_errors(f.nuisance, f.terms, f.values), axis=0) for f in (baseline, fitted)
+    )
+    selection = Selection(problem, problem, state, catalogue(6)[:2])
+    return Diagnosis(problem, selection, findings, before, after, wild, (), (), (), options)
+
+
+def with_rivals(found, *rivals):
+    """The diagnosis with other rivals, each an effect and its gap, of its one finding."""
+    (finding,), (tested,) = found.findings, found.selection.state.tested
+    tested = replace(tested, alternatives=tuple(Alternative(*rival) for rival in rivals))
+    selection = replace(found.selection, state=replace(found.selection.state, tested=(tested,)))
+    finding = replace(finding, rivals=tuple(Rival(*rival) for rival in rivals))
+    return replace(found, selection=selection, findings=(finding,))
+
+
+class Reader(HTMLParser):
+    """The tags with their attributes, and the text that a person sees."""
+
+    def __init__(self, html):
+        super().__init__()
+        self.tags, self.open, self.text = [], [], ""
+        self.feed(html)
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.append((tag, dict(attrs)))
+        if tag not in ("meta", "img", "br", "!doctype"):
+            self.open.append(tag)
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+        self.text += " " if tag in ("td", "th", "li", "strong") else ""
+
+    def handle_data(self, data):
+        if self.open and self.open[-1] != "style":
+            self.text += data
