@@ -59,13 +59,15 @@ class Diagnose:
             canvas.check_names(self.figures, [f"{self.source.stem}_{name}" for name in NAMES], self.force)
         from lite6jax.arms.arm import Arm
         from lite6jax.arms.files import read_arm
-        from lite6jax.diagnosis.diagnose import FOLDS, diagnose
+        from lite6jax.diagnosis.diagnose import diagnose
+        from lite6jax.diagnosis.document import to_document
+        from lite6jax.diagnosis.options import Options
         from lite6jax.diagnosis.reference_diagnosis import diagnose_against
         from lite6jax.effects.user_effects import load_effects
         from lite6jax.fitting.source import load_nominal, read_source
         from lite6jax.recordings import Recording
         from lite6jax.report import diagnosis_tables, screen
-        from lite6jax.report.reference import with_statements
+        from lite6jax.report.statements import with_statements
 
         def read(path: Path, of: Arm | None) -> Recording:
             source = read_source(
@@ -80,16 +82,17 @@ class Diagnose:
         arm = nominal or read_arm(recording.settings.arm_reference(Path(recording.source).parent))
         other = read(self.reference, arm) if self.reference else None
         effects = load_effects(self.effects) if self.effects else ()
-        with screen.progress(FOLDS + 1, "searching") as advance:
+        with screen.progress(Options().folds + 1, "searching") as advance:
             if other is None:
                 found, seen = diagnose(recording, arm, geometry=self.geometry, effects=effects, progress=advance), None
             else:
                 found, seen = diagnose_against(
                     recording, other, arm, geometry=self.geometry, effects=effects, progress=advance
                 )
-        document = found.to_dict()
+        document = to_document(found)
         if seen is not None:
-            document["against"] = with_statements(seen.to_dict())
+            document["against"] = seen.to_dict()
+        document = with_statements(document)
         written = [write_atomically(self.out, json.dumps(document, indent=1, allow_nan=False), self.force)]
         if self.report or self.figures:
             from lite6jax.report import canvas, diagnosis_figures, page
@@ -104,9 +107,9 @@ class Diagnose:
                     written += canvas.save(named, self.figures, self.force)
                 if self.report:
                     sides = str(self.source) if seen is None else f"{self.source} against {seen.file}"
-                    html = page.diagnosis_page(found, sides, drawn, seen)
+                    html = page.diagnosis_page(found, document, sides, drawn)
                     written.append(write_atomically(self.report, html, self.force))
-        screen.show(diagnosis_tables.diagnosis_report(found, str(self.source), seen))
+        screen.show(diagnosis_tables.diagnosis_report(document, str(self.source)))
         screen.written(written)
         return DONE
 

@@ -9,7 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lite6jax.diagnosis.result import Diagnosis, Finding, Rival
+from lite6jax.diagnosis.discrimination import differ
+from lite6jax.diagnosis.evidence_map import peak_to_peak
+from lite6jax.diagnosis.result import Diagnosis, Rival
+from lite6jax.effects.effect import Effect
+from lite6jax.effects.nonparametric import Unnamed
 from lite6jax.effects.serialization import effect_as_dict
 
 SCHEMA = "lite6jax/diagnosis/2"
@@ -30,6 +34,7 @@ def to_document(found: Diagnosis) -> dict[str, Any]:
         "verdict": found.verdict,
         "before": before,
         "after": after,
+        "samples": problem.samples,
         "heldout_rows": int(kept.sum()),
         "noise": {
             "declared_position_m": problem.noise[0] if problem.declared else None,
@@ -37,7 +42,7 @@ def to_document(found: Diagnosis) -> dict[str, Any]:
         },
         "data_faults": faults,
         "ruled_out": [fault.to_dict() for fault in found.ruled_out],
-        "findings": [_finding(finding, *heldout) for finding in found.findings],
+        "findings": [_finding(found, k, *heldout) for k in range(len(found.findings))],
         "nearest": None
         if nearest is None
         else {"effect": nearest[0].name, "site": nearest[0].site, "p_value": nearest[1]},
@@ -46,31 +51,56 @@ def to_document(found: Diagnosis) -> dict[str, Any]:
             for item in found.separating
         ],
         "untestable": [
-            {"effect": item.effect.name, "site": item.effect.site, "reason": item.reason} for item in found.untestable
+            {"effect": item.effect.name, "site": item.effect.site, "driver": item.driver.phrase}
+            for item in found.untestable
         ],
+        "confounded": [_located(effect) for effect in found.confounded],
+        "nuisance": {
+            "numbers": len(problem.unknown),
+            "parts": list(dict.fromkeys(name for name, _, _ in problem.unknown)),
+        },
         "model": _model(found),
     }
 
 
-def _finding(finding: Finding, before: float, after: float) -> dict[str, Any]:
-    entry = effect_as_dict(finding.effect, finding.values, finding.covariance)
+def _finding(found: Diagnosis, k: int, before: float, after: float) -> dict[str, Any]:
+    finding = found.findings[k]
+    effect, size = finding.effect, {}
+    if isinstance(effect, Unnamed):
+        size = {"peak_to_peak": {f"peak_to_peak_{effect.coordinates[0].unit}": peak_to_peak(found, k)._asdict()}}
     return {
-        "effect": finding.effect.name,
-        "site": finding.effect.site,
-        "driver": " and ".join(driver.phrase for driver in finding.effect.drivers) or "none",
-        "parameters": {name: {"value": e["value"], "std": e["std"]} for name, e in entry["parameters"].items()},
+        **_located(effect),
+        "parameters": {name: estimate._asdict() for name, estimate in finding.parameters.items()},
+        **size,
         "p_value": finding.p_value,
         "log_likelihood_gain": finding.gain,
         "heldout_rms_before_m": before,
         "heldout_rms_after_m": after,
-        "confusable_with": [_rival(rival) for rival in finding.rivals],
+        "confusable_with": [_rival(found, k, rival) for rival in finding.rivals],
     }
 
 
-def _rival(rival: Rival) -> dict[str, Any]:
-    effect = rival.effect
-    where = {key: getattr(effect, key) for key in ("order", "source_joint") if hasattr(effect, key)}
-    return {"effect": effect.name, "site": effect.site, "log_likelihood_gap": rival.gap, **where}
+def _located(effect: Effect) -> dict[str, Any]:
+    return {"effect": effect.name, "site": effect.site, "driver": _driver(effect)}
+
+
+def _driver(effect: Effect) -> str:
+    return " and ".join(driver.phrase for driver in effect.drivers) or "none"
+
+
+def _rival(found: Diagnosis, k: int, rival: Rival) -> dict[str, Any]:
+    """A rival with its status: rejected, itself found, separable by the poses designed, equivalent in such, or open."""
+    effect, labels = rival.effect, (found.findings[k].effect.label, rival.effect.label)
+    if rival.gap >= found.options.engine.close:
+        status = "rejected"
+    elif effect in found.fit.terms.terms:
+        status = "found"
+    elif any(item.effects == labels for item in found.separating):
+        status = "separable"
+    else:
+        status = "undecided" if differ(found.selection, k, effect, found.options) else "equivalent"
+    numbers = {key: getattr(effect, key) for key in ("order", "source_joint") if hasattr(effect, key)}
+    return {**_located(effect), **numbers, "log_likelihood_gap": rival.gap, "status": status}
 
 
 def _model(found: Diagnosis) -> dict[str, Any]:

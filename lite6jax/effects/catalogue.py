@@ -5,6 +5,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import NamedTuple
 
 from lite6jax.effects.composition import missing
+from lite6jax.effects.drivers import Driver
 from lite6jax.effects.effect import Effect
 from lite6jax.effects.kinematic.joints import (
     JointBacklash,
@@ -37,10 +38,10 @@ BUILT_IN: Mapping[str, type[Effect]] = types.MappingProxyType({kind.name: kind f
 
 
 class Untestable(NamedTuple):
-    """An effect that cannot be tested with a recording, and the reason as a phrase."""
+    """An effect that cannot be tested with a recording, and the driver that the recording lacks."""
 
     effect: Effect
-    reason: str
+    driver: Driver
 
 
 def catalogue(dof: int, *, orders: Sequence[float] = (1.0, 2.0), turned_tool: bool = False) -> tuple[Effect, ...]:
@@ -65,15 +66,15 @@ def catalogue(dof: int, *, orders: Sequence[float] = (1.0, 2.0), turned_tool: bo
 
 
 def untestable(effects: Iterable[Effect], motion: Motion, loads_known: bool) -> list[Untestable]:
-    """The effects of which a motion lacks a driver, with the reason.
+    """The effects of which a motion lacks a driver, with the driver.
 
     Args:
         effects: the candidates.
         motion: what was recorded.
         loads_known: whether the masses of the arm's links are known.
     """
-    reasons = ((effect, missing(effect, motion, loads_known)) for effect in effects)
-    return [Untestable(effect, reason) for effect, reason in reasons if reason is not None]
+    lacking = ((effect, missing(effect, motion, loads_known)) for effect in effects)
+    return [Untestable(effect, driver) for effect, driver in lacking if driver is not None]
 
 
 def kinds_of(effects: Iterable[Effect] = ()) -> dict[str, type[Effect]]:

@@ -13,6 +13,7 @@ from jax import Array
 from numpy.typing import ArrayLike, NDArray
 
 from lite6jax.effects.deflection import Deflection
+from lite6jax.effects.drivers import Driver
 from lite6jax.effects.effect import Altering, Bending, Effect, Estimate
 from lite6jax.effects.motion import Motion
 from lite6jax.effects.statics import Loads
@@ -115,9 +116,9 @@ class Physics:
                     f"{effect.label}: acts at joint {effect.joints_needed}, but the arm has {motion.dof} joints; "
                     "choose one of them"
                 )
-            reason = missing(effect, motion, loads_known)
-            if reason is not None:
-                raise InputError(f"{effect.label}: {reason}")
+            driver = missing(effect, motion, loads_known)
+            if driver is not None:
+                raise InputError(f"{effect.label}: needs the {driver.phrase}: give {driver.remedy}")
 
     def alter(self, values: Array, motion: Motion) -> Motion:
         """The true motion, by the effects of the clock and of the payload."""
@@ -157,9 +158,9 @@ class Physics:
         ]
 
 
-def missing(effect: Effect, motion: Motion, loads_known: bool) -> str | None:
-    """The reason why an effect cannot be tested in a motion, its first missing driver, as a phrase; or None."""
+def missing(effect: Effect, motion: Motion, loads_known: bool) -> Driver | None:
+    """The first driver of an effect that a motion lacks, so that the effect cannot be tested; or None."""
     for driver in effect.drivers:
         if not (loads_known if driver.loaded else driver.known(motion, None)):
-            return f"needs the {driver.phrase}: give {driver.remedy}"
+            return driver
     return None

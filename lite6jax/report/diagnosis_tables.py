@@ -1,6 +1,7 @@
-"""What a person reads of a diagnosis, top to bottom: verdict, before and after, findings, what cannot be told."""
+"""The screen report of a diagnosis: verdict, errors before and after, findings, and what was not tested."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
+from typing import Any
 
 import numpy as np
 from rich.console import RenderableType
@@ -9,93 +10,92 @@ from rich.table import Table
 from rich.text import Text
 
 from lite6jax.arms import frames
-from lite6jax.diagnosis.diagnose import Diagnosis, statement
-from lite6jax.diagnosis.discrimination import Separation
-from lite6jax.domains.pose.load_model import INERTIA_COUNTS
-from lite6jax.domains.pose.reference import ReferenceComparison
 from lite6jax.domains.pose.registration import Registration
-from lite6jax.effects.nonparametric import Unnamed
-from lite6jax.effects.serialization import effect_as_dict
-from lite6jax.report import diagnosis_words as words
-from lite6jax.report import reference
-from lite6jax.report.cells import SCREEN, fixed, listing, number
+from lite6jax.recordings.fault import DataFault
+from lite6jax.report import reference, statements
+from lite6jax.report.cells import SCREEN, fixed, listed, listing, number
+from lite6jax.report.data_faults import ruled_out_statements
+
+ERRORS = ("heldout_position_rms_m", "heldout_position_p95_m", "heldout_position_max_m")
+"""The keys of errors in the JSON file: root mean square, 95th percentile and largest."""
 
 
-def diagnosis_report(
-    found: Diagnosis, source: str, against: ReferenceComparison | None = None
-) -> Iterator[RenderableType]:
-    """The page; with what the other side is, where there is one."""
-    case = found.case
+def diagnosis_report(document: Mapping[str, Any], source: str) -> Iterator[RenderableType]:
+    """The screen report.
+
+    Args:
+        document: as in the JSON file, with statements.
+        source: the recording.
+    """
+    model = document["model"]
     yield Text(source, no_wrap=True, overflow="ignore")
-    yield Text(f"{case.arm.name}, {case.samples} samples ({case.recording.motion}).")
+    yield Text(f"{model['arm']}, {document['samples']} samples ({model['motion']}).")
     yield ""
-    if against is not None:
-        yield from reference_report(against)
+    if "against" in document:
+        yield from _reference(document["against"])
         yield ""
-    yield Text(words.verdict_of(found, against))
+    yield Text(statements.verdict_statement(document))
     yield ""
-    kept = ~found.outliers
     table = listing("held-out position error (mm)", "rms", "p95", "max")
-    for name, errors in (("before", found.before), ("after", found.after)):
-        values = 1e3 * errors[kept]
-        table.add_row(
-            name, *(number(float(v)) for v in (np.sqrt(np.mean(values**2)), np.percentile(values, 95), values.max()))
-        )
+    for name in ("before", "after"):
+        table.add_row(name, *(number(1e3 * document[name][key]) for key in ERRORS))
     yield table
-    declared = f", declared {number(1e3 * case.noise[0])} mm" if case.declared else ""
-    yield Text(f"Noise per axis: {number(1e3 * found.estimated_noise)} mm estimated{declared}.")
-    faults = [f"{told.statement}{f' Rows {told.rows}.' if told.rows else ''}" for told in words.faults_of(found)]
-    yield from _headed("Data faults:", faults)
-    if found.selection.steps:
+    yield Text(noise_statement(document))
+    yield from _headed("Data faults:", map(_fault, document["data_faults"]))
+    if document["findings"]:
         yield ""
-        yield from _findings(found)
-        if INERTIA_COUNTS in case.notes:
-            yield Text(INERTIA_COUNTS)
-    yield from _headed("Looked for in the data and not found:", words.ruled_out_in_short(found))
-    groups = []
-    for group in words.untested(found):
-        names = ", ".join(f"{name}:{sites}" for name, sites in words.by_site(group.effects))
-        groups.append(f"{group.reason}: {names}")
-    yield from _headed("Not tested:", groups)
-    yield from _headed("What to record next:", words.to_record(found))
-    for item in found.separating:
+        yield Text("Findings:")
+        yield _findings(document)
+    yield from _headed("Assumptions:", statements.assumptions(document))
+    ruled_out = (DataFault(entry["fault"], (), entry["numbers"]) for entry in document["ruled_out"])
+    yield from _headed("Data faults tested and ruled out:", ruled_out_statements(ruled_out))
+    yield from _headed("Effects not tested:", map(_untested, statements.untested(document)))
+    yield from _headed("What to record next:", statements.what_to_record(document))
+    for item in document["separating_poses"]:
         yield ""
-        yield from _poses(item)
-    if found.separating:
-        yield Text(words.NOT_CHECKED)
+        yield Text(f"{statements.separating_title(item)}:")
+        yield _poses(item["joint_position_rad"])
+    if document["separating_poses"]:
+        yield Text(statements.NOT_CHECKED)
     yield ""
 
 
-def reference_report(comparison: ReferenceComparison) -> Iterator[RenderableType]:
-    """How the reference differs from the model."""
-    codes = comparison.to_dict()
-    yield Text(reference.headline(codes))
-    yield from map(_indented, reference.difference_sentences(codes) + reference.note_sentences(codes))
-    yield _indented(reference.model_statement(comparison.file, comparison.rigid))
+def noise_statement(document: Mapping[str, Any]) -> str:
+    """The noise estimated from the residuals beside the declared one."""
+    estimated, declared = (document["noise"][f"{name}_position_m"] for name in ("estimated", "declared"))
+    beside = "none is declared" if declared is None else f"{number(1e3 * declared)} mm is declared"
+    return f"Noise per axis of position: the residuals have {number(1e3 * estimated)} mm, {beside}."
 
 
-def _findings(found: Diagnosis) -> Iterator[RenderableType]:
-    fitted = found.selection.fitted
+def _reference(comparison: Mapping[str, Any]) -> Iterator[RenderableType]:
+    yield Text(reference.headline(comparison))
+    yield from (_indented(entry["statement"]) for entry in (*comparison["differences"], *comparison["notes"]))
+    yield _indented(comparison["statement"])
+
+
+def _findings(document: Mapping[str, Any]) -> Table:
     table = Table.grid(padding=(0, 1, 0, 0))
-    for k, (step, part) in enumerate(zip(found.selection.steps, fitted.physics.slices, strict=True), 1):
-        values, covariance = fitted.values[part], fitted.covariance[part, part]
-        if isinstance(step.effect, Unnamed):
-            swing, std = words.peak_to_peak(found.case, step.effect, values, covariance)
-            unit = f"m{step.effect.coordinates[0].unit}"
-            size = " ± ".join(words.rounded(1e3 * swing, 1e3 * std))
-            told = f"{words.capital(words.named(step.effect))}: {size} {unit} peak to peak."
-        else:
-            told = statement(step.effect, effect_as_dict(step.effect, values, covariance)["parameters"])
-        lines = [f"{told} Chance alone: {words.chance(step.p)} over all searched."]
-        close = words.near(step)
-        if close:
-            lines.append(f"Not told apart from: {', '.join(close)} (log-likelihood less).")
+    for k, finding in enumerate(statements.findings_of(document), 1):
+        lines = [f"{finding['statement']} {statements.p_value_statement(finding)}"]
+        rivals = statements.undistinguished(finding)
+        if rivals:
+            lines.append(f"Not distinguished from {', '.join(rivals)}.")
         table.add_row(Text(f"{k}."), Text("\n".join(lines)))
-    yield table
+    return table
+
+
+def _fault(entry: Mapping[str, Any]) -> str:
+    rows = f" Rows {listed(entry['rows'])}." if entry["rows"] else ""
+    return f"{entry['statement']}{rows}"
+
+
+def _untested(group: statements.Untested) -> str:
+    names = ", ".join(f"{name} at {sites}" for name, sites in statements.by_site(group.entries))
+    return f"{statements.capital(names)}. {group.reason}"
 
 
 def _headed(heading: str, lines: Iterable[str]) -> Iterator[RenderableType]:
-    """A heading and its lines below, further in; nothing where there are none."""
+    """A heading with indented lines; nothing where there are none."""
     for k, line in enumerate(lines):
         if not k:
             yield ""
@@ -107,27 +107,26 @@ def _indented(line: str) -> RenderableType:
     return Padding(Text(line), (0, 0, 0, 2))
 
 
-def _poses(item: Separation) -> Iterator[RenderableType]:
-    yield Text(f"{words.separation_title(item)}:")
-    table = listing("", *(f"q{joint}" for joint in range(1, item.joint_position.shape[1] + 1)))
-    for k, row in enumerate(np.rad2deg(item.joint_position), 1):
+def _poses(joint_position: list[list[float]]) -> Table:
+    table = listing("", *(f"q{joint}" for joint in range(1, len(joint_position[0]) + 1)))
+    for k, row in enumerate(np.rad2deg(joint_position), 1):
         table.add_row(str(k), *(fixed(float(angle), 1) for angle in row))
-    yield table
+    return table
 
 
 def registration_report(found: Registration) -> Iterator[RenderableType]:
-    """The frames that were fitted, and what they leave."""
+    """The frames that were fitted, and the remaining errors."""
     kept = found.kept
     turned = ""
     if found.turned is not None:
         turned = f" and {number(float(np.rad2deg(np.sqrt(np.mean(np.sum(found.turned[kept] ** 2, 1))))))} deg"
-    yield Text(f"Registered on {len(kept)} rows: {number(1e3 * found.rms)} mm{turned} RMS left.")
+    yield Text(f"The registration on {len(kept)} rows leaves errors of {number(1e3 * found.rms)} mm{turned} RMS.")
     if not kept.all():
-        yield Text(f"{np.sum(~kept)} rows stand out and count for little.")
+        yield Text(f"{np.sum(~kept)} rows are outliers and have little weight.")
     table = listing("", "x", "y", "z", "roll", "pitch", "yaw")
     for name, T in (("sensor to base", found.T_sensor_base), ("flange to tool", found.T_flange_tool)):
         row = frames.row_from_transform(T) * np.repeat([SCREEN["m"][0], SCREEN["rad"][0]], 3)
         table.add_row(f"{name} (mm, deg)", *(fixed(float(value), 3) for value in row))
     yield table
     if found.turned is None:
-        yield Text("Positions do not show the tool's rotation: only its offset is fitted.")
+        yield Text("Positions do not determine the tool's rotation: only its offset is fitted.")

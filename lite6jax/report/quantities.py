@@ -1,0 +1,61 @@
+"""Numbers of effects as they are read: in the units of the screen, rounded to their standard deviations."""
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+
+from lite6jax.report.cells import plus_minus
+
+_UNITS = (
+    ("_rad_per_Nm", 1e6, "µrad/Nm"),
+    ("_m_per_s", 1e6, "µm/s"),
+    ("_per_K", 1e6, "ppm/K"),
+    ("phase_rad", 180 / np.pi, "deg"),
+    ("_rad", 1e3, "mrad"),
+    ("_m", 1e3, "mm"),
+    ("_s", 1e3, "ms"),
+    ("_kg", 1.0, "kg"),
+)
+"""The end of a parameter's name, and the unit in which it is read; the first that fits."""
+_RATIOS = {"scale": (1e6, "ppm"), "coupling": (1e6, "ppm")}
+
+
+class Quantity(NamedTuple):
+    """A parameter as it is read.
+
+    Attributes:
+        name: without its unit.
+        value: rounded to its standard deviation.
+        std: two digits; empty where the number was chosen and not estimated.
+        unit: of both; empty for plain numbers.
+    """
+
+    name: str
+    value: str
+    std: str
+    unit: str
+
+    def __str__(self) -> str:
+        size = f"{self.value} ± {self.std}" if self.std else self.value
+        return f"{self.name} {size}{f' {self.unit}' if self.unit else ''}"
+
+
+def quantity(name: str, estimate: Mapping[str, float]) -> Quantity:
+    """A parameter by the name and the estimate, `value` and `std`, that the JSON file has."""
+    fitting = (known for known in _UNITS if name.endswith(known[0]))
+    end, scale, unit = next(fitting, ("", 1.0, ""))
+    if name in _RATIOS:
+        scale, unit = _RATIOS[name]
+    read = name.removesuffix("_rad" if end == "phase_rad" else end).replace("_", " ")
+    value, std = scale * estimate["value"], scale * estimate["std"]
+    if not std:
+        return Quantity(read, f"{value:.6g}", "", unit)
+    return Quantity(read, *rounded(value, std), unit)
+
+
+def rounded(value: float, std: float) -> tuple[str, str]:
+    """A value to the digits that its standard deviation supports, and this to two."""
+    if not np.isfinite(std) or std < 1e-4:
+        return f"{value:.6g}", f"{std:.1e}"
+    return f"{value:.{max(0, 1 - int(np.floor(np.log10(std))))}f}", plus_minus(std)

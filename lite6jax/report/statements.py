@@ -1,0 +1,278 @@
+"""The sentences of a diagnosis, made from the codes and numbers of its JSON document alone."""
+
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any, NamedTuple
+
+from lite6jax.effects.drivers import driver_of
+from lite6jax.report import data_faults, reference
+from lite6jax.report.cells import ranges
+from lite6jax.report.quantities import quantity
+
+Document = Mapping[str, Any]
+Entry = Mapping[str, Any]
+
+NOT_CHECKED = "They are inside the arm's limits, in an order of short moves, and not checked for collisions."
+INERTIAL = "The loads include the inertial forces of the moving arm, which the recording supports."
+NO_NOISE = "The sidecar declares no position_noise_m: tests use the noise estimated from the residuals."
+
+_VERDICTS = {
+    "consistent": "Consistent: the model of the arm and the sensor's noise explain the recording.",
+    "explained": "Explained: with the effects below, the held-out errors are the sensor's noise.",
+    "partly_explained": "Partly explained: the effects below are significant, but the held-out errors remain larger "
+    "than the sensor's noise.",
+    "unnamed": "Unnamed: the largest effect is significant, and no effect of the catalogue explains it.",
+}
+_PARTS = {"base": "the sensor's frame", "link": "the arm's own calibration", "tool": "the tool"}
+_EXCESSIVE = 5.0
+"""Times the declared noise, beyond which residuals are not reported as noise."""
+
+
+class Untested(NamedTuple):
+    """Effects that a recording cannot show for one and the same reason.
+
+    Attributes:
+        reason: a sentence.
+        remedy: what to give or to record; empty where `what_to_record` states it.
+        entries: of the document, one for each effect.
+    """
+
+    reason: str
+    remedy: str
+    entries: tuple[Entry, ...]
+
+
+def with_statements(document: Document) -> dict[str, Any]:
+    """A diagnosis as in its JSON file: with a `statement` for each finding, data fault and difference from a reference.
+
+    Untestable effects get a `reason`.
+    """
+    stated = data_faults.with_statements(document)
+    stated["findings"] = [{**finding, "statement": finding_statement(finding)} for finding in _detailed(document)]
+    for finding in stated["findings"]:
+        del finding["where"]
+    stated["untestable"] = [{**entry, "reason": _requirement(entry)} for entry in document["untestable"]]
+    if "against" in document:
+        stated["against"] = reference.with_statements(document["against"])
+    return stated
+
+
+def verdict_statement(document: Document) -> str:
+    """The verdict in a sentence or two."""
+    verdict, noise = document["verdict"], document["noise"]
+    declared = noise["declared_position_m"]
+    if verdict == "consistent":
+        times = noise["estimated_position_m"] / declared if declared else 1.0
+        if times > _EXCESSIVE:
+            return (
+                f"No effect that was tested explains the residuals, which are {times:.3g} times the declared noise: "
+                "check the arm, the frame, the tool and the columns that the sidecar declares."
+            )
+        if "against" in document:
+            return "Consistent: beyond the differences above, the two recordings differ by noise."
+    if verdict == "partly_explained" and not declared:
+        return (
+            "Partly explained: the effects below are significant. Whether more remains cannot be tested, because the "
+            "sidecar declares no position_noise_m."
+        )
+    return _VERDICTS[verdict]
+
+
+def finding_statement(finding: Entry) -> str:
+    """A finding in one sentence, with its numbers; `finding` has the fields of its effect as `where`."""
+    where, name = finding["where"], finding["effect"].replace("_", " ")
+    driver = "" if finding["driver"] == "none" else f", a function of the {_worded(finding['driver'])}"
+    if "peak_to_peak" in finding:
+        (size,) = (quantity(*item) for item in finding["peak_to_peak"].items())
+        return (
+            f"No effect of the catalogue explains an effect at {finding['site']}{_component(where)}{driver}: "
+            f"{_shape(where)}, {str(size).removeprefix('peak to peak ')} peak to peak."
+        )
+    numbers = [quantity(*item) for item in finding["parameters"].items()]
+    shown = ", ".join(str(number) for number in numbers if number.std)
+    return (
+        f"{capital(name)}{_detail(_order_and_source(finding))} at {finding['site']}{driver}, is significant: {shown}."
+    )
+
+
+def findings_of(document: Document) -> list[dict[str, Any]]:
+    """The findings, each with its `title`, its `statement` and the fields of its effect as `where`."""
+    return [
+        {**finding, "title": capital(effect_title(finding)), "statement": finding_statement(finding)}
+        for finding in _detailed(document)
+    ]
+
+
+def p_value_statement(finding: Entry) -> str:
+    """How improbable a finding is without the effect."""
+    return f"Family-wise {chance(finding['p_value'])} over all effects, sites and orders searched."
+
+
+def chance(p: float) -> str:
+    """A p-value; one below what floats hold is not zero."""
+    return f"p-value {p:.1e}" if p > 0 else "p-value below 1e-300"
+
+
+def effect_title(entry: Entry) -> str:
+    """An effect in words, such as "joint harmonic of order 2 at joint1"."""
+    where = entry.get("where", {})
+    if entry["effect"] == "unnamed" and where:
+        place = re.sub(r"(\D)(\d)", r"\1 \2", entry["site"])
+        driver = entry["driver"].removesuffix(f" of {place}")
+        over = driver if driver == entry["driver"] else f"its {driver}"
+        return f"unnamed effect at {entry['site']}{_component(where)}, {_shape(where)} over {over}"
+    return f"{entry['effect'].replace('_', ' ')}{_detail(_order_and_source(entry))} at {entry['site']}"
+
+
+def undistinguished(finding: Entry) -> list[str]:
+    """The effects that the recording does not distinguish from a finding, the nearest first."""
+    return [_with_gap(rival) for rival in _by_gap(finding) if rival["status"] != "rejected"]
+
+
+def rejected(finding: Entry) -> list[str]:
+    """The nearest effects that explain clearly less."""
+    return [_with_gap(rival) for rival in _by_gap(finding) if rival["status"] == "rejected"]
+
+
+def untested(document: Document) -> list[Untested]:
+    """The effects that the recording cannot show, by reason; drivers that differ by their joint are one reason."""
+    groups: dict[tuple[str, str], list[Entry]] = {}
+    for entry in document["untestable"]:
+        driver = driver_of(entry["driver"])
+        groups.setdefault((driver.quantity, driver.remedy), []).append(entry)
+    found = []
+    for (kind, remedy), entries in groups.items():
+        drivers = {entry["driver"] for entry in entries}
+        needed = entries[0]["driver"] if len(drivers) == 1 else f"{kind} of their joint"
+        found.append(Untested(f"The recording has no {needed}.", remedy, tuple(entries)))
+    if document["confounded"]:
+        reason = "The sensor does not observe them in these poses."
+        if document["nuisance"]["numbers"]:
+            reason = "They are confounded with the fitted frames and geometry, or the sensor does not observe them."
+        found.append(Untested(reason, "", tuple(document["confounded"])))
+    return found
+
+
+def by_site(entries: Iterable[Entry]) -> list[tuple[str, str]]:
+    """Names of effects, each with all its sites, those of consecutive numbers as a range: joint1–6."""
+    sites: dict[str, list[str]] = {}
+    for entry in entries:
+        held = sites.setdefault(entry["effect"].replace("_", " "), [])
+        held += [entry["site"]] if entry["site"] not in held else []
+    return [(name, _sites(held)) for name, held in sites.items()]
+
+
+def what_to_record(document: Document) -> list[str]:
+    """A sentence for each question that this recording leaves open and another one answers."""
+    lines, pairs, drivers = [], [], []
+    for finding in _detailed(document):
+        for rival in finding["confusable_with"]:
+            pair = f"{effect_title(finding)} from {effect_title(rival)}"
+            if rival["status"] == "separable":
+                lines.append(f"To separate {pair}, record the poses below (separating_poses in the JSON file).")
+            elif rival["status"] == "equivalent":
+                same = f"{effect_title(finding)} and {effect_title(rival)} have the same effect at these poses"
+                lines.append(f"{capital(same)}: more poses of this kind do not separate them.")
+            elif rival["status"] == "undecided":
+                pairs.append(pair)
+                drivers += [driver for entry in (finding, rival) for driver in _drivers(entry)]
+    if pairs:
+        vary = f" in which {_joined(dict.fromkeys(drivers))} vary independently" if drivers else ""
+        lines.append(f"To separate {_joined(pairs, 'or')}, record more poses{vary}.")
+    for group in untested(document):
+        if group.remedy:
+            names = _joined(dict.fromkeys(entry["effect"].replace("_", " ") for entry in group.entries))
+            lines.append(f"To test for {names}, give {group.remedy.removesuffix(' …')}.")
+    return [*lines, *(_against_confounding(document) if document["confounded"] else [])]
+
+
+def assumptions(document: Document) -> list[str]:
+    """What the tests rest on beyond the recording and its sidecar."""
+    loaded = any(driver_of(driver).loaded for finding in document["findings"] for driver in _drivers(finding))
+    inertial = document["model"]["accelerated"] and loaded
+    undeclared = document["noise"]["declared_position_m"] is None
+    return [*([INERTIAL] if inertial else []), *([NO_NOISE] if undeclared else [])]
+
+
+def separating_title(item: Entry) -> str:
+    """What the poses of a table are for."""
+    one, other = (label.replace("_", " ").replace(":", " at ") for label in item["effects"])
+    return f"Poses that separate {one} from {other} (deg)"
+
+
+def capital(text: str) -> str:
+    """With a capital first letter, the others unchanged."""
+    return text[:1].upper() + text[1:]
+
+
+def _detailed(document: Document) -> list[dict[str, Any]]:
+    """The findings with the fields of their effects, which the model has."""
+    effects = document["model"]["effects"]
+    return [{**finding, "where": e["where"]} for finding, e in zip(document["findings"], effects, strict=True)]
+
+
+def _requirement(entry: Entry) -> str:
+    driver = driver_of(entry["driver"])
+    return f"needs the {driver.phrase}: give {driver.remedy}"
+
+
+def _against_confounding(document: Document) -> list[str]:
+    declare = _joined(words for part, words in _PARTS.items() if part in document["nuisance"]["parts"])
+    orientation = document["model"]["orientation"]
+    steps = [*([f"declare {declare}"] if declare else []), *([] if orientation else ["measure orientations too"])]
+    return [f"To test for confounded effects, {' and '.join(steps)}."] if steps else []
+
+
+def _drivers(entry: Entry) -> Sequence[str]:
+    return [] if entry["driver"] == "none" else entry["driver"].split(" and ")
+
+
+def _worded(driver: str) -> str:
+    return driver.replace(" and ", " and the ")
+
+
+def _order_and_source(entry: Entry) -> Mapping[str, float | None]:
+    """A harmonic's order and a coupling's source, of a finding or a rival."""
+    estimates = entry.get("parameters", {})
+    return {key: estimates[key]["value"] if key in estimates else entry.get(key) for key in ("order", "source_joint")}
+
+
+def _detail(numbers: Mapping[str, float | None]) -> str:
+    order, source = numbers["order"], numbers["source_joint"]
+    return f" of order {order:.4g}" if order else f" from joint{source:.0f}" if source else ""
+
+
+def _component(where: Entry) -> str:
+    return "" if where["where"].startswith("joint") else f" ({where.get('component', 'rz')})"
+
+
+def _shape(where: Entry) -> str:
+    if where.get("memory"):
+        return "a hysteresis loop"
+    orders = where.get("orders", ())
+    if orders:
+        which = f"{len(orders)} orders from {min(orders):g} to {max(orders):g}"
+        return f"harmonics of {which}" if len(orders) > 1 else f"a harmonic of order {orders[0]:g}"
+    return "a smooth curve"
+
+
+def _by_gap(finding: Entry) -> list[Entry]:
+    return sorted(finding["confusable_with"], key=lambda rival: rival["log_likelihood_gap"])
+
+
+def _with_gap(rival: Entry) -> str:
+    return f"{effect_title(rival)} (log-likelihood {-rival['log_likelihood_gap']:+.1f})"
+
+
+def _joined(words: Iterable[str], last: str = "and") -> str:
+    *first, final = [*words] or [""]
+    return f"{', '.join(first)} {last} {final}" if first else final
+
+
+def _sites(sites: Iterable[str]) -> str:
+    kinds: dict[str, list[int]] = {}
+    for site in sites:
+        kind = site.rstrip("0123456789")
+        kinds.setdefault(kind, [])
+        kinds[kind] += [int(site.removeprefix(kind))] if site != kind else []
+    return ", ".join(kind + ", ".join(text for text, _ in ranges(sorted(held))) for kind, held in kinds.items())
