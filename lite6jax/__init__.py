@@ -12,58 +12,52 @@ import jax
 jax.config.update("jax_enable_x64", True)
 
 if TYPE_CHECKING:
+    # isort: off
     from lite6jax.arms.arm import Arm as Arm
-    from lite6jax.arms.chains import (
-        HayatiForm as HayatiForm,
-    )
+    from lite6jax.arms.chains import HayatiForm as HayatiForm
     from lite6jax.arms.convert import (
         hayati_to_six_parameter as hayati_to_six_parameter,
-    )
-    from lite6jax.arms.convert import (
         six_parameter_to_hayati as six_parameter_to_hayati,
     )
-    from lite6jax.arms.files import read_arm as read_arm
-    from lite6jax.arms.files import read_factory as read_factory
-    from lite6jax.arms.files import write_factory as write_factory
-    from lite6jax.arms.forward_kinematics import hayati_fk as hayati_fk
-    from lite6jax.arms.forward_kinematics import six_parameter_fk as six_parameter_fk
-    from lite6jax.diagnosis.diagnose import Diagnosis as Diagnosis
-    from lite6jax.diagnosis.diagnose import diagnose as diagnose
+    from lite6jax.arms.files import read_arm as read_arm, read_factory as read_factory, write_factory as write_factory
+    from lite6jax.arms.forward_kinematics import hayati_fk as hayati_fk, six_parameter_fk as six_parameter_fk
+    from lite6jax.diagnosis.diagnose import Diagnosis as Diagnosis, diagnose as diagnose
     from lite6jax.diagnosis.options import Options as Options
     from lite6jax.domains.pose.compensate import compensate as compensate
-    from lite6jax.domains.pose.predict import predict as predict
-    from lite6jax.domains.pose.predict import read_model as read_model
-    from lite6jax.effects.effect import Effect as Effect
-    from lite6jax.effects.effect import JointEffect as JointEffect
-    from lite6jax.errors import InputError as InputError
     from lite6jax.domains.pose.fit import fit as fit
-    from lite6jax.fitting.fleet import fit_fleet as fit_fleet
-    from lite6jax.fitting.fleet import fit_fleet_calibrations as fit_fleet_calibrations
-    from lite6jax.fitting.solution import FleetSolution as FleetSolution
-    from lite6jax.fitting.solution import Result as Result
-    from lite6jax.fitting.solution import Solution as Solution
-    from lite6jax.identifiability.identify import identify as identify
-    from lite6jax.identifiability.identify import identify_recording as identify_recording
-    from lite6jax.identifiability.information import Experiment as Experiment
-    from lite6jax.identifiability.information import plan_experiment as plan_experiment
+    from lite6jax.domains.pose.predict import predict as predict, read_model as read_model
+    from lite6jax.domains.pose.registration import register as register, register_model as register_model
+    from lite6jax.effects.effect import Effect as Effect, JointEffect as JointEffect
+    from lite6jax.errors import InputError as InputError
+    from lite6jax.fitting.fleet import fit_fleet as fit_fleet, fit_fleet_calibrations as fit_fleet_calibrations
+    from lite6jax.fitting.solution import FleetSolution as FleetSolution, Result as Result, Solution as Solution
+    from lite6jax.identifiability.candidates import (
+        above_floor as above_floor,
+        all_pass as all_pass,
+        candidates as candidates,
+        clear_of_itself as clear_of_itself,
+    )
+    from lite6jax.identifiability.clearance import link_frames as link_frames, self_collision as self_collision
+    from lite6jax.identifiability.identify import identify as identify, identify_recording as identify_recording
+    from lite6jax.identifiability.information import Experiment as Experiment, plan_experiment as plan_experiment
     from lite6jax.identifiability.planning import plan_poses as plan_poses
     from lite6jax.identifiability.sensitivity import (
         global_sensitivity as global_sensitivity,
-    )
-    from lite6jax.identifiability.sensitivity import (
         sensitivity as sensitivity,
     )
     from lite6jax.identifiability.sensor import Sensor as Sensor
     from lite6jax.recordings import (
         Recording as Recording,
-    )
-    from lite6jax.recordings import (
+        RecordingSettings as RecordingSettings,
         read_recording as read_recording,
-    )
-    from lite6jax.recordings import (
         write_recording as write_recording,
     )
-    from lite6jax.simulation import simulate as simulate
+    from lite6jax.simulation import (
+        UndeclaredNoise as UndeclaredNoise,
+        draw_calibration as draw_calibration,
+        draw_sensor_frame as draw_sensor_frame,
+        simulate as simulate,
+    )
 
 _NAMES = {
     "lite6jax.arms.arm": ("Arm",),
@@ -75,18 +69,21 @@ _NAMES = {
     "lite6jax.diagnosis.options": ("Options",),
     "lite6jax.domains.pose.compensate": ("compensate",),
     "lite6jax.domains.pose.predict": ("predict", "read_model"),
+    "lite6jax.domains.pose.registration": ("register", "register_model"),
     "lite6jax.effects.effect": ("Effect", "JointEffect"),
     "lite6jax.errors": ("InputError",),
     "lite6jax.domains.pose.fit": ("fit",),
     "lite6jax.fitting.fleet": ("fit_fleet", "fit_fleet_calibrations"),
     "lite6jax.fitting.solution": ("FleetSolution", "Result", "Solution"),
+    "lite6jax.identifiability.candidates": ("above_floor", "all_pass", "candidates", "clear_of_itself"),
+    "lite6jax.identifiability.clearance": ("link_frames", "self_collision"),
     "lite6jax.identifiability.identify": ("identify", "identify_recording"),
     "lite6jax.identifiability.information": ("Experiment", "plan_experiment"),
     "lite6jax.identifiability.planning": ("plan_poses",),
     "lite6jax.identifiability.sensitivity": ("global_sensitivity", "sensitivity"),
     "lite6jax.identifiability.sensor": ("Sensor",),
-    "lite6jax.recordings": ("Recording", "read_recording", "write_recording"),
-    "lite6jax.simulation": ("simulate",),
+    "lite6jax.recordings": ("Recording", "RecordingSettings", "read_recording", "write_recording"),
+    "lite6jax.simulation": ("UndeclaredNoise", "draw_calibration", "draw_sensor_frame", "simulate"),
 }
 """The public names of each module."""
 _MODULES = {name: module for module, names in _NAMES.items() for name in names}

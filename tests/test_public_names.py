@@ -16,9 +16,11 @@ def names_for_type_checkers():
     """The public names by module, as the imports under `if TYPE_CHECKING` have them."""
     block = next(node for node in ast.parse(SOURCE.read_text()).body if isinstance(node, ast.If))
     assert ast.unparse(block.test) == "TYPE_CHECKING"
-    imports = [node for node in block.body if isinstance(node, ast.ImportFrom)]
-    assert all(alias.name == alias.asname for node in imports for alias in node.names)  # only so are they exported
-    return {node.module: tuple(alias.name for alias in node.names) for node in imports}
+    found = {}
+    for node in block.body:
+        assert all(alias.name == alias.asname for alias in node.names)  # only so are they exported
+        found.setdefault(node.module, []).extend(alias.name for alias in node.names)
+    return {module: tuple(names) for module, names in found.items()}
 
 
 @pytest.mark.parametrize("name", lite6jax.__all__)

@@ -9,11 +9,12 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import Array
+from jax import Array, export
 from jax.typing import ArrayLike
 
 from lite6jax.arms.moves import turn
 from lite6jax.fitting import gauss_newton
+from lite6jax.fitting.compiled import Exported
 from lite6jax.fitting.gauss_newton import Prior, Solved, solve_chunk
 from lite6jax.fitting.residual import Observations, Robust, differences, predict_frames, whiten
 from lite6jax.model import ArmModel, ModelForm
@@ -97,12 +98,15 @@ def _solve_and_measure(
     return Summary(solved, covariance, squares, jnp.sqrt(jnp.sum(shift, 1) / count), jnp.sqrt(jnp.sum(spin, 1) / count))
 
 
-_fit_chunk = jax.jit(_solve_and_measure, static_argnums=(0, 8), compiler_options=_SINGLE_THREADED)
+for _kind in (ArmModel, Prior, Robust, Solved, Summary):
+    export.register_namedtuple_serialization(_kind, serialized_name=f"lite6jax.{_kind.__name__}")
+_fit_chunk = Exported("fit_chunk", _solve_and_measure, (0, 8), _SINGLE_THREADED)
 # For one small fit, where a second of the compiler's optimisation would save five milliseconds.
-_fit_once = jax.jit(
+_fit_once = Exported(
+    "fit_once",
     partial(_solve_and_measure, keep_curvature=False),
-    static_argnums=(0, 8),
-    compiler_options=_SINGLE_THREADED | {"xla_backend_optimization_level": 0},
+    (0, 8),
+    _SINGLE_THREADED | {"xla_backend_optimization_level": 0},
 )
 
 

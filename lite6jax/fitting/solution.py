@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from lite6jax.arms.arm import Arm
 from lite6jax.fitting import gauss_newton
 from lite6jax.fitting.chunks import pad, padded_size
+from lite6jax.fitting.compiled import Exported
 from lite6jax.model import ArmModel, ModelForm, predict
 from lite6jax.recordings import Recording, require_radians
 from lite6jax.recordings.fault import DataFault
@@ -67,10 +68,13 @@ class Errors:
         return float(np.sqrt(np.mean(self.position**2)))
 
 
+_predict = Exported("predict", predict, (0,))
+
+
 def prediction_errors(form: ModelForm, model: ArmModel, joint_position: Array, pose: Array) -> Errors:
     """Distances (m) and angles (rad) of a model's prediction from poses `(sample, 4, 4)` or positions `(sample, 3)`."""
     size = padded_size(len(pose))[0]
-    predicted = np.asarray(predict(form.chain, model, pad(joint_position, 0, size)))[: len(pose)]
+    predicted = np.asarray(_predict(form.chain, model, pad(joint_position, 0, size)))[: len(pose)]
     if pose.ndim == 2:
         return Errors(np.linalg.norm(predicted[:, :3, 3] - pose, axis=1), None, joint_position)
     # ‖R̂ − R‖ = 2 √2 sin(angle / 2), which small angles do not round away

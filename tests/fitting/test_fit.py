@@ -295,7 +295,7 @@ def test_a_held_out_block_that_alone_moves_a_joint_is_said():
         q[20 * k : 20 * k + 20, k : k + 2] = data.joint_position[:20, k : k + 2]
     T = seed_poses(x, q)
     found = lite6jax.fit(dataclasses.replace(data, joint_position=q, position=T[:, :3, 3], quaternion=quaternions(T)))
-    assert any("held-out fits did not settle" in note for note in found.notes)
+    assert any("held-out fits did not converge" in note for note in found.notes)
 
 
 def test_messages():
