@@ -1,13 +1,12 @@
 """What every test runs under: one compilation cache, the same random examples each time, types checked on request."""
 
+import importlib.util
+import mmap
 import os
 import signal
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
-
-# LLVM's optimiser would take most of the suite's time, for functions that run on a hundred samples.
-os.environ["XLA_FLAGS"] = " ".join([os.environ.get("XLA_FLAGS", ""), "--xla_backend_optimization_level=0"])
 
 import hypothesis
 import jax
@@ -23,6 +22,21 @@ if os.environ.get("CHECK_TYPES"):
     modules = {".".join(path.relative_to(ROOT).with_suffix("").parts) for path in (ROOT / "lite6jax").rglob("*.py")}
     jaxtyping.install_import_hook(sorted(m for m in modules - UNCHECKED if "__" not in m), "beartype.beartype")
 
+# Functions of a hundred samples take longer to compile than to run; LLVM's optimiser doubles that time, and so do XLA's
+# fusion emitters. XLA ends the process at a flag that it does not know, as a later version may not know these.
+QUICK = ("xla_backend_optimization_level=0", "xla_cpu_use_fusion_emitters=false")
+
+
+def quick_flags() -> Iterator[str]:
+    """Those of `QUICK` that stand in jaxlib's library."""
+    for path in Path(str(importlib.util.find_spec("jaxlib").origin)).parent.glob("*jax_common.*"):
+        with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as library:
+            yield from (f"--{flag}" for flag in QUICK if library.find(flag.split("=")[0].encode()) >= 0)
+
+
+if "PYTEST_XDIST_WORKER" not in os.environ:  # a worker has them of the process that started it
+    os.environ["XLA_FLAGS"] = " ".join([os.environ.get("XLA_FLAGS", ""), *quick_flags()])
+
 # A shell that runs this in the background has it ignore interrupts, and the commands that are interrupted here with it.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -32,13 +46,18 @@ hypothesis.settings.load_profile("repeatable")
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """XLA's work is kept between functions of equal code, and between runs (`--cache-clear` forgets it)."""
+    """All processes and later runs share the compiled code of equal functions; `--cache-clear` removes it."""
     cache = getattr(config, "cache", None)  # absent under -p no:cacheprovider
     if cache is None:
         return
-    jax.config.update("jax_compilation_cache_dir", str(cache.mkdir("jax")))
-    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0)
-    jax.config.update("jax_persistent_cache_min_entry_size_bytes", 0)
+    kept = {
+        "jax_compilation_cache_dir": str(cache.mkdir("jax")),
+        "jax_persistent_cache_min_compile_time_secs": 0,
+        "jax_persistent_cache_min_entry_size_bytes": 0,
+    }
+    for name, value in kept.items():
+        jax.config.update(name, value)
+        os.environ[name.upper()] = str(value)  # for the processes that tests start
 
 
 @pytest.fixture(scope="session")
