@@ -1,0 +1,107 @@
+"""`fit`, `check` and `diagnose` find the same data faults, and fit what is left without them."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from diagnosis.recorded import NOISE, Made, static_motion
+
+import lite6jax
+from lite6jax.domains.pose.check import check_recording
+from lite6jax.recordings import write_recording
+
+
+@pytest.fixture(scope="module")
+def good(tmp_path_factory):
+    return Made(tmp_path_factory.mktemp("arm"), seed=2).recording(static_motion(21, 120))
+
+
+def scalar_last(recording):
+    return replace(recording, quaternion=np.roll(recording.quaternion, -1, axis=1))
+
+
+def swapped(recording):
+    order = [0, 2, 1, 3, 4, 5]
+    return replace(
+        recording,
+        joint_position=recording.joint_position[:, order],
+        direction_of_motion=recording.direction_of_motion[:, order],
+    )
+
+
+def in_millimetres(recording):
+    position = recording.position.copy()
+    position[[3, 60, 61]] *= 1000
+    return replace(recording, position=position)
+
+
+def jumped(recording):
+    position = recording.position.copy()
+    position[70:] += [1e-3, -5e-4, 3e-4]
+    return replace(recording, position=position)
+
+
+FAULTS = {
+    "orientation_convention": scalar_last,
+    "swapped_joints": swapped,
+    "position_unit": in_millimetres,
+    "frame_jump": jumped,
+}
+
+
+@pytest.mark.parametrize("code", FAULTS)
+def test_fit_check_and_diagnose_name_the_same_fault(good, code):
+    wrong = FAULTS[code](good)
+    solution = lite6jax.fit(wrong)
+    found = [solution.faults, check_recording(wrong).faults, lite6jax.diagnose(wrong).faults]
+    assert [[fault.code for fault in faults] for faults in found] == [[code]] * 3
+    # without the fault, what is left is the sensor's noise
+    assert solution.checked.position_rms < 2 * np.sqrt(3) * NOISE[0]
+    assert np.rad2deg(solution.checked.orientation.max()) < 0.1
+
+
+def test_a_good_recording_is_fitted_as_it_is(good):
+    solution = lite6jax.fit(good)
+    assert solution.faults == ()
+    np.testing.assert_array_equal(solution.recording.position, good.position)
+    checked = check_recording(good)
+    assert checked.faults == ()
+    causes = {cause.code: cause for cause in checked.causes}
+    assert set(causes) == {"tool_offset", "geometry", "outliers"}
+    assert not any(cause.suspicious for cause in causes.values())
+
+
+def test_weights_are_of_the_rows_that_were_fitted(good):
+    """A row that repeats another is dropped: the weights are those of `recording`, which has the file's row numbers."""
+    twice = good.select(np.insert(np.arange(good.samples), 5, 4))
+    twice = replace(twice, row=np.arange(1, twice.samples + 1), time=8.0 * np.arange(twice.samples))
+    position = twice.position.copy()
+    position[80] += 0.02
+    solution = lite6jax.fit(replace(twice, position=position))
+    (fault,) = solution.faults
+    assert (fault.code, fault.rows) == ("repeated_rows", (6,))
+    assert len(solution.weight) == solution.recording.samples == good.samples
+    assert solution.recording.row[np.argmin(solution.weight)] == 81
+
+
+def test_too_few_rows_are_refused_with_the_count(good):
+    with pytest.raises(lite6jax.InputError, match="5 samples give 30 numbers"):
+        lite6jax.fit(good.select(np.arange(5)), geometry="free")
+
+
+def test_a_tool_that_is_not_declared_is_suspicious(tmp_path):
+    made = Made(tmp_path, ("tool_offset:x_m=0,y_m=0,z_m=0.03",), seed=2)
+    (cause,) = [c for c in check_recording(made.recording(static_motion(21, 120))).causes if c.code == "tool_offset"]
+    assert cause.suspicious
+    np.testing.assert_allclose(cause.numbers["shift_m"], [0, 0, 0.03], atol=1e-4)
+
+
+def test_the_command_prints_the_fault_and_fits_without_it(capsys, tmp_path, good):
+    from lite6jax import cli
+
+    path = write_recording(scalar_last(good), tmp_path / "run.csv")
+    for command in ("fit", "check"):
+        assert cli.main([command, str(path)]) == 0
+        said = " ".join(capsys.readouterr().out.split())
+        assert "The orientations are quaternions with the scalar last (x, y, z, w)." in said
+        assert "Correct the columns in the file." in said

@@ -1,0 +1,209 @@
+"""The sentences about data faults: whole, with the number and the remedy, from codes and numbers alone."""
+
+import json
+
+import pytest
+
+from lite6jax.recordings.fault import DataFault
+from lite6jax.report.data_faults import (
+    fault_name,
+    fault_statement,
+    ruled_out_statement,
+    ruled_out_statements,
+    with_statements,
+)
+
+COLUMNS = {"median_error_m": 0.2, "corrected_error_m": 1e-4, "alternatives": []}
+JUMP = {
+    "row": 62,
+    "part": "base",
+    "translation_m": 1.2e-3,
+    "rotation_rad": 1e-3,
+    "twist": [1.2e-3, 0, 0, 1e-3, 0, 0],
+    "displacement_rms_m": 1.5e-3,
+    "p_value": 1e-40,
+}
+FOUND = [
+    (DataFault("time_order", (11, 12), {"largest_step_back_s": 16.0}), "2 rows are out of time order"),
+    (DataFault("repeated_rows", (6,), {"first_rows": [5]}), "(row 6 those of row 5)"),
+    (DataFault("position_unit", (4,), {"factor": 1000.0}), "1 row are a factor of 1000 too large"),
+    (
+        DataFault("commanded_joints", (), {"reason": "returns", "returns": 80, "joint_noise_rad": 2e-5}),
+        "all 80 returns to an earlier pose have the same joint positions",
+    ),
+    (
+        DataFault(
+            "commanded_joints",
+            (),
+            {"reason": "grid", "distinct_positions": 90, "grid_rad": 1.7e-4, "grid_unit": "deg"},
+        ),
+        "multiples of 0.01°",
+    ),
+    (DataFault("swapped_joints", (), {"joints": [2, 3], **COLUMNS}), "Joints 2 and 3 are swapped."),
+    (DataFault("mirrored_joint", (), {"joint": 4, **COLUMNS}), "Joint 4 has its sign reversed."),
+    (DataFault("joint_unit", (), {"joint": 3, "unit": "deg", **COLUMNS}), "Joint 3 is in degrees."),
+    (DataFault("joint_turns", (5, 10), {"joints": [2]}), "Joint 2 is off by whole turns in 2 rows."),
+    (
+        DataFault("joint_turns", (), {"joint": 2, "added_rad": -1.5707963, **COLUMNS}),
+        "The zero of joint 2 is off by +90°.",
+    ),
+    (
+        DataFault("orientation_convention", (), {"convention": "scalar_last", **COLUMNS}),
+        "The orientations are quaternions with the scalar last (x, y, z, w).",
+    ),
+    (
+        DataFault(
+            "mirrored_joint",
+            (),
+            {
+                **COLUMNS,
+                "joint": 1,
+                "alternatives": [[{"fault": "joint_turns", "joint": 2, "added_rad": 3.1415926536}]],
+            },
+        ),
+        "It is indistinguishable from another correction: the zero of joint 2 is off by half a turn.",
+    ),
+    (DataFault("frame_jump", (62, 63), JUMP), "At row 62, the sensor or the base moved by 1.2 mm and 1 mrad"),
+    (
+        DataFault("frame_jump", (62,), {**JUMP, "run": 1, "log_likelihood_gap": 812.3, "rival_terms": []}),
+        "Without a jump, the best explanation (no effect) is less likely by 812 of log-likelihood.",
+    ),
+    (
+        DataFault(
+            "unsettled_readouts",
+            (),
+            {
+                "shape": "move",
+                "joints": [3],
+                "all_joints": False,
+                "rest": 1e-4,
+                "rest_std": 2e-6,
+                "largest_rms_rad": 1e-4,
+            },
+        ),
+        "a share of each move remained (joint 3; 0.0001 ± 2e-06 of the move",
+    ),
+    (
+        DataFault(
+            "unsettled_readouts", (3, 9, 12), {"shape": "rows", "joints": [1], "all_joints": False, "rest": 0.01}
+        ),
+        "in 3 rows: 0.01 of the move remained",
+    ),
+    (
+        DataFault(
+            "nominal_table",
+            (),
+            {
+                "declared": "lite6",
+                "table": "lite6_ros",
+                "decided": False,
+                "share": 0.9,
+                "share_std": 0.3,
+                "used": "instead_of_file",
+                "log_likelihood_gap": 40.0,
+                "rival_terms": ["joint_offset:joint3"],
+                "chain": "as_published",
+                "numbers_more": 30,
+            },
+        ),
+        "a fit gains too little for 30 more parameters",
+    ),
+    (
+        DataFault(
+            "calibration_off",
+            (),
+            {"sigma_m": 1.5e-5, "sigma_rad": 1.5e-5, "log_likelihood_gap": 90.0, "rival_terms": ["tool_offset:tool"]},
+        ),
+        "Declare factory_uncertainty in the sidecar.",
+    ),
+    (DataFault("no_joints", (1, 2), {"clock_offset_s": 0.012}), "2 rows were left out: the clocks differ by 0.012 s"),
+    (DataFault("outliers", (8, 71, 134)), "3 rows are outliers and have little weight."),
+]
+COLUMN_ERRORS = {"median_error_m": 3e-4, "suspected_above_m": 7.48e-3}
+RULED_OUT = [
+    (DataFault("time_order", (), {"samples": 40, "timed": False}), "The 40 rows have no times"),
+    (DataFault("repeated_rows", (), {"samples": 40}), "None of the 40 rows repeats"),
+    (DataFault("swapped_joints", (), COLUMN_ERRORS), "column errors are suspected above 7.48 mm"),
+    (
+        DataFault("mirrored_joint", (), {**COLUMN_ERRORS, "best_alternative_m": 0.1}),
+        "no correction of columns reduces it below 100 mm",
+    ),
+    (DataFault("joint_turns", (), {"outside_limits_rad": 0.0}), "all are within their limits"),
+    (DataFault("frame_jump", (), {"reason": "chance", "p_value": 1.0, "samples": 40}), "no frame jump (p = 1)"),
+    (DataFault("frame_jump", (), {"reason": "too_few_rows", "samples": 20}), "20 rows are too few"),
+    (
+        DataFault(
+            "frame_jump",
+            (),
+            {
+                "reason": "physics",
+                "candidate_rows": [80],
+                "log_likelihood_gap": 20.0,
+                "rival_terms": ["unnamed:joint5"],
+            },
+        ),
+        "more likely by 20 of log-likelihood, with unnamed:joint5",
+    ),
+    (DataFault("unsettled_readouts", (), {"reason": "moving", "samples": 40}), "the arm moved"),
+    (
+        DataFault("unsettled_readouts", (), {"reason": "ordered_poses", "p_value": 1e-9, "samples": 40}),
+        "Record some in random order.",
+    ),
+    (DataFault("nominal_table", (), {"reason": "single_table", "declared": "xarm7"}), "xarm7 has only one"),
+    (
+        DataFault(
+            "nominal_table",
+            (),
+            {
+                "reason": "declared_fits",
+                "declared": "lite6",
+                "table": "lite6_ros",
+                "fitted": True,
+                "declared_ratio": 1.0,
+                "table_ratio": 3.0,
+            },
+        ),
+        "The chain is fitted, so that the table matters little.",
+    ),
+    (DataFault("commanded_joints", (), {"reason": "declared"}), "declares commanded joint positions"),
+]
+
+
+@pytest.mark.parametrize(("fault", "words"), FOUND, ids=lambda value: getattr(value, "code", ""))
+def test_a_fault_is_stated_with_its_numbers(fault, words):
+    said = fault_statement(fault)
+    assert words in said
+    assert said[0].isupper() or said[0].isdigit()
+    assert said.endswith(".")
+
+
+@pytest.mark.parametrize(("fault", "words"), RULED_OUT, ids=lambda value: getattr(value, "code", ""))
+def test_what_rules_a_fault_out_is_stated(fault, words):
+    said = ruled_out_statement(fault)
+    assert words in said
+    assert said.endswith(".")
+
+
+def test_columns_that_the_same_numbers_rule_out_share_a_sentence():
+    faults = [DataFault(code, (), COLUMN_ERRORS) for code in ("swapped_joints", "mirrored_joint")]
+    assert ruled_out_statements(faults) == [
+        "No joints are swapped and no joint has its sign reversed: the median error is 0.3 mm; column errors are "
+        "suspected above 7.48 mm."
+    ]
+
+
+def test_a_code_of_another_version_has_a_name():
+    assert fault_name("of_tomorrow") == "Of tomorrow"
+    assert fault_statement(DataFault("of_tomorrow", (3,), {"something": 1})) == "Of tomorrow."
+
+
+def test_a_document_gets_its_statements():
+    document = {
+        "schema": "lite6jax/diagnosis/2",
+        "data_faults": [fault.to_dict() for fault, _ in FOUND],
+        "ruled_out": [fault.to_dict() for fault, _ in RULED_OUT],
+    }
+    read = with_statements(json.loads(json.dumps(document)))
+    assert [entry["statement"] for entry in read["data_faults"]] == [fault_statement(fault) for fault, _ in FOUND]
+    assert all(entry["statement"] for entry in read["ruled_out"])
+    assert "statement" not in document["data_faults"][0]
