@@ -3,7 +3,9 @@
 from collections.abc import Callable, Sequence
 
 from lite6jax.arms.arm import Arm
-from lite6jax.diagnosis.diagnose import Diagnosis, diagnose
+from lite6jax.diagnosis.diagnose import diagnose
+from lite6jax.diagnosis.options import Options
+from lite6jax.diagnosis.result import Diagnosis
 from lite6jax.domains.pose.reference import ReferenceComparison, compare
 from lite6jax.effects.effect import Effect
 from lite6jax.fitting.problem import Geometry
@@ -17,6 +19,7 @@ def diagnose_against(
     *,
     geometry: Geometry = "declared",
     effects: Sequence[Effect] = (),
+    options: Options | None = None,
     progress: Callable[[int], object] | None = None,
 ) -> tuple[Diagnosis, ReferenceComparison]:
     """Compares a recording with a reference, and diagnoses what the recording has beyond it.
@@ -27,6 +30,7 @@ def diagnose_against(
         arm: the nominal arm; from the recording's settings where not given.
         geometry: of the recording, as in `fit`.
         effects: a user's own, as in `diagnose`.
+        options: thresholds, as in `diagnose`.
         progress: as in `diagnose`.
 
     Raises:
@@ -38,7 +42,8 @@ def diagnose_against(
         arm,
         geometry=comparison.geometry,
         effects=effects,
+        factory=comparison.factory,
+        options=options,
         progress=progress,
-        **({} if comparison.factory is None else {"factory": comparison.factory}),
     )
     return found, comparison

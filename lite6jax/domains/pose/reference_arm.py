@@ -13,10 +13,10 @@ from lite6jax.arms import frames
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.bundled import VARIANTS, bundled_arms, load_bundled
 from lite6jax.arms.factory import read_factory
-from lite6jax.domains.pose.problem import arm_moved, case_of, moved_to
+from lite6jax.domains.pose.problem import pose_problem
 from lite6jax.domains.pose.registration import Registration, register
-from lite6jax.effects.composition import Physics
-from lite6jax.estimation.least_squares import refit
+from lite6jax.estimation.least_squares import relinearise
+from lite6jax.estimation.options import DEFAULTS
 from lite6jax.fitting.problem import UNDECLARED_NOISE
 from lite6jax.model import ArmModel
 from lite6jax.recordings import Recording, RecordingSettings
@@ -30,7 +30,6 @@ SUBSTANTIAL = 0.5
 """A difference is reported where it reduces the RMS position error at least to this share."""
 _NEARLY = 1.5
 """A simpler explanation is preferred while its noise is below this multiple of the best one's."""
-_RELINEARISATIONS = 3
 _LARGEST = 3
 """Displaced links reported of a chain of another geometry."""
 _REDUNDANCY = 1.5
@@ -172,15 +171,12 @@ def with_fitted_geometry(reference: Recording, arm: Arm, start: RigidArm) -> Rig
         pose_frame="unknown" if start.fitted[1] else reference.settings.pose_frame,
     )
     freed = replace(reference, settings=settings)
-    case = case_of(freed, arm, "free")
-    if reference.numbers_per_sample * reference.samples < _REDUNDANCY * len(case.unknown):
+    problem = pose_problem(freed, arm, "free")
+    if problem.rows * problem.samples < _REDUNDANCY * len(problem.unknown):
         return None
     found = start.registration
     model = ArmModel(start.chain.kinematics.ravel(), found.T_sensor_base, arm.T_joint_flange @ found.T_flange_tool)  # type: ignore[arg-type]
-    case = replace(case, start=model, offset=np.zeros(len(case.unknown)))
-    for _ in range(_RELINEARISATIONS):
-        case = moved_to(case, refit(case, Physics()).moved)
-    model = arm_moved(case, np.zeros(len(case.unknown)))
+    model = relinearise(replace(problem, start=model), DEFAULTS).start
     rows, T_sensor_base = np.array(model.geometry).reshape(-1, 6), np.asarray(model.T_sensor_base)
     if settings.pose_frame == "base":  # a displacement of the base then belongs to the chain
         rows[0] = frames.row_from_transform(T_sensor_base @ frames.transform_from_row(rows[0]))
