@@ -15,6 +15,7 @@ from benchmarks.concealed.mujoco_physics import Arm
 from benchmarks.concealed.plain_physics import Hidden, Motion, Setup
 from benchmarks.measure import Record, timed
 from lite6jax.diagnosis.diagnose import diagnose
+from lite6jax.diagnosis.document import to_document
 from lite6jax.domains.pose.compensate import compensate
 from lite6jax.domains.pose.files import read_pose_targets
 from lite6jax.domains.pose.predict import read_model
@@ -115,7 +116,7 @@ def compensation(
             plain = fit(recording)  # the fitted geometry is what there is without a diagnosis
             seconds, found = timed(partial(diagnose, recording))
             document = Path(folder) / "diagnosis.json"
-            write_atomically(document, json.dumps(found.to_dict(), allow_nan=False))
+            write_atomically(document, json.dumps(to_document(found), allow_nan=False))
             wanted_q, payload = drawn(rng, targets)
             wanted = np.asarray(plain.predict(wanted_q), np.float64)
             asked = Recording.from_arrays(
@@ -134,7 +135,7 @@ def compensation(
             np.linalg.norm(soft.poses(q, payload)[1] - wanted[:, :3, 3], axis=1)
             for q in (wanted_q, np.asarray(solved.joint_position, np.float64))
         )
-        names = {f"{s.effect.name}:{s.effect.site}" for s in found.selection.steps}
+        names = {f"{finding.effect.name}:{finding.effect.site}" for finding in found.findings}
         floor = float(np.sqrt(3)) * NOISE[0]
         rms = float(np.sqrt(np.mean(after**2)))
         missed = int((~solved.reached).sum())
