@@ -16,7 +16,7 @@ from lite6jax.arms import frames
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.factory import FactoryCalibration
 from lite6jax.diagnosis.options import Options
-from lite6jax.domains.pose.clock import clock_offset
+from lite6jax.domains.pose.clock import linearised
 from lite6jax.domains.pose.load_model import search_load_model
 from lite6jax.domains.pose.problem import PoseProblem, pose_problem
 from lite6jax.recordings.fault import DataFault
@@ -24,7 +24,6 @@ from lite6jax.domains.pose.screening.registry import price
 from lite6jax.domains.pose.screening.screen import screen
 from lite6jax.domains.pose.screening.screened import Corrections, Screened
 from lite6jax.effects.effect import Effect
-from lite6jax.estimation.least_squares import relinearise
 from lite6jax.estimation.noise import NoiseModel, white_noise
 from lite6jax.estimation.problem import Mask
 from lite6jax.estimation.projection import schur_complement
@@ -144,11 +143,7 @@ class _Given:
         problem = self.problem(screened) if problem is None else problem
         training, engine = self.training, self.options.engine
         require_samples(screened.recording, len(problem.unknown) + 1)
-        offset = clock_offset(problem, training)
-        reference = relinearise(problem, engine, training)
-        late = reference
-        if offset:
-            late = relinearise(replace(problem, clock_offset=offset, units={}), engine, training)
+        late, reference = linearised(problem, engine, training)
         selection = search_load_model(late, reference, engine, training, self.thorough)
         if price_ is None:
             readings = float(problem.rows * selection.state.fit.training.sum())

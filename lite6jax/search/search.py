@@ -65,10 +65,15 @@ def search(
     else:
         part = _selected(problem.thinned(every), reference.thinned(every), training[::every], options, thorough)
         state = _continued(problem, reference, part, training, options)
-    if not any(np.isfinite(number.spread) for term in state.fit.terms.terms for number in term.coordinates):
+    if not any(map(_shrunk, state.fit.terms.terms)):
         state = retest(problem, state, options)
     selection = Selection(problem, reference, state)
     return _reviewed(selection, options) if thorough else selection
+
+
+def _shrunk(term: Term) -> bool:
+    """Whether a curve has the prior of harmonic shrinkage: it has absorbed what resembles autocorrelated noise."""
+    return term.nonparametric and any(np.isfinite(number.spread) for number in term.coordinates)
 
 
 def _selected(problem: Problem, reference: Problem, training: Mask, options: EngineOptions, thorough: bool) -> State:

@@ -8,13 +8,20 @@ from scipy.spatial.transform import Rotation
 
 from lite6jax.arms.bundled import load_bundled
 from lite6jax.arms.factory import write_factory
+from lite6jax.domains.pose.clock import linearised
 from lite6jax.effects.serialization import parse_effect
+from lite6jax.estimation.least_squares import fit
+from lite6jax.estimation.options import EngineOptions
+from lite6jax.estimation.terms import Terms
 from lite6jax.recordings import Recording, RecordingSettings
 from lite6jax.recordings.settings import FactoryUncertainty
+from lite6jax.search.search import search
 from tests.oracles.arms import perturbed, random_positions
 from tests.oracles.effects import predicted_poses
 from tests.oracles.transforms import perturb_poses
 
+OPTIONS = EngineOptions()
+NO_TERMS = Terms()
 LITE6 = load_bundled("lite6")
 NOISE = (2e-5, 1e-4)
 """m and rad per axis: a laser tracker with a six-dimensional probe."""
@@ -182,15 +189,26 @@ def truth(text):
     return effect, {name: estimate.value for name, estimate in effect.reported(values).items()}
 
 
+def fitted_to(problem, terms=NO_TERMS, values=None, nuisance=None, training=None, exact=False):
+    """The engine's fit at the documented options."""
+    return fit(problem, terms, OPTIONS, values, nuisance, training, exact=exact)
+
+
+def searched(problem, training=None):
+    """The search of a problem that is not linearised yet, at the documented options."""
+    late, reference = linearised(problem, OPTIONS, training)
+    return search(late, OPTIONS, training, reference)
+
+
 def found(selection):
-    """(effect, site) of each finding, sorted."""
-    return sorted((step.effect.name, step.effect.site) for step in selection.steps)
+    """(effect, site) of each finding of a search, sorted."""
+    return sorted((tested.term.name, tested.term.site) for tested in selection.state.tested)
 
 
 def estimates(selection, name, site):
     """The parameters of the finding of this name and site."""
-    fitted = selection.fitted
-    for effect, part in zip(fitted.physics.effects, fitted.physics.slices, strict=True):
+    fitted = selection.state.fit
+    for effect, part in zip(fitted.terms.terms, fitted.terms.slices, strict=True):
         if (effect.name, effect.site) == (name, site):
             return effect.reported(fitted.values[part], fitted.covariance[part, part])
     raise AssertionError(f"no {name} at {site} among {found(selection)}")
@@ -230,14 +248,17 @@ def _somewhere(seed, distance):
 __all__ = [
     "LITE6",
     "NOISE",
+    "OPTIONS",
     "Made",
     "check_values",
     "estimates",
+    "fitted_to",
     "found",
     "moving_motion",
     "plain_effect",
     "quaternions",
     "random_positions",
+    "searched",
     "static_motion",
     "truth",
     "with_effects",

@@ -11,10 +11,12 @@ from diagnosis.recorded import (
     truth,
     with_effects,
 )
+from diagnosis.recorded import (
+    searched as search_for,
+)
 
-from lite6jax.domains.pose.problem import case_of
+from lite6jax.domains.pose.problem import pose_problem
 from lite6jax.effects.serialization import parse_effect
-from lite6jax.search.forward import search_of, select
 
 
 @pytest.fixture(scope="module")
@@ -34,7 +36,7 @@ def moving():
 
 
 def searched(made, motion, **options):
-    return search_of(case_of(made.recording(motion, **options))).run()
+    return search_for(pose_problem(made.recording(motion, **options)))
 
 
 STATIC = [
@@ -132,17 +134,17 @@ def test_nothing_is_found_where_nothing_is_missing(arm, still, options):
     made = Made(arm.folder, seed=3, **options)
     poses = made.poses(still)
     for seed in range(2):
-        selection = select(case_of(made.recording(still, poses=poses, seed=seed)))
-        assert selection.steps == ()
-        assert selection.fitted is selection.baseline or np.array_equal(
-            selection.fitted.moved, selection.baseline.moved
+        selection = search_for(pose_problem(made.recording(still, poses=poses, seed=seed)))
+        assert selection.state.tested == ()
+        assert selection.state.fit is selection.state.baseline or np.array_equal(
+            selection.state.fit.nuisance, selection.state.baseline.nuisance
         )
 
 
 def test_nothing_is_found_in_a_moving_arm_where_nothing_is_missing(arm, moving):
     poses = arm.poses(moving)
     for seed in range(2):
-        assert select(case_of(arm.recording(moving, poses=poses, seed=seed))).steps == ()
+        assert search_for(pose_problem(arm.recording(moving, poses=poses, seed=seed))).state.tested == ()
 
 
 def test_two_effects_of_one_joint_that_hide_each_other(arm, moving):
@@ -174,9 +176,9 @@ def test_clocks_that_are_seconds_apart(arm, offset):
     made = Made(arm.folder, (f"time_offset:offset_s={offset}",), seed=1, frame=True)
     selection = searched(made, motion)
     assert found(selection) == [("time_offset", "clock")]
-    assert selection.fitted.values[0] == pytest.approx(offset, abs=1e-4)
-    assert selection.fitted.residual.scale == pytest.approx(1, abs=0.1)
-    late = selection.case.seen
+    assert selection.state.fit.values[0] == pytest.approx(offset, abs=1e-4)
+    assert selection.state.fit.scale[0] == pytest.approx(1, abs=0.1)
+    late = selection.problem.valid
     assert 0 < np.sum(~late) <= 2 * abs(offset) / 0.02 + 2  # of two runs
 
 
@@ -193,8 +195,8 @@ def test_what_a_calibration_cannot_be_off_by_is_found_although_it_could_explain_
     made = Made(tmp_path, (text,), 2, geometry="prior", orientation=orientation)
     selection = searched(made, static_motion(2))
     effect, values = parse_effect(text)
-    assert [step.effect for step in selection.steps] == [effect]
-    off = selection.fitted.values - values
+    assert [one.term for one in selection.state.tested] == [effect]
+    off = selection.state.fit.values - values
     assert np.abs(off[np.abs(values) > 0]).max() < 3e-4
-    std = np.sqrt(np.diagonal(selection.fitted.covariance))
+    std = np.sqrt(np.diagonal(selection.state.fit.covariance))
     assert (np.abs(off) < 4 * std).all()

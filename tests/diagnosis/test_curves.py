@@ -3,13 +3,12 @@
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from diagnosis.recorded import Made, found, moving_motion, static_motion
+from diagnosis.recorded import OPTIONS, Made, found, moving_motion, searched, static_motion
 
-from lite6jax.domains.pose.problem import case_of
+from lite6jax.domains.pose.problem import pose_problem
 from lite6jax.effects.nonparametric import Unnamed
-from lite6jax.estimation.score_test import evidence_of
-from lite6jax.search.curves import shapes
-from lite6jax.search.forward import search_of
+from lite6jax.estimation.score_test import score_test, searched_size
+from lite6jax.search.curves import best_curves
 from tests.oracles.gravity import gravity_moments
 
 
@@ -43,13 +42,13 @@ def slipping(load, most):
 
 def the_one(made, motion, bump):
     """The one finding, unnamed and at the joint of the bump, and what it does at every sample."""
-    selection = search_of(case_of(made.recording(motion, bump=bump))).run()
+    selection = searched(pose_problem(made.recording(motion, bump=bump)))
     assert found(selection) == [("unnamed", f"joint{bump[0]}")]
-    (effect,) = selection.fitted.physics.effects
+    (effect,) = selection.state.fit.terms.terms
     assert isinstance(effect, Unnamed)
-    case = selection.case
+    case = selection.problem
     done = effect.curve(
-        jnp.asarray(selection.fitted.values), effect.drivers[0].values(case.motion, case.loads), case.motion.run
+        jnp.asarray(selection.state.fit.values), effect.drivers[0].values(case.motion, case.loads), case.motion.run
     )
     return effect, np.asarray(done)
 
@@ -95,9 +94,8 @@ def test_a_spring_that_yields_and_remembers(arm, motion):
 def test_nothing_is_likely_where_nothing_is(arm, still):
     """Of all curves of all joints of three recordings, none is what one recording in 300 shows by chance."""
     for seed in range(3):
-        search = search_of(case_of(arm.recording(still, seed=seed)))
-        selection = search.run()
-        evidence = evidence_of(selection.case, selection.baseline)
-        for joint in range(1, 7):
-            for shape in shapes(evidence, joint, local=False):
-                assert shape.score.p * search.tried > search.level
+        selection = searched(pose_problem(arm.recording(still, seed=seed)))
+        test = score_test(selection.problem, selection.state.baseline, OPTIONS)
+        for family in selection.problem.curves:
+            for curve in best_curves(test, family, local=False):
+                assert curve.score.familywise(searched_size(selection.problem, OPTIONS)) > OPTIONS.level

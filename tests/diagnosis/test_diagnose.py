@@ -12,7 +12,7 @@ from lite6jax.arms.bundled import load_bundled
 from lite6jax.arms.factory import write_factory
 from lite6jax.diagnosis.diagnose import FOLDS, diagnose, statement
 from lite6jax.diagnosis.explanation import explain
-from lite6jax.domains.pose.problem import case_of
+from lite6jax.domains.pose.problem import pose_problem
 from lite6jax.domains.pose.screening import frame_jumps as jumps
 from lite6jax.domains.pose.screening.screen import examine
 from lite6jax.errors import InputError
@@ -159,13 +159,13 @@ def test_physics_without_a_name(arm, still):
     def curve(q):
         return 1.5e-3 * np.exp(-0.5 * ((q - 1.4) / 0.12) ** 2)
 
-    case = case_of(arm.recording(still, bump=(3, curve)))
+    case = pose_problem(arm.recording(still, bump=(3, curve)))
     selection = search_of(case).run()
     largest = max(selection.steps, key=lambda step: step.score.gain)
     assert (largest.effect.name, largest.effect.site) == ("unnamed", "joint3")
     assert largest.effect.drivers[0].phrase == "position of joint 3"
     assert found(selection) == [("unnamed", "joint3")]
-    values = selection.fitted.values[selection.fitted.physics.slices[0]]
+    values = selection.fitted.values[selection.fitted.terms.slices[0]]
     at = np.linspace(0.2, 2.8, 200)
     fitted = np.asarray(largest.effect.curve(jnp.asarray(values), jnp.asarray(at)))
     assert rms(fitted - curve(at)) < 1.5e-4
@@ -190,7 +190,7 @@ def test_a_recording_without_poses_is_refused(arm, still):
 
 def test_a_sequence_whose_arm_is_not_known(arm, still):
     with pytest.raises(InputError, match=r"needs a factory_calibration in the sidecar; use --geometry free"):
-        case_of(Made(arm.folder, seed=1, geometry="free").recording(still), geometry="exact")
+        pose_problem(Made(arm.folder, seed=1, geometry="free").recording(still), geometry="exact")
 
 
 def test_a_calibration_that_is_a_little_off_everywhere_is_a_fault_of_the_file(tmp_path):

@@ -3,13 +3,11 @@
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from diagnosis.recorded import LITE6, NOISE, Made, static_motion
+from diagnosis.recorded import LITE6, NOISE, OPTIONS, Made, searched, static_motion
 
-from lite6jax.domains.pose.problem import case_of
+from lite6jax.domains.pose.problem import pose_problem
 from lite6jax.effects.nonparametric import Unnamed
 from lite6jax.effects.serialization import effect_as_dict, effect_from_dict
-from lite6jax.search.forward import search_of
-from lite6jax.search.shrinkage import LINES_PER_JOINT
 
 COMPLIANCE = "joint_compliance:joint=2,compliance_rad_per_Nm=3e-5"
 
@@ -33,36 +31,38 @@ def swept(tmp_path_factory):
         truly[:, joint - 1] += transmission(joint)(motion["joint_position"][:, joint - 1])
     recording = made.recording(motion, poses=made.poses({**motion, "joint_position": truly}))
     held = np.arange(900) >= 720
-    search = search_of(case_of(recording))
-    return search.case, held, search.run(~held)
+    selection = searched(pose_problem(recording), ~held)
+    return selection.problem, held, selection
 
 
 def test_the_load_keeps_its_name_beside_the_curves(swept):
     _, _, selection = swept
-    named = [step.effect.label for step in selection.steps if not isinstance(step.effect, Unnamed)]
+    named = [one.term.label for one in selection.state.tested if not isinstance(one.term, Unnamed)]
     assert named == ["joint_compliance:joint2"]
-    values = selection.fitted.values[selection.fitted.physics.slices[0]]
-    std = np.sqrt(selection.fitted.covariance[0, 0])
+    values = selection.state.fit.values[selection.state.fit.terms.slices[0]]
+    std = np.sqrt(selection.state.fit.covariance[0, 0])
     assert values[0] == pytest.approx(3e-5, abs=4 * std)
     assert std < 2e-6
 
 
 def test_every_joint_that_errs_has_one_curve(swept):
     _, _, selection = swept
-    curves = [step.effect for step in selection.steps if isinstance(step.effect, Unnamed)]
+    curves = [one.term for one in selection.state.tested if isinstance(one.term, Unnamed)]
     assert sorted(curve.site for curve in curves) == [f"joint{joint}" for joint in range(1, 6)]
-    assert sum(len(curve.orders) for curve in curves) <= LINES_PER_JOINT * LITE6.dof
-    assert all(step.p < 0.003 for step in selection.steps)
+    assert sum(len(curve.orders) for curve in curves) <= OPTIONS.lines_per_site * LITE6.dof
+    assert all(one.p_value < 0.003 for one in selection.state.tested)
 
 
 def test_a_curve_is_the_joint_s_error_where_it_was_measured(swept):
     case, _, selection = swept
-    for effect, part in zip(selection.fitted.physics.effects, selection.fitted.physics.slices, strict=True):
+    for effect, part in zip(selection.state.fit.terms.terms, selection.state.fit.terms.slices, strict=True):
         if isinstance(effect, Unnamed):
             joint = int(effect.site[5:])
             q = np.asarray(case.motion.joint_position[joint - 1])
             q = q[(q > np.quantile(q, 0.05)) & (q < np.quantile(q, 0.95))]
-            missed = selection.fitted.values[part] @ np.asarray(effect.basis(jnp.asarray(q))) - transmission(joint)(q)
+            missed = selection.state.fit.values[part] @ np.asarray(effect.basis(jnp.asarray(q))) - transmission(joint)(
+                q
+            )
             # an offset is the calibration's, which is exact here: so none is left over
             assert np.sqrt(np.mean(missed**2)) < 0.2 * np.sqrt(np.mean(transmission(joint)(q) ** 2))
 
@@ -71,17 +71,17 @@ def test_poses_that_it_never_saw_are_predicted(swept):
     case, held, selection = swept
 
     def missed(fitted):
-        errors = case.position_errors(fitted.moved, fitted.physics, fitted.values)[:, held]
+        errors = case.position_errors(fitted.nuisance, fitted.terms, fitted.values)[:, held]
         return np.sqrt(np.mean(np.sum(errors**2, 0)))
 
     noise = np.sqrt(3) * NOISE[0]
-    assert missed(selection.baseline) > 4 * noise
-    assert missed(selection.fitted) < 1.1 * noise
+    assert missed(selection.state.baseline) > 4 * noise
+    assert missed(selection.state.fit) < 1.1 * noise
 
 
 def test_a_curve_fades_where_nothing_was_measured(swept):
     _, _, selection = swept
-    curve = next(step.effect for step in selection.steps if isinstance(step.effect, Unnamed))
+    curve = next(one.term for one in selection.state.tested if isinstance(one.term, Unnamed))
     values = jnp.ones(curve.size)
     assert np.abs(np.asarray(curve.curve(values, jnp.array([curve.lower - 1, curve.upper + 1])))).max() == 0
     assert np.abs(np.asarray(curve.curve(values, jnp.linspace(curve.lower, curve.upper, 200)))).max() > 1
@@ -89,8 +89,8 @@ def test_a_curve_fades_where_nothing_was_measured(swept):
 
 def test_a_curve_survives_its_file(swept):
     _, _, selection = swept
-    physics = selection.fitted.physics
-    for effect, part in zip(physics.effects, physics.slices, strict=True):
-        again, values = effect_from_dict(effect_as_dict(effect, selection.fitted.values[part]))
+    terms = selection.state.fit.terms
+    for effect, part in zip(terms.terms, terms.slices, strict=True):
+        again, values = effect_from_dict(effect_as_dict(effect, selection.state.fit.values[part]))
         assert again == effect
-        np.testing.assert_array_equal(values, selection.fitted.values[part])
+        np.testing.assert_array_equal(values, selection.state.fit.values[part])

@@ -2,14 +2,12 @@
 
 import numpy as np
 import pytest
-from diagnosis.recorded import Made, static_motion, with_effects
+from diagnosis.recorded import OPTIONS, Made, fitted_to, static_motion, with_effects
 
-from lite6jax.domains.pose.problem import case_of
-from lite6jax.effects.composition import Physics
+from lite6jax.domains.pose.problem import pose_problem
 from lite6jax.effects.kinematic.joints import JointHarmonic
-from lite6jax.estimation.least_squares import refit
-from lite6jax.estimation.score_test import evidence_of
-from lite6jax.search.spectrum import HIGHEST, lines, spectrum
+from lite6jax.estimation.score_test import score_test
+from lite6jax.search.spectrum import lines, spectrum
 
 
 @pytest.fixture(scope="module")
@@ -23,8 +21,8 @@ def arm(tmp_path_factory):
 
 
 def evidence(made, motion, **options):
-    case = case_of(made.recording(motion, **options))
-    return evidence_of(case, refit(case, Physics()))
+    case = pose_problem(made.recording(motion, **options))
+    return score_test(case, fitted_to(case), OPTIONS)
 
 
 @pytest.mark.parametrize(
@@ -35,10 +33,10 @@ def test_the_order_of_a_joint(arm, still, joint, order, within):
     made = with_effects(arm, f"joint_harmonic:joint={joint},order={order},amplitude_rad=6e-4,phase_rad=0.8")
     against = evidence(made, still)
     best = lines(against)[0]
-    assert best.joint == joint
+    assert best.family.site == f"joint{joint}"
     assert abs(best.order - order) <= within
-    assert best.effect == JointHarmonic(joint, best.order)
-    assert best.score.p < 1e-6
+    assert best.term == JointHarmonic(joint, best.order)
+    assert best.score.p_value < 1e-6
     # a sine and a cosine of it
     wanted = 6e-4 * np.array([np.cos(0.8), np.sin(0.8)])
     assert np.linalg.norm(best.score.values - wanted) < 0.15 * 6e-4
@@ -47,9 +45,9 @@ def test_the_order_of_a_joint(arm, still, joint, order, within):
 def test_the_spectrum_has_its_peak_there(arm, still):
     made = with_effects(arm, "joint_harmonic:joint=4,order=63.3,amplitude_rad=6e-4,phase_rad=0.8")
     against = evidence(made, still)
-    orders, gains = spectrum(against, 4)
+    orders, gains = spectrum(against, against.problem.periodic[3])
     assert orders[0] == 1.0
-    assert HIGHEST - 1 < orders[-1] < HIGHEST
+    assert OPTIONS.highest_order - 1 < orders[-1] < OPTIONS.highest_order
     assert abs(orders[np.argmax(gains)] - 63.3) < orders[1] - orders[0]
     assert gains.max() > 5 * np.sort(gains[np.abs(orders - 63.3) > 2])[-1]
     assert (gains >= 0).all()
@@ -57,7 +55,7 @@ def test_the_spectrum_has_its_peak_there(arm, still):
 
 def test_gains_are_those_of_exact_scores_where_nothing_is_fitted(arm, still):
     against = evidence(Made(arm.folder, seed=1), still)
-    orders, gains = spectrum(against, 2)
+    orders, gains = spectrum(against, against.problem.periodic[1])
     some = [0, 40, 200, len(orders) - 1]
     for k in some:
         score = against.score([JointHarmonic(2, float(orders[k]))])[0]
@@ -68,7 +66,7 @@ def test_gains_are_those_of_exact_scores_where_nothing_is_fitted(arm, still):
 def test_noise_has_no_order(arm, still):
     for seed in range(3):
         found = lines(evidence(arm, still, seed=seed))
-        assert sorted(line.joint for line in found) == [1, 2, 3, 4, 5, 6]
-        assert min(line.score.p * line.tried for line in found) > 1e-3
+        assert sorted(line.family.site for line in found) == [f"joint{j}" for j in range(1, 7)]
+        assert min(line.score.familywise(line.searched) for line in found) > 1e-3
         gains = [line.score.gain for line in found]
         assert gains == sorted(gains, reverse=True)

@@ -2,48 +2,47 @@
 
 import numpy as np
 import pytest
-from diagnosis.recorded import Made, static_motion, truth
+from diagnosis.recorded import Made, fitted_to, static_motion, truth
 from scipy.optimize import least_squares
 
-from lite6jax.domains.pose.problem import case_of, moved_to
-from lite6jax.effects.composition import Physics
-from lite6jax.estimation.least_squares import refit
+from lite6jax.domains.pose.problem import pose_problem
 from lite6jax.estimation.robust import FREEDOM, variance_factor
+from lite6jax.estimation.terms import Terms
 
 TEXT = "link_compliance:link=3,compliance_x_rad_per_Nm=2e-3,compliance_y_rad_per_Nm=1e-3"
-PHYSICS = Physics((truth(TEXT)[0],))
+PHYSICS = Terms((truth(TEXT)[0],))
 
 
 @pytest.fixture(scope="module")
 def case(tmp_path_factory):
     """A link that gives way by many milliradians, in an arm whose geometry nobody knows."""
-    case = case_of(Made(tmp_path_factory.mktemp("arm"), (TEXT,), 2, "free").recording(static_motion(5, 120)))
+    case = pose_problem(Made(tmp_path_factory.mktemp("arm"), (TEXT,), 2, "free").recording(static_motion(5, 120)))
     for _ in range(3):
-        case = moved_to(case, refit(case, Physics()).moved)
+        case = case.relinearised(fitted_to(case, Terms()).nuisance)
     return case
 
 
 def deviations_by_scipy(case, fitted):
     """Of all numbers, from the information in rows weighed as the fit weighs them."""
     k = len(case.unknown)
-    weight = np.sqrt(fitted.residual.weight) / fitted.residual.scale
+    weight = np.sqrt(fitted.residuals.weight[0]) / fitted.scale[0]
     root = np.sqrt(case.precision)
 
     def rows(x):
         left = case.residual(x[:k], PHYSICS, x[k:]) * weight
         return np.concatenate([left.ravel(), root * (case.offset + x[:k])])
 
-    at = np.concatenate([fitted.moved, fitted.values])
+    at = np.concatenate([fitted.nuisance, fitted.values])
     scale = np.concatenate([np.full(k, 1e-4), PHYSICS.typical])
     J = least_squares(rows, at, jac="3-point", x_scale=scale, max_nfev=1).jac
     norms = np.linalg.norm(J, axis=0)
-    factor = variance_factor(fitted.residual.squares, case.rows, FREEDOM, 0)
+    factor = variance_factor(fitted.residuals.squares, case.rows, FREEDOM, 0)
     return np.sqrt(np.diagonal(np.linalg.pinv((J / norms).T @ (J / norms)))) / norms * np.sqrt(factor)
 
 
 def test_exact_deviations_are_scipys_and_hold_the_truth(case):
-    fitted = refit(case, PHYSICS)
-    exact = refit(case, PHYSICS, fitted.values, fitted.moved, exact=True)
+    fitted = fitted_to(case, PHYSICS)
+    exact = fitted_to(case, PHYSICS, fitted.values, fitted.nuisance, exact=True)
     std = np.sqrt(np.diagonal(exact.covariance))
     np.testing.assert_allclose(std, deviations_by_scipy(case, exact)[-2:], rtol=1e-2)
     assert (np.abs(exact.values - [2e-3, 1e-3]) < 4 * std).all()
@@ -53,9 +52,9 @@ def test_exact_deviations_are_scipys_and_hold_the_truth(case):
 
 def test_near_the_start_all_derivatives_are_exact(tmp_path):
     text = "joint_compliance:joint=2,compliance_rad_per_Nm=9e-5"
-    physics = Physics((truth(text)[0],))
-    known = case_of(Made(tmp_path, (text,), seed=1, frame=True).recording(static_motion(5, 80)))
-    fitted = refit(known, physics)
-    exact = refit(known, physics, fitted.values, fitted.moved, exact=True)
+    terms = Terms((truth(text)[0],))
+    known = pose_problem(Made(tmp_path, (text,), seed=1, frame=True).recording(static_motion(5, 80)))
+    fitted = fitted_to(known, terms)
+    exact = fitted_to(known, terms, fitted.values, fitted.nuisance, exact=True)
     np.testing.assert_allclose(exact.values, fitted.values, rtol=1e-3)
     np.testing.assert_allclose(exact.covariance, fitted.covariance, rtol=5e-3)

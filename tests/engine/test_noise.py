@@ -2,16 +2,21 @@
 
 import numpy as np
 import pytest
-from diagnosis.recorded import NOISE, Made, found, moving_motion, static_motion
+from diagnosis.recorded import NOISE, OPTIONS, Made, fitted_to, found, moving_motion, searched, static_motion
 from scipy.linalg import toeplitz
 from scipy.stats import chi2
 
-from lite6jax.domains.pose.problem import case_of
-from lite6jax.effects.composition import Physics
-from lite6jax.estimation.least_squares import refit
-from lite6jax.estimation.noise import WHITE, Colour, autocorrelation, colour_of, correlation_length, stretches
-from lite6jax.estimation.score_test import colour_left
-from lite6jax.search.forward import search_of, select
+from lite6jax.domains.pose.problem import pose_problem
+from lite6jax.estimation.noise import (
+    UNCORRELATED,
+    Autocorrelation,
+    NoiseModel,
+    autocorrelation,
+    autocorrelation_time,
+    noise_model,
+    run_starts,
+)
+from lite6jax.estimation.score_test import remaining_noise_model
 
 
 def noise(rng, memory, slow, rows, samples):
@@ -30,7 +35,7 @@ def covariance(memory, slow, samples):
 def test_the_filter_is_the_inverse_root_of_the_covariance(memory, slow):
     n = 300
     C = covariance(memory, slow, n)
-    F = Colour(memory, slow).whitened(np.eye(n)).T  # the filter as a matrix
+    F = Autocorrelation(memory, slow).whitened(np.eye(n), (0,)).T  # the filter as a matrix
     white = F @ C @ F.T * 1.0
     late = slice(n // 2, None)  # a mixture's filter settles after some samples
     scale = white[-1, -1]
@@ -39,9 +44,9 @@ def test_the_filter_is_the_inverse_root_of_the_covariance(memory, slow):
 
 
 def test_the_volume_is_the_determinant_of_the_filter():
-    colour = Colour(0.8, 0.6, (0, 30, 75))
-    F = colour.whitened(np.eye(100)).T
-    assert colour.log_volume(100) == pytest.approx(np.linalg.slogdet(F)[1], rel=1e-12)
+    model, starts = Autocorrelation(0.8, 0.6), (0, 30, 75)
+    F = model.whitened(np.eye(100), starts).T
+    assert model.log_volume(100, len(starts)) == pytest.approx(np.linalg.slogdet(F)[1], rel=1e-12)
 
 
 def test_a_stretch_remembers_nothing_of_the_one_before():
@@ -49,9 +54,10 @@ def test_a_stretch_remembers_nothing_of_the_one_before():
     rows = rng.normal(size=(3, 90))
     other = rows.copy()
     other[:, :40] += 1.0
-    colour = Colour(0.9, 0.7, stretches(np.repeat([0, 4, 2], [40, 30, 20])))
-    np.testing.assert_array_equal(colour.whitened(rows)[:, 40:], colour.whitened(other)[:, 40:])
-    assert colour.starts == (0, 40, 70)
+    starts = run_starts(np.repeat([0, 4, 2], [40, 30, 20]))
+    model = NoiseModel((Autocorrelation(0.9, 0.7),), np.zeros(3, int), starts)
+    np.testing.assert_array_equal(model.whitened(rows)[:, 40:], model.whitened(other)[:, 40:])
+    assert starts == (0, 40, 70)
 
 
 @pytest.mark.parametrize("smooth", [False, True])
@@ -65,26 +71,29 @@ def test_colour_is_found_although_a_fit_has_taken_part_of_it(memory, slow, smoot
     y = noise(rng, memory, slow, 3, 400)
     X = columns.reshape(34, -1)
     left = (y.ravel() - np.linalg.lstsq(X.T, y.ravel(), rcond=None)[0] @ X).reshape(3, -1)
-    found = colour_of(left, columns, np.zeros(34), np.zeros(400, int))
-    assert found.memory == pytest.approx(memory, abs=0.1 if slow > 0.5 else 0.03)
-    assert found.slow == pytest.approx(slow, abs=0.2)
+    (found,) = noise_model(left, columns, np.zeros(34), np.zeros(3, int), np.zeros(400, int), OPTIONS).models
+    assert found.coefficient == pytest.approx(memory, abs=0.1 if slow > 0.5 else 0.03)
+    assert found.share == pytest.approx(slow, abs=0.2)
 
 
 def test_white_noise_is_white():
     rng = np.random.default_rng(1)
     columns = rng.normal(size=(34, 3, 400))
-    called = [colour_of(noise(rng, 0.0, 0.0, 3, 400), columns, np.zeros(34), np.zeros(400, int)) for _ in range(20)]
-    assert all(colour is WHITE for colour in called)
+    one_run, group = np.zeros(400, int), np.zeros(3, int)
+    models = [
+        noise_model(noise(rng, 0.0, 0.0, 3, 400), columns, np.zeros(34), group, one_run, OPTIONS) for _ in range(20)
+    ]
+    assert all(model.white for model in models)
     rows = rng.normal(size=(2, 5))
-    assert WHITE.whitened(rows) is rows
+    assert UNCORRELATED.whitened(rows, (0,)) is rows
 
 
 def test_autocorrelation_and_length_are_those_of_the_noise():
     rng = np.random.default_rng(2)
     rows = noise(rng, 0.9, 1.0, 3, 20000)
     np.testing.assert_allclose(autocorrelation(rows, 5), 0.9 ** np.arange(6), atol=0.02)
-    assert correlation_length(rows) == pytest.approx(1.9 / 0.1, rel=0.15)
-    assert Colour(0.9, 1.0).length == pytest.approx(1.9 / 0.1)
+    assert autocorrelation_time(rows) == pytest.approx(1.9 / 0.1, rel=0.15)
+    assert Autocorrelation(0.9, 1.0).time == pytest.approx(1.9 / 0.1)
 
 
 def recorded(made, motion, seed):
@@ -95,11 +104,11 @@ def recorded(made, motion, seed):
 
 
 def test_held_out_rows_are_not_remembered(tmp_path):
-    case = case_of(recorded(Made(tmp_path, orientation=False), static_motion(4), 4))
+    case = pose_problem(recorded(Made(tmp_path, orientation=False), static_motion(4), 4))
     used = np.arange(case.samples) >= 60
-    colour = colour_left(case, refit(case, Physics(), used=used))
-    assert colour.memory > 0.5
-    assert 60 in colour.starts
+    model = remaining_noise_model(case, fitted_to(case, training=used), OPTIONS)
+    assert model.models[0].coefficient > 0.5
+    assert 60 in model.starts
 
 
 def test_an_effect_under_noise_that_remembers_is_as_sure_as_it_is_said_to_be(tmp_path):
@@ -107,23 +116,22 @@ def test_an_effect_under_noise_that_remembers_is_as_sure_as_it_is_said_to_be(tmp
     motion, off = moving_motion(1), []
     for seed in range(8):
         made = Made(tmp_path, ("joint_compliance:joint=2,compliance_rad_per_Nm=2e-5",), 1, orientation=False)
-        search = search_of(case_of(recorded(made, motion, seed)))
-        selection = search.run()
+        selection = searched(pose_problem(recorded(made, motion, seed)))
         assert found(selection) == [("joint_compliance", "joint2")]
-        assert selection.fitted.colour is not WHITE
-        off.append((selection.fitted.values[0] - 2e-5) / np.sqrt(selection.fitted.covariance[0, 0]))
+        assert not selection.state.fit.noise.white
+        off.append((selection.state.fit.values[0] - 2e-5) / np.sqrt(selection.state.fit.covariance[0, 0]))
 
     assert chi2.ppf(0.005, 8) < np.sum(np.square(off)) < chi2.ppf(0.995, 8)
-    white = refit(search.case, selection.fitted.physics)
-    assert selection.fitted.covariance[0, 0] > 4 * white.covariance[0, 0]
+    white = fitted_to(selection.problem, selection.state.fit.terms)
+    assert selection.state.fit.covariance[0, 0] > 4 * white.covariance[0, 0]
 
 
 def test_nothing_is_found_in_noise_that_remembers(tmp_path):
     for seed in range(4):
         for motion in (static_motion(seed), moving_motion(seed)):
-            selection = select(
-                case_of(recorded(Made(tmp_path, seed=seed, geometry="prior", orientation=False), motion, seed))
+            selection = searched(
+                pose_problem(recorded(Made(tmp_path, seed=seed, geometry="prior", orientation=False), motion, seed))
             )
-            assert not selection.steps
+            assert not selection.state.tested
             assert selection.nearest is not None
             assert selection.nearest[1] > 0.003

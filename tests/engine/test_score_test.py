@@ -4,16 +4,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from diagnosis.recorded import Made, static_motion, truth, with_effects
+from diagnosis.recorded import OPTIONS, Made, fitted_to, static_motion, truth, with_effects
 
-from lite6jax.domains.pose.problem import case_of
+from lite6jax.domains.pose.problem import pose_problem
 from lite6jax.effects.catalogue import catalogue
-from lite6jax.effects.composition import Physics
 from lite6jax.effects.kinematic.joints import JointCompliance, JointOffset
 from lite6jax.effects.kinematic.links import FrameOffset
 from lite6jax.effects.serialization import parse_effect
-from lite6jax.estimation.least_squares import refit
-from lite6jax.estimation.score_test import evidence_of
+from lite6jax.estimation.score_test import score_test
+from lite6jax.estimation.terms import Terms
 
 SAMPLES = 160
 
@@ -29,7 +28,7 @@ def arm(tmp_path_factory):
 
 
 def against_nothing(case):
-    return evidence_of(case, refit(case, Physics()))
+    return score_test(case, fitted_to(case, Terms()), OPTIONS)
 
 
 @pytest.mark.parametrize(
@@ -45,19 +44,19 @@ def against_nothing(case):
 )
 def test_a_true_effect_scores_what_its_size_says(arm, still, text):
     made = with_effects(arm, text)
-    case = case_of(made.recording(still))
+    case = pose_problem(made.recording(still))
     evidence = against_nothing(case)
     effect, values = parse_effect(text)
     score = evidence.score([effect])[0]
     column = case.columns([effect]).reshape(effect.size, -1)
     information = column @ column.T
     # residuals are taken to unit length of everything that is left, the effect too
-    scale = evidence.fitted.residual.scale
+    scale = evidence.fit.scale[0]
     off = score.values - values
     assert np.sqrt(off @ information @ off) < 5 * scale + 0.05 * np.sqrt(values @ information @ values)
     assert score.gain > 0.3 * min(values @ information @ values, 500)
-    assert score.p < 1e-6
-    assert not score.hidden
+    assert score.p_value < 1e-6
+    assert not score.confounded
     # among all of the catalogue none explains clearly more
     every = [e for e in catalogue(6, turned_tool=True) if e.name not in ("joint_lag", "time_offset", "payload_error")]
     best = max(evidence.score(every), key=lambda s: s.gain)
@@ -72,8 +71,8 @@ def test_noise_alone_gives_p_values_that_are_not_too_small(arm, still, options):
     candidates = [parse_effect(text, neutral=True)[0] for text in CANDIDATES]
     p = []
     for seed in range(8):
-        evidence = against_nothing(case_of(made.recording(still, poses=poses, seed=seed)))
-        p += [score.p for score in evidence.score(candidates) if not score.hidden]
+        evidence = against_nothing(pose_problem(made.recording(still, poses=poses, seed=seed)))
+        p += [score.p_value for score in evidence.score(candidates) if not score.confounded]
     p = np.sort(p)
     assert len(p) > 150
     above = np.arange(1, len(p) + 1) / len(p) - p
@@ -92,7 +91,7 @@ CANDIDATES = [
 
 def test_units_and_the_choice_of_numbers_do_not_matter(arm, still):
     made = Made(arm.folder, ("joint_harmonic:joint=2,order=2,amplitude_rad=1e-4,phase_rad=1",), seed=1, frame=True)
-    case = case_of(made.recording(still))
+    case = pose_problem(made.recording(still))
     evidence = against_nothing(case)
     columns = case.columns([FrameOffset(3)])
     mixed = np.einsum("ij,jrs->irs", np.random.default_rng(0).uniform(-1, 1, (6, 6)), columns)
@@ -100,12 +99,12 @@ def test_units_and_the_choice_of_numbers_do_not_matter(arm, still):
     assert plain.size == scaled.size == other.size == 6
     for score in (scaled, other):
         assert score.gain == pytest.approx(plain.gain, rel=1e-6)
-        assert score.p == pytest.approx(plain.p, rel=1e-4)
+        assert score.p_value == pytest.approx(plain.p_value, rel=1e-4)
     np.testing.assert_allclose(1e-7 * scaled.values, plain.values, rtol=1e-6)
 
 
 def test_a_column_twice_counts_once(arm, still):
-    case = case_of(Made(arm.folder, seed=1, frame=True).recording(still))
+    case = pose_problem(Made(arm.folder, seed=1, frame=True).recording(still))
     evidence = against_nothing(case)
     column = case.columns([JointCompliance(2)])
     one, two = evidence.score_columns([column, np.concatenate([column, 3 * column])])
@@ -114,9 +113,9 @@ def test_a_column_twice_counts_once(arm, still):
 
 
 def test_the_last_joint_does_not_show_in_positions_of_the_flange(arm, still):
-    case = case_of(Made(arm.folder, seed=1, orientation=False).recording(still))
+    case = pose_problem(Made(arm.folder, seed=1, orientation=False).recording(still))
     evidence = against_nothing(case)
-    hidden = {e.label for e, s in zip(_known(case), evidence.score(_known(case)), strict=True) if s.hidden}
+    hidden = {e.label for e, s in zip(_known(case), evidence.score(_known(case)), strict=True) if s.confounded}
     assert {e.label for e in _known(case) if e.site == "joint6"} <= hidden
     assert not any(label.startswith("joint_offset:joint2") for label in hidden)
     assert "joint_compliance:joint5" not in hidden
@@ -128,22 +127,22 @@ def _known(case):
 
 
 def test_geometry_that_is_free_hides_offsets(arm, still):
-    case = case_of(Made(arm.folder, seed=2, geometry="free", frame=True, tool=True).recording(still))
-    fitted = refit(case, Physics())
-    evidence = evidence_of(case, fitted)
+    case = pose_problem(Made(arm.folder, seed=2, geometry="free", frame=True, tool=True).recording(still))
+    fitted = fitted_to(case, Terms())
+    evidence = score_test(case, fitted, OPTIONS)
     offsets = [FrameOffset(link) for link in (None, 1, 2, 3, 4, 5)] + [JointOffset(joint) for joint in range(1, 7)]
-    assert all(score.hidden for score in evidence.score(offsets))
+    assert all(score.confounded for score in evidence.score(offsets))
     backlash, _ = parse_effect("joint_backlash:joint=4", neutral=True)
-    assert not any(score.hidden for score in evidence.score([JointCompliance(2), backlash]))
+    assert not any(score.confounded for score in evidence.score([JointCompliance(2), backlash]))
 
 
 def test_what_the_model_has_already_is_hidden(arm, still):
     effect, _ = truth("joint_compliance:joint=2,compliance_rad_per_Nm=9e-5")
     made = with_effects(arm, "joint_compliance:joint=2,compliance_rad_per_Nm=9e-5")
-    case = case_of(made.recording(still))
-    evidence = evidence_of(case, refit(case, Physics((effect,))))
-    assert evidence.score([effect])[0].hidden
-    assert evidence.score([JointCompliance(3)])[0].p > 1e-4
+    case = pose_problem(made.recording(still))
+    evidence = score_test(case, fitted_to(case, Terms((effect,))), OPTIONS)
+    assert evidence.score([effect])[0].confounded
+    assert evidence.score([JointCompliance(3)])[0].p_value > 1e-4
 
 
 def test_rows_left_out_are_not_evidence(arm, still):
@@ -151,10 +150,10 @@ def test_rows_left_out_are_not_evidence(arm, still):
     used = np.arange(SAMPLES) < 120
     position = recording.position.copy()
     position[~used] += 1e-3
-    spoilt = case_of(replace(recording, position=position))
-    evidence = evidence_of(spoilt, refit(spoilt, Physics(), used=used))
-    clean = case_of(recording)
-    wanted = evidence_of(clean, refit(clean, Physics(), used=used))
+    spoilt = pose_problem(replace(recording, position=position))
+    evidence = score_test(spoilt, fitted_to(spoilt, Terms(), training=used), OPTIONS)
+    clean = pose_problem(recording)
+    wanted = score_test(clean, fitted_to(clean, Terms(), training=used), OPTIONS)
     for one, other in zip(evidence.score(_known(clean)), wanted.score(_known(clean)), strict=True):
         assert one.gain == pytest.approx(other.gain, rel=1e-9, abs=1e-12)
 
@@ -163,5 +162,5 @@ def test_wild_rows_count_for_little(arm, still):
     recording = arm.recording(still)
     position = recording.position.copy()
     position[[3, 77, 140]] += 0.05
-    evidence = against_nothing(case_of(replace(recording, position=position)))
-    assert min(score.p for score in evidence.score(_known(evidence.case))) > 1e-4
+    evidence = against_nothing(pose_problem(replace(recording, position=position)))
+    assert min(score.p_value for score in evidence.score(_known(evidence.problem))) > 1e-4

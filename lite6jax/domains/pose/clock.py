@@ -1,9 +1,13 @@
 """A clock offset of many samples: found by the tool's speed, which no frame, tool or geometry changes much."""
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
 from lite6jax.domains.pose.problem import PoseProblem
+from lite6jax.estimation.least_squares import relinearise
+from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.problem import Mask
 from lite6jax.recordings.sequence import run_segments
 
@@ -19,6 +23,23 @@ _BETTER = 0.1
 """Correlation that the lag must gain over none."""
 _MOST_OF_RUN = 0.5
 """Share of the longest run that a lag may have: of longer ones too little overlaps."""
+
+
+def linearised(
+    problem: PoseProblem, options: EngineOptions, training: Mask | None = None
+) -> tuple[PoseProblem, PoseProblem]:
+    """The problem about the geometry that fits at its clock offset, and the same without an offset.
+
+    Args:
+        problem: not linearised yet.
+        options: thresholds.
+        training: `(sample,)` bool, the rows to use; all where not given.
+    """
+    offset = clock_offset(problem, training)
+    reference = relinearise(problem, options, training)
+    if not offset:
+        return reference, reference
+    return relinearise(replace(problem, clock_offset=offset, units={}), options, training), reference
 
 
 def clock_offset(problem: PoseProblem, training: Mask | None = None) -> float:

@@ -8,10 +8,8 @@ import pytest
 from diagnosis.recorded import Made, estimates, found, moving_motion, static_motion
 
 from lite6jax.domains.pose.load_model import INERTIA_COUNTS, gain_of, searched, with_other_loads
-from lite6jax.domains.pose.problem import case_of
-from lite6jax.effects.composition import Physics
+from lite6jax.domains.pose.problem import pose_problem
 from lite6jax.effects.kinematic.joints import JointCompliance, JointHarmonic
-from lite6jax.estimation.least_squares import refit
 from lite6jax.estimation.score_test import Score
 from lite6jax.search.backward import Step
 from lite6jax.search.final_estimates import stated
@@ -44,7 +42,7 @@ def recorded(made, motion, accelerating):
     ]
     bent = q.copy()
     bent[:, 1] += COMPLIANCE * np.array(torque)
-    return case_of(made.recording(motion, poses=made.poses({**motion, "joint_position": bent}), seed=4))
+    return pose_problem(made.recording(motion, poses=made.poses({**motion, "joint_position": bent}), seed=4))
 
 
 @pytest.mark.parametrize("accelerating", [True, False])
@@ -71,9 +69,9 @@ def test_what_is_unsure_of_the_loads_is_in_the_deviation(tmp_path, moving):
     recording = replace(case.recording, position=case.recording.position + rng.normal(0, 5e-4, (240, 3)))
     settings = replace(recording.settings, position_noise_m=5e-4)
     recording = replace(recording, quaternion=None, settings=replace(settings, orientation_noise_rad=None))
-    physics = Physics((SURE.effect,))
-    search = search_of(case_of(recording))
-    fitted = refit(search.case, physics)
+    physics = Terms((SURE.effect,))
+    search = search_of(pose_problem(recording))
+    fitted = fitted_to(search.case, physics)
     selection = Selection(search.case, search.plain, fitted, fitted, (SURE,), search.candidates)
     other = with_other_loads(selection)
     gain = gain_of(selection.fitted, other)
@@ -87,7 +85,7 @@ def test_what_is_unsure_of_the_loads_is_in_the_deviation(tmp_path, moving):
 
 def test_an_arm_at_rest_has_no_other_loads(tmp_path):
     made = Made(tmp_path, ("joint_compliance:joint=2,compliance_rad_per_Nm=2e-4",), seed=1)
-    search, selection = searched(case_of(made.recording(static_motion(5, 80))))
+    search, selection = searched(pose_problem(made.recording(static_motion(5, 80))))
     assert search.case.motion.joint_acceleration is None
     assert with_other_loads(selection) is None
     assert found(selection) == [("joint_compliance", "joint2")]
@@ -96,9 +94,9 @@ def test_an_arm_at_rest_has_no_other_loads(tmp_path):
 def test_orders_read_off_a_spectrum_are_fitted_along(tmp_path, moving):
     order = 3.37
     made = Made(tmp_path, (f"joint_harmonic:joint=1,order={order},amplitude_rad=3e-4,phase_rad=0.5",), seed=1)
-    selection = searched(case_of(made.recording(moving, seed=2)))[1]
+    selection = searched(pose_problem(made.recording(moving, seed=2)))[1]
     said = stated(selection)
-    assert [step.effect for step in said.steps] == list(said.fitted.physics.effects)
+    assert [step.effect for step in said.steps] == list(said.fitted.terms.terms)
     got = estimates(said, "joint_harmonic", "joint1")
     before = estimates(selection, "joint_harmonic", "joint1")
     assert abs(got["order"].value - order) < 0.02
@@ -111,12 +109,12 @@ def test_orders_read_off_a_spectrum_are_fitted_along(tmp_path, moving):
 @pytest.mark.parametrize(("order", "said"), [(5.0, 5.0), (4.96, None)])
 def test_a_whole_order_is_kept_while_the_data_allow_it(tmp_path, still, order, said):
     made = Made(tmp_path, (f"joint_harmonic:joint=1,order={order},amplitude_rad=4e-4,phase_rad=0.5",), seed=1)
-    selection = searched(case_of(made.recording(still, seed=2)))[1]
+    selection = searched(pose_problem(made.recording(still, seed=2)))[1]
     (step,) = selection.steps
     whole = JointHarmonic(1, 5.0)
-    fitted = refit(selection.case, Physics((whole,)), moved=selection.fitted.moved, used=selection.fitted.used)
+    fitted = fitted_to(selection.case, Terms((whole,)), nuisance=selection.fitted.nuisance, training=selection.fitted.used)
     got = stated(replace(selection, fitted=fitted, steps=(replace(step, effect=whole),)))
-    (effect,) = got.fitted.physics.effects
+    (effect,) = got.fitted.terms.terms
     assert isinstance(effect, JointHarmonic)
     assert effect.order is not None
     assert effect == got.steps[0].effect

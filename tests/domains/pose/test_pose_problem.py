@@ -7,14 +7,14 @@ import pytest
 from diagnosis.recorded import NOISE, Made, moving_motion, plain_effect, static_motion, with_effects
 from scipy.spatial.transform import Rotation
 
-from lite6jax.domains.pose.problem import arm_moved, case_of, moved_to
-from lite6jax.effects.composition import Physics
+from lite6jax.domains.pose.problem import pose_problem
 from lite6jax.effects.kinematic.joints import JointHarmonic
 from lite6jax.effects.serialization import parse_effect
+from lite6jax.estimation.terms import Terms, join
 from tests.oracles.chains import six_parameter_poses
 
 SAMPLES = 12
-NOTHING = Physics()
+NOTHING = Terms()
 STATIC = [
     "joint_offset:joint=3,offset_rad=2e-4",
     "joint_scale:joint=2,scale=3e-4",
@@ -48,14 +48,14 @@ def motions():
 @pytest.fixture(scope="module")
 def known(arm, motions):
     """Nothing is to be fitted."""
-    return {name: case_of(arm.recording(motion)) for name, motion in motions.items()}
+    return {name: pose_problem(arm.recording(motion)) for name, motion in motions.items()}
 
 
 @pytest.fixture(scope="module")
 def unknown(arm, motions):
     """Geometry, sensor and tool are to be fitted."""
     made = Made(arm.folder, seed=1, geometry="free", frame=True, tool=True)
-    return case_of(made.recording(static_motion(3, 40)))
+    return pose_problem(made.recording(static_motion(3, 40)))
 
 
 def plain_residual(poses, recording, orientation=True):
@@ -89,9 +89,9 @@ def test_residuals_are_those_of_a_plain_arm_with_the_effect(arm, motions, known,
     case = known[kind]
     effect, values = parse_effect(text)
     poses = with_effects(arm, text).poses(motions[kind])
-    found = case.residual(np.zeros(0), Physics((effect,)), values)
+    found = case.residual(np.zeros(0), Terms((effect,)), values)
     close(found, plain_residual(poses, case.recording), 1e-9)
-    errors = case.position_errors(np.zeros(0), Physics((effect,)), values)
+    errors = case.position_errors(np.zeros(0), Terms((effect,)), values)
     np.testing.assert_allclose(errors, (poses[:, :3, 3] - case.recording.position).T, rtol=0, atol=1e-12)
 
 
@@ -99,10 +99,10 @@ def test_residuals_of_several_effects_and_of_positions_alone(arm, motions):
     texts = [STATIC[2], STATIC[4], STATIC[7], STATIC[13]]
     made = Made(arm.folder, tuple(texts), seed=1, orientation=False)
     recording = made.recording(motions["static"])
-    case = case_of(recording)
+    case = pose_problem(recording)
     parsed = [parse_effect(text) for text in texts]
-    physics = Physics(tuple(effect for effect, _ in parsed))
-    found = case.residual(np.zeros(0), physics, physics.join([values for _, values in parsed]))
+    terms = Terms(tuple(effect for effect, _ in parsed))
+    found = case.residual(np.zeros(0), terms, join(values for _, values in parsed))
     assert found.shape == (3, SAMPLES)
     close(found, plain_residual(made.poses(motions["static"]), recording, orientation=False), 1e-9)
 
@@ -111,17 +111,17 @@ def test_residuals_of_several_effects_and_of_positions_alone(arm, motions):
 def test_columns_are_derivatives_of_residuals(known, text):
     case = known["moving" if text in MOVING else "static"]
     effect, values = parse_effect(text)
-    physics = Physics((effect,))
-    at_zero = differentiated(lambda v: case.residual(np.zeros(0), physics, v), np.zeros(effect.size), 1e-6)
+    terms = Terms((effect,))
+    at_zero = differentiated(lambda v: case.residual(np.zeros(0), terms, v), np.zeros(effect.size), 1e-6)
     close(case.columns([effect]), at_zero, 1e-6)
-    there = differentiated(lambda v: case.residual(np.zeros(0), physics, v), values, 1e-6)
+    there = differentiated(lambda v: case.residual(np.zeros(0), terms, v), values, 1e-6)
     assert np.abs(case.columns([effect], values) - there).max() < 5e-3 * np.abs(there).max()
 
 
 def test_columns_of_a_free_order(known):
     """The order itself is fitted about where it is, not about no amplitude."""
     case, effect, values = known["static"], JointHarmonic(4), np.array([3e-4, -2e-4, 7.5])
-    there = differentiated(lambda v: case.residual(np.zeros(0), Physics((effect,)), v), values, 1e-6)
+    there = differentiated(lambda v: case.residual(np.zeros(0), Terms((effect,)), v), values, 1e-6)
     assert np.abs(case.columns([effect], values) - there).max() < 5e-3 * np.abs(there).max()
     assert np.abs(there[2]).max() > 0
 
@@ -169,7 +169,7 @@ def test_the_nuisance_is_the_derivative_of_the_residuals(unknown):
 
 def test_what_is_unknown_follows_from_what_is_declared(arm, motions):
     def unknown(**options):
-        case = case_of(Made(arm.folder, seed=1, **options).recording(motions["static"]))
+        case = pose_problem(Made(arm.folder, seed=1, **options).recording(motions["static"]))
         return len(case.unknown), int(np.count_nonzero(case.precision))
 
     assert unknown() == (0, 0)
@@ -183,7 +183,7 @@ def test_what_is_unknown_follows_from_what_is_declared(arm, motions):
 def test_moving_the_start_changes_no_prediction(unknown):
     case = unknown
     moved = 1e-3 * np.random.default_rng(0).standard_normal(len(case.unknown))
-    there = moved_to(case, moved)
+    there = case.relinearised(moved)
     none = np.zeros(0)
     before = case.residual(moved, NOTHING, none)
     np.testing.assert_allclose(there.residual(np.zeros(len(moved)), NOTHING, none), before, rtol=0, atol=1e-7)
@@ -197,7 +197,7 @@ def test_moving_the_start_changes_no_prediction(unknown):
 def test_the_moved_arm_is_a_plain_chain(unknown):
     case = unknown
     moved = 1e-3 * np.random.default_rng(0).standard_normal(len(case.unknown))
-    arm = arm_moved(case, moved)
+    arm = case.displaced(moved)
     chain = six_parameter_poses(np.asarray(arm.geometry).reshape(-1, 6), case.recording.joint_position)
     poses = np.asarray(arm.T_sensor_base) @ chain @ np.asarray(arm.T_flange_tool)
     errors = case.position_errors(moved, NOTHING, np.zeros(0))
@@ -206,7 +206,7 @@ def test_the_moved_arm_is_a_plain_chain(unknown):
 
 def test_harmonics_are_columns_of_joint_harmonics(known):
     case, orders = known["static"], np.array([1.0, 2.0, 7.5, 101.0])
-    found = case.harmonics(4, orders)
+    found = case.periodic[3].columns(orders)
     assert found.shape == (4, 2, 6, SAMPLES)
     for order, pair in zip(orders, found, strict=True):
         np.testing.assert_allclose(pair, case.columns([JointHarmonic(4, float(order))]), rtol=1e-12)
@@ -216,9 +216,9 @@ def test_the_noise_of_joint_readings_whitens_with_the_arm(arm, motions):
     """The covariance of a sample is the sensor's and what the joints' noise makes at the tool."""
     recording = arm.recording(motions["static"])
     noisy = replace(recording, settings=replace(recording.settings, joint_noise_rad=3e-5))
-    case = case_of(noisy)
+    case = pose_problem(noisy)
     whitener = np.moveaxis(np.asarray(case.measured.whitener), -1, 0)
-    plain = case_of(recording)
+    plain = pose_problem(recording)
     J = np.stack([plain.sites["joint", j, 0] for j in range(6)])  # (joint, row, sample), whitened
     sigma = np.repeat(NOISE, 3)
     J = J * sigma[:, None]
