@@ -1,9 +1,9 @@
-"""The one error a user's input can cause."""
+"""The error of invalid user input."""
 
 
 class InputError(ValueError):
-    """Something given from outside cannot be used.
+    """Invalid input of a user: a file, an argument or an option.
 
-    The message is one line that names the file, the place in it and the remedy;
-    the command line prints it and exits with code 2.
+    The message is one line that names the file, the place in it and the remedy. The command line prints it and exits
+    with code 2.
     """

@@ -1,4 +1,4 @@
-"""Files in and out: whole or not at all, never overwritten silently, YAML without surprises."""
+"""Reading and writing files: atomic writes, no silent overwriting, and a safe subset of YAML."""
 
 import os
 import tempfile
@@ -16,9 +16,7 @@ YAML_NODE_LIMIT = 100_000
 
 
 def check_writable(path: str | Path, overwrite: bool = False) -> Path:
-    """The path, if a file may be written there.
-
-    Call it before long work whose result goes to `path`.
+    """The path, after a check that a file may be written there; call it before a long computation.
 
     Raises:
         InputError: the file exists and `overwrite` is false, or its folder does not exist.
@@ -34,15 +32,15 @@ def check_writable(path: str | Path, overwrite: bool = False) -> Path:
 
 
 def write_atomically(path: str | Path, write: Callable[[Path], object] | str | bytes, overwrite: bool = False) -> Path:
-    """Writes a file so that a reader sees the old content or the new, never a part.
+    """Writes a file atomically: a reader sees the old content or the new, never a part.
 
     Args:
         path: the destination.
-        write: the content, or a function that is given a temporary path beside the destination and fills it.
+        write: the content, or a function that writes it to a temporary path beside the destination.
         overwrite: whether an existing file may be replaced.
 
     Raises:
-        InputError: as `check_writable`, or the disk refuses (full, read-only): nothing is left behind.
+        InputError: as `check_writable`, or the disk is full or read-only. No partial file remains.
     """
     path = check_writable(path, overwrite)
     try:
@@ -63,7 +61,7 @@ def write_atomically(path: str | Path, write: Callable[[Path], object] | str | b
         temporary.chmod(0o666 & ~umask)
         if overwrite:
             os.replace(temporary, path)
-        else:  # a link fails where a file has appeared meanwhile; a rename would replace it
+        else:  # a link fails if the file exists by now, where a rename would replace it
             os.link(temporary, path)
             temporary.unlink()
     except FileExistsError as error:
@@ -102,7 +100,7 @@ def read_yaml(path: str | Path) -> Any:
     """A YAML file's content: plain mappings, lists, strings and numbers only.
 
     Raises:
-        InputError: as `read_text`, not YAML, a tag, a key given twice, or aliases that expand beyond bounds.
+        InputError: as `read_text`, not YAML, a tag, a repeated key, or aliases that expand to too many values.
     """
     text = read_text(path, YAML_SIZE_LIMIT)
     try:
@@ -134,7 +132,7 @@ _PLAIN_TAGS = {
 
 
 def _check_node(path: str | Path, node: yaml.Node, budget: list[int]) -> None:
-    """Counts the nodes as aliases expand, so that an alias bomb costs no more than the budget."""
+    """Checks a node and those below it; `budget` limits their number after the expansion of aliases."""
     budget[0] -= 1
     where = f"{path}: line {node.start_mark.line + 1}:"
     if budget[0] < 0:

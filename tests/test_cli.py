@@ -228,7 +228,7 @@ def test_files_are_not_replaced_unasked(capsys, tmp_path, calibration):
     assert run(capsys, "fit", calibration, "--out", out, "--force")[0] == 0
     assert json.loads(out.read_text())["units"] == "mm and deg"
     assert "let the name end in .json" in refused(capsys, "fit", calibration, "--out", tmp_path / "model.yaml")
-    assert "no folder can be made here" in refused(capsys, "fit", calibration, "--figures", out / "below")
+    assert "this folder cannot be created" in refused(capsys, "fit", calibration, "--figures", out / "below")
 
 
 def test_fit_draws(capsys, tmp_path, calibration):
@@ -327,7 +327,7 @@ def test_fit_of_a_recording(capsys, tmp_path):
     assert "below each number its standard deviation" in text
     assert "Noise per axis: declared 0.0200 mm, 0.0057°; the residuals have" in text
     assert "as declared." in text
-    assert "No sample stands out: all 120 keep their weight." in text
+    assert "No outliers: all 120 samples keep their weight." in text
     assert max(map(len, [line for line in said.splitlines() if str(tmp_path) not in line])) <= 60
     for name in ("run_error_by_joint", "run_error_distribution"):
         assert (tmp_path / f"{name}.png").stat().st_size > 10_000
@@ -393,7 +393,7 @@ def test_compare_shows_how_arms_differ(capsys, tmp_path):
     assert said.startswith("3 arms of the type lite6; flange over 1000 samples.\n")
     row = re.search(r"^d1 +mm +(.+)$", said, re.MULTILINE)
     np.testing.assert_allclose([float(v) for v in row[1].split()], [0, 1, -1, 1, 1], atol=1e-4)
-    same = flat(said).split("As nominal in every arm: ")[1].split(".")[0].split(", ")
+    same = flat(said).split("Equal to nominal in every arm: ")[1].split(".")[0].split(", ")
     assert len(same) == 27
     assert "d1" not in same
     distances = said.split("two arms' flanges (mm)\n")[1].splitlines()[2:5]
@@ -454,7 +454,7 @@ def test_a_fleet_has_a_row_a_file(capsys, tmp_path):
     assert "not a calibration" in rows["settings.yaml"]["message"]
     assert rows["broken.csv"]["kind"] == "recording"
     assert rows["flawed.yaml"]["d1_m"] is None
-    assert "3 of 6 files have no fit to use:" in said
+    assert "3 of 6 files have no usable fit:" in said
     # its own table is not an input when it is written again, and is not replaced unasked
     assert "exists already" in refused(capsys, "fleet", inputs, "--out", out)
     assert run(capsys, "fleet", inputs, "--out", out, "--force")[0] == 0
@@ -613,7 +613,7 @@ def test_every_factory_file_of_universal_robots(capsys, tmp_path):
     bad = [row for row in rows if row not in good]
     assert sorted(row["file"].split("+")[0] for row in bad) == ["ur5__GerardHarkemaAvans", "ur5e__brenhertel"]
     assert all("is turned by 180° about z" in row["message"] for row in bad)
-    assert "2 of 49 files have no fit to use:" in said
+    assert "2 of 49 files have no usable fit:" in said
 
 
 @needs(REAL / "ur10")
@@ -622,13 +622,13 @@ def test_the_ur10_recording(capsys):
     assert (code, err) == (0, "")
     text = flat(said)
     assert "Recording of 1495 samples, 6 joints of a ur10: positions and orientations by laser tracker." in text
-    held_out = re.search(r"(\S+) mm RMS on rows it had not seen, (\S+) mm before", text)
+    held_out = re.search(r"(\S+) mm RMS on held-out rows, (\S+) mm before", text)
     assert float(held_out[1]) <= 0.48
     assert float(held_out[2]) == pytest.approx(1.1, abs=0.02)
     assert "Joints 2-3 and 3-4 are nominally parallel" in text
-    assert "theta_off1: carried by frame_rz" in text
+    assert "theta_off1: confounded with frame_rz" in text
     assert re.search(r"^J1 .*\n +held +held +±", said, re.MULTILINE)
-    named = re.search(r"samples stand out and weigh less than 0.3: rows ([\d, ]+)", text)
+    named = re.search(r"samples are outliers with weights below 0.3: rows ([\d, ]+)", text)
     assert {"533", "855", "856"} <= set(named[1].split(", "))  # 532, 854 and 855 from zero, as its README has them
 
 

@@ -1,4 +1,4 @@
-"""What an arm is by design: its nominal chain, limits, masses and flange."""
+"""The nominal arm: its chain, limits, masses and flange by design."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -11,7 +11,7 @@ from lite6jax.errors import InputError
 
 Array = NDArray[np.floating]
 
-# A published DH table may be rounded otherwise than the six parameters beside it (the vendor's ROS file says 1.5708).
+# A published DH table and the six parameters beside it may be rounded differently (the vendor's ROS file has 1.5708).
 DH_EXACT = 1e-9
 DH_AGREES = 1e-4
 
@@ -20,23 +20,22 @@ DH_AGREES = 1e-4
 class Arm:
     """A serial arm of revolute joints, in SI units; every array is float64 and read-only.
 
-    The flange stands at `T_base_flange = prod_i Trans(x, y, z) Rz(yaw) Ry(pitch) Rx(roll) Rz(q_i) @ T_joint_flange`.
+    Flange: `T_base_flange = prod_i Trans(x, y, z) Rz(yaw) Ry(pitch) Rx(roll) Rz(q_i) @ T_joint_flange`.
 
     Attributes:
         name: one printable line.
         kinematics: (joint, 6) nominal x y z roll pitch yaw of each joint's frame in the previous one, m and rad.
-        joint_limits: (joint, 2) lower and upper, rad; +-2 pi where not given.
-        T_joint_flange: (4, 4) from the frame after the last joint to the flange; the identity where not given.
-        mass: (joint,) kg of link i, which joint i moves; or None where unknown.
+        joint_limits: (joint, 2) lower and upper, rad; None for +-2 pi.
+        T_joint_flange: (4, 4) from the frame after the last joint to the flange; None for the identity.
+        mass: (joint,) kg, of the link after joint i; None if unknown.
         center_of_mass: (joint, 3) m, in the frame after joint i's rotation; given together with `mass`.
-        dh: (joint, 4) the published standard DH table, theta_off d a alpha in rad and m, where there is one. It
-            describes the same chain without `T_joint_flange`, and fixes the branch (theta, sign of alpha) of the Hayati
-            parameters.
-        source: where the numbers are from.
+        dh: (joint, 4) the published standard DH table, theta_off d a alpha in rad and m, or None. It describes the same
+            chain without `T_joint_flange`, and determines the branch (theta, sign of alpha) of the Hayati parameters.
+        source: the origin of the numbers.
 
     Raises:
-        InputError: an array of the wrong shape, a number that is not finite, limits the wrong way round, a negative
-            mass, a flange that is no rigid transform, or a DH table that is another chain than `kinematics`.
+        InputError: an array of the wrong shape, a number that is not finite, limits in the wrong order, a negative
+            mass, a flange that is not a rigid transform, or a DH table of another chain than `kinematics`.
     """
 
     name: str
@@ -112,7 +111,7 @@ class Arm:
 
     @property
     def reach(self) -> float:
-        """m; no joint position takes the flange further than this from the base's origin."""
+        """m; an upper bound of the distance of the flange from the origin of the base."""
         offsets = np.vstack([self.kinematics[:, :3], self.T_joint_flange[:3, 3]])
         return float(np.linalg.norm(offsets, axis=1).sum())
 
@@ -123,15 +122,15 @@ class Arm:
 
     @cached_property
     def form(self) -> chains.HayatiForm:
-        """The Hayati form of this arm: which joints are nominally parallel to the next."""
+        """The Hayati form of this arm, by its nominally parallel axes."""
         return chains.hayati_form_of(self.kinematics)
 
     @cached_property
     def hayati(self) -> Array:
-        """(size,) the nominal Hayati parameters in `form`'s order, without `T_joint_flange`.
+        """(size,) the nominal Hayati parameters in the order of `form`, without `T_joint_flange`.
 
-        Read from the published DH table where it is the same chain exactly; else converted in closed form, on the
-        branch of the table where there is one.
+        They are those of the published DH table if it describes exactly the same chain; else they are converted in
+        closed form, on the branch of the table if there is one.
         """
         published = None
         if self.dh is not None and not self.dh[list(self.form.parallel), 1].any():
@@ -142,7 +141,7 @@ class Arm:
 
     @cached_property
     def _dh_distance(self) -> float:
-        """The largest difference of any entry of the flange's pose between DH table (if any) and six parameters."""
+        """The largest difference of an entry of the flange pose between DH table and six parameters, or 0."""
         if self.dh is None:
             return 0.0
         q = sample_joints(self.dof)
@@ -151,9 +150,9 @@ class Arm:
 
 
 def sample_joints(dof: int, count: int = 64) -> Array:
-    """(count, dof) rad: joint positions that fill +-pi evenly, the same at every call.
+    """(count, dof) rad: joint positions that fill +-pi evenly and do not depend on random numbers.
 
-    The additive recurrence of the generalised golden ratio (Roberts, 2018): no random numbers, no seed.
+    The additive recurrence of the generalised golden ratio (M. Roberts, 2018).
     """
     ratio = 2.0
     for _ in range(60):

@@ -10,7 +10,7 @@ from lite6jax.errors import InputError
 
 _DATA = Path(__file__).parent / "data"
 
-# The same model after another of the vendor's files: never the answer to which model a calibration is of.
+# The same model from another file of the vendor: excluded when the model of a calibration is recognised.
 VARIANTS = ("lite6_ros",)
 
 
@@ -25,7 +25,7 @@ def load_bundled(name: str) -> Arm:
     """A bundled arm by its name.
 
     Raises:
-        InputError: no such arm; the line lists the names.
+        InputError: no such arm; the message lists the names.
     """
     if name not in bundled_arms():
         raise InputError(f"no bundled arm {name!r}; {entries.suggestion(name, bundled_arms())}")

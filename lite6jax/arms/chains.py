@@ -1,68 +1,37 @@
-"""Serial chains as pure functions: the six-parameter chain, the Hayati chain, and the twists of their parameters.
+"""Serial chains as forms of their parameters: the six-parameter chain of factory files and URDF, and the Hayati chain.
 
-A chain is walked as a frame that moves along its own axes. Inside this module the sample is the last axis of every
-array, so that an elementary move is a vector instruction over samples, and the joints are a loop, so that neither
-compile time nor recomputed prefixes grow with their number.
+`forward_kinematics` evaluates a form. The sample is the last axis of every array.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property, partial
-from typing import NamedTuple
+from functools import cached_property
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 import numpy.typing as npt
-from jax import Array, lax
-from jax.typing import ArrayLike
+from jax import Array
 
-from lite6jax.arms.moves import (
-    Frame,
-    Turn,
-    Twist,
-    X,
-    Y,
-    Z,
-    base_frame,
-    displace,
-    rotate,
-    rotation_twist,
-    translate,
-    turn,
-)
-from lite6jax.arms.se3 import transform
+from lite6jax.arms.moves import Frame, Turn, Twist, X, Y, Z, rotate, rotation_twist, translate, turn
 from lite6jax.errors import InputError
 
 PARALLEL_WITHIN = np.deg2rad(5.0)
-"""Neighbouring axes closer than this in the nominal geometry count as parallel; what assembly tilts is far below."""
-
-
-class Bend(NamedTuple):
-    """What shifts the frames of a six-parameter chain away from its parameters, sample by sample; None is nothing.
-
-    Attributes:
-        stretch: `(joint, sample)`, the relative growth of the vector to each joint's origin.
-        twist: `(joint, 6, sample)`, what `displace` does to each frame after its joint's rotation.
-    """
-
-    stretch: Array | None = None
-    twist: Array | None = None
+"""rad; neighbouring axes within this angle of the nominal geometry count as parallel. Assembly tolerances are far
+smaller."""
 
 
 @dataclass(frozen=True)
 class SixParameterForm:
     """The chain of factory files and URDF: x y z roll pitch yaw, then the joint's rotation.
 
-    T = ∏ Trans(xᵢ, yᵢ, zᵢ) Rz(yawᵢ) Ry(pitchᵢ) Rx(rollᵢ) Rz(qᵢ). Of its 6 n parameters 4 n + 2 are determined by
-    flange poses (26 for six joints): each joint's axis is a line (4 numbers), and the last joint fixes the flange's
-    height and angle on it. The free directions: each joint's frame may slide along and turn about its own axis, which
-    the next joint's origin undoes (2 (n − 1) of them).
+    T = ∏ Trans(xᵢ, yᵢ, zᵢ) Rz(yawᵢ) Ry(pitchᵢ) Rx(rollᵢ) Rz(qᵢ). Flange poses identify 4 n + 2 of its 6 n parameters
+    (26 for six joints): 4 for each joint's axis, a line, and the flange's height and angle on the last one. The other
+    2 (n − 1) directions are unidentifiable: a joint's frame can be shifted along and rotated about its own axis, and
+    the next joint's origin compensates it.
     """
 
     dof: int
 
-    entering = 0
+    base_size = 0
 
     @property
     def size(self) -> int:
@@ -81,22 +50,22 @@ class SixParameterForm:
 
     @cached_property
     def walking_order(self) -> np.ndarray:
-        """The walk meets yaw before pitch before roll."""
+        """The places in `names` of the parameters in order of application: yaw before pitch before roll."""
         return (6 * np.arange(self.dof)[:, None] + np.array([0, 1, 2, 5, 4, 3])).ravel()
 
     @property
     def flags(self) -> np.ndarray:
-        """All joints are alike."""
+        """False for every joint, because all have the same parameters."""
         return np.zeros(self.dof, bool)
 
-    def enter(self, frame: Frame, values: Array) -> tuple[Frame, tuple[Twist, ...]]:
-        """Nothing stands before joint 1."""
+    def apply_base(self, frame: Frame, values: Array) -> tuple[Frame, tuple[Twist, ...]]:
+        """The frame unchanged: no transformation precedes joint 1."""
         return frame, ()
 
     def step(
         self, frame: Frame, values: Array | tuple[Array, ...], flag: Array, joint: Turn
     ) -> tuple[Frame, tuple[Twist, ...]]:
-        """Through one joint's origin and rotation."""
+        """The frame after the origin and the rotation of one joint, and the twists of the joint's parameters."""
         x, y, z, yaw, pitch, roll = values
         shifts = tuple(Twist(frame[axis], None) for axis in (X, Y, Z))
         frame = translate(translate(translate(frame, X, x), Y, y), Z, z)
@@ -111,12 +80,12 @@ class SixParameterForm:
 
 @dataclass(frozen=True)
 class HayatiForm:
-    """The effective model: a base, then standard DH, with Hayati's parameter where neighbouring axes are parallel.
+    """The minimal chain: a base, then standard DH, with Hayati's beta where neighbouring axes are parallel.
 
     T = Base ∏ Aᵢ, Base = Trans(x, y, 0) Ry(pitch) Rx(roll), Aᵢ = Rz(qᵢ + theta_offᵢ) Tz(dᵢ) Tx(aᵢ) Rx(alphaᵢ);
-    for a joint in `parallel` d is zero and Ry(betaᵢ) follows (S. Hayati, CDC 1983). 4 n + 4 parameters (28 for six
-    joints), all of them determined by flange poses: 4 for each joint's axis and 4 for the flange on the last one.
-    A flange whose frame is free in all six numbers, a general tool, has two more: 4 n + 6 = 30, the full model.
+    for a joint in `parallel` d is zero and Ry(betaᵢ) follows (S. Hayati, CDC 1983). Flange poses identify
+    all 4 n + 4 parameters (28 for six joints): 4 for each joint's axis and 4 for the flange on the last one. A flange
+    frame that is free in all six coordinates, a general tool, adds two: 4 n + 6 = 30, the full model.
 
     Attributes:
         dof: number of joints.
@@ -126,7 +95,7 @@ class HayatiForm:
     dof: int
     parallel: tuple[int, ...] = ()
 
-    entering = 4
+    base_size = 4
 
     def __post_init__(self) -> None:
         if any(not 0 <= i < self.dof - 1 for i in self.parallel) or list(self.parallel) != sorted(set(self.parallel)):
@@ -139,7 +108,7 @@ class HayatiForm:
 
     @cached_property
     def names(self) -> tuple[str, ...]:
-        """`base_x base_y base_roll base_pitch`, `theta_off1 d1 a1 alpha1` …, `beta2` …; no d where there is a beta."""
+        """`base_x base_y base_roll base_pitch`, `theta_off1 d1 a1 alpha1` …, `beta2` …; beta replaces its joint's d."""
         joints = [
             f"{name}{i + 1}"
             for i in range(self.dof)
@@ -158,7 +127,7 @@ class HayatiForm:
 
     @cached_property
     def walking_order(self) -> np.ndarray:
-        """The walk meets base x, y, pitch, roll, then theta, d or beta, a, alpha at each joint."""
+        """The places in `names` in order of application: base x, y, pitch, roll; each theta, d or beta, a, alpha."""
         order = ["base_x", "base_y", "base_pitch", "base_roll"]
         for i in range(self.dof):
             order += [f"{name}{i + 1}" for name in ("theta_off", "beta" if i in self.parallel else "d", "a", "alpha")]
@@ -166,11 +135,11 @@ class HayatiForm:
 
     @cached_property
     def flags(self) -> np.ndarray:
-        """Whether the joint has a beta for its d."""
+        """Whether beta replaces d, for each joint."""
         return np.isin(np.arange(self.dof), self.parallel)
 
-    def enter(self, frame: Frame, values: Array) -> tuple[Frame, tuple[Twist, ...]]:
-        """The base transform."""
+    def apply_base(self, frame: Frame, values: Array) -> tuple[Frame, tuple[Twist, ...]]:
+        """The frame after the base transformation, and the twists of the base parameters."""
         x, y, pitch, roll = values
         shifts = (Twist(frame.x, None), Twist(frame.y, None))
         frame = translate(translate(frame, X, x), Y, y)
@@ -182,7 +151,7 @@ class HayatiForm:
     def step(
         self, frame: Frame, values: Array | tuple[Array, ...], flag: Array, joint: Turn
     ) -> tuple[Frame, tuple[Twist, ...]]:
-        """Through one joint's rotation and link."""
+        """The frame after the rotation and the link of one joint, and the twists of the joint's parameters."""
         theta, second, a, alpha = values
         d, beta = jnp.where(flag, 0.0, second), jnp.where(flag, second, 0.0)
         offset = turn(theta)
@@ -202,10 +171,10 @@ class HayatiForm:
         return frame, (about_z, d_or_beta, along_x, about_x)
 
     def pack(self, base: npt.ArrayLike, dh: npt.ArrayLike, beta: npt.ArrayLike = ()) -> np.ndarray:
-        """Parameters `(size,)` from base (x, y, roll, pitch), the table `(joint, 4)` and one beta per parallel joint.
+        """Parameters `(size,)` from base (x, y, roll, pitch), DH table `(joint, 4)` and one beta per parallel joint.
 
         Raises:
-            InputError: a wrong shape, or a d that is not zero on a parallel joint.
+            InputError: a wrong shape, or a non-zero d at a parallel joint.
         """
         base, dh, beta = np.asarray(base, float), np.asarray(dh, float), np.asarray(beta, float)
         if base.shape != (4,) or dh.shape != (self.dof, 4) or beta.shape != (len(self.parallel),):
@@ -234,135 +203,15 @@ class HayatiForm:
 
 
 Form = HayatiForm | SixParameterForm
-"""What a chain's parameters are. A form is hashable, so that it can be a static argument of a jitted function.
+"""The parameterisation of a chain. It is hashable, so that it can be a static argument of a jitted function.
 
-The walk of a chain meets first the `entering` parameters of `enter`, then the same number at each joint in `step`,
-which joint's entry of `flags` tells apart; `walking_order[k]` is the place in `names` of the k-th that it meets.
+`apply_base` applies the first `base_size` parameters, then `step` an equal number at each joint, which its entry of
+`flags` interprets; `walking_order[k]` is the place in `names` of the k-th parameter applied.
 """
 
 
-def sweep(
-    form: Form,
-    parameters: Array,
-    joint: Turn,
-    start: Frame,
-    emit: Callable[[Twist], Array] | None = None,
-    bend: Bend | None = None,
-) -> tuple[Frame, Array]:
-    """Walks a chain.
-
-    Args:
-        form: which chain.
-        parameters: `(size,)`.
-        joint: the joints' angles, each `(joint, sample)`.
-        start: the base frame in fixed coordinates.
-        emit: maps the twist of a parameter to an array; all of one shape.
-        bend: what shifts the frames of a six-parameter chain.
-
-    Returns:
-        The flange's frame, and what was emitted, `(size, …)` in *walking* order (empty without `emit`).
-
-    Raises:
-        InputError: a bend of a Hayati chain, whose frames are not those of the links.
-    """
-    if bend is not None and isinstance(form, HayatiForm):
-        raise InputError(
-            "the Hayati chain has no frames of links to bend; use the six-parameter chain, to which "
-            "hayati_to_six_parameter converts it exactly"
-        )
-    values = parameters[form.walking_order]
-    entering, steps = values[: form.entering], values[form.entering :].reshape(form.dof, -1)
-    flags = jnp.asarray(form.flags)
-    frame, twists = form.enter(start, entering)
-
-    def record(collected: Array, at: int | Array, twists: tuple[Twist, ...]) -> Array:
-        if emit is None or not twists:
-            return collected
-        rows = jnp.stack([emit(twist) for twist in twists])
-        return lax.dynamic_update_slice_in_dim(collected, rows, at, 0)
-
-    if emit is None:
-        collected = jnp.zeros((0,))
-    else:
-        emitted = jax.eval_shape(lambda: emit(rotation_twist(start, Z)))
-        collected = jnp.zeros((form.size, *emitted.shape), emitted.dtype)
-    collected = record(collected, 0, twists)
-
-    def body(i: Array, state: tuple[Frame, Array]) -> tuple[Frame, Array]:
-        frame, collected = state
-        pick = partial(lax.dynamic_index_in_dim, index=i, axis=0, keepdims=False)
-        values, stretch = pick(steps), None
-        if bend is not None and bend.stretch is not None:
-            stretch = 1 + pick(bend.stretch)
-            values = (*(stretch * value for value in values[:3]), *values[3:])
-        frame, twists = form.step(frame, values, pick(flags), Turn(pick(joint.cos), pick(joint.sin)))
-        if stretch is not None:
-            twists = (*(Twist(stretch * twist.linear, None) for twist in twists[:3]), *twists[3:])
-        if bend is not None and bend.twist is not None:
-            frame = displace(frame, pick(bend.twist))
-        return frame, record(collected, form.entering + i * steps.shape[1], twists)
-
-    return lax.fori_loop(0, form.dof, body, (frame, collected))
-
-
-def link_frames(form: Form, parameters: Array, joint: Turn, start: Frame) -> Frame:
-    """The frame after each joint's rotation, in the coordinates of `start`: leaves `(joint, 3, sample)`; plain JAX."""
-    values = parameters[form.walking_order]
-    steps = values[form.entering :].reshape(form.dof, -1)
-    frame, _ = form.enter(start, values[: form.entering])
-
-    def walk(frame: Frame, at: tuple[Array, Array, Turn]) -> tuple[Frame, Frame]:
-        frame, _ = form.step(frame, *at)
-        return frame, frame
-
-    return lax.scan(walk, frame, (steps, jnp.asarray(form.flags), joint))[1]
-
-
-@partial(jax.jit, static_argnums=0)
-def fk(form: Form, parameters: ArrayLike, joint_position: ArrayLike) -> Array:
-    """Flange poses `T_base_flange` `(..., 4, 4)` of a chain.
-
-    Args:
-        form: which chain.
-        parameters: `(size,)` in the order of `form.names`; m and rad.
-        joint_position: `(..., joint)` rad.
-
-    Raises:
-        InputError: shapes that are not this chain's.
-    """
-    q = jnp.asarray(joint_position, float)
-    if jnp.shape(parameters) != (form.size,) or q.shape[-1:] != (form.dof,):
-        raise InputError(
-            f"parameters {jnp.shape(parameters)} and joint_position {q.shape}: this chain takes ({form.size},) and "
-            f"(..., {form.dof})"
-        )
-    joint = turn(q.reshape(-1, form.dof).T)
-    frame, _ = sweep(form, jnp.asarray(parameters, float), joint, base_frame(jnp.eye(4), joint.cos.shape[1]))
-    R = jnp.stack([frame.x, frame.y, frame.z], 1)
-    T = transform(jnp.moveaxis(R, -1, 0), frame.origin.T)
-    return T.reshape(*q.shape[:-1], 4, 4)
-
-
-def six_parameter_fk(kinematics: ArrayLike, joint_position: ArrayLike) -> Array:
-    """Flange poses `(..., 4, 4)` of a six-parameter chain.
-
-    Args:
-        kinematics: `(joint, 6)`, rows x y z (m) roll pitch yaw (rad).
-        joint_position: `(..., joint)` rad.
-    """
-    kinematics = jnp.asarray(kinematics, float)
-    if kinematics.ndim != 2 or kinematics.shape[1] != 6:
-        raise InputError(f"kinematics of shape {kinematics.shape}: give (joint, 6), and use jax.vmap for many arms")
-    return fk(SixParameterForm(kinematics.shape[0]), kinematics.reshape(-1), joint_position)
-
-
-def hayati_fk(form: HayatiForm, parameters: ArrayLike, joint_position: ArrayLike) -> Array:
-    """Flange poses `(..., 4, 4)` of a Hayati chain; `parameters` `(size,)` as in `form.names`."""
-    return fk(form, parameters, joint_position)
-
-
 def joint_axes(kinematics: npt.ArrayLike) -> tuple[np.ndarray, np.ndarray]:
-    """The joints' axes at q = 0 as lines in the base frame: points in m and directions, `(..., joint, 3)` each.
+    """The joint axes at q = 0 as lines in the base frame: points in m and unit directions, `(..., joint, 3)` each.
 
     Args:
         kinematics: `(..., joint, 6)`, rows x y z (m) roll pitch yaw (rad).
@@ -385,7 +234,7 @@ def joint_axes(kinematics: npt.ArrayLike) -> tuple[np.ndarray, np.ndarray]:
 
 
 def hayati_form_of(kinematics: npt.ArrayLike) -> HayatiForm:
-    """The Hayati form of a nominal six-parameter chain `(joint, 6)`: which neighbouring axes are parallel."""
+    """The Hayati form for a nominal six-parameter chain `(joint, 6)`, by the angles between neighbouring axes."""
     _, directions = joint_axes(kinematics)
     sines = np.linalg.norm(np.cross(directions[:-1], directions[1:]), axis=1)
     return HayatiForm(len(directions), tuple(int(i) for i in np.flatnonzero(sines < np.sin(PARALLEL_WITHIN))))

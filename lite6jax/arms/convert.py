@@ -1,6 +1,6 @@
-"""Six-parameter chains to Hayati chains and back, in closed form, from the joint axes as lines.
+"""Closed-form conversion between six-parameter chains and Hayati chains, from the joint axes as lines.
 
-No fit is involved, which makes this the independent check of the fit, and the instant path for a fleet.
+It involves no fit, so that it is an independent check of the fit and a fast path for many arms.
 """
 
 from functools import partial
@@ -22,20 +22,21 @@ _AXIS_1_UPRIGHT = np.cos(np.deg2rad(85.0))
 def six_parameter_to_hayati(form: HayatiForm, kinematics: ArrayLike, nominal: ArrayLike | None = None) -> np.ndarray:
     """The Hayati parameters of a six-parameter chain.
 
-    Each DH row has two solutions (the common normal may point either way); the one next to `nominal` is taken, or
-    without it the one with theta_off in −90° … 90°: give `nominal` for arms that are to be compared.
+    Each DH row has two solutions, for the two directions of the common normal. The result is the one closest to
+    `nominal`, or without it the one with theta_off within ±90°. Parameters of arms are comparable with the same
+    `nominal` only.
 
     Args:
         form: the Hayati form.
         kinematics: `(joint, 6)`, or many arms `(arm, joint, 6)`; m and rad.
-        nominal: the parameters `(size,)` whose branch is wanted.
+        nominal: `(size,)`, the parameters that determine the branch.
 
     Returns:
         `(size,)` or `(arm, size)`, in the order of `form.names`.
 
     Raises:
-        InputError: joint 1's axis is nearly horizontal in the base frame (the base has no x, y intersection then), a
-            pair that the form calls parallel is not, or one that it does not is, or parallel axes coincide.
+        InputError: joint 1's axis is nearly horizontal in the base frame, so that it does not intersect its x-y plane;
+            axes that are parallel in the form are not in the chain, or the reverse; or parallel axes coincide.
     """
     kinematics = np.asarray(kinematics, float)
     if kinematics.shape[-2:] != (form.dof, 6):
@@ -70,19 +71,19 @@ def _require_regular(form: HayatiForm, regularity: list[np.ndarray], alone: bool
         pair = f"joints {i + 1} and {i + 2}: their axes"
         if i in form.parallel:
             refuse(sine[i] > 0.5, f"{pair} are not parallel as this form expects; check the arm's model")
-            refuse(distance[i] < 1e-4, f"{pair} coincide, so the two cannot be told apart; remove one joint")
+            refuse(distance[i] < 1e-4, f"{pair} coincide, so the two joints are indistinguishable; remove one")
         else:
             refuse(sine[i] < 1e-6, f"{pair} are parallel, which this form does not expect; add {i} to `parallel`")
 
 
 @partial(jax.jit, static_argnums=0)
 def _convert(form: HayatiForm, kinematics: Array, branch: Array) -> tuple[Array, tuple[Array, Array, Array]]:
-    """Parameters `(size, arm)` of `kinematics` `(joint, 6, arm)`, next to `branch` `(joint, 2)`, theta and alpha each.
+    """Parameters `(size, arm)` of `kinematics` `(joint, 6, arm)`, closest to `branch` `(joint, 2)`, theta and alpha.
 
-    Two frames walk side by side: the six-parameter chain's, whose z is the next joint's axis, and the DH frame, which
-    is moved to that axis along the common normal. Arms stand where samples do in a fit. Beside the parameters: the
-    cosine of joint 1's axis to the base's z `(arm,)`, and of each pair of neighbouring axes the sine between them and
-    the distance of the next joint's origin from the first axis, `(pair, arm)`.
+    Two frames advance joint by joint: that of the six-parameter chain, whose z is the next joint's axis, and the DH
+    frame, which moves to that axis along the common normal. The last axis of the arrays is the arm. The second result
+    holds the cosine between joint 1's axis and the base's z `(arm,)`, and for each pair of neighbouring axes the sine
+    of their angle and the distance of the next joint's origin from the first axis, `(pair, arm)`.
     """
 
     def to_joint(frame: Frame, row: Array) -> Frame:
@@ -131,11 +132,11 @@ def _convert(form: HayatiForm, kinematics: Array, branch: Array) -> tuple[Array,
     nothing = jnp.zeros_like(d)
     links = jnp.concatenate([links, jnp.stack([_next_to(branch[-1, 0], theta), d, nothing, nothing, nothing])[None]])
     second = jnp.where(flags[:, None], links[:, 4], links[:, 1])  # d or beta
-    walked = jnp.concatenate([
+    applied = jnp.concatenate([
         jnp.stack([foot[0], foot[1], pitch, roll]),
         jnp.stack([links[:, 0], second, links[:, 2], links[:, 3]], 1).reshape(-1, links.shape[-1]),
     ])  # fmt: skip
-    return walked[np.argsort(form.walking_order)], (upright, sines, distances)
+    return applied[np.argsort(form.walking_order)], (upright, sines, distances)
 
 
 def _next_to(wanted: Array, angle: Array) -> Array:
@@ -163,11 +164,11 @@ def hayati_to_six_parameter(form: HayatiForm, parameters: ArrayLike) -> tuple[np
 
     Args:
         form: the Hayati form.
-        parameters: `(size,)`.
+        parameters: `(size,)` m and rad, in the order of `form.names`.
 
     Returns:
-        kinematics `(joint, 6)`, and `T_joint_flange` `(4, 4)`: the last joint's a and alpha, which a six-parameter
-        chain, ending at the last joint, has no room for.
+        kinematics `(joint, 6)` m and rad, and `T_joint_flange` `(4, 4)`, the last joint's a and alpha: a six-parameter chain
+        ends at the last joint and does not contain them.
     """
     base, dh, beta = form.unpack(parameters)
     betas = np.zeros(form.dof)

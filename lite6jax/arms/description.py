@@ -16,8 +16,8 @@ from lite6jax.errors import InputError
 DH = ("theta_off_rad", "d_m", "a_m", "alpha_rad")
 OPTIONAL = ("joint_limits_rad", "inertial", "dh", "flange", "source")
 
-# Four turns: a limit beyond is an angle in degrees.
-LIMIT_LIMIT = 8 * np.pi
+# rad, four turns: a larger limit is an angle in degrees.
+LARGEST_LIMIT = 8 * np.pi
 
 
 def read_description(path: str | Path) -> Arm:
@@ -31,7 +31,7 @@ def read_description(path: str | Path) -> Arm:
     inertial:
       link1: {mass_kg: 1.4, com_m: [0.0, 0.04, 0.0]}  # in the frame after the joint's rotation
     dh:
-      joint1: {theta_off_rad: 0.0, d_m: 0.2433, a_m: 0.0, alpha_rad: 0.0}  # the published table, where there is one
+      joint1: {theta_off_rad: 0.0, d_m: 0.2433, a_m: 0.0, alpha_rad: 0.0}  # the published table, if any
     flange: {x: 0.0, y: 0.0, z: 0.0, roll: 0.0, pitch: 0.0, yaw: 0.0}  # after the last joint
     source: where the numbers are from
     ```
@@ -39,14 +39,14 @@ def read_description(path: str | Path) -> Arm:
     `name` and `kinematics` are required. `flange` may also be three rows of four numbers.
 
     Raises:
-        InputError: as `storage.read_yaml`; a key missing or unknown, a number that is none, degrees for radians,
+        InputError: as `storage.read_yaml`; a key missing or unknown, a value that is not a number, degrees for radians,
             millimetres for metres, or as `Arm`. The line names the file and the place.
     """
     return arm_from_description(storage.read_yaml(path), str(path))
 
 
 def arm_from_description(content: Any, where: str) -> Arm:
-    """The arm of a description's parsed content; errors and files as in `read_description`."""
+    """The arm of a parsed description `content`; `where` begins its messages. Raises as `read_description`."""
     content = entries.mapping(content, f"{where}:", ("name", "kinematics"), OPTIONAL)
     for key in ("name", "source"):
         if not isinstance(content.get(key, ""), str):
@@ -73,7 +73,7 @@ def _limits(value: Any, where: str, joints: int) -> NDArray[np.float64]:
         raise InputError(f"{where}: joint_limits_rad must list one [lower, upper] for each of the {joints} joints")
     limits = np.array([entries.numbers(row, f"{where}: joint{i + 1}'s limits", 2) for i, row in enumerate(value)])
     for i, row in enumerate(limits):
-        if np.abs(row).max() > LIMIT_LIMIT:
+        if np.abs(row).max() > LARGEST_LIMIT:
             raise InputError(
                 f"{where}: joint{i + 1}'s limits {row[0]:g} … {row[1]:g} are many turns, so they seem to be in degrees;"
                 " write radians"
@@ -112,7 +112,7 @@ def _flange(value: Any, where: str) -> NDArray[np.floating]:
 
 
 def write_arm(arm: Arm, path: str | Path, overwrite: bool = False) -> Path:
-    """Writes the arm's description; `read_description` gives back every number exactly.
+    """Writes the arm's description; `read_description` returns every number exactly.
 
     Raises:
         InputError: as `storage.write_atomically`.
@@ -133,7 +133,7 @@ def write_arm(arm: Arm, path: str | Path, overwrite: bool = False) -> Path:
         row = frames.row_from_transform(arm.T_joint_flange)
         if np.array_equal(frames.transform_from_row(row), arm.T_joint_flange):
             lines.append(f"flange: {entries.yaml_row(entries.SIX, row)}")
-        else:  # roll, pitch and yaw would round it
+        else:  # roll, pitch and yaw would not reproduce it exactly
             lines += ["flange:"] + [f"  - {entries.yaml_list(row)}" for row in arm.T_joint_flange[:3]]
     return storage.write_atomically(path, "\n".join(lines) + "\n", overwrite)
 

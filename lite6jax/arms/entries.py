@@ -1,4 +1,4 @@
-"""Numbers and keys out of a parsed file, or one line that says which of them is wrong."""
+"""Checks of the numbers and keys of a parsed file, with messages that name the entry."""
 
 import difflib
 import math
@@ -16,11 +16,11 @@ Array = NDArray[np.floating]
 SIX = ("x", "y", "z", "roll", "pitch", "yaw")
 UR_JOINTS = ("shoulder", "upper_arm", "forearm", "wrist_1", "wrist_2", "wrist_3")
 
-# No arm of metres has a link this long; no angle of radians goes round more than once.
+# m and rad; larger values are in millimetres or degrees.
 LENGTH_LIMIT = 10.0
 ANGLE_LIMIT = 2 * math.pi + 1e-6
 
-# YAML 1.1 takes 1e-5 for a word because it has no point.
+# YAML 1.1 reads 1e-5 as a string because it has no decimal point.
 _NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?")
 
 
@@ -28,7 +28,7 @@ def number(value: Any, where: str) -> float:
     """The value as a float.
 
     Raises:
-        InputError: it is not a number (a truth value is none), or not finite.
+        InputError: it is not a number (a boolean is not), or not finite.
     """
     if isinstance(value, str) and _NUMBER.fullmatch(value):
         value = float(value)
@@ -59,7 +59,7 @@ def mapping(value: Any, where: str, required: Sequence[str], optional: Sequence[
     """The value as a mapping with these keys and no others.
 
     Raises:
-        InputError: not a mapping, a key missing, or a key that is not known.
+        InputError: not a mapping, a missing key or an unknown key.
     """
     if not isinstance(value, Mapping):
         raise InputError(f"{where} must be a mapping with the keys {', '.join(required)}")
@@ -81,7 +81,7 @@ def suggestion(word: str, accepted: Iterable[str]) -> str:
 
 
 def six_numbers(value: Any, where: str) -> list[float]:
-    """x y z roll pitch yaw of a mapping with just these keys, in m and rad.
+    """x y z roll pitch yaw of a mapping with exactly these keys, in m and rad.
 
     Raises:
         InputError: as `mapping` and `number`; an angle beyond a full turn (degrees?), a length of over 10 m
@@ -119,7 +119,7 @@ def kinematics(value: Any, where: str) -> tuple[Array, tuple[str, ...]]:
         )
     keys = {str(key): entry for key, entry in value.items()}
     if any(key in UR_JOINTS for key in keys):
-        keys.pop("hash", None)  # names the controller's own record; nothing in it is a number of the chain
+        keys.pop("hash", None)  # it identifies the record in the controller and is not a parameter of the chain
         joints, names = UR_JOINTS, tuple(f"joint{i + 1} ({name})" for i, name in enumerate(UR_JOINTS))
     else:
         found = [int(key[5:]) for key in keys if re.fullmatch(r"joint[1-9][0-9]?", key)]
@@ -135,7 +135,7 @@ def kinematics(value: Any, where: str) -> tuple[Array, tuple[str, ...]]:
 
 
 def yaml_number(value: float) -> str:
-    """The shortest decimal that every YAML reader takes for exactly this float."""
+    """The shortest decimal that every YAML reader reads as exactly this float."""
     text = repr(float(value))
     return text.replace("e", ".0e") if "e" in text and "." not in text else text
 

@@ -1,4 +1,4 @@
-"""Factory calibrations: one arm's own six-parameter file, and which model it is of."""
+"""Factory calibrations: the six-parameter file of an individual arm, and the recognition of its model."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -17,19 +17,19 @@ from lite6jax.errors import InputError
 
 Array = NDArray[np.floating]
 
-# RMS distance to a model within which a calibration is of that model: a real xArm 7 is 8.5 mm from its nominal,
-# and the nearest two models (UR3, UR3e) are 21 mm apart, so that the smaller one decides between them.
+# m; a calibration within this RMS distance of a model is recognised as that model, of several as the nearest. A real
+# xArm 7 is 8.5 mm from its nominal, and the two most similar models (UR3, UR3e) differ by 21 mm.
 RECOGNISED_WITHIN = 0.05
 
 JOINTS = (5, 6, 7)
 
-# The points compared stand at the flange's origin and this far along its x and y, so that a turned flange is seen too.
+# m; points at this distance along the flange's x and y are compared as well, so that its orientation matters too.
 _PROBE = 0.1
 
 
 @dataclass(frozen=True, eq=False)
 class FactoryCalibration:
-    """One arm's calibrated chain beside the nominal arm it is a small change of.
+    """The calibrated chain of an individual arm, and the nominal arm from which it deviates slightly.
 
     Attributes:
         kinematics: (joint, 6) x y z roll pitch yaw of each joint's frame in the previous one, m and rad.
@@ -50,12 +50,12 @@ def read_factory(path: str | Path, arm: Arm | None = None) -> FactoryCalibration
 
     Args:
         path: the file.
-        arm: its nominal arm. Not given: the nearest bundled arm.
+        arm: its nominal arm; None for the nearest bundled arm.
 
     Raises:
-        InputError: not such a file; joints or keys missing or unknown; a number that is none; degrees for radians,
-            millimetres for metres; a joint turned by 180 deg; no bundled arm near and none given. The line names the
-            file, the joint and the remedy.
+        InputError: not such a file; joints or keys missing or unknown; a value that is not a number; degrees for
+            radians, millimetres for metres; a joint rotated by 180 deg; no `arm` given and no bundled arm near. The
+            line names the file, the joint and the remedy.
     """
     if Path(path).suffix.lower() == ".json":
         table = read_table(path)
@@ -75,10 +75,10 @@ def read_factory(path: str | Path, arm: Arm | None = None) -> FactoryCalibration
 
 
 def write_factory(kinematics: ArrayLike, path: str | Path, form: str = "vendor", overwrite: bool = False) -> Path:
-    """Writes a six-parameter table as a factory file; `read_factory` gives back every number exactly.
+    """Writes a six-parameter table as a factory file; `read_factory` returns every number exactly.
 
     Args:
-        kinematics: (joint, 6) x y z roll pitch yaw, m and rad.
+        kinematics: `(joint, 6)` x y z roll pitch yaw, m and rad.
         path: the file to write.
         form: `vendor` (`joint1`, …; 5, 6 or 7 joints) or `ur` (`shoulder`, …; 6 joints).
         overwrite: whether the file may be replaced.
@@ -112,11 +112,11 @@ def recognise(
         kinematics: (joint, 6), m and rad.
         names: the joints' names, for messages.
         where: the file, for messages.
-        arm: the arm to take, or None.
-        T_joint_flange: (4, 4) what follows the last joint in the file, the identity if not given.
+        arm: the nominal arm, or None.
+        T_joint_flange: (4, 4) the transform after the last joint in the file; None for the identity.
 
     Raises:
-        InputError: a joint is turned by 180 deg against the nearest arm; or no bundled arm is near and none is given.
+        InputError: a joint is rotated by 180 deg relative to the nearest arm; or no `arm` is given and none is near.
     """
     q = sample_joints(len(kinematics))
     links = np.stack([frames.transform_from_row(row) for row in kinematics])
@@ -160,7 +160,7 @@ def _flange_points(links: Array, after: Array, q: Array) -> Array:
 
 
 def _distances(points: Array, candidates: Array) -> Array:
-    """(candidate,) m: RMS distance of the points over joint positions."""
+    """(candidate,) m, the RMS distance of the points over the joint positions."""
     return np.sqrt(np.mean(np.sum((candidates - points) ** 2, axis=-1), axis=(-2, -1)))
 
 
@@ -170,7 +170,7 @@ _HALF_TURNS = {"x": np.diag([1.0, -1, -1, 1]), "y": np.diag([-1.0, 1, -1, 1]), "
 def _half_turn(
     links: Array, after: Array, q: Array, candidates: Array
 ) -> tuple[tuple[int, ...], tuple[str, ...], int, float] | None:
-    """The fewest joints, one or two, that bring the flange near a candidate when each is turned by 180 deg."""
+    """The one or two joints whose rotation by 180 deg brings the flange near a candidate: joints, axes, index, m."""
     for count in (1, 2):
         found = []
         for joints in combinations(range(len(links)), count):

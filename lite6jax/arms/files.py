@@ -1,4 +1,4 @@
-"""What the name or the path of an arm stands for: a bundled arm, a description, a calibration, a table or a URDF."""
+"""Reading an arm by its name or path: a bundled arm, a description, a calibration, a table or a URDF."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -31,16 +31,16 @@ _URDF = (".urdf", ".xacro", ".xml")
 
 
 def read_arm(path_or_name: str | Path) -> Arm:
-    """An arm by what names it.
+    """An arm by its name or its file.
 
     - the name of a bundled arm (`lite6`);
     - a description: YAML with `name` and `kinematics`;
-    - a factory calibration, in YAML or as a JSON table: the arm with the calibrated chain for its nominal, and the
-      limits and masses of the bundled arm it is recognised as;
+    - a factory calibration, in YAML or as a JSON table: the calibrated chain as the nominal one, with the limits and
+      masses of the recognised bundled arm;
     - a URDF; `robot.urdf#tool0` names the tip link where it has several.
 
     Raises:
-        InputError: neither a bundled name nor a file, or as the reader of that file.
+        InputError: neither the name of a bundled arm nor a file, or as the reader of that file.
     """
     name = str(path_or_name)
     if name in bundled_arms():
@@ -52,15 +52,15 @@ def read_arm(path_or_name: str | Path) -> Arm:
     if not path.exists() and not path.suffix:
         raise InputError(f"{name}: neither a bundled arm nor a file; {entries.suggestion(name, bundled_arms())}")
     if path.suffix.lower() == ".json":
-        return _calibrated(read_factory(path))
+        return calibrated_arm(read_factory(path))
     content = storage.read_yaml(path)
     if isinstance(content, dict) and set(content) == {"kinematics"}:
-        return _calibrated(read_factory(path))
+        return calibrated_arm(read_factory(path))
     return arm_from_description(content, str(path))
 
 
-def _calibrated(calibration: FactoryCalibration) -> Arm:
-    """The nominal arm with the calibration's chain in place of its own."""
+def calibrated_arm(calibration: FactoryCalibration) -> Arm:
+    """The nominal arm with the calibrated chain."""
     return replace(
         calibration.arm,
         kinematics=calibration.kinematics,

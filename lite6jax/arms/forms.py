@@ -1,4 +1,4 @@
-"""One arm's file in another form: what each form holds, and what it has no place for."""
+"""Conversion of an arm's file to another form, and the parts that the new form cannot represent."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -11,7 +11,7 @@ from lite6jax import storage
 from lite6jax.arms import convert, frames
 from lite6jax.arms.arm import Arm, sample_joints
 from lite6jax.arms.factory import FactoryCalibration, read_factory, write_factory
-from lite6jax.arms.files import read_arm, write_arm, write_table, write_urdf
+from lite6jax.arms.files import calibrated_arm, read_arm, write_arm, write_table, write_urdf
 from lite6jax.errors import InputError
 
 Array = NDArray[np.floating]
@@ -25,19 +25,19 @@ SUFFIXES: dict[FileForm, tuple[str, ...]] = {
     "description": (".yaml", ".yml"),
 }
 _SAME = 1e-12
-"""m, and of a rotation's entries: nothing that a sensor, or the firmware's 32-bit floats, could tell."""
+"""The tolerance of the identity, m and entries of a rotation, far below the firmware's 32-bit resolution."""
 
 
 @dataclass(frozen=True)
 class Conversion:
-    """What a conversion did.
+    """The result of a conversion.
 
     Attributes:
         path: the file written.
         form: its form.
-        arm: what was read.
-        left_out: what the new form has no place for, a phrase each.
-        difference: m, the largest distance between the flange as it was and as the new file is read back.
+        arm: the arm that was read.
+        left_out: the parts that the new form cannot represent, a phrase each.
+        difference: m, the largest distance between the flange positions of the source and of the written file.
     """
 
     path: Path
@@ -59,13 +59,13 @@ def convert_file(
     Args:
         source: a factory calibration, a JSON table, a URDF, a description, or the name of a bundled arm.
         target: the file to write.
-        form: of the target. Not given: by its suffix, `.yaml` being the vendor's form of a calibration and the
-            description of all else.
-        nominal: of a calibration; recognised where not given.
+        form: of the target; None derives it from the suffix, `.yaml` being the vendor's form of a calibration and
+            the description of any other arm.
+        nominal: the nominal arm of a calibration; None for the recognised one.
         overwrite: whether the target may be replaced.
 
     Raises:
-        InputError: as the readers and writers; a suffix that is not the form's; a flange that the form cannot hold.
+        InputError: as the readers and writers; a suffix of another form; a flange that the form cannot represent.
     """
     target = Path(target)
     calibrated = is_calibration(source)
@@ -100,7 +100,7 @@ def convert_file(
 
 
 def is_calibration(path: str | Path) -> bool:
-    """Whether a file is one arm's calibration (or means to be), not the description of a type of arm.
+    """Whether a file is the calibration of an individual arm, valid or not, rather than the description of a model.
 
     Raises:
         InputError: as `storage.read_yaml`.
@@ -115,10 +115,10 @@ def is_calibration(path: str | Path) -> bool:
 def hayati_of(calibration: FactoryCalibration) -> Array:
     """The Hayati parameters `(size,)` of a calibration, in closed form, in the order of its arm's `form`.
 
-    The last joint's a and alpha hold what follows that joint beyond the nominal arm's flange.
+    The last joint's a and alpha represent the transform after that joint, relative to the nominal flange.
 
     Raises:
-        InputError: as `convert.six_parameter_to_hayati`; or the last joint's a and alpha cannot hold it.
+        InputError: as `convert.six_parameter_to_hayati`; or the last joint's a and alpha cannot represent it.
     """
     arm = calibration.arm
     try:
@@ -150,17 +150,10 @@ def _form_of(target: Path, calibrated: bool) -> FileForm:
 
 
 def _read(source: str | Path, nominal: Arm | None, calibrated: bool) -> tuple[Arm, Arm]:
-    """The arm with its own chain, and the nominal one whose flange and branch a reader of the new file starts from."""
+    """The arm with its own chain, and the nominal arm, whose flange and branch a reader of the new file assumes."""
     if calibrated:
         calibration = read_factory(source, nominal)
-        arm = replace(
-            calibration.arm,
-            kinematics=calibration.kinematics,
-            T_joint_flange=calibration.T_joint_flange,
-            dh=None,
-            source=f"factory calibration {Path(source).name} of a {calibration.arm.name}",
-        )
-        return arm, calibration.arm
+        return calibrated_arm(calibration), calibration.arm
     arm = read_arm(source)
     if nominal is not None and nominal.dof != arm.dof:
         raise InputError(

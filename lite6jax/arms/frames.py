@@ -1,11 +1,11 @@
-"""Rigid transforms on the host, in plain NumPy: reading a file compiles nothing."""
+"""Rigid transforms in NumPy, so that reading a file compiles nothing."""
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.floating]
 
-# The quarter turns that files are full of come out exact: cos(pi / 2) is 6e-17 in floats, and meant to be 0.
+# Quarter turns, frequent in files, are exact: cos(pi / 2) is 6e-17 in floats, and 0 is meant.
 _QUARTER = np.pi / 2
 
 
@@ -38,8 +38,8 @@ def rotation_from_rpy(rpy: ArrayLike) -> Array:
 def rpy_from_rotation(rotation: ArrayLike) -> Array:
     """Roll, pitch and yaw of a rotation, the inverse of `rotation_from_rpy`, accurate at every pitch.
 
-    Yaw comes from the first column; taking it out leaves `Ry(pitch) Rx(roll)`, whose middle row gives roll without the
-    division by cos(pitch) that fails at +-90 deg.
+    Yaw follows from the first column. `Rz(-yaw) R` is `Ry(pitch) Rx(roll)`, whose middle row gives roll without a
+    division by cos(pitch), which vanishes at +-90 deg.
 
     Returns:
         (3,) rad, pitch within +-pi/2; yaw is zero at the poles, where only roll -+ yaw is defined.
@@ -102,7 +102,7 @@ def links_from_dh(dh: ArrayLike) -> tuple[Array, Array]:
         dh: (joint, 4) theta_off, d, a, alpha in rad and m.
 
     Returns:
-        the links (joint, 4, 4), and what follows the last joint (4, 4).
+        the links (joint, 4, 4), and the transform after the last joint (4, 4).
     """
     links, before = [], np.eye(4)
     for theta, d, a, alpha in np.asarray(dh, float):

@@ -1,6 +1,6 @@
-"""A frame that moves along its own axes, and the twists of its moves: what a chain is made of.
+"""Elementary transformations of a frame about its own axes, and their twists: the factors of a chain.
 
-The sample is the last axis of every array, so that a move is a vector instruction over samples.
+The sample is the last axis of every array, so that a transformation is one vector instruction over samples.
 """
 
 from typing import NamedTuple
@@ -29,19 +29,19 @@ class Twist(NamedTuple):
 
 
 class Turn(NamedTuple):
-    """A rotation angle as its cosine and sine."""
+    """The cosine and sine of a rotation angle."""
 
     cos: Array
     sin: Array
 
 
 def turn(angle: ArrayLike) -> Turn:
-    """The turn by `angle` rad."""
+    """The cosine and sine of `angle` rad."""
     return Turn(jnp.cos(angle), jnp.sin(angle))
 
 
 def rotate(frame: Frame, axis: int, by: Turn) -> Frame:
-    """The frame turned about its own axis."""
+    """The frame rotated about its own axis."""
     axes = [frame.x, frame.y, frame.z]
     b, c = (axis + 1) % 3, (axis + 2) % 3
     axes[b], axes[c] = by.cos * axes[b] + by.sin * axes[c], by.cos * axes[c] - by.sin * axes[b]
@@ -54,7 +54,7 @@ def translate(frame: Frame, axis: int, by: Array) -> Frame:
 
 
 def displace(frame: Frame, twist: Array) -> Frame:
-    """The frame shifted along its own axes by `twist[:3]` m, then turned by the rotation vector `twist[3:]` rad."""
+    """The frame shifted along its own axes by `twist[:3]` m, then rotated by the rotation vector `twist[3:]` rad."""
     shifted = translate(translate(translate(frame, X, twist[0]), Y, twist[1]), Z, twist[2])
     w = twist[3:]
     angle2 = jnp.sum(w * w, 0)

@@ -1,6 +1,6 @@
-"""Rotations and rigid transforms: matrices, roll-pitch-yaw, quaternions, rotation vectors, and the ways between them.
+"""Rotations and rigid transforms in JAX: conversions of matrices, roll-pitch-yaw, quaternions and rotation vectors.
 
-Matrices stand on the last two axes, `(..., 3, 3)` and `(..., 4, 4)`; vectors on the last. Radians and metres.
+Matrices occupy the last two axes, `(..., 3, 3)` and `(..., 4, 4)`, vectors the last one. Radians and metres.
 """
 
 import jax.numpy as jnp
@@ -8,7 +8,7 @@ from jax import Array
 from jax.typing import ArrayLike
 
 _SERIES_BELOW = 1e-4
-"""Angle in rad under which a two-term series is exact to rounding."""
+"""rad; for smaller angles a two-term series is exact to rounding."""
 
 
 def rotation_from_rpy(rpy: ArrayLike) -> Array:
@@ -24,9 +24,9 @@ def rotation_from_rpy(rpy: ArrayLike) -> Array:
 
 
 def rpy_from_rotation(R: ArrayLike) -> Array:
-    """Roll, pitch, yaw `(..., 3)` that reproduce rotations `(..., 3, 3)` to rounding, at pitch ±90° too.
+    """Roll, pitch, yaw `(..., 3)` that reproduce rotations `(..., 3, 3)` to rounding, including pitch ±90°.
 
-    Roll is taken from what yaw leaves, so that where only their sum or difference is determined the two agree.
+    Roll follows from Rz(−yaw) R, so that it is consistent with yaw where only their sum or difference is determined.
     """
     R = jnp.asarray(R)
     yaw = jnp.arctan2(R[..., 1, 0], R[..., 0, 0])
@@ -37,9 +37,9 @@ def rpy_from_rotation(R: ArrayLike) -> Array:
 
 
 def quaternion_components(R) -> tuple[Array, Array, Array, Array]:
-    """The unit quaternion w, x, y, z with w ≥ 0 of a rotation given as nine arrays `R[i][j]` of any one shape.
+    """The unit quaternion w, x, y, z with w ≥ 0 of a rotation given as nine arrays `R[i][j]` of equal shape.
 
-    Shepperd's choice of the largest pivot keeps it accurate and differentiable at every angle (J. Guidance and
+    The largest pivot is chosen, which is accurate and differentiable at every angle (S. Shepperd, J. Guidance and
     Control 1(3), 1978).
     """
     trace = R[0][0] + R[1][1] + R[2][2]
@@ -60,8 +60,8 @@ def quaternion_components(R) -> tuple[Array, Array, Array, Array]:
 def rotation_log_components(R) -> tuple[Array, Array, Array]:
     """The rotation vector, its angle in [0, π], of a rotation given as nine arrays `R[i][j]`; smooth at identity.
 
-    v = 4 arctan(t)/t · q⃗/(1 + w) with t = |q⃗|/(1 + w) the tangent of a quarter angle; two more halvings bring t under
-    0.2, where twelve terms of the series are exact to rounding. No branch, and faster than an arctangent.
+    v = 4 arctan(t)/t · q⃗/(1 + w) with t = |q⃗|/(1 + w), the tangent of a quarter angle. Two halvings reduce t below
+    0.2, where twelve terms of the series are exact to rounding. It is free of branches and faster than an arctangent.
     """
     w, x, y, z = quaternion_components(R)
     inverse = 1 / (1 + w)
@@ -97,7 +97,7 @@ def rotation_exp(rotation_vector: ArrayLike) -> Array:
 
 
 def skew(w: ArrayLike) -> Array:
-    """The matrices `(..., 3, 3)` that take v to w × v."""
+    """The matrices `(..., 3, 3)` that map v to w × v."""
     x, y, z = jnp.moveaxis(jnp.asarray(w), -1, 0)
     o = jnp.zeros_like(x)
     return jnp.stack([jnp.stack(row, -1) for row in ([o, -z, y], [z, o, -x], [-y, x, o])], -2)
@@ -109,7 +109,7 @@ def quaternion_from_rotation(R: ArrayLike) -> Array:
 
 
 def rotation_from_quaternion(quaternion: ArrayLike) -> Array:
-    """Rotations `(..., 3, 3)` of quaternions `(..., 4)`, scalar first, of any length but zero."""
+    """Rotations `(..., 3, 3)` of quaternions `(..., 4)`, scalar first, of any non-zero norm."""
     q = jnp.asarray(quaternion)
     w, x, y, z = jnp.moveaxis(q, -1, 0)
     s = 2 / jnp.sum(q * q, -1)

@@ -1,7 +1,7 @@
-"""The JSON table of Hayati parameters, in millimetres and degrees, read and written without losing a bit.
+"""The JSON table of Hayati parameters, in millimetres and degrees, read and written without rounding errors.
 
-The table's numbers are decimal and the program's are binary. Both conversions, by 1000 and by pi / 180, are done on
-decimals and rounded once, so that a table read back gives the floats that were written.
+The numbers of the table are decimal and those of the program binary. Both conversions, by 1000 and by pi / 180, are
+done on decimals and rounded once, so that reading a table returns the floats that were written.
 """
 
 import json
@@ -31,11 +31,11 @@ _BETA = re.compile(r"beta_joint([1-9][0-9]?)")
 
 @dataclass(frozen=True, eq=False)
 class HayatiTable:
-    """Hayati parameters with the form that orders them.
+    """Hayati parameters with their form.
 
     Attributes:
-        form: which joints are parallel to the next.
-        parameters: (size,) in `form`'s order, m and rad.
+        form: the parameterisation.
+        parameters: (size,) in the order of `form`, m and rad.
     """
 
     form: HayatiForm
@@ -53,7 +53,7 @@ def read_table(path: str | Path) -> HayatiTable:
     ```
 
     with one row of `dh` per joint, in order, and one `beta_jointK` for each joint K that is nominally parallel to the
-    next (Hayati's form, with its d zero). The base's z and yaw are zero: d and theta_off of joint 1 hold them.
+    next (Hayati's form, with d zero). The base's z and yaw are zero, because d and theta_off of joint 1 represent them.
 
     Raises:
         InputError: not such a table; the line names the file, the place and the remedy.
@@ -87,16 +87,16 @@ def read_table(path: str | Path) -> HayatiTable:
 
 
 def write_table(form: HayatiForm, parameters: ArrayLike, path: str | Path, overwrite: bool = False) -> Path:
-    """Writes Hayati parameters as a table; `read_table` gives back every float exactly.
+    """Writes Hayati parameters as a table; `read_table` returns every float exactly.
 
     Args:
-        form: the order of the parameters.
+        form: the parameterisation.
         parameters: (size,) m and rad.
         path: the file to write.
-        overwrite: whether it may be replaced.
+        overwrite: whether the file may be replaced.
 
     Raises:
-        InputError: parameters of another size or not finite, or as `storage.write_atomically`.
+        InputError: parameters of the wrong size or not finite, or as `storage.write_atomically`.
     """
     values = np.asarray(parameters, np.float64)
     if values.shape != (form.size,) or not np.isfinite(values).all():
@@ -121,12 +121,12 @@ def write_table(form: HayatiForm, parameters: ArrayLike, path: str | Path, overw
 
 
 def millimetres(length: float) -> str:
-    """The decimal of a length in mm that reads back as exactly this float of metres."""
+    """The decimal of a length in mm that is read as exactly this float of metres."""
     return _plain(Decimal(repr(float(length))).scaleb(3, _EXACT))
 
 
 def degrees(angle: float) -> str:
-    """The shortest decimal of an angle in degrees that reads back as exactly this float of radians."""
+    """The shortest decimal of an angle in degrees that is read as exactly this float of radians."""
     angle = float(angle)
     exact = _EXACT.divide(Decimal(angle), _DEGREE)
     candidates = (_plain(Context(prec=digits).create_decimal(exact)) for digits in range(15, 40))
@@ -134,7 +134,7 @@ def degrees(angle: float) -> str:
 
 
 def _plain(value: Decimal) -> str:
-    """A decimal as JSON that keeps its point, so that it stays a float in every reader."""
+    """A decimal in JSON with its point, so that every reader reads it as a float."""
     value = value.normalize(_EXACT)
     mantissa, _, power = (format(value, "f") if -7 <= value.adjusted() < 16 else str(value)).partition("E")
     mantissa = mantissa if "." in mantissa else f"{mantissa}.0"
@@ -149,7 +149,7 @@ def _parse(path: str | Path) -> dict[str, Any]:
         )
     except json.JSONDecodeError as error:
         raise InputError(f"{path}: line {error.lineno}: not valid JSON ({error.msg}); correct the file") from error
-    except _TwiceError as error:
+    except _RepeatedKeyError as error:
         raise InputError(f"{path}: the key {error.args[0]!r} is given twice; keep one") from error
     except (RecursionError, ValueError, ArithmeticError) as error:
         raise InputError(
@@ -160,7 +160,7 @@ def _parse(path: str | Path) -> dict[str, Any]:
     return content
 
 
-class _TwiceError(Exception):
+class _RepeatedKeyError(Exception):
     pass
 
 
@@ -168,7 +168,7 @@ def _unique_keys(pairs: Sequence[tuple[str, Any]]) -> dict[str, Any]:
     found: dict[str, Any] = {}
     for key, value in pairs:
         if key in found:
-            raise _TwiceError(key)
+            raise _RepeatedKeyError(key)
         found[key] = value
     return found
 

@@ -39,11 +39,11 @@ class Convert:
         check_writable(self.target, self.force)
         from lite6jax.arms.forms import convert_file
         from lite6jax.fitting.source import load_nominal
-        from lite6jax.report import screen, tables
+        from lite6jax.report import fleet_tables, screen
 
         done = convert_file(self.source, self.target, self.to, load_nominal(self.arm), self.force)
         screen.written([done.path])
-        screen.show(tables.conversion_report(done))
+        screen.show(fleet_tables.conversion_report(done))
         return DONE
 
 

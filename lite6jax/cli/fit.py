@@ -100,7 +100,7 @@ class Fit:
             except InputError as error:  # the fit is good all the same: it is shown and written first
                 refusal = error
 
-        from lite6jax.report import screen, tables
+        from lite6jax.report import fleet_tables, screen
 
         written = []  # before anything is printed: a reader who leaves early, like `head`, must not cost the files
         if self.out:
@@ -209,7 +209,7 @@ class Compare:
             canvas.check_names(self.figures, names, self.force)
         comparison = compare([read_factory(path, nominal) for path in self.files])
 
-        from lite6jax.report import screen, tables
+        from lite6jax.report import fleet_tables, screen
 
         written = []
         if self.figures:
@@ -217,7 +217,7 @@ class Compare:
 
             drawn = (figures.parameter_differences(comparison), figures.distance_between(comparison))
             written = canvas.save(dict(zip(names, drawn, strict=True)), self.figures, self.force)
-        screen.show(tables.comparison_report(comparison, screen.console().width))
+        screen.show(fleet_tables.comparison_report(comparison, screen.console().width))
         screen.written(written)
         return DONE
 
@@ -245,13 +245,13 @@ class Fleet:
         check_out(self.out, ".parquet", self.force)
         from lite6jax.fitting.folder import fit_folder, folder_files, write_rows
         from lite6jax.fitting.source import load_nominal
-        from lite6jax.report import screen, tables
+        from lite6jax.report import fleet_tables, screen
 
         nominal = load_nominal(self.arm)
         files = folder_files(self.folder, self.out)
         with screen.progress(len(files), "fitting") as advance:
             rows = fit_folder(files, nominal, advance)
         path = write_rows(rows, self.out, self.force)
-        screen.show(tables.folder_report(rows))
+        screen.show(fleet_tables.folder_report(rows))
         screen.written([path])
         return DONE

@@ -101,7 +101,7 @@ class Record:
         if self.seconds is not None and not 0 < self.seconds < float("inf"):
             raise InputError(f"--seconds {self.seconds:g}: give more than zero")
         from lite6jax.arms.files import read_arm
-        from lite6jax.controller.asked import record_poses
+        from lite6jax.controller.computed_poses import record_poses
         from lite6jax.controller.exchange import parse_address
         from lite6jax.controller.recorder import record
         from lite6jax.controller.station import read_station

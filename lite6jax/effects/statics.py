@@ -10,7 +10,8 @@ from jax import Array, lax
 from numpy.typing import ArrayLike
 
 from lite6jax.arms.chains import Form, HayatiForm
-from lite6jax.arms.moves import Frame, Turn, base_frame, cross
+from lite6jax.arms.forward_kinematics import link_frames
+from lite6jax.arms.moves import Turn, base_frame, cross
 from lite6jax.errors import InputError
 
 STANDARD_GRAVITY = (0.0, 0.0, -9.81)
@@ -119,13 +120,7 @@ def loads(
         )
     samples = joint.cos.shape[1]
 
-    def outwards(frame: Frame, row: tuple[Array, Array, Array]) -> tuple[Frame, Frame]:
-        values, cos, sin = row
-        frame, _ = form.step(frame, values, jnp.zeros((), bool), Turn(cos, sin))
-        return frame, frame
-
-    rows = kinematics[form.walking_order].reshape(form.dof, 6)
-    _, frames = lax.scan(outwards, base_frame(jnp.eye(4), samples), (rows, joint.cos, joint.sin))
+    frames = link_frames(form, kinematics, joint, base_frame(jnp.eye(4), samples))
     x, y, z, origin = (jnp.moveaxis(part, 1, 0) for part in frames)  # (3, joint, sample)
 
     def arm_to(center: Array, last: slice) -> Array:

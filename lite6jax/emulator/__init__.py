@@ -2,7 +2,8 @@
 
 from lite6jax.emulator.body import Body
 from lite6jax.emulator.faults import Faults, describe_faults, parse_faults
-from lite6jax.emulator.motion import draw_places, draw_sines, played, read_path, visits
+from lite6jax.emulator.paths import played, visits
+from lite6jax.emulator.programs import draw_places, draw_sines, read_path
 from lite6jax.emulator.server import Controller, Seen
 
 __all__ = [

@@ -13,7 +13,8 @@ from lite6jax.controller import protocol
 from lite6jax.controller.protocol import Frame, Status
 from lite6jax.emulator.body import BLOCK, SPACING_S, Body, Sample
 from lite6jax.emulator.faults import Faults
-from lite6jax.emulator.motion import MAX_ACCELERATION, MAX_SPEED, Path, PointToPoint, Servo, Timeline
+from lite6jax.emulator.paths import MAX_ACCELERATION, MAX_SPEED, Path, PointToPoint, Servo
+from lite6jax.emulator.timeline import Timeline
 
 Array = NDArray[np.floating]
 

@@ -20,7 +20,7 @@ from lite6jax.arms.frames import Array
 from lite6jax.controller import protocol
 from lite6jax.emulator.body import identity_of
 from lite6jax.emulator.core import Core
-from lite6jax.emulator.motion import MAX_ACCELERATION, MAX_SPEED
+from lite6jax.emulator.paths import MAX_ACCELERATION, MAX_SPEED
 
 DIFFERENCE_S = 1e-3
 """The step by which speeds and accelerations are differentiated."""

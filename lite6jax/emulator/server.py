@@ -16,7 +16,7 @@ from lite6jax.controller import protocol
 from lite6jax.emulator.body import Body
 from lite6jax.emulator.core import STOPPED, Core
 from lite6jax.emulator.faults import Faults
-from lite6jax.emulator.motion import Path
+from lite6jax.emulator.paths import Path
 from lite6jax.emulator.registers import PLAUSIBLE
 from lite6jax.emulator.reports import report
 from lite6jax.emulator.sockets import Sockets

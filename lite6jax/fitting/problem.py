@@ -12,10 +12,11 @@ from numpy.typing import NDArray
 
 from lite6jax.arms import frames
 from lite6jax.arms.arm import Arm
-from lite6jax.arms.chains import SixParameterForm, fk
+from lite6jax.arms.chains import SixParameterForm
 from lite6jax.arms.factory import FactoryCalibration, read_factory
 from lite6jax.arms.files import read_arm
 from lite6jax.arms.forms import hayati_of
+from lite6jax.arms.forward_kinematics import fk
 from lite6jax.arms.moves import Turn
 from lite6jax.arms.se3 import rotation_from_quaternion, rotation_from_rpy, transform
 from lite6jax.errors import InputError

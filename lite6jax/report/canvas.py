@@ -1,4 +1,4 @@
-"""What all figures share: size and style, colours for the colour-blind, PNG and SVG written whole, without a screen."""
+"""The common style of figures: size, fonts and colours, and atomic writing as PNG and SVG without a display."""
 
 from collections.abc import Mapping, Sequence
 from functools import partial
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from lite6jax import storage
 from lite6jax.errors import InputError
 
-# M. Okabe, K. Ito, Color Universal Design, 2002: told apart by the colour-blind, and in grey
+# M. Okabe, K. Ito, Color Universal Design, 2002: distinguishable with colour blindness and in grey
 BEFORE, AFTER = "#D55E00", "#0072B2"
 OKABE_ITO = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000", "#F0E442")
 MARKERS = "os^Dv<>P"
@@ -33,31 +33,31 @@ STYLE: dict[Any, Any] = {
     "grid.color": "#dddddd",
     "svg.hashsalt": "lite6jax",
 }
-"""Readable at half size; the same figure gives the same bytes."""
+"""Legible at half size. The hash salt makes the bytes of an SVG reproducible."""
 FRAMED: dict[Any, Any] = {**STYLE, "axes.grid": False, "axes.spines.top": True, "axes.spines.right": True}
-"""Of maps."""
+"""The style of images."""
 
 _MOST_POINTS = 2000
 
 
 def check_names(folder: str | Path, names: Sequence[str], overwrite: bool = False) -> None:
-    """Makes the folder and checks that figures of these names can be saved there, before long work.
+    """Creates the folder and checks that figures of these names can be saved there; call it before a long computation.
 
     Raises:
-        InputError: a file exists and `overwrite` is false, or the folder cannot be made.
+        InputError: a file exists and `overwrite` is false, or the folder cannot be created.
     """
     folder = Path(folder)
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise InputError(f"{folder}: no folder can be made here ({error.strerror}); choose another") from error
+        raise InputError(f"{folder}: this folder cannot be created ({error.strerror}); choose another") from error
     for name in names:
         for suffix in SUFFIXES:
             storage.check_writable(folder / f"{name}{suffix}", overwrite)
 
 
 def save(figures: Mapping[str, Figure], folder: str | Path, overwrite: bool = False) -> list[Path]:
-    """Writes figures by name as PNG and SVG, whole or not at all; the same figure gives the same bytes.
+    """Writes figures by name as PNG and SVG, atomically and reproducibly.
 
     Raises:
         InputError: as `storage.write_atomically`.
@@ -75,7 +75,7 @@ def _draw(figure: Figure, kind: str, target: Path) -> None:
 
 
 def blank(width: float, height: float) -> Figure:
-    """An empty figure, in inches."""
+    """An empty figure of this width and height in inches."""
     figure = Figure(figsize=(width, height), layout="constrained")
     FigureCanvasAgg(figure)
     return figure
@@ -91,5 +91,5 @@ def degree_ticks(panel: Axes) -> MultipleLocator | MaxNLocator:
 
 
 def thinned(count: int) -> NDArray[np.int64]:
-    """Which of `count` points to draw: evenly spread, and no more than an eye can tell."""
+    """Indices of the points to draw of `count`: evenly spaced, at most `_MOST_POINTS`."""
     return np.unique(np.linspace(0, max(count - 1, 0), min(count, _MOST_POINTS)).astype(int))

@@ -18,7 +18,7 @@ _MOST_NAMED = 12
 
 
 def error_by_joint(solution: Solution, title: str) -> Figure:
-    """Position error against each joint: nominal before, fitted after on samples not fitted; lines are medians."""
+    """Position error against each joint: the nominal arm, and the fitted one on samples that were not fitted; medians."""
     before, after = solution.nominal_errors, solution.checked
     joints = after.joint_position.shape[1]
     columns = 4 if joints > 6 else 3
@@ -54,7 +54,7 @@ def error_by_joint(solution: Solution, title: str) -> Figure:
 
 
 def error_distribution(solution: Solution, recording: Recording, title: str) -> Figure:
-    """How large the errors are, and where in the recording they stand."""
+    """The distribution of the position errors, and the errors along the recording."""
     before, after = solution.nominal_errors, solution.checked
     with rc_context(STYLE):
         figure = blank(12.0, 4.6)
@@ -62,7 +62,7 @@ def error_distribution(solution: Solution, recording: Recording, title: str) -> 
         top = _upper(before, after)
         bins = np.linspace(0, top, 41)
         for errors, colour in ((before, BEFORE), (after, AFTER)):
-            millimetres = np.minimum(1e3 * errors.position, top)  # the last bin holds what lies beyond
+            millimetres = np.minimum(1e3 * errors.position, top)  # larger errors are counted in the last bin
             left.hist(millimetres, bins, color=colour, alpha=0.45)
             left.hist(millimetres, bins, color=colour, histtype="step", linewidth=2)
             shown = thinned(len(errors.position))
@@ -79,7 +79,7 @@ def error_distribution(solution: Solution, recording: Recording, title: str) -> 
 
 
 def parameter_differences(comparison: Comparison) -> Figure:
-    """Each arm's difference from nominal, parameter by parameter: lengths above, angles below."""
+    """The difference of each arm's parameters from nominal: lengths in the upper panel, angles in the lower."""
     form = comparison.arm.form
     units = np.array(form.units)
     count = len(comparison.names)
@@ -115,7 +115,7 @@ def parameter_differences(comparison: Comparison) -> Figure:
 
 
 def distance_between(comparison: Comparison) -> Figure:
-    """The largest distance of the flanges of every two arms, and of each from nominal."""
+    """The largest distance between the flanges of each two arms, and of each from nominal."""
     count = len(comparison.names)
     table = np.zeros((count + 1, count + 1))
     table[1:, 1:] = 1e3 * comparison.between
@@ -157,12 +157,12 @@ def _figures(value: float) -> str:
 
 
 def _upper(*found: Errors) -> float:
-    """The top of a scale in mm: everything but the wildest half per cent."""
+    """The upper end of an axis in mm, above the 99.5th percentile of the errors."""
     return 1.1 * max(1e3 * float(np.percentile(errors.position, 99.5)) for errors in found) or 1.0
 
 
 def _running_median(x: Array, y: Array) -> tuple[Array, Array]:
-    """Medians over bins of equal width; a bin with too few samples breaks the line."""
+    """Medians over bins of equal width; NaN where a bin has too few samples."""
     edges = np.linspace(x.min(), max(x.max(), x.min() + 1e-9), _BINS + 1)
     at = np.clip(np.searchsorted(edges, x, side="right") - 1, 0, _BINS - 1)
     medians = np.full(_BINS, np.nan)

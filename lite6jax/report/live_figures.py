@@ -1,4 +1,4 @@
-"""The figure of an arm on the line: where its controller and its calibration differ."""
+"""The figure of a verification: the difference between the controller's kinematics and the calibration."""
 
 import numpy as np
 from matplotlib import rc_context
@@ -9,7 +9,7 @@ from lite6jax.report.canvas import AFTER, STYLE, blank, degree_ticks, thinned
 
 
 def verification_figure(verification: Verification, title: str) -> Figure:
-    """The difference to the controller against each joint, in nanometres to millimetres as it needs."""
+    """The position difference from the controller against each joint, in nm, µm or mm."""
     q, position = verification.joint_position, verification.position
     joints = q.shape[1]
     columns = 4 if joints > 6 else 3

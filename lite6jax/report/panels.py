@@ -1,4 +1,4 @@
-"""Panels in rows with one legend below, and medians by bins: what the figures of a diagnosis share."""
+"""Panels in rows with a common legend, and binned medians, for the figures of a diagnosis."""
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -13,11 +13,11 @@ GREY = "#8a8a8a"
 BINS = 20
 _LEAST_IN_BIN = 5
 _WIDE = ((1, (1, 7.5, 4.2)), (6, (2, 6.0, 4.2)), (15, (3, 5.0, 3.6)), (np.inf, (4, 4.6, 3.2)))
-"""Up to how many panels, in how many columns, each how wide and high, in."""
+"""Layouts by the largest number of panels: the number of columns, and the width and height of a panel in inches."""
 
 
 def medians(x: Array, y: Array, count: int = BINS) -> tuple[Array, Array, Array]:
-    """Middles of bins of equal width, medians and their standard errors; NaN where a bin holds too little."""
+    """Centres of bins of equal width, medians and their standard errors; NaN where a bin has too few samples."""
     if not len(x):
         return np.zeros(0), np.zeros(0), np.zeros(0)
     edges = np.linspace(x.min(), max(x.max(), x.min() + 1e-9), count + 1)
@@ -28,17 +28,17 @@ def medians(x: Array, y: Array, count: int = BINS) -> tuple[Array, Array, Array]
         if len(inside) >= _LEAST_IN_BIN:
             middle[k] = np.median(inside)
             deviation = 1.4826 * np.median(np.abs(inside - middle[k]))
-            error[k] = np.sqrt(np.pi / 2 / len(inside)) * deviation  # of a median of normal noise
+            error[k] = np.sqrt(np.pi / 2 / len(inside)) * deviation  # the standard error of a median of normal noise
     return (edges[1:] + edges[:-1]) / 2, middle, error
 
 
 def panels_in_rows(count: int, shared: bool = False, wide: bool = False) -> tuple[Figure, list[Axes]]:
-    """A figure of as many panels, in rows; no higher than a page of its width.
+    """A figure with `count` panels in rows.
 
     Args:
-        count: of panels.
-        shared: whether they share their upward axis.
-        wide: whether each needs room, as curves do; the more there are, the less each gets.
+        count: the number of panels.
+        shared: whether the panels share their vertical axis.
+        wide: whether panels are wide, as for curves; their size decreases with their number.
     """
     columns = min(count, 4 if count > 6 else 3)
     width, height = 3.0 + 3.0 / columns, 3.2
@@ -53,6 +53,6 @@ def panels_in_rows(count: int, shared: bool = False, wide: bool = False) -> tupl
 
 
 def legend_below(figure: Figure, panel: Axes, columns: int) -> None:
-    """One legend for all panels, from what one of them shows."""
+    """A legend below all panels, with the entries of one of them."""
     handles, labels = panel.get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=columns, frameon=False)

@@ -1,4 +1,4 @@
-"""The terminal: plain text as it is given, paths in one piece, a progress bar where someone looks."""
+"""Output to the terminal: text without markup, unbroken paths, and a progress bar."""
 
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
@@ -10,19 +10,19 @@ from rich.text import Text
 
 
 def console(stderr: bool = False) -> Console:
-    """A console that takes no character of a file's name for markup."""
+    """A console that interprets no character of a file name as markup."""
     return Console(stderr=stderr, highlight=False, markup=False, emoji=False)
 
 
 def show(parts: Iterable[RenderableType]) -> None:
-    """Prints parts one below the other."""
+    """Prints parts below each other."""
     screen = console()
     for part in parts:
         screen.print(part, soft_wrap=isinstance(part, Text) and bool(part.no_wrap))
 
 
 def written(paths: Iterable[Path]) -> None:
-    """Says what was written, a line a file however long its path."""
+    """Prints the written files, one line each without wrapping."""
     screen = console()
     for path in paths:
         screen.print(f"Wrote {path}", soft_wrap=True)
@@ -30,7 +30,7 @@ def written(paths: Iterable[Path]) -> None:
 
 @contextmanager
 def progress(total: int, what: str) -> Iterator[Callable[[int], None]]:
-    """A bar on stderr, gone when done; nothing where stderr is no terminal. Gives what advances it, from any thread."""
+    """A transient progress bar on stderr if that is a terminal. Yields a thread-safe function that advances it."""
     screen = console(stderr=True)
     columns = (TextColumn(what), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with Progress(*columns, console=screen, transient=True, disable=not screen.is_terminal) as bar:

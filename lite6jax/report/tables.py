@@ -1,4 +1,4 @@
-"""What a person in a lab reads on the screen: sentences and tables in mm and degrees, 60 columns and up."""
+"""The screen report of a fit: sentences and tables in mm and degrees, for terminals of 60 columns or more."""
 
 from collections.abc import Iterator, Sequence
 
@@ -11,13 +11,10 @@ from rich.text import Text
 from lite6jax.arms import frames
 from lite6jax.arms.chains import HayatiForm
 from lite6jax.arms.factory import FactoryCalibration
-from lite6jax.arms.forms import Conversion
 from lite6jax.estimation.robust import DOWNWEIGHTED
-from lite6jax.fitting.compare import Comparison
-from lite6jax.fitting.folder import Row, failed
 from lite6jax.fitting.solution import Errors, Held, Noise, Result, Solution
 from lite6jax.recordings import Recording
-from lite6jax.report.cells import SCREEN, SHOWS_AS_ZERO, fixed, listed, listing, number, plus_minus
+from lite6jax.report.cells import SCREEN, fixed, listed, listing, number, plus_minus
 from lite6jax.report.data_faults import fault_statement
 
 Array = NDArray[np.floating]
@@ -28,20 +25,19 @@ STATISTICS = (
     ("p95", lambda values: np.percentile(values, 95)),
     ("max", np.max),
 )
-_MOST_ARMS = 12
-_ROWS_NAMED = 5
+_MOST_ROWS = 5
 _SIX = ("x", "y", "z", "roll", "pitch", "yaw")
 
 
 def calibration_read(calibration: FactoryCalibration) -> Iterator[RenderableType]:
-    """What was read."""
+    """The calibration file and its arm."""
     arm = calibration.arm
     yield Text(f"{calibration.source}", no_wrap=True, overflow="ignore")
     yield Text(f"Factory calibration of {arm.dof} joints, of a {arm.name}.")
 
 
 def recording_read(recording: Recording, solution: Solution) -> Iterator[RenderableType]:
-    """What was read, and what its sidecar lets the fit move."""
+    """The recording, and which parameters the fit estimates according to its sidecar."""
     settings = recording.settings
     kind = "positions and orientations" if recording.quaternion is not None else "positions"
     by = "" if settings.pose_source == "unknown" else f" by {settings.pose_source.replace('_', ' ')}"
@@ -59,9 +55,9 @@ def recording_read(recording: Recording, solution: Solution) -> Iterator[Rendera
 
 
 def solution_report(solution: Solution, recording: Recording | None = None) -> Iterator[RenderableType]:
-    """A fit from its result to its notes."""
+    """The report of a fit: result, errors, parameters with standard deviations, noise, outliers and notes."""
     yield ""
-    yield Text(_sentence(solution, recording is not None))
+    yield Text(_result_line(solution, recording is not None))
     yield ""
     chain = solution.form.chain
     checked = "held-out blocks" if recording is not None else f"{len(solution.checked.position)} fresh samples"
@@ -81,22 +77,20 @@ def solution_report(solution: Solution, recording: Recording | None = None) -> I
     if recording is not None:
         yield from frame_tables(solution)
         yield from _fault_lines(solution)
-        yield from _held_in_words(solution.held)
-        yield from _noise_in_words(solution.noise, solution.checked)
-        yield from _weights_in_words(solution.weight, recording)
+        yield from _held_lines(solution.held)
+        yield from _noise_line(solution.noise, solution.checked)
+        yield from _outlier_line(solution.weight, recording)
         notes = solution.notes
         yield from (Text(f"Note: {note[0].upper()}{note[1:]}{'' if note.endswith('.') else '.'}") for note in notes)
 
 
-def _sentence(solution: Solution, recorded: bool) -> str:
+def _result_line(solution: Solution, recorded: bool) -> str:
     steps = f"{solution.steps} step{'s' * (solution.steps != 1)}"
     if solution.result != Result.CONVERGED:
-        return f"The fit {solution.result.message} ({steps}); the numbers below are where it stopped."
+        return f"The fit {solution.result.message} ({steps}); the values below are those of its last step."
     before, after = (1e3 * e.position_rms for e in (solution.nominal_errors, solution.checked))
     if recorded:
-        return (
-            f"Converged in {steps}: {number(after, 3)} mm RMS on rows it had not seen, {number(before, 3)} mm before."
-        )
+        return f"Converged in {steps}: {number(after, 3)} mm RMS on held-out rows, {number(before, 3)} mm before."
     worst = 1e3 * float(solution.checked.position.max())
     most = 1e3 * float(solution.nominal_errors.position.max())
     return (
@@ -119,7 +113,7 @@ def errors_table(rows: Sequence[tuple[str, Errors]]) -> Table:
 
 
 def hayati_tables(solution: Solution) -> Iterator[RenderableType]:
-    """Base, and a row a joint; below each number its standard deviation, or its difference from nominal."""
+    """The base and one row per joint; below each value its standard deviation or its difference from nominal."""
     form = solution.form.chain
     assert isinstance(form, HayatiForm)
     measured = solution.standard_deviation is not None
@@ -160,7 +154,7 @@ def hayati_tables(solution: Solution) -> Iterator[RenderableType]:
 
 
 def six_parameter_table(solution: Solution) -> Table:
-    """The chain of a factory file as it was fitted, with standard deviations."""
+    """The fitted six-parameter chain with standard deviations."""
     chain = solution.form.chain
     deviation = solution.standard_deviation
     assert deviation is not None
@@ -175,7 +169,7 @@ def six_parameter_table(solution: Solution) -> Table:
 
 
 def frame_tables(solution: Solution) -> Iterator[RenderableType]:
-    """Where the arm's base stands in the sensor's frame, and the tool on the flange."""
+    """The poses of the base in the sensor frame and of the tool on the flange, where they are estimated."""
     T_flange_tool = np.linalg.inv(solution.arm.T_joint_flange) @ np.asarray(solution.model.T_flange_tool)
     parts = []
     if solution.form.frame:
@@ -204,32 +198,32 @@ def frame_tables(solution: Solution) -> Iterator[RenderableType]:
         yield ""
 
 
-def _held_in_words(held: Sequence[Held]) -> Iterator[Text]:
+def _held_lines(held: Sequence[Held]) -> Iterator[Text]:
     groups: dict[tuple[str, ...], list[str]] = {}
     for each in held:
         groups.setdefault(each.carried_by, []).append(each.name)
     if groups:
-        yield Text("Held at their start, because these data cannot tell them from other numbers:")
+        yield Text("Held at their start, because these data do not identify them:")
     for carried_by, names in groups.items():
-        what = f"carried by {', '.join(carried_by)}" if carried_by else "nothing here depends on them"
-        yield Text(f"  {', '.join(names)}: {what}")
+        reason = f"confounded with {', '.join(carried_by)}" if carried_by else "no residual depends on them"
+        yield Text(f"  {', '.join(names)}: {reason}")
 
 
-def _noise_in_words(noise: Noise | None, checked: Errors) -> Iterator[Text]:
+def _noise_line(noise: Noise | None, checked: Errors) -> Iterator[Text]:
     if noise is None:
         return
     found = f"{number(1e3 * noise.position)} mm"
     if noise.orientation is not None:
         found += f", {number(np.rad2deg(noise.orientation))}°"
     if noise.declared is None:
-        yield Text(f"Noise per axis: not declared for all that is measured; the residuals have {found}.")
+        yield Text(f"Noise per axis: not declared for every measured quantity; the residuals have {found}.")
         return
-    said = f"{number(1e3 * noise.declared[0])} mm"
+    declared = f"{number(1e3 * noise.declared[0])} mm"
     if noise.declared[1] is not None:
-        said += f", {number(np.rad2deg(noise.declared[1]))}°"
+        declared += f", {number(np.rad2deg(noise.declared[1]))}°"
     ratio = noise.position / noise.declared[0]
-    verdict = "as declared" if ratio < 1.5 else f"{ratio:.0f} times it: the rest is what this geometry cannot explain"
-    yield Text(f"Noise per axis: declared {said}; the residuals have {found}, {verdict}.")
+    verdict = "as declared" if ratio < 1.5 else f"{ratio:.0f} times it: this geometry does not explain the rest"
+    yield Text(f"Noise per axis: declared {declared}; the residuals have {found}, {verdict}.")
 
 
 def _fault_lines(solution: Solution) -> Iterator[Text]:
@@ -238,125 +232,14 @@ def _fault_lines(solution: Solution) -> Iterator[Text]:
         yield Text(f"Data fault: {fault_statement(fault)}{rows}")
 
 
-def _weights_in_words(weight: Array, recording: Recording) -> Iterator[Text]:
+def _outlier_line(weight: Array, recording: Recording) -> Iterator[Text]:
     low = np.flatnonzero(weight < DOWNWEIGHTED)
     if not low.size:
-        yield Text(f"No sample stands out: all {len(weight)} keep their weight.")
+        yield Text(f"No outliers: all {len(weight)} samples keep their weight.")
         return
     rows = recording.row[low[np.argsort(weight[low])]]
-    named = ", ".join(str(row) for row in rows[:_ROWS_NAMED])
-    more = ", …" if len(rows) > _ROWS_NAMED else ""
+    named = ", ".join(str(row) for row in rows[:_MOST_ROWS])
+    more = ", …" if len(rows) > _MOST_ROWS else ""
     yield Text(
-        f"{len(rows)} of {len(weight)} samples stand out and weigh less than {DOWNWEIGHTED:g}: rows {named}{more}."
+        f"{len(rows)} of {len(weight)} samples are outliers with weights below {DOWNWEIGHTED:g}: rows {named}{more}."
     )
-
-
-def comparison_report(comparison: Comparison, width: int) -> Iterator[RenderableType]:
-    """Arms of one type side by side."""
-    names, form = comparison.names, comparison.arm.form
-    arms = len(names)
-    yield Text(
-        f"{arms} arms of the type {comparison.arm.name}; flange over {comparison.from_nominal.shape[1]} samples."
-    )
-    yield ""
-    yield Text("Distance from nominal (mm)")
-    table = listing("arm", "mean", "median", "p95", "max", "file")
-    table.columns[-1].justify, table.columns[-1].no_wrap, table.columns[-1].overflow = "left", False, "fold"
-    for k in range(arms):
-        cells = (f"{1e3 * float(statistic(comparison.from_nominal[k])):.3f}" for _, statistic in STATISTICS)
-        table.add_row(str(k + 1), *cells, Text(names[k]))
-    yield table
-    yield ""
-    shown = list(range(arms)) if arms <= _MOST_ARMS else []
-    fitting = max(1, (width - 32) // 9)
-    blocks = [shown[i : i + fitting] for i in range(0, len(shown), fitting)] or [[]]
-    for block in blocks:
-        which = f", arms {block[0] + 1}–{block[-1] + 1}" if len(blocks) > 1 else ""
-        yield Text(f"Hayati parameters minus nominal{which}")
-        yield _differences_table(comparison, block)
-        yield ""
-    scale = np.array([SCREEN[unit][0] for unit in form.units])
-    same = [name for name, most in zip(form.names, scale * comparison.largest, strict=True) if most < SHOWS_AS_ZERO]
-    if same:
-        yield Text(f"As nominal in every arm: {', '.join(same)}.")
-    lengths = np.array([unit == "m" for unit in form.units])
-    spread = scale * comparison.spread
-    yield Text(
-        f"Tolerance made visible: standard deviation {np.sqrt(np.mean(spread[lengths] ** 2)):.3f} mm and"
-        f" {np.sqrt(np.mean(spread[~lengths] ** 2)):.4f}° per parameter (RMS)."
-    )
-    yield from _pairs(comparison)
-
-
-def _differences_table(comparison: Comparison, arms: Sequence[int]) -> Table:
-    form = comparison.arm.form
-    table = listing("", "", *(str(k + 1) for k in arms), "std", "largest")
-    for i, (name, unit) in enumerate(zip(form.names, form.units, strict=True)):
-        scale, shown = SCREEN[unit]
-        if scale * comparison.largest[i] < SHOWS_AS_ZERO:
-            continue
-        own = (fixed(scale * comparison.difference[k, i], sign="+") for k in arms)
-        table.add_row(name, shown, *own, f"{scale * comparison.spread[i]:.4f}", f"{scale * comparison.largest[i]:.4f}")
-    return table
-
-
-def _pairs(comparison: Comparison) -> Iterator[RenderableType]:
-    arms = len(comparison.names)
-    if arms <= 8:
-        table = listing("arm", *(str(k + 1) for k in range(arms)))
-        for i in range(arms):
-            table.add_row(
-                str(i + 1), *("–" if i == j else f"{1e3 * comparison.between[i, j]:.2f}" for j in range(arms))
-            )
-        yield ""
-        yield Text("Largest distance between two arms' flanges (mm)")
-        yield table
-        return
-    pairs = np.triu_indices(arms, 1)
-    distance = comparison.between[pairs]
-    near, far = int(np.argmin(distance)), int(np.argmax(distance))
-    yield Text(
-        f"Between two arms: {1e3 * distance[near]:.3f} mm at most for the nearest pair"
-        f" ({pairs[0][near] + 1} and {pairs[1][near] + 1}), {1e3 * distance[far]:.3f} mm for the furthest"
-        f" ({pairs[0][far] + 1} and {pairs[1][far] + 1})."
-    )
-
-
-def folder_report(rows: Sequence[Row]) -> Iterator[RenderableType]:
-    """Numbers by type of arm, and a line for each file that failed."""
-    table = listing("arm", "files", "ok", "nominal", "worst", "check")
-    groups: dict[tuple[str, str], list[Row]] = {}
-    for row in rows:
-        if row.arm:
-            groups.setdefault((row.kind, row.arm), []).append(row)
-    for (kind, arm), group in sorted(groups.items()):
-        nominal = [1e3 * float(row.nominal.position.max()) for row in group if row.nominal]
-        checked = [1e3 * float(row.checked.position.max()) for row in group if row.checked]
-        good = sum(row.result == Result.CONVERGED for row in group)
-        name = arm if kind == "calibration" else f"{arm} (recorded)"
-        table.add_row(
-            name, str(len(group)), str(good), f"{np.median(nominal):.3f}", f"{max(nominal):.3f}", number(max(checked))
-        )
-    if groups:
-        yield Text("By type of arm; position errors in mm")
-        yield table
-        yield Text(
-            "nominal, worst: median and largest, over the arms, of the maximum error before the fit;"
-            " check: largest after it."
-        )
-    bad = failed(rows)
-    if bad:
-        yield ""
-        yield Text(f"{len(bad)} of {len(rows)} files have no fit to use:")
-        for row in bad:
-            yield Padding(
-                Text(f"{row.message if row.file in row.message else f'{row.file}: {row.message}'}"), (0, 0, 0, 2)
-            )
-
-
-def conversion_report(done: Conversion) -> Iterator[RenderableType]:
-    """What a conversion kept and what it left out."""
-    kept = f"{1e3 * done.difference:.1e}" if done.difference else "0"
-    yield Text(f"Form {done.form}, arm {done.arm.name}; read back, the flange differs by at most {kept} mm.")
-    if done.left_out:
-        yield Text(f"Left out: {'; '.join(done.left_out)}.")

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.bundled import bundled_arms, load_bundled
-from lite6jax.arms.chains import HayatiForm, hayati_fk, six_parameter_fk
+from lite6jax.arms.chains import HayatiForm
 from lite6jax.arms.files import (
     read_arm,
     read_description,
@@ -21,6 +21,7 @@ from lite6jax.arms.files import (
     write_factory,
     write_table,
 )
+from lite6jax.arms.forward_kinematics import hayati_fk, six_parameter_fk
 from lite6jax.errors import InputError
 
 REAL = Path(__file__).resolve().parents[2] / "../shared/real"

@@ -4,8 +4,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from lite6jax.arms.bundled import load_bundled
-from lite6jax.arms.chains import HayatiForm, hayati_fk, hayati_form_of, joint_axes, six_parameter_fk
+from lite6jax.arms.chains import HayatiForm, hayati_form_of, joint_axes
 from lite6jax.arms.convert import hayati_to_six_parameter, six_parameter_to_hayati
+from lite6jax.arms.forward_kinematics import hayati_fk, six_parameter_fk
 from lite6jax.errors import InputError
 from tests.oracles.arms import LITE6_DH, perturbed, random_kinematics, random_positions
 from tests.oracles.chains import six_parameter_poses
@@ -186,7 +187,7 @@ REFUSED = [
     (
         LITE6,
         moved(3, x=0.0),
-        "joints 2 and 3: their axes coincide, so the two cannot be told apart; remove one joint",
+        "joints 2 and 3: their axes coincide, so the two joints are indistinguishable; remove one",
     ),
 ]
 

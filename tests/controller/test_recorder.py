@@ -11,7 +11,7 @@ from test_growing import room_for
 
 from lite6jax.arms.factory import read_factory
 from lite6jax.controller import protocol, recorder
-from lite6jax.controller.asked import record_poses
+from lite6jax.controller.computed_poses import record_poses
 from lite6jax.controller.exchange import Address
 from lite6jax.controller.recorder import record
 from lite6jax.controller.station import read_station

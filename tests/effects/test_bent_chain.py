@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from lite6jax.arms.bundled import load_bundled
-from lite6jax.arms.chains import Bend, SixParameterForm, sweep
+from lite6jax.arms.chains import SixParameterForm
 from lite6jax.arms.convert import hayati_to_six_parameter
+from lite6jax.arms.forward_kinematics import Bend, sweep
 from lite6jax.arms.moves import base_frame, cross, displace, turn
 from lite6jax.effects.composition import Physics
 from lite6jax.effects.deflection import Deflection, dense, twist
@@ -122,8 +123,8 @@ def test_link_effects_of_a_hayati_chain_are_refused(effect):
     with pytest.raises(InputError) as error:
         predict_poses(hayati, Physics((effect,)), model, np.zeros(effect.size), motion)
     assert str(error.value) == (
-        "the Hayati chain has no frames of links to bend; use the six-parameter chain, to which "
-        "hayati_to_six_parameter converts it exactly"
+        "the frames of a Hayati chain are not those of its links, so it cannot bend; use the six-parameter "
+        "chain, to which hayati_to_six_parameter converts it exactly"
     )
 
 

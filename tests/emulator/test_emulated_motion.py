@@ -6,21 +6,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from lite6jax.arms.bundled import load_bundled
-from lite6jax.emulator.motion import (
-    MAX_ACCELERATION,
-    MAX_SPEED,
-    Brake,
-    PointToPoint,
-    Rest,
-    Servo,
-    Timeline,
-    draw_places,
-    draw_sines,
-    peak_speed,
-    played,
-    read_path,
-    visits,
-)
+from lite6jax.emulator.paths import MAX_ACCELERATION, MAX_SPEED, Brake, PointToPoint, Rest, Servo, played, visits
+from lite6jax.emulator.programs import draw_places, draw_sines, peak_speed, read_path
+from lite6jax.emulator.timeline import Timeline
 from lite6jax.errors import InputError
 
 LITE6 = load_bundled("lite6")

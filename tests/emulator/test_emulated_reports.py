@@ -12,7 +12,7 @@ from lite6jax.controller import protocol
 from lite6jax.effects.composition import Physics
 from lite6jax.effects.serialization import parse_effect
 from lite6jax.emulator import Body, Controller, draw_sines, visits
-from lite6jax.emulator.motion import PointToPoint
+from lite6jax.emulator.paths import PointToPoint
 from tests.oracles.chains import six_parameter_poses
 
 

@@ -1,0 +1,164 @@
+"""Forward kinematics of serial chains, and the twists of their parameters.
+
+A frame moves along the chain by elementary transformations about its own axes. The sample is the last axis of every
+array, so that each transformation is one vector instruction over all samples. The joints are a loop, so that neither
+the compile time nor the recomputation of prefixes grows with their number.
+"""
+
+from collections.abc import Callable
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax import Array, lax
+from jax.typing import ArrayLike
+
+from lite6jax.arms.chains import Form, HayatiForm, SixParameterForm
+from lite6jax.arms.moves import Frame, Turn, Twist, Z, base_frame, displace, rotation_twist, turn
+from lite6jax.arms.se3 import transform
+from lite6jax.errors import InputError
+
+
+class Bend(NamedTuple):
+    """Displacements of the frames of a six-parameter chain, sample by sample; None stands for zero.
+
+    Attributes:
+        stretch: `(joint, sample)`, the relative growth of the vector to each joint's origin.
+        twist: `(joint, 6, sample)` m and rad, by which `displace` moves each frame after its joint's rotation.
+    """
+
+    stretch: Array | None = None
+    twist: Array | None = None
+
+
+def sweep(
+    form: Form,
+    parameters: Array,
+    joint: Turn,
+    start: Frame,
+    emit: Callable[[Twist], Array] | None = None,
+    bend: Bend | None = None,
+) -> tuple[Frame, Array]:
+    """The flange frame of a chain, and a function of the twist of each parameter.
+
+    Args:
+        form: the parameterisation.
+        parameters: `(size,)`.
+        joint: cosine and sine of the joint angles, each `(joint, sample)`.
+        start: the base frame in fixed coordinates.
+        emit: maps the twist of a parameter to an array, of the same shape for all.
+        bend: displacements of the frames of a six-parameter chain.
+
+    Returns:
+        the flange frame, and the results of `emit`, `(size, …)` in `walking_order`, empty without `emit`.
+
+    Raises:
+        InputError: a bend of a Hayati chain, whose frames are not those of the links.
+    """
+    if bend is not None and isinstance(form, HayatiForm):
+        raise InputError(
+            "the frames of a Hayati chain are not those of its links, so it cannot bend; use the six-parameter "
+            "chain, to which hayati_to_six_parameter converts it exactly"
+        )
+    of_base, steps = _in_order(form, parameters)
+    flags = jnp.asarray(form.flags)
+    frame, twists = form.apply_base(start, of_base)
+
+    def record(collected: Array, at: int | Array, twists: tuple[Twist, ...]) -> Array:
+        if emit is None or not twists:
+            return collected
+        rows = jnp.stack([emit(twist) for twist in twists])
+        return lax.dynamic_update_slice_in_dim(collected, rows, at, 0)
+
+    if emit is None:
+        collected = jnp.zeros((0,))
+    else:
+        emitted = jax.eval_shape(lambda: emit(rotation_twist(start, Z)))
+        collected = jnp.zeros((form.size, *emitted.shape), emitted.dtype)
+    collected = record(collected, 0, twists)
+
+    def body(i: Array, state: tuple[Frame, Array]) -> tuple[Frame, Array]:
+        frame, collected = state
+        pick = partial(lax.dynamic_index_in_dim, index=i, axis=0, keepdims=False)
+        values, stretch = pick(steps), None
+        if bend is not None and bend.stretch is not None:
+            stretch = 1 + pick(bend.stretch)
+            values = (*(stretch * value for value in values[:3]), *values[3:])
+        frame, twists = form.step(frame, values, pick(flags), Turn(pick(joint.cos), pick(joint.sin)))
+        if stretch is not None:
+            twists = (*(Twist(stretch * twist.linear, None) for twist in twists[:3]), *twists[3:])
+        if bend is not None and bend.twist is not None:
+            frame = displace(frame, pick(bend.twist))
+        return frame, record(collected, form.base_size + i * steps.shape[1], twists)
+
+    return lax.fori_loop(0, form.dof, body, (frame, collected))
+
+
+def link_frames(form: Form, parameters: Array, joint: Turn, start: Frame) -> Frame:
+    """The frame after each joint's rotation, in the coordinates of `start`; its leaves are `(joint, 3, sample)`."""
+    of_base, steps = _in_order(form, parameters)
+
+    def walk(frame: Frame, at: tuple[Array, Array, Turn]) -> tuple[Frame, Frame]:
+        frame, _ = form.step(frame, *at)
+        return frame, frame
+
+    return lax.scan(walk, form.apply_base(start, of_base)[0], (steps, jnp.asarray(form.flags), joint))[1]
+
+
+def _in_order(form: Form, parameters: Array) -> tuple[Array, Array]:
+    """The parameters of the base `(base_size,)`, and those of the joints `(joint, …)`, in order of application."""
+    values = parameters[form.walking_order]
+    return values[: form.base_size], values[form.base_size :].reshape(form.dof, -1)
+
+
+@partial(jax.jit, static_argnums=0)
+def fk(form: Form, parameters: ArrayLike, joint_position: ArrayLike) -> Array:
+    """Flange poses `T_base_flange` `(..., 4, 4)` of a chain.
+
+    Args:
+        form: the parameterisation.
+        parameters: `(size,)` in the order of `form.names`; m and rad.
+        joint_position: `(..., joint)` rad.
+
+    Raises:
+        InputError: shapes that do not fit the chain.
+    """
+    q = jnp.asarray(joint_position, float)
+    if jnp.shape(parameters) != (form.size,) or q.shape[-1:] != (form.dof,):
+        raise InputError(
+            f"parameters {jnp.shape(parameters)} and joint_position {q.shape}: this chain takes ({form.size},) and "
+            f"(..., {form.dof})"
+        )
+    joint = turn(q.reshape(-1, form.dof).T)
+    frame, _ = sweep(form, jnp.asarray(parameters, float), joint, base_frame(jnp.eye(4), joint.cos.shape[1]))
+    R = jnp.stack([frame.x, frame.y, frame.z], 1)
+    T = transform(jnp.moveaxis(R, -1, 0), frame.origin.T)
+    return T.reshape(*q.shape[:-1], 4, 4)
+
+
+def six_parameter_fk(kinematics: ArrayLike, joint_position: ArrayLike) -> Array:
+    """Flange poses `(..., 4, 4)` of a six-parameter chain.
+
+    Args:
+        kinematics: `(joint, 6)`, rows x y z (m) roll pitch yaw (rad).
+        joint_position: `(..., joint)` rad.
+    """
+    kinematics = jnp.asarray(kinematics, float)
+    if kinematics.ndim != 2 or kinematics.shape[1] != 6:
+        raise InputError(f"kinematics of shape {kinematics.shape}: give (joint, 6), and use jax.vmap for many arms")
+    return fk(SixParameterForm(kinematics.shape[0]), kinematics.reshape(-1), joint_position)
+
+
+def hayati_fk(form: HayatiForm, parameters: ArrayLike, joint_position: ArrayLike) -> Array:
+    """The flange poses of a Hayati chain.
+
+    Args:
+        form: the Hayati form.
+        parameters: `(size,)` m and rad, in the order of `form.names`.
+        joint_position: `(..., joint)` rad.
+
+    Returns:
+        `(..., 4, 4)` T_base_flange, m.
+    """
+    return fk(form, parameters, joint_position)
