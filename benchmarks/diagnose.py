@@ -30,7 +30,7 @@ from lite6jax.estimation.score_test import evidence_of
 from lite6jax.recordings import FactoryUncertainty, Recording, RecordingSettings, write_recording
 from lite6jax.search.backward import Step
 from lite6jax.search.forward import search_of
-from lite6jax.simulation import Undeclared, draw_calibration, draw_sensor_frame, perturbed, simulate
+from lite6jax.simulation import UndeclaredNoise, draw_calibration, draw_sensor_frame, perturbed, simulate
 
 OURS = "lite6jax"
 LITE6 = load_bundled("lite6")
@@ -43,13 +43,13 @@ TOOL = np.array([0.02, -0.01, 0.06, 0.0, 0.0, 0.0])
 """m and rad: where the measured point is on the flange where that is not known."""
 
 Geometry = Literal["known", "uncertain", "unknown"]
-NOISES: dict[str, tuple[Undeclared, Undeclared]] = {
-    "as declared": (Undeclared(), Undeclared()),
-    "wrong by a factor of 2": (Undeclared(factor=2.0), Undeclared(factor=0.5)),
-    "correlated by 0.9": (Undeclared(correlation=0.9), Undeclared(correlation=0.9)),
-    "growing with reach": (Undeclared(growth_per_m=2.0), Undeclared(growth_per_m=2.0)),
-    "in the joints": (Undeclared(joint_noise=5e-5), Undeclared(joint_noise=5e-5)),
-    "5 % outliers": (Undeclared(outlier_share=0.05, outlier_size=2e-3), Undeclared(outlier_share=0.05)),
+NOISES: dict[str, tuple[UndeclaredNoise, UndeclaredNoise]] = {
+    "as declared": (UndeclaredNoise(), UndeclaredNoise()),
+    "wrong by a factor of 2": (UndeclaredNoise(factor=2.0), UndeclaredNoise(factor=0.5)),
+    "correlated by 0.9": (UndeclaredNoise(correlation=0.9), UndeclaredNoise(correlation=0.9)),
+    "growing with reach": (UndeclaredNoise(growth_per_m=2.0), UndeclaredNoise(growth_per_m=2.0)),
+    "in the joints": (UndeclaredNoise(joint_noise=5e-5), UndeclaredNoise(joint_noise=5e-5)),
+    "5 % outliers": (UndeclaredNoise(outlier_share=0.05, outlier_size=2e-3), UndeclaredNoise(outlier_share=0.05)),
 }
 """What is true of the noise and the sidecar does not say, for every other round."""
 MOTIONS = ("static", "trajectory")

@@ -64,7 +64,6 @@ _NAMES = {
     "lite6jax.arms.chains": ("HayatiForm",),
     "lite6jax.arms.convert": ("hayati_to_six_parameter", "six_parameter_to_hayati"),
     "lite6jax.arms.forward_kinematics": ("hayati_fk", "six_parameter_fk"),
-    "lite6jax.arms.forward_kinematics": ("hayati_fk", "six_parameter_fk"),
     "lite6jax.arms.files": ("read_arm", "read_factory", "write_factory"),
     "lite6jax.diagnosis.diagnose": ("Diagnosis", "diagnose"),
     "lite6jax.diagnosis.options": ("Options",),

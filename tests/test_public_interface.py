@@ -2,6 +2,7 @@
 
 import ast
 import inspect
+import json
 import re
 from pathlib import Path
 
@@ -17,8 +18,12 @@ PACKAGE = Path(lite6jax.__file__).parent
 LITE6 = lite6jax.read_arm("lite6")
 ANGLES = {"joint_position", "candidates", "recorded", "limits", "joint_limits", "joint_velocity"}
 """Arguments whose unit must be given as rad."""
-UNCHECKED = {"hayati_fk", "six_parameter_fk", "hayati_to_six_parameter"}
-"""Formulas of arrays that may be traced and differentiated: they check nothing, so they refuse nothing."""
+UNCHECKED = {
+    *("hayati_fk", "six_parameter_fk", "hayati_to_six_parameter"),
+    *("above_floor", "all_pass", "clear_of_itself", "self_collision", "register"),
+}
+"""They check nothing, so they refuse nothing: formulas that may be traced and differentiated, and parts that are handed
+what the library has checked."""
 NAMED_TUPLE = {"_fields", "_replace", "_asdict"}
 """Public in spite of their underscore."""
 FUNCTIONS = [name for name in lite6jax.__all__ if inspect.isfunction(getattr(lite6jax, name))]
@@ -110,6 +115,39 @@ def test_reports_and_commands_use_no_private_name(path):
 def test_what_that_check_finds():
     source = "from lite6jax.fitting import fit, _solve\nfrom numpy import _core\nfit._rounds\nfit.public\nself._own"
     assert list(private_uses(source)) == ["_solve", "fit._rounds"]
+
+
+NOTEBOOKS = sorted((PACKAGE.parent / "notebooks").glob("*.ipynb"))
+FIGURE_STYLE = "lite6jax.report.canvas"
+"""Colours and fonts of the figures, which notebooks share with the reports; nothing is computed there."""
+
+
+def modules_imported(source):
+    """The modules of the package that a notebook's code imports."""
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            yield node.module
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+def test_notebooks_use_public_names_only(path):
+    cells = json.loads(path.read_text())["cells"]
+    source = "\n".join("".join(cell["source"]) for cell in cells if cell["cell_type"] == "code")
+    ours = {module for module in modules_imported(source) if module.startswith("lite6jax")}
+    assert ours <= {"lite6jax", FIGURE_STYLE}
+    assert "lite6jax" in ours
+    used = {
+        node.attr
+        for node in ast.walk(ast.parse(source))
+        if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and node.value.id == "lite6jax"
+    }
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.ImportFrom) and node.module == "lite6jax":
+            used |= {alias.name for alias in node.names}
+    assert used
+    assert {name for name in used if not name.startswith("__")} <= set(lite6jax.__all__)
 
 
 # ------------------------------------------------------------------ degrees

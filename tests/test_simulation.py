@@ -26,7 +26,7 @@ from lite6jax.recordings import RecordingSettings, read_recording
 from lite6jax.simulation import (
     INSTRUMENTS,
     Instrument,
-    Undeclared,
+    UndeclaredNoise,
     draw_calibration,
     draw_motion,
     draw_sensor_frame,
@@ -40,7 +40,7 @@ from tests.oracles.transforms import origin_transform
 
 ROOT = Path(__file__).resolve().parents[1]
 LITE6 = load_bundled("lite6")
-NO_NOISE = Undeclared(factor=0.0)
+NO_NOISE = UndeclaredNoise(factor=0.0)
 PROBABLE = (1e-5, 1 - 1e-5)
 """Of statistics of fixed seeds: outside, the generator is wrong."""
 
@@ -131,7 +131,7 @@ def test_payload_and_warmth_follow_the_schedule():
 
 def test_each_purpose_has_its_own_chance():
     a = simulate(LITE6, samples=30, seed=5)
-    b = simulate(LITE6, samples=30, seed=5, sensor="camera", undeclared=Undeclared(outlier_share=0.2))
+    b = simulate(LITE6, samples=30, seed=5, sensor="camera", undeclared=UndeclaredNoise(outlier_share=0.2))
     again = simulate(LITE6, samples=30, seed=5)
     np.testing.assert_array_equal(a.joint_position, b.joint_position)
     np.testing.assert_array_equal(a.position, again.position)
@@ -301,7 +301,7 @@ def errors_of(measured):
 @pytest.mark.parametrize("factor", [1.0, 2.5])
 def test_noise_is_white_and_of_the_declared_size(factor):
     motion = draw_motion(LITE6, samples=1500)
-    measured = measure(motion, LITE6, sensor="motion_capture", undeclared=Undeclared(factor=factor), seed=1)
+    measured = measure(motion, LITE6, sensor="motion_capture", undeclared=UndeclaredNoise(factor=factor), seed=1)
     settings = measured.recording.settings
     assert (settings.position_noise_m, settings.orientation_noise_rad) == (2e-4, 1e-3)
     for error, sigma in zip(errors_of(measured), (2e-4, 1e-3), strict=True):
@@ -315,7 +315,7 @@ def test_noise_is_white_and_of_the_declared_size(factor):
 
 def test_noise_that_is_correlated_starts_anew_in_each_run():
     motion = draw_motion(LITE6, "trajectory", 4000, runs=1000)
-    measured = measure(motion, LITE6, sensor="motion_capture", undeclared=Undeclared(correlation=0.8), seed=2)
+    measured = measure(motion, LITE6, sensor="motion_capture", undeclared=UndeclaredNoise(correlation=0.8), seed=2)
     for error, sigma in zip(errors_of(measured), (2e-4, 1e-3), strict=True):
         runs = (error / sigma).reshape(1000, 4, 3)
         for k in range(4):  # of the same variance everywhere in a run
@@ -330,7 +330,7 @@ def test_noise_that_grows_with_the_distance_from_the_base():
     motion = draw_motion(LITE6, samples=2000)
     T = draw_sensor_frame(1)
     measured = measure(
-        motion, LITE6, sensor="tracker_6d", undeclared=Undeclared(growth_per_m=3.0), T_sensor_base=T, seed=3
+        motion, LITE6, sensor="tracker_6d", undeclared=UndeclaredNoise(growth_per_m=3.0), T_sensor_base=T, seed=3
     )
     distance = np.linalg.norm(six_parameter_poses(LITE6.kinematics, motion.joint_position)[:, :3, 3], axis=1)
     for error, sigma in zip(errors_of(measured), (2e-5, 1e-4), strict=True):
@@ -344,7 +344,7 @@ def test_noise_that_grows_with_the_distance_from_the_base():
 def test_read_outs_of_the_joints_are_noisy_and_the_poses_are_not(declared, hidden):
     sensor = Instrument(INSTRUMENTS["tracker"].sensor.with_noise(joint=declared), "laser_tracker")
     motion = draw_motion(LITE6, samples=500)
-    measured = measure(motion, LITE6, sensor=sensor, undeclared=Undeclared(joint_noise=hidden), seed=4)
+    measured = measure(motion, LITE6, sensor=sensor, undeclared=UndeclaredNoise(joint_noise=hidden), seed=4)
     assert measured.recording.settings.joint_noise_rad == declared
     read_out = measured.recording.joint_position - motion.joint_position
     assert likely(np.sum(read_out**2) / (declared**2 + hidden**2), 3000)
@@ -354,7 +354,7 @@ def test_read_outs_of_the_joints_are_noisy_and_the_poses_are_not(declared, hidde
 
 def test_outliers_are_as_many_and_as_large_as_asked():
     motion = draw_motion(LITE6, samples=400)
-    wild = Undeclared(factor=0.0, outlier_share=0.05, outlier_size=4e-3)
+    wild = UndeclaredNoise(factor=0.0, outlier_share=0.05, outlier_size=4e-3)
     measured = measure(motion, LITE6, sensor="tracker_6d", undeclared=wild, seed=5)
     position, turn = (np.linalg.norm(error, axis=1) for error in errors_of(measured))
     assert measured.outlier.sum() == 20
@@ -440,7 +440,7 @@ def test_motions_that_cannot_be(options, message):
     ],
 )
 def test_noise_that_cannot_be(options, message):
-    assert refused(Undeclared, **options) == message
+    assert refused(UndeclaredNoise, **options) == message
 
 
 def test_measurements_that_cannot_be():

@@ -115,7 +115,7 @@ class Simulate:
         from lite6jax.arms.files import read_arm
         from lite6jax.recordings import sidecar_path, write_recording
         from lite6jax.report import screen
-        from lite6jax.simulation import Undeclared, draw_motion, draw_sensor_frame, measure
+        from lite6jax.simulation import UndeclaredNoise, draw_motion, draw_sensor_frame, measure
 
         if self.out.suffix.lower() not in (".csv", ".parquet"):
             raise InputError(f"{self.out}: a recording ends in .csv or .parquet; choose such a name")
@@ -128,7 +128,7 @@ class Simulate:
         physics, values = self._physics()
         declared, kinematics = self._geometry(arm)
         noise = self.noise
-        undeclared = Undeclared(
+        undeclared = UndeclaredNoise(
             factor=noise.noise_factor,
             correlation=noise.noise_correlation,
             growth_per_m=noise.noise_growth,

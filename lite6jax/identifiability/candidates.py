@@ -125,7 +125,15 @@ def inside_limits(arm: Arm, margin: float = 0.0) -> NDArray[np.floating]:
 
 
 def all_pass(filters: Sequence[Filter], joint_position: ArrayLike) -> NDArray[np.bool_]:
-    """Which of `(sample, joint)` pass every filter, `(sample,)`."""
+    """Which joint positions pass every filter.
+
+    Args:
+        filters: in the order in which they are applied.
+        joint_position: `(sample, joint)` rad.
+
+    Returns:
+        `(sample,)` bool.
+    """
     q = np.asarray(joint_position, float)
     passed = np.ones(len(q), bool)
     for condition in filters:
@@ -152,7 +160,13 @@ def inside_box(arm: Arm, box: Box, tool_point: ArrayLike | Sequence[float] = (0.
 
 
 def above_floor(arm: Arm, height: float, tool_point: ArrayLike | Sequence[float] = (0.0, 0.0, 0.0)) -> Filter:
-    """Every joint that moves, the flange and the tool point are above a height, m, in the base's frame."""
+    """Every joint that moves, the flange and the tool point are above a height.
+
+    Args:
+        arm: its chain.
+        height: in the base's frame, m.
+        tool_point: `(3,)` m in the flange's frame.
+    """
     point = np.asarray(tool_point, float)
 
     def accepts(q: NDArray[np.floating]) -> NDArray[np.bool_]:
@@ -164,7 +178,7 @@ def above_floor(arm: Arm, height: float, tool_point: ArrayLike | Sequence[float]
 
 
 def clear_of_itself(collision: SelfCollision, margin: float = 0.0) -> Filter:
-    """The arm's capsules stay apart by more than a margin, m."""
+    """The arm's capsules keep a clearance of more than `margin`, m."""
     return Filter("self-collision", lambda q: collision.clearance(q) > margin)
 
 

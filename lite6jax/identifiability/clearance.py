@@ -14,6 +14,7 @@ from numpy import typing as npt
 from lite6jax.arms.arm import Arm, sample_joints
 from lite6jax.arms.moves import cross
 from lite6jax.identifiability.capsules import Capsule, chain_capsules
+from lite6jax.recordings import require_radians
 
 ALWAYS = 0.95
 """A pair that overlaps in more than this share of poses overlaps by construction (MoveIt's setup assistant does so)."""
@@ -80,7 +81,11 @@ def link_frames(arm: Arm, joint_position: npt.ArrayLike) -> npt.NDArray[np.float
     Args:
         arm: the chain.
         joint_position: `(sample, joint)` rad.
+
+    Raises:
+        InputError: joint positions in degrees.
     """
+    require_radians(joint_position, arm.joint_limits)
     F = _in_blocks(lambda q: _frames(arm.links, q), joint_position)[1:]
     T = arm.T_joint_flange
     flange = np.einsum("ijs,jk->iks", F[-1][:, :3], T[:3])

@@ -37,7 +37,7 @@ INSTRUMENTS: Mapping[str, Instrument] = MappingProxyType(
 
 @final
 @dataclass(frozen=True)
-class Undeclared:
+class UndeclaredNoise:
     """How the true noise differs from the declared one; the defaults are noise as declared.
 
     Attributes:
@@ -69,7 +69,7 @@ class Undeclared:
                 raise InputError(f"simulation: {field.name} is {value}; give a number, {limits}")
 
 
-AS_DECLARED = Undeclared()
+AS_DECLARED = UndeclaredNoise()
 """Noise of which nothing is undeclared."""
 
 

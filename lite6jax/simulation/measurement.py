@@ -18,7 +18,7 @@ from lite6jax.model import arm_model, predict_poses
 from lite6jax.recordings import Recording
 from lite6jax.recordings.motion import inertia_of_arm, motion_of_recording
 from lite6jax.simulation.draws import generator
-from lite6jax.simulation.instruments import AS_DECLARED, Instrument, Undeclared, correlated, instrument
+from lite6jax.simulation.instruments import AS_DECLARED, Instrument, UndeclaredNoise, correlated, instrument
 
 Array = NDArray[np.floating]
 
@@ -64,7 +64,7 @@ def measure(
     *,
     kinematics: Array | None = None,
     sensor: Instrument | str = "tracker",
-    undeclared: Undeclared = AS_DECLARED,
+    undeclared: UndeclaredNoise = AS_DECLARED,
     T_sensor_base: Array | None = None,
     tool: Sequence[float] | Array | None = None,
     tool_known: bool = True,

@@ -12,7 +12,7 @@ from lite6jax.effects.effect import Effect
 from lite6jax.effects.serialization import parse_effect
 from lite6jax.errors import InputError
 from lite6jax.recordings import Recording, RecordingSettings
-from lite6jax.simulation.instruments import AS_DECLARED, Instrument, Undeclared, instrument
+from lite6jax.simulation.instruments import AS_DECLARED, Instrument, UndeclaredNoise, instrument
 from lite6jax.simulation.measurement import measure
 from lite6jax.simulation.motions import MotionKind, draw_motion, given_motion
 
@@ -36,7 +36,7 @@ def simulate(
     position_noise: float | None = None,
     orientation_noise: float | None = None,
     joint_noise: float | None = None,
-    undeclared: Undeclared = AS_DECLARED,
+    undeclared: UndeclaredNoise = AS_DECLARED,
     T_sensor_base: Array | None = None,
     tool: Sequence[float] | Array | None = None,
     tool_known: bool = True,
@@ -65,7 +65,7 @@ def simulate(
         position_noise: declared and true standard deviation per axis, m; the sensor's where not given.
         orientation_noise: likewise, rad.
         joint_noise: likewise, of each joint's read-out, rad.
-        undeclared: how the true noise differs from the declared one; `Undeclared(factor=0)` is none.
+        undeclared: how the true noise differs from the declared one; `UndeclaredNoise(factor=0)` is none.
         T_sensor_base: `(4, 4)` the base in the sensor's frame, then declared unknown; the base's frame where not given.
         tool: `(6,)` x y z roll pitch yaw of the measured point in the flange's frame, m and rad; none where not given.
         tool_known: whether the settings declare it.
