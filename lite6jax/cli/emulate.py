@@ -1,4 +1,4 @@
-"""The command that emulates: controllers on loopback, for those who have no arm at hand."""
+"""The command that emulates controllers on loopback."""
 
 import math
 import time
@@ -25,8 +25,8 @@ REFRESH_S = 0.25
 
 @dataclass(frozen=True)
 class Emulate:
-    """Run an emulated UFACTORY controller on this machine: what xarm-python-sdk and the commands read, verify and
-    record as if it were an arm, until Ctrl-C.
+    """Run an emulated UFACTORY controller on this machine until Ctrl-C. xarm-python-sdk and the commands read, verify
+    and record it like an arm.
 
     For example:
 
@@ -36,42 +36,42 @@ class Emulate:
     """
 
     factory: Annotated[tuple[Path, ...], arg(metavar="FILE…")] = ()
-    """The calibration it holds, or one for each arm; drawn where not given, 0.8 mm and 0.15 deg off in each number."""
+    """The calibration, or one for each arm; by default drawn with deviations of 0.8 mm and 0.15 deg per parameter."""
     arm: ArmName = None
-    """Which arm: a bundled one or a description; lite6, or the one a calibration is of, where not given."""
+    """The arm: a bundled one or a description; by default lite6, or the arm of the calibration."""
     arms: Annotated[int | None, arg(metavar="N")] = None
-    """So many controllers, on this address and the next ones."""
+    """The number of controllers, on this address and the next ones."""
     address: Annotated[str, arg(metavar="127.x.y.z")] = "127.0.0.1"
-    """Of loopback, nothing else. The report ports are 30000 to 30003."""
+    """The address, on loopback only. The report ports are 30000 to 30003."""
     control_port: Annotated[int, arg(metavar="PORT")] = 502
-    """502, as on an arm, needs the right to it; another one has to be told to the SDK."""
+    """502, as on an arm, requires privileges; another one must be set in the SDK."""
     effect: Annotated[tuple[str, ...], UseAppendAction, arg(metavar="NAME:KEY=VALUE,…")] = ()
-    """Hidden physics with its numbers, such as joint_backlash:joint=4,gap_rad=1e-3; may be given more than once. The
-    pose on port 30000 shows it, the controller's own kinematics does not."""
+    """A hidden effect with its parameters, such as joint_backlash:joint=4,gap_rad=1e-3; repeatable. The pose
+    on port 30000 contains it, the controller's kinematics do not."""
     effects: Annotated[Path | None, arg(metavar="FILE.py")] = None
-    """Effects of your own that --effect may name. Runs the file."""
+    """A file of your own effects for --effect. It is executed."""
     motion: Annotated[str, arg(metavar="rest|sines|poses|FILE")] = "rest"
-    """Rest until told to move; a smooth motion; from pose to pose; or the motion in a recording."""
+    """Rest until a command; a smooth motion; from pose to pose; or the motion in a recording."""
     fault: Annotated[tuple[str, ...], UseAppendAction, arg(metavar="NAME[:VALUE]")] = ()
-    """What is wrong with it; may be given more than once. --faults lists them."""
+    """A fault; repeatable. --faults lists them."""
     faults: bool = False
-    """List the faults there are, and end."""
+    """List the faults and exit."""
     tool_offset: Annotated[
         tuple[float, float, float, float, float, float], arg(metavar="X Y Z ROLL PITCH YAW")
     ] = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)  # fmt: skip
-    """That is set in the controller, mm and degrees."""
+    """The tool offset in the controller, mm and degrees."""
     payload: Annotated[float, arg(metavar="KG")] = 0.0
-    """At the flange."""
+    """The payload at the flange."""
     payload_at: Annotated[tuple[float, float, float], arg(metavar="X Y Z")] = (0.0, 0.0, 0.0)
-    """Its centre of mass, mm in the flange's frame."""
+    """The centre of mass of the payload, mm in the flange's frame."""
     warm_up: Annotated[float, arg(metavar="K")] = 12.0
-    """By which it warms up from 25 °C, with a time constant of 20 min."""
+    """The final temperature rise from 25 °C, with a time constant of 20 min."""
     speed: Annotated[float, arg(metavar="FACTOR")] = 1.0
-    """How much faster than real time its clock runs."""
+    """The speed of the clock relative to real time."""
     duration: Annotated[float | None, arg(metavar="S")] = None
-    """End by itself after so long."""
+    """The duration; by default until Ctrl-C."""
     seed: int = 0
-    """Of calibrations and motions that are drawn."""
+    """The seed of drawn calibrations and motions."""
 
     def run(self) -> int:
         """Serves until Ctrl-C."""
@@ -99,15 +99,15 @@ class Emulate:
             screen.show(self._page(controllers))
             if terminal.is_terminal:
                 live = stack.enter_context(Live(console=terminal, auto_refresh=False, transient=True))
-                while (left := end - time.monotonic()) > 0:
-                    live.update(_standing(controllers), refresh=True)
-                    time.sleep(min(REFRESH_S, left))
+                while (remaining := end - time.monotonic()) > 0:
+                    live.update(_status_table(controllers), refresh=True)
+                    time.sleep(min(REFRESH_S, remaining))
             else:
-                terminal.file.flush()  # whoever started it may wait for these lines
-                while (left := end - time.monotonic()) > 0:
+                terminal.file.flush()  # another program may wait for these lines
+                while (remaining := end - time.monotonic()) > 0:
                     for controller in controllers:
                         controller.look()
-                    time.sleep(min(REFRESH_S, left))
+                    time.sleep(min(REFRESH_S, remaining))
         return DONE
 
     def _controllers(self, faults: "Faults") -> "list[Controller]":
@@ -126,7 +126,7 @@ class Emulate:
             first = ipaddress.IPv4Address("127.0.0.1" if self.address == "localhost" else self.address)
             addresses = [str(first + i) for i in range(count)]
         except ValueError as error:
-            raise InputError(f"--address {self.address!r}: is none; write it like 127.0.0.1") from error
+            raise InputError(f"--address {self.address!r}: is not an address; write it like 127.0.0.1") from error
         if self.payload < 0 or not math.isfinite(self.payload):
             raise InputError(f"--payload {self.payload}: give kg, 0 or more")
         controllers = []
@@ -156,8 +156,8 @@ class Emulate:
         from lite6jax.emulator import Body
         from lite6jax.simulation import draw_calibration
 
-        own = () if self.effects is None else load_effects(self.effects)
-        parsed = [parse_effect(text, kinds_of(own)) for text in self.effect]
+        user_effects = () if self.effects is None else load_effects(self.effects)
+        parsed = [parse_effect(text, kinds_of(user_effects)) for text in self.effect]
         physics = Physics(tuple(effect for effect, _ in parsed))
         nominal = None if self.arm is None else read_arm(self.arm)
         if self.factory:
@@ -169,7 +169,7 @@ class Emulate:
         return Body(arm, kinematics, physics, physics.join([values for _, values in parsed]), self.warm_up)
 
     def _page(self, controllers: "Sequence[Controller]") -> "Iterator[RenderableType]":
-        """What listens where, and what is hidden in it."""
+        """The addresses, the motion, the hidden effects and faults, and how to connect."""
         from rich.text import Text
 
         first = controllers[0]
@@ -182,7 +182,7 @@ class Emulate:
         yield Text(f"Motion: {self.motion}.{clock}", no_wrap=True, overflow="ignore")
         physics, values = first.body.physics, first.body.values
         if physics.effects:
-            yield Text("Hidden physics, in the pose on port 30000 and unknown to the controller's own kinematics")
+            yield Text("Hidden effects, in the pose on port 30000 and not in the controller's kinematics")
             for effect, parameters in zip(physics.effects, physics.reported(values), strict=True):
                 numbers = ", ".join(f"{key} = {estimate.value:.6g}" for key, estimate in parameters.items())
                 yield Text(f"  {effect.name} at {effect.site}: {numbers}")
@@ -190,7 +190,7 @@ class Emulate:
             yield Text(f"Faults: {', '.join(self.fault)}.")
         ip = first.address if first.control_port == 502 else f"{first.address}:{first.control_port}"
         named = first.body.arm.name if self.arm is None else self.arm
-        other = "" if named == "lite6" else f" --arm {named}"  # which is what the commands expect
+        other = "" if named == "lite6" else f" --arm {named}"  # the default of the commands
         yield Text(f"Try: lite6jax read --ip {ip}{other}", no_wrap=True, overflow="ignore")
         yield Text(
             f'Or:  from xarm.wrapper import XArmAPI; arm = XArmAPI("{first.address}")', no_wrap=True, overflow="ignore"
@@ -202,14 +202,14 @@ class Emulate:
                 no_wrap=True,
                 overflow="ignore",
             )
-        yield Text("Ctrl-C ends it.")
+        yield Text("Stop with Ctrl-C.")
 
 
-def _standing(controllers: "Sequence[Controller]") -> "Table":
-    """A row a controller: its clock, its state, its joints, who is connected, what was asked."""
+def _status_table(controllers: "Sequence[Controller]") -> "Table":
+    """One row per controller: clock, state, joints, connections and requests."""
     from rich.table import Table
 
-    states = {1: "moves", 2: "ready", 3: "paused", 4: "stopped", 5: "reset"}
+    states = {1: "moving", 2: "ready", 3: "paused", 4: "stopped", 5: "reset"}
     table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0))
     for title in ("address", "clock", "state", "joints (deg)", "connected", "requests"):
         table.add_column(title, no_wrap=title in ("address", "clock", "state"))
@@ -222,6 +222,6 @@ def _standing(controllers: "Sequence[Controller]") -> "Table":
         joints = " ".join(f"{math.degrees(angle):.1f}" for angle in seen.joints)
         table.add_row(
             controller.address, f"{seen.time:.0f} s", states.get(seen.state, str(seen.state)) + error, joints,
-            connected or "nobody", str(sum(seen.asked.values())),
+            connected or "none", str(sum(seen.asked.values())),
         )  # fmt: skip
     return table

@@ -100,7 +100,7 @@ class Fit:
             except InputError as error:  # the fit is good all the same: it is shown and written first
                 refusal = error
 
-        from lite6jax.report import fleet_tables, screen
+        from lite6jax.report import screen, tables
 
         written = []  # before anything is printed: a reader who leaves early, like `head`, must not cost the files
         if self.out:

@@ -1,4 +1,4 @@
-"""Commands for an arm on the network: read its calibration, record it. They never move it."""
+"""Commands for a connected arm: reading its calibration and recording it. They never move it."""
 
 import signal
 import threading
@@ -17,7 +17,7 @@ from lite6jax.errors import InputError
 from lite6jax.storage import check_writable
 
 PATIENCE_S = 10.0
-"""After the first Ctrl-C; what is asked for then has its own, shorter deadlines."""
+"""The time after the first Ctrl-C in which another does not interrupt; the deadlines of all requests are shorter."""
 
 IP = Annotated[str, arg(metavar="ADDRESS")]
 
@@ -36,17 +36,17 @@ class Read:
     out: OutFile = None
     """Write the calibration here (YAML of the vendor's form, which `lite6jax fit` reads)."""
     arm: ArmName = None
-    """The nominal arm that is expected there; a Lite 6 where not given."""
+    """The expected nominal arm; by default a Lite 6."""
     timeout: Annotated[float, arg(metavar="S")] = 5.0
-    """For the whole exchange."""
+    """The time limit of the whole exchange."""
     force: bool = False
     """Replace the file if it exists."""
 
     def run(self) -> int:
-        """Reads, writes, prints."""
+        """Reads, writes and prints the calibration."""
         if self.out:
             if self.out.suffix.lower() not in (".yaml", ".yml"):
-                raise InputError(f"{self.out}: what is written here is YAML; let the name end in .yaml")
+                raise InputError(f"{self.out}: the output is YAML; let the name end in .yaml")
             check_writable(self.out, self.force)
         if not 0 < self.timeout < 3600:
             raise InputError(f"--timeout {self.timeout:g}: give seconds, more than zero and less than an hour")
@@ -57,7 +57,7 @@ class Read:
 
         arm = None if self.arm is None else read_arm(self.arm)
         read = read_calibration(parse_address(self.ip), arm, self.timeout)
-        written = []  # before anything is printed: a reader who leaves early must not cost the file
+        written = []  # before anything is printed, because printing fails if the pipe is closed
         if self.out:
             written.append(write_factory(read.calibration.kinematics, self.out, overwrite=self.force))
         from lite6jax.report import live_tables, screen
@@ -83,16 +83,16 @@ class Record:
     """The recording (.parquet, .csv). Its sidecar .yaml and the arm's calibration are written beside it. A .csv can be
     read at every moment, whatever ends the process; a .parquet, a fifth of the size, once the recording has ended."""
     seconds: Annotated[float | None, arg(metavar="S")] = None
-    """End after so long by the controller's clock; without, Ctrl-C ends it."""
+    """The duration by the controller's clock; by default until Ctrl-C."""
     poses: Annotated[Path | None, arg(metavar="FILE")] = None
-    """Ask the controller's forward kinematics for the joints in this recording (.csv, .parquet) instead."""
+    """Record instead the forward kinematics of the controller at the joints of this recording (.csv, .parquet)."""
     arm: ArmName = None
-    """The nominal arm; a Lite 6 where not given."""
+    """The nominal arm; by default a Lite 6."""
     force: bool = False
     """Replace files that exist."""
 
     def run(self) -> int:
-        """Asks, records, prints."""
+        """Records and prints the result."""
         from lite6jax.controller.recorded import check_targets
 
         check_targets(self.out, self.force)
@@ -116,7 +116,7 @@ class Record:
         with _stop_on_interrupt() as stop:
             station = read_station(address, arm, self.arm or "lite6")
             if poses is not None:
-                with screen.progress(poses.samples, "asking") as advance:
+                with screen.progress(poses.samples, "requesting") as advance:
                     recorded = record_poses(
                         address, self.out, station, poses, overwrite=self.force, stop=stop, advance=advance
                     )
@@ -139,21 +139,21 @@ class Record:
 
 @contextmanager
 def _stop_on_interrupt() -> Iterator[threading.Event]:
-    """Ctrl-C, or a request to end, sets the event. Impatience costs no row: only what hangs is interrupted as ever."""
+    """An event that Ctrl-C or a termination signal sets; repeated Ctrl-C interrupts only after `PATIENCE_S`."""
     stop = threading.Event()
-    asked: list[float] = []
+    times: list[float] = []
 
-    def ask(number: int, frame: FrameType | None) -> None:
-        asked.append(time.monotonic())
+    def handle(number: int, frame: FrameType | None) -> None:
+        times.append(time.monotonic())
         stop.set()
-        if asked[-1] - asked[0] > PATIENCE_S:
+        if times[-1] - times[0] > PATIENCE_S:
             raise KeyboardInterrupt
 
     wanted = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
-    wanted = [number for number in wanted if signal.getsignal(number) != signal.SIG_IGN]  # as nohup has it
-    if threading.current_thread() is not threading.main_thread():  # only there may handlers be set
+    wanted = [number for number in wanted if signal.getsignal(number) != signal.SIG_IGN]  # as set by nohup
+    if threading.current_thread() is not threading.main_thread():  # handlers can be set only there
         wanted = []
-    before = {number: signal.signal(number, ask) for number in wanted}
+    before = {number: signal.signal(number, handle) for number in wanted}
     try:
         yield stop
     finally:

@@ -1,4 +1,4 @@
-"""The factory calibration out of a controller: one request that changes nothing, and a reply that is believed last."""
+"""Reading the factory calibration from a controller: one passive request, and checks of every field of the reply."""
 
 import socket
 import struct
@@ -17,31 +17,30 @@ from lite6jax.controller.protocol import MalformedError, Register, Status
 from lite6jax.errors import InputError
 
 SECONDS = 5.0
-"""For the whole exchange; a controller answers in milliseconds."""
+"""The time limit of the whole exchange; a controller replies within milliseconds."""
 
 REQUEST = protocol.request(Register.CALIBRATION)
-"""`00 01 00 02 00 01 08`, all that is ever sent."""
+"""`00 01 00 02 00 01 08`, the only bytes sent."""
 
 _HEADER = struct.Struct(">HHH")
 _MODELS = {(6, 9): "lite6", (6, 12): "uf850"}
-"""By joints and the vendor's number of the model; all others are xArms of so many joints."""
+"""By the number of joints and the vendor's number of the model; all other pairs are xArms."""
 
 
 class UncalibratedError(InputError):
-    """The controller answers that it holds no calibration."""
+    """The controller replies that it has no calibration."""
 
 
 class SilentError(InputError):
-    """The controller takes the request and says nothing, as some firmware does."""
+    """The controller accepts the request and does not reply, as with some firmware."""
 
 
 class CalibrationRead(NamedTuple):
-    """What was read.
+    """A calibration that was read.
 
     Attributes:
-        calibration: the arm's own chain beside its nominal arm.
-        error: whether the controller reported an error or a warning of its own meanwhile, which does not touch the
-            calibration.
+        calibration: the calibrated chain and the nominal arm.
+        error: whether the controller reported an error or a warning, which does not affect the calibration.
     """
 
     calibration: FactoryCalibration
@@ -49,31 +48,33 @@ class CalibrationRead(NamedTuple):
 
 
 def read_calibration(address: Address, arm: Arm | None = None, seconds: float = SECONDS) -> CalibrationRead:
-    """Reads an arm's own six-parameter chain from its controller, over a connection of its own.
+    """Reads the calibrated six-parameter chain of an arm from its controller, over a separate connection.
 
-    The read is passive: it moves nothing, sets nothing, and may happen while the SDK is connected.
+    The request is passive: it neither moves nor sets anything, and is possible while the SDK is connected.
 
     Args:
-        address: the controller's.
-        arm: the nominal arm that is expected; a Lite 6 where not given.
-        seconds: for the whole exchange, from the call to the last byte.
+        address: of the controller.
+        arm: the expected nominal arm; None for a Lite 6.
+        seconds: the time limit from the call to the last byte.
 
     Raises:
-        InputError: nothing listens, silence (`SilentError`), closed half-way, no calibration
-            (`UncalibratedError`), another arm, or an answer that is none. One line names address and remedy.
+        InputError: no connection, no reply (`SilentError`), an incomplete reply, no calibration
+            (`UncalibratedError`), another arm, or an invalid reply. The message names the address and the remedy.
     """
     deadline = Deadline.after(seconds)
     with connect(address.host, address.port, deadline) as connection:
-        return ask(connection, deadline, str(address), arm)
+        return request_calibration(connection, deadline, str(address), arm)
 
 
-def ask(connection: socket.socket, deadline: Deadline, where: str, arm: Arm | None = None) -> CalibrationRead:
-    """`read_calibration` over a connection that stands.
+def request_calibration(
+    connection: socket.socket, deadline: Deadline, where: str, arm: Arm | None = None
+) -> CalibrationRead:
+    """`read_calibration` over an existing connection.
 
     Args:
         connection: a connected socket.
-        deadline: for the whole exchange.
-        where: the place, for messages.
+        deadline: of the whole exchange.
+        where: the address, for messages.
         arm: as in `read_calibration`.
 
     Raises:
@@ -100,11 +101,11 @@ def ask(connection: socket.socket, deadline: Deadline, where: str, arm: Arm | No
 
 
 def _checked_header(head: bytes, where: str) -> int:
-    """The length that the header gives."""
+    """The length in the header."""
     transaction, proto, length = _HEADER.unpack(head)
     if (transaction, proto) != (REQUEST.transaction, REQUEST.protocol):
-        asked = f"transaction {REQUEST.transaction}, protocol {REQUEST.protocol}"
-        raise _garbage(where, f"transaction {transaction}, protocol {proto} to {asked}", head)
+        expected = f"transaction {REQUEST.transaction}, protocol {REQUEST.protocol}"
+        raise _garbage(where, f"transaction {transaction}, protocol {proto} to {expected}", head)
     if length < 2:
         raise _garbage(where, f"a reply of {length} bytes", head)
     return length
@@ -120,45 +121,45 @@ def _checked_status(head: bytes, where: str) -> int:
 
 
 def _checked_rows(payload: bytes, where: str, nominal: Arm) -> NDArray[np.floating]:
-    """`(joint, 6)` m and rad."""
+    """`(joint, 6)` m and rad, after checks of model, finiteness and magnitude."""
     try:
-        held = protocol.read_calibration(payload)
-    except MalformedError as error:  # the length has been looked at
+        content = protocol.read_calibration(payload)
+    except MalformedError as error:  # cannot happen: the length is checked above
         raise _garbage(where, str(error), payload) from error
-    if not held.valid:
+    if not content.valid:
         raise _uncalibrated(where)
-    model = _MODELS.get((held.dof, held.type), f"xarm{held.dof}")
-    if not 5 <= held.dof <= protocol.JOINTS:
-        raise _garbage(where, f"{held.dof} joints of type {held.type}", payload)
+    model = _MODELS.get((content.dof, content.type), f"xarm{content.dof}")
+    if not 5 <= content.dof <= protocol.JOINTS:
+        raise _garbage(where, f"{content.dof} joints of type {content.type}", payload)
     expected = nominal.name if nominal.name in ("lite6", "uf850", "xarm5", "xarm6", "xarm7") else None
-    if held.dof != nominal.dof or (expected and model != expected):
+    if content.dof != nominal.dof or (expected and model != expected):
         raise InputError(
-            f"{where}: is an arm of {held.dof} joints, type {held.type} ({model}), not a {nominal.name}; check the "
-            f"address, or name the arm with --arm {model}"
+            f"{where}: is an arm of {content.dof} joints, type {content.type} ({model}), not a {nominal.name}; check "
+            f"the address, or name the arm with --arm {model}"
         )
-    rows = held.rows[: held.dof]
+    rows = content.rows[: content.dof]
     if not np.isfinite(rows).all():
         joint = int(np.argmax(~np.isfinite(rows).all(axis=1))) + 1
         raise InputError(
-            f"{where}: joint{joint} has a number that is not finite; read again, and if it stays have the arm's "
-            "calibration restored by the vendor"
+            f"{where}: joint{joint} has a number that is not finite; read again, and if it persists have the "
+            "arm's calibration restored by the vendor"
         )
     distance = _distance(rows, nominal)
     if max(np.abs(rows[:, :3]).max(), distance) > entries.LENGTH_LIMIT or np.abs(rows[:, 3:]).max() > 2 * np.pi + 1e-3:
         raise InputError(
-            f"{where}: holds numbers of an implausible size ({np.abs(rows).max():.3g} m or rad); read again, and if it "
-            "stays have the arm's calibration restored by the vendor"
+            f"{where}: contains numbers of an implausible size ({np.abs(rows).max():.3g} m or rad); read again, and if "
+            "it persists have the arm's calibration restored by the vendor"
         )
     if distance > RECOGNISED_WITHIN:
         raise InputError(
-            f"{where}: holds a chain whose flange is {1e3 * distance:.0f} mm RMS from a {nominal.name}'s, where "
-            "assembly explains a few; read again, and if it stays name the arm with --arm, or ask the vendor"
+            f"{where}: contains a chain whose flange is {1e3 * distance:.0f} mm RMS from a {nominal.name}'s, where "
+            "tolerances explain a few; read again, and if it persists name the arm with --arm, or ask the vendor"
         )
     return rows
 
 
 def _distance(rows: NDArray[np.floating], nominal: Arm) -> float:
-    """m: RMS distance of the flange from the nominal one."""
+    """m, the RMS distance of the flange from the nominal one."""
     q = sample_joints(nominal.dof)
     with np.errstate(over="ignore", invalid="ignore"):
         links = np.stack([frames.transform_from_row(row) for row in rows])
@@ -169,15 +170,15 @@ def _distance(rows: NDArray[np.floating], nominal: Arm) -> float:
 
 def _uncalibrated(where: str) -> UncalibratedError:
     return UncalibratedError(
-        f"{where}: the controller says that it holds no valid calibration, as arms made before August 2023 and "
+        f"{where}: the controller reports no valid calibration, as arms made before August 2023 and "
         "firmware older than 2.3.0 do; update the firmware, or fit a recording of measured poses"
     )
 
 
 def _garbage(where: str, what: str, received: bytes) -> InputError:
     return InputError(
-        f"{where}: answers {what} (it begins {received[:8].hex(' ')}), which is no calibration; check that the address "
-        "is the arm's control box, and read again"
+        f"{where}: replies with {what} (it begins {received[:8].hex(' ')}), which is not a calibration; check that the "
+        "address is the arm's control box, and read again"
     )
 
 
@@ -186,12 +187,12 @@ def _interrupted(where: str, stop: BrokenOffError) -> InputError:
     so_far = f"{count} of {protocol.CALIBRATION_REPLY} bytes"
     if stop.closed:
         return InputError(
-            f"{where}: closed the connection after {so_far}; end other programs that hold the arm, and if it stays "
-            "restart the control box"
+            f"{where}: closed the connection after {so_far}; end other programs connected to the arm, and if it "
+            "persists restart the control box"
         )
     if not count:
         return SilentError(
-            f"{where}: takes the request and says nothing, as firmware 1.12.1 does; update the firmware, or check that "
-            "the address is the arm's control box"
+            f"{where}: accepts the request and does not reply, as firmware 1.12.1 does; update the firmware, or check "
+            "that the address is the arm's control box"
         )
-    return InputError(f"{where}: fell silent after {so_far}; check the cable and the network, and read again")
+    return InputError(f"{where}: stopped replying after {so_far}; check the cable and the network, and read again")

@@ -1,4 +1,4 @@
-"""What the slow report says of an arm: its errors, tool, payload, mounting and temperatures."""
+"""The condition of an arm from the 5 Hz report: errors, tool, payload, mounting and temperatures."""
 
 from dataclasses import dataclass
 
@@ -13,10 +13,10 @@ from lite6jax.errors import InputError
 Array = NDArray[np.floating]
 
 SECONDS = 3.0
-"""For the first report; they come at 5 Hz."""
+"""The time limit for the first report; the rate is 5 Hz."""
 
 NO_OFFSET_MM, NO_OFFSET_RAD = 1e-4, 1e-7
-"""What is no offset: the report's own rounding to 32 bits of an offset of decimetres."""
+"""Smaller offsets count as zero: the rounding of decimetres to 32 bits."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,14 +24,13 @@ class Condition:
     """An arm's condition at one report.
 
     Attributes:
-        error, warning: the controller's numbers; 0 is none.
-        joint_position: `(7,)` rad; the arm's first.
+        error, warning: the codes of the controller; 0 for none.
+        joint_position: `(7,)` rad, those of the arm first.
         tool_offset: `(6,)` x y z roll pitch yaw of the tool in the flange's frame, mm and rad.
-        world_offset: `(6,)` likewise, of the base in the frame that poses are given in; zero where the report ends
-            before it.
-        payload: `(4,)` kg and the centre of mass in the flange's frame, mm, as set.
-        gravity_direction: `(3,)` in the base's frame, as set; the length is 1.
-        temperature: `(7,)` °C, or None where the report ends before it.
+        world_offset: `(6,)` likewise, of the base in the frame of the poses; zero if the report omits it.
+        payload: `(4,)` kg and the centre of mass in the flange's frame, mm, as set in the controller.
+        gravity_direction: `(3,)` unit vector in the base's frame, as set in the controller.
+        temperature: `(7,)` °C, or None if the report omits it.
     """
 
     error: int
@@ -50,20 +49,20 @@ class Condition:
 
     @property
     def has_world(self) -> bool:
-        """Whether poses are given in another frame than the base's."""
+        """Whether poses refer to another frame than the base."""
         return _is_offset(self.world_offset)
 
     @property
     def T_flange_tool(self) -> Array:
-        """`(4, 4)` m."""
+        """`(4, 4)` m, the tool in the flange's frame."""
         return protocol.transform_of_wire_pose(self.tool_offset)
 
 
 def condition_of(report: np.void, place: str) -> Condition:
-    """The condition in a report of port 30002 or 30001, as `protocol.read_report` gives it.
+    """The condition in a report of port 30002 or 30001, from `protocol.read_report`.
 
     Raises:
-        InputError: the report ends before the tool offset, or holds numbers that are not finite.
+        InputError: the report ends before the tool offset, or contains values that are not finite.
     """
     names = report.dtype.names or ()
     if "gravity_direction" not in names:
@@ -92,24 +91,24 @@ def condition_of(report: np.void, place: str) -> Condition:
 
 
 def read_condition(address: Address, seconds: float = SECONDS) -> Condition:
-    """The condition at the next report of port 30002.
+    """The condition in the next report of port 30002.
 
     Raises:
-        InputError: no report by then, or as `condition_of`.
+        InputError: no report within `seconds`, or as `condition_of`.
     """
     return condition_of(first_report(address, protocol.RICH, seconds), f"{address.host}: port {protocol.RICH}")
 
 
 def require_no_error(condition: Condition, address: Address) -> None:
-    """Refuses an arm in error: its controller holds back tool offset and pose meanwhile.
+    """Checks that the controller reports no error: tool offset and pose are unreliable otherwise.
 
     Raises:
         InputError: the controller reports an error.
     """
     if condition.error:
         raise InputError(
-            f"{address}: the controller reports error {condition.error}, and what it says of the tool is not to be "
-            "relied on meanwhile; clear the error with the vendor's program, and try again"
+            f"{address}: the controller reports error {condition.error}, during which its tool offset is "
+            "unreliable; clear the error with the vendor's program, and try again"
         )
 
 

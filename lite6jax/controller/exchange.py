@@ -1,4 +1,4 @@
-"""Sockets with one deadline: reach a controller, read just so many bytes, and say in a line why that failed."""
+"""Connections to a controller with one deadline for a whole exchange, and messages with the cause of a failure."""
 
 import ipaddress
 import socket
@@ -12,7 +12,7 @@ from lite6jax.errors import InputError
 
 @dataclass(frozen=True)
 class Address:
-    """Where a controller is: an IPv4 address, and its control port where that is not 502 (an emulator's may not be)."""
+    """The IPv4 address of a controller, and its control port, which may differ from 502 for an emulator."""
 
     host: str
     port: int = CONTROL_PORT
@@ -22,12 +22,12 @@ class Address:
 
 
 def parse_address(text: str) -> Address:
-    """An address as it is typed: `192.168.1.185`, `localhost`, `127.0.0.1:1502`.
+    """An address as given by the user: `192.168.1.185`, `localhost`, `127.0.0.1:1502`.
 
-    Names are not looked up: that has no deadline, and the SDK takes none.
+    Host names are not resolved, because that has no deadline and the SDK does not accept them.
 
     Raises:
-        InputError: it is no such address.
+        InputError: not an IPv4 address, or an invalid port.
     """
     host, colon, port = text.strip().partition(":")
     host = "127.0.0.1" if host == "localhost" else host
@@ -37,28 +37,28 @@ def parse_address(text: str) -> Address:
             raise ValueError
     except ValueError as error:
         raise InputError(
-            f"--ip {text}: is no IPv4 address; give the one that the control box shows, such as 192.168.1.185"
+            f"--ip {text}: is not an IPv4 address; give the one that the control box shows, such as 192.168.1.185"
         ) from error
     return Address(host, int(port) if colon else CONTROL_PORT)
 
 
 class Deadline(NamedTuple):
-    """One moment by which all of an exchange must have happened, however many bytes it takes."""
+    """The instant by which a whole exchange must be complete."""
 
     end: float
 
     @classmethod
     def after(cls, seconds: float) -> "Deadline":
-        """`seconds` from now."""
+        """The deadline in `seconds` from now."""
         return cls(time.monotonic() + seconds)
 
     def left(self) -> float:
-        """Seconds until then; zero or less when it has passed."""
+        """The remaining time in s; zero or less after the deadline."""
         return self.end - time.monotonic()
 
 
 class BrokenOffError(Exception):
-    """Bytes stopped coming. `received` is what came; `closed` whether the other side hung up, or fell silent."""
+    """A message ended early. `received` is its first part; `closed` whether the peer closed the connection."""
 
     def __init__(self, received: bytes, closed: bool) -> None:
         super().__init__(received, closed)
@@ -69,7 +69,7 @@ def connect(host: str, port: int, deadline: Deadline) -> socket.socket:
     """A connected socket.
 
     Raises:
-        InputError: nothing listens there, no answer by the deadline, or no way there.
+        InputError: connection refused, no reply by the deadline, or an unreachable network.
     """
     place = f"{host}: port {port}"
     connection = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
@@ -79,7 +79,7 @@ def connect(host: str, port: int, deadline: Deadline) -> socket.socket:
     except TimeoutError as error:
         connection.close()
         raise InputError(
-            f"{place}: no answer to the call; check the address, that the control box is on, and that this computer is "
+            f"{place}: no reply; check the address, that the control box is on, and that this computer is "
             "on its network (ping it)"
         ) from error
     except ConnectionRefusedError as error:
@@ -97,16 +97,16 @@ def connect(host: str, port: int, deadline: Deadline) -> socket.socket:
 
 
 def receive(connection: socket.socket, count: int, deadline: Deadline, before: bytes = b"") -> bytes:
-    """Just so many bytes, in whatever pieces they come.
+    """Exactly `count` bytes, however they are fragmented.
 
     Args:
         connection: a socket.
-        count: how many.
+        count: the number of bytes.
         deadline: for all of them together.
-        before: what of the same message came before, for `BrokenOffError`.
+        before: the first part of the same message, for `BrokenOffError`.
 
     Raises:
-        BrokenOffError: the deadline passed, or the other side closed.
+        BrokenOffError: the deadline passed, or the peer closed the connection.
     """
     received = bytearray()
     while len(received) < count:
@@ -118,7 +118,7 @@ def receive(connection: socket.socket, count: int, deadline: Deadline, before: b
             piece = connection.recv(count - len(received))
         except TimeoutError:
             continue
-        except OSError as error:  # reset by the other side
+        except OSError as error:  # reset by the peer
             raise BrokenOffError(before + bytes(received), closed=True) from error
         if not piece:
             raise BrokenOffError(before + bytes(received), closed=True)

@@ -1,4 +1,4 @@
-"""Tables on the disk that grow while they are recorded, and are whole when the disk is full."""
+"""Tables on disk that are appended to during a recording and remain valid when the disk is full."""
 
 import io
 import os
@@ -19,38 +19,38 @@ Columns = Mapping[str, NDArray]
 
 @runtime_checkable
 class GrowingTable(Protocol):
-    """A table that rows are added to at its end.
+    """A table to which rows are appended.
 
-    A failed `append` adds nothing and may be tried again.
+    A failed `append` adds nothing and may be repeated.
     """
 
     rows_at_once: int
-    """How many rows are worth an `append`."""
+    """The number of rows for an efficient `append`."""
 
     def append(self, columns: Columns) -> None:
-        """Adds rows; the first call makes the file.
+        """Appends rows; the first call creates the file.
 
         Raises:
-            OSError: the disk refuses; the rows before stand.
+            OSError: the disk is full or fails; earlier rows remain.
         """
         ...
 
     def close(self) -> None:
-        """Makes the file whole and readable; nothing where no row was added.
+        """Completes the file; without rows there is none.
 
         Raises:
-            OSError: the disk refuses.
+            OSError: the disk fails.
         """
         ...
 
 
 def growing_table(path: Path, overwrite: bool, sources: Mapping[str, str]) -> "GrowingTable":
-    """A CSV or Parquet table, by the suffix.
+    """A CSV or Parquet table, by the suffix of `path`.
 
     Args:
-        path: the file; it is made by the first `append`.
-        overwrite: whether it may replace one that exists.
-        sources: where each column's numbers come from, in words; Parquet keeps them with the columns.
+        path: the file, created by the first `append`.
+        overwrite: whether an existing file may be replaced.
+        sources: the source of each column as a phrase, stored as column metadata in Parquet.
 
     Raises:
         InputError: another suffix, or the file cannot be written there.
@@ -63,7 +63,7 @@ def growing_table(path: Path, overwrite: bool, sources: Mapping[str, str]) -> "G
 
 
 class GrowingCsv:
-    """Lines of text: whole after every `append`, whatever happens to the process afterwards."""
+    """A CSV file, complete after every `append` even if the process is killed."""
 
     rows_at_once = 250
 
@@ -95,10 +95,10 @@ class GrowingCsv:
 
 
 class GrowingParquet:
-    """Row groups, and at the end the list of them without which none can be read.
+    """A Parquet file. Its row groups are readable only with the list of them at the end of the file.
 
-    So room for that list, and for the next row group, is taken from the disk before a row group is begun: where there
-    is none the file can still be finished.
+    The space for this list and for the next row group is therefore allocated before the row group is written, so that
+    the file can be completed on a full disk.
     """
 
     rows_at_once = 2500
@@ -107,7 +107,7 @@ class GrowingParquet:
         self._path, self._mode, self._sources = path, mode, sources
         self._file: _Reserved | None = None
         self._writer: pa_parquet.ParquetWriter | None = None
-        self._listing = 0  # bytes that the list of row groups may take
+        self._listing = 0  # bytes, an upper bound of the list of row groups
 
     def append(self, columns: Columns) -> None:
         fields = [
@@ -118,7 +118,7 @@ class GrowingParquet:
         if self._file is None:
             self._file = _Reserved(self._path, self._mode)
         listing = self._listing + _LISTED * len(fields)
-        # compressed, random bytes grow by less than a twentieth; each column has a header
+        # compression enlarges random bytes by less than a twentieth; each column has a header
         self._file.reserve(table.nbytes * 21 // 20 + _LISTED * len(fields) + 2 * _LISTED * len(fields) + listing)
         if self._writer is None:
             sink = pa.PythonFile(self._file, mode="w")
@@ -129,7 +129,7 @@ class GrowingParquet:
     def close(self) -> None:
         if self._file is None:
             return
-        if self._writer is None:  # there was never room for a row
+        if self._writer is None:  # no row fitted on the disk
             self._file.close()
             self._path.unlink(missing_ok=True)
             return
@@ -138,37 +138,37 @@ class GrowingParquet:
 
 
 _LISTED = 1000
-"""Bytes, more than a column of a row group takes in the list of them (about 200), or in front of its numbers."""
+"""Bytes, an upper bound of a column's entry in the list of row groups (about 200) and of its header."""
 
 
 class _Reserved:
-    """A file, as Arrow writes to one, in room taken from the disk before."""
+    """A file object for Arrow that writes into allocated disk space."""
 
     def __init__(self, path: Path, mode: str) -> None:
         self._raw = io.FileIO(path, mode)
-        self._end = self._taken = 0
+        self._end = self._allocated = 0
 
     @property
     def closed(self) -> bool:
         return self._raw.closed
 
     def flush(self) -> None:
-        """Every write goes to the system."""
+        """Nothing to do: the file is unbuffered."""
 
     def reserve(self, size: int) -> None:
-        """Takes room for `size` bytes more, by writing zeros: no system call says so on all systems.
+        """Allocates `size` bytes more by writing zeros, as no system call does so on all systems.
 
         Raises:
-            OSError: there is none; the file is as before.
+            OSError: the disk is full; the file is unchanged.
         """
-        taken = max(self._taken, self._end + size)
+        allocated = max(self._allocated, self._end + size)
         try:
-            self._raw.seek(self._taken)
-            _write_all(self._raw, memoryview(bytes(taken - self._taken)))
+            self._raw.seek(self._allocated)
+            _write_all(self._raw, memoryview(bytes(allocated - self._allocated)))
         except OSError:
-            self._raw.truncate(self._taken)
+            self._raw.truncate(self._allocated)
             raise
-        self._taken = taken
+        self._allocated = allocated
 
     def write(self, data: bytes) -> int:
         self._raw.seek(self._end)
@@ -177,7 +177,7 @@ class _Reserved:
         return len(data)
 
     def finish(self) -> None:
-        """Gives the room back that was not needed."""
+        """Releases unused space and closes the file."""
         self._raw.truncate(self._end)
         os.fsync(self._raw.fileno())
         self._raw.close()
@@ -187,6 +187,6 @@ class _Reserved:
 
 
 def _write_all(file: io.FileIO, data: memoryview) -> None:
-    """All of it: a disk that fills up takes a part and says nothing."""
+    """Writes all bytes: on a disk that becomes full, a write may be partial without an error."""
     while len(data):
         data = data[file.write(data) or 0 :]

@@ -1,4 +1,4 @@
-"""What comes of recording a live arm: the files, and what there is to say about them."""
+"""The result of recording a live arm: the files, counts, sources of the columns and notes."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -11,21 +11,21 @@ from lite6jax.storage import check_writable
 
 @dataclass(frozen=True, eq=False)
 class Recorded:
-    """A recording that has ended.
+    """A completed recording.
 
     Attributes:
         written: the files.
-        rows: on the disk.
-        unwritten: rows that the disk did not take.
-        refusal: why not.
-        duration: s, by the controller's clock; by this computer's where the controller was asked.
-        rate: rows a second within runs, by the controller's clock.
-        runs: how many connections gave rows.
-        missing: reports that the controller's clock has passed over within runs.
-        repeated: reports that came twice, of which one is kept.
-        sources: where each column's numbers come from, in words.
-        settings: the sidecar's.
-        notes: what else there is to say, one sentence each.
+        rows: the number of rows on disk.
+        unwritten: the number of rows that could not be written.
+        refusal: the reason.
+        duration: s, by the controller's clock; by this computer's for computed poses.
+        rate: Hz, the rate of rows within runs, by the controller's clock.
+        runs: the number of connections with rows.
+        missing: the number of missing reports within runs, by the controller's clock.
+        repeated: the number of duplicate reports, which are removed.
+        sources: the source of each column, as a phrase.
+        settings: the content of the sidecar.
+        notes: remarks, one sentence each.
     """
 
     written: tuple[Path, ...]
@@ -43,15 +43,15 @@ class Recorded:
 
 
 def factory_path(out: Path) -> Path:
-    """Where the calibration of a recording's arm is written: beside it."""
+    """The file beside a recording for the calibration of its arm."""
     return out.with_name(f"{out.stem}_factory.yaml")
 
 
 def check_targets(out: Path, overwrite: bool, factory: bool = True) -> None:
-    """Refuses to record over what stands there, before the arm is asked for anything.
+    """Checks that the files of a recording can be written, before the connection to the arm.
 
     Raises:
-        InputError: a file exists and `overwrite` is false, a name of another kind, or no such folder.
+        InputError: a file exists and `overwrite` is false, another suffix, or no such folder.
     """
     if out.suffix.lower() not in (".csv", ".parquet"):
         raise InputError(f"{out}: a recording ends in .csv or .parquet; choose such a name")

@@ -1,4 +1,4 @@
-"""A recording of a live arm: the 250 Hz report and the slow one, row for row, onto the disk and off it whole."""
+"""Recording a live arm: the 250 Hz and the 5 Hz report as rows of a table that is written during the recording."""
 
 import queue
 import threading
@@ -27,22 +27,22 @@ from lite6jax.recordings import sidecar_path, write_settings
 FIRST_REPORT_S = 5.0
 GATHER_S = 0.05
 MOST_WAITING = 150_000
-"""Rows, ten minutes: so many are kept in memory while the disk is full, before the recording ends."""
+"""Rows, ten minutes: the largest number kept in memory on a full disk; then the recording ends."""
 
 Columns = Mapping[str, NDArray]
 
 
 @dataclass(frozen=True)
 class Progress:
-    """How a recording stands.
+    """The progress of a recording.
 
     Attributes:
-        rows: so far.
+        rows: their number.
         time: s, of the last row.
-        rate: rows a second over the last few, by the controller's clock.
+        rate: Hz, the recent rate of rows by the controller's clock.
         run: of the last row.
-        missing: reports that the controller's clock has passed over.
-        trouble: what is wrong at present; empty where nothing is.
+        missing: the number of missing reports, by the controller's clock.
+        trouble: the present problem; empty without one.
     """
 
     rows: int
@@ -63,41 +63,40 @@ def record(
     stop: threading.Event | None = None,
     show: Callable[[Progress], object] = lambda progress: None,
 ) -> Recorded:
-    """Records an arm as it moves, or stands; it sends nothing to it.
+    """Records an arm in motion or at standstill. Nothing is sent to it.
 
-    Rows are written as they come. The connection may drop: another is made, and `run` counts up. The disk may be full:
-    rows wait in memory, and what it never takes is counted. It ends at `stop` or after `seconds`.
+    Rows are written during the recording. A lost connection is replaced by a new one, with the next `run`. On a full
+    disk rows are kept in memory; those that cannot be written are counted. The recording ends at `stop` or after
+    `seconds`.
 
     Args:
-        address: the controller's.
-        out: a `.csv` or `.parquet` file. Its sidecar, and the arm's calibration where there is one, stand beside it.
-        station: what is known of the arm, from `read_station`.
-        seconds: by the controller's clock; without, until `stop`.
+        address: of the controller.
+        out: a `.csv` or `.parquet` file; its sidecar, and the calibration of the arm if available, are written beside.
+        station: the arm and its settings, from `read_station`.
+        seconds: the duration by the controller's clock; None for until `stop`.
         overwrite: whether the files may be replaced.
         stop: ends the recording when set, from any thread.
-        show: called a few times a second.
+        show: called with the progress a few times a second.
 
     Raises:
-        InputError: the targets cannot be written, the port cannot be reached, or its reports hold no joints.
+        InputError: the files cannot be written, no reports are received, or they contain no joints.
     """
     check_targets(out, overwrite, station.calibration is not None)
     if seconds is not None and not 0 < seconds < float("inf"):
         raise InputError(f"--seconds {seconds:g}: give more than zero")
     stop = stop or threading.Event()
     rows = Rows(station, seconds)
-    sheet = _Sheet(growing_table(out, overwrite, SOURCES))
+    buffer = _Buffer(growing_table(out, overwrite, SOURCES))
     written: list[Path] = []
     with ReportPort(address, protocol.REALTIME) as fast, ReportPort(address, protocol.RICH) as slow:
         try:
-            _stream(fast, slow, rows, sheet, lambda: written.extend(_declare(out, station, overwrite)), stop, show)
+            _stream(fast, slow, rows, buffer, lambda: written.extend(_declare(out, station, overwrite)), stop, show)
         finally:
-            unwritten, refusal = sheet.finish()
+            unwritten, refusal = buffer.finish()
     taken = rows.count - unwritten
     notes = (*station.notes, *rows.notes())
     if seconds is not None and not rows.complete and not stop.is_set() and not refusal:
-        notes += (
-            f"ended without all {seconds:g} s: the connection was gone too long, or the controller's clock is slow",
-        )
+        notes += (f"ended before {seconds:g} s: the connection was lost too long, or the controller's clock is slow",)
     return Recorded(
         written=(out, *written) if taken else tuple(written),
         rows=taken,
@@ -118,7 +117,7 @@ def _stream(
     fast: ReportPort,
     slow: ReportPort,
     rows: Rows,
-    sheet: "_Sheet",
+    buffer: "_Buffer",
     declare: Callable[[], None],
     stop: threading.Event,
     show: Callable[[Progress], object],
@@ -140,23 +139,23 @@ def _stream(
             if (columns := rows.take(event)) is not None:
                 if first:
                     declare()
-                sheet.add(columns)
+                buffer.add(columns)
         if not rows.count and now - started > FIRST_REPORT_S:
             raise InputError(_no_reports(fast, trouble))
         if rows.seconds is not None and now - started > rows.seconds + FIRST_REPORT_S:
-            break  # a clock that stands still, or no connection any more
-        sheet.write()
-        if sheet.waiting > MOST_WAITING and sheet.refusal:
+            break  # the controller's clock has stopped, or the connection is lost
+        buffer.write()
+        if buffer.waiting > MOST_WAITING and buffer.refusal:
             break
         if now - shown > 0.2:
             shown = now
-            full = f"the disk takes nothing ({sheet.refusal}): {sheet.waiting} rows wait in memory"
-            said = full if sheet.refusal else trouble
-            show(Progress(rows.count, rows.time, rows.recent_rate, rows.run, rows.missing, said))
+            full = f"the disk cannot be written ({buffer.refusal}): {buffer.waiting} rows are kept in memory"
+            problem = full if buffer.refusal else trouble
+            show(Progress(rows.count, rows.time, rows.recent_rate, rows.run, rows.missing, problem))
 
 
 def _gathered(port: ReportPort) -> list[Reports | Lost]:
-    """What has come over a moment, those of one connection together: one by one they would cost far more."""
+    """The events of `GATHER_S`, with the reports of a connection merged, which is much faster to process."""
     time.sleep(GATHER_S)
     events: list[Reports | Lost] = []
     while True:
@@ -180,25 +179,29 @@ def _latest(slow: ReportPort) -> Condition | None:
         except queue.Empty:
             return condition
         if isinstance(event, Reports):
-            with suppress(InputError):  # a report without it; what was known before still holds
+            with suppress(InputError):  # an incomplete report: the last condition remains valid
                 condition = condition_of(protocol.read_report(slow.port, event.reports[-1]), slow.address.host)
 
 
 def _no_reports(port: ReportPort, reason: str) -> str:
-    said = reason or f"{port.address.host}: port {port.port}: no report within {FIRST_REPORT_S:g} s"
-    return said if ";" in said else f"{said}; check that the firmware has this port (2.x), and restart the control box"
+    problem = reason or f"{port.address.host}: port {port.port}: no report within {FIRST_REPORT_S:g} s"
+    return (
+        problem
+        if ";" in problem
+        else f"{problem}; check that the firmware has this port (2.x), and restart the control box"
+    )
 
 
 def _declare(out: Path, station: Station, overwrite: bool) -> list[Path]:
-    """Writes what stands beside the rows, before the first of them: a recording that breaks off is one."""
+    """Writes the sidecar and the calibration before the first row, so that an interrupted recording is complete."""
     files = []
     if station.calibration is not None:
         files.append(write_factory(station.calibration.kinematics, factory_path(out), overwrite=overwrite))
     return [write_settings(station.settings_beside(out), sidecar_path(out), overwrite), *files]
 
 
-class _Sheet:
-    """Rows on their way to the disk, which may be slow, or full."""
+class _Buffer:
+    """Rows in memory until a slow or full disk accepts them."""
 
     def __init__(self, table: GrowingTable) -> None:
         self._table = table
@@ -215,7 +218,7 @@ class _Sheet:
         self.waiting += _length(columns)
 
     def write(self) -> None:
-        """Gives the disk what is worth it, without waiting for it."""
+        """Starts writing in another thread if there are enough rows."""
         if self._writing is not None and self._writing.done():
             self._collect()
         if self._writing is None and self.waiting >= self._table.rows_at_once and time.monotonic() >= self._not_before:
@@ -224,7 +227,7 @@ class _Sheet:
             self._writing = self._pool.submit(self._table.append, self._piece)
 
     def finish(self) -> tuple[int, str]:
-        """Writes all that is left, or as much of it as the disk takes: how many rows it did not take, and why."""
+        """Writes the remaining rows as far as possible; returns the number of unwritten rows and the reason."""
         if self._writing is not None:
             self._collect()
         size = self._table.rows_at_once
@@ -268,7 +271,7 @@ def _length(columns: Columns) -> int:
 
 
 def _split(parts: list[Columns], size: int) -> tuple[Columns, Columns]:
-    """The first `size` rows, and the others."""
+    """The first `size` rows, and the remaining ones."""
     parts = [part for part in parts if _length(part)]
     if not parts:
         return {}, {}

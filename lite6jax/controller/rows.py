@@ -1,4 +1,4 @@
-"""Reports of 250 Hz as rows of a recording: units, clock, doubles, gaps, and which way orientations are meant."""
+"""Reports of 250 Hz as rows of a recording: units, clock, duplicates, gaps and the convention of orientations."""
 
 from collections.abc import Mapping
 from itertools import groupby
@@ -17,12 +17,12 @@ from lite6jax.errors import InputError
 Array = NDArray[np.floating]
 
 PERIOD_US = round(1e6 / protocol.RATES[protocol.REALTIME])
-_STANDS_STILL = 100
-"""Reports of one time, after which the clock is none."""
-_TELLS_RAD = 0.02
-"""A difference between two readings of an orientation that tells which is meant."""
-_UNLIKE_RAD = 0.05
-"""An orientation further than this from the chain's is read the wrong way; assembly turns a flange by less."""
+_STOPPED_CLOCK = 100
+"""The number of consecutive reports with the same time after which the clock counts as stopped."""
+_DISTINCT_RAD = 0.02
+"""Two conventions of orientation are distinguished by a larger difference of their errors."""
+_IMPLAUSIBLE_RAD = 0.05
+"""A convention with a larger error relative to the chain is rejected; assembly tolerances are smaller."""
 
 SOURCES: Mapping[str, str] = {
     "time_s": "controller's clock",
@@ -35,20 +35,20 @@ SOURCES: Mapping[str, str] = {
     "run": "counts connections",
     **dict.fromkeys(("x_m", "y_m", "z_m", "qw", "qx", "qy", "qz"), "computed by the controller, from measured joints"),
 }
-"""Where the numbers of each column come from."""
+"""The source of each column."""
 
 
 class Rows:
-    """Turns reports into columns, in order, once each.
+    """Converts reports to columns, in order and without duplicates.
 
     Attributes:
-        condition: the last slow report's, or None; set it as they come.
-        seconds: when to stop by the controller's clock, or None.
-        complete: whether that time has come.
-        count, run, time: rows so far, and the last one's run and time in s.
-        missing: reports that the clock has passed over within runs.
-        repeated: reports that were there already.
-        names: the columns, once there is a row.
+        condition: of the last 5 Hz report, or None; the caller updates it.
+        seconds: the duration by the controller's clock, or None.
+        complete: whether the duration is reached.
+        count, run, time: the number of rows, and the run and the time in s of the last one.
+        missing: the number of missing reports within runs, by the controller's clock.
+        repeated: the number of duplicate reports.
+        names: the columns, after the first row.
     """
 
     def __init__(self, station: Station, seconds: float | None = None) -> None:
@@ -62,7 +62,7 @@ class Rows:
         self._links = np.stack([frames.transform_from_row(row) for row in rows])
         self._payload = station.condition is not None
         self._temperature = station.condition is not None and station.condition.temperature is not None
-        self._turns: _Turns | None = None
+        self._orientations: _Orientations | None = None
         self._connection = 0
         self._last_us: int | None = None  # of the controller's clock
         self._offset_us = 0  # from that clock to the recording's time
@@ -73,14 +73,14 @@ class Rows:
 
     @property
     def rate(self) -> float:
-        """Rows a second within runs."""
+        """Hz, the rate of rows within runs."""
         return 1e6 * self._steps / self._elapsed_us if self._elapsed_us else 0.0
 
     def take(self, event: Reports) -> dict[str, NDArray] | None:
-        """The rows of some reports; None where there is none that is new.
+        """The columns of new reports; None if all are duplicates.
 
         Raises:
-            InputError: the controller's clock stands still.
+            InputError: the controller's clock has stopped.
         """
         parts = []
         for length, same in groupby(event.reports, len):
@@ -93,7 +93,7 @@ class Rows:
         return columns
 
     def _segments(self, reports: NDArray, event: Reports) -> list[dict[str, NDArray]]:
-        """Columns of reports of one length: a clock that is set back begins a new run."""
+        """The columns of reports of equal length; a clock that is set back starts a new run."""
         back = np.flatnonzero(np.diff(reports["time_us"].astype(np.int64)) < 0) + 1
         made = [self._columns(part, event) for part in np.split(reports, back)]
         return [columns for columns in made if columns is not None]
@@ -106,7 +106,7 @@ class Rows:
         if before is None:
             self._offset_us = -int(clock[0])
             self._span = (0.0, 0.0, event.heard, event.heard)
-        elif clock[0] < before:  # started anew, or set back
+        elif clock[0] < before:  # restarted, or set back
             paused = max(PERIOD_US, round(1e6 * (event.heard - self._heard)) if new_connection else PERIOD_US)
             self._offset_us += before + paused - int(clock[0])
             self._restarts += 1
@@ -117,9 +117,9 @@ class Rows:
         new = np.diff(clock, prepend=-1 if before is None else before) > 0
         self.repeated += int((~new).sum())
         self._still = len(new) - 1 - int(np.flatnonzero(new)[-1]) if new.any() else self._still + len(new)
-        if self._still > _STANDS_STILL:
+        if self._still > _STOPPED_CLOCK:
             raise InputError(
-                f"port {protocol.REALTIME}: the controller's clock stands still at {int(clock[-1])} µs; update the "
+                f"port {protocol.REALTIME}: the controller's clock has stopped at {int(clock[-1])} µs; update the "
                 "firmware"
             )
         time = (clock + self._offset_us) / 1e6
@@ -135,7 +135,7 @@ class Rows:
         return self._table(reports, time)
 
     def _account(self, clock: NDArray[np.int64], first_of_run: bool, time: Array, event: Reports) -> None:
-        """Counts rows, gaps and rates."""
+        """Updates the counts of rows and gaps, and the rates."""
         steps = np.diff(clock) if first_of_run or self._last_us is None else np.diff(clock, prepend=self._last_us)
         self.missing += int((np.maximum(np.rint(steps / PERIOD_US), 1) - 1).sum())
         self._steps += len(steps)
@@ -172,9 +172,9 @@ class Rows:
         pose = reports["pose"].astype(float)
         table |= {f"{axis}_m": pose[:, i] / protocol.MM for i, axis in enumerate("xyz")}
         q = reports["joint_position"][:, :dof].astype(float)
-        if self._turns is None:
-            self._turns = _Turns(self._links, self._station.T_flange_tool)
-        quaternions = self._turns.quaternions(q, pose[:, 3:])
+        if self._orientations is None:
+            self._orientations = _Orientations(self._links, self._station.T_flange_tool)
+        quaternions = self._orientations.quaternions(q, pose[:, 3:])
         if quaternions is not None:
             table |= {name: quaternions[:, i] for i, name in enumerate(("qw", "qx", "qy", "qz"))}
         finite = np.isfinite(np.column_stack([values for name, values in table.items() if name != "run"]))
@@ -182,70 +182,72 @@ class Rows:
         return table
 
     def notes(self) -> tuple[str, ...]:
-        """What there is to say about the rows, one sentence each."""
-        said = []
-        if self._turns is not None:
-            said += self._turns.notes()
+        """Remarks about the rows, one sentence each."""
+        notes = []
+        if self._orientations is not None:
+            notes += self._orientations.notes()
         if self._not_finite:
-            said.append(f"{self._not_finite} rows hold numbers that are not finite, as the controller sent them")
+            notes.append(f"{self._not_finite} rows contain values that are not finite, as sent by the controller")
         if self._restarts:
-            said.append(f"the controller's clock was set back {self._restarts} times; each begins a run")
+            notes.append(f"the controller's clock was set back {self._restarts} times; each time starts a run")
         began, ended, first, last = self._span
         if last - first > 5 and not 0.95 < (ended - began) / (last - first) < 1.05:
-            said.append(f"the controller's clock runs {(ended - began) / (last - first):.3g} times as fast as this one")
-        return tuple(said)
+            notes.append(
+                f"the controller's clock runs {(ended - began) / (last - first):.3g} times as fast as this one"
+            )
+        return tuple(notes)
 
 
-class _Turns:
-    """Reads the three numbers of an orientation as roll pitch yaw or as a rotation vector, as the chain has it.
+class _Orientations:
+    """Interprets the three numbers of an orientation as roll pitch yaw or as a rotation vector, by the chain.
 
-    The vendor calls them rx ry rz on port 30000 and says not what they are. At many poses, the zero pose among them,
-    both are the same.
+    The vendor calls them rx ry rz on port 30000 without a definition. At many poses, including the zero pose, both
+    conventions agree.
     """
 
     def __init__(self, links: Array, T_flange_tool: Array) -> None:
         self._links, self._tool = links, T_flange_tool
         self._choice: str | None = None
         self._decided = False
-        self._left_out = False
+        self._omitted = False
 
     def quaternions(self, q: Array, numbers: Array) -> Array | None:
-        """`(sample, 4)` scalar first, or None where neither reading is like the chain's orientation."""
-        if self._left_out:
+        """`(sample, 4)` scalar first, or None if neither convention fits the orientation of the chain."""
+        if self._omitted:
             return None
-        given = np.logical_and.reduce(np.isfinite(np.hstack([numbers, q])), axis=1)
-        safe = np.where(given[:, None], numbers, 0.0)
-        read = {
+        finite = np.logical_and.reduce(np.isfinite(np.hstack([numbers, q])), axis=1)
+        safe = np.where(finite[:, None], numbers, 0.0)
+        conventions = {
             "roll pitch yaw": Rotation.from_euler("xyz", safe),
             "a rotation vector": Rotation.from_rotvec(safe),
         }
-        if not self._decided and given.any():
-            some = np.flatnonzero(given)[:: max(1, int(given.sum()) // 20)]
-            ours = (frames.chain(self._links, q[some]) @ self._tool)[:, :3, :3]
-            off = {name: _largest_turn(ours, turns.as_matrix()[some]) for name, turns in read.items()}
+        if not self._decided and finite.any():
+            some = np.flatnonzero(finite)[:: max(1, int(finite.sum()) // 20)]
+            expected = (frames.chain(self._links, q[some]) @ self._tool)[:, :3, :3]
+            off = {name: _largest_angle(expected, turns.as_matrix()[some]) for name, turns in conventions.items()}
             best = min(off, key=lambda name: off[name])
-            if self._choice is None and off[best] > _UNLIKE_RAD:
-                self._left_out = True
+            if self._choice is None and off[best] > _IMPLAUSIBLE_RAD:
+                self._omitted = True
                 return None
             self._choice = best
-            self._decided = max(off.values()) - off[best] > _TELLS_RAD
+            self._decided = max(off.values()) - off[best] > _DISTINCT_RAD
         choice = self._choice or "roll pitch yaw"
-        quaternions = read[choice].as_quat(scalar_first=True)
-        quaternions[~given] = np.nan
+        quaternions = conventions[choice].as_quat(scalar_first=True)
+        quaternions[~finite] = np.nan
         return quaternions
 
     def notes(self) -> list[str]:
-        """What was decided."""
-        if self._left_out:
+        """The convention, once it is determined."""
+        if self._omitted:
             return [
-                "orientations are left out: read either way they are more than 3° from the chain's; is the tool known?"
+                "orientations are omitted: in both conventions they differ from the chain's by over 3°; check the tool"
             ]
         if not self._decided:
             return []
-        return [f"the controller's orientations are {self._choice}: the other reading is not the chain's"]
+        return [f"the controller's orientations are {self._choice}: the other convention contradicts the chain"]
 
 
-def _largest_turn(a: Array, b: Array) -> float:
-    """rad: the largest angle between rotations `(sample, 3, 3)`."""
+def _largest_angle(a: Array, b: Array) -> float:
+    """rad, the largest angle between rotations `(sample, 3, 3)`."""
     chord = np.linalg.norm(a - b, axis=(1, 2))
     return float(2 * np.arcsin(np.clip(chord / np.sqrt(8), 0, 1)).max())

@@ -1,4 +1,4 @@
-"""The one place that asks xarm-python-sdk: in a process of its own, each call under a deadline of ours."""
+"""Calls of xarm-python-sdk, in a separate process and with a deadline for each call."""
 
 import json
 import math
@@ -19,9 +19,9 @@ from lite6jax.controller.exchange import Address
 from lite6jax.errors import InputError
 
 CONNECT_SECONDS = 15.0
-"""For the start of Python, the import of the SDK, and its connection."""
+"""The time limit for starting Python, importing the SDK and connecting."""
 CALL_SECONDS = 4.0
-"""For one call; the SDK itself gives up after 2 s."""
+"""The time limit of a call; that of the SDK is 2 s."""
 
 WORKER = Path(__file__).with_name("sdk_worker.py")
 
@@ -38,21 +38,21 @@ _CODES = {
 
 
 class SdkError(InputError):
-    """The SDK's connection is of no use any more; a new one may be."""
+    """The connection of the SDK has failed; a new one may succeed."""
 
 
 class Pose(NamedTuple):
-    """What the controller computes for joints: `(6,)` x y z roll pitch yaw in mm and rad, or why it does not."""
+    """A pose computed by the controller, `(6,)` x y z roll pitch yaw in mm and rad, or the reason for its refusal."""
 
     values: NDArray[np.floating] | None
     refusal: str = ""
 
 
 class Sdk:
-    """A connection that the SDK holds; `connected` makes one.
+    """A connection of the SDK, made by `connected`.
 
     Attributes:
-        version: what register 1 says, such as `6,9,LI1006,DL1000,v2.7.1`.
+        version: the content of register 1, such as `6,9,LI1006,DL1000,v2.7.1`.
     """
 
     def __init__(self, process: "subprocess.Popen[str]", where: str) -> None:
@@ -67,20 +67,20 @@ class Sdk:
             self._answers.put(line)
         self._answers.put(None)
 
-    def greet(self, seconds: float) -> None:
+    def wait_connected(self, seconds: float) -> None:
         """Waits until the SDK has connected.
 
         Raises:
-            InputError: it did not within `seconds`, or says why not.
+            InputError: no connection within `seconds`, or an error of the SDK.
         """
-        said = self._answer(seconds, f"did not connect within {seconds:g} s, as with a silent controller")
-        self.version = str(said["version"])
+        reply = self._answer(seconds, f"did not connect within {seconds:g} s, as with a silent controller")
+        self.version = str(reply["version"])
 
     def forward_kinematics(self, joints: ArrayLike, seconds: float = CALL_SECONDS) -> Pose:
-        """The controller's flange, or tool where one is set, at joints `(joint,)` in rad.
+        """The pose of the flange, or of the tool if one is set, that the controller computes at joints `(joint,)` rad.
 
         Raises:
-            SdkError: the connection is lost, or there is no answer within `seconds`.
+            SdkError: the connection is lost, or there is no reply within `seconds`.
         """
         assert self._process.stdin is not None
         try:
@@ -106,47 +106,47 @@ class Sdk:
             raise self._failure(late) from None
         if line is None:
             raise self._failure("has ended")
-        said = json.loads(line)
-        if isinstance(said, dict) and "error" in said:
-            if said.get("missing"):
+        reply = json.loads(line)
+        if isinstance(reply, dict) and "error" in reply:
+            if reply.get("missing"):
                 raise InputError(
-                    f"xarm-python-sdk cannot be imported ({said['error']}); pip install 'xarm-python-sdk>=1.18'"
+                    f"xarm-python-sdk cannot be imported ({reply['error']}); pip install 'xarm-python-sdk>=1.18'"
                 )
-            raise self._failure(f"says: {said['error']}")
-        return said
+            raise self._failure(f"says: {reply['error']}")
+        return reply
 
     def _failure(self, what: str) -> SdkError:
         return SdkError(
-            f"{self._where}: the SDK's connection {what}; end other programs that hold the arm, check the network, and "
-            "try again"
+            f"{self._where}: the SDK's connection {what}; end other programs connected to the arm, check the network, "
+            "and try again"
         )
 
 
 @contextmanager
 def connected(address: Address, seconds: float = CONNECT_SECONDS) -> Iterator[Sdk]:
-    """The SDK connected to a controller, for reading only: no register that changes anything can be sent.
+    """A read-only connection of the SDK to a controller: requests that change anything are blocked.
 
-    The SDK runs in a process of its own, which is ended on leaving, whatever it waits for; nothing that it prints is
-    seen, and its log folder goes with it.
+    The SDK runs in a separate process, which is killed at the end, even if it waits. Its output is discarded and its
+    log folder removed.
 
     Raises:
-        SdkError: it does not connect within `seconds`.
+        SdkError: no connection within `seconds`.
         InputError: the SDK is not installed.
     """
     with tempfile.TemporaryDirectory(prefix="lite6jax-") as home:
         process = subprocess.Popen(
-            # -P: the folder of the worker holds modules that are none of the SDK's business
+            # -P: the modules in the worker's folder must not be importable by the SDK
             [sys.executable, "-P", str(WORKER), address.host, str(address.port), home],
             stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True,
         )  # fmt: skip
         try:
             sdk = Sdk(process, str(address))
-            sdk.greet(seconds)
+            sdk.wait_connected(seconds)
             yield sdk
         finally:
             process.kill()
             process.wait()
             for pipe in (process.stdin, process.stdout):
                 assert pipe is not None
-                with suppress(OSError):  # what was not yet sent
+                with suppress(OSError):  # unsent data
                     pipe.close()

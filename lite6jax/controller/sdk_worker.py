@@ -1,11 +1,11 @@
-"""Runs xarm-python-sdk in a process of its own, and lets nothing out to the arm but what reads.
+"""Runs xarm-python-sdk in a separate process and blocks every request to the arm except reads.
 
-Importing the SDK prints, sets a socket timeout for the whole process and makes a folder in the home directory; its
-connection may clear the controller's warnings (register 17) and may wait minutes for a silent controller. Here all of
-that happens to a process without a screen, whose home is a folder that its parent removes, and which can be ended.
+Importing the SDK prints, sets a socket timeout for the whole process and creates a folder in the home directory. Its
+connection may clear the controller's warnings (register 17) and may wait minutes for a controller that does not reply.
+This process has no terminal, its home is a temporary folder of its parent, and the parent can kill it.
 
-It imports nothing of this package, and speaks JSON in lines: first what it connected to, or `{"error": …}`; then for
-each line of joints (rad) `[code, what came]`, where a pose (mm, rad) comes with code 0.
+It imports nothing of this package and writes lines of JSON: first the connected controller or `{"error": …}`, then for
+each line of joints (rad) on stdin `[code, result]`, the result being a pose (mm, rad) if the code is 0.
 """
 
 import json
@@ -16,15 +16,15 @@ from collections.abc import Callable
 from typing import Any
 
 READS = {1: "version", 13: "state", 14: "commands waiting", 15: "error and warning", 44: "forward kinematics"}
-"""All registers that may be asked for; none of them changes anything."""
+"""The permitted registers, which are read only."""
 
 
 def only_reads(write: Callable[[Any, bytes], int], refused: list[int]) -> Callable[[Any, bytes], int]:
-    """The SDK's way out to the controller, shut for every register but `READS`.
+    """The SDK's write function, restricted to the registers in `READS`.
 
     Args:
-        write: of a port and the bytes to send; 0 where they were sent.
-        refused: is given the registers that were held back.
+        write: the original function, of a port and the bytes to send; returns 0 on success.
+        refused: receives the blocked registers.
     """
 
     def guarded(port: Any, data: bytes) -> int:
@@ -37,7 +37,7 @@ def only_reads(write: Callable[[Any, bytes], int], refused: list[int]) -> Callab
 
 
 def serve(host: str, port: int, home: str) -> None:
-    """Connects, then answers every line of joints on stdin, until there is none."""
+    """Connects, then replies to every line of joints on stdin."""
     answers = os.fdopen(os.dup(1), "w", buffering=1)
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # the SDK prints
 
@@ -53,8 +53,8 @@ def serve(host: str, port: int, home: str) -> None:
 
         setattr(XCONF.SocketConf, "TCP_CONTROL_PORT", port)  # noqa: B010 (typed as the constant 502)
         setattr(Port, "write", only_reads(Port.write, refused))  # noqa: B010 (its own type is narrower)
-        # With its report off, connecting would clear the controller's warnings. It would talk to another program's
-        # Unix socket in /tmp rather than to the arm, were that not forbidden.
+        # Without reports, connecting would clear the controller's warnings. With Unix domain sockets permitted, the SDK
+        # would connect to another program's socket in /tmp instead of the arm.
         arm = XArmAPI(host, is_radian=True, enable_report=True, forbid_uds=True)
         answer({"version": arm.version, "axis": arm.axis, "type": arm.device_type})
     except Exception as error:
@@ -65,12 +65,12 @@ def serve(host: str, port: int, home: str) -> None:
         except Exception as error:  # a short payload is a ValueError
             code, pose = None, f"{type(error).__name__}: {error}"
         if refused:
-            return answer({"error": f"the SDK wanted to send register {refused[0]}, which was held back"})
+            return answer({"error": f"the SDK requested register {refused[0]}, which was blocked"})
         answer([code, pose])
 
 
 if __name__ == "__main__":
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent decides what an interrupt ends
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent handles interrupts
     serve(sys.argv[1], int(sys.argv[2]), sys.argv[3])
     sys.stdout.flush()
     os._exit(0)  # its threads would wait for the controller

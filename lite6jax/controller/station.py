@@ -1,4 +1,4 @@
-"""What is known of an arm before it is recorded: its calibration, tool, payload, mounting, in a sidecar's words."""
+"""The connected arm before a recording: calibration, tool, payload and mounting, as the content of a sidecar."""
 
 import os
 from dataclasses import dataclass
@@ -18,21 +18,21 @@ from lite6jax.recordings import RecordingSettings
 from lite6jax.recordings.settings import LONGEST_OFFSET_M
 
 STREAM_NOISE = 5e-8, 5e-7
-"""m and rad, one sigma: joints and poses of the reports are 32-bit numbers."""
+"""m and rad, one standard deviation: the rounding of joints and poses in reports to 32 bits."""
 FK_NOISE = 3e-8, 3e-7
-"""The same of a pose alone."""
+"""m and rad, one standard deviation: the rounding of poses alone."""
 
 
 @dataclass(frozen=True, eq=False)
 class Station:
-    """An arm where it stands.
+    """A connected arm and its settings.
 
     Attributes:
         arm: the nominal arm.
         arm_name: the bundled arm's name, or the path of a description.
-        calibration: the arm's own, or None where the controller has none to give.
-        condition: what the slow report said, or None where there is none.
-        notes: what is missing, and what follows from it, one sentence each.
+        calibration: the factory calibration, or None if the controller provides none.
+        condition: from the 5 Hz report, or None without one.
+        notes: missing data and their consequences, one sentence each.
     """
 
     arm: Arm
@@ -43,15 +43,15 @@ class Station:
 
     @property
     def T_flange_tool(self) -> np.ndarray:
-        """`(4, 4)` m; the identity where the tool is not known."""
+        """`(4, 4)` m, the tool in the flange's frame; the identity if the tool is unknown."""
         return np.eye(4) if self.condition is None else self.condition.T_flange_tool
 
     def settings_beside(self, out: Path, joints: str = "measured") -> RecordingSettings:
-        """The sidecar of a recording of this arm.
+        """The content of the sidecar of a recording of this arm.
 
         Args:
-            out: the recording, beside which the sidecar and the calibration stand.
-            joints: "measured" of a motion that is recorded, "commanded" of joints for which the controller was asked.
+            out: the recording; sidecar and calibration are beside it.
+            joints: "measured" for a recorded motion, "commanded" for poses that the controller computed.
         """
         arm = self.arm_name
         if arm not in bundled_arms():
@@ -67,14 +67,14 @@ class Station:
                 com = tuple((condition.payload[1:] / 1e3).tolist())
             if np.abs(condition.gravity_direction - [0, 0, -1]).max() > 1e-6:
                 gravity = tuple((9.81 * condition.gravity_direction).tolist())
-        asked = joints == "commanded"
-        noise = FK_NOISE if asked else STREAM_NOISE
+        computed = joints == "commanded"
+        noise = FK_NOISE if computed else STREAM_NOISE
         return RecordingSettings(
             arm=arm,
             factory_calibration=None if self.calibration is None else factory_path(out).name,
-            joint_source="commanded" if asked else "measured",
+            joint_source="commanded" if computed else "measured",
             pose_source="controller_fk",
-            motion="static" if asked else "trajectory",
+            motion="static" if computed else "trajectory",
             pose_frame="base" if base else "unknown",
             tool=tool,
             position_noise_m=noise[0],
@@ -85,10 +85,10 @@ class Station:
 
 
 def read_station(address: Address, arm: Arm, arm_name: str) -> Station:
-    """Asks a controller for what a recording should say of its arm; passive throughout.
+    """Reads calibration and condition of an arm from its controller, with passive requests only.
 
     Raises:
-        InputError: as `read_calibration`, but for a controller that has no calibration or does not answer for it.
+        InputError: as `read_calibration`, except that a missing calibration is noted.
     """
     notes = []
     calibration = condition = None
@@ -96,8 +96,8 @@ def read_station(address: Address, arm: Arm, arm_name: str) -> Station:
         read = read_calibration(address, arm)
         calibration = read.calibration
     except (UncalibratedError, SilentError) as error:
-        without = str(error).partition(": ")[2].partition(";")[0]
-        notes.append(f"the geometry stays unknown: {without}")
+        reason = str(error).partition(": ")[2].partition(";")[0]
+        notes.append(f"the geometry stays unknown: {reason}")
     try:
         condition = read_condition(address)
     except InputError as error:
@@ -106,5 +106,5 @@ def read_station(address: Address, arm: Arm, arm_name: str) -> Station:
         if condition.error:
             notes.append(f"the controller reports error {condition.error}; clear it with the vendor's program")
         if condition.has_world:
-            notes.append("the controller has a base offset set, so that the sidecar calls the pose frame unknown")
+            notes.append("a base offset is set in the controller, so that the pose frame in the sidecar is unknown")
     return Station(arm, arm_name, calibration, condition, tuple(notes))

@@ -1,4 +1,4 @@
-"""A report port as it comes: whole reports in order, connection after connection, until told to stop."""
+"""The stream of a report port: complete reports in order, with automatic reconnection."""
 
 import queue
 import threading
@@ -13,7 +13,7 @@ from lite6jax.controller.protocol import MalformedError
 from lite6jax.errors import InputError
 
 SILENCE_S = 2.0
-"""A port that says nothing for so long, ten times its slowest period, is taken as lost."""
+"""The time without a report, ten periods of the slowest port, after which the connection counts as lost."""
 CONNECT_S = 3.0
 RETRY_S = 0.25
 _CHUNK = 1 << 16
@@ -21,12 +21,12 @@ _CHUNK = 1 << 16
 
 @dataclass(frozen=True)
 class Reports:
-    """Whole reports of one connection, in order.
+    """Complete reports of one connection, in order.
 
     Attributes:
-        connection: counts the connections that gave reports, from 0.
-        reports: each with its length in front.
-        heard: when the last byte of them came, by this computer's monotonic clock.
+        connection: the index of the connection among those with reports, from 0.
+        reports: each starting with its length.
+        heard: s, the arrival of the last byte by this computer's monotonic clock.
     """
 
     connection: int
@@ -36,15 +36,15 @@ class Reports:
 
 @dataclass(frozen=True)
 class Lost:
-    """A connection that ended, or one that could not be made, and why; another is tried."""
+    """The reason why a connection ended or failed; the port reconnects."""
 
     reason: str
 
 
 class ReportPort:
-    """Reads one report port in a thread of its own, so that nothing else can make the controller wait.
+    """Reads one report port in a separate thread, so that the controller never waits for a reader.
 
-    `events` gives `Reports` and `Lost` in the order in which they came. Nothing is ever sent.
+    `events` contains `Reports` and `Lost` in order of arrival. Nothing is sent.
     """
 
     def __init__(self, address: Address, port: int) -> None:
@@ -60,7 +60,7 @@ class ReportPort:
 
     def __exit__(self, *error: object) -> None:
         self._stop.set()
-        self._thread.join(1.0)  # it may wait for a connection, and is a daemon
+        self._thread.join(1.0)  # the thread may be connecting; as a daemon it need not end
 
     def _run(self) -> None:
         while not self._stop.is_set():
@@ -72,7 +72,7 @@ class ReportPort:
             self._stop.wait(max(0.0, started + RETRY_S - time.monotonic()))
 
     def _connection(self) -> str:
-        """One connection from its start to its end, and why it ended."""
+        """Reads one connection to its end; returns the reason of the end."""
         try:
             connection = connect(self.address.host, self.port, Deadline.after(CONNECT_S))
         except InputError as error:
@@ -80,13 +80,13 @@ class ReportPort:
         place = f"{self.address.host}: port {self.port}"
         received, heard, given = bytearray(), time.monotonic(), False
         with connection:
-            connection.settimeout(0.1)  # how soon a stop is seen
+            connection.settimeout(0.1)  # the delay of a stop
             while not self._stop.is_set():
                 try:
                     chunk = connection.recv(_CHUNK)
                 except TimeoutError:
                     if time.monotonic() - heard > SILENCE_S:
-                        return f"{place}: silent for {SILENCE_S:g} s"
+                        return f"{place}: no report for {SILENCE_S:g} s"
                     continue
                 except OSError as error:
                     return f"{place}: {error.strerror or error}"
@@ -105,7 +105,7 @@ class ReportPort:
 
 
 def _whole_reports(port: int, received: bytearray) -> tuple[list[bytes], str]:
-    """The reports before the first that is none, and what is wrong with that one."""
+    """The reports before the first invalid one, and the fault of that one; empty without."""
     whole: list[bytes] = []
     try:
         for report in protocol.take_reports(received):
@@ -117,10 +117,10 @@ def _whole_reports(port: int, received: bytearray) -> tuple[list[bytes], str]:
 
 
 def first_report(address: Address, port: int, seconds: float) -> np.void:
-    """The next report of a port, its fields by name.
+    """The fields of the next report of a port, by name.
 
     Raises:
-        InputError: the port cannot be reached, or gives none by then.
+        InputError: no connection, or no report within `seconds`.
     """
     deadline, reason = Deadline.after(seconds), ""
     with ReportPort(address, port) as stream:
@@ -131,7 +131,9 @@ def first_report(address: Address, port: int, seconds: float) -> np.void:
                 break
             if isinstance(event, Reports):
                 return protocol.read_report(port, event.reports[-1])
-            reason = event.reason  # what is to be read once need not wait for better times
+            reason = event.reason  # a single reading does not reconnect
             break
-    why = reason or f"{address.host}: port {port}: no report within {seconds:g} s"
-    raise InputError(why if ";" in why else f"{why}; check that the controller has finished starting, and try again")
+    problem = reason or f"{address.host}: port {port}: no report within {seconds:g} s"
+    raise InputError(
+        problem if ";" in problem else f"{problem}; check that the controller has finished starting, and try again"
+    )

@@ -1,4 +1,4 @@
-"""Whether a calibration is what the controller computes with: its forward kinematics beside ours, joint for joint."""
+"""Verification that the controller uses a calibration: its forward kinematics compared with the chain's."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -18,37 +18,37 @@ from lite6jax.errors import InputError
 Array = NDArray[np.floating]
 
 GATE_M = 1e-6
-"""A difference above 1e-3 mm is real."""
+"""m; a larger difference is significant."""
 GATE_RAD = 2e-6
-"""So is one above this; 32-bit numbers on the wire make up to 6e-7."""
+"""rad; a larger difference is significant. Rounding to 32 bits causes up to 6e-7."""
 FLOOR_M = 1.2e-7
-"""What 32-bit numbers on the wire make of a chain that is right, at most."""
+"""m, the largest difference of equal chains by rounding to 32 bits."""
 
 
 @dataclass(frozen=True, eq=False)
 class Verification:
-    """The controller's forward kinematics beside the calibration's.
+    """The differences between the controller's forward kinematics and the calibration's.
 
     Attributes:
-        joint_position: `(sample, joint)` rad, drawn inside the limits.
-        position: `(sample,)` m, the distance between both, at the joints as they were sent: 32-bit numbers.
-        orientation: `(sample,)` rad, the angle between both, likewise.
-        position_as_asked: `(sample,)` m, the distance from our chain at the joints before they were rounded.
-        orientation_as_asked: `(sample,)` rad, the angle likewise.
-        condition: what the report said when it began.
-        tool: how the tool offset enters: "none", "taken into account" or "left out by the controller".
-        tool_agrees: `(2,)` m and rad, by how much both differ at the joints where the arm stands, with that tool.
-        hidden_tool: `(6,)` x y z roll pitch yaw in mm and rad of a tool that no report shows, but which makes up the
-            whole difference; or None.
-        other_chain: the bundled arm whose nominal chain the controller computes with instead; or None.
-        version: the controller's, from the SDK.
+        joint_position: `(sample, joint)` rad, drawn within the limits.
+        position: `(sample,)` m, the distance at the joint positions as sent, rounded to 32 bits.
+        orientation: `(sample,)` rad, the angle likewise.
+        position_unrounded: `(sample,)` m, the distance with the chain at the joint positions before rounding.
+        orientation_unrounded: `(sample,)` rad, the angle likewise.
+        condition: from the report before the comparison.
+        tool: how the tool offset enters: "none", "applied" or "omitted by the controller".
+        tool_agrees: `(2,)` m and rad, the difference at the current joint positions, with that tool.
+        hidden_tool: `(6,)` x y z roll pitch yaw in mm and rad of a tool offset that the report omits and that
+            explains the difference; or None.
+        other_chain: the bundled arm whose nominal chain the controller uses instead; or None.
+        version: of the controller, from the SDK.
     """
 
     joint_position: Array
     position: Array
     orientation: Array
-    position_as_asked: Array
-    orientation_as_asked: Array
+    position_unrounded: Array
+    orientation_unrounded: Array
     condition: Condition
     tool: str
     tool_agrees: Array
@@ -71,18 +71,18 @@ def verify(
 ) -> Verification:
     """Compares a calibration's chain with the SDK's `get_forward_kinematics`.
 
-    The tool offset is taken from a report, not from the SDK's cache, which is zero until the first one; it must agree
-    with the forward kinematics where the arm stands.
+    The tool offset is read from a report, because the cache of the SDK is zero until the first one. It must agree with
+    the forward kinematics at the current joint positions.
 
     Args:
-        calibration: as read from the same controller.
-        address: the controller's.
-        samples: how many joint positions to draw inside the arm's limits.
-        seed: of those.
-        advance: called with 1 after each.
+        calibration: from the same controller.
+        address: of the controller.
+        samples: the number of joint positions, drawn within the limits of the arm.
+        seed: of the drawing.
+        advance: called with 1 after each joint position.
 
     Raises:
-        InputError: no report, a controller in error, a connection that does not stand, or a pose that is none.
+        InputError: no report, a controller in error, a failed connection, or no pose.
     """
     if samples < 1:
         raise InputError(f"--fk-samples {samples}: give one or more")
@@ -93,70 +93,70 @@ def verify(
     require_no_error(condition, address)
     with connected(address) as sdk:
         here = condition.joint_position[: arm.dof]
-        at_rest = _controllers(sdk, here[None], address, lambda done: None)
-        theirs = _controllers(sdk, q, address, advance)
+        at_rest = _computed_poses(sdk, here[None], address, lambda done: None)
+        computed = _computed_poses(sdk, q, address, advance)
         version = sdk.version
 
     links = np.stack([frames.transform_from_row(row) for row in calibration.kinematics])
-    at_rest_ours = frames.chain(links, here[None])
+    at_rest_expected = frames.chain(links, here[None])
     tools = {"none": np.eye(4)}
     if condition.has_tool:
-        tools = {"taken into account": condition.T_flange_tool, "left out by the controller": np.eye(4)}
-    apart = {name: np.concatenate(differences(at_rest_ours @ T, at_rest)) for name, T in tools.items()}
+        tools = {"applied": condition.T_flange_tool, "omitted by the controller": np.eye(4)}
+    apart = {name: np.concatenate(differences(at_rest_expected @ T, at_rest)) for name, T in tools.items()}
     tool = min(apart, key=lambda name: float(apart[name][0] + 0.1 * apart[name][1]))
-    ours = frames.chain(links, as_sent(q)) @ tools[tool]
-    position, orientation = differences(ours, theirs)
+    expected = frames.chain(links, as_sent(q)) @ tools[tool]
+    position, orientation = differences(expected, computed)
     passed = _agree(position, orientation)
     return Verification(
         q,
         position,
         orientation,
-        *differences(frames.chain(links, q) @ tools[tool], theirs),
+        *differences(frames.chain(links, q) @ tools[tool], computed),
         condition=condition,
         tool=tool,
         tool_agrees=apart[tool],
-        hidden_tool=None if passed else hidden_tool(ours, theirs),
-        other_chain=None if passed else _other_chain(q, tools[tool], theirs),
+        hidden_tool=None if passed else hidden_tool(expected, computed),
+        other_chain=None if passed else _other_chain(q, tools[tool], computed),
         version=version,
     )
 
 
 def as_sent(joints: Array) -> Array:
-    """Joint positions in rad as the controller gets them: 32-bit numbers."""
+    """Joint positions in rad as received by the controller, rounded to 32 bits."""
     return np.asarray(joints).astype(np.float32).astype(float)
 
 
-def differences(ours: Array, theirs: Array) -> tuple[Array, Array]:
+def differences(a: Array, b: Array) -> tuple[Array, Array]:
     """`(sample,)` distances in m and angles in rad between transforms `(sample, 4, 4)`."""
-    distance = np.linalg.norm(ours[:, :3, 3] - theirs[:, :3, 3], axis=-1)
-    # the chord of the rotation's matrix: arccos of a trace would see nothing below 1e-8
-    chord = np.linalg.norm(ours[:, :3, :3] - theirs[:, :3, :3], axis=(-2, -1))
+    distance = np.linalg.norm(a[:, :3, 3] - b[:, :3, 3], axis=-1)
+    # from the chord between the matrices, because arccos of the trace is zero below 1e-8
+    chord = np.linalg.norm(a[:, :3, :3] - b[:, :3, :3], axis=(-2, -1))
     return distance, 2 * np.arcsin(np.clip(chord / np.sqrt(8), 0, 1))
 
 
-def hidden_tool(ours: Array, theirs: Array) -> Array | None:
-    """`(6,)` mm and rad: the one transform after the flange that makes up all of a difference; None if there is none.
+def hidden_tool(expected: Array, computed: Array) -> Array | None:
+    """`(6,)` mm and rad, the constant transform after the flange that explains a difference; None if there is none.
 
     Args:
-        ours: `(sample, 4, 4)` flange poses.
-        theirs: `(sample, 4, 4)` what the controller gives.
+        expected: `(sample, 4, 4)` poses by the calibration.
+        computed: `(sample, 4, 4)` poses by the controller.
     """
-    if len(ours) < 3:
+    if len(expected) < 3:
         return None
-    T = np.linalg.inv(ours) @ theirs
+    T = np.linalg.inv(expected) @ computed
     mean = T.mean(axis=0)
     U, _, Vt = np.linalg.svd(mean[:3, :3])
     mean[:3, :3] = U @ Vt
-    return protocol.wire_pose(mean) if _agree(*differences(ours @ mean, theirs)) else None
+    return protocol.wire_pose(mean) if _agree(*differences(expected @ mean, computed)) else None
 
 
-def _other_chain(q: Array, T_flange_tool: Array, theirs: Array) -> str | None:
-    """The bundled arm whose nominal chain gives the controller's poses."""
+def _other_chain(q: Array, T_flange_tool: Array, computed: Array) -> str | None:
+    """The bundled arm whose nominal chain reproduces the controller's poses; or None."""
     for name in bundled_arms():
         arm = load_bundled(name)
         if arm.dof != q.shape[1]:
             continue
-        if _agree(*differences(frames.chain(arm.links, as_sent(q)) @ T_flange_tool, theirs)):
+        if _agree(*differences(frames.chain(arm.links, as_sent(q)) @ T_flange_tool, computed)):
             return name
     return None
 
@@ -165,8 +165,8 @@ def _agree(position: Array, orientation: Array) -> bool:
     return bool(position.max() <= GATE_M and orientation.max() <= GATE_RAD)
 
 
-def _controllers(sdk: Sdk, q: Array, address: Address, advance: Callable[[int], object]) -> Array:
-    """`(sample, 4, 4)` m."""
+def _computed_poses(sdk: Sdk, q: Array, address: Address, advance: Callable[[int], object]) -> Array:
+    """`(sample, 4, 4)` m, the poses that the controller computes at `q` `(sample, joint)` rad."""
     poses = []
     for joints in q:
         pose = sdk.forward_kinematics(joints)

@@ -1,4 +1,4 @@
-"""A controller to try things on without an arm: what the SDK connects to, on loopback, with faults and physics."""
+"""An emulated controller on loopback, to which the SDK connects, with selectable faults and physical effects."""
 
 from lite6jax.emulator.body import Body
 from lite6jax.emulator.faults import Faults, describe_faults, parse_faults

@@ -1,4 +1,4 @@
-"""The controller behind its sockets: its states, its queue of moves, and what it and its encoders see of the arm."""
+"""The emulated controller without its sockets: states, queue of moves, and the commanded, measured and true arm."""
 
 import math
 from collections import Counter, deque
@@ -20,36 +20,36 @@ Array = NDArray[np.floating]
 
 MOVING, READY, PAUSED, STOPPED, RESET = 1, 2, 3, 4, 5
 POSITIONS, SERVO = 0, 1
-"""The modes in which joints move here."""
+"""The emulated modes in which joints move."""
 
 LAG_S: Final = 0.008
-"""By which the joints follow their commands: two periods of the control loop."""
-LIMIT_SLACK: Final = math.radians(0.1)
+"""s, the delay of the joints relative to their commands: two periods of the control loop."""
+LIMIT_TOLERANCE: Final = math.radians(0.1)
 BOOT_US: Final = 60_000_000
-"""The controller's clock at the emulation's start."""
+"""µs, the controller's clock at the start of the emulation."""
 MOST_COMMANDS: Final = 2048
 AMPERE_PER_NM: Final = 0.08
 AMPERE_PER_RAD_PER_S: Final = 0.05
-"""A made-up motor: current for torque and for friction."""
+"""The assumed motor: current per torque, and per velocity for friction."""
 
 JOINT_LIMIT_ERROR: Final = 23
 """ControllerError 23 of the SDK: "Joints Angle Exceed Limit"."""
 
 
 class RefusedError(Exception):
-    """What the controller does not do as it stands; the reply is called invalid."""
+    """A command that the controller refuses in its present state; the reply has the status `INVALID`."""
 
 
 @dataclass
 class Move:
-    """A joint move in the queue, or without a goal a question when all before it is done; and whom to tell."""
+    """A queued joint move with the connection to notify; without a goal, only a request to notify."""
 
     request: Frame
     goal: Array | None
     speed: float
     acceleration: float
     feedback: int
-    tell: Callable[[Frame], None]
+    send: Callable[[Frame], None]
     start: float = 0.0
     end: float = 0.0
     begun: bool = False
@@ -57,27 +57,28 @@ class Move:
 
 @dataclass
 class Client:
-    """A connection to port 502, as far as the controller remembers it."""
+    """A connection to port 502: how to send to it, and its kinds of feedback."""
 
-    tell: Callable[[Frame], None]
+    send: Callable[[Frame], None]
     feedback: int = 0
 
 
 @dataclass(eq=False)
 class Core:
-    """The controller without its sockets. Time is emulated: `advance` moves it on.
+    """The controller without its sockets, in emulated time, which `advance` increases.
 
-    What it believes and what is true differ where the body has physics: `believed` is the kinematics of its
-    calibration at the commanded joints, `true` the body's pose.
+    With effects the poses that the controller computes differ from the true ones: `believed` is by the kinematics of
+    its calibration, `true` the pose of the body. The class has more than twelve methods because all of them read or
+    change one state, which a request sees between two steps of the clock; ten of them are one-line readings of it.
 
     Attributes:
         body: the arm.
-        faults: what is wrong.
-        timeline: where the joints are commanded to be.
+        faults: of the controller.
+        timeline: the commanded positions of the joints.
         time: s since the start.
-        asked: how often each register was asked for.
+        asked: the number of requests of each register.
         tool: `(6,)` the tool offset in mm and rad, as set by `carry`.
-        payload: `(4,)` kg and its centre in mm, likewise.
+        payload: `(4,)` kg and centre of mass in mm, likewise.
     """
 
     body: Body
@@ -107,13 +108,13 @@ class Core:
     # ---------------------------------------------------------------------------------------- time and motion
 
     def roam(self, path: Path) -> None:
-        """Follows a path from its start on, which must be where the arm stands, until something stops it."""
+        """Follows a path, which must start at the present position, until a command stops it."""
         self.enabled = self.every_motor
         self.state, self.roaming = MOVING, True
         self.timeline.then(path, self.time)
 
     def advance(self, time: float) -> None:
-        """The clock goes on; moves that have begun or ended meanwhile are told of."""
+        """Advances the clock to `time` s, and notifies of the moves that have begun or ended."""
         passed = np.linspace(self.time, time, 1 + math.ceil((time - self.time) / SPACING_S))[1:]
         self.direction = _directions(self.measured(passed)[1], self.direction)[-1]
         self.time = time
@@ -121,80 +122,80 @@ class Core:
             move = self.queue[0]
             if not move.begun:
                 move.begun = True
-                self._tell(move, protocol.MOTION_STARTED, 0)
+                self._notify(move, protocol.MOTION_STARTED, 0)
             if move.end > time:
                 break
             self.queue.popleft()
-            self._tell(move, protocol.MOTION_ENDED, 0)
+            self._notify(move, protocol.MOTION_ENDED, 0)
         if self.roaming and self.timeline.end <= time:
             self.roaming = False
         if self.state == MOVING and not self.roaming and self.timeline.end <= time:
             self.state = READY
 
-    def _tell(self, move: Move, kind: int, code: int) -> None:
+    def _notify(self, move: Move, kind: int, code: int) -> None:
         if move.feedback & kind:
-            told = protocol.Feedback(move.request.register, 0, code, self.clock_us(self.time))
-            move.tell(protocol.feedback(move.request, kind, told))
+            event = protocol.Feedback(move.request.register, 0, code, self.clock_us(self.time))
+            move.send(protocol.feedback(move.request, kind, event))
 
     def clock_us(self, time: float) -> int:
-        """The controller's own clock."""
+        """µs, the controller's clock."""
         return BOOT_US + round(time * 1e6)
 
     def halt(self, state: int) -> None:
-        """Stops, forgets what was to come (feedback: discarded), and goes to a state."""
+        """Stops, discards the queue with feedback, and changes to `state`."""
         self.timeline.stop(self.time)
         self.roaming = False
         while self.queue:
-            self._tell(self.queue.popleft(), protocol.MOTION_ENDED, 2)
+            self._notify(self.queue.popleft(), protocol.MOTION_ENDED, 2)
         self.state = state
 
     def pause(self) -> None:
-        """Stops and remembers what is to come."""
+        """Stops and keeps the queue."""
         self.timeline.stop(self.time)
         self.roaming = False
         self.state = PAUSED
 
     def resume(self) -> None:
-        """Ready; goes on with what was to come."""
+        """Resumes the queue."""
         self.state = READY
         moves, self.queue = self.queue, deque()
         for move in moves:
             self.enqueue(move)
 
     def move(self, goal: Array, speed: float, acceleration: float, request: Frame, client: Client) -> None:
-        """Queues a move, if it can move; a goal beyond the limits is error 23 and stops all, as on a real one.
+        """Queues a move if the arm can move. A goal beyond the limits is error 23 and stops the arm, as on a real one.
 
         Args:
             goal: `(joint,)` rad.
-            speed: rad/s, the arm's own at most; 20 °/s where it is 0.
-            acceleration: rad/s², likewise; 500 °/s² where it is 0.
-            request: what asked for it.
-            client: who is told when it is done.
+            speed: rad/s, limited to that of the arm; 0 for 20 °/s.
+            acceleration: rad/s², likewise; 0 for 500 °/s².
+            request: the request for it.
+            client: the connection to notify.
 
         Raises:
-            RefusedError: not in the mode of positions, or too many are queued.
+            RefusedError: another mode than `POSITIONS`, or a full queue.
         """
-        if not self._free_to_move(goal, POSITIONS):
+        if not self._may_move(goal, POSITIONS):
             return
         if self.roaming:
             self.halt(READY)
         speed = min(speed, MAX_SPEED) if speed > 0 else math.radians(20)
         acceleration = min(acceleration, MAX_ACCELERATION) if acceleration > 0 else math.radians(500)
-        self.enqueue(Move(request, goal, speed, acceleration, client.feedback, client.tell))
+        self.enqueue(Move(request, goal, speed, acceleration, client.feedback, client.send))
 
     def servo(self, goal: Array) -> None:
-        """Goes to `(joint,)` rad at once, as fast as the limit of speed lets it.
+        """Moves to `(joint,)` rad immediately, within the limit of speed.
 
         Raises:
-            RefusedError: not in the mode of servo.
+            RefusedError: another mode than `SERVO`.
         """
-        if self._free_to_move(goal, SERVO):
+        if self._may_move(goal, SERVO):
             here = self.commanded(np.array([self.time]))[0][0]
             self.timeline.then(Servo(here, goal, 1 / protocol.RATES[protocol.REALTIME]), self.time)
             self.state = MOVING
 
-    def _free_to_move(self, goal: Array, mode: int) -> bool:
-        """False where the reply's status says why not."""
+    def _may_move(self, goal: Array, mode: int) -> bool:
+        """Whether the arm can move to `goal`; if not, the status of the reply states the reason."""
         if not self.can_move:
             return False
         if self.mode != mode:
@@ -206,26 +207,26 @@ class Core:
         return True
 
     def enqueue(self, move: Move) -> None:
-        """After all that is planned.
+        """Appends a move after all planned ones.
 
         Raises:
-            RefusedError: too many are queued.
+            RefusedError: a full queue.
         """
         if len(self.queue) >= MOST_COMMANDS:
             raise RefusedError
         move.start = move.end = max(self.time, self.timeline.end)
         if move.goal is not None:
-            path = PointToPoint(self._standing_at(), move.goal, move.speed, move.acceleration)
+            path = PointToPoint(self._final_position(), move.goal, move.speed, move.acceleration)
             self.timeline.then(path, move.start)
             move.end += path.duration
             self.state = MOVING
         self.queue.append(move)
 
-    def _standing_at(self) -> Array:
-        """`(joint,)` rad, where all that is planned ends."""
+    def _final_position(self) -> Array:
+        """`(joint,)` rad, after all planned moves."""
         return self.timeline.at(np.array([max(self.time, self.timeline.end)]))[0][0]
 
-    # ------------------------------------------------------------------------------------------ what is seen
+    # ------------------------------------------------------------------------------------------ readings
 
     @property
     def can_move(self) -> bool:
@@ -238,29 +239,29 @@ class Core:
         return (1 << self.body.arm.dof) - 1
 
     def carry(self, tool: Array, payload: Array) -> None:
-        """Another tool offset `(6,)` in mm and rad, and payload `(4,)` in kg and mm."""
+        """Sets the tool offset `(6,)` in mm and rad, and the payload `(4,)` in kg and mm."""
         T_flange_tool = protocol.transform_of_wire_pose(tool)
         self.tool, self.payload = tool, payload
         self.carried = self.body.carrying(T_flange_tool, float(payload[0]), payload[1:] / protocol.MM)
 
     def commanded(self, time: Array) -> tuple[Array, Array]:
-        """Positions and velocities `(sample, joint)` that the controller asks for."""
+        """The commanded positions and velocities `(sample, joint)` at `(sample,)` s."""
         return self.timeline.at(time)
 
     def measured(self, time: Array) -> tuple[Array, Array]:
-        """Positions and velocities `(sample, joint)` that the encoders show: the commands, a little late."""
+        """The measured positions and velocities `(sample, joint)`: the commands delayed by `LAG_S`."""
         return self.timeline.at(time - LAG_S)
 
     def believed(self, q: ArrayLike) -> Array:
-        """`(..., 4, 4)` the tool's pose by the controller's kinematics: its calibration and the tool offset."""
+        """`(..., 4, 4)` the tool pose by the controller's kinematics: its calibration and the tool offset."""
         return self.body.flange(q, self.faults.nominal_kinematics) @ self.carried.T_flange_tool
 
     def true(self, time: Array) -> Array:
-        """`(sample, 4, 4)` where the tool truly is: with the physics, at what the encoders show."""
+        """`(sample, 4, 4)` the true tool poses with all effects, at the measured joints."""
         around = math.ceil(abs(self.body.clock_offset) / SPACING_S) + 1 if self.body.clock_offset else 0
         steps = SPACING_S * np.arange(1, around + 1)
-        poses, last, most = [], self.direction, BLOCK - 2 * around
-        for part in np.split(time, range(most, len(time), most)):
+        poses, last, size = [], self.direction, BLOCK - 2 * around
+        for part in np.split(time, range(size, len(time), size)):
             instants = np.concatenate([part[0] - steps[::-1], part, part[-1] + steps])
             position, velocity = self.measured(instants)
             direction = _directions(velocity, last)
@@ -270,11 +271,11 @@ class Core:
         return np.concatenate(poses)
 
     def torque(self, q: Array) -> Array:
-        """`(sample, joint)` N·m that hold `(sample, joint)` rad."""
+        """`(sample, joint)` N·m, the motor torques at `q` `(sample, joint)` rad."""
         return self.body.holding_torque(q, self.carried)
 
     def current(self, torque: Array, velocity: Array) -> Array:
-        """`(sample, joint)` A of a made-up motor."""
+        """`(sample, joint)` A of the assumed motor."""
         return AMPERE_PER_NM * torque + AMPERE_PER_RAD_PER_S * velocity
 
     @property
@@ -288,13 +289,13 @@ class Core:
         )
 
     def beyond_limits(self, q: Array) -> bool:
-        """Whether a joint is outside its limits, give or take 0.1°."""
+        """Whether a joint exceeds its limits by more than 0.1° or is not finite."""
         lower, upper = self.body.arm.joint_limits.T
-        return bool(((q < lower - LIMIT_SLACK) | (q > upper + LIMIT_SLACK)).any() or not np.isfinite(q).all())
+        return bool(((q < lower - LIMIT_TOLERANCE) | (q > upper + LIMIT_TOLERANCE)).any() or not np.isfinite(q).all())
 
 
 def _directions(velocity: Array, last: Array) -> Array:
-    """`(sample, joint)` signs; where a joint stands, that of its last move."""
+    """`(sample, joint)` signs of the velocity; at standstill that of the last motion, initially `last`."""
     direction = np.sign(velocity)
     if not (direction == 0).any():
         return direction

@@ -1,4 +1,4 @@
-"""What can be wrong with a controller or the line to it, chosen by name."""
+"""Faults of an emulated controller and of its connection, selected by name."""
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
@@ -9,33 +9,33 @@ from lite6jax.arms.entries import suggestion
 from lite6jax.errors import InputError
 
 ALL = -1
-"""Among silent registers: every one."""
+"""Stands for every register in `Faults.silent`."""
 NAN_PLACES = ("calibration", "kinematics", "reports")
 
 
 @dataclass(frozen=True)
 class Faults:
-    """Everything an emulated controller does wrong; the defaults are a sound one on a good line.
+    """The faults of an emulated controller; by default none.
 
     Attributes:
-        silent: registers that are never answered; with `ALL` among them none is. Connections are accepted.
-        silent_reports: report ports accept, and say nothing.
-        fragment: bytes at most that are sent at a time, with a pause after each piece of a reply; 0: whole messages.
-        close_after: bytes of a reply after which the connection is closed; None: never.
-        close_reports_after: whole reports after which a report connection is closed half-way through the next.
-        lose_every: of the reports on port 30000, every so-many-th is never sent, as a busy controller does; 0: none.
-        garbage: replies are random bytes instead.
-        invalid: register 8 says that the arm has no calibration.
-        status: bits that every reply's status has on top.
-        error: the controller's error code, from the start and again after it was cleared.
+        silent: registers without a reply; with `ALL` no register has one. Connections are accepted.
+        silent_reports: report ports accept connections and send nothing.
+        fragment: the largest number of bytes sent at once, with a pause after each part of a reply; 0 for no limit.
+        close_after: the number of bytes of a reply after which the connection is closed; None for never.
+        close_reports_after: the number of reports after which a connection is closed in the middle of the next one.
+        lose_every: every n-th report of port 30000 is not sent, as by a busy controller; 0 for none.
+        garbage: replies are random bytes.
+        invalid: register 8 states that the arm has no calibration.
+        status: additional bits of every status.
+        error: the error code of the controller, which persists after clearing.
         warning: its warning code.
         latency: s before each reply.
-        nan: where numbers are NaN: calibration, kinematics (registers 41 to 45, 55 and 91), reports.
-        says: (axes, type) that registers 1 and 8 say instead of the arm's own.
-        firmware: version that registers 1 says; below 2.3.0 there is no calibration, and 1.12.1 does not answer 8.
-        nominal_kinematics: the controller computes with the nominal chain, and not with the calibration it holds.
-        rotation_vectors: the poses on port 30000 end in a rotation vector. The vendor calls them rx ry rz there, and
-            nobody has said whether they are not roll, pitch and yaw as everywhere else.
+        nan: where values are NaN: calibration, kinematics (registers 41 to 45, 55 and 91), reports.
+        stated_model: (axes, type) that registers 1 and 8 state instead of the arm's.
+        firmware: the version in register 1; no calibration below 2.3.0, and no reply to register 8 from 1.12.1.
+        nominal_kinematics: the controller computes with the nominal chain instead of its calibration.
+        rotation_vectors: the poses on port 30000 contain a rotation vector. The vendor calls its numbers rx ry rz
+            without a definition, and roll, pitch and yaw elsewhere.
     """
 
     silent: frozenset[int] = frozenset()
@@ -51,25 +51,25 @@ class Faults:
     warning: int = 0
     latency: float = 0.0
     nan: frozenset[str] = frozenset()
-    says: tuple[int, int] | None = None
+    stated_model: tuple[int, int] | None = None
     firmware: tuple[int, int, int] = (2, 7, 1)
     nominal_kinematics: bool = False
     rotation_vectors: bool = False
 
     @property
     def calibrated(self) -> bool:
-        """Whether the controller has a calibration to give."""
+        """Whether the controller provides a calibration."""
         return not self.invalid and self.firmware >= (2, 3, 0)
 
     def answers(self, register: int) -> bool:
-        """Whether a request to this register gets a reply."""
+        """Whether a request to this register has a reply."""
         if self.silent & {ALL, register}:
             return False
         return register != 8 or self.firmware != (1, 12, 1)
 
 
 class _Kind(NamedTuple):
-    """A fault by name: the word for its value and the one taken where none is given, what it does, how it is set."""
+    """A named fault: the name and the default of its value, its description, and the function that sets it."""
 
     value: str
     default: str
@@ -111,68 +111,68 @@ def _latency(faults: Faults, text: str) -> Faults:
 
 def _nan(faults: Faults, where: str) -> Faults:
     if where not in NAN_PLACES:
-        raise InputError(f"fault nan: {where!r} is no place; choose one of {', '.join(NAN_PLACES)}")
+        raise InputError(f"fault nan: {where!r} is not a place; choose one of {', '.join(NAN_PLACES)}")
     return replace(faults, nan=faults.nan | {where})
 
 
 def _firmware(faults: Faults, version: str) -> Faults:
     parts = version.lstrip("vV").split(".")
     if len(parts) != 3 or not all(part.isdecimal() for part in parts):
-        raise InputError(f"fault firmware: {version!r} is no version; write it like 1.12.1")
+        raise InputError(f"fault firmware: {version!r} is not a version; write it like 1.12.1")
     major, minor, patch = map(int, parts)
     return replace(faults, firmware=(major, minor, patch))
 
 
 def _type(faults: Faults, text: str) -> Faults:
     axes, _, kind = text.partition("/")
-    return replace(faults, says=(_integer("type", axes, 0, 255), _integer("type", kind, 0, 255)))
+    return replace(faults, stated_model=(_integer("type", axes, 0, 255), _integer("type", kind, 0, 255)))
 
 
 MOST = 10**9
 _FAULTS: Mapping[str, _Kind] = MappingProxyType(
     {
-        "silence": _Kind("REGISTER", "", "answers nothing, or not this register", _silence),
-        "silent_reports": _flag("silent_reports", "report ports accept and say nothing"),
-        "fragments": _whole("fragments", "fragment", "BYTES", "1", "sends in pieces of so many bytes", 1, MOST),
-        "close": _whole("close", "close_after", "BYTES", "90", "hangs up after so many bytes of a reply", 0, MOST),
+        "silence": _Kind("REGISTER", "", "does not reply, or not for this register", _silence),
+        "silent_reports": _flag("silent_reports", "report ports accept connections and send nothing"),
+        "fragments": _whole("fragments", "fragment", "BYTES", "1", "sends parts of so many bytes", 1, MOST),
+        "close": _whole("close", "close_after", "BYTES", "90", "closes after so many bytes of a reply", 0, MOST),
         "close_reports": _whole(
             "close_reports", "close_reports_after", "REPORTS", "500",
-            "hangs up half-way through a report after so many", 0, MOST,
+            "closes the connection in the middle of a report after so many", 0, MOST,
         ),
         "lose": _whole(
-            "lose", "lose_every", "EVERY", "100", "never sends every so-many-th report of port 30000", 2, MOST
+            "lose", "lose_every", "EVERY", "100", "does not send every n-th report of port 30000", 2, MOST
         ),
         "garbage": _flag("garbage", "replies with random bytes"),
-        "invalid": _flag("invalid", "says that the arm has no calibration"),
-        "error": _whole("error", "error", "CODE", "2", "has this error, whatever clears it", 1, 255),
+        "invalid": _flag("invalid", "reports that the arm has no calibration"),
+        "error": _whole("error", "error", "CODE", "2", "has this error, which persists after clearing", 1, 255),
         "warning": _whole("warning", "warning", "CODE", "11", "has this warning", 1, 255),
         "status": _whole("status", "status", "BITS", "8", "adds bits to every status", 0, 255),
-        "latency": _Kind("S", "0.5", "takes so long to answer", _latency),
+        "latency": _Kind("S", "0.5", "delays each reply", _latency),
         "nan": _Kind("WHERE", "calibration", f"gives NaN in {', '.join(NAN_PLACES)}", _nan),
-        "type": _Kind("AXES/TYPE", "6/6", "says it is another arm", _type),
+        "type": _Kind("AXES/TYPE", "6/6", "reports another model", _type),
         "firmware": _Kind(
-            "VERSION", "1.12.1", "is older: below 2.3.0 without a calibration, 1.12.1 silent about it", _firmware
+            "VERSION", "1.12.1", "is older: no calibration below 2.3.0, no reply to its request from 1.12.1", _firmware
         ),
-        "nominal": _flag("nominal_kinematics", "computes with the nominal chain, not with its calibration"),
-        "rotation_vectors": _flag("rotation_vectors", "turns on port 30000 are rotation vectors, not roll pitch yaw"),
+        "nominal": _flag("nominal_kinematics", "computes with the nominal chain instead of its calibration"),
+        "rotation_vectors": _flag("rotation_vectors", "orientations on port 30000 are rotation vectors"),
     }
 )  # fmt: skip
 
 
 def describe_faults() -> list[tuple[str, str]]:
-    """Each fault: its name with what may follow it, and what it does."""
+    """Each fault: its name with its value, and its description."""
     described = []
     for name, kind in _FAULTS.items():
-        said = f"{kind.words} ({kind.default} where not given)" if kind.default else kind.words
-        described.append((f"{name}:{kind.value}" if kind.value else name, said))
+        description = f"{kind.words} (default {kind.default})" if kind.default else kind.words
+        described.append((f"{name}:{kind.value}" if kind.value else name, description))
     return described
 
 
 def parse_faults(texts: Iterable[str]) -> Faults:
-    """The faults that texts such as `silence:8` or `latency:0.5` name.
+    """The faults named by texts such as `silence:8` or `latency:0.5`.
 
     Raises:
-        InputError: an unknown name, or a value that it does not take.
+        InputError: an unknown name, or an invalid value.
     """
     faults = Faults()
     for text in texts:

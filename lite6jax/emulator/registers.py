@@ -1,6 +1,6 @@
-"""What the controller answers: each register as the vendor's documents and the SDK have it.
+"""The replies of the controller to each register, by the vendor's documents and the SDK.
 
-Where those are silent it is a guess that leaves the SDK working, and says so.
+Where these specify nothing, the reply is an assumption with which the SDK works, and the comment says so.
 """
 
 import struct
@@ -25,58 +25,59 @@ from lite6jax.emulator.core import (
     Move,
     RefusedError,
 )
+from lite6jax.emulator.inverse_kinematics import inverse_kinematics
 
 Array = NDArray[np.floating]
 
 HIGHEST_MODE: Final = 11
-"""The SDK hangs up on reports with a higher one."""
+"""The SDK closes the connection on reports with a higher mode."""
 PLAUSIBLE: Final = 1e4
-"""mm of a tool or a pose, kg of a payload; more is refused, and so is what is not finite (a guess)."""
+"""mm of a tool or a pose, kg of a payload; larger values and values that are not finite are refused (an assumption)."""
 UNPACKED: Final = 64
-"""Zeros in an invalid reply: the SDK unpacks a payload before it looks at the status, and falls over one too short."""
+"""Zeros in an invalid reply: the SDK unpacks the payload before the status and fails on a shorter one."""
 
 
 def answer(core: Core, frame: Frame, client: Client) -> Frame | None:
-    """The reply to a request, or None where it gets none.
+    """The reply to a request, or None for no reply.
 
-    A request of a wrong size and a register that is not emulated are answered as invalid (a guess).
+    The reply to a request of a wrong size or of a register that is not emulated is invalid (an assumption).
     """
     core.asked[frame.register] += 1
     if not core.faults.answers(frame.register):
         return None
-    if frame.protocol == protocol.STANDARD:  # Modbus proper: "illegal function"; silence would hold the SDK 3 h
+    if frame.protocol == protocol.STANDARD:  # standard Modbus: "illegal function"; the SDK would wait 3 h for a reply
         return frame._replace(body=bytes([(frame.body or b"\0")[0] | 0x80, 1]))
     if frame.protocol not in (protocol.PRIVATE, protocol.PRIVATE_ALIVE):
         return None  # the SDK's heartbeat
     try:
-        with np.errstate(all="ignore"):  # joints that are not finite have a pose that is not
+        with np.errstate(all="ignore"):  # joints that are not finite give such a pose
             payload, invalid = _ANSWERS[frame.register](core, frame, client), 0
-    except (KeyError, IndexError, ValueError, RefusedError):  # unknown, of another size, or refused
+    except (KeyError, IndexError, ValueError, RefusedError):  # unknown, of wrong size, or refused
         payload, invalid = bytes(UNPACKED), Status.INVALID
     return frame.reply(payload, invalid | core.status)
 
 
 def _joints_in(core: Core, body: bytes, count: int) -> tuple[Array, Array]:
-    """The arm's joints of `count` floats, and what follows the seven on the wire."""
+    """The joints of the arm in `count` floats, and the values after the seven joints on the wire."""
     values = protocol.read_floats(body[: 4 * count], count)
     return values[: core.body.arm.dof], values[protocol.JOINTS :]
 
 
-def _said(core: Core, where: str, values: ArrayLike) -> Array:
-    """The values, or NaN where a fault says so."""
+def _with_fault(core: Core, where: str, values: ArrayLike) -> Array:
+    """The values, or NaN by a fault."""
     values = np.asarray(values, float)
     return np.full_like(values, np.nan) if where in core.faults.nan else values
 
 
 def _plausible(values: Array) -> Array:
-    """Lengths in mm, masses in kg, angles in rad that an arm could have to do with."""
+    """The values in mm, kg or rad, after a check of their magnitude."""
     if not (np.abs(values) < PLAUSIBLE).all():
         raise RefusedError
     return values
 
 
 def _commanded(core: Core) -> Array:
-    """`(joint,)` rad, now."""
+    """`(joint,)` rad, the commanded positions now."""
     return core.commanded(np.array([core.time]))[0][0]
 
 
@@ -95,19 +96,19 @@ def _answers(*registers: Register) -> Callable[[_Answer], _Answer]:
 
 @_answers(Register.VERSION)
 def _version(core: Core, frame: Frame, client: Client) -> bytes:
-    return identity_of(core.body, core.faults.firmware, core.faults.says).encode()
+    return identity_of(core.body, core.faults.firmware, core.faults.stated_model).encode()
 
 
 @_answers(Register.SERIAL_NUMBER)
 def _serial_number(core: Core, frame: Frame, client: Client) -> bytes:
-    identity = identity_of(core.body, core.faults.firmware, core.faults.says)
+    identity = identity_of(core.body, core.faults.firmware, core.faults.stated_model)
     return protocol.serial_numbers(f"{identity.arm}230801E01", f"{identity.box}230801E02")
 
 
 @_answers(Register.CALIBRATION)
 def _calibration(core: Core, frame: Frame, client: Client) -> bytes:
-    dof, kind = core.faults.says or (core.body.arm.dof, core.body.type)
-    rows = _said(core, "calibration", core.body.kinematics)
+    dof, kind = core.faults.stated_model or (core.body.arm.dof, core.body.type)
+    rows = _with_fault(core, "calibration", core.body.kinematics)
     valid = core.faults.calibrated
     return protocol.Calibration(int(valid), dof, kind, rows if valid else np.zeros((0, 6))).encode()
 
@@ -181,8 +182,8 @@ def _count(core: Core) -> bytes:
 
 @_answers(Register.MOVE_JOINTS, Register.MOVE_JOINTS_BLENDED)
 def _move_joints(core: Core, frame: Frame, client: Client) -> bytes:
-    goal, (speed, acceleration, _) = _joints_in(core, frame.body, 10)  # the time is reserved; corners are not blended
-    if any(frame.body[40:41]):  # only to be checked
+    goal, (speed, acceleration, _) = _joints_in(core, frame.body, 10)  # the time is reserved; blending is not emulated
+    if any(frame.body[40:41]):  # only a check is requested
         return _count(core) + bytes([JOINT_LIMIT_ERROR if core.beyond_limits(goal) else 0])
     core.move(goal, float(speed), float(acceleration), frame, client)
     return _count(core)
@@ -228,27 +229,27 @@ def _set_teach_sensitivity(core: Core, frame: Frame, client: Client) -> bytes:
 @_answers(Register.POSE)
 def _pose(core: Core, frame: Frame, client: Client) -> bytes:
     q = _commanded(core)
-    return protocol.floats(_said(core, "kinematics", protocol.wire_pose(core.believed(q))))
+    return protocol.floats(_with_fault(core, "kinematics", protocol.wire_pose(core.believed(q))))
 
 
 @_answers(Register.POSE_AXIS_ANGLE)
 def _pose_axis_angle(core: Core, frame: Frame, client: Client) -> bytes:
     q = _commanded(core)
     pose = protocol.axis_angle_of_wire_pose(protocol.wire_pose(core.believed(q)))
-    return protocol.floats(_said(core, "kinematics", pose))
+    return protocol.floats(_with_fault(core, "kinematics", pose))
 
 
 @_answers(Register.JOINTS)
 def _joints(core: Core, frame: Frame, client: Client) -> bytes:
     now = np.array([core.time])
     if not frame.body:
-        return protocol.floats(_said(core, "kinematics", protocol.seven(core.commanded(now)[0][0])))
+        return protocol.floats(_with_fault(core, "kinematics", protocol.seven(core.commanded(now)[0][0])))
     blocks = frame.body[0] & 0x0F
     if not 1 <= blocks <= 3:
         raise RefusedError
     q, dq = core.measured(now)
     values = (q, dq, core.torque(q))[:blocks]
-    return b"".join(protocol.floats(_said(core, "kinematics", protocol.seven(value[0]))) for value in values)
+    return b"".join(protocol.floats(_with_fault(core, "kinematics", protocol.seven(value[0]))) for value in values)
 
 
 @_answers(Register.INVERSE_KINEMATICS)
@@ -258,16 +259,16 @@ def _inverse_kinematics(core: Core, frame: Frame, client: Client) -> bytes:
     reference = _commanded(core)
     if len(frame.body) > 25:
         reference = _plausible(protocol.read_floats(frame.body[25:], protocol.JOINTS))[: core.body.arm.dof]
-    q = core.body.inverse(pose @ np.linalg.inv(core.carried.T_flange_tool), reference, limited)
+    q = inverse_kinematics(core.body, pose @ np.linalg.inv(core.carried.T_flange_tool), reference, limited)
     if q is None:
         raise RefusedError
-    return protocol.floats(_said(core, "kinematics", protocol.seven(q)))
+    return protocol.floats(_with_fault(core, "kinematics", protocol.seven(q)))
 
 
 @_answers(Register.FORWARD_KINEMATICS)
 def _forward_kinematics(core: Core, frame: Frame, client: Client) -> bytes:
     q, _ = _joints_in(core, frame.body, protocol.JOINTS)
-    return protocol.floats(_said(core, "kinematics", protocol.wire_pose(core.believed(q))))
+    return protocol.floats(_with_fault(core, "kinematics", protocol.wire_pose(core.believed(q))))
 
 
 @_answers(Register.JOINT_LIMIT)
@@ -279,12 +280,12 @@ def _joint_limit(core: Core, frame: Frame, client: Client) -> bytes:
 @_answers(Register.TORQUE)
 def _torque(core: Core, frame: Frame, client: Client) -> bytes:
     q = core.measured(np.array([core.time]))[0]
-    return protocol.floats(_said(core, "kinematics", protocol.seven(core.torque(q)[0])))
+    return protocol.floats(_with_fault(core, "kinematics", protocol.seven(core.torque(q)[0])))
 
 
 @_answers(Register.DH)
 def _dh(core: Core, frame: Frame, client: Client) -> bytes:
-    """Modified DH (Craig) of the nominal arm, theta d alpha a a joint, rad and mm: alpha and a precede the joint."""
+    """Modified DH (Craig) of the nominal arm, theta d alpha a, rad and mm; alpha and a precede the joint."""
     if core.body.arm.dh is None:
         raise RefusedError
     theta, d, a, alpha = core.body.arm.dh.T
@@ -297,8 +298,8 @@ def _dh(core: Core, frame: Frame, client: Client) -> bytes:
 
 @_answers(Register.CHECK_FEEDBACK)
 def _check_feedback(core: Core, frame: Frame, client: Client) -> bytes:
-    """Told when all that is queued is done: at once where nothing is."""
-    core.enqueue(Move(frame, None, 0.0, 0.0, client.feedback & protocol.MOTION_ENDED, client.tell))
+    """Notifies when the queue is done, immediately if it is empty."""
+    core.enqueue(Move(frame, None, 0.0, 0.0, client.feedback & protocol.MOTION_ENDED, client.send))
     return b""
 
 

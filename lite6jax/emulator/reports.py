@@ -1,17 +1,16 @@
-"""What the report ports send: many instants at once, as bytes.
+"""The reports of each port, for many instants at once, as bytes.
 
-Which port shows what, so that an emulated arm with hidden physics can be recorded and diagnosed:
+The content of the ports, with which an arm with hidden effects can be recorded and diagnosed:
 
-- 30000, `target_…`: what the controller commands, and its own kinematics of that. No physics.
-- 30000, joints, velocities, currents, torques: what the encoders and drives show. They follow the commands 8 ms late.
-  The physics is no part of them: an effect such as compliance or backlash acts between encoder and link, unseen.
-- 30000, `pose`: where the tool truly is, *with* the physics, as a perfect sensor at the tool would see it. A real
-  controller cannot know that: it computes this pose from the encoders. It is the one liberty this emulator takes, so
-  that a recording of it holds what a laser tracker would have added.
-- 30001, 30002, 30003 and the registers 41 and 42: commanded joints and the controller's own kinematics of them.
-  Register 42 with a parameter gives the encoders.
+- 30000, `target_…`: the commanded joints and the controller's kinematics of them, without effects.
+- 30000, joints, velocities, currents, torques: the readings of encoders and drives, 8 ms after the commands. They
+  do not contain the effects, because compliance or backlash acts between encoder and link.
+- 30000, `pose`: the true pose of the tool *with* all effects, as measured by a perfect sensor. This is the only
+  deviation from a real controller, which computes this pose from the encoders. It replaces a laser tracker.
+- 30001, 30002, 30003 and the registers 41 and 42: the commanded joints and the controller's kinematics of them.
+  Register 42 with a parameter gives the encoder readings.
 
-Register 44 is always the controller's own kinematics: its calibration, and never the physics.
+Register 44 always gives the controller's kinematics by its calibration, without effects.
 """
 
 import numpy as np
@@ -23,11 +22,11 @@ from lite6jax.emulator.core import Core
 from lite6jax.emulator.paths import MAX_ACCELERATION, MAX_SPEED
 
 DIFFERENCE_S = 1e-3
-"""The step by which speeds and accelerations are differentiated."""
+"""s, the step of the finite differences for speeds and accelerations."""
 
 
 def report(core: Core, port: int, time: Array) -> bytes:
-    """The reports of a port at rising instants `(sample,)` s, one after the other."""
+    """The concatenated reports of a port at increasing instants `(sample,)` s."""
     records = np.zeros(len(time), protocol.report_layout(port))
     records["length"] = records.dtype.itemsize
     records["state_mode"] = core.state | core.mode << 4
@@ -44,7 +43,7 @@ def _realtime(core: Core, time: Array, records: np.ndarray) -> None:
     count = len(time)
     records["time_us"] = np.round(time * 1e6).astype(np.uint64) + core.clock_us(0.0)
     both = [core.commanded(time), core.measured(time)]
-    # one-sided, so that a command yet to come does not change what was
+    # one-sided, so that a later command does not change earlier reports
     earlier = [core.commanded(time - DIFFERENCE_S)[1], core.measured(time - DIFFERENCE_S)[1]]
     for prefix, (q, dq), before in zip(("target", "joint"), both, earlier, strict=True):
         records[f"{prefix}_position"] = protocol.seven(q)
@@ -53,8 +52,8 @@ def _realtime(core: Core, time: Array, records: np.ndarray) -> None:
     pose, speed = _pose_and_speed(core, *(np.concatenate(parts) for parts in zip(*both, strict=True)))
     records["target_pose"], records["target_pose_speed"] = pose[:count], speed[:count]
     records["pose_speed"] = speed[count:]
-    as_believed = not core.body.physics.effects and not core.faults.nominal_kinematics
-    records["pose"] = pose[count:] if as_believed else protocol.wire_pose(core.true(time))
+    rigid = not core.body.physics.effects and not core.faults.nominal_kinematics
+    records["pose"] = pose[count:] if rigid else protocol.wire_pose(core.true(time))
     if core.faults.rotation_vectors:
         for name in ("target_pose", "pose"):
             records[name] = protocol.axis_angle_of_wire_pose(records[name])
@@ -65,7 +64,7 @@ def _realtime(core: Core, time: Array, records: np.ndarray) -> None:
 
 
 def _pose_and_speed(core: Core, q: Array, dq: Array) -> tuple[Array, Array]:
-    """`(sample, 6)` each, by the controller's kinematics; mm, rad and per second."""
+    """Poses and speeds by the controller's kinematics, `(sample, 6)` each, in mm and rad, and per second."""
     half = DIFFERENCE_S / 2 * dq
     before, here, after = np.split(core.believed(np.concatenate([q - half, q, q + half])), 3)
     shift = (after[:, :3, 3] - before[:, :3, 3]) * protocol.MM
@@ -90,7 +89,7 @@ def _slow(core: Core, time: Array, records: np.ndarray) -> None:
         records["teach_sensitivity"] = core.teach_sensitivity
         records["gravity_direction"] = [0, 0, -1]
     if "temperature" in names:
-        identity = identity_of(core.body, core.faults.firmware, core.faults.says)
+        identity = identity_of(core.body, core.faults.firmware, core.faults.stated_model)
         records["dof"], records["type"] = identity.dof, identity.type
         records["master"], records["slave"] = 0xAA, 0x55
         records["version"] = identity.encode().rstrip(b"\0")[:30]

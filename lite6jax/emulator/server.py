@@ -1,4 +1,4 @@
-"""An emulated controller, to be opened and closed: a thread around its sockets."""
+"""An emulated controller whose sockets run in a separate thread."""
 
 import asyncio
 import errno
@@ -26,21 +26,21 @@ Array = NDArray[np.floating]
 _T = TypeVar("_T")
 
 CALL_S = 30.0
-"""For the thread to answer another one."""
+"""s, the time limit of a call between threads."""
 _PRIVILEGED = 1024
 
 
 class Seen(NamedTuple):
-    """A controller at a moment.
+    """The state of a controller at an instant.
 
     Attributes:
         time: s on its clock.
-        state: 1 moves, 2 ready, 3 paused, 4 stopped, 5 reset.
-        mode: 0 positions, 1 servo.
+        state: 1 moving, 2 ready, 3 paused, 4 stopped, 5 reset.
+        mode: 0 position, 1 servo.
         error: its code, or 0.
-        joints: `(joint,)` rad that the encoders show.
-        asked: how often each register was asked for.
-        connections: how many are connected to each port; the control port is 502 here, whatever it is.
+        joints: `(joint,)` rad, measured.
+        asked: the number of requests of each register.
+        connections: the number of connections to each port, the control port being 502 whatever its number.
     """
 
     time: float
@@ -61,9 +61,9 @@ class Controller:
         arm = XArmAPI(controller.address)
     ```
 
-    The report ports are 30000 to 30003 of that address, as the SDK has them fixed: one controller an address. What the
-    body's physics does is in the pose on port 30000 and nowhere else; `reports` says what each port shows, and why. All
-    methods may be called from any thread while it runs.
+    The report ports are 30000 to 30003 of that address, which are fixed in the SDK, so that each controller needs
+    an address of its own. The effects of the body appear only in the pose on port 30000; the module `reports` describes
+    each port. All methods may be called from any thread.
     """
 
     def __init__(
@@ -80,45 +80,44 @@ class Controller:
         report_ports: Iterable[int] = tuple(protocol.RATES),
         speed: float | int = 1.0,
     ) -> None:
-        """Opens nothing yet; `with`, or `open` and `close`.
+        """Nothing is opened before `open` or the `with` statement.
 
         Args:
             body: the arm.
-            path: what it does from the start; it rests where not given.
-            start: `(joint,)` rad where it stands, if there is no path; zero where not given.
-            faults: what is wrong with it; `set_faults` changes that.
-            tool: `(6,)` mm and rad, the tool offset that is set.
+            path: the motion from the start; None for rest.
+            start: `(joint,)` rad, the position at rest; None for zero.
+            faults: of the controller; `set_faults` changes them.
+            tool: `(6,)` mm and rad, the tool offset.
             payload: `(4,)` kg at the flange and its centre of mass in mm.
-            address: of loopback.
-            control_port: 502 needs the right to it; 0 takes any that is free.
-            report_ports: those that listen.
-            speed: how much faster than real time the controller's clock runs; it waits for readers that cannot follow.
+            address: on loopback.
+            control_port: 502 requires privileges; 0 selects a free port.
+            report_ports: the emulated report ports.
+            speed: of the controller's clock relative to real time; it waits for slow readers.
 
         Raises:
-            InputError: an address that is not of loopback, a speed that is not above 0, or a tool or payload that is
-                none.
+            InputError: an address outside loopback, a speed that is not positive, or an invalid tool or payload.
         """
         try:
             if not ipaddress.IPv4Address(address).is_loopback:
                 raise InputError(
-                    f"{address}: is not of loopback: an emulator is nothing to put on a network; choose 127.x.y.z"
+                    f"{address}: is not on loopback: an emulator must not be reachable from a network; choose 127.x.y.z"
                 )
         except ValueError as error:
             if isinstance(error, InputError):
                 raise
-            raise InputError(f"{address!r}: is no address; write it like 127.0.0.1") from error
+            raise InputError(f"{address!r}: is not an address; write it like 127.0.0.1") from error
         if not 0 < speed < np.inf:
             raise InputError(f"speed {speed}: the clock runs forward; give a number above 0")
         if not 0 <= control_port <= 65535:
-            raise InputError(f"control port {control_port}: is none; give 0 to 65535")
+            raise InputError(f"control port {control_port}: is not a port; give 0 to 65535")
         for name, values in (("tool", np.array(tool, float)), ("payload", np.array(payload, float))):
             if not (np.abs(values) < PLAUSIBLE).all():
                 shown = " ".join(f"{value:g}" for value in values)
-                raise InputError(f"{name} {shown}: is none that an arm could have; give mm, radians and kg")
-        stands = np.zeros(body.arm.dof) if start is None else np.asarray(start, float)
+                raise InputError(f"{name} {shown}: is implausible for an arm; give mm, radians and kg")
+        position = np.zeros(body.arm.dof) if start is None else np.asarray(start, float)
         self.body = body
         self._core = Core(
-            body, faults, path.start if path else stands,
+            body, faults, path.start if path else position,
             np.array(tool, float), np.array(payload, float),
         )  # fmt: skip
         if path is not None and not faults.error:
@@ -127,18 +126,18 @@ class Controller:
         self._sockets = Sockets(self._core, address, control_port, report_ports, float(speed))
         self._thread: threading.Thread | None = None
         self._failure: Exception | None = None
-        report(self._core, protocol.REALTIME, np.zeros(1))  # compiled before anyone waits for it
+        report(self._core, protocol.REALTIME, np.zeros(1))  # compiled before a client waits for it
 
     @property
     def control_port(self) -> int:
-        """As bound."""
+        """The bound control port."""
         return self._sockets.control_port
 
     def open(self) -> "Controller":
-        """Listens.
+        """Starts the thread and listens.
 
         Raises:
-            InputError: a port that may not or cannot be had; the line says which to take instead.
+            InputError: a port is unavailable; the message names an alternative.
         """
         listening: Future[None] = Future()
 
@@ -165,7 +164,7 @@ class Controller:
         """Closes all connections and ends the thread.
 
         Raises:
-            Exception: that on which the thread had ended.
+            Exception: the one that ended the thread.
         """
         if self._thread is not None:
             self._sockets.stop()
@@ -182,7 +181,7 @@ class Controller:
         self.close()
 
     def call(self, do: Callable[[Core], _T]) -> _T:
-        """What `do` gives of the controller's core, between two of its moments."""
+        """The result of `do` for the controller's core, between two steps of its clock."""
         loop = self._sockets.loop
         if loop is None or self._thread is None or not self._thread.is_alive():
             return do(self._core)
@@ -198,7 +197,7 @@ class Controller:
         return done.result(CALL_S)
 
     def set_faults(self, faults: Faults) -> None:
-        """Other faults from now on."""
+        """Replaces the faults."""
 
         def change(core: Core) -> None:
             core.faults, core.error, core.warning = faults, faults.error, faults.warning
@@ -206,7 +205,7 @@ class Controller:
         self.call(change)
 
     def fail(self, code: int) -> None:
-        """A controller error, which stops the arm; 0 clears it."""
+        """Raises a controller error, which stops the arm; 0 clears it."""
 
         def change(core: Core) -> None:
             core.error = code
@@ -215,15 +214,15 @@ class Controller:
         self.call(change)
 
     def hang_up(self) -> None:
-        """Closes every connection there is; new ones are welcome."""
+        """Closes all connections; new ones are accepted."""
 
         self.call(lambda _: self._sockets.hang_up())
 
     def look(self) -> Seen:
-        """What is going on at this moment.
+        """The present state.
 
         Raises:
-            Exception: that on which the emulator's thread ended.
+            Exception: the one that ended the thread.
         """
         if self._failure is not None:
             raise self._failure
@@ -240,17 +239,17 @@ class Controller:
         where = f"{self.address}:{self.control_port}"
         if error.errno in (errno.EACCES, errno.EPERM) and self.control_port < _PRIVILEGED:
             return (
-                f"{where}: ports below {_PRIVILEGED} need the right to them; add --control-port 5020, and before the "
-                "SDK connects say from xarm.core.config.x_config import XCONF; XCONF.SocketConf.TCP_CONTROL_PORT = 5020"
+                f"{where}: ports below {_PRIVILEGED} require privileges; add --control-port 5020, and before the "
+                "SDK connects run from xarm.core.config.x_config import XCONF; XCONF.SocketConf.TCP_CONTROL_PORT = 5020"
             )
         if error.errno == errno.EADDRINUSE:
             return (
-                f"{self.address}: its control port {self.control_port} or a report port 30000 to 30003 is in use, by "
-                "another emulator perhaps; choose another address, such as 127.0.0.9"
+                f"{self.address}: its control port {self.control_port} or a report port 30000 to 30003 is in use, "
+                "possibly by another emulator; choose another address, such as 127.0.0.9"
             )
         if error.errno == errno.EADDRNOTAVAIL:
             return (
-                f"{self.address}: this system has only 127.0.0.1 unless told (macOS: sudo ifconfig lo0 alias "
+                f"{self.address}: this system has only 127.0.0.1 by default (macOS: sudo ifconfig lo0 alias "
                 f"{self.address}); choose that or add it"
             )
         return f"{where}: {error.strerror or error}; choose another address or --control-port"

@@ -14,37 +14,37 @@ from lite6jax.emulator.registers import answer
 from lite6jax.emulator.reports import report
 
 TICK_S = 1 / protocol.RATES[protocol.REALTIME]
-"""Real time between two rounds of sending, and the step of the emulated time."""
+"""s, the real time between two rounds of sending, and the step of the emulated time."""
 MOST_AT_ONCE_S = 4.0
-"""Emulated time in one round."""
+"""s, the largest emulated time in one round."""
 CATCH_UP_S = 0.25
-"""Real time that is made up for when a round comes late."""
+"""s, the largest delay of a round that later rounds compensate."""
 FRAGMENT_PAUSE_S = 2e-4
 FRAGMENTED = 16
-"""Bytes at the start of a report that a fault sends apart; what follows it sends in larger pieces, or no machine would
-keep up with 196 000 bytes a second."""
+"""The number of bytes at the start of a report that a fault fragments finely; the others are sent in larger parts,
+because a report port sends 196 000 bytes a second."""
 SLOW_READER = 1 << 25
-"""Bytes that wait for a reader before it is given up, some three minutes of port 30000. A fast clock waits at an eighth
-of it."""
+"""The number of bytes waiting for a reader, three minutes of port 30000, after which its connection is closed. A fast
+clock waits from an eighth of it on."""
 GIVE_UP_S = 30.0
-"""Real time that a fast clock waits for a reader."""
+"""s, the real time that a fast clock waits for a reader."""
 
 _Handler = Callable[[asyncio.StreamReader, asyncio.StreamWriter], Awaitable[None]]
 
 
 class Sockets:
-    """Serves a core on an address until it is told to stop. Everything but `stop` happens within its event loop.
+    """Serves a core on an address until `stop`, the only method to be called outside the event loop.
 
     Attributes:
         core: the controller.
         loop: the event loop, once it serves.
-        control_port: as bound.
+        control_port: the bound one.
         clients: connections to the control port.
         readers: connections to each report port.
     """
 
     def __init__(self, core: Core, address: str, control_port: int, report_ports: Iterable[int], speed: float) -> None:
-        """Nothing is opened yet."""
+        """Nothing is opened before `serve`."""
         self.core, self.control_port = core, control_port
         self.clients: list[asyncio.StreamWriter] = []
         self.readers: dict[int, list[asyncio.StreamWriter]] = {port: [] for port in report_ports}
@@ -58,11 +58,11 @@ class Sockets:
         self._garbage = np.random.default_rng(0)
 
     async def serve(self, listening: Callable[[], None]) -> None:
-        """Listens, calls `listening`, and goes on until `stop`.
+        """Listens, calls `listening`, and serves until `stop`.
 
         Raises:
-            OSError: a port cannot be had.
-            Exception: whatever went wrong while it served.
+            OSError: a port is unavailable.
+            Exception: an error while serving.
         """
         self.loop, self._stopped = asyncio.get_running_loop(), asyncio.Event()
         servers: list[asyncio.Server] = []
@@ -70,7 +70,7 @@ class Sockets:
             handlers: list[tuple[int, _Handler]] = [(self.control_port, self._control)]
             handlers += [(port, self._listener(port)) for port in self.readers]
             for port, handler in handlers:
-                servers.append(await asyncio.start_server(self._kept(handler), self._address, port))
+                servers.append(await asyncio.start_server(self._tracked(handler), self._address, port))
             self.control_port = servers[0].sockets[0].getsockname()[1]
             listening()
             clock = asyncio.create_task(self._clock())
@@ -79,7 +79,7 @@ class Sockets:
             await asyncio.wait({clock, stopped}, return_when=asyncio.FIRST_COMPLETED)
             stopped.cancel()
             if clock.done():
-                clock.result()  # raises what ended it
+                clock.result()  # raises its exception
         finally:
             for server in servers:
                 server.close()
@@ -92,25 +92,25 @@ class Sockets:
             raise self._failure
 
     def stop(self) -> None:
-        """Ends `serve`; from any thread."""
+        """Ends `serve`; callable from any thread."""
         if self.loop is not None and self._stopped is not None:
-            with suppress(RuntimeError):  # it has ended by itself
+            with suppress(RuntimeError):  # the loop has already ended
                 self.loop.call_soon_threadsafe(self._stopped.set)
 
     def hang_up(self) -> None:
-        """Closes every connection there is."""
+        """Closes all connections."""
         for writer in [*self.clients, *(writer for writers in self.readers.values() for writer in writers)]:
             writer.transport.abort()
 
-    def _kept(self, handler: _Handler) -> Callable[[asyncio.StreamReader, asyncio.StreamWriter], None]:
-        """Connections as tasks of ours, so that closing ends them."""
+    def _tracked(self, handler: _Handler) -> Callable[[asyncio.StreamReader, asyncio.StreamWriter], None]:
+        """The handler with its connections tracked as tasks, which closing cancels."""
 
         async def guarded(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
             try:
                 await handler(reader, writer)
             except (ConnectionError, TimeoutError):
                 pass
-            except Exception as error:  # ours: `serve` raises it
+            except Exception as error:  # raised by `serve`
                 self._failure = error
             finally:
                 writer.close()
@@ -123,7 +123,7 @@ class Sockets:
         return accept
 
     async def _clock(self) -> None:
-        """Every tick the emulated time goes on, and what became due meanwhile is sent."""
+        """At every tick, sends the due reports and advances the emulated time."""
         loop, core = asyncio.get_running_loop(), self.core
         tick = loop.time()
         origin = tick - core.time / self._speed
@@ -133,7 +133,7 @@ class Sockets:
             due = min(self._speed * (loop.time() - origin), core.time + MOST_AT_ONCE_S)
             if self._held_up(loop.time()):
                 due = core.time
-            # what is later than can be made up for is lost to the clock, and not to those who read
+            # a longer delay slows the emulated clock, so that readers lose no reports
             origin = max(origin, loop.time() - CATCH_UP_S - due / self._speed)
             due = float(np.floor(due / TICK_S + 1e-9) * TICK_S)
             if due <= core.time:
@@ -148,21 +148,21 @@ class Sockets:
             core.advance(due)
 
     def _held_up(self, now: float) -> bool:
-        """Whether a fast clock has to wait for a reader; those that do not read are given up."""
+        """Whether a fast clock must wait for a reader; closes the connections of readers that do not read."""
         waiting = {
             writer: writer.transport.get_write_buffer_size() for writers in self.readers.values() for writer in writers
         }
         slow = [writer for writer, size in waiting.items() if size > SLOW_READER // 8]
         if not slow:
             self._held_since = now
-        hopeless = now - self._held_since > GIVE_UP_S and self._speed > 1
+        expired = now - self._held_since > GIVE_UP_S and self._speed > 1
         for writer in slow:
-            if hopeless or (self._speed <= 1 and waiting[writer] > SLOW_READER):
+            if expired or (self._speed <= 1 and waiting[writer] > SLOW_READER):
                 writer.transport.abort()
         return bool(slow) and self._speed > 1
 
     def _send(self, port: int, index: NDArray[np.integer], reports: bytes) -> None:
-        """To all readers of a port, less what faults leave out."""
+        """Sends reports to all readers of a port, except those omitted by faults."""
         faults, size = self.core.faults, len(reports) // len(index)
         if faults.lose_every and port == protocol.REALTIME:
             kept = [k for k, i in enumerate(index) if i % faults.lose_every]
@@ -187,7 +187,7 @@ class Sockets:
             self.readers[port].append(writer)
             try:
                 while await reader.read(4096):
-                    pass  # a report port hears nothing
+                    pass  # a report port ignores input
             finally:
                 self.readers[port].remove(writer)
                 del self._sent[writer]
@@ -205,7 +205,7 @@ class Sockets:
                     for frame in protocol.take_frames(received):
                         await self._reply(frame, client, writer)
                 except MalformedError:
-                    return  # hangs up
+                    return  # closes the connection
         finally:
             self.clients.remove(writer)
 
@@ -234,7 +234,7 @@ class Sockets:
 
 
 def _pieces(reports: bytes, size: int, fragment: int) -> Iterator[bytes]:
-    """Reports of a size each, whole or cut up."""
+    """Reports of `size` bytes each, complete or fragmented."""
     if not fragment:
         yield reports
         return

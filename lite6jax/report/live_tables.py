@@ -1,4 +1,4 @@
-"""What a person reads who has an arm on the line: its calibration, its agreement with the controller, a recording."""
+"""The screen reports of a connected arm: its calibration, the verification of it, and a recording."""
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -25,14 +25,12 @@ Array = NDArray[np.floating]
 
 
 def calibration_report(read: CalibrationRead) -> Iterator[RenderableType]:
-    """What was read, and how far it is from nominal."""
+    """The calibration, and its distance from nominal."""
     calibration = read.calibration
     arm = calibration.arm
     yield Text(f"{calibration.source}: factory calibration of {arm.dof} joints, of a {arm.name}.")
     if read.error:
-        yield Text(
-            "Note: the controller reports an error or a warning of its own; the calibration is not touched by it."
-        )
+        yield Text("Note: the controller reports an error or a warning, which does not affect the calibration.")
     q = sample_joints(arm.dof, 1000)
     links = np.stack([frames.transform_from_row(row) for row in calibration.kinematics])
     apart = frames.chain(links, q)[:, :3, 3] - frames.chain(arm.links, q)[:, :3, 3]
@@ -63,51 +61,51 @@ def _six_parameters(calibration: FactoryCalibration, digits: int) -> Table:
 
 
 def verification_report(verification: Verification, where: str) -> Iterator[RenderableType]:
-    """The controller's forward kinematics beside the calibration's, and what follows."""
+    """The difference between the controller's forward kinematics and the calibration's, its cause and the remedy."""
     yield Text(
-        f"Forward kinematics: the controller's (xarm-python-sdk, {verification.version}) beside the calibration's, at"
-        f" {len(verification.position)} random joint positions"
+        f"Forward kinematics of the controller (xarm-python-sdk, {verification.version}) minus those of the calibration"
+        f" at {len(verification.position)} random joint positions"
     )
     table = listing("", "", *(name for name, _ in STATISTICS))
     table.columns[0].no_wrap, table.columns[1].justify = False, "left"
     for name, position, orientation in (
         ("joints as sent (32 bits)", verification.position, verification.orientation),
-        ("joints as asked", verification.position_as_asked, verification.orientation_as_asked),
+        ("joints as requested", verification.position_unrounded, verification.orientation_unrounded),
     ):
         for values, scale, unit in ((position, 1e3, "mm"), (orientation, 180 / np.pi, "deg")):
             digits = 6 if scale * values.max() < 1 else 4
             cells = (number(scale * float(statistic(values)), digits) for _, statistic in STATISTICS)
             table.add_row(name if unit == "mm" else "", unit, *cells)
     yield table
-    yield from (Text(line) for line in _tool_in_words(verification))
+    yield from (Text(line) for line in _tool_lines(verification))
     most = 1e3 * float(verification.position.max())
     if verification.passed:
         yield Text(
-            f"Passed: they agree within {number(1e3 * GATE_M, 3)} mm; 32-bit numbers on the wire alone make up to"
+            f"Passed: they agree within {number(1e3 * GATE_M, 3)} mm; rounding to 32 bits alone causes up to"
             f" {number(1e3 * FLOOR_M, 5)} mm. The controller computes with this calibration."
         )
         return
     turn = float(np.degrees(verification.orientation.max()))
     yield Text(
         f"Not passed: they differ by up to {number(most, 4)} mm and {number(turn, 4)}°; above {1e3 * GATE_M:g} mm"
-        f" or {np.degrees(GATE_RAD):.4f}° a difference is real."
+        f" or {np.degrees(GATE_RAD):.4f}° a difference is significant."
     )
     if verification.hidden_tool is not None:
         shown = _offset(verification.hidden_tool)
         yield Text(
-            f"One offset after the flange makes up all of it: {shown}. The controller has a tool that its report does"
-            " not show; set the tool offset to zero with the vendor's program, and run this again."
+            f"A constant offset after the flange explains the difference: {shown}. The controller has a tool offset"
+            " that its report omits; set the tool offset to zero with the vendor's program, and verify again."
         )
         return
     if verification.other_chain is not None:
         yield Text(
-            f"The controller computes with the nominal chain {verification.other_chain}, not with the calibration that"
-            " it holds; update its firmware, or use that chain for what it computes."
+            f"The controller computes with the nominal chain {verification.other_chain}, not with its stored"
+            " calibration; update its firmware, or use that chain to reproduce its poses."
         )
         return
     yield Text(
-        "The six-parameter chain is not the whole story of this controller. Record what it computes and let it be"
-        " diagnosed:"
+        "The six-parameter chain does not explain this controller's kinematics. Record and diagnose the poses that it"
+        " computes:"
     )
     for command in (
         "lite6jax design lite6 --poses 200 --out poses.csv",
@@ -118,23 +116,23 @@ def verification_report(verification: Verification, where: str) -> Iterator[Rend
         yield Text(f"  {command}", no_wrap=True, overflow="ignore")
 
 
-def _tool_in_words(verification: Verification) -> Iterator[str]:
+def _tool_lines(verification: Verification) -> Iterator[str]:
     condition = verification.condition
     distance, angle = 1e3 * verification.tool_agrees[0], np.degrees(verification.tool_agrees[1])
     agrees = verification.tool_agrees[0] <= GATE_M
-    here = f"{number(float(distance))} mm and {number(float(angle))}° apart"
+    here = f"difference {number(float(distance))} mm and {number(float(angle))}°"
     if verification.tool == "none":
-        said = "Tool offset: none in the controller's report"
-    elif verification.tool == "taken into account":
-        said = f"Tool offset: {_offset(condition.tool_offset)} in the controller's report, and taken into account"
+        stated = "Tool offset: none in the controller's report"
+    elif verification.tool == "applied":
+        stated = f"Tool offset: {_offset(condition.tool_offset)} in its report, applied by its forward kinematics"
     else:
-        said = f"Tool offset: {_offset(condition.tool_offset)} in its report, which its forward kinematics leave out"
-    cross = "and that agrees" if agrees else "but that does not agree"
-    yield f"{said}; {cross} with the forward kinematics where the arm stands ({here})."
+        stated = f"Tool offset: {_offset(condition.tool_offset)} in its report, omitted by its forward kinematics"
+    cross = "which agrees" if agrees else "which disagrees"
+    yield f"{stated}; {cross} with the forward kinematics at the current joint position ({here})."
     if condition.has_world:
-        yield f"Note: a base offset is set, {_offset(condition.world_offset)}; its effect is not taken into account."
+        yield f"Note: a base offset is set, {_offset(condition.world_offset)}; its effect is not included."
     if condition.warning:
-        yield f"Note: the controller has warning {condition.warning}, which is left as it is."
+        yield f"Note: the controller has warning {condition.warning}, which is not cleared."
 
 
 def _offset(offset: Array) -> str:
@@ -145,17 +143,17 @@ def _offset(offset: Array) -> str:
 
 @contextmanager
 def recording_progress() -> Iterator[Callable[[Progress], None]]:
-    """A line on stderr on how a recording stands: renewed in place on a terminal, else a new one every ten seconds."""
+    """The progress of a recording on stderr: one line that is updated on a terminal, else a line every ten seconds."""
     console = screen.console(stderr=True)
     if not console.is_terminal:
         last = [0.0]
 
-        def say(progress: Progress) -> None:
+        def report(progress: Progress) -> None:
             if progress.time - last[0] >= 10 or (progress.trouble and last[0] != progress.time):
                 last[0] = progress.time
                 console.print(_progress_line(progress), soft_wrap=True)
 
-        yield say
+        yield report
         return
     with Live(console=console, transient=True, refresh_per_second=5) as live:
         yield lambda progress: live.update(Text(_progress_line(progress), overflow="fold"))
@@ -165,27 +163,27 @@ def _progress_line(progress: Progress) -> str:
     line = f"{progress.time:8.1f} s  {progress.rows} rows  {progress.rate:.1f} Hz"
     line += f"  run {progress.run}" if progress.run else ""
     line += f"  {progress.missing} missing" if progress.missing else ""
-    return f"{line}  {progress.trouble}" if progress.trouble else f"{line}  (Ctrl-C ends it)"
+    return f"{line}  {progress.trouble}" if progress.trouble else f"{line}  (stop with Ctrl-C)"
 
 
 def recorded_report(recorded: Recorded) -> Iterator[RenderableType]:
-    """What was recorded, from where each column is, and what there is to know about it."""
-    asked = recorded.settings.joint_source == "commanded"
+    """The rows, gaps, sources of the columns and notes of a recording."""
+    computed = recorded.settings.joint_source == "commanded"
     if not recorded.rows:
         yield Text("Nothing was recorded, and nothing is written.")
-    elif not asked:
+    elif not computed:
         runs = f" in {recorded.runs} runs" if recorded.runs > 1 else ""
         yield Text(
             f"Recorded {recorded.rows} rows{runs}: {recorded.duration:.3f} s at {recorded.rate:.2f} Hz by the"
             " controller's clock."
         )
         lost = f"{recorded.missing} reports missing" if recorded.missing else "no report missing"
-        twice = f", {recorded.repeated} came twice and are kept once" if recorded.repeated else ", none twice"
-        yield Text(f"Within the runs: {lost}{twice}.")
+        repeated = f", {recorded.repeated} duplicates removed" if recorded.repeated else ", no duplicates"
+        yield Text(f"Within the runs: {lost}{repeated}.")
     else:
         yield Text(f"Recorded the controller's forward kinematics at {recorded.rows} joint positions; nothing moved.")
-    if asked and recorded.missing:
-        yield Text(f"{recorded.missing} joint positions were not asked for any more.")
+    if computed and recorded.missing:
+        yield Text(f"{recorded.missing} joint positions were not requested.")
     if recorded.rows:
         yield _sources(recorded)
     for note in recorded.notes:
@@ -193,14 +191,14 @@ def recorded_report(recorded: Recorded) -> Iterator[RenderableType]:
 
 
 def _sources(recorded: Recorded) -> Table:
-    """Neighbouring columns of one origin in one row."""
+    """The sources of the columns, with neighbouring columns of the same source in one row."""
     grouped: list[tuple[list[str], str]] = []
     for name, source in recorded.sources.items():
         if grouped and grouped[-1][1] == source and _kind(grouped[-1][0][0]) == _kind(name):
             grouped[-1][0].append(name)
         else:
             grouped.append(([name], source))
-    table = listing("columns", "their numbers are")
+    table = listing("columns", "source")
     table.columns[1].justify = "left"
     table.columns[1].no_wrap = False
     for names, source in grouped:

@@ -14,7 +14,7 @@ from live_arm import ARM, KINEMATICS, emulated, new_host, reply, serving
 from lite6jax.arms.bundled import load_bundled
 from lite6jax.arms.factory import read_factory, write_factory
 from lite6jax.controller import protocol
-from lite6jax.controller.calibration import SilentError, UncalibratedError, ask, read_calibration
+from lite6jax.controller.calibration import SilentError, UncalibratedError, read_calibration, request_calibration
 from lite6jax.controller.exchange import Address, Deadline, parse_address
 from lite6jax.emulator import Faults
 from lite6jax.errors import InputError
@@ -41,7 +41,7 @@ def asked(answer, at_a_time=1 << 16, closes=True, seconds=5.0, arm=None):
         if closes:
             theirs.shutdown(socket.SHUT_WR)
         try:
-            return ask(near, Deadline.after(seconds), "10.0.0.7", arm)
+            return request_calibration(near, Deadline.after(seconds), "10.0.0.7", arm)
         finally:
             theirs.setblocking(False)
             assert theirs.recv(4096) == READ
@@ -105,7 +105,7 @@ def test_no_calibration_is_no_garbage():
         reply(status=0x08, payload=b""),
     ):
         message = refused(answer)
-        assert "holds no valid calibration" in message
+        assert "reports no valid calibration" in message
         assert "firmware" in message
         with pytest.raises(UncalibratedError):
             asked(answer)
@@ -152,9 +152,9 @@ def test_a_connection_closed_half_way_says_where():
 
 
 def test_silence_and_half_a_silence_are_told_apart():
-    with pytest.raises(SilentError, match=r"says nothing.*1\.12\.1"):
+    with pytest.raises(SilentError, match=r"does not reply.*1\.12\.1"):
         asked(b"", closes=False, seconds=0.05)
-    assert "fell silent after 90 of 179 bytes" in refused(reply()[:90], closes=False, seconds=0.05)
+    assert "stopped replying after 90 of 179 bytes" in refused(reply()[:90], closes=False, seconds=0.05)
 
 
 def test_one_deadline_for_the_whole_exchange_also_when_bytes_keep_coming():
@@ -166,7 +166,7 @@ def test_one_deadline_for_the_whole_exchange_also_when_bytes_keep_coming():
 
     with serving(drip) as address:
         started = time.monotonic()
-        with pytest.raises(InputError, match="fell silent after"):
+        with pytest.raises(InputError, match="stopped replying after"):
             read_calibration(address, seconds=0.3)
         assert time.monotonic() - started < 2  # the whole reply takes 3.6 s
 
@@ -181,7 +181,7 @@ def test_a_call_that_nobody_answers_ends(monkeypatch):
         raise TimeoutError
 
     monkeypatch.setattr(socket.socket, "connect", never)
-    with pytest.raises(InputError, match=r"192\.0\.2\.1: port 502: no answer to the call; .*ping"):
+    with pytest.raises(InputError, match=r"192\.0\.2\.1: port 502: no reply; .*ping"):
         read_calibration(Address("192.0.2.1"), seconds=0.1)
 
 
@@ -198,7 +198,7 @@ def test_no_way_there(monkeypatch):
     "text", ["", "arm", "192.168.1", "192.168.1.300", "::1", "10.0.0.1:", "10.0.0.1:x", "1.2.3.4:0"]
 )
 def test_what_is_no_address(text):
-    with pytest.raises(InputError, match=r"is no IPv4 address; .*192\.168\.1\.185"):
+    with pytest.raises(InputError, match=r"is not an IPv4 address; .*192\.168\.1\.185"):
         parse_address(text)
 
 
@@ -224,14 +224,14 @@ def test_an_emulated_arm_is_read_over_any_line(faults):
 @pytest.mark.parametrize(
     ("faults", "says"),
     [
-        (Faults(invalid=True), "holds no valid calibration"),
-        (Faults(firmware=(2, 2, 0)), "holds no valid calibration"),
-        (Faults(firmware=(1, 12, 1)), "says nothing"),
-        (Faults(silent=frozenset({8})), "says nothing"),
+        (Faults(invalid=True), "reports no valid calibration"),
+        (Faults(firmware=(2, 2, 0)), "reports no valid calibration"),
+        (Faults(firmware=(1, 12, 1)), "does not reply"),
+        (Faults(silent=frozenset({8})), "does not reply"),
         (Faults(close_after=0), "closed the connection after 0 of 179 bytes"),
         (Faults(close_after=90), "closed the connection after 90 of 179 bytes"),
-        (Faults(garbage=True), "which is no calibration"),
-        (Faults(says=(6, 12)), "not a lite6"),
+        (Faults(garbage=True), "which is not a calibration"),
+        (Faults(stated_model=(6, 12)), "not a lite6"),
         (Faults(nan=frozenset({"calibration"})), "not finite"),
     ],
 )

@@ -62,7 +62,7 @@ def test_read_refuses_before_it_calls(capsys, tmp_path):
     assert "let the name end in .yaml" in refused(capsys, "read", "--ip", nobody, "--out", tmp_path / "arm.json")
     assert "does not exist" in refused(capsys, "read", "--ip", nobody, "--out", tmp_path / "no" / "arm.yaml")
     assert "--timeout 0" in refused(capsys, "read", "--ip", nobody, "--timeout", 0)
-    assert "is no IPv4 address" in refused(capsys, "read", "--ip", "arm.local")
+    assert "is not an IPv4 address" in refused(capsys, "read", "--ip", "arm.local")
     assert "nothing listens there" in refused(capsys, "read", "--ip", f"{nobody}:1")
     assert run(capsys, "read")[0] == 2
 
@@ -72,17 +72,17 @@ def test_read_replaces_with_force_and_leaves_the_file_where_the_read_fails(capsy
     out.write_text("mine")
     with emulated(faults=Faults(invalid=True)) as (controller, address):
         message = refused(capsys, "read", "--ip", address, "--out", out, "--force")
-        assert message.startswith(f"{address}: the controller says that it holds no valid calibration")
+        assert message.startswith(f"{address}: the controller reports no valid calibration")
         assert out.read_text() == "mine"
         controller.set_faults(Faults(error=9))
         code, said, _ = run(capsys, "read", "--ip", address, "--out", out, "--force")
     assert code == 0
-    assert "reports an error or a warning of its own" in flat(said)
+    assert "reports an error or a warning, which does not affect the calibration" in flat(said)
     assert read_factory(out).arm.name == "lite6"
 
 
 def test_read_of_another_arm_needs_its_name(capsys):
-    with emulated(faults=Faults(says=(6, 12))) as (_, address):
+    with emulated(faults=Faults(stated_model=(6, 12))) as (_, address):
         assert "--arm uf850" in refused(capsys, "read", "--ip", address)
 
 
@@ -100,9 +100,9 @@ def test_fit_reads_fits_and_verifies(capsys, tmp_path):
     said = flat(said)
     assert "Converged" in said
     assert "at 300 random joint positions" in said
-    assert "Passed: they agree within 0.001 mm; 32-bit numbers on the wire alone make up to 0.00012 mm." in said
-    assert "Tool offset: none in the controller's report; and that agrees" in said
-    assert "warning 11, which is left as it is" in said
+    assert "Passed: they agree within 0.001 mm; rounding to 32 bits alone causes up to 0.00012 mm." in said
+    assert "Tool offset: none in the controller's report; which agrees" in said
+    assert "warning 11, which is not cleared" in said
     row = re.search(r"joints as sent \(32 bits\) mm ([\d.e-]+) ([\d.e-]+) ([\d.e-]+) ([\d.e-]+)", said)
     assert row is not None
     assert float(row[4]) <= 1.2e-4
@@ -124,7 +124,7 @@ def test_a_controller_of_the_nominal_chain_does_not_pass(capsys):
     with emulated(faults=Faults(nominal_kinematics=True)) as (_, address):
         code, said, _ = run(capsys, "fit", "--ip", address, "--fk-samples", 40)
     assert code == 1
-    assert "computes with the nominal chain lite6, not with the calibration that it holds" in flat(said)
+    assert "computes with the nominal chain lite6, not with its stored calibration" in flat(said)
 
 
 def test_a_controller_of_an_unknown_chain_does_not_pass_and_is_sent_to_diagnose(capsys, monkeypatch):
@@ -141,7 +141,7 @@ def test_a_controller_of_an_unknown_chain_does_not_pass_and_is_sent_to_diagnose(
         code, said, _ = run(capsys, "fit", "--ip", address, "--fk-samples", 40)
     assert code == 1
     assert "Not passed: they differ by up to" in flat(said)
-    assert "The six-parameter chain is not the whole story" in flat(said)
+    assert "The six-parameter chain does not explain" in flat(said)
     assert f"  lite6jax record --ip {address} --poses poses.csv --out fk.csv\n" in said
     assert "  lite6jax diagnose fk.csv --out diagnosis.json\n" in said
 
@@ -150,8 +150,8 @@ def test_a_tool_is_said(capsys):
     with emulated(tool=[0, 0, 50, 0, 0, 0]) as (_, address):
         code, said, _ = run(capsys, "fit", "--ip", address, "--fk-samples", 20, width=60)
     assert code == 0
-    assert "x 0.000 y 0.000 z 50.000 mm, roll 0.000 pitch 0.000 yaw 0.000 deg in the controller's report" in flat(said)
-    assert "and taken into account" in flat(said)
+    assert "x 0.000 y 0.000 z 50.000 mm, roll 0.000 pitch 0.000 yaw 0.000 deg in its report" in flat(said)
+    assert "applied by its forward kinematics" in flat(said)
     assert max(map(len, said.splitlines())) <= 62
 
 
@@ -178,7 +178,7 @@ def test_record_says_of_every_column_where_it_is_from(capsys, tmp_path):
         assert controller.look().asked == {8: 1}
     assert code == 0
     assert "Recorded 500 rows: 1.996 s at 250.00 Hz by the controller's clock." in said
-    assert "no report missing, none twice" in said
+    assert "no report missing, no duplicates" in said
     for line in (
         r"q1_rad … q6_rad +measured, encoders",
         r"tau1_Nm … tau6_Nm +estimated by the controller",
@@ -205,7 +205,7 @@ def test_what_the_controller_computes_is_recorded_for_given_poses_and_diagnosed(
     assert code == 0
     assert "forward kinematics at 80 joint positions; nothing moved" in flat(said)
     assert read_recording(out).settings.pose_source == "controller_fk"
-    assert re.search(r"q1_rad … q6_rad +as asked, not measured", said)
+    assert re.search(r"q1_rad … q6_rad +as requested, not measured", said)
     code, said, _ = run(capsys, "diagnose", out, "--out", tmp_path / "d.json")
     assert code == 0
     assert "Nothing is missing" in said

@@ -111,7 +111,7 @@ def test_a_line_that_stays_away_ends_the_recording_of_so_many_seconds(tmp_path, 
 
     done, read = recorded(tmp_path, 1.0, during=go_away, speed=1.0)
     assert 0 < done.rows == read.samples < 250
-    assert any("ended without all 1 s" in note for note in done.notes)
+    assert any("ended before 1 s" in note for note in done.notes)
 
 
 def test_pieces_of_single_bytes_and_an_error_do_not_matter(tmp_path):
@@ -129,7 +129,7 @@ def test_nan_rows_are_recorded_and_said(tmp_path):
     assert done.rows == 250
     assert done.settings.tool == done.settings.pose_frame == "unknown"
     assert any("report's joint position is not finite" in note for note in done.notes)
-    assert any("rows hold numbers that are not finite" in note for note in done.notes)
+    assert any("rows contain values that are not finite" in note for note in done.notes)
 
 
 def test_without_a_calibration_or_a_slow_report_it_records_what_there_is(tmp_path):
@@ -286,7 +286,7 @@ def test_given_joints_are_answered_by_the_controller(tmp_path):
     settings = read.settings
     assert (settings.pose_source, settings.joint_source, settings.motion) == ("controller_fk", "commanded", "static")
     assert settings.factory_calibration == "fk_factory.yaml"
-    assert done.sources["q1_rad"] == "as asked, not measured"
+    assert done.sources["q1_rad"] == "as requested, not measured"
     assert done.rows == 30
 
 

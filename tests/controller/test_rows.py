@@ -119,7 +119,7 @@ def test_a_clock_that_starts_anew_goes_on_in_another_run():
 
 def test_a_clock_that_stands_still_is_refused():
     rows = Rows(station())
-    with pytest.raises(InputError, match="clock stands still at 77 µs; update"):
+    with pytest.raises(InputError, match="clock has stopped at 77 µs; update"):
         took(rows, reports(np.full(150, 77)))
 
 
@@ -167,7 +167,7 @@ def test_an_orientation_that_is_not_the_chains_is_left_out():
     table = took(rows, [row.tobytes() for row in changed])
     assert "qw" not in table
     assert "x_m" in table
-    assert "orientations are left out" in rows.notes()[0]
+    assert "orientations are omitted" in rows.notes()[0]
 
 
 def test_the_tool_turns_the_orientation_that_is_expected():
@@ -188,7 +188,7 @@ def test_numbers_that_are_not_finite_stay_and_are_counted():
     assert len(table["time_s"]) == 6
     assert np.isnan(table["qw"][2])
     assert np.isinf(table["q2_rad"][4])
-    assert "2 rows hold numbers that are not finite" in rows.notes()[-1]
+    assert "2 rows contain values that are not finite" in rows.notes()[-1]
 
 
 def test_reports_of_other_lengths_are_read_by_their_length():

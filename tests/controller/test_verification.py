@@ -31,8 +31,8 @@ def test_the_precision_floor_of_the_sdk():
     assert found.position.mean() < 2e-8
     assert found.orientation.max() < 6e-7
     # joints that are rounded on the wire cost more than poses that are
-    assert found.position_as_asked.max() < 1.6e-7
-    np.testing.assert_allclose(found.position_as_asked.mean(), 3.4e-8, rtol=0.15)
+    assert found.position_unrounded.max() < 1.6e-7
+    np.testing.assert_allclose(found.position_unrounded.mean(), 3.4e-8, rtol=0.15)
     limits = ARM.joint_limits
     assert (found.joint_position >= limits[:, 0]).all()
     assert (found.joint_position <= limits[:, 1]).all()
@@ -66,7 +66,7 @@ def test_a_tool_is_taken_into_account():
     with emulated(tool=TOOL) as (_, address):
         found = verify(calibration(), address, samples=40)
     assert found.passed
-    assert found.tool == "taken into account"
+    assert found.tool == "applied"
     np.testing.assert_allclose(found.condition.tool_offset, TOOL, atol=1e-5)
     assert found.tool_agrees[0] < GATE_M
 

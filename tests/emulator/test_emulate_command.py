@@ -38,7 +38,7 @@ def test_it_says_where_it_listens_and_what_is_hidden(capsys):
     assert "joint_backlash at joint4: gap_rad = 0.001" in said
     assert "Faults: latency:0.1." in said
     assert "XCONF.SocketConf.TCP_CONTROL_PORT = 15020" in said
-    assert "Ctrl-C ends it." in said
+    assert "Stop with Ctrl-C." in said
 
 
 def test_several_arms_each_with_its_file(capsys, tmp_path):
@@ -76,8 +76,8 @@ def test_the_faults_are_listed(capsys):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["--address", "192.168.1.2"], "192.168.1.2: is not of loopback"),
-        (["--address", "here"], "--address 'here': is none; write it like 127.0.0.1"),
+        (["--address", "192.168.1.2"], "192.168.1.2: is not on loopback"),
+        (["--address", "here"], "--address 'here': is not an address; write it like 127.0.0.1"),
         (["--arms", "0"], "--arms 0: give 1 to 32"),
         (["--arms", "3", "--factory", "a.yaml"], "--factory: 1 files for 3 arms; give one for each, or none"),
         (["--factory", "absent.yaml"], "absent.yaml"),
@@ -88,7 +88,7 @@ def test_the_faults_are_listed(capsys):
         (["--speed", "-1"], "speed -1.0: the clock runs forward"),
         (["--duration", "0"], "--duration 0.0: give seconds above 0"),
         (["--payload", "-1"], "--payload -1.0: give kg, 0 or more"),
-        (["--control-port", "99999"], "control port 99999: is none"),
+        (["--control-port", "99999"], "control port 99999: is not a port"),
     ],
 )
 def test_what_is_refused(capsys, arguments, message):
@@ -107,7 +107,7 @@ def test_ctrl_c_ends_it(tmp_path):
     )  # fmt: skip
     assert process.stdout is not None
     lines = []
-    while not lines or not lines[-1].startswith("Ctrl-C"):
+    while not lines or not lines[-1].startswith("Stop with"):
         lines.append(process.stdout.readline())
         assert lines[-1], process.communicate()
     with socket.create_connection((address, int(PORT)), timeout=10) as line:

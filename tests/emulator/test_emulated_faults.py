@@ -43,8 +43,8 @@ def test_every_fault_can_be_named():
         ("garbage:3", "fault garbage: takes no value; leave '3' out"),
         ("latency:-1", "fault latency: '-1' is not a number of 0 or more"),
         ("latency:nan", "fault latency: 'nan' is not a number of 0 or more"),
-        ("nan:here", "fault nan: 'here' is no place; choose one of calibration, kinematics, reports"),
-        ("firmware:2", "fault firmware: '2' is no version; write it like 1.12.1"),
+        ("nan:here", "fault nan: 'here' is not a place; choose one of calibration, kinematics, reports"),
+        ("firmware:2", "fault firmware: '2' is not a version; write it like 1.12.1"),
         ("type:6", "fault type: '' is not a whole number from 0 to 255"),
     ],
 )
@@ -297,19 +297,19 @@ def test_it_can_be_opened_again_and_leaves_nothing_behind(lite6, raw):
 
 @pytest.mark.parametrize("address", ["0.0.0.0", "192.168.1.5", "8.8.8.8"])
 def test_loopback_only(lite6, address):
-    with pytest.raises(InputError, match=rf"{address}: is not of loopback: an emulator is nothing to put on a network"):
+    with pytest.raises(InputError, match=rf"{address}: is not on loopback: an emulator must not be reachable"):
         faulty(lite6, address=address)
 
 
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"address": "localhost"}, "'localhost': is no address; write it like 127.0.0.1"),
-        ({"address": "::1"}, "'::1': is no address"),
+        ({"address": "localhost"}, "'localhost': is not an address; write it like 127.0.0.1"),
+        ({"address": "::1"}, "'::1': is not an address"),
         ({"speed": 0.0}, "speed 0.0: the clock runs forward"),
-        ({"control_port": 70000}, "control port 70000: is none"),
-        ({"tool": [np.nan, 0, 0, 0, 0, 0]}, "tool nan 0 0 0 0 0: is none that an arm could have"),
-        ({"payload": [0.5, np.inf, 0, 0]}, "payload 0.5 inf 0 0: is none that an arm could have"),
+        ({"control_port": 70000}, "control port 70000: is not a port"),
+        ({"tool": [np.nan, 0, 0, 0, 0, 0]}, "tool nan 0 0 0 0 0: is implausible for an arm"),
+        ({"payload": [0.5, np.inf, 0, 0]}, "payload 0.5 inf 0 0: is implausible for an arm"),
     ],
 )
 def test_what_cannot_be(lite6, options, message):
@@ -319,7 +319,7 @@ def test_what_cannot_be(lite6, options, message):
 
 def test_ports_in_use(lite6):
     with faulty(lite6) as controller:
-        with pytest.raises(InputError, match=r"is in use, by another emulator perhaps; choose another address"):
+        with pytest.raises(InputError, match=r"is in use, possibly by another emulator; choose another address"):
             faulty(lite6, address=controller.address).open()
         with pytest.raises(InputError, match="is in use"):
             faulty(lite6, address=controller.address, control_port=0).open()
@@ -335,7 +335,7 @@ def test_without_the_right_to_port_502(lite6, monkeypatch):
     with pytest.raises(InputError) as raised:
         controller.open()
     said = str(raised.value)
-    assert "502: ports below 1024 need the right to them; add --control-port 5020" in said
+    assert "502: ports below 1024 require privileges; add --control-port 5020" in said
     assert "XCONF.SocketConf.TCP_CONTROL_PORT = 5020" in said
     assert "\n" not in said
 
@@ -351,5 +351,5 @@ def test_bodies_that_cannot_be():
     with pytest.raises(InputError, match="acts at joint 7, but the arm has 6"):
         Body(lite6, lite6.kinematics, Physics((effect,)), values)
     effect, values = parse_effect("time_offset:offset_s=3")
-    with pytest.raises(InputError, match="looks 1 s ahead at most"):
+    with pytest.raises(InputError, match="supports at most 1 s"):
         Body(lite6, lite6.kinematics, Physics((effect,)), values)

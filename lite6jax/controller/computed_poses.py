@@ -1,4 +1,4 @@
-"""The controller's own forward kinematics at given joints, as a recording: what it computes, without a move."""
+"""A recording of the poses that the controller computes for given joint positions, without a move."""
 
 import threading
 import time
@@ -21,9 +21,9 @@ from lite6jax.recordings import Recording, sidecar_path, write_recording
 
 RETRY_S = 0.5
 TRIES = 5
-"""Connections one after the other without a pose between them, after which no more is asked."""
+"""The number of consecutive connections without a pose after which the recording ends."""
 
-_JOINTS, _POSE = "as asked, not measured", "computed by the controller, for these joints"
+_JOINTS, _POSE = "as requested, not measured", "computed by the controller, for these joints"
 
 
 def record_poses(
@@ -36,22 +36,22 @@ def record_poses(
     stop: threading.Event | None = None,
     advance: Callable[[int], object] = lambda done: None,
 ) -> Recorded:
-    """Asks the controller where the flange, or the tool, is at each row's joints, and writes the answers.
+    """Records the controller's forward kinematics of the flange, or of the tool, at given joint positions.
 
-    Nothing moves. Joints are recorded as they were sent, in 32-bit numbers. A lost connection is made anew and the row
-    asked again; a row that the controller refuses is left out and said.
+    The arm does not move. Joint positions are recorded as sent, rounded to 32 bits. After a lost connection the row is
+    requested again; rows that the controller refuses are omitted and noted.
 
     Args:
-        address: the controller's.
-        out: a `.csv` or `.parquet` file; its sidecar, and the arm's calibration where there is one, stand beside it.
-        station: what is known of the arm, from `read_station`.
-        poses: the joints, and what is said of rows that are not among them; all else of it is ignored.
+        address: of the controller.
+        out: a `.csv` or `.parquet` file; its sidecar, and the calibration of the arm if available, are written beside.
+        station: the arm and its settings, from `read_station`.
+        poses: the joint positions and the notes about omitted rows; other columns are ignored.
         overwrite: whether the files may be replaced.
-        stop: ends the asking when set, from any thread; what was answered is written.
+        stop: ends the recording when set, from any thread; the poses received so far are written.
         advance: called with 1 after each row.
 
     Raises:
-        InputError: the targets cannot be written, another number of joints, or not one row was answered.
+        InputError: the files cannot be written, the number of joints differs, or no pose was received.
     """
     check_targets(out, overwrite, station.calibration is not None)
     if poses.dof != station.arm.dof:
@@ -130,5 +130,5 @@ def _as_recording(station: Station, out: Path, joints: np.ndarray, poses: np.nda
 def _refusals(refused: list[tuple[int, str]]) -> list[str]:
     if not refused:
         return []
-    row, why = refused[0]
-    return [f"{len(refused)} rows were refused and are left out, the first is row {row}: {why}"]
+    row, reason = refused[0]
+    return [f"{len(refused)} rows were refused and are omitted, the first is row {row}: {reason}"]
