@@ -6,7 +6,7 @@ BIN := $(VENV)/bin
 # is cut, which keeps its fixtures and compiled functions, and no worker waits for the longest module.
 PYTEST := $(BIN)/python -m pytest --numprocesses=auto --maxprocesses=4 --dist=worksteal --durations=25
 # The parts of which the types are checked as they run; tests of the others run the same functions, only longer.
-TYPED := $(addprefix tests/,arms effects estimation search recordings fitting test_notebooks.py)
+TYPED := $(addprefix tests/,arms effects engine recordings fitting domains/pose/test_pose_problem.py test_notebooks.py)
 
 .PHONY: demo test test-slow benchmark clean
 
@@ -18,7 +18,7 @@ test: $(VENV)/installed-test
 
 # The second stage of .ci/run: annotated types checked in each call, and the notebooks.
 test-slow: $(VENV)/installed-test
-	CHECK_TYPES=1 $(PYTEST) $(wildcard $(TYPED))
+	CHECK_TYPES=1 $(PYTEST) $(TYPED)
 
 benchmark: $(VENV)/installed-test
 	$(BIN)/python -m benchmarks
