@@ -200,7 +200,7 @@ class TestGoodRecordings:
     @pytest.mark.parametrize("setup", SETUPS)
     def test_the_fit_is_that_of_the_case(self, folder, still, setup):
         recording = Made(folder, PHYSICS["compliance"], seed=6, **SETUPS[setup]).recording(still)
-        fitted = rigid_of(recording).fitted()
+        fitted = rigid_of(recording).fitted(OPTIONS)
         problem = pose_problem(recording)
         other = fit(problem, Terms(), DEFAULTS)
         assert fitted.scale == pytest.approx(float(other.scale[0]), rel=0.02)
@@ -214,7 +214,7 @@ class TestGoodRecordings:
         arm = rigid_of(good)
         step = 1e-7
         shifted = replace(arm, recording=replace(good, joint_position=good.joint_position + step * np.eye(6)[2]))
-        np.testing.assert_allclose((shifted.residual - arm.residual) / step, arm.joints[2], rtol=0, atol=2.0)
+        np.testing.assert_allclose((shifted.residuals - arm.residuals) / step, arm.joints[2], rtol=0, atol=2.0)
         assert np.abs(arm.joints[2]).max() > 1e4
 
     def test_physics_columns_span_the_catalogue(self, folder, still):
@@ -224,7 +224,7 @@ class TestGoodRecordings:
         projected = Projected(arm, physics_columns(arm), OPTIONS)
         for name in ("compliance", "harmonic", "backlash", "drift", "tool", "thermal", "base"):
             bent = with_effects(made, *PHYSICS[name]).recording(still, noise=None)
-            there = rigid_of(bent).residual[None]
+            there = rigid_of(bent).residuals[None]
             left = np.linalg.norm(projected.without(there)) / np.linalg.norm(there * projected.weight)
             assert left < 0.02, (name, left)
 
@@ -445,7 +445,7 @@ class TestUnsettledReadouts:
         off = screened.recording.joint_position - still["joint_position"] - rest
         assert np.abs(off).max() < 2e-5 + 3e-3 * share
         # what backlash does is still there
-        left = rigid_of(screened.recording).fitted()
+        left = rigid_of(screened.recording).fitted(OPTIONS)
         sizes, stds = estimated(
             left, physics_columns(left, skip=("direction",)), left.joints * still["direction"].T[:, None], OPTIONS
         )

@@ -207,7 +207,7 @@ def compare_corrections(arm: Rigid, options: ScreeningOptions) -> Comparison:
     near = [
         one for left, one in first if left <= max(options.unfitted_ratio * allowed, options.fitted_ratio * first[0][0])
     ]
-    fits = [(_median_error(_corrected(arm, one).fitted()), k, one) for k, one in enumerate(near)]
+    fits = [(_median_error(_corrected(arm, one).fitted(options)), k, one) for k, one in enumerate(near)]
     least = min(fits)[0]
     if least > allowed:
         return Comparison(error, limit, corrected_error=least)
@@ -219,7 +219,7 @@ def compare_corrections(arm: Rigid, options: ScreeningOptions) -> Comparison:
     rank = {one: k for k, one in enumerate(singles)}
     chosen = min(equal, key=lambda one: (_outside_limits(arm, one, options), rank.get(one, 0), near.index(one)))
     # a chain that is not known may be further from its table than the limit, and fit the columns as recorded
-    corrected, recorded = _corrected(arm, chosen).fitted(), arm.fitted()
+    corrected, recorded = _corrected(arm, chosen).fitted(options), arm.fitted(options)
     scale = min(corrected.scale, recorded.scale)
     gain = corrected.log_likelihood(scale) - recorded.log_likelihood(scale)
     if gain < options.trusted_log_likelihood:

@@ -174,8 +174,8 @@ def _p_value(projected: Projected, after: Array, values: Array, statistic: float
 def _located(arm: Rigid, low: int, high: int, first: int, values: Array) -> int:
     """The first sample of `(low, high]` after a jump by the numbers of twists from `first` on."""
     part = arm.select(np.arange(low, high + 1))
-    plain = np.sum(part.residual**2, 0)
-    moved = np.sum((part.residual + np.einsum("k,krs->rs", values, part.twists[first:][: len(values)])) ** 2, 0)
+    plain = np.sum(part.residuals**2, 0)
+    moved = np.sum((part.residuals + np.einsum("k,krs->rs", values, part.twists[first:][: len(values)])) ** 2, 0)
     return low + 1 + int(np.argmin(np.cumsum(plain - moved)[:-1]))
 
 
@@ -203,7 +203,7 @@ def without_jump(arm: Rigid, jump: Jump, options: ScreeningOptions, beside_physi
     for _ in range(options.refinements):
         total = twist @ total if jump.part == "tool" else total @ twist
         recording = _displaced_back(arm, moved, jump, total)
-        moved = replace(moved, recording=recording).fitted()
+        moved = replace(moved, recording=recording).fitted(options)
         physics = physics_columns(moved, skip=("drift",)) if beside_physics else np.zeros((0, arm.rows, arm.samples))
         projected = Projected(moved, physics, options)
         last = 6 * arm.recording.dof
@@ -285,7 +285,7 @@ def _sharp(arm: Rigid, k: int, segment: NDArray[np.integer], options: ScreeningO
     steps = np.arange(w) + 0.5
     ahead = np.linalg.pinv(np.stack([np.ones(w), steps], 1))[0]  # the value at the row's near side, of a straight line
     kernel = np.concatenate([-ahead[::-1], ahead])
-    jumps = np.stack([np.convolve(row, kernel[::-1], "valid") for row in arm.residual])  # at samples w … n − w
+    jumps = np.stack([np.convolve(row, kernel[::-1], "valid") for row in arm.residuals])  # at samples w … n − w
     at = np.arange(w, n - w + 1)
     inside = segment[at - w] == segment[at + w - 1]
     jumps, at = jumps[:, inside], at[inside]

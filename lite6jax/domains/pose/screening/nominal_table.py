@@ -98,13 +98,13 @@ def compare_tables(arm: Rigid, options: ScreeningOptions) -> OtherTable:
     other, name = others[0], declared[0].name
     if arm.exact:
         share, std = _share(arm, other, options)
-        rival = _with_table(arm, other).fitted()
+        rival = _with_table(arm, other).fitted(options)
         clear = std < options.share_std or rival.scale < options.table_ratio * arm.scale
         there = abs(share - 1) < options.share_tolerance + 4 * std and share > options.share_sigmas * std
         return OtherTable(
             name, other.name, (share, std), decided=bool(clear and there), likelier=bool(rival.scale < arm.scale)
         )
-    ours, theirs = (_with_table(arm, table).fitted() for table in (arm.arm, other))
+    ours, theirs = (_with_table(arm, table).fitted(options) for table in (arm.arm, other))
     more = len(arm.unknown) - len(theirs.unknown)
     fitted = arm.log_likelihood(arm.scale) - 0.5 * more * np.log(arm.rows * arm.samples)
     required = max(fitted, ours.log_likelihood(arm.scale) + options.trusted_log_likelihood)

@@ -175,6 +175,7 @@ class ScreeningOptions:
     partly_explained: float = option(0.3, "share of the squared error at which it is possible", "set on real arms")
     as_noise_ratio: float = option(2.0, "error over the declared noise up to which it is noise", "set on real arms")
     # estimation
+    most_fitted: int = option(2000, "rows that fit the rigid arm, spread evenly", "more change no decision")
     most_samples: int = option(1500, "samples on which columns of physics are compared", "more change no decision")
     observable_share: float = option(
         1e-6,

@@ -5,14 +5,13 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import solve_triangular
 
 from lite6jax.domains.pose.screening.options import ScreeningOptions
 from lite6jax.domains.pose.screening.rigid import Rigid
+from lite6jax.estimation.options import DEFAULTS
+from lite6jax.estimation.projection import orthonormal, outside, unit_rows
 
 Array = NDArray[np.floating]
-
-_RIDGE = 1e-10
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,32 +36,24 @@ class Projected:
 
     @cached_property
     def basis(self) -> Array:
-        """Rows `(number, row sample)`, orthonormal but for those that the others make; these nearly vanish."""
-        columns = np.concatenate([self.arm.twists[self.arm.unknown], self.known]) * self.weight
+        """`(rank, row sample)`, orthonormal, of the known columns."""
+        columns = np.concatenate([self.arm.nuisance, self.known]) * self.weight
         flat = columns.reshape(len(columns), self.arm.rows * self.arm.samples)
-        norms = np.linalg.norm(flat, axis=1)
-        flat = flat[norms > 0] / norms[norms > 0, None]
-        if not len(flat):
-            return flat
-        L = np.linalg.cholesky(flat @ flat.T + _RIDGE * np.eye(len(flat)))
-        return solve_triangular(L, flat, lower=True, check_finite=False)
+        return orthonormal(unit_rows(flat), DEFAULTS.rounding)
 
     @cached_property
     def residual(self) -> Array:
         """`(row sample)`."""
-        return self.without(self.arm.residual[None])[0]
+        return self.without(self.arm.residuals[None])[0]
 
     @cached_property
-    def freedom(self) -> float:
-        """Numbers left."""
-        return self.arm.rows * self.arm.samples - float(np.sum(self.basis**2))
+    def freedom(self) -> int:
+        """Residual degrees of freedom."""
+        return self.arm.rows * self.arm.samples - len(self.basis)
 
     def without(self, columns: Array) -> Array:
         """Weighted columns `(number, row, sample)` less what the known ones can do, `(number, row sample)`."""
-        flat = (columns * self.weight).reshape(len(columns), -1)
-        for _ in range(2):  # the ridge leaves a little the first time
-            flat = flat - (flat @ self.basis.T) @ self.basis
-        return flat
+        return outside((columns * self.weight).reshape(len(columns), -1), self.basis)
 
     def regression(self, columns: Array) -> tuple[Array, Array, float]:
         """Numbers `(number,)` of columns that explain the residual, their covariance, and the squares they explain.

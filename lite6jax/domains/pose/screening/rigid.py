@@ -1,7 +1,9 @@
-"""A rigid arm fitted to a recording on the host: in milliseconds, with nothing compiled."""
+"""A rigid arm beside a recording as a problem of least squares: on the host, in milliseconds, nothing compiled."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,22 +14,24 @@ from lite6jax.arms.arm import Arm
 from lite6jax.arms.chains import SixParameterForm
 from lite6jax.arms.factory import FactoryCalibration
 from lite6jax.domains.pose.problem import GAUGE
+from lite6jax.domains.pose.screening.options import ScreeningOptions
+from lite6jax.estimation.least_squares import relinearise
+from lite6jax.estimation.options import DEFAULTS
 from lite6jax.estimation.robust import FREEDOM, gaussian_t_scale, t_scale
+from lite6jax.estimation.terms import Term, Terms
 from lite6jax.fitting.problem import Geometry, recording_problem
 from lite6jax.recordings import Recording
 from lite6jax.recordings.sequence import differentiate, run_segments
 
 Array = NDArray[np.floating]
 
-_MOST_FITTED = 2000
-_ROUNDS = 15
-_HALVINGS = 4
-_SETTLED = 1e-3
 
-
+@final
 @dataclass(frozen=True, eq=False)
 class Rigid:
-    """An arm without physics beside what a sensor saw; twists are of frames, in their own axes, as in `Case`.
+    """A rigid arm and the measured poses, a `LinearisedProblem` whose nuisance are twists of frames in their own axes.
+
+    It has more than twelve members because that protocol has.
 
     Attributes:
         recording: joints and poses.
@@ -71,7 +75,7 @@ class Rigid:
         return self.frames[-1] @ self.T_flange_tool
 
     @cached_property
-    def residual(self) -> Array:
+    def residuals(self) -> Array:
         """`(row, sample)`, whitened: predicted less measured position, and the turn between, in the sensor's axes."""
         return self.whitened(self._differences[None])[0]
 
@@ -115,7 +119,7 @@ class Rigid:
     @property
     def squares(self) -> Array:
         """`(sample,)` whitened."""
-        return np.sum(self.residual**2, 0)
+        return np.sum(self.residuals**2, 0)
 
     @property
     def distance(self) -> Array:
@@ -133,55 +137,53 @@ class Rigid:
             return columns * self.whitener[:, None]
         return np.moveaxis(np.matmul(self.whitener, np.moveaxis(columns, -1, 0).swapaxes(1, 2)), 0, -1).swapaxes(0, 1)
 
-    def fitted(self) -> "Rigid":
-        """With its unknowns where Student's t has them, of some thousand rows: Gauss–Newton, linearised each step."""
-        if not len(self.unknown):
-            return self
-        if self.samples > _MOST_FITTED:
-            few = self.select(np.linspace(0, self.samples - 1, _MOST_FITTED).astype(int)).fitted()
-            return self.moved_like(few)
-        state = self
-        for _ in range(_ROUNDS):
-            scale = state.scale
-            weight = (FREEDOM + state.rows) / (FREEDOM + state.squares / scale**2) / scale**2
-            A = state.twists[state.unknown]
-            weighted = (A * weight).reshape(len(A), -1)
-            H = weighted @ A.reshape(len(A), -1).T + np.diag(state.precision)
-            gradient = weighted @ state.residual.ravel() + state.precision * state.offset
-            root = np.sqrt(np.maximum(np.diagonal(H), np.finfo(float).tiny))
-            step = -np.linalg.lstsq(H / np.outer(root, root), gradient / root, rcond=1e-12)[0] / root
-            likely = state.log_likelihood(scale)
-            for _ in range(_HALVINGS):
-                trial = state.moved(step)
-                if trial.log_likelihood(scale) >= likely:
-                    break
-                step = step / 2
-            else:
-                break
-            state = trial
-            if float(np.sqrt(max(-step @ gradient, 0.0))) < _SETTLED:
-                break
-        return state
+    @property
+    def groups(self) -> NDArray[np.integer]:
+        """Position and orientation share one scale over the declared noise."""
+        return np.zeros(self.rows, int)
+
+    @property
+    def nuisance(self) -> Array:
+        """How the residual changes with the unknowns, `(unknown, row, sample)`."""
+        return self.twists[self.unknown]
+
+    @property
+    def preset(self) -> tuple[Terms, Array]:
+        """None: a rigid arm has no effects."""
+        return Terms(), np.zeros(0)
+
+    def residual(self, nuisance: Array, terms: Terms, values: Array) -> Array:
+        """`residuals` with the unknowns displaced."""
+        return self.relinearised(nuisance).residuals if nuisance.any() else self.residuals
+
+    def columns(
+        self, terms: Sequence[Term], values: Array | None = None, beside: tuple[Terms, Array] | None = None
+    ) -> Array:
+        """Of no terms."""
+        return np.zeros((0, self.rows, self.samples))
+
+    def fitted(self, options: ScreeningOptions) -> "Rigid":
+        """With its unknowns where Student's t has them."""
+        if self.samples <= options.most_fitted:
+            return relinearise(self, DEFAULTS)
+        few = self.select(np.linspace(0, self.samples - 1, options.most_fitted).astype(int)).fitted(options)
+        return replace(
+            self,
+            links=few.links,
+            T_sensor_base=few.T_sensor_base,
+            T_flange_tool=few.T_flange_tool,
+            offset=few.offset,
+        )
 
     def select(self, rows: NDArray[np.integer] | NDArray[np.bool_]) -> "Rigid":
         """Some of the samples."""
         whitener = self.whitener if self.whitener.ndim == 1 else self.whitener[rows]
         return replace(self, recording=self.recording.select(rows), whitener=whitener)
 
-    def moved_like(self, other: "Rigid") -> "Rigid":
-        """With the frames of another."""
-        return replace(
-            self,
-            links=other.links,
-            T_sensor_base=other.T_sensor_base,
-            T_flange_tool=other.T_flange_tool,
-            offset=other.offset,
-        )
-
-    def moved(self, step: Array) -> "Rigid":
+    def relinearised(self, nuisance: Array) -> "Rigid":
         """With the unknowns `(unknown,)` displaced."""
         twist = np.zeros((len(self.links) + 1, 6))
-        twist.reshape(-1)[self.unknown] = step
+        twist.reshape(-1)[self.unknown] = nuisance
         displaced = np.array([transform_of(row) for row in twist])
         links = self.links.copy()
         links[1:] = displaced[1:-1] @ links[1:]
@@ -190,7 +192,7 @@ class Rigid:
             links=links,
             T_sensor_base=self.T_sensor_base @ displaced[0],
             T_flange_tool=displaced[-1] @ self.T_flange_tool,
-            offset=self.offset + step,
+            offset=self.offset + nuisance,
         )
 
     @cached_property

@@ -162,7 +162,7 @@ def settled(arm: Rigid, found: Unsettled, options: ScreeningOptions) -> tuple[Ri
     start = arm.recording
     for _ in range(options.refinements):
         rest = rest + step
-        arm = replace(arm, recording=replace(start, joint_position=start.joint_position + shape * rest)).fitted()
+        arm = replace(arm, recording=replace(start, joint_position=start.joint_position + shape * rest)).fitted(options)
         part = arm.select(few)
         columns = part.joints * shape[few].T[:, None]
         known = [
@@ -232,7 +232,7 @@ def _unsettled_rows(arm: Rigid, options: ScreeningOptions) -> Unsettled | None:
         return None
     along = np.einsum("jrs,sj->rs", arm.joints, moves(recording))
     length = np.sum(along**2, 0)
-    product = np.sum(along * arm.residual, 0)
+    product = np.sum(along * arm.residuals, 0)
     share = -product / np.maximum(length, 1e-300)
     cosine2 = product**2 / np.maximum(length * arm.squares, 1e-300)
     hit = wild & (cosine2 > options.along_move) & (share > 0)
