@@ -543,10 +543,10 @@ def test_check_finds_the_default_table(capsys, tmp_path, calibration):
     code, said, err = run(capsys, "check", default, calibration)
     assert (code, err) == (0, "")
     text = flat(said)
-    assert "! Nominal table: This is the vendor's ROS default (lite6_ros) exactly" in text
+    assert "! Nominal table: This is the vendor's ROS default (lite6_ros), not the calibration of one arm" in text
     assert "the published table (lite6) 1.0" in text
-    assert "· Nominal table: A calibration of a lite6: the published table (lite6)" in text
-    assert "· Tool offset: None seen" in text
+    assert "· Nominal table: This is a calibration of a lite6: the published table (lite6)" in text
+    assert "· Tool offset: No tool offset: a shift of" in text
 
 
 def test_check_finds_a_tool_offset(capsys, tmp_path):
@@ -554,8 +554,8 @@ def test_check_finds_a_tool_offset(capsys, tmp_path):
     shifted[5, 1] += 4e-3  # along joint 6's axis: as a tool 4 mm long would look
     calibration = write_factory(shifted, tmp_path / "arm.yaml")
     text = flat(run(capsys, "check", calibration)[1])
-    assert "! Tool offset: Likely: a shift of (" in text
-    shift = re.search(r"a shift of \((\S+), (\S+), (\S+)\) mm in the flange's frame explains 100 %", text)
+    assert "! Tool offset: A tool offset is likely: a shift of (" in text
+    shift = re.search(r"a shift of \((\S+), (\S+), (\S+)\) mm in the flange frame explains 100 %", text)
     np.testing.assert_allclose([float(v) for v in shift.groups()], [0, 0, 4], atol=1e-3)
 
 
@@ -570,11 +570,11 @@ def test_check_of_a_recording(capsys, tmp_path):
     code, said, err = run(capsys, "check", path)
     assert (code, err) == (0, "")
     text = flat(said)
-    assert "! Data: row 61 is the same as an earlier row to the last digit: were they copied?" in text
-    offset = re.search(r"! Tool offset: Likely: a shift of \((\S+), (\S+), (\S+)\) mm", text)
+    assert "! Repeated rows: 1 row exactly repeats joints and pose of an earlier row (row 61 those of row 60)" in text
+    offset = re.search(r"! Tool offset: A tool offset is likely: a shift of \((\S+), (\S+), (\S+)\) mm", text)
     np.testing.assert_allclose([float(v) for v in offset.groups()], [0, 0, 30], atol=3)
-    assert "· Smooth or jumping: Smooth, as calibration error is: a change of geometry explains" in text
-    assert "! Outliers: row 40 is far off the others" in text
+    assert "· Geometry: The error is a calibration error: a change of geometry explains" in text
+    assert "! Outliers: Row 40 is an outlier, by up to" in text
 
 
 # ------------------------------------------------------------------ real files

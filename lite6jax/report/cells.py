@@ -1,6 +1,6 @@
 """Formatting of numbers for the screen: units, significant digits, ranges of rows, and table layout."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from itertools import pairwise
 
 import numpy as np
@@ -50,6 +50,11 @@ def listed(rows: Iterable[int]) -> str:
     shown = ", ".join(text for text, _ in parts[:MOST_ROWS])
     rest = sum(count for _, count in parts[MOST_ROWS:])
     return shown + (f" and {rest} more" if rest else "")
+
+
+def rows_named(rows: Sequence[int]) -> str:
+    """Row numbers with their noun: row 61, or rows 3, 5–9."""
+    return f"row{'' if len(rows) == 1 else 's'} {listed(rows)}"
 
 
 def ranges(numbers: Iterable[int]) -> list[tuple[str, int]]:

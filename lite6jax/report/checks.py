@@ -10,7 +10,7 @@ from rich.text import Text
 
 from lite6jax.arms.bundled import VARIANTS, bundled_arms
 from lite6jax.domains.pose.check import Cause, RecordingCheck
-from lite6jax.report.cells import listed
+from lite6jax.report.cells import rows_named
 from lite6jax.report.data_faults import fault_name, fault_statement, ruled_out_statements
 
 _NAMES = {
@@ -30,7 +30,7 @@ def check_report(path: str | Path, found: Sequence[Cause] | RecordingCheck) -> I
     if isinstance(found, RecordingCheck):
         yield from (_line(True, "Note", note) for note in found.notes)
         for fault in found.faults:
-            rows = f" Rows {listed(fault.rows)}." if fault.rows else ""
+            rows = f" {_capital(rows_named(fault.rows))}." if fault.rows else ""
             yield _line(True, fault_name(fault.code), fault_statement(fault) + rows)
         yield from (_line(False, "Data", sentence) for sentence in ruled_out_statements(found.ruled_out))
     yield from (_line(cause.suspicious, _NAMES[cause.code], statement(cause)) for cause in causes)
@@ -57,11 +57,13 @@ def statement(cause: Cause) -> str:
         return f"No tool offset: {share}."
     if cause.code == "joint_limits":
         beyond = np.rad2deg(n["largest_excess_rad"])
-        return f"Joint {n['joint']} is beyond its limits by up to {beyond:.3g}° in rows {listed(cause.rows)}."
+        return f"Joint {n['joint']} is beyond its limits by up to {beyond:.3g}° in {rows_named(cause.rows)}."
     if cause.code == "outliers":
         if not cause.rows:
             return "There are no outliers."
-        return f"Rows {listed(cause.rows)} are outliers, by up to {_mm(n['largest_m'])} mm. Check them."
+        one = len(cause.rows) == 1
+        name, verb, them = rows_named(cause.rows), "is an outlier" if one else "are outliers", "it" if one else "them"
+        return f"{_capital(name)} {verb}, by up to {_mm(n['largest_m'])} mm. Check {them}."
     return _geometry(cause)
 
 
@@ -97,3 +99,7 @@ def _percent(share: float) -> str:
 
 def _mm(length: float) -> str:
     return f"{1e3 * length:.3g}"
+
+
+def _capital(text: str) -> str:
+    return text[:1].upper() + text[1:]
