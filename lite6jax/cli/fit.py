@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from lite6jax.arms.arm import Arm
     from lite6jax.arms.factory import FactoryCalibration
     from lite6jax.controller.verification import Verification
+    from lite6jax.fitting.solution import Solution
     from lite6jax.recordings import Recording
 
 DEMO = Path(__file__).parents[1] / "demo" / "lite6_simulated.yaml"
@@ -250,8 +251,15 @@ class Fleet:
         nominal = load_nominal(self.arm)
         files = folder_files(self.folder, self.out)
         with screen.progress(len(files), "fitting") as advance:
-            rows = fit_folder(files, nominal, advance)
+            rows = fit_folder(files, nominal, advance, _screened_fit)
         path = write_rows(rows, self.out, self.force)
         screen.show(fleet_tables.folder_report(rows))
         screen.written([path])
         return DONE
+
+
+def _screened_fit(recording: "Recording", nominal: "Arm | None") -> "Solution":
+    """The fit of a recording; a folder of calibrations does not import what it takes."""
+    from lite6jax.domains.pose.fit_recording import fit_recording
+
+    return fit_recording(recording, nominal)

@@ -17,7 +17,7 @@ from lite6jax.fitting.chunks import CHUNK
 from lite6jax.fitting.fleet import fit_fleet
 from lite6jax.fitting.problem import calibration_poses, sample_within_limits
 from lite6jax.fitting.recording_fit import fit_recording
-from lite6jax.fitting.solution import Errors, Result, prediction_errors
+from lite6jax.fitting.solution import Errors, Result, Solution, prediction_errors
 from lite6jax.fitting.source import read_source
 from lite6jax.model import ArmModel, ModelForm
 from lite6jax.recordings import Recording
@@ -25,6 +25,7 @@ from lite6jax.recordings import Recording
 Array = NDArray[np.floating]
 Kind = Literal["calibration", "recording", "other"]
 Progress = Callable[[int], object]
+RecordingFit = Callable[[Recording, Arm | None], Solution]
 T = TypeVar("T")
 
 CALIBRATIONS = (".yaml", ".yml", ".json")
@@ -90,13 +91,19 @@ def folder_files(folder: str | Path, leave_out: Path | None = None) -> list[Path
     return files
 
 
-def fit_folder(files: Sequence[Path], nominal: Arm | None = None, progress: Progress = lambda done: None) -> list[Row]:
+def fit_folder(
+    files: Sequence[Path],
+    nominal: Arm | None = None,
+    progress: Progress = lambda done: None,
+    fit_one: RecordingFit = fit_recording,
+) -> list[Row]:
     """Fits every file: calibrations together by type of arm, recordings one by one.
 
     Args:
         files: as `folder_files` lists them.
         nominal: the arm of all of them; recognised file by file where not given.
         progress: called with the number of files done since the last call.
+        fit_one: the fit of a recording, such as one that screens it for data faults first.
 
     Returns:
         a row a file, in their order.
@@ -114,7 +121,7 @@ def fit_folder(files: Sequence[Path], nominal: Arm | None = None, progress: Prog
         paths, calibrations = [path for path, _ in batch], [calibration for _, calibration in batch]
         rows |= zip(paths, _fit_batch(paths, calibrations, progress), strict=True)
     for path in (path for path in files if path.suffix.lower() in RECORDINGS):
-        rows[path] = _attempt(path, lambda path=path: _fit_recording(path, nominal))
+        rows[path] = _attempt(path, lambda path=path: _fit_recording(path, nominal, fit_one))
         progress(1)
     return [rows[path] for path in files]
 
@@ -182,15 +189,16 @@ def _fit_batch(paths: Sequence[Path], calibrations: Sequence[FactoryCalibration]
         )
 
 
-def _fit_recording(path: Path, nominal: Arm | None) -> Row:
+def _fit_recording(path: Path, nominal: Arm | None, fit_one: RecordingFit) -> Row:
     recording = read_source(path, nominal)
     assert isinstance(recording, Recording)
-    solution = fit_recording(recording, nominal)
+    solution = fit_one(recording, nominal)
+    faults = f"; data faults: {', '.join(fault.code for fault in solution.faults)}" if solution.faults else ""
     return Row(
         file=path.name,
         kind="recording",
         result=solution.result,
-        message=solution.result.message,
+        message=solution.result.message + faults,
         arm=solution.arm.name,
         joints=solution.arm.dof,
         samples=recording.samples,

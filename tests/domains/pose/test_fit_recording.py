@@ -105,3 +105,17 @@ def test_the_command_prints_the_fault_and_fits_without_it(capsys, tmp_path, good
         said = " ".join(capsys.readouterr().out.split())
         assert "The orientations are quaternions with the scalar last (x, y, z, w)." in said
         assert "Correct the columns in the file." in said
+
+
+def test_a_folder_of_recordings_is_screened_too(tmp_path, good):
+    import pyarrow.parquet
+
+    from lite6jax import cli
+
+    folder = tmp_path / "arms"
+    folder.mkdir()
+    write_recording(scalar_last(good), folder / "run.csv")
+    out = tmp_path / "fleet.parquet"
+    assert cli.main(["fleet", str(folder), "--out", str(out)]) == 0
+    (row,) = pyarrow.parquet.read_table(out).to_pylist()
+    assert row["message"] == "converged; data faults: orientation_convention"
