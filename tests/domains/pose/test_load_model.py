@@ -5,19 +5,21 @@ from dataclasses import replace
 import numpy as np
 import pinocchio as pin
 import pytest
-from diagnosis.recorded import Made, estimates, found, moving_motion, static_motion
+from diagnosis.recorded import OPTIONS, Made, estimates, fitted_to, found, moving_motion, static_motion
 
-from lite6jax.domains.pose.load_model import INERTIA_COUNTS, gain_of, searched, with_other_loads
+from lite6jax.domains.pose.clock import linearised
+from lite6jax.domains.pose.load_model import search_load_model
 from lite6jax.domains.pose.problem import pose_problem
 from lite6jax.effects.kinematic.joints import JointCompliance, JointHarmonic
 from lite6jax.estimation.score_test import Score
-from lite6jax.search.backward import Step
-from lite6jax.search.final_estimates import stated
-from lite6jax.search.forward import Selection, search_of
+from lite6jax.estimation.terms import Terms
+from lite6jax.search.final_estimates import final_estimates, with_alternative
+from lite6jax.search.search import Selection
+from lite6jax.search.state import SelectedTerm, State
 from tests.oracles.pinocchio_arm import pinocchio_arm
 
 COMPLIANCE = 2e-4
-SURE = Step(JointCompliance(2), 0.0, Score(100.0, 1, 0.0, False, np.zeros(1)))
+SURE = SelectedTerm(JointCompliance(2), 0.0, Score(100.0, 1, 0.0, False, np.zeros(1)))
 
 
 @pytest.fixture(scope="module")
@@ -28,6 +30,16 @@ def still():
 @pytest.fixture(scope="module")
 def moving():
     return moving_motion(3, 240)
+
+
+def searched(problem):
+    """The search under the more likely load model."""
+    return search_load_model(*linearised(problem, OPTIONS), OPTIONS)
+
+
+def stated(selection):
+    """With final estimates."""
+    return replace(selection, state=final_estimates(selection.problem, selection.state, OPTIONS))
 
 
 def recorded(made, motion, accelerating):
@@ -48,13 +60,11 @@ def recorded(made, motion, accelerating):
 @pytest.mark.parametrize("accelerating", [True, False])
 def test_the_data_say_which_loads_bend_an_arm(tmp_path, moving, accelerating):
     case = recorded(Made(tmp_path, seed=1), moving, accelerating)
-    search, selection = searched(case)
-    assert (search.case.motion.joint_acceleration is not None) == accelerating
-    assert selection.case is search.case
-    assert (INERTIA_COUNTS in search.case.notes) == accelerating
+    selection = searched(case)
+    assert (selection.problem.motion.joint_acceleration is not None) == accelerating
     assert found(selection) == [("joint_compliance", "joint2")]
-    other = with_other_loads(selection)
-    assert gain_of(selection.fitted, other) > 100
+    other = with_alternative(selection.problem, selection.state.fit, OPTIONS)
+    assert selection.state.fit.gain_over(other) > 100
     got = estimates(stated(selection), "joint_compliance", "joint2")["compliance_rad_per_Nm"]
     assert abs(got.value - COMPLIANCE) < 4 * got.std < 0.05 * COMPLIANCE
     wrong = abs(other.values[0] - COMPLIANCE)
@@ -69,34 +79,32 @@ def test_what_is_unsure_of_the_loads_is_in_the_deviation(tmp_path, moving):
     recording = replace(case.recording, position=case.recording.position + rng.normal(0, 5e-4, (240, 3)))
     settings = replace(recording.settings, position_noise_m=5e-4)
     recording = replace(recording, quaternion=None, settings=replace(settings, orientation_noise_rad=None))
-    physics = Terms((SURE.effect,))
-    search = search_of(pose_problem(recording))
-    fitted = fitted_to(search.case, physics)
-    selection = Selection(search.case, search.plain, fitted, fitted, (SURE,), search.candidates)
-    other = with_other_loads(selection)
-    gain = gain_of(selection.fitted, other)
+    problem, reference = linearised(pose_problem(recording), OPTIONS)
+    fitted = fitted_to(problem, Terms((SURE.term,)))
+    other = with_alternative(problem, fitted, OPTIONS)
+    gain = fitted.gain_over(other)
     assert abs(gain) < 6
-    said = stated(selection).fitted
-    difference = other.values - selection.fitted.values
-    wanted = selection.fitted.covariance + np.outer(difference, difference) / (1 + np.exp(gain))
+    said = stated(Selection(problem, reference, State(fitted, fitted, (SURE,)))).state.fit
+    difference = other.values - fitted.values
+    wanted = fitted.covariance + np.outer(difference, difference) / (1 + np.exp(gain))
     np.testing.assert_allclose(said.covariance, wanted, rtol=1e-9)
     assert np.abs(said.values - COMPLIANCE) < 4 * np.sqrt(said.covariance[0])
 
 
 def test_an_arm_at_rest_has_no_other_loads(tmp_path):
     made = Made(tmp_path, ("joint_compliance:joint=2,compliance_rad_per_Nm=2e-4",), seed=1)
-    search, selection = searched(pose_problem(made.recording(static_motion(5, 80))))
-    assert search.case.motion.joint_acceleration is None
-    assert with_other_loads(selection) is None
+    selection = searched(pose_problem(made.recording(static_motion(5, 80))))
+    assert selection.problem.motion.joint_acceleration is None
+    assert with_alternative(selection.problem, selection.state.fit, OPTIONS) is None
     assert found(selection) == [("joint_compliance", "joint2")]
 
 
 def test_orders_read_off_a_spectrum_are_fitted_along(tmp_path, moving):
     order = 3.37
     made = Made(tmp_path, (f"joint_harmonic:joint=1,order={order},amplitude_rad=3e-4,phase_rad=0.5",), seed=1)
-    selection = searched(pose_problem(made.recording(moving, seed=2)))[1]
+    selection = searched(pose_problem(made.recording(moving, seed=2)))
     said = stated(selection)
-    assert [step.effect for step in said.steps] == list(said.fitted.terms.terms)
+    assert [tested.term for tested in said.state.tested] == list(said.state.fit.terms.terms)
     got = estimates(said, "joint_harmonic", "joint1")
     before = estimates(selection, "joint_harmonic", "joint1")
     assert abs(got["order"].value - order) < 0.02
@@ -109,15 +117,16 @@ def test_orders_read_off_a_spectrum_are_fitted_along(tmp_path, moving):
 @pytest.mark.parametrize(("order", "said"), [(5.0, 5.0), (4.96, None)])
 def test_a_whole_order_is_kept_while_the_data_allow_it(tmp_path, still, order, said):
     made = Made(tmp_path, (f"joint_harmonic:joint=1,order={order},amplitude_rad=4e-4,phase_rad=0.5",), seed=1)
-    selection = searched(pose_problem(made.recording(still, seed=2)))[1]
-    (step,) = selection.steps
+    selection = searched(pose_problem(made.recording(still, seed=2)))
+    (tested,) = selection.state.tested
     whole = JointHarmonic(1, 5.0)
-    fitted = fitted_to(selection.case, Terms((whole,)), nuisance=selection.fitted.nuisance, training=selection.fitted.used)
-    got = stated(replace(selection, fitted=fitted, steps=(replace(step, effect=whole),)))
-    (effect,) = got.fitted.terms.terms
+    fitted = fitted_to(selection.problem, Terms((whole,)), nuisance=selection.state.fit.nuisance)
+    state = State(selection.state.baseline, fitted, (replace(tested, term=whole),))
+    got = stated(replace(selection, state=state)).state
+    (effect,) = got.fit.terms.terms
     assert isinstance(effect, JointHarmonic)
     assert effect.order is not None
-    assert effect == got.steps[0].effect
+    assert effect == got.tested[0].term
     if said is None:
         assert abs(effect.order - order) < 0.01
     else:
