@@ -45,6 +45,8 @@ def main(arguments: Sequence[str] | None = None, known: Mapping[str, Workload] |
         return _concealed(arguments[1:])
     if arguments[:1] == ["rivals"]:
         return _rivals(arguments[1:])
+    if arguments[:1] == ["sensitivity"]:
+        return _sensitivity(arguments[1:])
     missing = [package for module, package in NEEDS.items() if importlib.util.find_spec(module) is None]
     if missing:
         print(f"benchmarks: {' and '.join(missing)} missing; pip install 'lite6jax[benchmark]'", file=sys.stderr)
@@ -53,7 +55,7 @@ def main(arguments: Sequence[str] | None = None, known: Mapping[str, Workload] |
     parser = argparse.ArgumentParser(
         prog="python -m benchmarks",
         description=__doc__,
-        epilog="`concealed` and `rivals` have options of their own: concealed --help.",
+        epilog="`concealed`, `rivals` and `sensitivity` have options of their own: concealed --help.",
     )
     parser.add_argument("name", nargs="?", choices=list(known), help="one workload; all of them without it")
     parser.add_argument("--json", type=Path, metavar="OUT", help="write the records to this file, over an older one")
@@ -95,6 +97,16 @@ def _concealed(arguments: Sequence[str]) -> int:
     from benchmarks.concealed.command import main as concealed
 
     return concealed(arguments)
+
+
+def _sensitivity(arguments: Sequence[str]) -> int:
+    """What a diagnosis depends on, which takes long and is run by name only."""
+    if importlib.util.find_spec("mujoco") is None:
+        print("benchmarks: mujoco missing; pip install 'lite6jax[benchmark]'", file=sys.stderr)
+        return 2
+    from benchmarks.sensitivity import main as sensitivity
+
+    return sensitivity(arguments)
 
 
 def _rivals(arguments: Sequence[str]) -> int:
