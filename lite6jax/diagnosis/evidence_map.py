@@ -1,10 +1,187 @@
 """What figures show of a diagnosis, as tables: explained shares of variance, spectra of orders, remaining residuals."""
 
+from collections.abc import Sequence
+from typing import NamedTuple
+
 import numpy as np
+from numpy.typing import NDArray
+from scipy.special import chdtri
 
 from lite6jax.diagnosis.result import Diagnosis
+from lite6jax.domains.pose.kinematics import Site
+from lite6jax.domains.pose.problem import PoseProblem
+from lite6jax.effects.drivers import Driver
 from lite6jax.effects.effect import Estimate
-from lite6jax.effects.nonparametric import Unnamed
+from lite6jax.effects.kinematic.joints import JointHarmonic
+from lite6jax.effects.nonparametric import Unnamed, spline_basis
+from lite6jax.estimation.least_squares import Fit
+from lite6jax.estimation.noise import autocorrelation
+from lite6jax.estimation.problem import PeriodicFamily
+from lite6jax.estimation.score_test import Score, ScoreTest, score_test
+from lite6jax.search.spectrum import spectrum
+
+Array = NDArray[np.floating]
+
+OF_JOINTS = ("position", "direction of motion", "velocity", "gravity torque")
+OF_ALL = ("temperature rise", "time", "payload")
+"""Quantities of drivers: of each joint, and of the whole arm."""
+
+_PIECES = 8
+"""Intervals of the splines over each driver."""
+_AT_ONCE = 32
+_LAGS = 40
+_RANGE = 5.0
+
+
+class ExplainedShares(NamedTuple):
+    """How much of the residual's variance a curve over each driver explains at each site, of the nuisance fit alone.
+
+    Attributes:
+        sites: `joint1` …, and `base`.
+        quantities: of the drivers; those that the recording does not have at any site are left out.
+        shares: `(site, quantity)`, from 0 to 1, less what as many numbers explain of noise; NaN where the driver is not
+            known, does not vary, or is confounded with the nuisance.
+    """
+
+    sites: tuple[str, ...]
+    quantities: tuple[str, ...]
+    shares: Array
+
+
+class Spectrum(NamedTuple):
+    """What a harmonic of each order of a joint explains.
+
+    Attributes:
+        orders: `(order,)`, per turn of the joint.
+        shares: `(order,)`, of the variance that the model leaves, from 0 to 1.
+    """
+
+    orders: Array
+    shares: Array
+
+
+class JointSpectra(NamedTuple):
+    """The spectra of one joint.
+
+    Attributes:
+        site: `jointN`.
+        before: of what the nuisance leaves.
+        after: of what the findings leave too; None where there are none.
+        noise: the share that the highest of all orders and joints exceeds in noise with the probability of the
+            family-wise level, of what the whole model leaves.
+        harmonics: orders of the harmonics found at this joint.
+        curve: orders of nonparametric findings there.
+        observed: whether the sensor observes the joint.
+    """
+
+    site: str
+    before: Spectrum
+    after: Spectrum | None
+    noise: float
+    harmonics: tuple[float, ...]
+    curve: tuple[float, ...]
+    observed: bool
+
+
+class Remaining(NamedTuple):
+    """The residuals of a fit, outliers excluded.
+
+    Attributes:
+        rms: over the declared noise, or over the estimated one where none is declared.
+        edges: `(bin + 1,)`, of the histogram, in the same unit.
+        density: `(bin,)`, per unit.
+        correlation: `(lag,)`, at lags 1, 2 … in samples.
+        bound: what 95 % of the correlations of white noise are within.
+    """
+
+    rms: float
+    edges: Array
+    density: Array
+    correlation: Array
+    bound: float
+
+
+def stages(found: Diagnosis) -> list[tuple[PoseProblem, Fit]]:
+    """The problem and fit of the nuisance alone and, where there are findings, of the whole model."""
+    reference = found.selection.reference
+    assert isinstance(reference, PoseProblem)
+    before = [(reference, found.selection.state.baseline)]
+    return [*before, (found.problem, found.fit)] if found.findings else before
+
+
+def explained_shares(found: Diagnosis) -> ExplainedShares:
+    """The share of the variance left by the nuisance that a curve over each driver explains at each site."""
+    problem, baseline = stages(found)[0]
+    test = score_test(problem, baseline, found.options.engine)
+    total, dof = _left(test), problem.motion.dof
+
+    def columns(keys: Sequence[Site], driver: Driver) -> list[Array]:
+        curves = _curves(problem, driver)
+        return [] if curves is None else [problem.sites[key] * curves[:, None] for key in keys]
+
+    def share(groups: Sequence[Array]) -> float:
+        score = test.score_columns([np.concatenate(groups)])[0] if groups else None
+        return np.nan if score is None or score.confounded else _adjusted(score, total, test.freedom)
+
+    quantities = (*OF_JOINTS, *OF_ALL)
+    shares = np.full((dof + 1, len(quantities)), np.nan)
+    for column, quantity in enumerate(quantities):
+        alone = quantity in OF_ALL
+        for j in range(dof):
+            shares[j, column] = share(columns([("joint", j, 0)], Driver(quantity, 0 if alone else j + 1)))
+        if alone:
+            shares[dof, column] = share(columns([("base", 0, k) for k in range(6)], Driver(quantity)))
+        elif quantity == "gravity torque":
+            about = [columns([("base", 0, 3 + k)], Driver(f"base moment {axis}")) for k, axis in enumerate("xy")]
+            shares[dof, column] = share([group for groups in about for group in groups])
+    known = np.isfinite(shares).any(0)
+    known[0] = True
+    sites = (*(f"joint{j + 1}" for j in range(dof)), "base")
+    return ExplainedShares(
+        sites, tuple(q for q, there in zip(quantities, known, strict=True) if there), shares[:, known]
+    )
+
+
+def joint_spectra(found: Diagnosis) -> list[JointSpectra]:
+    """The spectra of orders of each joint, before and after."""
+    engine = found.options.engine
+    tests = [score_test(problem, fit, engine) for problem, fit in stages(found)]
+    effects = [finding.effect for finding in found.findings]
+    curves = [effect for effect in effects if isinstance(effect, Unnamed) and effect.orders]
+    exact_below = max([engine.exact_below, *(order for curve in curves for order in curve.orders)])
+    spectra = []
+    for j in range(found.problem.motion.dof):
+        site = f"joint{j + 1}"
+        seen = [_spectrum(test, test.problem.periodic[j], exact_below) for test in tests]
+        searched = found.problem.motion.dof * len(seen[-1].orders) / 2
+        spectra.append(
+            JointSpectra(
+                site=site,
+                before=seen[0],
+                after=seen[1] if len(seen) > 1 else None,
+                noise=float(chdtri(2, engine.level / searched)) / _left(tests[-1]),
+                harmonics=tuple(
+                    e.order for e in effects if isinstance(e, JointHarmonic) and e.site == site and e.order
+                ),
+                curve=tuple(order for curve in curves if curve.site == site for order in curve.orders),
+                observed=bool(found.problem.sites["joint", j, 0].any()),
+            )
+        )
+    return spectra
+
+
+def remaining_residuals(found: Diagnosis) -> list[Remaining]:
+    """The residuals before and, where there are findings, after."""
+    kept, remaining = ~found.outliers, []
+    unit = 1.0 if found.problem.declared else found.fit.scale[found.problem.groups, None]
+    edges = np.linspace(-_RANGE, _RANGE, 61)
+    for _, fitted in stages(found):
+        rows = (fitted.residuals.rows / unit)[:, kept]
+        density = np.histogram(rows, edges)[0] / max(rows.size, 1) / (edges[1] - edges[0])
+        rms = float(np.sqrt(np.mean(rows**2))) if rows.size else 0.0
+        correlation = autocorrelation(rows, max(1, min(_LAGS, rows.shape[1] // 4)))[1:]
+        remaining.append(Remaining(rms, edges, density, correlation, 2 / np.sqrt(max(rows.size, 1))))
+    return remaining
 
 
 def peak_to_peak(found: Diagnosis, k: int) -> Estimate:
@@ -27,3 +204,37 @@ def peak_to_peak(found: Diagnosis, k: int) -> Estimate:
     apart = basis[:, np.argmax(curve)] - basis[:, np.argmin(curve)]
     variance = float(apart @ finding.covariance @ apart)
     return Estimate(float(apart @ finding.values), float(np.sqrt(max(variance, 0.0))))
+
+
+def _curves(problem: PoseProblem, driver: Driver) -> Array | None:
+    """`(number, sample)`, a spline's basis over a driver; None where that is not recorded or constant."""
+    motion, loads = problem.time_shifted, problem.loads
+    if (driver.loaded and loads is None) or not driver.known(motion, loads):
+        return None
+    values = np.asarray(driver.values(motion, loads))
+    if np.ptp(values) < 1e-6:
+        return None
+    pieces = 1 if driver.quantity == "direction of motion" else _PIECES
+    return np.asarray(spline_basis(values, float(values.min()), float(values.max()), pieces))
+
+
+def _spectrum(test: ScoreTest, family: PeriodicFamily, exact_below: float) -> Spectrum:
+    """The nuisance is projected out of orders up to `exact_below`, with which it is confounded."""
+    orders, gains = spectrum(test, family)
+    low = int(np.searchsorted(orders, exact_below, side="right"))
+    for start in range(0, low, _AT_ONCE):
+        part = slice(start, min(start + _AT_ONCE, low))
+        gains[part] = test.gains(family.columns(orders[part]))
+    return Spectrum(orders, 2 * gains / _left(test))
+
+
+def _left(test: ScoreTest) -> float:
+    """The sum of squares that the model leaves."""
+    rest = test.residual - (test.basis @ test.residual) @ test.basis
+    return max(float(rest @ rest), np.finfo(float).tiny)
+
+
+def _adjusted(score: Score, total: float, freedom: float) -> float:
+    """The share explained, less what as many numbers explain of noise."""
+    left = 1 - min(2 * score.gain / total, 1.0)
+    return float(max(1 - left * freedom / max(freedom - score.size, 1.0), 0.0))

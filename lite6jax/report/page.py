@@ -1,4 +1,4 @@
-"""A diagnosis as one HTML page that needs no other file: verdict, numbers, rivals, faults, the figures inside."""
+"""A diagnosis as one self-contained HTML page: verdict, errors, data faults, findings with figures, next steps."""
 
 import base64
 from collections.abc import Mapping
@@ -10,46 +10,30 @@ import jinja2
 import numpy as np
 from matplotlib import rc_context
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
-from lite6jax.diagnosis.diagnose import Diagnosis
-from lite6jax.diagnosis.discrimination import Separation
-from lite6jax.domains.pose.problem import Case
-from lite6jax.domains.pose.reference import ReferenceComparison
-from lite6jax.effects.nonparametric import Unnamed
-from lite6jax.report import diagnosis_words as words
-from lite6jax.report import reference
+from lite6jax.diagnosis.result import Diagnosis
+from lite6jax.report import reference, statements
 from lite6jax.report.canvas import STYLE
-from lite6jax.report.cells import fixed, number
-from lite6jax.report.finding_figures import finding_curves
-from lite6jax.search.backward import Step
+from lite6jax.report.cells import fixed, listed, number
+from lite6jax.report.data_faults import fault_name
+from lite6jax.report.diagnosis_tables import ERRORS, noise_statement
+from lite6jax.report.finding_figures import finding_figure
+from lite6jax.report.quantities import quantity
 
-Array = NDArray[np.floating]
+Document = Mapping[str, Any]
 
 _DPI = 120
 _FEW = 3
 """Findings that are read one by one; more have an overview."""
-_UNITS = (
-    ("_rad_per_Nm", 1e6, "µrad/Nm"),
-    ("_m_per_s", 1e6, "µm/s"),
-    ("_per_K", 1e6, "ppm/K"),
-    ("phase_rad", 180 / np.pi, "deg"),
-    ("_rad", 1e3, "mrad"),
-    ("_m", 1e3, "mm"),
-    ("_s", 1e3, "ms"),
-    ("_kg", 1.0, "kg"),
-)
-"""How the ends of parameters' names read on a page; the first that fits."""
-_RATIOS = {"scale": (1e6, "ppm"), "coupling": (1e6, "ppm")}
-
 _CAPTIONS = {
     "error_by_joint": "Held-out position error against each joint: dots are samples, lines are medians.",
-    "where": "Share of the residual's variance that a free curve of each driver explains at each site, less what as "
-    "many numbers explain of noise; a dash where that is not known, not varied or not seen.",
-    "orders": "Share of the residual's variance that a harmonic of each order explains at each joint, before and "
-    "after of the residual there is then; the dotted line is what white noise reaches.",
-    "remaining": "Left, the residuals in units of the sensor's noise against noise alone; right, how alike those of "
-    "neighbouring rows are.",
+    "where": "Share of the residual's variance that a curve over each driver explains at each site, less what as many "
+    "numbers explain of noise; a dash where the driver is not recorded or constant, or the curve is confounded with "
+    "the nuisance.",
+    "orders": "Share of the residual's variance that a harmonic of each order explains at each joint, before and after "
+    "(of the residual at that stage); the dotted line is the family-wise limit of white noise.",
+    "remaining": "Left, the residuals in units of the sensor's noise beside normal noise; right, their autocorrelation "
+    "in the order of the rows.",
 }
 
 
@@ -67,38 +51,36 @@ class Picture(NamedTuple):
     narrow: bool
 
 
-def diagnosis_page(
-    found: Diagnosis, source: str, figures: Mapping[str, Figure], against: ReferenceComparison | None = None
-) -> str:
+def diagnosis_page(found: Diagnosis, document: Document, source: str, figures: Mapping[str, Figure]) -> str:
     """The page, HTML; the same diagnosis gives the same bytes.
 
     Args:
-        found: the diagnosis.
+        found: the diagnosis, of which the figures of single findings are drawn.
+        document: as in its JSON file, with statements; all text is made from it.
         source: the recording's name, of any characters.
         figures: those of `diagnosis_figures.drawings`.
-        against: the other side, where there is one.
     """
-    report = found.to_dict()
-    findings = _findings(found, report)
+    findings = [_finding(found, entry, k) for k, entry in enumerate(statements.findings_of(document))]
     return _template().render(
         source=source,
-        against=_against(against),
-        verdict=words.verdict_of(found, against),
-        verdict_word=found.verdict,
-        setting=_setting(found),
-        errors=_errors(report),
-        held=f"{report['heldout_rows']} rows, in contiguous blocks that the fit and the search did not see.",
-        noise=_noise(found),
+        against=_against(document),
+        verdict=statements.verdict_statement(document),
+        verdict_word=document["verdict"],
+        setting=_setting(document),
+        errors=_errors(document),
+        held=f"{document['heldout_rows']} rows, each predicted without the contiguous block that it belongs to: "
+        "screening, search and fit did not use this block.",
+        noise=noise_statement(document),
         figures={name: _picture(figures[name], caption) for name, caption in _CAPTIONS.items()},
-        faults=words.faults_of(found),
-        notes=found.case.notes,
+        faults=[_fault(entry) for entry in document["data_faults"]],
+        notes=statements.assumptions(document),
         findings=findings,
         overview=len(findings) > _FEW,
-        checked=words.ruled_out(found),
-        untested=_untested(found),
-        to_record=words.to_record(found),
-        separating=[_poses(item) for item in found.separating],
-        not_checked=words.NOT_CHECKED,
+        checked=[_fault(entry) for entry in document["ruled_out"]],
+        untested=[_untested(group) for group in statements.untested(document)],
+        to_record=statements.what_to_record(document),
+        separating=[_poses(item) for item in document["separating_poses"]],
+        not_checked=statements.NOT_CHECKED,
     )
 
 
@@ -122,118 +104,71 @@ def _embedded(figure: Figure) -> str:
         return "data:image/png;base64," + base64.b64encode(held.getvalue()).decode()
 
 
-def _setting(found: Diagnosis) -> str:
-    case = found.case
-    measured = "positions" if case.rows == 3 else "positions and orientations"
-    known = f"{len(case.unknown)} numbers of frames and geometry fitted" if case.unknown else "geometry taken as given"
-    return f"{case.arm.name}, {case.samples} samples ({case.recording.motion}) of {measured}; {known}."
+def _setting(document: Document) -> str:
+    model, numbers = document["model"], document["nuisance"]["numbers"]
+    measured = "positions and orientations" if model["orientation"] else "positions"
+    fitted = f"{numbers} numbers of frames and geometry are fitted" if numbers else "the geometry is taken as given"
+    return f"{model['arm']}, {document['samples']} samples ({model['motion']}) of {measured}; {fitted}."
 
 
-def _errors(report: dict[str, Any]) -> list[dict[str, Any]]:
-    keys = ("heldout_position_rms_m", "heldout_position_p95_m", "heldout_position_max_m")
+def _errors(document: Document) -> list[dict[str, Any]]:
     rows = [
-        {"name": name, "numbers": [number(1e3 * report[name][key]) for key in keys]} for name in ("before", "after")
+        {"name": name, "numbers": [number(1e3 * document[name][key]) for key in ERRORS]} for name in ("before", "after")
     ]
-    if report["findings"]:
-        ratios = [report["after"][key] / report["before"][key] if report["before"][key] else 1.0 for key in keys]
-        rows.append({"name": "after / before", "numbers": [f"{100 * ratio:.0f} %" for ratio in ratios]})
+    if document["findings"]:
+        pairs = [(document["after"][key], document["before"][key]) for key in ERRORS]
+        ratios = [f"{100 * after / before:.0f} %" if before else "–" for after, before in pairs]
+        rows.append({"name": "after / before", "numbers": ratios})
     return rows
 
 
-def _noise(found: Diagnosis) -> str:
-    case = found.case
-    seen = f"Noise per axis of position: {number(1e3 * found.estimated_noise)} mm, estimated from what is left"
-    return seen + (f"; declared {number(1e3 * case.noise[0])} mm." if case.declared else "; none is declared.")
+def _fault(entry: Mapping[str, Any]) -> dict[str, str]:
+    return {"name": fault_name(entry["fault"]), "statement": entry["statement"], "rows": listed(entry["rows"])}
 
 
-def _findings(found: Diagnosis, report: dict[str, Any]) -> list[dict[str, Any]]:
-    fitted, told = found.selection.fitted, []
-    for k, (step, entry) in enumerate(zip(found.selection.steps, report["findings"], strict=True)):
-        part = fitted.physics.slices[k]
-        figure = _picture(finding_curves(found, "", [k]), _caption(entry))
-        told.append(
-            _finding(found.selection.case, step, entry, fitted.values[part], fitted.covariance[part, part], figure)
-        )
-    return told
-
-
-def _finding(
-    case: Case, step: Step, entry: dict[str, Any], values: Array, covariance: Array, figure: Picture
-) -> dict[str, Any]:
-    numbers = entry["parameters"]
-    driver = "" if entry["driver"] == "none" else f", by {entry['driver']}"
-    statement = f"Acts at {entry['site']}{driver}."
-    if isinstance(step.effect, Unnamed):
-        swing, std = words.peak_to_peak(case, step.effect, values, covariance)
-        numbers = {f"peak_to_peak_{step.effect.coordinates[0].unit}": {"value": swing, "std": std}}
-        statement = entry["statement"]
-    parameters = [_parameter(name, estimate) for name, estimate in numbers.items()]
-    return {
-        "title": words.capital(words.named(step.effect)),
-        "statement": statement,
-        "parameters": parameters,
-        "sizes": [row for row in parameters if row["std"] != "–"],
-        "gain": f"{step.score.gain:+.0f}",
-        "chance": f"Chance alone explains as much with {words.chance(step.p)}, over everything that was searched; "
-        f"log-likelihood {step.score.gain:+.1f}.",
-        "rivals": words.near(step),
-        "rejected": ", ".join(words.rejected(step)),
-        "figure": figure,
-    }
-
-
-def _caption(entry: dict[str, Any]) -> str:
-    driver = "" if entry["driver"] == "none" else f" over {entry['driver']}"
-    return (
-        f"The fitted {_worded(entry['effect']).lower()} at {entry['site']}{driver}, with two standard deviations, over "
-        "what the data show there beside all else that was found."
+def _finding(found: Diagnosis, entry: Mapping[str, Any], k: int) -> dict[str, Any]:
+    numbers = entry.get("peak_to_peak", entry["parameters"])
+    quantities = [quantity(name, estimate) for name, estimate in numbers.items()]
+    gain = entry["log_likelihood_gain"]
+    over = "" if entry["driver"] == "none" else f" over the {entry['driver']}"
+    caption = (
+        f"The fitted {entry['effect'].replace('_', ' ')} at {entry['site']}{over} with two standard deviations, beside "
+        "the partial residuals: those of the whole model without it."
     )
-
-
-def _parameter(name: str, estimate: dict[str, float]) -> dict[str, str]:
-    value, std, unit = estimate["value"], estimate["std"], ""
-    scale, unit = _RATIOS.get(name) or next(((s, u) for end, s, u in _UNITS if name.endswith(end)), (1.0, ""))
-    said = name
-    for end, _, _ in _UNITS:
-        said = said.removesuffix(end if end != "phase_rad" else "_rad")
-    value, std = scale * value, scale * std
-    if not std:
-        return {"name": said.replace("_", " "), "value": f"{value:.6g}", "std": "–", "unit": unit}
-    shown = words.rounded(value, std)
-    return {"name": said.replace("_", " "), "value": shown[0], "std": shown[1], "unit": unit}
-
-
-def _untested(found: Diagnosis) -> list[dict[str, str]]:
-    return [
-        {
-            "reason": group.reason,
-            "effects": "; ".join(
-                f"{name.replace('_', ' ')} at {sites}" for name, sites in words.by_site(group.effects)
-            ),
-        }
-        for group in words.untested(found)
-    ]
-
-
-def _poses(item: Separation) -> dict[str, Any]:
     return {
-        "title": words.separation_title(item),
-        "joints": [f"joint {joint + 1}" for joint in range(item.joint_position.shape[1])],
-        "rows": [[fixed(float(angle), 1) for angle in row] for row in np.rad2deg(item.joint_position)],
+        "title": entry["title"],
+        "statement": entry["statement"],
+        "parameters": quantities,
+        "sizes": [each for each in quantities if each.std],
+        "gain": f"{gain:+.0f}",
+        "significance": f"{statements.p_value_statement(entry)} It increases the log-likelihood by {gain:.1f}.",
+        "rivals": statements.undistinguished(entry),
+        "rejected": ", ".join(statements.rejected(entry)),
+        "figure": _picture(finding_figure(found, "", [k]), caption),
     }
 
 
-def _against(comparison: ReferenceComparison | None) -> dict[str, Any] | None:
-    if comparison is None:
+def _untested(group: statements.Untested) -> dict[str, str]:
+    effects = "; ".join(f"{name} at {sites}" for name, sites in statements.by_site(group.entries))
+    return {"reason": group.reason, "effects": effects}
+
+
+def _poses(item: Mapping[str, Any]) -> dict[str, Any]:
+    angles = np.rad2deg(item["joint_position_rad"])
+    return {
+        "title": statements.separating_title(item),
+        "joints": [f"joint {joint + 1}" for joint in range(angles.shape[1])],
+        "rows": [[fixed(float(angle), 1) for angle in row] for row in angles],
+    }
+
+
+def _against(document: Document) -> dict[str, Any] | None:
+    if "against" not in document:
         return None
-    codes = comparison.to_dict()
+    comparison = document["against"]
     return {
-        "headline": reference.headline(codes),
-        "differences": reference.difference_sentences(codes),
-        "notes": reference.note_sentences(codes),
-        "statement": reference.model_statement(comparison.file, comparison.rigid),
+        "headline": reference.headline(comparison),
+        "differences": [entry["statement"] for entry in comparison["differences"]],
+        "notes": [entry["statement"] for entry in comparison["notes"]],
+        "statement": comparison["statement"],
     }
-
-
-def _worded(name: str) -> str:
-    return {"unnamed": "Unnamed physics"}.get(name, name.replace("_", " ").capitalize())

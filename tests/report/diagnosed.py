@@ -17,7 +17,7 @@ from lite6jax.estimation.score_test import score_test
 from lite6jax.estimation.terms import Terms
 from lite6jax.recordings import RecordingSettings
 from lite6jax.search.search import Selection
-from lite6jax.search.state import Alternative, State, Tested
+from lite6jax.search.state import Alternative, SelectedTerm, State
 from lite6jax.simulation import simulate
 
 LITE6 = load_bundled("lite6")
@@ -48,7 +48,7 @@ def diagnosed(recording, effects, outliers=()):
     fitted = fit(problem, Terms(effects), options.engine)
     scores = score_test(problem, baseline, options.engine).score(effects) if effects else []
     pairs = list(zip(effects, scores, strict=True))
-    tested = (Tested(e, 1e-9, score, tuple(Alternative(e, gap) for gap in GAPS)) for e, score in pairs)
+    tested = (SelectedTerm(e, 1e-9, score, tuple(Alternative(e, gap) for gap in GAPS)) for e, score in pairs)
     state = State(baseline, fitted, tuple(tested))
     findings = tuple(
         Finding(e, fitted.values[at], fitted.covariance[at, at], 1e-9, s.gain, tuple(Rival(e, gap) for gap in GAPS))

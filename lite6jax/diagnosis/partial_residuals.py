@@ -1,0 +1,207 @@
+"""Each finding's fitted curve beside its partial residuals: what the data show at its site without it.
+
+Partial residuals are the residuals of the whole model with the finding's own curve put back (W. Larsen and
+S. McCleary, The Use of Partial Residual Plots in Regression Analysis, Technometrics 14, 1972).
+"""
+
+from collections.abc import Iterator
+from typing import Literal, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from numpy.typing import NDArray
+
+from lite6jax.diagnosis.result import Diagnosis, Finding
+from lite6jax.domains.pose.kinematics import Site
+from lite6jax.effects.deflection import Deflection
+from lite6jax.effects.drivers import Driver
+from lite6jax.effects.effect import Bending, Effect
+from lite6jax.effects.kinematic.joints import JointHarmonic
+from lite6jax.effects.motion import motion_of
+from lite6jax.effects.nonparametric import Unnamed
+
+Array = NDArray[np.floating]
+Mask = NDArray[np.bool_]
+
+_POINTS = 1000
+_POINTS_PER_WAVE = 16
+_MANY_PERIODS = 8.0
+"""Periods of a harmonic over a joint's range, beyond which one period is shown."""
+_SAME = 0.9999
+_POORLY_OBSERVED = 4.0
+"""Times the median standard deviation of a sample, beyond which it says little of the site."""
+
+
+class FindingCurve(NamedTuple):
+    """A finding over one quantity, all in SI units.
+
+    Attributes:
+        finding: its place among the findings, from 0.
+        over: what `driver` and `at` are: values of a driver, the phase of a harmonic (rad), the length of the whole
+            displacement (m, or standard deviations of the sensor), or row numbers of the recording.
+        quantity: the driver, where there is one; of a phase, the joint's position.
+        site: what moves: a field of `Deflection`, the joint or link from 0, the component of a twist; None where it is
+            the measured pose.
+        unit: of `partial`, `curve` and `std`: `m`, `rad`, `1`, or `sigma` for standard deviations of the sensor.
+        driver: `(sample,)`.
+        partial: `(sample,)`, partial residuals.
+        at: `(point,)`, in order.
+        curve: `(point,)`, as fitted.
+        std: `(point,)`, standard deviation of the curve.
+        periods: of a curve over the range shown.
+        hysteresis: whether the curve is not a function of `at`: it then has a point for each sample.
+    """
+
+    finding: int
+    over: Literal["driver", "phase", "displacement", "row"]
+    quantity: Driver | None
+    site: Site | None
+    unit: Literal["m", "rad", "1", "sigma"]
+    driver: Array
+    partial: Array
+    at: Array
+    curve: Array
+    std: Array
+    periods: float = 1.0
+    hysteresis: bool = False
+
+
+class _Movement(NamedTuple):
+    """Sites that an effect moves alike: how far `(sample,)`, and that per number `(number, sample)`."""
+
+    sites: list[Site]
+    shape: Array
+    slope: Array
+
+
+def finding_curves(found: Diagnosis, k: int) -> list[FindingCurve]:
+    """The k-th finding over its driver, a curve for each way in which it moves a site.
+
+    A finding that no single driver describes is shown along the displacement of the measured pose.
+    """
+    finding, used = found.findings[k], found.fit.training & ~found.outliers
+    effect, curves = finding.effect, []
+    if isinstance(effect, Bending):
+        for movement in _movements(found, effect, finding):
+            curve = _over_driver(found, k, movement, used)
+            curves += [] if curve is None else [curve]
+        few = effect.drivers and len(curves) <= 3
+        if curves and (few or effect.site.startswith("joint")):
+            return curves
+    return [_along(found, k, used)]
+
+
+def _movements(found: Diagnosis, effect: Bending, finding: Finding) -> Iterator[_Movement]:
+    problem = found.problem
+    unit = problem.deflections.unit(effect) if effect.linear else problem.deflections.slope(effect, finding.values)
+    bent = effect.deflect(jnp.asarray(finding.values), problem.time_shifted, problem.loads)
+    for field, moved, slopes in zip(Deflection._fields, bent, unit, strict=True):
+        if moved is None or slopes is None:
+            continue
+        flat = np.asarray(moved).reshape(-1, problem.samples)
+        slope = np.asarray(slopes).reshape(effect.size, -1, problem.samples)
+        moving = [int(i) for i in np.flatnonzero(flat.any(-1))]
+        alike = field == "stretch" and all(np.allclose(flat[i], flat[moving[0]]) for i in moving)
+        keys = [_site(field, i, np.ndim(moved)) for i in moving]
+        if alike and moving:
+            yield _Movement(keys, flat[moving[0]], slope[:, moving[0]])
+        else:
+            yield from (_Movement([key], flat[i], slope[:, i]) for key, i in zip(keys, moving, strict=True))
+
+
+def _site(field: str, i: int, dimensions: int) -> Site:
+    if dimensions == 3:
+        return (field, *divmod(i, 6))
+    return (field, 0, i) if field in ("base", "tool") else (field, i, 0)
+
+
+def _over_driver(found: Diagnosis, k: int, movement: _Movement, used: Mask) -> FindingCurve | None:
+    """One movement over the driver that it follows; None where it follows none."""
+    problem, finding = found.problem, found.findings[k]
+    effect, key = finding.effect, movement.sites[0]
+    assert isinstance(effect, Bending)
+    at_joint = key[0] == "joint"
+    choices = effect.drivers or ((Driver("position", key[1] + 1),) if at_joint else ())
+    motion, loads = problem.time_shifted, problem.loads
+    known = [np.asarray(driver.values(motion, loads), float) for driver in choices]
+    follows = [_correlation(values, movement.shape) for values in known]
+    if not choices or (len(choices) > 1 and max(follows) < _SAME):
+        return None
+    best = int(np.argmax(follows))
+    driver, x = choices[best], known[best]
+    site = np.sum([problem.sites[at] for at in movement.sites], 0)
+    power = np.sum(site**2, 0)
+    partial = movement.shape - np.sum(site * found.fit.residuals.rows, 0) / np.where(power > 0, power, np.inf)
+    spread = np.sqrt(1 / np.where(power > 0, power, np.finfo(float).tiny))
+    good = used & (spread < _POORLY_OBSERVED * np.median(spread))
+    at, curve, slope = x, movement.shape, movement.slope
+    periods, hysteresis, over = 1.0, False, "driver"
+    if isinstance(effect, Unnamed):
+        hysteresis = bool(effect.memory)
+        periods = max(max(effect.orders, default=0.0) * np.ptp(x) / (2 * np.pi), 1.0)
+        if not hysteresis:
+            at = np.linspace(x.min(), x.max(), max(_POINTS // 2, int(_POINTS_PER_WAVE * periods)))
+            slope = np.asarray(effect.basis(jnp.asarray(at)))
+            curve = finding.values @ slope
+    elif driver.quantity == "position" and at_joint and len(effect.drivers) <= 1:
+        at = np.linspace(x.min(), x.max(), _POINTS)
+        curve, slope = _along_joint(effect, finding.values, driver.place, key[1], problem.motion.dof, at)
+    if isinstance(effect, JointHarmonic) and effect.order and effect.order * np.ptp(x) > 2 * np.pi * _MANY_PERIODS:
+        x, at, over = np.mod(effect.order * x, 2 * np.pi), np.mod(effect.order * at, 2 * np.pi), "phase"
+    std = np.sqrt(np.maximum(np.einsum("is,ij,js->s", slope, finding.covariance, slope), 0.0))
+    order = np.argsort(at, kind="stable")
+    unit = "1" if key[0] in ("stretch", "scale") else "rad" if at_joint or key[2] > 2 else "m"
+    return FindingCurve(
+        k, over, driver, key, unit, x[good], partial[good], at[order], curve[order], std[order], periods, hysteresis
+    )  # fmt: skip
+
+
+def _along_joint(effect: Bending, values: Array, moved: int, joint: int, dof: int, at: Array) -> tuple[Array, Array]:
+    """The angle of a joint over the position `at` of joint `moved`, counted from 1, and that per number."""
+    q = np.zeros((len(at), dof))
+    q[:, moved - 1] = at
+    motion = motion_of(q)
+
+    def angle(numbers: Array) -> Array:
+        bent = effect.deflect(jnp.asarray(numbers), motion, None).joint
+        assert bent is not None
+        return np.asarray(bent)[joint]
+
+    if effect.linear:
+        slope = np.stack([angle(step) for step in np.eye(effect.size)])
+    else:
+        steps = 1e-6 * np.array([number.typical for number in effect.coordinates])
+        slope = np.stack([(angle(values + s) - angle(values - s)) / (2 * s.sum()) for s in np.diag(steps)])
+    return angle(values), slope
+
+
+def _along(found: Diagnosis, k: int, used: Mask) -> FindingCurve:
+    """A finding along the way in which it moves each measured pose, over how far it does."""
+    problem, finding, fit = found.problem, found.findings[k], found.fit
+    effect: Effect = finding.effect
+    without = fit.values.copy()
+    without[fit.terms.slices[k]] = 0.0
+    rows = problem.residual(fit.nuisance, fit.terms, without)
+    columns = problem.columns([effect], finding.values, beside=(fit.terms, fit.values))
+    scale, unit = 1.0, "sigma"
+    if problem.measured.whitener.ndim == 1 and np.sum(columns[:, :3] ** 2) > 0.5 * np.sum(columns**2):
+        columns, rows = columns[:, :3], rows[:3]
+        scale, unit = 1 / float(problem.measured.whitener[0]), "m"
+    moved = np.tensordot(finding.values, columns, 1)
+    size = np.sqrt(np.sum(moved**2, 0))
+    safe = np.where(size > 0, size, np.inf)
+    partial = -np.sum(moved * rows, 0) / safe
+    along = np.sum(columns * moved, 1) / safe
+    std = np.sqrt(np.maximum(np.einsum("is,ij,js->s", along, finding.covariance, along), 0.0))
+    good = used & (size > 0)
+    x, over = scale * size, "displacement"
+    if not good.any() or np.ptp(size[good]) < 1e-3 * size.max():  # the same everywhere
+        x, over = problem.recording.row.astype(float), "row"
+    order = np.argsort(x, kind="stable")
+    return FindingCurve(
+        k, over, None, None, unit, x[good], scale * partial[good], x[order], scale * size[order], scale * std[order]
+    )  # fmt: skip
+
+
+def _correlation(a: Array, b: Array) -> float:
+    return 0.0 if np.ptp(a) == 0 or np.ptp(b) == 0 else float(abs(np.corrcoef(a, b)[0, 1]))
