@@ -19,6 +19,8 @@ from lite6jax.effects.motion import Motion
 from lite6jax.effects.statics import Inertia, Loads, loads
 from lite6jax.errors import InputError
 
+LEVER = 0.1
+"""m: the lever arm by which rotations are weighed against translations where no noise is declared, as in the seed."""
 TWIST_NAMES = ("x", "y", "z", "rx", "ry", "rz")
 
 

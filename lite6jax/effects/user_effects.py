@@ -47,7 +47,7 @@ import numpy as np
 from lite6jax.effects.catalogue import BUILT_IN
 from lite6jax.effects.deflection import Deflection, dense
 from lite6jax.effects.effect import Altering, Bending, Effect
-from lite6jax.effects.motion import motion_of
+from lite6jax.effects.motion import Motion, motion_of
 from lite6jax.effects.statics import Loads
 from lite6jax.errors import InputError
 from lite6jax.storage import read_text
@@ -138,3 +138,17 @@ def _check_at_zero(effect: Bending | Altering) -> None:
             raise InputError(f"{effect.label} gives {name} of shape {jnp.shape(value)}; give {jnp.shape(plain)}")
         if not np.allclose(value, plain, rtol=0, atol=1e-12):
             raise InputError(f"{effect.label} changes {name} at zero; choose coordinates that change nothing at zero")
+    if isinstance(effect, Bending) and effect.linear:
+        _check_linear(effect, motion, loads)
+
+
+def _check_linear(effect: Bending, motion: Motion, loads: Loads) -> None:
+    """Compares the deflection by a sum of values with the sum of deflections: a search relies on `linear`."""
+    one, other = 1e-3 * np.random.default_rng(0).standard_normal((2, effect.size))
+    parts = [effect.deflect(jnp.asarray(values), motion, loads) for values in (one, other, one + other)]
+    for first, second, both in zip(*(dense(part, motion.dof, motion.samples) for part in parts), strict=True):
+        if not np.allclose(first + second, both, rtol=0, atol=1e-9 * max(float(jnp.abs(both).max()), 1e-300)):
+            raise InputError(
+                f"{effect.label} is not proportional to its coordinates; write linear=False in the Coordinate that it "
+                "is not proportional to"
+            )

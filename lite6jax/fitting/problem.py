@@ -23,14 +23,12 @@ from lite6jax.errors import InputError
 from lite6jax.fitting.chunks import observe, pad, padded_size
 from lite6jax.fitting.residual import POSE, POSITION, Observations, differences, predict_frames
 from lite6jax.fitting.start import frames_from_poses
-from lite6jax.model import ArmModel, ModelForm
+from lite6jax.model import LEVER, ArmModel, ModelForm
 from lite6jax.recordings import Recording, require_radians, require_samples
 
 Array = NDArray[np.floating]
 Geometry = Literal["declared", "exact", "prior", "free"]
 
-LEVER = 0.1
-"""Metres that a radian counts as where no noise is declared, as in the seed."""
 UNDECLARED_NOISE = (1e-4, 1e-3)
 """Position (m) and orientation (rad) noise per axis of the first fit, where a recording does not declare both."""
 DEFAULT_UNCERTAINTY = (1e-4, 1e-4)

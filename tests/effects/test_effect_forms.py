@@ -195,28 +195,31 @@ def test_documents_that_are_no_effect(document, message):
 
 
 def test_a_motion_without_drivers_tests_few_effects_and_says_why():
-    reasons = {u.effect: u.reason for u in untestable(catalogue(6), BARE, loads_known=False)}
-    testable = [effect for effect in catalogue(6) if effect not in reasons]
+    lacking = {u.effect: u.driver for u in untestable(catalogue(6), BARE, loads_known=False)}
+    testable = [effect for effect in catalogue(6) if effect not in lacking]
     assert {effect.name for effect in testable} == {
         *("joint_offset", "joint_scale", "joint_harmonic", "joint_coupling", "frame_offset"),
         *("tool_offset", "measurement_scale"),
     }
-    masses = "the masses of the links; add `inertial` to the arm's description"
-    assert reasons[JointCompliance(2)] == f"needs the gravity torque of joint 2: give {masses}"
-    assert reasons[LinkCompliance(3)] == f"needs the gravity moment x of link 3: give {masses}"
-    assert reasons[LinkThermalExpansion()] == (
-        "needs the temperature rise: give a temperature; record temp1_degC … or ambient_degC"
-    )
-    assert reasons[JointLag(1)] == (
-        "needs the velocity of joint 1: give the velocities of a moving arm; record a trajectory with time_s or "
-        "dq1_rad_per_s …"
-    )
-    assert reasons[JointBacklash(6)] == (
-        "needs the direction of motion of joint 6: give the directions of motion; keep the rows in the "
-        "order of recording"
-    )
-    assert reasons[TimeOffset()] == "needs the time: give the times of the samples; record time_s"
-    assert reasons[BaseDrift()] == reasons[TimeOffset()]
+    assert {effect: (lacking[effect].phrase, lacking[effect].remedy) for effect in SOME} == SOME
+
+
+MASSES = "the masses of the links; add `inertial` to the arm's description"
+SOME = {
+    JointCompliance(2): ("gravity torque of joint 2", MASSES),
+    LinkCompliance(3): ("gravity moment x of link 3", MASSES),
+    LinkThermalExpansion(): ("temperature rise", "a temperature; record temp1_degC … or ambient_degC"),
+    JointLag(1): (
+        "velocity of joint 1",
+        "the velocities of a moving arm; record a trajectory with time_s or dq1_rad_per_s …",
+    ),
+    JointBacklash(6): (
+        "direction of motion of joint 6",
+        "the directions of motion; keep the rows in the order of recording",
+    ),
+    TimeOffset(): ("time", "the times of the samples; record time_s"),
+    BaseDrift(): ("time", "the times of the samples; record time_s"),
+}
 
 
 def test_a_motion_with_all_drivers_tests_the_whole_catalogue():
@@ -435,6 +438,11 @@ HEAD = example().split("EFFECTS")[0]
         (
             HEAD.replace("values[0] * ", "values[0] + ") + "EFFECTS = [CableDrag(1)]",
             "EFFECTS[0]: cable_drag:joint1 changes joint at zero; choose coordinates that change nothing at zero",
+        ),
+        (
+            HEAD.replace("values[0] * ", "values[0] ** 2 * 1e3 * ") + "EFFECTS = [CableDrag(1)]",
+            "EFFECTS[0]: cable_drag:joint1 is not proportional to its coordinates; write linear=False in the Coordinate "
+            "that it is not proportional to",
         ),
         (
             HEAD.replace("motion.joint_position[self.joint - 1]", "motion.joint_position") + "EFFECTS = [CableDrag(1)]",

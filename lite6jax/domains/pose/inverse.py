@@ -15,10 +15,8 @@ from lite6jax.arms.se3 import rotation_log_components
 from lite6jax.effects.composition import Physics
 from lite6jax.effects.motion import Motion
 from lite6jax.effects.statics import Inertia
-from lite6jax.model import ArmModel, predict_frames_with
+from lite6jax.model import LEVER, ArmModel, predict_frames_with
 
-LEVER = 0.2
-"""m: where a pose is out of reach, rotations are weighed against translations by this lever arm."""
 STEPS = 300
 """Steps that a row next to a singular position takes; `_MOST_NEED` suffice nearly everywhere."""
 _MOST_NEED = 16

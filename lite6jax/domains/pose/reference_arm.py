@@ -18,7 +18,7 @@ from lite6jax.domains.pose.registration import Registration, register
 from lite6jax.estimation.least_squares import relinearise
 from lite6jax.estimation.options import DEFAULTS
 from lite6jax.fitting.problem import UNDECLARED_NOISE
-from lite6jax.model import ArmModel
+from lite6jax.model import LEVER, ArmModel
 from lite6jax.recordings import Recording, RecordingSettings
 
 Array = NDArray[np.floating]
@@ -34,8 +34,6 @@ _LARGEST = 3
 """Displaced links reported of a chain of another geometry."""
 _REDUNDANCY = 1.5
 """Measured numbers per parameter that a fit of the geometry requires."""
-_LEVER = 0.3
-"""m, the lever arm by which rotations of links are compared with translations."""
 
 
 class Chain(NamedTuple):
@@ -211,7 +209,7 @@ def geometry_difference(free: RigidArm, start: RigidArm) -> dict[str, Any]:
     for j, (row, before) in enumerate(zip(free.chain.kinematics, start.chain.kinematics, strict=True)):
         T = frames.transform_from_row(row) @ np.linalg.inv(frames.transform_from_row(before))
         links.append({"link": j, "distance_m": float(np.linalg.norm(T[:3, 3])), "rotation_rad": _angle(T)})
-    links.sort(key=lambda link: link["distance_m"] + _LEVER * link["rotation_rad"], reverse=True)
+    links.sort(key=lambda link: link["distance_m"] + LEVER * link["rotation_rad"], reverse=True)
     return {
         "difference": "other_geometry",
         "links": links[:_LARGEST],

@@ -13,8 +13,8 @@ from lite6jax.arms import frames
 from lite6jax.domains.pose.screening.options import ScreeningOptions
 from lite6jax.domains.pose.screening.rigid import Rigid, rigid_of
 from lite6jax.domains.pose.screening.screened import Detection, Screened
-from lite6jax.fitting.problem import LEVER
 from lite6jax.fitting.start import frames_from_poses
+from lite6jax.model import LEVER
 from lite6jax.recordings import Recording
 from lite6jax.recordings.fault import DataFault
 
