@@ -50,9 +50,9 @@ class Fit:
     geometry: Literal["declared", "exact", "prior", "free"] = "declared"
     """Of a recording: what its sidecar says; the factory calibration exactly, or near it; or fitted freely."""
     loss: Literal["student_t", "least_squares"] = "student_t"
-    """Of a recording: student_t is blind to wild samples."""
+    """Of a recording: student_t is robust to outliers."""
     solver: Literal["gauss_newton", "levenberg_marquardt"] = "gauss_newton"
-    """The fast one, or optimistix'; they agree."""
+    """gauss_newton is the fast one, levenberg_marquardt that of optimistix; they agree."""
     samples: int = 300
     """Of a calibration: joint positions drawn inside the limits."""
     seed: int = 0

@@ -32,7 +32,7 @@ Geometry = Literal["declared", "exact", "prior", "free"]
 UNDECLARED_NOISE = (1e-4, 1e-3)
 """Position (m) and orientation (rad) noise per axis of the first fit, where a recording does not declare both."""
 DEFAULT_UNCERTAINTY = (1e-4, 1e-4)
-"""Prior of a factory number (m, rad) where `prior` is asked for and none is declared."""
+"""Prior standard deviation of a factory number (m, rad) where geometry is `prior` and none is declared."""
 
 
 @dataclass(frozen=True)
@@ -48,9 +48,9 @@ class Problem:
         noise: one standard deviation per axis of position (m) and orientation (rad), None where that is not measured.
         joint_noise: of a joint's read-out, rad.
         precision: `(size,)` of the prior; zero is none.
-        movable: `(size,)` bool, what the fit is asked to move.
+        movable: `(size,)` bool, the parameters to estimate.
         declared: whether the noise is declared; else only its ratio matters.
-        exact: whether the poses have none: they are computed from a calibration.
+        exact: whether the poses have no noise: they are computed from a calibration.
         notes: what was assumed.
     """
 

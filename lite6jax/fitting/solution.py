@@ -1,4 +1,4 @@
-"""What a fit returns: parameters, how it ended, what was held and why, covariance and errors."""
+"""What a fit returns: parameters, its result code, unidentifiable parameters, covariance and errors."""
 
 from dataclasses import dataclass, field
 from enum import IntEnum
@@ -89,7 +89,7 @@ class Noise:
 
     Attributes:
         declared: by the sidecar, or None.
-        position: as the residuals have it, robustly: model errors are in it.
+        position: estimated robustly from the residuals; model errors are included.
         orientation: likewise, or None where no orientation was measured.
     """
 
@@ -100,11 +100,11 @@ class Noise:
 
 @dataclass(frozen=True)
 class Held:
-    """A parameter that the data does not determine, held at its nominal value.
+    """A parameter that the data does not identify, held at its nominal value.
 
     Attributes:
         name: the parameter.
-        carried_by: the fitted parameters that can do what it does.
+        carried_by: the fitted parameters that it is confounded with.
     """
 
     name: str
@@ -118,20 +118,20 @@ class Solution(Summarised):
 
     Attributes:
         arm: the nominal arm it started from.
-        form: what the fit could move.
+        form: which parameters could be estimated.
         model: the fitted numbers, NumPy leaves.
         result: how it ended.
         steps: Gauss–Newton or Levenberg–Marquardt steps, of all rounds.
         covariance: `(size, size)` of the entries `form.names`, in m and rad; zero where held; None where the input has
             no noise (a calibration).
-        free: `(size,)` bool, what moved.
-        held: what the data does not determine.
+        free: `(size,)` bool, the estimated entries.
+        held: the parameters that the data does not identify.
         errors: of the data it was fitted to.
         nominal_errors: of the nominal geometry, with frame and tool fitted where they are unknown.
         checked: of data not fitted to: fresh samples of a calibration, held-out contiguous blocks of a recording.
         noise: of the data; None for a calibration.
-        weight: `(sample,)` in 0…1, what the robust loss left of each sample.
-        notes: what was assumed, each one sentence.
+        weight: `(sample,)` in 0…1, of each sample under the robust loss.
+        notes: assumptions of the fit, each one sentence.
         recording: the recording that was fitted; None for a calibration.
         faults: of its data, in the order in which they were corrected.
     """
@@ -179,7 +179,7 @@ class FleetSolution(Summarised):
     """The fits of many arms; every array has the arm as its first axis.
 
     Attributes:
-        form: what the fit could move.
+        form: which parameters could be estimated.
         parameters: `(arm, size)`, the chain's parameters in the order of `form.chain.names`, m and rad.
         covariance: `(arm, size, size)` from the declared noise, or from the residuals where none was declared; NaN for
             an arm whose data does not determine every parameter.

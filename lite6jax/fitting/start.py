@@ -16,7 +16,7 @@ def frames_from_poses(
 
     With both unknown, p_k = A y_k − b − R_k t is linear in A = R_sensor_baseᵀ, b = A t_sensor_base and the tool's
     translation t; A is projected on the rotations and the rest solved again. Samples are reweighted (Cauchy, scale from
-    the median) so that wild ones do not count.
+    the median) so that outliers have little weight.
 
     Args:
         flange: nominal `T_base_flange` `(sample, 4, 4)`.
