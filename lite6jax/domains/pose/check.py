@@ -186,11 +186,11 @@ def _geometry_and_outliers(recording: Recording, arm: Arm, options: ScreeningOpt
         "start": "factory_calibration" if recording.settings.factory_calibration else "nominal_arm",
     }
     geometry = Cause("geometry", kind in ("partly", "other"), (), numbers)
-    wild = np.flatnonzero(solution.weight < DOWNWEIGHTED)
-    if not wild.size:
+    outlying = np.flatnonzero(solution.weight < DOWNWEIGHTED)
+    if not outlying.size:
         return [geometry, Cause("outliers", False)]
-    worst = float(solution.errors.position[wild].max())
-    return [geometry, Cause("outliers", True, row_numbers(recording.row[wild]), {"largest_m": worst})]
+    worst = float(solution.errors.position[outlying].max())
+    return [geometry, Cause("outliers", True, row_numbers(recording.row[outlying]), {"largest_m": worst})]
 
 
 def _tables(arm: Arm) -> list[Arm]:

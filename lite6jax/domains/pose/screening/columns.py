@@ -129,20 +129,20 @@ class Comparison(NamedTuple):
 
 def detect_columns(state: Screened, options: ScreeningOptions) -> Detection:
     """Columns that miss the poses grossly, unless their order, sign, unit, zero or convention is another."""
-    compared = compare_corrections(state.fitted_arm, options)
+    compared = compare_corrections(state.rigid_arm, options)
     if compared.correction is not None:
         return Detection(compared)
     numbers: dict[str, Any] = {"median_error_m": compared.error, "suspected_above_m": compared.limit}
     if compared.corrected_error is not None:
         numbers["best_alternative_m"] = compared.corrected_error
-    codes = _CODES if state.fitted_arm.rows == 6 else _CODES[:-1]
+    codes = _CODES if state.rigid_arm.rows == 6 else _CODES[:-1]
     return Detection(None, tuple(DataFault(code, (), numbers) for code in codes))
 
 
 def correct_columns(state: Screened, compared: Comparison, options: ScreeningOptions) -> Screened:
     """The columns as the best correction has them, and the frames anew in closed form."""
     assert compared.correction is not None
-    arm = state.fitted_arm
+    arm = state.rigid_arm
     alternatives = [
         [{"fault": fault.code, **fault.numbers} for fault in other.faults()] for other in compared.alternatives
     ]

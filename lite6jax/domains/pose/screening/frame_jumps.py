@@ -59,7 +59,7 @@ class JumpSearch(NamedTuple):
 
 def detect_jump(state: Screened, options: ScreeningOptions) -> Detection:
     """The next row at which a frame jumped; none where the same jump has been corrected before."""
-    searched = seek_jump(state.fitted_arm, options)
+    searched = seek_jump(state.rigid_arm, options)
     if searched.jump is not None:
         place = {"row": int(state.recording.row[searched.jump.sample]), "part": searched.jump.part}
         known = (fault.numbers for fault in state.found if fault.code == "frame_jump")
@@ -73,7 +73,7 @@ def detect_jump(state: Screened, options: ScreeningOptions) -> Detection:
 
 def remove_jump(state: Screened, jump: Jump, options: ScreeningOptions) -> Screened:
     """The poses after a jump where they would have been without it."""
-    arm, refined = without_jump(state.fitted_arm, jump, options, state.corrections.beside_physics)
+    arm, refined = without_jump(state.rigid_arm, jump, options, state.corrections.beside_physics)
     row, run, k = arm.recording.row, arm.recording.run, jump.sample
     numbers: dict[str, Any] = {"row": int(row[k]), "part": jump.part}
     if k and run[k] != run[k - 1]:

@@ -50,7 +50,7 @@ class OtherTable(NamedTuple):
 
 def detect_other_table(state: Screened, options: ScreeningOptions) -> Detection:
     """Whether the data are of another table; where they leave it open, the corrections decide."""
-    arm = state.fitted_arm
+    arm = state.rigid_arm
     compared = compare_tables(arm, options)
     if compared.name is None:
         reason = "own_chain" if arm.exact else "single_table"
@@ -65,7 +65,7 @@ def detect_other_table(state: Screened, options: ScreeningOptions) -> Detection:
 
 def use_other_table(state: Screened, compared: OtherTable, options: ScreeningOptions) -> Screened:
     """The other table in the sidecar's place, unless the declared chain was asked for."""
-    arm = state.fitted_arm
+    arm = state.rigid_arm
     assert compared.name is not None
     numbers = compared.numbers() | {"used": "none"}
     recording, nominal, factory = arm.recording, arm.arm, state.factory

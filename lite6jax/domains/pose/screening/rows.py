@@ -120,7 +120,7 @@ def _returns(recording: Recording, options: ScreeningOptions) -> tuple[int, int]
 def detect_turns(state: Screened, options: ScreeningOptions) -> Detection:
     """Joints that wrap round in a trajectory, or are beyond their limits by whole turns."""
     recording, slack = state.recording, options.limit_slack_rad
-    low, high = state.fitted_arm.arm.joint_limits.T
+    low, high = state.rigid_arm.arm.joint_limits.T
     q = _without_turns(recording, low, high, slack)
     if (np.abs(q - recording.joint_position) > 1.0).any():
         return Detection(q)

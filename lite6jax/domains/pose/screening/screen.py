@@ -42,7 +42,7 @@ def screen(
             rigid = rigid_of(state.recording, arm, geometry, factory)
             state = replace(state, rigid=rigid, arm=rigid.arm)
         if entry.needs == "fit" and not fitted:
-            state, fitted = replace(state, rigid=state.fitted_arm.fitted(options)), True
+            state, fitted = replace(state, rigid=state.rigid_arm.fitted(options)), True
         state = _applied(entry, state, options)
     return state
 

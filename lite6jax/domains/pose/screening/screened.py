@@ -66,7 +66,7 @@ class Screened:
         return replace(self, transforms=(*self.transforms, transform))
 
     @property
-    def fitted_arm(self) -> Rigid:
+    def rigid_arm(self) -> Rigid:
         """The rigid arm, for screens that need it."""
         assert self.rigid is not None
         return self.rigid

@@ -52,7 +52,7 @@ def detect_unsettled(state: Screened, options: ScreeningOptions) -> Detection:
     samples = state.recording.samples
     if state.recording.motion != "static":
         return not_there("unsettled_readouts", reason="moving", samples=samples)
-    searched = seek_unsettled(state.fitted_arm, options)
+    searched = seek_unsettled(state.rigid_arm, options)
     if searched.shape is not None:
         return Detection(searched)
     if np.isnan(searched.p):
@@ -63,7 +63,7 @@ def detect_unsettled(state: Screened, options: ScreeningOptions) -> Detection:
 
 def settle_joints(state: Screened, found: Unsettled, options: ScreeningOptions) -> Screened:
     """The joints with the rest of their moves added; single rows are left, as they count for little."""
-    arm, rows = state.fitted_arm, ()
+    arm, rows = state.rigid_arm, ()
     numbers: dict[str, Any] = {
         "shape": found.shape,
         "joints": [joint + 1 for joint in found.joints],
@@ -227,18 +227,18 @@ def _next_moves(recording: Recording) -> Array:
 def _unsettled_rows(arm: Rigid, options: ScreeningOptions) -> Unsettled | None:
     """Rows far off whose residual lies along the move that led there."""
     recording, scale = arm.recording, arm.scale
-    wild = arm.squares > options.wild_squares * arm.rows * scale**2
-    if not options.wild_rows <= wild.sum() <= arm.samples // 3:
+    outlying = arm.squares > options.outlier_squares * arm.rows * scale**2
+    if not options.outlier_rows <= outlying.sum() <= arm.samples // 3:
         return None
     along = np.einsum("jrs,sj->rs", arm.joints, moves(recording))
     length = np.sum(along**2, 0)
     product = np.sum(along * arm.residuals, 0)
     share = -product / np.maximum(length, 1e-300)
     cosine2 = product**2 / np.maximum(length * arm.squares, 1e-300)
-    hit = wild & (cosine2 > options.along_move) & (share > 0)
+    hit = outlying & (cosine2 > options.along_move) & (share > 0)
     by_chance = (1 - np.sqrt(options.along_move)) / 2
-    p = float(bdtrc(hit.sum() - 1, wild.sum(), by_chance))
-    if p > options.settling_level or hit.sum() < options.wild_rows:
+    p = float(bdtrc(hit.sum() - 1, outlying.sum(), by_chance))
+    if p > options.settling_level or hit.sum() < options.outlier_rows:
         return None
     rest = np.full(recording.dof, float(np.median(share[hit])))
     none = np.zeros_like(recording.joint_position)
