@@ -43,7 +43,7 @@ def at_joint(dof: int, number: int, values: Array) -> Array:
     """`(joint, …, sample)`: `values` `(…, sample)` at joint `number`, counted from 1, and zero at the others."""
     row = np.zeros((dof,) + (1,) * np.ndim(values))
     row[number - 1] = 1.0
-    return row * values  # of NumPy values on the host: columns of a hundred candidates compile nothing
+    return row * values  # type: ignore[return-value]  # of NumPy values on the host: columns of a hundred candidates compile nothing
 
 
 def twist(
@@ -58,4 +58,5 @@ def twist(
     """The twist `(6, sample)` with these components, each `()` or `(sample,)`, in m and rad; zero where not given."""
     parts = (x, y, z, rx, ry, rz)
     xp = jnp if any(isinstance(part, Array) for part in parts) else np
-    return xp.stack([xp.zeros(samples) if part is None else xp.broadcast_to(part, (samples,)) for part in parts])
+    filled = [xp.zeros(samples) if part is None else xp.broadcast_to(part, (samples,)) for part in parts]
+    return xp.stack(filled)  # type: ignore[return-value]

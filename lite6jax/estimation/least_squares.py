@@ -197,6 +197,7 @@ def _fitted(
         change = -scaled_solve(H, gradient)
         length = float(np.sqrt(max(-change @ gradient, 0.0)))
         before = _cost(state.innovations, state, training) + _square(precision, prior(problem, at))
+        trial, there, rows = at, problem, state.rows
         for halving in range(options.halvings + 1):
             trial, there = at + change, problem
             if moving:

@@ -4,7 +4,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
-from typing import Protocol, final
+from typing import ClassVar, Protocol, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,6 +40,9 @@ class Term(Protocol):
         chosen: the number that a search chose instead of fitting it (an order), or None.
     """
 
+    specificity: ClassVar[int]
+    nonparametric: ClassVar[bool]
+
     @property
     def label(self) -> str: ...
     @property
@@ -49,11 +52,7 @@ class Term(Protocol):
     @property
     def coordinates(self) -> Sequence[Number]: ...
     @property
-    def specificity(self) -> int: ...
-    @property
     def periodic(self) -> bool: ...
-    @property
-    def nonparametric(self) -> bool: ...
     @property
     def chosen(self) -> float | None: ...
 

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
-from typing import final
+from typing import TYPE_CHECKING, final
 
 import jax.numpy as jnp
 import numpy as np
@@ -43,6 +43,9 @@ from lite6jax.recordings import Recording
 from lite6jax.recordings.motion import inertia_of_arm, motion_of_recording
 
 Array = NDArray[np.floating]
+
+# type checkers take a cached property for no property of a protocol
+lazy = property if TYPE_CHECKING else cached_property
 
 GAUGE = {"m": 0.02, "rad": 0.05}
 """Prior of each number of an unknown chain: wide enough for any arm, it fixes what nothing determines."""
@@ -111,12 +114,12 @@ class PoseProblem:
         """Position and orientation share one scale over their declared noise."""
         return np.zeros(self.rows, int)
 
-    @cached_property
+    @lazy
     def run(self) -> NDArray[np.integer]:
         """`(sample,)`, the first sample of each sample's run."""
         return np.asarray(self.motion.run[0])
 
-    @cached_property
+    @lazy
     def valid(self) -> Mask:
         """`(sample,)`, the rows whose joints were recorded at the instant of the pose."""
         if not self.clock_offset:
@@ -156,18 +159,18 @@ class PoseProblem:
         """How residuals change with a deflection at each site, `(row, sample)`."""
         return site_columns(self.start, np.asarray(self.time_shifted.joint_position), self.measured)
 
-    @cached_property
+    @lazy
     def nuisance(self) -> Array:
         """How residuals change with the nuisance, `(unknown, row, sample)`."""
         none = np.zeros((0, self.rows, self.samples))
         return np.stack([self.sites[site] for site in self.unknown]) if self.unknown else none
 
-    @cached_property
+    @lazy
     def periodic(self) -> tuple[PeriodicFamily, ...]:
         """Harmonics of each joint."""
         return families.periodic(self.time_shifted, self.sites)
 
-    @cached_property
+    @lazy
     def curves(self) -> tuple[CurveFamily, ...]:
         """Curves of each joint over its position, torque and velocity."""
         return families.curves(self.time_shifted, self.deflections, self.sites)
