@@ -8,13 +8,16 @@ from typing import final
 import jax
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
+from lite6jax.arms.chains import SixParameterForm
 from lite6jax.arms.se3 import rotation_from_quaternion
 from lite6jax.domains.pose import inverse
 from lite6jax.domains.pose.inverse import Solved, Target
-from lite6jax.domains.pose.predict import DiagnosedArm
+from lite6jax.domains.pose.predict import DiagnosedArm, has_memory
 from lite6jax.effects.composition import Physics
 from lite6jax.effects.motion import Motion
+from lite6jax.model import predict_poses
 from lite6jax.recordings import Recording
 
 Array = NDArray[np.floating]
@@ -125,8 +128,23 @@ class CompensationSearch:
             for whole, part in zip(solved, again, strict=True):
                 whole[..., changed] = part
         q = solved.joint_position.T
-        final_errors = self.solve(self.motion(q), rows, q, steps=0)
-        return final_errors._replace(pressed=solved.pressed), reached(solved) & ~reached(final_errors)
+        evaluated = self._evaluated(q)
+        return evaluated._replace(pressed=solved.pressed), reached(solved) & ~reached(evaluated)
+
+    def _evaluated(self, q: Array) -> Solved:
+        """The errors of the motion through joint positions `(row, joint)`; effects with memory see all of it."""
+        motion, m = self.motion(q), self.model
+        solved = self.solve(motion, np.arange(len(q)), q, steps=0)
+        if not any(has_memory(effect) for effect in m.physics.effects):
+            return solved
+        poses = np.asarray(predict_poses(SixParameterForm(m.dof), m.physics, m.model, m.values, motion, m.inertia))
+        position, rotation = self._target(np.arange(len(q)))
+        errors = np.linalg.norm(poses[:, :3, 3] - np.asarray(position).T, axis=1)
+        turned = np.zeros(len(q))
+        if rotation is not None:
+            relative = np.einsum("jis,sjk->sik", np.asarray(rotation), poses[:, :3, :3])
+            turned = Rotation.from_matrix(relative).magnitude()
+        return solved._replace(position_error=errors, orientation_error=turned)
 
     def _target(self, rows: Rows) -> Target:
         assert self.targets.position is not None

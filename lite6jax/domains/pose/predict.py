@@ -188,7 +188,7 @@ class DiagnosedArm:
 
     def _require(self, motion: Motion) -> None:
         for effect in self.physics.effects:
-            if isinstance(effect, TimeOffset) or getattr(effect, "memory", ()):
+            if isinstance(effect, TimeOffset) or has_memory(effect):
                 raise InputError(
                     f"{effect.label}: depends on other samples, and pose() takes one at a time; give the motion to "
                     f"predict(), or remove the effect by model.without({effect.label!r})"
@@ -197,6 +197,11 @@ class DiagnosedArm:
                 argument = _ARGUMENTS.get(driver.quantity)
                 if argument and not driver.known(motion, None):
                     raise InputError(f"{effect.label}: needs the {driver.phrase}: give {argument}=")
+
+
+def has_memory(effect: Effect) -> bool:
+    """Whether an effect depends on the samples before, as the play operators of a hysteresis do."""
+    return bool(getattr(effect, "memory", ()))
 
 
 def read_model(path: str | Path, effects: tuple[Effect, ...] = ()) -> DiagnosedArm:

@@ -14,7 +14,9 @@ from typed import refused as refused_as_typed
 from benchmarks import compensation as benchmark
 from lite6jax.arms.bundled import load_bundled
 from lite6jax.domains.pose.compensate import Reason, compensate
-from lite6jax.domains.pose.predict import read_model
+from lite6jax.domains.pose.predict import model_from_document, predict, read_model
+from lite6jax.effects.nonparametric import Unnamed
+from lite6jax.effects.serialization import effect_as_dict
 from lite6jax.recordings import Recording, RecordingSettings, Targets, read_targets, write_recording
 from lite6jax.report.compensation_tables import compensation_report, reason_text
 from tests.oracles.chains import six_parameter_poses
@@ -296,6 +298,21 @@ def test_an_approach_that_reverses_is_reported(arm, diagnosis, motion, poses):
     assert reason_text(found.reason[9]) == "the direction of approach reverses; approach it from one side"
     assert not found.reached[9]
     assert 1e-6 < found.position_error[9] < 2e-3
+
+
+def test_errors_are_those_of_the_whole_motion_where_an_effect_has_memory(arm):
+    """Joint positions are searched row by row; where that is not enough, the rows are not said to be reached."""
+    play = Unnamed("joint2", "position of joint 2", -3.0, 3.0, memory=(0.0, 0.4))
+    content = document(arm, [])
+    content["model"]["effects"] = [effect_as_dict(play, [1e-3, 2e-3])]
+    model, motion = model_from_document(content), static_motion(3, SAMPLES)
+    wanted = predict(model, motion["joint_position"])
+    found = compensate(model, wanted, start=motion["joint_position"])
+    shown = predict(model, found.recording)
+    np.testing.assert_allclose(found.position_error, np.linalg.norm((shown - wanted)[:, :3, 3], axis=1), atol=1e-12)
+    np.testing.assert_allclose(shown[found.reached], wanted[found.reached], rtol=0, atol=1e-5)
+    assert 0 < found.reached.sum() < SAMPLES
+    assert {reason for reason, ok in zip(found.reason, found.reached, strict=True) if not ok} == {Reason("reverses")}
 
 
 def with_gap(diagnosis, gap):
