@@ -3,7 +3,7 @@
 import sys
 import tempfile
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from itertools import product
 from math import ceil
@@ -19,17 +19,19 @@ from lite6jax.arms.bundled import load_bundled
 from lite6jax.arms.factory import write_factory
 from lite6jax.diagnosis.diagnose import diagnose as diagnosis_of
 from lite6jax.diagnosis.explanation import explain
+from lite6jax.diagnosis.options import Options
+from lite6jax.diagnosis.result import Finding
 from lite6jax.domains.pose.predict import read_model
-from lite6jax.domains.pose.problem import Case, case_of
-from lite6jax.domains.pose.screening.rows import Fault
-from lite6jax.effects.composition import Physics
+from lite6jax.domains.pose.problem import PoseProblem, pose_problem
 from lite6jax.effects.effect import Effect
 from lite6jax.effects.serialization import parse_effect
-from lite6jax.estimation.least_squares import refit
-from lite6jax.estimation.score_test import evidence_of
+from lite6jax.estimation.least_squares import fit, relinearise
+from lite6jax.estimation.score_test import score_test
+from lite6jax.estimation.terms import Term, Terms
 from lite6jax.recordings import FactoryUncertainty, Recording, RecordingSettings, write_recording
-from lite6jax.search.backward import Step
-from lite6jax.search.forward import search_of
+from lite6jax.recordings.fault import DataFault
+from lite6jax.report.data_faults import fault_statement
+from lite6jax.search.state import SelectedTerm
 from lite6jax.simulation import UndeclaredNoise, draw_calibration, draw_sensor_frame, perturbed, simulate
 
 OURS = "lite6jax"
@@ -117,9 +119,9 @@ def simulation_of(folder: Path, geometry: Geometry, seed: int, mounted: bool) ->
             uncertainty = FactoryUncertainty(UNCERTAINTY, UNCERTAINTY)
             written = perturbed(kinematics, UNCERTAINTY, UNCERTAINTY, seed)
         write_factory(written, declared, overwrite=True)
-    told = RecordingSettings(factory_calibration=declared, factory_uncertainty=uncertainty)
+    declaration = RecordingSettings(factory_calibration=declared, factory_uncertainty=uncertainty)
     mount = {"T_sensor_base": draw_sensor_frame(seed), "tool": TOOL, "tool_known": False} if mounted else {}
-    return partial(simulate, LITE6, settings=told, kinematics=kinematics, seed=seed, **mount)
+    return partial(simulate, LITE6, settings=declaration, kinematics=kinematics, seed=seed, **mount)
 
 
 def diagnose(recordings: int = 300, long: int = 12_000) -> Iterator[Record]:
@@ -137,14 +139,14 @@ def false_alarms(recordings: int, folder: Path) -> Iterator[Record]:
     found, faulty, seconds = Counter[str](), 0, []
     for clean in clean_recordings(recordings):
         recording = clean.recording(folder)
-        taken, (steps, faults) = timed(partial(searched, recording))
+        taken, (terms, faults) = timed(partial(searched, recording))
         seconds.append(taken)
-        found[clean.noise] += bool(steps)
+        found[clean.noise] += bool(terms)
         faulty += bool(faults)
-        for step in steps:
-            yield Record("false alarm", str(clean), _named(step.effect), step.p, "p", "higher")
+        for tested in terms:
+            yield Record("false alarm", str(clean), _named(tested.term), tested.p_value, "p", "higher")
         for fault in faults:
-            yield Record("false alarm", str(clean), f"{fault.fault}: {fault.statement}", None, "", "higher")
+            yield Record("false alarm", str(clean), f"{fault.code}: {fault_statement(fault)}", None, "", "higher")
     most, total = ceil(recordings / ONE_IN), found.total()
     wrong = f"{total} of {recordings} show something, more than {most}" if total > most else ""
     yield Record(work, OURS, "with a finding", float(total), "", "lower", wrong)
@@ -155,10 +157,10 @@ def false_alarms(recordings: int, folder: Path) -> Iterator[Record]:
     yield Record(work, OURS, "examined and searched, median", float(np.median(seconds)), "s", "lower")
 
 
-def searched(recording: Recording) -> tuple[tuple[Step, ...], list[Fault]]:
-    """What the diagnosis of a recording finds, and which faults of the data; outliers are none."""
-    explanation = explain(recording, None, "declared")
-    return explanation.selection.steps, [fault for fault in explanation.examined.faults if fault.fault != "outliers"]
+def searched(recording: Recording) -> tuple[tuple[SelectedTerm, ...], tuple[DataFault, ...]]:
+    """What screening and search of a recording find: effects, and faults of the data."""
+    explanation = explain(recording, None, "declared", Options())
+    return explanation.selection.state.tested, explanation.screened.found
 
 
 def hidden(folder: Path, geometry: Geometry, samples: int) -> Recording:
@@ -180,11 +182,11 @@ def speed(folder: Path, long: int = 12_000, repeats: int = 3) -> Iterator[Record
     first, _ = timed(partial(diagnosis_of, recording))
     yield Record("400 rows", OURS, "first call, with compilation", first, "s", "lower")
     second, found = timed(partial(diagnosis_of, recording))
-    yield Record("400 rows", OURS, "second call", second, "s", "lower", wrong_steps(found.selection.steps))
+    yield Record("400 rows", OURS, "second call", second, "s", "lower", wrong_findings(found.findings))
     for geometry in ("known", "unknown"):
         rows = hidden(folder, geometry, long)
         seconds, found = timed(partial(diagnosis_of, rows))
-        work, wrong = f"{long} rows, chain {geometry}", wrong_steps(found.selection.steps)
+        work, wrong = f"{long} rows, chain {geometry}", wrong_findings(found.findings)
         yield from _against(work, OURS, "first call, with compilation", seconds, "rows", wrong)
 
 
@@ -200,9 +202,9 @@ def wrong_document(path: Path) -> str:
     return _wrong(read_model(path).physics.effects)
 
 
-def wrong_steps(steps: tuple[Step, ...]) -> str:
+def wrong_findings(findings: Sequence[Finding]) -> str:
     """Why what was found is not `TRUE`; empty where it is."""
-    return _wrong(tuple(step.effect for step in steps))
+    return _wrong(tuple(finding.effect for finding in findings))
 
 
 def _wrong(found: tuple[Effect, ...]) -> str:
@@ -210,7 +212,7 @@ def _wrong(found: tuple[Effect, ...]) -> str:
     return "" if found == (true,) else f"found {' and '.join(map(_named, found)) or 'nothing'}, not {_named(true)}"
 
 
-def _named(effect: Effect) -> str:
+def _named(effect: Term) -> str:
     order = getattr(effect, "order", None)
     return effect.label if order is None else f"{effect.label}, order {order:g}"
 
@@ -227,9 +229,9 @@ def raced(folder: Path, geometry: Geometry, repeats: int = 3) -> Iterator[Record
     """One score of all candidates and a refit of the best, against a refit of each: both shall put `TRUE` first."""
     recording = hidden(folder, geometry, 400)
     true, _ = parse_effect(TRUE)
-    case = case_of(recording)
-    candidates = search_of(case).candidates
-    readings = readings_of(case, geometry)
+    problem = pose_problem(recording)
+    candidates = problem.candidates
+    readings = readings_of(problem, geometry)
     first, _ = timed(partial(scored, recording))
     runs = [timed(partial(scored, recording)) for _ in range(repeats)]
     seconds, best = float(np.median([taken for taken, _ in runs])), runs[-1][1]
@@ -247,17 +249,18 @@ def raced(folder: Path, geometry: Geometry, repeats: int = 3) -> Iterator[Record
 
 
 def scored(recording: Recording) -> Best:
-    """Of the named candidates, from the recording on: case, nuisance, scores, refit."""
-    search = search_of(case_of(recording))
-    case = search.case
-    alone = refit(case, Physics(), moved=search.start)
-    evidence = evidence_of(case, alone)
-    scores = evidence.score(search.candidates)
-    cost = 0.5 * np.log(evidence.freedom)
-    worth = [-np.inf if score.hidden else score.gain - cost * score.size for score in scores]
+    """Of the named candidates, from the recording on: problem, nuisance, scores, refit."""
+    options = Options().engine
+    problem = relinearise(pose_problem(recording), options)
+    alone = fit(problem, Terms(), options)
+    test = score_test(problem, alone, options)
+    scores = test.score(problem.candidates)
+    cost = 0.5 * np.log(test.freedom)
+    worth = [-np.inf if score.confounded else score.gain - cost * score.size for score in scores]
     k = int(np.argmax(worth))
-    fitted = refit(case, Physics((search.candidates[k],)), scores[k].values, alone.moved)
-    return Best(search.candidates[k], fitted.values, np.sqrt(np.diagonal(fitted.covariance)))
+    best = problem.candidates[k]
+    fitted = fit(problem, Terms((best,)), options, scores[k].values, alone.nuisance)
+    return Best(best, fitted.values, np.sqrt(np.diagonal(fitted.covariance)))
 
 
 def refitted(readings: Readings, candidates: tuple[Effect, ...]) -> tuple[Effect, np.ndarray]:
@@ -268,15 +271,15 @@ def refitted(readings: Readings, candidates: tuple[Effect, ...]) -> tuple[Effect
     return candidates[k], refits[k].values
 
 
-def readings_of(case: Case, geometry: Geometry) -> Readings:
+def readings_of(problem: PoseProblem, geometry: Geometry) -> Readings:
     """A static recording of positions for `one_by_one`, which starts where the library does."""
-    recording, arm, start = case.recording, case.arm, case.start
+    recording, arm, start = problem.recording, problem.arm, problem.start
     assert recording.position is not None
     assert recording.time is not None
     assert arm.mass is not None
     assert arm.center_of_mass is not None
     return Readings(
         recording.joint_position, np.asarray(recording.direction_of_motion), recording.time, recording.position,
-        case.noise[0], np.asarray(start.geometry).reshape(-1, 6), np.asarray(start.T_sensor_base),
+        problem.noise[0], np.asarray(start.geometry).reshape(-1, 6), np.asarray(start.T_sensor_base),
         np.asarray(start.T_flange_tool), geometry == "known", arm.mass, arm.center_of_mass,
     )  # fmt: skip

@@ -12,12 +12,14 @@ from scipy.spatial.transform import Rotation
 from benchmarks import __main__ as harness
 from benchmarks import command, diagnose, fits, measure, one_by_one, problem, rivals, samples, seed_way
 from benchmarks.measure import Record
-from lite6jax.domains.pose.screening.screen import Fault
+from lite6jax.diagnosis.result import Finding
 from lite6jax.effects.catalogue import catalogue
 from lite6jax.effects.kinematic.surroundings import TimeOffset
 from lite6jax.effects.serialization import parse_effect
 from lite6jax.estimation.score_test import Score
-from lite6jax.search.backward import Step
+from lite6jax.recordings.fault import DataFault
+from lite6jax.report.data_faults import fault_statement
+from lite6jax.search.state import SelectedTerm
 from tests.oracles.arms import ASSEMBLY
 from tests.oracles.chains import seed_poses, six_parameter_poses
 from tests.oracles.effects import predicted_poses
@@ -235,14 +237,18 @@ def test_every_kind_of_recording_comes_once_a_round_and_is_what_it_says(tmp_path
 
 def test_false_alarms_are_listed_and_too_many_are_wrong(tmp_path, monkeypatch):
     effect, _ = parse_effect(diagnose.TRUE)
-    step = Step(effect, 1e-4, Score(20.0, 1, 1e-8, False, np.zeros(1)), ())
-    fault = Fault("frame_jump", (3,), "Something moved.")
-    answers = iter([((step,), []), ((), []), ((), [fault]), ((step,), [])])
+    term = SelectedTerm(effect, 1e-4, Score(20.0, 1, 1e-8, False, np.zeros(1)))
+    fault = DataFault("repeated_rows", (3,), {"first_rows": [1]})
+    answers = iter([((term,), ()), ((), ()), ((), (fault,)), ((term,), ())])
     monkeypatch.setattr(diagnose, "searched", lambda recording: next(answers))
     records = list(diagnose.false_alarms(4, tmp_path))
     alarms = [record for record in records if record.workload == "false alarm"]
     assert [record.subject[:6] for record in alarms] == ["seed 0", "seed 2", "seed 3"]
-    assert [record.metric for record in alarms] == [effect.label, "frame_jump: Something moved.", effect.label]
+    assert [record.metric for record in alarms] == [
+        effect.label,
+        f"repeated_rows: {fault_statement(fault)}",
+        effect.label,
+    ]
     counts = {record.metric: record for record in records if record.workload != "false alarm"}
     assert counts["with a finding"].value == 2
     assert counts["with a finding"].failed == "2 of 4 show something, more than 1"
@@ -253,10 +259,10 @@ def test_false_alarms_are_listed_and_too_many_are_wrong(tmp_path, monkeypatch):
 def test_a_finding_is_right_only_where_it_is_what_was_hidden():
     effect, _ = parse_effect(diagnose.TRUE)
     other, _ = parse_effect("joint_harmonic:joint=2,order=2", neutral=True)
-    steps = [Step(each, 1e-4, Score(20.0, 1, 1e-8, False, np.zeros(1)), ()) for each in (effect, other)]
-    assert diagnose.wrong_steps((steps[0],)) == ""
-    assert diagnose.wrong_steps(()) == "found nothing, not joint_compliance:joint2"
-    assert "joint_harmonic:joint2, order 2" in diagnose.wrong_steps(tuple(steps))
+    findings = [Finding(each, np.zeros(each.size), np.eye(each.size), 1e-4, 20.0, ()) for each in (effect, other)]
+    assert diagnose.wrong_findings(findings[:1]) == ""
+    assert diagnose.wrong_findings([]) == "found nothing, not joint_compliance:joint2"
+    assert "joint_harmonic:joint2, order 2" in diagnose.wrong_findings(findings)
 
 
 def test_recordings_are_counted_for_the_diagnosis_alone(capsys):

@@ -103,7 +103,7 @@ def _one(seed: int, index: int, console: Console) -> int:
         console.print(f"Trial {index} of seed {seed}: truth sealed, SHA-256 {digest}.", soft_wrap=True)
         row = campaign.judge(folder, index, digest)
         truth = campaign.opened(folder, index, digest)
-        for line in report.told(truth, row):
+        for line in report.story(truth, row):
             console.print(line, soft_wrap=True)
     return DONE
 

@@ -62,7 +62,7 @@ def detection(rows: Sequence[Row]) -> Figure | None:
         ("found", BLUE, "o", lambda row: row["detected"], lambda row: True),
         ("the largest finding at the right site", ORANGE, "s", lambda row: row["top_site"], lambda row: True),
         ("right name, or within the set said inseparable", GREEN, "^", lambda row: row["top_in_set"], lambda row: True),
-        ("right name, where the data can tell it", RED, "D", lambda row: row["top_named"], scores.can_tell),
+        ("right name, where the data distinguish it", RED, "D", lambda row: row["top_named"], scores.distinguishable),
     ]
     for k, (label, colour, marker, hit, counted) in enumerate(curves):
         shares = [share(hit(row) for row in scores.singles(rows, size, size) if counted(row)) for size in sizes]

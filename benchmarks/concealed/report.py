@@ -48,14 +48,14 @@ _SINGLE = (
     "right name",
     "in the set",
     "exactly this",
-    "right name where it can be told",
+    "right name where the data distinguish it",
 )
 
 
 def _single_cells(rows: Sequence[Row]) -> list[str]:
     keys = ("detected", "top_site", "top_named", "top_in_set", "exact")
-    told = share(row["top_named"] for row in rows if scores.can_tell(row))
-    return [str(len(rows)), *(short(share(row[key] for row in rows)) for key in keys), str(told)]
+    distinguished = share(row["top_named"] for row in rows if scores.distinguishable(row))
+    return [str(len(rows)), *(short(share(row[key] for row in rows)) for key in keys), str(distinguished)]
 
 
 def short(found: Share) -> str:
@@ -227,7 +227,7 @@ def markdown(rows: Sequence[Row]) -> str:
     return "\n\n".join(parts)
 
 
-def told(truth: Row, row: Row) -> Iterator[str]:
+def story(truth: Row, row: Row) -> Iterator[str]:
     """What happened in a trial, line by line."""
     chain = f"chain {truth['geometry']}, frame and tool {'unknown' if truth['mounted'] else 'known'}"
     motion = "trajectory" if truth["moving"] else "poses at rest"
@@ -238,18 +238,18 @@ def told(truth: Row, row: Row) -> Iterator[str]:
     )
     yield "Hidden:" if truth["hidden"] else "Hidden: nothing"
     for effect, seen in zip(truth["hidden"], row["hidden"], strict=True):
-        yield from _told_hidden(effect, seen)
-    yield f"Said: {row['verdict']}{', error: ' + row['error'] if row['error'] else ''}"
+        yield from _hidden_lines(effect, seen)
+    yield f"Verdict: {row['verdict']}{', error: ' + row['error'] if row['error'] else ''}"
     for finding in row["findings"]:
         mark, order = "✓" if finding["true"] else "✗", finding["order"]
         which = "" if order is None else f", order {order:.4g}"
-        rivals = f"; not told from {', '.join(finding['rivals'])}" if finding["rivals"] else ""
+        rivals = f"; nearest alternatives: {', '.join(finding['rivals'])}" if finding["rivals"] else ""
         yield (
             f"  {mark} {finding['effect']} at {finding['site']}{which} by {finding['driver']}: "
             f"p = {finding['p_value']:.2g}, gain {finding['gain']:.1f}{rivals}"
         )
     if row["nearest_p"] is not None:
-        yield f"  not taken: {row['nearest_effect']} at {row['nearest_site']}, p = {row['nearest_p']:.2g}"
+        yield f"  nearest not significant: {row['nearest_effect']} at {row['nearest_site']}, p = {row['nearest_p']:.2g}"
     if row["after_m"] is not None:
         before, after = (1e6 * row[key] / np.sqrt(3) for key in ("before_m", "after_m"))
         estimated = row["estimated_noise_m"]
@@ -259,12 +259,12 @@ def told(truth: Row, row: Row) -> Iterator[str]:
     if row["faults"]:
         yield f"Faults of the data: {', '.join(row['faults'])}"
     exact, in_set = ("yes" if row[key] else "no" for key in ("exact", "exact_in_set"))
-    yield f"Found exactly: {exact}; in the set: {in_set}."
+    yield f"Found exactly: {exact}; within the set of alternatives: {in_set}."
     unseen = "nothing predicted" if row["unseen_m"] is None else f"off by {1e6 * row['unseen_m']:.3g} µm RMS"
     yield f"Unseen motion: {unseen}, the oracle by {1e6 * row['oracle_m']:.3g} µm. {row['seconds']:.1f} s."
 
 
-def _told_hidden(effect: Row, seen: Row) -> Iterator[str]:
+def _hidden_lines(effect: Row, seen: Row) -> Iterator[str]:
     parameters = effect["parameters"]
     values = ", ".join(f"{name} {value:.4g}" for name, value in parameters.items())
     form = ", ".join(f"{name} {value:.4g}" for name, value in effect["fixed"].items() if name not in parameters)
@@ -279,6 +279,6 @@ def _told_hidden(effect: Row, seen: Row) -> Iterator[str]:
     for number in seen["numbers"]:
         pull = number["off"] / (number["std"] or np.nan)
         yield (
-            f"    {number['name']}: off by {number['off']:.3g} = {pull:.2f} stated standard deviations; "
+            f"    {number['name']}: off by {number['off']:.3g} = {pull:.2f} estimated standard deviations; "
             f"the bound is {number['bound']:.3g}"
         )

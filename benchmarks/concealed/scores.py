@@ -19,8 +19,8 @@ ADMITTED, GAP = 3, 6.0
 """A set declared inseparable holds at most so many rivals, each within this log-likelihood."""
 WITHIN = 1.959964
 """Standard deviations on either side that hold 95 %."""
-TOLD_APART = 4.0
-"""Standard deviations by which data must tell an effect from its nearest rival for a name to be asked of it."""
+DISTINGUISHED = 4.0
+"""Standard deviations by which the data distinguish an effect from its nearest rival, so that its name is expected."""
 
 
 def scored(truth: Row, diagnosis: Row | None, predicted: Row | None, seconds: float, error: str) -> Row:
@@ -258,12 +258,12 @@ def ratio(ours: Sequence[float], theirs: Sequence[float], draws: int = 2000) -> 
 
 @dataclass(frozen=True)
 class Goal:
-    """What was asked for, what was reached, and whether that is enough.
+    """The goal, what was reached, and whether that is enough.
 
     Attributes:
         asked: in words, with the number.
         reached: the number with its interval.
-        met: None where there are no trials to tell.
+        met: None where there are no trials.
     """
 
     asked: str
@@ -276,9 +276,9 @@ def singles(rows: Iterable[Row], least: float = 0.0, most: float = math.inf) -> 
     return [row for row in rows if row["kind"] == "single" and least <= row["planned_size"] <= most]
 
 
-def can_tell(row: Row) -> bool:
-    """Whether the data tell the one hidden effect from every other name."""
-    return (row["hidden"][0]["apart"] or 0.0) >= TOLD_APART
+def distinguishable(row: Row) -> bool:
+    """Whether the data distinguish the one hidden effect from every other name."""
+    return (row["hidden"][0]["apart"] or 0.0) >= DISTINGUISHED
 
 
 def numbers(rows: Iterable[Row], least: float) -> list[Row]:
@@ -304,20 +304,20 @@ def goals(rows: Sequence[Row]) -> list[Goal]:
     twice = singles(rows, 2.0, 2.0)
     clean = [row for row in rows if row["kind"] == "clean" and not row["error"]]  # no answer is no false alarm
     outside = [row for row in rows if row["kind"] == "outside"]
-    told = [row for row in twice if can_tell(row)]
+    distinct = [row for row in twice if distinguishable(row)]
     large = [row for row in rows if row["kind"] in ("single", "mixture")]
     covered = share(abs(number["off"]) <= WITHIN * number["std"] for number in numbers(large, 3.0))
     known = [row for row in large if all(effect["size"] >= 2 for effect in row["hidden"])]
     declared = [row for row in clean if row["noise"] == "as declared"]
     found, sited = share(row["detected"] for row in twice), share(row["top_site"] for row in twice)
-    sited_told = share(row["top_site"] for row in told)
+    sited_distinct = share(row["top_site"] for row in distinct)
     alarms, alarms_declared = share(row["detected"] for row in clean), share(row["detected"] for row in declared)
     unseen = against_oracle(known)
     unnamed = share(row["hidden"][0]["named"] for row in outside)
     return [
         Goal("found at twice the threshold: 95 %", str(found), _least(found, 0.95)),
         Goal("at the right site at twice the threshold: 90 %", str(sited), _least(sited, 0.9)),
-        Goal("— where the data tell it from all other names", str(sited_told), _least(sited_told, 0.9)),
+        Goal("— where the data distinguish it from all other names", str(sited_distinct), _least(sited_distinct, 0.9)),
         Goal("false alarms, upper end of the interval: 1 %", str(alarms), alarms.high <= 0.01 if clean else None),
         Goal("— noise as declared", str(alarms_declared), alarms_declared.high <= 0.01 if declared else None),
         Goal("unseen error: 1.1 × the oracle's", str(unseen), unseen.value <= 1.1 if unseen.of else None),

@@ -18,6 +18,7 @@ from benchmarks.residual.black_boxes import gaussian_process, geometry_alone, ne
 from benchmarks.residual.linear import ridge, stepwise
 from benchmarks.residual.view import Array, Fitted, Geometry, Rival, View, rotations
 from lite6jax.diagnosis.diagnose import diagnose
+from lite6jax.diagnosis.document import to_document
 from lite6jax.domains.pose.predict import DiagnosedArm
 from lite6jax.domains.pose.registration import register, register_model
 from lite6jax.recordings import Recording
@@ -136,9 +137,9 @@ def _shown(geometry: Geometry, fitted: Fitted, view: View) -> Array:
 def diagnosed(recording: Recording) -> tuple[Outcome, dict[str, Any]]:
     """The diagnosis: one search a fold, and one of all rows; and the file that it writes."""
     seconds, found = timed(partial(diagnose, recording))
-    names = tuple(f"{step.effect.name}:{step.effect.site}" for step in found.selection.steps)
-    outcome = Outcome(OURS, found.after, found.selection.fitted.physics.size, names, seconds)
-    return outcome, found.to_dict()
+    names = tuple(finding.effect.label for finding in found.findings)
+    outcome = Outcome(OURS, found.after, found.fit.terms.size, names, seconds)
+    return outcome, to_document(found)
 
 
 def diagnosed_elsewhere(model: DiagnosedArm, other: Recording) -> Array:

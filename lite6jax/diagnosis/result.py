@@ -10,11 +10,12 @@ from numpy.typing import NDArray
 from lite6jax.diagnosis.discrimination import SeparatingPoses
 from lite6jax.diagnosis.options import Options
 from lite6jax.domains.pose.problem import PoseProblem
-from lite6jax.recordings.fault import DataFault
 from lite6jax.effects.catalogue import Untestable
 from lite6jax.effects.effect import Effect, Estimate
 from lite6jax.estimation.least_squares import Fit
+from lite6jax.recordings.fault import DataFault
 from lite6jax.search.search import Selection
+from lite6jax.summary import Summarised
 
 Array = NDArray[np.floating]
 Verdict = Literal["consistent", "explained", "partly_explained", "unnamed"]
@@ -63,7 +64,7 @@ class Finding:
 
 @final
 @dataclass(frozen=True, eq=False)
-class Diagnosis:
+class Diagnosis(Summarised):
     """What a recording shows that the arm's model does not have.
 
     Attributes:

@@ -121,7 +121,7 @@ def _draw_spectrum(panel: Axes, joint: JointSpectra) -> None:
             panel.plot(spectrum.orders, 100 * spectrum.shares, color=colour, linewidth=1.4, zorder=3, rasterized=many)
     panel.axhline(100 * joint.noise, color="black", linestyle=":", linewidth=1.8, zorder=4)
     if not joint.observed:
-        panel.text(0.5, 0.5, "not observed by the sensor", ha="center", color=GREY, transform=panel.transAxes)
+        panel.text(0.5, 0.75, "not observed by the sensor", ha="center", color=GREY, transform=panel.transAxes)
     for order in joint.harmonics:
         panel.axvline(order, color="black", linestyle="--", linewidth=1.8, zorder=2)
         panel.text(

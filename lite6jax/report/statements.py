@@ -83,16 +83,18 @@ def finding_statement(finding: Entry) -> str:
     where, name = finding["where"], finding["effect"].replace("_", " ")
     driver = "" if finding["driver"] == "none" else f", a function of the {_worded(finding['driver'])}"
     if "peak_to_peak" in finding:
-        (size,) = (quantity(*item) for item in finding["peak_to_peak"].items())
         return (
             f"No effect of the catalogue explains an effect at {finding['site']}{_component(where)}{driver}: "
-            f"{_shape(where)}, {str(size).removeprefix('peak to peak ')} peak to peak."
+            f"{_shape(where)}, {sizes(finding)}."
         )
-    numbers = [quantity(*item) for item in finding["parameters"].items()]
-    shown = ", ".join(str(number) for number in numbers if number.std)
-    return (
-        f"{capital(name)}{_detail(_order_and_source(finding))} at {finding['site']}{driver}, is significant: {shown}."
-    )
+    end, detail = "," if driver else "", _detail(_order_and_source(finding))
+    return f"{capital(name)}{detail} at {finding['site']}{driver}{end} is significant: {sizes(finding)}."
+
+
+def sizes(finding: Entry) -> str:
+    """The estimated numbers of a finding, with standard deviations and units."""
+    numbers = finding.get("peak_to_peak", finding["parameters"])
+    return ", ".join(str(number) for number in (quantity(*item) for item in numbers.items()) if number.std)
 
 
 def findings_of(document: Document) -> list[dict[str, Any]]:

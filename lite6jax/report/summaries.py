@@ -10,14 +10,19 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from lite6jax.diagnosis.document import to_document
+from lite6jax.diagnosis.result import Diagnosis
 from lite6jax.fitting.solution import Errors, FleetSolution, Result, Solution
 from lite6jax.identifiability.discrimination import DiscriminationPlan
 from lite6jax.identifiability.identify import Identification
 from lite6jax.identifiability.planning import Plan
 from lite6jax.recordings import Recording
+from lite6jax.report import statements
 from lite6jax.report.cells import number
+from lite6jax.report.data_faults import fault_name
 
 MOST_NOTES = 4
+_MOST_FINDINGS = 4
 
 
 class Description(NamedTuple):
@@ -235,6 +240,38 @@ def _discrimination(plan: DiscriminationPlan) -> Description:
         ("distance at random poses (standard deviations, median)", f"{random:.1f}"),
     )
     return Description(f"Poses that discriminate, {plan.experiment.arm.name}", sentences, rows)
+
+
+@described.register
+def _diagnosis(found: Diagnosis) -> Description:
+    document = to_document(found)
+    findings, verdict = statements.findings_of(document), statements.verdict_statement(document)
+    shown, hidden = findings[:_MOST_FINDINGS], len(findings) - _MOST_FINDINGS
+    before, after = (_millimetres(document[stage]["heldout_position_rms_m"]) for stage in ("before", "after"))
+    noise = _millimetres(found.estimated_noise)
+    sentences = [verdict, *(finding["statement"] for finding in shown)]
+    if hidden > 0:
+        sentences.append(f"{_counted(hidden, 'more finding')} {_be(hidden)} in `findings`.")
+    error = f"{before} mm RMS with the model of the arm alone"
+    sentences.append(
+        f"The held-out position error is {after} mm RMS with these effects and {error}."
+        if findings
+        else f"The held-out position error is {error}."
+    )
+    faults = [fault_name(entry["fault"]).lower() for entry in document["data_faults"]]
+    if faults:
+        sentences.append(f"The data have {_counted(len(faults), 'fault')}: {', '.join(faults)}.")
+    rows = [
+        ("verdict", found.verdict.replace("_", " ")),
+        ("samples", str(document["samples"])),
+        ("held-out position error before (mm RMS)", before),
+        ("held-out position error after (mm RMS)", after),
+        ("noise per axis of position, estimated (mm)", noise),
+        *((finding["title"], statements.sizes(finding)) for finding in findings),
+        ("data faults", ", ".join(faults) or "none"),
+    ]
+    notes = (*statements.assumptions(document), *statements.what_to_record(document))
+    return Description(f"Diagnosis of a {found.problem.arm.name}", tuple(sentences), tuple(rows), notes)
 
 
 def _counted(count: int, noun: str) -> str:
