@@ -503,13 +503,13 @@ def test_register_as_it_is_typed(capsys, arm, tmp_path, orientation):
     code, said, _ = run(capsys, "predict", model, path, "--register", "--out", out)
     assert code == 0
     text = flat(said)
-    assert f"Registered on {SAMPLES} rows: 0.03" in text
+    assert f"The registration on {SAMPLES} rows leaves errors of 0.03" in text
     for name, T in (("sensor to base", other.T_sensor_base), ("flange to tool", other.T_flange_tool)):
         printed = re.search(rf"{name} \(mm, deg\) (\S+) (\S+) (\S+)", text)
         np.testing.assert_allclose([float(value) for value in printed.groups()], 1e3 * T[:3, 3], rtol=0, atol=0.1)
-    assert ("deg RMS left" in text) is orientation
-    assert ("Positions do not show the tool's rotation: only its offset is fitted." in text) is not orientation
-    assert "stand out" not in text
+    assert ("deg RMS." in text) is orientation
+    assert ("Positions do not determine the tool's rotation: only its offset is fitted." in text) is not orientation
+    assert "outliers" not in text
     lines = out.read_text().splitlines()
     assert lines[0] == ("x_m,y_m,z_m,qw,qx,qy,qz" if orientation else "x_m,y_m,z_m")
     found = np.array([[float(value) for value in line.split(",")][:3] for line in lines[1:]])
@@ -530,8 +530,8 @@ def test_register_counts_wild_rows(capsys, arm, tmp_path):
         capsys, "predict", stored(tmp_path, document(arm, [])), path, "--register", "--out", tmp_path / "p.csv"
     )
     assert code == 0
-    assert "Registered on 30 rows: 0.03" in flat(said)
-    assert "2 rows stand out and count for little." in flat(said)
+    assert "The registration on 30 rows leaves errors of 0.03" in flat(said)
+    assert "2 rows are outliers and have little weight." in flat(said)
 
 
 def test_a_model_relative_to_a_reference_says_so(arm):
