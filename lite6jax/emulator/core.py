@@ -67,17 +67,17 @@ class Client:
 class Core:
     """The controller without its sockets, in emulated time, which `advance` increases.
 
-    With effects the poses that the controller computes differ from the true ones: `believed` is by the kinematics of
-    its calibration, `true` the pose of the body. The class has more than twelve methods because all of them read or
-    change one state, which a request sees between two steps of the clock; ten of them are one-line readings of it.
+    With effects the poses that the controller computes differ from the true ones: `computed_pose` is by the kinematics
+    of its calibration, `true` the pose of the body. The class has more than twelve methods because all of them read or
+    change one state, which must be consistent at each request; ten of them are one-line readings of it.
 
     Attributes:
         body: the arm.
         faults: of the controller.
         timeline: the commanded positions of the joints.
         time: s since the start.
-        asked: the number of requests of each register.
-        tool: `(6,)` the tool offset in mm and rad, as set by `carry`.
+        requests: the number of requests of each register.
+        tool: `(6,)` the tool offset in mm and rad, as set by `set_load`.
         payload: `(4,)` kg and centre of mass in mm, likewise.
     """
 
@@ -87,7 +87,7 @@ class Core:
     tool: Array = field(default_factory=lambda: np.zeros(6))
     payload: Array = field(default_factory=lambda: np.zeros(4))
     time: float = 0.0
-    asked: Counter[int] = field(default_factory=Counter)
+    requests: Counter[int] = field(default_factory=Counter)
     state: int = STOPPED
     mode: int = POSITIONS
     enabled: int = 0
@@ -101,16 +101,16 @@ class Core:
         self.timeline = Timeline(self.start)
         self.direction = np.zeros(self.body.arm.dof)
         self.queue: deque[Move] = deque()
-        self.roaming = False
+        self.following = False
         self.error, self.warning = self.faults.error, self.faults.warning
-        self.carry(self.tool, self.payload)
+        self.set_load(self.tool, self.payload)
 
     # ---------------------------------------------------------------------------------------- time and motion
 
-    def roam(self, path: Path) -> None:
+    def follow(self, path: Path) -> None:
         """Follows a path, which must start at the present position, until a command stops it."""
         self.enabled = self.every_motor
-        self.state, self.roaming = MOVING, True
+        self.state, self.following = MOVING, True
         self.timeline.then(path, self.time)
 
     def advance(self, time: float) -> None:
@@ -127,9 +127,9 @@ class Core:
                 break
             self.queue.popleft()
             self._notify(move, protocol.MOTION_ENDED, 0)
-        if self.roaming and self.timeline.end <= time:
-            self.roaming = False
-        if self.state == MOVING and not self.roaming and self.timeline.end <= time:
+        if self.following and self.timeline.end <= time:
+            self.following = False
+        if self.state == MOVING and not self.following and self.timeline.end <= time:
             self.state = READY
 
     def _notify(self, move: Move, kind: int, code: int) -> None:
@@ -144,7 +144,7 @@ class Core:
     def halt(self, state: int) -> None:
         """Stops, discards the queue with feedback, and changes to `state`."""
         self.timeline.stop(self.time)
-        self.roaming = False
+        self.following = False
         while self.queue:
             self._notify(self.queue.popleft(), protocol.MOTION_ENDED, 2)
         self.state = state
@@ -152,7 +152,7 @@ class Core:
     def pause(self) -> None:
         """Stops and keeps the queue."""
         self.timeline.stop(self.time)
-        self.roaming = False
+        self.following = False
         self.state = PAUSED
 
     def resume(self) -> None:
@@ -177,7 +177,7 @@ class Core:
         """
         if not self._may_move(goal, POSITIONS):
             return
-        if self.roaming:
+        if self.following:
             self.halt(READY)
         speed = min(speed, MAX_SPEED) if speed > 0 else math.radians(20)
         acceleration = min(acceleration, MAX_ACCELERATION) if acceleration > 0 else math.radians(500)
@@ -238,7 +238,7 @@ class Core:
         """`enabled` with all motors on."""
         return (1 << self.body.arm.dof) - 1
 
-    def carry(self, tool: Array, payload: Array) -> None:
+    def set_load(self, tool: Array, payload: Array) -> None:
         """Sets the tool offset `(6,)` in mm and rad, and the payload `(4,)` in kg and mm."""
         T_flange_tool = protocol.transform_of_wire_pose(tool)
         self.tool, self.payload = tool, payload
@@ -252,7 +252,7 @@ class Core:
         """The measured positions and velocities `(sample, joint)`: the commands delayed by `LAG_S`."""
         return self.timeline.at(time - LAG_S)
 
-    def believed(self, q: ArrayLike) -> Array:
+    def computed_pose(self, q: ArrayLike) -> Array:
         """`(..., 4, 4)` the tool pose by the controller's kinematics: its calibration and the tool offset."""
         return self.body.flange(q, self.faults.nominal_kinematics) @ self.carried.T_flange_tool
 

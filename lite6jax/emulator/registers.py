@@ -42,7 +42,7 @@ def answer(core: Core, frame: Frame, client: Client) -> Frame | None:
 
     The reply to a request of a wrong size or of a register that is not emulated is invalid (an assumption).
     """
-    core.asked[frame.register] += 1
+    core.requests[frame.register] += 1
     if not core.faults.answers(frame.register):
         return None
     if frame.protocol == protocol.STANDARD:  # standard Modbus: "illegal function"; the SDK would wait 3 h for a reply
@@ -204,13 +204,13 @@ def _servo_joints(core: Core, frame: Frame, client: Client) -> bytes:
 
 @_answers(Register.SET_TOOL_OFFSET)
 def _set_tool_offset(core: Core, frame: Frame, client: Client) -> bytes:
-    core.carry(_plausible(protocol.read_floats(frame.body, 6)), core.payload)
+    core.set_load(_plausible(protocol.read_floats(frame.body, 6)), core.payload)
     return b""
 
 
 @_answers(Register.SET_PAYLOAD)
 def _set_payload(core: Core, frame: Frame, client: Client) -> bytes:
-    core.carry(core.tool, _plausible(protocol.read_floats(frame.body, 4)))
+    core.set_load(core.tool, _plausible(protocol.read_floats(frame.body, 4)))
     return b""
 
 
@@ -229,13 +229,13 @@ def _set_teach_sensitivity(core: Core, frame: Frame, client: Client) -> bytes:
 @_answers(Register.POSE)
 def _pose(core: Core, frame: Frame, client: Client) -> bytes:
     q = _commanded(core)
-    return protocol.floats(_with_fault(core, "kinematics", protocol.wire_pose(core.believed(q))))
+    return protocol.floats(_with_fault(core, "kinematics", protocol.wire_pose(core.computed_pose(q))))
 
 
 @_answers(Register.POSE_AXIS_ANGLE)
 def _pose_axis_angle(core: Core, frame: Frame, client: Client) -> bytes:
     q = _commanded(core)
-    pose = protocol.axis_angle_of_wire_pose(protocol.wire_pose(core.believed(q)))
+    pose = protocol.axis_angle_of_wire_pose(protocol.wire_pose(core.computed_pose(q)))
     return protocol.floats(_with_fault(core, "kinematics", pose))
 
 
@@ -268,7 +268,7 @@ def _inverse_kinematics(core: Core, frame: Frame, client: Client) -> bytes:
 @_answers(Register.FORWARD_KINEMATICS)
 def _forward_kinematics(core: Core, frame: Frame, client: Client) -> bytes:
     q, _ = _joints_in(core, frame.body, protocol.JOINTS)
-    return protocol.floats(_with_fault(core, "kinematics", protocol.wire_pose(core.believed(q))))
+    return protocol.floats(_with_fault(core, "kinematics", protocol.wire_pose(core.computed_pose(q))))
 
 
 @_answers(Register.JOINT_LIMIT)

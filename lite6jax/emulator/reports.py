@@ -66,7 +66,7 @@ def _realtime(core: Core, time: Array, records: np.ndarray) -> None:
 def _pose_and_speed(core: Core, q: Array, dq: Array) -> tuple[Array, Array]:
     """Poses and speeds by the controller's kinematics, `(sample, 6)` each, in mm and rad, and per second."""
     half = DIFFERENCE_S / 2 * dq
-    before, here, after = np.split(core.believed(np.concatenate([q - half, q, q + half])), 3)
+    before, here, after = np.split(core.computed_pose(np.concatenate([q - half, q, q + half])), 3)
     shift = (after[:, :3, 3] - before[:, :3, 3]) * protocol.MM
     turned = (after[:, :3, :3] - before[:, :3, :3]) @ np.swapaxes(here[:, :3, :3], 1, 2)
     spin = np.stack([turned[:, 2, 1], turned[:, 0, 2], turned[:, 1, 0]], -1)
@@ -76,7 +76,7 @@ def _pose_and_speed(core: Core, q: Array, dq: Array) -> tuple[Array, Array]:
 def _slow(core: Core, time: Array, records: np.ndarray) -> None:
     names = records.dtype.names or ()
     q, dq = core.commanded(time)
-    pose = protocol.wire_pose(core.believed(q))
+    pose = protocol.wire_pose(core.computed_pose(q))
     torque = core.torque(q)
     records["joint_position"] = protocol.seven(q)
     records["pose"] = pose

@@ -30,7 +30,7 @@ CALL_S = 30.0
 _PRIVILEGED = 1024
 
 
-class Seen(NamedTuple):
+class Snapshot(NamedTuple):
     """The state of a controller at an instant.
 
     Attributes:
@@ -39,7 +39,7 @@ class Seen(NamedTuple):
         mode: 0 position, 1 servo.
         error: its code, or 0.
         joints: `(joint,)` rad, measured.
-        asked: the number of requests of each register.
+        requests: the number of requests of each register.
         connections: the number of connections to each port, the control port being 502 whatever its number.
     """
 
@@ -48,7 +48,7 @@ class Seen(NamedTuple):
     mode: int
     error: int
     joints: Array
-    asked: dict[int, int]
+    requests: dict[int, int]
     connections: dict[int, int]
 
 
@@ -121,7 +121,7 @@ class Controller:
             np.array(tool, float), np.array(payload, float),
         )  # fmt: skip
         if path is not None and not faults.error:
-            self._core.roam(path)
+            self._core.follow(path)
         self.address, self.speed = address, speed
         self._sockets = Sockets(self._core, address, control_port, report_ports, float(speed))
         self._thread: threading.Thread | None = None
@@ -213,12 +213,12 @@ class Controller:
 
         self.call(change)
 
-    def hang_up(self) -> None:
+    def close_connections(self) -> None:
         """Closes all connections; new ones are accepted."""
 
-        self.call(lambda _: self._sockets.hang_up())
+        self.call(lambda _: self._sockets.close_connections())
 
-    def look(self) -> Seen:
+    def snapshot(self) -> Snapshot:
         """The present state.
 
         Raises:
@@ -227,11 +227,11 @@ class Controller:
         if self._failure is not None:
             raise self._failure
 
-        def seen(core: Core) -> Seen:
+        def seen(core: Core) -> Snapshot:
             joints = core.measured(np.array([core.time]))[0][0]
             readers = {port: len(writers) for port, writers in self._sockets.readers.items()}
             connections = {protocol.CONTROL_PORT: len(self._sockets.clients)} | readers
-            return Seen(core.time, core.state, core.mode, core.error, joints, dict(core.asked), connections)
+            return Snapshot(core.time, core.state, core.mode, core.error, joints, dict(core.requests), connections)
 
         return self.call(seen)
 

@@ -83,7 +83,7 @@ class Sockets:
         finally:
             for server in servers:
                 server.close()
-            self.hang_up()
+            self.close_connections()
             for task in self._tasks:
                 task.cancel()
             await asyncio.gather(*self._tasks, return_exceptions=True)
@@ -97,7 +97,7 @@ class Sockets:
             with suppress(RuntimeError):  # the loop has already ended
                 self.loop.call_soon_threadsafe(self._stopped.set)
 
-    def hang_up(self) -> None:
+    def close_connections(self) -> None:
         """Closes all connections."""
         for writer in [*self.clients, *(writer for writers in self.readers.values() for writer in writers)]:
             writer.transport.abort()

@@ -217,7 +217,7 @@ def test_addresses():
 def test_an_emulated_arm_is_read_over_any_line(faults):
     with emulated(faults=faults) as (controller, address):
         read = read_calibration(address)
-        assert controller.look().asked == {8: 1}
+        assert controller.snapshot().requests == {8: 1}
     np.testing.assert_array_equal(read.calibration.kinematics, KINEMATICS)
 
 

@@ -90,12 +90,12 @@ def test_a_line_that_drops_is_made_anew_and_every_report_of_a_connection_is_ther
 
 
 def test_a_controller_that_hangs_up_now_and_then(tmp_path):
-    def hang_up(controller):
+    def close_connections(controller):
         for _ in range(2):
             time.sleep(0.4)
-            controller.hang_up()
+            controller.close_connections()
 
-    done, read = recorded(tmp_path, 15.0, during=hang_up, speed=8.0)
+    done, read = recorded(tmp_path, 15.0, during=close_connections, speed=8.0)
     assert done.runs == 3
     assert (np.diff(read.time) > 0).all()
     steps = np.rint(1e6 * np.diff(read.time))[np.diff(read.run) == 0]
@@ -276,8 +276,8 @@ def test_given_joints_are_answered_by_the_controller(tmp_path):
     wanted, out = poses(), tmp_path / "fk.csv"
     with emulated(tool=TOOL) as (controller, address):
         done = record_poses(address, out, read_station(address, ARM, "lite6"), wanted)
-        seen = controller.look()
-    assert set(seen.asked) == {1, 8, 44}
+        seen = controller.snapshot()
+    assert set(seen.requests) == {1, 8, 44}
     np.testing.assert_array_equal(seen.joints, np.zeros(6))
     read = read_recording(out)
     np.testing.assert_array_equal(read.joint_position, wanted.joint_position.astype(np.float32))
@@ -299,7 +299,7 @@ def test_a_connection_that_is_lost_is_made_anew_and_no_row_is_left_out(tmp_path)
         def advance(done):
             count.append(done)
             if len(count) == 100:
-                controller.hang_up()
+                controller.close_connections()
 
         done = record_poses(address, out, read_station(address, ARM, "lite6"), wanted, advance=advance)
     assert (done.rows, done.missing, done.refusal) == (400, 0, "")

@@ -50,19 +50,19 @@ def recording_proxy(target, sent):
 def test_the_registers_that_the_sdk_sends_are_these_and_no_others():
     sent = bytearray()
     with emulated(faults=Faults(warning=11)) as (controller, address), recording_proxy(address, sent) as between:
-        before = controller.look()
+        before = controller.snapshot()
         with connected(between) as sdk:
             for _ in range(3):
                 sdk.forward_kinematics(Q)
             time.sleep(1.2)  # its threads wake up every half second
-        seen = controller.look()
+        seen = controller.snapshot()
     frames = list(protocol.take_frames(sent))
     assert not sent
     assert [frame.register for frame in frames] == [1, 44, 44, 44]
     assert {frame.protocol for frame in frames} <= {2, 3}
     assert frames[0].body == b""
     np.testing.assert_array_equal(np.frombuffer(frames[1].body, "<f4")[:6], Q.astype(np.float32))
-    assert seen.asked == {1: 1, 44: 3}
+    assert seen.requests == {1: 1, 44: 3}
     assert (seen.state, seen.mode, seen.error) == (before.state, before.mode, before.error)
     np.testing.assert_array_equal(seen.joints, before.joints)
 
@@ -107,7 +107,7 @@ def test_the_way_out_is_shut_for_the_real_sdk(tmp_path):
             command = [sys.executable, "-P", "-c", program, address.host, str(address.port), str(worker), way]
             environment = {**os.environ, "HOME": str(tmp_path)}
             subprocess.run(command, env=environment, check=True, stdout=subprocess.DEVNULL, timeout=60)
-            asked[way] = set(controller.look().asked)
+            asked[way] = set(controller.snapshot().requests)
     assert {11, 12, 16, 17, 19} <= asked["open"]
     assert {1, 15} <= asked["shut"] <= set(READS)
 

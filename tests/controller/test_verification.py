@@ -25,7 +25,7 @@ def calibration(kinematics=KINEMATICS):
 def test_the_precision_floor_of_the_sdk():
     with emulated() as (controller, address):
         found = verify(calibration(), address, samples=1500)
-        assert set(controller.look().asked) == {1, 44}
+        assert set(controller.snapshot().requests) == {1, 44}
     assert found.passed
     assert found.position.max() <= FLOOR_M
     assert found.position.mean() < 2e-8
@@ -83,7 +83,7 @@ def test_a_tool_that_the_kinematics_leave_out_is_said(monkeypatch):
     with emulated() as (_, address):
         found = verify(calibration(), address, samples=20)
     assert found.passed
-    assert found.tool == "left out by the controller"
+    assert found.tool == "omitted by the controller"
 
 
 def test_a_tool_that_no_report_shows_is_found(monkeypatch):
@@ -137,6 +137,6 @@ def test_what_cannot_be_verified_says_why(faults, says, monkeypatch):
 def test_a_bad_line_and_a_warning_do_not_matter(faults):
     with emulated(faults=faults) as (controller, address):
         found = verify(calibration(), address, samples=10)
-        assert set(controller.look().asked) == {1, 44}
+        assert set(controller.snapshot().requests) == {1, 44}
     assert found.passed
     assert found.condition.warning == faults.warning

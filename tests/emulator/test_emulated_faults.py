@@ -120,7 +120,7 @@ def test_hanging_up(lite6, raw, connect):
         arm = connect(controller)
         with raw(controller) as line:
             assert line.ask(13)[6] == 13
-            controller.hang_up()
+            controller.close_connections()
             with pytest.raises((EOFError, ConnectionError)):
                 line.ask(13)
         until(lambda: not arm.connected)
@@ -149,7 +149,7 @@ def test_reports_that_never_come(lite6, connect):
     """lite6.md: without a report the SDK's tool offset stays at its cached zero."""
     with faulty(lite6, "silent_reports", tool=[0, 0, 100, 0, 0, 0]) as controller:
         arm = connect(controller)
-        until(lambda: controller.look().connections[30002] == 1)
+        until(lambda: controller.snapshot().connections[30002] == 1)
         assert arm.get_position()[0] == 0
         assert arm.tcp_offset == [0] * 6
         assert not arm.arm._first_report_over
@@ -208,7 +208,7 @@ def test_a_controller_in_error(lite6, connect):
     tool = [0, 0, 100, 0, 0, 0]
     with faulty(lite6, "error:2", "warning:11", path=draw_sines(lite6.arm.joint_limits), tool=tool) as controller:
         arm = connect(controller)
-        assert controller.look().state == 4  # it does not move
+        assert controller.snapshot().state == 4  # it does not move
         until(lambda: arm.error_code == 2)
         assert arm.get_err_warn_code() == (0, [2, 11])
         assert arm.tcp_offset == [0] * 6
@@ -227,10 +227,10 @@ def test_a_controller_in_error(lite6, connect):
 def test_an_error_that_comes_while_it_moves(lite6, connect):
     with faulty(lite6, path=draw_sines(lite6.arm.joint_limits), speed=5.0) as controller:
         arm = connect(controller)
-        until(lambda: controller.look().time > 1)
+        until(lambda: controller.snapshot().time > 1)
         controller.fail(31)
         assert arm.get_err_warn_code() == (0, [31, 0])
-        until(lambda: np.ptp([controller.look().joints[0] for _ in range(5)]) == 0)
+        until(lambda: np.ptp([controller.snapshot().joints[0] for _ in range(5)]) == 0)
         controller.fail(0)
         assert arm.get_err_warn_code() == (0, [0, 0])
 
@@ -288,8 +288,8 @@ def test_it_can_be_opened_again_and_leaves_nothing_behind(lite6, raw):
     for _ in range(2):
         with controller, raw(controller) as line:
             assert line.ask(13)[6] == 13
-            before = controller.look().time
-            until(lambda before=before: controller.look().time > before + 0.1)
+            before = controller.snapshot().time
+            until(lambda before=before: controller.snapshot().time > before + 0.1)
         with pytest.raises(ConnectionRefusedError):
             socket.create_connection((controller.address, controller.control_port), timeout=1)
     controller.close()

@@ -186,11 +186,11 @@ def test_motions_that_the_arm_cannot_do(tmp_path, rows, message):
 def test_motions_that_are_too_fast_or_out_of_order(tmp_path):
     header = "time_s," + ",".join(f"q{i}_rad" for i in range(1, 7))
     fast = recording(tmp_path / "fast.csv", "\n".join([header, *(f"{0.1 * k},{k % 2},0,1,0,0,0" for k in range(20))]))
-    with pytest.raises(InputError, match=r"a joint turns at \d+°/s, but the limit is 180°/s; give a slower"):
+    with pytest.raises(InputError, match=r"a joint moves at \d+°/s, but the limit is 180°/s; give a slower"):
         read_path(fast, LITE6)
     rows = (f"{0.1 * k},{int(k == 15000)},0,1,0,0,0" for k in range(20000))
     jerk = recording(tmp_path / "jerk.csv", "\n".join([header, *rows]))
-    with pytest.raises(InputError, match=r"a joint turns at \d+°/s"):  # once in half an hour
+    with pytest.raises(InputError, match=r"a joint moves at \d+°/s"):  # once in half an hour
         read_path(jerk, LITE6)
     back = recording(tmp_path / "back.csv", "\n".join([header, "0,0,0,1,0,0,0", "0.2,0,0,1,0,0,0", "0.1,0,0,1,0,0,0"]))
     with pytest.raises(InputError, match="time does not increase from row to row; sort the rows, and keep one run"):

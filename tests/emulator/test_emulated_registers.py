@@ -242,7 +242,7 @@ def test_a_controller_that_was_just_switched_on(lite6, connect):
 def test_a_move_takes_the_time_of_its_limits(ready, controller):
     """A trapezoid: way over speed plus speed over acceleration; the emulated clock says how long it took."""
     assert ready.set_servo_angle(angle=[0] * 6, speed=3, wait=True) == 0
-    start = controller.look().time
+    start = controller.snapshot().time
     assert ready.set_servo_angle(angle=[1.0, 0, 0.5, 0, 0, 0], speed=0.5, mvacc=2.0, wait=False) == 0
     assert ready.get_state() == (0, 1)
     moves = controller.call(lambda core: [(move.start, move.end) for move in core.queue])
@@ -262,10 +262,10 @@ def test_moves_queue_up_and_are_waited_for(ready, controller):
     assert ready.set_servo_angle(angle=goals[-1], speed=1.0, wait=True) == 0  # told of by feedback
     assert ready.get_cmdnum() == (0, 0)
     assert ready.get_servo_angle()[1] == [0] * 7
-    assert controller.look().asked[24] >= 2
-    assert controller.look().asked[254] >= 2
+    assert controller.snapshot().requests[24] >= 2
+    assert controller.snapshot().requests[254] >= 2
     assert ready.arm.wait_all_task_finish(timeout=5) == 0  # register 253
-    assert controller.look().asked[253] >= 1
+    assert controller.snapshot().requests[253] >= 1
 
 
 def test_a_move_that_is_only_to_be_checked_does_not_happen(ready, raw, controller):
@@ -347,7 +347,7 @@ def test_commanded_and_measured_joints_differ_while_it_moves(lite6, connect):
     path = draw_sines(lite6.arm.joint_limits, seed=3)
     with Controller(lite6, path=path, address=new_address(), control_port=CONTROL_PORT, speed=5.0) as controller:
         arm = connect(controller)
-        until(lambda: controller.look().time > 1.5)
+        until(lambda: controller.snapshot().time > 1.5)
         frozen = 1.7
         commanded, measured = controller.call(
             lambda core: (core.commanded(np.array([frozen]))[0][0], core.measured(np.array([frozen]))[0][0])

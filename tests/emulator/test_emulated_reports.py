@@ -97,7 +97,7 @@ def test_ports_keep_their_rates(lite6, port, count, field):
     there = np.array([3.0, 0, 1, 0, 0, 0])
     path = PointToPoint(there * [-1, 1, 1, 1, 1, 1], there, speed=0.1)  # for a minute
     with emulated(lite6, path=path, speed=4.0) as controller:
-        until(lambda: controller.look().time > 0.1)
+        until(lambda: controller.snapshot().time > 0.1)
         turned = np.diff(read_reports(controller, port, count)[field][:, 0].astype(float))
     np.testing.assert_allclose(turned / 0.1, 1 / protocol.RATES[port], atol=1e-5)
 
