@@ -10,6 +10,7 @@ from typing import Any, NamedTuple, final
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 from jax.typing import ArrayLike
 from numpy.typing import NDArray
 
@@ -132,8 +133,8 @@ class DiagnosedArm:
         q = jnp.asarray(joint_position, float)
         if q.ndim < 1 or q.shape[-1] != self.dof:
             raise InputError(f"pose: joint_position has the shape {q.shape}; give (..., {self.dof}) in rad")
-        if not isinstance(q, jax.core.Tracer):
-            limits = None if isinstance(self.joint_limits, jax.core.Tracer) else self.joint_limits
+        if not isinstance(q, Tracer):
+            limits = None if isinstance(self.joint_limits, Tracer) else self.joint_limits
             require_radians(q, limits)
 
         each, samples = q.shape[:-1], int(np.prod(q.shape[:-1], dtype=int))

@@ -215,7 +215,7 @@ class _Frames:
         parts = [missed / self.noise[0]] + ([] if turned is None else [turned / self.noise[1]])
         return np.hstack(parts).T
 
-    @cached_property
+    @property
     def nuisance(self) -> Array:
         """`(unknown, row, sample)`."""
         R, R_sensor = self.flange[:, :3, :3], self.T_sensor_base[:3, :3]
