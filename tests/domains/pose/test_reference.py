@@ -505,6 +505,7 @@ def test_agreement_as_it_is_typed(capsys, folder, tmp_path):
     out = tmp_path / "d.json"
     code, said, _ = run(capsys, "diagnose", paths[0], "--reference", paths[1], "--out", out)
     assert code == 0
+    assert "Consistent: beyond the differences above, the two recordings differ by noise." in flat(said)
     assert "`lite6jax diagnose run2.csv` would find." in flat(said)
     document = json.loads(out.read_text())
     assert document["against"]["statement"] == (
@@ -526,5 +527,5 @@ def test_what_the_command_refuses(capsys, files, tmp_path):
     assert "none.csv" in refused(capsys, "diagnose", ours, "--reference", tmp_path / "none.csv", "--out", out)
     other = write_recording(simulator(rigid(LITE6.kinematics), static_motion(5, SAMPLES)), tmp_path / "other.csv")
     said = refused(capsys, "diagnose", ours, "--reference", other, "--out", out)
-    assert said.startswith(f"{other}: 0 of its {SAMPLES} rows are at joint positions of the {SAMPLES} of {ours}")
+    assert said.startswith(f"{other}: 0 of its {SAMPLES} rows are at joint positions of the {SAMPLES} rows of {ours}")
     assert not out.exists()
