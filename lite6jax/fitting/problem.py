@@ -24,7 +24,7 @@ from lite6jax.fitting.chunks import observe, pad, padded_size
 from lite6jax.fitting.residual import POSE, POSITION, Observations, differences, predict_frames
 from lite6jax.fitting.start import frames_from_poses
 from lite6jax.model import LEVER, ArmModel, ModelForm
-from lite6jax.recordings import Recording, require_radians, require_samples
+from lite6jax.recordings import Recording, require_samples
 
 Array = NDArray[np.floating]
 Geometry = Literal["declared", "exact", "prior", "free"]
@@ -149,7 +149,6 @@ def recording_problem(
             f"{recording.source}: has {recording.dof} joints, but {arm.name} has {arm.dof}; name the arm with --arm"
         )
     require_samples(recording, 1)
-    require_radians(recording.joint_position, arm.joint_limits, f"{recording.source}: joint_position")
     notes: list[str] = []
     factory_path, uncertainty = settings.factory_path(folder), settings.factory_uncertainty
     if factory is not None:

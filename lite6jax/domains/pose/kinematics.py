@@ -1,5 +1,6 @@
 """Residuals of measured poses and their derivatives: of a rigid arm on the host, of a deflected one in JAX."""
 
+from collections.abc import Sequence
 from functools import partial
 from typing import NamedTuple
 
@@ -15,6 +16,7 @@ from lite6jax.arms.moves import turn
 from lite6jax.effects.deflection import Deflection
 from lite6jax.fitting.residual import Observations, differences, whiten
 from lite6jax.model import ArmModel, predict_bent
+from lite6jax.recordings import Recording
 
 Array = NDArray[np.floating]
 Site = tuple[str, int, int]
@@ -87,7 +89,7 @@ def site_columns(model: ArmModel, joint_position: Array, measured: Measured) -> 
     """How whitened residuals `(row, sample)` change with a unit deflection at each site of a rigid arm."""
     rigid = rigid_frames(model, joint_position)
     dof = len(joint_position)
-    twists, stretches, scale = _plain_columns(rigid, measured)
+    twists, stretches, scale = frame_columns(rigid, measured)
     columns = whitened(
         np.concatenate([twists.reshape(-1, *twists.shape[2:]), stretches, scale[None]]), measured.whitener
     )
@@ -104,12 +106,47 @@ def site_columns(model: ArmModel, joint_position: Array, measured: Measured) -> 
     return sites
 
 
-def joint_columns(model: ArmModel, joint_position: Array, measured: Measured) -> Array:
-    """The residual's derivative by each joint's position, `(joint, row, sample)`, m and rad."""
-    return _plain_columns(rigid_frames(model, joint_position), measured)[0][1:, 5]
+def joint_columns(rigid: RigidFrames, measured: Measured) -> Array:
+    """How differences change with each joint's position, `(joint, row, sample)`, m and rad."""
+    return frame_columns(rigid, measured)[0][1:, 5]
 
 
-def _plain_columns(rigid: RigidFrames, measured: Measured) -> tuple[Array, Array, Array]:
+def displaced(model: ArmModel, unknown: Sequence[Site], nuisance: Array) -> ArmModel:
+    """The rigid arm whose frames at the sites `unknown` are displaced by `nuisance` `(unknown,)`, m and rad."""
+    twists: dict[tuple[str, int], Array] = {}
+    for (name, j, k), value in zip(unknown, nuisance, strict=True):
+        twists.setdefault((name, j), np.zeros(6))[k] = value
+    rows = np.array(np.asarray(model.geometry).reshape(-1, 6))
+    T_sensor_base, T_flange_tool = (np.array(leaf) for leaf in model[1:])
+    for (name, j), twist in twists.items():
+        T = small_displacement(twist)
+        if name == "base":
+            T_sensor_base = T_sensor_base @ T
+        elif name == "tool":
+            T_flange_tool = T @ T_flange_tool
+        else:
+            rows[j + 1] = frames.row_from_transform(T @ frames.transform_from_row(rows[j + 1]))
+    return ArmModel(rows.ravel(), T_sensor_base, T_flange_tool)  # type: ignore[arg-type]
+
+
+def small_displacement(twist: Array) -> Array:
+    """`(4, 4)` of a displacement `(6,)`: its translation in m, and its rotation vector in rad."""
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = Rotation.from_rotvec(twist[3:]).as_matrix(), twist[:3]
+    return T
+
+
+def measured_poses(recording: Recording, whitener: Array) -> Measured:
+    """The poses of a recording."""
+    position, quaternion = recording.position, recording.quaternion
+    assert position is not None
+    rotation = np.zeros((3, 3, 0))
+    if quaternion is not None:
+        rotation = np.moveaxis(Rotation.from_quat(np.roll(quaternion, -1, 1)).as_matrix(), 0, -1)
+    return Measured(np.ascontiguousarray(position.T), rotation, whitener)
+
+
+def frame_columns(rigid: RigidFrames, measured: Measured) -> tuple[Array, Array, Array]:
     """In m and rad, of frames' twists `(frame, 6, row, sample)`, of stretches `(joint, row, sample)`, and of scale."""
     F, tool = rigid.frames, rigid.tool
     axes = np.moveaxis(F[:, :, :3, :3], 1, -1).swapaxes(1, 2)  # (frame, axis, component, sample)

@@ -8,9 +8,7 @@ from typing import TYPE_CHECKING, final
 import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
-from lite6jax.arms import frames
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.chains import SixParameterForm
 from lite6jax.arms.factory import FactoryCalibration
@@ -22,12 +20,13 @@ from lite6jax.domains.pose.kinematics import (
     Site,
     bent_positions,
     bent_residual,
-    joint_columns,
+    displaced,
     rigid_differences,
     rigid_frames,
     site_columns,
     whitened,
 )
+from lite6jax.domains.pose.rigid_arm import rigid_arm
 from lite6jax.effects.catalogue import Untestable, catalogue, untestable
 from lite6jax.effects.composition import Physics
 from lite6jax.effects.deflection import Deflection, dense
@@ -37,7 +36,7 @@ from lite6jax.effects.motion import Motion, accelerated, beyond, select, shifted
 from lite6jax.effects.statics import Inertia, Loads
 from lite6jax.estimation.problem import CurveFamily, Mask, PeriodicFamily
 from lite6jax.estimation.terms import Term, Terms
-from lite6jax.fitting.problem import Geometry, recording_problem, whitener_of
+from lite6jax.fitting.problem import Geometry
 from lite6jax.model import ArmModel
 from lite6jax.recordings import Recording
 from lite6jax.recordings.motion import inertia_of_arm, motion_of_recording
@@ -46,9 +45,6 @@ Array = NDArray[np.floating]
 
 # type checkers take a cached property for no property of a protocol
 lazy = property if TYPE_CHECKING else cached_property
-
-GAUGE = {"m": 0.02, "rad": 0.05}
-"""Prior of each number of an unknown chain: wide enough for any arm, it fixes what nothing determines."""
 
 
 @final
@@ -219,21 +215,7 @@ class PoseProblem:
 
     def displaced(self, nuisance: Array) -> ArmModel:
         """The rigid arm that the nuisance `(unknown,)` makes of `start`."""
-        twists: dict[tuple[str, int], Array] = {}
-        for (name, j, k), value in zip(self.unknown, nuisance, strict=True):
-            twists.setdefault((name, j), np.zeros(6))[k] = value
-        rows = np.array(np.asarray(self.start.geometry).reshape(-1, 6))
-        T_sensor_base, T_flange_tool = (np.array(leaf) for leaf in self.start[1:])
-        for (name, j), twist in twists.items():
-            T = np.eye(4)
-            T[:3, :3], T[:3, 3] = Rotation.from_rotvec(twist[3:]).as_matrix(), twist[:3]
-            if name == "base":
-                T_sensor_base = T_sensor_base @ T
-            elif name == "tool":
-                T_flange_tool = T @ T_flange_tool
-            else:
-                rows[j + 1] = frames.row_from_transform(T @ frames.transform_from_row(rows[j + 1]))
-        return ArmModel(rows.ravel(), T_sensor_base, T_flange_tool)  # type: ignore[arg-type]
+        return displaced(self.start, self.unknown, nuisance)
 
     def selected(self, chosen: NDArray[np.integer]) -> "PoseProblem":
         """Some of the samples, each a run of its own."""
@@ -330,64 +312,29 @@ def pose_problem(
         factory: the arm's calibration; from the sidecar where not given.
 
     Raises:
-        InputError: as `recording_problem`.
+        InputError: as `rigid_arm`.
     """
-    fitted = recording_problem(recording, arm, geometry, factory)
-    arm, form = fitted.arm, fitted.form
-    known_chain = isinstance(form.chain, SixParameterForm)
-    values = np.asarray(fitted.start.geometry) if known_chain else arm.kinematics.ravel()
-    start = ArmModel(values, *(np.asarray(leaf) for leaf in fitted.start[1:]))  # type: ignore[arg-type]
-    geometry_moves = bool(fitted.movable[: form.chain.size].any())
-    unknown: list[Site] = []
-    if geometry_moves or form.frame:
-        unknown += [("base", 0, k) for k in range(6)]
-    if geometry_moves:
-        unknown += [("link", j, k) for j in range(arm.dof - 1) for k in range(6)]
-    if form.tool:
-        unknown += [("tool", 0, k) for k in range(6 if fitted.rows == 6 else 3)]
-    uncertainty = None if factory is not None else recording.settings.factory_uncertainty
-    sigma = (GAUGE["m"], GAUGE["rad"])
-    if known_chain and uncertainty is not None:
-        sigma = (uncertainty.position_m, uncertainty.rotation_rad)
-    free = [name == "tool" or (name == "base" and form.frame) for name, _, _ in unknown]
-    precision = [0.0 if is_free else sigma[k > 2] ** -2.0 for (_, _, k), is_free in zip(unknown, free, strict=True)]
-    motion, inertia = motion_of_recording(recording), inertia_of_arm(arm, recording.settings)
-    pose = fitted.pose
-    position = pose[:, :3, 3] if pose.ndim == 3 else pose
-    rotation = np.moveaxis(pose[:, :3, :3], 0, -1) if pose.ndim == 3 else np.zeros((3, 3, 0))
-    measured = Measured(np.ascontiguousarray(position.T), rotation, np.ones(2))
-    every = (*catalogue(arm.dof, turned_tool=fitted.rows == 6), *effects)
+    rigid = rigid_arm(recording, arm, geometry, factory)
+    motion, inertia = motion_of_recording(recording), inertia_of_arm(rigid.arm, recording.settings)
+    every = (*catalogue(rigid.arm.dof, turned_tool=rigid.rows == 6), *effects)
     missing = tuple(untestable(every, motion, inertia is not None))
     lacking = {item.effect for item in missing}
-    whitener = _whitener(start, np.asarray(motion.joint_position), measured, fitted.noise, fitted.joint_noise)
     return PoseProblem(
         recording=recording,
-        arm=arm,
-        start=start,
-        unknown=tuple(unknown),
-        precision=np.array(precision),
-        offset=np.zeros(len(unknown)),
-        informative=uncertainty is not None,
+        arm=rigid.arm,
+        start=rigid.start,
+        unknown=rigid.unknown,
+        precision=rigid.precision,
+        offset=rigid.offset,
+        informative=rigid.informative,
         motion=motion,
         inertia=inertia,
-        measured=measured._replace(whitener=whitener),
-        noise=fitted.noise,
-        declared=fitted.declared,
+        measured=rigid.measured,
+        noise=rigid.noise,
+        declared=rigid.declared,
         candidates=tuple(effect for effect in every if effect not in lacking),
         untestable=missing,
         clock_offset=0.0,
         thinned_from=None,
         units={},
     )
-
-
-def _whitener(
-    start: ArmModel, q: Array, measured: Measured, noise: tuple[float, float | None], joint_noise: float
-) -> Array:
-    """`(2,)`, or `(row, row, sample)` with read-out noise of the joints: the covariance is then Σ + σ_q² J Jᵀ."""
-    sigma = np.repeat((noise[0], noise[1] or noise[0]), 3)[: measured.rows]
-    if not joint_noise:
-        return whitener_of(np.diag(sigma**2))
-    J = joint_columns(start, q, measured)
-    covariance = np.diag(sigma**2) + joint_noise**2 * np.einsum("jas,jbs->sab", J, J, optimize=True)
-    return np.moveaxis(whitener_of(covariance), 0, -1)

@@ -12,11 +12,12 @@ from scipy.spatial.transform import Rotation
 from lite6jax.arms.bundled import load_bundled
 from lite6jax.arms.factory import write_factory
 from lite6jax.domains.pose.problem import pose_problem
+from lite6jax.domains.pose.rigid_arm import rigid_arm
 from lite6jax.domains.pose.screening import registry
 from lite6jax.domains.pose.screening.columns import single_corrections
 from lite6jax.domains.pose.screening.options import ScreeningOptions
+from lite6jax.domains.pose.screening.physics_columns import physics_columns
 from lite6jax.domains.pose.screening.projection import Projected, estimated
-from lite6jax.domains.pose.screening.rigid import physics_columns, rigid_of
 from lite6jax.domains.pose.screening.screen import screen
 from lite6jax.domains.pose.screening.screened import Corrections
 from lite6jax.errors import InputError
@@ -200,7 +201,7 @@ class TestGoodRecordings:
     @pytest.mark.parametrize("setup", SETUPS)
     def test_the_fit_is_that_of_the_case(self, folder, still, setup):
         recording = Made(folder, PHYSICS["compliance"], seed=6, **SETUPS[setup]).recording(still)
-        fitted = rigid_of(recording).fitted(OPTIONS)
+        fitted = rigid_arm(recording).fitted(OPTIONS.most_fitted)
         problem = pose_problem(recording)
         other = fit(problem, Terms(), DEFAULTS)
         assert fitted.scale == pytest.approx(float(other.scale[0]), rel=0.02)
@@ -211,7 +212,7 @@ class TestGoodRecordings:
         )
 
     def test_columns_are_derivatives(self, good):
-        arm = rigid_of(good)
+        arm = rigid_arm(good)
         step = 1e-7
         shifted = replace(arm, recording=replace(good, joint_position=good.joint_position + step * np.eye(6)[2]))
         np.testing.assert_allclose((shifted.residuals - arm.residuals) / step, arm.joints[2], rtol=0, atol=2.0)
@@ -220,11 +221,11 @@ class TestGoodRecordings:
     def test_physics_columns_span_the_catalogue(self, folder, still):
         """What plain effects do to plain poses lies in the span of the columns."""
         made = Made(folder, seed=7, orientation=False)
-        arm = rigid_of(made.recording(still, noise=None))
+        arm = rigid_arm(made.recording(still, noise=None))
         projected = Projected(arm, physics_columns(arm), OPTIONS)
         for name in ("compliance", "harmonic", "backlash", "drift", "tool", "thermal", "base"):
             bent = with_effects(made, *PHYSICS[name]).recording(still, noise=None)
-            there = rigid_of(bent).residuals[None]
+            there = rigid_arm(bent).residuals[None]
             left = np.linalg.norm(projected.without(there)) / np.linalg.norm(there * projected.weight)
             assert left < 0.02, (name, left)
 
@@ -445,7 +446,7 @@ class TestUnsettledReadouts:
         off = screened.recording.joint_position - still["joint_position"] - rest
         assert np.abs(off).max() < 2e-5 + 3e-3 * share
         # what backlash does is still there
-        left = rigid_of(screened.recording).fitted(OPTIONS)
+        left = rigid_arm(screened.recording).fitted(OPTIONS.most_fitted)
         sizes, stds = estimated(
             left, physics_columns(left, skip=("direction",)), left.joints * still["direction"].T[:, None], OPTIONS
         )

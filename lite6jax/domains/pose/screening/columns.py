@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from lite6jax.arms import frames
+from lite6jax.domains.pose.rigid_arm import RigidArm, rigid_arm
 from lite6jax.domains.pose.screening.options import ScreeningOptions
-from lite6jax.domains.pose.screening.rigid import Rigid, rigid_of
 from lite6jax.domains.pose.screening.screened import Detection, Screened
 from lite6jax.fitting.start import frames_from_poses
 from lite6jax.model import LEVER
@@ -146,7 +146,7 @@ def correct_columns(state: Screened, compared: Comparison, options: ScreeningOpt
     alternatives = [
         [{"fault": fault.code, **fault.numbers} for fault in other.faults()] for other in compared.alternatives
     ]
-    rigid = rigid_of(compared.correction.applied(arm.recording), arm.arm, state.geometry, state.factory)
+    rigid = rigid_arm(compared.correction.applied(arm.recording), arm.arm, state.geometry, state.factory)
     for fault in compared.correction.faults():
         errors = {"median_error_m": compared.error, "corrected_error_m": compared.corrected_error}
         state = state.corrected(fault.with_numbers(**errors, alternatives=alternatives), rigid=rigid)
@@ -178,7 +178,7 @@ def single_corrections(dof: int, orientation: bool) -> Iterator[ColumnCorrection
             yield replace(same, offset=with_joint(same.offset, i, quarters * np.pi / 2))
 
 
-def compare_corrections(arm: Rigid, options: ScreeningOptions) -> Comparison:
+def compare_corrections(arm: RigidArm, options: ScreeningOptions) -> Comparison:
     """The correction of columns with which a recording fits, where as recorded it misses grossly.
 
     All are compared on some rows of the nominal arm, frames in closed form; the best are fitted, and must leave a share
@@ -207,7 +207,7 @@ def compare_corrections(arm: Rigid, options: ScreeningOptions) -> Comparison:
     near = [
         one for left, one in first if left <= max(options.unfitted_ratio * allowed, options.fitted_ratio * first[0][0])
     ]
-    fits = [(_median_error(_corrected(arm, one).fitted(options)), k, one) for k, one in enumerate(near)]
+    fits = [(_median_error(_corrected(arm, one).fitted(options.most_fitted)), k, one) for k, one in enumerate(near)]
     least = min(fits)[0]
     if least > allowed:
         return Comparison(error, limit, corrected_error=least)
@@ -219,7 +219,7 @@ def compare_corrections(arm: Rigid, options: ScreeningOptions) -> Comparison:
     rank = {one: k for k, one in enumerate(singles)}
     chosen = min(equal, key=lambda one: (_outside_limits(arm, one, options), rank.get(one, 0), near.index(one)))
     # a chain that is not known may be further from its table than the limit, and fit the columns as recorded
-    corrected, recorded = _corrected(arm, chosen).fitted(options), arm.fitted(options)
+    corrected, recorded = _corrected(arm, chosen).fitted(options.most_fitted), arm.fitted(options.most_fitted)
     scale = min(corrected.scale, recorded.scale)
     gain = corrected.log_likelihood(scale) - recorded.log_likelihood(scale)
     if gain < options.trusted_log_likelihood:
@@ -231,12 +231,12 @@ def compare_corrections(arm: Rigid, options: ScreeningOptions) -> Comparison:
     return Comparison(error, limit, chosen, least, tuple(distinct[1:]))
 
 
-def _spread_rows(arm: Rigid, count: int) -> Rigid:
+def _spread_rows(arm: RigidArm, count: int) -> RigidArm:
     """The arm with some rows of its recording."""
     return arm.select(np.unique(np.linspace(0, arm.samples - 1, count).astype(int)))
 
 
-def _corrected(arm: Rigid, correction: ColumnCorrection) -> Rigid:
+def _corrected(arm: RigidArm, correction: ColumnCorrection) -> RigidArm:
     """With the columns corrected, and frames in closed form."""
     recording = correction.applied(arm.recording)
     flange = frames.chain(arm.links, recording.joint_position) @ arm.arm.T_joint_flange
@@ -252,14 +252,16 @@ def _corrected(arm: Rigid, correction: ColumnCorrection) -> Rigid:
         None if free_frame else arm.T_sensor_base,
         None if free_tool else known_tool,
     )
-    return replace(arm, recording=recording, T_sensor_base=T_frame, T_flange_tool=arm.arm.T_joint_flange @ T_tool)
+    tool = arm.arm.T_joint_flange @ T_tool
+    start = arm.start._replace(T_sensor_base=T_frame, T_flange_tool=tool)  # type: ignore[arg-type]
+    return replace(arm, recording=recording, start=start)
 
 
-def _median_error(arm: Rigid) -> float:
+def _median_error(arm: RigidArm) -> float:
     return float(np.median(np.hypot(arm.distance, LEVER * arm.turn)))
 
 
-def _outside_limits(arm: Rigid, correction: ColumnCorrection, options: ScreeningOptions) -> int:
+def _outside_limits(arm: RigidArm, correction: ColumnCorrection, options: ScreeningOptions) -> int:
     """How many joint positions a correction puts outside the limits."""
     slack = options.limit_slack_rad
     q, (low, high) = correction.joints(arm.recording.joint_position), arm.arm.joint_limits.T

@@ -9,9 +9,11 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from scipy.special import chdtrc
 
+from lite6jax.domains.pose.kinematics import small_displacement
+from lite6jax.domains.pose.rigid_arm import RigidArm
 from lite6jax.domains.pose.screening.options import ScreeningOptions
+from lite6jax.domains.pose.screening.physics_columns import physics_columns
 from lite6jax.domains.pose.screening.projection import Projected, thinned
-from lite6jax.domains.pose.screening.rigid import Rigid, physics_columns, transform_of
 from lite6jax.domains.pose.screening.screened import Detection, Screened, not_there
 from lite6jax.estimation.noise import autocorrelation_time, noise_model
 from lite6jax.estimation.options import DEFAULTS
@@ -89,14 +91,14 @@ def remove_jump(state: Screened, jump: Jump, options: ScreeningOptions) -> Scree
     return state.transformed(partial(_removed, arm, refined, int(row[k])))
 
 
-def _removed(arm: Rigid, jump: Jump, row: int, recording: Recording) -> Recording:
+def _removed(arm: RigidArm, jump: Jump, row: int, recording: Recording) -> Recording:
     """The correction of a jump at a row of the file, in other rows of the same recording."""
     there = replace(arm, recording=recording)
     sample = int(np.flatnonzero(recording.row == row)[0])
-    return _displaced_back(there, there, jump._replace(sample=sample), transform_of(jump.twist))
+    return _displaced_back(there, there, jump._replace(sample=sample), small_displacement(jump.twist))
 
 
-def seek_jump(arm: Rigid, options: ScreeningOptions) -> JumpSearch:
+def seek_jump(arm: RigidArm, options: ScreeningOptions) -> JumpSearch:
     """The row, if any, at which the sensor's frame, the base or the tool jumped.
 
     The maximum over rows of the score of six numbers that are others after it, beside all physics and a drift that is a
@@ -171,7 +173,7 @@ def _p_value(projected: Projected, after: Array, values: Array, statistic: float
     return at(max(time, model.time))
 
 
-def _located(arm: Rigid, low: int, high: int, first: int, values: Array) -> int:
+def _located(arm: RigidArm, low: int, high: int, first: int, values: Array) -> int:
     """The first sample of `(low, high]` after a jump by the numbers of twists from `first` on."""
     part = arm.select(np.arange(low, high + 1))
     plain = np.sum(part.residuals**2, 0)
@@ -179,7 +181,9 @@ def _located(arm: Rigid, low: int, high: int, first: int, values: Array) -> int:
     return low + 1 + int(np.argmin(np.cumsum(plain - moved)[:-1]))
 
 
-def without_jump(arm: Rigid, jump: Jump, options: ScreeningOptions, beside_physics: bool = True) -> tuple[Rigid, Jump]:
+def without_jump(
+    arm: RigidArm, jump: Jump, options: ScreeningOptions, beside_physics: bool = True
+) -> tuple[RigidArm, Jump]:
     """The arm with the poses after a jump where they would have been without it, fitted; and the refined jump.
 
     Args:
@@ -189,7 +193,7 @@ def without_jump(arm: Rigid, jump: Jump, options: ScreeningOptions, beside_physi
         beside_physics: whether it is estimated beside all physics.
     """
     total, moved = np.eye(4), arm
-    twist = transform_of(jump.twist)
+    twist = small_displacement(jump.twist)
     if jump.part == "base" and jump.displacement > options.large_jump_noise * arm.noise[0]:
         assert arm.recording.position is not None
         points = arm.tool.copy()
@@ -203,7 +207,7 @@ def without_jump(arm: Rigid, jump: Jump, options: ScreeningOptions, beside_physi
     for _ in range(options.refinements):
         total = twist @ total if jump.part == "tool" else total @ twist
         recording = _displaced_back(arm, moved, jump, total)
-        moved = replace(moved, recording=recording).fitted(options)
+        moved = replace(moved, recording=recording).fitted(options.most_fitted)
         physics = physics_columns(moved, skip=("drift",)) if beside_physics else np.zeros((0, arm.rows, arm.samples))
         projected = Projected(moved, physics, options)
         last = 6 * arm.recording.dof
@@ -213,7 +217,7 @@ def without_jump(arm: Rigid, jump: Jump, options: ScreeningOptions, beside_physi
             break
         small = np.zeros(6)
         small[: len(values)] = np.where(np.isfinite(np.diagonal(covariance)), values, 0.0)
-        twist = transform_of(small)
+        twist = small_displacement(small)
     rotation = Rotation.from_matrix(total[:3, :3]).as_rotvec()
     twist = np.concatenate([total[:3, 3], rotation])
     assert moved.recording.position is not None
@@ -222,7 +226,7 @@ def without_jump(arm: Rigid, jump: Jump, options: ScreeningOptions, beside_physi
     return moved, jump._replace(twist=twist, displacement=float(np.sqrt(np.mean(shift**2))))
 
 
-def _displaced_back(arm: Rigid, fitted: Rigid, jump: Jump, T: Array) -> Recording:
+def _displaced_back(arm: RigidArm, fitted: RigidArm, jump: Jump, T: Array) -> Recording:
     """The recording with the poses after a jump by `T` displaced back."""
     recording, after = arm.recording, np.arange(arm.samples) >= jump.sample
     assert recording.position is not None
@@ -277,7 +281,7 @@ def _scan(projected: Projected, columns: Array, starts: NDArray[np.integer], opt
     return np.sum(np.where(observable, pulled**2 / np.where(observable, eigenvalues, 1.0), 0.0), 1)
 
 
-def _sharp(arm: Rigid, k: int, segment: NDArray[np.integer], options: ScreeningOptions) -> bool:
+def _sharp(arm: RigidArm, k: int, segment: NDArray[np.integer], options: ScreeningOptions) -> bool:
     """Whether a trajectory shows more of a jump at a row than at any other; true where a run begins, and at rest."""
     n, w = arm.samples, options.jump_window
     if arm.recording.motion == "static" or k < w or k > n - w or segment[k - 1] != segment[k]:

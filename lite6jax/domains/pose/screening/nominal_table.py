@@ -6,12 +6,15 @@ from typing import Any, NamedTuple, final
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from lite6jax.arms import frames
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.bundled import VARIANTS, bundled_arms, load_bundled
+from lite6jax.domains.pose.rigid_arm import RigidArm
 from lite6jax.domains.pose.screening.options import ScreeningOptions
+from lite6jax.domains.pose.screening.physics_columns import physics_columns
 from lite6jax.domains.pose.screening.projection import estimated
-from lite6jax.domains.pose.screening.rigid import Rigid, physics_columns
 from lite6jax.domains.pose.screening.screened import Detection, Screened, not_there
+from lite6jax.model import ArmModel
 from lite6jax.recordings import Recording
 from lite6jax.recordings.fault import DataFault
 
@@ -77,7 +80,7 @@ def use_other_table(state: Screened, compared: OtherTable, options: ScreeningOpt
     return replace(state.corrected(fault, recording), arm=nominal, factory=factory)
 
 
-def compare_tables(arm: Rigid, options: ScreeningOptions) -> OtherTable:
+def compare_tables(arm: RigidArm, options: ScreeningOptions) -> OtherTable:
     """Whether the data are of another table of the same model than the one declared.
 
     Where the chain is declared and is a published table, the share of the way to the other table is estimated beside
@@ -98,13 +101,13 @@ def compare_tables(arm: Rigid, options: ScreeningOptions) -> OtherTable:
     other, name = others[0], declared[0].name
     if arm.exact:
         share, std = _share(arm, other, options)
-        rival = _with_table(arm, other).fitted(options)
+        rival = _with_table(arm, other).fitted(options.most_fitted)
         clear = std < options.share_std or rival.scale < options.table_ratio * arm.scale
         there = abs(share - 1) < options.share_tolerance + 4 * std and share > options.share_sigmas * std
         return OtherTable(
             name, other.name, (share, std), decided=bool(clear and there), likelier=bool(rival.scale < arm.scale)
         )
-    ours, theirs = (_with_table(arm, table).fitted(options) for table in (arm.arm, other))
+    ours, theirs = (_with_table(arm, table).fitted(options.most_fitted) for table in (arm.arm, other))
     more = len(arm.unknown) - len(theirs.unknown)
     fitted = arm.log_likelihood(arm.scale) - 0.5 * more * np.log(arm.rows * arm.samples)
     required = max(fitted, ours.log_likelihood(arm.scale) + options.trusted_log_likelihood)
@@ -120,7 +123,7 @@ def with_table(recording: Recording, name: str) -> tuple[Recording, Arm]:
     return replace(recording, settings=settings), load_bundled(name)
 
 
-def _share(arm: Rigid, other: Arm, options: ScreeningOptions) -> tuple[float, float]:
+def _share(arm: RigidArm, other: Arm, options: ScreeningOptions) -> tuple[float, float]:
     """Of the way from the arm's chain to another table at which the data lie, and its standard deviation."""
     between = np.zeros((len(arm.links) + 1, 6))
     for k, (link, there) in enumerate(zip(arm.links, other.links, strict=True)):
@@ -137,11 +140,12 @@ def _family(name: str) -> list[str]:
     return [other for other in bundled_arms() if other == model or (other in VARIANTS and other.startswith(model))]
 
 
-def _with_table(arm: Rigid, table: Arm) -> Rigid:
+def _with_table(arm: RigidArm, table: Arm) -> RigidArm:
     """With a chain that is not fitted, the sensor's frame and the tool as far as they are free."""
-    frame = arm.recording.settings.pose_frame != "base"
-    last = 6 * arm.recording.dof
-    kept = (arm.unknown >= last) | ((arm.unknown < 6) & frame)
-    none = np.zeros(int(kept.sum()))
-    T = arm.T_sensor_base if frame else np.eye(4)  # where it is known, it moved as the first link's
-    return replace(arm, links=table.links, T_sensor_base=T, unknown=arm.unknown[kept], precision=none, offset=none)
+    free_frame = arm.recording.settings.pose_frame != "base"
+    unknown = tuple(site for site in arm.unknown if site[0] == "tool" or (site[0] == "base" and free_frame))
+    T = arm.T_sensor_base if free_frame else np.eye(4)  # a known one was displaced for the first link
+    rows = np.array([frames.row_from_transform(link) for link in table.links])
+    start = ArmModel(rows.ravel(), T, arm.T_flange_tool)  # type: ignore[arg-type]
+    none = np.zeros(len(unknown))
+    return replace(arm, start=start, unknown=unknown, precision=none, offset=none)

@@ -6,8 +6,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from lite6jax.domains.pose.rigid_arm import RigidArm
 from lite6jax.domains.pose.screening.options import ScreeningOptions
-from lite6jax.domains.pose.screening.rigid import Rigid
 from lite6jax.estimation.options import DEFAULTS
 from lite6jax.estimation.projection import orthonormal, outside, unit_rows
 
@@ -24,7 +24,7 @@ class Projected:
         options: the thresholds.
     """
 
-    arm: Rigid
+    arm: RigidArm
     known: Array
     options: ScreeningOptions
 
@@ -83,7 +83,7 @@ class Projected:
         return values, covariance, explained / max(float(left @ left) / max(self.freedom - len(X), 1), 1e-300)
 
 
-def estimated(arm: Rigid, known: Array, columns: Array, options: ScreeningOptions) -> tuple[Array, Array]:
+def estimated(arm: RigidArm, known: Array, columns: Array, options: ScreeningOptions) -> tuple[Array, Array]:
     """The numbers of `columns` `(number, row, sample)` and their standard deviations, beside the known ones."""
     values, covariance, _ = Projected(arm, known, options).regression(columns)
     return values, np.sqrt(np.diagonal(covariance))

@@ -2,16 +2,20 @@
 
 from dataclasses import replace
 
+from threadpoolctl import threadpool_limits
+
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.factory import FactoryCalibration
+from lite6jax.domains.pose.rigid_arm import rigid_arm
 from lite6jax.domains.pose.screening.options import ScreeningOptions
 from lite6jax.domains.pose.screening.registry import SCREENS, Screen
-from lite6jax.domains.pose.screening.rigid import rigid_of
 from lite6jax.domains.pose.screening.screened import Corrections, Screened
 from lite6jax.fitting.problem import Geometry
 from lite6jax.recordings import Recording, require_samples
 
 
+# a second thread gains little on matrices of this size, and costs many times as much where another job has a core
+@threadpool_limits.wrap(limits=1, user_api="blas")
 def screen(
     recording: Recording,
     arm: Arm | None = None,
@@ -39,10 +43,10 @@ def screen(
     fitted = False
     for entry in SCREENS:
         if entry.needs != "recording" and state.rigid is None:
-            rigid = rigid_of(state.recording, arm, geometry, factory)
+            rigid = rigid_arm(state.recording, arm, geometry, factory)
             state = replace(state, rigid=rigid, arm=rigid.arm)
         if entry.needs == "fit" and not fitted:
-            state, fitted = replace(state, rigid=state.rigid_arm.fitted(options)), True
+            state, fitted = replace(state, rigid=state.rigid_arm.fitted(options.most_fitted)), True
         state = _applied(entry, state, options)
     return state
 

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple, final
 
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.factory import FactoryCalibration
-from lite6jax.domains.pose.screening.rigid import Rigid
+from lite6jax.domains.pose.rigid_arm import RigidArm
 from lite6jax.fitting.problem import Geometry
 from lite6jax.recordings import Recording
 from lite6jax.recordings.fault import DataFault
@@ -51,7 +51,7 @@ class Screened:
     corrections: Corrections
     found: tuple[DataFault, ...] = ()
     ruled_out: tuple[DataFault, ...] = ()
-    rigid: Rigid | None = None
+    rigid: RigidArm | None = None
     factory: FactoryCalibration | None = None
     transforms: tuple[Callable[[Recording], Recording], ...] = ()
 
@@ -66,7 +66,7 @@ class Screened:
         return replace(self, transforms=(*self.transforms, transform))
 
     @property
-    def rigid_arm(self) -> Rigid:
+    def rigid_arm(self) -> RigidArm:
         """The rigid arm, for screens that need it."""
         assert self.rigid is not None
         return self.rigid
@@ -81,7 +81,9 @@ class Screened:
         """How many faults of a code were found."""
         return sum(fault.code == code for fault in self.found)
 
-    def corrected(self, fault: DataFault, recording: Recording | None = None, rigid: Rigid | None = None) -> "Screened":
+    def corrected(
+        self, fault: DataFault, recording: Recording | None = None, rigid: RigidArm | None = None
+    ) -> "Screened":
         """With a fault found and corrected; a rigid arm brings its recording."""
         rigid = rigid or self.rigid
         if recording is None:

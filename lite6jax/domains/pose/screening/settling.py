@@ -8,9 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import bdtrc, chdtri, ndtr
 
+from lite6jax.domains.pose.rigid_arm import RigidArm
 from lite6jax.domains.pose.screening.options import ScreeningOptions
+from lite6jax.domains.pose.screening.physics_columns import physics_columns
 from lite6jax.domains.pose.screening.projection import Projected, thinned
-from lite6jax.domains.pose.screening.rigid import Rigid, physics_columns
 from lite6jax.domains.pose.screening.screened import Detection, Screened, not_there
 from lite6jax.recordings import Recording
 from lite6jax.recordings.fault import DataFault, row_numbers
@@ -88,7 +89,7 @@ def _settled_rows(shape: Shape, rest: Array, recording: Recording) -> Recording:
     return replace(recording, joint_position=recording.joint_position + _rests(recording)[shape] * rest)
 
 
-def seek_unsettled(arm: Rigid, options: ScreeningOptions) -> Unsettled:
+def seek_unsettled(arm: RigidArm, options: ScreeningOptions) -> Unsettled:
     """Whether the joints of a static recording were read before the arm had come to rest.
 
     Then the pose shows the arm at q + rest, rest in the direction of the move: a share of it, or a time at the recorded
@@ -118,7 +119,7 @@ def seek_unsettled(arm: Rigid, options: ScreeningOptions) -> Unsettled:
     known = np.concatenate([physics_columns(arm, skip=("direction",)), _curves(arm, options)])
     tests, least, ordered = len(shapes) * (1 + dof), 1.0, False
     found: list[tuple[float, Unsettled]] = []
-    for name in shapes:
+    for name in every:
         others = [columns[other] for other in shapes if other != name]
         projected = Projected(arm, np.concatenate([known, *others]), options)
         if projected.freedom < arm.samples:
@@ -153,7 +154,7 @@ def seek_unsettled(arm: Rigid, options: ScreeningOptions) -> Unsettled:
     return max(found, key=lambda item: item[0])[1] if found else none._replace(p=min(least, 1.0), ordered=ordered)
 
 
-def settled(arm: Rigid, found: Unsettled, options: ScreeningOptions) -> tuple[Rigid, Unsettled]:
+def settled(arm: RigidArm, found: Unsettled, options: ScreeningOptions) -> tuple[RigidArm, Unsettled]:
     """The arm with the rest added to its joints, fitted; and the refined rest, each step linearised anew."""
     rest, concerned = np.zeros(len(found.rest)), np.isin(np.arange(len(found.rest)), found.joints)
     common = np.ptp(found.rest) == 0
@@ -162,7 +163,9 @@ def settled(arm: Rigid, found: Unsettled, options: ScreeningOptions) -> tuple[Ri
     start = arm.recording
     for _ in range(options.refinements):
         rest = rest + step
-        arm = replace(arm, recording=replace(start, joint_position=start.joint_position + shape * rest)).fitted(options)
+        arm = replace(arm, recording=replace(start, joint_position=start.joint_position + shape * rest)).fitted(
+            options.most_fitted
+        )
         part = arm.select(few)
         columns = part.joints * shape[few].T[:, None]
         known = [
@@ -195,7 +198,7 @@ def moves(recording: Recording) -> Array:
     return q - np.where(first[:, None], 0.0, before)
 
 
-def _curves(arm: Rigid, options: ScreeningOptions) -> Array:
+def _curves(arm: RigidArm, options: ScreeningOptions) -> Array:
     """`(number, row, sample)` of any curve over each joint's position, piecewise linear: in a sweep to and fro, the
     moves depend on where they lead."""
     dof = arm.recording.dof
@@ -224,7 +227,7 @@ def _next_moves(recording: Recording) -> Array:
     return np.roll(back, -1, axis=0)
 
 
-def _unsettled_rows(arm: Rigid, options: ScreeningOptions) -> Unsettled | None:
+def _unsettled_rows(arm: RigidArm, options: ScreeningOptions) -> Unsettled | None:
     """Rows far off whose residual lies along the move that led there."""
     recording, scale = arm.recording, arm.scale
     outlying = arm.squares > options.outlier_squares * arm.rows * scale**2

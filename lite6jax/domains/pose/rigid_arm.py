@@ -1,0 +1,277 @@
+"""A rigid arm beside a recording of poses: the least-squares problem that screening and pose problems start from.
+
+Everything here is NumPy, so that a recording is screened in milliseconds and nothing is compiled.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lite6jax.arms import frames
+from lite6jax.arms.arm import Arm
+from lite6jax.arms.chains import SixParameterForm
+from lite6jax.arms.factory import FactoryCalibration
+from lite6jax.domains.pose.kinematics import (
+    Measured,
+    RigidFrames,
+    Site,
+    displaced,
+    frame_columns,
+    joint_columns,
+    measured_poses,
+    rigid_differences,
+    rigid_frames,
+    whitened,
+)
+from lite6jax.estimation.least_squares import relinearise
+from lite6jax.estimation.options import DEFAULTS
+from lite6jax.estimation.robust import FREEDOM, gaussian_t_scale, t_scale
+from lite6jax.estimation.terms import Term, Terms
+from lite6jax.fitting.problem import Geometry, recording_problem, whitener_of
+from lite6jax.model import ArmModel
+from lite6jax.recordings import Recording
+
+Array = NDArray[np.floating]
+
+GAUGE = {"m": 0.02, "rad": 0.05}
+"""Prior of each number of an unknown chain: wide enough for any arm, it fixes what nothing determines."""
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class RigidArm:
+    """A rigid arm and the poses measured of it, a `LinearisedProblem` of the unknown displacements of its frames.
+
+    It has more than twelve members because that protocol has.
+
+    Attributes:
+        recording: joints and poses.
+        arm: the nominal arm.
+        start: the six-parameter chain, sensor frame and tool of the linearisation.
+        unknown: the displaced frames: the field of `Deflection`, and where in it. They span what a chain's numbers can
+            do, without the singularities of angles.
+        precision: `(unknown,)`, one over the variance of their prior.
+        offset: `(unknown,)`, from the prior's mean to `start`.
+        informative: whether the sidecar declares the chain's uncertainty.
+        noise: standard deviation per axis of position (m) and orientation (rad), declared or assumed.
+        declared: whether the sidecar declares it.
+        whitener: `(2,)` or `(row, row, sample)`, as in `Observations`.
+        exact: whether the sidecar declares the chain.
+    """
+
+    recording: Recording
+    arm: Arm
+    start: ArmModel
+    unknown: tuple[Site, ...]
+    precision: Array
+    offset: Array
+    informative: bool
+    noise: tuple[float, float | None]
+    declared: bool
+    whitener: Array
+    exact: bool
+
+    @property
+    def samples(self) -> int:
+        """How many."""
+        return self.recording.samples
+
+    @property
+    def rows(self) -> int:
+        """Numbers that a sample has: 3 or 6."""
+        return self.recording.numbers_per_sample
+
+    @property
+    def groups(self) -> NDArray[np.integer]:
+        """Position and orientation share one scale over their declared noise."""
+        return np.zeros(self.rows, int)
+
+    @property
+    def preset(self) -> tuple[Terms, Array]:
+        """None: a rigid arm has no effects."""
+        return Terms(), np.zeros(0)
+
+    @cached_property
+    def links(self) -> Array:
+        """`(joint, 4, 4)`, the fixed transform before each joint."""
+        return np.array([frames.transform_from_row(row) for row in np.asarray(self.start.geometry).reshape(-1, 6)])
+
+    @property
+    def T_sensor_base(self) -> Array:
+        """`(4, 4)`."""
+        return np.asarray(self.start.T_sensor_base)
+
+    @property
+    def T_flange_tool(self) -> Array:
+        """`(4, 4)`, from the frame after the last joint."""
+        return np.asarray(self.start.T_flange_tool)
+
+    @cached_property
+    def measured(self) -> Measured:
+        """The poses."""
+        return measured_poses(self.recording, self.whitener)
+
+    @cached_property
+    def rigid(self) -> RigidFrames:
+        """The arm's frames in the sensor's."""
+        return rigid_frames(self.start, self.recording.joint_position.T)
+
+    @property
+    def frames(self) -> Array:
+        """`(joint + 1, sample, 4, 4)`, the base and the frame after each joint's rotation, in the sensor's frame."""
+        return self.rigid.frames
+
+    @property
+    def tool(self) -> Array:
+        """`(sample, 4, 4)`, in the sensor's frame."""
+        return self.rigid.tool
+
+    @cached_property
+    def differences(self) -> Array:
+        """Predicted minus measured poses `(row, sample)`, m and rad."""
+        return rigid_differences(self.tool, self.measured)
+
+    @cached_property
+    def residuals(self) -> Array:
+        """`(row, sample)`, the differences over the declared noise."""
+        return self.whitened(self.differences)
+
+    @cached_property
+    def plain_twists(self) -> Array:
+        """`((joint + 1) 6, row, sample)`: how differences change with a twist of each of `frames`, in its own axes."""
+        twists = frame_columns(self.rigid, self.measured)[0]
+        return twists.reshape(-1, self.rows, self.samples)
+
+    @cached_property
+    def twists(self) -> Array:
+        """`plain_twists` over the declared noise."""
+        return self.whitened(self.plain_twists)
+
+    @property
+    def joints(self) -> Array:
+        """`(joint, row, sample)`: how residuals change with what is added to each joint's position."""
+        return self.twists[11::6]
+
+    @property
+    def nuisance(self) -> Array:
+        """`(unknown, row, sample)`: how residuals change with the unknowns."""
+        first = {"base": 0, "link": 6, "tool": 6 * len(self.links)}
+        return self.twists[[first[name] + 6 * j + k for name, j, k in self.unknown]]
+
+    @property
+    def squares(self) -> Array:
+        """`(sample,)`, of the residuals."""
+        return np.sum(self.residuals**2, 0)
+
+    @property
+    def scale(self) -> float:
+        """Robust scale of the residuals; 1 where the sensor's noise is all there is."""
+        return t_scale(self.squares, self.rows, FREEDOM) / gaussian_t_scale(self.rows, FREEDOM)
+
+    @property
+    def distance(self) -> Array:
+        """`(sample,)` m from predicted to measured position."""
+        return np.linalg.norm(self.differences[:3], axis=0)
+
+    @property
+    def turn(self) -> Array:
+        """`(sample,)` rad between predicted and measured orientation; zero where none was measured."""
+        return np.linalg.norm(self.differences[3:], axis=0)
+
+    def whitened(self, columns: Array) -> Array:
+        """Columns `(…, row, sample)` in m and rad over the declared noise."""
+        return whitened(columns, self.whitener)
+
+    def residual(self, nuisance: Array, terms: Terms, values: Array) -> Array:
+        """Residuals `(row, sample)` with the unknowns displaced."""
+        return self.relinearised(nuisance).residuals if nuisance.any() else self.residuals
+
+    def columns(
+        self, terms: Sequence[Term], values: Array | None = None, beside: tuple[Terms, Array] | None = None
+    ) -> Array:
+        """Of no terms."""
+        return np.zeros((0, self.rows, self.samples))
+
+    def relinearised(self, nuisance: Array) -> "RigidArm":
+        """The arm with the unknowns `(unknown,)` displaced."""
+        return replace(self, start=displaced(self.start, self.unknown, nuisance), offset=self.offset + nuisance)
+
+    def select(self, rows: NDArray[np.integer] | NDArray[np.bool_]) -> "RigidArm":
+        """Some of the samples."""
+        whitener = self.whitener if self.whitener.ndim == 1 else self.whitener[..., rows]
+        return replace(self, recording=self.recording.select(rows), whitener=whitener)
+
+    def fitted(self, most: int) -> "RigidArm":
+        """The arm with its unknowns fitted, to `most` samples spread evenly where there are more."""
+        if self.samples <= most:
+            return relinearise(self, DEFAULTS)
+        few = self.select(np.linspace(0, self.samples - 1, most).astype(int)).fitted(most)
+        return replace(self, start=few.start, offset=few.offset)
+
+    def log_likelihood(self, scale: float) -> float:
+        """Of Student's t at noise of `scale` times the declared one, and of the prior, but for a constant."""
+        spread = (FREEDOM + self.rows) * np.sum(np.log1p(self.squares / scale**2 / FREEDOM))
+        return -0.5 * float(spread + np.sum(self.precision * self.offset**2))
+
+
+def rigid_arm(
+    recording: Recording,
+    arm: Arm | None = None,
+    geometry: Geometry = "declared",
+    factory: FactoryCalibration | None = None,
+) -> RigidArm:
+    """The rigid arm that a recording and its sidecar make, its frames where a closed form puts them; not fitted yet.
+
+    Args:
+        recording: measured poses.
+        arm: the nominal arm; from the sidecar where not given.
+        geometry: what is known of it, as in `fit`.
+        factory: the arm's calibration; from the sidecar where not given.
+
+    Raises:
+        InputError: as `recording_problem`.
+    """
+    problem = recording_problem(recording, arm, geometry, factory)
+    arm, form = problem.arm, problem.form
+    exact = isinstance(form.chain, SixParameterForm)
+    values = np.asarray(problem.start.geometry) if exact else arm.kinematics.ravel()
+    start = ArmModel(values, *(np.asarray(leaf) for leaf in problem.start[1:]))  # type: ignore[arg-type]
+    geometry_moves = bool(problem.movable[: form.chain.size].any())
+    unknown: list[Site] = []
+    if geometry_moves or form.frame:
+        unknown += [("base", 0, k) for k in range(6)]
+    if geometry_moves:
+        unknown += [("link", j, k) for j in range(arm.dof - 1) for k in range(6)]
+    if form.tool:
+        unknown += [("tool", 0, k) for k in range(problem.rows)]
+    uncertainty = None if factory is not None else recording.settings.factory_uncertainty
+    sigma = (GAUGE["m"], GAUGE["rad"])
+    if exact and uncertainty is not None:
+        sigma = (uncertainty.position_m, uncertainty.rotation_rad)
+    free = [name == "tool" or (name == "base" and form.frame) for name, _, _ in unknown]
+    precision = [0.0 if is_free else sigma[k > 2] ** -2.0 for (_, _, k), is_free in zip(unknown, free, strict=True)]
+    position, orientation = problem.noise
+    noise = np.repeat((position, orientation or position), 3)[: problem.rows]
+    rigid = RigidArm(
+        recording=recording,
+        arm=arm,
+        start=start,
+        unknown=tuple(unknown),
+        precision=np.array(precision),
+        offset=np.zeros(len(unknown)),
+        informative=uncertainty is not None,
+        noise=problem.noise,
+        declared=problem.declared,
+        whitener=whitener_of(np.diag(noise**2)),
+        exact=exact,
+    )
+    if not problem.joint_noise:
+        return rigid
+    # read-out noise of the joints: the covariance of a sample is Σ + σ_q² J Jᵀ
+    J = joint_columns(rigid.rigid, rigid.measured)
+    covariance = np.diag(noise**2) + problem.joint_noise**2 * np.einsum("jas,jbs->sab", J, J, optimize=True)
+    return replace(rigid, whitener=np.moveaxis(whitener_of(covariance), 0, -1))
