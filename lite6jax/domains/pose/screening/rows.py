@@ -120,8 +120,9 @@ def _returns(recording: Recording, options: ScreeningOptions) -> tuple[int, int]
 def detect_turns(state: Screened, options: ScreeningOptions) -> Detection:
     """Joints that wrap round in a trajectory, or are beyond their limits by whole turns."""
     recording, slack = state.recording, options.limit_slack_rad
-    low, high = state.rigid_arm.arm.joint_limits.T
-    q = _without_turns(recording, low, high, slack)
+    limits = state.rigid_arm.arm.joint_limits
+    low, high = limits.T
+    q = _without_turns(recording, limits, slack)
     if (np.abs(q - recording.joint_position) > 1.0).any():
         return Detection(q)
     beyond = np.maximum(low - recording.joint_position, recording.joint_position - high)
@@ -137,7 +138,7 @@ def remove_turns(state: Screened, q: Array, options: ScreeningOptions) -> Screen
     joints = [int(j) + 1 for j in np.flatnonzero(changed.any(0))]
     fault = DataFault("joint_turns", row_numbers(recording.row[changed.any(1)]), {"joints": joints})
     state = state.corrected(fault, _at_positions(recording, q))
-    return state.transformed(lambda r: _at_positions(r, _without_turns(r, *limits.T, options.limit_slack_rad)))
+    return state.transformed(lambda r: _at_positions(r, _without_turns(r, limits, options.limit_slack_rad)))
 
 
 def _at_positions(recording: Recording, q: Array) -> Recording:
@@ -147,9 +148,10 @@ def _at_positions(recording: Recording, q: Array) -> Recording:
     return replace(recording, joint_position=q, joint_velocity=velocity, direction_of_motion=fresh.direction_of_motion)
 
 
-def _without_turns(recording: Recording, low: Array, high: Array, slack: float) -> Array:
+def _without_turns(recording: Recording, limits: Array, slack: float) -> Array:
     """`(sample, joint)` positions, unwrapped within each run of a trajectory and turned back into the limits."""
     q = recording.joint_position.copy()
+    low, high = limits.T
     trajectory = recording.motion == "trajectory"
     segment = run_segments(recording.run)
     runs = [segment == run for run in np.unique(segment)]
