@@ -13,11 +13,11 @@ from lite6jax.diagnosis.heldout import held_out_errors
 from lite6jax.diagnosis.options import Options
 from lite6jax.diagnosis.result import Diagnosis, Finding, Rival
 from lite6jax.domains.pose.problem import PoseProblem
-from lite6jax.recordings.fault import DataFault, row_numbers
 from lite6jax.domains.pose.screening.screen import screen_rows
 from lite6jax.effects.effect import Effect
 from lite6jax.fitting.problem import Geometry
 from lite6jax.recordings import Recording
+from lite6jax.recordings.fault import DataFault, row_numbers
 from lite6jax.search.final_estimates import final_estimates
 from lite6jax.search.search import Selection
 

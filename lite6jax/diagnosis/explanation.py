@@ -19,7 +19,6 @@ from lite6jax.diagnosis.options import Options
 from lite6jax.domains.pose.clock import linearised
 from lite6jax.domains.pose.load_model import search_load_model
 from lite6jax.domains.pose.problem import PoseProblem, pose_problem
-from lite6jax.recordings.fault import DataFault
 from lite6jax.domains.pose.screening.registry import price
 from lite6jax.domains.pose.screening.screen import screen
 from lite6jax.domains.pose.screening.screened import Corrections, Screened
@@ -29,6 +28,7 @@ from lite6jax.estimation.problem import Mask
 from lite6jax.estimation.projection import schur_complement
 from lite6jax.fitting.problem import Geometry
 from lite6jax.recordings import FactoryUncertainty, Recording, require_samples
+from lite6jax.recordings.fault import DataFault
 from lite6jax.search.search import Selection
 from lite6jax.search.state import description_length
 

@@ -71,6 +71,7 @@ DIRECT = Reporting(
 )
 """The coordinates are the parameters."""
 
+
 class Choice(NamedTuple):
     """A number of an effect that a search chooses from a spectrum, such as a harmonic's order.
 

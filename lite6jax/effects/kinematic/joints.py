@@ -150,7 +150,11 @@ class JointHarmonic(JointEffect):
     @property
     def coordinates(self) -> tuple[Coordinate, ...]:
         amplitudes = (Coordinate("sine_rad", "rad", 1e-4), Coordinate("cosine_rad", "rad", 1e-4))
-        return amplitudes if self.order is not None else (*amplitudes, Coordinate("order", "1", 0.1, lower=0.0, linear=False))
+        return (
+            amplitudes
+            if self.order is not None
+            else (*amplitudes, Coordinate("order", "1", 0.1, lower=0.0, linear=False))
+        )
 
     @property
     def drivers(self) -> tuple[Driver, ...]:

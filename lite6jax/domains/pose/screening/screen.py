@@ -11,7 +11,7 @@ from lite6jax.domains.pose.screening.options import ScreeningOptions
 from lite6jax.domains.pose.screening.registry import SCREENS, Screen
 from lite6jax.domains.pose.screening.screened import Corrections, Screened
 from lite6jax.fitting.problem import Geometry
-from lite6jax.recordings import Recording, require_samples
+from lite6jax.recordings import Recording, require_radians, require_samples
 
 
 # a second thread gains little on matrices of this size, and costs many times as much where another job has a core
@@ -35,7 +35,7 @@ def screen(
         factory: the arm's calibration; from the sidecar where not given.
 
     Raises:
-        InputError: no measured poses, or as `recording_problem`.
+        InputError: no measured poses, joint positions that are degrees in all columns, or as `recording_problem`.
     """
     require_samples(recording, 1)
     options = options or ScreeningOptions()
@@ -48,6 +48,8 @@ def screen(
         if entry.needs == "fit" and not fitted:
             state, fitted = replace(state, rigid=state.rigid_arm.fitted(options.most_fitted)), True
         state = _applied(entry, state, options)
+    assert state.arm is not None
+    require_radians(state.recording.joint_position, state.arm.joint_limits, f"{recording.source}: joint_position")
     return state
 
 
