@@ -131,8 +131,9 @@ def _finding(found: Diagnosis, entry: Mapping[str, Any], k: int) -> dict[str, An
     quantities = [quantity(name, estimate) for name, estimate in numbers.items()]
     gain = entry["log_likelihood_gain"]
     over = "" if entry["driver"] == "none" else f" over the {entry['driver']}"
+    name = {"unnamed": "curve"}.get(entry["effect"], entry["effect"].replace("_", " "))
     caption = (
-        f"The fitted {entry['effect'].replace('_', ' ')} at {entry['site']}{over} with two standard deviations, beside "
+        f"The fitted {name} at {entry['site']}{over} with two standard deviations, beside "
         "the partial residuals: those of the whole model without it."
     )
     return {

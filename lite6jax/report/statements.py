@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 from lite6jax.effects.drivers import driver_of
 from lite6jax.report import data_faults, reference
-from lite6jax.report.cells import ranges
+from lite6jax.report.cells import fixed, ranges
 from lite6jax.report.quantities import quantity
 
 Document = Mapping[str, Any]
@@ -21,7 +21,7 @@ _VERDICTS = {
     "explained": "Explained: with the effects below, the held-out errors are the sensor's noise.",
     "partly_explained": "Partly explained: the effects below are significant, but the held-out errors remain larger "
     "than the sensor's noise.",
-    "unnamed": "Unnamed: the largest effect is significant, and no effect of the catalogue explains it.",
+    "unnamed": "Unnamed: no effect of the catalogue explains the largest effect that was found.",
 }
 _PARTS = {"base": "the sensor's frame", "link": "the arm's own calibration", "tool": "the tool"}
 _EXCESSIVE = 5.0
@@ -177,7 +177,7 @@ def what_to_record(document: Document) -> list[str]:
                 lines.append(f"{capital(same)}: more poses of this kind do not separate them.")
             elif rival["status"] == "undecided":
                 pairs.append(pair)
-                drivers += [driver for entry in (finding, rival) for driver in _drivers(entry)]
+                drivers += [f"the {driver}" for entry in (finding, rival) for driver in _drivers(entry)]
     if pairs:
         vary = f" in which {_joined(dict.fromkeys(drivers))} vary independently" if drivers else ""
         lines.append(f"To separate {_joined(pairs, 'or')}, record more poses{vary}.")
@@ -222,7 +222,7 @@ def _against_confounding(document: Document) -> list[str]:
     declare = _joined(words for part, words in _PARTS.items() if part in document["nuisance"]["parts"])
     orientation = document["model"]["orientation"]
     steps = [*([f"declare {declare}"] if declare else []), *([] if orientation else ["measure orientations too"])]
-    return [f"To test for confounded effects, {' and '.join(steps)}."] if steps else []
+    return [f"To test for effects that are confounded or not observed, {' and '.join(steps)}."] if steps else []
 
 
 def _drivers(entry: Entry) -> Sequence[str]:
@@ -263,7 +263,7 @@ def _by_gap(finding: Entry) -> list[Entry]:
 
 
 def _with_gap(rival: Entry) -> str:
-    return f"{effect_title(rival)} (log-likelihood {-rival['log_likelihood_gap']:+.1f})"
+    return f"{effect_title(rival)} (log-likelihood {fixed(-rival['log_likelihood_gap'], 1, '+')})"
 
 
 def _joined(words: Iterable[str], last: str = "and") -> str:

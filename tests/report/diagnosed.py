@@ -7,15 +7,18 @@ import numpy as np
 
 from lite6jax.arms.bundled import load_bundled
 from lite6jax.arms.factory import write_factory
+from lite6jax.diagnosis.document import to_document
 from lite6jax.diagnosis.options import Options
 from lite6jax.diagnosis.result import Diagnosis, Finding, Rival
 from lite6jax.domains.pose.problem import pose_problem
 from lite6jax.effects.catalogue import catalogue
+from lite6jax.effects.nonparametric import Unnamed
 from lite6jax.effects.serialization import parse_effect
 from lite6jax.estimation.least_squares import fit
 from lite6jax.estimation.score_test import score_test
 from lite6jax.estimation.terms import Terms
 from lite6jax.recordings import RecordingSettings
+from lite6jax.report.statements import with_statements
 from lite6jax.search.search import Selection
 from lite6jax.search.state import Alternative, SelectedTerm, State
 from lite6jax.simulation import simulate
@@ -24,6 +27,8 @@ LITE6 = load_bundled("lite6")
 SAMPLES = 200
 COMPLIANCE = "joint_compliance:joint=2,compliance_rad_per_Nm=9e-5"
 HARMONIC = "joint_harmonic:joint=1,order=2,amplitude_rad=4e-4,phase_rad=0.5"
+WAVES = (3.0, 5.5, 9.0, 20.0, 33.0)
+AMPLITUDES = np.array([3e-4, 0, 2e-4, 1e-4, 0, 1e-4, -2e-4, 0, 5e-5, 5e-5])
 GAPS = (1.5, 44.0)
 """Log-likelihood that two rivals of each finding have less: one as good, one rejected."""
 
@@ -61,6 +66,25 @@ def diagnosed(recording, effects, outliers=()):
     )
     selection = Selection(problem, problem, state, catalogue(6)[:2])
     return Diagnosis(problem, selection, findings, before, after, wild, (), (), (), options)
+
+
+def waves(joint):
+    return Unnamed(f"joint{joint}", f"position of joint {joint}", -7.0, 7.0, orders=WAVES, trust=(1.0, 1.0))
+
+
+def wavy_arm(recorded):
+    """The diagnosis of an arm whose first four joints err at five orders each, as a search of real arms finds it."""
+    settings = recorded(COMPLIANCE)[0].settings
+    effects = tuple(waves(joint) for joint in (1, 2, 3, 4))
+    given = [(effect, AMPLITUDES) for effect in effects]
+    recording = simulate(LITE6, effects=given, motion="static", samples=400, settings=settings)
+    return diagnosed(recording, effects)
+
+
+def documented(found, against=None):
+    """The JSON document of a diagnosis, with its comparison with a reference where there is one."""
+    document = to_document(found)
+    return with_statements(document if against is None else {**document, "against": against.to_dict()})
 
 
 def with_rivals(found, *rivals):

@@ -1,30 +1,42 @@
-"""What a page and a terminal both say of a diagnosis: faults, what was ruled out, curves without a name, what next."""
+"""The sentences of a diagnosis on the page, on the terminal and in its JSON file: the same, from codes and numbers."""
 
+import json
+import textwrap
 from dataclasses import replace
 from io import StringIO
 
-import jax.numpy as jnp
 import numpy as np
 import pytest
-from diagnosed import COMPLIANCE, LITE6, Reader, diagnosed, recording_maker, with_rivals
+from diagnosed import (
+    AMPLITUDES,
+    COMPLIANCE,
+    WAVES,
+    Reader,
+    diagnosed,
+    documented,
+    recording_maker,
+    waves,
+    wavy_arm,
+    with_rivals,
+)
 from rich.console import Console
 from rich.text import Text
 
-from lite6jax.diagnosis.diagnose import statement
 from lite6jax.diagnosis.discrimination import SeparatingPoses
+from lite6jax.diagnosis.document import to_document
+from lite6jax.diagnosis.evidence_map import peak_to_peak
 from lite6jax.domains.pose.reference import ReferenceComparison
 from lite6jax.effects.catalogue import catalogue
 from lite6jax.effects.nonparametric import Unnamed
-from lite6jax.effects.serialization import parse_effect
+from lite6jax.effects.serialization import effect_as_dict, parse_effect
 from lite6jax.recordings.fault import DataFault
-from lite6jax.report import diagnosis_figures, diagnosis_words, reference
+from lite6jax.report import diagnosis_figures, reference, statements
+from lite6jax.report.cells import listed
 from lite6jax.report.data_faults import fault_name, fault_statement, ruled_out_statement, ruled_out_statements
 from lite6jax.report.diagnosis_tables import diagnosis_report
 from lite6jax.report.page import diagnosis_page
-from lite6jax.simulation import simulate
+from lite6jax.report.quantities import quantity, rounded
 
-WAVES = (3.0, 5.5, 9.0, 20.0, 33.0)
-AMPLITUDES = np.array([3e-4, 0, 2e-4, 1e-4, 0, 1e-4, -2e-4, 0, 5e-5, 5e-5])
 JUMP = {
     "row": 90,
     "part": "base",
@@ -84,18 +96,9 @@ def against(compliant):
     )
 
 
-def waves(joint):
-    return Unnamed(f"joint{joint}", f"position of joint {joint}", -7.0, 7.0, orders=WAVES, trust=(1.0, 1.0))
-
-
 @pytest.fixture(scope="module")
 def wavy(recorded):
-    """Of an arm whose first four joints err at five orders each, as a search of real arms finds it."""
-    settings = recorded(COMPLIANCE)[0].settings
-    effects = tuple(waves(joint) for joint in (1, 2, 3, 4))
-    given = [(effect, AMPLITUDES) for effect in effects]
-    recording = simulate(LITE6, effects=given, motion="static", samples=400, settings=settings)
-    return diagnosed(recording, effects)
+    return wavy_arm(recorded)
 
 
 @pytest.fixture(scope="module")
@@ -104,14 +107,14 @@ def drawn(compliant):
 
 
 def page(found, drawn, against=None):
-    return " ".join(Reader(diagnosis_page(found, "run.csv", drawn, against)).text.split())
+    return " ".join(Reader(diagnosis_page(found, documented(found, against), "run.csv", drawn)).text.split())
 
 
 def screen(found, against=None, width=96):
     """What a terminal shows, and its text without the breaks of lines."""
     held = StringIO()
     console = Console(width=width, file=held, highlight=False, markup=False, emoji=False)
-    for part in diagnosis_report(found, "run.csv", against):
+    for part in diagnosis_report(documented(found, against), "run.csv"):
         console.print(part, soft_wrap=isinstance(part, Text) and bool(part.no_wrap))
     return held.getvalue(), " ".join(held.getvalue().split())
 
@@ -129,11 +132,11 @@ def test_faults_come_before_the_findings(compliant, drawn):
     for fault in (*FAULTS, outliers):
         start = text.index(f"{fault_name(fault.code)}. {fault_statement(fault)}", start)
     assert "Rows 90–200." in text
-    assert start < text.index("Findings") < text.index("Ruled out")
-    start = text.index("Ruled out")
+    assert start < text.index("Findings") < text.index("tested and ruled out")
+    start = text.index("tested and ruled out")
     for fault in RULED_OUT:
         start = text.index(f"{fault_name(fault.code)}. {ruled_out_statement(fault)}", start)
-    assert start < text.index("Not tested")
+    assert start < text.index("Effects not tested")
 
     _, said = screen(found)
     start = said.index("Data faults: ")
@@ -145,42 +148,47 @@ def test_faults_come_before_the_findings(compliant, drawn):
     assert start < said.index("1. Joint compliance") < said.index(short[0]) < said.index(short[1])
 
 
-def test_one_row_stands_out(compliant):
+def test_one_row_is_an_outlier(compliant):
     wild = np.zeros(compliant.problem.samples, bool)
     wild[11] = True
-    (told,) = diagnosis_words.faults_of(replace(compliant, outliers=wild))
-    assert told.statement == fault_statement(DataFault("outliers", (12,)))
-    assert diagnosis_words.faults_of(compliant) == []
+    (fault,) = documented(replace(compliant, outliers=wild))["data_faults"]
+    assert fault["statement"] == fault_statement(DataFault("outliers", (12,)))
+    assert documented(compliant)["data_faults"] == []
 
 
 def test_rows_are_listed_in_short():
-    assert diagnosis_words.listed([3, 5, 6, 9, 10, 11, 12]) == "3, 5, 6, 9–12"
-    assert diagnosis_words.listed(range(1, 100, 2)) == "1, 3, 5, 7, 9, 11, 13, 15, 17, 19, 21, 23 and 38 more"
-    assert diagnosis_words.listed([]) == ""
+    assert listed([3, 5, 6, 9, 10, 11, 12]) == "3, 5, 6, 9–12"
+    assert listed(range(1, 100, 2)) == "1, 3, 5, 7, 9, 11, 13, 15, 17, 19, 21, 23 and 38 more"
+    assert listed([]) == ""
 
 
 def test_sites_are_listed_in_short():
-    told = dict(diagnosis_words.by_site(catalogue(7)))
-    assert told["joint_lag"] == "joint1–7"
-    assert told["joint_coupling"] == "joint1–7"  # each once, of 42
-    assert told["link_thermal_expansion"] == "links, link1–6"
-    assert told["time_offset"] == "clock"
-    some = [parse_effect(f"joint_lag:joint={joint},lag_s=1")[0] for joint in (1, 3, 4, 6)]
-    assert diagnosis_words.by_site(some) == [("joint_lag", "joint1, 3, 4, 6")]
+    sites = dict(statements.by_site({"effect": effect.name, "site": effect.site} for effect in catalogue(7)))
+    assert sites["joint lag"] == "joint1–7"
+    assert sites["joint coupling"] == "joint1–7"  # each once, of 42
+    assert sites["link thermal expansion"] == "links, link1–6"
+    assert sites["time offset"] == "clock"
+    some = [{"effect": "joint_lag", "site": f"joint{joint}"} for joint in (1, 3, 4, 6)]
+    assert statements.by_site(some) == [("joint lag", "joint1, 3, 4, 6")]
 
 
 def test_what_was_not_tested_is_grouped_alike_everywhere(compliant, drawn):
-    groups = diagnosis_words.untested(compliant)
+    document = documented(compliant)
+    groups = statements.untested(document)
     assert len({group.reason for group in groups}) == len(groups)
     velocity = groups[0]
-    assert velocity.reason == "Needs the velocity of its joint"
-    assert velocity.remedy.startswith("give the velocities of a moving arm; record a trajectory")
-    tested = {effect for group in groups for effect in group.effects}
-    assert tested == {item.effect for item in compliant.untestable} | set(compliant.confounded)
-    assert groups[-1].effects == compliant.confounded
-    assert groups[-1].reason == "The sensor does not see it here"  # no frame, no number of the chain is fitted
-    assert "Needs the velocity of its joint. joint lag at joint1–6" in page(compliant, drawn)
-    assert "Needs the velocity of its joint: joint_lag:joint1–6" in screen(compliant)[1]
+    assert velocity.reason == "The recording has no velocity of their joint."
+    assert velocity.remedy.startswith("the velocities of a moving arm; record a trajectory")
+    named = [(entry["effect"], entry["site"]) for group in groups for entry in group.entries]
+    effects = [item.effect for item in compliant.untestable] + list(compliant.confounded)
+    assert sorted(named) == sorted((effect.name, effect.site) for effect in effects)
+    assert groups[-1].entries == tuple(document["confounded"])
+    assert groups[-1].reason == "The sensor does not observe them in these poses."  # nothing of the arm is fitted
+    assert "The recording has no velocity of their joint. joint lag at joint1–6" in page(compliant, drawn)
+    said = screen(compliant)[1]
+    assert "Joint lag at joint1–6, time offset at clock. The recording has no velocity of their joint." in said
+    reasons = {(entry["effect"], entry["site"]): entry["reason"] for entry in document["untestable"]}
+    assert reasons["joint_lag", "joint2"].startswith("needs the velocity of joint 2: give the velocities of a moving")
 
 
 # ------------------------------------------------------------------ physics without a name
@@ -190,114 +198,78 @@ def test_curves_of_many_waves_are_named_in_short(wavy, drawn):
     text, (shown, said) = page(wavy, drawn), screen(wavy, width=60)
     assert max(map(len, shown.splitlines())) <= 60
     for joint in (1, 2, 3, 4):
-        title = f"Unnamed: joint {joint}, function of its position, waves of 5 orders 3–33"
+        title = f"Unnamed effect at joint{joint}, harmonics of 5 orders from 3 to 33 over its position"
         assert text.count(f"{joint}. {title}") == 2  # in the overview and above its figure
-        assert f"{joint}. {title}: " in said
-    for told in (text, said):
-        assert "sine" not in told
-        assert "coefficient" not in told
+        place = (
+            f"an effect at joint{joint}, a function of the position of joint {joint}: harmonics of 5 orders from 3 to"
+        )
+        assert place in said
+    for shown_text in (text, said):
+        assert "sine" not in shown_text
+        assert "coefficient" not in shown_text
     q = np.asarray(wavy.problem.motion.joint_position[0])
     inside = q[(q >= np.percentile(q, 2)) & (q <= np.percentile(q, 98))]
     turned = np.multiply.outer(np.array(WAVES), inside)
     truth = AMPLITUDES[::2] @ np.sin(turned) + AMPLITUDES[1::2] @ np.cos(turned)
-    swing, std = diagnosis_words.peak_to_peak(
-        wavy.problem, waves(1), wavy.fit.values[:10], wavy.fit.covariance[:10, :10]
-    )
+    swing, std = peak_to_peak(wavy, 0)
     assert 0 < std < 3e-5
     assert swing == pytest.approx(np.ptp(truth), abs=5 * std)
-    value, spread = diagnosis_words.rounded(1e3 * swing, 1e3 * std)
-    assert f"{value} ± {spread} mrad peak to peak." in said
+    value, spread = rounded(1e3 * swing, 1e3 * std)
+    assert f"peak to peak {value} ± {spread} mrad." in said
     assert f"peak to peak {value} {spread} mrad" in text
-
-
-def test_a_curve_of_waves_lies_on_its_data(wavy):
-    (panel,) = diagnosis_figures.finding_curves(wavy, "", [0]).axes
-    dots, curve = panel.lines[0], panel.lines[1]
-    at, drawn = np.deg2rad(curve.get_xdata()), 1e-3 * np.asarray(curve.get_ydata())
-    assert np.diff(at).max() < 2 * np.pi / max(WAVES) / 8  # each wave can be seen
-    turned = np.multiply.outer(np.array(WAVES), at)
-    assert np.sqrt(np.mean((drawn - AMPLITUDES[::2] @ np.sin(turned) - AMPLITUDES[1::2] @ np.cos(turned)) ** 2)) < 3e-5
-    fitted = np.interp(dots.get_xdata(), curve.get_xdata(), curve.get_ydata())
-    assert np.median(np.abs(dots.get_ydata() - fitted)) < 0.4 * np.median(np.abs(dots.get_ydata()))
-    band = panel.collections[0].get_paths()[0].vertices
-    assert band[:, 0].min() == pytest.approx(curve.get_xdata().min())
-    figure = diagnosis_figures.order_spectrum(wavy, "run.csv")
-    marks = [line for line in figure.axes[1].lines if line.get_marker() == "v"]
-    assert tuple(marks[0].get_xdata()) == WAVES
-
-
-def test_a_loop_has_a_point_at_each_sample(recorded):
-    """Over its driver it has more than one value."""
-    settings = recorded(COMPLIANCE)[0].settings
-    slack = Unnamed("joint2", "position of joint 2", -2.0, 2.0, memory=(0.0, 0.5))
-    values = np.array([4e-4, 1.5e-3])
-    recording = simulate(LITE6, effects=[(slack, values)], motion="static", samples=300, settings=settings)
-    loop = diagnosed(recording, (slack,))
-    (panel,) = diagnosis_figures.finding_curves(loop, "", [0]).axes
-    dots, curve = panel.lines[0], panel.lines[1]
-    assert curve.get_linestyle() == "None"
-    motion = loop.problem.motion
-    fitted = np.asarray(slack.curve(jnp.asarray(values), motion.joint_position[1], motion.run))
-    order = np.argsort(np.asarray(motion.joint_position[1]), kind="stable")
-    np.testing.assert_allclose(np.deg2rad(curve.get_xdata()), np.asarray(motion.joint_position[1])[order], atol=1e-12)
-    np.testing.assert_allclose(1e-3 * np.asarray(curve.get_ydata()), fitted[order], atol=5e-5)
-    assert len(dots.get_xdata()) > 100
-    assert not panel.collections
 
 
 @pytest.mark.parametrize(
     ("effect", "title"),
     [
-        (Unnamed("joint2", "gravity torque of joint 2", -1.0, 1.0), "joint 2, function of its gravity torque, "),
-        (Unnamed("base", "time", 0.0, 1.0, component="rx"), "base rx, function of time, "),
+        (Unnamed("joint2", "gravity torque of joint 2", -1.0, 1.0), "joint2, a smooth curve over its gravity torque"),
+        (Unnamed("base", "time", 0.0, 1.0, component="rx"), "base (rx), a smooth curve over time"),
         (
             Unnamed("link3", "position of joint 1", 0.0, 1.0, component="z"),
-            "link 3 z, function of position of joint 1, ",
+            "link3 (z), a smooth curve over position of joint 1",
         ),
+        (
+            Unnamed("joint2", "gravity torque of joint 2", -1.0, 1.0, memory=(0.0, 0.3)),
+            "joint2, a hysteresis loop over its gravity torque",
+        ),
+        (waves(1), "joint1, harmonics of 5 orders from 3 to 33 over its position"),
     ],
 )
-def test_a_smooth_curve_is_named(effect, title):
-    assert diagnosis_words.named(effect) == f"unnamed: {title}a smooth curve"
-
-
-def test_a_curve_with_memory_is_named():
-    effect = Unnamed("joint2", "gravity torque of joint 2", -1.0, 1.0, memory=(0.0, 0.3))
-    assert diagnosis_words.named(effect) == "unnamed: joint 2, function of its gravity torque and of its past, a loop"
-    assert statement(effect, {}).startswith(
-        "Something real at joint2, a function of gravity torque of joint 2 and of its past, that no entry"
-    )
-
-
-def test_many_findings_fit_a_page(compliant):
-    """Fourteen findings and more: no figure is higher than a page of its width, and panels stay readable."""
-    for count in (1, 4, 6, 7, 14, 15, 20):
-        figure = diagnosis_figures.finding_curves(compliant, "", [0] * count)
-        width, height = figure.get_size_inches()
-        assert sum(panel.get_visible() for panel in figure.axes) == count
-        assert height <= 1.42 * width
-        assert width <= 18.5
-
-
-def test_two_components_do_not_mix(recorded):
-    """What one component does is not in the data that the other one is drawn over."""
-    tilt = "base_compliance:compliance_x_rad_per_Nm=3e-5,compliance_y_rad_per_Nm=3e-5"
-    found = diagnosed(*recorded(tilt))
-    for panel in diagnosis_figures.finding_curves(found, "").axes:
-        dots, curve = panel.lines[0], panel.lines[1]
-        fitted = np.interp(dots.get_xdata(), curve.get_xdata(), curve.get_ydata())
-        assert np.median(np.abs(dots.get_ydata() - fitted)) < 0.3 * np.median(np.abs(dots.get_ydata()))
+def test_what_is_known_of_an_unnamed_effect_is_its_title(effect, title):
+    where = effect_as_dict(effect, np.zeros(effect.size))["where"]
+    entry = {"effect": "unnamed", "site": effect.site, "driver": effect.drivers[0].phrase, "where": where}
+    assert statements.effect_title(entry) == f"unnamed effect at {title}"
 
 
 def test_numbers_have_the_digits_that_they_are_known_to():
-    assert diagnosis_words.rounded(1.52689, 0.0123) == ("1.527", "0.012")
-    assert diagnosis_words.rounded(21654.3, 4320.0) == ("21654", "4320")
-    assert diagnosis_words.rounded(1.0, np.inf) == ("1", "inf")
+    assert rounded(1.52689, 0.0123) == ("1.527", "0.012")
+    assert rounded(21654.3, 4320.0) == ("21654", "4320")
+    assert rounded(1.0, np.inf) == ("1", "inf")
 
 
-# ------------------------------------------------------------------ the other side
+@pytest.mark.parametrize(
+    ("name", "value", "std", "text"),
+    [
+        ("compliance_rad_per_Nm", 9.012e-5, 3.5e-7, "compliance 90.12 ± 0.35 µrad/Nm"),
+        ("compliance_x_rad_per_Nm", 9e-5, 3e-6, "compliance x 90.0 ± 3.0 µrad/Nm"),
+        ("phase_rad", 0.5, 0.02, "phase 28.6 ± 1.1 deg"),
+        ("amplitude_rad", 4e-4, 1e-5, "amplitude 0.400 ± 0.010 mrad"),
+        ("vx_m_per_s", 1e-6, 1e-7, "vx 1.00 ± 0.10 µm/s"),
+        ("expansion_per_K", 2.3e-5, 1e-6, "expansion 23.0 ± 1.0 ppm/K"),
+        ("offset_s", 0.02, 1e-4, "offset 20.00 ± 0.10 ms"),
+        ("scale", 1.6e-4, 2e-6, "scale 160.0 ± 2.0 ppm"),
+        ("mass_kg", 0.4, 0.02, "mass 0.400 ± 0.020 kg"),
+        ("order", 2.0, 0.0, "order 2"),
+    ],
+)
+def test_numbers_are_read_in_the_units_of_the_screen(name, value, std, text):
+    assert str(quantity(name, {"value": value, "std": std})) == text
 
 
-def test_the_other_side_comes_first(compliant, drawn, against):
+# ------------------------------------------------------------------ the reference
+
+
+def test_the_reference_comes_first(compliant, drawn, against):
     said = (
         "Reference gazebo.csv, 198 of 200 rows: the model does not reproduce it, with position errors of 3.5355 mm RMS "
         "and 4.0000 mm at most."
@@ -307,10 +279,10 @@ def test_the_other_side_comes_first(compliant, drawn, against):
         start = text.index(said)
         codes = against.to_dict()
         parts = [*reference.difference_sentences(codes), *reference.note_sentences(codes)]
-        parts += [reference.model_statement("gazebo.csv", rigid=True), "Explained: with the physics below"]
+        parts += [reference.model_statement("gazebo.csv", rigid=True), "Explained: with the effects below"]
         assert sorted(parts, key=lambda part: text.index(part, start)) == parts
-    assert "The other side" in page(compliant, drawn, against)
-    assert "The other side" not in page(compliant, drawn)
+    assert "Difference from the reference" in page(compliant, drawn, against)
+    assert "Difference from the reference" not in page(compliant, drawn)
     same = replace(against, reproduced=True, matched=200, differences=(), notes=())
     said = (
         "Reference gazebo.csv, 200 rows: the model reproduces it, with position errors of 3.5355 mm RMS and 4.0000 mm"
@@ -320,9 +292,9 @@ def test_the_other_side_comes_first(compliant, drawn, against):
 
 def test_both_sides_agree(recorded, drawn, against):
     found = diagnosed(*recorded())
-    for told in (page(found, drawn, against), screen(found, against)[1]):
-        assert diagnosis_words.AGREE in told
-        assert "Nothing is missing" not in told
+    for shown_text in (page(found, drawn, against), screen(found, against)[1]):
+        assert "beyond the differences above, the two recordings differ by noise" in shown_text
+        assert "the sensor's noise explain the recording" not in shown_text
 
 
 # ------------------------------------------------------------------ what to record next
@@ -344,23 +316,30 @@ def undecided(compliant):
 def test_what_to_record_next(undecided, drawn):
     text, (shown, said) = page(undecided, drawn), screen(undecided, width=60)
     pair = "joint compliance at joint2 from link compliance at link1"
-    for told in (text, said):
-        start = told.index("What to record next")
-        assert told.index(f"To separate {pair}, record the poses below; they are in the JSON as", start) > start
+    for shown_text in (text, said):
+        start = shown_text.index("What to record next")
         assert (
-            "To separate joint compliance at joint2 from joint lag at joint2, record more poses with gravity torque of "
-            "joint 2 and velocity of joint 2 varied each on its own." in told
+            shown_text.index(f"To separate {pair}, record the poses below (separating_poses in the JSON", start) > start
         )
-        assert "To test for joint lag and time offset, give the velocities of a moving arm; record a trajectory" in told
-        assert "from joint harmonic" not in told  # rejected
-        assert "from joint compliance" not in told  # in the model
-        assert f"Poses that separate {pair} (deg)" in told
-        assert "1 10.0 -20.0 30.0 40.0 50.0 60.0" in told
-        assert "2 -175.0 80.0 200.0 -100.0 0.0 5.0" in told
-        assert "not checked for collisions" in told
+        assert (
+            "To separate joint compliance at joint2 from joint lag at joint2, record more poses in which the gravity "
+            "torque of joint 2 and the velocity of joint 2 vary independently." in shown_text
+        )
+        assert (
+            "To test for joint lag and time offset, give the velocities of a moving arm; record a trajectory"
+            in shown_text
+        )
+        assert "from joint harmonic" not in shown_text  # rejected
+        assert "from joint compliance" not in shown_text  # in the model
+        assert f"Poses that separate {pair} (deg)" in shown_text
+        assert "1 10.0 -20.0 30.0 40.0 50.0 60.0" in shown_text
+        assert "2 -175.0 80.0 200.0 -100.0 0.0 5.0" in shown_text
+        assert "not checked for collisions" in shown_text
     assert max(map(len, shown.splitlines())) <= 60
-    assert "link compliance at link1 (-0.1), joint compliance at joint2 (+0.0), joint lag at joint2 (+5.9)" in said
-    assert "rejected: joint harmonic of order 1 at joint2 (+6.1)" in text
+    gaps = {"link compliance at link1": "+0.1", "joint compliance at joint2": "+0.0", "joint lag at joint2": "-5.9"}
+    near = ", ".join(f"{name} (log-likelihood {gap})" for name, gap in gaps.items())
+    assert f"Not distinguished from {near}." in said
+    assert "rejected: joint harmonic of order 1 at joint2 (log-likelihood -6.1)" in text
 
 
 def test_no_poses_are_shown_where_there_are_none(compliant, drawn):
@@ -369,13 +348,72 @@ def test_no_poses_are_shown_where_there_are_none(compliant, drawn):
     assert "Poses that separate" not in screen(compliant)[1]
 
 
-def test_what_hides_effects_is_to_be_declared(compliant):
-    hidden = "To see more of what is hidden, "
-    assert diagnosis_words.to_record(compliant)[-1] == f"{hidden}measure orientations too."
-    sites = (("base", 0, 0), ("link", 1, 3))
-    problem = replace(compliant.problem, unknown=sites, precision=np.ones(2), offset=np.zeros(2))
-    said = f"{hidden}declare the sensor's frame and the arm's own calibration and measure orientations too."
-    assert diagnosis_words.to_record(replace(compliant, problem=problem))[-1] == said
-    selection, problem = replace(compliant.selection, confounded=()), replace(compliant.problem, untestable=())
-    nothing = replace(compliant, selection=selection, problem=problem)
-    assert diagnosis_words.to_record(nothing) == []
+def test_the_status_of_each_rival_is_in_the_document(undecided):
+    (finding,) = documented(undecided)["findings"]
+    found = {(rival["effect"], rival["site"]): rival["status"] for rival in finding["confusable_with"]}
+    assert found == {
+        ("joint_lag", "joint2"): "undecided",
+        ("link_compliance", "link1"): "separable",
+        ("joint_harmonic", "joint2"): "rejected",
+        ("joint_compliance", "joint2"): "found",
+    }
+
+
+def test_what_is_confounded_is_to_be_declared(compliant):
+    start = "To test for effects that are confounded or not observed, "
+    last = statements.what_to_record(documented(compliant))[-1]
+    assert last == f"{start}measure orientations too."
+    document = documented(compliant)
+    document["nuisance"] = {"numbers": 2, "parts": ["base", "link"]}
+    last = statements.what_to_record(document)[-1]
+    assert last == f"{start}declare the sensor's frame and the arm's own calibration and measure orientations too."
+    reason = statements.untested(document)[-1].reason
+    assert reason.startswith("They are confounded with the fitted frames and geometry")
+    assert statements.what_to_record({**document, "confounded": [], "untestable": []}) == []
+
+
+# ------------------------------------------------------------------ verdicts and the JSON file
+
+
+def test_the_verdict_is_that_of_the_numbers(compliant):
+    document = documented(compliant)
+
+    def verdict(declared, estimated, code):
+        noise = {"declared_position_m": declared, "estimated_position_m": estimated}
+        return statements.verdict_statement({**document, "verdict": code, "noise": noise})
+
+    assert "explain the recording" in verdict(2e-5, 2e-5, "consistent")
+    assert "explain the recording" in verdict(None, 2e-3, "consistent")
+    assert "which are 5.5 times the declared noise: check the arm" in verdict(2e-5, 1.1e-4, "consistent")
+    assert "remain larger than the sensor's noise" in verdict(2e-5, 1e-4, "partly_explained")
+    assert "declares no position_noise_m" in verdict(None, 1e-4, "partly_explained")
+
+
+def test_statements_are_added_to_codes_and_nothing_is_taken_away(compliant):
+    plain, stated = to_document(compliant), documented(compliant)
+
+    def without(entry, key):
+        assert entry[key]
+        return {name: value for name, value in entry.items() if name != key}
+
+    for name, key in (("findings", "statement"), ("untestable", "reason")):
+        assert [without(entry, key) for entry in stated[name]] == plain[name]
+    assert {name: value for name, value in stated.items() if name not in ("findings", "untestable")} == {
+        name: value for name, value in plain.items() if name not in ("findings", "untestable")
+    }
+    again = json.loads(json.dumps(plain, allow_nan=False))
+    assert statements.with_statements(again) == json.loads(json.dumps(stated))
+
+
+def test_a_summary_is_sentences_of_a_few_lines(compliant):
+    text = compliant.summary()
+    assert len(textwrap.wrap(text, 80)) < 15
+    size = str(
+        quantity("compliance_rad_per_Nm", documented(compliant)["findings"][0]["parameters"]["compliance_rad_per_Nm"])
+    )
+    assert f"is significant: {size}." in text
+    rms = 1e3 * np.sqrt(np.mean(compliant.after**2))
+    assert f"The held-out position error is {rms:.4f} mm RMS with these effects" in text
+    html = compliant._repr_html_()
+    assert f"<td>{size}</td>" in html
+    assert "<script" not in html
