@@ -58,9 +58,7 @@ def curves(motion: Motion, deflections: Deflections, sites: dict[Site, Array]) -
     return tuple(found)
 
 
-def waves(
-    joint: int, q: Array, orders: Sequence[float], training: Mask, spread: float | None, fade: float
-) -> Unnamed:
+def waves(joint: int, q: Array, orders: Sequence[float], training: Mask, spread: float | None, fade: float) -> Unnamed:
     """The curve of some orders of a joint, counted from 1, that fades out where no training row was.
 
     Args:
