@@ -61,7 +61,8 @@ class Outcome(NamedTuple):
 
 def main(arguments: Sequence[str]) -> int:
     """Runs all changes and prints what depends on each option, the most first. The exit code."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks sensitivity", description="What a diagnosis depends on, option by option.")
+    description = "What a diagnosis depends on, option by option."
+    parser = argparse.ArgumentParser(prog="python -m benchmarks sensitivity", description=description)
     parser.add_argument("--trials", type=int, default=len(TRIALS), metavar="N", help="how many of the fixed set")
     parser.add_argument("--only", nargs="+", metavar="OPTION", help="only these options, as group.name")
     parser.add_argument("--processes", type=int, default=len(os.sched_getaffinity(0)), metavar="P")

@@ -167,8 +167,8 @@ def hayati_to_six_parameter(form: HayatiForm, parameters: ArrayLike) -> tuple[np
         parameters: `(size,)` m and rad, in the order of `form.names`.
 
     Returns:
-        kinematics `(joint, 6)` m and rad, and `T_joint_flange` `(4, 4)`, the last joint's a and alpha: a six-parameter chain
-        ends at the last joint and does not contain them.
+        kinematics `(joint, 6)` m and rad, and `T_joint_flange` `(4, 4)`, the last joint's a and alpha: a six-parameter
+        chain ends at the last joint and does not contain them.
     """
     base, dh, beta = form.unpack(parameters)
     betas = np.zeros(form.dof)

@@ -18,7 +18,7 @@ _MOST_NAMED = 12
 
 
 def error_by_joint(solution: Solution, title: str) -> Figure:
-    """Position error against each joint: the nominal arm, and the fitted one on samples that were not fitted; medians."""
+    """Position error against each joint, with medians: of the nominal arm, and of the fitted one on other samples."""
     before, after = solution.nominal_errors, solution.checked
     joints = after.joint_position.shape[1]
     columns = 4 if joints > 6 else 3

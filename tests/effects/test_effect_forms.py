@@ -441,8 +441,8 @@ HEAD = example().split("EFFECTS")[0]
         ),
         (
             HEAD.replace("values[0] * ", "values[0] ** 2 * 1e3 * ") + "EFFECTS = [CableDrag(1)]",
-            "EFFECTS[0]: cable_drag:joint1 is not proportional to its coordinates; write linear=False in the Coordinate "
-            "that it is not proportional to",
+            "EFFECTS[0]: cable_drag:joint1 is not proportional to its coordinates; write linear=False in the "
+            "Coordinate that it is not proportional to",
         ),
         (
             HEAD.replace("motion.joint_position[self.joint - 1]", "motion.joint_position") + "EFFECTS = [CableDrag(1)]",

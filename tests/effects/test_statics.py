@@ -133,8 +133,8 @@ def test_a_hayati_chain_has_no_link_frames():
     with pytest.raises(InputError) as error:
         loads(form, jnp.zeros(form.size), joint, jnp.zeros(1), inertia)
     assert str(error.value) == (
-        "the loads of gravity require the frames of the links; use the six-parameter chain, to which hayati_to_six_parameter "
-        "converts a Hayati chain exactly, or give the loads themselves"
+        "the loads of gravity require the frames of the links; use the six-parameter chain, to which "
+        "hayati_to_six_parameter converts a Hayati chain exactly, or give the loads themselves"
     )
 
 
