@@ -60,13 +60,13 @@ def test_diagnose_prints_a_page(diagnosed, recorded):
     text = flat(said)
     assert str(recorded) in said
     assert "lite6, 300 samples (static)." in text
-    assert "Explained: with the physics below, what is left is the sensor's noise." in text
+    assert "Explained: with the effects below, the held-out errors are the sensor's noise." in text
     assert "held-out position error (mm) rms p95 max" in text
-    assert "declared 0.02" in text
-    assert "Joint compliance at joint2, by gravity torque of joint 2: compliance_rad_per_Nm" in text
-    assert "3 rows stand out of what noise allows: 4, 51, 100." in text
-    assert "Not tested:" in text
-    assert "joint_lag:joint1" in text
+    assert "0.0200 mm is declared." in text
+    assert "1. Joint compliance at joint2, a function of the gravity torque of joint 2, is significant: " in text
+    assert "3 rows are outliers and have little weight. Check them. Rows 4, 51, 100." in text
+    assert "Effects not tested:" in text
+    assert "Joint lag at joint1–6" in text
     assert f"Wrote {out}" in said.replace("\n", "")
     assert max(map(len, said.splitlines())) <= 80 or str(recorded) in said
 
@@ -83,7 +83,7 @@ def test_diagnose_writes_the_schema(diagnosed):
         "findings",
         "model",
     } <= set(document)
-    assert document["schema"] == "lite6jax/diagnosis/1"
+    assert document["schema"] == "lite6jax/diagnosis/2"
     assert document["verdict"] == "explained"
     for part in ("before", "after"):
         errors = document[part]
@@ -116,7 +116,7 @@ def test_diagnose_writes_the_schema(diagnosed):
     assert abs(entry["value"] - 9e-5) < 4 * entry["std"] < 1e-5
     assert 0 <= finding["p_value"] < 1e-3
     for rival in finding["confusable_with"]:
-        assert {"effect", "site", "log_likelihood_gap"} <= set(rival)
+        assert {"effect", "site", "driver", "log_likelihood_gap", "status"} <= set(rival)
         assert type(rival["log_likelihood_gap"]) is float
     model = document["model"]
     assert np.shape(model["kinematics"]) == (6, 6)
@@ -133,7 +133,7 @@ def test_diagnose_finds_an_effect_of_ones_own(capsys, arm, tmp_path):
     out = tmp_path / "d.json"
     code, said, _ = run(capsys, "diagnose", path, "--out", out, "--effects", own)
     assert code == 0
-    assert "Cable drag at joint3, by position of joint 3: drag_rad" in flat(said)
+    assert "Cable drag at joint3, a function of the position of joint 3, is significant: drag " in flat(said)
     found = json.loads(out.read_text())
     assert [(f["effect"], f["site"]) for f in found["findings"]] == [("cable_drag", "joint3")]
     entry = found["findings"][0]["parameters"]["drag_rad"]
