@@ -18,10 +18,10 @@ from benchmarks.one_by_one import Readings, refit_each
 from lite6jax.arms.bundled import load_bundled
 from lite6jax.arms.factory import write_factory
 from lite6jax.diagnosis.diagnose import diagnose as diagnosis_of
+from lite6jax.diagnosis.document import read_model
 from lite6jax.diagnosis.explanation import explain
 from lite6jax.diagnosis.options import Options
 from lite6jax.diagnosis.result import Finding
-from lite6jax.domains.pose.predict import read_model
 from lite6jax.domains.pose.problem import PoseProblem, pose_problem
 from lite6jax.effects.effect import Effect
 from lite6jax.effects.serialization import parse_effect

@@ -20,8 +20,9 @@ from rich.table import Table
 
 from benchmarks.measure import Record
 from benchmarks.residual.score import OURS, Outcome, compare, diagnosed, diagnosed_elsewhere, transfer, unseen
+from lite6jax.diagnosis.document import read_model
 from lite6jax.domains.pose.files import read_motion
-from lite6jax.domains.pose.predict import predict, read_model
+from lite6jax.domains.pose.predict import predict
 from lite6jax.errors import InputError
 from lite6jax.fitting.compiled import keep_compiled_code
 from lite6jax.recordings import Recording, read_recording, sidecar_path

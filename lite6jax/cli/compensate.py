@@ -48,9 +48,9 @@ class Compensate:
         import pyarrow as pa
         import pyarrow.csv as pa_csv
 
+        from lite6jax.diagnosis.document import read_model
         from lite6jax.domains.pose.compensate import compensate
         from lite6jax.domains.pose.files import read_pose_targets
-        from lite6jax.domains.pose.predict import read_model
         from lite6jax.effects.user_effects import load_effects
         from lite6jax.recordings import sidecar_path, write_settings
         from lite6jax.report import compensation_tables, screen

@@ -146,8 +146,9 @@ class Predict:
         import pyarrow as pa
         import pyarrow.csv as pa_csv
 
+        from lite6jax.diagnosis.document import read_model
         from lite6jax.domains.pose.files import pose_columns, read_motion
-        from lite6jax.domains.pose.predict import predict, read_model
+        from lite6jax.domains.pose.predict import predict
         from lite6jax.domains.pose.registration import register_model
         from lite6jax.effects.user_effects import load_effects
         from lite6jax.report import diagnosis_tables, screen

@@ -83,7 +83,9 @@ def _findings(selection: Selection) -> tuple[Finding, ...]:
 
 def _ruled_out(found: tuple[DataFault, ...], ruled_out: tuple[DataFault, ...]) -> tuple[DataFault, ...]:
     """Each once: the faults of rows are looked for again in the corrected recording, where there are none."""
-    first = {fault.code: fault for fault in reversed(ruled_out)}
+    first: dict[str, DataFault] = {}
+    for fault in ruled_out:
+        first.setdefault(fault.code, fault)
     corrected = {fault.code for fault in found}
     return tuple(fault for code, fault in first.items() if code not in corrected)
 

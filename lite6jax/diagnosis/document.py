@@ -1,9 +1,12 @@
-"""The JSON of a diagnosis, `lite6jax/diagnosis/2`: codes and plain numbers in SI units; this module writes it.
+"""The JSON of a diagnosis: codes and plain numbers in SI units. Only this module writes and reads it.
 
-Reading is `domains.pose.predict.model_from_document`, for the model, of versions 1 and 2. Sentences are
-added by the report where a file is written.
+`lite6jax/diagnosis/2` is written; of version 1 the model is still read. Sentences are added by the report where a file
+is written.
 """
 
+import json
+from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,11 +15,24 @@ from numpy.typing import NDArray
 from lite6jax.diagnosis.discrimination import differ
 from lite6jax.diagnosis.evidence_map import peak_to_peak
 from lite6jax.diagnosis.result import Diagnosis, Rival
+from lite6jax.domains.pose.predict import DiagnosedArm, ReferenceOrigin
+from lite6jax.effects.catalogue import kinds_of
+from lite6jax.effects.composition import Physics
 from lite6jax.effects.effect import Effect
 from lite6jax.effects.nonparametric import Unnamed
-from lite6jax.effects.serialization import effect_as_dict
+from lite6jax.effects.serialization import effect_as_dict, effect_from_dict
+from lite6jax.effects.statics import inertia_of
+from lite6jax.errors import InputError
+from lite6jax.model import ArmModel
+from lite6jax.storage import read_text
+
+Array = NDArray[np.floating]
 
 SCHEMA = "lite6jax/diagnosis/2"
+SCHEMAS = (SCHEMA, "lite6jax/diagnosis/1")
+"""Those that are read."""
+_SIZE_LIMIT = 1 << 26
+_DAMAGED = "run `lite6jax diagnose` again"
 
 
 def to_document(found: Diagnosis) -> dict[str, Any]:
@@ -124,9 +140,100 @@ def _model(found: Diagnosis) -> dict[str, Any]:
     }
 
 
-def _summary(errors: NDArray[np.floating]) -> dict[str, float]:
+def _summary(errors: Array) -> dict[str, float]:
     names = ("heldout_position_rms_m", "heldout_position_p95_m", "heldout_position_max_m")
     if not errors.size:
         return dict.fromkeys(names, 0.0)
     values = (np.sqrt(np.mean(errors**2)), np.percentile(errors, 95), errors.max())
     return dict(zip(names, map(float, values), strict=True))
+
+
+def read_model(path: str | Path, effects: tuple[Effect, ...] = ()) -> DiagnosedArm:
+    """The model in a diagnosis file.
+
+    Args:
+        path: what `diagnose` wrote.
+        effects: a user's own, where the model has them.
+
+    Raises:
+        InputError: no such file, not a diagnosis, or something in it is missing or not possible.
+    """
+    try:
+        document = json.loads(read_text(path, _SIZE_LIMIT))
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"{path}: is no JSON ({error}); give what `lite6jax diagnose --out` wrote") from error
+    return model_from_document(document, effects, str(path))
+
+
+def model_from_document(document: Any, effects: tuple[Effect, ...] = (), source: str = "diagnosis") -> DiagnosedArm:
+    """The model in a diagnosis of version 1 or 2, as JSON holds it.
+
+    Args:
+        document: all of it.
+        effects: a user's own, where the model has them.
+        source: what messages begin with.
+
+    Raises:
+        InputError: not a diagnosis, or something in it is missing or not possible.
+    """
+    if (
+        not isinstance(document, dict)
+        or document.get("schema") not in SCHEMAS
+        or not isinstance(document.get("model"), dict)
+    ):
+        raise InputError(
+            f"{source}: is no diagnosis ({' or '.join(SCHEMAS)} with a model); give what `lite6jax diagnose --out` "
+            "wrote"
+        )
+    model: dict[str, Any] = document["model"]
+    try:
+        kinematics = np.asarray(model["kinematics"], float)
+        frames = [np.asarray(model[name], float) for name in ("T_sensor_base", "T_flange_tool")]
+        if kinematics.ndim != 2 or kinematics.shape[1] != 6 or any(T.shape != (4, 4) for T in frames):
+            raise ValueError("kinematics or a frame has another shape")
+        if not all(np.isfinite(part).all() for part in (kinematics, *frames)):
+            raise ValueError("a number is not finite")
+        pairs = [effect_from_dict(entry, kinds_of(effects)) for entry in model["effects"]]
+        physics = Physics(tuple(effect for effect, _ in pairs))
+        masses = model["inertia"]
+        return DiagnosedArm(
+            arm=str(model["arm"]),
+            model=ArmModel(kinematics.ravel(), *frames),  # type: ignore[arg-type]
+            physics=physics,
+            values=physics.join([value for _, value in pairs]),
+            inertia=None if masses is None else inertia_of(**{k: np.asarray(v, float) for k, v in masses.items()}),
+            joint_limits=_limits(model.get("joint_limits"), len(kinematics)),
+            orientation=bool(model["orientation"]),
+            reference_temperature=float(model["reference_temperature_degC"]),
+            motion=str(model["motion"]),
+            accelerated=bool(model.get("accelerated", False)),
+            heldout_rms=_heldout(document),
+            reference=_origin(document.get("against")),
+        )
+    except InputError as error:
+        raise InputError(f"{source}: {error}") from error
+    except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
+        raise InputError(f"{source}: its model is damaged ({error}); {_DAMAGED}") from error
+
+
+def _limits(limits: Any, joints: int) -> Array | None:
+    if limits is None:
+        return None
+    array = np.asarray(limits, float)
+    if array.shape != (joints, 2) or not (np.isfinite(array).all() and (array[:, 0] < array[:, 1]).all()):
+        raise ValueError("joint_limits are not the lower and the upper one of each joint")
+    return array
+
+
+def _heldout(document: Mapping[str, Any]) -> tuple[float, float] | None:
+    before, after = (document.get(part, {}).get("heldout_position_rms_m") for part in ("before", "after"))
+    return None if before is None or after is None else (float(before), float(after))
+
+
+def _origin(entry: Mapping[str, Any] | None) -> ReferenceOrigin | None:
+    if entry is None:
+        return None
+    rigid = entry.get("rigid")
+    return ReferenceOrigin(
+        str(entry.get("file", "")), None if rigid is None else bool(rigid), str(entry.get("statement", ""))
+    )

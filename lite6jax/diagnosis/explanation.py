@@ -136,7 +136,7 @@ class _Given:
     def problem(self, screened: Screened, geometry: Geometry | None = None) -> PoseProblem:
         """The problem of all rows, with the corrections that the training rows support; not linearised yet."""
         recording = screened.recording if self.training is None else screened.transferred(self.recording)
-        return pose_problem(recording, screened.arm, geometry or self.geometry, self.effects, self.factory)
+        return pose_problem(recording, screened.arm, geometry or self.geometry, self.effects, screened.factory)
 
     def found(self, screened: Screened, problem: PoseProblem | None = None, price_: float | None = None) -> Explanation:
         """With the physics that a search finds then."""

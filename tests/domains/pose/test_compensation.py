@@ -13,8 +13,9 @@ from typed import refused as refused_as_typed
 
 from benchmarks import compensation as benchmark
 from lite6jax.arms.bundled import load_bundled
+from lite6jax.diagnosis.document import model_from_document, read_model
 from lite6jax.domains.pose.compensate import Reason, compensate
-from lite6jax.domains.pose.predict import model_from_document, predict, read_model
+from lite6jax.domains.pose.predict import predict
 from lite6jax.effects.nonparametric import Unnamed
 from lite6jax.effects.serialization import effect_as_dict
 from lite6jax.recordings import Recording, RecordingSettings, Targets, read_targets, write_recording

@@ -14,9 +14,9 @@ from typed import flat, run
 from typed import refused as refused_as_typed
 
 from lite6jax.diagnosis.diagnose import diagnose
-from lite6jax.diagnosis.document import to_document
+from lite6jax.diagnosis.document import SCHEMAS, model_from_document, read_model, to_document
 from lite6jax.domains.pose.files import pose_columns, read_motion
-from lite6jax.domains.pose.predict import SCHEMAS, model_from_document, predict, read_model
+from lite6jax.domains.pose.predict import predict
 from lite6jax.domains.pose.registration import register_model
 from lite6jax.effects.nonparametric import Unnamed
 from lite6jax.effects.serialization import effect_as_dict, parse_effect
