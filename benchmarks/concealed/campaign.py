@@ -199,8 +199,8 @@ def run(
         wanted: indices of trials.
         out: the Parquet file.
         processes: that work at a time.
-        say: is told what happens.
-        advance: is told what is being done, how many of how many.
+        say: called with a sentence on what happens.
+        advance: called with the kind of work, how much of it is done, and how much there is.
 
     Raises:
         KeyboardInterrupt: after what is done has been kept.

@@ -14,7 +14,7 @@ from lite6jax.storage import check_writable, write_atomically
 
 @dataclass(frozen=True)
 class Diagnose:
-    """Find what a recording shows that the simulated arm does not have: where, which physics, with what numbers.
+    """Find which effects a recording shows beyond the model of the arm: their sites, names, numbers and significance.
 
     For example:
 
@@ -28,16 +28,16 @@ class Diagnose:
     out: Annotated[Path, arg(metavar="FILE")]
     """Write findings and model here (JSON)."""
     reference: Annotated[Path | None, arg(metavar="OTHER")] = None
-    """Take the other side from this recording instead of the model: what another simulator gives for the same joints,
-    or the same arm earlier. Says first whether the model reproduces it, and if not, in what they differ."""
+    """Compare with this recording instead of the model: another simulator at the same joint positions, or the same arm
+    earlier. The report first states whether the model reproduces it, and the differences if not."""
     arm: ArmName = None
     """The nominal arm; from the sidecar where not given."""
     geometry: Literal["declared", "exact", "prior", "free"] = "declared"
-    """What is known of it: what the sidecar says; the factory calibration exactly, or near it; or nothing."""
+    """What is known of its geometry: as the sidecar declares; exactly the factory calibration; near it; nothing."""
     effects: Annotated[Path | None, arg(metavar="FILE.py")] = None
     """Effects of your own, tested for like the catalogue's. Runs the file."""
     report: OutFile = None
-    """Write a page with the findings and their figures here (.html); it needs no other file."""
+    """Write a self-contained page with the findings and their figures here (.html)."""
     figures: Folder = None
     """Draw the figures into this folder (PNG and SVG)."""
     force: bool = False

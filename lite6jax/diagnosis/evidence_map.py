@@ -134,7 +134,7 @@ def explained_shares(found: Diagnosis) -> ExplainedShares:
         elif quantity == "gravity torque":
             about = [columns([("base", 0, 3 + k)], Driver(f"base moment {axis}")) for k, axis in enumerate("xy")]
             shares[dof, column] = share([group for groups in about for group in groups])
-    known = np.isfinite(shares).any(0)
+    known = np.any(np.isfinite(shares), axis=0, keepdims=True)[0]
     known[0] = True
     sites = (*(f"joint{j + 1}" for j in range(dof)), "base")
     return ExplainedShares(
