@@ -106,7 +106,7 @@ class Emulate:
                 terminal.file.flush()  # another program may wait for these lines
                 while (remaining := end - time.monotonic()) > 0:
                     for controller in controllers:
-                        controller.look()
+                        controller.snapshot()
                     time.sleep(min(REFRESH_S, remaining))
         return DONE
 
@@ -214,7 +214,7 @@ def _status_table(controllers: "Sequence[Controller]") -> "Table":
     for title in ("address", "clock", "state", "joints (deg)", "connected", "requests"):
         table.add_column(title, no_wrap=title in ("address", "clock", "state"))
     for controller in controllers:
-        seen = controller.look()
+        seen = controller.snapshot()
         connected = ", ".join(
             f"{port}" + (f" x{count}" if count > 1 else "") for port, count in seen.connections.items() if count
         )
@@ -222,6 +222,6 @@ def _status_table(controllers: "Sequence[Controller]") -> "Table":
         joints = " ".join(f"{math.degrees(angle):.1f}" for angle in seen.joints)
         table.add_row(
             controller.address, f"{seen.time:.0f} s", states.get(seen.state, str(seen.state)) + error, joints,
-            connected or "none", str(sum(seen.asked.values())),
+            connected or "none", str(sum(seen.requests.values())),
         )  # fmt: skip
     return table
