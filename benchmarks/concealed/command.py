@@ -34,6 +34,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument(
         "--out", type=Path, metavar="FILE.parquet", help="keep the results here; goes on where it stopped"
     )
+    parser.add_argument("--compare", type=Path, metavar="BEFORE.parquet", help="say what differs from earlier results")
     parser.add_argument("--figures", type=Path, metavar="DIR", help="draw the figures into this folder")
     parser.add_argument("--markdown", action="store_true", help="print the tables as Markdown")
     parser.add_argument("--processes", type=_count, metavar="P", help="that work at a time; one a core if not given")
@@ -77,6 +78,11 @@ def _many(options: argparse.Namespace, console: Console) -> int:
             bar.update(task, description=what, completed=done, total=total)
 
         rows = campaign.run(options.seed, wanted, out, processes, console.print, advance)
+    if options.compare:
+        from benchmarks.concealed.comparison import differences
+
+        for line in differences(campaign.read_rows(options.compare), rows):
+            console.print(line, soft_wrap=True)
     if options.figures:
         from benchmarks.concealed import figures
 
