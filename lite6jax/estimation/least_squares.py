@@ -16,17 +16,17 @@ from lite6jax.estimation.terms import Terms
 Array = NDArray[np.floating]
 P = TypeVar("P", bound=LinearisedProblem)
 _TYPICAL = 1e-4
-"""What a number of typical size deflects, m or rad."""
+"""m or rad, the change of a prediction by a number of its typical size."""
 
 
 class Residuals(NamedTuple):
-    """Residuals and what Student's t makes of them.
+    """Residuals with their robust scale and the weights of Student's t.
 
     Attributes:
         rows: `(row, sample)`, over the declared noise.
-        innovations: `(row, sample)`, what of them is not predicted by the samples before.
+        innovations: `(row, sample)`, `rows` less their prediction from earlier samples by the noise model.
         scale: `(group,)`, of the noise over the declared one.
-        weight: `(group, sample)`, near 1 for a sample as expected, down to 0.
+        weight: `(group, sample)`, of Student's t: about 1 at the expected residual, towards 0 for outliers.
         groups: `(row,)`.
     """
 
@@ -57,12 +57,12 @@ class Fit:
         nuisance: `(number,)`, from the problem's point of linearisation.
         values: `(terms.size,)`.
         covariance: `(terms.size, terms.size)` of the values, the nuisance's uncertainty included.
-        residuals: of all samples, those left out of the fit too.
+        residuals: of all samples, including those outside `training`.
         training: `(sample,)` bool, the samples it was fitted to.
         parameters: effective number of fitted parameters: those that only the prior determines do not count.
         converged: whether the last step was short enough.
         noise: the noise model.
-        penalty: squared standard deviations by which all numbers are off their prior.
+        penalty: sum over all numbers of the squared deviation from the prior's mean over the prior's variance.
     """
 
     terms: Terms
@@ -87,7 +87,7 @@ class Fit:
         return float(len(self.residuals.rows) * self.training.sum()) - self.parameters
 
     def log_likelihood(self, scale: Array) -> float:
-        """Of the training samples under Student's t and of the prior, but for a constant, at noise of `scale`."""
+        """Of the training samples under Student's t and of the prior, up to a constant, at noise of `scale`."""
         r, total = self.residuals, -0.5 * self.penalty
         for group, s in enumerate(scale):
             squares = np.sum(r.innovations[r.groups == group][:, self.training] ** 2, 0) / s**2
@@ -96,7 +96,7 @@ class Fit:
         return float(total)
 
     def gain_over(self, other: "Fit") -> float:
-        """Log-likelihood over another fit's, at the smaller of their noise scales."""
+        """The log-likelihood less that of another fit, both at the smaller noise scale in each group."""
         scale = np.minimum(self.scale, other.scale)
         return self.log_likelihood(scale) - other.log_likelihood(scale)
 
@@ -113,10 +113,10 @@ def fit(
 ) -> Fit:
     """Fits the nuisance and the numbers of `terms` under Student's t, whose scale is estimated in each group.
 
-    Derivatives are those at the problem's point of linearisation, residuals are exact: a step leaves a thousandth of
-    the error, or what the start is off in radians. Where a combination of nuisance numbers is nearly confounded with a
-    term, an error of a hundredth in the derivatives changes the information, and `exact` derivatives are needed for the
-    covariance.
+    Derivatives are those at the problem's point of linearisation, residuals are exact: each step multiplies the error
+    by about a thousandth, or by the error of the start in rad where that is larger. Where a combination of nuisance
+    numbers is nearly confounded with a term, an error of a hundredth in the derivatives changes the information, and
+    `exact` derivatives are needed for the covariance.
 
     Args:
         problem: the data.
@@ -126,7 +126,8 @@ def fit(
         nuisance: `(number,)` to start from; zero where not given.
         training: `(sample,)` bool; all where not given.
         noise: the noise model; white where not given.
-        exact: whether derivatives are taken where the fit is, by differences: one residual for each number and step.
+        exact: whether derivatives are taken at the current estimate, by differences; a step then evaluates the
+            residuals once for each number.
     """
     return _fitted(problem, terms, options, values, nuisance, training, noise, exact, False)[1]
 
@@ -157,7 +158,7 @@ def _fitted(
     exact: bool,
     moving: bool,
 ) -> tuple[P, Fit]:
-    """The problem, linearised where the fit is if `moving`, and the fit."""
+    """The problem, relinearised at every step if `moving`, and the fit."""
     k = len(problem.precision)
     at = np.concatenate(
         [np.zeros(k) if nuisance is None else nuisance, np.zeros(terms.size) if values is None else values]
@@ -233,7 +234,7 @@ def weighed(rows: Array, noise: NoiseModel, training: Mask) -> Residuals:
 
 
 def without(problem: LinearisedProblem, fitted: Fit, k: int, options: EngineOptions) -> Fit:
-    """The fit without the k-th term, started from where it is."""
+    """The fit without the k-th term, started from the values of the others."""
     rest, values = fitted.terms.part(fitted.values, [i != k for i in range(len(fitted.terms.terms))])
     return fit(problem, rest, options, values, fitted.nuisance, fitted.training, fitted.noise)
 
@@ -252,7 +253,7 @@ def _square(precision: Array, off: Array) -> float:
 
 
 def _differences(problem: LinearisedProblem, terms: Terms, at: Array, rows: Array, step: float) -> Array:
-    """How residuals `rows` change with all numbers where they are, `(number, row, sample)`."""
+    """Derivatives `(number, row, sample)` of the residuals by all numbers at `at`, where they are `rows`."""
     k = len(at) - terms.size
     columns = np.empty((len(at), *rows.shape))
     for i, size in enumerate(np.concatenate([np.full(k, step), step / _TYPICAL * terms.typical])):

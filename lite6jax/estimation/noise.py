@@ -51,7 +51,7 @@ class Autocorrelation:
         band = np.stack([np.ones(rows.shape[-1]), np.full(rows.shape[-1], theta)])
         first = np.asarray(starts)
         band[1, first - 1] = 0.0
-        # so that what the first sample of a run predicts of the second is their correlation
+        # so that the second sample of a run is predicted from the first by their correlation
         change[..., first] = rows[..., first] * ((self.share - 1) * self.coefficient / theta if theta else 1.0)
         flat = change.reshape(-1, rows.shape[-1]).T
         out = (solve_banded((1, 0), band, flat, check_finite=False) / sigma).T.reshape(rows.shape)
@@ -126,7 +126,7 @@ def noise_model(
 ) -> NoiseModel:
     """The most likely noise model of residuals; a group stays white where that is not clearly less likely.
 
-    What a fit has removed of the noise is allowed for by the restricted likelihood (D. Harville, Journal of the
+    The noise that a fit has absorbed is accounted for by the restricted likelihood (REML; D. Harville, Journal of the
     American Statistical Association 72, 1977, eq. 3.2).
 
     Args:
@@ -183,17 +183,17 @@ def autocorrelation(rows: Array, most: int) -> Array:
     """The autocorrelation of rows `(row, sample)` at lags 0, 1, … `most`, mean over rows; 1 at lag 0."""
     centred = rows - rows.mean(1, keepdims=True)
     power = np.abs(np.fft.rfft(centred, 2 * rows.shape[1], axis=1)) ** 2
-    alike = np.fft.irfft(power.sum(0))[: most + 1]
-    return alike / max(float(alike[0]), np.finfo(float).tiny)
+    covariance = np.fft.irfft(power.sum(0))[: most + 1]
+    return covariance / max(float(covariance[0]), np.finfo(float).tiny)
 
 
 def autocorrelation_time(rows: Array) -> float:
     """The autocorrelation time of rows `(row, sample)` in samples, 1 for white noise: the sum over significant lags."""
     n = rows.shape[1]
-    alike = autocorrelation(rows, max(n // 4, 2) - 1)
-    insignificant = alike < 2 / np.sqrt(n)
-    last = int(np.argmax(insignificant)) if insignificant.any() else len(alike)
-    return float(1 + 2 * alike[1:last].sum())
+    correlation = autocorrelation(rows, max(n // 4, 2) - 1)
+    insignificant = correlation < 2 / np.sqrt(n)
+    last = int(np.argmax(insignificant)) if insignificant.any() else len(correlation)
+    return float(1 + 2 * correlation[1:last].sum())
 
 
 def _suspicious(rows: Array, options: EngineOptions) -> bool:

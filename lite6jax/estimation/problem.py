@@ -26,11 +26,11 @@ class PeriodicFamily:
         site: of its terms.
         column: `(row, sample)`, how residuals change with the site's deflection.
         angle: `(sample,)` rad.
-        term: the term of one order.
-        order: of one of its terms; None where that is free.
-        curve: the nonparametric term of several orders: of these, of the mask `(sample,)` of training samples, of
-            the standard deviation of its coefficients' prior, or None, and of the range of the angle in rad within
-            which it fades out beyond the training samples.
+        term: makes the term of one order.
+        order: of one of its terms; None where the order is a number to be fitted.
+        curve: makes the nonparametric term of several orders. Its arguments are the orders, the mask `(sample,)` of
+            training samples, the standard deviation of its coefficients' prior, or None, and the range of the angle in
+            rad within which it fades out beyond the training samples.
     """
 
     site: str
@@ -55,10 +55,10 @@ class CurveDriver:
         values: `(sample,)`.
         pieces: numbers of intervals of the splines to try.
         local: whether steps and bumps at some place of its range are tried.
-        spline: the nonparametric term of a range and a number of pieces.
-        play: what play operators of half-widths `(width,)` make of the values, `(width, sample)`; None where the past
-            of this quantity cannot matter.
-        hysteresis: the nonparametric term of the half-widths of several plays.
+        spline: makes the nonparametric term of a range (lower, upper) and a number of pieces.
+        play: applies play operators of half-widths `(width,)` to the values, `(width, sample)`; None where hysteresis
+            in this quantity is not considered.
+        hysteresis: makes the nonparametric term of play operators with these half-widths.
     """
 
     values: Array
@@ -86,7 +86,7 @@ class CurveFamily:
 
 
 class LinearisedProblem(Protocol):
-    """What a fit needs: residuals and their columns, linearised about where the nuisance is zero.
+    """What a fit needs: residuals and their columns, linearised at zero nuisance.
 
     Attributes:
         rows: numbers that a sample has.
@@ -95,8 +95,8 @@ class LinearisedProblem(Protocol):
         nuisance: `(number, row, sample)`, how residuals change with each nuisance number.
         precision: `(number,)`, one over the variance of each nuisance number's prior; zero where there is none.
         offset: `(number,)`, how far the point of linearisation is from the prior's mean.
-        preset: terms that the domain has estimated before the search, because a score test does not reach so far, and
-            their numbers.
+        preset: terms that the domain has estimated before the search, because they are too far from zero for the
+            linearisation of a score test, and their numbers.
     """
 
     @property
@@ -125,7 +125,7 @@ class LinearisedProblem(Protocol):
 
         Args:
             terms: any of this problem.
-            values: `(number,)` where; zero where not given.
+            values: `(number,)` at which derivatives are taken; zero where not given.
             beside: the terms of the model, and their numbers, that a term's own columns may depend on; `terms`
                 themselves where not given.
         """
@@ -142,7 +142,7 @@ class Problem(LinearisedProblem, Protocol):
     Attributes:
         run: `(sample,)` int; noise is not correlated across a change.
         valid: `(sample,)` bool, the samples that may be used at all.
-        informative: whether the prior is knowledge, and evidence; else it only fixes a gauge.
+        informative: whether the prior states knowledge, so that it counts as evidence; otherwise it only fixes a gauge.
         candidates: the named terms that these data can show.
         periodic: families of periodic terms.
         curves: families of nonparametric terms.
@@ -170,9 +170,9 @@ class Problem(LinearisedProblem, Protocol):
         ...
 
     def alternative(self, terms: Terms) -> "Problem | None":
-        """The same problem by the other of two models of the inputs, where these terms depend on it; else None."""
+        """The same problem under the other of two models of the inputs; None where these terms do not depend on it."""
         ...
 
     def shrinkable(self, term: Term) -> bool:
-        """Whether a named term is estimated beside many periodic ones at once, none of which does nearly the same."""
+        """Whether a named term can be fitted beside all periodic ones, because none is nearly collinear with it."""
         ...

@@ -1,4 +1,4 @@
-"""Orthonormal bases, rank, and what is left of columns outside the span of others."""
+"""Orthonormal bases, rank, and projections of columns onto the orthogonal complement of others."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +17,7 @@ def orthonormal(rows: Array, rounding: float) -> Array:
 
     Args:
         rows: `(number, reading)`, of similar length each.
-        rounding: eigenvalue of their products, over the largest, below which a direction does not count.
+        rounding: eigenvalue of their Gram matrix, over the largest, below which a direction does not count.
     """
     if not len(rows):
         return rows
@@ -28,7 +28,7 @@ def orthonormal(rows: Array, rounding: float) -> Array:
 
 
 def rank(columns: Array, rounding: float) -> int:
-    """How many directions columns `(number, reading)` span."""
+    """The numerical rank of columns `(number, reading)`."""
     return len(orthonormal(unit_rows(columns), rounding))
 
 
@@ -38,19 +38,19 @@ def outside(columns: Array, basis: Array) -> Array:
 
 
 def scaled_solve(H: Array, b: Array, rounding: float = 1e-13) -> Array:
-    """x of H x = b for a positive semidefinite H, shortest in units of unit diagonal where H is singular."""
+    """x of H x = b for a positive semidefinite H scaled to unit diagonal, of least norm where that is singular."""
     root = _root(H)
     return np.linalg.lstsq(H / np.outer(root, root), b / root, rcond=rounding)[0] / root
 
 
 def scaled_inverse(H: Array, rounding: float = 1e-13) -> Array:
-    """The pseudo-inverse of a positive semidefinite H, taken in units of unit diagonal."""
+    """The pseudo-inverse of a positive semidefinite H, taken after scaling it to unit diagonal."""
     root = _root(H)
     return np.linalg.pinv(H / np.outer(root, root), rcond=rounding, hermitian=True) / np.outer(root, root)
 
 
 def schur_complement(G: Array, known: NDArray[np.integer], rounding: float = 1e-12) -> Array:
-    """Products `(number, number)` of what is left of columns outside the span of some of them, from all products."""
+    """The Schur complement `(number, number)` of a Gram matrix G: products of columns outside the span of `known`."""
     size = _root(G)
     C = G / np.outer(size, size)
     inverse = np.linalg.pinv(C[np.ix_(known, known)], rcond=rounding, hermitian=True)

@@ -1,4 +1,4 @@
-"""Student's t for whole samples: the scale of the noise, and what the loss leaves of each sample."""
+"""Student's t for whole samples: the scale of the noise, and the weight of each sample."""
 
 from functools import cache
 
@@ -8,9 +8,9 @@ from numpy.typing import NDArray
 Array = NDArray[np.floating]
 
 FREEDOM = 15.0
-"""Degrees of freedom of the robust loss: 97 % efficient on Gaussian noise; a sample's pull falls beyond four sigma."""
+"""Degrees of freedom of the robust loss: 97 % efficient on Gaussian noise; influence falls beyond four sigma."""
 DOWNWEIGHTED = 0.3
-"""Weight below which a sample is an outlier; of Gaussian samples, about four in a million."""
+"""Weight below which a sample is an outlier; of Gaussian samples of six numbers, about four in a million."""
 
 
 def t_scale(squares: Array, rows: int, freedom: float | None) -> float:
@@ -33,7 +33,7 @@ def t_scale(squares: Array, rows: int, freedom: float | None) -> float:
 
 @cache
 def gaussian_t_scale(rows: int, freedom: float) -> float:
-    """What `t_scale` finds on Gaussian noise of unit size, by integration over its χ² distribution."""
+    """The limit of `t_scale` on Gaussian noise of unit variance, by integration over the χ² distribution."""
     s = np.linspace(0, 80, 20001)[1:]
     density = s ** (rows / 2 - 1) * np.exp(-s / 2)
     density /= density.sum()
@@ -44,12 +44,12 @@ def gaussian_t_scale(rows: int, freedom: float) -> float:
 
 
 def weights_left(scaled: Array, freedom: float | None) -> Array:
-    """What the loss leaves of each sample, from 1 down to 0."""
+    """The weight of each sample under the robust loss, 1 at a zero residual, towards 0 for outliers."""
     return np.ones_like(scaled) if freedom is None else freedom / (freedom + scaled)
 
 
 def variance_factor(scaled: Array, rows: int, freedom: float, fitted: int) -> float:
-    """By what an M-estimator's covariance exceeds the inverse of its weighted information JᵀWJ.
+    """The factor by which an M-estimator's covariance exceeds the inverse of its weighted information JᵀWJ.
 
     In a regression the covariance is (JᵀJ)⁻¹ c² E[ψ²] / E[ψ′]² (P. Huber, Robust Statistics, 1981, 7.6); the
     expectations are taken over the samples.
@@ -58,7 +58,7 @@ def variance_factor(scaled: Array, rows: int, freedom: float, fitted: int) -> fl
         scaled: squared whitened residuals over the squared scale, `(sample,)`.
         rows: numbers a sample has.
         freedom: of Student's t.
-        fitted: how many parameters were.
+        fitted: number of parameters that were fitted.
     """
     w = (freedom + rows) / (freedom + scaled)
     slope = -w / (freedom + scaled)

@@ -1,7 +1,8 @@
 """Score tests of every candidate at once: what each would explain of the residuals, without a refit.
 
-Rao's score test, in a form that is robust to unequal noise (blocks of samples, Hotelling's T²). This is the one place
-where p-values are made.
+Rao's score test, in a form that is robust to unequal noise (blocks of samples, Hotelling's T²). The p-values of all
+terms are computed here: `Score.p_value` by the test, and `gain_p_value` from a refit where a term has many numbers or
+is far from zero. Either becomes family-wise by a factor of `searched_size`.
 """
 
 from collections.abc import Sequence
@@ -27,10 +28,10 @@ class Score(NamedTuple):
     """What a candidate would explain.
 
     Attributes:
-        gain: of the log-likelihood, by a quadratic.
+        gain: in log-likelihood, by its quadratic approximation.
         size: how many of its numbers are identifiable beside the model.
-        p_value: that noise alone explains as much; the larger of a test for white noise and one robust to correlation.
-        confounded: whether nuisance and model can do all that it does.
+        p_value: of noise alone explaining as much; the larger of a test for white noise and one robust to correlation.
+        confounded: whether its columns lie in the span of nuisance and model.
         values: `(number,)` of the candidate, estimated.
     """
 
@@ -41,12 +42,12 @@ class Score(NamedTuple):
     values: Array
 
     def familywise(self, searched: float) -> float:
-        """The p-value of the best of so many independent candidates (Bonferroni)."""
+        """The p-value of the best of `searched` independent candidates (Bonferroni)."""
         return min(self.p_value * searched, 1.0)
 
 
 def searched_size(problem: Problem, options: EngineOptions) -> float:
-    """How many independent candidates a search of a problem looks at, for family-wise p-values."""
+    """The effective number of independent candidates in a search, for family-wise p-values."""
     periodic, curves = len(problem.periodic), len(problem.curves)
     return len(problem.candidates) + periodic * options.searched_orders + curves * options.searched_curves
 
@@ -54,7 +55,7 @@ def searched_size(problem: Problem, options: EngineOptions) -> float:
 def gain_p_value(gain: float, size: int, time: float) -> float:
     """The p-value of a gain in log-likelihood by `size` numbers, in noise of an autocorrelation time in samples.
 
-    For terms of too many numbers for a test by blocks.
+    The tail of χ². For terms of too many numbers for a test by blocks, and for those that are far from zero.
     """
     return float(chdtrc(size, 2 * max(gain, 0.0) / max(time, 1.0)))
 
@@ -68,7 +69,7 @@ class ScoreTest:
         problem: the data.
         fit: the model that candidates are added to.
         options: thresholds.
-        basis: orthonormal `(k, reading)`, what nuisance and model can do. Readings are the rows of all samples after
+        basis: orthonormal `(k, reading)`, the span of nuisance and model. Readings are the rows of all samples after
             whitening, and then one reading for each number of the nuisance that has a prior.
         residual: `(reading,)` white, of unit noise, winsorised.
         blocks: the first sample of each block of neighbouring samples.
@@ -118,7 +119,7 @@ class ScoreTest:
         return 0.5 * np.sum(inverse * np.einsum("gji,gj->gi", V, pull / norms) ** 2, 1)
 
     def given(self, columns: Array) -> "ScoreTest":
-        """The test once columns `(number, row, sample)` are fitted as well, to first order."""
+        """The test with columns `(number, row, sample)` added to the model, to first order."""
         flat = self._flat(columns)
         flat /= np.maximum(np.linalg.norm(flat, axis=1), 1e-300)[:, None]
         new = orthonormal(outside(flat, self.basis), self.options.rounding)
@@ -140,7 +141,7 @@ class ScoreTest:
         statistic = float(total @ total)
         white = float(chdtrc(k, statistic))
         Z = T.T @ G
-        # what each block pulls beyond its share of the whole effect, which is not noise
+        # each block's score less its share of the candidate's whole effect, which is not noise
         share = np.stack([self._by_block(z * Z) for z in Z])
         centred = s - np.einsum("ijb,j->ib", share, total)
         spread = centred @ centred.T * B / (B - 1)
@@ -152,7 +153,7 @@ class ScoreTest:
         return Score(0.5 * statistic, k, max(white, robust), False, values)
 
     def _flat(self, columns: Array) -> Array:
-        """Columns `(number, row, sample)` as the residual is: white, of the training samples, `(number, reading)`."""
+        """Columns `(number, row, sample)` as readings `(number, reading)`: whitened, zero for held-out samples."""
         flat = np.zeros((len(columns), len(self.residual)))
         white = _white(self.fit, columns, self.scale)
         flat[:, : self.problem.rows * self.problem.samples] = white.reshape(len(columns), -1)
@@ -177,14 +178,15 @@ def score_test(
         fit: the model.
         options: thresholds.
         time: autocorrelation time in samples; from the residual where not given.
-        within: a model with more terms, in whose noise the test is made: what these terms do is added back to its
-            residual. A missing large effect inflates the noise estimate and masks differences between candidates.
+        within: a model with more terms, whose residual and noise scale the test uses; the part of these terms is
+            added to the residual. A missing large effect inflates the noise estimate and masks differences between
+            candidates.
     """
     training = np.tile(fit.training, problem.rows).astype(float)
     best, n = within or fit, float(training.sum())
     winsorised = _winsorised(best.residuals.innovations, best, options.winsor) * fit.training
     freedom = max(n - best.parameters, 1.0)
-    # of each group, as if all parameters were spread evenly over the readings
+    # root mean square of each group; the degrees of freedom that are fitted are shared in proportion to its readings
     rms = np.array(
         [
             np.sqrt(max(np.mean(winsorised[problem.groups == g][:, fit.training] ** 2) * n / freedom, 1e-300))
@@ -214,7 +216,7 @@ def score_test(
 
 
 def remaining_noise_model(problem: Problem, fit: Fit, options: EngineOptions) -> NoiseModel:
-    """The noise model of what a fit leaves; held-out samples, and other runs, are independent of each other."""
+    """The noise model of a fit's residuals; noise is independent between runs, and across held-out samples."""
     training = fit.training
     begins = np.diff(np.asarray(problem.run), prepend=problem.run[0]).astype(bool) | np.diff(training, prepend=True)
     run = np.cumsum(begins, dtype=int)
@@ -238,7 +240,7 @@ def _white(fit: Fit, columns: Array, scale: Array) -> Array:
 
 
 def _winsorised(rows: Array, fit: Fit, limit: float) -> Array:
-    """Residuals `(row, sample)` over the scale, samples beyond `limit` standard deviations a number cut down to it."""
+    """Residuals `(row, sample)` over the scale, samples with an rms beyond `limit` scaled down to it."""
     out = np.empty_like(rows)
     for group, scale in enumerate(fit.scale):
         there = fit.residuals.groups == group
@@ -253,7 +255,7 @@ def _longest_time(residual: Array, groups: NDArray[np.integer]) -> float:
 
 
 def _blocks(samples: int, time: float, options: EngineOptions) -> NDArray[np.integer]:
-    """The first sample of each block: longer than what correlates, and enough of them to estimate a spread."""
+    """The first sample of each block: longer than the autocorrelation time, and enough of them for a variance."""
     length = max(options.least_in_block, int(np.ceil(options.block_times * time)))
     count = int(np.clip(samples // length, 4, options.most_blocks))
     return (np.arange(count) * samples) // count

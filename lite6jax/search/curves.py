@@ -20,12 +20,12 @@ Array = NDArray[np.floating]
 _PLAYS = (0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8)
 """Half-widths of a single play operator over the largest value of its driver."""
 _SEVERAL_PLAYS = (0.05, 0.1, 0.2, 0.4, 0.7)
-"""The same of several at once, as of hysteresis that sets in gradually."""
+"""Half-widths of several play operators in one term, over the same, as of hysteresis that sets in gradually."""
 _WIDTHS = (0.02, 0.05, 0.1, 0.2, 0.35, 0.5)
 """Of local forms, in the driver's unit: half a step's width, and a bump's standard deviation."""
 _REFINED_WIDTHS = (0.3, 0.6, 1.0, 1.5)
 _BUMP = ((2, 2.0), (4, 2.5))
-"""Intervals of the spline of a bump, and the widths on either side beyond which it is zero."""
+"""Intervals of the splines of a bump, and half the range of each in widths of the bump, beyond which it is constant."""
 
 
 class Curve(NamedTuple):
@@ -57,7 +57,7 @@ def best_curves(test: ScoreTest, family: CurveFamily, local: bool) -> list[Curve
 
 
 def replace_by_curves(problem: Problem, state: State, options: EngineOptions) -> State:
-    """Puts curves in place of the named terms of a site, where they explain clearly more than these together."""
+    """Replaces the named terms of a site by a curve, or adds one, where that is clearly more likely."""
     for _ in range(options.curve_rounds):
         better = _with_curve(problem, state, options)
         if better is None:
@@ -67,7 +67,7 @@ def replace_by_curves(problem: Problem, state: State, options: EngineOptions) ->
 
 
 def merge_harmonics(problem: Problem, state: State, options: EngineOptions) -> State:
-    """Puts one curve in place of many harmonics at one site: no gear has so many orders that are not whole."""
+    """Replaces many harmonics of one site by one curve: no gear has so many orders that are not whole."""
     for family in problem.periodic:
         waves = [t.term for t in state.tested if t.term.periodic and t.term.site == family.site]
         fractional = sum(wave.chosen is not None and not wave.chosen.is_integer() for wave in waves)
@@ -75,14 +75,16 @@ def merge_harmonics(problem: Problem, state: State, options: EngineOptions) -> S
             continue
         orders = tuple(sorted({order for wave in waves if (order := family.order(wave)) is not None}))
         beside = refitted(problem, state, [t for t in state.tested if t.term not in waves], options)
-        merged = _replaced(problem, beside, family.curve(orders, state.baseline.training, None, options.fade), options)
+        merged = _with_added_curve(
+            problem, beside, family.curve(orders, state.baseline.training, None, options.fade), options
+        )
         if merged.tested[-1].p_value < options.level:
             state = merged
     return state
 
 
 def _with_curve(problem: Problem, state: State, options: EngineOptions) -> State | None:
-    """The most likely curve of a site in place of all named terms there, or None where names explain as much."""
+    """The most likely state in which a curve replaces all terms of its site; None where none is clearly preferred."""
     test, searched = score_test(problem, state.fit, options), searched_size(problem, options)
     best: State | None = None
     for family in problem.curves:
@@ -90,16 +92,16 @@ def _with_curve(problem: Problem, state: State, options: EngineOptions) -> State
         if len(kept) == len(state.tested):
             curves = best_curves(test, family, local=False)
             worth = [curve.term for curve in curves if curve.score.familywise(searched) < options.level]
-            further = [_replaced(problem, state, term, options) for term in worth]
+            further = [_with_added_curve(problem, state, term, options) for term in worth]
         else:
             beside = refitted(problem, state, kept, options)
             further = [state]
-            # each in the noise of the last: a large effect masks the differences between curves
+            # each scored in the last one's noise: a large effect masks the differences between curves
             for _ in range(options.curve_rounds):
                 term = _more_likely(problem, beside.fit, further[-1], family, options)
                 if term is None:
                     break
-                further.append(_replaced(problem, beside, term, options))
+                further.append(_with_added_curve(problem, beside, term, options))
             further = further[1:]
         for one in further:
             significant = one.tested[-1].p_value < options.level
@@ -111,7 +113,7 @@ def _with_curve(problem: Problem, state: State, options: EngineOptions) -> State
 def _more_likely(
     problem: Problem, beside: Fit, state: State, family: CurveFamily, options: EngineOptions
 ) -> Term | None:
-    """The curve of a site that may be more likely than the terms fitted there, to first order."""
+    """The best curve of a site, to first order, where it is more likely than the terms fitted there; else None."""
     test = score_test(problem, beside, options, within=state.fit)
     there = [tested.term.site == family.site for tested in state.tested]
     terms, values = state.fit.terms.part(state.fit.values, there)
@@ -125,7 +127,7 @@ def _more_likely(
     return best.term if likely(best) > now else None
 
 
-def _replaced(problem: Problem, beside: State, curve: Term, options: EngineOptions) -> State:
+def _with_added_curve(problem: Problem, beside: State, curve: Term, options: EngineOptions) -> State:
     """The state with a curve added, tested by its gain; the named terms nearest to it are its alternatives."""
     test = score_test(problem, beside.fit, options)
     score = test.score([curve])[0]
@@ -176,13 +178,13 @@ def _bump(u: Array) -> Array:
 
 
 def _hysteretic(test: ScoreTest, family: CurveFamily, driver: CurveDriver) -> list[Term]:
-    """Proportional to the driver and to what follows it with play: of the best width, and of several widths."""
+    """Terms linear in the driver and in play operators on it: one of the best half-width, and several at once."""
     assert driver.play is not None
     assert driver.hysteresis is not None
     most = float(np.abs(driver.values).max())
     widths = most * np.array(_PLAYS)
-    behind = driver.play(widths)
-    pairs = np.stack([np.broadcast_to(driver.values, behind.shape), behind], 1)
+    followers = driver.play(widths)
+    pairs = np.stack([np.broadcast_to(driver.values, followers.shape), followers], 1)
     best = float(widths[int(np.argmax(test.gains(family.column * pairs[:, :, None])))])
     several = tuple(most * share for share in _SEVERAL_PLAYS)
     return [driver.hysteresis((0.0, best)), driver.hysteresis((0.0, *several))]

@@ -1,4 +1,4 @@
-"""Exchange: alternatives in place of terms, with what forward selection then adds; terms were chosen one by one."""
+"""Exchange: an alternative replaces a term and forward selection goes on; terms had been chosen one by one."""
 
 from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.problem import Problem

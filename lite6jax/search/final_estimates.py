@@ -1,4 +1,4 @@
-"""Final estimates: values and covariance with all that the search held fixed set free once more."""
+"""Final estimates: values and covariance, with the numbers that the search held fixed estimated as well."""
 
 from dataclasses import replace
 
@@ -14,8 +14,8 @@ from lite6jax.search.state import State
 def final_estimates(problem: Problem, state: State, options: EngineOptions) -> State:
     """The state with its numbers and their covariance as they are reported.
 
-    Derivatives are taken where the fit ended. Orders that were chosen from a spectrum are fitted as well, unless that
-    leaves a whole number within the order's standard deviation. Which of two models of the inputs holds is uncertain
+    Derivatives are taken at the estimate. Orders that were chosen from a spectrum are fitted as well, unless one was
+    whole and stays within `whole_within` standard deviations. Which of two models of the inputs holds is uncertain
     too: covariances include the squared difference between the values under both, times the probability of the other
     (J. Hoeting et al., Bayesian Model Averaging, Statistical Science 14, 1999, eq. 3).
     """
@@ -63,7 +63,7 @@ def _released(problem: Problem, fitted: Fit, free: list[bool], options: EngineOp
 
 
 def _is_whole(released: Fit, k: int, fitted: Fit, options: EngineOptions) -> bool:
-    """Whether a chosen number was whole, and still is within its standard deviation."""
+    """Whether a chosen number was whole, and its estimate is within `whole_within` standard deviations of that."""
     chosen, last = fitted.terms.terms[k].chosen, released.terms.slices[k].stop - 1
     if chosen is None or chosen % 1:
         return False
@@ -71,7 +71,7 @@ def _is_whole(released: Fit, k: int, fitted: Fit, options: EngineOptions) -> boo
 
 
 def _held(released: Fit, fitted: Fit, free: list[bool]) -> Fit:
-    """The fit with the numbers that were free held where they are now."""
+    """The fit with the numbers that were free held at their estimates."""
     terms, kept = [], np.ones(released.terms.size, bool)
     for before, term, part, is_free in zip(
         fitted.terms.terms, released.terms.terms, released.terms.slices, free, strict=True

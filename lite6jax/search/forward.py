@@ -29,8 +29,8 @@ class _Scored(NamedTuple):
 def forward(problem: Problem, state: State, options: EngineOptions) -> State:
     """Adds the most likely term, one after another.
 
-    Terms that are not significant yet are added too, a few in a row: one effect makes another's residual look like
-    autocorrelated noise. Backward elimination removes those that stay insignificant.
+    Terms that are not significant yet are added too, a few in a row: an effect that is not in the model yet makes the
+    residual look autocorrelated, and so masks another. Backward elimination removes those that stay insignificant.
     """
     doubtful = 0
     while len(state.tested) < options.most_terms and doubtful < options.doubtful:
@@ -43,7 +43,7 @@ def forward(problem: Problem, state: State, options: EngineOptions) -> State:
 
 
 def _with_next(problem: Problem, state: State, options: EngineOptions) -> State | None:
-    """The state with the best single addition, or None where nothing is left."""
+    """The state with the best single addition, or None where none is significant."""
     test, searched = score_test(problem, state.fit, options), searched_size(problem, options)
     named = [term for term in problem.candidates if not term.periodic]
     scored = [_Scored(*pair, 0.0) for pair in zip(named, test.score(named), strict=True)]

@@ -1,4 +1,4 @@
-"""Retest with the noise model: the search assumes white noise; its terms are tested again in the noise left."""
+"""Retest with the noise model: the search assumes white noise; its terms are tested again in autocorrelated noise."""
 
 from dataclasses import replace
 
@@ -23,7 +23,7 @@ from lite6jax.search.state import (
 
 
 def retest(problem: Problem, state: State, options: EngineOptions) -> State:
-    """The state in its own noise model, and with further terms that are significant in that noise."""
+    """The state refitted in the noise model of its residuals, with further terms that are significant in that noise."""
     state, searched = _in_noise_model(problem, state, options), searched_size(problem, options)
     while not state.fit.noise.white and len(state.tested) < options.most_terms:
         test = score_test(problem, state.fit, options)
@@ -42,7 +42,7 @@ def retest(problem: Problem, state: State, options: EngineOptions) -> State:
 
 
 def _in_noise_model(problem: Problem, state: State, options: EngineOptions) -> State:
-    """All terms tested and fitted in the noise that they leave, where that is autocorrelated; insignificant ones go."""
+    """All terms fitted and tested in autocorrelated noise, where residuals have it; insignificant ones are removed."""
     while not (noise := remaining_noise_model(problem, state.fit, options)).white:
         f = state.fit
         refit = fit(problem, f.terms, options, f.values, f.nuisance, f.training, noise)
@@ -65,7 +65,7 @@ def _in_noise_model(problem: Problem, state: State, options: EngineOptions) -> S
 
 
 def _renamed(problem: Problem, state: State, k: int, options: EngineOptions) -> State:
-    """The state with the most likely of the k-th term and its alternatives: another noise model, another order."""
+    """The state with the most likely of the k-th term and its alternatives, which may rank otherwise in this noise."""
     tested, searched = state.tested[k], searched_size(problem, options)
     rest = reduced(problem, state, k, options).fit
     test = score_test(problem, rest, options)

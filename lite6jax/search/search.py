@@ -25,11 +25,11 @@ class Selection:
     """The terms that a problem's residuals require.
 
     Attributes:
-        problem: linearised where its nuisance, and its preset terms, are.
+        problem: linearised at its fitted nuisance and preset terms.
         reference: the same without preset terms, which `state.baseline` was fitted to.
         state: the terms with their fit.
-        confounded: candidates that the nuisance can do as well.
-        nearest: the most significant candidate beside those found, and its family-wise p-value.
+        confounded: candidates that are confounded with the nuisance.
+        nearest: the most significant candidate that was not selected, and its family-wise p-value.
     """
 
     problem: Problem
@@ -46,9 +46,10 @@ def search(
     reference: Problem | None = None,
     thorough: bool = True,
 ) -> Selection:
-    """Selects terms: forward, backward, curves, exchange, and a retest with the noise model.
+    """Selects terms: forward, backward, curves, exchange, merging of harmonics, and a retest with the noise model.
 
-    Of very many samples a part finds the terms; all samples then fit them and are searched for what is left.
+    Where forward selection reaches its most terms, harmonic shrinkage may replace the rest. Of very many samples, terms
+    are selected in every n-th; they are then fitted to all samples, and forward selection goes on there.
 
     Args:
         problem: the data, linearised.
@@ -105,7 +106,7 @@ def _with_preset(problem: Problem, baseline: Fit, options: EngineOptions) -> Sta
 
 
 def _continued(problem: Problem, reference: Problem, part: State, training: Mask, options: EngineOptions) -> State:
-    """The terms found in a part of the samples, fitted to all, with what these show beyond them."""
+    """The terms found in a part of the samples, fitted to all, with further ones that are significant there."""
     baseline = fit(reference, Terms(), options, training=training)
     fitted = baseline
     if part.tested:
@@ -115,7 +116,7 @@ def _continued(problem: Problem, reference: Problem, part: State, training: Mask
 
 
 def _reviewed(selection: Selection, options: EngineOptions) -> Selection:
-    """With the candidates that are confounded with the nuisance, and the nearest beside what was found."""
+    """With the candidates that are confounded with the nuisance, and the most significant one that was not selected."""
     problem, state = selection.problem, selection.state
     candidates, searched = problem.candidates, searched_size(problem, options)
     scores = score_test(problem, state.baseline, options).score(candidates)

@@ -1,8 +1,8 @@
 """Harmonic shrinkage: all orders of all periodic families at once, under one prior, reduced to a curve for each site.
 
-Adding orders one by one finds the largest first and fits the others wrongly meanwhile. All at once, with the prior's
-variance estimated from the data (D. MacKay, Bayesian Interpolation, Neural Computation 4, 1992, eq. 4.9), no order is
-fitted far from where it was measured. The orders that matter least are then removed, step by step.
+Adding orders one by one finds the largest first, and biases each by those still missing. All at once, with the prior's
+variance estimated from the data (D. MacKay, Bayesian Interpolation, Neural Computation 4, 1992, eq. 4.9), coefficients
+that the data do not determine stay near zero. The orders that matter least are then removed, step by step.
 """
 
 from collections.abc import Sequence
@@ -24,7 +24,7 @@ Array = NDArray[np.floating]
 Integers = NDArray[np.integer]
 
 ORDERS = np.arange(1.0, 60.25, 0.5)
-"""Half orders, which resolve an angle that varies over two turns; to 60, beyond which shrinkage leaves nothing."""
+"""Half orders, which resolve an angle that varies over two turns; to 60, above which coefficients shrink to zero."""
 _WEIGHINGS, _UPDATES = 3, 5
 """Rounds of robust weights, and of the prior's variance within each: both settle to a per cent."""
 _MUCH = 0.3
@@ -69,7 +69,7 @@ def shrink(problem: Problem, state: State, options: EngineOptions) -> State | No
 def _with_curves(
     problem: Problem, baseline: Fit, current: Fit, named: Sequence[SelectedTerm], options: EngineOptions
 ) -> tuple[Fit, list[Term]]:
-    """Named terms and the curves beside them, fitted; `current` is what is known so far."""
+    """Named terms and the curves beside them, fitted; their orders are chosen from the residuals of `current`."""
     terms = tuple(tested.term for tested in named)
     curves = _curves(problem, _lines(problem, current, Terms(terms), options), current.training, options)
     model = Terms((*terms, *curves))
@@ -84,7 +84,7 @@ def _lines(problem: Problem, current: Fit, named: Terms, options: EngineOptions)
     columns = np.concatenate([fixed, *waves]).reshape(len(fixed) + 2 * len(ORDERS) * len(families), -1)
     norms = np.maximum(np.linalg.norm(columns, axis=1), 1e-300)
     columns /= norms[:, None]
-    # residuals of the current fit, with all that it explains added back, to first order
+    # residuals without nuisance and terms, to first order: those of the current fit less its linear prediction
     model = np.concatenate([problem.nuisance, problem.columns(current.terms.terms, current.values)])
     explained = np.tensordot(np.concatenate([current.nuisance, current.values]), model, 1)
     target = (current.residuals.rows - explained)[:, training].ravel()
@@ -129,7 +129,7 @@ def _penalised(H: Array, free: int, shrink: float) -> Array:
 
 
 def _reduced(H: Array, g: Array, free: int, shrink: float, most: int, share: float) -> Integers:
-    """The lines left when those that matter least have been removed, a `share` at a time."""
+    """The `most` lines left when those of the least Wald statistic have been removed, a `share` at a time."""
     active = np.arange((len(H) - free) // 2)
     while len(active) > most:
         at = np.concatenate([np.arange(free), (free + 2 * active[:, None] + np.arange(2)).ravel()])
@@ -137,9 +137,9 @@ def _reduced(H: Array, g: Array, free: int, shrink: float, most: int, share: flo
         pairs = (inverse @ g[at])[free:].reshape(-1, 2)
         k = np.arange(len(active))
         blocks = inverse[free:, free:].reshape(len(active), 2, len(active), 2)[k, :, k]
-        matters = np.einsum("pi,pij,pj->p", pairs, np.linalg.inv(blocks), pairs)
+        wald = np.einsum("pi,pij,pj->p", pairs, np.linalg.inv(blocks), pairs)
         dropped = max(1, min(len(active) - most, int(share * len(active))))
-        active = np.sort(active[np.argsort(matters)[dropped:]])
+        active = np.sort(active[np.argsort(wald)[dropped:]])
     return active
 
 

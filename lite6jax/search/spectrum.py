@@ -1,4 +1,4 @@
-"""Which orders of an angle the residuals hold, at every site of a periodic family; orders need not be whole."""
+"""Which orders of an angle the residuals contain, at every site of a periodic family; orders need not be whole."""
 
 from typing import NamedTuple
 
@@ -12,11 +12,11 @@ from lite6jax.estimation.terms import Term
 Array = NDArray[np.floating]
 
 _BIN = 2 * np.pi / 2**15
-"""rad; angles closer than this count as one: at order 200 they are a fiftieth of a radian apart."""
+"""rad, to which angles are rounded: at order 200 that is a fiftieth of a radian of phase at most."""
 
 
 class Line(NamedTuple):
-    """The order of a family that explains most.
+    """A spectral line: the order of a family that explains most.
 
     Attributes:
         family: which.
@@ -39,7 +39,7 @@ class Line(NamedTuple):
 def spectrum(test: ScoreTest, family: PeriodicFamily) -> tuple[Array, Array]:
     """Orders `(order,)` of a family's angle and the gain in log-likelihood of each.
 
-    The nuisance is not projected out: below a few turns a gain is overestimated.
+    The nuisance is not projected out: gains of low orders, with which it is confounded, are overestimated.
     """
     q, site, training, options = family.angle, family.column, test.fit.training, test.options
     pull = np.sum(site * test.residual[: site.size].reshape(site.shape), 0)[training]

@@ -22,7 +22,7 @@ class Alternative:
 
     Attributes:
         term: which.
-        gap: log-likelihood that its refit has less.
+        gap: by which the log-likelihood of its refit, or beside a curve that of its score test, is lower.
     """
 
     term: Term
@@ -98,7 +98,7 @@ def refitted(problem: Problem, state: State, terms: Sequence[SelectedTerm], opti
 def retested(
     problem: Problem, state: State, k: int, time: float, options: EngineOptions, rest: State | None = None
 ) -> SelectedTerm:
-    """The k-th term tested beside all others, by the autocorrelation time that the whole model leaves.
+    """The k-th term tested beside all others, with the autocorrelation time of the residuals of the whole model.
 
     Args:
         problem: the data.
@@ -110,7 +110,7 @@ def retested(
     """
     tested = state.tested[k]
     if tested.term in problem.preset[0].terms:
-        return tested  # its estimate is further from zero than a score test reaches
+        return tested  # its estimate is too far from zero for the linearisation of a score test
     rest = rest or reduced(problem, state, k, options)
     score = score_test(problem, rest.fit, options, time).score([tested.term])[0]
     return replace(tested, p_value=score.familywise(searched_size(problem, options)), score=score)
@@ -133,7 +133,7 @@ def description_length(terms: Sequence[Term], n: float, options: EngineOptions) 
 
 
 def preferred(ours: State, theirs: State, by: float, options: EngineOptions) -> bool:
-    """Whether a state has more penalised likelihood than another, `by` so much at least."""
+    """Whether the penalised log-likelihood of a state exceeds that of another by more than `by`."""
     n = ours.fit.freedom
     longer = description_length(ours.fit.terms.terms, n, options) - description_length(
         theirs.fit.terms.terms, n, options
