@@ -34,7 +34,7 @@ def diagnose(
     options: Options | None = None,
     progress: Callable[[int], object] | None = None,
 ) -> Diagnosis:
-    """Locates, names, models and verifies what a recording shows that the arm's model does not have.
+    """Locates, names, models and verifies what makes a recording depart from the arm's model: effects and data faults.
 
     Args:
         recording: measured poses, SI units.
@@ -82,7 +82,7 @@ def _findings(selection: Selection) -> tuple[Finding, ...]:
 
 
 def _ruled_out(found: tuple[DataFault, ...], ruled_out: tuple[DataFault, ...]) -> tuple[DataFault, ...]:
-    """Each once: the faults of rows are looked for again in the corrected recording, where there are none."""
+    """Each once: the faults of rows are screened for again in the corrected recording, where there are none."""
     first: dict[str, DataFault] = {}
     for fault in ruled_out:
         first.setdefault(fault.code, fault)

@@ -39,7 +39,7 @@ class SeparatingPoses(NamedTuple):
 def separating_poses(
     selection: Selection, geometry: Geometry, factory: FactoryCalibration | None, options: Options
 ) -> tuple[SeparatingPoses, ...]:
-    """Poses for each pair of effects that the recording leaves undecided, of those that poses at rest can show."""
+    """Poses for each pair of effects that the recording does not distinguish, where poses at rest can."""
     state, problem = selection.state, selection.problem
     assert isinstance(problem, PoseProblem)
     pairs = [
@@ -60,7 +60,7 @@ def separating_poses(
 
 
 def differ(selection: Selection, k: int, rival: Effect, options: Options) -> bool:
-    """Whether the k-th finding and a rival are two effects at all: a link may turn about the next joint's axis."""
+    """Whether columns of the k-th finding and a rival differ: a link may turn about the next joint's axis."""
     problem, fit = selection.problem, selection.state.fit
     assert isinstance(problem, PoseProblem)
     if missing(rival, problem.motion, problem.inertia is not None) is not None:
@@ -95,7 +95,7 @@ def _poses(
     recorded, count = problem.recording.joint_position, options.separating_poses
     try:
         chosen = plan_discrimination(here, pair, drawn.joint_position, count, recorded=recorded, refined=False)
-    except InputError:  # they depend on time, temperature or velocity: poses at rest do not show them
+    except InputError:  # the effects depend on time, temperature or velocity, which poses at rest do not vary
         return None
     q = chosen.joint_position
     return q[shortest_round(q)]

@@ -36,14 +36,14 @@ _DAMAGED = "run `lite6jax diagnose` again"
 
 
 def to_document(found: Diagnosis) -> dict[str, Any]:
-    """All that a diagnosis says, as JSON holds it."""
+    """The whole diagnosis as values that JSON can hold."""
     problem, kept = found.problem, ~found.outliers
     before, after = _summary(found.before[kept]), _summary(found.after[kept])
     heldout = before["heldout_position_rms_m"], after["heldout_position_rms_m"]
     faults = [fault.to_dict() for fault in found.faults]
-    wild = found.outliers & problem.valid
-    if wild.any():
-        faults.append({"fault": "outliers", "rows": problem.recording.row[wild].tolist(), "numbers": {}})
+    outliers = found.outliers & problem.valid
+    if outliers.any():
+        faults.append({"fault": "outliers", "rows": problem.recording.row[outliers].tolist(), "numbers": {}})
     nearest = found.nearest
     return {
         "schema": SCHEMA,
@@ -105,7 +105,7 @@ def _driver(effect: Effect) -> str:
 
 
 def _rival(found: Diagnosis, k: int, rival: Rival) -> dict[str, Any]:
-    """A rival with its status: rejected, itself found, separable by the poses designed, equivalent in such, or open."""
+    """A rival with its status: rejected, found itself, separable by the designed poses, undecided, or equivalent."""
     effect, labels = rival.effect, (found.findings[k].effect.label, rival.effect.label)
     if rival.gap >= found.options.engine.close:
         status = "rejected"

@@ -29,18 +29,21 @@ OF_ALL = ("temperature rise", "time", "payload")
 _PIECES = 8
 """Intervals of the splines over each driver."""
 _AT_ONCE = 32
+"""Orders whose gains are computed in one call, which bounds the memory."""
 _LAGS = 40
+"""Largest lag of the autocorrelation, in samples."""
 _RANGE = 5.0
+"""Standard deviations to either side that the histogram covers."""
 
 
 class ExplainedShares(NamedTuple):
-    """How much of the residual's variance a curve over each driver explains at each site, of the nuisance fit alone.
+    """The share of the variance of the nuisance fit's residuals that a curve over each driver explains at each site.
 
     Attributes:
         sites: `joint1` …, and `base`.
-        quantities: of the drivers; those that the recording does not have at any site are left out.
-        shares: `(site, quantity)`, from 0 to 1, less what as many numbers explain of noise; NaN where the driver is not
-            known, does not vary, or is confounded with the nuisance.
+        quantities: of the drivers; those that are known at no site are left out, but for the position.
+        shares: `(site, quantity)`, from 0 to 1, adjusted for the degrees of freedom of the curve; NaN where the driver
+            is not known, does not vary, or is confounded with the nuisance.
     """
 
     sites: tuple[str, ...]
@@ -65,10 +68,10 @@ class JointSpectra(NamedTuple):
 
     Attributes:
         site: `jointN`.
-        before: of what the nuisance leaves.
-        after: of what the findings leave too; None where there are none.
-        noise: the share that the highest of all orders and joints exceeds in noise with the probability of the
-            family-wise level, of what the whole model leaves.
+        before: of the residuals of the nuisance alone.
+        after: of the residuals of the whole model; None where there are no findings.
+        noise: the share, of the variance that the whole model leaves, that the highest of all orders and joints exceeds
+            in noise with the probability of the family-wise level.
         harmonics: orders of the harmonics found at this joint.
         curve: orders of nonparametric findings there.
         observed: whether the sensor observes the joint.
@@ -152,13 +155,13 @@ def joint_spectra(found: Diagnosis) -> list[JointSpectra]:
     spectra = []
     for j in range(found.problem.motion.dof):
         site = f"joint{j + 1}"
-        seen = [_spectrum(test, test.problem.periodic[j], exact_below) for test in tests]
-        searched = found.problem.motion.dof * len(seen[-1].orders) / 2
+        each = [_spectrum(test, test.problem.periodic[j], exact_below) for test in tests]
+        searched = found.problem.motion.dof * len(each[-1].orders) / 2
         spectra.append(
             JointSpectra(
                 site=site,
-                before=seen[0],
-                after=seen[1] if len(seen) > 1 else None,
+                before=each[0],
+                after=each[1] if len(each) > 1 else None,
                 noise=float(chdtri(2, engine.level / searched)) / _left(tests[-1]),
                 harmonics=tuple(
                     e.order for e in effects if isinstance(e, JointHarmonic) and e.site == site and e.order
@@ -187,7 +190,7 @@ def remaining_residuals(found: Diagnosis) -> list[Remaining]:
 def peak_to_peak(found: Diagnosis, k: int) -> Estimate:
     """The range of a nonparametric finding's curve where it was measured, m or rad, and its standard deviation.
 
-    The ends of the driver's range, where few samples are, do not count.
+    The range of the driver is that of its central 96 %: few samples are beyond.
 
     Args:
         found: the diagnosis.
@@ -229,12 +232,12 @@ def _spectrum(test: ScoreTest, family: PeriodicFamily, exact_below: float) -> Sp
 
 
 def _left(test: ScoreTest) -> float:
-    """The sum of squares that the model leaves."""
+    """The sum of squares of the residual that a model leaves."""
     rest = test.residual - (test.basis @ test.residual) @ test.basis
     return max(float(rest @ rest), np.finfo(float).tiny)
 
 
 def _adjusted(score: Score, total: float, freedom: float) -> float:
-    """The share explained, less what as many numbers explain of noise."""
+    """The share explained, adjusted for degrees of freedom (adjusted R²)."""
     left = 1 - min(2 * score.gain / total, 1.0)
     return float(max(1 - left * freedom / max(freedom - score.size, 1.0), 0.0))

@@ -1,8 +1,8 @@
 """Data faults weighed against physics: of both, the more likely explanation of a recording.
 
 This is the one orchestrator above screening and search. Screening corrects what is plainly a fault. A frame jump,
-another nominal table and a calibration file that is off everywhere resemble physics: each is believed only where it is
-clearly more likely than the physics found without it.
+another nominal table and a calibration file whose numbers all have errors resemble physics: each is accepted only where
+it is more likely than the physics found without it, the last two by a margin (`trusted_log_likelihood`).
 """
 
 from collections.abc import Iterable, Sequence
@@ -35,7 +35,7 @@ from lite6jax.search.state import description_length
 Array = NDArray[np.floating]
 
 _UNCERTAINTIES = np.geomspace(1e-7, 1e-3, 81)
-"""m and rad that a calibration may be off by: from a controller's last digit to another arm."""
+"""Standard deviations, m and rad, of the errors of a calibration: from a controller's last digit to another arm."""
 
 
 @final
@@ -46,7 +46,7 @@ class Explanation:
     Attributes:
         screened: the recording with these faults corrected; of the training rows.
         selection: the physics found in what is left.
-        price: log-likelihood that the corrections must gain, for the quantities that were chosen for them.
+        price: log-likelihood that the corrections must gain, for the quantities that were estimated for them.
         options: thresholds.
     """
 
@@ -101,7 +101,7 @@ def explain(
         effects: a user's own candidates.
         factory: the arm's calibration; from the sidecar where not given.
         training: `(sample,)` bool, the rows that may be used; all where not given. Screening, clock, linearisation and
-            search then look at nothing else.
+            search use no other.
         thorough: as in `search`.
 
     Raises:
@@ -130,8 +130,8 @@ class _Given:
 
     def screened(self, corrections: Corrections) -> Screened:
         """With these faults corrected, from the training rows."""
-        seen = self.recording if self.training is None else self.recording.select(self.training)
-        return screen(seen, self.arm, self.geometry, self.options.screening, corrections, self.factory)
+        used = self.recording if self.training is None else self.recording.select(self.training)
+        return screen(used, self.arm, self.geometry, self.options.screening, corrections, self.factory)
 
     def problem(self, screened: Screened, geometry: Geometry | None = None) -> PoseProblem:
         """The problem of all rows, with the corrections that the training rows support; not linearised yet."""
@@ -143,8 +143,8 @@ class _Given:
         problem = self.problem(screened) if problem is None else problem
         training, engine = self.training, self.options.engine
         require_samples(screened.recording, len(problem.unknown) + 1)
-        late, reference = linearised(problem, engine, training)
-        selection = search_load_model(late, reference, engine, training, self.thorough)
+        at_offset, reference = linearised(problem, engine, training)
+        selection = search_load_model(at_offset, reference, engine, training, self.thorough)
         if price_ is None:
             readings = float(problem.rows * selection.state.fit.training.sum())
             price_ = price(screened, readings, problem.samples)
@@ -160,7 +160,7 @@ def _jumps_weighed(best: Explanation, given: _Given) -> Explanation:
     count = best.screened.count("frame_jump")
     if not count:
         return best
-    # a twist estimated beside all physics is vague, and one estimated beside none absorbs some physics
+    # a twist estimated beside all physics has a large variance, and one estimated beside none is biased by physics
     bare = given.explained(Corrections(beside_physics=False))
     fewer = [given.explained(Corrections(jumps=k)) for k in range(count)]
     best, rival = max(best, bare, key=_evidence), max(fewer, key=_evidence)
@@ -218,15 +218,15 @@ def _published(screened: Screened, given: _Given, file: str, price_: float) -> E
 
 
 def _calibration_weighed(best: Explanation, given: _Given) -> Explanation:
-    """With a calibration of which every number is off at random, where that is more likely than some physics.
+    """With a calibration whose numbers all have random errors, where that is more likely than some physics.
 
-    One frame that is off may have been bent; a file that is stale, or rounded, is off everywhere.
+    An error of one frame may be a bent link; a file that is stale, or rounded, has errors everywhere.
     """
     settings = best.screened.recording.settings
     exact = given.geometry == "declared" and settings.factory_calibration and not settings.factory_uncertainty
     if not exact or not best.selection.state.tested or best.screened.count("nominal_table"):
         return best
-    # physics that is left out resembles autocorrelated noise, and so does a chain that is off, in a trajectory
+    # physics that is not modelled resembles autocorrelated noise, and so do a chain's errors, in a trajectory
     fit = best.selection.state.fit
     models = [fit.noise] if fit.noise.white else [fit.noise, white_noise(best.problem.groups)]
     gain, sigma = max(_gain_of_uncertainty(best, given, model) for model in models)
@@ -245,7 +245,7 @@ def _calibration_weighed(best: Explanation, given: _Given) -> Explanation:
 
 
 def _gain_of_uncertainty(best: Explanation, given: _Given, noise: NoiseModel) -> tuple[float, float]:
-    """The gain of a calibration that is off everywhere over the physics found, and its standard deviation (m and rad).
+    """The gain of an uncertain calibration over the physics found, and its standard deviation (m and rad).
 
     To first order, in one noise model, with those of the effects beside it that are still needed; the standard
     deviation maximises the marginal likelihood (D. MacKay, Bayesian Interpolation, Neural Computation 4, 1992).
@@ -259,7 +259,7 @@ def _gain_of_uncertainty(best: Explanation, given: _Given, noise: NoiseModel) ->
     nuisance, shifts, moved, _ = np.split(np.arange(len(G)), np.cumsum([len(group) for group in groups])[:-1])
 
     def weighed(kept: tuple[int, ...]) -> tuple[float, float, float]:
-        """Evidence with an exact file and without, and how far off it then is."""
+        """Log evidence with an exact file, with an uncertain one, and the standard deviation of the latter."""
         left = np.zeros(len(G))  # the residual, less what the other effects do
         left[-1], left[shifts] = 1.0, -fit.values
         fitted = np.concatenate([nuisance, *(shifts[fit.terms.slices[k]] for k in kept)])

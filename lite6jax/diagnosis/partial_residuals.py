@@ -1,6 +1,6 @@
 """Each finding's fitted curve beside its partial residuals: what the data show at its site without it.
 
-Partial residuals are the residuals of the whole model with the finding's own curve put back (W. Larsen and
+Partial residuals are the residuals of the whole model with the finding's own curve added back (W. Larsen and
 S. McCleary, The Use of Partial Residual Plots in Regression Analysis, Technometrics 14, 1972).
 """
 
@@ -24,12 +24,14 @@ Array = NDArray[np.floating]
 Mask = NDArray[np.bool_]
 
 _POINTS = 1000
+"""Points of a curve over the position of a joint; a nonparametric one has half as many at least."""
 _POINTS_PER_WAVE = 16
 _MANY_PERIODS = 8.0
 """Periods of a harmonic over a joint's range, beyond which one period is shown."""
 _SAME = 0.9999
+"""Correlation with one of several drivers from which a displacement is a function of that one alone."""
 _POORLY_OBSERVED = 4.0
-"""Times the median standard deviation of a sample, beyond which it says little of the site."""
+"""Standard deviation of a partial residual, over the median, beyond which it is left out."""
 
 
 class FindingCurve(NamedTuple):
@@ -45,7 +47,7 @@ class FindingCurve(NamedTuple):
         unit: of `partial`, `curve` and `std`: `m`, `rad`, `1`, or `sigma` for standard deviations of the sensor.
         driver: `(sample,)`.
         partial: `(sample,)`, partial residuals.
-        at: `(point,)`, in order.
+        at: `(point,)`, ascending.
         curve: `(point,)`, as fitted.
         std: `(point,)`, standard deviation of the curve.
         periods: of a curve over the range shown.
@@ -67,7 +69,7 @@ class FindingCurve(NamedTuple):
 
 
 class _Movement(NamedTuple):
-    """Sites that an effect moves alike: how far `(sample,)`, and that per number `(number, sample)`."""
+    """Sites with one displacement by an effect: that `(sample,)`, and its derivatives by numbers `(number, sample)`."""
 
     sites: list[Site]
     shape: Array
@@ -101,9 +103,9 @@ def _movements(found: Diagnosis, effect: Bending, finding: Finding) -> Iterator[
         flat = np.asarray(moved).reshape(-1, problem.samples)
         slope = np.asarray(slopes).reshape(effect.size, -1, problem.samples)
         moving = [int(i) for i in np.flatnonzero(flat.any(-1))]
-        alike = field == "stretch" and all(np.allclose(flat[i], flat[moving[0]]) for i in moving)
+        uniform = field == "stretch" and all(np.allclose(flat[i], flat[moving[0]]) for i in moving)
         keys = [_site(field, i, np.ndim(moved)) for i in moving]
-        if alike and moving:
+        if uniform and moving:
             yield _Movement(keys, flat[moving[0]], slope[:, moving[0]])
         else:
             yield from (_Movement([key], flat[i], slope[:, i]) for key, i in zip(keys, moving, strict=True))
@@ -157,7 +159,7 @@ def _over_driver(found: Diagnosis, k: int, movement: _Movement, used: Mask) -> F
 
 
 def _along_joint(effect: Bending, values: Array, moved: int, joint: int, dof: int, at: Array) -> tuple[Array, Array]:
-    """The angle of a joint over the position `at` of joint `moved`, counted from 1, and that per number."""
+    """The angle of a joint over the position `at` of joint `moved`, counted from 1, and its derivatives by numbers."""
     q = np.zeros((len(at), dof))
     q[:, moved - 1] = at
     motion = motion_of(q)
@@ -176,7 +178,7 @@ def _along_joint(effect: Bending, values: Array, moved: int, joint: int, dof: in
 
 
 def _along(found: Diagnosis, k: int, used: Mask) -> FindingCurve:
-    """A finding along the way in which it moves each measured pose, over how far it does."""
+    """A finding along the direction in which it displaces each measured pose, over the length of that displacement."""
     problem, finding, fit = found.problem, found.findings[k], found.fit
     effect: Effect = finding.effect
     without = fit.values.copy()

@@ -28,7 +28,7 @@ class Rival:
 
     Attributes:
         effect: which.
-        gap: log-likelihood that its refit has less.
+        gap: by which the log-likelihood of its refit, or beside a curve that of its score test, is lower.
     """
 
     effect: Effect
@@ -38,7 +38,7 @@ class Rival:
 @final
 @dataclass(frozen=True, eq=False)
 class Finding:
-    """An effect that the recording shows.
+    """An effect that was found in the recording.
 
     Attributes:
         effect: which, and where.
@@ -65,7 +65,7 @@ class Finding:
 @final
 @dataclass(frozen=True, eq=False)
 class Diagnosis(Summarised):
-    """What a recording shows that the arm's model does not have.
+    """What makes a recording depart from the arm's model: effects and data faults, with held-out errors.
 
     Attributes:
         problem: the screened recording as an estimation problem, linearised where the geometry is.
@@ -73,7 +73,7 @@ class Diagnosis(Summarised):
         findings: the effects, in the order of their numbers in `fit`.
         before: `(sample,)` m, held-out position errors with the nuisance alone.
         after: `(sample,)` m, held-out errors with the effects that the other blocks support.
-        outliers: `(sample,)` bool, rows that no model explains and rows without joints; they are in no error above.
+        outliers: `(sample,)` bool, outlying rows and rows without joints; statistics of `before` and `after` omit them.
         faults: of the data, in the order in which they were corrected.
         ruled_out: faults that were tested for and are not there.
         separating: poses that separate findings from their rivals.
@@ -103,7 +103,7 @@ class Diagnosis(Summarised):
 
     @property
     def confounded(self) -> tuple[Effect, ...]:
-        """Effects that frames and geometry, being fitted, can do as well."""
+        """Effects that are confounded with the frames and the geometry that are fitted."""
         return tuple(term for term in self.selection.confounded if isinstance(term, Effect))
 
     @property
@@ -122,12 +122,12 @@ class Diagnosis(Summarised):
 
     @property
     def estimated_noise(self) -> float:
-        """Standard deviation per axis of position, m, as the residuals have it."""
+        """Standard deviation per axis of position, m, estimated from the residuals."""
         return float(self.fit.scale[0] * self.problem.noise[0])
 
     @cached_property
     def verdict(self) -> Verdict:
-        """In one word."""
+        """By the findings, and by whether the held-out error with them is that of the declared noise."""
         if not self.findings:
             return "consistent"
         if max(self.findings, key=lambda finding: finding.gain).effect.nonparametric:
