@@ -1,4 +1,7 @@
-"""A clock offset of many samples: found by the tool's speed, which no frame, tool or geometry changes much."""
+"""A clock offset of many samples, estimated by the cross-correlation of measured and predicted speeds of the tool.
+
+Errors of frames, tool and geometry hardly change that speed.
+"""
 
 from dataclasses import replace
 
@@ -14,7 +17,7 @@ from lite6jax.recordings.sequence import run_segments
 Array = NDArray[np.floating]
 
 _FEWEST = 50
-"""Samples of a run: fewer do not tell a lag from chance."""
+"""Samples of a run: with fewer a lag is not distinguished from chance."""
 _LEAST_SAMPLES = 3
 """An offset of fewer samples is within reach of a score test, like any other effect."""
 _CORRELATED = 0.5
@@ -22,13 +25,13 @@ _CORRELATED = 0.5
 _BETTER = 0.1
 """Correlation that the lag must gain over none."""
 _MOST_OF_RUN = 0.5
-"""Share of the longest run that a lag may have: of longer ones too little overlaps."""
+"""Largest lag as a share of the longest run: at larger ones too few samples overlap."""
 
 
 def linearised(
     problem: PoseProblem, options: EngineOptions, training: Mask | None = None
 ) -> tuple[PoseProblem, PoseProblem]:
-    """The problem about the geometry that fits at its clock offset, and the same without an offset.
+    """The problem at its clock offset, linearised at the geometry that fits best there, and the same without an offset.
 
     Args:
         problem: not linearised yet.
@@ -46,7 +49,7 @@ def clock_offset(problem: PoseProblem, training: Mask | None = None) -> float:
     """By how many seconds poses show the arm later than their stamps, where that is several samples; else 0.
 
     Args:
-        problem: with frames about where they are.
+        problem: with frames near the true ones.
         training: `(sample,)` bool, the rows to use; all where not given. Held-out rows divide a run.
     """
     recording = problem.recording
@@ -79,9 +82,9 @@ def clock_offset(problem: PoseProblem, training: Mask | None = None) -> float:
         products[there] += np.fft.irfft(spectra, 2 * size)[lag] - sums[0] * sums[1] / count
         squares[0, there] += _between(one**2, first, last) - sums[0] ** 2 / count
         squares[1, there] += _between(other**2, first + lag, last + lag) - sums[1] ** 2 / count
-    likeness = products / np.sqrt(np.maximum(squares.prod(0), 1e-300))
-    best = int(np.argmax(likeness))
-    if abs(lags[best]) < _LEAST_SAMPLES or likeness[best] < max(_CORRELATED, likeness[most] + _BETTER):
+    correlation = products / np.sqrt(np.maximum(squares.prod(0), 1e-300))
+    best = int(np.argmax(correlation))
+    if abs(lags[best]) < _LEAST_SAMPLES or correlation[best] < max(_CORRELATED, correlation[most] + _BETTER):
         return 0.0
     return float(lags[best] * dt)
 

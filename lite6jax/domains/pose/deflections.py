@@ -1,4 +1,4 @@
-"""How much effects deflect an arm in one motion, per unit of each of their numbers."""
+"""Unit deflections: the deflections of an arm in one motion, per unit of each number of an effect."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -27,13 +27,13 @@ _GRAM = 1e-3
 @final
 @dataclass(frozen=True, eq=False)
 class Deflections:
-    """The deflections of a rigid arm's effects in a motion.
+    """The deflections by effects in one motion of an arm.
 
     Attributes:
         kinematics: `(joint, 6)` of the arm on which the loads act.
         inertia: the arm's masses, or None where they are not known.
-        motion: what the joints did.
-        altered: the motion as another function of the declared one makes it, row for row.
+        motion: of the joints.
+        altered: of a function of motions, what it returns for the declared motion, at the rows of `motion`.
         units: unit deflections of effects that do not depend on loads; arms of another geometry share them.
     """
 
@@ -76,7 +76,7 @@ class Deflections:
         at, steps = jnp.asarray(values), jnp.eye(len(values))
 
         def deflected(v: jax.Array) -> Deflection:
-            if isinstance(effect, Altering):  # through the joints' positions; what follows from loads is second order
+            if isinstance(effect, Altering):  # by the joint positions; the change of the loads is of second order
                 return Deflection(joint=self.altered(partial(effect.alter, v)).joint_position)
             assert isinstance(effect, Bending)
             return effect.deflect(v, self.motion, self.loads)
@@ -101,7 +101,7 @@ class Deflections:
                 total = total + effect.deflect(at, motion, on_arm)
             return dense(total, motion.dof, motion.samples)
 
-        # loads are linear in masses, and so is all that deflects but curves over loads: a difference is exact
+        # loads are linear in masses, and deflections in loads except for curves: elsewhere the difference is exact
         less, more = deflected(mass - _GRAM), deflected(mass + _GRAM)
         slopes = ((np.asarray(b) - np.asarray(a))[None] / (2 * _GRAM) for a, b in zip(less, more, strict=True))
         return Deflection(*slopes)  # type: ignore[arg-type]

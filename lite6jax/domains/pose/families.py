@@ -1,4 +1,4 @@
-"""The periodic and nonparametric terms of poses: harmonics of each joint, and curves over what drives it."""
+"""The periodic and nonparametric terms of poses: harmonics of each joint, and curves over its drivers."""
 
 from collections.abc import Sequence
 from functools import partial
@@ -20,9 +20,9 @@ from lite6jax.estimation.terms import Term
 Array = NDArray[np.floating]
 
 _PIECES = {"position": (8, 24), "gravity torque": (1, 3, 8, 24), "velocity": (8, 24)}
-"""Intervals of the splines over each driver: torques also deflect by a cubic or two."""
+"""Intervals of the splines over each driver: deflections by torques are often a cubic or two."""
 _NEIGHBOURS = 8
-"""Rows that must be near for a place to count as measured."""
+"""Least number of training rows within about `fade` of a position for it to count as measured."""
 
 
 def periodic(motion: Motion, sites: dict[Site, Array]) -> tuple[PeriodicFamily, ...]:
@@ -59,12 +59,12 @@ def curves(motion: Motion, deflections: Deflections, sites: dict[Site, Array]) -
 
 
 def waves(joint: int, q: Array, orders: Sequence[float], training: Mask, spread: float | None, fade: float) -> Unnamed:
-    """The curve of some orders of a joint, counted from 1, that fades out where no training row was.
+    """The curve of some orders of a joint that fades out where there are no training rows.
 
     Args:
         joint: counted from 1.
         q: `(sample,)` rad, its positions.
-        orders: of the waves.
+        orders: of the harmonics in it.
         training: `(sample,)` bool.
         spread: standard deviation of the coefficients' prior, or None.
         fade: rad beyond the training rows within which the curve fades out.

@@ -94,7 +94,7 @@ def site_columns(model: ArmModel, joint_position: Array, measured: Measured) -> 
         np.concatenate([twists.reshape(-1, *twists.shape[2:]), stretches, scale[None]]), measured.whitener
     )
     visible = np.abs(columns).max((1, 2), initial=0.0)
-    columns[visible < _ROUNDING * visible.max()] = 0.0  # the last joint's, of a point on its axis
+    columns[visible < _ROUNDING * visible.max()] = 0.0  # rounding: the last joint's, of a point on its axis
     twisted, stretched = columns[: 6 * (dof + 1)].reshape(dof + 1, 6, *columns.shape[1:]), columns[6 * (dof + 1) :]
     sites: dict[Site, Array] = {("base", 0, k): twisted[0, k] for k in range(6)}
     for j in range(dof):
@@ -112,7 +112,7 @@ def joint_columns(rigid: RigidFrames, measured: Measured) -> Array:
 
 
 def displaced(model: ArmModel, unknown: Sequence[Site], nuisance: Array) -> ArmModel:
-    """The rigid arm whose frames at the sites `unknown` are displaced by `nuisance` `(unknown,)`, m and rad."""
+    """The rigid arm with the frames at the sites `unknown` displaced by `nuisance` `(unknown,)`, m and rad."""
     twists: dict[tuple[str, int], Array] = {}
     for (name, j, k), value in zip(unknown, nuisance, strict=True):
         twists.setdefault((name, j), np.zeros(6))[k] = value
@@ -147,7 +147,7 @@ def measured_poses(recording: Recording, whitener: Array) -> Measured:
 
 
 def frame_columns(rigid: RigidFrames, measured: Measured) -> tuple[Array, Array, Array]:
-    """In m and rad, of frames' twists `(frame, 6, row, sample)`, of stretches `(joint, row, sample)`, and of scale."""
+    """How differences change with twists `(frame, 6, row, sample)`, stretches `(joint, row, sample)` and scale."""
     F, tool = rigid.frames, rigid.tool
     axes = np.moveaxis(F[:, :, :3, :3], 1, -1).swapaxes(1, 2)  # (frame, axis, component, sample)
     origins = np.moveaxis(F[:, :, :3, 3], 1, -1)

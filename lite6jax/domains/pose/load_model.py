@@ -28,8 +28,8 @@ def search_load_model(
 ) -> Selection:
     """The search under the more likely load model.
 
-    It starts with the load model under which one effect explains more. Where the terms found are clearly more likely
-    under the other, the search is repeated with that.
+    It starts with the load model under which the best single effect is more likely. Where the terms found are more
+    likely under the other, they are refitted with that; where they are clearly so, the search is repeated with it.
 
     Args:
         problem: linearised.
@@ -46,11 +46,11 @@ def search_load_model(
     gain = other.gain_over(selection.state.fit)
     if gain <= 0:
         return selection
-    turned, turned_reference = _other(problem, reference)
+    other_problem, other_reference = _other(problem, reference)
     if gain > options.close:
-        return search(turned, options, training, turned_reference, thorough)
+        return search(other_problem, options, training, other_reference, thorough)
     state = replace(selection.state, fit=other)
-    return replace(selection, problem=turned, reference=turned_reference, state=state)
+    return replace(selection, problem=other_problem, reference=other_reference, state=state)
 
 
 def _other(problem: PoseProblem, reference: PoseProblem) -> tuple[PoseProblem, PoseProblem]:
@@ -62,7 +62,7 @@ def _other(problem: PoseProblem, reference: PoseProblem) -> tuple[PoseProblem, P
 def _first(
     problem: PoseProblem, reference: PoseProblem, options: EngineOptions, training: Mask | None
 ) -> tuple[PoseProblem, PoseProblem]:
-    """Both with the load model under which the most likely load effect explains more."""
+    """Both with the load model under which the most likely effect of loads has the higher likelihood."""
     turned = _other(problem, reference)
     loaded = [effect for effect in problem.candidates if physics_of(Terms((effect,))).loaded]
     if turned[0] is problem or not loaded:

@@ -1,4 +1,4 @@
-"""Measured poses as an estimation problem: one arm, its unknown frames and geometry, and what every effect would do."""
+"""Measured poses as an estimation problem: one arm, its unknown frames and geometry, and the columns of effects."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -43,7 +43,7 @@ from lite6jax.recordings.motion import inertia_of_arm, motion_of_recording
 
 Array = NDArray[np.floating]
 
-# type checkers take a cached property for no property of a protocol
+# type checkers do not accept a cached property where a protocol declares a property
 lazy = property if TYPE_CHECKING else cached_property
 
 
@@ -59,8 +59,8 @@ class PoseProblem:
         recording: as screened; every row has a pose.
         arm: the nominal arm.
         start: the rigid arm of the linearisation, a six-parameter chain.
-        unknown: the nuisance, constant displacements of frames: the field of `Deflection`, and where in it. They span
-            what a chain's numbers can do, without the singularities of angles.
+        unknown: the nuisance, constant displacements of frames, each a `Site`. To first order they span the same
+            changes of poses as a chain's numbers, without the singularities of angles.
         precision: `(unknown,)`, one over the variance of their prior.
         offset: `(unknown,)`, from the prior's mean to `start`.
         informative: whether the sidecar declares the chain's uncertainty.
@@ -72,8 +72,8 @@ class PoseProblem:
         candidates: effects that this recording can show.
         untestable: effects that it cannot show, and why.
         clock_offset: s, by which poses are later than their stamps, where it was found before the search; else 0.
-        thinned_from: of a thinned problem, the motion that its rows are taken from, and which: a clock effect looks at
-            their neighbours.
+        thinned_from: of a thinned problem, the motion that its rows are taken from, and their indices there: a clock
+            offset interpolates between neighbouring rows.
         units: unit deflections that depend on the motion alone, shared between linearisations.
     """
 
@@ -97,7 +97,7 @@ class PoseProblem:
 
     @property
     def samples(self) -> int:
-        """How many."""
+        """Number of samples."""
         return self.motion.samples
 
     @property
@@ -136,7 +136,7 @@ class PoseProblem:
 
     @cached_property
     def deflections(self) -> Deflections:
-        """What effects do in the time-shifted motion."""
+        """Deflections by effects in the time-shifted motion."""
         kinematics = np.asarray(self.start.geometry).reshape(-1, 6)
         return Deflections(kinematics, self.inertia, self.time_shifted, self._altered, self.units)
 
@@ -190,7 +190,7 @@ class PoseProblem:
     ) -> Array:
         """How residuals change with the numbers of effects, `(number, row, sample)`.
 
-        A wrong payload is seen through compliances: those of `beside`, or of `terms` where that is not given.
+        An error of the payload acts through compliances: those of `beside`, or of `terms` where that is not given.
         """
         own = Terms(tuple(terms))
         values = np.zeros(own.size) if values is None else np.asarray(values, float)
@@ -210,11 +210,11 @@ class PoseProblem:
         return np.concatenate(parts)
 
     def relinearised(self, nuisance: Array) -> "PoseProblem":
-        """The same problem about the arm that the nuisance makes: its displacements become the chain's own."""
+        """The same problem linearised at `displaced(nuisance)`: nuisance zero is then there."""
         return replace(self, start=self.displaced(nuisance), offset=self.offset + nuisance)
 
     def displaced(self, nuisance: Array) -> ArmModel:
-        """The rigid arm that the nuisance `(unknown,)` makes of `start`."""
+        """The arm `start` with its frames displaced by the nuisance `(unknown,)`."""
         return displaced(self.start, self.unknown, nuisance)
 
     def selected(self, chosen: NDArray[np.integer]) -> "PoseProblem":
@@ -236,13 +236,13 @@ class PoseProblem:
         return replace(self, clock_offset=0.0, units={}) if self.clock_offset else self
 
     def alternative(self, terms: Terms) -> "PoseProblem | None":
-        """The same problem with inertial forces in the loads, or without; None where no term depends on loads."""
+        """As `with_other_loads`; None also where none of the terms depends on loads."""
         if not physics_of(terms).loaded:
             return None
         return self.with_other_loads()
 
     def with_other_loads(self) -> "PoseProblem | None":
-        """With inertial forces in the loads, or without; None where the arm stood still, or masses or times lack."""
+        """With inertial forces in the loads, or without; None for an arm at rest, or without masses or times."""
         if self.motion.joint_acceleration is None:
             motion = accelerated(self.motion)
         else:
@@ -250,19 +250,19 @@ class PoseProblem:
         return None if self.inertia is None or motion is self.motion else replace(self, motion=motion, units={})
 
     def shrinkable(self, term: Term) -> bool:
-        """Whether an effect depends on something else than joint positions alone."""
+        """Whether an effect has drivers, none of which is a joint position."""
         assert isinstance(term, Effect)
         return bool(term.drivers) and not any(driver.quantity == "position" for driver in term.drivers)
 
     def _altered(self, alter: Callable[[Motion], Motion]) -> Motion:
-        """The motion as an effect of the clock or the payload makes it."""
+        """The motion altered by an effect of the clock or the payload, at the rows of this problem."""
         if self.thinned_from is None:
             return alter(self.motion)
         motion, chosen = self.thinned_from
         return select(alter(motion), chosen)
 
     def _deflection(self, nuisance: Array, terms: Terms, values: Array) -> tuple[Motion, Deflection]:
-        """The motion as it really was, and the deflections in it, dense: of the nuisance and of the effects."""
+        """The altered motion, and in it the sum of the deflections by nuisance and effects, dense."""
         physics, dof = physics_of(terms), self.motion.dof
         if all(effect.linear for effect in physics.effects):
             motion, bent = self.motion, self._undeflected
@@ -302,7 +302,7 @@ def pose_problem(
     effects: Sequence[Effect] = (),
     factory: FactoryCalibration | None = None,
 ) -> PoseProblem:
-    """The problem that a recording and its sidecar make, about the arm where a closed form puts its frames.
+    """The problem of a recording and its sidecar, linearised at the nominal arm with frames in closed form.
 
     Args:
         recording: measured poses.

@@ -1,4 +1,4 @@
-"""A rigid arm beside a recording of poses: the least-squares problem that screening and pose problems start from.
+"""A rigid arm and a recording of its poses: the least-squares problem that screening and pose problems start from.
 
 Everything here is NumPy, so that a recording is screened in milliseconds and nothing is compiled.
 """
@@ -38,13 +38,13 @@ from lite6jax.recordings import Recording
 Array = NDArray[np.floating]
 
 GAUGE = {"m": 0.02, "rad": 0.05}
-"""Prior of each number of an unknown chain: wide enough for any arm, it fixes what nothing determines."""
+"""Standard deviation of the prior of each number of an unknown chain: wide enough for any arm, it fixes the gauge."""
 
 
 @final
 @dataclass(frozen=True, eq=False)
 class RigidArm:
-    """A rigid arm and the poses measured of it, a `LinearisedProblem` of the unknown displacements of its frames.
+    """A rigid arm and its measured poses, a `LinearisedProblem` of the unknown displacements of its frames.
 
     It has more than twelve members because that protocol has.
 
@@ -52,8 +52,8 @@ class RigidArm:
         recording: joints and poses.
         arm: the nominal arm.
         start: the six-parameter chain, sensor frame and tool of the linearisation.
-        unknown: the displaced frames: the field of `Deflection`, and where in it. They span what a chain's numbers can
-            do, without the singularities of angles.
+        unknown: the constant displacements of frames that are fitted, each a `Site`. To first order they span the same
+            changes of poses as a chain's numbers, without the singularities of angles.
         precision: `(unknown,)`, one over the variance of their prior.
         offset: `(unknown,)`, from the prior's mean to `start`.
         informative: whether the sidecar declares the chain's uncertainty.
@@ -77,7 +77,7 @@ class RigidArm:
 
     @property
     def samples(self) -> int:
-        """How many."""
+        """Number of samples."""
         return self.recording.samples
 
     @property
@@ -112,7 +112,7 @@ class RigidArm:
 
     @cached_property
     def measured(self) -> Measured:
-        """The poses."""
+        """The measured poses."""
         return measured_poses(self.recording, self.whitener)
 
     @cached_property
@@ -169,7 +169,7 @@ class RigidArm:
 
     @property
     def scale(self) -> float:
-        """Robust scale of the residuals; 1 where the sensor's noise is all there is."""
+        """Robust scale of the residuals over the declared noise; 1 where they are that noise and nothing else."""
         return t_scale(self.squares, self.rows, FREEDOM) / gaussian_t_scale(self.rows, FREEDOM)
 
     @property
@@ -206,14 +206,14 @@ class RigidArm:
         return replace(self, recording=self.recording.select(rows), whitener=whitener)
 
     def fitted(self, most: int) -> "RigidArm":
-        """The arm with its unknowns fitted, to `most` samples spread evenly where there are more."""
+        """The arm with its unknowns fitted, to `most` evenly spaced samples where there are more."""
         if self.samples <= most:
             return relinearise(self, DEFAULTS)
         few = self.select(np.linspace(0, self.samples - 1, most).astype(int)).fitted(most)
         return replace(self, start=few.start, offset=few.offset)
 
     def log_likelihood(self, scale: float) -> float:
-        """Of Student's t at noise of `scale` times the declared one, and of the prior, but for a constant."""
+        """Of Student's t at noise of `scale` times the declared one, and of the prior, up to a constant."""
         spread = (FREEDOM + self.rows) * np.sum(np.log1p(self.squares / scale**2 / FREEDOM))
         return -0.5 * float(spread + np.sum(self.precision * self.offset**2))
 
@@ -224,7 +224,7 @@ def rigid_arm(
     geometry: Geometry = "declared",
     factory: FactoryCalibration | None = None,
 ) -> RigidArm:
-    """The rigid arm that a recording and its sidecar make, its frames where a closed form puts them; not fitted yet.
+    """The rigid arm of a recording and its sidecar, with its frames in closed form; not fitted yet.
 
     Args:
         recording: measured poses.

@@ -1,9 +1,9 @@
 """The faults of pose recordings that are screened for, in the order in which they are detected and corrected.
 
 A screen detects a fault in a recording that all earlier screens have corrected, and corrects it before the next looks.
-The coarsest come first: rows need nothing, columns the nominal arm with frames in closed form, and what is of the size
-of the sensor's noise a fitted arm. A new fault is one entry here, its two functions, and its sentences in
-`report.data_faults`.
+The coarsest come first: faults of rows are detected without an arm, those of columns with the nominal arm and frames in
+closed form, and those of the size of the sensor's noise with a fitted arm. A new fault is one entry here, its two
+functions, and its sentences in `report.data_faults`.
 """
 
 from collections.abc import Callable
@@ -24,10 +24,10 @@ class Screen:
 
     Attributes:
         codes: those of the faults that it reports.
-        needs: the recording alone, the rigid arm beside it, or that arm fitted.
-        detect: what there is of it, and what rules it out.
-        correct: the recording without it, with the fault found.
-        rounds: how often at most, each time in what the last correction left.
+        needs: the recording alone, the rigid arm as well, or that arm fitted.
+        detect: returns the evidence for the fault, or the numbers that rule it out.
+        correct: returns the recording without the fault, which is added to those found.
+        rounds: how often it runs at most, each time on what the last correction left.
         estimated: continuous quantities that a correction estimates and a comparison with physics must pay for; none
             where the detector decides alone.
         located: whether the comparison must pay for a row that is chosen too.
@@ -42,10 +42,10 @@ class Screen:
     located: bool = False
 
     def price(self, numbers: float, samples: int) -> float:
-        """Log-likelihood that a correction must gain over physics: Schwarz's, and one row of all.
+        """Log-likelihood that a correction must gain over physics: ½ log n a quantity (Schwarz), log samples for a row.
 
         Args:
-            numbers: measured, of all samples.
+            numbers: how many were measured, n: rows times samples.
             samples: how many.
         """
         return 0.5 * self.estimated * float(np.log(numbers)) + (float(np.log(samples)) if self.located else 0.0)

@@ -31,7 +31,7 @@ def screen(
         arm: the nominal arm; from the sidecar where not given.
         geometry: what is known of it, as in `fit`.
         options: the thresholds.
-        corrections: of faults that physics resembles; all where not given.
+        corrections: of faults that resemble physics; all where not given.
         factory: the arm's calibration; from the sidecar where not given.
 
     Raises:
@@ -54,7 +54,7 @@ def screen(
 
 
 def screen_rows(recording: Recording, options: ScreeningOptions) -> Screened:
-    """The recording in order, each row once and in one unit: what rows show of themselves, without an arm."""
+    """The recording in order, each row once and positions in m: the screens that need no arm."""
     require_samples(recording, 1)
     state = Screened(recording, None, "declared", Corrections())
     for entry in SCREENS:
@@ -64,7 +64,7 @@ def screen_rows(recording: Recording, options: ScreeningOptions) -> Screened:
 
 
 def _applied(entry: Screen, state: Screened, options: ScreeningOptions) -> Screened:
-    """What one screen leaves."""
+    """The state after one screen: its fault corrected, as often as it is detected, or ruled out."""
     for _ in range(entry.rounds(state, options)):
         detection = entry.detect(state, options)
         if detection.evidence is None:

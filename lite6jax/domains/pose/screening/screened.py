@@ -15,11 +15,11 @@ from lite6jax.recordings.fault import DataFault
 @final
 @dataclass(frozen=True)
 class Corrections:
-    """Which of the faults that physics resembles are corrected.
+    """Which of the faults that resemble physics are corrected.
 
     Attributes:
         jumps: frame jumps at most; None for as many as the options allow.
-        beside_physics: whether a jump is estimated beside all physics, or as if there were none.
+        beside_physics: whether a jump is estimated jointly with columns of all physics, or without any.
         table: the nominal table to be used where the data leave it open.
     """
 
@@ -37,10 +37,10 @@ class Screened:
         recording: corrected.
         arm: the nominal arm; None until it has been read from the sidecar.
         geometry: what is known of it, as in `fit`.
-        corrections: what was to be corrected of the faults that physics resembles.
+        corrections: which of the faults that resemble physics are corrected.
         found: the faults, in the order in which they were corrected.
-        ruled_out: those tested for and not there.
-        rigid: the rigid arm beside the recording, from the first screen on that needs it.
+        ruled_out: faults that were tested for and not found.
+        rigid: the rigid arm with this recording, from the first screen on that needs it.
         factory: the arm's calibration where it is not the sidecar's.
         transforms: what was done to the columns and poses, each applicable to other rows of the same recording.
     """
@@ -56,7 +56,7 @@ class Screened:
     transforms: tuple[Callable[[Recording], Recording], ...] = ()
 
     def transferred(self, recording: Recording) -> Recording:
-        """Another selection of rows, corrected as these were; what single rows have is left as it is."""
+        """Other rows of the same recording, corrected as these were, but for faults of single rows."""
         for transform in self.transforms:
             recording = transform(recording)
         return replace(recording, settings=self.recording.settings)
@@ -103,7 +103,7 @@ class Detection(NamedTuple):
 
     Attributes:
         evidence: what the correction needs; None where nothing was found.
-        ruled_out: what was tested for and is not there.
+        ruled_out: what was tested for and not found.
     """
 
     evidence: Any = None
