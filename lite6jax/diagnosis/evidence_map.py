@@ -200,9 +200,10 @@ def peak_to_peak(found: Diagnosis, k: int) -> Estimate:
     effect = finding.effect
     assert isinstance(effect, Unnamed)
     motion = problem.time_shifted
-    driver = np.asarray(effect.drivers[0].values(motion, problem.loads))
+    values = effect.drivers[0].values(motion, problem.loads)
+    driver = np.asarray(values)
     low, high = np.percentile(driver, (2, 98))
-    basis = np.asarray(effect.basis(driver, motion.run))[:, (driver >= low) & (driver <= high)]
+    basis = np.asarray(effect.basis(values, motion.run))[:, (driver >= low) & (driver <= high)]
     curve = finding.values @ basis
     apart = basis[:, np.argmax(curve)] - basis[:, np.argmin(curve)]
     variance = float(apart @ finding.covariance @ apart)

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, final
 
 import jax
-import jaxlib
+import jaxlib.version
 from jax import export
 
 from lite6jax import storage
@@ -137,4 +137,4 @@ def _version() -> tuple[str, ...]:
     source = hashlib.sha256()
     for path in sorted(_PACKAGE.rglob("*.py")):
         source.update(path.read_bytes())
-    return (source.hexdigest(), jax.__version__, jaxlib.__version__, jax.default_backend())
+    return (source.hexdigest(), jax.__version__, jaxlib.version.__version__, jax.default_backend())

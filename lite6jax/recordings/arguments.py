@@ -37,7 +37,7 @@ def checked_arrays(
     Raises:
         InputError: numbers that are not real, an arm of another number of joints, degrees, or millimetres.
     """
-    real = {
+    real: dict[str, Any] = {
         name: value if value is None or name == "run" else real_array(f"{source}: {name}", value)
         for name, value in arrays.items()
     }

@@ -183,9 +183,7 @@ class Recording(Summarised):
             raise InputError(f"{source}: joint_position has the shape {q.shape}; give (sample, joint), neither zero")
         samples, dof = q.shape
 
-        def shaped(name: str, value: ArrayLike | None, *rest: int, dtype: type = np.float64) -> np.ndarray | None:
-            if value is None:
-                return None
+        def shaped(name: str, value: ArrayLike, *rest: int, dtype: type = np.float64) -> np.ndarray:
             array = np.asarray(value)
             if array.shape != (samples, *rest):
                 raise InputError(f"{source}: {name} has the shape {array.shape}; give {(samples, *rest)}")
@@ -193,13 +191,16 @@ class Recording(Summarised):
                 raise InputError(f"{source}: {name} has the type {array.dtype}; give integers")
             return array.astype(dtype, copy=False)
 
-        quaternion = shaped("quaternion", quaternion, 4)
+        def optional(name: str, value: ArrayLike | None, *rest: int) -> np.ndarray | None:
+            return None if value is None else shaped(name, value, *rest)
+
+        quaternion = optional("quaternion", quaternion, 4)
         if quaternion is not None and position is None:
             raise InputError(f"{source}: has measured orientations without positions; add x_m y_m z_m")
         row = shaped("row", np.arange(1, samples + 1) if row is None else row, dtype=np.int64)
         run = shaped("run", np.zeros(samples, dtype=np.int64) if run is None else run, dtype=np.int64)
-        time = shaped("time", time)
-        velocity = shaped("joint_velocity", joint_velocity, dof)
+        time = optional("time", time)
+        velocity = optional("joint_velocity", joint_velocity, dof)
         if quaternion is not None:
             quaternion, note = unit_quaternions(quaternion, row, source)
             notes += (note,) if note else ()
@@ -218,15 +219,15 @@ class Recording(Summarised):
             joint_position=q,
             direction_of_motion=directions(q, velocity, segment, motion),
             motion=motion,
-            position=shaped("position", position, 3),
+            position=optional("position", position, 3),
             quaternion=quaternion,
             time=time,
             joint_velocity=velocity,
             velocity_differentiated=differentiated,
-            joint_torque=shaped("joint_torque", joint_torque, dof),
-            motor_current=shaped("motor_current", motor_current, dof),
-            joint_temperature=shaped("joint_temperature", joint_temperature, dof),
-            ambient_temperature=shaped("ambient_temperature", ambient_temperature),
+            joint_torque=optional("joint_torque", joint_torque, dof),
+            motor_current=optional("motor_current", motor_current, dof),
+            joint_temperature=optional("joint_temperature", joint_temperature, dof),
+            ambient_temperature=optional("ambient_temperature", ambient_temperature),
             payload=shaped("payload", np.zeros(samples) if payload is None else payload),
             run=run,
             row=row,
@@ -262,8 +263,7 @@ class Recording(Summarised):
 
     def select(self, rows: Bool[np.ndarray, " sample"] | Int[np.ndarray, " chosen"]) -> "Recording":
         """The samples of a boolean mask or of indices; direction, velocity and row number stay those of the whole."""
-        per_sample = {name: array[rows] for name, array in _arrays(self).items()}
-        return replace(self, **per_sample)
+        return replace(self, **{name: array[rows] for name, array in _arrays(self).items()})
 
     def contiguous_folds(self, count: int) -> list[Bool[np.ndarray, " sample"]]:
         """`count` masks, each a block of neighbouring rows to hold out; together they cover every row once.

@@ -6,7 +6,7 @@ Everything here is NumPy, so that a recording is screened in milliseconds and no
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import final
+from typing import Self, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -196,16 +196,16 @@ class RigidArm:
         """Of no terms."""
         return np.zeros((0, self.rows, self.samples))
 
-    def relinearised(self, nuisance: Array) -> "RigidArm":
+    def relinearised(self, nuisance: Array) -> Self:
         """The arm with the unknowns `(unknown,)` displaced."""
         return replace(self, start=displaced(self.start, self.unknown, nuisance), offset=self.offset + nuisance)
 
-    def select(self, rows: NDArray[np.integer] | NDArray[np.bool_]) -> "RigidArm":
+    def select(self, rows: NDArray[np.integer] | NDArray[np.bool_]) -> Self:
         """Some of the samples."""
         whitener = self.whitener if self.whitener.ndim == 1 else self.whitener[..., rows]
         return replace(self, recording=self.recording.select(rows), whitener=whitener)
 
-    def fitted(self, most: int) -> "RigidArm":
+    def fitted(self, most: int) -> Self:
         """The arm with its unknowns fitted, to `most` evenly spaced samples where there are more."""
         if self.samples <= most:
             return relinearise(self, DEFAULTS)
