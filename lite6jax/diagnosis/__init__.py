@@ -1,1 +1,1 @@
-"""What a recording shows that the arm's model does not have: located, named, modelled and verified."""
+"""What makes a recording depart from the arm's model: located, named, modelled and verified."""

@@ -143,7 +143,7 @@ class Problem(LinearisedProblem, Protocol):
         run: `(sample,)` int; noise is not correlated across a change.
         valid: `(sample,)` bool, the samples that may be used at all.
         informative: whether the prior states knowledge, so that it counts as evidence; otherwise it only fixes a gauge.
-        candidates: the named terms that these data can show.
+        candidates: the named terms that are testable with these data.
         periodic: families of periodic terms.
         curves: families of nonparametric terms.
     """

@@ -108,7 +108,7 @@ class ScoreTest:
         shape = groups.shape[:2]
         flat = self._flat(groups.reshape(-1, *groups.shape[2:]))
         inside = (flat @ self.basis.T).reshape(*shape, -1)
-        pull = (flat @ self.residual).reshape(shape) - inside @ (self.basis @ self.residual)
+        score = (flat @ self.residual).reshape(shape) - inside @ (self.basis @ self.residual)
         flat = flat.reshape(*shape, -1)
         gram = flat @ flat.swapaxes(1, 2)
         norms = np.sqrt(np.maximum(np.diagonal(gram, axis1=1, axis2=2), 1e-300))
@@ -116,7 +116,7 @@ class ScoreTest:
         eigenvalues, V = np.linalg.eigh(left)
         least = self.options.confounded
         inverse = np.where(eigenvalues > least, 1 / np.maximum(eigenvalues, least), 0.0)
-        return 0.5 * np.sum(inverse * np.einsum("gji,gj->gi", V, pull / norms) ** 2, 1)
+        return 0.5 * np.sum(inverse * np.einsum("gji,gj->gi", V, score / norms) ** 2, 1)
 
     def given(self, columns: Array) -> "ScoreTest":
         """The test with columns `(number, row, sample)` added to the model, to first order."""

@@ -42,7 +42,7 @@ def spectrum(test: ScoreTest, family: PeriodicFamily) -> tuple[Array, Array]:
     The nuisance is not projected out: gains of low orders, with which it is confounded, are overestimated.
     """
     q, site, training, options = family.angle, family.column, test.fit.training, test.options
-    pull = np.sum(site * test.residual[: site.size].reshape(site.shape), 0)[training]
+    score = np.sum(site * test.residual[: site.size].reshape(site.shape), 0)[training]
     weight = np.sum(site**2, 0)[training]
     # sums over samples of e^{i n q}, for all n at once: a transform of histograms over q
     span = max(float(np.ptp(q)), 1e-3)
@@ -50,7 +50,7 @@ def spectrum(test: ScoreTest, family: PeriodicFamily) -> tuple[Array, Array]:
     place = np.rint((q[training] - q.min()) / _BIN).astype(int)
     step = 2 * np.pi / (_BIN * length)
     at = np.arange(int(np.ceil(options.lowest_order / step)), int(options.highest_order / step))
-    e = _transform(place, pull, length)[at]
+    e = _transform(place, score, length)[at]
     w = _transform(place, weight, length)
     total, twice = float(weight.sum()), w[2 * at]
     ss, cc, sc = 0.5 * (total - twice.real), 0.5 * (total + twice.real), 0.5 * twice.imag

@@ -21,7 +21,7 @@ _FEWEST = 50
 _LEAST_SAMPLES = 3
 """An offset of fewer samples is within reach of a score test, like any other effect."""
 _CORRELATED = 0.5
-"""Correlation of measured and predicted speed below which its maximum means nothing."""
+"""Correlation of measured and predicted speed below which its maximum is not evidence of a lag."""
 _BETTER = 0.1
 """Correlation that the lag must gain over none."""
 _MOST_OF_RUN = 0.5
@@ -46,7 +46,7 @@ def linearised(
 
 
 def clock_offset(problem: PoseProblem, training: Mask | None = None) -> float:
-    """By how many seconds poses show the arm later than their stamps, where that is several samples; else 0.
+    """The time from a pose's stamp to the instant at which it shows the arm, s, where that is several samples; else 0.
 
     Args:
         problem: with frames near the true ones.

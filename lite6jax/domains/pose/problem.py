@@ -69,9 +69,9 @@ class PoseProblem:
         measured: the poses.
         noise: standard deviation per axis of position (m) and orientation (rad), declared or assumed.
         declared: whether the sidecar declares it.
-        candidates: effects that this recording can show.
-        untestable: effects that it cannot show, and why.
-        clock_offset: s, by which poses are later than their stamps, where it was found before the search; else 0.
+        candidates: effects that are testable with this recording.
+        untestable: those that are not, and why.
+        clock_offset: s, from a pose's stamp to the instant at which it shows the arm, if set before the search; or 0.
         thinned_from: of a thinned problem, the motion that its rows are taken from, and their indices there: a clock
             offset interpolates between neighbouring rows.
         units: unit deflections that depend on the motion alone, shared between linearisations.

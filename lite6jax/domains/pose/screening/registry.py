@@ -28,9 +28,9 @@ class Screen:
         detect: returns the evidence for the fault, or the numbers that rule it out.
         correct: returns the recording without the fault, which is added to those found.
         rounds: how often it runs at most, each time on what the last correction left.
-        estimated: continuous quantities that a correction estimates and a comparison with physics must pay for; none
-            where the detector decides alone.
-        located: whether the comparison must pay for a row that is chosen too.
+        estimated: continuous quantities that a correction estimates, whose cost a comparison with physics includes;
+            none where the detector decides alone.
+        located: whether that cost includes the choice of a row too.
     """
 
     codes: tuple[str, ...]
@@ -56,7 +56,9 @@ def _column_rounds(state: Screened, options: ScreeningOptions) -> int:
 
 
 def _jump_rounds(state: Screened, options: ScreeningOptions) -> int:
-    most = state.corrections.jumps
+    known, most = state.corrections.known_jumps, state.corrections.jumps
+    if known is not None:
+        return len(known)
     return options.most_jumps if most is None else most
 
 
