@@ -55,7 +55,9 @@ def diagnose(
     selection = replace(selection, state=final_estimates(problem, selection.state, options.engine))
     if progress:
         progress(1)
-    before, after = held_out_errors(rows.recording, arm, geometry, options, effects, factory, progress)
+    before, after = held_out_errors(
+        rows.recording, arm, geometry, options, found.final_decisions, effects, factory, progress
+    )
     limit = options.outlier_squares * problem.rows
     return Diagnosis(
         problem=problem,

@@ -6,7 +6,7 @@ it is more likely than the physics found without it, the last two by a margin (`
 """
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import final
 
 import numpy as np
@@ -39,6 +39,22 @@ _UNCERTAINTIES = np.geomspace(1e-7, 1e-3, 81)
 
 
 @final
+@dataclass(frozen=True)
+class Decisions:
+    """What has been decided between faults and physics.
+
+    Attributes:
+        corrections: which of the faults that physics resembles are corrected.
+        published: the calibration file in whose place a nominal table is held exactly, or None.
+        sigma: m and rad that every number of the calibration is off by, or None.
+    """
+
+    corrections: Corrections = field(default_factory=Corrections)
+    published: str | None = None
+    sigma: float | None = None
+
+
+@final
 @dataclass(frozen=True, eq=False)
 class Explanation:
     """What a recording shows, once some of its faults are corrected.
@@ -48,12 +64,14 @@ class Explanation:
         selection: the physics found in what is left.
         price: log-likelihood that the corrections must gain, for the quantities that were estimated for them.
         options: thresholds.
+        decisions: between faults and physics.
     """
 
     screened: Screened
     selection: Selection
     price: float
     options: Options
+    decisions: Decisions
 
     @property
     def problem(self) -> PoseProblem:
@@ -76,6 +94,13 @@ class Explanation:
         return float(likely - model - terms - self.price)
 
     @property
+    def final_decisions(self) -> Decisions:
+        """The decisions, with the frame jumps that were corrected."""
+        numbers = [fault.numbers for fault in self.screened.found if fault.code == "frame_jump"]
+        jumps = tuple((int(n["row"]), str(n["part"])) for n in numbers)
+        return replace(self.decisions, corrections=replace(self.decisions.corrections, known_jumps=jumps))
+
+    @property
     def labels(self) -> list[str]:
         """The effects it has."""
         return [term.label for term in self.selection.state.fit.terms.terms]
@@ -90,6 +115,7 @@ def explain(
     factory: FactoryCalibration | None = None,
     training: Mask | None = None,
     thorough: bool = True,
+    decisions: Decisions | None = None,
 ) -> Explanation:
     """The most likely explanation of a recording by data faults and physics.
 
@@ -103,12 +129,15 @@ def explain(
         training: `(sample,)` bool, the rows that may be used; all where not given. Screening, clock, linearisation and
             search use no other.
         thorough: as in `search`.
+        decisions: between faults and physics, where they have been made; else faults are weighed here.
 
     Raises:
         InputError: as `screen` and `pose_problem`.
     """
     given = _Given(recording, arm, geometry, options, tuple(effects), factory, training, thorough)
-    best = given.explained(Corrections())
+    best = given.explained(decisions or Decisions())
+    if decisions is not None:
+        return best
     for weighed in (_jumps_weighed, _table_weighed, _calibration_weighed):
         best = weighed(best, given)
     return best
@@ -138,9 +167,24 @@ class _Given:
         recording = screened.recording if self.training is None else screened.transferred(self.recording)
         return pose_problem(recording, screened.arm, geometry or self.geometry, self.effects, screened.factory)
 
-    def found(self, screened: Screened, problem: PoseProblem | None = None, price_: float | None = None) -> Explanation:
-        """With the physics that a search finds then."""
-        problem = self.problem(screened) if problem is None else problem
+    def prepared(self, screened: Screened, decisions: Decisions) -> tuple[Screened, PoseProblem]:
+        """The screened recording and its problem under these decisions."""
+        if decisions.sigma is not None:
+            screened = _uncertain(screened, decisions.sigma)
+        if decisions.published is None:
+            return screened, self.problem(screened)
+        # the nominal table in place of the calibration file, held exactly as the file's was
+        assert screened.arm is not None
+        file = {"factory_calibration": decisions.published, "factory_uncertainty": None}
+        recording = replace(screened.recording, settings=replace(screened.recording.settings, **file))
+        screened = replace(screened, recording=recording)
+        problem = self.problem(screened, "exact")
+        rows = np.array([frames.row_from_transform(link) for link in screened.arm.links])
+        return screened, replace(problem, start=problem.start._replace(geometry=rows.ravel()))  # type: ignore[arg-type]
+
+    def found(self, screened: Screened, decisions: Decisions, price_: float | None = None) -> Explanation:
+        """With the physics that a search finds under these decisions."""
+        screened, problem = self.prepared(screened, decisions)
         training, engine = self.training, self.options.engine
         require_samples(screened.recording, len(problem.unknown) + 1)
         at_offset, reference = linearised(problem, engine, training)
@@ -148,11 +192,11 @@ class _Given:
         if price_ is None:
             readings = float(problem.rows * selection.state.fit.training.sum())
             price_ = price(screened, readings, problem.samples)
-        return Explanation(screened, selection, price_, self.options)
+        return Explanation(screened, selection, price_, self.options, decisions)
 
-    def explained(self, corrections: Corrections) -> Explanation:
-        """With these faults corrected, and the physics found then."""
-        return self.found(self.screened(corrections))
+    def explained(self, decisions: Decisions) -> Explanation:
+        """With the faults corrected that these decisions name, and the physics found then."""
+        return self.found(self.screened(decisions.corrections), decisions)
 
 
 def _jumps_weighed(best: Explanation, given: _Given) -> Explanation:
@@ -161,8 +205,8 @@ def _jumps_weighed(best: Explanation, given: _Given) -> Explanation:
     if not count:
         return best
     # a twist estimated beside all physics has a large variance, and one estimated beside none is biased by physics
-    bare = given.explained(Corrections(beside_physics=False))
-    fewer = [given.explained(Corrections(jumps=k)) for k in range(count)]
+    bare = given.explained(Decisions(Corrections(beside_physics=False)))
+    fewer = [given.explained(Decisions(Corrections(jumps=k))) for k in range(count)]
     best, rival = max(best, bare, key=_evidence), max(fewer, key=_evidence)
     gap = best.evidence - rival.evidence
     if gap > 0:
@@ -188,7 +232,7 @@ def _table_weighed(best: Explanation, given: _Given) -> Explanation:
         found = (*used.found, *(fault for fault in other.found if fault.code == "nominal_table"))
         ruled_out = tuple(fault for fault in used.ruled_out if fault.code != "nominal_table")
         used = replace(other, found=found, ruled_out=ruled_out)
-    published = _published(used, given, file, best.price)
+    published = given.found(used, Decisions(used.corrections, published=file), best.price)
     gap = published.evidence - best.evidence
     more: dict[str, object] = {}
     if likelier is not None:
@@ -197,24 +241,13 @@ def _table_weighed(best: Explanation, given: _Given) -> Explanation:
         more = {"log_likelihood_gap": gap, "rival_terms": best.labels}
     if given.geometry != "declared":
         return replace(best, screened=_with_numbers(used, "nominal_table", more))
-    fitted = best if likelier is None else given.found(used)
+    fitted = best if likelier is None else given.found(used, Decisions(used.corrections))
     numbers = len(fitted.problem.unknown) - len(published.problem.unknown)
     if fitted.evidence - 0.5 * numbers * np.log(fitted.readings) > published.evidence:
         return replace(fitted, screened=_with_numbers(used, "nominal_table", more | {"chain": "fitted"}))
     more |= {"chain": "as_published", "numbers_more": numbers}
     recording = published.screened.recording
     return replace(published, screened=replace(_with_numbers(used, "nominal_table", more), recording=recording))
-
-
-def _published(screened: Screened, given: _Given, file: str, price_: float) -> Explanation:
-    """With the nominal table in place of the calibration file, held exactly as the file's was."""
-    assert screened.arm is not None
-    settings = replace(screened.recording.settings, factory_calibration=file, factory_uncertainty=None)
-    exact = replace(screened, recording=replace(screened.recording, settings=settings))
-    problem = given.problem(exact, "exact")
-    rows = np.array([frames.row_from_transform(link) for link in screened.arm.links])
-    start = problem.start._replace(geometry=rows.ravel())  # type: ignore[arg-type]
-    return replace(given.found(exact, replace(problem, start=start), price_), screened=exact)
 
 
 def _calibration_weighed(best: Explanation, given: _Given) -> Explanation:
@@ -232,8 +265,7 @@ def _calibration_weighed(best: Explanation, given: _Given) -> Explanation:
     gain, sigma = max(_gain_of_uncertainty(best, given, model) for model in models)
     if gain <= 0:
         return best
-    uncertain = _uncertain(best.screened, sigma)
-    rival = given.found(uncertain)
+    rival = given.found(best.screened, replace(best.decisions, sigma=sigma))
     # the chain's numbers are integrated over; their common size is one number that was chosen
     rival = replace(rival, price=rival.price + _occam_factor(rival) + 0.5 * float(np.log(rival.readings)))
     gap = rival.evidence - best.evidence
@@ -241,7 +273,7 @@ def _calibration_weighed(best: Explanation, given: _Given) -> Explanation:
         return best
     numbers = {"sigma_m": sigma, "sigma_rad": sigma, "log_likelihood_gap": gap, "rival_terms": best.labels}
     fault = DataFault("calibration_off", (), numbers)
-    return replace(rival, screened=replace(uncertain, found=(*uncertain.found, fault)))
+    return replace(rival, screened=replace(rival.screened, found=(*rival.screened.found, fault)))
 
 
 def _gain_of_uncertainty(best: Explanation, given: _Given, noise: NoiseModel) -> tuple[float, float]:

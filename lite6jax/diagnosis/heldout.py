@@ -1,4 +1,9 @@
-"""Errors on rows that were not used: screening, clock, linearisation and search are repeated without each block."""
+"""Errors on rows that were not used: screening, clock, linearisation and search are repeated without each block.
+
+Only which faults are corrected rather than explained by physics, and at which rows frames jumped, is decided once, in
+all rows: a search beside every uncorrected fault would take each fold as long as the diagnosis itself, and a block that
+holds the jump cannot be predicted without its row. The size of a jump is estimated anew.
+"""
 
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
@@ -8,7 +13,7 @@ from numpy.typing import NDArray
 
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.factory import FactoryCalibration
-from lite6jax.diagnosis.explanation import explain
+from lite6jax.diagnosis.explanation import Decisions, explain
 from lite6jax.diagnosis.options import Options
 from lite6jax.domains.pose.problem import PoseProblem
 from lite6jax.effects.effect import Effect
@@ -24,7 +29,7 @@ class HeldOut(NamedTuple):
 
     Attributes:
         before: with the nuisance alone.
-        after: with the physics that the other rows support.
+        after: with the effects that a search of the other rows selects.
     """
 
     before: Array
@@ -36,6 +41,7 @@ def held_out_errors(
     arm: Arm | None,
     geometry: Geometry,
     options: Options,
+    decisions: Decisions,
     effects: Sequence[Effect] = (),
     factory: FactoryCalibration | None = None,
     progress: Callable[[int], object] | None = None,
@@ -43,11 +49,12 @@ def held_out_errors(
     """The errors on every row, predicted from the other contiguous blocks; arguments as of `diagnose`.
 
     Args:
-        recording: whose rows are in order, each once and in one unit; all other faults are looked for in each fold.
+        recording: whose rows are in order, each once and in one unit; all faults are screened for in each fold.
+        decisions: between faults and physics, of all rows.
     """
     before, after = np.zeros(recording.samples), np.zeros(recording.samples)
     for held in recording.contiguous_folds(min(options.folds, max(2, recording.samples // options.least_in_fold))):
-        found = explain(recording, arm, geometry, options, effects, factory, training=~held, thorough=False)
+        found = explain(recording, arm, geometry, options, effects, factory, ~held, False, decisions)
         state, reference = found.selection.state, found.selection.reference
         assert isinstance(reference, PoseProblem)
         before[held] = _distance(reference, state.baseline)[held]

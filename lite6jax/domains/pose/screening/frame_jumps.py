@@ -61,6 +61,8 @@ class JumpSearch(NamedTuple):
 
 def detect_jump(state: Screened, options: ScreeningOptions) -> Detection:
     """The next row at which a frame jumped; none where the same jump has been corrected before."""
+    if state.corrections.known_jumps is not None:
+        return Detection(_at_row(state, *state.corrections.known_jumps[state.count("frame_jump")], options))
     searched = seek_jump(state.rigid_arm, options)
     if searched.jump is not None:
         place = {"row": int(state.recording.row[searched.jump.sample]), "part": searched.jump.part}
@@ -71,6 +73,24 @@ def detect_jump(state: Screened, options: ScreeningOptions) -> Detection:
     if np.isnan(searched.p):
         numbers = {"reason": "too_few_rows"}
     return not_there("frame_jump", samples=state.recording.samples, **numbers)
+
+
+def _at_row(state: Screened, row: int, part: str, options: ScreeningOptions) -> Jump | None:
+    """The jump at a row of the file, its size estimated; None where no row before it, or none after it, is there."""
+    arm = state.rigid_arm
+    sample = int(np.argmax(arm.recording.row >= row)) if (arm.recording.row >= row).any() else 0
+    if not sample:
+        return None
+    few, first = thinned(arm.samples, options), 6 * arm.recording.dof if part == "tool" else 0
+    after, arm = few >= sample, arm.select(few)
+    numbers = slice(first, first + (arm.rows if first else 6))
+    projected = Projected(arm, physics_columns(arm), options)
+    values, covariance, _ = projected.regression(np.where(after, arm.twists[numbers], 0.0))
+    twist = np.zeros(6)
+    twist[: len(values)] = np.where(np.isfinite(np.diagonal(covariance)), values, 0.0)
+    plain = np.einsum("k,krs->rs", values, arm.plain_twists[numbers])[:3, after]
+    displacement = float(np.sqrt(np.mean(np.sum(plain**2, 0))))
+    return Jump(sample, "tool" if first else "base", twist, displacement, 0.0)
 
 
 def remove_jump(state: Screened, jump: Jump, options: ScreeningOptions) -> Screened:
@@ -88,13 +108,16 @@ def remove_jump(state: Screened, jump: Jump, options: ScreeningOptions) -> Scree
         "p_value": refined.p,
     }
     state = state.corrected(DataFault("frame_jump", row_numbers(row[k:]), numbers), rigid=arm)
-    return state.transformed(partial(_removed, arm, refined, int(row[k])))
+    return state.transformed(partial(_removed, arm, refined))
 
 
-def _removed(arm: RigidArm, jump: Jump, row: int, recording: Recording) -> Recording:
-    """The correction of a jump at a row of the file, in other rows of the same recording."""
-    there = replace(arm, recording=recording)
-    sample = int(np.flatnonzero(recording.row == row)[0])
+def _removed(arm: RigidArm, jump: Jump, recording: Recording) -> Recording:
+    """The correction of a jump in more rows of the same recording, which show between which of them it happened."""
+    there, rows = replace(arm, recording=recording), arm.recording.row
+    before, sample = (int(np.flatnonzero(recording.row == rows[k])[0]) for k in (max(jump.sample - 1, 0), jump.sample))
+    if sample - before > 1:
+        first = 6 * recording.dof if jump.part == "tool" else 0
+        sample = _located(there, before, sample, first, jump.twist[: arm.rows] if first else jump.twist)
     return _displaced_back(there, there, jump._replace(sample=sample), small_displacement(jump.twist))
 
 

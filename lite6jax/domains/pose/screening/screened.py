@@ -21,11 +21,14 @@ class Corrections:
         jumps: frame jumps at most; None for as many as the options allow.
         beside_physics: whether a jump is estimated jointly with columns of all physics, or without any.
         table: the nominal table to be used where the data leave it open.
+        known_jumps: row of the file and frame ("base" or "tool") of each jump, where these have been decided; then
+            none is searched for, and only the size of these is estimated.
     """
 
     jumps: int | None = None
     beside_physics: bool = True
     table: str | None = None
+    known_jumps: tuple[tuple[int, str], ...] | None = None
 
 
 @final
