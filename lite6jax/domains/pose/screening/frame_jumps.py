@@ -90,7 +90,8 @@ def _at_row(state: Screened, row: int, part: str, options: ScreeningOptions) -> 
     twist[: len(values)] = np.where(np.isfinite(np.diagonal(covariance)), values, 0.0)
     plain = np.einsum("k,krs->rs", values, arm.plain_twists[numbers])[:3, after]
     displacement = float(np.sqrt(np.mean(np.sum(plain**2, 0))))
-    return Jump(sample, "tool" if first else "base", twist, displacement, 0.0)
+    p = float("nan")  # its row was given, so that nothing is tested
+    return Jump(sample, "tool" if first else "base", twist, displacement, p)
 
 
 def remove_jump(state: Screened, jump: Jump, options: ScreeningOptions) -> Screened:
