@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from lite6jax.domains.pose.registration import register as register, register_model as register_model
     from lite6jax.effects.effect import Effect as Effect, JointEffect as JointEffect
     from lite6jax.errors import InputError as InputError
+    from lite6jax.estimation.options import EngineOptions as EngineOptions
     from lite6jax.fitting.fleet import fit_fleet as fit_fleet, fit_fleet_calibrations as fit_fleet_calibrations
     from lite6jax.fitting.solution import FleetSolution as FleetSolution, Result as Result, Solution as Solution
     from lite6jax.identifiability.candidates import (
@@ -74,6 +75,7 @@ _NAMES = {
     "lite6jax.domains.pose.registration": ("register", "register_model"),
     "lite6jax.effects.effect": ("Effect", "JointEffect"),
     "lite6jax.errors": ("InputError",),
+    "lite6jax.estimation.options": ("EngineOptions",),
     "lite6jax.domains.pose.fit": ("fit",),
     "lite6jax.fitting.fleet": ("fit_fleet", "fit_fleet_calibrations"),
     "lite6jax.fitting.solution": ("FleetSolution", "Result", "Solution"),

@@ -2,15 +2,16 @@
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal, final
+from typing import Any, Literal, final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lite6jax.diagnosis.discrimination import SeparatingPoses
 from lite6jax.diagnosis.options import Options
+from lite6jax.domains.pose.predict import DiagnosedArm
 from lite6jax.domains.pose.problem import PoseProblem
-from lite6jax.effects.catalogue import Untestable
+from lite6jax.effects.catalogue import BUILT_IN, Untestable
 from lite6jax.effects.effect import Effect, Estimate
 from lite6jax.estimation.least_squares import Fit
 from lite6jax.recordings.fault import DataFault
@@ -135,3 +136,19 @@ class Diagnosis(Summarised):
         left = np.sqrt(np.mean(self.after[~self.outliers] ** 2) / 3)
         as_noise = self.problem.declared and left < self.options.as_noise * self.problem.noise[0]
         return "explained" if as_noise else "partly_explained"
+
+    def to_dict(self) -> dict[str, Any]:
+        """The document `lite6jax/diagnosis/2`: codes and plain numbers in SI units."""
+        from lite6jax.diagnosis.document import (
+            to_document,  # which reads and writes results, and so imports this module
+        )
+
+        return to_document(self)
+
+    @cached_property
+    def model(self) -> DiagnosedArm:
+        """The arm with the effects found, as `read_model` gives it from a file."""
+        from lite6jax.diagnosis.document import model_from_document
+
+        effects = tuple(finding.effect for finding in self.findings)
+        return model_from_document(self.to_dict(), tuple(e for e in effects if e.name not in BUILT_IN))

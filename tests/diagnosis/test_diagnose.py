@@ -288,3 +288,10 @@ def test_one_frame_that_is_off_is_physics(tmp_path):
     seen = diagnose(Made(tmp_path, (text,), seed=5).recording(static_motion(5, 300)))
     assert [finding.effect.label for finding in seen.findings] == ["frame_offset:link3"]
     assert not seen.faults
+
+
+def test_a_result_gives_its_document_and_its_model(soft, still):
+    assert soft.to_dict() == to_document(soft)
+    poses = np.asarray(soft.model.pose(still["joint_position"], payload=still["payload"]))
+    errors = np.linalg.norm(poses[:, :3, 3] - soft.problem.measured.position.T, axis=1)
+    assert rms(errors[~soft.outliers]) == pytest.approx(np.sqrt(3) * NOISE[0], rel=0.1)
