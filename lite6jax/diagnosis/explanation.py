@@ -175,11 +175,11 @@ class _Given:
             return screened, self.problem(screened)
         # the nominal table in place of the calibration file, held exactly as the file's was
         assert screened.arm is not None
+        rows = np.array([frames.row_from_transform(link) for link in screened.arm.links])
         file = {"factory_calibration": decisions.published, "factory_uncertainty": None}
         recording = replace(screened.recording, settings=replace(screened.recording.settings, **file))
         screened = replace(screened, recording=recording)
         problem = self.problem(screened, "exact")
-        rows = np.array([frames.row_from_transform(link) for link in screened.arm.links])
         return screened, replace(problem, start=problem.start._replace(geometry=rows.ravel()))  # type: ignore[arg-type]
 
     def found(self, screened: Screened, decisions: Decisions, price_: float | None = None) -> Explanation:
