@@ -212,7 +212,7 @@ def test_the_naive_search_bends_the_arm_as_the_oracle_does(tmp_path):
 
 def test_the_naive_search_finds_what_is_hidden(tmp_path):
     recording = diagnose.hidden(tmp_path, "known", 60)
-    case = diagnose.case_of(recording)
+    case = diagnose.pose_problem(recording)
     texts = (diagnose.TRUE, "joint_compliance:joint=3", "joint_backlash:joint=2", "payload_error")
     candidates = tuple(parse_effect(text, neutral=True)[0] for text in texts)
     found, value = diagnose.refitted(diagnose.readings_of(case, "known"), candidates)

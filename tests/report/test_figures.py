@@ -52,7 +52,7 @@ def test_a_panel_for_each_joint(solution):
 
 def test_the_errors_of_a_recording(solution):
     samples = len(solution.checked.position)
-    recording = Recording.from_arrays(
+    recording = Recording.assembled(
         solution.checked.joint_position,
         position=np.zeros((samples, 3)),
         row=np.arange(100, 100 + samples),
