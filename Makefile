@@ -5,8 +5,8 @@ BIN := $(VENV)/bin
 # A worker that is done takes over the last half of what another has left: each module stays on one worker but where it
 # is cut, which keeps its fixtures and compiled functions, and no worker waits for the longest module.
 PYTEST := $(BIN)/python -m pytest --numprocesses=auto --maxprocesses=4 --dist=worksteal --durations=25
-# The parts of which the types are checked as they run; tests of the others run the same functions, only longer.
-TYPED := $(addprefix tests/,arms effects engine recordings fitting domains/pose/test_pose_problem.py test_notebooks.py)
+# The parts that take arrays from outside, of which the types and shapes are checked as they run; pyright checks the rest.
+TYPED := $(addprefix tests/,arms effects recordings)
 
 .PHONY: demo test test-slow benchmark clean
 
@@ -16,9 +16,9 @@ demo: $(VENV)/installed
 test: $(VENV)/installed-test
 	$(PYTEST) --ignore=tests/test_notebooks.py
 
-# The second stage of .ci/run: annotated types checked in each call, and the notebooks.
+# The second stage of .ci/run: annotated types and shapes checked in each call, and the notebooks.
 test-slow: $(VENV)/installed-test
-	CHECK_TYPES=1 $(PYTEST) $(TYPED)
+	CHECK_TYPES=1 $(PYTEST) $(TYPED) tests/test_notebooks.py
 
 benchmark: $(VENV)/installed-test
 	$(BIN)/python -m benchmarks

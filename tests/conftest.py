@@ -14,12 +14,15 @@ import jaxtyping
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
+# The parts that take arrays from outside; the others' types are pyright's.
+CHECKED = ("arms", "effects", "recordings")
 # Its constructor takes whatever numpy makes an array of, and refuses the rest itself, in one line.
 UNCHECKED = {"lite6jax.arms.arm"}
 
 if os.environ.get("CHECK_TYPES"):
     # Before anything imports the package: functions are instrumented as their modules load.
-    modules = {".".join(path.relative_to(ROOT).with_suffix("").parts) for path in (ROOT / "lite6jax").rglob("*.py")}
+    files = (path for part in CHECKED for path in (ROOT / "lite6jax" / part).rglob("*.py"))
+    modules = {".".join(path.relative_to(ROOT).with_suffix("").parts) for path in files}
     jaxtyping.install_import_hook(sorted(m for m in modules - UNCHECKED if "__" not in m), "beartype.beartype")
 
 # Functions of a hundred samples take longer to compile than to run; LLVM's optimiser doubles that time, and so do XLA's

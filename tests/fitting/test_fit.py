@@ -152,10 +152,10 @@ def test_what_the_frames_carry_is_held_at_nominal_and_said():
         any(name.startswith("frame_") for name in held[item]) for item in ("base_x", "base_roll", "theta_off1", "d1")
     )
     names = np.array(found.form.names)
-    nominal = NOMINAL
+    np.testing.assert_allclose(found.arm.hayati, NOMINAL, rtol=0, atol=1e-15)
     for name in held:
         k = int(np.flatnonzero(names == name)[0])
-        assert found.parameters[k] == nominal[k]
+        assert found.parameters[k] == found.arm.hayati[k]
         assert found.standard_deviation[k] == 0
 
 

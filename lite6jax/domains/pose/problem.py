@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from typing import TYPE_CHECKING, final
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
@@ -177,7 +178,8 @@ class PoseProblem:
             return whitened(rigid_differences(self.rigid.tool, self.measured), self.measured.whitener)
         motion, deflection = self._deflection(nuisance, terms, values)
         form = SixParameterForm(self.motion.dof)
-        return np.asarray(bent_residual(form, self.start, motion.joint_position, deflection, self.measured))
+        start, measured = self._on_device
+        return np.asarray(bent_residual(form, start, motion.joint_position, deflection, measured))
 
     def position_errors(self, nuisance: Array, terms: Terms, values: Array) -> Array:
         """Predicted minus measured positions `(3, sample)` m."""
@@ -280,6 +282,11 @@ class PoseProblem:
             {"base": base, "tool": tool, "link": link[j]}[name][k] = value
         shifts = {"base": base[:, None], "link": link[:, :, None], "tool": tool[:, None]}
         return motion, bent._replace(**{name: getattr(bent, name) + shift for name, shift in shifts.items()})
+
+    @cached_property
+    def _on_device(self) -> tuple[ArmModel, Measured]:
+        """The arm and the poses as compiled functions take them, copied once."""
+        return jax.tree.map(jnp.asarray, (self.start, self.measured))
 
     @cached_property
     def _undeflected(self) -> Deflection:
