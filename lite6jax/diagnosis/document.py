@@ -50,6 +50,12 @@ def to_document(found: Diagnosis) -> dict[str, Any]:
         "verdict": found.verdict,
         "before": before,
         "after": after,
+        "left": {
+            "position_over_noise": found.left.position,
+            "orientation_over_noise": found.left.orientation,
+            "white": found.left.white,
+        },
+        "rows_needed": found.rows_needed if found.verdict == "undetermined" else None,
         "samples": problem.samples,
         "heldout_rows": int(kept.sum()),
         "noise": {
@@ -84,6 +90,9 @@ def _finding(found: Diagnosis, k: int, before: float, after: float) -> dict[str,
     effect, size = finding.effect, {}
     if isinstance(effect, Unnamed):
         size = {"peak_to_peak": {f"peak_to_peak_{effect.coordinates[0].unit}": peak_to_peak(found, k)._asdict()}}
+    if finding.nearest is not None:
+        rival, share = finding.nearest
+        size |= {"nearest": {**_located(rival.effect), "share": share}}
     return {
         **_located(effect),
         "parameters": {name: estimate._asdict() for name, estimate in finding.parameters.items()},

@@ -27,8 +27,10 @@ class Options:
         30.0, "squared residual over the scale, per number, beyond which a row is an outlier", "5.5 standard deviations"
     )
     as_noise: float = option(
-        1.1, "held-out error over the declared noise up to which a recording is explained", "scatter of 100 rows"
+        1.2, "error over the declared noise up to which what is left is noise", "scatter of 30 rows"
     )
+    fewest_rows: int = option(15, "rows below which nothing is said where nothing is found", "five a fitted frame")
+    within_reach: int = option(200, "rows that may be asked for where something near was not found", "a day's work")
     most_separated: int = option(3, "pairs of effects for which separating poses are designed", "each takes 0.1 s")
     separating_poses: int = option(12, "poses that separate a pair", "half an hour of recording")
     separating_candidates: int = option(3000, "candidate poses they are chosen from", "dense enough for six joints")

@@ -2,13 +2,14 @@
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Literal, final
+from typing import Any, final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lite6jax.diagnosis.discrimination import SeparatingPoses
 from lite6jax.diagnosis.options import Options
+from lite6jax.diagnosis.verdict import Left, Verdict, left_of, rows_needed, verdict_of
 from lite6jax.domains.pose.predict import DiagnosedArm
 from lite6jax.domains.pose.problem import PoseProblem
 from lite6jax.effects.catalogue import BUILT_IN, Untestable
@@ -19,7 +20,6 @@ from lite6jax.search.search import Selection
 from lite6jax.summary import Summarised
 
 Array = NDArray[np.floating]
-Verdict = Literal["consistent", "explained", "partly_explained", "unnamed"]
 
 
 @final
@@ -56,6 +56,14 @@ class Finding:
     p_value: float
     gain: float
     rivals: tuple[Rival, ...]
+
+    @property
+    def nearest(self) -> tuple[Rival, float] | None:
+        """Of an effect without a name, the named one that explains most, and its share of the explained; or None."""
+        if not self.effect.nonparametric or not self.rivals:
+            return None
+        rival = min(self.rivals, key=lambda rival: rival.gap)
+        return rival, float(np.clip(1 - rival.gap / max(self.gain, 1e-300), 0.0, 1.0))
 
     @property
     def parameters(self) -> dict[str, Estimate]:
@@ -127,15 +135,19 @@ class Diagnosis(Summarised):
         return float(self.fit.scale[0] * self.problem.noise[0])
 
     @cached_property
+    def left(self) -> Left:
+        """What the model leaves of the residuals."""
+        return left_of(self)
+
+    @cached_property
+    def rows_needed(self) -> int:
+        """About how many rows would make the nearest effect that is no finding significant, if it is real."""
+        return rows_needed(self)
+
+    @cached_property
     def verdict(self) -> Verdict:
-        """By the findings, and by whether the held-out error with them is that of the declared noise."""
-        if not self.findings:
-            return "consistent"
-        if max(self.findings, key=lambda finding: finding.gain).effect.nonparametric:
-            return "unnamed"
-        left = np.sqrt(np.mean(self.after[~self.outliers] ** 2) / 3)
-        as_noise = self.problem.declared and left < self.options.as_noise * self.problem.noise[0]
-        return "explained" if as_noise else "partly_explained"
+        """By the findings, by what is left of the residuals, and by whether the rows are enough to tell."""
+        return verdict_of(self)
 
     def to_dict(self) -> dict[str, Any]:
         """The document `lite6jax/diagnosis/2`: codes and plain numbers in SI units."""

@@ -1,8 +1,10 @@
-"""Physics without a name: a curve over one driver at one site, a cubic spline, waves of many orders, or with memory."""
+"""Physics without a name: at one site, a function of one driver (spline, harmonics, hysteresis) or of several."""
 
 import re
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
+from itertools import combinations_with_replacement
+from math import comb
 from typing import ClassVar, final
 
 import jax
@@ -20,7 +22,7 @@ from lite6jax.errors import InputError
 COMPONENTS = ("x", "y", "z", "rx", "ry", "rz")
 """Of a twist: a translation in m and a rotation vector in rad."""
 
-_SITE = re.compile(r"joint([1-9]\d*)|link([1-9]\d*)|base|tool")
+_SITE = re.compile(r"joint([1-9]\d*)|link([1-9]\d*)|base|tool|sensor")
 
 
 @partial(jax.jit, static_argnames="pieces")
@@ -39,6 +41,25 @@ def spline_basis(values: Array, lower: float | Array, upper: float | Array, piec
     t = jnp.abs(u - jnp.arange(-1.0, pieces + 2.0)[:, None])
     near, far = jnp.maximum(1 - t, 0.0), jnp.maximum(2 - t, 0.0)
     return (far**3 - 4 * near**3) / 6  # the fourth difference of cubes (C. de Boor, A Practical Guide to Splines, IX)
+
+
+@partial(jax.jit, static_argnames="degree")
+def polynomial_basis(values: Array, ranges: Array, degree: int) -> Array:
+    """All products of up to `degree` drivers, `(product, sample)`, the constant first.
+
+    Each driver is scaled so that its range is from -1 to 1, and keeps its value beyond.
+
+    Args:
+        values: `(driver, sample)`.
+        ranges: `(driver, 2)`, lower and upper.
+        degree: of the polynomials, 1 or more.
+    """
+    lower, upper = ranges.T[..., None]
+    u = jnp.clip(2 * (values - lower) / (upper - lower) - 1, -1.0, 1.0)
+    products = [jnp.ones_like(u[0])]
+    for order in range(1, degree + 1):
+        products += [jnp.prod(u[jnp.array(which)], 0) for which in combinations_with_replacement(range(len(u)), order)]
+    return jnp.stack(products)
 
 
 @jax.jit
@@ -66,23 +87,26 @@ def plays(values: Array, widths: Array, run: Array) -> Array:
 @final
 @dataclass(frozen=True)
 class Unnamed(Bending):
-    """δ = Σ coefficient · B(driver): whatever one driver does at one site.
+    """δ = Σ coefficient · B(driver): whatever one driver, or several, do at one site.
 
     B are cubic B-splines; with `orders`, the sine and cosine of each order of the driver, an angle; with `memory`, what
-    follows the driver with so much play each.
+    follows the driver with so much play each; with `degree`, products of one or several drivers.
 
     Attributes:
-        where: `jointN` (an angle), `linkN`, `base` or `tool` (one component of a twist).
-        driver: the phrase of a `Driver`, such as "position of joint 3".
-        lower: of the driver's range, in its unit; beyond the range the curve is constant.
-        upper: of the driver's range.
+        where: `jointN` (an angle), `linkN`, `base`, `tool` or `sensor` (components of a twist).
+        driver: the phrase of a `Driver`, such as "position of joint 3"; of several, joined by " and ".
+        lower: of the first driver's range, in its unit; beyond the range the curve is constant.
+        upper: of the first driver's range.
         pieces: the intervals of the spline; it has three more coefficients.
-        component: of the twist, one of x y z rx ry rz; at a joint it is rz.
+        component: of the twist, one or several of x y z rx ry rz, separated by blanks, each with coefficients of its
+            own; at a joint it is rz.
         orders: of the waves, that are there instead of a spline.
         trust: by how much to believe waves, from 0 to 1, at equal steps of the driver from `lower` to `upper`: they
             mean nothing where nothing was measured.
         spread: one standard deviation of the coefficients, where that is known beforehand.
         memory: half the widths of the plays, in the driver's unit, that are there instead of a spline.
+        degree: of polynomials, that are there instead of a spline; 0 for none.
+        further: lower and upper of each further driver.
 
     Raises:
         InputError: no such site, driver or component, or an empty range.
@@ -98,6 +122,8 @@ class Unnamed(Bending):
     trust: tuple[float, ...] = ()
     spread: float | None = None
     memory: tuple[float, ...] = ()
+    degree: int = 0
+    further: tuple[float, ...] = ()
 
     name: ClassVar[str] = "unnamed"
     nonparametric: ClassVar[bool] = True
@@ -105,9 +131,10 @@ class Unnamed(Bending):
 
     def __post_init__(self) -> None:
         if not _SITE.fullmatch(self.where):
-            raise InputError(f"unnamed: no site is called {self.where!r}; choose jointN, linkN, base or tool")
-        if self.component not in COMPONENTS or (self.where.startswith("joint") and self.component != "rz"):
-            wanted = "rz" if self.where.startswith("joint") else "one of " + " ".join(COMPONENTS)
+            raise InputError(f"unnamed: no site is called {self.where!r}; choose jointN, linkN, base, tool or sensor")
+        joint = self.where.startswith("joint")
+        if not self.components or set(self.components) - set(COMPONENTS) or (joint and self.component != "rz"):
+            wanted = "rz" if joint else "one or several of " + " ".join(COMPONENTS)
             raise InputError(f"unnamed:{self.where}: component {self.component!r} is not possible there; give {wanted}")
         if not self.lower < self.upper or self.pieces < 1:
             raise InputError(
@@ -123,7 +150,19 @@ class Unnamed(Bending):
             raise InputError(
                 f"unnamed:{self.where}: memory {self.memory} is not possible; give widths from 0 on, and no orders"
             )
-        driver_of(self.driver)
+        several = len(self.drivers) - 1
+        if len(self.further) != 2 * several or (several and not self.degree):
+            raise InputError(
+                f"unnamed:{self.where}: {several + 1} drivers and {len(self.further)} further bounds; give lower and "
+                "upper of each driver but the first, and a degree"
+            )
+        if self.degree and (self.orders or self.memory):
+            raise InputError(f"unnamed:{self.where}: a degree beside orders or memory; give one of them")
+
+    @property
+    def components(self) -> tuple[str, ...]:
+        """The components of the twist, one after another."""
+        return tuple(self.component.split())
 
     @property
     def site(self) -> str:
@@ -133,54 +172,82 @@ class Unnamed(Bending):
     @property
     def coordinates(self) -> tuple[Coordinate, ...]:
         """The coefficients."""
-        unit = "m" if self.component in ("x", "y", "z") else "rad"
-        names = [f"{wave}_{order:g}_{unit}" for order in self.orders for wave in ("sine", "cosine")]
-        names = names or [f"coefficient{i + 1}_{unit}" for i in range(len(self.memory) or self.pieces + 3)]
+        names = [f"{wave}_{order:g}" for order in self.orders for wave in ("sine", "cosine")]
+        names = names or [f"coefficient{i + 1}" for i in range(self.functions)]
         spread = float("inf") if self.spread is None else self.spread
-        return tuple(Coordinate(name, unit, 1e-4, spread) for name in names)
+        several = len(self.components) > 1
+        return tuple(
+            Coordinate(f"{f'{component}_' if several else ''}{name}_{unit}", unit, 1e-4, spread)
+            for component in self.components
+            for unit in ("m" if component in ("x", "y", "z") else "rad",)
+            for name in names
+        )
 
     @property
-    def drivers(self) -> tuple[Driver, ...]:
-        """The one driver."""
-        return (driver_of(self.driver),)
+    def functions(self) -> int:
+        """How many functions of the drivers there are, and so coefficients of each component."""
+        if self.degree:
+            return comb(len(self.drivers) + self.degree, self.degree)
+        return 2 * len(self.orders) or len(self.memory) or self.pieces + 3
+
+    @cached_property
+    def drivers(self) -> tuple[Driver, ...]:  # type: ignore[override]  # computed once
+        """The driver, or several."""
+        return tuple(driver_of(phrase) for phrase in self.driver.split(" and "))
+
+    def values_at(self, motion: Motion, loads: Loads | None) -> Array:
+        """The values of the driver `(sample,)`, or of several `(driver, sample)`."""
+        values = [driver.values(motion, loads) for driver in self.drivers]
+        return values[0] if len(values) == 1 else jnp.stack(values)
 
     def basis(self, driver: Array, run: Array | None = None) -> Array:
-        """What each coefficient is times, `(size, sample)`, at values `(sample,)` of the driver.
+        """The functions that coefficients multiply, `(function, sample)`, at values `(sample,)` of the driver.
 
         Args:
-            driver: its values, one after another.
+            driver: its values, one after another; `(driver, sample)` of several.
             run: `(2, sample)`, where runs begin and end, which a memory asks for; all are one where not given.
         """
+        if self.degree:
+            ranges = jnp.asarray((self.lower, self.upper, *self.further)).reshape(-1, 2)
+            return polynomial_basis(jnp.atleast_2d(driver), ranges, self.degree)
         if self.memory:
             one = jnp.zeros((2, driver.size), int)
             return plays(driver, jnp.asarray(self.memory), one if run is None else run)
         if not self.orders:
             return spline_basis(driver, self.lower, self.upper, self.pieces)
         turned = jnp.asarray(self.orders)[:, None] * driver
-        waves = jnp.stack([jnp.sin(turned), jnp.cos(turned)], 1).reshape(self.size, -1)
+        waves = jnp.stack([jnp.sin(turned), jnp.cos(turned)], 1).reshape(self.functions, -1)
         at = jnp.linspace(self.lower, self.upper, len(self.trust))
         return waves * jnp.interp(driver, at, jnp.asarray(self.trust), left=0.0, right=0.0)
 
     def units(self, motion: Motion, loads: Loads | None) -> Deflection:
         """The deflection by each coefficient, per unit of it; a leading axis `(coordinate, …)`."""
-        basis = np.asarray(self.basis(self.drivers[0].values(motion, loads), motion.run))
-        parts = zip(*(self._at_site(shift, motion) for shift in basis), strict=True)  # type: ignore[arg-type]
+        basis = np.asarray(self.basis(self.values_at(motion, loads), motion.run))
+        units = [(component, function) for component in self.components for function in basis]
+        parts = zip(*(self._at_site({c: shift}, motion) for c, shift in units), strict=True)  # type: ignore[arg-type]
         return Deflection(*(None if part[0] is None else np.stack(part) for part in parts))  # type: ignore[arg-type]
 
     def curve(self, values: Array, driver: Array, run: Array | None = None) -> Array:
-        """The curve's value `(sample,)`, m or rad, at values `(sample,)` of the driver; `run` as in `basis`."""
-        return values @ self.basis(driver, run)
+        """The curve's value `(sample,)`, m or rad, at values of the drivers; `run` as in `basis`.
+
+        Of several components it is `(component, sample)`.
+        """
+        curves = values.reshape(len(self.components), -1) @ self.basis(driver, run)
+        return curves[0] if len(self.components) == 1 else curves
 
     def deflect(self, values: Array, motion: Motion, loads: Loads | None) -> Deflection:
-        """The curve at its site."""
-        return self._at_site(self.curve(values, self.drivers[0].values(motion, loads), motion.run), motion)
+        """The curves at their site."""
+        curves = jnp.asarray(values).reshape(len(self.components), -1) @ self.basis(
+            self.values_at(motion, loads), motion.run
+        )
+        return self._at_site(dict(zip(self.components, curves, strict=True)), motion)
 
-    def _at_site(self, shift: Array, motion: Motion) -> Deflection:
-        """A curve `(sample,)` where this effect is."""
+    def _at_site(self, shifts: "dict[str, Array]", motion: Motion) -> Deflection:
+        """Curves `(sample,)` by component, where this effect is."""
         kind, number = self.where.rstrip("0123456789"), int("0" + "".join(filter(str.isdecimal, self.where)))
         if kind == "joint":
-            return Deflection(joint=at_joint(motion.dof, number, shift))
-        displaced = twist(motion.samples, **{self.component: shift})
+            return Deflection(joint=at_joint(motion.dof, number, shifts["rz"]))
+        displaced = twist(motion.samples, **shifts)
         if kind == "link":
             return Deflection(link=at_joint(motion.dof, number, displaced))
         return Deflection(**{kind: displaced})

@@ -66,6 +66,7 @@ class EngineOptions:
     # blocks of the score test
     most_blocks: int = option(60, "most blocks of a score test", "more do not sharpen the estimate of their spread")
     least_in_block: int = option(6, "fewest samples in a block", "fewer make heavy-tailed sums")
+    enough_blocks: int = option(20, "blocks below which they are made shorter", "a variance known to a third")
     block_times: float = option(2.0, "autocorrelation times in a block", "neighbouring blocks then correlate little")
     # noise model
     lags: int = option(32, "lags of the portmanteau statistic", "covers autocorrelation times to about ten samples")
@@ -98,6 +99,10 @@ class EngineOptions:
     centres: int = option(40, "places of a step or bump that are tried first", "a tenth of the narrowest range")
     closer: int = option(4, "rounds in which place and width are refined", "each is three times as fine")
     least_varied: float = option(1e-6, "range of a driver, in its unit, below which it did not vary", "rounding")
+    # names
+    name_rounds: int = option(3, "rounds in which functions without a name challenge the names", "one a round")
+    functions: int = option(3, "functions without a name that are fitted in a round", "scores and fits rank alike")
+    impossible: float = option(3.0, "standard deviations outside its bounds from which a name falls", "one in 700")
     # spectrum
     highest_order: float = option(200.0, "highest order of a spectrum", "teeth of strain-wave gears to ratio 100")
     lowest_order: float = option(1.0, "lowest order of a spectrum", "less than a turn is an offset and a slope")

@@ -146,6 +146,7 @@ class Problem(LinearisedProblem, Protocol):
         candidates: the named terms that are testable with these data.
         periodic: families of periodic terms.
         curves: families of nonparametric terms.
+        flexible: nonparametric terms of every site and driver, by which the names of the others are tested.
     """
 
     @property
@@ -160,6 +161,12 @@ class Problem(LinearisedProblem, Protocol):
     def periodic(self) -> tuple[PeriodicFamily, ...]: ...
     @property
     def curves(self) -> tuple[CurveFamily, ...]: ...
+    @property
+    def flexible(self) -> tuple[Term, ...]: ...
+
+    def without_candidates(self, terms: Sequence[Term]) -> "Problem":
+        """The same problem in which these terms are no candidates."""
+        ...
 
     def thinned(self, every: int) -> "Problem":
         """One in `every` samples."""

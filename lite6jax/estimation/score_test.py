@@ -255,7 +255,12 @@ def _longest_time(residual: Array, groups: NDArray[np.integer]) -> float:
 
 
 def _blocks(samples: int, time: float, options: EngineOptions) -> NDArray[np.integer]:
-    """The first sample of each block: longer than the autocorrelation time, and enough of them for a variance."""
-    length = max(options.least_in_block, int(np.ceil(options.block_times * time)))
+    """The first sample of each block: longer than the autocorrelation time, and enough of them for a variance.
+
+    Of few samples, blocks are shorter, down to one sample: a test by four blocks finds nothing.
+    """
+    least = int(np.clip(samples // options.enough_blocks, 1, options.least_in_block))
+    correlated = int(np.ceil(options.block_times * time)) if time > 1 else 1
+    length = max(least, correlated)
     count = int(np.clip(samples // length, 4, options.most_blocks))
     return (np.arange(count) * samples) // count

@@ -18,12 +18,18 @@ class Number(Protocol):
     Attributes:
         typical: the size that it commonly has, in its unit.
         spread: the standard deviation of its prior about zero, in its unit; infinite where there is no prior.
+        lower: the least that is possible, in its unit.
+        upper: the most that is possible.
     """
 
     @property
     def typical(self) -> float: ...
     @property
     def spread(self) -> float: ...
+    @property
+    def lower(self) -> float: ...
+    @property
+    def upper(self) -> float: ...
 
 
 class Term(Protocol):

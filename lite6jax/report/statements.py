@@ -19,9 +19,9 @@ NO_NOISE = "The sidecar declares no position_noise_m: tests use the noise estima
 _VERDICTS = {
     "consistent": "Consistent: the model of the arm and the sensor's noise explain the recording.",
     "explained": "Explained: with the effects below, the held-out errors are the sensor's noise.",
-    "partly_explained": "Partly explained: the effects below are significant, but the held-out errors remain larger "
-    "than the sensor's noise.",
     "unnamed": "Unnamed: no effect of the catalogue explains the largest effect that was found.",
+    "unexplained": "Unexplained: more is left than the sensor's noise, and no effect is significant.",
+    "undetermined": "Undetermined: there are too few rows to tell whether something is missing.",
 }
 _PARTS = {"base": "the sensor's frame", "link": "the arm's own calibration", "tool": "the tool"}
 _EXCESSIVE = 5.0
@@ -59,23 +59,39 @@ def with_statements(document: Document) -> dict[str, Any]:
 
 def verdict_statement(document: Document) -> str:
     """The verdict in a sentence or two."""
-    verdict, noise = document["verdict"], document["noise"]
+    verdict, noise, left = document["verdict"], document["noise"], document["left"]
     declared = noise["declared_position_m"]
-    if verdict == "consistent":
+    if verdict == "undetermined":
+        return f"{_VERDICTS[verdict]} Record about {document['rows_needed'] - document['samples']} more poses."
+    if verdict == "unexplained":
         times = noise["estimated_position_m"] / declared if declared else 1.0
         if times > _EXCESSIVE:
             return (
-                f"No effect that was tested explains the residuals, which are {times:.3g} times the declared noise: "
-                "check the arm, the frame, the tool and the columns that the sidecar declares."
+                f"Unexplained: no effect that was tested explains the residuals, which are {times:.3g} times the "
+                "declared noise: check the arm, the frame, the tool and the columns that the sidecar declares."
             )
-        if "against" in document:
-            return "Consistent: beyond the differences above, the two recordings differ by noise."
+        return f"{_VERDICTS[verdict]} {_what_is_left(left)}"
+    if verdict == "consistent" and "against" in document:
+        return "Consistent: beyond the differences above, the two recordings differ by noise."
     if verdict == "partly_explained" and not declared:
         return (
             "Partly explained: the effects below are significant. Whether more remains cannot be tested, because the "
             "sidecar declares no position_noise_m."
         )
+    if verdict == "partly_explained":
+        return f"Partly explained: the effects below are significant. {_what_is_left(left)}"
     return _VERDICTS[verdict]
+
+
+def _what_is_left(left: Entry) -> str:
+    """What the model leaves, in a sentence."""
+    ratios = [
+        f"{name} errors are {left[f'{key}_over_noise']:.2g} times the declared noise"
+        for name, key in (("held-out position", "position"), ("orientation", "orientation"))
+        if left[f"{key}_over_noise"] is not None
+    ]
+    correlated = [] if left["white"] else ["neighbouring rows are correlated"]
+    return f"{capital(_joined([*ratios, *correlated]))}."
 
 
 def finding_statement(finding: Entry) -> str:

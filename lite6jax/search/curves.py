@@ -59,7 +59,7 @@ def best_curves(test: ScoreTest, family: CurveFamily, local: bool) -> list[Curve
 def replace_by_curves(problem: Problem, state: State, options: EngineOptions) -> State:
     """Replaces the named terms of a site by a curve, or adds one, where that is clearly more likely."""
     for _ in range(options.curve_rounds):
-        better = _with_curve(problem, state, options)
+        better = _replaced(problem, state, options)
         if better is None:
             break
         state = forward(problem, better, options)
@@ -75,7 +75,7 @@ def merge_harmonics(problem: Problem, state: State, options: EngineOptions) -> S
             continue
         orders = tuple(sorted({order for wave in waves if (order := family.order(wave)) is not None}))
         beside = refitted(problem, state, [t for t in state.tested if t.term not in waves], options)
-        merged = _with_added_curve(
+        merged = with_curve(
             problem, beside, family.curve(orders, state.baseline.training, None, options.fade), options
         )
         if merged.tested[-1].p_value < options.level:
@@ -83,7 +83,7 @@ def merge_harmonics(problem: Problem, state: State, options: EngineOptions) -> S
     return state
 
 
-def _with_curve(problem: Problem, state: State, options: EngineOptions) -> State | None:
+def _replaced(problem: Problem, state: State, options: EngineOptions) -> State | None:
     """The most likely state in which a curve replaces all terms of its site; None where none is clearly preferred."""
     test, searched = score_test(problem, state.fit, options), searched_size(problem, options)
     best: State | None = None
@@ -92,7 +92,7 @@ def _with_curve(problem: Problem, state: State, options: EngineOptions) -> State
         if len(kept) == len(state.tested):
             curves = best_curves(test, family, local=False)
             worth = [curve.term for curve in curves if curve.score.familywise(searched) < options.level]
-            further = [_with_added_curve(problem, state, term, options) for term in worth]
+            further = [with_curve(problem, state, term, options) for term in worth]
         else:
             beside = refitted(problem, state, kept, options)
             further = [state]
@@ -101,7 +101,7 @@ def _with_curve(problem: Problem, state: State, options: EngineOptions) -> State
                 term = _more_likely(problem, beside.fit, further[-1], family, options)
                 if term is None:
                     break
-                further.append(_with_added_curve(problem, beside, term, options))
+                further.append(with_curve(problem, beside, term, options))
             further = further[1:]
         for one in further:
             significant = one.tested[-1].p_value < options.level
@@ -127,8 +127,8 @@ def _more_likely(
     return best.term if likely(best) > now else None
 
 
-def _with_added_curve(problem: Problem, beside: State, curve: Term, options: EngineOptions) -> State:
-    """The state with a curve added, tested by its gain; the named terms nearest to it are its alternatives."""
+def with_curve(problem: Problem, beside: State, curve: Term, options: EngineOptions) -> State:
+    """A state with a curve added, tested by its gain; the named terms nearest to it are its alternatives."""
     test = score_test(problem, beside.fit, options)
     score = test.score([curve])[0]
     fit = added(problem, beside.fit, curve, score.values, options)

@@ -14,6 +14,7 @@ from lite6jax.search.backward import eliminate, prune
 from lite6jax.search.curves import merge_harmonics, replace_by_curves
 from lite6jax.search.exchange import exchange
 from lite6jax.search.forward import forward
+from lite6jax.search.names import believable, significant, challenge_names
 from lite6jax.search.retest import retest
 from lite6jax.search.shrinkage import shrink
 from lite6jax.search.state import SelectedTerm, State
@@ -68,6 +69,7 @@ def search(
         state = _continued(problem, reference, part, training, options)
     if not any(map(_shrunk, state.fit.terms.terms)):
         state = retest(problem, state, options)
+        state = significant(problem, believable(problem, state, options), options)
     selection = Selection(problem, reference, state)
     return _reviewed(selection, options) if thorough else selection
 
@@ -87,7 +89,7 @@ def _selected(problem: Problem, reference: Problem, training: Mask, options: Eng
     state = prune(problem, replace_by_curves(problem, added, options), options)
     if thorough:
         state = exchange(problem, state, options)
-    return merge_harmonics(problem, state, options)
+    return challenge_names(problem, merge_harmonics(problem, state, options), options)
 
 
 def _with_preset(problem: Problem, baseline: Fit, options: EngineOptions) -> State:

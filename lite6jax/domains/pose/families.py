@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from functools import partial
+from itertools import combinations
 
 import jax.numpy as jnp
 import numpy as np
@@ -10,10 +11,11 @@ from scipy.spatial import KDTree
 
 from lite6jax.domains.pose.deflections import Deflections
 from lite6jax.domains.pose.kinematics import Site
-from lite6jax.effects.drivers import Driver
+from lite6jax.effects.drivers import QUANTITIES, Driver
 from lite6jax.effects.kinematic.joints import JointHarmonic
 from lite6jax.effects.motion import Motion
-from lite6jax.effects.nonparametric import Unnamed, plays
+from lite6jax.effects.nonparametric import COMPONENTS, Unnamed, plays
+from lite6jax.effects.statics import Loads
 from lite6jax.estimation.problem import CurveDriver, CurveFamily, Mask, PeriodicFamily
 from lite6jax.estimation.terms import Term
 
@@ -21,6 +23,11 @@ Array = NDArray[np.floating]
 
 _PIECES = {"position": (8, 24), "gravity torque": (1, 3, 8, 24), "velocity": (8, 24)}
 """Intervals of the splines over each driver: deflections by torques are often a cubic or two."""
+_EVERYWHERE = ("temperature rise", "time", "payload")
+"""Quantities of the whole arm."""
+_OWN = ("gravity torque", "velocity", "direction of motion", "temperature")
+"""Quantities of a joint beside its position."""
+_LEAST_VARIED = 1e-6
 _NEIGHBOURS = 8
 """Least number of training rows within about `fade` of a position for it to count as measured."""
 
@@ -56,6 +63,88 @@ def curves(motion: Motion, deflections: Deflections, sites: dict[Site, Array]) -
             drivers.append(CurveDriver(values, pieces, quantity == "position", spline, play, hysteresis))
         found.append(CurveFamily(site, sites["joint", j, 0], tuple(drivers)))
     return tuple(found)
+
+
+def flexible(motion: Motion, loads: Loads | None, rows: int, sites: dict[Site, Array]) -> tuple[Unnamed, ...]:
+    """Functions of every driver at every site, as far as drivers are known and vary, and the sensor sees the site.
+
+    At joints they are of the position of any joint or two, of the joint's own loads and motion, and of time and
+    temperature; at links, base and tool the tilts, or all components, by positions, moments, time and temperature.
+
+    Args:
+        motion: time-shifted.
+        loads: on the rigid arm, or None.
+        rows: 3, or 6 where orientations are measured.
+        sites: columns of each site.
+    """
+    dof, ranges = motion.dof, _Ranges(motion, loads)
+    positions, everywhere = [Driver("position", k + 1) for k in range(dof)], [Driver(q) for q in _EVERYWHERE]
+    found: list[Unnamed] = []
+
+    def add(site: str, drivers: Sequence[Driver], degree: int, component: str = "rz", pieces: int = 0) -> None:
+        spans = [ranges(driver) for driver in drivers]
+        kind, number = site.rstrip("0123456789"), int("0" + "".join(filter(str.isdecimal, site))) - 1
+        keys = [(kind, max(number, 0), 0 if kind == "joint" else COMPONENTS.index(c)) for c in component.split()]
+        if any(span is None for span in spans) or not any(sites[key].any() for key in keys):
+            return
+        (lower, upper), *further = [span for span in spans if span is not None]
+        phrase, bounds = " and ".join(driver.phrase for driver in drivers), tuple(b for span in further for b in span)
+        found.append(
+            Unnamed(site, phrase, lower, upper, pieces or 8, component, degree=degree, further=bounds)
+        )
+
+    for j in range(1, dof + 1):
+        own = [Driver(q, j) for q in _OWN if q in QUANTITIES]
+        for driver in (*positions, *own, *everywhere):
+            add(f"joint{j}", [driver], 0 if driver in positions else 3, pieces=5)
+        for driver in positions:
+            add(f"joint{j}", [driver], 2)
+        for pair in combinations(positions, 2):
+            add(f"joint{j}", pair, 3)
+        if dof > 1:
+            for driver in (Driver("position", j), *everywhere):
+                add(f"link{j}", [driver], 3 if driver in everywhere else 0, "rx ry", pieces=3)
+            add(f"link{j}", [Driver(f"gravity moment {axis}", j) for axis in "xy"], 2, "rx ry")
+    base, tool = " ".join(COMPONENTS), " ".join(COMPONENTS[: 3 if rows == 3 else 6])
+    for driver in (*positions[:3], *everywhere):
+        add("base", [driver], 3 if driver in everywhere else 0, base, pieces=3)
+    add("base", [Driver(f"base moment {axis}") for axis in "xy"], 1, base)
+    add("base", [Driver(f"base moment {axis}") for axis in "xy"], 2, base)
+    for driver in (*positions, *everywhere):
+        add("tool", [driver], 3 if driver in everywhere else 0, tool, pieces=3)
+    moments = [Driver("gravity moment x", dof), Driver("gravity moment y", dof), Driver("gravity torque", dof)]
+    add("tool", moments, 2, tool)
+    if ("sensor", 0, 0) in sites:
+        for driver in everywhere:
+            add("sensor", [driver], 3, base)
+        add("sensor", [Driver(f"measured position {axis}") for axis in "xyz"], 3, "x y z")
+    return tuple(found)
+
+
+def unnamed_columns(effect: Unnamed, motion: Motion, loads: Loads | None, sites: dict[Site, Array]) -> Array:
+    """How residuals change with the coefficients of an effect without a name, `(number, row, sample)`."""
+    basis = np.asarray(effect.basis(effect.values_at(motion, loads), motion.run))
+    kind, number = effect.where.rstrip("0123456789"), int("0" + "".join(filter(str.isdecimal, effect.where)))
+    keys = [(kind, max(number - 1, 0), 0 if kind == "joint" else COMPONENTS.index(c)) for c in effect.components]
+    return np.concatenate([sites[key] * basis[:, None] for key in keys])
+
+
+class _Ranges:
+    """Lower and upper of drivers in a motion; None where one is not known or does not vary."""
+
+    def __init__(self, motion: Motion, loads: Loads | None) -> None:
+        self._motion, self._loads = motion, loads
+        self._found: dict[Driver, tuple[float, float] | None] = {}
+
+    def __call__(self, driver: Driver) -> tuple[float, float] | None:
+        if driver not in self._found:
+            loads = self._loads if driver.loaded else None
+            self._found[driver] = None
+            if driver.known(self._motion, loads) and not (driver.loaded and loads is None):
+                values = np.asarray(driver.values(self._motion, loads))
+                if np.ptp(values) > _LEAST_VARIED:
+                    self._found[driver] = float(values.min()), float(values.max())
+        return self._found[driver]
 
 
 def waves(joint: int, q: Array, orders: Sequence[float], training: Mask, spread: float | None, fade: float) -> Unnamed:

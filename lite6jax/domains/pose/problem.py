@@ -34,6 +34,7 @@ from lite6jax.effects.deflection import Deflection, dense
 from lite6jax.effects.effect import Altering, Effect
 from lite6jax.effects.kinematic.surroundings import PayloadError, TimeOffset
 from lite6jax.effects.motion import Motion, accelerated, beyond, select, shifted
+from lite6jax.effects.nonparametric import Unnamed
 from lite6jax.effects.statics import Inertia, Loads
 from lite6jax.estimation.problem import CurveFamily, Mask, PeriodicFamily
 from lite6jax.estimation.terms import Term, Terms
@@ -172,6 +173,11 @@ class PoseProblem:
         """Curves of each joint over its position, torque and velocity."""
         return families.curves(self.time_shifted, self.deflections, self.sites)
 
+    @lazy
+    def flexible(self) -> tuple[Unnamed, ...]:
+        """Functions without a name, of every site and driver."""
+        return families.flexible(self.time_shifted, self.loads, self.rows, self.sites)
+
     def residual(self, nuisance: Array, terms: Terms, values: Array) -> Array:
         """Residuals `(row, sample)` over the declared noise, predicted minus measured."""
         if not terms.terms and not nuisance.any() and not self.clock_offset:
@@ -203,6 +209,8 @@ class PoseProblem:
                 others, at = (own, values) if beside is None else beside
                 unit = self.deflections.by_mass(float(values[part][0]), physics_of(others), at)
                 parts.append(columns_of(unit, self.sites))
+            elif isinstance(effect, Unnamed):
+                parts.append(families.unnamed_columns(effect, self.time_shifted, self.loads, self.sites))
             elif effect.linear or not values[part].any():
                 if effect not in self._columns:
                     self._columns[effect] = columns_of(self.deflections.unit(effect), self.sites)
@@ -228,6 +236,10 @@ class PoseProblem:
             (self.motion, chosen) if self.thinned_from is None else (self.thinned_from[0], self.thinned_from[1][chosen])
         )
         return replace(self, recording=recording, motion=motion, measured=measured, thinned_from=whole, units={})
+
+    def without_candidates(self, terms: Sequence[Term]) -> "PoseProblem":
+        """The same problem in which these effects are no candidates."""
+        return replace(self, candidates=tuple(effect for effect in self.candidates if effect not in terms))
 
     def thinned(self, every: int) -> "PoseProblem":
         """One in `every` rows."""

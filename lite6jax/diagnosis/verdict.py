@@ -1,0 +1,82 @@
+"""The verdict of a diagnosis, which says no more than what is left of the residuals allows."""
+
+from typing import TYPE_CHECKING, Literal, NamedTuple
+
+import numpy as np
+from scipy.special import chdtri
+
+from lite6jax.estimation.score_test import searched_size
+
+if TYPE_CHECKING:
+    from lite6jax.diagnosis.result import Diagnosis
+
+Verdict = Literal["consistent", "explained", "partly_explained", "unnamed", "unexplained", "undetermined"]
+
+
+class Left(NamedTuple):
+    """What the model leaves of the residuals, outliers excluded.
+
+    Attributes:
+        position: root mean square of held-out position errors per axis over the declared noise; None where no noise is
+            declared.
+        orientation: the same of the fitted orientations; None where none were measured, or no noise is declared.
+        white: whether residuals of neighbouring rows are uncorrelated.
+    """
+
+    position: float | None
+    orientation: float | None
+    white: bool
+
+    def is_noise(self, limit: float) -> bool:
+        """Whether it is white and at most `limit` times the declared noise; true where no noise is declared."""
+        return self.white and all(ratio is None or ratio <= limit for ratio in (self.position, self.orientation))
+
+
+def left_of(found: "Diagnosis") -> Left:
+    """What the model of a diagnosis leaves."""
+    problem, kept, white = found.problem, ~found.outliers, found.fit.noise.white
+    if not problem.declared or not kept.any():
+        return Left(None, None, white)
+    position = float(np.sqrt(np.mean(found.after[kept] ** 2) / 3) / problem.noise[0])
+    orientation = None
+    if problem.rows == 6:
+        rows, fit = found.fit.residuals.rows[3:, kept], found.fit
+        freedom = max(1 - fit.parameters / max(problem.rows * kept.sum(), 1), 0.1)
+        orientation = float(np.sqrt(np.mean(rows**2) / freedom))
+    return Left(position, orientation, white)
+
+
+def verdict_of(found: "Diagnosis") -> Verdict:
+    """The verdict by the findings, by what is left, and by whether the rows are enough to tell.
+
+    *consistent*: nothing was found, and what is left is the declared noise. *explained*: with the findings it is.
+    *partly_explained*: with the findings, more is left. *unnamed*: the largest finding has no name. *unexplained*: more
+    is left than noise, and nothing was found. *undetermined*: the rows are too few to tell.
+    """
+    options, left = found.options, found.left
+    as_noise = left.is_noise(options.as_noise)
+    if not found.findings:
+        few = found.problem.samples < options.fewest_rows
+        if few or (not as_noise and found.rows_needed <= options.within_reach):
+            return "undetermined"
+        return "consistent" if as_noise else "unexplained"
+    if max(found.findings, key=lambda finding: finding.gain).effect.nonparametric:
+        return "unnamed"
+    return "explained" if as_noise and found.problem.declared else "partly_explained"
+
+
+def rows_needed(found: "Diagnosis") -> int:
+    """About how many rows would make the nearest effect significant, if it is real.
+
+    The statistic of an effect grows with the number of rows.
+    """
+    least = max(found.options.fewest_rows, found.problem.samples + 1)
+    if found.selection.nearest is None:
+        return least
+    engine = found.options.engine
+    term, p_value = found.selection.nearest
+    searched = searched_size(found.problem, engine)
+    now, needed = (float(chdtri(term.size, max(p / searched, 1e-300))) for p in (p_value, engine.level))
+    more = needed / now if now > 0 else np.inf
+    rows = int(np.ceil(min(found.problem.samples * more, 1e9)))
+    return max(rows, least)

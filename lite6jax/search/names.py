@@ -1,0 +1,133 @@
+"""Tests of names: a name stands only where its numbers are possible and no function without a name is clearly likelier.
+
+The candidates of a search are never all that there is. Where the truth is none of them, the nearest one wins the search
+and is wrong; its significance against noise says nothing of that. So functions of every driver at every site are scored
+against what the named terms leave. Where one of them, beside the names or in place of one, is clearly more likely, it
+joins the model, and the names that it makes unnecessary leave.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from lite6jax.estimation.least_squares import Fit
+from lite6jax.estimation.options import EngineOptions
+from lite6jax.estimation.problem import Problem
+from lite6jax.estimation.score_test import gain_p_value, score_test, searched_size
+from lite6jax.estimation.terms import Term
+from lite6jax.search.backward import eliminate, prune
+from lite6jax.search.curves import with_curve
+from lite6jax.search.forward import forward
+from lite6jax.search.state import SelectedTerm, State, description_length, preferred, reduced, retested
+
+
+class _Likely(NamedTuple):
+    """A function without a name, and the log-likelihood that it gains beyond the cost of its numbers."""
+
+    term: Term
+    gain: float
+
+
+def challenge_names(problem: Problem, state: State, options: EngineOptions) -> State:
+    """The state with names that the data do not contradict, and functions without a name for what is left."""
+    state = believable(problem, state, options)
+    for _ in range(options.name_rounds):
+        better = _more_likely(problem, state, options)
+        if better is None:
+            break
+        state = believable(problem, better, options)
+    return state
+
+
+def believable(problem: Problem, state: State, options: EngineOptions) -> State:
+    """Named terms whose numbers are not possible leave; what else is most likely takes their place.
+
+    That is what forward selection finds without them, or a function without a name.
+    """
+    impossible: list[Term] = []
+    while (k := _least_possible(state, options)) is not None:
+        impossible.append(state.tested[k].term)
+        restricted, rest = problem.without_candidates(impossible), reduced(problem, state, k, options)
+        choices = [eliminate(problem, forward(restricted, rest, options), options)]
+        choices += _with_functions(problem, rest, state.fit, options)
+        state = choices[0]
+        for choice in choices[1:]:
+            if preferred(choice, state, 0.0, options):
+                state = choice
+    return state
+
+
+def significant(problem: Problem, state: State, options: EngineOptions) -> State:
+    """Each term tested beside all others of the final model; those that are not significant leave, the least first."""
+    while state.tested:
+        time = score_test(problem, state.fit, options).time
+        tests = [_tested_finally(problem, state, k, time, options) for k in range(len(state.tested))]
+        worst = max(range(len(tests)), key=lambda k: tests[k].p_value)
+        if tests[worst].p_value < options.level:
+            return State(state.baseline, state.fit, tuple(tests))
+        state = reduced(problem, state, worst, options)
+    return state
+
+
+def _tested_finally(problem: Problem, state: State, k: int, time: float, options: EngineOptions) -> SelectedTerm:
+    tested = state.tested[k]
+    if not tested.term.nonparametric:
+        return retested(problem, state, k, time, options)
+    gain = state.fit.gain_over(reduced(problem, state, k, options).fit)
+    p_value = min(gain_p_value(gain, tested.term.size, time) * searched_size(problem, options), 1.0)
+    return SelectedTerm(tested.term, p_value, tested.score._replace(gain=gain), tested.alternatives)
+
+
+def _least_possible(state: State, options: EngineOptions) -> int | None:
+    """The named term that is farthest outside its bounds, in standard deviations, if that is far enough."""
+    farthest, found = options.impossible, None
+    std = np.sqrt(np.diagonal(state.fit.covariance))
+    for k, (tested, part) in enumerate(zip(state.tested, state.fit.terms.slices, strict=True)):
+        for number, value, s in zip(tested.term.coordinates, state.fit.values[part], std[part], strict=True):
+            beyond = max(number.lower - value, value - number.upper) / max(s, 1e-300)
+            if beyond > farthest:
+                farthest, found = beyond, k
+    return found
+
+
+def _more_likely(problem: Problem, state: State, options: EngineOptions) -> State | None:
+    """The most likely state in which a function without a name joins; None where none is clearly more likely."""
+    beside = _likely(problem, state.fit, state.fit, options)
+    if not beside:
+        return None  # a function that explains more in place of a name explains something beside it too
+    choices = [*_added(problem, state, beside, options)]
+    for k, tested in enumerate(state.tested):
+        if not tested.term.nonparametric and tested.term not in problem.preset[0].terms:
+            choices += _with_functions(problem, reduced(problem, state, k, options), state.fit, options)
+    best: State | None = None
+    for choice in choices:
+        if preferred(choice, best or state, 0.0 if best else options.close, options):
+            best = choice
+    return best
+
+
+def _with_functions(problem: Problem, rest: State, within: Fit, options: EngineOptions) -> list[State]:
+    return _added(problem, rest, _likely(problem, rest.fit, within, options), options)
+
+
+def _added(problem: Problem, state: State, functions: Sequence[_Likely], options: EngineOptions) -> list[State]:
+    """The state with each of these functions, without the terms that it makes unnecessary."""
+    further = [with_curve(problem, state, function.term, options) for function in functions]
+    return [prune(problem, one, options) for one in further if one.tested[-1].p_value < options.level]
+
+
+def _likely(problem: Problem, fit: Fit, within: Fit, options: EngineOptions) -> list[_Likely]:
+    """The few functions that are most likely beside a fit, one of each site."""
+    test, found = score_test(problem, fit, options, within=None if within is fit else within), {}
+    searched = searched_size(problem, options)
+    for term in problem.flexible:
+        score = test.score([term])[0]
+        if score.confounded or gain_p_value(score.gain, score.size, test.time) * searched > options.level:
+            continue
+        # what the names and the nuisance explain already costs nothing
+        known = 0.5 * (term.size - score.size) * np.log(test.freedom)
+        gain = score.gain - description_length([term], test.freedom, options) + known
+        if gain > options.close and gain > found.get(term.site, _Likely(term, 0.0)).gain:
+            found[term.site] = _Likely(term, gain)
+    return sorted(found.values(), key=lambda one: -one.gain)[: options.functions]
