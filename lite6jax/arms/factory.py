@@ -66,8 +66,11 @@ def read_factory(path: str | Path, arm: Arm | None = None) -> FactoryCalibration
         content = entries.mapping(storage.read_yaml(path), f"{path}:", ("kinematics",))
         kinematics, names = entries.kinematics(content["kinematics"], str(path))
         T_joint_flange = np.eye(4)
-    if len(kinematics) not in JOINTS:
-        raise InputError(f"{path}: has {len(kinematics)} joints; a factory calibration has 5, 6 or 7, one row for each")
+    if arm is None and len(kinematics) not in JOINTS:
+        raise InputError(
+            f"{path}: has {len(kinematics)} joints; a factory calibration has 5, 6 or 7, one row for each, unless the "
+            "arm is named with --arm"
+        )
     if arm is not None and arm.dof != len(kinematics):
         raise InputError(f"{path}: has {len(kinematics)} joints, but {arm.name} has {arm.dof}; name another with --arm")
     recognised = recognise(kinematics, names, str(path), arm, T_joint_flange)

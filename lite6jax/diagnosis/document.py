@@ -89,7 +89,7 @@ def _finding(found: Diagnosis, k: int, before: float, after: float) -> dict[str,
     finding = found.findings[k]
     effect, size = finding.effect, {}
     if isinstance(effect, Unnamed):
-        size = {"peak_to_peak": {f"peak_to_peak_{effect.coordinates[0].unit}": peak_to_peak(found, k)._asdict()}}
+        size = {"peak_to_peak": _peak_to_peak(found, k, effect)}
     if finding.nearest is not None:
         rival, share = finding.nearest
         size |= {"nearest": {**_located(rival.effect), "share": share}}
@@ -102,6 +102,16 @@ def _finding(found: Diagnosis, k: int, before: float, after: float) -> dict[str,
         "heldout_rms_before_m": before,
         "heldout_rms_after_m": after,
         "confusable_with": [_rival(found, k, rival) for rival in finding.rivals],
+    }
+
+
+def _peak_to_peak(found: Diagnosis, k: int, effect: Unnamed) -> dict[str, dict[str, float]]:
+    several = len(effect.components) > 1
+    return {
+        f"peak_to_peak_{f'{name}_' if several else ''}{effect.coordinates[effect.part(i).start].unit}": peak_to_peak(
+            found, k, i
+        )._asdict()
+        for i, name in enumerate(effect.components)
     }
 
 

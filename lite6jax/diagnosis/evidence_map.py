@@ -187,27 +187,30 @@ def remaining_residuals(found: Diagnosis) -> list[Remaining]:
     return remaining
 
 
-def peak_to_peak(found: Diagnosis, k: int) -> Estimate:
+def peak_to_peak(found: Diagnosis, k: int, component: int = 0) -> Estimate:
     """The range of a nonparametric finding's curve where it was measured, m or rad, and its standard deviation.
 
-    The range of the driver is that of its central 96 %: few samples are beyond.
+    The range of each driver is that of its central 96 %: few samples are beyond.
 
     Args:
         found: the diagnosis.
         k: which of its findings.
+        component: which of the finding's components, from 0.
     """
     problem, finding = found.problem, found.findings[k]
     effect = finding.effect
     assert isinstance(effect, Unnamed)
     motion = problem.time_shifted
-    values = effect.drivers[0].values(motion, problem.loads)
-    driver = np.asarray(values)
-    low, high = np.percentile(driver, (2, 98))
-    basis = np.asarray(effect.basis(values, motion.run))[:, (driver >= low) & (driver <= high)]
-    curve = finding.values @ basis
+    values = effect.values_at(motion, problem.loads)
+    drivers = np.atleast_2d(np.asarray(values))
+    low, high = np.percentile(drivers, (2, 98), axis=1)[..., None]
+    inside = ((drivers >= low) & (drivers <= high)).all(0)
+    basis = np.asarray(effect.basis(values, motion.run))[:, inside]
+    own = effect.part(component)
+    curve = finding.values[own] @ basis
     apart = basis[:, np.argmax(curve)] - basis[:, np.argmin(curve)]
-    variance = float(apart @ finding.covariance @ apart)
-    return Estimate(float(apart @ finding.values), float(np.sqrt(max(variance, 0.0))))
+    variance = float(apart @ finding.covariance[own, own] @ apart)
+    return Estimate(float(apart @ finding.values[own]), float(np.sqrt(max(variance, 0.0))))
 
 
 def _curves(problem: PoseProblem, driver: Driver) -> Array | None:

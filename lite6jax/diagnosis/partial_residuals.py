@@ -18,7 +18,7 @@ from lite6jax.effects.drivers import Driver
 from lite6jax.effects.effect import Bending, Effect
 from lite6jax.effects.kinematic.joints import JointHarmonic
 from lite6jax.effects.motion import motion_of
-from lite6jax.effects.nonparametric import Unnamed
+from lite6jax.effects.nonparametric import COMPONENTS, Unnamed
 
 Array = NDArray[np.floating]
 Mask = NDArray[np.bool_]
@@ -114,7 +114,7 @@ def _movements(found: Diagnosis, effect: Bending, finding: Finding) -> Iterator[
 def _site(field: str, i: int, dimensions: int) -> Site:
     if dimensions == 3:
         return (field, *divmod(i, 6))
-    return (field, 0, i) if field in ("base", "tool") else (field, i, 0)
+    return (field, 0, i) if field in ("base", "tool", "sensor") else (field, i, 0)
 
 
 def _over_driver(found: Diagnosis, k: int, movement: _Movement, used: Mask) -> FindingCurve | None:
@@ -127,7 +127,8 @@ def _over_driver(found: Diagnosis, k: int, movement: _Movement, used: Mask) -> F
     motion, loads = problem.time_shifted, problem.loads
     known = [np.asarray(driver.values(motion, loads), float) for driver in choices]
     follows = [_correlation(values, movement.shape) for values in known]
-    if not choices or (len(choices) > 1 and max(follows) < _SAME):
+    several = len(choices) > 1
+    if not choices or (several and (isinstance(effect, Unnamed) or max(follows) < _SAME)):
         return None
     best = int(np.argmax(follows))
     driver, x = choices[best], known[best]
@@ -138,19 +139,22 @@ def _over_driver(found: Diagnosis, k: int, movement: _Movement, used: Mask) -> F
     good = used & (spread < _POORLY_OBSERVED * np.median(spread))
     at, curve, slope = x, movement.shape, movement.slope
     periods, hysteresis, over = 1.0, False, "driver"
+    covariance = finding.covariance
     if isinstance(effect, Unnamed):
+        own = effect.part(0 if at_joint else effect.components.index(COMPONENTS[key[2]]))
+        covariance, slope = covariance[own, own], slope[own]
         hysteresis = bool(effect.memory)
         periods = max(max(effect.orders, default=0.0) * np.ptp(x) / (2 * np.pi), 1.0)
         if not hysteresis:
             at = np.linspace(x.min(), x.max(), max(_POINTS // 2, int(_POINTS_PER_WAVE * periods)))
             slope = np.asarray(effect.basis(jnp.asarray(at)))
-            curve = finding.values @ slope
+            curve = finding.values[own] @ slope
     elif driver.quantity == "position" and at_joint and len(effect.drivers) <= 1:
         at = np.linspace(x.min(), x.max(), _POINTS)
         curve, slope = _along_joint(effect, finding.values, driver.place, key[1], problem.motion.dof, at)
     if isinstance(effect, JointHarmonic) and effect.order and effect.order * np.ptp(x) > 2 * np.pi * _MANY_PERIODS:
         x, at, over = np.mod(effect.order * x, 2 * np.pi), np.mod(effect.order * at, 2 * np.pi), "phase"
-    std = np.sqrt(np.maximum(np.einsum("is,ij,js->s", slope, finding.covariance, slope), 0.0))
+    std = np.sqrt(np.maximum(np.einsum("is,ij,js->s", slope, covariance, slope), 0.0))
     order = np.argsort(at, kind="stable")
     unit = "1" if key[0] in ("stretch", "scale") else "rad" if at_joint or key[2] > 2 else "m"
     return FindingCurve(

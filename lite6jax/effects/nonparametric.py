@@ -190,6 +190,10 @@ class Unnamed(Bending):
             return comb(len(self.drivers) + self.degree, self.degree)
         return 2 * len(self.orders) or len(self.memory) or self.pieces + 3
 
+    def part(self, component: int) -> slice:
+        """Where the coefficients of a component stand, counted from 0."""
+        return slice(component * self.functions, (component + 1) * self.functions)
+
     @cached_property
     def drivers(self) -> tuple[Driver, ...]:  # type: ignore[override]  # computed once
         """The driver, or several."""

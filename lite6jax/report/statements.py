@@ -261,13 +261,15 @@ def _detail(numbers: Mapping[str, float | None]) -> str:
 
 
 def _component(where: Entry) -> str:
-    return "" if where["where"].startswith("joint") else f" ({where.get('component', 'rz')})"
+    return "" if where["where"].startswith("joint") else f" ({', '.join(where.get('component', 'rz').split())})"
 
 
 def _shape(where: Entry) -> str:
     if where.get("memory"):
         return "a hysteresis loop"
     orders = where.get("orders", ())
+    if where.get("degree"):
+        return f"a polynomial of degree {where['degree']:.0f}"
     if orders:
         which = f"{len(orders)} orders from {min(orders):g} to {max(orders):g}"
         return f"harmonics of {which}" if len(orders) > 1 else f"a harmonic of order {orders[0]:g}"
