@@ -6,7 +6,7 @@ BIN := $(VENV)/bin
 # is cut, which keeps its fixtures and compiled functions, and no worker waits for the longest module.
 PYTEST := $(BIN)/python -m pytest --numprocesses=auto --maxprocesses=4 --dist=worksteal --durations=25
 # The parts that take arrays from outside, of which the types and shapes are checked as they run; pyright checks the rest.
-TYPED := $(addprefix tests/,arms effects recordings)
+TYPED := $(addprefix tests/,arms recordings)
 
 .PHONY: demo test test-slow benchmark clean
 

@@ -102,7 +102,7 @@ def test_it_imports_nothing_that_the_package_does_not_bring(path):
             names += [node.module or ""] if isinstance(node, ast.ImportFrom) else []
             for name in names:
                 top = name.split(".")[0]
-                assert top in {"lite6jax", "jax", "numpy", "matplotlib"} | sys.stdlib_module_names
+                assert top in {"lite6jax", "jax", "numpy", "scipy", "matplotlib"} | sys.stdlib_module_names
 
 
 @needs_jupyter
