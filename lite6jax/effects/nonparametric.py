@@ -202,7 +202,8 @@ class Unnamed(Bending):
     def values_at(self, motion: Motion, loads: Loads | None) -> Array:
         """The values of the driver `(sample,)`, or of several `(driver, sample)`."""
         values = [driver.values(motion, loads) for driver in self.drivers]
-        return values[0] if len(values) == 1 else jnp.stack(values)
+        on_host = all(isinstance(value, np.ndarray) for value in values)
+        return values[0] if len(values) == 1 else (np if on_host else jnp).stack(values)  # type: ignore[return-value]
 
     def basis(self, driver: Array, run: Array | None = None) -> Array:
         """The functions that coefficients multiply, `(function, sample)`, at values `(sample,)` of the driver.

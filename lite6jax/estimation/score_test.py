@@ -105,6 +105,10 @@ class ScoreTest:
 
     def gains(self, groups: Array) -> Array:
         """The gain alone, `(group,)`, of many groups of columns `(group, number, row, sample)`."""
+        return self.gains_and_sizes(groups)[0]
+
+    def gains_and_sizes(self, groups: Array) -> tuple[Array, NDArray[np.integer]]:
+        """The gain of many groups of columns, and how many numbers of each are identifiable, `(group,)` each."""
         shape = groups.shape[:2]
         flat = self._flat(groups.reshape(-1, *groups.shape[2:]))
         inside = (flat @ self.basis.T).reshape(*shape, -1)
@@ -116,7 +120,8 @@ class ScoreTest:
         eigenvalues, V = np.linalg.eigh(left)
         least = self.options.confounded
         inverse = np.where(eigenvalues > least, 1 / np.maximum(eigenvalues, least), 0.0)
-        return 0.5 * np.sum(inverse * np.einsum("gji,gj->gi", V, score / norms) ** 2, 1)
+        gains = 0.5 * np.sum(inverse * np.einsum("gji,gj->gi", V, score / norms) ** 2, 1)
+        return gains, np.sum(eigenvalues > least, 1)
 
     def given(self, columns: Array) -> "ScoreTest":
         """The test with columns `(number, row, sample)` added to the model, to first order."""

@@ -22,6 +22,10 @@ from lite6jax.search.forward import forward
 from lite6jax.search.state import SelectedTerm, State, description_length, preferred, reduced, retested
 
 
+_NUMBERS = 1 << 22
+"""Of columns that are scored at once: 32 MB."""
+
+
 class _Likely(NamedTuple):
     """A function without a name, and the log-likelihood that it gains beyond the cost of its numbers."""
 
@@ -120,14 +124,28 @@ def _added(problem: Problem, state: State, functions: Sequence[_Likely], options
 def _likely(problem: Problem, fit: Fit, within: Fit, options: EngineOptions) -> list[_Likely]:
     """The few functions that are most likely beside a fit, one of each site."""
     test, found = score_test(problem, fit, options, within=None if within is fit else within), {}
-    searched = searched_size(problem, options)
-    for term in problem.flexible:
-        score = test.score([term])[0]
-        if score.confounded or gain_p_value(score.gain, score.size, test.time) * searched > options.level:
-            continue
-        # what the names and the nuisance explain already costs nothing
-        known = 0.5 * (term.size - score.size) * np.log(test.freedom)
-        gain = score.gain - description_length([term], test.freedom, options) + known
-        if gain > options.close and gain > found.get(term.site, _Likely(term, 0.0)).gain:
-            found[term.site] = _Likely(term, gain)
-    return sorted(found.values(), key=lambda one: -one.gain)[: options.functions]
+    searched, log_n = searched_size(problem, options), np.log(test.freedom)
+    for part in _of_equal_size(problem.flexible, problem.rows * problem.samples):
+        columns = problem.columns(part).reshape(len(part), part[0].size, problem.rows, problem.samples)
+        gains, sizes = test.gains_and_sizes(columns)
+        for term, gain, size in zip(part, gains, sizes, strict=True):
+            # what the names and the nuisance explain already costs nothing
+            gain = gain - description_length([term], test.freedom, options) + 0.5 * (term.size - size) * log_n
+            if gain > max(options.close, found.get(term.site, _Likely(term, 0.0)).gain):
+                found[term.site] = _Likely(term, gain)
+    likely = sorted(found.values(), key=lambda one: -one.gain)[: 2 * options.functions]
+    scored = zip(likely, test.score([one.term for one in likely]), strict=True) if likely else ()
+    sure = [one for one, s in scored if gain_p_value(s.gain, s.size, test.time) * searched < options.level]
+    return sure[: options.functions]
+
+
+def _of_equal_size(terms: Sequence[Term], length: int) -> list[list[Term]]:
+    """The terms in groups of one size each, whose columns of this length do not take too much memory."""
+    sizes: dict[int, list[Term]] = {}
+    for term in terms:
+        sizes.setdefault(term.size, []).append(term)
+    groups = []
+    for size, same in sizes.items():
+        most = max(_NUMBERS // (size * length), 1)
+        groups += [same[k : k + most] for k in range(0, len(same), most)]
+    return groups

@@ -121,9 +121,13 @@ def flexible(motion: Motion, loads: Loads | None, rows: int, sites: dict[Site, A
     return tuple(found)
 
 
-def unnamed_columns(effect: Unnamed, motion: Motion, loads: Loads | None, sites: dict[Site, Array]) -> Array:
+def basis(effect: Unnamed, motion: Motion, loads: Loads | None) -> Array:
+    """The functions `(function, sample)` that the coefficients of an effect without a name multiply."""
+    return np.asarray(effect.basis(effect.values_at(motion, loads), motion.run))
+
+
+def unnamed_columns(effect: Unnamed, basis: Array, sites: dict[Site, Array]) -> Array:
     """How residuals change with the coefficients of an effect without a name, `(number, row, sample)`."""
-    basis = np.asarray(effect.basis(effect.values_at(motion, loads), motion.run))
     kind, number = effect.where.rstrip("0123456789"), int("0" + "".join(filter(str.isdecimal, effect.where)))
     keys = [(kind, max(number - 1, 0), 0 if kind == "joint" else COMPONENTS.index(c)) for c in effect.components]
     return np.concatenate([sites[key] * basis[:, None] for key in keys])

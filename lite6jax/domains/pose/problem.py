@@ -176,7 +176,7 @@ class PoseProblem:
     @lazy
     def flexible(self) -> tuple[Unnamed, ...]:
         """Functions without a name, of every site and driver."""
-        return families.flexible(self.time_shifted, self.loads, self.rows, self.sites)
+        return families.flexible(*self._on_host, self.rows, self.sites)
 
     def residual(self, nuisance: Array, terms: Terms, values: Array) -> Array:
         """Residuals `(row, sample)` over the declared noise, predicted minus measured."""
@@ -210,7 +210,9 @@ class PoseProblem:
                 unit = self.deflections.by_mass(float(values[part][0]), physics_of(others), at)
                 parts.append(columns_of(unit, self.sites))
             elif isinstance(effect, Unnamed):
-                parts.append(families.unnamed_columns(effect, self.time_shifted, self.loads, self.sites))
+                if effect not in self._bases:
+                    self._bases[effect] = families.basis(effect, *self._on_host)
+                parts.append(families.unnamed_columns(effect, self._bases[effect], self.sites))
             elif effect.linear or not values[part].any():
                 if effect not in self._columns:
                     self._columns[effect] = columns_of(self.deflections.unit(effect), self.sites)
@@ -303,6 +305,15 @@ class PoseProblem:
     @cached_property
     def _undeflected(self) -> Deflection:
         return Deflection(*map(np.asarray, dense(Deflection(), self.motion.dof, self.samples)))  # type: ignore[arg-type]
+
+    @cached_property
+    def _on_host(self) -> tuple[Motion, Loads | None]:
+        """The motion and the loads as NumPy arrays: functions of hundreds of drivers are evaluated there."""
+        return jax.tree.map(np.asarray, (self.time_shifted, self.loads))
+
+    @cached_property
+    def _bases(self) -> dict[Effect, Array]:
+        return {}
 
     @cached_property
     def _columns(self) -> dict[Effect, Array]:
