@@ -49,8 +49,8 @@ _FRICTIONS = (0.05, 0.1, 0.2, 0.4, 0.7)
 """Shares of the largest gravity torque of a joint: between two of them a step or a play is about the same."""
 _TIME_CONSTANTS = (0.1, 0.3, 1.0)
 """Shares of a recording's duration: a shorter warm-up is over at once, and a longer one is a drift."""
-_LEAST_TORQUE = 1e-3
-"""Nm: an upright joint bears no more, from rounding; no friction is as small."""
+_LEAST_TORQUE = 5e-3
+"""Of the largest torque on any joint: an axis that is upright but for its making bears less."""
 
 
 class Untestable(NamedTuple):
@@ -97,7 +97,7 @@ def shaped(motion: Motion, loads: Loads | None, dof: int) -> tuple[Effect, ...]:
     found: list[Effect] = []
     largest = np.zeros(dof) if loads is None else np.abs(np.asarray(loads.torque)).max(1)
     for joint, torque in enumerate(largest, 1):
-        if torque < _LEAST_TORQUE:
+        if torque <= _LEAST_TORQUE * largest.max():
             continue
         frictions = [_short(share * torque) for share in _FRICTIONS]
         found.append(JointBacklash(joint, 0.0))
