@@ -129,6 +129,9 @@ def predict_frames_with(
     """
     if motion.dof != chain.dof:
         raise InputError(f"motion: has {motion.dof} joints, and the chain {chain.dof}; give that arm's motion")
+    if any(driver.quantity.startswith("measured position") for e in physics.effects for driver in e.drivers):
+        _, shown = predict_bent(chain, model, motion.joint_position, Deflection())
+        motion = motion._replace(measured_position=shown.origin)  # nothing is measured of a motion that is predicted
     physics.check(motion, statics is not None)
     if isinstance(statics, Loads) and physics.loaded and physics.altering:
         raise InputError(
@@ -137,6 +140,7 @@ def predict_frames_with(
         )
     motion = physics.alter(values, motion)
     if isinstance(statics, Inertia):
+        statics = physics.alter_inertia(values, statics)
         joint = turn(motion.joint_position)
         statics = (
             loads(
@@ -157,9 +161,9 @@ def predict_frames_with(
 def predict_bent(chain: Form, model: ArmModel, joint_position: Array, deflection: Deflection) -> tuple[Frame, Frame]:
     """The flange's and the tool's frames in sensor coordinates, of a deflected arm; plain JAX.
 
-    In this order: (1 + scale) · T_sensor_base · base twist · ∏ [origin (1 + stretch), Rz(q + δq), link twist] · tool
-    twist · T_flange_tool, where the scale is one of positions and a twist is a translation and then a rotation. The
-    flange is the last joint's frame before the tool twist.
+    In this order: (1 + scale) · sensor twist · T_sensor_base · base twist · ∏ [origin (1 + stretch), Rz(q + δq), link
+    twist] · tool twist · T_flange_tool, where the scale is one of positions and a twist is a translation and then a
+    rotation. The flange is the last joint's frame before the tool twist.
 
     Args:
         chain: which chain; `stretch` and `link` need the six-parameter chain.
@@ -172,19 +176,25 @@ def predict_bent(chain: Form, model: ArmModel, joint_position: Array, deflection
     """
     angle = joint_position if deflection.joint is None else joint_position + deflection.joint
     start = base_frame(model.T_sensor_base, angle.shape[-1])
+    if deflection.sensor is not None:
+        start = _mounted(displace(base_frame(jnp.eye(4), angle.shape[-1]), deflection.sensor), model.T_sensor_base)
     if deflection.base is not None:
         start = displace(start, deflection.base)
     bent = deflection.stretch is not None or deflection.link is not None
     bend = Bend(deflection.stretch, deflection.link) if bent else None
     flange, _ = sweep(chain, model.geometry, turn(angle), start, bend=bend)
     end = flange if deflection.tool is None else displace(flange, deflection.tool)
-    T = model.T_flange_tool
-    axes = [T[0, i] * end.x + T[1, i] * end.y + T[2, i] * end.z for i in range(4)]
-    tool = Frame(axes[0], axes[1], axes[2], end.origin + axes[3])
+    tool = _mounted(end, model.T_flange_tool)
     if deflection.scale is None:
         return flange, tool
     growth = 1 + deflection.scale
     return flange._replace(origin=growth * flange.origin), tool._replace(origin=growth * tool.origin)
+
+
+def _mounted(frame: Frame, T: Array) -> Frame:
+    """What is fixed to a moving frame at `T` `(4, 4)`."""
+    axes = [T[0, i] * frame.x + T[1, i] * frame.y + T[2, i] * frame.z for i in range(4)]
+    return Frame(axes[0], axes[1], axes[2], frame.origin + axes[3])
 
 
 @partial(jax.jit, static_argnums=(0, 1))

@@ -14,9 +14,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from lite6jax.effects.deflection import Deflection
 from lite6jax.effects.drivers import Driver
-from lite6jax.effects.effect import Altering, Bending, Effect, Estimate
+from lite6jax.effects.effect import Altering, Bending, Effect, Estimate, Loading
 from lite6jax.effects.motion import Motion
-from lite6jax.effects.statics import Loads
+from lite6jax.effects.statics import Inertia, Loads
 from lite6jax.errors import InputError
 
 
@@ -79,7 +79,7 @@ class Physics:
 
     @property
     def altering(self) -> tuple[Altering, ...]:
-        """The effects of the clock and of the payload, which change the motion and its loads."""
+        """The effects of the clock, the payload and gravity, which change the motion and its loads."""
         return tuple(effect for effect in self.effects if isinstance(effect, Altering))
 
     def join(self, values: Sequence[ArrayLike]) -> NDArray:
@@ -126,6 +126,13 @@ class Physics:
             if isinstance(effect, Altering):
                 motion = effect.alter(values[part], motion)
         return motion
+
+    def alter_inertia(self, values: Array, inertia: Inertia) -> Inertia:
+        """The true masses and gravity, by the effects of the payload and of gravity."""
+        for effect, part in zip(self.effects, self.slices, strict=True):
+            if isinstance(effect, Loading):
+                inertia = effect.alter_inertia(values[part], inertia)
+        return inertia
 
     def deflect(self, values: Array, motion: Motion, loads: Loads | None) -> Deflection:
         """The sum of all deflections in a motion returned by `alter`."""

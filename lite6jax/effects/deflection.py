@@ -19,6 +19,7 @@ class Deflection(NamedTuple):
         base: `(6, sample)`, the twist of the base frame.
         tool: `(6, sample)`, the twist of the flange.
         scale: `(sample,)`, the relative growth of positions in the sensor's frame.
+        sensor: `(6, sample)`, the twist of all that the sensor shows, about its frame's origin and in its axes.
     """
 
     joint: Array | None = None
@@ -27,6 +28,7 @@ class Deflection(NamedTuple):
     base: Array | None = None
     tool: Array | None = None
     scale: Array | None = None
+    sensor: Array | None = None
 
     def __add__(self, other: "Deflection") -> "Deflection":  # type: ignore[override]  # not a tuple's concatenation
         return Deflection(*(a if b is None else b if a is None else a + b for a, b in zip(self, other, strict=True)))
@@ -34,7 +36,7 @@ class Deflection(NamedTuple):
 
 def dense(deflection: Deflection, dof: int, samples: int) -> Deflection:
     """The deflection with zeros in place of None, so that one compiled prediction serves every set of effects."""
-    shapes = ((dof, samples), (dof, samples), (dof, 6, samples), (6, samples), (6, samples), (samples,))
+    shapes = ((dof, samples), (dof, samples), (dof, 6, samples), (6, samples), (6, samples), (samples,), (6, samples))
     parts = (jnp.zeros(shape) if part is None else part for part, shape in zip(deflection, shapes, strict=True))
     return Deflection(*parts)
 

@@ -4,6 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple, final
 
+import jax.numpy as jnp
 from jax import Array
 
 from lite6jax.effects.motion import Motion
@@ -23,6 +24,21 @@ class _Source(NamedTuple):
     place: str
     remedy: str
     loaded: bool = False
+
+
+def _joint_temperatures(motion: Motion, _: Loads | None) -> Array | None:
+    """Of each joint; of the whole arm where only that is known."""
+    if motion.joint_temperature_rise is None and motion.temperature_rise is not None:
+        return jnp.broadcast_to(motion.temperature_rise, motion.joint_position.shape)
+    return motion.joint_temperature_rise
+
+
+def _component(k: int) -> Callable[[Motion, Loads | None], Array | None]:
+    return lambda motion, _: None if motion.measured_position is None else motion.measured_position[k]
+
+
+def _payload_moment(k: int) -> Callable[[Motion, Loads | None], Array | None]:
+    return lambda _, loads: None if loads is None or loads.payload_moment is None else loads.payload_moment[k]
 
 
 _MASSES = "the masses of the links; add `inertial` to the arm's description"
@@ -45,8 +61,17 @@ _SOURCES = {
     "temperature rise": _Source(
         lambda m, _: m.temperature_rise, "K", "", "a temperature; record temp1_degC … or ambient_degC"
     ),
+    "tool moment x": _Source(_payload_moment(0), "Nm", "", _MASSES, True),
+    "tool moment y": _Source(_payload_moment(1), "Nm", "", _MASSES, True),
+    "temperature": _Source(
+        _joint_temperatures, "K", "joint", "the temperature of each joint; record temp1_degC … or ambient_degC"
+    ),
     "time": _Source(lambda m, _: m.time, "s", "", "the times of the samples; record time_s"),
     "payload": _Source(lambda m, _: m.payload, "kg", "", "the payload; add payload_kg"),
+    **{
+        f"measured position {axis}": _Source(_component(k), "m", "", "the measured positions; record x_m, y_m, z_m")
+        for k, axis in enumerate("xyz")
+    },
 }
 
 

@@ -2,9 +2,10 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar, NamedTuple, final
 
+import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from numpy.typing import ArrayLike, NDArray
@@ -12,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from lite6jax.effects.deflection import Deflection, at_joint
 from lite6jax.effects.drivers import Driver
 from lite6jax.effects.motion import Motion
-from lite6jax.effects.statics import Loads
+from lite6jax.effects.statics import Inertia, Loads
 from lite6jax.errors import InputError
 
 
@@ -72,6 +73,31 @@ DIRECT = Reporting(
 """The coordinates are the parameters."""
 
 
+def with_field(field: str) -> Reporting:
+    """The coordinates, and after them a number that is a field of the effect where it is fixed, without uncertainty.
+
+    Args:
+        field: its name as a field and as a parameter; None there says that it is a coordinate, or that it is none.
+    """
+
+    def names(effect: "Effect") -> tuple[str, ...]:
+        return (*_coordinate_names(effect), *(() if getattr(effect, field) is None else (field,)))
+
+    def parameters(effect: "Effect", values: NDArray) -> tuple[NDArray, NDArray]:
+        fixed = [number for number in (getattr(effect, field),) if number is not None]
+        return np.append(values, fixed), np.eye(len(values) + len(fixed), len(values))
+
+    def values(effect: "Effect", given: Mapping[str, float]) -> NDArray:
+        fixed = getattr(effect, field)
+        if fixed is not None and given.get(field, fixed) != fixed:
+            raise InputError(
+                f"{effect.label}: {field} {given[field]:g} beside the fixed {field} {fixed:g}; give one of them"
+            )
+        return DIRECT.values(effect, given)
+
+    return Reporting(names, parameters, values)
+
+
 class Choice(NamedTuple):
     """A number of an effect that a search chooses from a spectrum, such as a harmonic's order.
 
@@ -80,12 +106,31 @@ class Choice(NamedTuple):
         searched: of an effect, whether the number is one of many: the first orders have names of their own.
         released: the same effect with the number as its last coordinate.
         held: the same effect with the number fixed.
+        periodic: whether a spectrum of orders finds it, rather than a few values that are tried one by one.
     """
 
     number: "Callable[[Effect], float | None]"
     searched: "Callable[[Effect], bool]"
     released: "Callable[[Effect], Effect]"
     held: "Callable[[Effect, float], Effect]"
+    periodic: bool = False
+
+
+def tried(field: str, lower: float, released: "Callable[[Effect], Effect] | None" = None) -> Choice:
+    """A number that is a field of the effect and is tried at a few values, while the rest is linear.
+
+    Args:
+        field: its name; None there says that it is not fixed.
+        lower: the least that it can be when it is fixed.
+        released: of an effect, the same with the number as its last coordinate; that with None in the field where not
+            given.
+    """
+    return Choice(
+        number=lambda effect: getattr(effect, field),
+        searched=lambda effect: getattr(effect, field) is not None,
+        released=released or (lambda effect: replace(effect, **{field: None})),
+        held=lambda effect, number: replace(effect, **{field: max(number, lower)}),
+    )
 
 
 UNINFORMED_PHASE = np.pi / np.sqrt(3)
@@ -145,7 +190,7 @@ class Effect(ABC):
     @final
     def periodic(self) -> bool:
         """Whether a spectrum of orders finds it."""
-        return self.choice is not None
+        return self.choice is not None and self.choice.periodic
 
     @property
     @final
@@ -222,6 +267,19 @@ class Altering(Effect, ABC):
     @abstractmethod
     def beyond(self, values: Array, motion: Motion) -> Array:
         """`(sample,)` bool: where that takes what the motion does not hold, so that the prediction means nothing."""
+
+
+class Loading(Altering, ABC):
+    """An effect by which other loads act on the arm than those declared. It shows through compliances alone."""
+
+    @abstractmethod
+    def alter_inertia(self, values: Array, inertia: Inertia) -> Inertia:
+        """The masses and gravity as they really were."""
+
+    @final
+    def beyond(self, values: Array, motion: Motion) -> Array:
+        """No row needs what the motion does not hold."""
+        return jnp.zeros(motion.samples, bool)
 
 
 @dataclass(frozen=True)

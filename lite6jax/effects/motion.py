@@ -27,6 +27,10 @@ class Motion(NamedTuple):
         payload: `(sample,)` kg at the flange.
         joint_acceleration: `(joint, sample)` rad/s², given where the loads shall contain inertial forces; see
             `accelerated`.
+        joint_temperature_rise: `(joint, sample)` K above that temperature at each joint; of the surroundings where no
+            joint's temperature is known.
+        measured_position: `(3, sample)` m, where the sensor shows the tool, in its own frame; a prediction puts the
+            rigid arm's there.
     """
 
     joint_position: Array
@@ -37,6 +41,8 @@ class Motion(NamedTuple):
     temperature_rise: Array | None
     payload: Array
     joint_acceleration: Array | None = None
+    joint_temperature_rise: Array | None = None
+    measured_position: Array | None = None
 
     @property
     def dof(self) -> int:
@@ -60,6 +66,7 @@ def motion_of(
     ambient_temperature: ArrayLike | None = None,
     reference_temperature: float = 25.0,
     payload: ArrayLike | None = None,
+    measured_position: ArrayLike | None = None,
 ) -> Motion:
     """A `Motion` from arrays whose first axis is the sample, as in a recording.
 
@@ -69,10 +76,11 @@ def motion_of(
         direction: `(sample, joint)`, -1, 0 or 1.
         time: `(sample,)` s.
         run: `(sample,)`, a number that changes where a new run starts; None for a single run.
-        joint_temperature: `(sample, joint)` °C; the mean over joints is the temperature of the arm.
-        ambient_temperature: `(sample,)` °C, used where `joint_temperature` is None.
+        joint_temperature: `(sample, joint)` °C, of each joint; the mean over joints is the temperature of the arm.
+        ambient_temperature: `(sample,)` °C, that of every joint where `joint_temperature` is None.
         reference_temperature: °C, at which the geometry is valid.
         payload: `(sample,)` kg; None for 0.
+        measured_position: `(sample, 3)` m in the sensor's frame; NaN where nothing was measured.
 
     Raises:
         InputError: inconsistent shapes, a number that is not finite, or times that decrease within a run.
@@ -109,9 +117,9 @@ def motion_of(
         if back.size:
             raise InputError(f"motion: time goes back at row {back[0] + 2}; sort the rows by time within each run")
     temperature = given("joint_temperature", joint_temperature, q.shape)
-    temperature = given("ambient_temperature", ambient_temperature, (samples,)) if temperature is None else temperature
-    if temperature is not None:
-        temperature = temperature.reshape(samples, -1).mean(1) - reference_temperature
+    if temperature is None and (ambient := given("ambient_temperature", ambient_temperature, (samples,))) is not None:
+        temperature = np.repeat(ambient[:, None], q.shape[1], 1)
+    rise = None if temperature is None else temperature - reference_temperature
     mass = given("payload", payload, (samples,))
     velocity, direction = (
         given("joint_velocity", joint_velocity, q.shape),
@@ -127,8 +135,10 @@ def motion_of(
         direction=stored(direction),
         time=stored(clock),
         run=jnp.asarray(np.stack([first, last])),
-        temperature_rise=stored(temperature),
+        temperature_rise=stored(None if rise is None else rise.mean(1)),
         payload=jnp.asarray(np.zeros(samples) if mass is None else mass),
+        joint_temperature_rise=stored(rise),
+        measured_position=stored(None if measured_position is None else np.asarray(measured_position, float)),
     )
 
 
@@ -137,9 +147,9 @@ def shifted(motion: Motion, offset: Array | float) -> Motion:
     """The motion at `time + offset`, with the time stamps `time`.
 
     Positions follow the cubic Hermite interpolant of the two samples around the instant and their velocities;
-    velocities are its derivative and directions the sign of that. Temperature and payload are those of the sample
-    before. Beyond the ends of a run the last cubic is extrapolated by at most one sample's step; `beyond` marks the
-    rows that would lie further out.
+    velocities are its derivative and directions the sign of that. Temperatures and payload are those of the sample
+    before; what the sensor shows stays, because its stamps do. Beyond the ends of a run the last cubic is extrapolated
+    by at most one sample's step; `beyond` marks the rows that would lie further out.
 
     Args:
         motion: with time and velocity.
@@ -163,7 +173,11 @@ def shifted(motion: Motion, offset: Array | float) -> Motion:
     own = jnp.where(u < 1, before, after)
     rest = {
         name: None if value is None else at(value, own)
-        for name, value in (("temperature_rise", motion.temperature_rise), ("payload", motion.payload))
+        for name, value in (
+            ("temperature_rise", motion.temperature_rise),
+            ("joint_temperature_rise", motion.joint_temperature_rise),
+            ("payload", motion.payload),
+        )
     }
     if motion.joint_acceleration is not None:
         a_start, a_end = at(motion.joint_acceleration, before), at(motion.joint_acceleration, after)

@@ -43,10 +43,13 @@ class Loads(NamedTuple):
         moment: `(joint, 3, sample)` about the origin of the frame after each joint's rotation, in the axes of that
             frame.
         base_moment: `(3, sample)` about the origin of the base frame, in its axes.
+        payload_moment: `(3, sample)` of the payload alone about the flange's origin, in the flange's axes; None where
+            not given.
     """
 
     moment: Array
     base_moment: Array
+    payload_moment: Array | None = None
 
     @property
     def torque(self) -> Array:
@@ -135,7 +138,9 @@ def loads(
     outboard = partial(lax.cumsum, axis=1, reverse=True)
     outboard_force, about_base = outboard(force.at[:, -1:].add(weight)), outboard(moment)
     about = about_base - cross(origin, outboard_force)
-    return Loads(jnp.stack([jnp.sum(axis * about, 0) for axis in (x, y, z)], 1), about_base[:, 0])
+    about_flange = cross(to_payload, weight)[:, 0]
+    of_payload = jnp.stack([jnp.sum(axis[:, -1] * about_flange, 0) for axis in (x, y, z)])
+    return Loads(jnp.stack([jnp.sum(axis * about, 0) for axis in (x, y, z)], 1), about_base[:, 0], of_payload)
 
 
 def _specific_force(

@@ -9,6 +9,10 @@ from lite6jax.report.cells import plus_minus
 
 _UNITS = (
     ("_rad_per_Nm", 1e6, "µrad/Nm"),
+    ("_m_per_Nm", 1e6, "µm/Nm"),
+    ("_Nm", 1.0, "Nm"),
+    ("_rad_per_K", 1e6, "µrad/K"),
+    ("_rad_per_s", 1e6, "µrad/s"),
     ("_m_per_s", 1e6, "µm/s"),
     ("_per_K", 1e6, "ppm/K"),
     ("phase_rad", 180 / np.pi, "deg"),
@@ -18,7 +22,8 @@ _UNITS = (
     ("_kg", 1.0, "kg"),
 )
 """The end of a parameter's name, and the unit in which it is read; the first that fits."""
-_RATIOS = {"scale": (1e6, "ppm"), "coupling": (1e6, "ppm")}
+_NAMED = {"scale": (1e6, "ppm"), "coupling": (1e6, "ppm"), "time_constant_s": (1.0, "s")}
+"""Whose names alone do not say how they are read."""
 
 
 class Quantity(NamedTuple):
@@ -45,8 +50,8 @@ def quantity(name: str, estimate: Mapping[str, float]) -> Quantity:
     """A parameter by the name and the estimate, `value` and `std`, that the JSON file has."""
     fitting = (known for known in _UNITS if name.endswith(known[0]))
     end, scale, unit = next(fitting, ("", 1.0, ""))
-    if name in _RATIOS:
-        scale, unit = _RATIOS[name]
+    if name in _NAMED:
+        scale, unit = _NAMED[name]
     read = name.removesuffix("_rad" if end == "phase_rad" else end).replace("_", " ")
     value, std = scale * estimate["value"], scale * estimate["std"]
     if not std:

@@ -71,7 +71,7 @@ def plain_effect(text):
     """The name and the parameters, as the plain generator takes them, of an effect's text form."""
     name, _, rest = text.partition(":")
     written = dict(item.split("=") for item in rest.split(",") if item)
-    values = {key: float(value) for key, value in written.items() if key != "turned"}
+    values = {key: float(value) for key, value in written.items() if key not in ("turned", "cross", "shift")}
     for key in {"joint", "link"} & set(values):
         values[key] = int(values[key])
     return name, values

@@ -14,7 +14,8 @@ from lite6jax.effects.composition import Physics
 from lite6jax.effects.deflection import Deflection, dense, twist
 from lite6jax.effects.kinematic.joints import JointCompliance, JointHarmonic
 from lite6jax.effects.kinematic.links import FrameOffset, LinkCompliance, LinkThermalExpansion
-from lite6jax.effects.kinematic.surroundings import BaseDrift, MeasurementScale, PayloadError, TimeOffset, ToolOffset
+from lite6jax.effects.kinematic.surroundings import BaseDrift, MeasurementScale, TimeOffset, ToolOffset
+from lite6jax.effects.kinematic.weights import GravityDirection, PayloadCom, PayloadError
 from lite6jax.effects.motion import motion_of
 from lite6jax.effects.statics import Inertia, Loads, inertia_of, loads
 from lite6jax.errors import InputError
@@ -173,13 +174,13 @@ def test_derivatives_by_geometry_and_frames_are_finite_differences():
     np.testing.assert_allclose(backward, jnp.vdot(cotangent, slope), rtol=1e-9)
 
 
-@pytest.mark.parametrize("altering", [TimeOffset(), PayloadError()])
+@pytest.mark.parametrize("altering", [TimeOffset(), PayloadError(), PayloadCom(), GravityDirection()])
 def test_given_loads_cannot_follow_another_clock_or_payload(altering):
     motion = motion_of(**random_motion(np.random.default_rng(9), 6))
     _, _, six, model = hayati_and_six()
     given = Loads(jnp.ones((6, 3, motion.samples)), jnp.ones((3, motion.samples)))
     with pytest.raises(InputError) as error:
-        predict_poses(six, Physics((altering, JointCompliance(1))), model, np.zeros(2), motion, given)
+        predict_poses(six, Physics((altering, JointCompliance(1))), model, np.zeros(altering.size + 1), motion, given)
     assert str(error.value) == (
         f"{altering.label}: changes the loads, and they are given; give the masses instead, with the "
         "six-parameter chain"

@@ -14,9 +14,25 @@ from lite6jax.effects import user_effects
 from lite6jax.effects.catalogue import catalogue, kinds_of, untestable
 from lite6jax.effects.composition import Physics
 from lite6jax.effects.drivers import QUANTITIES, Driver, driver_of
-from lite6jax.effects.kinematic.joints import JointBacklash, JointCompliance, JointCoupling, JointHarmonic, JointLag
-from lite6jax.effects.kinematic.links import FrameOffset, LinkCompliance, LinkThermalExpansion
-from lite6jax.effects.kinematic.surroundings import BaseDrift, TimeOffset, ToolOffset
+from lite6jax.effects.kinematic.gears import JointBacklash, JointWindup
+from lite6jax.effects.kinematic.joints import (
+    JointCompliance,
+    JointCoupling,
+    JointHarmonic,
+    JointLag,
+    JointThermalOffset,
+    JointWarmUp,
+)
+from lite6jax.effects.kinematic.links import AxisWobble, FrameOffset, LinkCompliance, LinkThermalExpansion
+from lite6jax.effects.kinematic.surroundings import (
+    BaseCompliance,
+    BaseDrift,
+    SensorDrift,
+    TimeOffset,
+    ToolCompliance,
+    ToolOffset,
+)
+from lite6jax.effects.kinematic.weights import GravityDirection, PayloadCom
 from lite6jax.effects.motion import motion_of
 from lite6jax.effects.nonparametric import Unnamed, spline_basis
 from lite6jax.effects.serialization import effect_as_dict, effect_from_dict, parse_effect
@@ -49,6 +65,24 @@ def refused(function, *arguments):
         ("link_thermal_expansion:link=2,expansion_per_K=2e-5", LinkThermalExpansion(2), [2e-5]),
         ("frame_offset:rz_rad=1e-3,x_m=2e-3", FrameOffset(), [2e-3, 0, 0, 0, 0, 1e-3]),
         ("base_drift:vz_m_per_s=1e-7", BaseDrift(), [0, 0, 1e-7]),
+        ("joint_backlash:joint=2,gap_rad=1e-3", JointBacklash(2), [1e-3]),
+        ("joint_backlash:joint=2,gap_rad=1e-3,friction_torque_Nm=0.5", JointBacklash(2, 0.5), [1e-3]),
+        ("joint_backlash:joint=2,gap_rad=1e-3,friction_torque_Nm=0", JointBacklash(2, 0.0), [1e-3]),
+        ("joint_windup:joint=2,compliance_rad_per_Nm=1e-4,friction_torque_Nm=2", JointWindup(2, 2.0), [1e-4]),
+        ("joint_warm_up:joint=3,amplitude_rad=1e-4,time_constant_s=900", JointWarmUp(3, 900.0), [1e-4]),
+        ("joint_thermal_offset:joint=3,offset_rad_per_K=1e-5", JointThermalOffset(3), [1e-5]),
+        ("axis_wobble:joint=1,y_sine2_rad=1e-4", AxisWobble(1), [0, 0, 0, 0, 0, 0, 0, 1e-4]),
+        ("tool_compliance:compliance_y_rad_per_Nm=1e-4", ToolCompliance(), [0, 1e-4]),
+        ("base_compliance:cross=true,compliance_xy_rad_per_Nm=1e-5", BaseCompliance(cross=True), [0, 0, 1e-5]),
+        (
+            "base_compliance:cross=true,shift=true,shift_yx_m_per_Nm=1e-5",
+            BaseCompliance(cross=True, shift=True),
+            [0, 0, 0, 0, 0, 1e-5, 0],
+        ),
+        ("base_compliance:shift=true,shift_xx_m_per_Nm=1e-5", BaseCompliance(shift=True), [0, 0, 1e-5, 0, 0, 0]),
+        ("sensor_drift:wx_rad_per_s=1e-8", SensorDrift(), [0, 0, 0, 1e-8, 0, 0]),
+        ("gravity_direction:tilt_y_rad=0.01", GravityDirection(), [0, 0.01]),
+        ("payload_com:z_m=0.02", PayloadCom(), [0, 0, 0.02]),
         ("tool_offset:turned=true,rx_rad=0.1", ToolOffset(turned=True), [0, 0, 0, 0.1, 0, 0]),
         (
             "unnamed:where=joint3,driver=time,lower=0,upper=2.5,pieces=1,coefficient4_rad=2",
@@ -128,6 +162,31 @@ NAMES = ", ".join(catalogue_module.BUILT_IN)
             "joint_coupling: source_joint is not given; the keys are joint, source_joint, coupling",
         ),
         (
+            "joint_backlash:joint=1,gap_rad=1e-3,friction_torque_Nm=-1",
+            "joint_backlash:joint1: friction_torque_Nm is -1; give zero or a positive number",
+        ),
+        (
+            "joint_backlash:joint=1,gap=1e-3",
+            "joint_backlash: the key 'gap' is unknown; the keys are joint, friction_torque_Nm, gap_rad",
+        ),
+        (
+            "joint_windup:joint=1,compliance_rad_per_Nm=1e-3,friction_torque_Nm=1e999",
+            "joint_windup:joint1: friction_torque_Nm is inf; give zero or a positive number",
+        ),
+        (
+            "joint_warm_up:joint=1,amplitude_rad=1e-3,time_constant_s=0",
+            "joint_warm_up:joint1: time_constant_s is 0; give a positive number",
+        ),
+        (
+            "base_compliance:cross=2,compliance_x_rad_per_Nm=1",
+            "base_compliance: cross is 2; give true or false",
+        ),
+        (
+            "base_compliance:shift=true,compliance_xy_rad_per_Nm=1",
+            "base_compliance: the key 'compliance_xy_rad_per_Nm' is unknown; the keys are cross, shift, "
+            "compliance_x_rad_per_Nm, compliance_y_rad_per_Nm",
+        ),
+        (
             "link_thermal_expansion:link=1.5,expansion_per_K=1",
             "link_thermal_expansion: link is 1.5; give a whole number",
         ),
@@ -182,6 +241,18 @@ def test_text_that_is_no_effect(text, message):
         ),
         (
             {
+                "effect": "joint_windup",
+                "where": {"joint": 1, "friction_torque_Nm": 2},
+                "parameters": {"friction_torque_Nm": 3, "compliance_rad_per_Nm": 1e-3},
+            },
+            "joint_windup:joint1: friction_torque_Nm 3 beside the fixed friction_torque_Nm 2; give one of them",
+        ),
+        (
+            {"effect": "joint_backlash", "where": {"joint": 1}, "parameters": {"friction_torque_Nm": 3}},
+            "joint_backlash:joint1: has no 'friction_torque_Nm'; it takes gap_rad",
+        ),
+        (
+            {
                 "effect": "joint_coupling",
                 "where": {"joint": 1, "source_joint": 2},
                 "parameters": {"coupling": 1, "source_joint": 3.0},
@@ -199,7 +270,7 @@ def test_a_motion_without_drivers_tests_few_effects_and_says_why():
     testable = [effect for effect in catalogue(6) if effect not in lacking]
     assert {effect.name for effect in testable} == {
         *("joint_offset", "joint_scale", "joint_harmonic", "joint_coupling", "frame_offset"),
-        *("tool_offset", "measurement_scale"),
+        *("tool_offset", "measurement_scale", "axis_wobble"),
     }
     assert {effect: (lacking[effect].phrase, lacking[effect].remedy) for effect in SOME} == SOME
 
@@ -219,6 +290,14 @@ SOME = {
     ),
     TimeOffset(): ("time", "the times of the samples; record time_s"),
     BaseDrift(): ("time", "the times of the samples; record time_s"),
+    SensorDrift(): ("time", "the times of the samples; record time_s"),
+    JointThermalOffset(4): (
+        "temperature of joint 4",
+        "the temperature of each joint; record temp1_degC … or ambient_degC",
+    ),
+    ToolCompliance(): ("tool moment x", MASSES),
+    GravityDirection(): ("base moment x", MASSES),
+    PayloadCom(): ("base moment x", MASSES),
 }
 
 
@@ -267,8 +346,9 @@ def everything():
         time=np.arange(5.0),
         ambient_temperature=np.linspace(20, 30, 5),
         payload=np.arange(5.0),
+        measured_position=RNG.uniform(-1, 1, (5, 3)),
     )
-    return motion, Loads(jnp.asarray(RNG.uniform(-1, 1, (2, 3, 5))), jnp.asarray(RNG.uniform(-1, 1, (3, 5))))
+    return motion, Loads(*(jnp.asarray(RNG.uniform(-1, 1, shape)) for shape in ((2, 3, 5), (3, 5), (3, 5))))
 
 
 def test_drivers_are_read_and_said():
@@ -285,13 +365,20 @@ def test_drivers_are_read_and_said():
         (Driver("temperature rise"), motion.temperature_rise, "K"),
         (Driver("time"), motion.time, "s"),
         (Driver("payload"), motion.payload, "kg"),
+        (Driver("temperature", 2), motion.joint_temperature_rise[1], "K"),
+        (Driver("tool moment x"), loads.payload_moment[0], "Nm"),
+        (Driver("tool moment y"), loads.payload_moment[1], "Nm"),
+        (Driver("measured position x"), motion.measured_position[0], "m"),
+        (Driver("measured position z"), motion.measured_position[2], "m"),
     ]:
         np.testing.assert_array_equal(driver.values(motion, loads), values)
         assert (driver.unit, driver.known(motion, loads)) == (unit, True)
         assert driver_of(driver.phrase) == driver
     assert Driver("gravity torque", 2).phrase == "gravity torque of joint 2"
     assert Driver("gravity moment x", 2).phrase == "gravity moment x of link 2"
-    assert len(QUANTITIES) == 11
+    assert Driver("temperature", 2).phrase == "temperature of joint 2"
+    assert not Driver("tool moment x").known(motion, loads._replace(payload_moment=None))
+    assert len(QUANTITIES) == 17
 
 
 @pytest.mark.parametrize(
@@ -315,7 +402,7 @@ def test_drivers_are_read_and_said():
         ),
         (
             lambda: Unnamed("elbow", "time", 0.0, 1.0),
-            "unnamed: no site is called 'elbow'; choose jointN, linkN, base or tool",
+            "unnamed: no site is called 'elbow'; choose jointN, linkN, base, tool or sensor",
         ),
         (
             lambda: Unnamed("joint1", "time", 0.0, 1.0, component="x"),
@@ -327,7 +414,7 @@ def test_drivers_are_read_and_said():
         ),
         (
             lambda: Unnamed("base", "time", 0.0, 1.0, component="w"),
-            "unnamed:base: component 'w' is not possible there; give one of x y z rx ry rz",
+            "unnamed:base: component 'w' is not possible there; give one or several of x y z rx ry rz",
         ),
         (
             lambda: Unnamed("base", "time", 1.0, 1.0),

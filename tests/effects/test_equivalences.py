@@ -9,21 +9,24 @@ from lite6jax.arms.bundled import load_bundled
 from lite6jax.arms.chains import SixParameterForm
 from lite6jax.arms.moves import turn
 from lite6jax.effects.composition import Physics
+from lite6jax.effects.kinematic.gears import JointBacklash, JointWindup
 from lite6jax.effects.kinematic.joints import (
     JointCompliance,
     JointHarmonic,
     JointLag,
     JointOffset,
     JointScale,
+    JointThermalOffset,
 )
-from lite6jax.effects.kinematic.links import FrameOffset, LinkThermalExpansion
-from lite6jax.effects.kinematic.surroundings import MeasurementScale, PayloadError, TimeOffset, ToolOffset
+from lite6jax.effects.kinematic.links import AxisWobble, FrameOffset, LinkCompliance, LinkThermalExpansion
+from lite6jax.effects.kinematic.surroundings import MeasurementScale, TimeOffset, ToolCompliance, ToolOffset
+from lite6jax.effects.kinematic.weights import GravityDirection, PayloadCom, PayloadError
 from lite6jax.effects.motion import motion_of
 from lite6jax.effects.statics import inertia_of, loads
 from lite6jax.model import arm_model, predict, predict_poses
 from tests.oracles.arms import random_kinematics
 from tests.oracles.effects import random_motion
-from tests.oracles.gravity import random_inertia
+from tests.oracles.gravity import GRAVITY, random_inertia
 from tests.oracles.transforms import displacement
 
 DOF = 3
@@ -123,6 +126,60 @@ def test_a_payload_error_shows_in_a_compliance_alone_and_is_another_payload_ther
         rtol=0,
         atol=1e-14,
     )
+
+
+def test_another_centre_or_gravity_shows_in_a_compliance_alone_and_is_that_of_other_masses():
+    given, soft = random_inertia(np.random.default_rng(4), DOF), (JointCompliance(2),)
+    for effect, values, changed in [
+        (PayloadCom(), [0.02, -0.01, 0.03], {"payload_center": given["payload_center"] + [0.02, -0.01, 0.03]}),
+        (GravityDirection(), [0.01, 0.02], {"gravity": displacement([0, 0, 0, 0.01, 0.02, 0])[:3, :3] @ GRAVITY}),
+    ]:
+        rigid = predict(FORM, MODEL, ARRAYS["joint_position"])
+        np.testing.assert_allclose(poses((effect,), values), rigid, rtol=0, atol=1e-14)
+        other = inertia_of(**(given | changed))
+        found = predict_poses(
+            FORM, Physics((effect, *soft)), MODEL, jnp.array([*values, 1e-4]), MOTION, inertia_of(**given)
+        )
+        wanted = predict_poses(FORM, Physics(soft), MODEL, jnp.array([1e-4]), MOTION, other)
+        np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-14)
+
+
+def test_friction_above_every_torque_is_plain_backlash_and_a_play_of_no_width_is_a_compliance():
+    torque = loads(FORM, MODEL.geometry, turn(MOTION.joint_position), MOTION.payload, INERTIA).torque[1]
+    above = 1.01 * float(jnp.abs(torque).max())
+    plain, loaded = poses((JointBacklash(2),), [1e-3]), poses((JointBacklash(2, above),), [1e-3])
+    np.testing.assert_allclose(plain, loaded, rtol=0, atol=1e-14)
+    wound, soft = poses((JointWindup(2, 0.0),), [1e-4]), poses((JointCompliance(2),), [1e-4])
+    np.testing.assert_allclose(wound, soft, rtol=0, atol=1e-14)
+
+
+def test_a_tools_compliance_is_that_of_a_last_link_without_mass():
+    light = random_inertia(np.random.default_rng(5), DOF)
+    light["mass"][-1] = 0.0
+    values = jnp.array([1e-4, 2e-4])
+    tool, link = (
+        predict_poses(FORM, Physics((effect,)), MODEL, values, MOTION, inertia_of(**light))
+        for effect in (ToolCompliance(), LinkCompliance(DOF))
+    )
+    np.testing.assert_allclose(tool, link, rtol=0, atol=1e-14)
+    assert np.abs(tool - predict(FORM, MODEL, ARRAYS["joint_position"])).max() > 1e-6
+
+
+def test_a_wobble_of_order_1_that_turns_with_the_joint_is_its_links_offset():
+    turning = slope((AxisWobble(2),), [1.0, 0, 0, 0, 0, 1.0, 0, 0])
+    offset = slope((FrameOffset(2),), [0, 0, 0, 1.0, 0, 0])
+    np.testing.assert_allclose(turning, offset, rtol=0, atol=1e-12)
+
+
+def test_a_thermal_offset_of_joints_in_one_temperature_is_that_of_the_surroundings():
+    ambient = ARRAYS["joint_temperature"][:, 0]
+    around = motion_of(ARRAYS["joint_position"], ambient_temperature=ambient)
+    each = motion_of(ARRAYS["joint_position"], joint_temperature=np.tile(ambient[:, None], DOF))
+    values = jnp.array([1e-5])
+    one, other = (poses((JointThermalOffset(3),), values, motion=motion) for motion in (around, each))
+    np.testing.assert_array_equal(one, other)
+    bare = around._replace(joint_temperature_rise=None)  # as of one instant, of which only the arm's is given
+    np.testing.assert_array_equal(one, poses((JointThermalOffset(3),), values, motion=bare))
 
 
 def test_a_harmonic_of_low_order_over_a_short_range_is_an_offset_and_a_scale():

@@ -31,6 +31,8 @@ def test_a_later_motion_is_scipys_hermite_spline_within_each_run(offset):
         np.testing.assert_allclose(array[inside], expected[name][inside], rtol=0, atol=1e-12)
     warmth = expected["joint_temperature"].mean(axis=1) - 25
     np.testing.assert_allclose(found.temperature_rise[inside], warmth[inside], rtol=0, atol=1e-12)
+    each = expected["joint_temperature"].T - 25
+    np.testing.assert_allclose(found.joint_temperature_rise[:, inside], each[:, inside], rtol=0, atol=1e-12)
     assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(found))
 
 
@@ -99,7 +101,20 @@ def test_the_temperature_is_the_mean_of_the_joints_else_the_ambient_above_the_re
     np.testing.assert_allclose(found.temperature_rise, [10.0, 11.0])
     found = motion_of(q, ambient_temperature=ambient)
     np.testing.assert_allclose(found.temperature_rise, [25.0, 35.0])
-    assert motion_of(q).temperature_rise is None
+    np.testing.assert_allclose(found.joint_temperature_rise, [[25.0, 35.0]] * 3)
+    found = motion_of(q, joint_temperature=joints, ambient_temperature=ambient)
+    np.testing.assert_allclose(found.joint_temperature_rise, np.transpose(joints) - 25)
+    assert motion_of(q).temperature_rise is motion_of(q).joint_temperature_rise is None
+
+
+def test_what_the_sensor_shows_stays_at_its_stamps_and_may_be_missing():
+    arrays = simulated()
+    shown = np.random.default_rng(0).uniform(-1, 1, (28, 3))
+    shown[4] = np.nan
+    motion = motion_of(**arrays, measured_position=shown)
+    np.testing.assert_array_equal(motion.measured_position, shown.T)
+    np.testing.assert_array_equal(shift(motion, 0.02).measured_position, shown.T)
+    np.testing.assert_array_equal(select(motion, [5, 2]).measured_position, shown[[5, 2]].T)
 
 
 def test_what_is_not_given_is_not_there_and_the_payload_is_nothing():
@@ -120,6 +135,7 @@ def test_chosen_rows_keep_what_they_know():
     motion = motion_of(**simulated(3))
     chosen = select(motion, [4, 0])
     np.testing.assert_array_equal(chosen.direction, motion.direction[:, np.array([4, 0])])
+    np.testing.assert_array_equal(chosen.joint_temperature_rise, motion.joint_temperature_rise[:, np.array([4, 0])])
     np.testing.assert_array_equal(chosen.run, [[0, 1], [0, 1]])
     np.testing.assert_array_equal(select(motion, np.arange(28) < 3).payload, motion.payload[:3])
 

@@ -44,3 +44,10 @@ def gravity_moments(kinematics, positions, payload, inertia):
         about = np.cross(points[..., i:, :] - T[..., None, :3, 3], force[..., i:, :]).sum(-2)
         moments.append(np.einsum("...ba,...b->...a", T[..., :3, :3], about))
     return np.stack(moments, -2), np.cross(points, force).sum(-2)
+
+
+def payload_moments(kinematics, positions, payload, inertia):
+    """(…, 3) N·m of the payload alone about the last joint's frame, in its axes; arguments as of `gravity_moments`."""
+    T = list(joint_frames(kinematics, positions))[-1]
+    weight = payload[..., None] * np.einsum("...ba,b->...a", T[..., :3, :3], inertia["gravity"])
+    return np.cross(inertia["payload_center"], weight)

@@ -15,13 +15,14 @@ from lite6jax.arms.moves import turn
 from lite6jax.domains.pose.kinematics import Site
 from lite6jax.effects.composition import Physics
 from lite6jax.effects.deflection import Deflection, dense
-from lite6jax.effects.effect import Altering, Bending, Effect
+from lite6jax.effects.effect import Altering, Bending, Effect, Loading
 from lite6jax.effects.motion import Motion
 from lite6jax.effects.nonparametric import Unnamed
 from lite6jax.effects.statics import Inertia, Loads, loads
 
 Array = NDArray[np.floating]
-_GRAM = 1e-3
+_STEP = 1e-2
+"""Of a number's typical size: the step of difference quotients of loads."""
 
 
 @final
@@ -48,12 +49,21 @@ class Deflections:
         """The loads of gravity, and of acceleration where the motion has it; None where the masses are not known."""
         return self.loads_in(self.motion)
 
-    def loads_in(self, motion: Motion) -> Loads | None:
-        """The loads in another motion of the same arm."""
+    def loads_in(self, motion: Motion, physics: Physics | None = None, values: Array | None = None) -> Loads | None:
+        """The loads in another motion of the same arm, whose masses and gravity some effects alter.
+
+        Args:
+            motion: as altered by these effects.
+            physics: effects, if any.
+            values: `(physics.size,)`.
+        """
         if self.inertia is None:
             return None
+        inertia = self.inertia
+        if physics is not None:
+            inertia = physics.alter_inertia(jnp.asarray(values), inertia)
         form = SixParameterForm(len(self.kinematics))
-        return _loads(form, jnp.asarray(self.kinematics.ravel()), motion, self.inertia)
+        return _loads(form, jnp.asarray(self.kinematics.ravel()), motion, inertia)
 
     def unit(self, effect: Effect) -> Deflection:
         """The deflection per unit of each number of an effect at zero, `(number, …)`; computed once."""
@@ -83,28 +93,40 @@ class Deflections:
 
         return _host(jax.vmap(lambda step: jax.jvp(deflected, (at,), (step,))[1])(steps))
 
-    def by_mass(self, mass: float, effects: Physics, values: Array) -> Deflection:
-        """The change of the deflections that loads cause, per kilogram at the flange; `(1, …)`."""
-        pairs = zip(effects.effects, effects.slices, strict=True)
-        loaded = [
-            (effect, jnp.asarray(values[part]))
-            for effect, part in pairs
-            if isinstance(effect, Bending) and any(driver.loaded for driver in effect.drivers)
-        ]
-        if not loaded:
-            return Deflection(scale=np.zeros((1, self.motion.samples)))  # type: ignore[arg-type]
+    def through_loads(self, effect: Loading, at: Array, effects: Physics, values: Array) -> Deflection:
+        """How the deflections that loads cause change with each number of an effect that alters the loads.
 
-        def deflected(kilograms: float) -> Deflection:
-            motion = self.motion._replace(payload=self.motion.payload + kilograms)
-            on_arm, total = self.loads_in(motion), Deflection()
-            for effect, at in loaded:
-                total = total + effect.deflect(at, motion, on_arm)
+        Args:
+            effect: which.
+            at: `(number,)`, where its numbers are.
+            effects: beside it; those that depend on loads deflect the arm, and further ones alter the loads as well.
+            values: `(effects.size,)`.
+        """
+        pairs = [(one, np.asarray(values)[part]) for one, part in zip(effects.effects, effects.slices, strict=True)]
+        bending = [
+            (one, jnp.asarray(numbers))
+            for one, numbers in pairs
+            if isinstance(one, Bending) and any(driver.loaded for driver in one.drivers)
+        ]
+        if not bending:
+            return Deflection(scale=np.zeros((effect.size, self.motion.samples)))  # type: ignore[arg-type]
+        others = [(one, numbers) for one, numbers in pairs if isinstance(one, Loading) and one != effect]
+        physics = Physics((effect, *(one for one, _ in others)))
+
+        def deflected(numbers: Array) -> Deflection:
+            every = jnp.asarray(physics.join([numbers, *(rest for _, rest in others)]))
+            motion = physics.alter(every, self.motion)
+            on_arm, total = self.loads_in(motion, physics, every), Deflection()  # type: ignore[arg-type]
+            for one, its_numbers in bending:
+                total = total + one.deflect(its_numbers, motion, on_arm)
             return dense(total, motion.dof, motion.samples)
 
-        # loads are linear in masses, and deflections in loads except for curves: elsewhere the difference is exact
-        less, more = deflected(mass - _GRAM), deflected(mass + _GRAM)
-        slopes = ((np.asarray(b) - np.asarray(a))[None] / (2 * _GRAM) for a, b in zip(less, more, strict=True))
-        return Deflection(*slopes)  # type: ignore[arg-type]
+        # loads are linear in masses and gravity, and deflections in loads except for curves, plays and steps
+        slopes = []
+        for step in np.diag([_STEP * number.typical for number in effect.coordinates]):
+            less, more = deflected(at - step), deflected(at + step)
+            slopes.append([(np.asarray(b) - np.asarray(a)) / (2 * step.sum()) for a, b in zip(less, more, strict=True)])
+        return Deflection(*map(np.stack, zip(*slopes, strict=True)))  # type: ignore[arg-type]
 
     @cached_property
     def _host_motion(self) -> Motion:

@@ -89,19 +89,22 @@ def site_columns(model: ArmModel, joint_position: Array, measured: Measured) -> 
     """How whitened residuals `(row, sample)` change with a unit deflection at each site of a rigid arm."""
     rigid = rigid_frames(model, joint_position)
     dof = len(joint_position)
-    twists, stretches, scale = frame_columns(rigid, measured)
+    sensor = np.broadcast_to(np.eye(4), rigid.frames[:1].shape)
+    twists, stretches, scale = frame_columns(rigid._replace(frames=np.concatenate([sensor, rigid.frames])), measured)
+    stretches = stretches[1:]
     columns = whitened(
         np.concatenate([twists.reshape(-1, *twists.shape[2:]), stretches, scale[None]]), measured.whitener
     )
     visible = np.abs(columns).max((1, 2), initial=0.0)
     columns[visible < _ROUNDING * visible.max()] = 0.0  # rounding: the last joint's, of a point on its axis
-    twisted, stretched = columns[: 6 * (dof + 1)].reshape(dof + 1, 6, *columns.shape[1:]), columns[6 * (dof + 1) :]
-    sites: dict[Site, Array] = {("base", 0, k): twisted[0, k] for k in range(6)}
+    twisted, stretched = columns[: 6 * (dof + 2)].reshape(dof + 2, 6, *columns.shape[1:]), columns[6 * (dof + 2) :]
+    sites: dict[Site, Array] = {("base", 0, k): twisted[1, k] for k in range(6)}
     for j in range(dof):
-        sites |= {("link", j, k): twisted[j + 1, k] for k in range(6)}
-        sites["joint", j, 0] = twisted[j + 1, 5]  # a joint's angle is about its frame's z
+        sites |= {("link", j, k): twisted[j + 2, k] for k in range(6)}
+        sites["joint", j, 0] = twisted[j + 2, 5]  # a joint's angle is about its frame's z
         sites["stretch", j, 0] = stretched[j]
-    sites |= {("tool", 0, k): twisted[dof, k] for k in range(6)}
+    sites |= {("tool", 0, k): twisted[dof + 1, k] for k in range(6)}
+    sites |= {("sensor", 0, k): twisted[0, k] for k in range(6)}
     sites["scale", 0, 0] = stretched[dof]
     return sites
 

@@ -28,11 +28,11 @@ from lite6jax.domains.pose.kinematics import (
     whitened,
 )
 from lite6jax.domains.pose.rigid_arm import rigid_arm
-from lite6jax.effects.catalogue import Untestable, catalogue, untestable
+from lite6jax.effects.catalogue import Untestable, catalogue, shaped, untestable
 from lite6jax.effects.composition import Physics
 from lite6jax.effects.deflection import Deflection, dense
-from lite6jax.effects.effect import Altering, Effect
-from lite6jax.effects.kinematic.surroundings import PayloadError, TimeOffset
+from lite6jax.effects.effect import Altering, Effect, Loading
+from lite6jax.effects.kinematic.surroundings import TimeOffset
 from lite6jax.effects.motion import Motion, accelerated, beyond, select, shifted
 from lite6jax.effects.nonparametric import Unnamed
 from lite6jax.effects.statics import Inertia, Loads
@@ -174,6 +174,11 @@ class PoseProblem:
         return families.curves(self.time_shifted, self.deflections, self.sites)
 
     @lazy
+    def shaped(self) -> tuple[Effect, ...]:
+        """Named effects with a number that is tried at a few values, beside the candidates."""
+        return shaped(self.time_shifted, self.loads, self.motion.dof)
+
+    @lazy
     def flexible(self) -> tuple[Unnamed, ...]:
         """Functions without a name, of every site and driver."""
         return families.flexible(*self._on_host, self.rows, self.sites)
@@ -198,16 +203,17 @@ class PoseProblem:
     ) -> Array:
         """How residuals change with the numbers of effects, `(number, row, sample)`.
 
-        An error of the payload acts through compliances: those of `beside`, or of `terms` where that is not given.
+        An error of the payload or of gravity acts through compliances: those of `beside`, or of `terms` where that is
+        not given.
         """
         own = Terms(tuple(terms))
         values = np.zeros(own.size) if values is None else np.asarray(values, float)
         parts: list[Array] = [np.zeros((0, self.rows, self.samples))]
         for effect, part in zip(own.terms, own.slices, strict=True):
             assert isinstance(effect, Effect)
-            if isinstance(effect, PayloadError):
+            if isinstance(effect, Loading):
                 others, at = (own, values) if beside is None else beside
-                unit = self.deflections.by_mass(float(values[part][0]), physics_of(others), at)
+                unit = self.deflections.through_loads(effect, values[part], physics_of(others), at)
                 parts.append(columns_of(unit, self.sites))
             elif isinstance(effect, Unnamed):
                 if effect not in self._bases:
@@ -287,7 +293,7 @@ class PoseProblem:
         else:
             motion = self._altered(partial(physics.alter, jnp.asarray(values)))
             altered = any(isinstance(effect, Altering) for effect in physics.effects)
-            loads = self.deflections.loads_in(motion) if altered and physics.loaded else self.loads
+            loads = self.deflections.loads_in(motion, physics, values) if altered and physics.loaded else self.loads
             bent = dense(physics.deflect(jnp.asarray(values), motion, loads), dof, self.samples)
         if not self.unknown:
             return motion, bent

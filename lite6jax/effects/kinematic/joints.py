@@ -10,7 +10,8 @@ from jax import Array
 from numpy.typing import NDArray
 
 from lite6jax.effects.drivers import Driver
-from lite6jax.effects.effect import Choice, Coordinate, Effect, JointEffect, Reporting
+from lite6jax.effects.effect import Choice, Coordinate, Effect, JointEffect, Reporting, tried, with_field
+from lite6jax.effects.kinematic import bounds
 from lite6jax.effects.motion import Motion
 from lite6jax.effects.statics import Loads
 from lite6jax.errors import InputError
@@ -26,7 +27,7 @@ class JointOffset(JointEffect):
 
     @property
     def coordinates(self) -> tuple[Coordinate, ...]:
-        return (Coordinate("offset_rad", "rad", 1e-4),)
+        return (Coordinate("offset_rad", "rad", 1e-4, lower=-bounds.OFFSET, upper=bounds.OFFSET),)
 
     @property
     def drivers(self) -> tuple[Driver, ...]:
@@ -46,7 +47,7 @@ class JointScale(JointEffect):
 
     @property
     def coordinates(self) -> tuple[Coordinate, ...]:
-        return (Coordinate("scale", "1", 1e-4),)
+        return (Coordinate("scale", "1", 1e-4, lower=-bounds.RATIO, upper=bounds.RATIO),)
 
     @property
     def drivers(self) -> tuple[Driver, ...]:
@@ -66,7 +67,7 @@ class JointCompliance(JointEffect):
 
     @property
     def coordinates(self) -> tuple[Coordinate, ...]:
-        return (Coordinate("compliance_rad_per_Nm", "rad/Nm", 1e-5, lower=0.0),)
+        return (Coordinate("compliance_rad_per_Nm", "rad/Nm", 1e-5, lower=0.0, upper=bounds.COMPLIANCE),)
 
     @property
     def drivers(self) -> tuple[Driver, ...]:
@@ -136,6 +137,7 @@ class JointHarmonic(JointEffect):
         searched=lambda effect: _harmonic_order(effect) not in (None, 1.0, 2.0),
         released=lambda effect: _harmonic_of(effect, None),
         held=_harmonic_of,
+        periodic=True,
     )
     reporting: ClassVar[Reporting] = Reporting(
         names=lambda effect: ("order", "amplitude_rad", "phase_rad"),
@@ -149,7 +151,9 @@ class JointHarmonic(JointEffect):
 
     @property
     def coordinates(self) -> tuple[Coordinate, ...]:
-        amplitudes = (Coordinate("sine_rad", "rad", 1e-4), Coordinate("cosine_rad", "rad", 1e-4))
+        amplitudes = tuple(
+            Coordinate(f"{wave}_rad", "rad", 1e-4, lower=-bounds.WAVE, upper=bounds.WAVE) for wave in ("sine", "cosine")
+        )
         return (
             amplitudes
             if self.order is not None
@@ -167,26 +171,6 @@ class JointHarmonic(JointEffect):
 
 @final
 @dataclass(frozen=True)
-class JointBacklash(JointEffect):
-    """δq = −½·gap·sign(direction): the gear lies against the flank that it came from."""
-
-    name: ClassVar[str] = "joint_backlash"
-    specificity: ClassVar[int] = 3
-
-    @property
-    def coordinates(self) -> tuple[Coordinate, ...]:
-        return (Coordinate("gap_rad", "rad", 1e-4, lower=0.0),)
-
-    @property
-    def drivers(self) -> tuple[Driver, ...]:
-        return (Driver("direction of motion", self.joint),)
-
-    def angle(self, values: Array, motion: Motion, loads: Loads | None) -> Array:
-        return -0.5 * values[0] * jnp.sign(self.drivers[0].values(motion, loads))
-
-
-@final
-@dataclass(frozen=True)
 class JointLag(JointEffect):
     """δq = −lag·dq: the joint is behind what its encoder says."""
 
@@ -195,7 +179,7 @@ class JointLag(JointEffect):
 
     @property
     def coordinates(self) -> tuple[Coordinate, ...]:
-        return (Coordinate("lag_s", "s", 1e-3),)
+        return (Coordinate("lag_s", "s", 1e-3, lower=-bounds.LAG, upper=bounds.LAG),)
 
     @property
     def drivers(self) -> tuple[Driver, ...]:
@@ -231,7 +215,7 @@ class JointCoupling(JointEffect):
 
     @property
     def coordinates(self) -> tuple[Coordinate, ...]:
-        return (Coordinate("coupling", "1", 1e-4),)
+        return (Coordinate("coupling", "1", 1e-4, lower=-bounds.COUPLING, upper=bounds.COUPLING),)
 
     reporting: ClassVar[Reporting] = Reporting(
         names=lambda effect: ("coupling", "source_joint"),
@@ -252,3 +236,65 @@ class JointCoupling(JointEffect):
 
     def angle(self, values: Array, motion: Motion, loads: Loads | None) -> Array:
         return values[0] * self.drivers[0].values(motion, loads)
+
+
+@final
+@dataclass(frozen=True)
+class JointThermalOffset(JointEffect):
+    """δq = k·(T − T₀): the encoder's zero moves with the joint's own temperature, or with that of the surroundings."""
+
+    name: ClassVar[str] = "joint_thermal_offset"
+    specificity: ClassVar[int] = 9
+
+    @property
+    def coordinates(self) -> tuple[Coordinate, ...]:
+        most = bounds.THERMAL_OFFSET
+        return (Coordinate("offset_rad_per_K", "rad/K", 1e-6, lower=-most, upper=most),)
+
+    @property
+    def drivers(self) -> tuple[Driver, ...]:
+        return (Driver("temperature", self.joint),)
+
+    def angle(self, values: Array, motion: Motion, loads: Loads | None) -> Array:
+        return values[0] * self.drivers[0].values(motion, loads)
+
+
+@final
+@dataclass(frozen=True)
+class JointWarmUp(JointEffect):
+    """δq = A·(1 − exp(−time/τ)): the joint warms up from time 0, and nobody records its temperature.
+
+    Its search tries some τ, in which it is not linear; without a fixed one τ is its second number.
+
+    Attributes:
+        time_constant_s: τ in s, where it is fixed.
+    """
+
+    time_constant_s: float | None = None
+
+    name: ClassVar[str] = "joint_warm_up"
+    specificity: ClassVar[int] = 10
+    choice: ClassVar[Choice | None] = tried("time_constant_s", bounds.WARM_UP[0])
+    reporting: ClassVar[Reporting] = with_field("time_constant_s")
+
+    def __post_init__(self) -> None:
+        if self.time_constant_s is not None and not 0 < self.time_constant_s < np.inf:
+            raise InputError(
+                f"joint_warm_up:joint{self.joint}: time_constant_s is {self.time_constant_s:g}; give a positive number"
+            )
+
+    @property
+    def coordinates(self) -> tuple[Coordinate, ...]:
+        amplitude = Coordinate("amplitude_rad", "rad", 1e-4, lower=-bounds.WAVE, upper=bounds.WAVE)
+        lower, upper = bounds.WARM_UP
+        free = Coordinate("time_constant_s", "s", 1e3, lower=lower, upper=upper, linear=False)
+        return (amplitude,) if self.time_constant_s is not None else (amplitude, free)
+
+    @property
+    def drivers(self) -> tuple[Driver, ...]:
+        return (Driver("time"),)
+
+    def angle(self, values: Array, motion: Motion, loads: Loads | None) -> Array:
+        # at neutral τ is zero as well: any positive one then gives no angle, and no division by zero
+        constant = self.time_constant_s or jnp.where(values[1] > 0, values[1], 1.0)
+        return -values[0] * jnp.expm1(-self.drivers[0].values(motion, loads) / constant)

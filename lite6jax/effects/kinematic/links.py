@@ -1,4 +1,4 @@
-"""Effects of links: compliance, thermal expansion and offsets of the frames between joints."""
+"""Effects of links and axes: compliance, thermal expansion, offsets of frames and wobble."""
 
 from dataclasses import dataclass
 from typing import ClassVar, final
@@ -9,6 +9,7 @@ from jax import Array
 from lite6jax.effects.deflection import Deflection, at_joint, twist
 from lite6jax.effects.drivers import Driver
 from lite6jax.effects.effect import Bending, Coordinate
+from lite6jax.effects.kinematic import bounds
 from lite6jax.effects.motion import Motion
 from lite6jax.effects.statics import Loads
 from lite6jax.errors import InputError
@@ -39,7 +40,10 @@ class LinkCompliance(Bending):
 
     @property
     def coordinates(self) -> tuple[Coordinate, ...]:
-        return tuple(Coordinate(f"compliance_{axis}_rad_per_Nm", "rad/Nm", 1e-5) for axis in "xy")
+        return tuple(
+            Coordinate(f"compliance_{axis}_rad_per_Nm", "rad/Nm", 1e-5, lower=0.0, upper=bounds.COMPLIANCE)
+            for axis in "xy"
+        )
 
     @property
     def site(self) -> str:
@@ -71,7 +75,7 @@ class LinkThermalExpansion(Bending):
 
     @property
     def coordinates(self) -> tuple[Coordinate, ...]:
-        return (Coordinate("expansion_per_K", "1/K", 1e-5),)
+        return (Coordinate("expansion_per_K", "1/K", 1e-5, lower=0.0, upper=bounds.EXPANSION),)
 
     @property
     def drivers(self) -> tuple[Driver, ...]:
@@ -106,7 +110,9 @@ class FrameOffset(Bending):
 
     @property
     def coordinates(self) -> tuple[Coordinate, ...]:
-        return tuple(c._replace(spread=_SPREAD[c.unit]) for c in TWIST)
+        return tuple(
+            c._replace(spread=_SPREAD[c.unit], lower=-bounds.FRAME[c.unit], upper=bounds.FRAME[c.unit]) for c in TWIST
+        )
 
     @property
     def drivers(self) -> tuple[Driver, ...]:
@@ -121,3 +127,49 @@ class FrameOffset(Bending):
         if self.link is None:
             return Deflection(base=displaced)
         return Deflection(link=at_joint(motion.dof, self.link, displaced))
+
+
+@final
+@dataclass(frozen=True)
+class AxisWobble(Bending):
+    """A joint's frame tilts about its x and y, before the joint's rotation, by Fourier series in the joint's position.
+
+    The tilt about x is Σ cosine·cos(n·q) + sine·sin(n·q) over n = 1 and 2, and likewise that about y. The eight numbers
+    are `x_cosine1_rad`, `x_sine1_rad`, `x_cosine2_rad`, `x_sine2_rad` and the same of y. A tilt ε before the rotation
+    is a tilt by Rz(−q) ε after it. Of order 1, the part that turns with the joint is a `frame_offset` of its link; the
+    prior determines it.
+
+    Attributes:
+        joint: counted from 1.
+    """
+
+    joint: int
+
+    name: ClassVar[str] = "axis_wobble"
+    specificity: ClassVar[int] = 15
+
+    @property
+    def site(self) -> str:
+        return f"joint{self.joint}"
+
+    @property
+    def coordinates(self) -> tuple[Coordinate, ...]:
+        return tuple(
+            Coordinate(f"{axis}_{wave}{order}_rad", "rad", 1e-4, _SPREAD["rad"], -bounds.WAVE, bounds.WAVE)
+            for axis in "xy"
+            for order in (1, 2)
+            for wave in ("cosine", "sine")
+        )
+
+    @property
+    def drivers(self) -> tuple[Driver, ...]:
+        return (Driver("position", self.joint),)
+
+    def deflect(self, values: Array, motion: Motion, loads: Loads | None) -> Deflection:
+        q = self.drivers[0].values(motion, loads)
+        cosine, sine = jnp.cos(q), jnp.sin(q)
+        waves = (cosine, sine, jnp.cos(2 * q), jnp.sin(2 * q))
+        about_x = sum(value * wave for value, wave in zip(values[:4], waves, strict=True))
+        about_y = sum(value * wave for value, wave in zip(values[4:], waves, strict=True))
+        tilt = twist(motion.samples, rx=cosine * about_x + sine * about_y, ry=cosine * about_y - sine * about_x)
+        return Deflection(link=at_joint(motion.dof, self.joint, tilt))

@@ -8,7 +8,9 @@ from diagnosis.recorded import NOISE, Made, moving_motion, plain_effect, static_
 from scipy.spatial.transform import Rotation
 
 from lite6jax.domains.pose.problem import pose_problem
-from lite6jax.effects.kinematic.joints import JointHarmonic
+from lite6jax.effects.catalogue import shaped
+from lite6jax.effects.kinematic.gears import JointBacklash, JointWindup
+from lite6jax.effects.kinematic.joints import JointHarmonic, JointWarmUp
 from lite6jax.effects.serialization import parse_effect
 from lite6jax.estimation.terms import Terms, join
 from tests.oracles.chains import six_parameter_poses
@@ -31,7 +33,21 @@ STATIC = [
     "base_drift:vx_m_per_s=1e-6,vy_m_per_s=-2e-6,vz_m_per_s=1e-6",
     "tool_offset:turned=true,x_m=2e-4,y_m=1e-4,z_m=4e-4,rx_rad=3e-4,ry_rad=-2e-4,rz_rad=2e-4",
     "measurement_scale:scale=4e-4",
+    "joint_thermal_offset:joint=2,offset_rad_per_K=2e-5",
+    "axis_wobble:joint=3,x_cosine1_rad=2e-4,x_sine1_rad=1e-4,x_cosine2_rad=-1e-4,x_sine2_rad=3e-4,"
+    "y_cosine1_rad=1e-4,y_sine1_rad=-2e-4,y_cosine2_rad=2e-4,y_sine2_rad=1e-4",
+    "tool_compliance:compliance_x_rad_per_Nm=4e-4,compliance_y_rad_per_Nm=3e-4",
+    "base_compliance:cross=true,shift=true,compliance_x_rad_per_Nm=3e-5,compliance_y_rad_per_Nm=2e-5,"
+    "compliance_xy_rad_per_Nm=-1e-5,shift_xx_m_per_Nm=1e-6,shift_xy_m_per_Nm=2e-6,shift_yx_m_per_Nm=-3e-6,"
+    "shift_yy_m_per_Nm=4e-6",
+    "sensor_drift:vx_m_per_s=1e-6,vy_m_per_s=-2e-6,vz_m_per_s=1e-6,wx_rad_per_s=2e-6,wy_rad_per_s=1e-6,"
+    "wz_rad_per_s=-1e-6",
+    "joint_backlash:joint=2,gap_rad=1e-3,friction_torque_Nm=2.5",
+    "joint_backlash:joint=3,gap_rad=1e-3,friction_torque_Nm=0",
+    "joint_windup:joint=2,compliance_rad_per_Nm=9e-5,friction_torque_Nm=1.5",
+    "joint_warm_up:joint=2,amplitude_rad=3e-4,time_constant_s=40",
 ]
+DRIFTS = (*(f"v{axis}_m_per_s" for axis in "xyz"), *(f"w{axis}_rad_per_s" for axis in "xyz"))
 MOVING = ["joint_lag:joint=2,lag_s=2e-3", "time_offset:offset_s=0.002"]
 
 
@@ -126,6 +142,81 @@ def test_columns_of_a_free_order(known):
     assert np.abs(there[2]).max() > 0
 
 
+@pytest.mark.parametrize(
+    ("effect", "values"),
+    [(JointWindup(2), [9e-5, 1.5]), (JointWarmUp(3), [3e-4, 40.0]), (JointWarmUp(3, 40.0).released(), [3e-4, 40.0])],
+)
+def test_columns_of_a_free_shape(known, effect, values):
+    """Friction and time constants, once they are chosen, are fitted like an order."""
+    case = known["static"]
+    there = differentiated(lambda v: case.residual(np.zeros(0), Terms((effect,)), v), values, 1e-7)
+    found = case.columns([effect], np.array(values))
+    for column, wanted in zip(found, there, strict=True):
+        assert np.abs(wanted).max() > 0
+        close(column, wanted, 5e-3)
+    held = effect.held(values[1])
+    fixed = case.residual(np.zeros(0), Terms((held,)), np.array(values[:1]))
+    np.testing.assert_allclose(case.residual(np.zeros(0), Terms((effect,)), np.array(values)), fixed, atol=1e-9)
+    assert held.chosen == values[1]
+    assert effect.chosen is None
+
+
+def test_a_free_step_is_the_step_itself_and_has_the_slope_of_a_ramp(known):
+    """A step has no derivative by what places it; the residuals are those of the step all the same."""
+    case, held = known["static"], JointBacklash(2, 2.5)
+    free, values = held.released(), np.array([1e-3, 2.5])
+    step = case.residual(np.zeros(0), Terms((held,)), values[:1])
+    np.testing.assert_allclose(case.residual(np.zeros(0), Terms((free,)), values), step, atol=1e-9)
+    torque = np.asarray(case.loads.torque[1])
+    pressed = torque - 2.5 * np.asarray(case.motion.direction[1])
+    near = np.abs(pressed) < 0.05 * np.abs(torque).max()
+    slope = case.columns([free], values)[1]
+    ramp = -0.5e-3 * np.asarray(case.motion.direction[1]) * near / (0.05 * np.abs(torque).max())
+    np.testing.assert_allclose(slope, case.sites["joint", 1, 0] * ramp, rtol=0, atol=1e-2 * np.abs(slope).max() + 1e-12)
+    assert held.held(3.0) == JointBacklash(2, 3.0)
+    assert held.held(-0.1) == JointBacklash(2, 0.0)  # a refined friction may cross zero
+    assert JointBacklash(2).chosen is None
+    assert not any(effect.periodic for effect in (held, free, JointWindup(2, 1.0), JointWarmUp(1, 9.0)))
+
+
+@pytest.mark.parametrize("text", ["payload_error", "payload_com", "gravity_direction"])
+@pytest.mark.parametrize("at", [0.0, 0.3])
+def test_columns_of_other_loads_are_those_of_the_compliances_beside_them(known, text, at):
+    case, (effect, _) = known["static"], parse_effect(text, neutral=True)
+    soft, heavy = parse_effect(STATIC[2]), parse_effect("payload_error:mass_kg=0.4")
+    beside = [soft, parse_effect(STATIC[18])] + ([heavy] if effect != heavy[0] else [])
+    values = at * np.array([number.typical for number in effect.coordinates])
+    others = Terms(tuple(one for one, _ in beside)), join(numbers for _, numbers in beside)
+    together = Terms((effect, *others[0].terms))
+    there = differentiated(lambda v: case.residual(np.zeros(0), together, join([v, others[1]])), values, 1e-4)
+    assert np.abs(there).max(axis=(1, 2)).min() > 0
+    close(case.columns([effect], values, beside=others), there, 5e-3)
+    alone = case.columns([effect], values, beside=(Terms(), np.zeros(0)))
+    np.testing.assert_array_equal(alone, np.zeros((effect.size, 6, SAMPLES)))
+
+
+def test_shaped_effects_are_tried_at_shares_of_what_was_recorded(known, motions, arm):
+    case = known["static"]
+    assert {effect.name for effect in case.shaped} == {"joint_backlash", "joint_windup"}  # temperatures are recorded
+    torque = np.abs(np.asarray(case.loads.torque)).max(1)
+    assert 0 < torque[0] < 3e-3 * torque.max()  # of a joint that is not quite upright
+    assert sorted({effect.joint for effect in case.shaped}) == [2, 3, 4, 5, 6]
+    for name, shares in (
+        ("joint_backlash", (0, 0.05, 0.1, 0.2, 0.4, 0.7)),
+        ("joint_windup", (0.05, 0.1, 0.2, 0.4, 0.7)),
+    ):
+        found = [e.friction_torque_Nm for e in case.shaped if (e.name, e.joint) == (name, 2)]
+        np.testing.assert_allclose(found, np.multiply(shares, torque[1]), rtol=6e-3)
+    assert len(set(case.shaped)) == len(case.shaped)
+    columns = case.columns(case.shaped)
+    assert columns.shape[0] == len(case.shaped)
+    cold = shaped(case.motion._replace(temperature_rise=None, joint_temperature_rise=None), None, 6)
+    duration = float(np.ptp(motions["static"]["time"]))
+    assert cold == tuple(JointWarmUp(j, float(f"{s * duration:.3g}")) for j in range(1, 7) for s in (0.1, 0.3, 1))
+    still = shaped(case.motion._replace(direction=None, time=None), case.loads, 6)
+    assert {e.friction_torque_Nm for e in still if e.name == "joint_backlash"} == {0.0}
+
+
 def test_columns_of_effects_together_are_theirs_one_after_another(known):
     case = known["static"]
     effects = [parse_effect(text)[0] for text in STATIC]
@@ -157,7 +248,11 @@ def test_sites_are_derivatives_of_a_plain_arm(arm, motions, known):
         wanted["stretch", j, 0] = slope(f"link_thermal_expansion:link={j},expansion_per_K={{}}") / rise
     for site, column in wanted.items():
         close(case.sites[site], column, 1e-6)
-    assert len(case.sites) == 6 * (1 + 1 + 6) + 6 + 6 + 1
+    for k, velocity in enumerate(DRIFTS):
+        rest_of = ",".join(f"{a}=0" for a in DRIFTS if a != velocity)
+        moved = slope(f"sensor_drift:{velocity}={{}},{rest_of}")
+        close(case.sites["sensor", 0, k] * motion["time"], moved, 1e-5)
+    assert len(case.sites) == 6 * (1 + 1 + 1 + 6) + 6 + 6 + 1
 
 
 def test_the_nuisance_is_the_derivative_of_the_residuals(unknown):
