@@ -146,6 +146,7 @@ class Problem(LinearisedProblem, Protocol):
         candidates: the named terms that are testable with these data.
         periodic: families of periodic terms.
         curves: families of nonparametric terms.
+        shaped: named terms with a number in which they are not linear, each at a few of its values.
         flexible: nonparametric terms of every site and driver, by which the names of the others are tested.
     """
 
@@ -162,10 +163,12 @@ class Problem(LinearisedProblem, Protocol):
     @property
     def curves(self) -> tuple[CurveFamily, ...]: ...
     @property
+    def shaped(self) -> tuple[Term, ...]: ...
+    @property
     def flexible(self) -> tuple[Term, ...]: ...
 
     def without_candidates(self, terms: Sequence[Term]) -> "Problem":
-        """The same problem in which these terms are no candidates."""
+        """The same problem in which these terms, with any number of those that are tried, are no candidates."""
         ...
 
     def thinned(self, every: int) -> "Problem":

@@ -47,6 +47,9 @@ def _with_next(problem: Problem, state: State, options: EngineOptions) -> State 
     test, searched = score_test(problem, state.fit, options), searched_size(problem, options)
     named = [term for term in problem.candidates if not term.periodic]
     scored = [_Scored(*pair, 0.0) for pair in zip(named, test.score(named), strict=True)]
+    if problem.shaped:
+        searched_shapes = float(np.log(len(problem.shaped)))
+        scored += [_Scored(*pair, searched_shapes) for pair in zip(problem.shaped, test.score(problem.shaped), strict=True)]
     scored += [_Scored(line.term, line.score, np.log(line.searched)) for line in lines(test)]
     n = test.freedom
     ranked = sorted(

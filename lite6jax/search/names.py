@@ -41,6 +41,19 @@ def challenge_names(problem: Problem, state: State, options: EngineOptions) -> S
         if better is None:
             break
         state = believable(problem, better, options)
+    return _named_again(problem, state, options)
+
+
+def _named_again(problem: Problem, state: State, options: EngineOptions) -> State:
+    """Named terms in the place of functions without a name, where they are as likely beside the other terms now."""
+    for term in [tested.term for tested in state.tested if tested.term.nonparametric]:
+        if term not in state.fit.terms.terms:
+            continue
+        rest = reduced(problem, state, state.fit.terms.terms.index(term), options)
+        named = prune(problem, eliminate(problem, forward(problem, rest, options), options), options)
+        named = believable(problem, named, options)
+        if preferred(named, state, 0.0, options):
+            state = named
     return state
 
 

@@ -27,6 +27,10 @@ _EVERYWHERE = ("temperature rise", "time", "payload")
 """Quantities of the whole arm."""
 _OWN = ("gravity torque", "velocity", "direction of motion", "temperature")
 """Quantities of a joint beside its position."""
+_WOBBLE = (1.0, 2.0)
+"""Orders of what turns with a joint but is no angle of it: tilts of its axis, of the base or of the tool."""
+_TURNS = (-4 * np.pi, 4 * np.pi)
+"""rad: no joint turns farther."""
 _LEAST_VARIED = 1e-6
 _NEIGHBOURS = 8
 """Least number of training rows within about `fade` of a position for it to count as measured."""
@@ -81,43 +85,47 @@ def flexible(motion: Motion, loads: Loads | None, rows: int, sites: dict[Site, A
     positions, everywhere = [Driver("position", k + 1) for k in range(dof)], [Driver(q) for q in _EVERYWHERE]
     found: list[Unnamed] = []
 
-    def add(site: str, drivers: Sequence[Driver], degree: int, component: str = "rz", pieces: int = 0) -> None:
+    def add(site: str, drivers: Sequence[Driver], degree: int = 0, component: str = "rz", pieces: int = 0) -> None:
         spans = [ranges(driver) for driver in drivers]
         kind, number = site.rstrip("0123456789"), int("0" + "".join(filter(str.isdecimal, site))) - 1
         keys = [(kind, max(number, 0), 0 if kind == "joint" else COMPONENTS.index(c)) for c in component.split()]
         if any(span is None for span in spans) or not any(sites[key].any() for key in keys):
             return
+        phrase = " and ".join(driver.phrase for driver in drivers)
+        if not degree and not pieces:
+            found.append(Unnamed(site, phrase, *_TURNS, 8, component, orders=_WOBBLE, trust=(1.0, 1.0)))
+            return
         (lower, upper), *further = [span for span in spans if span is not None]
-        phrase, bounds = " and ".join(driver.phrase for driver in drivers), tuple(b for span in further for b in span)
-        found.append(
-            Unnamed(site, phrase, lower, upper, pieces or 8, component, degree=degree, further=bounds)
-        )
+        bounds = tuple(bound for span in further for bound in span)
+        found.append(Unnamed(site, phrase, lower, upper, pieces or 8, component, degree=degree, further=bounds))
 
     for j in range(1, dof + 1):
-        own = [Driver(q, j) for q in _OWN if q in QUANTITIES]
-        for driver in (*positions, *own, *everywhere):
-            add(f"joint{j}", [driver], 0 if driver in positions else 3, pieces=5)
         for driver in positions:
+            add(f"joint{j}", [driver], pieces=5)
             add(f"joint{j}", [driver], 2)
+        for driver in (*(Driver(q, j) for q in _OWN), *everywhere):
+            add(f"joint{j}", [driver], 3)
         for pair in combinations(positions, 2):
             add(f"joint{j}", pair, 3)
         if dof > 1:
-            for driver in (Driver("position", j), *everywhere):
-                add(f"link{j}", [driver], 3 if driver in everywhere else 0, "rx ry", pieces=3)
+            add(f"link{j}", [Driver("position", j)], 0, "rx ry")
+            add(f"link{j}", [Driver("position", j)], 0, "rx ry", pieces=5)
             add(f"link{j}", [Driver(f"gravity moment {axis}", j) for axis in "xy"], 2, "rx ry")
+            for driver in everywhere:
+                add(f"link{j}", [driver], 3, "rx ry")
     base, tool = " ".join(COMPONENTS), " ".join(COMPONENTS[: 3 if rows == 3 else 6])
-    for driver in (*positions[:3], *everywhere):
-        add("base", [driver], 3 if driver in everywhere else 0, base, pieces=3)
-    add("base", [Driver(f"base moment {axis}") for axis in "xy"], 1, base)
-    add("base", [Driver(f"base moment {axis}") for axis in "xy"], 2, base)
-    for driver in (*positions, *everywhere):
-        add("tool", [driver], 3 if driver in everywhere else 0, tool, pieces=3)
-    moments = [Driver("gravity moment x", dof), Driver("gravity moment y", dof), Driver("gravity torque", dof)]
-    add("tool", moments, 2, tool)
-    if ("sensor", 0, 0) in sites:
+    moments = [Driver(f"base moment {axis}") for axis in "xy"]
+    at_flange = [Driver("gravity moment x", dof), Driver("gravity moment y", dof), Driver("gravity torque", dof)]
+    for site, component, angles, loaded in (("base", base, positions[:3], moments), ("tool", tool, positions, at_flange)):
+        for driver in angles:
+            add(site, [driver], 0, component)
+        for degree in (1, 2):
+            add(site, loaded, degree, component)
         for driver in everywhere:
-            add("sensor", [driver], 3, base)
-        add("sensor", [Driver(f"measured position {axis}") for axis in "xyz"], 3, "x y z")
+            add(site, [driver], 3, component)
+    for driver in everywhere:
+        add("sensor", [driver], 3, base)
+    add("sensor", [Driver(f"measured position {axis}") for axis in "xyz"], 3, "x y z")
     return tuple(found)
 
 

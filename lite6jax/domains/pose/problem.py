@@ -77,6 +77,7 @@ class PoseProblem:
         thinned_from: of a thinned problem, the motion that its rows are taken from, and their indices there: a clock
             offset interpolates between neighbouring rows.
         units: unit deflections that depend on the motion alone, shared between linearisations.
+        refused: labels of shaped effects that are no candidates.
     """
 
     recording: Recording
@@ -96,6 +97,7 @@ class PoseProblem:
     clock_offset: float
     thinned_from: tuple[Motion, NDArray[np.integer]] | None
     units: dict[Effect, Deflection]
+    refused: frozenset[str] = frozenset()
 
     @property
     def samples(self) -> int:
@@ -176,7 +178,8 @@ class PoseProblem:
     @lazy
     def shaped(self) -> tuple[Effect, ...]:
         """Named effects with a number that is tried at a few values, beside the candidates."""
-        return shaped(self.time_shifted, self.loads, self.motion.dof)
+        found = shaped(self.time_shifted, self.loads, self.motion.dof)
+        return tuple(effect for effect in found if effect.label not in self.refused)
 
     @lazy
     def flexible(self) -> tuple[Unnamed, ...]:
@@ -247,7 +250,9 @@ class PoseProblem:
 
     def without_candidates(self, terms: Sequence[Term]) -> "PoseProblem":
         """The same problem in which these effects are no candidates."""
-        return replace(self, candidates=tuple(effect for effect in self.candidates if effect not in terms))
+        refused = self.refused | {term.label for term in terms if term.chosen is not None}
+        candidates = tuple(effect for effect in self.candidates if effect not in terms)
+        return replace(self, candidates=candidates, refused=refused)
 
     def thinned(self, every: int) -> "PoseProblem":
         """One in `every` rows."""
