@@ -2,15 +2,16 @@
 
 import re
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cached_property
 from itertools import combinations_with_replacement
 from math import comb
-from typing import ClassVar, final
+from typing import Any, ClassVar, final
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
+from numpy.typing import NDArray
 
 from lite6jax.effects.deflection import Deflection, at_joint, twist
 from lite6jax.effects.drivers import Driver, driver_of
@@ -25,11 +26,10 @@ COMPONENTS = ("x", "y", "z", "rx", "ry", "rz")
 _SITE = re.compile(r"joint([1-9]\d*)|link([1-9]\d*)|base|tool|sensor")
 
 
-@partial(jax.jit, static_argnames="pieces")
 def spline_basis(values: Array, lower: float | Array, upper: float | Array, pieces: int) -> Array:
     """The cubic B-splines on `pieces` equal intervals from `lower` to `upper`, `(pieces + 3, sample)`.
 
-    They add up to 1; before `lower` and beyond `upper` they keep their values there.
+    They add up to 1; before `lower` and beyond `upper` they keep their values there. Of NumPy values on the host.
 
     Args:
         values: `(sample,)`.
@@ -37,29 +37,35 @@ def spline_basis(values: Array, lower: float | Array, upper: float | Array, piec
         upper: the last interval's end.
         pieces: the number of intervals.
     """
-    u = jnp.clip((values - lower) / (upper - lower), 0.0, 1.0) * pieces
-    t = jnp.abs(u - jnp.arange(-1.0, pieces + 2.0)[:, None])
-    near, far = jnp.maximum(1 - t, 0.0), jnp.maximum(2 - t, 0.0)
+    xp = _library(values)
+    u = xp.clip((values - lower) / (upper - lower), 0.0, 1.0) * pieces
+    t = xp.abs(u - np.arange(-1.0, pieces + 2.0)[:, None])
+    near, far = xp.maximum(1 - t, 0.0), xp.maximum(2 - t, 0.0)
     return (far**3 - 4 * near**3) / 6  # the fourth difference of cubes (C. de Boor, A Practical Guide to Splines, IX)
 
 
-@partial(jax.jit, static_argnames="degree")
-def polynomial_basis(values: Array, ranges: Array, degree: int) -> Array:
+def polynomial_basis(values: Array, ranges: NDArray, degree: int) -> Array:
     """All products of up to `degree` drivers, `(product, sample)`, the constant first.
 
-    Each driver is scaled so that its range is from -1 to 1, and keeps its value beyond.
+    Each driver is scaled so that its range is from -1 to 1, and keeps its value beyond. Of NumPy values on the host.
 
     Args:
         values: `(driver, sample)`.
         ranges: `(driver, 2)`, lower and upper.
         degree: of the polynomials, 1 or more.
     """
+    xp = _library(values)
     lower, upper = ranges.T[..., None]
-    u = jnp.clip(2 * (values - lower) / (upper - lower) - 1, -1.0, 1.0)
-    products = [jnp.ones_like(u[0])]
+    u = xp.clip(2 * (values - lower) / (upper - lower) - 1, -1.0, 1.0)
+    products = [xp.ones_like(u[0])]
     for order in range(1, degree + 1):
-        products += [jnp.prod(u[jnp.array(which)], 0) for which in combinations_with_replacement(range(len(u)), order)]
-    return jnp.stack(products)
+        products += [xp.prod(u[np.array(which)], 0) for which in combinations_with_replacement(range(len(u)), order)]
+    return xp.stack(products)
+
+
+def _library(values: Array) -> Any:
+    """NumPy for arrays on the host, where hundreds of functions are evaluated without compiling; else JAX's."""
+    return np if isinstance(values, np.ndarray) else jnp
 
 
 @jax.jit
@@ -202,8 +208,7 @@ class Unnamed(Bending):
     def values_at(self, motion: Motion, loads: Loads | None) -> Array:
         """The values of the driver `(sample,)`, or of several `(driver, sample)`."""
         values = [driver.values(motion, loads) for driver in self.drivers]
-        on_host = all(isinstance(value, np.ndarray) for value in values)
-        return values[0] if len(values) == 1 else (np if on_host else jnp).stack(values)  # type: ignore[return-value]
+        return values[0] if len(values) == 1 else _library(values[0]).stack(values)
 
     def basis(self, driver: Array, run: Array | None = None) -> Array:
         """The functions that coefficients multiply, `(function, sample)`, at values `(sample,)` of the driver.
@@ -213,17 +218,18 @@ class Unnamed(Bending):
             run: `(2, sample)`, where runs begin and end, which a memory asks for; all are one where not given.
         """
         if self.degree:
-            ranges = jnp.asarray((self.lower, self.upper, *self.further)).reshape(-1, 2)
-            return polynomial_basis(jnp.atleast_2d(driver), ranges, self.degree)
+            ranges = np.array((self.lower, self.upper, *self.further)).reshape(-1, 2)
+            return polynomial_basis(_library(driver).atleast_2d(driver), ranges, self.degree)
         if self.memory:
             one = jnp.zeros((2, driver.size), int)
             return plays(driver, jnp.asarray(self.memory), one if run is None else run)
         if not self.orders:
             return spline_basis(driver, self.lower, self.upper, self.pieces)
-        turned = jnp.asarray(self.orders)[:, None] * driver
-        waves = jnp.stack([jnp.sin(turned), jnp.cos(turned)], 1).reshape(self.functions, -1)
-        at = jnp.linspace(self.lower, self.upper, len(self.trust))
-        return waves * jnp.interp(driver, at, jnp.asarray(self.trust), left=0.0, right=0.0)
+        xp = _library(driver)
+        turned = np.array(self.orders)[:, None] * driver
+        waves = xp.stack([xp.sin(turned), xp.cos(turned)], 1).reshape(self.functions, -1)
+        at = np.linspace(self.lower, self.upper, len(self.trust))
+        return waves * xp.interp(driver, at, np.array(self.trust), left=0.0, right=0.0)
 
     def units(self, motion: Motion, loads: Loads | None) -> Deflection:
         """The deflection by each coefficient, per unit of it; a leading axis `(coordinate, …)`."""

@@ -46,8 +46,10 @@ def challenge_names(problem: Problem, state: State, options: EngineOptions) -> S
 
 def _named_again(problem: Problem, state: State, options: EngineOptions) -> State:
     """Named terms in the place of functions without a name, where they are as likely beside the other terms now."""
-    for term in [tested.term for tested in state.tested if tested.term.nonparametric]:
-        if term not in state.fit.terms.terms:
+    for tested in [tested for tested in state.tested if tested.term.nonparametric]:
+        term, gain = tested.term, max(tested.score.gain, 1e-300)
+        near = any(1 - alternative.gap / gain > options.named_share for alternative in tested.alternatives)
+        if not near or term not in state.fit.terms.terms:
             continue
         rest = reduced(problem, state, state.fit.terms.terms.index(term), options)
         named = prune(problem, eliminate(problem, forward(problem, rest, options), options), options)

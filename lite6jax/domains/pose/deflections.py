@@ -14,7 +14,7 @@ from lite6jax.arms.chains import Form, SixParameterForm
 from lite6jax.arms.moves import turn
 from lite6jax.domains.pose.kinematics import Site
 from lite6jax.effects.composition import Physics
-from lite6jax.effects.deflection import Deflection, dense
+from lite6jax.effects.deflection import Deflection
 from lite6jax.effects.effect import Altering, Bending, Effect, Loading
 from lite6jax.effects.motion import Motion
 from lite6jax.effects.nonparametric import Unnamed
@@ -50,7 +50,7 @@ class Deflections:
         return self.loads_in(self.motion)
 
     def loads_in(self, motion: Motion, physics: Physics | None = None, values: Array | None = None) -> Loads | None:
-        """The loads in another motion of the same arm, whose masses and gravity some effects alter.
+        """The loads in another motion of the same arm, whose masses and gravity some effects alter, on the host.
 
         Args:
             motion: as altered by these effects.
@@ -63,18 +63,28 @@ class Deflections:
         if physics is not None:
             inertia = physics.alter_inertia(jnp.asarray(values), inertia)
         form = SixParameterForm(len(self.kinematics))
-        return _loads(form, jnp.asarray(self.kinematics.ravel()), motion, inertia)
+        return jax.tree.map(np.asarray, _loads(form, jnp.asarray(self.kinematics.ravel()), motion, inertia))
+
+    def altered_motion(self, physics: Physics, values: Array) -> Motion:
+        """The motion as effects of the clock and of the loads alter it, on the host."""
+        shifting = [isinstance(e, Altering) and not isinstance(e, Loading) for e in physics.effects]
+        motion = self.host_motion
+        if any(shifting):
+            clock, offsets = physics.part(values, shifting)
+            motion = jax.tree.map(np.asarray, self.altered(partial(clock.alter, jnp.asarray(offsets))))
+        loading, numbers = physics.part(values, [isinstance(effect, Loading) for effect in physics.effects])
+        return loading.alter(numbers, motion)  # type: ignore[arg-type]
 
     def unit(self, effect: Effect) -> Deflection:
         """The deflection per unit of each number of an effect at zero, `(number, …)`; computed once."""
         cache = self._loaded if any(driver.loaded for driver in effect.drivers) else self.units
         if effect not in cache:
             if isinstance(effect, Unnamed):
-                cache[effect] = effect.units(self._host_motion, self._host_loads)
+                cache[effect] = effect.units(self.host_motion, self.host_loads)
             elif effect.linear:
                 assert isinstance(effect, Bending)
                 # on the host, one evaluation a number: traces of a hundred candidates would take seconds
-                each = [effect.deflect(step, self._host_motion, self._host_loads) for step in np.eye(effect.size)]  # type: ignore[arg-type]
+                each = [effect.deflect(step, self.host_motion, self.host_loads) for step in np.eye(effect.size)]  # type: ignore[arg-type]
                 parts = zip(*each, strict=True)
                 cache[effect] = Deflection(*(None if p[0] is None else np.stack(p) for p in parts))  # type: ignore[arg-type]
             else:
@@ -104,7 +114,7 @@ class Deflections:
         """
         pairs = [(one, np.asarray(values)[part]) for one, part in zip(effects.effects, effects.slices, strict=True)]
         bending = [
-            (one, jnp.asarray(numbers))
+            (one, numbers)
             for one, numbers in pairs
             if isinstance(one, Bending) and any(driver.loaded for driver in one.drivers)
         ]
@@ -114,26 +124,28 @@ class Deflections:
         physics = Physics((effect, *(one for one, _ in others)))
 
         def deflected(numbers: Array) -> Deflection:
-            every = jnp.asarray(physics.join([numbers, *(rest for _, rest in others)]))
-            motion = physics.alter(every, self.motion)
-            on_arm, total = self.loads_in(motion, physics, every), Deflection()  # type: ignore[arg-type]
+            every = physics.join([numbers, *(rest for _, rest in others)])
+            motion = physics.alter(every, self.host_motion)  # type: ignore[arg-type]
+            on_arm, total = self.loads_in(motion, physics, every), Deflection()
             for one, its_numbers in bending:
-                total = total + one.deflect(its_numbers, motion, on_arm)
-            return dense(total, motion.dof, motion.samples)
+                total = total + one.deflect(its_numbers, motion, on_arm)  # type: ignore[arg-type]
+            return total
 
         # loads are linear in masses and gravity, and deflections in loads except for curves, plays and steps
         slopes = []
         for step in np.diag([_STEP * number.typical for number in effect.coordinates]):
             less, more = deflected(at - step), deflected(at + step)
-            slopes.append([(np.asarray(b) - np.asarray(a)) / (2 * step.sum()) for a, b in zip(less, more, strict=True)])
-        return Deflection(*map(np.stack, zip(*slopes, strict=True)))  # type: ignore[arg-type]
+            slopes.append([None if a is None else (b - a) / (2 * step.sum()) for a, b in zip(less, more, strict=True)])
+        parts = zip(*slopes, strict=True)
+        return Deflection(*(None if part[0] is None else np.stack(part) for part in parts))  # type: ignore[arg-type]
 
     @cached_property
-    def _host_motion(self) -> Motion:
+    def host_motion(self) -> Motion:
+        """The motion as NumPy arrays."""
         return jax.tree.map(np.asarray, self.motion)
 
     @cached_property
-    def _host_loads(self) -> Loads | None:
+    def host_loads(self) -> Loads | None:
         return None if self.loads is None else jax.tree.map(np.asarray, self.loads)
 
     @cached_property

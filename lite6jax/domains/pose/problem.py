@@ -31,7 +31,7 @@ from lite6jax.domains.pose.rigid_arm import rigid_arm
 from lite6jax.effects.catalogue import Untestable, catalogue, shaped, untestable
 from lite6jax.effects.composition import Physics
 from lite6jax.effects.deflection import Deflection, dense
-from lite6jax.effects.effect import Altering, Effect, Loading
+from lite6jax.effects.effect import Altering, Bending, Effect, Loading
 from lite6jax.effects.kinematic.surroundings import TimeOffset
 from lite6jax.effects.motion import Motion, accelerated, beyond, select, shifted
 from lite6jax.effects.nonparametric import Unnamed
@@ -296,10 +296,14 @@ class PoseProblem:
             for effect, part in zip(physics.effects, physics.slices, strict=True):
                 bent = bent + scaled(self.deflections.unit(effect), np.asarray(values)[part])
         else:
-            motion = self._altered(partial(physics.alter, jnp.asarray(values)))
+            motion, bent = self.deflections.altered_motion(physics, values), self._undeflected
             altered = any(isinstance(effect, Altering) for effect in physics.effects)
-            loads = self.deflections.loads_in(motion, physics, values) if altered and physics.loaded else self.loads
-            bent = dense(physics.deflect(jnp.asarray(values), motion, loads), dof, self.samples)
+            loads = self._on_host[1]
+            if altered and physics.loaded:
+                loads = self.deflections.loads_in(motion, physics, values)
+            for effect, part in zip(physics.effects, physics.slices, strict=True):
+                if isinstance(effect, Bending):
+                    bent = bent + effect.deflect(np.asarray(values)[part], motion, loads)  # type: ignore[arg-type]
         if not self.unknown:
             return motion, bent
         base, link, tool = np.zeros(6), np.zeros((dof, 6)), np.zeros(6)
