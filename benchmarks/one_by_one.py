@@ -39,6 +39,7 @@ class Bent(NamedTuple):
     base: np.ndarray | None = None
     tool: np.ndarray | None = None
     scale: float = 0.0
+    sensor: np.ndarray | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,7 +92,11 @@ class Readings:
                 T = T @ displacement(bent.link[1])
         at = self.T_flange_tool[:3, 3] + tool
         at = at if bent.tool is None else displacement(bent.tool)[:3, :3] @ at + bent.tool[:3]
-        position = (1 + bent.scale) * (T[:, :3, :3] @ at + T[:, :3, 3])
+        position = T[:, :3, :3] @ at + T[:, :3, 3]
+        if bent.sensor is not None:
+            D = displacement(bent.sensor)
+            position = np.einsum("sab,sb->sa", D[:, :3, :3], position) + D[:, :3, 3]
+        position = (1 + bent.scale) * position
         prior = (rows.reshape(-1, 6) / GAUGE).ravel()
         return np.concatenate([((position - self.position) / self.noise).ravel(), prior])
 
@@ -122,17 +127,32 @@ class Readings:
                 return Bent(link=(effect.link, np.column_stack([none, none, none, about, none])))
             case "frame_offset":
                 return Bent(base=v) if effect.link is None else Bent(link=(effect.link, v))
+            case "axis_wobble":
+                return self._wobbling(effect.joint, v)
             case "base_compliance":
-                return Bent(base=np.column_stack([none, none, none, v * self.base_moment[:, :2], none]))
+                x, y = self.base_moment[:, :2].T
+                xy = v[2] if effect.cross else 0.0
+                shift = v[-4:].reshape(2, 2) if effect.shift else np.zeros((2, 2))
+                moved = self.base_moment[:, :2] @ shift.T
+                return Bent(base=np.column_stack([moved, none, v[0] * x + xy * y, v[1] * y + xy * x, none]))
             case "base_drift":
                 return Bent(base=np.column_stack([np.outer(self.time, v), none, none, none]))
             case "tool_offset":
                 return Bent(tool=np.concatenate([v, np.zeros(6 - len(v))]))
             case "measurement_scale":
                 return Bent(scale=v[0])
-            case "payload_error":
-                return Bent()  # seen only through a compliance
+            case "sensor_drift":
+                return Bent(sensor=np.outer(self.time, v))
+            case "payload_error" | "payload_com" | "gravity_direction" | "tool_compliance":
+                return Bent()  # seen only through a compliance, or only with a payload
         raise NotImplementedError(effect.name)
+
+    def _wobbling(self, joint: int, v: np.ndarray) -> Bent:
+        q = self.joint_position[:, joint - 1]
+        waves = np.stack([np.cos(q), np.sin(q), np.cos(2 * q), np.sin(2 * q)])
+        tilt = np.column_stack([v[:4] @ waves, v[4:] @ waves, np.zeros_like(q)])
+        after = np.einsum("sba,sb->sa", rotate("z", q)[:, :3, :3], tilt)  # what it is behind the joint's rotation
+        return Bent(link=(joint, np.concatenate([np.zeros_like(after), after], 1)))
 
     def _turned(self, joint: int, angle: np.ndarray) -> Bent:
         turned = np.zeros_like(self.joint_position)

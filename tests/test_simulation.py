@@ -144,7 +144,7 @@ EFFECTS = (
     "joint_compliance:joint=2,compliance_rad_per_Nm=9e-5",
     "joint_harmonic:joint=1,order=2,amplitude_rad=6e-4,phase_rad=0.7",
     "joint_backlash:joint=4,gap_rad=1.2e-3",
-    "link_compliance:link=3,compliance_x_rad_per_Nm=2e-5,compliance_y_rad_per_Nm=-3e-5",
+    "link_compliance:link=3,compliance_x_rad_per_Nm=2e-5,compliance_y_rad_per_Nm=3e-5",
     "link_thermal_expansion:expansion_per_K=2.3e-5",
     "base_compliance:compliance_x_rad_per_Nm=1e-5,compliance_y_rad_per_Nm=2e-5",
     "base_drift:vx_m_per_s=1e-7,vy_m_per_s=0,vz_m_per_s=-2e-7",

@@ -46,9 +46,9 @@ import numpy as np
 
 from lite6jax.effects.catalogue import BUILT_IN
 from lite6jax.effects.deflection import Deflection, dense
-from lite6jax.effects.effect import Altering, Bending, Effect
+from lite6jax.effects.effect import Altering, Bending, Effect, Loading
 from lite6jax.effects.motion import Motion, motion_of
-from lite6jax.effects.statics import Loads
+from lite6jax.effects.statics import Loads, inertia_of
 from lite6jax.errors import InputError
 from lite6jax.storage import read_text
 
@@ -121,8 +121,16 @@ def _check_at_zero(effect: Bending | Altering) -> None:
     dof, samples = max(effect.joints_needed, 2), 3
     q = np.linspace(0.1, 1.0, samples * dof).reshape(samples, dof)
     row = np.arange(float(samples))
-    motion = motion_of(q, joint_velocity=q, direction=np.sign(q), time=row, ambient_temperature=row, payload=row)
-    loads = Loads(jnp.ones((dof, 3, samples)), jnp.ones((3, samples)))
+    motion = motion_of(
+        q,
+        joint_velocity=q,
+        direction=np.sign(q),
+        time=row,
+        ambient_temperature=row,
+        payload=row,
+        measured_position=q[:, :1].repeat(3, 1),
+    )
+    loads = Loads(jnp.ones((dof, 3, samples)), jnp.ones((3, samples)), jnp.ones((3, samples)))
     names = [coordinate.name for coordinate in effect.coordinates]
     if not names or len(set(names)) != len(names):
         raise InputError(f"{effect.label} has the coordinates {names}; give at least one, with distinct names")
@@ -131,7 +139,11 @@ def _check_at_zero(effect: Bending | Altering) -> None:
         expected, found = motion, effect.alter(zero, motion)
     else:
         expected, found = dense(Deflection(), dof, samples), dense(effect.deflect(zero, motion, loads), dof, samples)
-    for name, plain, value in zip(expected._fields, expected, found, strict=True):
+    fields = list(zip(expected._fields, expected, found, strict=True))
+    if isinstance(effect, Loading):
+        inertia = inertia_of(np.ones(dof), np.ones((dof, 3)))
+        fields += zip(inertia._fields, inertia, effect.alter_inertia(zero, inertia), strict=True)
+    for name, plain, value in fields:
         if plain is None or value is None:
             continue
         if jnp.shape(value) != jnp.shape(plain):

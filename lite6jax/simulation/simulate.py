@@ -85,7 +85,7 @@ def simulate(
     parsed = [parse_effect(effect) if isinstance(effect, str) else effect for effect in effects]
     for effect, _ in parsed:
         quantities = {driver.quantity for driver in effect.drivers}
-        if warm_up is None and "temperature rise" in quantities:
+        if warm_up is None and quantities & {"temperature rise", "temperature"}:
             raise InputError(f"{effect.label}: depends on temperatures that rise; give warm_up, such as 15 K")
         if motion == "static" and "velocity" in quantities:
             raise InputError(f"{effect.label}: depends on joint velocities; simulate with motion='trajectory'")

@@ -49,12 +49,23 @@ STATIC = [
     "joint_harmonic:joint=4,order=63.3,amplitude_rad=5e-4,phase_rad=3",
     "joint_backlash:joint=4,gap_rad=1.2e-3",
     "joint_coupling:joint=5,source_joint=4,coupling=4e-4",
-    "link_compliance:link=3,compliance_x_rad_per_Nm=6e-4,compliance_y_rad_per_Nm=-3e-4",
+    "link_compliance:link=3,compliance_x_rad_per_Nm=6e-4,compliance_y_rad_per_Nm=3e-4",
     "link_thermal_expansion:expansion_per_K=2.3e-5",
     "link_thermal_expansion:link=3,expansion_per_K=6e-5",
     "frame_offset:x_m=1e-4,y_m=-2e-4,z_m=1e-4,rx_rad=2e-4,ry_rad=1e-4,rz_rad=-3e-4",
     "frame_offset:link=2,x_m=1e-4,y_m=-2e-4,z_m=1e-4,rx_rad=2e-4,ry_rad=-3e-4,rz_rad=2e-4",
-    "base_compliance:compliance_x_rad_per_Nm=3e-5,compliance_y_rad_per_Nm=-2e-5",
+    "base_compliance:compliance_x_rad_per_Nm=3e-5,compliance_y_rad_per_Nm=2e-5",
+    "base_compliance:cross=true,compliance_x_rad_per_Nm=4e-5,compliance_y_rad_per_Nm=3e-5,"
+    "compliance_xy_rad_per_Nm=-2e-5",
+    "base_compliance:cross=true,shift=true,compliance_x_rad_per_Nm=4e-5,compliance_y_rad_per_Nm=3e-5,"
+    "compliance_xy_rad_per_Nm=-2e-5,shift_xx_m_per_Nm=3e-6,shift_xy_m_per_Nm=1.5e-5,shift_yx_m_per_Nm=-1.5e-5,"
+    "shift_yy_m_per_Nm=4e-6",
+    "joint_thermal_offset:joint=2,offset_rad_per_K=4e-5",
+    "axis_wobble:joint=3,x_cosine1_rad=3e-4,x_sine1_rad=1e-4,x_cosine2_rad=-2e-4,x_sine2_rad=4e-4,"
+    "y_cosine1_rad=2e-4,y_sine1_rad=-3e-4,y_cosine2_rad=4e-4,y_sine2_rad=2e-4",
+    "sensor_drift:vx_m_per_s=4e-7,vy_m_per_s=-3e-7,vz_m_per_s=2e-7,wx_rad_per_s=3e-7,wy_rad_per_s=5e-7,"
+    "wz_rad_per_s=-4e-7",
+    "tool_compliance:compliance_x_rad_per_Nm=3e-3,compliance_y_rad_per_Nm=2e-3",
     "tool_offset:turned=true,x_m=1e-4,z_m=4e-4",
     "tool_offset:turned=true,x_m=2e-4,y_m=1e-4,z_m=4e-4,rx_rad=3e-4,ry_rad=-2e-4,rz_rad=2e-4",
     "measurement_scale:scale=4e-4",

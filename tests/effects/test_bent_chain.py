@@ -17,6 +17,7 @@ from lite6jax.effects.kinematic.links import FrameOffset, LinkCompliance, LinkTh
 from lite6jax.effects.kinematic.surroundings import BaseDrift, MeasurementScale, TimeOffset, ToolOffset
 from lite6jax.effects.kinematic.weights import GravityDirection, PayloadCom, PayloadError
 from lite6jax.effects.motion import motion_of
+from lite6jax.effects.nonparametric import Unnamed
 from lite6jax.effects.statics import Inertia, Loads, inertia_of, loads
 from lite6jax.errors import InputError
 from lite6jax.model import arm_model, predict, predict_bent, predict_poses
@@ -185,6 +186,23 @@ def test_given_loads_cannot_follow_another_clock_or_payload(altering):
         f"{altering.label}: changes the loads, and they are given; give the masses instead, with the "
         "six-parameter chain"
     )
+
+
+def test_what_the_sensor_shows_of_a_motion_to_be_predicted_is_the_rigid_arms_position():
+    rng = np.random.default_rng(10)
+    arrays = random_motion(rng, 3)
+    chain = SixParameterForm(3)
+    model = arm_model(random_kinematics(rng, 3).ravel(), displacement([0.1, 0.2, 0, 0.3, 0.2, 0.1]), shift(0, 0, 0.1))
+    rigid = predict(chain, model, arrays["joint_position"])
+    lens = Unnamed("sensor", "measured position y", -2.0, 2.0, pieces=3, component="x")
+    values = 1e-4 * rng.standard_normal(lens.size)
+    found = predict_poses(chain, Physics((lens,)), model, values, motion_of(**arrays))
+    curve = lens.curve(jnp.asarray(values), rigid[:, 1, 3])
+    assert np.abs(curve).max() > 1e-5
+    np.testing.assert_allclose(found[:, 0, 3], rigid[:, 0, 3] + curve, rtol=0, atol=1e-14)
+    np.testing.assert_allclose(found[:, 1:, 3], rigid[:, 1:, 3], rtol=0, atol=1e-14)
+    shown = motion_of(**arrays, measured_position=np.full((len(rigid), 3), np.nan))
+    np.testing.assert_array_equal(predict_poses(chain, Physics((lens,)), model, values, shown), found)
 
 
 def test_a_motion_of_another_arm_is_refused():

@@ -489,6 +489,51 @@ def test_the_documented_file_of_a_user_works_like_the_catalogue(tmp_path):
 
 
 HEAD = example().split("EFFECTS")[0]
+LIGHTER = """
+from dataclasses import dataclass
+from typing import ClassVar, final
+
+from lite6jax.effects.drivers import Driver
+from lite6jax.effects.effect import Coordinate, Loading
+
+
+@final
+@dataclass(frozen=True)
+class Balance(Loading):
+    name: ClassVar[str] = "balance"
+
+    @property
+    def site(self):
+        return "base"
+
+    @property
+    def coordinates(self):
+        return (Coordinate("share", "1", 1e-2),)
+
+    @property
+    def drivers(self):
+        return (Driver("base moment x"),)
+
+    def alter(self, values, motion):
+        return motion
+
+    def alter_inertia(self, values, inertia):
+        return inertia._replace(gravity=(1 - values[0]) * inertia.gravity)
+
+
+EFFECTS = [Balance()]
+"""
+
+
+def test_a_user_changes_what_weighs_on_the_arm(tmp_path):
+    path = tmp_path / "balance.py"
+    path.write_text(LIGHTER)
+    (effect,) = load_effects(path)
+    assert effect.label == "balance:base"
+    path.write_text(LIGHTER.replace("(1 - values[0])", "(2 - values[0])"))
+    assert refused(load_effects, path) == (
+        f"{path}: EFFECTS[0]: balance:base changes gravity at zero; choose coordinates that change nothing at zero"
+    )
 
 
 @pytest.mark.parametrize(

@@ -5,6 +5,8 @@ The limits are far beyond what is made or wears, so that no real arm reaches the
 
 COMPLIANCE = 1e-3
 """rad/Nm: a gear, link or mount as soft as this sags by a degree under 20 Nm; those of arms are near 1e-5."""
+TOOL_COMPLIANCE = 1e-2
+"""rad/Nm, of what is on a flange: a gripper's wrist or a force sensor is softer than an arm, by ten times."""
 SHIFT = 1e-3
 """m/Nm, of a mount that gives way sideways by a centimetre under 10 Nm."""
 GAP = 0.02

@@ -145,7 +145,7 @@ class ToolCompliance(Bending):
     @property
     def coordinates(self) -> tuple[Coordinate, ...]:
         return tuple(
-            Coordinate(f"compliance_{axis}_rad_per_Nm", "rad/Nm", 1e-5, lower=0.0, upper=bounds.COMPLIANCE)
+            Coordinate(f"compliance_{axis}_rad_per_Nm", "rad/Nm", 1e-5, lower=0.0, upper=bounds.TOOL_COMPLIANCE)
             for axis in "xy"
         )
 
