@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from lite6jax.arms.se3 import rotation_from_quaternion
 from lite6jax.domains.pose.predict import DiagnosedArm, predict
-from lite6jax.effects.kinematic.surroundings import BaseDrift
+from lite6jax.effects.kinematic.surroundings import BaseDrift, SensorDrift
 from lite6jax.errors import InputError
 from lite6jax.estimation.least_squares import relinearise
 from lite6jax.estimation.options import DEFAULTS
@@ -116,7 +116,7 @@ def register_model(model: DiagnosedArm, recording: Recording) -> tuple[Diagnosed
         InputError: no poses, too few of them (both counts), poses that do not determine a frame, or as `predict`.
     """
     require_samples(recording, _NUMBERS[recording.numbers_per_sample or 3])
-    model = model.keeping([not isinstance(effect, BaseDrift) for effect in model.physics.effects])
+    model = model.keeping([not isinstance(effect, BaseDrift | SensorDrift) for effect in model.physics.effects])
     bare = [replace(model, model=ArmModel(model.model.geometry, _shift(x), np.eye(4))) for x in (0.0, 1.0)]  # type: ignore[arg-type]
     flange, shifted = (predict(one, recording) for one in bare)
     # an effect of the sensor's scale multiplies positions: by how much a frame shifted by a metre shows them moved
