@@ -56,9 +56,9 @@ def require_radians(
 def far_joint(joint_position: NDArray[np.float64], joint_limits: ArrayLike | None = None) -> tuple[int, ...] | None:
     """The index of the first joint position that shows degrees where radians belong; None where they are radians.
 
-    Degrees are suspected where a tenth of the rows of any one arm or more exceed twice the arm's widest limit.
-    A few such rows are outliers and pass, and so do joints that are swapped, mirrored or a turn off: the diagnosis
-    locates those.
+    Degrees are suspected where a tenth of the rows of any one arm or more exceed twice the arm's widest limit, and the
+    limit by more than a turn. A few such rows are outliers and pass, and so do joints that are swapped, mirrored or a
+    turn off: the diagnosis locates those.
 
     Args:
         joint_position: `(joint,)`, `(sample, joint)` or `(arm, sample, joint)` rad.
@@ -67,7 +67,8 @@ def far_joint(joint_position: NDArray[np.float64], joint_limits: ArrayLike | Non
     q = joint_position
     if not q.size:
         return None
-    far = np.abs(q) > FAR_LIMITS * np.abs(limits_of(q.shape[-1], joint_limits)).max()
+    widest = np.abs(limits_of(q.shape[-1], joint_limits)).max()
+    far = np.abs(q) > max(FAR_LIMITS * widest, widest + 2 * np.pi)
     if not (np.atleast_1d(far.any(-1)).mean(-1) >= FAR_ROWS_SHARE).any():
         return None
     joint = int(np.argmax(far.reshape(-1, q.shape[-1]).sum(0)))

@@ -7,6 +7,7 @@ import pytest
 from lite6jax.arms.bundled import load_bundled
 from lite6jax.errors import InputError
 from lite6jax.recordings import Recording, RecordingSettings, read_recording, require_radians, write_recording
+from lite6jax.recordings.units import far_joint
 
 LITE6 = load_bundled("lite6")
 SAMPLES = 40
@@ -94,6 +95,14 @@ def test_outliers_and_turned_joints_are_not_taken_for_degrees(plausible):
     plausible["joint_position"][:3] = 500.0
     plausible["joint_position"][:, 5] += 2 * np.pi
     assert Recording.from_arrays(**plausible).samples == SAMPLES
+
+
+def test_a_joint_a_turn_off_is_not_taken_for_degrees_where_no_joint_turns_far():
+    q, limits = np.zeros((10, 3)), np.tile([-3.05, 3.05], (3, 1))
+    q[:, 2] = 3.05 + 2 * np.pi
+    assert far_joint(q, limits) is None
+    q[:, 2] += 0.01
+    assert far_joint(q, limits) == (0, 2)
 
 
 def test_millimetres_are_refused_and_name_the_remedy(plausible):
