@@ -198,6 +198,11 @@ class Effect(ABC):
         """The number that a search chose from many instead of fitting it, or None."""
         return self.choice.number(self) if self.choice is not None and self.choice.searched(self) else None
 
+    @property
+    def includes(self) -> "tuple[Effect, ...]":
+        """The effects that are this one with some of its numbers zero."""
+        return ()
+
     @final
     def released(self) -> "Effect":
         """The same effect with its chosen number as its last coordinate."""

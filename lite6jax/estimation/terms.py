@@ -44,6 +44,7 @@ class Term(Protocol):
         periodic: whether it is found by the spectrum of a periodic family.
         nonparametric: whether it is a flexible curve rather than a named term.
         chosen: the number that a search chose instead of fitting it (an order), or None.
+        includes: terms that are this one with some of its numbers zero; it takes their place.
     """
 
     specificity: ClassVar[int]
@@ -61,6 +62,8 @@ class Term(Protocol):
     def periodic(self) -> bool: ...
     @property
     def chosen(self) -> float | None: ...
+    @property
+    def includes(self) -> "Sequence[Term]": ...
 
     def released(self) -> "Term":
         """The same term with its chosen number as its last free coordinate."""

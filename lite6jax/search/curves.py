@@ -75,9 +75,7 @@ def merge_harmonics(problem: Problem, state: State, options: EngineOptions) -> S
             continue
         orders = tuple(sorted({order for wave in waves if (order := family.order(wave)) is not None}))
         beside = refitted(problem, state, [t for t in state.tested if t.term not in waves], options)
-        merged = with_curve(
-            problem, beside, family.curve(orders, state.baseline.training, None, options.fade), options
-        )
+        merged = with_curve(problem, beside, family.curve(orders, state.baseline.training, None, options.fade), options)
         if merged.tested[-1].p_value < options.level:
             state = merged
     return state

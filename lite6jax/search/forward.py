@@ -1,17 +1,18 @@
 """Forward selection: the most likely term is added as long as one is left that noise does not explain."""
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 from scipy.special import chdtrc
 
-from lite6jax.estimation.least_squares import Fit
+from lite6jax.estimation.least_squares import Fit, fit
 from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.problem import Problem
 from lite6jax.estimation.score_test import Score, score_test, searched_size
-from lite6jax.estimation.terms import Term
+from lite6jax.estimation.terms import Term, Terms
 from lite6jax.search.spectrum import lines
-from lite6jax.search.state import Alternative, SelectedTerm, State, added, most_specific
+from lite6jax.search.state import Alternative, SelectedTerm, State, added, most_specific, refitted
 
 
 class _Scored(NamedTuple):
@@ -49,7 +50,9 @@ def _with_next(problem: Problem, state: State, options: EngineOptions) -> State 
     scored = [_Scored(*pair, 0.0) for pair in zip(named, test.score(named), strict=True)]
     if problem.shaped:
         searched_shapes = float(np.log(len(problem.shaped)))
-        scored += [_Scored(*pair, searched_shapes) for pair in zip(problem.shaped, test.score(problem.shaped), strict=True)]
+        scored += [
+            _Scored(*pair, searched_shapes) for pair in zip(problem.shaped, test.score(problem.shaped), strict=True)
+        ]
     scored += [_Scored(line.term, line.score, np.log(line.searched)) for line in lines(test)]
     n = test.freedom
     ranked = sorted(
@@ -82,4 +85,28 @@ def _with_next(problem: Problem, state: State, options: EngineOptions) -> State 
     )
     term, score, _ = chosen[0]
     tested = SelectedTerm(term, score.familywise(searched), score, alternatives)
-    return State(state.baseline, chosen[1], (*state.tested, tested))
+    more = State(state.baseline, chosen[1], (*state.tested, tested))
+    return _refined(problem, _without_included(problem, more, options), options)
+
+
+def _without_included(problem: Problem, state: State, options: EngineOptions) -> State:
+    """The state without the terms that its last one includes."""
+    term = state.tested[-1].term
+    if not any(tested.term in term.includes for tested in state.tested):
+        return state
+    return refitted(problem, state, [t for t in state.tested if t.term not in term.includes], options)
+
+
+def _refined(problem: Problem, state: State, options: EngineOptions) -> State:
+    """The state whose last term has the best of all numbers, where it had the best of a few that were tried."""
+    last, f = state.tested[-1], state.fit
+    if last.term.periodic or last.term.chosen is None:
+        return state
+    before = f.terms.terms[:-1]
+    start = np.append(f.values, last.term.chosen)
+    free = fit(problem, Terms((*before, last.term.released())), options, start, f.nuisance, f.training, f.noise)
+    term = last.term.held(float(free.values[-1]))
+    held = fit(problem, Terms((*before, term)), options, free.values[:-1], free.nuisance, f.training, f.noise)
+    if held.gain_over(f) <= 0:
+        return state
+    return State(state.baseline, held, (*state.tested[:-1], replace(last, term=term)))

@@ -21,7 +21,6 @@ from lite6jax.search.curves import with_curve
 from lite6jax.search.forward import forward
 from lite6jax.search.state import SelectedTerm, State, description_length, preferred, reduced, retested
 
-
 _NUMBERS = 1 << 22
 """Of columns that are scored at once: 32 MB."""
 

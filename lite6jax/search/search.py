@@ -14,7 +14,7 @@ from lite6jax.search.backward import eliminate, prune
 from lite6jax.search.curves import merge_harmonics, replace_by_curves
 from lite6jax.search.exchange import exchange
 from lite6jax.search.forward import forward
-from lite6jax.search.names import believable, significant, challenge_names
+from lite6jax.search.names import believable, challenge_names, significant
 from lite6jax.search.retest import retest
 from lite6jax.search.shrinkage import shrink
 from lite6jax.search.state import SelectedTerm, State

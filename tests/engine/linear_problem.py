@@ -13,6 +13,8 @@ from lite6jax.estimation.terms import Terms
 class Number:
     typical: float = 1.0
     spread: float = np.inf
+    lower: float = -np.inf
+    upper: float = np.inf
 
 
 @dataclass(frozen=True)
@@ -26,6 +28,7 @@ class Column:
     nonparametric: bool = False
     chosen: float | None = None
     coordinates: tuple = (Number(),)
+    includes: tuple = ()
 
     size = property(lambda self: len(self.coordinates))
     label = property(lambda self: f"{self.name}:{self.site}")
@@ -43,6 +46,7 @@ class Wave:
     specificity: int = 2
     periodic: bool = True
     nonparametric: bool = False
+    includes: tuple = ()
 
     chosen = property(lambda self: None if self.order in (None, 1.0) else self.order)
     coordinates = property(lambda self: (Number(),) * (2 if self.order else 3))
@@ -79,6 +83,7 @@ class Hat:
     periodic: bool = False
     nonparametric: bool = True
     chosen: float | None = None
+    includes: tuple = ()
 
     size = property(lambda self: 2 * len(self.orders) or self.pieces + 1)
     coordinates = property(lambda self: (Number(1.0, self.spread),) * self.size)
@@ -89,6 +94,26 @@ class Hat:
             return np.concatenate([Wave(order).basis(data) for order in self.orders])
         knots = np.linspace(self.lower, self.upper, self.pieces + 1)
         return np.stack([np.interp(data["angle"], knots, hat) for hat in np.eye(len(knots))])
+
+
+@dataclass(frozen=True)
+class Curve:
+    """A polynomial of degree 3 in one regressor."""
+
+    over: str
+    site: str = "x"
+    specificity: int = 9
+    periodic: bool = False
+    nonparametric: bool = True
+    chosen: float | None = None
+    includes: tuple = ()
+    coordinates: tuple = (Number(),) * 3
+
+    size = property(lambda self: 3)
+    label = property(lambda self: f"curve:{self.over}")
+
+    def basis(self, data):
+        return np.stack([data[self.over] ** power for power in (1, 2, 3)])
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,6 +166,18 @@ class LinearProblem:
 
     def relinearised(self, nuisance):
         return replace(self, offset=self.offset + nuisance)
+
+    shaped = ()
+
+    @cached_property
+    def flexible(self):
+        """Functions of the regressors and of the angle; named regressors are the special case of a straight line."""
+        angle = self.data["angle"]
+        curves = [Curve(f"u{k}") for k in range(1, 7)]
+        return (*curves, Hat(float(angle.min()), float(angle.max()), 6))
+
+    def without_candidates(self, terms):
+        return replace(self, candidates=tuple(term for term in self.candidates if term not in terms))
 
     def thinned(self, every):
         data = {name: values[::every] for name, values in self.data.items()}

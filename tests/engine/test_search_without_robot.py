@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from engine.linear_problem import Column, Hat, Wave, linear_problem
+from engine.linear_problem import Column, Hat, Number, Wave, linear_problem
 
 from lite6jax.estimation.least_squares import fit
 from lite6jax.estimation.noise import autocorrelation_time, noise_model
@@ -164,3 +164,44 @@ def test_every_option_is_documented_once():
 def test_the_size_of_a_search_counts_names_orders_and_curves():
     problem = linear_problem(np.random.default_rng(15))
     assert searched_size(problem, OPTIONS) == 7 + OPTIONS.searched_orders + OPTIONS.searched_curves
+
+
+# ---------------------------------------------------------------------------- names
+
+
+def test_a_truth_that_no_candidate_has_is_not_called_by_the_nearest_name():
+    """A square of u2, of which the line is the nearest candidate where u2 is not centred."""
+    names, functions = [], []
+    for seed in range(6):
+        problem = linear_problem(np.random.default_rng(seed), planted=lambda data: 0.6 * (data["u2"] + 1.0) ** 2)
+        found = search(problem, EngineOptions()).state.fit.terms.terms
+        names += [term.label for term in found if not term.nonparametric]
+        functions += [term.label for term in found if term.nonparametric]
+    assert functions == ["curve:u2"] * 6
+    assert names == []
+
+
+def test_a_name_stands_where_it_is_true():
+    for seed in range(6):
+        problem = linear_problem(np.random.default_rng(seed), planted=lambda data: 0.8 * data["u2"])
+        assert [term.label for term in search(problem, OPTIONS).state.fit.terms.terms] == ["u2:x"]
+
+
+def test_a_number_that_is_not_possible_is_no_name():
+    """A negative slope of a term that can only be positive is given to a function without a name."""
+    positive = Column("u3", coordinates=(Number(lower=0.0),))
+    for sign, expected in ((1.0, ["u3:x"]), (-1.0, ["curve:u3"])):
+        problem = linear_problem(np.random.default_rng(5), planted=lambda data, s=sign: s * data["u3"])
+        candidates = tuple(positive if term.label == "u3:x" else term for term in problem.candidates)
+        found = search(replace(problem, candidates=candidates), EngineOptions()).state
+        assert [term.label for term in found.fit.terms.terms] == expected
+
+
+def test_every_finding_is_significant_beside_the_others_in_the_end():
+    options = EngineOptions()
+    for seed in range(8):
+        problem = linear_problem(
+            np.random.default_rng(seed), planted=lambda data: 0.3 * data["u1"] + 0.25 * np.sin(data["angle"])
+        )
+        for tested in search(problem, options).state.tested:
+            assert tested.p_value < options.level

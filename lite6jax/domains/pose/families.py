@@ -11,7 +11,7 @@ from scipy.spatial import KDTree
 
 from lite6jax.domains.pose.deflections import Deflections
 from lite6jax.domains.pose.kinematics import Site
-from lite6jax.effects.drivers import QUANTITIES, Driver
+from lite6jax.effects.drivers import Driver
 from lite6jax.effects.kinematic.joints import JointHarmonic
 from lite6jax.effects.motion import Motion
 from lite6jax.effects.nonparametric import COMPONENTS, Unnamed, plays
@@ -116,7 +116,10 @@ def flexible(motion: Motion, loads: Loads | None, rows: int, sites: dict[Site, A
     base, tool = " ".join(COMPONENTS), " ".join(COMPONENTS[: 3 if rows == 3 else 6])
     moments = [Driver(f"base moment {axis}") for axis in "xy"]
     at_flange = [Driver("gravity moment x", dof), Driver("gravity moment y", dof), Driver("gravity torque", dof)]
-    for site, component, angles, loaded in (("base", base, positions[:3], moments), ("tool", tool, positions, at_flange)):
+    for site, component, angles, loaded in (
+        ("base", base, positions[:3], moments),
+        ("tool", tool, positions, at_flange),
+    ):
         for driver in angles:
             add(site, [driver], 0, component)
         for degree in (1, 2):

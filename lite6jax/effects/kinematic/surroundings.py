@@ -51,6 +51,11 @@ class BaseCompliance(Bending):
         )  # fmt: skip
 
     @property
+    def includes(self) -> "tuple[BaseCompliance, ...]":
+        smaller = (BaseCompliance(), BaseCompliance(cross=True))
+        return smaller[: int(self.cross) + int(self.shift)]
+
+    @property
     def drivers(self) -> tuple[Driver, ...]:
         return (Driver("base moment x"), Driver("base moment y"))
 
