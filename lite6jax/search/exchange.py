@@ -1,11 +1,11 @@
-"""Exchange: an alternative replaces a term and forward selection goes on; terms had been chosen one by one."""
+"""Exchange of terms that were chosen one by one: alternatives in the place of a term, one term in that of several."""
 
 from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.problem import Problem
 from lite6jax.estimation.score_test import score_test, searched_size
 from lite6jax.search.backward import eliminate, prune
 from lite6jax.search.forward import forward
-from lite6jax.search.state import SelectedTerm, State, extended, preferred, reduced
+from lite6jax.search.state import SelectedTerm, State, extended, preferred, reduced, refitted
 
 
 def exchange(problem: Problem, state: State, options: EngineOptions) -> State:
@@ -29,3 +29,24 @@ def exchange(problem: Problem, state: State, options: EngineOptions) -> State:
             if preferred(other, best, options.close, options):
                 best, improved = prune(problem, other, options), True
     return best
+
+
+def one_for_several(problem: Problem, state: State, options: EngineOptions) -> State:
+    """The state with one term in the place of several of its kind, where that is as likely: a cause that they share."""
+    for kind in {type(tested.term) for tested in state.tested if not tested.term.nonparametric}:
+        several = [tested for tested in state.tested if type(tested.term) is kind and not tested.term.periodic]
+        if len(several) < 2:
+            continue
+        rest = refitted(problem, state, [tested for tested in state.tested if tested not in several], options)
+        test, searched = score_test(problem, rest.fit, options, within=state.fit), searched_size(problem, options)
+        others = [term for term in problem.candidates if type(term) is kind]
+        best = state
+        for term, score in zip(others, test.score(others), strict=True):
+            if score.confounded or term in state.fit.terms.terms:
+                continue
+            tested = SelectedTerm(term, score.familywise(searched), score)
+            choice = extended(problem, rest, tested, score.values, options)
+            if preferred(choice, best, 0.0, options):
+                best = choice
+        state = best
+    return state

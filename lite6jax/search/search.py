@@ -12,12 +12,13 @@ from lite6jax.estimation.score_test import Score, gain_p_value, score_test, sear
 from lite6jax.estimation.terms import Term, Terms
 from lite6jax.search.backward import eliminate, prune
 from lite6jax.search.curves import merge_harmonics, replace_by_curves
-from lite6jax.search.exchange import exchange
+from lite6jax.search.exchange import exchange, one_for_several
 from lite6jax.search.forward import forward
 from lite6jax.search.names import believable, challenge_names, significant
 from lite6jax.search.retest import retest
 from lite6jax.search.shrinkage import shrink
 from lite6jax.search.state import SelectedTerm, State
+from lite6jax.search.whole_orders import with_whole_orders
 
 
 @final
@@ -89,7 +90,8 @@ def _selected(problem: Problem, reference: Problem, training: Mask, options: Eng
     state = prune(problem, replace_by_curves(problem, added, options), options)
     if thorough:
         state = exchange(problem, state, options)
-    return challenge_names(problem, merge_harmonics(problem, state, options), options)
+    state = with_whole_orders(problem, merge_harmonics(problem, state, options), options)
+    return challenge_names(problem, one_for_several(problem, state, options), options)
 
 
 def _with_preset(problem: Problem, baseline: Fit, options: EngineOptions) -> State:
