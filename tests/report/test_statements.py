@@ -375,18 +375,29 @@ def test_what_is_confounded_is_to_be_declared(compliant):
 # ------------------------------------------------------------------ verdicts and the JSON file
 
 
-def test_the_verdict_is_that_of_the_numbers(compliant):
+def test_the_verdict_says_what_the_numbers_say(compliant):
     document = documented(compliant)
 
-    def verdict(declared, estimated, code):
+    def verdict(code, declared=2e-5, estimated=2e-5, position=1.0, orientation=None, white=True, rows=None):
         noise = {"declared_position_m": declared, "estimated_position_m": estimated}
-        return statements.verdict_statement({**document, "verdict": code, "noise": noise})
+        left = {"position_over_noise": position, "orientation_over_noise": orientation, "white": white}
+        changed = {"verdict": code, "noise": noise, "left": left, "rows_needed": rows}
+        return statements.verdict_statement({**document, **changed})
 
-    assert "explain the recording" in verdict(2e-5, 2e-5, "consistent")
-    assert "explain the recording" in verdict(None, 2e-3, "consistent")
-    assert "which are 5.5 times the declared noise: check the arm" in verdict(2e-5, 1.1e-4, "consistent")
-    assert "remain larger than the sensor's noise" in verdict(2e-5, 1e-4, "partly_explained")
-    assert "declares no position_noise_m" in verdict(None, 1e-4, "partly_explained")
+    assert verdict("consistent") == "Consistent: the model of the arm and the sensor's noise explain the recording."
+    assert "which are 5.5 times the declared noise: check the arm" in verdict("unexplained", estimated=1.1e-4)
+    assert verdict("unexplained", position=2.34, white=False) == (
+        "Unexplained: more is left than the sensor's noise, and no effect is significant. Held-out position errors are "
+        "2.3 times the declared noise and neighbouring rows are correlated."
+    )
+    assert verdict("partly_explained", position=1.1, orientation=8.0) == (
+        "Partly explained: the effects below are significant. Held-out position errors are 1.1 times the declared "
+        "noise and orientation errors are 8 times the declared noise."
+    )
+    assert "declares no position_noise_m" in verdict("partly_explained", declared=None)
+    assert verdict("undetermined", rows=document["samples"] + 30) == (
+        "Undetermined: there are too few rows to tell whether something is missing. Record about 30 more poses."
+    )
 
 
 def test_statements_are_added_to_codes_and_nothing_is_taken_away(compliant):

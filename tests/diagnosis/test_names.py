@@ -1,0 +1,93 @@
+"""Names that are claimed: physics that the catalogue lacks gets none, and what is in it keeps its own."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from diagnosis.recorded import Made, static_motion, with_effects
+
+from lite6jax.diagnosis.diagnose import diagnose
+from lite6jax.diagnosis.document import to_document
+from lite6jax.diagnosis.explanation import explain
+from lite6jax.diagnosis.options import Options
+from lite6jax.effects.nonparametric import Unnamed
+
+SAMPLES = 240
+OPTIONS = Options()
+
+
+@pytest.fixture(scope="module")
+def arm(tmp_path_factory):
+    return Made(tmp_path_factory.mktemp("names"), seed=3, orientation=False)
+
+
+@pytest.fixture(scope="module")
+def still():
+    return static_motion(21, SAMPLES)
+
+
+def deflected(arm, motion, joint, angle):
+    """A recording of an arm whose joint, from 1, stands `angle` `(sample,)` rad beside what its encoder says."""
+    truly = {**motion, "joint_position": motion["joint_position"].copy()}
+    truly["joint_position"][:, joint - 1] += angle
+    return replace(arm.recording(truly), joint_position=motion["joint_position"])
+
+
+def terms(recording):
+    found = explain(recording, None, "declared", OPTIONS, thorough=False).selection.state
+    return found.fit.terms.terms
+
+
+def test_a_square_of_another_joint_is_no_linear_coupling(arm, still):
+    found = terms(deflected(arm, still, 4, 4e-4 * still["joint_position"][:, 2] ** 2))
+    assert [(term.name, term.site, term.driver) for term in found] == [("unnamed", "joint4", "position of joint 3")]
+
+
+def test_a_linear_coupling_keeps_its_name(arm, still):
+    (found,) = terms(deflected(arm, still, 4, 4e-4 * still["joint_position"][:, 2]))
+    assert (found.label, found.source_joint) == ("joint_coupling:joint4", 3)
+
+
+def test_a_compliance_of_the_wrong_sign_is_none(arm, still):
+    found = terms(with_effects(arm, "joint_compliance:joint=2,compliance_rad_per_Nm=-9e-5").recording(still))
+    assert found
+    assert not [term for term in found if term.name == "joint_compliance"]
+
+
+def test_a_lens_moves_no_joint_and_weighs_nothing(arm, still):
+    """Positions grow with the square of their distance from a point: no scale, no payload, no compliance."""
+    recording = arm.recording(still)
+    apart = recording.position - np.array([0.1, -0.2, 0.3])
+    lens = recording.position + 4e-3 * apart * np.sum(apart**2, 1, keepdims=True)
+    diagnosis = diagnose(replace(recording, position=lens))
+    assert {finding.effect.site for finding in diagnosis.findings} == {"sensor"}
+    unnamed = [k for k, finding in enumerate(diagnosis.findings) if isinstance(finding.effect, Unnamed)]
+    assert unnamed
+    assert diagnosis.verdict == "unnamed"
+    document = to_document(diagnosis)["findings"][unnamed[0]]
+    assert document["driver"] == "measured position x and measured position y and measured position z"
+    assert set(document["peak_to_peak"]) == {f"peak_to_peak_{axis}_m" for axis in "xyz"}
+    assert 0 <= document["nearest"]["share"] < 1
+
+
+def test_an_effect_of_fifteen_times_the_noise_is_found_in_two_dozen_poses(arm):
+    few = static_motion(5, 22)
+    found = terms(with_effects(arm, "joint_compliance:joint=2,compliance_rad_per_Nm=9e-5").recording(few))
+    assert [term.label for term in found] == ["joint_compliance:joint2"]
+
+
+def test_too_few_rows_are_undetermined_and_say_how_many_would_do(arm):
+    diagnosis = diagnose(arm.recording(static_motion(6, 12)))
+    assert diagnosis.verdict == "undetermined"
+    assert to_document(diagnosis)["rows_needed"] == diagnosis.rows_needed >= OPTIONS.fewest_rows
+
+
+def test_what_is_left_beyond_the_noise_is_not_called_consistent(arm, still):
+    """White noise of twice the declared size: nothing is found, and nothing is explained either."""
+    recording = arm.recording(still)
+    position = recording.position + np.random.default_rng(3).normal(size=(SAMPLES, 3)) * 4e-5
+    diagnosis = diagnose(replace(recording, position=position))
+    assert diagnosis.findings == ()
+    assert diagnosis.verdict == "unexplained"
+    assert diagnosis.left.position == pytest.approx(np.sqrt(5), rel=0.1)
+    assert diagnosis.left.white
