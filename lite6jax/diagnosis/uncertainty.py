@@ -57,6 +57,8 @@ def uncertainty_of(found: "Diagnosis", model: "DiagnosedArm") -> Uncertainty:
 
 def _covariance(found: "Diagnosis", model: "DiagnosedArm", J: Array) -> Array:
     """`(number, number)`, of the nuisance and of the effects' numbers, by derivatives `(number, 6, sample)`."""
+    if not len(J):
+        return np.zeros((0, 0))
     problem, fit = found.problem, found.fit
     used, weight = fit.training & problem.valid, fit.residuals.row_weight
     columns = np.where(used, J[:, : problem.rows], 0.0)
@@ -66,7 +68,7 @@ def _covariance(found: "Diagnosis", model: "DiagnosedArm", J: Array) -> Array:
     prior = Terms(tuple(freed(effect) for effect in model.physics.effects)).precision
     H[np.diag_indices_from(H)] += np.concatenate([problem.precision, prior])
     factor = variance_factor(fit.residuals.squares[used], problem.rows, FREEDOM, 0)
-    return scaled_inverse(H) * factor if len(H) else H
+    return scaled_inverse(H) * factor
 
 
 def _left(found: "Diagnosis", estimated: Array) -> tuple[PerAxis, PerAxis, PerAxis]:

@@ -22,6 +22,7 @@ from lite6jax.effects.deflection import Deflection
 from lite6jax.effects.effect import Effect, Loading
 from lite6jax.effects.motion import Motion
 from lite6jax.effects.nonparametric import Unnamed
+from lite6jax.estimation.projection import scaled_inverse
 
 if TYPE_CHECKING:
     from lite6jax.domains.pose.predict import DiagnosedArm
@@ -103,6 +104,36 @@ class Uncertainty:
         return replace(self, sites=sites, covariance=self.covariance[np.ix_(numbers, numbers)])
 
 
+def registered(model: "DiagnosedArm", motion: Motion, noise: tuple[float, float | None]) -> Uncertainty | None:
+    """The uncertainty of a model whose sensor frame and tool were fitted anew to the poses of a motion.
+
+    These frames then follow whatever else of the model is off, as far as they can, and have the fit's own error.
+
+    Args:
+        model: with the new frames and the uncertainty of the diagnosis.
+        motion: of the rows that the frames were fitted to.
+        noise: standard deviations per axis of the poses, position (m) and orientation (rad); None where the latter were
+            not measured, and the tool's rotation was kept.
+    """
+    known = model.uncertainty
+    if known is None:
+        return None
+    rows = 3 if noise[1] is None else 6
+    frames: list[Site] = [*(("base", 0, k) for k in range(6)), *(("tool", 0, k) for k in range(rows))]
+    stays = [name == "link" for name, _, _ in known.sites]
+    links = tuple(site for site, kept in zip(known.sites, stays, strict=True) if kept)
+    J = Derivatives(model, motion, (*frames, *links)).all()[:, :rows]
+    J = J / np.repeat([noise[0], noise[1] or 1.0], 3)[:rows, None]
+    F, R = np.split(J.reshape(len(J), -1), [len(frames)])
+    own = scaled_inverse(F @ F.T)
+    follow = own @ (F @ R.T)
+    numbers = np.flatnonzero([*stays, *([True] * (len(known.covariance) - len(stays)))])
+    rest = known.covariance[np.ix_(numbers, numbers)]
+    together = -follow @ rest
+    C = np.block([[own - together @ follow.T, together], [together.T, rest]])
+    return replace(known, sites=(*frames, *links), covariance=C)
+
+
 class Bars(NamedTuple):
     """Standard deviations of predicted poses, sample by sample.
 
@@ -176,7 +207,7 @@ class Derivatives:
         physics, values, units = self.model.physics, np.asarray(self.model.values), []
         for effect, part in zip(physics.effects, physics.slices, strict=True):
             one, at = freed(effect), values[part]
-            if one is not effect:
+            if one is not effect and effect.chosen is not None:
                 at = np.append(at, effect.chosen)
             if isinstance(one, Loading):
                 units.append(self._deflections.through_loads(one, at, physics, values))
@@ -252,12 +283,12 @@ def _departures(change: Derivatives, known: Uncertainty) -> tuple[Array, list[Ar
     """
     recorded, q = known.recorded, np.asarray(change.motion.joint_position).T
     further = (np.maximum(distance_to(recorded.positions, q) - recorded.spacing, 0.0) / LENGTH) ** 2
-    outside = (_excess(q, *recorded.joints.T) > MARGIN).any(1)
+    outside: Flags = np.asarray((_excess(q, *recorded.joints.T) > MARGIN).any(1))
     beyond: dict[str, Array] = {}
     for phrase, values in change.driver_values().items():
         if phrase in recorded.drivers:
             beyond[phrase] = _excess(values, *recorded.drivers[phrase]) / DRIVEN
-            outside |= beyond[phrase] > MARGIN / DRIVEN
+            outside = outside | (beyond[phrase] > MARGIN / DRIVEN)
             if not phrase.startswith("position of "):  # which the distance contains
                 further += beyond[phrase] ** 2
     curved = [
