@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from lite6jax.domains.pose.compensate import compensate as compensate
     from lite6jax.domains.pose.fit import fit as fit
     from lite6jax.diagnosis.document import read_model as read_model
-    from lite6jax.domains.pose.predict import predict as predict
+    from lite6jax.domains.pose.predict import predict as predict, predicted as predicted
     from lite6jax.domains.pose.registration import register as register, register_model as register_model
     from lite6jax.effects.effect import Effect as Effect, JointEffect as JointEffect
     from lite6jax.errors import InputError as InputError
@@ -71,7 +71,7 @@ _NAMES = {
     "lite6jax.diagnosis.options": ("Options",),
     "lite6jax.domains.pose.compensate": ("compensate",),
     "lite6jax.diagnosis.document": ("read_model",),
-    "lite6jax.domains.pose.predict": ("predict",),
+    "lite6jax.domains.pose.predict": ("predict", "predicted"),
     "lite6jax.domains.pose.registration": ("register", "register_model"),
     "lite6jax.effects.effect": ("Effect", "JointEffect"),
     "lite6jax.errors": ("InputError",),

@@ -118,6 +118,10 @@ class Diagnose:
 class Predict:
     """Predict what the sensor of a diagnosed recording would measure in another motion of the same arm.
 
+    Beside each pose stand its standard deviations, x_std_m … and where orientation was recorded rx_std_rad … about the
+    axes of the tool. They contain what the diagnosis left uncertain, and not the sensor's noise. Where `outside` is 1
+    the row is beyond what was recorded.
+
     For example:
 
         lite6jax predict diagnosis.json motion.csv --out predicted.csv
@@ -142,16 +146,18 @@ class Predict:
         check_writable(self.out, self.force)
         if self.out.suffix.lower() != ".csv":
             raise InputError(f"{self.out}: what is written here is csv; let the name end in .csv")
+        import sys
+
         import numpy as np
         import pyarrow as pa
         import pyarrow.csv as pa_csv
 
         from lite6jax.diagnosis.document import read_model
-        from lite6jax.domains.pose.files import pose_columns, read_motion
-        from lite6jax.domains.pose.predict import predict
+        from lite6jax.domains.pose.files import prediction_columns, read_motion
+        from lite6jax.domains.pose.predict import predicted
         from lite6jax.domains.pose.registration import register_model
         from lite6jax.effects.user_effects import load_effects
-        from lite6jax.report import diagnosis_tables, screen
+        from lite6jax.report import bars, diagnosis_tables, screen
         from lite6jax.report.reference import origin_statement
 
         model = read_model(self.diagnosis, load_effects(self.effects) if self.effects else ())
@@ -159,8 +165,8 @@ class Predict:
         found = None
         if self.register:
             model, found = register_model(model, recording)
-        poses = predict(model, recording)
-        columns = pa.table(pose_columns(poses, model.orientation))
+        shown = predicted(model, recording)
+        columns = pa.table(prediction_columns(shown, model.orientation))
 
         def write(target: Path) -> None:
             with open(target, "wb") as file:  # Arrow would put the names in quotes
@@ -172,8 +178,12 @@ class Predict:
             screen.show([origin_statement(model.reference)])
         if found is not None:
             screen.show(diagnosis_tables.registration_report(found))
-        empty = int(np.isnan(poses[:, 0, 0]).sum())
+        empty = int(np.isnan(shown.poses[:, 0, 0]).sum())
         if empty:
             print(f"{empty} rows are empty: there, the clock offset reaches beyond the ends of the motion.")
+        if shown.outside is None:
+            print(f"{self.diagnosis}: {bars.NO_BARS}", file=sys.stderr)
+        else:
+            print(bars.outside_sentence(int(shown.outside.sum()), len(shown.outside), "row"))
         screen.written([path])
         return DONE

@@ -15,7 +15,9 @@ from numpy.typing import NDArray
 from lite6jax.diagnosis.discrimination import differ
 from lite6jax.diagnosis.evidence_map import peak_to_peak
 from lite6jax.diagnosis.result import Diagnosis, Rival
+from lite6jax.diagnosis.uncertainty import uncertainty_of
 from lite6jax.domains.pose.predict import DiagnosedArm, ReferenceOrigin
+from lite6jax.domains.pose.uncertainty import PerAxis, RecordedRange, Uncertainty, freed
 from lite6jax.effects.catalogue import kinds_of
 from lite6jax.effects.composition import Physics
 from lite6jax.effects.effect import Effect
@@ -142,6 +144,15 @@ def _model(found: Diagnosis) -> dict[str, Any]:
     """All that a prediction needs."""
     problem, fit = found.problem, found.fit
     arm, inertia = problem.displaced(fit.nuisance), problem.inertia
+    physics = Physics(tuple(finding.effect for finding in found.findings))
+    model = DiagnosedArm(
+        model=arm,
+        values=physics.join([finding.values for finding in found.findings]),
+        inertia=inertia,
+        joint_limits=None,
+        arm=problem.arm.name,
+        physics=physics,
+    )
     return {
         "arm": problem.arm.name,
         "kinematics": np.asarray(arm.geometry).reshape(-1, 6).tolist(),
@@ -156,7 +167,31 @@ def _model(found: Diagnosis) -> dict[str, Any]:
         "motion": problem.recording.motion,
         "accelerated": found.inertial_loads,
         "effects": [effect_as_dict(f.effect, f.values, f.covariance) for f in found.findings],
+        "uncertainty": _uncertainty(uncertainty_of(found, model)),
     }
+
+
+def _uncertainty(known: Uncertainty) -> dict[str, Any]:
+    """Of the covariance the lower triangle, row by row."""
+    recorded = known.recorded
+    return {
+        "sites": [list(site) for site in known.sites],
+        "covariance": known.covariance[np.tril_indices(len(known.covariance))].tolist(),
+        "left": _per_axis(known.left),
+        "unseen": _per_axis(known.unseen),
+        "noise": _per_axis(known.noise),
+        "curves": [None if curve is None else _per_axis(curve) for curve in known.curves],
+        "recorded": {
+            "joint_range_rad": recorded.joints.tolist(),
+            "joint_position_rad": recorded.positions.tolist(),
+            "spacing_rad": recorded.spacing,
+            "drivers": {phrase: list(bounds) for phrase, bounds in recorded.drivers.items()},
+        },
+    }
+
+
+def _per_axis(std: PerAxis) -> dict[str, float]:
+    return dict(zip(("position_m", "orientation_rad"), std, strict=True))
 
 
 def _summary(errors: Array) -> dict[str, float]:
@@ -228,6 +263,7 @@ def model_from_document(document: Any, effects: tuple[Effect, ...] = (), source:
             accelerated=bool(model.get("accelerated", False)),
             heldout_rms=_heldout(document),
             reference=_origin(document.get("against")),
+            uncertainty=_uncertainty_from(model.get("uncertainty"), physics, len(kinematics)),
         )
     except InputError as error:
         raise InputError(f"{source}: {error}") from error
@@ -242,6 +278,48 @@ def _limits(limits: Any, joints: int) -> Array | None:
     if array.shape != (joints, 2) or not (np.isfinite(array).all() and (array[:, 0] < array[:, 1]).all()):
         raise ValueError("joint_limits are not the lower and the upper one of each joint")
     return array
+
+
+def _uncertainty_from(entry: Any, physics: Physics, joints: int) -> Uncertainty | None:
+    """The inverse of `_uncertainty`, checked; None of a document without it."""
+    if entry is None:
+        return None
+    sites = tuple((str(name), int(j), int(k)) for name, j, k in entry["sites"])
+    last = {"base": 1, "link": joints, "tool": 1}
+    if any(name not in last or not (0 <= j < last[name] and 0 <= k < 6) for name, j, k in sites):
+        raise ValueError("a site of its uncertainty is none of this arm")
+    size = len(sites) + sum(freed(effect).size for effect in physics.effects)
+    triangle = np.asarray(entry["covariance"], float)
+    if triangle.shape != (size * (size + 1) // 2,):
+        raise ValueError(f"its covariance is not one of {size} numbers")
+    C = np.zeros((size, size))
+    C[np.tril_indices(size)] = triangle
+    stds = [_per_axis_from(entry[name]) for name in ("left", "unseen", "noise")]
+    curves = tuple(None if curve is None else _per_axis_from(curve) for curve in entry["curves"])
+    recorded = entry["recorded"]
+    ranges, positions = (np.asarray(recorded[f"joint_{name}_rad"], float) for name in ("range", "position"))
+    spacing = float(recorded["spacing_rad"])
+    drivers = {str(phrase): (float(lower), float(upper)) for phrase, (lower, upper) in recorded["drivers"].items()}
+    if ranges.shape != (joints, 2) or positions.ndim != 2 or positions.shape[1] != joints or not len(positions):
+        raise ValueError("its recorded range is not one of this arm")
+    if len(curves) != len(physics.effects):
+        raise ValueError("its curves are not one for each effect")
+    numbers = (triangle, np.ravel(stds), ranges, positions, spacing, list(drivers.values()))
+    if not all(np.isfinite(part).all() for part in numbers):
+        raise ValueError("a number of its uncertainty is not finite")
+    return Uncertainty(
+        sites=sites,
+        covariance=C + np.tril(C, -1).T,
+        left=stds[0],
+        unseen=stds[1],
+        noise=stds[2],
+        curves=curves,
+        recorded=RecordedRange(ranges, positions, spacing, drivers),
+    )
+
+
+def _per_axis_from(entry: Mapping[str, Any]) -> PerAxis:
+    return float(entry["position_m"]), float(entry["orientation_rad"])
 
 
 def _heldout(document: Mapping[str, Any]) -> tuple[float, float] | None:

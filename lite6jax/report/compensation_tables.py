@@ -11,7 +11,9 @@ from rich.text import Text
 
 from lite6jax.domains.pose.compensate import Compensation, Reason, TargetFrame
 from lite6jax.domains.pose.compensation_search import REACHED
+from lite6jax.domains.pose.files import bar_columns
 from lite6jax.domains.pose.predict import DiagnosedArm
+from lite6jax.report.bars import NO_BARS, outside_sentence
 from lite6jax.report.cells import fixed, listing, number
 
 _ROWS_NAMED = 8
@@ -24,6 +26,7 @@ def compensation_columns(found: Compensation) -> dict[str, NDArray]:
     columns["position_error_mm"] = 1e3 * found.position_error
     if found.orientation_error is not None:
         columns["orientation_error_deg"] = np.rad2deg(found.orientation_error)
+    columns |= bar_columns(found.position_std, found.orientation_std, found.outside)
     columns["reason"] = np.array([reason_text(reason) for reason in found.reason], object)
     return columns
 
@@ -84,12 +87,27 @@ def compensation_report(
     if found.omitted:
         verb = "concerns" if len(found.omitted) == 1 else "concern"
         yield Text(f"Note: omitted: {' and '.join(found.omitted)}, which {verb} the sensor and not the arm's position.")
+    yield from _bars(found)
     if model.heldout_rms is not None:
         before, after = (number(1e3 * rms) for rms in model.heldout_rms)
         yield ""
         yield Text(
             f"Expected accuracy: in cross-validation this model had position errors of {after} mm RMS, and {before} mm "
             "without its effects."
+        )
+
+
+def _bars(found: Compensation) -> Iterator[RenderableType]:
+    """How sure the poses are, and how many targets are outside."""
+    if found.position_std is None or found.outside is None:
+        yield Text(f"Note: {NO_BARS}.")
+        return
+    yield Text(outside_sentence(int(found.outside.sum()), len(found.outside), "target"))
+    if found.reached.any():
+        std = 1e3 * found.position_std[found.reached]
+        yield Text(
+            f"Standard deviation of the positions reached: {number(np.sqrt(np.mean(std**2)))} mm RMS per axis, at most "
+            f"{number(std.max())} mm."
         )
 
 

@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 from lite6jax.domains.pose.compensation_search import CompensationSearch, reached
 from lite6jax.domains.pose.inverse import Solved
 from lite6jax.domains.pose.predict import DiagnosedArm, recording_of
+from lite6jax.domains.pose.uncertainty import Bars, bars_of
 from lite6jax.effects.kinematic.surroundings import BaseDrift, MeasurementScale, TimeOffset
 from lite6jax.errors import InputError
 from lite6jax.model import ArmModel
@@ -54,6 +55,11 @@ class Compensation:
         correction: `(row, joint)` rad, from the joint positions given to these; None where none were given.
         omitted: labels of effects that concern the sensor and not where the arm is; they are left out.
         notes: of the targets, as they were read.
+        position_std: `(row, 3)` m, of the pose that is reached, along the axes of the targets' frame, as those of
+            `predicted`; None where the diagnosis does not say.
+        orientation_std: `(row, 3)` rad, about the tool's axes; None also where no orientation was recorded.
+        outside: `(row,)` bool, whether a joint, or a quantity on which an effect depends, is beyond what was recorded;
+            None where the diagnosis does not say.
     """
 
     recording: Recording
@@ -64,6 +70,9 @@ class Compensation:
     correction: Array | None
     omitted: tuple[str, ...]
     notes: tuple[str, ...]
+    position_std: Array | None = None
+    orientation_std: Array | None = None
+    outside: Flags | None = None
 
     @property
     def joint_position(self) -> Array:
@@ -117,7 +126,9 @@ def compensate(
     search = CompensationSearch(model, recording.select(complete), np.asarray(model.joint_limits), approach)
     first = None if targets.start is None else targets.start[complete]
     solved, reverses = search.settled(search.branches(first))
-    return _compensation(targets, complete, solved, reverses, search.limits, omitted)
+    found = _compensation(targets, complete, solved, reverses, search.limits, omitted)
+    bars = bars_of(model, search.motion(solved.joint_position.T))
+    return found if bars is None else _with_bars(found, complete, bars, model.orientation)
 
 
 def _targets_of(
@@ -143,7 +154,8 @@ def _without_sensor(model: DiagnosedArm, frame: TargetFrame) -> tuple[DiagnosedA
     if frame == "base":
         sensor = (TimeOffset, MeasurementScale, BaseDrift)
         rigid = ArmModel(model.model.geometry, np.eye(4), model.model.T_flange_tool)  # type: ignore[arg-type]
-        model = replace(model, model=rigid)
+        known = None if model.uncertainty is None else model.uncertainty.without_base()
+        model = replace(model, model=rigid, uncertainty=known)
     effects = model.physics.effects
     omitted = tuple(effect.label for effect in effects if isinstance(effect, sensor))
     return model.keeping([not isinstance(effect, sensor) for effect in effects]), omitted
@@ -190,6 +202,14 @@ def _compensation(
         omitted=omitted,
         notes=recording.notes,
     )
+
+
+def _with_bars(found: Compensation, complete: Flags, bars: Bars, orientation: bool) -> Compensation:
+    """With the bars of the complete rows."""
+    outside = np.zeros(len(complete), bool)
+    position, turned = np.full((2, len(complete), 3), np.nan)
+    position[complete], turned[complete], outside[complete] = bars
+    return replace(found, position_std=position, orientation_std=turned if orientation else None, outside=outside)
 
 
 def _missed(solved: Solved, k: int, limits: Array) -> Reason:

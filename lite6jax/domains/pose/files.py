@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lite6jax.arms.se3 import quaternion_from_rotation
-from lite6jax.domains.pose.predict import DiagnosedArm
+from lite6jax.domains.pose.predict import DiagnosedArm, Prediction
 from lite6jax.recordings import (
     Recording,
     RecordingSettings,
@@ -68,6 +68,41 @@ def pose_columns(poses: Array, orientation: bool) -> dict[str, Array]:
     if orientation:
         columns.update(zip(("qw", "qx", "qy", "qz"), np.asarray(_quaternions(poses[:, :3, :3])).T, strict=True))
     return columns
+
+
+def prediction_columns(found: Prediction, orientation: bool) -> dict[str, Array | NDArray[np.integer]]:
+    """Column name to values: those of the poses, and then the standard deviations and `outside` where these are known.
+
+    Args:
+        found: poses with their standard deviations.
+        orientation: whether to give quaternions as well.
+    """
+    return pose_columns(found.poses, orientation) | bar_columns(
+        found.position_std, found.orientation_std, found.outside
+    )
+
+
+def bar_columns(
+    position_std: Array | None, orientation_std: Array | None, outside: NDArray[np.bool_] | None
+) -> dict[str, Array | NDArray[np.integer]]:
+    """Column name to values, of what is not None: `x_std_m` …, `rx_std_rad` … and `outside`, 0 or 1.
+
+    Args:
+        position_std: `(sample, 3)` m.
+        orientation_std: `(sample, 3)` rad.
+        outside: `(sample,)`.
+    """
+    columns: dict[str, Array | NDArray[np.integer]] = {}
+    for std, names in ((position_std, ("x_std_m", "y_std_m", "z_std_m")), (orientation_std, TURNED)):
+        if std is not None:
+            columns.update(zip(names, std.T, strict=True))
+    if outside is not None:
+        columns["outside"] = outside.astype(int)
+    return columns
+
+
+TURNED = ("rx_std_rad", "ry_std_rad", "rz_std_rad")
+"""Columns of the standard deviations of orientations, about the axes of the predicted tool."""
 
 
 _quaternions = jax.jit(quaternion_from_rotation)

@@ -12,6 +12,7 @@ from jax.typing import ArrayLike
 from numpy.typing import NDArray
 
 from lite6jax.arms.chains import SixParameterForm
+from lite6jax.domains.pose.uncertainty import Uncertainty, bars_of
 from lite6jax.effects.composition import Physics
 from lite6jax.effects.effect import Effect
 from lite6jax.effects.kinematic.surroundings import TimeOffset
@@ -50,6 +51,7 @@ class ReferenceOrigin(NamedTuple):
 _LEAVES = ("model", "values", "inertia", "joint_limits")
 _STATIC = (
     *("arm", "physics", "orientation", "reference_temperature", "motion", "accelerated", "heldout_rms", "reference"),
+    "uncertainty",
 )
 
 
@@ -72,6 +74,7 @@ class DiagnosedArm:
         accelerated: whether loads include the arm's accelerations.
         heldout_rms: cross-validated position errors in m RMS, without and with the effects; None where not known.
         reference: the recording relative to which the effects were estimated; None where absolute.
+        uncertainty: from which error bars of predictions follow; None where the diagnosis does not say.
     """
 
     model: ArmModel
@@ -86,6 +89,7 @@ class DiagnosedArm:
     accelerated: bool = False
     heldout_rms: tuple[float, float] | None = None
     reference: ReferenceOrigin | None = None
+    uncertainty: Uncertainty | None = None
 
     @property
     def dof(self) -> int:
@@ -171,7 +175,8 @@ class DiagnosedArm:
     def keeping(self, kept: list[bool]) -> "DiagnosedArm":
         """The same arm with the effects for which `kept` is true."""
         physics, values = self.physics.part(self.values, kept)
-        return replace(self, physics=physics, values=values)
+        uncertainty = None if self.uncertainty is None else self.uncertainty.keeping(self.physics, kept)
+        return replace(self, physics=physics, values=values, uncertainty=uncertainty)
 
     def motion_of(self, recording: Recording) -> Motion:
         """The motion of a recording, with accelerations where loads include them."""
@@ -196,6 +201,28 @@ def has_memory(effect: Effect) -> bool:
     return bool(getattr(effect, "memory", ()))
 
 
+class Prediction(NamedTuple):
+    """Predicted poses with standard deviations, sample by sample; NaN as the poses are.
+
+    The deviations are those of the true pose from the predicted one, which the estimated numbers and what is left of
+    the model cause. What a sensor shows differs by its noise as well, which is no part of them.
+
+    Attributes:
+        poses: `T_sensor_tool` `(sample, 4, 4)`.
+        position_std: `(sample, 3)` m, along the sensor's axes; None where the diagnosis says nothing of it, as those
+            of earlier versions.
+        orientation_std: `(sample, 3)` rad, about the predicted tool's axes; None also where no orientation was
+            recorded.
+        outside: `(sample,)` bool, rows in which a joint, or a quantity on which an effect depends, is beyond what was
+            recorded; None where the diagnosis does not say what was.
+    """
+
+    poses: Array
+    position_std: Array | None
+    orientation_std: Array | None
+    outside: NDArray[np.bool_] | None
+
+
 def predict(model: DiagnosedArm, motion: Recording | ArrayLike, **circumstances: ArrayLike) -> Array:
     """The poses `T_sensor_tool` `(sample, 4, 4)` that the sensor shows in a motion.
 
@@ -211,13 +238,43 @@ def predict(model: DiagnosedArm, motion: Recording | ArrayLike, **circumstances:
     Raises:
         InputError: another number of joints, degrees, or the motion lacks what an effect needs, by name.
     """
+    return _poses(model, _sequence(model, motion, circumstances))
+
+
+def predicted(model: DiagnosedArm, motion: Recording | ArrayLike, **circumstances: ArrayLike) -> Prediction:
+    """The poses that the sensor shows in a motion, with their standard deviations.
+
+    Rows outside what was recorded are marked. There what is left of the model is taken to grow: its variance by the
+    square of the distance in joint space to the nearest recorded rows, beyond their spacing, over `LENGTH` of
+    `lite6jax.domains.pose.uncertainty`; and likewise with what an effect depends on.
+
+    Args:
+        model: the arm, from a diagnosis.
+        motion: as in `predict`.
+        circumstances: as in `predict`.
+
+    Raises:
+        InputError: as `predict`.
+    """
+    sequence = _sequence(model, motion, circumstances)
+    poses, bars = _poses(model, sequence), bars_of(model, sequence)
+    if bars is None:
+        return Prediction(poses, None, None, None)
+    empty = np.isnan(poses[:, 0, 0])
+    for std in bars[:2]:
+        std[empty] = np.nan
+    return Prediction(poses, bars.position, bars.orientation if model.orientation else None, bars.outside)
+
+
+def _sequence(model: DiagnosedArm, motion: Recording | ArrayLike, circumstances: dict[str, Any]) -> Motion:
     if isinstance(motion, Recording):
         if circumstances:
             raise InputError(f"predict: a recording has its own {', '.join(circumstances)}; give joint positions")
-        recording = motion
-    else:
-        recording = recording_of(model, motion, **circumstances)
-    sequence = model.motion_of(recording)
+        return model.motion_of(motion)
+    return model.motion_of(recording_of(model, motion, **circumstances))
+
+
+def _poses(model: DiagnosedArm, sequence: Motion) -> Array:
     chain = SixParameterForm(model.dof)
     poses = np.array(predict_poses(chain, model.physics, model.model, model.values, sequence, model.inertia))
     poses[np.asarray(_beyond(model.physics, model.values, sequence))] = np.nan

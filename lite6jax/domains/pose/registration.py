@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from lite6jax.arms.se3 import rotation_from_quaternion
 from lite6jax.domains.pose.predict import DiagnosedArm, predict
+from lite6jax.domains.pose.uncertainty import registered
 from lite6jax.effects.kinematic.surroundings import BaseDrift, SensorDrift
 from lite6jax.errors import InputError
 from lite6jax.estimation.least_squares import relinearise
@@ -141,7 +142,9 @@ def register_model(model: DiagnosedArm, recording: Recording) -> tuple[Diagnosed
             "about other axes"
         )
     frames = ArmModel(model.model.geometry, found.T_sensor_base, found.T_flange_tool)  # type: ignore[arg-type]
-    return replace(model, model=frames, orientation=rotation is not None), found
+    moved = replace(model, model=frames, orientation=rotation is not None)
+    noise = found.noise[0], found.noise[1] if rotation is not None else None
+    return replace(moved, uncertainty=registered(moved, moved.motion_of(recording.select(used)), noise)), found
 
 
 def _shift(x: float) -> Array:

@@ -1,0 +1,122 @@
+"""How uncertain the model of a diagnosis is: the covariance of all its numbers, and what is left of it."""
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lite6jax.domains.pose.kinematics import whitened
+from lite6jax.domains.pose.uncertainty import Derivatives, PerAxis, RecordedRange, Uncertainty, distance_to, freed
+from lite6jax.effects.nonparametric import Unnamed
+from lite6jax.estimation.projection import scaled_inverse
+from lite6jax.estimation.robust import FREEDOM, variance_factor
+from lite6jax.estimation.terms import Terms
+
+if TYPE_CHECKING:
+    from lite6jax.diagnosis.result import Diagnosis
+    from lite6jax.domains.pose.predict import DiagnosedArm
+
+Array = NDArray[np.floating]
+
+ROWS = 200
+"""Recorded rows that are kept to measure the distance from."""
+_MOST = 2000
+"""Rows of which the distance from the others is measured."""
+_LEVEL, _SQUARE = 0.95, 7.8147
+"""The share of rows within so many squared standard deviations per axis, of a normal distribution in three axes."""
+
+
+def uncertainty_of(found: "Diagnosis", model: "DiagnosedArm") -> Uncertainty:
+    """How uncertain predictions of a diagnosed model are.
+
+    The information of the fit is that of its weights, its noise model and its priors, with the derivatives
+    that predictions use. What is left of the model is calibrated on held-out rows: with it, with the sensor's noise and
+    with the uncertainty of the numbers, 95 % of their errors are as large as they are.
+
+    Args:
+        found: the diagnosis.
+        model: its model; its own uncertainty is not used.
+    """
+    problem = found.problem
+    sites, kept = problem.unknown, ~found.outliers
+    change = Derivatives(model, problem.motion, sites)
+    J = change.all()
+    C = _covariance(found, model, J)
+    estimated = np.einsum("ias,ij,jas->as", J, C, J, optimize=True)
+    left, unseen, noise = _left(found, estimated)
+    curves: list[PerAxis | None] = []
+    for effect, part in zip(model.physics.effects, model.physics.slices, strict=True):
+        if isinstance(effect, Unnamed):
+            at = slice(len(sites) + part.start, len(sites) + part.stop)
+            moved = np.tensordot(np.asarray(model.values)[part], J[at], 1)[:, kept]
+            curves.append((float(np.sqrt(np.mean(moved[:3] ** 2))), float(np.sqrt(np.mean(moved[3:] ** 2)))))
+        else:
+            curves.append(None)
+    return Uncertainty(sites, C, left, unseen, noise, tuple(curves), _recorded(found, change))
+
+
+def _covariance(found: "Diagnosis", model: "DiagnosedArm", J: Array) -> Array:
+    """`(number, number)`, of the nuisance and of the effects' numbers, by derivatives `(number, 6, sample)`."""
+    if not len(J):
+        return np.zeros((0, 0))
+    problem, fit = found.problem, found.fit
+    used, weight = fit.training & problem.valid, fit.residuals.row_weight
+    columns = np.where(used, J[:, : problem.rows], 0.0)
+    columns = fit.noise.whitened(whitened(columns, problem.measured.whitener))
+    flat = (columns * np.where(used, weight, 0.0)).reshape(len(J), -1)
+    H = flat @ columns.reshape(len(J), -1).T
+    prior = Terms(tuple(freed(effect) for effect in model.physics.effects)).precision
+    H[np.diag_indices_from(H)] += np.concatenate([problem.precision, prior])
+    factor = variance_factor(fit.residuals.squares[used], problem.rows, FREEDOM, 0)
+    return scaled_inverse(H) * factor
+
+
+def _left(found: "Diagnosis", estimated: Array) -> tuple[PerAxis, PerAxis, PerAxis]:
+    """What is left per axis, what may be left unseen, and the noise; by variances `(6, sample)` of the prediction."""
+    problem, fit, kept = found.problem, found.fit, ~found.outliers
+    count = max(int(kept.sum()), 1)
+    scale = min(float(fit.scale[0]), 1.0) if problem.declared else float(fit.scale[0])
+    noise = scale * problem.noise[0], scale * (problem.noise[1] or 0.0)
+    fewer = found.options.folds / (found.options.folds - 1)  # numbers that were estimated without a block
+    squares = found.after[kept] ** 2 / _SQUARE
+    position = _quantile(squares - noise[0] ** 2 - fewer * estimated[:3, kept].mean(0))
+    orientation = 0.0
+    if problem.rows == 6 and problem.noise[1]:
+        lost = max(1 - fit.parameters / max(problem.rows * count, 1), 0.1)
+        turned = problem.noise[1] ** 2 * np.sum(fit.residuals.rows[3:, kept] ** 2, 0) / lost
+        lever = np.sqrt(np.mean(np.sum((problem.rigid.tool[:, :3, 3] - problem.rigid.frames[0, :, :3, 3]) ** 2, 1)))
+        # an angle inside the arm that displaces the tool by what is left of positions turns it too
+        orientation = max(_quantile(turned / _SQUARE - noise[1] ** 2), position / max(lever, 1e-3))
+    error = np.sqrt(2 / (3 * count))  # of a variance
+    unseen = tuple(float(np.sqrt(error * (n**2 + s**2))) for n, s in zip(noise, (position, orientation), strict=True))
+    return (position, orientation), (unseen[0], unseen[1]), noise
+
+
+def _quantile(variance: Array) -> float:
+    """The standard deviation whose square is enough for 95 % of rows; 0 where none is needed."""
+    if not variance.size:
+        return 0.0
+    return float(np.sqrt(max(np.quantile(variance, _LEVEL), 0.0)))
+
+
+def _recorded(found: "Diagnosis", change: Derivatives) -> RecordedRange:
+    problem, kept = found.problem, np.flatnonzero(~found.outliers)
+    kept = kept if kept.size else np.arange(problem.samples)
+    q = problem.recording.joint_position
+    rows = np.unique(kept[np.linspace(0, len(kept) - 1, min(ROWS, len(kept))).astype(int)])
+    block = np.arange(problem.samples) * found.options.folds // problem.samples
+    some = kept[np.linspace(0, len(kept) - 1, min(_MOST, len(kept))).astype(int)]
+    distances = []
+    for number in range(found.options.folds):
+        held, others = some[block[some] == number], rows[block[rows] != number]
+        if held.size and others.size:
+            distances.append(distance_to(q[others], q[held]))
+    return RecordedRange(
+        joints=np.stack([q[kept].min(0), q[kept].max(0)], 1),
+        positions=np.round(q[rows], 5),
+        spacing=float(np.quantile(np.concatenate(distances), _LEVEL)) if distances else 0.0,
+        drivers={
+            phrase: (float(values[kept].min()), float(values[kept].max()))
+            for phrase, values in change.driver_values().items()
+        },
+    )
