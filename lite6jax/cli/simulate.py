@@ -183,7 +183,7 @@ class Simulate:
         own = () if self.effects is None else load_effects(self.effects)
         parsed = [parse_effect(text, kinds_of(own)) for text in self.effect]
         for effect, _ in parsed:
-            if self.warm_up is None and any(driver.quantity == "temperature rise" for driver in effect.drivers):
+            if self.warm_up is None and any(d.quantity.startswith("temperature") for d in effect.drivers):
                 raise InputError(f"{effect.label}: depends on temperatures that rise; add --warm-up 15")
             if self.motion == "static" and any(driver.quantity == "velocity" for driver in effect.drivers):
                 raise InputError(f"{effect.label}: depends on joint velocities; add --motion trajectory")

@@ -29,6 +29,7 @@ _ARGUMENTS = {
     "direction of motion": "direction",
     "velocity": "joint_velocity",
     "temperature rise": "temperature_rise",
+    "temperature": "temperature_rise",
     "time": "time",
 }
 """The argument of `DiagnosedArm.pose` that provides a quantity which effects depend on."""
@@ -145,13 +146,15 @@ class DiagnosedArm:
                 raise InputError(f"{given}; give one that broadcasts to {shape}") from error
             return jnp.moveaxis(full.reshape(samples, *shape[q.ndim - 1 :]), 0, -1)
 
+        rise = row("temperature_rise", temperature_rise, each)
         motion = Motion(
             joint_position=q.reshape(samples, self.dof).T,
             joint_velocity=row("joint_velocity", joint_velocity, q.shape),
             direction=row("direction", direction, q.shape),
             time=row("time", time, each),
             run=jnp.tile(jnp.arange(samples), (2, 1)),
-            temperature_rise=row("temperature_rise", temperature_rise, each),
+            temperature_rise=rise,
+            joint_temperature_rise=None if rise is None else jnp.broadcast_to(rise, (self.dof, samples)),
             payload=row("payload", payload, each),  # type: ignore[arg-type]
         )
         self._require(motion)
