@@ -13,7 +13,7 @@ from lite6jax.domains.pose.compensation_search import CompensationSearch, reache
 from lite6jax.domains.pose.inverse import Solved
 from lite6jax.domains.pose.predict import DiagnosedArm, recording_of
 from lite6jax.domains.pose.uncertainty import Bars, bars_of
-from lite6jax.effects.kinematic.surroundings import BaseDrift, MeasurementScale, TimeOffset
+from lite6jax.effects.kinematic.surroundings import BaseDrift, MeasurementScale, SensorDrift, TimeOffset
 from lite6jax.errors import InputError
 from lite6jax.model import ArmModel
 from lite6jax.recordings import Recording, Targets
@@ -152,7 +152,7 @@ def _without_sensor(model: DiagnosedArm, frame: TargetFrame) -> tuple[DiagnosedA
     """The model without what concerns the sensor's readings and not where the arm is."""
     sensor: tuple[type, ...] = (TimeOffset,)
     if frame == "base":
-        sensor = (TimeOffset, MeasurementScale, BaseDrift)
+        sensor = (TimeOffset, MeasurementScale, BaseDrift, SensorDrift)
         rigid = ArmModel(model.model.geometry, np.eye(4), model.model.T_flange_tool)  # type: ignore[arg-type]
         known = None if model.uncertainty is None else model.uncertainty.without_base()
         model = replace(model, model=rigid, uncertainty=known)
