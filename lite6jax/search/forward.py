@@ -27,15 +27,18 @@ class _Scored(NamedTuple):
         return self.score.gain - 0.5 * self.score.size * np.log(n) - self.searched
 
 
-def forward(problem: Problem, state: State, options: EngineOptions) -> State:
+def forward(problem: Problem, state: State, options: EngineOptions, shaped: bool = False) -> State:
     """Adds the most likely term, one after another.
+
+    With `shaped`, also named terms with a number that is tried at a few values. They come close to what others leave,
+    so that they are tried only where a function without a name has shown that these others do not suffice.
 
     Terms that are not significant yet are added too, a few in a row: an effect that is not in the model yet makes the
     residual look autocorrelated, and so masks another. Backward elimination removes those that stay insignificant.
     """
     doubtful = 0
     while len(state.tested) < options.most_terms and doubtful < options.doubtful:
-        further = _with_next(problem, state, options)
+        further = _with_next(problem, state, options, shaped)
         if further is None:
             break
         state = further
@@ -43,12 +46,12 @@ def forward(problem: Problem, state: State, options: EngineOptions) -> State:
     return state
 
 
-def _with_next(problem: Problem, state: State, options: EngineOptions) -> State | None:
+def _with_next(problem: Problem, state: State, options: EngineOptions, shaped: bool) -> State | None:
     """The state with the best single addition, or None where none is significant."""
     test, searched = score_test(problem, state.fit, options), searched_size(problem, options)
     named = [term for term in problem.candidates if not term.periodic]
     scored = [_Scored(*pair, 0.0) for pair in zip(named, test.score(named), strict=True)]
-    if problem.shaped:
+    if shaped and problem.shaped:
         searched_shapes = float(np.log(len(problem.shaped)))
         scored += [
             _Scored(*pair, searched_shapes) for pair in zip(problem.shaped, test.score(problem.shaped), strict=True)

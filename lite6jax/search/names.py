@@ -51,7 +51,7 @@ def _named_again(problem: Problem, state: State, options: EngineOptions) -> Stat
         if not near or term not in state.fit.terms.terms:
             continue
         rest = reduced(problem, state, state.fit.terms.terms.index(term), options)
-        named = prune(problem, eliminate(problem, forward(problem, rest, options), options), options)
+        named = prune(problem, eliminate(problem, forward(problem, rest, options, shaped=True), options), options)
         named = believable(problem, named, options)
         if preferred(named, state, 0.0, options):
             state = named
@@ -67,7 +67,7 @@ def believable(problem: Problem, state: State, options: EngineOptions) -> State:
     while (k := _least_possible(state, options)) is not None:
         impossible.append(state.tested[k].term)
         restricted, rest = problem.without_candidates(impossible), reduced(problem, state, k, options)
-        choices = [eliminate(problem, forward(restricted, rest, options), options)]
+        choices = [eliminate(problem, forward(restricted, rest, options, shaped=True), options)]
         choices += _with_functions(problem, rest, state.fit, options)
         state = choices[0]
         for choice in choices[1:]:
