@@ -189,9 +189,10 @@ def test_physics_without_a_name(arm, still):
 
 
 def test_noise_that_is_not_as_declared(arm, still):
-    """Three times the noise is not physics; it is estimated."""
+    """Three times the noise is not physics, and is not explained either; it is estimated."""
     diagnosis = diagnose(arm.recording(still, noise=(6e-5, 3e-4)))
-    assert diagnosis.verdict == "consistent"
+    assert diagnosis.findings == ()
+    assert diagnosis.verdict == "unexplained"
     assert diagnosis.estimated_noise == pytest.approx(6e-5, rel=0.1)
 
 
