@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import log_ndtr
 
+from lite6jax.diagnosis.heldout import fold_count
 from lite6jax.domains.pose.kinematics import whitened
 from lite6jax.domains.pose.uncertainty import Derivatives, PerAxis, RecordedRange, Uncertainty, distance_to, freed
 from lite6jax.effects.nonparametric import Unnamed
@@ -81,7 +82,8 @@ def _left(found: "Diagnosis", estimated: Array) -> tuple[PerAxis, PerAxis, PerAx
     count = max(int(kept.sum()), 1)
     scale = min(float(fit.scale[0]), 1.0) if problem.declared else float(fit.scale[0])
     noise = scale * problem.noise[0], scale * (problem.noise[1] or 0.0)
-    fewer = found.options.folds / (found.options.folds - 1)  # numbers that were estimated without a block
+    folds = fold_count(problem.samples, found.options)
+    fewer = folds / (folds - 1)  # numbers that were estimated without a block
     squares = found.after[kept] ** 2 / _SQUARE
     position = _excess(squares - fewer * estimated[:3, kept].mean(0), noise[0])
     orientation = 0.0
@@ -120,10 +122,11 @@ def _recorded(found: "Diagnosis", change: Derivatives) -> RecordedRange:
     kept = kept if kept.size else np.arange(problem.samples)
     q = problem.recording.joint_position
     rows = np.unique(kept[np.linspace(0, len(kept) - 1, min(ROWS, len(kept))).astype(int)])
-    block = np.arange(problem.samples) * found.options.folds // problem.samples
+    folds = fold_count(problem.samples, found.options)
+    block = np.arange(problem.samples) * folds // problem.samples
     some = kept[np.linspace(0, len(kept) - 1, min(_MOST, len(kept))).astype(int)]
     distances = []
-    for number in range(found.options.folds):
+    for number in range(folds):
         held, others = some[block[some] == number], rows[block[rows] != number]
         if held.size and others.size:
             distances.append(distance_to(q[others], q[held]))
