@@ -462,6 +462,19 @@ def test_unseen_errors_leave_out_rows_that_cannot_be_predicted_and_say_how_many(
     assert (missing["unseen_missing"], missing["unseen_m"]) == (0.5, 0.0)
 
 
+def test_bars_hold_unseen_positions_or_not():
+    """Noise is drawn for the truth, and counts beside the bars: a row that is far off is not within them."""
+    shown = {name: [0.1, 0.2] for name in ("x_m", "y_m", "z_m")} | {"outside": [0.0, 1.0]}
+    truth = TRUTH | {"hidden": [], "noise_m": 2e-5, "unseen_position_m": [[0.1, 0.1, 0.1], [0.2, 0.2, 0.3]]}
+    bars = {f"{axis}_std_m": [1e-3, 1e-3] for axis in "xyz"}
+    row = scores.scored(truth, a_diagnosis(), shown | bars, 1, "")
+    assert (row["inside_components"], row["inside_covered"]) == (3.0, 3.0)
+    assert (row["outside_components"], row["outside_covered"]) == (3.0, 2.0)
+    assert scores.within_bars([row], "inside") == 1.0
+    assert scores.within_bars([row], "outside") == pytest.approx(2 / 3)
+    assert np.isnan(scores.within_bars([scores.scored(truth, a_diagnosis(), shown, 1, "")], "inside"))
+
+
 def test_a_trial_without_an_answer_counts_as_wrong():
     row = scores.scored(TRUTH | {"hidden": [WAVE]}, None, None, 2.0, "InputError: no")
     assert (row["exact"], row["detected"], row["unseen_m"], row["error"]) == (False, False, None, "InputError: no")

@@ -72,6 +72,7 @@ SCHEMA = pa.schema(
             "seconds planned_size before_m after_m noise_m estimated_noise_m": _NUMBER,
             "nearest_effect nearest_site": _TEXT,
             "nearest_p moved_m unseen_m unseen_rad unseen_missing oracle_m oracle_rad": _NUMBER,
+            "inside_components inside_covered outside_components outside_covered": _NUMBER,
             "faults": pa.list_(_TEXT),
             "hidden": pa.list_(_HIDDEN),
             "findings": pa.list_(_FINDING),

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.stats import beta
 
 from benchmarks.concealed.chain import Array
@@ -167,6 +168,10 @@ def _unseen(truth: Row, predicted: Row | None) -> Row:
         "unseen_m": None,
         "unseen_rad": None,
         "unseen_missing": None,
+        "inside_components": None,
+        "inside_covered": None,
+        "outside_components": None,
+        "outside_covered": None,
         "oracle_m": oracle["unseen_position_rms_m"],
         "oracle_rad": oracle["unseen_rotation_rms_rad"],
     }
@@ -183,6 +188,23 @@ def _unseen(truth: Row, predicted: Row | None) -> Row:
             row["unseen_rad"] = float(
                 np.sqrt(np.mean(turn_between(q, np.array(truth["unseen_quaternion"])[there]) ** 2))
             )
+    return row | _covered(truth, predicted, said - actual, there)
+
+
+def _covered(truth: Row, predicted: Row, off: Array, there: NDArray[np.bool_]) -> Row:
+    """How many position components there are, and how many within the bars that hold 95 %, inside and outside.
+
+    The bars are without the sensor's noise: it is drawn for both, from the declared distribution.
+    """
+    if "x_std_m" not in predicted:
+        return {}
+    noise = truth["noise_m"]
+    std = np.hypot(np.column_stack([predicted[name] for name in ("x_std_m", "y_std_m", "z_std_m")]), noise)
+    drawn = np.random.default_rng([truth["seed"], truth["index"]]).normal(0.0, noise, off.shape)
+    within, outside = np.abs(off + drawn) <= WITHIN * std, np.array(predicted["outside"]) == 1
+    row: Row = {}
+    for name, rows in (("inside", there & ~outside), ("outside", there & outside)):
+        row |= {f"{name}_components": 3.0 * rows.sum(), f"{name}_covered": float(within[rows].sum())}
     return row
 
 
@@ -314,6 +336,7 @@ def goals(rows: Sequence[Row]) -> list[Goal]:
     alarms, alarms_declared = share(row["detected"] for row in clean), share(row["detected"] for row in declared)
     unseen = against_oracle(known)
     unnamed = share(row["hidden"][0]["named"] for row in outside)
+    bars_inside, bars_outside = within_bars(rows, "inside"), within_bars(rows, "outside")
     return [
         Goal("found at twice the threshold: 95 %", str(found), _least(found, 0.95)),
         Goal("at the right site at twice the threshold: 90 %", str(sited), _least(sited, 0.9)),
@@ -327,7 +350,35 @@ def goals(rows: Sequence[Row]) -> list[Goal]:
             0.93 <= covered.value <= 0.97 if covered.of else None,
         ),
         Goal("outside the catalogue: located and called unnamed: 90 %", str(unnamed), _least(unnamed, 0.9)),
+        Goal(
+            "95 % bars of predictions hold unseen positions: 93 to 97 %",
+            _in_percent(bars_inside),
+            0.93 <= bars_inside <= 0.97 if np.isfinite(bars_inside) else None,
+        ),
+        Goal(
+            "— outside what was recorded: 90 %",
+            _in_percent(bars_outside),
+            bars_outside >= 0.9 if np.isfinite(bars_outside) else None,
+        ),
     ]
+
+
+def within_bars(rows: Iterable[Row], where: str) -> float:
+    """The share of unseen position components within the bars that hold 95 %; NaN where there are none.
+
+    Components of a trial depend on each other, so it has no interval of independent draws.
+
+    Args:
+        rows: of trials.
+        where: "inside" or "outside" of what was recorded.
+    """
+    kept = [row for row in rows if row[f"{where}_components"]]
+    count = sum(row[f"{where}_components"] for row in kept)
+    return sum(row[f"{where}_covered"] for row in kept) / count if count else math.nan
+
+
+def _in_percent(share: float) -> str:
+    return f"{100 * share:.3g} %" if math.isfinite(share) else "none"
 
 
 def _least(found: Share, least: float) -> bool | None:

@@ -53,7 +53,7 @@ def held_out_errors(
         decisions: between faults and physics, of all rows.
     """
     before, after = np.zeros(recording.samples), np.zeros(recording.samples)
-    for held in recording.contiguous_folds(min(options.folds, max(2, recording.samples // options.least_in_fold))):
+    for held in recording.contiguous_folds(fold_count(recording.samples, options)):
         found = explain(recording, arm, geometry, options, effects, factory, ~held, False, decisions)
         state, reference = found.selection.state, found.selection.reference
         assert isinstance(reference, PoseProblem)
@@ -62,6 +62,11 @@ def held_out_errors(
         if progress:
             progress(1)
     return HeldOut(before, after)
+
+
+def fold_count(samples: int, options: Options) -> int:
+    """How many blocks of so many rows are held out: fewer where these would be short."""
+    return min(options.folds, max(2, samples // options.least_in_fold))
 
 
 def _distance(problem: PoseProblem, fit: Fit) -> Array:

@@ -4,7 +4,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import log_ndtr
 
+from lite6jax.diagnosis.heldout import fold_count
 from lite6jax.domains.pose.kinematics import whitened
 from lite6jax.domains.pose.uncertainty import Derivatives, PerAxis, RecordedRange, Uncertainty, distance_to, freed
 from lite6jax.effects.nonparametric import Unnamed
@@ -72,31 +74,47 @@ def _covariance(found: "Diagnosis", model: "DiagnosedArm", J: Array) -> Array:
 
 
 def _left(found: "Diagnosis", estimated: Array) -> tuple[PerAxis, PerAxis, PerAxis]:
-    """What is left per axis, what may be left unseen, and the noise; by variances `(6, sample)` of the prediction."""
+    """What is left per axis, what may be left unseen, and the noise; by variances `(6, sample)` of the prediction.
+
+    The noise is the declared one, or less where the residuals are less: whatever they are more is left of the model.
+    """
     problem, fit, kept = found.problem, found.fit, ~found.outliers
     count = max(int(kept.sum()), 1)
     scale = min(float(fit.scale[0]), 1.0) if problem.declared else float(fit.scale[0])
     noise = scale * problem.noise[0], scale * (problem.noise[1] or 0.0)
-    fewer = found.options.folds / (found.options.folds - 1)  # numbers that were estimated without a block
+    folds = fold_count(problem.samples, found.options)
+    fewer = folds / (folds - 1)  # numbers that were estimated without a block
     squares = found.after[kept] ** 2 / _SQUARE
-    position = _quantile(squares - noise[0] ** 2 - fewer * estimated[:3, kept].mean(0))
+    position = _excess(squares - fewer * estimated[:3, kept].mean(0), noise[0])
     orientation = 0.0
     if problem.rows == 6 and problem.noise[1]:
         lost = max(1 - fit.parameters / max(problem.rows * count, 1), 0.1)
         turned = problem.noise[1] ** 2 * np.sum(fit.residuals.rows[3:, kept] ** 2, 0) / lost
         lever = np.sqrt(np.mean(np.sum((problem.rigid.tool[:, :3, 3] - problem.rigid.frames[0, :, :3, 3]) ** 2, 1)))
         # an angle inside the arm that displaces the tool by what is left of positions turns it too
-        orientation = max(_quantile(turned / _SQUARE - noise[1] ** 2), position / max(lever, 1e-3))
-    error = np.sqrt(2 / (3 * count))  # of a variance
-    unseen = tuple(float(np.sqrt(error * (n**2 + s**2))) for n, s in zip(noise, (position, orientation), strict=True))
-    return (position, orientation), (unseen[0], unseen[1]), noise
+        orientation = max(_excess(turned / _SQUARE, noise[1]), position / max(lever, 1e-3))
+    left = position, orientation
+    unseen = [float(np.sqrt(_error(count) * (n**2 + s**2))) for n, s in zip(noise, left, strict=True)]
+    return left, (unseen[0], unseen[1]), noise
 
 
-def _quantile(variance: Array) -> float:
-    """The standard deviation whose square is enough for 95 % of rows; 0 where none is needed."""
+def _error(count: int) -> float:
+    """The standard error of a variance per axis, over the variance, from so many rows."""
+    return float(np.sqrt(2 / (3 * count)))
+
+
+def _excess(variance: Array, noise: float) -> float:
+    """The standard deviation that, beside the noise, is enough for 95 % of rows that each ask for a variance.
+
+    What the rows ask for is uncertain, and an excess is not negative: its mean given both (of a truncated normal
+    distribution; N. Johnson, S. Kotz and N. Balakrishnan, Continuous Univariate Distributions, 1994, 13.10).
+    """
     if not variance.size:
         return 0.0
-    return float(np.sqrt(max(np.quantile(variance, _LEVEL), 0.0)))
+    asked = float(np.quantile(variance, _LEVEL)) - noise**2
+    error = max(_error(variance.size) * (noise**2 + max(asked, 0.0)), np.finfo(float).tiny)
+    z = asked / error
+    return float(np.sqrt(error * max(z + np.exp(-0.5 * z**2 - log_ndtr(z)) / np.sqrt(2 * np.pi), 0.0)))
 
 
 def _recorded(found: "Diagnosis", change: Derivatives) -> RecordedRange:
@@ -104,10 +122,11 @@ def _recorded(found: "Diagnosis", change: Derivatives) -> RecordedRange:
     kept = kept if kept.size else np.arange(problem.samples)
     q = problem.recording.joint_position
     rows = np.unique(kept[np.linspace(0, len(kept) - 1, min(ROWS, len(kept))).astype(int)])
-    block = np.arange(problem.samples) * found.options.folds // problem.samples
+    folds = fold_count(problem.samples, found.options)
+    block = np.arange(problem.samples) * folds // problem.samples
     some = kept[np.linspace(0, len(kept) - 1, min(_MOST, len(kept))).astype(int)]
     distances = []
-    for number in range(found.options.folds):
+    for number in range(folds):
         held, others = some[block[some] == number], rows[block[rows] != number]
         if held.size and others.size:
             distances.append(distance_to(q[others], q[held]))
