@@ -40,6 +40,9 @@ def quick_flags() -> Iterator[str]:
 if "PYTEST_XDIST_WORKER" not in os.environ:  # a worker has them of the process that started it
     os.environ["XLA_FLAGS"] = " ".join([os.environ.get("XLA_FLAGS", ""), *quick_flags()])
 
+# Two workers whose matrix products take two threads each wait for each other; a worker that starts now has one thread.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
 # A shell that runs this in the background has it ignore interrupts, and the commands that are interrupted here with it.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
