@@ -25,8 +25,8 @@ from benchmarks.concealed.trials import draw, write_trial
 
 FACTOR = 1.5
 SEED = 8
-TRIALS = (0, 3, 5, 10, 25, 35, 45, 55, 60, 100)
-"""Clean, single, mixed, outside and faulty ones, static and moving, of chains known, uncertain and unknown."""
+TRIALS = (35, 45, 100, 0, 3, 5, 10, 25, 55, 60)
+"""Mixed, outside, faulty, clean and single ones, static and moving, of chains known, uncertain and unknown."""
 
 
 class Change(NamedTuple):
