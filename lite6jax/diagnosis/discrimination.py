@@ -69,7 +69,7 @@ def differ(selection: Selection, k: int, rival: Effect, options: Options) -> boo
     columns = problem.columns(fit.terms.terms, fit.values)[part]
     effect = np.tensordot(fit.values[part], columns, 1).reshape(1, -1)
     beside = problem.columns([rival], beside=(fit.terms, fit.values))
-    span = np.concatenate([beside, problem.nuisance]).reshape(-1, effect.size)
+    span = np.concatenate([beside, problem.nuisance_columns(fit.terms, fit.values)]).reshape(-1, effect.size)
     left = outside(effect, orthonormal(unit_rows(span), options.engine.rounding))
     return bool(np.sum(left**2) > options.same_effect * np.sum(effect**2))
 

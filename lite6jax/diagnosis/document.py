@@ -23,7 +23,7 @@ from lite6jax.effects.composition import Physics
 from lite6jax.effects.effect import Effect
 from lite6jax.effects.nonparametric import Unnamed
 from lite6jax.effects.serialization import effect_as_dict, effect_from_dict
-from lite6jax.effects.statics import inertia_of
+from lite6jax.effects.statics import inertia_of, with_mass_errors
 from lite6jax.errors import InputError
 from lite6jax.model import ArmModel
 from lite6jax.storage import read_text
@@ -80,8 +80,8 @@ def to_document(found: Diagnosis) -> dict[str, Any]:
         ],
         "confounded": [_located(effect) for effect in found.confounded],
         "nuisance": {
-            "numbers": len(problem.unknown),
-            "parts": list(dict.fromkeys(name for name, _, _ in problem.unknown)),
+            "numbers": len(problem.frames),
+            "parts": list(dict.fromkeys(name for name, _, _ in problem.frames)),
         },
         "model": _model(found),
     }
@@ -143,7 +143,9 @@ def _rival(found: Diagnosis, k: int, rival: Rival) -> dict[str, Any]:
 def _model(found: Diagnosis) -> dict[str, Any]:
     """All that a prediction needs."""
     problem, fit = found.problem, found.fit
-    arm, inertia = problem.displaced(fit.nuisance), problem.inertia
+    arm, inertia, errors = problem.displaced(fit.nuisance), problem.inertia, problem.mass_errors(fit.nuisance)
+    if inertia is not None and errors is not None:
+        inertia = with_mass_errors(inertia, errors.links, errors.payload)
     physics = Physics(tuple(finding.effect for finding in found.findings))
     model = DiagnosedArm(
         model=arm,
@@ -285,8 +287,8 @@ def _uncertainty_from(entry: Any, physics: Physics, joints: int) -> Uncertainty 
     if entry is None:
         return None
     sites = tuple((str(name), int(j), int(k)) for name, j, k in entry["sites"])
-    last = {"base": 1, "link": joints, "tool": 1}
-    if any(name not in last or not (0 <= j < last[name] and 0 <= k < 6) for name, j, k in sites):
+    sizes = {"base": (1, 6), "link": (joints, 6), "tool": (1, 6), "mass": (joints, 4), "payload": (1, 1)}
+    if any(name not in sizes or not (0 <= j < sizes[name][0] and 0 <= k < sizes[name][1]) for name, j, k in sites):
         raise ValueError("a site of its uncertainty is none of this arm")
     size = len(sites) + sum(freed(effect).size for effect in physics.effects)
     triangle = np.asarray(entry["covariance"], float)

@@ -186,7 +186,7 @@ class _Given:
         """With the physics that a search finds under these decisions."""
         screened, problem = self.prepared(screened, decisions)
         training, engine = self.training, self.options.engine
-        require_samples(screened.recording, len(problem.unknown) + 1)
+        require_samples(screened.recording, len(problem.frames) + 1)
         at_offset, reference = linearised(problem, engine, training)
         selection = search_load_model(at_offset, reference, engine, training, self.thorough)
         if price_ is None:
@@ -242,7 +242,7 @@ def _table_weighed(best: Explanation, given: _Given) -> Explanation:
     if given.geometry != "declared":
         return replace(best, screened=_with_numbers(used, "nominal_table", more))
     fitted = best if likelier is None else given.found(used, Decisions(used.corrections))
-    numbers = len(fitted.problem.unknown) - len(published.problem.unknown)
+    numbers = len(fitted.problem.frames) - len(published.problem.frames)
     if fitted.evidence - 0.5 * numbers * np.log(fitted.readings) > published.evidence:
         return replace(fitted, screened=_with_numbers(used, "nominal_table", more | {"chain": "fitted"}))
     more |= {"chain": "as_published", "numbers_more": numbers}
@@ -286,7 +286,8 @@ def _gain_of_uncertainty(best: Explanation, given: _Given, noise: NoiseModel) ->
     chain = given.problem(_uncertain(best.screened, 1.0))
     terms = fit.terms.terms
     effects = problem.columns(terms, fit.values)
-    groups = (problem.nuisance, effects, chain.nuisance[chain.precision > 0], fit.residuals.rows[None])
+    known = chain.precision[: len(chain.frames)] > 0
+    groups = (problem.frame_columns, effects, chain.frame_columns[known], fit.residuals.rows[None])
     G = _products(best, np.concatenate(groups), noise)
     nuisance, shifts, moved, _ = np.split(np.arange(len(G)), np.cumsum([len(group) for group in groups])[:-1])
 
@@ -319,9 +320,9 @@ def _gain_of_uncertainty(best: Explanation, given: _Given, noise: NoiseModel) ->
 def _occam_factor(explanation: Explanation) -> float:
     """Half the logarithm of the prior's volume of the chain's numbers over their posterior's."""
     problem, fit = explanation.problem, explanation.selection.state.fit
-    columns = np.concatenate([problem.nuisance, problem.columns(fit.terms.terms, fit.values)])
+    columns = np.concatenate([problem.frame_columns, problem.columns(fit.terms.terms, fit.values)])
     G = _products(explanation, columns, fit.noise)
-    known = np.flatnonzero(problem.precision)
+    known = np.flatnonzero(problem.precision[: len(problem.frames)])
     S = schur_complement(G, np.setdiff1d(np.arange(len(G)), known))[np.ix_(known, known)]
     root = np.sqrt(problem.precision[known])
     return 0.5 * float(np.linalg.slogdet(np.eye(len(known)) + S / np.outer(root, root))[1])

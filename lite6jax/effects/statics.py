@@ -82,6 +82,29 @@ def inertia_of(
     return Inertia(**{name: jnp.asarray(np.asarray(value, float)) for name, value in given.items()})
 
 
+def with_mass_errors(inertia: Inertia, errors: ArrayLike, payload: float = 0.0) -> Inertia:
+    """The masses as they are where those declared are off. Loads change in proportion to the errors.
+
+    Args:
+        inertia: as declared.
+        errors: `(joint, 4)`: of each mass, relative to it; and of its first moment, beyond that of the mass, along each
+            axis, relative to the mass times the distance of its centre from the origin, or times the mean such
+            distance of the arm where that is larger: a centre near an axis is not better known.
+        payload: kg by which it is heavier than declared, put into the last link at the payload's centre.
+    """
+    e = np.asarray(errors, float)
+    mass, center = np.asarray(inertia.mass), np.asarray(inertia.center_of_mass)
+    distance = np.linalg.norm(center, axis=1, keepdims=True)
+    lever = np.maximum(distance, distance.mean())
+    heavier = mass * (1 + e[:, 0])
+    moment = heavier[:, None] * center + mass[:, None] * lever * e[:, 1:]
+    heavier[-1] += payload
+    moment[-1] += payload * np.asarray(inertia.payload_center)
+    weightless = heavier == 0
+    center = np.where(weightless[:, None], center, moment / np.where(weightless, 1.0, heavier)[:, None])
+    return inertia._replace(mass=jnp.asarray(heavier), center_of_mass=jnp.asarray(center))
+
+
 def loads(
     form: Form,
     kinematics: Array,

@@ -173,15 +173,10 @@ def _fitted(
     def prior(where: P, numbers: Array) -> Array:
         return np.concatenate([where.offset, np.zeros(terms.size)]) + numbers
 
-    fixed = None if exact or moving else noise.whitened(problem.nuisance)
-
     def columns_at(where: P, numbers: Array, rows: Array) -> Array:
         if exact:
             return noise.whitened(_differences(where, terms, numbers, rows, options.difference))
-        base = noise.whitened(where.nuisance) if fixed is None else fixed
-        if not terms.size:
-            return base
-        return np.concatenate([base, noise.whitened(where.columns(terms.terms, numbers[k:]))])
+        return noise.whitened(linear_columns(where, terms, numbers[k:]))
 
     state = weighed(residual(problem, at), noise, training)
     converged, H = False, np.eye(0)
@@ -237,6 +232,12 @@ def without(problem: LinearisedProblem, fitted: Fit, k: int, options: EngineOpti
     """The fit without the k-th term, started from the values of the others."""
     rest, values = fitted.terms.part(fitted.values, [i != k for i in range(len(fitted.terms.terms))])
     return fit(problem, rest, options, values, fitted.nuisance, fitted.training, fitted.noise)
+
+
+def linear_columns(problem: LinearisedProblem, terms: Terms, values: Array) -> Array:
+    """How residuals change with the nuisance and then with the numbers of terms, `(number, row, sample)`."""
+    base = problem.nuisance_columns(terms, values)
+    return np.concatenate([base, problem.columns(terms.terms, values)]) if terms.size else base
 
 
 def _cost(innovations: Array, at: Residuals, training: Mask) -> float:

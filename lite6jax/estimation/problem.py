@@ -92,7 +92,6 @@ class LinearisedProblem(Protocol):
         rows: numbers that a sample has.
         samples: how many.
         groups: `(row,)` int, which group of noise a row belongs to; each has a scale and a noise model of its own.
-        nuisance: `(number, row, sample)`, how residuals change with each nuisance number.
         precision: `(number,)`, one over the variance of each nuisance number's prior; zero where there is none.
         offset: `(number,)`, how far the point of linearisation is from the prior's mean.
         preset: terms that the domain has estimated before the search, because they are too far from zero for the
@@ -105,8 +104,6 @@ class LinearisedProblem(Protocol):
     def samples(self) -> int: ...
     @property
     def groups(self) -> NDArray[np.integer]: ...
-    @property
-    def nuisance(self) -> Array: ...
     @property
     def precision(self) -> Array: ...
     @property
@@ -131,6 +128,15 @@ class LinearisedProblem(Protocol):
         """
         ...
 
+    def nuisance_columns(self, terms: Terms, values: Array) -> Array:
+        """How residuals change with each nuisance number, `(number, row, sample)`, beside the terms of a model.
+
+        Args:
+            terms: some numbers matter only beside some terms, as masses do beside a compliance.
+            values: `(terms.size,)`.
+        """
+        ...
+
     def relinearised(self, nuisance: Array) -> Self:
         """The same problem about another nuisance, `(number,)` from here."""
         ...
@@ -142,7 +148,8 @@ class Problem(LinearisedProblem, Protocol):
     Attributes:
         run: `(sample,)` int; noise is not correlated across a change.
         valid: `(sample,)` bool, the samples that may be used at all.
-        informative: whether the prior states knowledge, so that it counts as evidence; otherwise it only fixes a gauge.
+        informative: `(number,)` bool, of the nuisance, whether a prior states knowledge, so that it counts as evidence;
+            otherwise it only fixes a gauge.
         candidates: the named terms that are testable with these data.
         periodic: families of periodic terms.
         curves: families of nonparametric terms.
@@ -155,7 +162,7 @@ class Problem(LinearisedProblem, Protocol):
     @property
     def valid(self) -> Mask: ...
     @property
-    def informative(self) -> bool: ...
+    def informative(self) -> Mask: ...
     @property
     def candidates(self) -> tuple[Term, ...]: ...
     @property
@@ -166,6 +173,10 @@ class Problem(LinearisedProblem, Protocol):
     def shaped(self) -> tuple[Term, ...]: ...
     @property
     def flexible(self) -> tuple[Term, ...]: ...
+
+    def limits(self, term: Term) -> Sequence[tuple[float, float]]:
+        """The least and the most that each number of a term can be in these data."""
+        ...
 
     def without_candidates(self, terms: Sequence[Term]) -> "Problem":
         """The same problem in which these terms, with any number of those that are tried, are no candidates."""

@@ -14,11 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtrc, fdtrc
 
-from lite6jax.estimation.least_squares import Fit
+from lite6jax.estimation.least_squares import Fit, linear_columns
 from lite6jax.estimation.noise import NoiseModel, autocorrelation_time, noise_model, run_starts
 from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.problem import Problem
-from lite6jax.estimation.projection import orthonormal, outside
+from lite6jax.estimation.projection import orthonormal, outside, unit_rows
 from lite6jax.estimation.terms import Term
 
 Array = NDArray[np.floating]
@@ -205,16 +205,16 @@ def score_test(
         more, values = within.terms.part(within.values, [term not in fit.terms.terms for term in within.terms.terms])
         added = np.tensordot(values, problem.columns(more.terms, values), 1)[None]
         residual = residual - _white(fit, added, scale).ravel() / scale[0]
-    columns = _white(fit, _columns(problem, fit), scale).reshape(-1, training.size)
-    known = np.flatnonzero(problem.precision)
+    columns = _white(fit, linear_columns(problem, fit.terms, fit.values), scale).reshape(-1, training.size)
+    given = problem.precision > 0
+    stated = np.flatnonzero(given & problem.informative)
+    known = np.concatenate([stated, np.flatnonzero(given & ~problem.informative)])
     prior = np.zeros((len(columns), len(known)))
     prior[known, np.arange(len(known))] = np.sqrt(problem.precision[known]) * fit.scale[0]
     measured = np.linalg.norm(columns, axis=1)
-    columns = np.concatenate([columns, prior], 1)[measured > 0] / measured[measured > 0, None]
-    basis = orthonormal(columns, options.rounding)
-    if problem.informative:
-        off = np.sqrt(problem.precision[known]) * (problem.offset + best.nuisance)[known]
-        residual = np.concatenate([residual, off])
+    basis = orthonormal(unit_rows(np.concatenate([columns, prior], 1)[measured > 0]), options.rounding)
+    off = np.sqrt(problem.precision[stated]) * (problem.offset + best.nuisance)[stated]
+    residual = np.concatenate([residual, off])
     basis = basis[:, : len(residual)]
     blocks = _blocks(problem.samples, time, options)
     return ScoreTest(problem, fit, options, basis, residual, blocks, n - fit.parameters, time, scale)
@@ -228,14 +228,9 @@ def remaining_noise_model(problem: Problem, fit: Fit, options: EngineOptions) ->
     prior = np.zeros(len(problem.precision) + fit.terms.size)
     prior[: len(problem.precision)] = np.sqrt(problem.precision) * fit.scale[0]
     rows = _winsorised(fit.residuals.rows, fit, options.winsor)
-    columns = _columns(problem, fit)
+    columns = linear_columns(problem, fit.terms, fit.values)
     found = noise_model(rows[:, training], columns[..., training], prior, problem.groups, run[training], options)
     return found if found.white else replace(found, starts=run_starts(run))
-
-
-def _columns(problem: Problem, fit: Fit) -> Array:
-    """How residuals change with the nuisance and the terms."""
-    return np.concatenate([problem.nuisance, problem.columns(fit.terms.terms, fit.values)])
 
 
 def _white(fit: Fit, columns: Array, scale: Array) -> Array:

@@ -37,6 +37,7 @@ class RecordingSettings:
     """What a sidecar declares; the defaults are those of a recording without one.
 
     Lengths in m, angles in rad, one sigma for each noise, `tool` as x y z roll pitch yaw (R = Rz Ry Rx).
+    `inertial_uncertainty` is one sigma of masses, and of the lever arms of their centres, relative to them.
     `motion` is None where nothing was declared, `position_noise_m` and `orientation_noise_rad` likewise.
     `arm` and `factory_calibration` are kept as written: `arm_reference` and `factory_path` resolve them.
 
@@ -58,6 +59,8 @@ class RecordingSettings:
     payload_com_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
     reference_temperature_degC: float = 25.0  # noqa: N815 (the sidecar's key)
     gravity_m_per_s2: tuple[float, float, float] = (0.0, 0.0, -9.81)
+    inertial_uncertainty: float = 0.1
+    payload_uncertainty_kg: float = 0.0
 
     def __post_init__(self) -> None:
         for field in fields(self):
@@ -242,6 +245,12 @@ def _not_negative(value: Any) -> float:
     return number
 
 
+def _ratio(value: Any) -> float:
+    if (number := _not_negative(value)) > 0.5:
+        raise ValueError(" (above 0.5: per cent?)")
+    return number
+
+
 def _positive(value: Any) -> float:
     if (number := _number(value)) <= 0:
         raise ValueError(" (not positive)")
@@ -318,4 +327,6 @@ _KINDS: dict[str, _Kind] = {
     "payload_com_m": _Kind(_offset, "three numbers [x, y, z] in m"),
     "reference_temperature_degC": _Kind(_number, "a finite number in degrees Celsius"),
     "gravity_m_per_s2": _Kind(_numbers(3), "three numbers [x, y, z] in m/s^2"),
+    "inertial_uncertainty": _Kind(_ratio, "one sigma relative to the masses, from 0 to 0.5, such as 0.1"),
+    "payload_uncertainty_kg": _Kind(_not_negative, "one sigma in kg, zero or more"),
 }

@@ -64,7 +64,7 @@ def believable(problem: Problem, state: State, options: EngineOptions) -> State:
     That is what forward selection finds without them, or a function without a name.
     """
     impossible: list[Term] = []
-    while (k := _least_possible(state, options)) is not None:
+    while (k := _least_possible(problem, state, options)) is not None:
         impossible.append(state.tested[k].term)
         restricted, rest = problem.without_candidates(impossible), reduced(problem, state, k, options)
         choices = [eliminate(problem, forward(restricted, rest, options, shaped=True), options)]
@@ -97,13 +97,13 @@ def _tested_finally(problem: Problem, state: State, k: int, time: float, options
     return SelectedTerm(tested.term, p_value, tested.score._replace(gain=gain), tested.alternatives)
 
 
-def _least_possible(state: State, options: EngineOptions) -> int | None:
+def _least_possible(problem: Problem, state: State, options: EngineOptions) -> int | None:
     """The named term that is farthest outside its bounds, in standard deviations, if that is far enough."""
     farthest, found = options.impossible, None
     std = np.sqrt(np.diagonal(state.fit.covariance))
     for k, (tested, part) in enumerate(zip(state.tested, state.fit.terms.slices, strict=True)):
-        for number, value, s in zip(tested.term.coordinates, state.fit.values[part], std[part], strict=True):
-            beyond = max(number.lower - value, value - number.upper) / max(s, 1e-300)
+        for limits, value, s in zip(problem.limits(tested.term), state.fit.values[part], std[part], strict=True):
+            beyond = max(limits[0] - value, value - limits[1]) / max(s, 1e-300)
             if beyond > farthest:
                 farthest, found = beyond, k
     return found

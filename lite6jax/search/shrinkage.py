@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtri
 
-from lite6jax.estimation.least_squares import Fit, fit, without
+from lite6jax.estimation.least_squares import Fit, fit, linear_columns, without
 from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.problem import PeriodicFamily, Problem
 from lite6jax.estimation.robust import FREEDOM
@@ -79,13 +79,13 @@ def _with_curves(
 def _lines(problem: Problem, current: Fit, named: Terms, options: EngineOptions) -> _Lines:
     """The orders of each family that matter most, beside the nuisance and named terms."""
     training, families = np.flatnonzero(current.training), problem.periodic
-    fixed = np.concatenate([problem.nuisance, problem.columns(named.terms)])[..., training]
+    fixed = linear_columns(problem, named, np.zeros(named.size))[..., training]
     waves = [family.columns(ORDERS)[..., training].reshape(-1, *fixed.shape[1:]) for family in families]
     columns = np.concatenate([fixed, *waves]).reshape(len(fixed) + 2 * len(ORDERS) * len(families), -1)
     norms = np.maximum(np.linalg.norm(columns, axis=1), 1e-300)
     columns /= norms[:, None]
     # residuals without nuisance and terms, to first order: those of the current fit less its linear prediction
-    model = np.concatenate([problem.nuisance, problem.columns(current.terms.terms, current.values)])
+    model = linear_columns(problem, current.terms, current.values)
     explained = np.tensordot(np.concatenate([current.nuisance, current.values]), model, 1)
     target = (current.residuals.rows - explained)[:, training].ravel()
     free, shrink = len(fixed), 0.01

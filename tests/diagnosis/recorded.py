@@ -90,6 +90,8 @@ class Made:
         frame: whether the sensor stands somewhere unknown.
         tool: whether the measured point does.
         orientation: whether orientations are measured.
+        inertial: the declared uncertainty of masses, relative to them.
+        payload: that of the payload in kg.
     """
 
     folder: object
@@ -99,6 +101,8 @@ class Made:
     frame: bool = False
     tool: bool = False
     orientation: bool = True
+    inertial: float = 0.0
+    payload: float = 0.0
 
     @cached_property
     def kinematics(self):
@@ -151,6 +155,8 @@ class Made:
             position_noise_m=NOISE[0],
             orientation_noise_rad=NOISE[1] if self.orientation else None,
             payload_com_m=PAYLOAD_COM,
+            inertial_uncertainty=self.inertial,
+            payload_uncertainty_kg=self.payload,
         )
 
     def recording(self, motion, noise=NOISE, seed=0, bump=None, poses=None):

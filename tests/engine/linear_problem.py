@@ -130,7 +130,7 @@ class LinearProblem:
     run: np.ndarray = None
     offset: np.ndarray = field(default_factory=lambda: np.zeros(2))
     precision: np.ndarray = field(default_factory=lambda: np.zeros(2))
-    informative: bool = False
+    informative: np.ndarray = field(default_factory=lambda: np.zeros(2, bool))
     preset: tuple = (Terms(), np.zeros(0))
 
     rows = 2
@@ -139,7 +139,7 @@ class LinearProblem:
     valid = property(lambda self: np.ones(self.samples, bool))
 
     @cached_property
-    def nuisance(self):
+    def levels(self):
         """The level of each row, which nothing is known of."""
         return np.eye(2)[:, :, None] * np.ones(self.samples)
 
@@ -156,13 +156,16 @@ class LinearProblem:
         return np.concatenate(out)
 
     def residual(self, nuisance, terms, values):
-        predicted = np.tensordot(self.offset + nuisance, self.nuisance, 1)
+        predicted = np.tensordot(self.offset + nuisance, self.levels, 1)
         for term, part in zip(terms.terms, terms.slices, strict=True):
             free = isinstance(term, Wave) and term.order is None
             basis = Wave(values[part][2]).basis(self.data) if free else term.basis(self.data)
             numbers = values[part][:2] if free else values[part]
             predicted = predicted + np.tensordot(numbers, self._rows(basis), 1)
         return predicted - self.measured
+
+    def nuisance_columns(self, terms, values):
+        return self.levels
 
     def relinearised(self, nuisance):
         return replace(self, offset=self.offset + nuisance)
@@ -175,6 +178,9 @@ class LinearProblem:
         angle = self.data["angle"]
         curves = [Curve(f"u{k}") for k in range(1, 7)]
         return (*curves, Hat(float(angle.min()), float(angle.max()), 6))
+
+    def limits(self, term):
+        return [(number.lower, number.upper) for number in term.coordinates]
 
     def without_candidates(self, terms):
         return replace(self, candidates=tuple(term for term in self.candidates if term not in terms))

@@ -145,7 +145,7 @@ def test_what_is_known_beforehand_holds_the_geometry(arm, still):
 
 
 def test_without_effects_or_nuisance_there_is_nothing_to_fit(arm, still):
-    made = Made(arm.folder, seed=1)
+    made = Made(arm.folder, seed=1, inertial=0.0)
     case = pose_problem(made.recording(still))
     fitted = fitted_to(case, Terms())
     assert (fitted.values.size, fitted.nuisance.size, fitted.parameters, fitted.converged) == (0, 0, 0.0, True)

@@ -130,7 +130,7 @@ def test_fitted_groups_have_scales_of_their_own_and_noise_models_their_times():
     rows = found_fit.residuals.rows / found_fit.scale[:, None]
     assert autocorrelation_time(rows[:1]) < 1.3
     assert autocorrelation_time(rows[1:]) == pytest.approx(1.8 / 0.2, rel=0.4)
-    model = noise_model(rows, problem.nuisance, np.zeros(2), problem.groups, problem.run, OPTIONS)
+    model = noise_model(rows, problem.levels, np.zeros(2), problem.groups, problem.run, OPTIONS)
     innovations = model.whitened(rows)
     assert autocorrelation_time(innovations[1:]) < 1.3
     assert model.models[1].time == pytest.approx(9.0, rel=0.4)

@@ -1,9 +1,9 @@
 """Unit deflections: the deflections of an arm in one motion, per unit of each number of an effect."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, partial
-from typing import final
+from typing import NamedTuple, final
 
 import jax
 import jax.numpy as jnp
@@ -18,11 +18,36 @@ from lite6jax.effects.deflection import Deflection
 from lite6jax.effects.effect import Altering, Bending, Effect, Loading
 from lite6jax.effects.motion import Motion
 from lite6jax.effects.nonparametric import Unnamed
-from lite6jax.effects.statics import Inertia, Loads, loads
+from lite6jax.effects.statics import Inertia, Loads, loads, with_mass_errors
 
 Array = NDArray[np.floating]
 _STEP = 1e-2
 """Of a number's typical size: the step of difference quotients of loads."""
+
+
+class MassErrors(NamedTuple):
+    """By how much the masses differ from those declared.
+
+    Attributes:
+        links: `(joint, 4)`, as `with_mass_errors` takes it.
+        payload: kg.
+    """
+
+    links: Array
+    payload: float
+
+
+def mass_errors(
+    sites: Sequence[Site], values: Array, dof: int, beside: MassErrors | None = None
+) -> MassErrors | None:
+    """The errors of masses among the values of sites, added to those `beside`; None where all are zero."""
+    links, payload = (np.zeros((dof, 4)), 0.0) if beside is None else (beside.links.copy(), beside.payload)
+    for (name, j, k), value in zip(sites, values, strict=True):
+        if name == "mass":
+            links[j, k] += value
+        elif name == "payload":
+            payload += float(value)
+    return MassErrors(links, payload) if links.any() or payload else None
 
 
 @final
@@ -36,6 +61,7 @@ class Deflections:
         motion: of the joints.
         altered: of a function of motions, what it returns for the declared motion, at the rows of `motion`.
         units: unit deflections of effects that do not depend on loads; arms of another geometry share them.
+        errors: of the masses and the payload, if any.
     """
 
     kinematics: Array
@@ -43,25 +69,36 @@ class Deflections:
     motion: Motion
     altered: Callable[[Callable[[Motion], Motion]], Motion]
     units: dict[Effect, Deflection] = field(default_factory=dict)
+    errors: MassErrors | None = None
 
     @cached_property
     def loads(self) -> Loads | None:
         """The loads of gravity, and of acceleration where the motion has it; None where the masses are not known."""
         return self.loads_in(self.motion)
 
-    def loads_in(self, motion: Motion, physics: Physics | None = None, values: Array | None = None) -> Loads | None:
+    def loads_in(
+        self,
+        motion: Motion,
+        physics: Physics | None = None,
+        values: Array | None = None,
+        errors: MassErrors | None = None,
+    ) -> Loads | None:
         """The loads in another motion of the same arm, whose masses and gravity some effects alter, on the host.
 
         Args:
             motion: as altered by these effects.
             physics: effects, if any.
             values: `(physics.size,)`.
+            errors: of the masses and the payload, instead of the arm's own.
         """
         if self.inertia is None:
             return None
-        inertia = self.inertia
+        inertia, errors = self.inertia, errors or self.errors
+        if errors is not None:
+            inertia = with_mass_errors(inertia, errors.links)
+            motion = motion._replace(payload=np.asarray(motion.payload) + errors.payload)  # type: ignore[arg-type]
         if physics is not None:
-            inertia = physics.alter_inertia(jnp.asarray(values), inertia)
+            inertia = physics.alter_inertia(np.asarray(values, float), inertia)  # type: ignore[arg-type]
         form = SixParameterForm(len(self.kinematics))
         return jax.tree.map(np.asarray, _loads(form, jnp.asarray(self.kinematics.ravel()), motion, inertia))
 
@@ -138,6 +175,57 @@ class Deflections:
             slopes.append([None if a is None else (b - a) / (2 * step.sum()) for a, b in zip(less, more, strict=True)])
         parts = zip(*slopes, strict=True)
         return Deflection(*(None if part[0] is None else np.stack(part) for part in parts))  # type: ignore[arg-type]
+
+    def through_masses(self, masses: Sequence[Site], effects: Physics, values: Array) -> Deflection:
+        """How the deflections that loads cause change with errors of masses, `(number, …)`.
+
+        Args:
+            masses: the sites of these errors.
+            effects: those that depend on loads deflect the arm.
+            values: `(effects.size,)`.
+        """
+        total = Deflection(scale=np.zeros((len(masses), self.motion.samples)))  # type: ignore[arg-type]
+        for effect, part in zip(effects.effects, effects.slices, strict=True):
+            if not isinstance(effect, Bending) or not any(driver.loaded for driver in effect.drivers):
+                continue
+            if not effect.linear:
+                total = total + self._by_masses(masses, effect, values[part])
+                continue
+            key = (effect, tuple(masses))
+            if key not in self._per_mass:
+                self._per_mass[key] = [self._by_masses(masses, effect, one) for one in np.eye(effect.size)]
+            for unit, value in zip(self._per_mass[key], values[part], strict=True):
+                total = total + Deflection(*(None if field is None else value * field for field in unit))
+        return total
+
+    def _by_masses(self, masses: Sequence[Site], effect: Bending, values: Array) -> Deflection:
+        """Difference quotients, exact for what is proportional to the loads."""
+        slopes = []
+        for less, more, step in self._heavier(tuple(masses)):
+            pair = (effect.deflect(values, self.host_motion, on_arm) for on_arm in (less, more))  # type: ignore[arg-type]
+            slopes.append([None if a is None else (b - a) / (2 * step) for a, b in zip(*pair, strict=True)])
+        parts = zip(*slopes, strict=True)
+        return Deflection(*(None if part[0] is None else np.stack(part) for part in parts))  # type: ignore[arg-type]
+
+    def _heavier(self, masses: tuple[Site, ...]) -> list[tuple[Loads | None, Loads | None, float]]:
+        """For each mass the loads where it is smaller and where it is larger, and the step in its error."""
+        if masses not in self._with_errors:
+            dof, found = len(self.kinematics), []
+            for k in range(len(masses)):
+                step = _STEP * np.eye(len(masses))[k]
+                errors = (mass_errors(masses, s, dof, self.errors) for s in (-step, step))
+                two = (self.loads_in(self.host_motion, errors=one) for one in errors)
+                found.append((*two, _STEP))
+            self._with_errors[masses] = found  # type: ignore[assignment]
+        return self._with_errors[masses]
+
+    @cached_property
+    def _with_errors(self) -> dict[tuple[Site, ...], list[tuple[Loads | None, Loads | None, float]]]:
+        return {}
+
+    @cached_property
+    def _per_mass(self) -> dict[tuple[Effect, tuple[Site, ...]], list[Deflection]]:
+        return {}
 
     @cached_property
     def host_motion(self) -> Motion:

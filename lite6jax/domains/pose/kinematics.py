@@ -20,7 +20,12 @@ from lite6jax.recordings import Recording
 
 Array = NDArray[np.floating]
 Site = tuple[str, int, int]
-"""A field of `Deflection`, the joint or link in it from 0, and the component of a twist."""
+"""A field of `Deflection`, the joint or link in it from 0, and the component of a twist.
+
+As a nuisance also `mass`, its link from 0, and which of the errors of `with_mass_errors`; and `payload`, 0, 0, in kg.
+"""
+MASSES = ("mass", "payload")
+"""Names of the sites that displace no frame: what weighs there differs, which shows through compliances."""
 
 _ROUNDING = 1e-12
 _ONCE = {"xla_backend_optimization_level": 0}  # compiled for one recording: the optimiser costs more than it saves
@@ -118,7 +123,8 @@ def displaced(model: ArmModel, unknown: Sequence[Site], nuisance: Array) -> ArmM
     """The rigid arm with the frames at the sites `unknown` displaced by `nuisance` `(unknown,)`, m and rad."""
     twists: dict[tuple[str, int], Array] = {}
     for (name, j, k), value in zip(unknown, nuisance, strict=True):
-        twists.setdefault((name, j), np.zeros(6))[k] = value
+        if name not in MASSES:
+            twists.setdefault((name, j), np.zeros(6))[k] = value
     rows = np.array(np.asarray(model.geometry).reshape(-1, 6))
     T_sensor_base, T_flange_tool = (np.array(leaf) for leaf in model[1:])
     for (name, j), twist in twists.items():

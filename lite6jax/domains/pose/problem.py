@@ -14,8 +14,9 @@ from lite6jax.arms.arm import Arm
 from lite6jax.arms.chains import SixParameterForm
 from lite6jax.arms.factory import FactoryCalibration
 from lite6jax.domains.pose import families
-from lite6jax.domains.pose.deflections import Deflections, columns_of, scaled
+from lite6jax.domains.pose.deflections import Deflections, MassErrors, columns_of, mass_errors, scaled
 from lite6jax.domains.pose.kinematics import (
+    MASSES,
     Measured,
     RigidFrames,
     Site,
@@ -31,8 +32,9 @@ from lite6jax.domains.pose.rigid_arm import rigid_arm
 from lite6jax.effects.catalogue import Untestable, catalogue, shaped, untestable
 from lite6jax.effects.composition import Physics
 from lite6jax.effects.deflection import Deflection, dense
-from lite6jax.effects.effect import Altering, Bending, Effect, Loading
+from lite6jax.effects.effect import Bending, Effect, Loading
 from lite6jax.effects.kinematic.surroundings import TimeOffset
+from lite6jax.effects.kinematic.weights import PayloadError
 from lite6jax.effects.motion import Motion, accelerated, beyond, select, shifted
 from lite6jax.effects.nonparametric import Unnamed
 from lite6jax.effects.statics import Inertia, Loads
@@ -42,6 +44,7 @@ from lite6jax.fitting.problem import Geometry
 from lite6jax.model import ArmModel
 from lite6jax.recordings import Recording
 from lite6jax.recordings.motion import inertia_of_arm, motion_of_recording
+from lite6jax.recordings.settings import RecordingSettings
 
 Array = NDArray[np.floating]
 
@@ -61,13 +64,13 @@ class PoseProblem:
         recording: as screened; every row has a pose.
         arm: the nominal arm.
         start: the rigid arm of the linearisation, a six-parameter chain.
-        unknown: the nuisance, constant displacements of frames, each a `Site`. To first order they span the same
-            changes of poses as a chain's numbers, without the singularities of angles.
+        unknown: the nuisance, each a `Site`: constant displacements of frames, and then errors of masses. To first
+            order the former span the same changes of poses as a chain's numbers, without the singularities of angles.
         precision: `(unknown,)`, one over the variance of their prior.
-        offset: `(unknown,)`, from the prior's mean to `start`.
-        informative: whether the sidecar declares the chain's uncertainty.
+        offset: `(unknown,)`, from the prior's mean to `start`, and to the masses of the linearisation.
+        informative: `(unknown,)` bool, of masses, and of frames where the sidecar declares the chain's uncertainty.
         motion: of the whole recording, as declared.
-        inertia: the arm's masses, or None where they are not known.
+        inertia: the arm's masses as declared, or None where they are not known.
         measured: the poses.
         noise: standard deviation per axis of position (m) and orientation (rad), declared or assumed.
         declared: whether the sidecar declares it.
@@ -86,7 +89,7 @@ class PoseProblem:
     unknown: tuple[Site, ...]
     precision: Array
     offset: Array
-    informative: bool
+    informative: Mask
     motion: Motion
     inertia: Inertia | None
     measured: Measured
@@ -103,6 +106,11 @@ class PoseProblem:
     def samples(self) -> int:
         """Number of samples."""
         return self.motion.samples
+
+    @property
+    def frames(self) -> tuple[Site, ...]:
+        """The displacements of frames, the first of `unknown`."""
+        return tuple(site for site in self.unknown if site[0] not in MASSES)
 
     @property
     def rows(self) -> int:
@@ -142,7 +150,8 @@ class PoseProblem:
     def deflections(self) -> Deflections:
         """Deflections by effects in the time-shifted motion."""
         kinematics = np.asarray(self.start.geometry).reshape(-1, 6)
-        return Deflections(kinematics, self.inertia, self.time_shifted, self._altered, self.units)
+        errors = self.mass_errors(np.zeros(len(self.unknown)))
+        return Deflections(kinematics, self.inertia, self.time_shifted, self._altered, self.units, errors)
 
     @property
     def loads(self) -> Loads | None:
@@ -160,10 +169,10 @@ class PoseProblem:
         return site_columns(self.start, np.asarray(self.time_shifted.joint_position), self.measured)
 
     @lazy
-    def nuisance(self) -> Array:
-        """How residuals change with the nuisance, `(unknown, row, sample)`."""
+    def frame_columns(self) -> Array:
+        """How residuals change with `frames`, `(frame number, row, sample)`."""
         none = np.zeros((0, self.rows, self.samples))
-        return np.stack([self.sites[site] for site in self.unknown]) if self.unknown else none
+        return np.concatenate([none, *(self.sites[site][None] for site in self.frames)])
 
     @lazy
     def periodic(self) -> tuple[PeriodicFamily, ...]:
@@ -230,6 +239,20 @@ class PoseProblem:
                 parts.append(columns_of(self.deflections.slope(effect, values[part]), self.sites))
         return np.concatenate(parts)
 
+    def nuisance_columns(self, terms: Terms, values: Array) -> Array:
+        """How residuals change with `unknown`, `(unknown, row, sample)`: masses matter beside compliances alone."""
+        masses, physics = self.unknown[len(self.frames) :], physics_of(terms)
+        if not masses:
+            return self.frame_columns
+        if not physics.loaded:
+            return np.concatenate([self.frame_columns, np.zeros((len(masses), self.rows, self.samples))])
+        through = self.deflections.through_masses(masses, physics, np.asarray(values, float))
+        return np.concatenate([self.frame_columns, columns_of(through, self.sites)])
+
+    def mass_errors(self, nuisance: Array) -> MassErrors | None:
+        """By how much the masses differ from those declared, by the nuisance `(unknown,)`; None where they do not."""
+        return mass_errors(self.unknown, self.offset + nuisance, self.motion.dof)
+
     def relinearised(self, nuisance: Array) -> "PoseProblem":
         """The same problem linearised at `displaced(nuisance)`: nuisance zero is then there."""
         return replace(self, start=self.displaced(nuisance), offset=self.offset + nuisance)
@@ -247,6 +270,12 @@ class PoseProblem:
             (self.motion, chosen) if self.thinned_from is None else (self.thinned_from[0], self.thinned_from[1][chosen])
         )
         return replace(self, recording=recording, motion=motion, measured=measured, thinned_from=whole, units={})
+
+    def limits(self, term: Term) -> list[tuple[float, float]]:
+        """Those of the effect; a payload is not less than nothing."""
+        if isinstance(term, PayloadError):
+            return [(-float(np.min(self.motion.payload)), term.coordinates[0].upper)]
+        return [(number.lower, number.upper) for number in term.coordinates]
 
     def without_candidates(self, terms: Sequence[Term]) -> "PoseProblem":
         """The same problem in which these effects are no candidates."""
@@ -290,25 +319,26 @@ class PoseProblem:
 
     def _deflection(self, nuisance: Array, terms: Terms, values: Array) -> tuple[Motion, Deflection]:
         """The altered motion, and in it the sum of the deflections by nuisance and effects, dense."""
-        physics, dof = physics_of(terms), self.motion.dof
-        if all(effect.linear for effect in physics.effects):
-            motion, bent = self.motion, self._undeflected
-            for effect, part in zip(physics.effects, physics.slices, strict=True):
-                bent = bent + scaled(self.deflections.unit(effect), np.asarray(values)[part])
-        else:
-            motion, bent = self.deflections.altered_motion(physics, values), self._undeflected
-            altered = any(isinstance(effect, Altering) for effect in physics.effects)
-            loads = self._on_host[1]
-            if altered and physics.loaded:
-                loads = self.deflections.loads_in(motion, physics, values)
-            for effect, part in zip(physics.effects, physics.slices, strict=True):
-                if isinstance(effect, Bending):
-                    bent = bent + effect.deflect(np.asarray(values)[part], motion, loads)  # type: ignore[arg-type]
+        physics, values, dof = physics_of(terms), np.asarray(values, float), self.motion.dof
+        motion, seen, bent, on_arm = self.motion, self.deflections.host_motion, self._undeflected, self._on_host[1]
+        masses = nuisance[len(self.frames) :]
+        errors = self.mass_errors(nuisance) if physics.loaded and masses.any() else None
+        if physics.altering:
+            motion = seen = self.deflections.altered_motion(physics, values)
+        if physics.loaded and (physics.altering or errors is not None):
+            on_arm = self.deflections.loads_in(seen, physics, values, errors)
+        for effect, part in zip(physics.effects, physics.slices, strict=True):
+            changed = physics.altering or (errors is not None and any(driver.loaded for driver in effect.drivers))
+            if effect.linear and not changed:
+                bent = bent + scaled(self.deflections.unit(effect), values[part])
+            elif isinstance(effect, Bending):
+                bent = bent + effect.deflect(values[part], seen, on_arm)  # type: ignore[arg-type]
         if not self.unknown:
             return motion, bent
         base, link, tool = np.zeros(6), np.zeros((dof, 6)), np.zeros(6)
         for (name, j, k), value in zip(self.unknown, nuisance, strict=True):
-            {"base": base, "tool": tool, "link": link[j]}[name][k] = value
+            if name not in MASSES:
+                {"base": base, "tool": tool, "link": link[j]}[name][k] = value
         shifts = {"base": base[:, None], "link": link[:, :, None], "tool": tool[:, None]}
         return motion, bent._replace(**{name: getattr(bent, name) + shift for name, shift in shifts.items()})
 
@@ -361,6 +391,8 @@ def pose_problem(
     """
     rigid = rigid_arm(recording, arm, geometry, factory)
     motion, inertia = motion_of_recording(recording), inertia_of_arm(rigid.arm, recording.settings)
+    masses, deviations = _uncertain_masses(inertia, recording.settings)
+    frames, none = len(rigid.unknown), np.zeros(len(masses))
     every = (*catalogue(rigid.arm.dof, turned_tool=rigid.rows == 6), *effects)
     missing = tuple(untestable(every, motion, inertia is not None))
     lacking = {item.effect for item in missing}
@@ -368,10 +400,10 @@ def pose_problem(
         recording=recording,
         arm=rigid.arm,
         start=rigid.start,
-        unknown=rigid.unknown,
-        precision=rigid.precision,
-        offset=rigid.offset,
-        informative=rigid.informative,
+        unknown=(*rigid.unknown, *masses),
+        precision=np.concatenate([rigid.precision, deviations**-2.0]),
+        offset=np.concatenate([rigid.offset, none]),
+        informative=np.concatenate([np.full(frames, rigid.informative), none == 0]),
         motion=motion,
         inertia=inertia,
         measured=rigid.measured,
@@ -383,3 +415,16 @@ def pose_problem(
         thinned_from=None,
         units={},
     )
+
+
+def _uncertain_masses(inertia: Inertia | None, settings: RecordingSettings) -> tuple[tuple[Site, ...], Array]:
+    """The errors of masses that are nuisance, and the standard deviation of each one's prior."""
+    if inertia is None:
+        return (), np.zeros(0)
+    found: list[tuple[Site, float]] = []
+    if settings.inertial_uncertainty:
+        links = np.flatnonzero(np.asarray(inertia.mass))
+        found += [(("mass", int(j), k), settings.inertial_uncertainty) for j in links for k in range(4)]
+    if settings.payload_uncertainty_kg:
+        found.append((("payload", 0, 0), settings.payload_uncertainty_kg))
+    return tuple(site for site, _ in found), np.array([deviation for _, deviation in found])

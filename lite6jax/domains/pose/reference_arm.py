@@ -170,7 +170,7 @@ def with_fitted_geometry(reference: Recording, arm: Arm, start: RigidArm) -> Rig
     )
     freed = replace(reference, settings=settings)
     problem = pose_problem(freed, arm, "free")
-    if problem.rows * problem.samples < _REDUNDANCY * len(problem.unknown):
+    if problem.rows * problem.samples < _REDUNDANCY * len(problem.frames):
         return None
     found = start.registration
     model = ArmModel(start.chain.kinematics.ravel(), found.T_sensor_base, arm.T_joint_flange @ found.T_flange_tool)  # type: ignore[arg-type]

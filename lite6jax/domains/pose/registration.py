@@ -232,6 +232,10 @@ class _Frames:
             J[:, 3:, 9:12] = np.eye(3) / self.noise[1]
         return np.moveaxis(J[:, :, self.unknown], 0, -1).swapaxes(0, 1)
 
+    def nuisance_columns(self, terms: Terms, values: Array) -> Array:
+        """How residuals change with each nuisance number, whatever terms are beside it: `nuisance`."""
+        return self.nuisance
+
     def residual(self, nuisance: Array, terms: Terms, values: Array) -> Array:
         return self.relinearised(nuisance).whitened
 

@@ -186,6 +186,10 @@ class RigidArm:
         """Columns `(…, row, sample)` in m and rad over the declared noise."""
         return whitened(columns, self.whitener)
 
+    def nuisance_columns(self, terms: Terms, values: Array) -> Array:
+        """How residuals change with each nuisance number, whatever terms are beside it: `nuisance`."""
+        return self.nuisance
+
     def residual(self, nuisance: Array, terms: Terms, values: Array) -> Array:
         """Residuals `(row, sample)` with the unknowns displaced."""
         return self.relinearised(nuisance).residuals if nuisance.any() else self.residuals

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.spatial.distance import cdist
 
 from lite6jax.domains.pose.deflections import Deflections, columns_of
-from lite6jax.domains.pose.kinematics import Measured, Site, rigid_frames, site_columns
+from lite6jax.domains.pose.kinematics import MASSES, Measured, Site, rigid_frames, site_columns
 from lite6jax.effects.composition import Physics
 from lite6jax.effects.deflection import Deflection
 from lite6jax.effects.effect import Effect, Loading
@@ -66,7 +66,8 @@ class Uncertainty:
     """What error bars of a model's predictions follow from.
 
     Attributes:
-        sites: the displacements of frames that were fitted, each about the frame as it is in the model.
+        sites: the nuisance that was fitted: displacements of frames, each about the frame as it is in the model, and
+            errors of masses.
         covariance: `(number, number)`, of these and then of the numbers of all effects, each as `freed`; m, rad and the
             units of the effects.
         left: what is left of the model, on rows that were not fitted.
@@ -120,9 +121,9 @@ def registered(model: "DiagnosedArm", motion: Motion, noise: tuple[float, float 
         return None
     rows = 3 if noise[1] is None else 6
     frames: list[Site] = [*(("base", 0, k) for k in range(6)), *(("tool", 0, k) for k in range(rows))]
-    stays = [name == "link" for name, _, _ in known.sites]
-    links = tuple(site for site, kept in zip(known.sites, stays, strict=True) if kept)
-    J = Derivatives(model, motion, (*frames, *links)).all()[:, :rows]
+    stays = [name not in ("base", "tool") for name, _, _ in known.sites]
+    others = tuple(site for site, kept in zip(known.sites, stays, strict=True) if kept)
+    J = Derivatives(model, motion, (*frames, *others)).all()[:, :rows]
     J = J / np.repeat([noise[0], noise[1] or 1.0], 3)[:rows, None]
     F, R = np.split(J.reshape(len(J), -1), [len(frames)])
     own = scaled_inverse(F @ F.T)
@@ -131,7 +132,7 @@ def registered(model: "DiagnosedArm", motion: Motion, noise: tuple[float, float 
     rest = known.covariance[np.ix_(numbers, numbers)]
     together = -follow @ rest
     C = np.block([[own - together @ follow.T, together], [together.T, rest]])
-    return replace(known, sites=(*frames, *links), covariance=C)
+    return replace(known, sites=(*frames, *others), covariance=C)
 
 
 class Bars(NamedTuple):
@@ -163,7 +164,7 @@ class Derivatives:
     Attributes:
         model: the arm.
         motion: the whole sequence.
-        sites: the displacements of frames, which come before the effects' numbers.
+        sites: the displacements of frames and the errors of masses, which come before the effects' numbers.
     """
 
     model: "DiagnosedArm"
@@ -182,7 +183,8 @@ class Derivatives:
             tool = rigid_frames(self.model.model, q[:, rows]).tool
             rotation = np.moveaxis(tool[:, :3, :3], 0, -1)
             sites = site_columns(self.model.model, q[:, rows], Measured(tool[:, :3, 3].T, rotation, np.ones(2)))
-            parts = [np.zeros((0, 6, tool.shape[0])), *(sites[site][None] for site in self.sites)]
+            frames = [sites[site][None] for site in self.sites if site[0] not in MASSES]
+            parts = [np.zeros((0, 6, tool.shape[0])), *frames]
             for unit in units:
                 part = Deflection(*(None if field is None else np.asarray(field)[..., rows] for field in unit))  # type: ignore[arg-type]
                 parts.append(columns_of(part, sites))
@@ -203,8 +205,10 @@ class Derivatives:
         }
 
     def _units(self) -> list[Deflection]:
-        """Of each effect the deflection by its numbers, `(number, …)`."""
-        physics, values, units = self.model.physics, np.asarray(self.model.values), []
+        """The deflection by errors of masses, if any, and by each effect's numbers, `(number, …)`."""
+        physics, values = self.model.physics, np.asarray(self.model.values)
+        masses = [site for site in self.sites if site[0] in MASSES]
+        units = [self._deflections.through_masses(masses, physics, values)] if masses else []
         for effect, part in zip(physics.effects, physics.slices, strict=True):
             one, at = freed(effect), values[part]
             if one is not effect and effect.chosen is not None:

@@ -4,7 +4,9 @@ from dataclasses import dataclass
 from typing import ClassVar, final
 
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
+from scipy.spatial.transform import Rotation
 
 from lite6jax.arms.se3 import rotation_exp
 from lite6jax.effects.drivers import Driver
@@ -98,5 +100,7 @@ class GravityDirection(Loading):
         return motion
 
     def alter_inertia(self, values: Array, inertia: Inertia) -> Inertia:
-        turned = rotation_exp(jnp.append(jnp.asarray(values), 0.0))
-        return inertia._replace(gravity=turned @ inertia.gravity)
+        if isinstance(values, np.ndarray):  # on the host nothing is compiled, in the course of hundreds of fits
+            turned = Rotation.from_rotvec([*values, 0.0]).as_matrix() @ np.asarray(inertia.gravity)
+            return inertia._replace(gravity=turned)  # type: ignore[arg-type]
+        return inertia._replace(gravity=rotation_exp(jnp.append(values, 0.0)) @ inertia.gravity)

@@ -10,10 +10,13 @@ from scipy.spatial.transform import Rotation
 from lite6jax.domains.pose.problem import pose_problem
 from lite6jax.effects.catalogue import shaped
 from lite6jax.effects.kinematic.gears import JointBacklash, JointWindup
-from lite6jax.effects.kinematic.joints import JointHarmonic, JointWarmUp
+from lite6jax.effects.kinematic.joints import JointCompliance, JointHarmonic, JointWarmUp
+from lite6jax.effects.kinematic.links import LinkCompliance
 from lite6jax.effects.serialization import parse_effect
+from lite6jax.effects.statics import with_mass_errors
 from lite6jax.estimation.terms import Terms, join
 from tests.oracles.chains import six_parameter_poses
+from tests.oracles.effects import predicted_poses
 
 SAMPLES = 12
 NOTHING = Terms()
@@ -70,7 +73,7 @@ def known(arm, motions):
 @pytest.fixture(scope="module")
 def unknown(arm, motions):
     """Geometry, sensor and tool are to be fitted."""
-    made = Made(arm.folder, seed=1, geometry="free", frame=True, tool=True)
+    made = Made(arm.folder, seed=1, geometry="free", frame=True, tool=True, inertial=0.1)
     return pose_problem(made.recording(static_motion(3, 40)))
 
 
@@ -95,6 +98,11 @@ def differentiated(function, at, step):
     return np.array(slopes)
 
 
+def at_start(case):
+    """No displacement of a frame, and no error of a mass."""
+    return np.zeros(len(case.unknown))
+
+
 def close(found, wanted, relative):
     np.testing.assert_allclose(found, wanted, rtol=0, atol=relative * np.abs(wanted).max())
 
@@ -105,9 +113,9 @@ def test_residuals_are_those_of_a_plain_arm_with_the_effect(arm, motions, known,
     case = known[kind]
     effect, values = parse_effect(text)
     poses = with_effects(arm, text).poses(motions[kind])
-    found = case.residual(np.zeros(0), Terms((effect,)), values)
+    found = case.residual(at_start(case), Terms((effect,)), values)
     close(found, plain_residual(poses, case.recording), 1e-9)
-    errors = case.position_errors(np.zeros(0), Terms((effect,)), values)
+    errors = case.position_errors(at_start(case), Terms((effect,)), values)
     np.testing.assert_allclose(errors, (poses[:, :3, 3] - case.recording.position).T, rtol=0, atol=1e-12)
 
 
@@ -118,7 +126,7 @@ def test_residuals_of_several_effects_and_of_positions_alone(arm, motions):
     case = pose_problem(recording)
     parsed = [parse_effect(text) for text in texts]
     terms = Terms(tuple(effect for effect, _ in parsed))
-    found = case.residual(np.zeros(0), terms, join(values for _, values in parsed))
+    found = case.residual(at_start(case), terms, join(values for _, values in parsed))
     assert found.shape == (3, SAMPLES)
     close(found, plain_residual(made.poses(motions["static"]), recording, orientation=False), 1e-9)
 
@@ -128,16 +136,16 @@ def test_columns_are_derivatives_of_residuals(known, text):
     case = known["moving" if text in MOVING else "static"]
     effect, values = parse_effect(text)
     terms = Terms((effect,))
-    at_zero = differentiated(lambda v: case.residual(np.zeros(0), terms, v), np.zeros(effect.size), 1e-6)
+    at_zero = differentiated(lambda v: case.residual(at_start(case), terms, v), np.zeros(effect.size), 1e-6)
     close(case.columns([effect]), at_zero, 1e-6)
-    there = differentiated(lambda v: case.residual(np.zeros(0), terms, v), values, 1e-6)
+    there = differentiated(lambda v: case.residual(at_start(case), terms, v), values, 1e-6)
     assert np.abs(case.columns([effect], values) - there).max() < 5e-3 * np.abs(there).max()
 
 
 def test_columns_of_a_free_order(known):
     """The order itself is fitted about where it is, not about no amplitude."""
     case, effect, values = known["static"], JointHarmonic(4), np.array([3e-4, -2e-4, 7.5])
-    there = differentiated(lambda v: case.residual(np.zeros(0), Terms((effect,)), v), values, 1e-6)
+    there = differentiated(lambda v: case.residual(at_start(case), Terms((effect,)), v), values, 1e-6)
     assert np.abs(case.columns([effect], values) - there).max() < 5e-3 * np.abs(there).max()
     assert np.abs(there[2]).max() > 0
 
@@ -149,14 +157,14 @@ def test_columns_of_a_free_order(known):
 def test_columns_of_a_free_shape(known, effect, values):
     """Friction and time constants, once they are chosen, are fitted like an order."""
     case = known["static"]
-    there = differentiated(lambda v: case.residual(np.zeros(0), Terms((effect,)), v), values, 1e-7)
+    there = differentiated(lambda v: case.residual(at_start(case), Terms((effect,)), v), values, 1e-7)
     found = case.columns([effect], np.array(values))
     for column, wanted in zip(found, there, strict=True):
         assert np.abs(wanted).max() > 0
         close(column, wanted, 5e-3)
     held = effect.held(values[1])
-    fixed = case.residual(np.zeros(0), Terms((held,)), np.array(values[:1]))
-    np.testing.assert_allclose(case.residual(np.zeros(0), Terms((effect,)), np.array(values)), fixed, atol=1e-9)
+    fixed = case.residual(at_start(case), Terms((held,)), np.array(values[:1]))
+    np.testing.assert_allclose(case.residual(at_start(case), Terms((effect,)), np.array(values)), fixed, atol=1e-9)
     assert held.chosen == values[1]
     assert effect.chosen is None
 
@@ -165,8 +173,8 @@ def test_a_free_step_is_the_step_itself_and_has_the_slope_of_a_ramp(known):
     """A step has no derivative by what places it; the residuals are those of the step all the same."""
     case, held = known["static"], JointBacklash(2, 2.5)
     free, values = held.released(), np.array([1e-3, 2.5])
-    step = case.residual(np.zeros(0), Terms((held,)), values[:1])
-    np.testing.assert_allclose(case.residual(np.zeros(0), Terms((free,)), values), step, atol=1e-9)
+    step = case.residual(at_start(case), Terms((held,)), values[:1])
+    np.testing.assert_allclose(case.residual(at_start(case), Terms((free,)), values), step, atol=1e-9)
     torque = np.asarray(case.loads.torque[1])
     pressed = torque - 2.5 * np.asarray(case.motion.direction[1])
     near = np.abs(pressed) < 0.05 * np.abs(torque).max()
@@ -188,7 +196,7 @@ def test_columns_of_other_loads_are_those_of_the_compliances_beside_them(known, 
     values = at * np.array([number.typical for number in effect.coordinates])
     others = Terms(tuple(one for one, _ in beside)), join(numbers for _, numbers in beside)
     together = Terms((effect, *others[0].terms))
-    there = differentiated(lambda v: case.residual(np.zeros(0), together, join([v, others[1]])), values, 1e-4)
+    there = differentiated(lambda v: case.residual(at_start(case), together, join([v, others[1]])), values, 1e-4)
     assert np.abs(there).max(axis=(1, 2)).min() > 0
     close(case.columns([effect], values, beside=others), there, 5e-3)
     alone = case.columns([effect], values, beside=(Terms(), np.zeros(0)))
@@ -256,16 +264,65 @@ def test_sites_are_derivatives_of_a_plain_arm(arm, motions, known):
 
 
 def test_the_nuisance_is_the_derivative_of_the_residuals(unknown):
-    case = unknown
-    at_start = differentiated(lambda m: case.residual(m, NOTHING, np.zeros(0)), np.zeros(len(case.unknown)), 1e-6)
-    close(case.nuisance, at_start, 1e-6)
-    assert len(case.unknown) == 6 + 5 * 6 + 6
+    case, none = unknown, np.zeros(0)
+    wanted = differentiated(lambda m: case.residual(m, NOTHING, none), at_start(case), 1e-6)
+    frames = len(case.frames)
+    found = case.nuisance_columns(NOTHING, none)
+    close(found[:frames], wanted[:frames], 1e-6)
+    assert not wanted[frames:].any() and not found[frames:].any()  # masses matter beside compliances alone
+    assert (frames, len(case.unknown) - frames) == (6 + 5 * 6 + 6, 6 * 4)
+
+
+def uncertain(arm, motion, *effects):
+    """A problem whose masses and payload are uncertain, of an arm with some physics."""
+    made = replace(arm, effects=effects, inertial=0.07, payload=0.2)
+    return pose_problem(made.recording(motion, noise=None))
+
+
+def test_errors_of_masses_move_poses_through_compliances(arm, motions):
+    case = uncertain(arm, motions["static"])
+    terms = Terms((JointCompliance(2), LinkCompliance(3), JointWindup(3, friction_torque_Nm=0.4)))
+    values = 1e-3 * np.array([9e-5, 4e-5, -2e-5, 2e-5])  # columns are those of the rigid arm
+    assert [site[0] for site in case.unknown] == ["mass"] * 24 + ["payload"]
+    np.testing.assert_allclose(case.precision, [*[0.07**-2] * 24, 0.2**-2])
+    wanted = differentiated(lambda m: case.residual(m, terms, values), at_start(case), 1e-2)
+    close(case.nuisance_columns(terms, values), wanted, 1e-5)
+    assert (np.abs(wanted).max((1, 2)) > 0).sum() >= 15
+
+
+def test_masses_that_are_off_are_those_of_a_plain_arm(arm, motions):
+    texts = [f"joint_compliance:joint={j},compliance_rad_per_Nm=9e-5" for j in (2, 3)]
+    effects = [parse_effect(text) for text in texts]
+    terms, values = Terms(tuple(effect for effect, _ in effects)), join([value for _, value in effects])
+    case, rng = uncertain(arm, motions["static"]), np.random.default_rng(5)
+    errors, payload = 0.1 * rng.standard_normal((6, 4)), 0.3
+    inertia = arm.inertia()
+    mass, center = inertia["mass"], inertia["center_of_mass"]
+    distances = np.sqrt((center**2).sum(1))
+    lever = np.maximum(distances, sum(distances) / 6)[:, None]
+    moment = (mass * (1 + errors[:, 0]))[:, None] * center + mass[:, None] * lever * errors[:, 1:]
+    heavier = {**inertia, "mass": mass * (1 + errors[:, 0])}
+    heavier["center_of_mass"] = moment / heavier["mass"][:, None]
+    motion = {**motions["static"], "payload": motions["static"]["payload"] + payload}
+    plain = [plain_effect(text) for text in texts]
+    poses = predicted_poses(arm.kinematics, arm.T_sensor_base, arm.T_flange_tool, motion, heavier, plain)
+    nuisance = np.append(errors.ravel(), payload)
+    close(case.residual(nuisance, terms, values), plain_residual(poses, case.recording), 1e-9)
+    # the same where the problem was linearised with these errors
+    there = case.relinearised(nuisance)
+    close(there.residual(at_start(case), terms, values), plain_residual(poses, case.recording), 1e-9)
+    known = with_mass_errors(case.inertia, errors, payload)  # the payload's error within the last link
+    lumped = heavier["mass"] + [0, 0, 0, 0, 0, payload]
+    np.testing.assert_allclose(known.mass, lumped, rtol=1e-12)
+    first = heavier["mass"][-1] * heavier["center_of_mass"][-1] + payload * inertia["payload_center"]
+    np.testing.assert_allclose(known.center_of_mass[-1], first / lumped[-1], rtol=1e-12)
+    np.testing.assert_allclose(known.center_of_mass[:-1], heavier["center_of_mass"][:-1], rtol=1e-12)
 
 
 def test_what_is_unknown_follows_from_what_is_declared(arm, motions):
     def unknown(**options):
         case = pose_problem(Made(arm.folder, seed=1, **options).recording(motions["static"]))
-        return len(case.unknown), int(np.count_nonzero(case.precision))
+        return len(case.frames), int(np.count_nonzero(case.precision[: len(case.frames)]))
 
     assert unknown() == (0, 0)
     assert unknown(frame=True) == (6, 0)
