@@ -165,7 +165,8 @@ class _Given:
     def problem(self, screened: Screened, geometry: Geometry | None = None) -> PoseProblem:
         """The problem of all rows, with the corrections that the training rows support; not linearised yet."""
         recording = screened.recording if self.training is None else screened.transferred(self.recording)
-        return pose_problem(recording, screened.arm, geometry or self.geometry, self.effects, screened.factory)
+        jumps = [(int(f.numbers["row"]), str(f.numbers["part"])) for f in screened.found if f.code == "frame_jump"]
+        return pose_problem(recording, screened.arm, geometry or self.geometry, self.effects, screened.factory, jumps)
 
     def prepared(self, screened: Screened, decisions: Decisions) -> tuple[Screened, PoseProblem]:
         """The screened recording and its problem under these decisions."""
@@ -286,7 +287,7 @@ def _gain_of_uncertainty(best: Explanation, given: _Given, noise: NoiseModel) ->
     chain = given.problem(_uncertain(best.screened, 1.0))
     terms = fit.terms.terms
     effects = problem.columns(terms, fit.values)
-    known = chain.precision[: len(chain.frames)] > 0
+    known = chain.precision[: len(chain.frame_columns)] > 0
     groups = (problem.frame_columns, effects, chain.frame_columns[known], fit.residuals.rows[None])
     G = _products(best, np.concatenate(groups), noise)
     nuisance, shifts, moved, _ = np.split(np.arange(len(G)), np.cumsum([len(group) for group in groups])[:-1])
@@ -322,7 +323,7 @@ def _occam_factor(explanation: Explanation) -> float:
     problem, fit = explanation.problem, explanation.selection.state.fit
     columns = np.concatenate([problem.frame_columns, problem.columns(fit.terms.terms, fit.values)])
     G = _products(explanation, columns, fit.noise)
-    known = np.flatnonzero(problem.precision[: len(problem.frames)])
+    known = np.flatnonzero(problem.precision[: len(problem.frame_columns)])
     S = schur_complement(G, np.setdiff1d(np.arange(len(G)), known))[np.ix_(known, known)]
     root = np.sqrt(problem.precision[known])
     return 0.5 * float(np.linalg.slogdet(np.eye(len(known)) + S / np.outer(root, root))[1])

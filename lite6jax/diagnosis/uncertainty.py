@@ -40,7 +40,7 @@ def uncertainty_of(found: "Diagnosis", model: "DiagnosedArm") -> Uncertainty:
         model: its model; its own uncertainty is not used.
     """
     problem = found.problem
-    sites, kept = problem.unknown, ~found.outliers
+    sites, kept = (*problem.frames, *problem.masses), ~found.outliers
     change = Derivatives(model, problem.motion, sites)
     J = change.all()
     C = _covariance(found, model, J)
@@ -63,14 +63,19 @@ def _covariance(found: "Diagnosis", model: "DiagnosedArm", J: Array) -> Array:
         return np.zeros((0, 0))
     problem, fit = found.problem, found.fit
     used, weight = fit.training & problem.valid, fit.residuals.row_weight
-    columns = np.where(used, J[:, : problem.rows], 0.0)
-    columns = fit.noise.whitened(whitened(columns, problem.measured.whitener))
-    flat = (columns * np.where(used, weight, 0.0)).reshape(len(J), -1)
-    H = flat @ columns.reshape(len(J), -1).T
+    frames, masses = len(problem.frames), len(problem.masses)
+    moved = problem.frame_columns[frames:]  # by frame jumps: no prediction has them, but they are fitted beside
+    columns = np.concatenate([whitened(J[:, : problem.rows], problem.measured.whitener), moved])
+    columns = fit.noise.whitened(np.where(used, columns, 0.0))
+    flat = (columns * np.where(used, weight, 0.0)).reshape(len(columns), -1)
+    H = flat @ columns.reshape(len(columns), -1).T
     prior = Terms(tuple(freed(effect) for effect in model.physics.effects)).precision
-    H[np.diag_indices_from(H)] += np.concatenate([problem.precision, prior])
+    known = problem.precision
+    H[np.diag_indices_from(H)] += np.concatenate(
+        [known[:frames], known[len(known) - masses :], prior, 0 * moved[:, 0, 0]]
+    )
     factor = variance_factor(fit.residuals.squares[used], problem.rows, FREEDOM, 0)
-    return scaled_inverse(H) * factor
+    return scaled_inverse(H)[: len(J), : len(J)] * factor
 
 
 def _left(found: "Diagnosis", estimated: Array) -> tuple[PerAxis, PerAxis, PerAxis]:

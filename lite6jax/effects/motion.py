@@ -29,8 +29,7 @@ class Motion(NamedTuple):
             `accelerated`.
         joint_temperature_rise: `(joint, sample)` K above that temperature at each joint; of the surroundings where no
             joint's temperature is known.
-        measured_position: `(3, sample)` m, where the sensor shows the tool, in its own frame; a prediction puts the
-            rigid arm's there.
+        measured_position: `(3, sample)` m, where the sensor shows the tool of the rigid arm, in its own frame.
     """
 
     joint_position: Array
@@ -80,7 +79,7 @@ def motion_of(
         ambient_temperature: `(sample,)` °C, that of every joint where `joint_temperature` is None.
         reference_temperature: °C, at which the geometry is valid.
         payload: `(sample,)` kg; None for 0.
-        measured_position: `(sample, 3)` m in the sensor's frame; NaN where nothing was measured.
+        measured_position: `(sample, 3)` m in the sensor's frame, of the rigid arm.
 
     Raises:
         InputError: inconsistent shapes, a number that is not finite, or times that decrease within a run.

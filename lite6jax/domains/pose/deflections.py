@@ -37,9 +37,7 @@ class MassErrors(NamedTuple):
     payload: float
 
 
-def mass_errors(
-    sites: Sequence[Site], values: Array, dof: int, beside: MassErrors | None = None
-) -> MassErrors | None:
+def mass_errors(sites: Sequence[Site], values: Array, dof: int, beside: MassErrors | None = None) -> MassErrors | None:
     """The errors of masses among the values of sites, added to those `beside`; None where all are zero."""
     links, payload = (np.zeros((dof, 4)), 0.0) if beside is None else (beside.links.copy(), beside.payload)
     for (name, j, k), value in zip(sites, values, strict=True):

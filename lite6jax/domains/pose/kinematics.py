@@ -22,10 +22,11 @@ Array = NDArray[np.floating]
 Site = tuple[str, int, int]
 """A field of `Deflection`, the joint or link in it from 0, and the component of a twist.
 
-As a nuisance also `mass`, its link from 0, and which of the errors of `with_mass_errors`; and `payload`, 0, 0, in kg.
+As a nuisance also `mass`, its link from 0, and which of the errors of `with_mass_errors`; `payload`, 0, 0, in kg; and
+`moved base` or `moved tool`, which of a recording's frame jumps from 0, and the component of a twist.
 """
-MASSES = ("mass", "payload")
-"""Names of the sites that displace no frame: what weighs there differs, which shows through compliances."""
+FRAMES = ("base", "link", "tool")
+"""Names of the sites that displace a frame of the arm in all samples."""
 
 _ROUNDING = 1e-12
 _ONCE = {"xla_backend_optimization_level": 0}  # compiled for one recording: the optimiser costs more than it saves
@@ -123,7 +124,7 @@ def displaced(model: ArmModel, unknown: Sequence[Site], nuisance: Array) -> ArmM
     """The rigid arm with the frames at the sites `unknown` displaced by `nuisance` `(unknown,)`, m and rad."""
     twists: dict[tuple[str, int], Array] = {}
     for (name, j, k), value in zip(unknown, nuisance, strict=True):
-        if name not in MASSES:
+        if name in FRAMES:
             twists.setdefault((name, j), np.zeros(6))[k] = value
     rows = np.array(np.asarray(model.geometry).reshape(-1, 6))
     T_sensor_base, T_flange_tool = (np.array(leaf) for leaf in model[1:])

@@ -1,7 +1,7 @@
 """Measured poses as an estimation problem: one arm, its unknown frames and geometry, and the columns of effects."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, final
 
@@ -16,7 +16,7 @@ from lite6jax.arms.factory import FactoryCalibration
 from lite6jax.domains.pose import families
 from lite6jax.domains.pose.deflections import Deflections, MassErrors, columns_of, mass_errors, scaled
 from lite6jax.domains.pose.kinematics import (
-    MASSES,
+    FRAMES,
     Measured,
     RigidFrames,
     Site,
@@ -64,8 +64,9 @@ class PoseProblem:
         recording: as screened; every row has a pose.
         arm: the nominal arm.
         start: the rigid arm of the linearisation, a six-parameter chain.
-        unknown: the nuisance, each a `Site`: constant displacements of frames, and then errors of masses. To first
-            order the former span the same changes of poses as a chain's numbers, without the singularities of angles.
+        unknown: the nuisance, each a `Site`: constant displacements of frames, which to first order span the same
+            changes of poses as a chain's numbers, without the singularities of angles; displacements after frame jumps,
+            what is left of them in the recording; and errors of masses.
         precision: `(unknown,)`, one over the variance of their prior.
         offset: `(unknown,)`, from the prior's mean to `start`, and to the masses of the linearisation.
         informative: `(unknown,)` bool, of masses, and of frames where the sidecar declares the chain's uncertainty.
@@ -81,6 +82,7 @@ class PoseProblem:
             offset interpolates between neighbouring rows.
         units: unit deflections that depend on the motion alone, shared between linearisations.
         refused: labels of shaped effects that are no candidates.
+        after: `(jump, sample)` bool, the samples after each frame jump.
     """
 
     recording: Recording
@@ -101,6 +103,7 @@ class PoseProblem:
     thinned_from: tuple[Motion, NDArray[np.integer]] | None
     units: dict[Effect, Deflection]
     refused: frozenset[str] = frozenset()
+    after: Mask = field(default_factory=lambda: np.zeros((0, 0), bool))
 
     @property
     def samples(self) -> int:
@@ -109,8 +112,13 @@ class PoseProblem:
 
     @property
     def frames(self) -> tuple[Site, ...]:
-        """The displacements of frames, the first of `unknown`."""
-        return tuple(site for site in self.unknown if site[0] not in MASSES)
+        """The displacements of the arm's frames, the first of `unknown`."""
+        return tuple(site for site in self.unknown if site[0] in FRAMES)
+
+    @property
+    def masses(self) -> tuple[Site, ...]:
+        """The errors of masses, the last of `unknown`."""
+        return tuple(site for site in self.unknown if site[0] in ("mass", "payload"))
 
     @property
     def rows(self) -> int:
@@ -170,9 +178,14 @@ class PoseProblem:
 
     @lazy
     def frame_columns(self) -> Array:
-        """How residuals change with `frames`, `(frame number, row, sample)`."""
-        none = np.zeros((0, self.rows, self.samples))
-        return np.concatenate([none, *(self.sites[site][None] for site in self.frames)])
+        """How residuals change with all of `unknown` but the masses, `(number, row, sample)`."""
+        found = [np.zeros((0, self.rows, self.samples))]
+        for name, j, k in self.unknown[: len(self.unknown) - len(self.masses)]:
+            if name in FRAMES:
+                found.append(self.sites[name, j, k][None])
+            else:
+                found.append(np.where(self.after[j], self.sites[name.removeprefix("moved "), 0, k], 0.0)[None])
+        return np.concatenate(found)
 
     @lazy
     def periodic(self) -> tuple[PeriodicFamily, ...]:
@@ -197,7 +210,7 @@ class PoseProblem:
 
     def residual(self, nuisance: Array, terms: Terms, values: Array) -> Array:
         """Residuals `(row, sample)` over the declared noise, predicted minus measured."""
-        if not terms.terms and not nuisance.any() and not self.clock_offset:
+        if not terms.terms and not nuisance.any() and not self.clock_offset and not self._moved(nuisance):
             return whitened(rigid_differences(self.rigid.tool, self.measured), self.measured.whitener)
         motion, deflection = self._deflection(nuisance, terms, values)
         form = SixParameterForm(self.motion.dof)
@@ -241,7 +254,7 @@ class PoseProblem:
 
     def nuisance_columns(self, terms: Terms, values: Array) -> Array:
         """How residuals change with `unknown`, `(unknown, row, sample)`: masses matter beside compliances alone."""
-        masses, physics = self.unknown[len(self.frames) :], physics_of(terms)
+        masses, physics = self.masses, physics_of(terms)
         if not masses:
             return self.frame_columns
         if not physics.loaded:
@@ -269,7 +282,10 @@ class PoseProblem:
         whole = (
             (self.motion, chosen) if self.thinned_from is None else (self.thinned_from[0], self.thinned_from[1][chosen])
         )
-        return replace(self, recording=recording, motion=motion, measured=measured, thinned_from=whole, units={})
+        after = self.after[:, chosen]
+        return replace(
+            self, recording=recording, motion=motion, measured=measured, thinned_from=whole, units={}, after=after
+        )
 
     def limits(self, term: Term) -> list[tuple[float, float]]:
         """Those of the effect; a payload is not less than nothing."""
@@ -321,8 +337,8 @@ class PoseProblem:
         """The altered motion, and in it the sum of the deflections by nuisance and effects, dense."""
         physics, values, dof = physics_of(terms), np.asarray(values, float), self.motion.dof
         motion, seen, bent, on_arm = self.motion, self.deflections.host_motion, self._undeflected, self._on_host[1]
-        masses = nuisance[len(self.frames) :]
-        errors = self.mass_errors(nuisance) if physics.loaded and masses.any() else None
+        heavier = physics.loaded and nuisance[len(nuisance) - len(self.masses) :].any()
+        errors = self.mass_errors(nuisance) if heavier else None
         if physics.altering:
             motion = seen = self.deflections.altered_motion(physics, values)
         if physics.loaded and (physics.altering or errors is not None):
@@ -335,12 +351,22 @@ class PoseProblem:
                 bent = bent + effect.deflect(values[part], seen, on_arm)  # type: ignore[arg-type]
         if not self.unknown:
             return motion, bent
-        base, link, tool = np.zeros(6), np.zeros((dof, 6)), np.zeros(6)
+        shifts = {"base": np.zeros((6, 1)), "link": np.zeros((dof, 6, 1)), "tool": np.zeros((6, 1))}
         for (name, j, k), value in zip(self.unknown, nuisance, strict=True):
-            if name not in MASSES:
-                {"base": base, "tool": tool, "link": link[j]}[name][k] = value
-        shifts = {"base": base[:, None], "link": link[:, :, None], "tool": tool[:, None]}
+            if name in FRAMES:
+                (shifts[name][j] if name == "link" else shifts[name])[k] = value
+        for (name, j, k), value in self._moved(nuisance).items():
+            place = name.removeprefix("moved ")
+            shifts[place] = shifts[place] + np.outer(np.arange(6) == k, self.after[j] * value)
         return motion, bent._replace(**{name: getattr(bent, name) + shift for name, shift in shifts.items()})
+
+    def _moved(self, nuisance: Array) -> dict[Site, float]:
+        """What is left of frame jumps, at a nuisance `(unknown,)`; where there is something left."""
+        if not len(self.after):
+            return {}
+        total = self.offset + nuisance
+        pairs = zip(self.unknown, total, strict=True)
+        return {site: float(value) for site, value in pairs if site[0].startswith("moved") and value}
 
     @cached_property
     def _on_device(self) -> tuple[ArmModel, Measured]:
@@ -376,6 +402,7 @@ def pose_problem(
     geometry: Geometry = "declared",
     effects: Sequence[Effect] = (),
     factory: FactoryCalibration | None = None,
+    jumps: Sequence[tuple[int, str]] = (),
 ) -> PoseProblem:
     """The problem of a recording and its sidecar, linearised at the nominal arm with frames in closed form.
 
@@ -385,14 +412,21 @@ def pose_problem(
         geometry: what is known of it, as in `fit`.
         effects: a user's own candidates, beside the catalogue's.
         factory: the arm's calibration; from the sidecar where not given.
+        jumps: rows of the file from which on the "base" or the "tool" is displaced by what is to be fitted.
 
     Raises:
         InputError: as `rigid_arm`.
     """
     rigid = rigid_arm(recording, arm, geometry, factory)
-    motion, inertia = motion_of_recording(recording), inertia_of_arm(rigid.arm, recording.settings)
+    # where the sensor shows the tool by the rigid arm: a function of noise itself would fit that noise
+    shown = rigid_frames(rigid.start, recording.joint_position.T).tool[:, :3, 3].T
+    motion = motion_of_recording(recording)._replace(measured_position=shown)  # type: ignore[arg-type]
+    inertia = inertia_of_arm(rigid.arm, recording.settings)
     masses, deviations = _uncertain_masses(inertia, recording.settings)
-    frames, none = len(rigid.unknown), np.zeros(len(masses))
+    moved = tuple(
+        (f"moved {part}", j, k) for j, (_, part) in enumerate(jumps) for k in range(_moving(part, rigid.rows))
+    )
+    frames, free, none = len(rigid.unknown), np.zeros(len(moved)), np.zeros(len(masses))
     every = (*catalogue(rigid.arm.dof, turned_tool=rigid.rows == 6), *effects)
     missing = tuple(untestable(every, motion, inertia is not None))
     lacking = {item.effect for item in missing}
@@ -400,10 +434,11 @@ def pose_problem(
         recording=recording,
         arm=rigid.arm,
         start=rigid.start,
-        unknown=(*rigid.unknown, *masses),
-        precision=np.concatenate([rigid.precision, deviations**-2.0]),
-        offset=np.concatenate([rigid.offset, none]),
-        informative=np.concatenate([np.full(frames, rigid.informative), none == 0]),
+        unknown=(*rigid.unknown, *moved, *masses),
+        precision=np.concatenate([rigid.precision, free, deviations**-2.0]),
+        offset=np.concatenate([rigid.offset, free, none]),
+        informative=np.concatenate([np.full(frames, rigid.informative), free == 0, none == 0]),
+        after=np.array([rigid.recording.row >= row for row, _ in jumps]).reshape(len(jumps), rigid.samples),
         motion=motion,
         inertia=inertia,
         measured=rigid.measured,
@@ -415,6 +450,11 @@ def pose_problem(
         thinned_from=None,
         units={},
     )
+
+
+def _moving(part: str, rows: int) -> int:
+    """How many numbers a frame jump has: all of the base's, and those of the tool's that are measured."""
+    return 6 if part == "base" else rows
 
 
 def _uncertain_masses(inertia: Inertia | None, settings: RecordingSettings) -> tuple[tuple[Site, ...], Array]:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.spatial.distance import cdist
 
 from lite6jax.domains.pose.deflections import Deflections, columns_of
-from lite6jax.domains.pose.kinematics import MASSES, Measured, Site, rigid_frames, site_columns
+from lite6jax.domains.pose.kinematics import FRAMES, Measured, Site, rigid_frames, site_columns
 from lite6jax.effects.composition import Physics
 from lite6jax.effects.deflection import Deflection
 from lite6jax.effects.effect import Effect, Loading
@@ -183,7 +183,7 @@ class Derivatives:
             tool = rigid_frames(self.model.model, q[:, rows]).tool
             rotation = np.moveaxis(tool[:, :3, :3], 0, -1)
             sites = site_columns(self.model.model, q[:, rows], Measured(tool[:, :3, 3].T, rotation, np.ones(2)))
-            frames = [sites[site][None] for site in self.sites if site[0] not in MASSES]
+            frames = [sites[site][None] for site in self.sites if site[0] in FRAMES]
             parts = [np.zeros((0, 6, tool.shape[0])), *frames]
             for unit in units:
                 part = Deflection(*(None if field is None else np.asarray(field)[..., rows] for field in unit))  # type: ignore[arg-type]
@@ -207,7 +207,7 @@ class Derivatives:
     def _units(self) -> list[Deflection]:
         """The deflection by errors of masses, if any, and by each effect's numbers, `(number, …)`."""
         physics, values = self.model.physics, np.asarray(self.model.values)
-        masses = [site for site in self.sites if site[0] in MASSES]
+        masses = [site for site in self.sites if site[0] not in FRAMES]
         units = [self._deflections.through_masses(masses, physics, values)] if masses else []
         for effect, part in zip(physics.effects, physics.slices, strict=True):
             one, at = freed(effect), values[part]

@@ -319,6 +319,26 @@ def test_masses_that_are_off_are_those_of_a_plain_arm(arm, motions):
     np.testing.assert_allclose(known.center_of_mass[:-1], heavier["center_of_mass"][:-1], rtol=1e-12)
 
 
+def test_what_is_left_of_a_frame_jump_is_fitted(arm, motions):
+    recording = arm.recording(motions["static"])
+    row = int(recording.row[5])
+    case = pose_problem(recording, jumps=((row, "base"), (row, "tool")))
+    none = np.zeros(0)
+    assert [site[0] for site in case.unknown] == ["moved base"] * 6 + ["moved tool"] * 6
+    wanted = differentiated(lambda m: case.residual(m, NOTHING, none), at_start(case), 1e-6)
+    close(case.nuisance_columns(NOTHING, none), wanted, 1e-6)
+    assert not wanted[..., :5].any() and (np.abs(wanted[..., 5:]).max((1, 2)) > 0).all()
+    moved = 1e-4 * np.random.default_rng(2).standard_normal(12)
+    there = case.relinearised(moved)
+    np.testing.assert_allclose(
+        there.residual(at_start(case), NOTHING, none), case.residual(moved, NOTHING, none), rtol=0, atol=1e-9
+    )
+    later = case.selected(np.arange(3, SAMPLES))
+    np.testing.assert_allclose(
+        later.residual(moved, NOTHING, none), case.residual(moved, NOTHING, none)[:, 3:], rtol=0, atol=1e-9
+    )
+
+
 def test_what_is_unknown_follows_from_what_is_declared(arm, motions):
     def unknown(**options):
         case = pose_problem(Made(arm.folder, seed=1, **options).recording(motions["static"]))

@@ -159,7 +159,7 @@ def test_bars_are_those_of_draws_of_the_numbers(arm):
 
 def test_the_covariance_is_that_of_the_fit(found, model):
     """Of the effect's own number as it is reported; and of the prediction by least squares in closed form."""
-    known, k = model.uncertainty, len(found.problem.unknown)
+    known, k = model.uncertainty, len(model.uncertainty.sites)
     np.testing.assert_allclose(known.covariance[k:, k:], found.fit.covariance, rtol=1e-3)
     change = Derivatives(model, found.problem.motion, known.sites)
     J = change.all() / np.repeat(NOISE, 3)[:, None]
@@ -302,7 +302,7 @@ def test_what_is_written_is_read(found, content, model):
     assert list(written["recorded"]["drivers"]) == ["gravity torque of joint 2"]
     np.testing.assert_array_equal(again.covariance, again.covariance.T)
     assert np.linalg.eigvalsh(again.covariance / np.sqrt(np.outer(*[np.diagonal(again.covariance)] * 2))).min() > -1e-9
-    assert again.sites == found.problem.unknown
+    assert again.sites == (*found.problem.frames, *found.problem.masses)
 
 
 def test_a_document_without_it_is_read(arm):
