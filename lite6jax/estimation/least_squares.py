@@ -194,15 +194,17 @@ def _fitted(
         length = float(np.sqrt(max(-change @ gradient, 0.0)))
         before = _cost(state.innovations, state, training) + _square(precision, prior(problem, at))
         trial, there, rows = at, problem, state.rows
-        for halving in range(options.halvings + 1):
+        for _ in range(options.halvings + 1):
             trial, there = at + change, problem
             if moving:
                 there, trial = problem.relinearised(trial[:k]), np.concatenate([np.zeros(k), trial[k:]])
             rows = residual(there, trial)
             cost = _cost(noise.whitened(rows), state, training) + _square(precision, prior(there, trial))
-            if cost <= before + 1e-9 * abs(before) or halving == options.halvings:
+            if cost <= before + 1e-9 * abs(before):
                 break
             change = change / 2
+        else:
+            break  # derivatives at the point of linearisation lead no further
         at, problem, state = trial, there, weighed(rows, noise, training)
         if length < (options.exact_settled if exact else options.settled):
             converged = True

@@ -12,7 +12,7 @@ from lite6jax.estimation.problem import Problem
 from lite6jax.estimation.score_test import Score, score_test, searched_size
 from lite6jax.estimation.terms import Term, Terms
 from lite6jax.search.spectrum import lines
-from lite6jax.search.state import Alternative, SelectedTerm, State, added, most_specific, refitted
+from lite6jax.search.state import Alternative, SelectedTerm, State, added, extended, most_specific, refitted
 
 
 class _Scored(NamedTuple):
@@ -90,6 +90,12 @@ def _with_next(problem: Problem, state: State, options: EngineOptions, shaped: b
     tested = SelectedTerm(term, score.familywise(searched), score, alternatives)
     more = State(state.baseline, chosen[1], (*state.tested, tested))
     return _refined(problem, _without_included(problem, more, options), options)
+
+
+def with_term(problem: Problem, state: State, term: Term, score: Score, options: EngineOptions) -> State:
+    """The state with a named term, whose tried number is refined."""
+    tested = SelectedTerm(term, score.familywise(searched_size(problem, options)), score)
+    return _refined(problem, extended(problem, state, tested, score.values, options), options)
 
 
 def _without_included(problem: Problem, state: State, options: EngineOptions) -> State:

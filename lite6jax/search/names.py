@@ -18,7 +18,7 @@ from lite6jax.estimation.score_test import gain_p_value, score_test, searched_si
 from lite6jax.estimation.terms import Term
 from lite6jax.search.backward import eliminate, prune
 from lite6jax.search.curves import with_curve
-from lite6jax.search.forward import forward
+from lite6jax.search.forward import forward, with_term
 from lite6jax.search.state import SelectedTerm, State, description_length, preferred, reduced, retested
 
 _NUMBERS = 1 << 22
@@ -34,13 +34,34 @@ class _Likely(NamedTuple):
 
 def challenge_names(problem: Problem, state: State, options: EngineOptions) -> State:
     """The state with names that the data do not contradict, and functions without a name for what is left."""
-    state = believable(problem, state, options)
+    state = _shaped_instead(problem, believable(problem, state, options), options)
     for _ in range(options.name_rounds):
         better = _more_likely(problem, state, options)
         if better is None:
             break
         state = believable(problem, better, options)
     return _named_again(problem, state, options)
+
+
+def _shaped_instead(problem: Problem, state: State, options: EngineOptions) -> State:
+    """The state in which named terms with a number that is tried take the place of others at their site.
+
+    Forward selection leaves them out, because they come close to others: a step of the load to the load itself.
+    """
+    for tested in state.tested:
+        rivals = [term for term in problem.shaped if term.site == tested.term.site]
+        if not rivals or tested.term.chosen is not None or tested.term not in state.fit.terms.terms:
+            continue
+        rest = reduced(problem, state, state.fit.terms.terms.index(tested.term), options)
+        test = score_test(problem, rest.fit, options, within=state.fit)
+        scores = test.score(rivals)
+        best = max(range(len(rivals)), key=lambda k: scores[k].gain)
+        if scores[best].gain < test.score([tested.term])[0].gain + options.close:
+            continue
+        choice = with_term(problem, rest, rivals[best], scores[best], options)
+        if preferred(choice, state, options.close, options):
+            state = choice
+    return state
 
 
 def _named_again(problem: Problem, state: State, options: EngineOptions) -> State:

@@ -269,7 +269,8 @@ def test_the_nuisance_is_the_derivative_of_the_residuals(unknown):
     frames = len(case.frames)
     found = case.nuisance_columns(NOTHING, none)
     close(found[:frames], wanted[:frames], 1e-6)
-    assert not wanted[frames:].any() and not found[frames:].any()  # masses matter beside compliances alone
+    assert not wanted[frames:].any()  # masses matter beside compliances alone
+    assert not found[frames:].any()
     assert (frames, len(case.unknown) - frames) == (6 + 5 * 6 + 6, 6 * 4)
 
 
@@ -327,7 +328,8 @@ def test_what_is_left_of_a_frame_jump_is_fitted(arm, motions):
     assert [site[0] for site in case.unknown] == ["moved base"] * 6 + ["moved tool"] * 6
     wanted = differentiated(lambda m: case.residual(m, NOTHING, none), at_start(case), 1e-6)
     close(case.nuisance_columns(NOTHING, none), wanted, 1e-6)
-    assert not wanted[..., :5].any() and (np.abs(wanted[..., 5:]).max((1, 2)) > 0).all()
+    assert not wanted[..., :5].any()
+    assert (np.abs(wanted[..., 5:]).max((1, 2)) > 0).all()
     moved = 1e-4 * np.random.default_rng(2).standard_normal(12)
     there = case.relinearised(moved)
     np.testing.assert_allclose(
