@@ -91,7 +91,7 @@ def _finding(found: Diagnosis, k: int, before: float, after: float) -> dict[str,
     finding = found.findings[k]
     effect, size = finding.effect, {}
     if isinstance(effect, Unnamed):
-        size = {"peak_to_peak": _peak_to_peak(found, k, effect)}
+        size = {"peak_to_peak": _peak_to_peak(found, k, effect), "effective_parameters": finding.effective_parameters}
     if finding.nearest is not None:
         rival, share = finding.nearest
         size |= {"nearest": {**_located(rival.effect), "share": share}}

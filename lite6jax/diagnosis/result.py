@@ -66,6 +66,12 @@ class Finding:
         return rival, float(np.clip(1 - rival.gap / max(self.gain, 1e-300), 0.0, 1.0))
 
     @property
+    def effective_parameters(self) -> float:
+        """How many of its numbers the data determine; fewer than there are, where these have a prior."""
+        spread = np.array([coordinate.spread for coordinate in self.effect.coordinates])
+        return float(len(spread) - np.sum(np.diagonal(self.covariance) / spread**2))
+
+    @property
     def parameters(self) -> dict[str, Estimate]:
         """Value and standard deviation of each parameter, by name with its unit."""
         return self.effect.reported(self.values, self.covariance)

@@ -3,7 +3,7 @@
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import ClassVar, NamedTuple, final
+from typing import Any, ClassVar, NamedTuple, final
 
 import jax.numpy as jnp
 import numpy as np
@@ -154,6 +154,8 @@ class Effect(ABC):
     """Whether it is a flexible curve rather than a named effect."""
     choice: ClassVar[Choice | None] = None
     reporting: ClassVar[Reporting] = DIRECT
+    special_cases: "ClassVar[Callable[[Any], tuple[Effect, ...]] | None]" = None
+    """Of an effect, those that are this one with some of its numbers zero; None where there are none."""
 
     @property
     @abstractmethod
@@ -199,9 +201,10 @@ class Effect(ABC):
         return self.choice.number(self) if self.choice is not None and self.choice.searched(self) else None
 
     @property
+    @final
     def includes(self) -> "tuple[Effect, ...]":
         """The effects that are this one with some of its numbers zero."""
-        return ()
+        return () if self.special_cases is None else self.special_cases(self)
 
     @final
     def released(self) -> "Effect":

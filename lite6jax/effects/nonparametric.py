@@ -110,6 +110,8 @@ class Unnamed(Bending):
         trust: by how much to believe waves, from 0 to 1, at equal steps of the driver from `lower` to `upper`: they
             mean nothing where nothing was measured.
         spread: one standard deviation of the coefficients, where that is known beforehand.
+        rolloff: corner c and slope s, by which the variance of waves of order k falls, as 1 / (1 + (k / c)ˢ); none
+            where it does not.
         memory: half the widths of the plays, in the driver's unit, that are there instead of a spline.
         degree: of polynomials, that are there instead of a spline; 0 for none.
         further: lower and upper of each further driver.
@@ -130,6 +132,7 @@ class Unnamed(Bending):
     memory: tuple[float, ...] = ()
     degree: int = 0
     further: tuple[float, ...] = ()
+    rolloff: tuple[float, ...] = ()
 
     name: ClassVar[str] = "unnamed"
     nonparametric: ClassVar[bool] = True
@@ -162,6 +165,11 @@ class Unnamed(Bending):
                 f"unnamed:{self.where}: {several + 1} drivers and {len(self.further)} further bounds; give lower and "
                 "upper of each driver but the first, and a degree"
             )
+        if self.rolloff and (len(self.rolloff) != 2 or self.rolloff[0] <= 0 or self.spread is None or not self.orders):
+            raise InputError(
+                f"unnamed:{self.where}: rolloff {self.rolloff} is not possible; give a positive corner order and a "
+                "slope, beside orders and their spread"
+            )
         if self.degree and (self.orders or self.memory):
             raise InputError(f"unnamed:{self.where}: a degree beside orders or memory; give one of them")
 
@@ -180,14 +188,23 @@ class Unnamed(Bending):
         """The coefficients."""
         names = [f"{wave}_{order:g}" for order in self.orders for wave in ("sine", "cosine")]
         names = names or [f"coefficient{i + 1}" for i in range(self.functions)]
-        spread = float("inf") if self.spread is None else self.spread
         several = len(self.components) > 1
         return tuple(
             Coordinate(f"{f'{component}_' if several else ''}{name}_{unit}", unit, 1e-4, spread)
             for component in self.components
             for unit in ("m" if component in ("x", "y", "z") else "rad",)
-            for name in names
+            for name, spread in zip(names, self._spreads, strict=True)
         )
+
+    @property
+    def _spreads(self) -> list[float]:
+        """Of each function's coefficient."""
+        if self.spread is None:
+            return [float("inf")] * self.functions
+        if not self.rolloff:
+            return [self.spread] * self.functions
+        corner, slope = self.rolloff
+        return [self.spread / (1 + (order / corner) ** slope) ** 0.5 for order in self.orders for _ in range(2)]
 
     @property
     def functions(self) -> int:

@@ -82,6 +82,7 @@ class EngineOptions:
     exact_settled: float = option(0.02, "length of its last step, in standard deviations", "each step is expensive")
     halvings: int = option(6, "most halvings of a step that does not improve", "a step of 1/64 is no progress")
     difference: float = option(1e-6, "m or rad by which a difference is taken", "between rounding and curvature")
+    most_exact: int = option(100, "numbers of terms up to which derivatives are taken by differences", "saves minutes")
     relinearisations: int = option(4, "fits between which the problem is linearised anew", "error falls 1000-fold")
     # forward selection
     most_terms: int = option(8, "most terms of a forward selection", "more are a family of curves: see `shrinkage`")
@@ -113,11 +114,7 @@ class EngineOptions:
         2.0, "log-likelihood by which a whole order is preferred", "most gears have whole orders"
     )
     # harmonic shrinkage
-    lines_per_site: int = option(11, "most orders that a curve keeps, mean over sites", "more would be a lookup table")
     named_numbers: int = option(12, "most numbers of named terms beside the curves", "as many as one curve")
-    few_lines: int = option(3, "orders of one site that stay harmonics by name", "as in `merged`")
-    dropped: float = option(0.1, "share of the orders dropped at a time", "ten rounds halve their number")
-    plausible: float = option(300.0, "typical sizes beyond which a number fits something else", "30 mrad, 3 mrad/Nm")
     shrinkage_rounds: int = option(3, "rounds of curves and named terms", "the set does not change later")
     fade: float = option(0.2, "rad beyond the data within which a curve fades out", "half a period of order 15")
     # final estimates

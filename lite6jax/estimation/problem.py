@@ -29,8 +29,9 @@ class PeriodicFamily:
         term: makes the term of one order.
         order: of one of its terms; None where the order is a number to be fitted.
         curve: makes the nonparametric term of several orders. Its arguments are the orders, the mask `(sample,)` of
-            training samples, the standard deviation of its coefficients' prior, or None, and the range of the angle in
-            rad within which it fades out beyond the training samples.
+            training samples, the prior of its coefficients, or None, and the range of the angle in rad within which it
+            fades out beyond the training samples. A prior is the standard deviation of coefficients of low order, and
+            the corner c and the slope s by which their variance falls, as 1 / (1 + (order / c)ˢ).
     """
 
     site: str
@@ -38,7 +39,7 @@ class PeriodicFamily:
     angle: Array
     term: Callable[[float], Term]
     order: Callable[[Term], float | None]
-    curve: Callable[[Sequence[float], Mask, float | None, float], Term]
+    curve: Callable[[Sequence[float] | Array, Mask, tuple[float, float, float] | None, float], Term]
 
     def columns(self, orders: Array) -> Array:
         """Sine and cosine of each order, `(order, 2, row, sample)`."""

@@ -40,7 +40,9 @@ def outside(columns: Array, basis: Array) -> Array:
 def scaled_solve(H: Array, b: Array, rounding: float = 1e-13) -> Array:
     """x of H x = b for a positive semidefinite H scaled to unit diagonal, of least norm where that is singular."""
     root = _root(H)
-    return np.linalg.lstsq(H / np.outer(root, root), b / root, rcond=rounding)[0] / root
+    eigenvalues, V = np.linalg.eigh(H / np.outer(root, root))
+    kept = eigenvalues > rounding * eigenvalues[-1]
+    return V[:, kept] @ ((V[:, kept].T @ (b / root)) / eigenvalues[kept]) / root
 
 
 def scaled_inverse(H: Array, rounding: float = 1e-13) -> Array:

@@ -113,6 +113,10 @@ def _continued(problem: Problem, reference: Problem, part: State, training: Mask
     """The terms found in a part of the samples, fitted to all, with further ones that are significant there."""
     baseline = fit(reference, Terms(), options, training=training)
     fitted = baseline
+    if any(map(_shrunk, part.fit.terms.terms)):  # hundreds of numbers: a step from the estimate of enough samples
+        once = replace(options, steps=1)
+        fitted = fit(problem, part.fit.terms, once, part.fit.values, part.fit.nuisance, training)
+        return State(baseline, fitted, part.tested)
     if part.tested:
         fitted = fit(problem, part.fit.terms, options, part.fit.values, part.fit.nuisance, training)
     state = forward(problem, State(baseline, fitted, part.tested), options)
@@ -125,6 +129,8 @@ def _reviewed(selection: Selection, options: EngineOptions) -> Selection:
     candidates, searched = problem.candidates, searched_size(problem, options)
     scores = score_test(problem, state.baseline, options).score(candidates)
     confounded = tuple(term for term, score in zip(candidates, scores, strict=True) if score.confounded)
+    if any(map(_shrunk, state.fit.terms.terms)):
+        return replace(selection, confounded=confounded)
     left = [term for term in candidates if term not in state.fit.terms.terms]
     scored = zip(left, score_test(problem, state.fit, options).score(left), strict=True)
     p_values = [(term, score.familywise(searched)) for term, score in scored if not score.confounded]

@@ -1,42 +1,68 @@
-"""Harmonic shrinkage: all orders of all periodic families at once, under one prior, reduced to a curve for each site.
+"""Harmonic shrinkage: all orders of all periodic families at once, each family under a spectral prior of its own.
 
-Adding orders one by one finds the largest first, and biases each by those still missing. All at once, with the prior's
-variance estimated from the data (D. MacKay, Bayesian Interpolation, Neural Computation 4, 1992, eq. 4.9), coefficients
-that the data do not determine stay near zero. The orders that matter least are then removed, step by step.
+Adding orders one by one finds the largest first, and biases each by those still missing. All at once, coefficients that
+the data do not determine stay near zero. Errors of gears, encoders and bearings fade towards high orders: coefficients
+of order k have the prior variance a² / (1 + (k / c)ˢ). The amplitude a, the corner order c and the slope s of each
+family maximise the marginal likelihood (C. Rasmussen and C. Williams, Gaussian Processes for Machine Learning, 2006,
+eq. 2.43 and 5.9); the whole posterior is kept.
 """
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import NamedTuple, final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import chdtri
+from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg.lapack import dpotri
+from scipy.optimize import minimize
 
-from lite6jax.estimation.least_squares import Fit, fit, linear_columns, without
+from lite6jax.estimation.least_squares import Fit, fit, linear_columns
 from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.problem import PeriodicFamily, Problem
+from lite6jax.estimation.projection import orthonormal, outside, unit_rows
 from lite6jax.estimation.robust import FREEDOM
 from lite6jax.estimation.score_test import Score, gain_p_value, score_test, searched_size
-from lite6jax.estimation.terms import Term, Terms
+from lite6jax.estimation.terms import Term, Terms, join
 from lite6jax.search.state import SelectedTerm, State
 
 Array = NDArray[np.floating]
-Integers = NDArray[np.integer]
 
-ORDERS = np.arange(1.0, 60.25, 0.5)
-"""Half orders, which resolve an angle that varies over two turns; to 60, above which coefficients shrink to zero."""
-_WEIGHINGS, _UPDATES = 3, 5
-"""Rounds of robust weights, and of the prior's variance within each: both settle to a per cent."""
+_HIGHEST = 60.0
+"""The highest order: above it, coefficients of real arms shrink to zero."""
+_RANGES = 1.25
+"""Ranges of the angle in the period of the lowest order, at least: errors need not repeat after a turn."""
+_STEPS = (12, 6, 4)
+"""Steps up the marginal likelihood in each round of robust weights: both settle to a per cent."""
+_START = (1e-4, 10.0, 3.0)
+"""Amplitude in rad, corner and slope from which the marginal likelihood is climbed."""
+_BOUNDS = ((-16.0, -4.0), (np.log(0.5), np.log(_HIGHEST)), (0.0, 8.0))
+"""Of the logarithms of amplitude and corner, and of the slope."""
+_UNDETERMINED = 0.02
+"""Information of a coefficient over that of its prior, below which its order is left out."""
+_ROUNDING = 1e-12
+"""Relative eigenvalue of products of the nuisance's columns below which a direction does not count."""
 _MUCH = 0.3
 """Share of the best named term's gain from which another is added in the same round."""
 
 
-class _Lines(NamedTuple):
-    """The lines that are kept: families, orders, and the prior's standard deviation of a family's coefficients."""
+class _Spectrum(NamedTuple):
+    """The lines of one family: which orders, their prior, and the posterior's mean.
 
-    family: Integers
-    order: Array
-    spread: Array
+    Attributes:
+        family: of them.
+        orders: `(order,)`.
+        amplitude: rad, one standard deviation of a coefficient of low order.
+        rolloff: the corner order, and the slope.
+        values: `(2 · order,)` rad, of sine and cosine of each order.
+    """
+
+    family: PeriodicFamily
+    orders: Array
+    amplitude: float
+    rolloff: tuple[float, float]
+    values: Array
 
 
 def shrink(problem: Problem, state: State, options: EngineOptions) -> State | None:
@@ -52,108 +78,184 @@ def shrink(problem: Problem, state: State, options: EngineOptions) -> State | No
     """
     named = [tested for tested in state.tested if not tested.term.periodic]
     plain = [term for term in problem.candidates if problem.shrinkable(term)]
-    current, curves = _with_curves(problem, state.baseline, state.baseline, named, options)
+    current = _with_curves(problem, state.baseline, state.baseline, named, options)
     for _ in range(options.shrinkage_rounds - 1):
         room = options.named_numbers - sum(tested.term.size for tested in named)
         more = _named(problem, current, plain, options, room)
         if not more:
             break
         named += more
-        current, curves = _with_curves(problem, state.baseline, current, named, options)
-    n = state.baseline.freedom
-    if current.gain_over(state.fit) < 0.5 * (current.terms.size - state.fit.terms.size) * np.log(n):
+        current = _with_curves(problem, state.baseline, current, named, options)
+    more_numbers = current.parameters - state.fit.parameters
+    if current.gain_over(state.fit) < 0.5 * more_numbers * np.log(state.baseline.freedom):
         return None
-    return State(state.baseline, current, (*named, *(_tested(problem, current, curve, options) for curve in curves)))
+    curves = current.terms.terms[len(named) :]
+    time = score_test(problem, current, options).time
+    return State(
+        state.baseline, current, (*named, *(_tested(problem, current, curve, time, options) for curve in curves))
+    )
 
 
 def _with_curves(
     problem: Problem, baseline: Fit, current: Fit, named: Sequence[SelectedTerm], options: EngineOptions
-) -> tuple[Fit, list[Term]]:
-    """Named terms and the curves beside them, fitted; their orders are chosen from the residuals of `current`."""
+) -> Fit:
+    """Named terms and the curves beside them, fitted; the curves follow from the residuals of `current`."""
     terms = tuple(tested.term for tested in named)
-    curves = _curves(problem, _lines(problem, current, Terms(terms), options), current.training, options)
+    spectra = _spectra(problem, current, Terms(terms))
+    curves = [
+        one.family.curve(one.orders, current.training, (one.amplitude, *one.rolloff), options.fade) for one in spectra
+    ]
     model = Terms((*terms, *curves))
-    return fit(problem, model, options, None, baseline.nuisance, baseline.training), curves
+    start = join([np.zeros(sum(term.size for term in terms)), *(one.values for one in spectra)])
+    rough = replace(options, settled=options.exact_settled)  # each step takes hundreds of numbers
+    return fit(problem, model, rough, start, baseline.nuisance, baseline.training)
 
 
-def _lines(problem: Problem, current: Fit, named: Terms, options: EngineOptions) -> _Lines:
-    """The orders of each family that matter most, beside the nuisance and named terms."""
+def _spectra(problem: Problem, current: Fit, named: Terms) -> list[_Spectrum]:
+    """The lines of each family beside the nuisance and named terms, under the most likely priors, robustly."""
     training, families = np.flatnonzero(current.training), problem.periodic
+    orders = [_orders(family.angle[training]) for family in families]
     fixed = linear_columns(problem, named, np.zeros(named.size))[..., training]
-    waves = [family.columns(ORDERS)[..., training].reshape(-1, *fixed.shape[1:]) for family in families]
-    columns = np.concatenate([fixed, *waves]).reshape(len(fixed) + 2 * len(ORDERS) * len(families), -1)
-    norms = np.maximum(np.linalg.norm(columns, axis=1), 1e-300)
-    columns /= norms[:, None]
+    waves = [
+        family.columns(each)[..., training].reshape(-1, *fixed.shape[1:])
+        for family, each in zip(families, orders, strict=True)
+    ]
+    fixed, lines = fixed.reshape(len(fixed), -1), np.concatenate(waves).reshape(-1, fixed[0].size)
     # residuals without nuisance and terms, to first order: those of the current fit less its linear prediction
-    model = linear_columns(problem, current.terms, current.values)
-    explained = np.tensordot(np.concatenate([current.nuisance, current.values]), model, 1)
-    target = (current.residuals.rows - explained)[:, training].ravel()
-    free, shrink = len(fixed), 0.01
-    weight = np.ones(len(training))
-    total = squares = np.sum(target.reshape(-1, len(training)) ** 2, 0)
-    for _ in range(_WEIGHINGS):
-        H, g = _normal(columns, target, weight)
-        solved, shrink = _ridge(H, g, free, shrink, float(weight @ total), target.size)
-        squares = np.sum((target - solved @ columns).reshape(-1, len(training)) ** 2, 0)
-        scale = np.median(squares) / chdtri(problem.rows, 0.5)
-        weight = (FREEDOM + problem.rows) / (FREEDOM + squares / scale)
-    H, g = _normal(columns, target, weight)
-    noise = float(weight @ squares / max(target.size - len(H), 1))
-    active = _reduced(H, g, free, shrink, options.lines_per_site * len(families), options.dropped)
-    family, order = np.divmod(active, len(ORDERS))
-    size = np.sqrt(noise / shrink) / norms[free:].reshape(len(families), -1)
-    return _Lines(family, ORDERS[order], np.median(size, axis=1))
+    explained = np.concatenate([current.nuisance, current.values])
+    predicted = np.tensordot(explained, linear_columns(problem, current.terms, current.values), 1)
+    target = -(current.residuals.rows - predicted)[:, training].ravel()
+    prior = np.concatenate([problem.precision, named.precision])
+    at, weight = np.array(_start() * len(families)), np.ones(len(training))
+    scale = float(np.sqrt(np.mean(target**2)))
+    evidence, values = None, np.zeros(0)
+    for steps in _STEPS:
+        root = np.tile(np.sqrt(weight), problem.rows) / scale
+        evidence = _Evidence.of(fixed * root, prior, lines * root, target * root, orders)
+        at = evidence.most_likely(at, steps)
+        values, left, effective = evidence.posterior(at)
+        squares = np.sum((left / root).reshape(problem.rows, -1) ** 2, 0)
+        scale = float(np.sqrt(np.sum(weight * squares) / max(target.size - effective, 1.0)))
+        weight = (FREEDOM + problem.rows) / (FREEDOM + squares / scale**2)
+    assert evidence is not None
+    found, coefficients = [], np.split(values, np.cumsum([2 * len(each) for each in orders])[:-1])
+    kept = evidence.determined(at)
+    for family, each, numbers, values, some in zip(
+        families, orders, at.reshape(-1, 3), coefficients, kept, strict=True
+    ):
+        if some:
+            amplitude, corner, slope = np.exp(numbers[0]), np.exp(numbers[1]), numbers[2]
+            rolloff = (float(f"{corner:.6g}"), float(f"{slope:.6g}"))
+            found.append(_Spectrum(family, each[:some], float(f"{amplitude:.6g}"), rolloff, values[: 2 * some]))
+    return found
 
 
-def _normal(columns: Array, target: Array, weight: Array) -> tuple[Array, Array]:
-    weights = np.tile(np.sqrt(weight), target.size // weight.size)
-    weighted = columns * weights
-    return weighted @ weighted.T, weighted @ (weights * target)
+def _orders(angle: Array) -> Array:
+    """The orders of a family: whole ones; of an angle that turns far, so fine that its range is within one period."""
+    lowest = float(np.clip(2 * np.pi / (_RANGES * max(float(np.ptp(angle)), 1e-3)), 0.25, 1.0))
+    return lowest * np.arange(1, int(_HIGHEST / lowest) + 1)
 
 
-def _ridge(H: Array, g: Array, free: int, shrink: float, total: float, count: int) -> tuple[Array, float]:
-    """The coefficients, and the prior's precision over the noise's, by MacKay's fixed point."""
-    x = np.zeros(len(H))
-    for _ in range(_UPDATES):
-        inverse = np.linalg.inv(_penalised(H, free, shrink))
-        x = inverse @ g
-        left = total - 2 * x @ g + x @ H @ x
-        effective = len(H) - shrink * np.trace(inverse[free:, free:])
-        wanted = (effective - free) * left / max(count - effective, 1.0) / max(float(np.sum(x[free:] ** 2)), 1e-300)
-        shrink = float(np.clip(wanted, 1e-8, 1e8))
-    return x, shrink
+def _start() -> list[float]:
+    amplitude, corner, slope = _START
+    return [float(np.log(amplitude)), float(np.log(corner)), slope]
 
 
-def _penalised(H: Array, free: int, shrink: float) -> Array:
-    return H + np.diag(np.where(np.arange(len(H)) < free, 1e-9, shrink))
+@final
+@dataclass(frozen=True, eq=False)
+class _Evidence:
+    """The marginal likelihood of the priors' numbers, in noise of unit variance.
+
+    The nuisance and the named terms are integrated over.
+
+    Attributes:
+        orders: of each family.
+        fixed: how many numbers of the nuisance and of named terms the data or the prior determine.
+        columns: `(line, reading)`, of sine and cosine of every order, outside the span of the fixed columns.
+        target: `(reading,)`, the data outside that span.
+        readings: how many there are of the data; further ones are those of priors.
+        gram: `(line, line)`, products of the columns.
+        pulled: `(line,)`, products of these with the data.
+    """
+
+    orders: Sequence[Array]
+    fixed: int
+    columns: Array
+    target: Array
+    readings: int
+    gram: Array
+    pulled: Array
+
+    @classmethod
+    def of(cls, fixed: Array, prior: Array, lines: Array, target: Array, orders: Sequence[Array]) -> "_Evidence":
+        """From columns `(number, reading)`, one over the prior variances of the fixed numbers, and the data."""
+        none = np.zeros((len(lines), len(fixed)))
+        basis = orthonormal(unit_rows(np.concatenate([fixed, np.diag(np.sqrt(prior))], 1)), _ROUNDING)
+        columns = outside(np.concatenate([lines, none], 1), basis)
+        data = outside(np.append(target, none[0])[None], basis)[0]
+        return cls(orders, len(basis), columns, data, target.size, columns @ columns.T, columns @ data)
+
+    def most_likely(self, start: Array, steps: int) -> Array:
+        """The priors' numbers `(3 · family,)`, so many steps on: logarithms of amplitude and corner, and the slope."""
+        bounds = [*_BOUNDS] * len(self.orders)
+        options = {"maxiter": steps, "maxfun": 2 * steps}
+        return minimize(self._unlikely, start, jac=True, method="L-BFGS-B", bounds=bounds, options=options).x
+
+    def posterior(self, at: Array) -> tuple[Array, Array, float]:
+        """The mean `(line,)`, what it leaves of the data `(reading,)`, and the effective number of parameters."""
+        s, factor = self._factor(at)
+        mean = s * cho_solve(factor, s * self.pulled)
+        effective = self.fixed + len(s) - float(np.sum(_inverse_diagonal(factor)))
+        return mean, (self.target - mean @ self.columns)[: self.readings], effective
+
+    def _factor(self, at: Array) -> tuple[Array, tuple[Array, bool]]:
+        """The prior's standard deviations `(line,)`, and the Cholesky factor of the posterior's precision over it."""
+        s = np.sqrt(self._variance(at))
+        M = self.gram * np.outer(s, s)
+        M[np.diag_indices_from(M)] += 1
+        return s, cho_factor(M, lower=True)
+
+    def determined(self, at: Array) -> list[int]:
+        """How many orders of each family the data say something of."""
+        information = np.diagonal(self.gram) * self._variance(at)
+        parts = np.split(information, np.cumsum([2 * len(each) for each in self.orders])[:-1])
+        pairs = (np.flatnonzero(part.reshape(-1, 2).max(1) > _UNDETERMINED) for part in parts)
+        return [int(some[-1]) + 1 if some.size else 0 for some in pairs]
+
+    def _variance(self, at: Array) -> Array:
+        """`(line,)`, of the coefficients' priors."""
+        return np.concatenate(
+            [np.repeat(_variance(each, *n), 2) for each, n in zip(self.orders, at.reshape(-1, 3), strict=True)]
+        )
+
+    def _unlikely(self, at: Array) -> tuple[float, Array]:
+        """Minus the log marginal likelihood, up to a constant, and its derivatives."""
+        s, factor = self._factor(at)
+        x = cho_solve(factor, s * self.pulled)
+        value = float(np.sum(np.log(np.diagonal(factor[0]))) - 0.5 * (s * self.pulled) @ x)
+        # by the logarithm of each coefficient's prior variance
+        change = 0.5 * (1 - _inverse_diagonal(factor) - x**2)
+        slopes = []
+        for each, part, (_, corner, slope) in zip(
+            self.orders,
+            np.split(change, np.cumsum([2 * len(o) for o in self.orders])[:-1]),
+            at.reshape(-1, 3),
+            strict=True,
+        ):
+            pair, relative = part.reshape(-1, 2).sum(1), each / np.exp(corner)
+            faded = relative**slope / (1 + relative**slope)
+            slopes += [2 * pair.sum(), slope * pair @ faded, -pair @ (faded * np.log(relative))]
+        return value, np.array(slopes)
 
 
-def _reduced(H: Array, g: Array, free: int, shrink: float, most: int, share: float) -> Integers:
-    """The `most` lines left when those of the least Wald statistic have been removed, a `share` at a time."""
-    active = np.arange((len(H) - free) // 2)
-    while len(active) > most:
-        at = np.concatenate([np.arange(free), (free + 2 * active[:, None] + np.arange(2)).ravel()])
-        inverse = np.linalg.inv(_penalised(H[np.ix_(at, at)], free, shrink))
-        pairs = (inverse @ g[at])[free:].reshape(-1, 2)
-        k = np.arange(len(active))
-        blocks = inverse[free:, free:].reshape(len(active), 2, len(active), 2)[k, :, k]
-        wald = np.einsum("pi,pij,pj->p", pairs, np.linalg.inv(blocks), pairs)
-        dropped = max(1, min(len(active) - most, int(share * len(active))))
-        active = np.sort(active[np.argsort(wald)[dropped:]])
-    return active
+def _inverse_diagonal(factor: tuple[Array, bool]) -> Array:
+    """Of the matrix with this Cholesky factor."""
+    return np.diagonal(dpotri(factor[0], lower=factor[1])[0])
 
 
-def _curves(problem: Problem, lines: _Lines, training: NDArray[np.bool_], options: EngineOptions) -> list[Term]:
-    """One term for each family that has lines: a curve, or harmonics where they are few."""
-    curves: list[Term] = []
-    for at in np.unique(lines.family):
-        family: PeriodicFamily = problem.periodic[int(at)]
-        orders = tuple(float(order) for order in lines.order[lines.family == at])
-        if len(orders) <= options.few_lines:
-            curves += [family.term(order) for order in orders]
-        else:
-            curves.append(family.curve(orders, training, float(lines.spread[at]), options.fade))
-    return curves
+def _variance(orders: Array, amplitude: float, corner: float, slope: float) -> Array:
+    """Of the coefficients' priors, by the logarithms of amplitude and corner, and the slope."""
+    return np.exp(2 * amplitude) / (1 + (orders / np.exp(corner)) ** slope)
 
 
 def _named(
@@ -167,8 +269,8 @@ def _named(
         columns = problem.columns([term])
         score = test.score_columns([columns])[0]
         p_value = score.familywise(searched)
-        implausible = (np.abs(score.values) > options.plausible * Terms((term,)).typical).any()
-        if term in current.terms.terms or implausible or score.confounded or p_value >= options.level:
+        outside = partial(_outside, problem, term)
+        if term in current.terms.terms or outside(score.values) or score.confounded or p_value >= options.level:
             continue
         if score.gain < term.size * np.log(test.freedom) or term.size > room:
             continue
@@ -180,13 +282,17 @@ def _named(
     return found
 
 
-def _tested(problem: Problem, current: Fit, curve: Term, options: EngineOptions) -> SelectedTerm:
-    """The test of a curve beside all else, by its gain: it has too many numbers for a test by blocks."""
-    at = current.terms.terms.index(curve)
-    scale = current.scale
-    gain = current.log_likelihood(scale) - without(problem, current, at, options).log_likelihood(scale)
-    time = score_test(problem, current, options).time
-    p_value = min(gain_p_value(gain, curve.size, time) * searched_size(problem, options), 1.0)
-    return SelectedTerm(
-        curve, p_value, Score(gain, curve.size, p_value, False, current.values[current.terms.slices[at]])
-    )
+def _outside(problem: Problem, term: Term, values: Array) -> bool:
+    """Whether a number of a term is more or less than it can be."""
+    return any(not lower <= v <= upper for v, (lower, upper) in zip(values, problem.limits(term), strict=True))
+
+
+def _tested(problem: Problem, current: Fit, curve: Term, time: float, options: EngineOptions) -> SelectedTerm:
+    """The test of a curve beside all else: by the square of its coefficients in their posterior's metric."""
+    at = current.terms.slices[current.terms.terms.index(curve)]
+    values, covariance = current.values[at], current.covariance[at, at]
+    prior = np.array([number.spread for number in curve.coordinates]) ** 2
+    effective = int(np.ceil(max(len(values) - float(np.sum(np.diagonal(covariance) / prior)), 1.0)))
+    gain = 0.5 * float(values @ np.linalg.lstsq(covariance, values, rcond=1e-10)[0])
+    p_value = min(gain_p_value(gain, effective, time) * searched_size(problem, options), 1.0)
+    return SelectedTerm(curve, p_value, Score(gain, effective, p_value, False, values))

@@ -3,7 +3,7 @@
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from diagnosis.recorded import LITE6, NOISE, OPTIONS, Made, searched, static_motion
+from diagnosis.recorded import NOISE, Made, searched, static_motion
 
 from lite6jax.domains.pose.problem import pose_problem
 from lite6jax.effects.nonparametric import Unnamed
@@ -49,7 +49,10 @@ def test_every_joint_that_errs_has_one_curve(swept):
     _, _, selection = swept
     curves = [one.term for one in selection.state.tested if isinstance(one.term, Unnamed)]
     assert sorted(curve.site for curve in curves) == [f"joint{joint}" for joint in range(1, 6)]
-    assert sum(len(curve.orders) for curve in curves) <= OPTIONS.lines_per_site * LITE6.dof
+    # of nine waves each: so many numbers at least are determined, and fewer than there are
+    effective = [one.score.size for one in selection.state.tested if isinstance(one.term, Unnamed)]
+    assert all(18 <= size < 0.8 * curve.size for size, curve in zip(effective, curves, strict=True))
+    assert all(len(curve.orders) >= 29 for curve in curves)
     assert all(one.p_value < 0.003 for one in selection.state.tested)
 
 

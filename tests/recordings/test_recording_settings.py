@@ -76,6 +76,8 @@ def test_the_defaults_are_those_of_the_document(tmp_path):
         "payload_com_m": (0.0, 0.0, 0.0),
         "reference_temperature_degC": 25.0,
         "gravity_m_per_s2": (0.0, 0.0, -9.81),
+        "inertial_uncertainty": 0.1,
+        "payload_uncertainty_kg": 0.0,
     }
     for settings in (
         read_settings(tmp_path / "absent.yaml"),

@@ -162,7 +162,14 @@ class _Ranges:
         return self._found[driver]
 
 
-def waves(joint: int, q: Array, orders: Sequence[float], training: Mask, spread: float | None, fade: float) -> Unnamed:
+def waves(
+    joint: int,
+    q: Array,
+    orders: Sequence[float] | Array,
+    training: Mask,
+    prior: tuple[float, float, float] | None,
+    fade: float,
+) -> Unnamed:
     """The curve of some orders of a joint that fades out where there are no training rows.
 
     Args:
@@ -170,17 +177,21 @@ def waves(joint: int, q: Array, orders: Sequence[float], training: Mask, spread:
         q: `(sample,)` rad, its positions.
         orders: of the harmonics in it.
         training: `(sample,)` bool.
-        spread: standard deviation of the coefficients' prior, or None.
+        prior: of the coefficients: standard deviation in rad at low orders, corner order and slope; or None.
         fade: rad beyond the training rows within which the curve fades out.
     """
     q = q[training]
     lower, upper = float(q.min()) - 3 * fade, float(q.max()) + 3 * fade
-    at = np.linspace(lower, upper, int(np.ceil((upper - lower) / (fade / 4))))
-    nth = min(max(_NEIGHBOURS, len(q) // 150), len(q))
-    away = np.asarray(KDTree(q[:, None]).query(at[:, None], k=nth)[0])[:, -1]
-    trust = tuple(float(t) for t in np.exp(-((away / fade) ** 2)).round(4))
+    trust: tuple[float, ...] = (1.0, 1.0)  # waves with a prior go back to it by themselves
+    if prior is None:
+        at = np.linspace(lower, upper, int(np.ceil((upper - lower) / (fade / 4))))
+        nth = min(max(_NEIGHBOURS, len(q) // 150), len(q))
+        away = np.asarray(KDTree(q[:, None]).query(at[:, None], k=nth)[0])[:, -1]
+        trust = tuple(float(t) for t in np.exp(-((away / fade) ** 2)).round(4))
     driver = Driver("position", joint).phrase
-    return Unnamed(f"joint{joint}", driver, lower, upper, orders=tuple(orders), trust=trust, spread=spread)
+    spread, rolloff = (None, ()) if prior is None else (prior[0], prior[1:])
+    waves = tuple(float(order) for order in orders)
+    return Unnamed(f"joint{joint}", driver, lower, upper, orders=waves, trust=trust, spread=spread, rolloff=rolloff)
 
 
 def _harmonic(joint: int, order: float) -> JointHarmonic:

@@ -33,6 +33,9 @@ class BaseCompliance(Bending):
 
     name: ClassVar[str] = "base_compliance"
     specificity: ClassVar[int] = 12
+    special_cases = staticmethod(
+        lambda effect: (BaseCompliance(), BaseCompliance(cross=True))[: int(effect.cross) + int(effect.shift)]
+    )
 
     @property
     def site(self) -> str:
@@ -49,11 +52,6 @@ class BaseCompliance(Bending):
             *(Coordinate(f"shift_{of}_m_per_Nm", "m/Nm", 1e-6, lower=-bounds.SHIFT, upper=bounds.SHIFT)
               for of in shifts),
         )  # fmt: skip
-
-    @property
-    def includes(self) -> "tuple[BaseCompliance, ...]":
-        smaller = (BaseCompliance(), BaseCompliance(cross=True))
-        return smaller[: int(self.cross) + int(self.shift)]
 
     @property
     def drivers(self) -> tuple[Driver, ...]:
