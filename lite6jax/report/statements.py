@@ -101,7 +101,7 @@ def finding_statement(finding: Entry) -> str:
     if "peak_to_peak" in finding:
         return (
             f"No effect of the catalogue explains an effect at {finding['site']}{_component(where)}{driver}: "
-            f"{_shape(where)}, {sizes(finding)}."
+            f"{_shape(where)}{_effective(finding)}, {sizes(finding)}."
         )
     end, detail = "," if driver else "", _detail(_order_and_source(finding))
     return f"{capital(name)}{detail} at {finding['site']}{driver}{end} is significant: {sizes(finding)}."
@@ -274,6 +274,11 @@ def _shape(where: Entry) -> str:
         which = f"{len(orders)} orders from {min(orders):g} to {max(orders):g}"
         return f"harmonics of {which}" if len(orders) > 1 else f"a harmonic of order {orders[0]:g}"
     return "a smooth curve"
+
+
+def _effective(finding: Entry) -> str:
+    """Of a curve with a prior, how many of its coefficients the data determine."""
+    return f" ({finding['effective_parameters']:.0f} effective parameters)" if finding["where"].get("spread") else ""
 
 
 def _by_gap(finding: Entry) -> list[Entry]:
