@@ -30,7 +30,7 @@ def sections(rows: Sequence[Row]) -> Iterator[tuple[str, Sequence[str], Cells]]:
         ("What is said outside the catalogue and at its edge", ("", "trials", *_SAID), _said(rows)),
         (
             "Outside the catalogue",
-            ("family", "trials", "something found", "at its site", "unnamed, by its driver", "verdict: unnamed"),
+            ("family", "trials", "something found", "at its site", "unnamed, by its driver", "misleading"),
             _outside(rows),
         ),
         ("Faults of the data", ("fault", "found", "and nothing else but what is hidden"), _faulty(rows)),
@@ -56,9 +56,11 @@ _SINGLE = (
 
 
 def _single_cells(rows: Sequence[Row]) -> list[str]:
-    keys = ("detected", "found", "top_site", "top_named", "top_in_set", "exact")
+    keys = ("top_site", "top_named", "top_in_set", "exact")
     distinguished = share(row["top_named"] for row in rows if scores.distinguishable(row))
-    return [str(len(rows)), *(short(share(row[key] for row in rows)) for key in keys), str(distinguished)]
+    found = [share(row["detected"] for row in rows), scores.share_found(rows)]
+    found += [share(row[key] for row in rows) for key in keys]
+    return [str(len(rows)), *map(short, found), str(distinguished)]
 
 
 def short(found: Share) -> str:
@@ -137,7 +139,7 @@ def _said(rows: Sequence[Row]) -> Cells:
             label,
             str(len(found)),
             *(short(share(row["statement"] == grade for row in found)) for grade in ("right", "partial", "misleading")),
-            short(share(row["found"] for row in found if row["hidden"])),
+            short(scores.share_found(found)),
         )
         for label, found in groups
         if found
@@ -156,7 +158,7 @@ def _outside(rows: Sequence[Row]) -> Cells:
             short(share(row["detected"] for row in found)),
             short(share(row["hidden"][0]["site_found"] for row in found)),
             short(share(row["hidden"][0]["named"] for row in found)),
-            short(share(row["verdict"] == "unnamed" for row in found)),
+            short(share(row["statement"] == "misleading" for row in found)),
         )
         for label, found in groups
         if found
@@ -217,6 +219,7 @@ def _unseen(rows: Sequence[Row]) -> Cells:
         ("— that were found exactly", [row for row in twice if row["exact"]]),
         ("— smaller ones", [row for row in named if row not in twice]),
         ("outside the catalogue", [row for row in rows if row["kind"] == "outside"]),
+        ("at its edge", [row for row in rows if row["kind"] == "edge"]),
     ]
     return [(label, str(scores.against_oracle(found))) for label, found in groups if found]
 

@@ -310,6 +310,11 @@ def at_stake(rows: Iterable[Row]) -> list[Row]:
     return [row for row in rows if row["kind"] in NAMES_AT_STAKE and row["statement"]]
 
 
+def share_found(rows: Iterable[Row]) -> Share:
+    """Of the trials that hide something, those all of whose effects were found; results of version 0.1 do not say."""
+    return share(row["found"] for row in rows if row["hidden"] and row["found"] is not None)
+
+
 def against_oracle(rows: Iterable[Row]) -> Ratio:
     """The error on the unseen motion beside the oracle's, each in units of the sensor's noise."""
     kept = [row for row in rows if row["unseen_m"] is not None]
@@ -326,8 +331,8 @@ def goals(rows: Sequence[Row]) -> list[Goal]:
     covered = share(abs(number["off"]) <= WITHIN * number["std"] for number in numbers(large, 3.0))
     known = [row for row in large if all(effect["size"] >= 2 for effect in row["hidden"])]
     declared = [row for row in clean if row["noise"] == "as declared"]
-    found, sited = share(row["found"] for row in twice), share(row["top_site"] for row in twice)
-    found_distinct, wrong = share(row["found"] for row in distinct), wrong_names(rows)
+    found, sited = share_found(twice), share(row["top_site"] for row in twice)
+    found_distinct, wrong = share_found(distinct), wrong_names(rows)
     sited_distinct = share(row["top_site"] for row in distinct)
     alarms, alarms_declared = share(row["detected"] for row in clean), share(row["detected"] for row in declared)
     unseen = against_oracle(known)
