@@ -66,9 +66,10 @@ _FINDING = pa.struct(
 SCHEMA = pa.schema(
     _fields(
         {
-            "seed index": pa.int64(),
-            "kind engine arm sensor geometry noise fault sha256 error verdict": _TEXT,
+            "seed index rows": pa.int64(),
+            "kind engine arm sensor geometry noise fault sha256 error verdict edge statement why": _TEXT,
             "moving mounted detected exact exact_in_set top_site top_named top_in_set fault_found": _FLAG,
+            "masses_off sealed found": _FLAG,
             "seconds planned_size before_m after_m noise_m estimated_noise_m": _NUMBER,
             "nearest_effect nearest_site": _TEXT,
             "nearest_p moved_m unseen_m unseen_rad unseen_missing oracle_m oracle_rad": _NUMBER,
@@ -86,9 +87,9 @@ class WorkerDiedError(RuntimeError):
     """The process that worked on a trial came to its end, twice."""
 
 
-def seal(seed: int, index: int, folder: Path) -> str:
+def seal(seed: int, index: int, folder: Path, sealed_families: bool = False) -> str:
     """Draws a trial, writes what the diagnosis is given, puts the truth aside, and gives only its SHA-256."""
-    trial = draw(seed, index)
+    trial = draw(seed, index, sealed_families)
     write_trial(trial, given_in(folder, index))
     text = sealed_text(trial).encode()
     sealed = sealed_in(folder, index)
@@ -189,6 +190,7 @@ def run(
     processes: int,
     say: Callable[[str], object],
     advance: Callable[[str, int, int], object],
+    sealed_families: bool = False,
 ) -> list[Row]:
     """The rows of all wanted trials; those that the file already has are not run again.
 
@@ -202,17 +204,21 @@ def run(
         processes: that work at a time.
         say: called with a sentence on what happens.
         advance: called with the kind of work, how much of it is done, and how much there is.
+        sealed_families: what is outside the catalogue is of the sealed families, and of no other.
 
     Raises:
         KeyboardInterrupt: after what is done has been kept.
+        ValueError: the file has trials of another seed, or of families that are sealed where these are not.
     """
     folder = out.with_suffix(".trials")
     rows = {row["index"]: row for row in read_rows(out)} if out.exists() else {}
     if any(row["seed"] != seed for row in rows.values()):
         raise ValueError(f"{out}: has trials of another seed; give that, or another file")
+    if any(row["kind"] == "outside" and bool(row["sealed"]) != sealed_families for row in rows.values()):
+        raise ValueError(f"{out}: has trials of {'open' if sealed_families else 'sealed'} families; give another file")
     left = [index for index in wanted if index not in rows]
     try:
-        digests = _sealed(seed, left, folder, out, processes, say, advance)
+        digests = _sealed(seed, left, folder, out, processes, say, advance, sealed_families)
         for index, row in worked(judge, [(folder, i, digests[i]) for i in left], left, processes):
             if isinstance(row, WorkerDiedError):
                 row = scored(opened(folder, index, digests[index]), None, None, 0.0, str(row))
@@ -237,12 +243,14 @@ def _sealed(
     processes: int,
     say: Callable[[str], object],
     advance: Callable[[str, int, int], object],
+    sealed_families: bool,
 ) -> dict[int, str]:
     """The hashes of the truths, drawn where they are not yet."""
     listed = out.with_suffix(".sha256")
     digests = _listed(listed)
     todo = [i for i in left if i not in digests or not (given_in(folder, i) / "unseen.csv").exists()]
-    for done, (index, digest) in enumerate(worked(seal, [(seed, i, folder) for i in todo], todo, processes), 1):
+    drawn = [(seed, i, folder, sealed_families) for i in todo]
+    for done, (index, digest) in enumerate(worked(seal, drawn, todo, processes), 1):
         if isinstance(digest, Exception):
             raise digest
         if digests.get(index, digest) != digest:

@@ -27,7 +27,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     )
     parser.add_argument("--trials", type=_count, default=_TRIALS, metavar="N", help=f"how many, {_TRIALS} if not given")
     parser.add_argument("--seed", type=_whole, default=0, metavar="S", help="of the campaign; 0 if not given")
-    parser.add_argument("--kind", choices=KINDS, help="only trials of this kind")
+    parser.add_argument(
+        "--kind", choices=KINDS, action="append", help="only trials of this kind; give it again for one more"
+    )
+    parser.add_argument(
+        "--sealed",
+        action="store_true",
+        help="draw what is outside the catalogue from the families that are put aside, and from no other: to be looked "
+        "at once, when the development is over",
+    )
     parser.add_argument(
         "--trial", type=_whole, metavar="I", help="only trial I of the seed, and all that happened in it"
     )
@@ -48,7 +56,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if options.out:
             check_writable(options.out, overwrite=True)
         if options.trial is not None:
-            return _one(options.seed, options.trial, console)
+            return _one(options.seed, options.trial, options.sealed, console)
         return _many(options, console)
     except (InputError, ValueError, OSError) as problem:
         print(f"benchmarks: {problem}", file=sys.stderr)
@@ -63,7 +71,7 @@ def _many(options: argparse.Namespace, console: Console) -> int:
     from benchmarks.concealed import campaign, report
     from benchmarks.concealed.scores import goals
 
-    wanted = indices(options.seed, options.trials, options.kind)
+    wanted = indices(options.seed, options.trials, *(options.kind or ()))
     processes = options.processes or len(os.sched_getaffinity(0))
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     shown = Console(stderr=True)
@@ -77,7 +85,7 @@ def _many(options: argparse.Namespace, console: Console) -> int:
         def advance(what: str, done: int, total: int) -> None:
             bar.update(task, description=what, completed=done, total=total)
 
-        rows = campaign.run(options.seed, wanted, out, processes, console.print, advance)
+        rows = campaign.run(options.seed, wanted, out, processes, console.print, advance, options.sealed)
     if options.compare:
         from benchmarks.concealed.comparison import differences
 
@@ -96,14 +104,14 @@ def _many(options: argparse.Namespace, console: Console) -> int:
     return MISSED if any(goal.met is False for goal in goals(rows)) else DONE
 
 
-def _one(seed: int, index: int, console: Console) -> int:
+def _one(seed: int, index: int, sealed: bool, console: Console) -> int:
     """Runs a trial and prints what was hidden and what was said."""
     from benchmarks.concealed import campaign, report
 
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         # in a process as in a campaign: its truth is then the same to the last bit
-        ((_, digest),) = campaign.worked(campaign.seal, [(seed, index, folder)], [index], 1)
+        ((_, digest),) = campaign.worked(campaign.seal, [(seed, index, folder, sealed)], [index], 1)
         if isinstance(digest, Exception):
             raise digest
         console.print(f"Trial {index} of seed {seed}: truth sealed, SHA-256 {digest}.", soft_wrap=True)

@@ -53,13 +53,13 @@ def draw(rows: Sequence[Row], folder: Path) -> Iterator[Path]:
 
 
 def detection(rows: Sequence[Row]) -> Figure | None:
-    """Found, and named, against size, with the intervals."""
+    """Detected, and named, against size, with the intervals."""
     sizes = [size for size in sorted(set(SIZES)) if scores.singles(rows, size, size)]
     if not sizes:
         return None
     figure, axes = plt.subplots(figsize=(9, 5.2))
     curves: list[tuple[str, str, str, Callable[[Row], bool], Callable[[Row], bool]]] = [
-        ("found", BLUE, "o", lambda row: row["detected"], lambda row: True),
+        ("something detected", BLUE, "o", lambda row: row["detected"], lambda row: True),
         ("the largest finding at the right site", ORANGE, "s", lambda row: row["top_site"], lambda row: True),
         ("right name, or within the set said inseparable", GREEN, "^", lambda row: row["top_in_set"], lambda row: True),
         ("right name, where the data distinguish it", RED, "D", lambda row: row["top_named"], scores.distinguishable),
@@ -104,14 +104,17 @@ def _with_intervals(axes: Axes, at: np.ndarray, shares: Sequence[Share], colour:
 
 
 def effects(rows: Sequence[Row]) -> Figure | None:
-    """For each effect and size, the share that was found and the share that was named or within the set."""
+    """For each effect and size, the share with any finding and the share that was named or within the set."""
     sizes = [size for size in sorted(set(SIZES)) if scores.singles(rows, size, size)]
     names = [n for n in SINGLE if any(row["hidden"][0]["effect"] == n for row in scores.singles(rows))]
     if not names:
         return None
     figure, panels = plt.subplots(1, 2, figsize=(13, 0.5 * len(names) + 1.8), sharey=True)
     for axes, key, title in zip(
-        panels, ("detected", "top_in_set"), ("Found", "Named, or within the set said inseparable"), strict=True
+        panels,
+        ("detected", "top_in_set"),
+        ("Something detected", "Named, or within the set said inseparable"),
+        strict=True,
     ):
         table = np.full((len(names), len(sizes)), np.nan)
         for i, name in enumerate(names):
@@ -176,7 +179,8 @@ def honesty(rows: Sequence[Row]) -> Figure | None:
 
 def unseen(rows: Sequence[Row]) -> Figure | None:
     """The error on the unseen motion against the oracle's."""
-    kinds = (("clean", GREY, "."), ("single", BLUE, "o"), ("mixture", ORANGE, "s"), ("outside", RED, "^"))
+    named = (("clean", GREY, "."), ("single", BLUE, "o"), ("mixture", ORANGE, "s"))
+    kinds = (*named, ("outside", RED, "^"), ("edge", GREEN, "v"))
     figure, axes = plt.subplots(figsize=(7, 6.4))
     lowest, drawn = 1e-3, 0
     for kind, colour, marker in kinds:

@@ -1,17 +1,21 @@
 """What is hidden: an effect somewhere it can be, of so many thresholds, and all that is known of it beforehand."""
 
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from typing import Any
 
 import numpy as np
 
-from benchmarks.concealed import information
+from benchmarks.concealed import information, outside
 from benchmarks.concealed.chain import Array
-from benchmarks.concealed.plain_physics import COORDINATES, OUTSIDE, Hidden, moments
+from benchmarks.concealed.plain_physics import COORDINATES, OUTSIDE, Hidden, moments, signals_of
 from benchmarks.concealed.plans import Plan
 from benchmarks.concealed.view import View, across, reported
 
 _MOST_MOVED = 0.02
+_LOADED = 0.5
+"""Nm from which a joint is loaded."""
+_FRICTION = (0.1, 3.0)
+"""Nm between which the friction of a joint's bearing is drawn."""
 _MOST = {
     "payload_error": 1.0,
     "time_offset": 0.04,
@@ -26,8 +30,12 @@ def hide(plan: Plan, rng: np.random.Generator, view: View) -> tuple[Hidden, ...]
     """Effects of the planned names and sizes; None where one of them is out of sight."""
     drawn: list[Hidden] = []
     for name in plan.effects:
-        effect = _draw_effect(name, rng, view, plan.engine)
-        if effect is None or any((effect.name, effect.site) == (o.name, o.site) for o in drawn):
+        # what the edge is made of stands at one joint: two harmonics, or a backlash beside a compliance
+        at = drawn[0].number if drawn and plan.edge in ("two harmonics", "loaded backlash") else 0
+        effect = _draw_effect(name, rng, view, plan, at)
+        if effect is not None and name == "joint_harmonic" and at:
+            effect = _another_order(effect, drawn[0], rng)
+        if effect is None or any((effect.name, effect.site, effect.fixed) == (o.name, o.site, o.fixed) for o in drawn):
             return None
         drawn.append(effect)
     hidden: tuple[Hidden, ...] = ()
@@ -52,24 +60,59 @@ def hide(plan: Plan, rng: np.random.Generator, view: View) -> tuple[Hidden, ...]
 
 
 def _beyond_named(view: View, effect: Hidden, span: Array) -> Array:
-    """The span with the named effect of the same joint that does most of what an effect outside the catalogue does.
+    """The span with the named effect of the same site that does most of what an effect outside the catalogue does.
 
     An effect outside counts by what is left of it when the catalogue has done its best.
+
+    Args:
+        view: of the recording.
+        effect: outside the catalogue.
+        span: the columns of all that may vary beside it, where nothing is hidden, as all columns here: elsewhere, what
+            cancels would leave what effects do to each other.
     """
-    g = view.padded(view.columns((effect.scaled(1e-3),), 0))
-    alternatives = []
-    for rival in information.candidates(view.setup.chain.dof, view.motion.curve is not None, bool(view.noise[1])):
-        if rival.site == effect.site and rival.name not in ("joint_offset", "joint_coupling"):
-            wider = np.concatenate([span, view.padded(view.columns((rival,), 0))], 1)
-            alternatives.append((float(np.linalg.norm(across(wider, g))), wider))
-    return min(alternatives, key=lambda pair: pair[0])[1]
+    form = outside.straight(effect.fixed)
+    if form is not None:
+        line = replace(effect, values=(0.0,), fixed=form)
+        span = np.concatenate([span, view.padded(view.columns((line,), 0))], 1)
+    rivals = [
+        rival
+        for rival in information.candidates(view.setup.chain.dof, view.motion.curve is not None, bool(view.noise[1]))
+        if rival.site == effect.site and rival.name not in ("joint_offset", "joint_coupling")
+    ]
+    there = replace(effect, values=(0.0,))
+    blocks = [view.columns((other,), 0) for other in (there, *rivals)]
+    whole = view.padded(np.concatenate(blocks, 1))
+    lengths = np.linalg.norm(whole, axis=0)
+    left = across(span, whole / np.where(lengths > 0, lengths, 1.0))
+    g, rest, first = left[:, :1], span, 1
+    least = np.inf
+    for block in blocks[1:]:
+        own = left[:, first : first + block.shape[1]]
+        first += block.shape[1]
+        directions, sizes, _ = np.linalg.svd(own, full_matrices=False)
+        directions = directions[:, sizes > information.LEAST_SEEN**2]
+        missing = float(np.linalg.norm(g - directions @ (directions.T @ g)))
+        if missing < least:
+            least, rest = missing, np.concatenate([span, directions], 1)
+    return rest
 
 
-def _draw_effect(name: str, rng: np.random.Generator, view: View, engine: str) -> Hidden | None:
-    """Somewhere an effect can be, its values of the right proportions but not yet of a size."""
+def _another_order(effect: Hidden, first: Hidden, rng: np.random.Generator) -> Hidden:
+    """A second harmonic of the same joint: of order 2 beside 1, or another order of a gear."""
+    order = first.fixed["order"]
+    second = 3 - order if order <= 2 else order + float(rng.integers(2, 40))
+    return replace(effect, values=(*effect.values[:2], *((second,) if order > 2 else ())), fixed={"order": second})
+
+
+def _draw_effect(name: str, rng: np.random.Generator, view: View, plan: Plan, at: int = 0) -> Hidden | None:
+    """Somewhere an effect can be, or at a joint; its values of the right proportions but not yet of a size."""
     dof, motion = view.setup.chain.dof, view.motion
-    joint = int(rng.integers(1, dof + 1))
-    q = motion.q[:, joint - 1]
+    if name in OUTSIDE:
+        found = outside.drawn(name, rng, signals_of(view.setup, motion))
+        # a spring gives way to the load, never against it
+        side = 1.0 if name.endswith("spring") else float(rng.choice([-1.0, 1.0]))
+        return None if found is None else Hidden(name, found[0], (side,), found[1])
+    joint = at or int(rng.integers(1, dof + 1))
     size = len(COORDINATES[name])
     side = float(rng.choice([-1.0, 1.0]))
     values = tuple(rng.normal(size=size))
@@ -80,33 +123,26 @@ def _draw_effect(name: str, rng: np.random.Generator, view: View, engine: str) -
                 rng.choice([1.0, 2.0, float(rng.integers(3, 13)), float(rng.integers(20, 121)), rng.uniform(3, 100)])
             )
             values = (np.cos(phase), np.sin(phase))
+            if plan.edge == "two harmonics":
+                order = float(rng.choice([1.0, 2.0])) if rng.random() < 0.5 else float(rng.integers(20, 81))
             # whether the order is a number to be found: 1 and 2 are shapes of their own
             return Hidden(name, f"joint{joint}", (*values, order) if order > 2 else values, {"order": order})
         case "joint_coupling":
             source = int(rng.choice([k for k in range(1, dof + 1) if k != joint]))
             return Hidden(name, f"joint{joint}", (side,), {"source_joint": source})
-        case "joint_compliance" | "base_compliance" | "hardening_spring" | "yielding_spring" | "link_compliance":
+        case "joint_compliance" | "base_compliance" | "link_compliance":
             site = {"base_compliance": "base", "link_compliance": f"link{joint}"}.get(name, f"joint{joint}")
-            fixed = {}
-            if name.endswith("spring"):
-                load = np.abs(moments(view.setup.chain, motion.q, motion.payload, view.setup.payload_center)[0])
-                fixed["torque_Nm"] = float(np.percentile(load[:, joint - 1, 2], 90))
-                if fixed["torque_Nm"] < 0.05:
-                    return None
-            return Hidden(name, site, tuple(np.abs(rng.uniform(0.3, 1.0, size))), fixed)
+            return Hidden(name, site, tuple(np.abs(rng.uniform(0.3, 1.0, size))))
         case "joint_backlash":
             fixed = {}
-            if engine == "mujoco":
-                load = np.abs(moments(view.setup.chain, motion.q, motion.payload, view.setup.payload_center)[0])
-                fixed["drag_Nm"] = float(2 * load[:, joint - 1, 2].max() + 0.5)
-                if fixed["drag_Nm"] > 8:
+            if plan.edge == "loaded backlash":
+                load = moments(view.setup.chain, motion.q, motion.payload, view.setup.payload_center)[0]
+                if np.percentile(np.abs(load[:, joint - 1, 2]), 90) < _LOADED:
                     return None
+            if plan.engine == "mujoco" or plan.edge == "loaded backlash":
+                # of a joint's bearing, whatever the load: which flank the gear rests on is left to the forces
+                fixed["friction_Nm"] = float(np.exp(rng.uniform(*np.log(_FRICTION))))
             return Hidden(name, f"joint{joint}", (1.0,), fixed)
-        case "joint_bump":
-            fixed = {"centre": float(np.percentile(q, rng.uniform(20, 80))), "width": float(rng.uniform(0.15, 0.35))}
-            return Hidden(name, f"joint{joint}", (side,), fixed)
-        case "joint_step":
-            return Hidden(name, f"joint{joint}", (side,), {"at": float(np.percentile(q, rng.uniform(25, 75)))})
         case "link_thermal_expansion":
             site = "links" if rng.random() < 0.5 else f"link{rng.integers(1, dof)}"
             return Hidden(name, site, (1.0,))
@@ -133,7 +169,7 @@ def described(view: View, hidden: tuple[Hidden, ...]) -> list[dict[str, Any]]:
     for k, effect in enumerate(hidden):
         beside = np.concatenate([span, *columns[:k], *columns[k + 1 :]], 1)
         if effect.name in OUTSIDE:
-            beside = _beyond_named(view, effect, beside)
+            beside = _beyond_named(view, effect, view.nuisance())
         found = information.threshold(view, hidden, k, beside)
         rival = information.nearest_rival(view, hidden, k, beside) if effect.name not in OUTSIDE else None
         said.append(
@@ -149,4 +185,11 @@ def described(view: View, hidden: tuple[Hidden, ...]) -> list[dict[str, Any]]:
                 "rival": None if rival is None else asdict(rival),
             }
         )
+        if effect.name in OUTSIDE:
+            family = outside.FAMILIES[effect.name]
+            said[-1] |= {
+                "drivers": [list(phrases) for phrases in family.drivers(effect.fixed)],
+                "sites": information.equal_sites(view, effect),
+                "beside": list(family.beside),
+            }
     return said

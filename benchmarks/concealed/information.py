@@ -9,7 +9,7 @@ Nothing that does not know where to look does better; at twice the threshold thi
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
 
@@ -18,6 +18,7 @@ from scipy.optimize import brentq
 from scipy.stats import chi2, ncx2
 
 from benchmarks.concealed.chain import Array
+from benchmarks.concealed.outside import FAMILIES
 from benchmarks.concealed.plain_physics import OUTSIDE, Hidden, poses
 from benchmarks.concealed.view import View, across, reported_slopes, source
 
@@ -25,6 +26,9 @@ SEARCHED = 100
 ALARM = 0.01
 LEAST_SEEN = 0.01
 """The share of what an effect does that the rest cannot do, below which it is out of sight."""
+
+_EQUAL, _EQUAL_ROWS = 0.03, 150
+"""The share by which sites may differ that are called equal: axes that an arm's maker meant to be one are not quite."""
 
 
 @lru_cache
@@ -151,6 +155,38 @@ def nearest_rival(view: View, hidden: tuple[Hidden, ...], place: int, span: Arra
         if apart < best.apart:
             best = Rival(rival.name, rival.site, apart)
     return best
+
+
+def equal_sites(view: View, effect: Hidden) -> list[str]:
+    """The sites where the same function of the same driver moves what is seen in the same way; the effect's own first.
+
+    The base may move or the sensor, the tool or the link that carries it: no recording tells these apart.
+
+    Args:
+        view: of the recording.
+        effect: of a family outside the catalogue.
+    """
+    dof, own = view.setup.chain.dof, effect.site
+    if FAMILIES[effect.name].place == "image":
+        return [own]
+    thin = replace(view, motion=view.motion.thinned(_EQUAL_ROWS))
+    fixed = effect.fixed
+    span = thin.nuisance()
+    g = across(span, thin.padded(thin.columns((effect,), 0)))
+    found = [own]
+    for site in (*(f"{place}{k}" for k in range(1, dof + 1) for place in ("joint", "link")), "base", "tool", "sensor"):
+        if site == own:
+            continue
+        axes = (None,) if site.startswith("joint") else range(6)
+        forms = [fixed if axis is None else {**fixed, "axis": float(axis)} for axis in axes]
+        moved = [thin.columns((replace(effect, site=site, fixed=form),), 0) for form in forms]
+        columns = across(span, thin.padded(np.concatenate(moved, 1)))
+        lengths = np.linalg.norm(columns, axis=0)
+        # what frames, tool or geometry can do as well is rounding, and would fit anything
+        columns = columns[:, lengths > 1e-6 * max(np.linalg.norm(m) for m in moved)]
+        if np.linalg.norm(across(columns, g)) < _EQUAL * np.linalg.norm(g):
+            found.append(site)
+    return found
 
 
 def bounds(view: View, hidden: tuple[Hidden, ...]) -> list[dict[str, float]]:

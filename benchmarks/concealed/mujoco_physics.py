@@ -242,11 +242,11 @@ def _gear(body: Element, tendons: Element, effect: Hidden, number: int) -> None:
         half = 0.5 * size
         gap = SubElement(tendons, "fixed", stiffness=f"{_FLANK:g}", springlength=f"{-half:.17g} {half:.17g}")
         SubElement(gap, "joint", joint=name, coef="1")
-        # the bearing drags the link against the wall that the joint hangs on: the flank follows the motion
+        # the bearing drags the link against the wall that the joint hangs on, and gravity pulls it
         drag = SubElement(
             tendons,
             "fixed",
-            frictionloss=f"{fixed['drag_Nm']:.17g}",
+            frictionloss=f"{fixed['friction_Nm']:.17g}",
             solimpfriction="0.9999 0.9999 0.001",
             solreffriction="0.002 1",
         )

@@ -1,7 +1,7 @@
 """What an arm with hidden physics shows, in plain NumPy: every effect by its definition, gravity by its own statics.
 
-Shares no code with the library. The catalogue's effects are those of its public table of definitions; the four outside
-it (a bump, a step, a spring that hardens, a spring that yields and remembers it) are the generator's own.
+Shares no code with the library. The catalogue's effects are those of its public table of definitions; those outside it
+are the generator's own: two springs here, one that hardens and one that yields and remembers it, the rest in `outside`.
 """
 
 from collections.abc import Callable, Mapping
@@ -10,6 +10,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from benchmarks.concealed.chain import GRAVITY, Array, Chain, about_z, rotation_from_rpy, rotation_from_vector
+from benchmarks.concealed.outside import FAMILIES, Signals, seen_shift
 
 Curve = Callable[[Array], tuple[Array, Array]]
 
@@ -33,13 +34,10 @@ COORDINATES: dict[str, tuple[str, ...]] = {
     "measurement_scale": ("scale",),
     "time_offset": ("offset_s",),
     "payload_error": ("mass_kg",),
-    "joint_bump": ("height_rad",),
-    "joint_step": ("height_rad",),
-    "hardening_spring": ("turn_rad",),
-    "yielding_spring": ("turn_rad",),
+    **{name: (family.number,) for name, family in FAMILIES.items()},
 }
 """The numbers of each effect in which it is linear (a clock's offset: nearly); a harmonic's are A cos φ and A sin φ."""
-OUTSIDE = ("joint_bump", "joint_step", "hardening_spring", "yielding_spring")
+OUTSIDE = tuple(FAMILIES)
 """Those that the library's catalogue does not have."""
 
 HARDENING = 4.0
@@ -57,7 +55,8 @@ class Hidden:
         name: a key of `COORDINATES`.
         site: jointN, linkN, links, base, tool, sensor, clock or payload.
         values: its numbers, one for each coordinate; a harmonic's order may be the third.
-        fixed: what else belongs to its form: `order`, `source_joint`, `centre`, `width`, `at`, `torque_Nm`.
+        fixed: what else belongs to its form: `order`, `source_joint`, `friction_Nm` of a backlash; of what is outside
+            the catalogue, whatever `outside.drawn` draws.
     """
 
     name: str
@@ -113,6 +112,12 @@ class Motion:
         q, dq = self.curve(self.time + offset)
         return replace(self, q=q, dq=dq, direction=np.sign(dq))
 
+    def thinned(self, most: int) -> "Motion":
+        """So many of the samples at most, evenly over the motion."""
+        kept = np.unique(np.linspace(0, len(self.q) - 1, most).astype(int))
+        names = ("q", "dq", "direction", "time", "temperature", "payload")
+        return replace(self, **{name: getattr(self, name)[kept] for name in names})
+
 
 @dataclass(frozen=True, eq=False)
 class Setup:
@@ -154,6 +159,15 @@ def _pulled(lever: Array) -> Array:
     return lever @ np.array([[0, z, -y], [-z, 0, x], [y, -x, 0]]).T
 
 
+def signals_of(setup: Setup, motion: Motion, loaded: bool = True) -> Signals:
+    """What the families outside the catalogue can depend on; moments of zero where they are not `loaded`."""
+    samples, dof = motion.q.shape
+    moment, base_moment = np.zeros((samples, dof, 3)), np.zeros((samples, 3))
+    if loaded:
+        moment, base_moment = moments(setup.chain, motion.q, motion.payload, setup.payload_center)
+    return Signals(motion.q, motion.dq, motion.direction, motion.time, motion.temperature, moment, base_moment)
+
+
 def poses(setup: Setup, hidden: tuple[Hidden, ...], motion: Motion) -> tuple[Array, Array]:
     """Rotations `(sample, 3, 3)` and positions `(sample, 3)` m that a sensor without noise would show."""
     chain = setup.chain
@@ -165,11 +179,11 @@ def poses(setup: Setup, hidden: tuple[Hidden, ...], motion: Motion) -> tuple[Arr
     samples, dof = motion.q.shape
     turned = np.zeros((samples, dof))
     link = np.zeros((samples, dof, 6))
-    base, tool = np.zeros((samples, 6)), np.zeros((samples, 6))
+    base, tool, sensor = np.zeros((samples, 6)), np.zeros((samples, 6)), np.zeros((samples, 6))
     stretch, scale = np.zeros((samples, dof)), 1.0
-    moment, base_moment = np.zeros((samples, dof, 3)), np.zeros((samples, 3))
-    if any(effect.name in _LOADED for effect in hidden):
-        moment, base_moment = moments(chain, motion.q, motion.payload, setup.payload_center)
+    signals = signals_of(setup, motion, any(effect.name in _LOADED for effect in hidden))
+    moment, base_moment = signals.moment, signals.base_moment
+    image: list[Hidden] = []
     for effect in hidden:
         v, i = np.array(effect.values), effect.number - 1
         match effect.name:
@@ -190,8 +204,17 @@ def poses(setup: Setup, hidden: tuple[Hidden, ...], motion: Motion) -> tuple[Arr
                 stretch[:, slice(None) if i < 0 else slice(i + 1, i + 2)] += grown
             case "time_offset" | "payload_error":
                 pass
+            case name if name in FAMILIES and FAMILIES[name].place == "image":
+                image.append(effect)
+            case name if name in FAMILIES:
+                moved = v[0] * _signal(effect, signals, motion, setup)
+                if effect.site.startswith("joint"):
+                    turned[:, i] += moved
+                else:
+                    twist = {"base": base, "tool": tool, "sensor": sensor}.get(effect.site, link[:, i])
+                    twist[:, int(effect.fixed["axis"])] += moved
             case _:
-                turned[:, i] += _angle(effect, motion, moment[:, i, 2], setup)
+                turned[:, i] += _angle(effect, motion, moment[:, i, 2])
 
     R, p = rotation_from_vector(base[:, 3:]), base[:, :3]
     for i, row in enumerate(chain.rows):
@@ -203,13 +226,34 @@ def poses(setup: Setup, hidden: tuple[Hidden, ...], motion: Motion) -> tuple[Arr
     p = p + np.einsum("sab,sb->sa", R, tool[:, :3])
     R = R @ rotation_from_vector(tool[:, 3:])
     p, R = p + R @ setup.tool[:3, 3], R @ setup.tool[:3, :3]
-    return setup.sensor[:3, :3] @ R, scale * (p @ setup.sensor[:3, :3].T + setup.sensor[:3, 3])
+    p, R = p @ setup.sensor[:3, :3].T + setup.sensor[:3, 3], setup.sensor[:3, :3] @ R
+    if sensor.any():
+        turn = rotation_from_vector(sensor[:, 3:])
+        p, R = sensor[:, :3] + np.einsum("sab,sb->sa", turn, p), turn @ R
+    shifts = [effect.values[0] * seen_shift(effect.name, p) for effect in image]
+    return R, scale * sum(shifts, p)
 
 
-_LOADED = {"joint_compliance", "link_compliance", "base_compliance", "hardening_spring", "yielding_spring"}
+_LOADED = {"joint_compliance", "link_compliance", "base_compliance", "joint_backlash"} | {
+    name for name, family in FAMILIES.items() if family.loaded
+}
 
 
-def _angle(effect: Hidden, motion: Motion, torque: Array, setup: Setup) -> Array:
+def _signal(effect: Hidden, signals: Signals, motion: Motion, setup: Setup) -> Array:
+    """What the number of a family outside the catalogue is multiplied by, `(sample,)`."""
+    fixed = effect.fixed
+    joint = int(fixed.get("joint", effect.number)) - 1
+    if effect.name == "hardening_spring":
+        return hardening(signals.moment[:, joint, 2] / fixed["torque_Nm"])
+    if effect.name == "yielding_spring":
+        load = _load_between(motion, joint, setup) / fixed["torque_Nm"]
+        return yielding(load)[:: _SUBSTEPS if motion.curve is None else 1]
+    signal = FAMILIES[effect.name].signal
+    assert signal is not None
+    return signal(fixed, signals)
+
+
+def _angle(effect: Hidden, motion: Motion, torque: Array) -> Array:
     """What an effect of a joint adds to its encoder, `(sample,)` rad."""
     v, fixed, i = effect.values, effect.fixed, effect.number - 1
     q = motion.q[:, i]
@@ -224,20 +268,14 @@ def _angle(effect: Hidden, motion: Motion, torque: Array, setup: Setup) -> Array
             order = v[2] if len(v) == 3 else fixed["order"]
             return v[0] * np.sin(order * q) + v[1] * np.cos(order * q)
         case "joint_backlash":
-            return -0.5 * v[0] * motion.direction[:, i]
+            if "friction_Nm" not in fixed:
+                return -0.5 * v[0] * motion.direction[:, i]
+            # gravity presses the gear to a flank unless friction carries the link over
+            return 0.5 * v[0] * np.sign(torque - fixed["friction_Nm"] * motion.direction[:, i])
         case "joint_lag":
             return -v[0] * motion.dq[:, i]
         case "joint_coupling":
             return v[0] * motion.q[:, int(fixed["source_joint"]) - 1]
-        case "joint_bump":
-            return v[0] * np.exp(-0.5 * ((q - fixed["centre"]) / fixed["width"]) ** 2)
-        case "joint_step":
-            return v[0] * (q > fixed["at"])
-        case "hardening_spring":
-            return v[0] * hardening(torque / fixed["torque_Nm"])
-        case "yielding_spring":
-            load = _load_between(motion, i, setup) / fixed["torque_Nm"]
-            return v[0] * yielding(load)[:: _SUBSTEPS if motion.curve is None else 1]
     raise KeyError(effect.name)
 
 

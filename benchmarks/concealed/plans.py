@@ -1,22 +1,34 @@
 """What a trial is to be: kind, arm, sensor, noise and sizes, in fixed shares, so that any number is a fair sample."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import MISSING, asdict, dataclass, fields
 from typing import Any, Literal
 
 import numpy as np
 
 from benchmarks.concealed.chain import MADE
 from benchmarks.concealed.mujoco_physics import OFFERED
+from benchmarks.concealed.outside import FAMILIES, OPEN, SEALED
 from benchmarks.concealed.plain_physics import COORDINATES, OUTSIDE
 
-Kind = Literal["clean", "single", "mixture", "outside", "faulty"]
-KINDS: tuple[Kind, ...] = ("clean", "single", "mixture", "outside", "faulty")
-_SHARES: dict[Kind, int] = {"clean": 10, "single": 8, "mixture": 3, "outside": 2, "faulty": 2}
+Kind = Literal["clean", "single", "mixture", "outside", "edge", "faulty"]
+KINDS: tuple[Kind, ...] = ("clean", "single", "mixture", "outside", "edge", "faulty")
+_SHARES: dict[Kind, int] = {"clean": 10, "single": 8, "mixture": 3, "outside": 1, "edge": 1, "faulty": 2}
 _ROUND = tuple(kind for kind, count in _SHARES.items() for _ in range(count))
 SIZES = (1.0, 1.5, 2.0, 2.0, 2.0, 3.0, 5.0, 10.0, 20.0)
 """Times the threshold; twice it is drawn three times as often, for a goal is set there."""
 OUTSIDE_SIZES = (3.0, 5.0, 10.0, 20.0)
+EDGES = ("masses off", "two harmonics", "few rows", "loaded backlash")
+"""What makes it hard to name an effect that the catalogue has."""
+NAMES_AT_STAKE: tuple[Kind, ...] = ("outside", "edge")
+"""The kinds in which the rate of wrong names is measured."""
+ROWS = 300
+"""Of a recording, but for the kinds in which names are at stake."""
+FEW, FEWEST = 40, 15
+_ROW_RANGES = ((0.2, FEWEST, 60), (0.65, 60, 500), (0.15, 500, 3000))
+"""Share, and between which numbers of rows it is uniform in the logarithm; most are moderate, to bound the time."""
+_TRAJECTORY = 100
+"""Rows, 5 s: on a shorter way an arm does not come far."""
 SINGLE = tuple(name for name in COORDINATES if name not in (*OUTSIDE, "payload_error"))
 NOISES = ("as declared",) * 5 + (
     "half or twice",
@@ -73,6 +85,10 @@ class Plan:
         fault: one of `FAULTS`, or none.
         effects: names.
         sizes: of the effects, in thresholds.
+        rows: of the recording.
+        edge: one of `EDGES`, or none.
+        masses_off: whether the links weigh other than declared.
+        sealed: whether what is outside the catalogue is of a sealed family.
     """
 
     seed: int
@@ -88,6 +104,15 @@ class Plan:
     fault: str
     effects: tuple[str, ...]
     sizes: tuple[float, ...]
+    rows: int = ROWS
+    edge: str = ""
+    masses_off: bool = False
+    sealed: bool = False
+
+    def told(self) -> dict[str, Any]:
+        """For the truth. What an earlier version did not draw is left out where it is absent: truths stay the same."""
+        absent = {field.name: field.default for field in fields(self) if field.default is not MISSING}
+        return {name: value for name, value in asdict(self).items() if name not in absent or value != absent[name]}
 
 
 def kind_of(seed: int, index: int) -> Kind:
@@ -96,14 +121,14 @@ def kind_of(seed: int, index: int) -> Kind:
     return _ROUND[np.random.default_rng([seed, 1, lap]).permutation(len(_ROUND))[place]]
 
 
-def indices(seed: int, trials: int, kind: Kind | None = None) -> list[int]:
-    """The first trials of a campaign, or the first of a kind."""
-    if kind is None:
+def indices(seed: int, trials: int, *kinds: Kind) -> list[int]:
+    """The first trials of a campaign, or the first of some kinds."""
+    if not kinds:
         return list(range(trials))
     found: list[int] = []
     index = 0
     while len(found) < trials:
-        if kind_of(seed, index) == kind:
+        if kind_of(seed, index) in kinds:
             found.append(index)
         index += 1
     return found
@@ -122,18 +147,28 @@ def _turn(seed: int, stream: int, ordinal: int, choices: Sequence[Any]) -> Any:
     return choices[np.random.default_rng([seed, stream, lap]).permutation(len(choices))[place]]
 
 
-def draw_plan(seed: int, index: int, rng: np.random.Generator) -> Plan:
-    """What a trial is to be. What goals are set on goes round and does not depend on `rng`, which draws the rest."""
+def draw_plan(seed: int, index: int, rng: np.random.Generator, sealed: bool = False) -> Plan:
+    """What a trial is to be. What goals are set on goes round and does not depend on `rng`, which draws the rest.
+
+    Args:
+        seed: of the campaign.
+        index: of the trial in it.
+        rng: draws what no goal is set on.
+        sealed: draws what is outside the catalogue from the sealed families, and from no other.
+    """
     kind = kind_of(seed, index)
     ordinal = _ordinal(seed, index, kind)
     noise = _turn(seed, 2, ordinal, NOISES) if kind == "clean" else NOISES[0]
     fault = _turn(seed, 7, ordinal, FAULTS) if kind == "faulty" else ""
-    effects, sizes = _effects(kind, fault, seed, ordinal, rng)
+    edge = _turn(seed, 8, ordinal, EDGES) if kind == "edge" else ""
+    effects, sizes = _effects(kind, fault or edge, seed, ordinal, rng, SEALED if sealed else OPEN)
     forces = kind != "faulty" and all(name in OFFERED for name in effects) and noise != "factory file off"
     moving = bool(rng.random() < 0.45)
-    if {"joint_lag", "time_offset"} & set(effects) or fault == "time_order":
-        moving = True
-    elif fault == "unsettled_readouts":
+    driven = any(name in FAMILIES and FAMILIES[name].moving for name in effects)
+    rows = _rows(seed, kind, edge, ordinal) if kind in NAMES_AT_STAKE else ROWS
+    if {"joint_lag", "time_offset"} & set(effects) or fault == "time_order" or driven:
+        moving, rows = True, max(rows, _TRAJECTORY)
+    elif fault == "unsettled_readouts" or rows < _TRAJECTORY:
         moving = False
     sensor = str(rng.choice(list(SENSORS), p=[0.45, 0.25, 0.2, 0.1]))
     geometry = rng.choice(["known", "uncertain", "unknown"], p=[0.4, 0.3, 0.3])
@@ -148,11 +183,13 @@ def draw_plan(seed: int, index: int, rng: np.random.Generator) -> Plan:
     if fault == "nominal_table":
         arm, geometry = "lite6", rng.choice(["known", "unknown"])
     if sensor == "controller":
-        if kind in ("outside", "faulty") or noise != NOISES[0] or not set(effects) <= set(BY_CONTROLLER):
+        if kind in (*NAMES_AT_STAKE, "faulty") or noise != NOISES[0] or not set(effects) <= set(BY_CONTROLLER):
             sensor = "tracker_6d"
         else:
             geometry, mounted, forces = "known", False, False
     engine = "mujoco" if forces and rng.random() < (0.6 if effects else 0.25) else "plain"
+    if engine == "mujoco" and not moving:
+        rows = min(rows, ROWS)  # every pose is driven to
     return Plan(
         seed=seed,
         index=index,
@@ -167,17 +204,34 @@ def draw_plan(seed: int, index: int, rng: np.random.Generator) -> Plan:
         fault=fault,
         effects=effects,
         sizes=sizes,
+        rows=rows,
+        edge=edge,
+        masses_off=edge == "masses off" or (kind == "outside" and ordinal % 3 == 0),
+        sealed=sealed and kind == "outside",
     )
 
 
+def _rows(seed: int, kind: Kind, edge: str, ordinal: int) -> int:
+    """How many rows a recording has, spread evenly over the trials of a kind."""
+    # multiples of the golden section leave no gap and no cluster, however many there are
+    place = float(np.random.default_rng([seed, 10, KINDS.index(kind)]).random() + ordinal * (5**0.5 - 1) / 2) % 1
+    if edge == "few rows":
+        return round(FEWEST * (FEW / FEWEST) ** place)
+    for share, low, high in _ROW_RANGES:
+        if place < share:
+            return round(low * (high / low) ** (place / share))
+        place -= share
+    return _ROW_RANGES[-1][2]
+
+
 def _effects(
-    kind: Kind, fault: str, seed: int, ordinal: int, rng: np.random.Generator
+    kind: Kind, trouble: str, seed: int, ordinal: int, rng: np.random.Generator, families: Sequence[str]
 ) -> tuple[tuple[str, ...], tuple[float, ...]]:
-    """Names and sizes in thresholds."""
+    """Names and sizes in thresholds; `trouble` is a fault or what makes a trial one at the edge."""
     if kind == "single":
         return (_turn(seed, 3, ordinal, SINGLE),), (_turn(seed, 4, ordinal, SIZES),)
     if kind == "outside":
-        return (_turn(seed, 5, ordinal, OUTSIDE),), (_turn(seed, 6, ordinal, OUTSIDE_SIZES),)
+        return (_turn(seed, 5, ordinal, families),), (_turn(seed, 6, ordinal, OUTSIDE_SIZES),)
     if kind == "mixture":
         count = 2 + ordinal % 2
         sizes = [float(size) for size in rng.choice(SIZES[2:], count)]
@@ -186,6 +240,22 @@ def _effects(
             soft = [float(size) for size in rng.choice([20.0, 40.0], count - 1)]
             return ("joint_compliance",) * (count - 1) + ("payload_error",), (*soft, sizes[-1])
         return tuple(str(name) for name in rng.choice(SINGLE, count)), tuple(sizes)
-    if fault == "outliers beside an effect":
+    if kind == "edge":
+        names = _at_the_edge(trouble, rng)
+        return names, tuple(float(size) for size in rng.choice(OUTSIDE_SIZES[trouble != "few rows" :], len(names)))
+    if trouble == "outliers beside an effect":
         return (str(rng.choice(SINGLE)),), (float(rng.choice([5.0, 10.0])),)
     return (), ()
+
+
+def _at_the_edge(edge: str, rng: np.random.Generator) -> tuple[str, ...]:
+    """Effects that the catalogue has, where they are hard to name; with few rows a quarter of trials hides nothing."""
+    if edge == "few rows":
+        standing = [name for name in SINGLE if name not in ("joint_lag", "time_offset")]
+        return (str(rng.choice(standing)),) if rng.random() < 0.75 else ()
+    soft = ("joint_compliance",) if rng.random() < 0.5 else ()
+    if edge == "two harmonics":
+        return ("joint_harmonic", "joint_harmonic", *soft)
+    if edge == "loaded backlash":
+        return ("joint_backlash", *soft)
+    return (str(rng.choice(["joint_compliance", "link_compliance", "base_compliance"])), *soft)

@@ -17,7 +17,7 @@ from benchmarks.concealed.chain import (
 from benchmarks.concealed.plain_physics import Curve, Motion, Setup
 from benchmarks.concealed.plans import SENSORS, UNCERTAIN, Plan
 
-ROWS, UNSEEN_ROWS = 300, 200
+UNSEEN_ROWS = 200
 _TRACK_STEP, _REST_STEP = 0.05, 8.0
 PAYLOAD_CENTER = (0.01, 0.0, 0.05)
 
@@ -30,8 +30,12 @@ def draw_motion(
     warming: bool = False,
     loading: bool = False,
     fixed_load: bool = False,
+    wandering: bool = False,
 ) -> Motion:
-    """Poses over the joints' range, or a trajectory of three sines a joint; temperatures; a payload on and off."""
+    """Poses over the joints' range, or a trajectory of three sines a joint; temperatures; a payload on and off.
+
+    Temperatures that are `wandering` rise and fall as well: what depends on them is then no function of time.
+    """
     dof = chain.dof
     lower, upper = np.maximum(chain.limits[:, 0], -3.0), np.minimum(chain.limits[:, 1], 3.4)
     curve: Curve | None = None
@@ -50,6 +54,10 @@ def draw_motion(
         length = time[-1] + 1
         grown = rng.uniform(8, 20) * (1 - np.exp(-3 * time / length))
         temperature += grown[:, None]
+        if wandering:
+            turns, phase = rng.uniform(1.5, 3.0), rng.uniform(-np.pi, np.pi)
+            waves = np.sin(2 * np.pi * turns * time / length + phase) - np.sin(phase)
+            temperature += rng.uniform(3, 6) * waves[:, None] * rng.uniform(0.8, 1.2, dof)
     payload = np.zeros(rows)
     if loading:
         payload[:] = 0.5

@@ -9,7 +9,7 @@ from rich.table import Table
 
 from benchmarks.concealed import scores
 from benchmarks.concealed.plain_physics import OUTSIDE
-from benchmarks.concealed.plans import FAULTS, NOISES, SINGLE, SIZES
+from benchmarks.concealed.plans import EDGES, FAULTS, NOISES, SINGLE, SIZES
 from benchmarks.concealed.scores import Row, Share, share
 
 Cells = Sequence[Sequence[str]]
@@ -27,9 +27,10 @@ def sections(rows: Sequence[Row]) -> Iterator[tuple[str, Sequence[str], Cells]]:
             ("trials", "each named", "each in the set", "all and no more", "in the set"),
             _mixed(rows),
         ),
+        ("What is said outside the catalogue and at its edge", ("", "trials", *_SAID), _said(rows)),
         (
             "Outside the catalogue",
-            ("effect", "trials", "something found", "at its site", "called unnamed there", "verdict: unnamed"),
+            ("family", "trials", "something found", "at its site", "unnamed, by its driver", "misleading"),
             _outside(rows),
         ),
         ("Faults of the data", ("fault", "found", "and nothing else but what is hidden"), _faulty(rows)),
@@ -41,9 +42,11 @@ def sections(rows: Sequence[Row]) -> Iterator[tuple[str, Sequence[str], Cells]]:
             yield title, head, cells
 
 
+_SAID = ("right", "partial", "misleading", "found, effect and site")
 _SINGLE = (
     "trials",
-    "found",
+    "something detected",
+    "found, effect and site",
     "right site",
     "right name",
     "in the set",
@@ -53,9 +56,11 @@ _SINGLE = (
 
 
 def _single_cells(rows: Sequence[Row]) -> list[str]:
-    keys = ("detected", "top_site", "top_named", "top_in_set", "exact")
+    keys = ("top_site", "top_named", "top_in_set", "exact")
     distinguished = share(row["top_named"] for row in rows if scores.distinguishable(row))
-    return [str(len(rows)), *(short(share(row[key] for row in rows)) for key in keys), str(distinguished)]
+    found = [share(row["detected"] for row in rows), scores.share_found(rows)]
+    found += [share(row[key] for row in rows) for key in keys]
+    return [str(len(rows)), *map(short, found), str(distinguished)]
 
 
 def short(found: Share) -> str:
@@ -119,6 +124,28 @@ def _mixed(rows: Sequence[Row]) -> Cells:
     ]
 
 
+def _said(rows: Sequence[Row]) -> Cells:
+    judged = scores.at_stake(rows)
+    outside = [row for row in judged if row["kind"] == "outside"]
+    groups = [("all", judged), ("outside the catalogue", outside)]
+    groups += [(f"at its edge: {edge}", [row for row in judged if row["edge"] == edge]) for edge in EDGES]
+    groups += [("masses off", [row for row in judged if row["masses_off"]])]
+    groups += [
+        (f"{low} to {high} rows", [row for row in judged if low <= row["rows"] <= high])
+        for low, high in ((15, 40), (41, 200), (201, 3000))
+    ]
+    return [
+        (
+            label,
+            str(len(found)),
+            *(short(share(row["statement"] == grade for row in found)) for grade in ("right", "partial", "misleading")),
+            short(scores.share_found(found)),
+        )
+        for label, found in groups
+        if found
+    ]
+
+
 def _outside(rows: Sequence[Row]) -> Cells:
     trials = [row for row in rows if row["kind"] == "outside"]
     groups = [(name, [row for row in trials if row["hidden"][0]["effect"] == name]) for name in OUTSIDE]
@@ -131,7 +158,7 @@ def _outside(rows: Sequence[Row]) -> Cells:
             short(share(row["detected"] for row in found)),
             short(share(row["hidden"][0]["site_found"] for row in found)),
             short(share(row["hidden"][0]["named"] for row in found)),
-            short(share(row["verdict"] == "unnamed" for row in found)),
+            short(share(row["statement"] == "misleading" for row in found)),
         )
         for label, found in groups
         if found
@@ -154,8 +181,9 @@ def _numbers(rows: Sequence[Row]) -> Cells:
     if not found:
         return []
     pulls = np.array([number["off"] / number["std"] for number in found])
-    over = np.array([number["off"] / number["bound"] for number in found])
-    said = np.array([number["std"] / number["bound"] for number in found])
+    bounded = [number for number in found if number["bound"] > 0]
+    over = np.array([number["off"] / number["bound"] for number in bounded] or [np.nan])
+    said = np.array([number["std"] / number["bound"] for number in bounded] or [np.nan])
     covered: Callable[[Iterable[Row]], Share] = lambda some: share(  # noqa: E731
         abs(number["off"]) <= scores.WITHIN * number["std"] for number in some
     )
@@ -163,6 +191,8 @@ def _numbers(rows: Sequence[Row]) -> Cells:
     return [
         ("estimated numbers of effects that were named", str(len(found))),
         ("within their 95 % interval", str(covered(found))),
+        ("— orders", str(covered([number for number in found if number["name"] == "order"]))),
+        ("orders stated as exact that are", str(scores.exact_orders(large))),
         ("— of trials in the plain physics", str(covered(scores.numbers(_of_engine(large, "plain"), 3.0)))),
         ("— of trials in MuJoCo", str(covered(scores.numbers(_of_engine(large, "mujoco"), 3.0)))),
         *((f"— {name}", str(each)) for name, each in worst if each.of),
@@ -189,6 +219,7 @@ def _unseen(rows: Sequence[Row]) -> Cells:
         ("— that were found exactly", [row for row in twice if row["exact"]]),
         ("— smaller ones", [row for row in named if row not in twice]),
         ("outside the catalogue", [row for row in rows if row["kind"] == "outside"]),
+        ("at its edge", [row for row in rows if row["kind"] == "edge"]),
     ]
     return [(label, str(scores.against_oracle(found))) for label, found in groups if found]
 
@@ -232,6 +263,7 @@ def story(truth: Row, row: Row) -> Iterator[str]:
     chain = f"chain {truth['geometry']}, frame and tool {'unknown' if truth['mounted'] else 'known'}"
     motion = "trajectory" if truth["moving"] else "poses at rest"
     fault = f", fault: {truth['fault']}" if truth["fault"] else ""
+    motion = f"{row['rows']} rows of a {motion}" if truth["moving"] else f"{row['rows']} {motion}"
     yield (
         f"{truth['kind'].capitalize()}, physics: {truth['engine']}; arm {truth['arm']}, {truth['sensor']}, {motion}, "
         f"{chain}; noise {truth['noise']}{fault}."
@@ -239,6 +271,10 @@ def story(truth: Row, row: Row) -> Iterator[str]:
     yield "Hidden:" if truth["hidden"] else "Hidden: nothing"
     for effect, seen in zip(truth["hidden"], row["hidden"], strict=True):
         yield from _hidden_lines(effect, seen)
+    if truth.get("edge") or truth.get("masses_off"):
+        off = ", ".join(f"{100 * error:+.0f} %" for error in truth.get("mass_errors", ()))
+        yield f"  Made hard by: {truth.get('edge') or 'masses off'}{f'; masses differ by {off}' if off else ''}"
+    yield f"Statement: {row['statement']}{': ' + row['why'] if row['why'] else ''}"
     yield f"Verdict: {row['verdict']}{', error: ' + row['error'] if row['error'] else ''}"
     for finding in row["findings"]:
         mark, order = "✓" if finding["true"] else "✗", finding["order"]

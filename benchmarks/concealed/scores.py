@@ -3,21 +3,18 @@
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import beta
 
 from benchmarks.concealed.chain import Array
-from benchmarks.concealed.plain_physics import OUTSIDE
+from benchmarks.concealed.plans import NAMES_AT_STAKE, ROWS
+from benchmarks.concealed.statements import Row, admits, all_found, called, judged, matched, same, value_of
 
-Row = dict[str, Any]
-
-ORDER = 0.2
-"""By how much a harmonic's order may be off."""
-ADMITTED, GAP = 3, 6.0
-"""A set declared inseparable holds at most so many rivals, each within this log-likelihood."""
+WRONG_NAMES, WRONG_NAMES_AT_MOST = 0.02, 0.04
+"""The share of statements outside and at the edge that may be misleading, and the upper end of its interval."""
 WITHIN = 1.959964
 """Standard deviations on either side that hold 95 %."""
 DISTINGUISHED = 4.0
@@ -36,7 +33,8 @@ def scored(truth: Row, diagnosis: Row | None, predicted: Row | None, seconds: fl
     """
     keys = ("seed", "index", "kind", "engine", "arm", "sensor", "moving", "geometry", "mounted", "noise", "fault")
     row = {key: truth[key] for key in keys}
-    hidden = truth["hidden"]
+    hidden, measured = truth["hidden"], truth.get("rows", ROWS)
+    statement = judged(truth, diagnosis, measured)
     diagnosis = diagnosis or {
         "findings": [],
         "data_faults": [],
@@ -51,11 +49,18 @@ def scored(truth: Row, diagnosis: Row | None, predicted: Row | None, seconds: fl
     top = findings[0] if findings else None
     first = hidden[0] if hidden else None
     row |= {
+        "rows": measured,
+        "edge": truth.get("edge", ""),
+        "masses_off": truth.get("masses_off", False),
+        "sealed": truth.get("sealed", False),
+        "statement": statement.grade,
+        "why": statement.why,
         "error": error,
         "seconds": seconds,
         "verdict": diagnosis["verdict"],
         "planned_size": float(truth["sizes"][0]) if truth["sizes"] else None,
         "detected": bool(findings),
+        "found": not error and all_found(hidden, findings),
         "exact": not error and matched(hidden, findings, same),
         "exact_in_set": not error and matched(hidden, findings, admits),
         "top_site": bool(first and top and top["site"] == first["site"]),
@@ -81,54 +86,19 @@ def _fault_of(fault: str) -> str:
     return fault.split(" ")[0]
 
 
-def called(effect: Row) -> str:
-    """What the library is to call a hidden effect."""
-    return "unnamed" if effect["effect"] in OUTSIDE else effect["effect"]
-
-
-def same(effect: Row, finding: Row) -> bool:
-    """Whether a finding is the hidden effect: name and site, a harmonic's order, a coupling's source."""
-    if (called(effect), effect["site"]) != (finding["effect"], finding["site"]):
-        return False
-    for key, slack in (("order", ORDER), ("source_joint", 0.5)):
-        wanted = None if called(effect) == "unnamed" else effect["parameters"].get(key)
-        if wanted is not None and abs(_value(finding["parameters"][key]) - wanted) > slack:
-            return False
-    return True
-
-
-def admits(effect: Row, finding: Row) -> bool:
-    """Whether a finding is the hidden effect or says that it may be."""
-    rivals = [rival for rival in finding.get("confusable_with", ())[:ADMITTED] if rival["log_likelihood_gap"] <= GAP]
-    return same(effect, finding) or any((r["effect"], r["site"]) == (called(effect), effect["site"]) for r in rivals)
-
-
-def matched(hidden: Sequence[Row], findings: Sequence[Row], test: Any) -> bool:
-    """Whether effects and findings pair off, one to one."""
-    if len(hidden) != len(findings):
-        return False
-    if not hidden:
-        return True
-    rest = hidden[1:]
-    return any(
-        test(hidden[0], finding) and matched(rest, [*findings[:k], *findings[k + 1 :]], test)
-        for k, finding in enumerate(findings)
-    )
-
-
-def _value(parameter: Any) -> float:
-    return float(parameter["value"] if isinstance(parameter, dict) else parameter)
-
-
 def _of_hidden(effect: Row, findings: Sequence[Row]) -> Row:
     ours = next((finding for finding in findings if same(effect, finding)), None)
     rival = effect["rival"] or {"name": "", "site": "", "apart": None}
     numbers = []
     if ours is not None and called(effect) != "unnamed":
-        for name, bound in effect["bound"].items():
+        bounds = effect["bound"]
+        if "order" in ours["parameters"]:
+            # a whole order is no number to be found, but whoever reports it with an interval is to be right
+            bounds = bounds | {"order": bounds.get("order", 0.0)}
+        for name, bound in bounds.items():
             if name in ours["parameters"]:
                 said, true = ours["parameters"][name], effect["parameters"][name]
-                off = _value(said) - true
+                off = value_of(said) - true
                 off = math.remainder(off, math.tau) if name == "phase_rad" else off
                 numbers.append({"name": name, "true": true, "off": off, "std": float(said["std"]), "bound": bound})
     return {
@@ -155,8 +125,8 @@ def _of_finding(finding: Row, hidden: Sequence[Row]) -> Row:
         "driver": finding.get("driver", ""),
         "p_value": finding["p_value"],
         "gain": finding.get("log_likelihood_gain"),
-        "order": _value(parameters["order"]) if "order" in parameters else None,
-        "source_joint": _value(parameters["source_joint"]) if "source_joint" in parameters else None,
+        "order": value_of(parameters["order"]) if "order" in parameters else None,
+        "source_joint": value_of(parameters["source_joint"]) if "source_joint" in parameters else None,
         "true": any(same(effect, finding) for effect in hidden),
         "rivals": [f"{rival['effect']}:{rival['site']}" for rival in finding.get("confusable_with", ())],
     }
@@ -304,15 +274,45 @@ def distinguishable(row: Row) -> bool:
 
 
 def numbers(rows: Iterable[Row], least: float) -> list[Row]:
-    """The estimated numbers of all effects that were named and are so many thresholds large, those with a bound."""
+    """The estimated numbers of all effects that were named and are so many thresholds large, those with an interval.
+
+    Reported orders are among them, also where the truth is a whole number and has no bound. Orders that are stated as
+    exact have no interval; `exact_orders` counts them.
+    """
     return [
         number | {"effect": effect["effect"], "size": effect["size"]}
         for row in rows
         for effect in row["hidden"]
         if effect["size"] >= least
         for number in effect["numbers"]
-        if number["std"] > 0 and number["bound"] > 0
+        if number["std"] > 0 and (number["bound"] > 0 or number["name"] == "order")
     ]
+
+
+def exact_orders(rows: Iterable[Row]) -> Share:
+    """Of the orders that were stated without an interval, those that are exactly so."""
+    return share(
+        abs(number["off"]) < 1e-9
+        for row in rows
+        for effect in row["hidden"]
+        for number in effect["numbers"]
+        if number["name"] == "order" and not number["std"]
+    )
+
+
+def wrong_names(rows: Iterable[Row]) -> Share:
+    """Of the trials outside the catalogue and at its edge, those in which something false is said."""
+    return share(row["statement"] == "misleading" for row in at_stake(rows))
+
+
+def at_stake(rows: Iterable[Row]) -> list[Row]:
+    """The trials outside the catalogue and at its edge that were judged."""
+    return [row for row in rows if row["kind"] in NAMES_AT_STAKE and row["statement"]]
+
+
+def share_found(rows: Iterable[Row]) -> Share:
+    """Of the trials that hide something, those all of whose effects were found; results of version 0.1 do not say."""
+    return share(row["found"] for row in rows if row["hidden"] and row["found"] is not None)
 
 
 def against_oracle(rows: Iterable[Row]) -> Ratio:
@@ -331,14 +331,18 @@ def goals(rows: Sequence[Row]) -> list[Goal]:
     covered = share(abs(number["off"]) <= WITHIN * number["std"] for number in numbers(large, 3.0))
     known = [row for row in large if all(effect["size"] >= 2 for effect in row["hidden"])]
     declared = [row for row in clean if row["noise"] == "as declared"]
-    found, sited = share(row["detected"] for row in twice), share(row["top_site"] for row in twice)
+    found, sited = share_found(twice), share(row["top_site"] for row in twice)
+    found_distinct, wrong = share_found(distinct), wrong_names(rows)
     sited_distinct = share(row["top_site"] for row in distinct)
     alarms, alarms_declared = share(row["detected"] for row in clean), share(row["detected"] for row in declared)
     unseen = against_oracle(known)
     unnamed = share(row["hidden"][0]["named"] for row in outside)
     bars_inside, bars_outside = within_bars(rows, "inside"), within_bars(rows, "outside")
+    few_wrong = wrong.value <= WRONG_NAMES and wrong.high <= WRONG_NAMES_AT_MOST if wrong.of else None
     return [
-        Goal("found at twice the threshold: 95 %", str(found), _least(found, 0.95)),
+        Goal("wrong names, outside the catalogue and at its edge: 2 %, upper end 4 %", str(wrong), few_wrong),
+        Goal("found at twice the threshold, effect and site: 95 %", str(found), _least(found, 0.95)),
+        Goal("— where the data distinguish it from all other names", str(found_distinct), _least(found_distinct, 0.95)),
         Goal("at the right site at twice the threshold: 90 %", str(sited), _least(sited, 0.9)),
         Goal("— where the data distinguish it from all other names", str(sited_distinct), _least(sited_distinct, 0.9)),
         Goal("false alarms, upper end of the interval: 1 %", str(alarms), alarms.high <= 0.01 if clean else None),
@@ -349,7 +353,7 @@ def goals(rows: Sequence[Row]) -> list[Goal]:
             str(covered),
             0.93 <= covered.value <= 0.97 if covered.of else None,
         ),
-        Goal("outside the catalogue: located and called unnamed: 90 %", str(unnamed), _least(unnamed, 0.9)),
+        Goal("outside the catalogue: unnamed, at its site, by its driver: 90 %", str(unnamed), _least(unnamed, 0.9)),
         Goal(
             "95 % bars of predictions hold unseen positions: 93 to 97 %",
             _in_percent(bars_inside),

@@ -1,7 +1,7 @@
 """One trial: what is drawn from a seed and an index, what the diagnosis is given, and the truth that is sealed."""
 
 import json
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,12 +13,15 @@ from benchmarks.concealed.chain import Array, Chain, quaternion_from_rotation, v
 from benchmarks.concealed.hiding import described, hide
 from benchmarks.concealed.mujoco_physics import Arm
 from benchmarks.concealed.oracle import oracle
+from benchmarks.concealed.outside import FAMILIES
 from benchmarks.concealed.plain_physics import Hidden, Motion, Setup, poses
-from benchmarks.concealed.plans import LOOSE, OFF, SENSORS, UNCERTAIN, Plan, draw_plan
-from benchmarks.concealed.recorded import PAYLOAD_CENTER, ROWS, UNSEEN_ROWS, draw_motion, files_of, measure
+from benchmarks.concealed.plans import LOOSE, NAMES_AT_STAKE, OFF, SENSORS, UNCERTAIN, Plan, draw_plan
+from benchmarks.concealed.recorded import PAYLOAD_CENTER, UNSEEN_ROWS, draw_motion, files_of, measure
 from benchmarks.concealed.view import Open, View, turned
 
 _TRIES = 200
+MASS_ERROR = 0.1
+"""One standard deviation of the masses' errors where they are off, relative; twice that is the most."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,11 +39,17 @@ class Trial:
     files: dict[str, str]
 
 
-def draw(seed: int, index: int) -> Trial:
-    """The trial of an index: what is hidden is drawn again until some sensor there could see it."""
+def draw(seed: int, index: int, sealed: bool = False) -> Trial:
+    """The trial of an index: what is hidden is drawn again until some sensor there could see it.
+
+    Args:
+        seed: of the campaign.
+        index: of the trial in it.
+        sealed: draws what is outside the catalogue from the sealed families, and from no other.
+    """
     for again in range(_TRIES):
         rng = np.random.default_rng([seed, 0, index, again])
-        plan = draw_plan(seed, index, rng)
+        plan = draw_plan(seed, index, rng, sealed)
         made = _make(plan, rng)
         if made is not None:
             return made
@@ -62,11 +71,12 @@ def _make(plan: Plan, rng: np.random.Generator) -> Trial | None:
         geometry=plan.geometry != "known",
         prior={"uncertain": (UNCERTAIN, UNCERTAIN), "unknown": LOOSE}.get(plan.geometry),
     )
-    warming = "link_thermal_expansion" in plan.effects or rng.random() < 0.3
+    warm = any(name in FAMILIES and FAMILIES[name].warm for name in plan.effects)
+    warming = "link_thermal_expansion" in plan.effects or warm or rng.random() < 0.3
     loading = "payload_error" in plan.effects or rng.random() < 0.4
-    fixed_load = plan.engine == "mujoco"
-    motion = draw_motion(rng, actual, plan.moving, ROWS, warming, loading, fixed_load)
-    unseen = draw_motion(rng, actual, plan.moving, UNSEEN_ROWS, warming, loading, fixed_load)
+    fixed_load, wandering = plan.engine == "mujoco", plan.kind in NAMES_AT_STAKE
+    motion = draw_motion(rng, actual, plan.moving, plan.rows, warming, loading, fixed_load, wandering)
+    unseen = draw_motion(rng, actual, plan.moving, UNSEEN_ROWS, warming, loading, fixed_load, wandering)
     view = View(setup, left_open, motion, noise)  # type: ignore[arg-type]
 
     hidden = hide(plan, rng, view)
@@ -87,7 +97,7 @@ def _make(plan: Plan, rng: np.random.Generator) -> Trial | None:
     believed = setup if plan.fault == "nominal_table" else replace(setup, chain=declared)
     truth = {
         "schema": "concealed/truth/1",
-        **asdict(plan),
+        **plan.told(),
         "hidden": described(view, hidden),
         "fault_rows": faulty,
         "moved_rms_m": float(np.sqrt(np.mean(np.sum((seen[1] - poses(setup, (), motion)[1]) ** 2, 1)))),
@@ -97,18 +107,23 @@ def _make(plan: Plan, rng: np.random.Generator) -> Trial | None:
         "unseen_position_m": unseen_truth[1].tolist(),
         "unseen_quaternion": quaternion_from_rotation(unseen_truth[0]).tolist(),
     }
+    if plan.masses_off:
+        truth["mass_errors"] = (actual.mass / nominal.mass - 1).tolist()
     files = files_of(plan, nominal, declared, motion, measured, recorded, noise, unseen)
     return Trial(plan, truth, files)
 
 
 def _arms(plan: Plan, rng: np.random.Generator) -> tuple[Chain, Chain, Chain]:
-    """The arm as it is designed, as it is, and as the sidecar says that it is."""
+    """The arm as it is designed, as it is, and as the sidecar says that it is; but for masses, which nobody says."""
     nominal = {"lite6": chains.lite6, "seven": chains.seven, "six": lambda: chains.drawn_six(rng)}[plan.arm]()
     if plan.fault == "nominal_table":
         return nominal, chains.lite6_ros(), nominal
     actual = nominal.moved(rng, *chains.MADE)
+    if plan.masses_off:
+        errors = np.clip(rng.normal(0, MASS_ERROR, nominal.dof), -2 * MASS_ERROR, 2 * MASS_ERROR)
+        actual = replace(actual, mass=nominal.mass * (1 + errors))
     if plan.geometry == "unknown":
-        return nominal, actual, nominal
+        return nominal, actual, replace(nominal, mass=actual.mass)
     off = UNCERTAIN if plan.geometry == "uncertain" else OFF if plan.noise == "factory file off" else 0.0
     return nominal, actual, actual.moved(rng, off, off)
 

@@ -1,0 +1,205 @@
+"""Whether what a diagnosis says is true: of each finding, of the verdict, and of the whole statement."""
+
+import math
+from collections.abc import Sequence
+from typing import Any, Literal, NamedTuple
+
+from benchmarks.concealed.plain_physics import OUTSIDE
+
+Row = dict[str, Any]
+Grade = Literal["right", "partial", "misleading"]
+
+ORDER = 0.2
+"""By how much a harmonic's order may be off."""
+ADMITTED, GAP = 3, 6.0
+"""A set declared inseparable holds at most so many rivals, each within this log-likelihood."""
+LEFT = 1.3
+"""Times the noise above which something is left, whatever the verdict says."""
+DETECTABLE = 2.0
+"""Thresholds from which theory says that an effect can be found; a smaller one may be missed."""
+LARGE, LARGE_IN_FEW, FEW = 1.5, 4.5, 60
+"""Times the noise from which a missed effect contradicts the verdict; the second with fewer than `FEW` rows."""
+_ENDED = ("consistent", "explained")
+"""The verdicts that say that nothing is left."""
+
+
+class Statement(NamedTuple):
+    """A diagnosis beside its truth.
+
+    Attributes:
+        grade: right: every finding is true, and all that can be found is named; partial: nothing false is said, but
+            something is missing; misleading: a finding is false, or the verdict says that nothing is left where it is.
+        why: what is false or missing; empty where it is right.
+    """
+
+    grade: Grade
+    why: str
+
+
+def called(effect: Row) -> str:
+    """What the library is to call a hidden effect."""
+    return "unnamed" if effect["effect"] in OUTSIDE else effect["effect"]
+
+
+def same(effect: Row, finding: Row) -> bool:
+    """Whether a finding is the hidden effect: name and site, a harmonic's order, a coupling's source, a driver."""
+    if called(effect) == "unnamed":
+        return unnamed_of(effect, finding)
+    if (effect["effect"], effect["site"]) != (finding["effect"], finding["site"]):
+        return False
+    for key, slack in (("order", ORDER), ("source_joint", 0.5)):
+        wanted = effect["parameters"].get(key)
+        if wanted is not None and abs(value_of(finding["parameters"][key]) - wanted) > slack:
+            return False
+    return True
+
+
+def unnamed_of(effect: Row, finding: Row) -> bool:
+    """Whether a finding without a name is a function at the effect's site of a driver on which the effect depends.
+
+    Outside the catalogue, sites that no recording tells apart are the effect's as well (`sites` of the truth).
+    """
+    if finding["effect"] != "unnamed" or finding["site"] not in effect.get("sites", (effect["site"],)):
+        return False
+    return any(_driven(finding, phrases) for phrases in drivers_of(effect))
+
+
+def _driven(finding: Row, phrases: Sequence[str]) -> bool:
+    """Whether one of the finding's drivers is one of the phrases, or begins with it."""
+    said = finding.get("driver", "").split(" and ")
+    return any(driver.startswith(phrase) for driver in said for phrase in phrases)
+
+
+def drivers_of(effect: Row) -> list[list[str]]:
+    """The drivers of a hidden effect, each with the phrases that name it; none where it is a constant."""
+    if "drivers" in effect:
+        return effect["drivers"]
+    site, number = effect["site"], effect["site"].lstrip("jointlk")
+    match effect["effect"]:
+        case "joint_scale" | "joint_harmonic":
+            return [[f"position of joint {number}"]]
+        case "joint_coupling":
+            return [[f"position of joint {int(effect['parameters']['source_joint'])}"]]
+        case "joint_compliance":
+            return [[f"gravity torque of joint {number}"]]
+        case "joint_backlash":
+            return [[f"direction of motion of joint {number}"], [f"gravity torque of joint {number}"]]
+        case "joint_lag":
+            return [[f"velocity of joint {number}"]]
+        case "link_compliance":
+            return [[f"gravity moment {axis} of link {number}"] for axis in "xy"]
+        case "base_compliance":
+            return [[f"base moment {axis}"] for axis in "xy"]
+        case "base_drift":
+            return [["time"]]
+        case "link_thermal_expansion":
+            return [["temperature"]] if site.startswith("link") else []
+        case "measurement_scale":
+            return [["measured position"]]
+    return []
+
+
+def admits(effect: Row, finding: Row) -> bool:
+    """Whether a finding is the hidden effect or says that it may be."""
+    sites = effect.get("sites", (effect["site"],))
+    return same(effect, finding) or any(
+        rival["effect"] == called(effect) and rival["site"] in sites for rival in rivals_of(finding)
+    )
+
+
+def rivals_of(finding: Row) -> list[Row]:
+    """The alternatives that a finding lists as inseparable."""
+    return [rival for rival in finding.get("confusable_with", ())[:ADMITTED] if rival["log_likelihood_gap"] <= GAP]
+
+
+def matched(hidden: Sequence[Row], findings: Sequence[Row], test: Any) -> bool:
+    """Whether effects and findings pair off, one to one."""
+    if len(hidden) != len(findings):
+        return False
+    if not hidden:
+        return True
+    rest = hidden[1:]
+    return any(
+        test(hidden[0], finding) and matched(rest, [*findings[:k], *findings[k + 1 :]], test)
+        for k, finding in enumerate(findings)
+    )
+
+
+def all_found(hidden: Sequence[Row], findings: Sequence[Row]) -> bool:
+    """Whether every hidden effect has a finding of its own that names effect and site, or lists them as equivalent."""
+    if not hidden:
+        return False
+    return any(
+        admits(hidden[0], finding) and (len(hidden) == 1 or all_found(hidden[1:], [*findings[:k], *findings[k + 1 :]]))
+        for k, finding in enumerate(findings)
+    )
+
+
+def value_of(parameter: Any) -> float:
+    """Of a parameter with its standard deviation, or of a plain number."""
+    return float(parameter["value"] if isinstance(parameter, dict) else parameter)
+
+
+def judged(truth: Row, diagnosis: Row | None, rows: int) -> Statement:
+    """The grade of what a diagnosis says.
+
+    A trial without an answer is misleading: whoever waits for one is left with nothing.
+
+    Args:
+        truth: the sealed one.
+        diagnosis: what the library wrote; None where it wrote none.
+        rows: of the recording.
+    """
+    if diagnosis is None:
+        return Statement("misleading", "no answer")
+    hidden, findings = truth["hidden"], diagnosis["findings"]
+    false = [f"{f['effect']}@{f['site']}" for f in findings if not _true(f, hidden, findings)]
+    missing = [effect for effect in hidden if not any(admits(effect, finding) for finding in findings)]
+    said = []
+    if false:
+        said.append(f"false: {', '.join(false)}")
+    if hidden and diagnosis["verdict"] in _ENDED:
+        left, large = _left(truth, diagnosis), LARGE_IN_FEW if rows < FEW else LARGE
+        missed = [e for e in missing if e["size"] >= DETECTABLE and e["moved_m"] * e["seen"] > large * truth["noise_m"]]
+        if left > LEFT:
+            said.append(f"verdict {diagnosis['verdict']} with {left:.2g} times the noise left")
+        elif missed:
+            said.append(f"verdict {diagnosis['verdict']} without {_listed(missed)}")
+    if said:
+        return Statement("misleading", "; ".join(said))
+    lacking = [effect for effect in hidden if not _whole(effect, findings) and effect["size"] >= DETECTABLE]
+    return Statement("partial", f"without the whole of {_listed(lacking)}") if lacking else Statement("right", "")
+
+
+def _true(finding: Row, hidden: Sequence[Row], findings: Sequence[Row]) -> bool:
+    """Whether a finding is a hidden effect, says that it may be, or is a true part of one."""
+    for effect in hidden:
+        if admits(effect, finding) or unnamed_of(effect, finding):
+            return True
+        # the straight part of a function has a name, which is true only beside what is not straight
+        beside = finding["effect"] in effect.get("beside", ()) and finding["site"] == effect["site"]
+        if beside and any(unnamed_of(effect, other) for other in findings):
+            return True
+    return False
+
+
+def _whole(effect: Row, findings: Sequence[Row]) -> bool:
+    """Whether the findings say all of an effect: its name; or outside the catalogue, its site and every driver."""
+    if called(effect) != "unnamed":
+        return any(admits(effect, finding) for finding in findings)
+    ours = [finding for finding in findings if unnamed_of(effect, finding)]
+    if not ours:
+        return any(admits(effect, finding) for finding in findings)
+    return all(any(_driven(finding, phrases) for finding in ours) for phrases in drivers_of(effect))
+
+
+def _left(truth: Row, diagnosis: Row) -> float:
+    """What is left, per axis, over the noise that was declared: in positions or, where measured, in orientations."""
+    position = diagnosis["after"].get("heldout_position_rms_m")
+    ratios = [0.0 if position is None else position / math.sqrt(3) / truth["noise_m"]]
+    orientation = (diagnosis.get("left") or {}).get("orientation_over_noise")
+    return max(*ratios, 0.0 if orientation is None else orientation)
+
+
+def _listed(effects: Sequence[Row]) -> str:
+    return ", ".join(f"{effect['effect']}@{effect['site']}" for effect in effects)

@@ -1,0 +1,236 @@
+"""Physics outside the catalogue: each family is what its formula says; sealed ones are drawn on request only."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from benchmarks.concealed import campaign, command, hiding, information, outside, plans, recorded, trials
+from benchmarks.concealed.chain import MADE, description_text, lite6, rotation_from_vector
+from benchmarks.concealed.mujoco_physics import Arm
+from benchmarks.concealed.outside import FAMILIES, OPEN, SEALED
+from benchmarks.concealed.plain_physics import Hidden, Setup, hardening, moments, poses, yielding
+from benchmarks.concealed.view import Open, View, turned
+
+PAYLOAD_CENTER = np.array([0.01, 0.0, 0.05])
+
+
+@pytest.fixture(scope="module")
+def scene():
+    """A Lite 6 that moves and warms up and down, seen from a sensor somewhere."""
+    rng = np.random.default_rng(41)
+    sensor, tool = turned(rng.uniform(-1, 1, 3), rng.uniform(-1, 1, 3)), np.eye(4)
+    tool[:3, 3] = 0.02, 0.0, 0.06
+    setup = Setup(lite6().moved(rng, *MADE), sensor, tool, PAYLOAD_CENTER)
+    motion = recorded.draw_motion(rng, setup.chain, True, 60, warming=True, wandering=True)
+    return setup, motion
+
+
+def rise(motion):
+    return (motion.temperature.mean(1) - 25) / 10
+
+
+def torque(setup, motion, joint):
+    return moments(setup.chain, motion.q, motion.payload, PAYLOAD_CENTER)[0][:, joint - 1]
+
+
+# name: where, what is drawn, the axis of a twist, and the formula of its signal, written down a second time
+FORMULAS = {
+    "joint_bump": ("joint3", {"centre": 1.0, "width": 0.3}, lambda s, m: np.exp(-((m.q[:, 2] - 1.0) ** 2) / 0.18)),
+    "joint_step": ("joint3", {"at": 1.0}, lambda s, m: np.where(m.q[:, 2] > 1.0, 1.0, 0.0)),
+    "hardening_spring": ("joint2", {"torque_Nm": 3.0}, lambda s, m: hardening(torque(s, m, 2)[:, 2] / 3)),
+    "yielding_spring": ("joint2", {"torque_Nm": 3.0}, lambda s, m: yielding(torque(s, m, 2)[:, 2] / 3)),
+    "joint_parabola": ("joint3", {"power": 2.0}, lambda s, m: m.q[:, 2] ** 2),
+    "squared_coupling": ("joint3", {"by": 5.0, "power": 2.0}, lambda s, m: m.q[:, 4] ** 2),
+    "joint_product": ("joint3", {"by": 5.0, "and": 2.0}, lambda s, m: m.q[:, 4] * m.q[:, 1]),
+    "squared_speed": ("joint3", {"power": 2.0}, lambda s, m: m.dq[:, 2] * abs(m.dq[:, 2])),
+    "squared_warmth": ("joint3", {"power": 2.0}, lambda s, m: rise(m) ** 2),
+    "sticking_zone": (
+        "joint3",
+        {"lower": 0.5, "upper": 1.5},
+        lambda s, m: -np.sign(m.dq[:, 2]) * (abs(m.q[:, 2] - 1) < 0.5),
+    ),
+    "link_tilt_by_time": ("link3", {"axis": 4.0, "span_s": 2.0}, lambda s, m: m.time / 2),
+    "link_tilt_by_warmth": ("link3", {"axis": 3.0}, lambda s, m: rise(m)),
+    "squared_bending": (
+        "link3",
+        {"axis": 3.0, "moment_Nm": 2.0, "power": 2.0},
+        lambda s, m: torque(s, m, 3)[:, 0] ** 2 / 4,
+    ),
+    "base_tilt_by_joint": ("base", {"axis": 3.0, "by": 4.0}, lambda s, m: m.q[:, 3]),
+    "base_yaw_by_moment": (
+        "base",
+        {"axis": 5.0, "base_moment_Nm": 2.0},
+        lambda s, m: moments(s.chain, m.q, m.payload, PAYLOAD_CENTER)[1][:, 0] / 2,
+    ),
+    "tool_turn_by_joint": ("tool", {"axis": 4.0, "by": 2.0}, lambda s, m: m.q[:, 1]),
+    "tool_shift_by_warmth": ("tool", {"axis": 2.0}, lambda s, m: rise(m)),
+    "sensor_turn_by_time": ("sensor", {"axis": 4.0, "span_s": 2.0, "power": 2.0}, lambda s, m: m.time**2 / 4),
+    "sensor_shift_by_warmth": ("sensor", {"axis": 0.0}, lambda s, m: rise(m)),
+    "squared_drift": ("sensor", {"axis": 1.0, "span_s": 2.0, "power": 2.0}, lambda s, m: m.time**2 / 4),
+}
+IMAGES = {
+    "lens_distortion": lambda p: p * np.sum(p**2, 1, keepdims=True),
+    "skewed_axes": lambda p: p[:, [1]] * [1.0, 0.0, 0.0],
+    "stretched_axis": lambda p: p[:, [0]] * [1.0, 0.0, 0.0],
+}
+
+
+def displaced(setup, motion, site, twist):
+    """The pose in the sensor's frame when the frame of a site moves by twists `(sample, 6)` in its own axes."""
+    R, p = setup.chain.frames(motion.q)
+    tip = p[:, -1] + R[:, -1] @ setup.tool[:3, 3], R[:, -1] @ setup.tool[:3, :3]
+    at, origin = np.broadcast_to(np.eye(3), R[:, 0].shape), np.zeros((len(p), 3))
+    if site.startswith("link") or site == "tool":
+        number = setup.chain.dof if site == "tool" else int(site[4:])
+        at, origin = R[:, number - 1], p[:, number - 1]
+    elif site == "sensor":
+        at, origin = (
+            at @ setup.sensor[:3, :3].T,
+            np.broadcast_to(-setup.sensor[:3, :3].T @ setup.sensor[:3, 3], p[:, 0].shape),
+        )
+    turn = at @ rotation_from_vector(twist[:, 3:]) @ np.swapaxes(at, 1, 2)
+    position = origin + np.einsum("sab,sb->sa", at, twist[:, :3]) + np.einsum("sab,sb->sa", turn, tip[0] - origin)
+    seen = setup.sensor
+    return seen[:3, :3] @ turn @ tip[1], position @ seen[:3, :3].T + seen[:3, 3]
+
+
+def test_every_family_is_here():
+    assert set(FORMULAS) | set(IMAGES) == set(FAMILIES)
+    assert len(FAMILIES) >= 15
+
+
+@pytest.mark.parametrize("name", FORMULAS)
+def test_a_family_shows_what_its_formula_says(name, scene):
+    setup, motion = scene
+    site, fixed, formula = FORMULAS[name]
+    number = float(site[-1]) if site[-1].isdecimal() else 0.0
+    hidden = Hidden(name, site, (3e-4,), {"joint": number} | fixed)
+    signal = 3e-4 * formula(setup, motion)
+    assert np.ptp(signal) > 1e-6
+    twist = np.zeros((len(motion.q), 6))
+    if site.startswith("joint"):
+        # an angle of a joint turns its link about its own axis
+        twist[:, 5], site = signal, f"link{site[5:]}"
+    else:
+        twist[:, int(fixed["axis"])] = signal
+    rotation, position = poses(setup, (hidden,), motion)
+    expected = displaced(setup, motion, site, twist)
+    np.testing.assert_allclose(position, expected[1], atol=1e-12)
+    np.testing.assert_allclose(rotation, expected[0], atol=1e-12)
+
+
+@pytest.mark.parametrize("name", IMAGES)
+def test_an_image_shifts_points_and_turns_nothing(name, scene):
+    setup, motion = scene
+    rotation, position = poses(setup, (), motion)
+    moved = poses(setup, (Hidden(name, "sensor", (3e-4,)),), motion)
+    np.testing.assert_allclose(moved[1] - position, 3e-4 * IMAGES[name](position), atol=1e-15)
+    np.testing.assert_array_equal(moved[0], rotation)
+
+
+def test_a_third_of_the_families_is_sealed_and_drawn_on_request_only():
+    assert set(OPEN) | set(SEALED) == set(FAMILIES)
+    assert not set(OPEN) & set(SEALED)
+    assert 0.25 <= len(SEALED) / len(FAMILIES) <= 0.4
+    assert not set(SEALED) & set(outside.KNOWN)
+    wanted = plans.indices(5, len(FAMILIES), "outside")
+    for chosen, families in ((False, OPEN), (True, SEALED)):
+        drawn = [plans.draw_plan(5, index, np.random.default_rng(0), chosen) for index in wanted]
+        assert {plan.effects[0] for plan in drawn} == set(families)
+        assert all(plan.sealed == chosen for plan in drawn)
+
+
+def test_results_of_open_and_sealed_families_do_not_mix(tmp_path, capsys):
+    row = dict.fromkeys(campaign.SCHEMA.names) | {"seed": 0, "index": 0, "kind": "outside", "sealed": False}
+    campaign.write_rows([row], tmp_path / "a.parquet")
+    arguments = [
+        "--trials",
+        "1",
+        "--kind",
+        "outside",
+        "--kind",
+        "edge",
+        "--sealed",
+        "--out",
+        str(tmp_path / "a.parquet"),
+    ]
+    assert command.main(arguments) == command.UNUSABLE
+    assert "has trials of open families" in capsys.readouterr().err
+
+
+def test_rows_are_from_fifteen_to_three_thousand_and_mostly_moderate():
+    drawn = [plans.draw_plan(6, i, np.random.default_rng(i)) for i in plans.indices(6, 120, *plans.NAMES_AT_STAKE)]
+    rows = [plan.rows for plan in drawn]
+    assert min(rows) >= plans.FEWEST
+    assert 1000 < max(rows) <= 3000
+    assert np.mean([60 <= count <= 500 for count in rows]) > 0.5
+    assert all(plan.rows <= plans.FEW for plan in drawn if plan.edge == "few rows")
+    assert {plan.edge for plan in drawn if plan.kind == "edge"} == set(plans.EDGES)
+    assert any(plan.masses_off for plan in drawn if plan.kind == "outside")
+    assert all(plan.rows >= 100 for plan in drawn if plan.moving)
+
+
+def test_what_an_earlier_version_did_not_draw_is_not_in_its_truths():
+    assert set(plans.draw_plan(0, 5, np.random.default_rng(0)).told()) == {
+        *("seed", "index", "kind", "engine", "arm", "sensor", "moving", "geometry", "mounted"),
+        *("noise", "fault", "effects", "sizes"),
+    }
+
+
+def test_sites_that_move_what_is_seen_alike_are_one(scene):
+    setup, motion = scene
+    view = View(setup, Open(frame=True, tool=3, geometry=False), motion, (2e-5, 1e-4))
+    tilt = Hidden("base_tilt_by_joint", "base", (1e-4,), {"axis": 3.0, "by": 4.0})
+    assert information.equal_sites(view, tilt) == ["base", "sensor"]
+    bump = Hidden("joint_bump", "joint4", (1e-4,), {"joint": 4.0, "centre": 0.0, "width": 0.3})
+    assert {"joint4", "link4"} <= set(information.equal_sites(view, bump))
+    assert not {"joint2", "base"} & set(information.equal_sites(view, bump))
+
+
+def a_plan(edge):
+    index = next(i for i in plans.indices(7, 8, "edge") if plans.draw_plan(7, i, np.random.default_rng(0)).edge == edge)
+    return index, plans.draw_plan(7, index, np.random.default_rng(0))
+
+
+def test_two_harmonics_share_a_joint_and_differ_in_order(scene):
+    setup, motion = scene
+    _, plan = a_plan("two harmonics")
+    plan = replace(plan, effects=("joint_harmonic",) * 2, sizes=(5.0, 10.0))
+    view = View(setup, Open(frame=False, tool=0, geometry=False), motion, (2e-5, None))
+    drawn = [hiding.hide(plan, np.random.default_rng(k), view) for k in range(12)]
+    pairs = [found for found in drawn if found]
+    assert pairs
+    for first, second in pairs:
+        assert first.site == second.site
+        orders = {first.fixed["order"], second.fixed["order"]}
+        assert orders == {1.0, 2.0} or (len(orders) == 2 and min(orders) >= 20)
+
+
+def test_masses_are_off_in_the_arm_and_not_in_its_files():
+    index, plan = a_plan("masses off")
+    trial = trials.draw(7, index)
+    errors = np.array(trial.truth["mass_errors"])
+    assert 0.01 < np.abs(errors).max() <= 0.2 + 1e-12
+    nominal, actual, told = trials._arms(replace(plan, arm="six"), np.random.default_rng(1))
+    assert 0.01 < np.abs(actual.mass / nominal.mass - 1).max() <= 0.2 + 1e-12
+    np.testing.assert_array_equal(told.mass, actual.mass)  # the oracle is told them
+    measured = (np.tile(np.eye(3), (1, 1, 1)), np.zeros((1, 3)))
+    motion = recorded.draw_motion(np.random.default_rng(1), actual, False, 1)
+    files = recorded.files_of(plan, nominal, told, motion, measured, motion.q, (2e-5, None), motion)
+    assert files["arm.yaml"] == description_text(nominal)  # the diagnosis is not
+
+
+def test_a_loaded_backlash_of_mujoco_rests_on_the_flank_that_gravity_presses_it_to():
+    rng = np.random.default_rng(43)
+    setup = Setup(lite6().moved(rng, *MADE), np.eye(4), np.eye(4), PAYLOAD_CENTER)
+    motion = recorded.draw_motion(rng, setup.chain, False, 14)
+    motion = replace(motion, payload=np.full(14, 0.5))
+    hidden = (Hidden("joint_backlash", "joint2", (6e-4,), {"friction_Nm": 0.3}),)
+    found = Arm(setup, hidden, 0.5).at_rest(motion)
+    shown, rigid = poses(setup, hidden, found.motion)[1], poses(setup, (), found.motion)[1]
+    clear = np.abs(torque(setup, found.motion, 2)[:, 2]) > 1
+    off = np.linalg.norm(found.position - shown, axis=1)[clear]
+    assert np.all(off < 0.1 * np.linalg.norm(rigid - shown, axis=1)[clear])
+    follows = poses(setup, (replace(hidden[0], fixed={}),), found.motion)[1]
+    assert np.abs(follows - shown).max() > 1e-4  # the direction alone would say otherwise
