@@ -158,7 +158,7 @@ def _unseen(truth: Row, predicted: Row | None) -> Row:
             row["unseen_rad"] = float(
                 np.sqrt(np.mean(turn_between(q, np.array(truth["unseen_quaternion"])[there]) ** 2))
             )
-    return row | _covered(truth, predicted, said - actual, there)
+    return row | _covered(truth, predicted, said - actual, np.asarray(there))
 
 
 def _covered(truth: Row, predicted: Row, off: Array, there: NDArray[np.bool_]) -> Row:

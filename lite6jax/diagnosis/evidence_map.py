@@ -222,7 +222,7 @@ def _curves(problem: PoseProblem, driver: Driver) -> Array | None:
     if np.ptp(values) < 1e-6:
         return None
     pieces = 1 if driver.quantity == "direction of motion" else _PIECES
-    return np.asarray(spline_basis(values, float(values.min()), float(values.max()), pieces))
+    return np.asarray(spline_basis(values, float(values.min()), float(values.max()), pieces))  # type: ignore[arg-type]  # on the host
 
 
 def _spectrum(test: ScoreTest, family: PeriodicFamily, exact_below: float) -> Spectrum:

@@ -56,10 +56,14 @@ def _shaped_instead(problem: Problem, state: State, options: EngineOptions) -> S
         test = score_test(problem, rest.fit, options, within=state.fit)
         scores = test.score(rivals)
         best = max(range(len(rivals)), key=lambda k: scores[k].gain)
-        if scores[best].gain < test.score([tested.term])[0].gain + options.close:
+        # correlated samples count as fewer
+        needed, time = options.close * test.time, test.time
+        if scores[best].gain < test.score([tested.term])[0].gain + needed:
             continue
         choice = with_term(problem, rest, rivals[best], scores[best], options)
-        if preferred(choice, state, options.close, options):
+        n = choice.fit.freedom
+        longer = description_length([rivals[best]], n, options) - description_length([tested.term], n, options)
+        if choice.fit.gain_over(state.fit) > needed + time * longer:
             state = choice
     return state
 

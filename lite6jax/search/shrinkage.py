@@ -15,7 +15,7 @@ from typing import NamedTuple, final
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
-from scipy.linalg.lapack import dpotri
+from scipy.linalg.lapack import get_lapack_funcs
 from scipy.optimize import minimize
 
 from lite6jax.estimation.least_squares import Fit, fit, linear_columns
@@ -250,7 +250,8 @@ class _Evidence:
 
 def _inverse_diagonal(factor: tuple[Array, bool]) -> Array:
     """Of the matrix with this Cholesky factor."""
-    return np.diagonal(dpotri(factor[0], lower=factor[1])[0])
+    (potri,) = get_lapack_funcs(("potri",), (factor[0],))
+    return np.diagonal(potri(factor[0], lower=factor[1])[0])
 
 
 def _variance(orders: Array, amplitude: float, corner: float, slope: float) -> Array:

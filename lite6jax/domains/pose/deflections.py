@@ -170,7 +170,8 @@ class Deflections:
         slopes = []
         for step in np.diag([_STEP * number.typical for number in effect.coordinates]):
             less, more = deflected(at - step), deflected(at + step)
-            slopes.append([None if a is None else (b - a) / (2 * step.sum()) for a, b in zip(less, more, strict=True)])
+            pairs = zip(less, more, strict=True)
+            slopes.append([None if a is None or b is None else (b - a) / (2 * step.sum()) for a, b in pairs])
         parts = zip(*slopes, strict=True)
         return Deflection(*(None if part[0] is None else np.stack(part) for part in parts))  # type: ignore[arg-type]
 

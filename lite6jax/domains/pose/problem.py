@@ -179,7 +179,7 @@ class PoseProblem:
     @lazy
     def frame_columns(self) -> Array:
         """How residuals change with all of `unknown` but the masses, `(number, row, sample)`."""
-        found = [np.zeros((0, self.rows, self.samples))]
+        found: list[Array] = [np.zeros((0, self.rows, self.samples))]
         for name, j, k in self.unknown[: len(self.unknown) - len(self.masses)]:
             if name in FRAMES:
                 found.append(self.sites[name, j, k][None])
