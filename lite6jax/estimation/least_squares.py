@@ -185,10 +185,10 @@ def _fitted(
         if not len(columns):
             converged = True
             break
-        weighted = columns * np.where(training, state.row_weight, 0.0)
-        flat = weighted.reshape(len(columns), -1)
-        H = flat @ columns.reshape(len(columns), -1).T
-        gradient = flat @ state.innovations.ravel() + precision * prior(problem, at)
+        root = np.sqrt(np.where(training, state.row_weight, 0.0))
+        flat = (columns * root).reshape(len(columns), -1)
+        H = flat @ flat.T
+        gradient = flat @ (root * state.innovations).ravel() + precision * prior(problem, at)
         H[np.diag_indices_from(H)] += precision
         change = -scaled_solve(H, gradient)
         length = float(np.sqrt(max(-change @ gradient, 0.0)))

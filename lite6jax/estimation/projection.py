@@ -2,8 +2,14 @@
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import cho_solve
+from scipy.linalg.lapack import get_lapack_funcs
 
 Array = NDArray[np.floating]
+
+_MANY, _REGULAR = 200, 1e-8
+"""Numbers from which a Cholesky factor is tried before eigenvalues, and the least square on its diagonal."""
+(_potrf,) = get_lapack_funcs(("potrf",), dtype=float)
 
 
 def unit_rows(columns: Array) -> Array:
@@ -40,7 +46,12 @@ def outside(columns: Array, basis: Array) -> Array:
 def scaled_solve(H: Array, b: Array, rounding: float = 1e-13) -> Array:
     """x of H x = b for a positive semidefinite H scaled to unit diagonal, of least norm where that is singular."""
     root = _root(H)
-    eigenvalues, V = np.linalg.eigh(H / np.outer(root, root))
+    C = H / np.outer(root, root)
+    if len(C) > _MANY:
+        factor, singular = _potrf(C, lower=True, clean=False)
+        if not singular and np.diagonal(factor).min() ** 2 > _REGULAR:
+            return cho_solve((factor, True), b / root) / root
+    eigenvalues, V = np.linalg.eigh(C)
     kept = eigenvalues > rounding * eigenvalues[-1]
     return V[:, kept] @ ((V[:, kept].T @ (b / root)) / eigenvalues[kept]) / root
 

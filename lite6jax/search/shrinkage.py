@@ -1,7 +1,7 @@
 """Harmonic shrinkage: all orders of all periodic families at once, each family under a spectral prior of its own.
 
 Adding orders one by one finds the largest first, and biases each by those still missing. All at once, coefficients that
-the data do not determine stay near zero. Errors of gears, encoders and bearings fade towards high orders: coefficients
+the data do not determine stay near zero. What repeats with an angle fades towards high orders: coefficients
 of order k have the prior variance a² / (1 + (k / c)ˢ). The amplitude a, the corner order c and the slope s of each
 family maximise the marginal likelihood (C. Rasmussen and C. Williams, Gaussian Processes for Machine Learning, 2006,
 eq. 2.43 and 5.9); the whole posterior is kept.
@@ -30,7 +30,7 @@ from lite6jax.search.state import SelectedTerm, State
 Array = NDArray[np.floating]
 
 _HIGHEST = 60.0
-"""The highest order: above it, coefficients of real arms shrink to zero."""
+"""The highest order: above it, coefficients shrink to zero."""
 _RANGES = 1.25
 """Ranges of the angle in the period of the lowest order, at least: errors need not repeat after a turn."""
 _STEPS = (12, 6, 4)
