@@ -149,6 +149,15 @@ def test_writing_needs_permission_to_replace(tmp_path):
         ("recording: {gravity_m_per_s2: -9.81}", "-9.81 is not accepted; give three numbers [x, y, z] in m/s^2"),
         ("recording: {gravity_m_per_s2: [0, 0]}", "[0, 0] is not accepted; give three numbers"),
         ("recording: {payload_com_m: [0, 0, 50]}", "[0, 0, 50] is not accepted (over 5 m long: millimetres?)"),
+        (
+            "recording: {inertial_uncertainty: 10}",
+            "10 is not accepted (above 0.5: per cent?); give one sigma relative to",
+        ),
+        ("recording: {inertial_uncertainty: -0.1}", "inertial_uncertainty: -0.1 is not accepted (negative); give one"),
+        (
+            "recording: {payload_uncertainty_kg: -1}",
+            "-1 is not accepted (negative); give one sigma in kg, zero or more",
+        ),
         ("recording: {tool: flange}", "recording.tool: 'flange' is not accepted; give none, unknown, or six numbers"),
         (
             "recording: {tool: [0, 0, 1]}",
