@@ -91,6 +91,7 @@ class EngineOptions:
     doubtful: int = option(3, "additions in a row that are not significant yet", "masked effects come in small groups")
     first_samples: int = option(2000, "samples that find the terms; all samples then fit them", "bounds the time")
     nearest: int = option(3, "named terms reported beside a nonparametric one", "what fits on a screen")
+    refitted_without: int = option(2, "terms without which a model is refitted before one leaves", "as `refitted`")
     # exchange
     several: int = option(3, "terms from which sets of terms are exchanged", "two are covered by forward and backward")
     exchanged: int = option(2, "alternatives of a term that are tried in its place", "those are nearly as likely")

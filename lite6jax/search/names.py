@@ -140,9 +140,17 @@ def _more_likely(problem: Problem, state: State, options: EngineOptions) -> Stat
     if not beside:
         return None  # a function that explains more in place of a name explains something beside it too
     choices = [*_added(problem, state, beside, options)]
+    simpler = [one for one in choices if len(one.tested) <= len(state.tested)]
+    if simpler and (best := _most_preferred(state, simpler, options)) is not None:
+        return best  # it makes names unnecessary: those that stay are challenged beside it in the next round
     for k, tested in enumerate(state.tested):
         if not tested.term.nonparametric and tested.term not in problem.preset[0].terms:
             choices += _with_functions(problem, reduced(problem, state, k, options), state.fit, options)
+    return _most_preferred(state, choices, options)
+
+
+def _most_preferred(state: State, choices: Sequence[State], options: EngineOptions) -> State | None:
+    """The most likely of the states that are clearly more likely than another; None where none is."""
     best: State | None = None
     for choice in choices:
         if preferred(choice, best or state, 0.0 if best else options.close, options):

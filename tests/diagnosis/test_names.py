@@ -59,7 +59,7 @@ def test_a_lens_moves_no_joint_and_weighs_nothing(arm, still):
     recording = arm.recording(still)
     apart = recording.position - np.array([0.1, -0.2, 0.3])
     lens = recording.position + 4e-3 * apart * np.sum(apart**2, 1, keepdims=True)
-    diagnosis = diagnose(replace(recording, position=lens))
+    diagnosis = diagnose(replace(recording, position=lens), options=Options(folds=2))
     assert {finding.effect.site for finding in diagnosis.findings} == {"sensor"}
     unnamed = [k for k, finding in enumerate(diagnosis.findings) if isinstance(finding.effect, Unnamed)]
     assert unnamed
