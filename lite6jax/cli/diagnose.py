@@ -61,12 +61,11 @@ class Diagnose:
         from lite6jax.arms.files import read_arm
         from lite6jax.diagnosis.diagnose import diagnose
         from lite6jax.diagnosis.document import to_document
-        from lite6jax.diagnosis.options import Options
         from lite6jax.diagnosis.reference_diagnosis import diagnose_against
         from lite6jax.effects.user_effects import load_effects
         from lite6jax.fitting.source import load_nominal, read_source
         from lite6jax.recordings import Recording
-        from lite6jax.report import diagnosis_tables, screen
+        from lite6jax.report import diagnosis_tables, screen, stages
         from lite6jax.report.statements import with_statements
 
         def read(path: Path, of: Arm | None) -> Recording:
@@ -82,12 +81,12 @@ class Diagnose:
         arm = nominal or read_arm(recording.settings.arm_reference(Path(recording.source).parent))
         other = read(self.reference, arm) if self.reference else None
         effects = load_effects(self.effects) if self.effects else ()
-        with screen.progress(Options().folds + 1, "searching") as advance:
+        with stages.shown() as entered:
             if other is None:
-                found, seen = diagnose(recording, arm, geometry=self.geometry, effects=effects, progress=advance), None
+                found, seen = diagnose(recording, arm, geometry=self.geometry, effects=effects, progress=entered), None
             else:
                 found, seen = diagnose_against(
-                    recording, other, arm, geometry=self.geometry, effects=effects, progress=advance
+                    recording, other, arm, geometry=self.geometry, effects=effects, progress=entered
                 )
         document = to_document(found)
         if seen is not None:

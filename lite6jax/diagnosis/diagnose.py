@@ -9,13 +9,14 @@ from lite6jax.arms.arm import Arm
 from lite6jax.arms.factory import FactoryCalibration
 from lite6jax.diagnosis.discrimination import separating_poses
 from lite6jax.diagnosis.explanation import explain
-from lite6jax.diagnosis.heldout import held_out_errors
+from lite6jax.diagnosis.heldout import fold_count, held_out_errors
 from lite6jax.diagnosis.options import Options
 from lite6jax.diagnosis.result import Diagnosis, Finding, Rival
 from lite6jax.domains.pose.problem import PoseProblem
 from lite6jax.domains.pose.screening.screen import screen_rows
 from lite6jax.effects.effect import Effect
 from lite6jax.fitting.problem import Geometry
+from lite6jax.progress import Stage, entered, followed, part
 from lite6jax.recordings import Recording
 from lite6jax.recordings.fault import DataFault, row_numbers
 from lite6jax.search.final_estimates import final_estimates
@@ -32,7 +33,7 @@ def diagnose(
     effects: Sequence[Effect] = (),
     factory: FactoryCalibration | None = None,
     options: Options | None = None,
-    progress: Callable[[int], object] | None = None,
+    progress: Callable[[Stage], object] | None = None,
 ) -> Diagnosis:
     """Locates, names, models and verifies what makes a recording depart from the arm's model: effects and data faults.
 
@@ -43,21 +44,25 @@ def diagnose(
         effects: a user's own candidates, tested like the catalogue's.
         factory: the arm's calibration; from the sidecar where not given.
         options: thresholds; the documented ones where not given.
-        progress: called with 1 after the search of all rows, and after that of each held-out block.
+        progress: called as each stage begins: of all rows (part 0), and of those without each held-out block.
 
     Raises:
         InputError: no measured poses, too few of them, or as `fit`.
     """
     options = options or Options()
-    rows = screen_rows(recording, options.screening)
-    found = explain(rows.recording, arm, geometry, options, effects, factory)
-    problem, selection = found.problem, found.selection
-    selection = replace(selection, state=final_estimates(problem, selection.state, options.engine))
-    if progress:
-        progress(1)
-    before, after = held_out_errors(
-        rows.recording, arm, geometry, options, found.final_decisions, effects, factory, progress
-    )
+    with followed(progress):
+        rows = screen_rows(recording, options.screening)
+        parts = 1 + fold_count(rows.recording.samples, options)
+        with part(0, parts):
+            found = explain(rows.recording, arm, geometry, options, effects, factory)
+            problem, selection = found.problem, found.selection
+            entered("estimating")
+            selection = replace(selection, state=final_estimates(problem, selection.state, options.engine))
+        decisions = found.final_decisions
+        before, after = held_out_errors(rows.recording, arm, geometry, options, decisions, effects, factory)
+        with part(parts, parts):
+            entered("planning")
+            separating = separating_poses(selection, geometry, factory, options)
     limit = options.outlier_squares * problem.rows
     return Diagnosis(
         problem=problem,
@@ -68,7 +73,7 @@ def diagnose(
         outliers=(selection.state.fit.residuals.squares > limit) | ~problem.valid,
         faults=(*rows.found, *found.screened.found, *_without_joints(problem)),
         ruled_out=_ruled_out(rows.found, (*rows.ruled_out, *found.screened.ruled_out)),
-        separating=separating_poses(selection, geometry, factory, options),
+        separating=separating,
         options=options,
     )
 

@@ -27,6 +27,7 @@ from lite6jax.estimation.noise import NoiseModel, white_noise
 from lite6jax.estimation.problem import Mask
 from lite6jax.estimation.projection import schur_complement
 from lite6jax.fitting.problem import Geometry
+from lite6jax.progress import entered
 from lite6jax.recordings import FactoryUncertainty, Recording, require_samples
 from lite6jax.recordings.fault import DataFault
 from lite6jax.search.search import Selection
@@ -159,6 +160,7 @@ class _Given:
 
     def screened(self, corrections: Corrections) -> Screened:
         """With these faults corrected, from the training rows."""
+        entered("screening")
         used = self.recording if self.training is None else self.recording.select(self.training)
         return screen(used, self.arm, self.geometry, self.options.screening, corrections, self.factory)
 
@@ -188,6 +190,7 @@ class _Given:
         screened, problem = self.prepared(screened, decisions)
         training, engine = self.training, self.options.engine
         require_samples(screened.recording, len(problem.frames) + 1)
+        entered("linearising")
         at_offset, reference = linearised(problem, engine, training)
         selection = search_load_model(at_offset, reference, engine, training, self.thorough)
         if price_ is None:

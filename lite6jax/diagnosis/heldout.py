@@ -5,7 +5,7 @@ all rows: a search beside every uncorrected fault would take each fold as long a
 holds the jump cannot be predicted without its row. The size of a jump is estimated anew.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -19,6 +19,7 @@ from lite6jax.domains.pose.problem import PoseProblem
 from lite6jax.effects.effect import Effect
 from lite6jax.estimation.least_squares import Fit
 from lite6jax.fitting.problem import Geometry
+from lite6jax.progress import part
 from lite6jax.recordings import Recording
 
 Array = NDArray[np.floating]
@@ -44,7 +45,6 @@ def held_out_errors(
     decisions: Decisions,
     effects: Sequence[Effect] = (),
     factory: FactoryCalibration | None = None,
-    progress: Callable[[int], object] | None = None,
 ) -> HeldOut:
     """The errors on every row, predicted from the other contiguous blocks; arguments as of `diagnose`.
 
@@ -53,14 +53,14 @@ def held_out_errors(
         decisions: between faults and physics, of all rows.
     """
     before, after = np.zeros(recording.samples), np.zeros(recording.samples)
-    for held in recording.contiguous_folds(fold_count(recording.samples, options)):
-        found = explain(recording, arm, geometry, options, effects, factory, ~held, False, decisions)
+    folds = recording.contiguous_folds(fold_count(recording.samples, options))
+    for number, held in enumerate(folds, 1):
+        with part(number, 1 + len(folds)):
+            found = explain(recording, arm, geometry, options, effects, factory, ~held, False, decisions)
         state, reference = found.selection.state, found.selection.reference
         assert isinstance(reference, PoseProblem)
         before[held] = _distance(reference, state.baseline)[held]
         after[held] = _distance(found.problem, state.fit)[held]
-        if progress:
-            progress(1)
     return HeldOut(before, after)
 
 

@@ -9,6 +9,7 @@ from lite6jax.diagnosis.result import Diagnosis
 from lite6jax.domains.pose.reference import ReferenceComparison, compare
 from lite6jax.effects.effect import Effect
 from lite6jax.fitting.problem import Geometry
+from lite6jax.progress import Stage
 from lite6jax.recordings import Recording
 
 
@@ -20,7 +21,7 @@ def diagnose_against(
     geometry: Geometry = "declared",
     effects: Sequence[Effect] = (),
     options: Options | None = None,
-    progress: Callable[[int], object] | None = None,
+    progress: Callable[[Stage], object] | None = None,
 ) -> tuple[Diagnosis, ReferenceComparison]:
     """Compares a recording with a reference, and diagnoses what the recording has beyond it.
 

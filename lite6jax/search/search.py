@@ -10,6 +10,7 @@ from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.problem import Mask, Problem
 from lite6jax.estimation.score_test import Score, gain_p_value, score_test, searched_size
 from lite6jax.estimation.terms import Term, Terms
+from lite6jax.progress import entered
 from lite6jax.search.backward import eliminate, prune
 from lite6jax.search.curves import merge_harmonics, replace_by_curves
 from lite6jax.search.exchange import exchange, one_for_several
@@ -69,6 +70,7 @@ def search(
         part = _selected(problem.thinned(every), reference.thinned(every), training[::every], options, thorough)
         state = _continued(problem, reference, part, training, options)
     if not any(map(_shrunk, state.fit.terms.terms)):
+        entered("noise")
         state = retest(problem, state, options)
         state = significant(problem, believable(problem, state, options), options)
     selection = Selection(problem, reference, state)
@@ -81,17 +83,23 @@ def _shrunk(term: Term) -> bool:
 
 
 def _selected(problem: Problem, reference: Problem, training: Mask, options: EngineOptions, thorough: bool) -> State:
+    entered("selecting")
     baseline = fit(reference, Terms(), options, training=training)
     added = forward(problem, _with_preset(problem, baseline, options), options)
     state = eliminate(problem, added, options)
-    shrunk = shrink(problem, state, options) if len(state.tested) == options.most_terms else None
-    if shrunk is not None:
-        return shrunk
+    if len(state.tested) == options.most_terms:
+        entered("shrinking")
+        shrunk = shrink(problem, state, options)
+        if shrunk is not None:
+            return shrunk
+        entered("selecting")
     state = prune(problem, replace_by_curves(problem, added, options), options)
     if thorough:
         state = exchange(problem, state, options)
     state = with_whole_orders(problem, merge_harmonics(problem, state, options), options)
-    return challenge_names(problem, one_for_several(problem, state, options), options)
+    state = one_for_several(problem, state, options)
+    entered("naming")
+    return challenge_names(problem, state, options)
 
 
 def _with_preset(problem: Problem, baseline: Fit, options: EngineOptions) -> State:

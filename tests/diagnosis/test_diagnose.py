@@ -17,6 +17,7 @@ from lite6jax.diagnosis.options import Options
 from lite6jax.domains.pose.problem import pose_problem
 from lite6jax.domains.pose.screening.screen import screen
 from lite6jax.errors import InputError
+from lite6jax.progress import Stage
 from lite6jax.recordings import Recording
 
 SAMPLES = 300
@@ -62,7 +63,12 @@ def test_a_clean_recording_is_consistent(arm, still):
     diagnosis = diagnose(arm.recording(still), progress=calls.append)
     assert diagnosis.verdict == "consistent"
     assert diagnosis.findings == ()
-    assert calls == [1] * (Options().folds + 1)
+    parts = 1 + Options().folds
+    assert [stage.part for stage in calls] == sorted(stage.part for stage in calls)
+    assert {(stage.part, stage.parts) for stage in calls if stage.code == "selecting"} == {
+        (k, parts) for k in range(parts)
+    }
+    assert calls[-1] == Stage("planning", parts, parts)
     np.testing.assert_array_equal(diagnosis.before, diagnosis.after)
     assert not diagnosis.outliers.any()
     # nothing was fitted: what is left is the sensor's noise in three axes
