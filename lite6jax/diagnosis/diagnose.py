@@ -80,10 +80,10 @@ def diagnose(
 
 def _findings(selection: Selection) -> tuple[Finding, ...]:
     state, findings = selection.state, []
-    for tested, part in zip(state.tested, state.fit.terms.slices, strict=True):
+    for tested, numbers in zip(state.tested, state.fit.terms.slices, strict=True):
         assert isinstance(tested.term, Effect)
         rivals = tuple(Rival(a.term, a.gap) for a in tested.alternatives if isinstance(a.term, Effect))
-        values, covariance = state.fit.values[part], state.fit.covariance[part, part]
+        values, covariance = state.fit.values[numbers], state.fit.covariance[numbers, numbers]
         findings.append(Finding(tested.term, values, covariance, tested.p_value, tested.score.gain, rivals))
     return tuple(findings)
 

@@ -1,4 +1,4 @@
-"""The stage of a long computation and its time to go, on stderr: a line that is updated, or one line every ten seconds."""
+"""The stage of a long computation and its time to go, on stderr: an updated line, or one line every ten seconds."""
 
 import threading
 import time
@@ -64,7 +64,7 @@ class Clock:
         """The stage, the time since the beginning and the time to go, in words."""
         if self.stage is None:
             return f"reading rows, {_minutes(now - self._began[0])} so far"
-        block = f", without block {self.stage.part} of {self.stage.parts - 1}" if 0 < self.stage.part else ""
+        block = f", without block {self.stage.part} of {self.stage.parts - 1}" if self.stage.part > 0 else ""
         block = block if self.stage.part < self.stage.parts else ""
         to_go = self.to_go(now)
         ahead = f"more than {_minutes(self.at_least(now))} to go" if to_go is None else f"about {_minutes(to_go)} to go"
