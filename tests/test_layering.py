@@ -7,20 +7,8 @@ import pytest
 
 PACKAGE = Path(__file__).resolve().parents[1] / "lite6jax"
 PARTS = [
-    *(
-        "errors",
-        "storage",
-        "summary",
-        "progress",
-        "arms",
-        "effects",
-        "model",
-        "recordings",
-        "estimation",
-        "search",
-        "controller",
-    ),
-    *("fitting", "identifiability", "domains", "diagnosis", "simulation", "emulator", "report", "cli"),
+    *("errors", "storage", "summary", "progress", "arms", "effects", "model", "recordings", "estimation", "search"),
+    *("controller", "fitting", "identifiability", "domains", "diagnosis", "simulation", "emulator", "report", "cli"),
 ]
 MODULES = sorted(PACKAGE.rglob("*.py"))
 

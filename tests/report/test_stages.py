@@ -22,9 +22,8 @@ def test_a_follower_hears_of_each_stage_and_its_part():
     entered("screening")  # nobody listens
     with followed(heard.append):
         entered("screening")
-        with part(2, 6):
-            with followed(None):  # who follows goes on
-                entered("naming")
+        with part(2, 6), followed(None):  # who follows goes on
+            entered("naming")
         entered("estimating")
     entered("planning")
     assert heard == [Stage("screening"), Stage("naming", 2, 6), Stage("estimating")]
