@@ -4,12 +4,10 @@ A name's module is imported when the name is first used, so that a program waits
 add it to `_NAMES` and, for type checkers, to the imports above it; `tests/test_public_names.py` compares the two.
 """
 
+import os
+import sys
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
-
-import jax
-
-jax.config.update("jax_enable_x64", True)
 
 if TYPE_CHECKING:
     # isort: off
@@ -92,6 +90,11 @@ _NAMES = {
 """The public names of each module."""
 _MODULES = {name: module for module, names in _NAMES.items() for name in names}
 __all__ = [*_MODULES]  # pyright: ignore[reportUnsupportedDunderAll]
+
+if "jax" in sys.modules:
+    sys.modules["jax"].config.update("jax_enable_x64", True)
+else:  # JAX reads it when it is first imported, which takes half a second: a program first has its signals to set up
+    os.environ["JAX_ENABLE_X64"] = "true"
 
 
 def __getattr__(name: str) -> Any:

@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from tyro.conf import Positional, arg
 
-from lite6jax.cli.arguments import DONE, NOT_CONVERGED, ArmName, Folder, OutFile, check_out
+from lite6jax.cli.arguments import ArmName, Folder, OutFile, check_out
+from lite6jax.cli.exit_codes import DONE, NOT_REACHED
 from lite6jax.errors import InputError
 
 if TYPE_CHECKING:
@@ -132,7 +133,7 @@ class Fit:
         if refusal:
             raise refusal
         passed = verification is None or verification.passed
-        return DONE if solution.result.name == "CONVERGED" and passed else NOT_CONVERGED
+        return DONE if solution.result.name == "CONVERGED" and passed else NOT_REACHED
 
     def _read(self, nominal: "Arm | None") -> "FactoryCalibration | Recording":
         if self.source is None:
