@@ -6,9 +6,8 @@ add it to `_NAMES` and, for type checkers, to the imports above it; `tests/test_
 
 import os
 import sys
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
 
+TYPE_CHECKING = False  # as of `typing`, which takes longer to import than the rest of this module
 if TYPE_CHECKING:
     # isort: off
     from lite6jax.arms.arm import Arm as Arm
@@ -97,7 +96,9 @@ else:  # JAX reads it when it is first imported, which takes half a second: a pr
     os.environ["JAX_ENABLE_X64"] = "true"
 
 
-def __getattr__(name: str) -> Any:
+def __getattr__(name: str) -> object:
+    from importlib import import_module
+
     if name not in _MODULES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     value = globals()[name] = getattr(import_module(_MODULES[name]), name)

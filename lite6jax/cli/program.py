@@ -71,7 +71,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         code = command.run()
         sys.stdout.flush()
     except SystemExit as stop:  # tyro has printed help or what is wrong with the arguments
-        return int(stop.code or 0)
+        return int(stop.code or DONE)
     except InputError as error:
         print(f"error: {_one_line(error)}", file=sys.stderr)
         return BAD_INPUT

@@ -163,7 +163,7 @@ class Rows:
                 self._set_back, self._jumped = self._set_back + (jump < 0), self._jumped + (jump > 0)
             first = "; ".join(reasons)
         gaps = []
-        for i in sorted({*np.flatnonzero(missing).tolist(), *([0] if first else [])}):
+        for i in map(int, np.flatnonzero((missing > 0) | ((np.arange(len(missing)) == 0) & bool(first)))):
             reason = first if i == 0 and first else "reports not received"
             starts = bool(i == 0 and first)
             gaps.append(Gap(self.count + i + 1, run, int(missing[i]), float(steps[i]) / 1e6, reason, starts))
