@@ -123,7 +123,8 @@ class Rows:
         elapsed = (clock - clock[0]).view(np.int64)
         new_connection = event.connection != self._connection
         step = int(clock[0]) - self._clock if self.count else 0
-        continuous = 0 <= step <= self._largest_step_us(event)
+        onwards = step % 2**64  # as the clock counts
+        continuous = onwards <= self._largest_step_us(event)
         new = np.diff(elapsed, prepend=-1) > 0
         if self.count and step == 0:
             new[0] = False
@@ -135,7 +136,7 @@ class Rows:
                 " firmware"
             )
         paused = max(PERIOD_US, round(1e6 * (event.heard - self._heard)) if new_connection else PERIOD_US)
-        start = self._time_us + (step if continuous else paused) if self.count else 0
+        start = self._time_us + (onwards if continuous else paused) if self.count else 0
         time_us = start + elapsed
         if self.seconds is not None:
             late = time_us / 1e6 >= self.seconds - 1e-9
