@@ -246,17 +246,20 @@ class Fleet:
     def run(self) -> int:
         """Fits, writes, prints."""
         check_out(self.out, ".parquet", self.force)
-        from lite6jax.fitting.folder import fit_folder, folder_files
-        from lite6jax.fitting.folder_rows import write_rows
-        from lite6jax.fitting.kept_rows import KeptRows
-        from lite6jax.fitting.source import load_nominal
-        from lite6jax.report import fleet_tables, screen
+        from lite6jax.fitting.contained import Contained
 
-        nominal = load_nominal(self.arm)
-        files = folder_files(self.folder, self.out)
-        with screen.progress(len(files), "fitting") as advance:
+        with Contained() as process:
+            from lite6jax.fitting.folder import fit_folder, folder_files
+            from lite6jax.fitting.folder_rows import write_rows
+            from lite6jax.fitting.kept_rows import KeptRows
+            from lite6jax.fitting.source import load_nominal
+            from lite6jax.report import fleet_tables, screen
+
+            nominal = load_nominal(self.arm)
+            files = folder_files(self.folder, self.out)
             kept = KeptRows(self.out, nominal)
-            rows = fit_folder(files, nominal, advance, _screened_fit, kept, contained=True)
+            with screen.progress(len(files), "fitting") as advance:
+                rows = fit_folder(files, nominal, advance, _screened_fit, kept, process)
         path = write_rows(rows, self.out, self.force)
         kept.remove()
         screen.show(fleet_tables.folder_report(rows, kept.used))

@@ -1,16 +1,15 @@
 """Every file of a folder fitted, group by group: what was done before is kept, and no file stops the others."""
 
 from collections.abc import Callable, Sequence
-from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from lite6jax.errors import InputError
-from lite6jax.fitting.contained import Contained
 from lite6jax.fitting.folder_rows import CALIBRATIONS, RECORDINGS, Row
 
 if TYPE_CHECKING:
     from lite6jax.arms.arm import Arm
+    from lite6jax.fitting.contained import Contained
     from lite6jax.fitting.folder_fit import RecordingFit
     from lite6jax.fitting.kept_rows import KeptRows
 
@@ -50,7 +49,7 @@ def fit_folder(
     progress: Callable[[int], object] = lambda done: None,
     fit_one: "RecordingFit | None" = None,
     kept: "KeptRows | None" = None,
-    contained: bool = False,
+    process: "Contained | None" = None,
 ) -> list[Row]:
     """Fits every file: calibrations together by type of arm, recordings one by one.
 
@@ -61,25 +60,23 @@ def fit_folder(
         fit_one: the fit of a recording, such as one that screens it for data faults first; `fit_recording` where not
             given.
         kept: of an earlier run, and gets the rows of this one.
-        contained: whether the files are fitted in another process, whose death costs the file at hand only.
+        process: in which the files are fitted, so that its death costs the file at hand only; None for this one.
 
     Returns:
-        a row a file, in their order. They do not depend on `kept` or `contained`, but of a file that ends the process.
+        a row a file, in their order. They do not depend on `kept` or `process`, but of a file that ends the process.
     """
     if fit_one is None:
         from lite6jax.fitting.recording_fit import fit_recording as fit_one
     rows: dict[Path, Row] = {}
-    with ExitStack() as stack:
-        process = stack.enter_context(Contained(nominal, fit_one)) if contained else None
-        for group in _groups(files):
-            found = kept.find(group) if kept is not None else None
-            if found is None:
-                found = _fitted(group, nominal, progress, fit_one, process)
-                if kept is not None:
-                    kept.keep(group, found)
-            else:
-                progress(len(group))
-            rows |= zip(group, found, strict=True)
+    for group in _groups(files):
+        found = kept.find(group) if kept is not None else None
+        if found is None:
+            found = _fitted(group, nominal, progress, fit_one, process)
+            if kept is not None:
+                kept.keep(group, found)
+        else:
+            progress(len(group))
+        rows |= zip(group, found, strict=True)
     return [rows[path] for path in files]
 
 
@@ -88,10 +85,10 @@ def _fitted(
     nominal: "Arm | None",
     progress: Callable[[int], object],
     fit_one: "RecordingFit",
-    process: Contained | None,
+    process: "Contained | None",
 ) -> list[Row]:
     if process is not None:
-        return process.fit(group, progress)
+        return process.fit(group, nominal, fit_one, progress)
     from lite6jax.fitting.folder_fit import fit_files
 
     rows = fit_files(group, nominal, fit_one)

@@ -17,6 +17,7 @@ from lite6jax.arms.factory import write_factory
 from lite6jax.cli import main
 from lite6jax.errors import InputError
 from lite6jax.fitting import folder, folder_fit
+from lite6jax.fitting.contained import Contained
 from lite6jax.fitting.folder_rows import Row, Statistics, write_rows
 from lite6jax.fitting.kept_rows import KeptRows
 from lite6jax.fitting.solution import Result
@@ -137,8 +138,8 @@ def test_a_file_that_ends_the_process_costs_its_own_row(tmp_path):
     (tmp_path / "deep.yaml").write_text("[" * 30_000)
     files += [recording(tmp_path / name) for name in ("a.csv", "bad.csv", "c.csv")]
     done = []
-    rows = folder.fit_folder(files, progress=done.append, fit_one=die_at_some, contained=True)
-    print([row.message for row in rows])
+    with Contained() as process:
+        rows = folder.fit_folder(files, progress=done.append, fit_one=die_at_some, process=process)
     found = {row.file: row for row in rows}
     assert list(found) == [path.name for path in files]
     assert sum(done) == len(files)
@@ -180,3 +181,18 @@ def test_a_fleet_that_was_killed_goes_on(capsys, tmp_path, monkeypatch):
     assert main(["fleet", str(inputs), "--out", str(tmp_path / "whole.parquet")]) == 0
     assert out.read_bytes() == (tmp_path / "whole.parquet").read_bytes()
     assert pyarrow.parquet.read_table(out).num_rows == 6
+
+
+def test_a_death_while_many_are_fitted_together_is_looked_for_one_by_one(monkeypatch, tmp_path):
+    def attempt(self, files, given, report):
+        if any(path.name == "b.yaml" for path in files):
+            return None, None, "SIGKILL"
+        return [Row(path.name, "calibration", Result.CONVERGED, "") for path in files], None, ""
+
+    monkeypatch.setattr(Contained, "_attempt", attempt)
+    done = []
+    rows = Contained().fit([tmp_path / f"{name}.yaml" for name in "abc"], None, refuse, done.append)
+    assert [row.file for row in rows] == ["a.yaml", "b.yaml", "c.yaml"]
+    assert [row.result for row in rows] == [Result.CONVERGED, Result.UNREADABLE, Result.CONVERGED]
+    assert "was ended (SIGKILL)" in rows[1].message
+    assert sum(done) == 3
