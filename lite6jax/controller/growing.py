@@ -29,7 +29,7 @@ class GrowingTable(Protocol):
     """
 
     rows_at_once: int
-    """The number of rows for an efficient `append`."""
+    """The number of rows for which an `append` is worth it: those of a second, which a kill may cost."""
     file: Path
     """Where the rows are."""
 

@@ -29,6 +29,8 @@ FIRST_REPORT_S = 5.0
 GATHER_S = 0.05
 SLOW_S = 0.25
 """The time without a report after which the connection, not the controller's clock, is late."""
+MOST_AT_ONCE = 2500
+"""Rows written together, where more wait than are written every second."""
 MOST_WAITING = 150_000
 """Rows, ten minutes: the largest number kept in memory on a full disk; then the recording ends."""
 
@@ -248,7 +250,7 @@ class _Buffer:
         if self._writing is not None and self._writing.done():
             self._collect()
         if self._writing is None and self.waiting >= self._table.rows_at_once and time.monotonic() >= self._not_before:
-            self._piece, rest = _split(self._pending, self._table.rows_at_once)
+            self._piece, rest = _split(self._pending, MOST_AT_ONCE)
             self._pending = [rest]
             self._writing = self._pool.submit(self._table.append, self._piece)
 
@@ -256,7 +258,7 @@ class _Buffer:
         """Writes the remaining rows as far as possible; returns the number of unwritten rows and the reason."""
         if self._writing is not None:
             self._collect()
-        size = self._table.rows_at_once
+        size = MOST_AT_ONCE
         while self.waiting and size:
             piece, rest = _split(self._pending, size)
             self._pending = [piece, rest]
