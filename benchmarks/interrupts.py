@@ -37,6 +37,8 @@ def interrupts(times: int = 40, within: float = 1.0) -> Iterator[Record]:
         times: instants, equally spaced, the first after `within / times`.
         within: s after the start of the process.
     """
+    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # of a shell that runs this in the background
+        signal.signal(signal.SIGINT, signal.default_int_handler)
     for number in SAID:
         with tempfile.TemporaryDirectory() as folder:
             found = Counter(outcome(number, within * (i + 1) / times, Path(folder)) for i in range(times))
@@ -64,7 +66,6 @@ def outcome(number: signal.Signals, after: float, folder: Path, command: tuple[s
     started = time.monotonic()
     process = subprocess.Popen(
         command, cwd=folder, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     )  # fmt: skip
     time.sleep(max(0.0, started + after - time.monotonic()))
     process.send_signal(number)
