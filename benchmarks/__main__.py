@@ -26,6 +26,7 @@ def workloads() -> dict[str, Workload]:
     from benchmarks.compensation import compensation
     from benchmarks.diagnose import diagnose
     from benchmarks.fits import fleet, one
+    from benchmarks.interrupts import interrupts
     from benchmarks.models import models
     from benchmarks.profile import profile
     from benchmarks.samples import samples
@@ -34,7 +35,7 @@ def workloads() -> dict[str, Workload]:
 
     return {
         run.__name__: run
-        for run in (one, fleet, samples, study, command, diagnose, compensation, models, profile, soak)
+        for run in (one, fleet, samples, study, command, diagnose, compensation, models, profile, soak, interrupts)
     }
 
 

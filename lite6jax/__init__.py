@@ -4,13 +4,10 @@ A name's module is imported when the name is first used, so that a program waits
 add it to `_NAMES` and, for type checkers, to the imports above it; `tests/test_public_names.py` compares the two.
 """
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+import os
+import sys
 
-import jax
-
-jax.config.update("jax_enable_x64", True)
-
+TYPE_CHECKING = False  # as of `typing`, which takes longer to import than the rest of this module
 if TYPE_CHECKING:
     # isort: off
     from lite6jax.arms.arm import Arm as Arm
@@ -93,8 +90,15 @@ _NAMES = {
 _MODULES = {name: module for module, names in _NAMES.items() for name in names}
 __all__ = [*_MODULES]  # pyright: ignore[reportUnsupportedDunderAll]
 
+if "jax" in sys.modules:
+    sys.modules["jax"].config.update("jax_enable_x64", True)
+else:  # JAX reads it when it is first imported, which takes half a second: a program first has its signals to set up
+    os.environ["JAX_ENABLE_X64"] = "true"
 
-def __getattr__(name: str) -> Any:
+
+def __getattr__(name: str) -> object:
+    from importlib import import_module
+
     if name not in _MODULES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     value = globals()[name] = getattr(import_module(_MODULES[name]), name)

@@ -1,7 +1,6 @@
 """Reading and writing files: atomic writes, no silent overwriting, and a safe subset of YAML."""
 
 import os
-import tempfile
 from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
@@ -10,6 +9,7 @@ from typing import Any
 import yaml
 
 from lite6jax.errors import InputError
+from lite6jax.temporaries import create_temporary, remove_temporary
 
 YAML_SIZE_LIMIT = 1 << 20
 YAML_NODE_LIMIT = 100_000
@@ -44,12 +44,10 @@ def write_atomically(path: str | Path, write: Callable[[Path], object] | str | b
     """
     path = check_writable(path, overwrite)
     try:
-        handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.stem}.", suffix=path.suffix)
+        temporary = create_temporary(path)
     except OSError as error:
         raise InputError(f"{path}: cannot be written ({error.strerror}); choose a folder you may write to") from error
-    temporary = Path(name)
     try:
-        os.close(handle)
         if callable(write):
             write(temporary)
         else:
@@ -70,7 +68,7 @@ def write_atomically(path: str | Path, write: Callable[[Path], object] | str | b
         reason = error.strerror or error
         raise InputError(f"{path}: cannot be written ({reason}); free space or choose another folder") from error
     finally:
-        temporary.unlink(missing_ok=True)
+        remove_temporary(temporary)
     return path
 
 

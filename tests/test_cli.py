@@ -20,7 +20,7 @@ from lite6jax.arms.bundled import load_bundled
 from lite6jax.arms.factory import read_factory, write_factory
 from lite6jax.cli import program
 from lite6jax.cli.fit import DEMO
-from lite6jax.fitting import compiled, folder
+from lite6jax.fitting import compiled, folder, folder_fit
 from lite6jax.fitting.solution import Result
 from tests.oracles.arms import LITE6_DH, perturbed, random_positions
 from tests.oracles.chains import hayati_poses, six_parameter_poses
@@ -105,7 +105,7 @@ def test_ctrl_c_leaves_nothing_behind(tmp_path, calibration):
     before = set(tmp_path.iterdir())
     slow = (
         "import sys, time; from lite6jax.cli import main; from lite6jax.fitting import folder;"
-        "folder.fit_folder = lambda *given: (print('fitting', flush=True), time.sleep(60));"
+        "folder.fit_folder = lambda *given, **named: (print('fitting', flush=True), time.sleep(60));"
         "sys.exit(main(sys.argv[1:]))"
     )
     command = [sys.executable, "-c", slow, "fleet", str(tmp_path), "--out", str(tmp_path / "fleet.parquet")]
@@ -478,7 +478,7 @@ def test_a_defect_met_on_one_file_does_not_lose_the_others(monkeypatch, tmp_path
     def stumble(path, nominal):
         raise ZeroDivisionError("division\nby zero")
 
-    monkeypatch.setattr(folder, "_read_calibration", stumble)
+    monkeypatch.setattr(folder_fit, "_read_calibration", stumble)
     (row,) = folder.fit_folder([calibration])
     assert row.result == Result.UNREADABLE
     assert row.message == (

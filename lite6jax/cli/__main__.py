@@ -2,6 +2,6 @@
 
 import sys
 
-from lite6jax.cli.program import main
+from lite6jax.cli import main
 
 sys.exit(main())

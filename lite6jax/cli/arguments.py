@@ -1,6 +1,5 @@
 """What commands share: kinds of arguments, exit codes, checks before long work."""
 
-import signal
 from pathlib import Path
 from typing import Annotated
 
@@ -8,8 +7,6 @@ from tyro.conf import arg
 
 from lite6jax.errors import InputError
 from lite6jax.storage import check_writable
-
-DONE, NOT_CONVERGED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 128 + signal.SIGINT
 
 ArmName = Annotated[str | None, arg(metavar="ARM")]
 OutFile = Annotated[Path | None, arg(metavar="FILE")]

@@ -6,7 +6,8 @@ from typing import Annotated, Literal
 
 from tyro.conf import Positional, arg
 
-from lite6jax.cli.arguments import DONE, NOT_CONVERGED, check_out
+from lite6jax.cli.arguments import check_out
+from lite6jax.cli.exit_codes import DONE, NOT_REACHED
 from lite6jax.errors import InputError
 from lite6jax.storage import check_writable, write_atomically
 
@@ -91,4 +92,4 @@ class Compensate:
             screen.show([origin_statement(model.reference)])
         screen.show(compensation_tables.compensation_report(found, model, str(self.targets), self.frame))
         screen.written(written)
-        return DONE if found.reached.all() else NOT_CONVERGED
+        return DONE if found.reached.all() else NOT_REACHED

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Literal, final
 
 from tyro.conf import Positional, UseAppendAction, arg
 
-from lite6jax.cli.arguments import DONE, Folder, check_seed
+from lite6jax.cli.arguments import Folder, check_seed
+from lite6jax.cli.exit_codes import DONE
 from lite6jax.cli.study import Setup
 from lite6jax.errors import InputError
 from lite6jax.storage import check_writable

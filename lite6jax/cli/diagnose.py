@@ -7,7 +7,8 @@ from typing import Annotated, Literal
 
 from tyro.conf import Positional, arg
 
-from lite6jax.cli.arguments import DONE, ArmName, Folder, OutFile, check_out
+from lite6jax.cli.arguments import ArmName, Folder, OutFile, check_out
+from lite6jax.cli.exit_codes import DONE
 from lite6jax.errors import InputError
 from lite6jax.storage import check_writable, write_atomically
 

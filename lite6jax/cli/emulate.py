@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import UseAppendAction, arg
 
-from lite6jax.cli.arguments import DONE, ArmName
+from lite6jax.cli.arguments import ArmName
+from lite6jax.cli.exit_codes import DONE
 from lite6jax.errors import InputError
 
 if TYPE_CHECKING:

@@ -6,7 +6,8 @@ from typing import Annotated, Literal, final
 
 from tyro.conf import Positional, arg
 
-from lite6jax.cli.arguments import DONE, ArmName
+from lite6jax.cli.arguments import ArmName
+from lite6jax.cli.exit_codes import DONE
 from lite6jax.errors import InputError
 from lite6jax.storage import check_writable
 

@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from tyro.conf import Positional, arg
 
-from lite6jax.cli.arguments import DONE, NOT_CONVERGED, ArmName, Folder, OutFile, check_out
+from lite6jax.cli.arguments import ArmName, Folder, OutFile, check_out
+from lite6jax.cli.exit_codes import DONE, NOT_REACHED
 from lite6jax.errors import InputError
 
 if TYPE_CHECKING:
@@ -132,7 +133,7 @@ class Fit:
         if refusal:
             raise refusal
         passed = verification is None or verification.passed
-        return DONE if solution.result.name == "CONVERGED" and passed else NOT_CONVERGED
+        return DONE if solution.result.name == "CONVERGED" and passed else NOT_REACHED
 
     def _read(self, nominal: "Arm | None") -> "FactoryCalibration | Recording":
         if self.source is None:
@@ -225,7 +226,8 @@ class Compare:
 
 @dataclass(frozen=True)
 class Fleet:
-    """Fit every calibration and recording of a folder; a bad file becomes a row that says why.
+    """Fit every calibration and recording of a folder; a bad file becomes a row that says why. A run that was ended
+    goes on where it stopped.
 
     For example:
 
@@ -244,16 +246,23 @@ class Fleet:
     def run(self) -> int:
         """Fits, writes, prints."""
         check_out(self.out, ".parquet", self.force)
-        from lite6jax.fitting.folder import fit_folder, folder_files, write_rows
-        from lite6jax.fitting.source import load_nominal
-        from lite6jax.report import fleet_tables, screen
+        from lite6jax.fitting.contained import Contained
 
-        nominal = load_nominal(self.arm)
-        files = folder_files(self.folder, self.out)
-        with screen.progress(len(files), "fitting") as advance:
-            rows = fit_folder(files, nominal, advance, _screened_fit)
+        with Contained() as process:
+            from lite6jax.fitting.folder import fit_folder, folder_files
+            from lite6jax.fitting.folder_rows import write_rows
+            from lite6jax.fitting.kept_rows import KeptRows
+            from lite6jax.fitting.source import load_nominal
+            from lite6jax.report import fleet_tables, screen
+
+            nominal = load_nominal(self.arm)
+            files = folder_files(self.folder, self.out)
+            kept = KeptRows(self.out, nominal)
+            with screen.progress(len(files), "fitting") as advance:
+                rows = fit_folder(files, nominal, advance, _screened_fit, kept, process)
         path = write_rows(rows, self.out, self.force)
-        screen.show(fleet_tables.folder_report(rows))
+        kept.remove()
+        screen.show(fleet_tables.folder_report(rows, kept.used))
         screen.written([path])
         return DONE
 

@@ -12,7 +12,8 @@ from typing import Annotated
 
 from tyro.conf import arg
 
-from lite6jax.cli.arguments import DONE, ArmName, OutFile
+from lite6jax.cli.arguments import ArmName, OutFile
+from lite6jax.cli.exit_codes import DONE, NOT_REACHED
 from lite6jax.errors import InputError
 from lite6jax.storage import check_writable
 
@@ -80,8 +81,8 @@ class Record:
     ip: IP
     """The control box, such as 192.168.1.185; of an emulator also 127.0.0.1:1502."""
     out: Annotated[Path, arg(metavar="FILE")]
-    """The recording (.parquet, .csv). Its sidecar .yaml and the arm's calibration are written beside it. A .csv can be
-    read at every moment, whatever ends the process; a .parquet, a fifth of the size, once the recording has ended."""
+    """The recording (.parquet, .csv). Its sidecar .yaml and the arm's calibration are written beside it. Its
+    rows can be read whatever ends the process: until a .parquet is complete they are in an .arrows of its stem."""
     seconds: Annotated[float | None, arg(metavar="S")] = None
     """The duration by the controller's clock; by default until Ctrl-C."""
     poses: Annotated[Path | None, arg(metavar="FILE")] = None
@@ -127,14 +128,9 @@ class Record:
                     )
         screen.show(live_tables.recorded_report(recorded))
         screen.written(recorded.written)
-        if recorded.unwritten:
-            raise InputError(
-                f"{self.out}: the disk took {recorded.rows} rows and not the last {recorded.unwritten}"
-                f" ({recorded.refusal}); free space before the next recording"
-            )
         if recorded.refusal:
             raise InputError(recorded.refusal)
-        return DONE
+        return NOT_REACHED if recorded.short else DONE
 
 
 @contextmanager

@@ -4,7 +4,6 @@ import gc
 import inspect
 import operator
 import os
-import signal
 import sys
 from collections.abc import Sequence
 from functools import reduce
@@ -15,12 +14,12 @@ from typing import Annotated, Any
 import tyro
 from tyro.conf import FlagCreatePairsOff, OmitArgPrefixes, subcommand
 
-from lite6jax.cli.arguments import BAD_INPUT, DONE, INTERRUPTED
 from lite6jax.cli.compensate import Compensate
 from lite6jax.cli.deprecated import current_spelling
 from lite6jax.cli.design import Design
 from lite6jax.cli.diagnose import Diagnose, Predict
 from lite6jax.cli.emulate import Emulate
+from lite6jax.cli.exit_codes import BAD_INPUT, DONE, INTERRUPTED, MEANINGS, READER_LEFT
 from lite6jax.cli.files import Check, Convert
 from lite6jax.cli.fit import Compare, Demo, Fit, Fleet
 from lite6jax.cli.live import Read, Record
@@ -46,21 +45,13 @@ COMMANDS = {
     "record": Record,
     "demo": Demo,
 }
-DESCRIPTION = """Fit a UFACTORY Lite 6, or any serial arm, to its calibration or to measured poses.
+DESCRIPTION = f"""Fit a UFACTORY Lite 6, or any serial arm, to its calibration or to measured poses.
 
-Exit codes: 0 done, 1 a fit did not converge, a target is out of reach or a controller does not agree with its
-calibration, 2 the input cannot be used, 130 interrupted."""
+Exit codes: {"; ".join(f"{code} {meaning}" for code, meaning in MEANINGS.items())}."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Runs a command.
-
-    Args:
-        arguments: the command line without the program's name; the process's own where not given.
-
-    Returns:
-        the exit code: 0 done, 1 the fit did not converge, 2 the input cannot be used, 130 interrupted.
-    """
+    """As `lite6jax.cli.main`, without a change to the process's signals: an interrupt is a `KeyboardInterrupt` here."""
     arguments = sys.argv[1:] if arguments is None else list(arguments)
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, TextIOWrapper):
@@ -80,7 +71,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         code = command.run()
         sys.stdout.flush()
     except SystemExit as stop:  # tyro has printed help or what is wrong with the arguments
-        return int(stop.code or 0)
+        return int(stop.code or DONE)
     except InputError as error:
         print(f"error: {_one_line(error)}", file=sys.stderr)
         return BAD_INPUT
@@ -89,7 +80,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return INTERRUPTED
     except BrokenPipeError:  # the reader (head, less) has seen enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
-        return 128 + getattr(signal, "SIGPIPE", 13)
+        return READER_LEFT
     return code
 
 

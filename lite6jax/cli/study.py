@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Literal, final
 
 from tyro.conf import Positional, UseAppendAction, arg
 
-from lite6jax.cli.arguments import DONE, ArmName, Folder, check_seed, stem
+from lite6jax.cli.arguments import ArmName, Folder, check_seed, stem
+from lite6jax.cli.exit_codes import DONE
 from lite6jax.errors import InputError
 
 if TYPE_CHECKING:

@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 from lite6jax.arms.factory import write_factory
 from lite6jax.controller import protocol
 from lite6jax.controller.exchange import Address
+from lite6jax.controller.gaps import Gaps
 from lite6jax.controller.recorded import Recorded, check_targets, factory_path
 from lite6jax.controller.sdk import Sdk, SdkError, connected
 from lite6jax.controller.station import Station
@@ -100,6 +101,7 @@ def record_poses(
         written += [write_recording(recording, out, overwrite), sidecar_path(out)]
         if station.calibration is not None:
             written.append(write_factory(station.calibration.kinematics, factory_path(out), overwrite=overwrite))
+    missing = len(joints) - len(rows) - len(refused)
     return Recorded(
         written=tuple(written),
         rows=len(answers),
@@ -108,7 +110,9 @@ def record_poses(
         duration=time.monotonic() - started,
         rate=0.0,
         runs=1,
-        missing=len(joints) - len(rows) - len(refused),
+        asked=len(joints),
+        short=len(rows) < len(joints),
+        gaps=Gaps(count=1 if missing else 0, within=missing),
         repeated=0,
         sources={name: _JOINTS if name.startswith("q") and name[1].isdigit() else _POSE for name in columns},
         settings=station.settings_beside(out, joints="commanded"),

@@ -2,7 +2,7 @@
 
 import io
 import os
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Protocol, runtime_checkable
 
@@ -12,9 +12,13 @@ from pyarrow import csv as pa_csv
 from pyarrow import parquet as pa_parquet
 
 from lite6jax.errors import InputError
-from lite6jax.storage import check_writable
+from lite6jax.recordings.stream import stream_batch, stream_batches, stream_path, stream_start
+from lite6jax.storage import check_writable, write_atomically
 
 Columns = Mapping[str, NDArray]
+
+ROW_GROUP = 25_000
+"""Rows of a complete Parquet file that are compressed together."""
 
 
 @runtime_checkable
@@ -25,7 +29,9 @@ class GrowingTable(Protocol):
     """
 
     rows_at_once: int
-    """The number of rows for an efficient `append`."""
+    """The number of rows for which an `append` is worth it: those of a second, which a kill may cost."""
+    file: Path
+    """Where the rows are."""
 
     def append(self, columns: Columns) -> None:
         """Appends rows; the first call creates the file.
@@ -39,7 +45,7 @@ class GrowingTable(Protocol):
         """Completes the file; without rows there is none.
 
         Raises:
-            OSError: the disk fails.
+            OSError: the disk is full or fails; the rows are in `file`.
         """
         ...
 
@@ -53,13 +59,15 @@ def growing_table(path: Path, overwrite: bool, sources: Mapping[str, str]) -> "G
         sources: the source of each column as a phrase, stored as column metadata in Parquet.
 
     Raises:
-        InputError: another suffix, or the file cannot be written there.
+        InputError: another suffix, or the file, or the stream beside a Parquet file, cannot be written there.
     """
     if path.suffix.lower() not in (".csv", ".parquet"):
         raise InputError(f"{path}: a recording ends in .csv or .parquet; choose such a name")
     check_writable(path, overwrite)
-    mode = "w+" if overwrite else "x+"
-    return GrowingCsv(path, mode) if path.suffix.lower() == ".csv" else GrowingParquet(path, mode, sources)
+    if path.suffix.lower() == ".csv":
+        return GrowingCsv(path, overwrite)
+    check_writable(stream_path(path), overwrite)
+    return GrowingParquet(path, overwrite, sources)
 
 
 class GrowingCsv:
@@ -67,126 +75,124 @@ class GrowingCsv:
 
     rows_at_once = 250
 
-    def __init__(self, path: Path, mode: str) -> None:
-        self._path, self._mode = path, mode
-        self._file: io.FileIO | None = None
-        self._end = 0
+    def __init__(self, path: Path, overwrite: bool) -> None:
+        self.file = path
+        self._lines = _Growing(path, "w+" if overwrite else "x+")
 
     def append(self, columns: Columns) -> None:
         text = pa.BufferOutputStream()
-        if not self._end:
+        if not self._lines.size:
             text.write(",".join(columns).encode() + b"\n")
-        pa_csv.write_csv(pa.table(dict(columns)), text, pa_csv.WriteOptions(include_header=False))
-        if self._file is None:
-            self._file = io.FileIO(self._path, self._mode)
-        lines = memoryview(text.getvalue())
-        try:
-            self._file.seek(self._end)
-            _write_all(self._file, lines)
-        except OSError:
-            self._file.truncate(self._end)
-            raise
-        self._end += len(lines)
+        table = pa.table({name: pa.array(values, _arrow_type(values)) for name, values in columns.items()})
+        pa_csv.write_csv(table, text, pa_csv.WriteOptions(include_header=False))
+        self._lines.add(text.getvalue().to_pybytes())
 
     def close(self) -> None:
-        if self._file is not None:
-            with self._file:
-                os.fsync(self._file.fileno())
+        self._lines.close()
 
 
 class GrowingParquet:
-    """A Parquet file. Its row groups are readable only with the list of them at the end of the file.
+    """A Parquet file, which can be read once the list of its row groups is written at its end.
 
-    The space for this list and for the next row group is therefore allocated before the row group is written, so that
-    the file can be completed on a full disk.
+    Until then the rows stand in an Arrow stream beside it, whole after every `append`. The stream is the recording
+    where the process is killed, or where the disk has no room for the Parquet file.
     """
 
-    rows_at_once = 2500
+    rows_at_once = 250
 
-    def __init__(self, path: Path, mode: str, sources: Mapping[str, str]) -> None:
-        self._path, self._mode, self._sources = path, mode, sources
-        self._file: _Reserved | None = None
-        self._writer: pa_parquet.ParquetWriter | None = None
-        self._listing = 0  # bytes, an upper bound of the list of row groups
+    def __init__(self, path: Path, overwrite: bool, sources: Mapping[str, str]) -> None:
+        self.file = stream_path(path)
+        self._path, self._overwrite, self._sources = path, overwrite, sources
+        self._schema: pa.Schema | None = None
+        self._stream = _Growing(self.file, "w+" if overwrite else "x+")
 
     def append(self, columns: Columns) -> None:
         fields = [
-            pa.field(name, pa.from_numpy_dtype(values.dtype), metadata={"source": self._sources.get(name, "")})
+            pa.field(name, _arrow_type(values), metadata={"source": self._sources.get(name, "")})
             for name, values in columns.items()
         ]
-        table = pa.table(dict(columns), schema=pa.schema(fields))
-        if self._file is None:
-            self._file = _Reserved(self._path, self._mode)
-        listing = self._listing + _LISTED * len(fields)
-        # compression enlarges random bytes by less than a twentieth; each column has a header
-        self._file.reserve(table.nbytes * 21 // 20 + _LISTED * len(fields) + 2 * _LISTED * len(fields) + listing)
-        if self._writer is None:
-            sink = pa.PythonFile(self._file, mode="w")
-            self._writer = pa_parquet.ParquetWriter(sink, table.schema, use_dictionary=False, compression="zstd")
-        self._writer.write_table(table)
-        self._listing = listing
+        self._schema = self._schema or pa.schema(fields)
+        batch = pa.record_batch(dict(columns), schema=self._schema)
+        first = not self._stream.size
+        self._stream.add((stream_start(self._schema) if first else b"") + stream_batch(batch))
+        if first and self._overwrite:  # from here on it would not belong to the sidecar
+            self._path.unlink(missing_ok=True)
 
     def close(self) -> None:
-        if self._file is None:
+        self._stream.close()
+        if not self._stream.size:
             return
-        if self._writer is None:  # no row fitted on the disk
-            self._file.close()
-            self._path.unlink(missing_ok=True)
-            return
-        self._writer.close()
-        self._file.finish()
+        try:
+            write_atomically(self._path, self._complete, self._overwrite)
+        except InputError as error:
+            raise OSError(f"{error}; the rows are in {self.file}, which is read like it") from error
+        self.file.unlink()
+        self.file = self._path
+
+    def _complete(self, target: Path) -> None:
+        """Writes the stream as Parquet, row group by row group."""
+        assert self._schema is not None
+        writer = pa_parquet.ParquetWriter(
+            target, self._schema, use_dictionary=False, compression="zstd", write_page_checksum=True
+        )
+        try:
+            for group in self._row_groups():
+                writer.write_table(pa.Table.from_batches(group))
+            writer.close()
+        except OSError:
+            writer.is_open = False  # or its destructor would write to the full disk again
+            raise
+
+    def _row_groups(self) -> Iterator[list[pa.RecordBatch]]:
+        group: list[pa.RecordBatch] = []
+        for batch in stream_batches(self.file, []):
+            group.append(batch)
+            if sum(map(len, group)) >= ROW_GROUP:
+                yield group
+                group = []
+        if group:
+            yield group
 
 
-_LISTED = 1000
-"""Bytes, an upper bound of a column's entry in the list of row groups (about 200) and of its header."""
-
-
-class _Reserved:
-    """A file object for Arrow that writes into allocated disk space."""
+class _Growing:
+    """A file to which bytes are added, all or none of them."""
 
     def __init__(self, path: Path, mode: str) -> None:
-        self._raw = io.FileIO(path, mode)
-        self._end = self._allocated = 0
+        self._path, self._mode = path, mode
+        self._file: io.FileIO | None = None
+        self.size = 0
 
-    @property
-    def closed(self) -> bool:
-        return self._raw.closed
-
-    def flush(self) -> None:
-        """Nothing to do: the file is unbuffered."""
-
-    def reserve(self, size: int) -> None:
-        """Allocates `size` bytes more by writing zeros, as no system call does so on all systems.
+    def add(self, data: bytes) -> None:
+        """Adds bytes; the first call creates the file.
 
         Raises:
-            OSError: the disk is full; the file is unchanged.
+            OSError: the disk is full or fails; what was added before remains.
         """
-        allocated = max(self._allocated, self._end + size)
+        if self._file is None:
+            self._file = io.FileIO(self._path, self._mode)
         try:
-            self._raw.seek(self._allocated)
-            _write_all(self._raw, memoryview(bytes(allocated - self._allocated)))
+            self._file.seek(self.size)
+            rest = memoryview(data)
+            while len(rest):  # on a disk that becomes full, a write may be partial without an error
+                rest = rest[self._file.write(rest) or 0 :]
         except OSError:
-            self._raw.truncate(self._allocated)
+            self._file.truncate(self.size)
             raise
-        self._allocated = allocated
-
-    def write(self, data: bytes) -> int:
-        self._raw.seek(self._end)
-        _write_all(self._raw, memoryview(data))
-        self._end += len(data)
-        return len(data)
-
-    def finish(self) -> None:
-        """Releases unused space and closes the file."""
-        self._raw.truncate(self._end)
-        os.fsync(self._raw.fileno())
-        self._raw.close()
+        self.size += len(data)
 
     def close(self) -> None:
-        self._raw.close()
+        """Completes the file; without bytes there is none.
+
+        Raises:
+            OSError: the disk fails.
+        """
+        if self._file is None:
+            return
+        with self._file:
+            os.fsync(self._file.fileno())
+        if not self.size:
+            self._path.unlink(missing_ok=True)
 
 
-def _write_all(file: io.FileIO, data: memoryview) -> None:
-    """Writes all bytes: on a disk that becomes full, a write may be partial without an error."""
-    while len(data):
-        data = data[file.write(data) or 0 :]
+def _arrow_type(values: NDArray) -> pa.DataType:
+    return pa.string() if values.dtype == object else pa.from_numpy_dtype(values.dtype)

@@ -1,5 +1,6 @@
 """Recording a live arm: the 250 Hz and the 5 Hz report as rows of a table that is written during the recording."""
 
+import math
 import queue
 import threading
 import time
@@ -26,6 +27,10 @@ from lite6jax.recordings import sidecar_path, write_settings
 
 FIRST_REPORT_S = 5.0
 GATHER_S = 0.05
+SLOW_S = 0.25
+"""The time without a report after which the connection, not the controller's clock, is late."""
+MOST_AT_ONCE = 2500
+"""Rows written together, where more wait than are written every second."""
 MOST_WAITING = 150_000
 """Rows, ten minutes: the largest number kept in memory on a full disk; then the recording ends."""
 
@@ -72,6 +77,7 @@ def record(
     Args:
         address: of the controller.
         out: a `.csv` or `.parquet` file; its sidecar, and the calibration of the arm if available, are written beside.
+            A `.parquet` file is an `.arrows` file of the same stem until the recording has ended.
         station: the arm and its settings, from `read_station`.
         seconds: the duration by the controller's clock; None for until `stop`.
         overwrite: whether the files may be replaced.
@@ -86,31 +92,45 @@ def record(
         raise InputError(f"--seconds {seconds:g}: give more than zero")
     stop = stop or threading.Event()
     rows = Rows(station, seconds)
-    buffer = _Buffer(growing_table(out, overwrite, SOURCES))
+    table = growing_table(out, overwrite, SOURCES)
+    buffer = _Buffer(table)
     written: list[Path] = []
     with ReportPort(address, protocol.REALTIME) as fast, ReportPort(address, protocol.RICH) as slow:
         try:
-            _stream(fast, slow, rows, buffer, lambda: written.extend(_declare(out, station, overwrite)), stop, show)
+            ended = _stream(
+                fast, slow, rows, buffer, lambda: written.extend(_declare(out, station, overwrite)), stop, show
+            )
         finally:
             unwritten, refusal = buffer.finish()
-    taken = rows.count - unwritten
+    if unwritten:
+        refusal = (
+            f"{out}: the disk took {rows.count - unwritten} rows and not the last {unwritten} ({refusal}); free space"
+            " before the next recording"
+        )
     notes = (*station.notes, *rows.notes())
-    if seconds is not None and not rows.complete and not stop.is_set() and not refusal:
-        notes += (f"ended before {seconds:g} s: the connection was lost too long, or the controller's clock is slow",)
-    return Recorded(
-        written=(out, *written) if taken else tuple(written),
-        rows=taken,
+    if seconds is not None and not rows.complete:
+        left = max(seconds - rows.time, 0.0) if rows.count else seconds
+        notes += (f"ended {left:.3g} s before {seconds:g} s: {rows.stopped or ended}",)
+    recorded = Recorded(
+        written=(table.file, *written) if rows.count > unwritten else tuple(written),
+        rows=rows.count - unwritten,
         unwritten=unwritten,
-        refusal=refusal,
+        refusal=refusal or rows.stopped,
+        asked=None if seconds is None else math.ceil(seconds * protocol.RATES[protocol.REALTIME] - 1e-6),
+        short=seconds is not None and bool(rows.missing or not rows.complete),
         duration=rows.time,
         rate=rows.rate,
         runs=rows.run + 1 if rows.count else 0,
-        missing=rows.missing,
+        gaps=rows.gaps,
         repeated=rows.repeated,
         sources={name: SOURCES[name] for name in rows.names},
         settings=station.settings_beside(out),
         notes=notes,
     )
+    if written:
+        with suppress(InputError):  # a full disk; the gaps are in the table as well
+            write_settings(recorded.settings, sidecar_path(out), True, recorded.account())
+    return recorded
 
 
 def _stream(
@@ -121,10 +141,13 @@ def _stream(
     declare: Callable[[], None],
     stop: threading.Event,
     show: Callable[[Progress], object],
-) -> None:
-    started = shown = time.monotonic()
+) -> str:
+    """Records until an end, and returns the reason of it as a phrase."""
+    started = shown = heard = time.monotonic()
     trouble = ""
-    while not stop.is_set() and not rows.complete:
+    while not rows.complete and not rows.stopped:
+        if stop.is_set():
+            return "it was stopped"
         if (condition := _latest(slow)) is not None:
             rows.condition = condition
         events = _gathered(fast)
@@ -132,10 +155,11 @@ def _stream(
         for event in events:
             trouble = event.reason if isinstance(event, Lost) else ""
             if isinstance(event, Lost):
+                rows.lost = event.reason
                 if not rows.count:
                     raise InputError(_no_reports(fast, trouble))
                 continue
-            first = not rows.count
+            heard, first = event.heard, not rows.count
             if (columns := rows.take(event)) is not None:
                 if first:
                     declare()
@@ -143,15 +167,18 @@ def _stream(
         if not rows.count and now - started > FIRST_REPORT_S:
             raise InputError(_no_reports(fast, trouble))
         if rows.seconds is not None and now - started > rows.seconds + FIRST_REPORT_S:
-            break  # the controller's clock has stopped, or the connection is lost
+            silent = now - heard
+            slow_clock = "the controller's clock is slow"
+            return trouble or (f"no report for {silent:.1f} s" if silent > SLOW_S else slow_clock)
         buffer.write()
         if buffer.waiting > MOST_WAITING and buffer.refusal:
-            break
+            return "the disk took no more rows"
         if now - shown > 0.2:
             shown = now
             full = f"the disk cannot be written ({buffer.refusal}): {buffer.waiting} rows are kept in memory"
             problem = full if buffer.refusal else trouble
             show(Progress(rows.count, rows.time, rows.recent_rate, rows.run, rows.missing, problem))
+    return ""
 
 
 def _gathered(port: ReportPort) -> list[Reports | Lost]:
@@ -197,7 +224,8 @@ def _declare(out: Path, station: Station, overwrite: bool) -> list[Path]:
     files = []
     if station.calibration is not None:
         files.append(write_factory(station.calibration.kinematics, factory_path(out), overwrite=overwrite))
-    return [write_settings(station.settings_beside(out), sidecar_path(out), overwrite), *files]
+    account = {"complete": False}  # until it is replaced at the end
+    return [write_settings(station.settings_beside(out), sidecar_path(out), overwrite, account), *files]
 
 
 class _Buffer:
@@ -222,7 +250,7 @@ class _Buffer:
         if self._writing is not None and self._writing.done():
             self._collect()
         if self._writing is None and self.waiting >= self._table.rows_at_once and time.monotonic() >= self._not_before:
-            self._piece, rest = _split(self._pending, self._table.rows_at_once)
+            self._piece, rest = _split(self._pending, MOST_AT_ONCE)
             self._pending = [rest]
             self._writing = self._pool.submit(self._table.append, self._piece)
 
@@ -230,26 +258,26 @@ class _Buffer:
         """Writes the remaining rows as far as possible; returns the number of unwritten rows and the reason."""
         if self._writing is not None:
             self._collect()
-        size = self._table.rows_at_once
-        try:
-            while self.waiting and size:
-                piece, rest = _split(self._pending, size)
-                self._pending = [piece, rest]
-                try:
-                    self._table.append(piece)
-                except OSError as error:
-                    self.refusal = error.strerror or str(error)
-                    size //= 2
-                    continue
-                self._pending = [rest]
-                self.waiting -= _length(piece)
-            self._table.close()
-        except OSError as error:
-            self.refusal = error.strerror or str(error)
-        finally:
-            self._pool.shutdown()
+        size = MOST_AT_ONCE
+        while self.waiting and size:
+            piece, rest = _split(self._pending, size)
+            self._pending = [piece, rest]
+            try:
+                self._table.append(piece)
+            except OSError as error:
+                self.refusal = error.strerror or str(error)
+                size //= 2
+                continue
+            self._pending = [rest]
+            self.waiting -= _length(piece)
         if not self.waiting:
             self.refusal = ""
+        try:
+            self._table.close()
+        except OSError as error:
+            self.refusal = self.refusal or error.strerror or str(error)
+        finally:
+            self._pool.shutdown()
         return self.waiting, self.refusal
 
     def _collect(self) -> None:

@@ -10,9 +10,9 @@ from scipy.spatial.transform import Rotation
 from lite6jax.arms import frames
 from lite6jax.controller import protocol
 from lite6jax.controller.condition import Condition
+from lite6jax.controller.gaps import Gap, Gaps
 from lite6jax.controller.station import Station
-from lite6jax.controller.stream import Reports
-from lite6jax.errors import InputError
+from lite6jax.controller.stream import SILENCE_S, Reports
 
 Array = NDArray[np.floating]
 
@@ -32,7 +32,9 @@ SOURCES: Mapping[str, str] = {
     **{f"current{i}_A": "measured" for i in range(1, 8)},
     **{f"temp{i}_degC": "measured, at 5 Hz" for i in range(1, 8)},
     "payload_kg": "as set",
-    "run": "counts connections",
+    "run": "counts connections, and jumps of the clock",
+    "missing": "reports missing before the row",
+    "gap": "why they are, or why a run starts",
     **dict.fromkeys(("x_m", "y_m", "z_m", "qw", "qx", "qy", "qz"), "computed by the controller, from measured joints"),
 }
 """The source of each column."""
@@ -41,21 +43,28 @@ SOURCES: Mapping[str, str] = {
 class Rows:
     """Converts reports to columns, in order and without duplicates.
 
+    The clock of the controller is continuous within a run. Where it is set back or jumps, a run starts, and the time of
+    the recording goes on by what passed on this computer.
+
     Attributes:
         condition: of the last 5 Hz report, or None; the caller updates it.
+        lost: the reason why the last connection ended; the caller updates it.
         seconds: the duration by the controller's clock, or None.
         complete: whether the duration is reached.
+        stopped: why no further rows can come; empty while they can.
         count, run, time: the number of rows, and the run and the time in s of the last one.
-        missing: the number of missing reports within runs, by the controller's clock.
+        gaps: the missing reports.
         repeated: the number of duplicate reports.
         names: the columns, after the first row.
     """
 
     def __init__(self, station: Station, seconds: float | None = None) -> None:
         self.condition: Condition | None = station.condition
-        self.seconds, self.complete = seconds, False
-        self.count = self.missing = self.repeated = self.run = 0
+        self.lost = ""
+        self.seconds, self.complete, self.stopped = seconds, False, ""
+        self.count = self.repeated = self.run = 0
         self.time = self.recent_rate = 0.0
+        self.gaps = Gaps()
         self.names: tuple[str, ...] = ()
         self._station = station
         rows = station.arm.kinematics if station.calibration is None else station.calibration.kinematics
@@ -64,12 +73,17 @@ class Rows:
         self._temperature = station.condition is not None and station.condition.temperature is not None
         self._orientations: _Orientations | None = None
         self._connection = 0
-        self._last_us: int | None = None  # of the controller's clock
-        self._offset_us = 0  # from that clock to the recording's time
+        self._clock = 0  # µs, of the last row by the controller
+        self._time_us = 0  # of the last row in the recording
         self._heard = 0.0
         self._steps = self._elapsed_us = 0
-        self._still = self._restarts = self._not_finite = 0
+        self._still = self._set_back = self._jumped = self._not_finite = 0
         self._span = (0.0, 0.0, 0.0, 0.0)  # first and last time of the first connection, and when they were heard
+
+    @property
+    def missing(self) -> int:
+        """The number of missing reports within and between runs."""
+        return self.gaps.within + self.gaps.between
 
     @property
     def rate(self) -> float:
@@ -77,11 +91,7 @@ class Rows:
         return 1e6 * self._steps / self._elapsed_us if self._elapsed_us else 0.0
 
     def take(self, event: Reports) -> dict[str, NDArray] | None:
-        """The columns of new reports; None if all are duplicates.
-
-        Raises:
-            InputError: the controller's clock has stopped.
-        """
+        """The columns of new reports; None if all are duplicates."""
         parts = []
         for length, same in groupby(event.reports, len):
             layout = protocol.report_layout(protocol.REALTIME, length)
@@ -93,65 +103,91 @@ class Rows:
         return columns
 
     def _segments(self, reports: NDArray, event: Reports) -> list[dict[str, NDArray]]:
-        """The columns of reports of equal length; a clock that is set back starts a new run."""
-        back = np.flatnonzero(np.diff(reports["time_us"].astype(np.int64)) < 0) + 1
-        made = [self._columns(part, event) for part in np.split(reports, back)]
+        """The columns of reports of equal length, cut where the clock is not continuous."""
+        steps = np.diff(reports["time_us"].astype(np.uint64)).view(np.int64)  # modulo 2⁶⁴, which the clock may exceed
+        cuts = np.flatnonzero((steps < 0) | (steps > self._largest_step_us(event))) + 1
+        made = [self._columns(part, event) for part in np.split(reports, cuts)]
         return [columns for columns in made if columns is not None]
 
+    def _largest_step_us(self, event: Reports) -> float:
+        """µs between two reports beyond which the clock has jumped, as a silent connection would have been closed.
+
+        A connection that was lost for longer leaves a step as long as it lasted, at the rate of the controller's clock.
+        """
+        began, ended, first, last = self._span
+        rate = max(1.0, (ended - began) / (last - first)) if last > first else 1.0
+        return 1e6 * (SILENCE_S + 2 * rate * (event.heard - self._heard if self.count else 0.0))
+
     def _columns(self, reports: NDArray, event: Reports) -> dict[str, NDArray] | None:
-        clock = reports["time_us"].astype(np.int64)
-        before = self._last_us
+        clock = reports["time_us"].astype(np.uint64)
+        elapsed = (clock - clock[0]).view(np.int64)
         new_connection = event.connection != self._connection
-        run = self.run
-        if before is None:
-            self._offset_us = -int(clock[0])
-            self._span = (0.0, 0.0, event.heard, event.heard)
-        elif clock[0] < before:  # restarted, or set back
-            paused = max(PERIOD_US, round(1e6 * (event.heard - self._heard)) if new_connection else PERIOD_US)
-            self._offset_us += before + paused - int(clock[0])
-            self._restarts += 1
-            run += 1
-            before = None
-        elif new_connection:
-            run += 1
-        new = np.diff(clock, prepend=-1 if before is None else before) > 0
+        step = int(clock[0]) - self._clock if self.count else 0
+        onwards = step % 2**64  # as the clock counts
+        continuous = onwards <= self._largest_step_us(event)
+        new = np.diff(elapsed, prepend=-1) > 0
+        if self.count and step == 0:
+            new[0] = False
         self.repeated += int((~new).sum())
         self._still = len(new) - 1 - int(np.flatnonzero(new)[-1]) if new.any() else self._still + len(new)
         if self._still > _STOPPED_CLOCK:
-            raise InputError(
-                f"port {protocol.REALTIME}: the controller's clock has stopped at {int(clock[-1])} µs; update the "
-                "firmware"
+            self.stopped = (
+                f"port {protocol.REALTIME}: the controller's clock has stopped at {int(clock[-1])} µs; update the"
+                " firmware"
             )
-        time = (clock + self._offset_us) / 1e6
+        paused = max(PERIOD_US, round(1e6 * (event.heard - self._heard)) if new_connection else PERIOD_US)
+        start = self._time_us + (onwards if continuous else paused) if self.count else 0
+        time_us = start + elapsed
         if self.seconds is not None:
-            late = time >= self.seconds - 1e-9
+            late = time_us / 1e6 >= self.seconds - 1e-9
             self.complete = self.complete or bool(late.any())
             new &= ~late
         if not new.any():
             return None
-        self.run = run
-        reports, clock, time = reports[new], clock[new], time[new]
-        self._account(clock, new_connection or before is None, time, event)
-        return self._table(reports, time)
+        run = self.run + bool(self.count and (new_connection or not continuous))
+        gaps = self._gaps(np.diff(time_us[new], prepend=self._time_us), run, new_connection, 0 if continuous else step)
+        if not self.count:
+            self._span = (0.0, 0.0, event.heard, event.heard)
+        self._account(time_us[new], run, event)
+        self._clock = int(clock[new][-1])
+        return self._table(reports[new], time_us[new] / 1e6, gaps)
 
-    def _account(self, clock: NDArray[np.int64], first_of_run: bool, time: Array, event: Reports) -> None:
-        """Updates the counts of rows and gaps, and the rates."""
-        steps = np.diff(clock) if first_of_run or self._last_us is None else np.diff(clock, prepend=self._last_us)
-        self.missing += int((np.maximum(np.rint(steps / PERIOD_US), 1) - 1).sum())
+    def _gaps(self, steps: NDArray[np.int64], run: int, new_connection: bool, jump: int) -> list[Gap]:
+        """The gaps before rows with these steps in µs; `jump` is that of the clock before the first row, or zero."""
+        missing = np.maximum(np.rint(steps / PERIOD_US).astype(np.int64), 1) - 1
+        first = ""
+        if self.count and run != self.run:
+            reasons = [f"connection lost ({self.lost})" if self.lost else "new connection"] if new_connection else []
+            if jump:
+                how = "was set back" if jump < 0 else "jumped"
+                reasons.append(f"the controller's clock {how} by {abs(jump) / 1e6:.6g} s")
+                self._set_back, self._jumped = self._set_back + (jump < 0), self._jumped + (jump > 0)
+            first = "; ".join(reasons)
+        gaps = []
+        for i in map(int, np.flatnonzero((missing > 0) | ((np.arange(len(missing)) == 0) & bool(first)))):
+            reason = first if i == 0 and first else "reports not received"
+            starts = bool(i == 0 and first)
+            gaps.append(Gap(self.count + i + 1, run, int(missing[i]), float(steps[i]) / 1e6, reason, starts))
+        return gaps
+
+    def _account(self, time_us: NDArray[np.int64], run: int, event: Reports) -> None:
+        """Updates the counts of rows, and the rates."""
+        within = self.count and run == self.run
+        steps = np.diff(time_us, prepend=self._time_us) if within else np.diff(time_us)
         self._steps += len(steps)
         self._elapsed_us += int(steps.sum())
         if len(steps):
             weight = min(1.0, len(steps) / 250)  # over about a second
             rate = 1e6 * len(steps) / max(int(steps.sum()), 1)
             self.recent_rate += (weight if self.recent_rate else 1.0) * (rate - self.recent_rate)
-        self._connection, self._heard = event.connection, event.heard
-        self.count += len(clock)
-        self.time = float(time[-1])
-        self._last_us = int(clock[-1])
+        self._connection, self._heard, self.run = event.connection, event.heard, run
+        self.count += len(time_us)
+        self._time_us = int(time_us[-1])
+        self.time = self._time_us / 1e6
         if self.run == 0:
             self._span = (self._span[0], self.time, self._span[2], event.heard)
 
-    def _table(self, reports: NDArray, time: Array) -> dict[str, NDArray]:
+    def _table(self, reports: NDArray, time: Array, gaps: list[Gap]) -> dict[str, NDArray]:
         dof, count = self._station.arm.dof, len(reports)
         fields = {
             "q{}_rad": "joint_position",
@@ -179,6 +215,11 @@ class Rows:
             table |= {name: quaternions[:, i] for i, name in enumerate(("qw", "qx", "qy", "qz"))}
         finite = np.isfinite(np.column_stack([values for name, values in table.items() if name != "run"]))
         self._not_finite += int((~finite.all(axis=1)).sum())
+        table["missing"], table["gap"] = np.zeros(count, np.int64), np.full(count, None, object)
+        for gap in gaps:
+            self.gaps.add(gap)
+            row = gap.row - 1 - (self.count - count)
+            table["missing"][row], table["gap"][row] = gap.missing, gap.reason
         return table
 
     def notes(self) -> tuple[str, ...]:
@@ -188,8 +229,9 @@ class Rows:
             notes += self._orientations.notes()
         if self._not_finite:
             notes.append(f"{self._not_finite} rows contain values that are not finite, as sent by the controller")
-        if self._restarts:
-            notes.append(f"the controller's clock was set back {self._restarts} times; each time starts a run")
+        for times, how in ((self._set_back, "was set back"), (self._jumped, "jumped")):
+            if times:
+                notes.append(f"the controller's clock {how} {times} times; each time starts a run")
         began, ended, first, last = self._span
         if last - first > 5 and not 0.95 < (ended - began) / (last - first) < 1.05:
             notes.append(

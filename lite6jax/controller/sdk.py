@@ -5,7 +5,6 @@ import math
 import queue
 import subprocess
 import sys
-import tempfile
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -15,8 +14,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from lite6jax import interruption
 from lite6jax.controller.exchange import Address
 from lite6jax.errors import InputError
+from lite6jax.temporaries import temporary_folder
 
 CONNECT_SECONDS = 15.0
 """The time limit for starting Python, importing the SDK and connecting."""
@@ -133,16 +134,17 @@ def connected(address: Address, seconds: float = CONNECT_SECONDS) -> Iterator[Sd
         SdkError: no connection within `seconds`.
         InputError: the SDK is not installed.
     """
-    with tempfile.TemporaryDirectory(prefix="lite6jax-") as home:
+    with temporary_folder() as home:
         process = subprocess.Popen(
             # -P: the modules in the worker's folder must not be importable by the SDK
-            [sys.executable, "-P", str(WORKER), address.host, str(address.port), home],
+            [sys.executable, "-P", str(WORKER), address.host, str(address.port), str(home)],
             stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True,
         )  # fmt: skip
         try:
-            sdk = Sdk(process, str(address))
-            sdk.wait_connected(seconds)
-            yield sdk
+            with interruption.undone(process.kill):
+                sdk = Sdk(process, str(address))
+                sdk.wait_connected(seconds)
+                yield sdk
         finally:
             process.kill()
             process.wait()

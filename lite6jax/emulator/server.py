@@ -41,6 +41,9 @@ class Snapshot(NamedTuple):
         joints: `(joint,)` rad, measured.
         requests: the number of requests of each register.
         connections: the number of connections to each port, the control port being 502 whatever its number.
+        unsent: the number of bytes that wait for clients to read them, of all connections, at the last look.
+        given_up: the number of connections closed because their clients did not read.
+        lost: the number of reports of each port that these were not sent, in part or at all.
     """
 
     time: float
@@ -50,6 +53,9 @@ class Snapshot(NamedTuple):
     joints: Array
     requests: dict[int, int]
     connections: dict[int, int]
+    unsent: int
+    given_up: int
+    lost: dict[int, int]
 
 
 class Controller:
@@ -231,7 +237,11 @@ class Controller:
             joints = core.measured(np.array([core.time]))[0][0]
             readers = {port: len(writers) for port, writers in self._sockets.readers.items()}
             connections = {protocol.CONTROL_PORT: len(self._sockets.clients)} | readers
-            return Snapshot(core.time, core.state, core.mode, core.error, joints, dict(core.requests), connections)
+            sockets = self._sockets
+            return Snapshot(
+                core.time, core.state, core.mode, core.error, joints, dict(core.requests), connections,
+                sockets.unsent, sockets.given_up, dict(sockets.lost),
+            )  # fmt: skip
 
         return self.call(seen)
 

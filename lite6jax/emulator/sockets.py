@@ -1,6 +1,7 @@
 """The sockets of an emulated controller: one event loop, one arm, one clock."""
 
 import asyncio
+import socket
 from collections.abc import Awaitable, Callable, Iterable, Iterator
 from contextlib import suppress
 
@@ -28,6 +29,14 @@ SLOW_READER = 1 << 25
 clock waits from an eighth of it on."""
 GIVE_UP_S = 30.0
 """s, the real time that a fast clock waits for a reader."""
+MOST_UNSENT = 1 << 26
+"""The number of bytes waiting for all clients together; beyond it the connections with most of them are closed. A fast
+clock waits from half of it on."""
+LOOK_EVERY_S = 0.1
+"""s, the real time between two looks at what waits in real time: where many do not read, a look takes longer than a
+tick."""
+KERNEL_BUFFER = 1 << 18
+"""The number of bytes that the operating system may hold for a connection, beside those counted here."""
 
 _Handler = Callable[[asyncio.StreamReader, asyncio.StreamWriter], Awaitable[None]]
 
@@ -41,6 +50,9 @@ class Sockets:
         control_port: the bound one.
         clients: connections to the control port.
         readers: connections to each report port.
+        unsent: the number of bytes that waited for all clients at the last look.
+        given_up: the number of connections closed because they did not read.
+        lost: the number of reports of each port that these had not been sent, in part or at all.
     """
 
     def __init__(self, core: Core, address: str, control_port: int, report_ports: Iterable[int], speed: float) -> None:
@@ -56,6 +68,9 @@ class Sockets:
         self._failure: Exception | None = None
         self._held_since = 0.0
         self._garbage = np.random.default_rng(0)
+        self.unsent = self.given_up = 0
+        self.lost = dict.fromkeys(self.readers, 0)
+        self._looked = 0.0
 
     async def serve(self, listening: Callable[[], None]) -> None:
         """Listens, calls `listening`, and serves until `stop`.
@@ -117,6 +132,8 @@ class Sockets:
 
         def accept(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
             task = asyncio.ensure_future(guarded(reader, writer))
+            if (line := writer.get_extra_info("socket")) is not None:
+                line.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, KERNEL_BUFFER)
             self._tasks.add(task)
             task.add_done_callback(self._tasks.discard)
 
@@ -130,7 +147,7 @@ class Sockets:
         while True:
             tick = max(tick + TICK_S, loop.time())
             await asyncio.sleep(tick - loop.time())
-            due = min(self._speed * (loop.time() - origin), core.time + MOST_AT_ONCE_S)
+            due = min(self._speed * (loop.time() - origin), core.time + self._most_at_once())
             if self._held_up(loop.time()):
                 due = core.time
             # a longer delay slows the emulated clock, so that readers lose no reports
@@ -147,19 +164,43 @@ class Sockets:
                         self._send(port, index, report(core, port, index / rate))
             core.advance(due)
 
+    def _most_at_once(self) -> float:
+        """s of emulated time, of which the reports to all readers are a quarter of `MOST_UNSENT` at most."""
+        rate = sum(len(at) * protocol.LENGTHS[port] * protocol.RATES[port] for port, at in self.readers.items())
+        return min(MOST_AT_ONCE_S, MOST_UNSENT / 4 / rate) if rate else MOST_AT_ONCE_S
+
     def _held_up(self, now: float) -> bool:
-        """Whether a fast clock must wait for a reader; closes the connections of readers that do not read."""
-        waiting = {
-            writer: writer.transport.get_write_buffer_size() for writers in self.readers.values() for writer in writers
-        }
-        slow = [writer for writer, size in waiting.items() if size > SLOW_READER // 8]
-        if not slow:
+        """Whether a fast clock must wait for readers; closes the connections of those that do not read."""
+        fast = self._speed > 1
+        if not fast and now - self._looked < LOOK_EVERY_S:
+            return False
+        self._looked = now
+        ports = {writer: port for port, writers in self.readers.items() for writer in writers}
+        waiting = {writer: writer.transport.get_write_buffer_size() for writer in (*ports, *self.clients)}
+        slow = [writer for writer in ports if waiting[writer] > (SLOW_READER // 8 if fast else SLOW_READER)]
+        waits = fast and (bool(slow) or sum(waiting.values()) > MOST_UNSENT // 2)
+        if not waits:
             self._held_since = now
-        expired = now - self._held_since > GIVE_UP_S and self._speed > 1
+        elif now - self._held_since <= GIVE_UP_S:
+            slow = []
         for writer in slow:
-            if expired or (self._speed <= 1 and waiting[writer] > SLOW_READER):
-                writer.transport.abort()
-        return bool(slow) and self._speed > 1
+            self._give_up(writer, ports.get(writer), waiting.pop(writer))
+        # those that wait longest for their reader; a fast clock first waits for them too
+        allowed = MOST_UNSENT // 2 if fast and now - self._held_since > GIVE_UP_S else MOST_UNSENT
+        for writer in sorted(waiting, key=lambda writer: waiting[writer], reverse=True):
+            if sum(waiting.values()) <= allowed:
+                break
+            self._give_up(writer, ports.get(writer), waiting.pop(writer))
+        self.unsent = sum(waiting.values())
+        return waits
+
+    def _give_up(self, writer: asyncio.StreamWriter, port: int | None, waiting: int) -> None:
+        if writer.transport.is_closing():
+            return
+        self.given_up += 1
+        if port is not None:
+            self.lost[port] += -(-waiting // protocol.LENGTHS[port])
+        writer.transport.abort()
 
     def _send(self, port: int, index: NDArray[np.integer], reports: bytes) -> None:
         """Sends reports to all readers of a port, except those omitted by faults."""

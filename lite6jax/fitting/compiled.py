@@ -15,8 +15,8 @@ from jax import export
 
 from lite6jax import storage
 from lite6jax.errors import InputError
+from lite6jax.fitting.version import source_digest
 
-_PACKAGE = Path(__file__).parents[1]
 _exports: Path | None = None
 """Where `Exported` functions are kept in this process; None keeps none."""
 
@@ -134,7 +134,4 @@ def _private(folder: Path) -> Path | None:
 @cache
 def _version() -> tuple[str, ...]:
     """What a traced function depends on besides its arguments: the package's source, JAX and the platform."""
-    source = hashlib.sha256()
-    for path in sorted(_PACKAGE.rglob("*.py")):
-        source.update(path.read_bytes())
-    return (source.hexdigest(), jax.__version__, jaxlib.version.__version__, jax.default_backend())
+    return (source_digest(), jax.__version__, jaxlib.version.__version__, jax.default_backend())

@@ -24,7 +24,10 @@ _SCALAR = {
     "ambient": {"degC": 1.0},
     "payload": {"kg": 1.0},
     "run": {"": 1.0},
+    "missing": {"": 1.0},
 }
+_TEXTS = ("gap",)
+"""Columns of words, for people."""
 _NAME = re.compile(r"(?P<quantity>[a-z]+?)(?P<joint>\d*)(?:_(?P<unit>.*))?", re.IGNORECASE | re.DOTALL | re.ASCII)
 
 
@@ -65,6 +68,8 @@ def recognise(
     found: dict[str, Column] = {}
     ignored: list[str] = []
     for index, raw in enumerate(names):
+        if raw.strip() in _TEXTS:
+            continue
         column = _column(raw.strip(), index, source)
         if column is None:
             ignored.append(raw)

@@ -15,6 +15,7 @@ import pyarrow.parquet as pa_parquet
 from numpy.typing import ArrayLike
 
 from lite6jax.errors import InputError
+from lite6jax.recordings import stream
 from lite6jax.recordings.checks import check_joint_scale, check_position_scale
 from lite6jax.recordings.columns import Column
 from lite6jax.recordings.mcap import read_mcap, split_topics
@@ -25,7 +26,7 @@ from lite6jax.storage import check_writable, write_atomically
 
 HEADER_LIMIT = 1 << 20
 
-SUFFIXES = (".csv", ".parquet", ".mcap")
+SUFFIXES = (".csv", ".parquet", ".mcap", stream.SUFFIX)
 """Of the files that are recordings."""
 
 
@@ -62,7 +63,10 @@ def read_recording(
         InputError: the file or its sidecar cannot be used; one line names file, place and remedy.
     """
     path, topics = split_topics(path)
-    readers = {".csv": _read_csv, ".parquet": _read_parquet, ".mcap": partial(_read_mcap, topics=topics)}
+    readers = {
+        ".csv": _read_csv, ".parquet": _read_parquet, ".mcap": partial(_read_mcap, topics=topics),
+        stream.SUFFIX: _read_stream,
+    }  # fmt: skip
     notes: list[str] = []
     table = _read(path, readers, "a recording ends in .csv, .parquet or .mcap", dof, notes)
     columns, _, values = table
@@ -185,6 +189,10 @@ def _read(
         raise InputError(f"{path}: {kinds}; convert it or correct the name")
     if path.is_dir():
         raise InputError(f"{path}: is a folder; name a file")
+    growing = stream.stream_path(path)
+    if path.suffix.lower() == ".parquet" and not path.exists() and growing.is_file():
+        notes.append(f"the recording was ended before it was complete; its rows are those of {growing.name}")
+        path, read = growing, _read_stream
     if not path.exists():
         raise InputError(f"{path}: no such file; check the name")
     try:
@@ -211,6 +219,14 @@ def _read_parquet(path: Path, dof: int | None, notes: list[str], joints_optional
             start = content.read(4)
         problem = "is truncated or damaged" if start == b"PAR1" else "is not Parquet, whatever its name says"
         raise InputError(f"{path}: {problem} ({_one_line(error)}); write it again") from error
+    return Table(columns, joints, si_values(columns, {name: table[column.name] for name, column in columns.items()}))
+
+
+def _read_stream(path: Path, dof: int | None, notes: list[str], joints_optional: bool = False) -> Table:
+    table = stream.read_stream(path, notes)
+    columns, joints = recognised(table.column_names, str(path), dof, notes, joints_optional)
+    for column in columns.values():
+        require_numbers(column, table.schema.field(column.index).type, str(path))
     return Table(columns, joints, si_values(columns, {name: table[column.name] for name, column in columns.items()}))
 
 

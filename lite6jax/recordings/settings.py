@@ -144,7 +144,7 @@ def read_settings(path: str | Path) -> RecordingSettings:
     content = read_yaml(path)
     if not isinstance(content, dict) or "recording" not in content:
         raise InputError(f"{path}: is not a sidecar; its one top key must be `recording:`, with the settings below it")
-    _reject_unknown(f"{path}: ", content, ["recording"])
+    _reject_unknown(f"{path}: ", content, ["recording", "account"])
     settings = content["recording"]
     if settings is None:
         return RecordingSettings()
@@ -160,8 +160,12 @@ def read_settings(path: str | Path) -> RecordingSettings:
         raise InputError(f"{path}: recording.{error}") from error
 
 
-def write_settings(settings: RecordingSettings, path: str | Path, overwrite: bool = False) -> Path:
+def write_settings(
+    settings: RecordingSettings, path: str | Path, overwrite: bool = False, account: Mapping[str, Any] | None = None
+) -> Path:
     """Writes a sidecar that `read_settings` reads back exactly; every declared key is written, defaults too.
+
+    `account` is what the recording of an arm says about itself: plain numbers and phrases, which nothing reads back.
 
     Raises:
         InputError: the file exists and `overwrite` is false, or it cannot be written.
@@ -171,8 +175,11 @@ def write_settings(settings: RecordingSettings, path: str | Path, overwrite: boo
         for key, value in asdict(settings).items()
         if value is not None
     }
+    content = {"recording": declared} | ({} if account is None else {"account": dict(account)})
     return write_atomically(
-        path, yaml.safe_dump({"recording": declared}, sort_keys=False, default_flow_style=None, width=120), overwrite
+        path,
+        yaml.safe_dump(content, sort_keys=False, default_flow_style=None, width=120, allow_unicode=True),
+        overwrite,
     )
 
 

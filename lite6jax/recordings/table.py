@@ -109,6 +109,9 @@ def arrays_of(table: Table, source: str, notes: list[str]) -> dict[str, Any]:
 
     joint_position = per_joint("q{}_rad")
     assert joint_position is not None  # `recognise` requires it
+    if (missing := values.get("missing")) is not None and (gaps := int((missing > 0).sum())):
+        total = f"{np.nansum(missing):.0f} reports of the controller are missing"
+        notes.append(f"{total}, in {gaps} gap{'s' if gaps > 1 else ''}; the columns missing and gap say where and why")
     run = values.get("run")
     if run is not None:
         given = np.isfinite(run)

@@ -10,7 +10,7 @@ from rich.text import Text
 
 from lite6jax.arms.forms import Conversion
 from lite6jax.fitting.compare import Comparison
-from lite6jax.fitting.folder import Row, failed
+from lite6jax.fitting.folder_rows import Row, failed
 from lite6jax.fitting.solution import Result
 from lite6jax.report.cells import SCREEN, SHOWS_AS_ZERO, fixed, listing, number
 from lite6jax.report.tables import STATISTICS
@@ -89,16 +89,25 @@ def _pairwise_distances(comparison: Comparison) -> Iterator[RenderableType]:
     )
 
 
-def folder_report(rows: Sequence[Row]) -> Iterator[RenderableType]:
-    """Position errors by type of arm, and a line for each file without a usable fit."""
+def folder_report(rows: Sequence[Row], kept: int = 0) -> Iterator[RenderableType]:
+    """Position errors by type of arm, and a line for each file without a usable fit.
+
+    Args:
+        rows: of the files.
+        kept: how many of them are of an earlier run that was ended.
+    """
+    if kept:
+        yield Text(
+            f"{kept} of {len(rows)} files had been fitted by a run that was ended; their rows are those of that run."
+        )
     table = listing("arm", "files", "ok", "nominal", "worst", "check")
     groups: dict[tuple[str, str], list[Row]] = {}
     for row in rows:
         if row.arm:
             groups.setdefault((row.kind, row.arm), []).append(row)
     for (kind, arm), group in sorted(groups.items()):
-        nominal = [1e3 * float(row.nominal.position.max()) for row in group if row.nominal]
-        checked = [1e3 * float(row.checked.position.max()) for row in group if row.checked]
+        nominal = [1e3 * row.nominal.position_max for row in group if row.nominal]
+        checked = [1e3 * row.checked.position_max for row in group if row.checked]
         good = sum(row.result == Result.CONVERGED for row in group)
         name = arm if kind == "calibration" else f"{arm} (recorded)"
         table.add_row(

@@ -14,6 +14,7 @@ from lite6jax.arms import entries, frames
 from lite6jax.arms.arm import sample_joints
 from lite6jax.arms.factory import FactoryCalibration
 from lite6jax.controller.calibration import CalibrationRead
+from lite6jax.controller.gaps import Gaps
 from lite6jax.controller.recorded import Recorded
 from lite6jax.controller.recorder import Progress
 from lite6jax.controller.verification import FLOOR_M, GATE_M, GATE_RAD, Verification
@@ -22,6 +23,8 @@ from lite6jax.report.cells import fixed, listing, number
 from lite6jax.report.tables import STATISTICS
 
 Array = NDArray[np.floating]
+
+_MOST_GAPS = 10
 
 
 def calibration_report(read: CalibrationRead) -> Iterator[RenderableType]:
@@ -177,9 +180,12 @@ def recorded_report(recorded: Recorded) -> Iterator[RenderableType]:
             f"Recorded {recorded.rows} rows{runs}: {recorded.duration:.3f} s at {recorded.rate:.2f} Hz by the"
             " controller's clock."
         )
-        lost = f"{recorded.missing} reports missing" if recorded.missing else "no report missing"
+        if recorded.short:
+            yield Text(f"{recorded.asked} rows were asked for.")
         repeated = f", {recorded.repeated} duplicates removed" if recorded.repeated else ", no duplicates"
-        yield Text(f"Within the runs: {lost}{repeated}.")
+        yield Text(f"{_missing(recorded.gaps, recorded.runs)}{repeated}.")
+        if recorded.gaps.count:
+            yield _gaps(recorded)
     else:
         yield Text(f"Recorded the controller's forward kinematics at {recorded.rows} joint positions; nothing moved.")
     if computed and recorded.missing:
@@ -188,6 +194,27 @@ def recorded_report(recorded: Recorded) -> Iterator[RenderableType]:
         yield _sources(recorded)
     for note in recorded.notes:
         yield Text(f"Note: {note[0].upper()}{note[1:]}.")
+
+
+def _missing(gaps: Gaps, runs: int) -> str:
+    """How many reports are missing, and where."""
+    if runs < 2:
+        return f"{gaps.within} reports missing" if gaps.within else "No report missing"
+    if not gaps.within + gaps.between:
+        return "No report missing within or between runs"
+    return f"{gaps.within} reports missing within runs, about {gaps.between} between runs"
+
+
+def _gaps(recorded: Recorded) -> Table:
+    """The longest gaps; the columns of the recording have all."""
+    gaps = recorded.gaps
+    shown = gaps.longest(_MOST_GAPS)
+    title = "Gaps" if len(shown) == gaps.count else f"The {len(shown)} longest of {gaps.count} gaps"
+    table = listing(f"{title}: before row", "run", "missing", "s", "reason")
+    table.columns[4].justify, table.columns[4].no_wrap = "left", False
+    for gap in shown:
+        table.add_row(str(gap.row), str(gap.run), str(gap.missing), f"{gap.seconds:.3f}", Text(gap.reason))
+    return table
 
 
 def _sources(recorded: Recorded) -> Table:

@@ -11,6 +11,7 @@ import pytest
 
 from lite6jax.controller.growing import growing_table
 from lite6jax.errors import InputError
+from lite6jax.recordings.stream import read_stream
 
 
 def rows(count, seed=0, columns=20):
@@ -59,6 +60,95 @@ def test_csv_is_whole_after_every_piece(tmp_path):
         table.append(rows(10, count))
         assert len(read(path)["c0"]) == 10 * count
     table.close()
+
+
+@pytest.mark.parametrize("suffix", ["csv", "parquet"])
+def test_words_and_their_absence_are_read_back(tmp_path, suffix):
+    path = tmp_path / f"run.{suffix}"
+    table = growing_table(path, False, {})
+    parts = [[None, None], ['lost, "again"', None]]
+    for part in parts:
+        table.append({"q": np.zeros(2), "gap": np.array(part, object)})
+    table.close()
+    assert [word or None for word in read(path)["gap"]] == [None, None, 'lost, "again"', None]
+
+
+def test_a_parquet_recording_is_whole_after_every_piece_in_the_stream_beside_it(tmp_path):
+    path = tmp_path / "run.parquet"
+    table = growing_table(path, False, {"c0": "measured"})
+    parts = [rows(10, seed) for seed in range(4)]
+    for count, part in enumerate(parts, 1):
+        table.append(part)
+        assert table.file == tmp_path / "run.arrows"
+        found = read_stream(table.file, [])
+        assert found.num_rows == 10 * count
+    np.testing.assert_array_equal(found["c3"], np.concatenate([part["c3"] for part in parts]))
+    # as a kill in the middle of a piece leaves it
+    content, notes = table.file.read_bytes(), []
+    table.file.write_bytes(content[:-7])
+    assert read_stream(table.file, notes).num_rows == 30
+    assert notes == ["the recording was ended while rows were being written; the last of them are cut off"]
+    table.file.write_bytes(content)
+    table.close()
+    assert [table.file, *tmp_path.iterdir()] == [path, path]
+
+
+def test_no_flipped_bit_of_a_stream_changes_a_number(tmp_path):
+    path = tmp_path / "run.parquet"
+    table = growing_table(path, False, {})
+    for seed in range(3):
+        table.append(rows(20, seed, columns=4))
+    content, whole = table.file.read_bytes(), read_stream(table.file, [])
+    rng = np.random.default_rng(0)
+    kept = refused = 0
+    for at in rng.integers(0, len(content), 150):
+        damaged = bytearray(content)
+        damaged[at] ^= 1 << rng.integers(8)
+        table.file.write_bytes(damaged)
+        notes = []
+        try:
+            found = read_stream(table.file, notes)
+        except InputError:
+            refused += 1
+            continue
+        assert found.equals(whole.slice(0, found.num_rows))
+        assert found.num_rows == 60 or notes
+        kept += found.num_rows == 60
+    assert refused > 50
+    assert kept < 75  # padding and what Arrow does not read
+    table.file.write_bytes(b"not a stream")
+    with pytest.raises(InputError, match="is not an Arrow stream"):
+        read_stream(table.file, [])
+    table.file.write_bytes(content)
+    table.close()
+
+
+def test_a_disk_without_room_for_the_parquet_file_keeps_the_stream(tmp_path):
+    path = tmp_path / "run.parquet"
+    table = growing_table(path, False, {})
+    parts = [rows(250, seed) for seed in range(4)]
+    for part in parts:
+        table.append(part)
+    with room_for(table.file.stat().st_size // 2), pytest.raises(OSError, match=r"the rows are in .*run\.arrows"):
+        table.close()
+    assert [table.file] == list(tmp_path.iterdir())
+    np.testing.assert_array_equal(read_stream(table.file, [])["c3"], np.concatenate([part["c3"] for part in parts]))
+
+
+def test_a_recording_to_be_replaced_goes_when_its_successor_has_rows(tmp_path):
+    path = tmp_path / "run.parquet"
+    path.write_text("mine")
+    (tmp_path / "run.arrows").write_text("of a process that was killed")
+    table = growing_table(path, True, {})
+    assert path.read_text() == "mine"
+    table.append(rows(3))
+    assert not path.exists()
+    table.close()
+    assert len(read(path)["c0"]) == 3
+    (tmp_path / "run.arrows").write_text("mine")
+    path.unlink()
+    with pytest.raises(InputError, match=r"run\.arrows: exists already"):
+        growing_table(path, False, {})
 
 
 @pytest.mark.parametrize("suffix", ["csv", "parquet"])

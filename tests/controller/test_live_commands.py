@@ -11,6 +11,8 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pyarrow.csv
+import pyarrow.ipc
 import pyarrow.parquet
 import pytest
 import yaml
@@ -178,7 +180,7 @@ def test_record_says_of_every_column_where_it_is_from(capsys, tmp_path):
         assert controller.snapshot().requests == {8: 1}
     assert code == 0
     assert "Recorded 500 rows: 1.996 s at 250.00 Hz by the controller's clock." in said
-    assert "no report missing, no duplicates" in said
+    assert "No report missing, no duplicates." in said
     for line in (
         r"q1_rad … q6_rad +measured, encoders",
         r"tau1_Nm … tau6_Nm +estimated by the controller",
@@ -261,6 +263,51 @@ def test_an_interrupt_keeps_every_row(tmp_path, name, number):
     read = read_recording(out)
     assert read.samples == rows > 50
     assert (np.rint(1e6 * np.diff(read.time)) == 4000).all()
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="signals of POSIX")
+@pytest.mark.parametrize("name", ["run.parquet", "run.csv"])
+def test_a_kill_costs_a_second_at_most_and_temporary_files_go_with_the_next_run(tmp_path, capsys, name):
+    out = tmp_path / name
+    rows = tmp_path / ("run.arrows" if name == "run.parquet" else name)
+    with emulated(path=draw_sines(ARM.joint_limits)) as (_, address):
+        with recording(address, out) as process:
+            deadline = time.monotonic() + 60
+            while not (rows.exists() and rows.stat().st_size > 10_000) and time.monotonic() < deadline:
+                time.sleep(0.05)
+            time.sleep(1.5)
+            process.kill()
+            process.wait()
+        read = read_recording(out)
+        table = pyarrow.ipc.open_stream(rows).read_all() if name == "run.parquet" else pyarrow.csv.read_csv(rows)
+        assert table.num_rows == read.samples
+        assert (np.rint(1e6 * np.diff(read.time)) == 4000).all()
+        assert read.samples >= 250
+        if name == "run.parquet":
+            assert any("was ended before it was complete; its rows are those of run.arrows" in n for n in read.notes)
+        assert yaml.safe_load((tmp_path / "run.yaml").read_text())["account"] == {"complete": False}
+        assert "exists already" in refused(capsys, "record", "--ip", address, "--out", out, "--seconds", 1)
+        code, _, _ = run(capsys, "record", "--ip", address, "--out", out, "--seconds", 1, "--force")
+    assert code == 0
+    assert read_recording(out).samples == 250
+    assert {path.name for path in tmp_path.iterdir()} == {name, "run.yaml", "run_factory.yaml"}
+
+
+def test_less_than_was_asked_for_is_said_and_not_0(capsys, tmp_path):
+    with emulated(faults=Faults(lose_every=50), speed=20.0) as (controller, address):
+        code, said, _ = run(capsys, "record", "--ip", address, "--out", tmp_path / "a.csv", "--seconds", 4, width=100)
+        assert code == 1
+        rows, missing = re.search(r"Recorded (\d+) rows", said)[1], re.search(r"(\d+) reports missing, no dup", said)[1]
+        assert int(rows) + int(missing) in (999, 1000)
+        assert "1000 rows were asked for." in said
+        assert re.search(r"The 10 longest of \d+ gaps: before row +run +missing +s +reason", said)
+        assert re.search(r"\d+ +0 +1 +0\.008 +reports not received", said)
+        controller.set_faults(Faults(close_reports_after=300))
+        code, said, _ = run(capsys, "record", "--ip", address, "--out", tmp_path / "b.csv", "--seconds", 30, width=100)
+        assert code == 1
+        assert re.search(r"Recorded \d+ rows in \d+ runs", said)
+        assert re.search(r"0 reports missing within runs, about \d+ between runs, no duplicates\.", said)
+        assert "connection lost (" in flat(said)
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="limits of POSIX")

@@ -6,6 +6,7 @@ import time
 import numpy as np
 import pyarrow.parquet
 import pytest
+import yaml
 from live_arm import ARM, KINEMATICS, emulated, new_host, serving
 from test_growing import room_for
 
@@ -39,6 +40,8 @@ def recorded(tmp_path, seconds=2.0, name="run.parquet", faults=Faults(), during=
 def test_ten_minutes_at_250_hz_lose_and_double_nothing(tmp_path):
     done, read = recorded(tmp_path, 600.0, speed=200.0)
     assert (done.rows, done.missing, done.repeated, done.runs, done.unwritten) == (150_000, 0, 0, 1, 0)
+    assert not done.short
+    assert yaml.safe_load((tmp_path / "run.yaml").read_text())["account"]["complete"]
     assert read.samples == 150_000
     np.testing.assert_array_equal(np.rint(1e6 * read.time), 4000 * np.arange(150_000))
     assert len(np.unique(read.joint_position, axis=0)) > 149_000  # the arm moved, and no row stands for another
@@ -70,6 +73,10 @@ def test_a_recording_is_what_the_arm_did_and_says_what_it_is(tmp_path):
 def test_missing_reports_are_counted(tmp_path):
     done, read = recorded(tmp_path, 4.0, faults=Faults(lose_every=50))
     assert done.missing == pytest.approx(20, abs=1)
+    assert done.short
+    table = pyarrow.parquet.read_table(tmp_path / "run.parquet")
+    assert sum(table["missing"].to_pylist()) == done.missing
+    assert set(table["gap"].to_pylist()) == {None, "reports not received"}
     assert done.rows == read.samples
     # by the controller's clock; a report that is lost at either end has no neighbour to miss it
     due = np.rint((read.time[-1] - read.time[0]) / 0.004) + 1
@@ -80,7 +87,18 @@ def test_missing_reports_are_counted(tmp_path):
 def test_a_line_that_drops_is_made_anew_and_every_report_of_a_connection_is_there(tmp_path):
     done, read = recorded(tmp_path, 12.0, faults=Faults(close_reports_after=300), speed=8.0)
     assert done.runs == read.run.max() + 1 >= 3
-    assert done.missing == done.repeated == 0
+    assert done.gaps.within == done.repeated == 0
+    assert done.short
+    starts = np.flatnonzero(np.diff(read.run)) + 2  # data rows count from 1
+    gaps = done.gaps.longest(99)
+    assert [gap.row for gap in gaps] == starts.tolist()
+    assert all("connection lost (" in gap.reason and "closed by the controller" in gap.reason for gap in gaps)
+    assert done.gaps.between == sum(gap.missing for gap in gaps) > 0
+    account = yaml.safe_load((tmp_path / "run.yaml").read_text())["account"]
+    assert (account["complete"], account["rows"], account["rows_asked_for"]) == (False, done.rows, 3000)
+    assert account["reports_missing_between_runs"] == done.gaps.between
+    assert [gap["row"] for gap in account["longest_gaps"]] == starts.tolist()
+    assert any(f"{done.missing} reports of the controller are missing" in note for note in read.notes)
     assert done.rows == read.samples
     for run in range(done.runs - 1):
         clock = np.rint(1e6 * read.time[read.run == run])
@@ -111,7 +129,8 @@ def test_a_line_that_stays_away_ends_the_recording_of_so_many_seconds(tmp_path, 
 
     done, read = recorded(tmp_path, 1.0, during=go_away, speed=1.0)
     assert 0 < done.rows == read.samples < 250
-    assert any("ended before 1 s" in note for note in done.notes)
+    assert done.short
+    assert any("s before 1 s: no report for 0." in note for note in done.notes)
 
 
 def test_pieces_of_single_bytes_and_an_error_do_not_matter(tmp_path):

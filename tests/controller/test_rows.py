@@ -11,7 +11,6 @@ from lite6jax.controller.condition import Condition
 from lite6jax.controller.rows import SOURCES, Rows
 from lite6jax.controller.station import Station
 from lite6jax.controller.stream import Reports
-from lite6jax.errors import InputError
 from tests.oracles.chains import six_parameter_poses
 
 STEP = 4000
@@ -92,15 +91,72 @@ def test_what_comes_twice_is_kept_once_within_and_across_connections():
     assert (rows.count, rows.repeated, rows.missing) == (5, 2, 0)
 
 
-def test_gaps_are_counted_within_a_run_and_not_between_runs():
+def test_gaps_are_counted_within_and_between_runs_and_stand_in_the_table():
     rows = Rows(station())
-    took(rows, reports(STEP * np.array([1, 2, 4, 8])))
-    assert rows.missing == 1 + 3
+    table = took(rows, reports(STEP * np.array([1, 2, 4, 8])))
+    assert (rows.missing, table["missing"].tolist()) == (1 + 3, [0, 0, 1, 3])
+    assert table["gap"].tolist() == [None, None, "reports not received", "reports not received"]
     took(rows, reports(STEP * np.array([10, 11])))
-    assert rows.missing == 5
+    assert (rows.gaps.within, rows.gaps.between) == (5, 0)
+    rows.lost = "port 30000: closed by the controller"
     table = took(rows, reports(STEP * np.array([100, 101])), connection=1)
-    assert (rows.missing, rows.run) == (5, 1)
+    assert (rows.gaps.within, rows.gaps.between, rows.missing, rows.run) == (5, 88, 93, 1)
     np.testing.assert_allclose(table["time_s"], [0.396, 0.4])
+    assert table["missing"].tolist() == [88, 0]
+    assert table["gap"].tolist() == ["connection lost (port 30000: closed by the controller)", None]
+    gap = rows.gaps.longest(1)[0]
+    assert (gap.row, gap.run, gap.missing, gap.starts_run) == (7, 1, 88, True)
+    assert gap.seconds == pytest.approx(0.356)
+    assert [gap.row for gap in rows.gaps.longest(9)] == [3, 4, 5, 7]
+
+
+def test_many_gaps_are_counted_though_the_longest_only_are_kept_one_by_one():
+    rows = Rows(station())
+    clock = np.cumsum(np.where(np.arange(5000) % 2, 2, 1))
+    clock[3000:] += 40
+    took(rows, reports(STEP * clock, np.zeros((5000, 6))))
+    assert (rows.gaps.count, rows.gaps.within) == (2501, 2500 + 40)
+    assert rows.gaps.longest(1)[0].row == 3001
+    assert len(rows.gaps.listed) < 2500
+
+
+def test_a_clock_that_jumps_starts_a_run_and_is_said():
+    rows = Rows(station(), seconds=0.06)
+    table = took(rows, reports(STEP * np.arange(5)), heard=1.0)
+    table = took(rows, reports(10**13 + STEP * np.arange(5)), heard=1.02)
+    np.testing.assert_allclose(table["time_s"], 0.02 + 0.004 * np.arange(5))
+    assert (rows.complete, rows.run) == (False, 1)
+    assert table["gap"].tolist()[:2] == ["the controller's clock jumped by 1e+07 s", None]
+    assert any("clock jumped 1 times; each time starts a run" in note for note in rows.notes())
+    took(rows, reports(10**13 + STEP * np.arange(5, 30)), heard=1.1)
+    assert rows.complete
+    assert rows.count == 15
+    # in the middle of a piece
+    rows = Rows(station())
+    table = took(rows, reports([0, STEP, 10**9, 10**9 + STEP]))
+    np.testing.assert_array_equal(table["run"], [0, 0, 1, 1])
+
+
+def test_a_connection_lost_for_long_is_no_jump():
+    rows = Rows(station())
+    took(rows, reports(STEP * np.arange(5)), heard=1.0)
+    table = took(rows, reports(STEP * np.arange(5000, 5003)), connection=1, heard=20.98)
+    np.testing.assert_allclose(table["time_s"], 0.004 * np.arange(5000, 5003))
+    assert table["gap"][0] == "new connection"
+    assert rows.gaps.between == 4995
+
+
+@pytest.mark.parametrize("start", [2**63 - 2 * STEP, 2**63 + 10, 2**64 - 10**12])
+def test_a_clock_beyond_63_bits_loses_nothing(start):
+    rows = Rows(station())
+    clock = np.array([start + STEP * i for i in range(5)], np.uint64)
+    np.testing.assert_allclose(took(rows, reports(clock))["time_s"], 0.004 * np.arange(5))
+    table = took(rows, reports(np.array([7, 7 + STEP], np.uint64)))  # restarted
+    assert (rows.count, rows.run, len(table["time_s"])) == (7, 1, 2)
+    rows = Rows(station())
+    table = took(rows, reports(np.array([7, 7 + STEP, *clock], np.uint64)))
+    assert table["run"].tolist() == [0, 0, 1, 1, 1, 1, 1]
+    assert (np.diff(table["time_s"]) > 0).all()
 
 
 def test_a_clock_that_starts_anew_goes_on_in_another_run():
@@ -117,10 +173,10 @@ def test_a_clock_that_starts_anew_goes_on_in_another_run():
     assert (np.diff(table["time_s"]) > 0).all()
 
 
-def test_a_clock_that_stands_still_is_refused():
+def test_a_clock_that_stands_still_ends_the_recording_and_costs_no_row():
     rows = Rows(station())
-    with pytest.raises(InputError, match="clock has stopped at 77 µs; update"):
-        took(rows, reports(np.full(150, 77)))
+    assert len(took(rows, reports([*(STEP * np.arange(3)), *[77 * STEP] * 150]))["time_s"]) == 4
+    assert rows.stopped == "port 30000: the controller's clock has stopped at 308000 µs; update the firmware"
 
 
 def test_it_is_complete_when_the_time_has_come():

@@ -1,0 +1,51 @@
+"""How a signal ends the program: what was begun is undone, one line says so, and the exit code is 128 + its number."""
+
+import os
+import signal
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from types import FrameType
+
+SIGNALS = ("SIGINT", "SIGTERM", "SIGHUP")
+"""Those that end the program; Ctrl-C is the first."""
+
+_undo: list[Callable[[], object]] = []
+
+
+def undo_at_signal(undo: Callable[[], object]) -> None:
+    """Has `undo` called where a signal ends the program, which then runs no `finally`."""
+    _undo.append(undo)
+
+
+def end_on_signals() -> None:
+    """From here on a signal of `SIGNALS` ends the process at once; to be called by a program, before its imports.
+
+    No exception is raised for it. A `KeyboardInterrupt` is lost where a library catches every exception while it is
+    imported, and in destructors and callbacks, and it prints a traceback where nobody catches it.
+    """
+    for name in SIGNALS:
+        number = getattr(signal, name, None)
+        if number is not None and signal.getsignal(number) != signal.SIG_IGN:  # ignored under nohup
+            signal.signal(number, _end)
+
+
+@contextmanager
+def undone(undo: Callable[[], object]) -> Iterator[None]:
+    """As `undo_at_signal`, within the `with` statement only."""
+    undo_at_signal(undo)
+    try:
+        yield
+    finally:
+        _undo.remove(undo)
+
+
+def _end(number: int, frame: FrameType | None) -> None:
+    for undo in reversed(_undo):
+        with suppress(Exception):
+            undo()
+    what = "interrupted" if number == signal.SIGINT else f"ended by {signal.Signals(number).name}"
+    # progress bars have hidden the cursor of a terminal
+    shown = "\r\x1b[K\x1b[?25h" if os.isatty(2) else ""
+    with suppress(OSError):
+        os.write(2, f"{shown}{what}: nothing is left half-written\n".encode())
+    os._exit(128 + number)

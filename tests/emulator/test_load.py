@@ -1,0 +1,81 @@
+"""Many clients at once, and clients that do not read: bounded memory, counted losses, and others undisturbed."""
+
+import select
+import socket
+import time
+from contextlib import ExitStack
+
+import numpy as np
+import pytest
+from emulated import CONTROL_PORT, Line, new_address, read_reports, until
+
+from lite6jax.controller import protocol
+from lite6jax.emulator import Controller, sockets
+
+CLIENTS = 200
+
+
+def idle(controller, port):
+    """A connection that never reads, with as little of it held by this side's system as may be."""
+    line = socket.socket()
+    line.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+    line.connect((controller.address, port))
+    return line
+
+
+def waiting(controller):
+    """The bytes that the controller holds for its clients."""
+    served = controller._sockets
+    writers = [*served.clients, *(writer for port in served.readers.values() for writer in port)]
+    return controller.call(lambda _: sum(writer.transport.get_write_buffer_size() for writer in writers))
+
+
+def connected(controller):
+    """The connections to port 30000 that are or were there."""
+    seen = controller.snapshot()
+    return seen.connections[protocol.REALTIME] + seen.given_up
+
+
+@pytest.mark.parametrize("speed", [1.0, 20.0])
+def test_two_hundred_clients_of_which_most_never_read(lite6, monkeypatch, speed):
+    most = 3_000_000
+    monkeypatch.setattr(sockets, "MOST_UNSENT", most)
+    monkeypatch.setattr(sockets, "KERNEL_BUFFER", 4096)
+    monkeypatch.setattr(sockets, "GIVE_UP_S", 0.3)
+    with (
+        Controller(lite6, address=new_address(), control_port=CONTROL_PORT, speed=speed) as controller,
+        ExitStack() as stack,
+    ):
+        asking = [stack.enter_context(Line(controller)) for _ in range(CLIENTS // 4)]
+        lines = [stack.enter_context(idle(controller, protocol.REALTIME)) for _ in range(CLIENTS - len(asking))]
+        seen = []
+
+        def given_up():
+            seen.append(waiting(controller))
+            return controller.snapshot().given_up >= 20
+
+        until(given_up, 30.0)
+        # what is sent between two looks comes on top
+        assert most / 4 < max(seen) < most + len(lines) * 200_000 / 2
+        assert controller.snapshot().unsent <= most
+        assert {line.ask(13)[6] for line in asking} == {13}
+        assert set(np.diff(read_reports(controller, protocol.REALTIME, 100)["time_us"].astype(np.int64))) == {4000}
+        last = controller.snapshot()
+        assert last.lost[protocol.REALTIME] >= last.given_up
+        assert last.lost[protocol.RICH] == 0
+        until(lambda: connected(controller) == len(lines))
+
+
+def test_a_client_that_asks_and_never_reads_costs_no_more_than_its_buffers(lite6, monkeypatch):
+    monkeypatch.setattr(sockets, "KERNEL_BUFFER", 4096)
+    with Controller(lite6, address=new_address(), control_port=CONTROL_PORT) as controller:
+        with idle(controller, CONTROL_PORT) as line:
+            request = protocol.request(8).encode() * 100
+            sent = 0
+            while select.select([], [line], [], 0.3)[1]:  # until the controller takes no more
+                sent += line.send(request)
+            assert 100_000 < sent < 50_000_000
+            time.sleep(0.15)
+            assert controller.snapshot().unsent < 1 << 18
+        with Line(controller) as other:
+            assert other.ask(13)[6] == 13

@@ -1,0 +1,45 @@
+"""The exit codes: one table in the documents, one in the code, and no number beside them."""
+
+import ast
+import re
+from pathlib import Path
+
+from typed import flat, run
+
+from lite6jax import interruption
+from lite6jax.cli import exit_codes
+
+ROOT = Path(__file__).resolve().parents[1]
+NAMED = {name: value for name, value in vars(exit_codes).items() if name.isupper() and isinstance(value, int)}
+
+
+def test_the_documented_table_is_that_of_the_code():
+    rows = re.findall(r"^\| (\d+) \| (.+) \|$", (ROOT / "docs/exit_codes.md").read_text(), re.MULTILINE)
+    assert {int(code): meaning for code, meaning in rows} == dict(exit_codes.MEANINGS)
+    assert len(rows) == len(NAMED)
+    assert sorted(NAMED.values()) == sorted(exit_codes.MEANINGS)
+
+
+def test_help_has_the_table(capsys):
+    said = flat(run(capsys, "--help", width=200)[1])
+    for code, meaning in exit_codes.MEANINGS.items():
+        assert f"{code} {meaning}"[:60] in said
+
+
+def test_signals_end_with_codes_of_the_table():
+    import signal
+
+    signals = {128 + getattr(signal, name) for name in interruption.SIGNALS if hasattr(signal, name)}
+    assert signals <= set(exit_codes.MEANINGS)
+
+
+def test_commands_return_named_codes_only():
+    for path in (ROOT / "lite6jax/cli").rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.FunctionDef) and node.name in ("run", "main"):
+                returned = [child.value for child in ast.walk(node) if isinstance(child, ast.Return)]
+                for value in filter(None, returned):
+                    numbers = [
+                        leaf for leaf in ast.walk(value) if isinstance(leaf, ast.Constant) and type(leaf.value) is int
+                    ]
+                    assert not numbers, ast.unparse(value)

@@ -1,0 +1,161 @@
+"""What a signal and a kill leave: one line, an exit code, no temporary file, and nothing that goes on."""
+
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from benchmarks import interrupts
+from lite6jax import temporaries
+from lite6jax.storage import write_atomically
+from lite6jax.temporaries import create_temporary, remove_left, remove_temporary, temporary_folder
+
+ROOT = Path(__file__).resolve().parents[1]
+POSIX = pytest.mark.skipif(sys.platform == "win32", reason="signals of POSIX")
+DEAD = 2**22 + 1
+"""A process that cannot be: above the largest number that Linux gives."""
+
+
+def process(program, *arguments, **options):
+    """A program of Python that has printed its first line."""
+    command = [sys.executable, "-c", program, *map(str, arguments)]
+    started = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, **options)
+    assert started.stdout is not None
+    assert started.stdout.readline() == "ready\n"
+    return started
+
+
+SWALLOWS = """
+import sys, time
+from pathlib import Path
+from lite6jax import interruption
+interruption.end_on_signals()
+from lite6jax.temporaries import create_temporary, temporary_folder
+create_temporary(Path(sys.argv[1], "run.csv"))
+with temporary_folder() as folder, interruption.undone(lambda: Path(sys.argv[1], "undone").touch()):
+    print("ready", flush=True)
+    while True:
+        try:
+            time.sleep(60)
+        except BaseException:
+            pass
+"""
+
+
+@POSIX
+@pytest.mark.parametrize(
+    ("number", "code", "says"),
+    [
+        (signal.SIGINT, 130, "interrupted: nothing is left half-written\n"),
+        (signal.SIGTERM, 143, "ended by SIGTERM: nothing is left half-written\n"),
+        (signal.SIGHUP, 129, "ended by SIGHUP: nothing is left half-written\n"),
+    ],
+)
+def test_a_signal_ends_what_catches_every_exception_and_cleans_up(tmp_path, number, code, says):
+    started = process(SWALLOWS, tmp_path, env=os.environ | {"TMPDIR": str(tmp_path)})
+    assert len(list(tmp_path.iterdir())) == 2
+    started.send_signal(number)
+    out, err = started.communicate(timeout=30)
+    assert (started.returncode, out, err) == (code, "", says)
+    assert list(tmp_path.iterdir()) == [tmp_path / "undone"]
+
+
+@POSIX
+def test_signals_that_are_ignored_stay_so():
+    program = "import signal; signal.signal(signal.SIGHUP, signal.SIG_IGN)\n"
+    program += "from lite6jax import interruption; interruption.end_on_signals()\n"
+    program += "print(signal.getsignal(signal.SIGHUP) == signal.SIG_IGN, signal.getsignal(signal.SIGTERM))"
+    done = subprocess.run([sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, check=True)
+    assert done.stdout.startswith("True <function _end")
+
+
+def test_the_program_has_its_signals_before_it_imports_what_takes_time():
+    program = (
+        "import sys; from lite6jax import interruption;"
+        "interruption.end_on_signals = lambda: print(*sorted({'jax', 'numpy', 'tyro', 'yaml'} & set(sys.modules)));"
+        "from lite6jax.cli import main; sys.argv = ['lite6jax', '--version']; main()"
+    )
+    done = subprocess.run([sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, check=True)
+    assert done.stdout.startswith("\nlite6jax ")
+
+
+@POSIX
+def test_the_signals_of_a_program_that_calls_main_are_its_own():
+    program = (
+        "import signal; from lite6jax.cli import main; main(['--version']); print(signal.getsignal(signal.SIGINT))"
+    )
+    done = subprocess.run([sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, check=True)
+    assert "default_int_handler" in done.stdout
+
+
+@POSIX
+def test_what_a_kill_left_goes_with_the_next_write(tmp_path):
+    program = (
+        "import sys, time; from lite6jax.storage import write_atomically\n"
+        "def write(target):\n"
+        "    target.write_text('half')\n"
+        "    print('ready', flush=True)\n"
+        "    time.sleep(60)\n"
+        "write_atomically(sys.argv[1] + '/out.csv', write)"
+    )
+    started = process(program, tmp_path)
+    started.kill()
+    started.communicate()
+    (left,) = tmp_path.iterdir()
+    assert left.name.startswith(".lite6jax-")
+    remove_left.cache_clear()
+    write_atomically(tmp_path / "out.csv", "whole")
+    assert list(tmp_path.iterdir()) == [tmp_path / "out.csv"]
+
+
+def test_only_what_a_dead_process_of_this_machine_left_is_removed(tmp_path):
+    host = temporaries._host()
+    kept = [
+        tmp_path / f".lite6jax-{host}-{os.getpid()}-a.csv",
+        tmp_path / f".lite6jax-00000000-{DEAD}-a.csv",
+        tmp_path / f"lite6jax-{host}-{DEAD}-a.csv",
+        tmp_path / ".run.csv",
+    ]
+    gone = [tmp_path / f".lite6jax-{host}-{DEAD}-a.csv", tmp_path / f".lite6jax-{host}-{'9' * 30}-a.csv"]
+    for path in [*kept, *gone]:
+        path.write_text("")
+    folder = tmp_path / f".lite6jax-{host}-{DEAD}-folder"
+    folder.mkdir()
+    (folder / "log").write_text("")
+    remove_left(tmp_path)
+    assert set(tmp_path.iterdir()) == set(kept)
+    remove_left(tmp_path / "there is none")
+
+
+def test_temporary_files_and_folders_go_at_the_end(tmp_path):
+    path = create_temporary(tmp_path / "figure.png")
+    assert (path.parent, path.suffix, path.read_bytes()) == (tmp_path, ".png", b"")
+    remove_temporary(path)
+    remove_temporary(path)
+    assert list(tmp_path.iterdir()) == []
+    with temporary_folder() as folder:
+        (folder / "inside").write_text("")
+    assert not folder.exists()
+
+
+@POSIX
+@pytest.mark.parametrize(
+    ("program", "found"),
+    [
+        ("import signal, time; signal.signal(signal.SIGINT, lambda *_: None); time.sleep(1.2)", interrupts.SWALLOWED),
+        ("raise SystemExit(0)", interrupts.SWALLOWED),
+        ("import time; time.sleep(20)", interrupts.BEFORE),  # as Python ends before a program has its signals
+        ("import signal, sys; signal.signal(signal.SIGINT, lambda *_: sys.exit(1)); signal.pause()", interrupts.OTHER),
+    ],
+)
+def test_the_benchmark_calls_no_wrong_end_right(tmp_path, program, found):
+    command = (sys.executable, "-S", "-c", program)
+    assert interrupts.outcome(signal.SIGINT, 0.7, tmp_path, command) == found
+
+
+@POSIX
+def test_an_interrupt_while_a_command_imports_is_right(tmp_path):
+    assert interrupts.outcome(signal.SIGINT, 0.6, tmp_path) == interrupts.RIGHT
