@@ -122,7 +122,9 @@ class GrowingParquet:
         self._file.reserve(table.nbytes * 21 // 20 + _LISTED * len(fields) + 2 * _LISTED * len(fields) + listing)
         if self._writer is None:
             sink = pa.PythonFile(self._file, mode="w")
-            self._writer = pa_parquet.ParquetWriter(sink, table.schema, use_dictionary=False, compression="zstd")
+            self._writer = pa_parquet.ParquetWriter(
+                sink, table.schema, use_dictionary=False, compression="zstd", write_page_checksum=True
+            )
         self._writer.write_table(table)
         self._listing = listing
 

@@ -1,5 +1,6 @@
 """Every file of a folder fitted: a row each with its result, in batches by type of arm; a bad file stops nothing."""
 
+import os
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -72,9 +73,11 @@ def folder_files(folder: str | Path, leave_out: Path | None = None) -> list[Path
         InputError: not a folder, or none in it.
     """
     folder = Path(folder)
-    if not folder.is_dir():
-        raise InputError(f"{folder}: {'is not a folder' if folder.exists() else 'no such folder'}; name one")
+    if not os.path.isdir(folder):
+        raise InputError(f"{folder}: {'is not a folder' if storage.exists(folder) else 'no such folder'}; name one")
     out = leave_out.resolve() if leave_out else None
+    if leave_out and out and out.is_file() and out.parent == folder.resolve() and not _holds_rows(out):
+        raise InputError(f"{leave_out}: is one of the files to be fitted and would be replaced; choose another name")
     files = sorted(
         path
         for path in folder.iterdir()
@@ -89,6 +92,17 @@ def folder_files(folder: str | Path, leave_out: Path | None = None) -> list[Path
         accepted = ", ".join(CALIBRATIONS + RECORDINGS)
         raise InputError(f"{folder}: has no calibration or recording ({accepted}); name another folder")
     return files
+
+
+def _holds_rows(path: Path) -> bool:
+    """Whether a Parquet file is what `write_rows` writes, not a recording."""
+    import pyarrow
+    import pyarrow.parquet
+
+    try:
+        return {"file", "kind", "result"} <= set(pyarrow.parquet.read_schema(path).names)
+    except (pyarrow.ArrowException, OSError, UnicodeDecodeError):
+        return False
 
 
 def fit_folder(
@@ -227,10 +241,10 @@ def write_rows(rows: Sequence[Row], path: str | Path, overwrite: bool = False) -
 
     names = list(dict.fromkeys(name for row in rows for name, _ in row.parameters))
     columns: dict[str, pyarrow.Array] = {
-        "file": pyarrow.array([row.file for row in rows]),
+        "file": pyarrow.array([_utf8(row.file) for row in rows]),
         "kind": pyarrow.array([row.kind for row in rows]),
         "result": pyarrow.array([int(row.result) for row in rows], pyarrow.int32()),
-        "message": pyarrow.array([row.message for row in rows]),
+        "message": pyarrow.array([_utf8(row.message) for row in rows]),
         "arm": pyarrow.array([row.arm or None for row in rows], pyarrow.string()),
         "joints": pyarrow.array([row.joints or None for row in rows], pyarrow.int32()),
         "samples": pyarrow.array([row.samples or None for row in rows], pyarrow.int64()),
@@ -242,7 +256,16 @@ def write_rows(rows: Sequence[Row], path: str | Path, overwrite: bool = False) -
     for name in names:
         columns[name] = pyarrow.array([dict(row.parameters).get(name) for row in rows], pyarrow.float64())
     table = pyarrow.table(columns)
-    return storage.write_atomically(path, lambda target: pyarrow.parquet.write_table(table, target), overwrite)
+
+    def write(target: Path) -> None:
+        pyarrow.parquet.write_table(table, target, write_page_checksum=True)
+
+    return storage.write_atomically(path, write, overwrite)
+
+
+def _utf8(text: str) -> str:
+    """The text with bytes of a file's name that are not UTF-8 spelled out."""
+    return text.encode(errors="backslashreplace").decode()
 
 
 def _statistics(found: Sequence[Errors | None]) -> dict[str, list[float | None]]:
