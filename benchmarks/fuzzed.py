@@ -8,7 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from random import Random
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -18,7 +18,6 @@ from lite6jax.arms.factory import write_factory
 from lite6jax.arms.files import read_arm, read_factory, write_arm, write_table, write_urdf
 from lite6jax.recordings import (
     Recording,
-    RecordingSettings,
     read_recording,
     read_targets,
     sidecar_path,
@@ -154,7 +153,8 @@ def recording(samples: int = SAMPLES) -> Recording:
     from lite6jax.simulation import draw_calibration
 
     rng = np.random.default_rng(0)
-    q = sample_joints(LITE6.dof, samples) * 0.5
+    lower, upper = LITE6.joint_limits.T
+    q = (lower + upper) / 2 + 0.35 * (upper - lower) * sample_joints(LITE6.dof, samples) / np.pi
     arm = Arm("lite6", draw_calibration(LITE6, seed=1))
     poses = chain(arm.links, q)
     return Recording.from_arrays(
@@ -265,7 +265,7 @@ TABLE = Reader(
 URDF = Reader(
     "urdf", lambda folder: write_urdf(LITE6, folder / "arm.urdf", overwrite=True), lambda p: _of_arm(read_arm(p))
 )
-MCAP = Reader("mcap", _mcap, _read_recording)
+MCAP = Reader("mcap", _mcap, lambda path: _of_recording(read_recording(f"{path}#/joint_states", dof=LITE6.dof)))
 READERS = (
     *(CSV, CSV_BY_HAND, PARQUET, PARQUET_ALONE, SIDECAR, SIDECAR_BY_HAND, TARGETS, DESCRIPTION, FACTORY, TABLE),
     *(URDF, MCAP),
@@ -314,9 +314,6 @@ COMMANDS = (
 )
 
 
-def targets() -> dict[str, Any]:
+def targets() -> dict[str, "Reader | Command"]:
     """All readers and commands by name."""
     return {target.name: target for target in (*READERS, *COMMANDS)}
-
-
-__all__ = ["COMMANDS", "READERS", "Command", "Reader", "RecordingSettings", "Seen", "damage", "flip_bit", "targets"]

@@ -162,7 +162,7 @@ def joint_spectra(found: Diagnosis) -> list[JointSpectra]:
                 site=site,
                 before=each[0],
                 after=each[1] if len(each) > 1 else None,
-                noise=float(chdtri(2, engine.level / searched)) / _left(tests[-1]),
+                noise=min(float(chdtri(2, engine.level / searched)) / _left(tests[-1]), 1.0),
                 harmonics=tuple(
                     e.order for e in effects if isinstance(e, JointHarmonic) and e.site == site and e.order
                 ),

@@ -230,31 +230,21 @@ def _csv_table(
 ) -> pa.Table:
     """The columns wanted, named by their index: two ignored columns may share a name."""
     wanted = [str(column.index) for column in columns.values()]
-    ragged: list[pa_csv.InvalidRow] = []
-
-    def refuse(row: pa_csv.InvalidRow) -> str:
-        ragged.append(row)
-        return "error"
-
     try:
         return pa_csv.read_csv(
             path,
             pa_csv.ReadOptions(column_names=[str(i) for i in range(len(names))], skip_rows=1, use_threads=threads),
-            pa_csv.ParseOptions(invalid_row_handler=refuse),
-            pa_csv.ConvertOptions(include_columns=wanted, column_types=dict.fromkeys(wanted, pa.float64())),
+            convert_options=pa_csv.ConvertOptions(
+                include_columns=wanted, column_types=dict.fromkeys(wanted, pa.float64())
+            ),
         )
-    except UnicodeDecodeError as error:  # Arrow decodes a row only to say that it has another number of fields
-        raise InputError(
-            f"{path}: line {_line_not_utf8(path)} is not UTF-8 text, and a row has more or fewer fields than there are "
-            "columns; write the file again as UTF-8 with a field for each column"
-        ) from error
     except pa.ArrowInvalid as error:
         if "Could not skip" in str(error):  # Arrow's word for a header and nothing after it
             raise InputError(f"{path}: has column names but no rows; record again") from error
         if threads:  # rows are numbered only when they are read in order
             return _csv_table(path, names, columns, tail, threads=False)
-        if ragged:
-            raise InputError(_ragged(path, ragged[0], names, tail)) from error
+        if match := re.search(r"Row #(\d+): Expected \d+ columns, got (\d+)", str(error)):
+            raise InputError(_ragged(path, int(match[1]) - 1, int(match[2]), names, tail)) from error
         if match := re.match(r"In CSV column #(\d+): Row #(\d+): .*?invalid value '(.*)'$", str(error), re.DOTALL):
             column = next(column for column in columns.values() if column.index == int(match[1]))
             remedy = "give numbers with a decimal point, and leave missing ones empty"
@@ -265,26 +255,13 @@ def _csv_table(
         raise InputError(f"{path}: is not a table of numbers ({_one_line(error)}); check the file") from error
 
 
-def _ragged(path: Path, row: pa_csv.InvalidRow, names: Sequence[str], tail: bytes) -> str:
-    number = (row.number or 1) - 1  # Arrow counts the header line
-    place = f"{path}: row {number} has {row.actual_columns} of {row.expected_columns} columns"
-    if row.actual_columns < row.expected_columns:
-        at_end = tail.rstrip().endswith(row.text.encode().strip())
-        cut = "the file is truncated" if at_end else "the row is cut short"
-        empty = names[int(row.actual_columns)].strip()
-        return f"{place}, {empty} is the first without a value: {cut}; complete the row or remove it"
+def _ragged(path: Path, row: int, fields: int, names: Sequence[str], tail: bytes) -> str:
+    place = f"{path}: row {row} has {fields} of {len(names)} columns"
+    if fields < len(names):
+        last = tail.rstrip().rpartition(b"\n")[2]
+        cut = "the file is truncated" if last.count(b",") + 1 == fields else "the row is cut short"
+        return f"{place}, {names[fields].strip()} is the first without a value: {cut}; complete the row or remove it"
     return f"{place}; remove the surplus fields, and write decimals with a point"
-
-
-def _line_not_utf8(path: Path) -> int:
-    """The number of the first line that is not."""
-    with open(path, "rb") as file:
-        for number, line in enumerate(file, 1):
-            try:
-                line.decode()
-            except UnicodeDecodeError:
-                return number
-    raise AssertionError(f"{path} is UTF-8")
 
 
 def _csv_header(path: Path) -> list[str]:

@@ -65,7 +65,7 @@ def without_implausible(
             continue
         row, index = np.argwhere(found)[0]
         column = pattern.format("xyz"[index] if name == "position" else index + 1)
-        first = first or f"row {row + 1}: {table[row, index]:.5g} in column {spelling.get(column, column)}"
+        first = first or f"{table[row, index]:.5g} in column {spelling.get(column, column)}, row {row + 1}"
         bad |= found.any(1)
         blanked[name] = np.where(found, np.nan, table).reshape(array.shape)
     if not first:
@@ -76,9 +76,9 @@ def without_implausible(
             f"{source}: {len(rows)} of {samples} rows have numbers beyond any arm or sensor ({first}); check the unit "
             "and the column"
         )
-    shown = f"row{'s' * (len(rows) > 1)} {', '.join(map(str, rows[:_SHOWN]))}"
-    shown += f" and {len(rows) - _SHOWN} more" if len(rows) > _SHOWN else ""
-    notes.append(f"numbers beyond any arm or sensor count as missing: {shown} ({first})")
+    more = f" and {len(rows) - _SHOWN} more" if len(rows) > _SHOWN else ""
+    listed = f"; rows {', '.join(map(str, rows[:_SHOWN]))}{more}" if len(rows) > 1 else ""
+    notes.append(f"numbers beyond any arm or sensor count as missing: {first}{listed}")
     return blanked
 
 
