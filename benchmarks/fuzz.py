@@ -32,7 +32,8 @@ HANG_S = 30.0
 START_S = 300.0
 """Until the first mutation: imports, a whole file, and for commands what is compiled."""
 OUTCOMES = ("read", "refused")
-FAILURES = ("crash", "hang", "silent change", "traceback")
+_PLURAL = {"crash": "crashes", "hang": "hangs", "silent change": "silent changes", "traceback": "tracebacks"}
+FAILURES = tuple(_PLURAL)
 
 
 @dataclass
@@ -121,14 +122,14 @@ def records(tally: Tally) -> Iterator[Record]:
     for outcome in FAILURES:
         count = tally.counts[outcome]
         wrong = f"{count} of {tally.counts.total()}" if count else ""
-        yield Record("fuzz", tally.name, f"{outcome}s", float(count), "", "lower", wrong)
+        yield Record("fuzz", tally.name, _PLURAL[outcome], float(count), "", "lower", wrong)
 
 
 def table(found: Sequence[Tally]) -> Table:
     """A row for each target, and one for all."""
     shown = Table(title="fuzz", title_justify="left")
     shown.add_column("target")
-    for column in ("mutations", *OUTCOMES, *(f"{name}s" for name in FAILURES)):
+    for column in ("mutations", *OUTCOMES, *_PLURAL.values()):
         shown.add_column(column, justify="right")
     total = sum((tally.counts for tally in found), Counter())
     for name, counts in (*((tally.name, tally.counts) for tally in found), ("all", total)):

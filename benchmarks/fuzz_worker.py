@@ -52,7 +52,7 @@ class Trial:
         inputs.mkdir()
         self._path = self.reader.write(inputs)
         self.damaged = self.reader.damaged(self._path)
-        self._content = self.damaged.read_bytes()
+        self.content = self.damaged.read_bytes()
         self._whole = self.reader.read(self._path)
         if isinstance(target, Command):
             outcome, detail = self._run(target)
@@ -61,7 +61,7 @@ class Trial:
 
     def mutation(self, seed: str, index: int) -> tuple[str, str, bytes]:
         """The outcome of one mutation, a detail, and what was read."""
-        content = damage(self._content, Random(f"{seed} {self.target.name} {index}"))
+        content = damage(self.content, Random(f"{seed} {self.target.name} {index}"))
         return *self.judged(content), content
 
     def judged(self, content: bytes) -> tuple[str, str]:

@@ -72,13 +72,15 @@ def check_position_scale(
 
 
 def require_samples(recording: Recording, unknowns: int) -> None:
-    """Refuses a recording from which nothing can be estimated: not finite, or fewer numbers than are to be determined.
+    """Refuses a recording from which nothing can be estimated: numbers missing, or fewer than are to be determined.
 
     Raises:
-        InputError: a number that is not finite, which the readers of files and arrays leave out; no measured pose; or
-            too few samples, and the message gives both counts.
+        InputError: a number that is not real or not finite, which the readers of files and arrays leave out; no
+            measured pose; or too few samples, and the message gives both counts.
     """
     for name, column in recording.columns().items():
+        if np.iscomplexobj(column):
+            raise InputError(f"{recording.source}: column {name} holds complex numbers; give real ones")
         missing = np.flatnonzero(~np.isfinite(column))
         if missing.size:
             row = int(missing[0])

@@ -60,7 +60,7 @@ def without_implausible(
         if array is None or array.ndim not in (1, 2) or len(array) != samples or not array.size:
             continue
         table = array.reshape(samples, -1)
-        found = _implausible(name, table)
+        found = implausible(name, table)
         if not found.any():
             continue
         row, index = np.argwhere(found)[0]
@@ -82,8 +82,8 @@ def without_implausible(
     return blanked
 
 
-def _implausible(name: str, table: Float[np.ndarray, "sample column"]) -> Bool[np.ndarray, "sample column"]:
-    """Which finite numbers are; what is not finite is missing already."""
+def implausible(name: str, table: Float[np.ndarray, "sample column"]) -> Bool[np.ndarray, "sample column"]:
+    """Which finite numbers of an argument of `Recording.assembled` are; what is not finite is missing already."""
     with np.errstate(over="ignore"):
         beyond = np.isfinite(table) & (np.abs(table) > _MOST[name][1])
         if name in ("position", "time"):
