@@ -23,7 +23,6 @@ from lite6jax.errors import InputError
 
 UNITS = "mm and deg"
 SIZE_LIMIT = 1 << 20
-LONGEST = 1e6  # m; the form itself leads to kilometres where axes are nearly parallel and beta is missing
 
 _EXACT = Context(prec=60)
 _DEGREE = _EXACT.divide(Decimal("3.14159265358979323846264338327950288419716939937510582097494459"), Decimal(180))
@@ -197,10 +196,7 @@ def _decimal(value: Any, where: str) -> Decimal:
 
 
 def _metres(value: Any, where: str) -> float:
-    length = _finite(float(_decimal(value, where).scaleb(-3, _EXACT)), where)
-    if abs(length) > LONGEST:
-        raise InputError(f"{where} is {length:g} m, longer than any arm; correct it")
-    return length
+    return _finite(float(_decimal(value, where).scaleb(-3, _EXACT)), where)
 
 
 def _radians(value: Any, where: str) -> float:
