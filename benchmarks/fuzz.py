@@ -110,8 +110,9 @@ def fuzz(
         count = max(1, round(mutations * weights[name] / sum(weights.values())))
         batches += [(name, first, min(first + BATCH, count)) for first in range(0, count, BATCH)]
     with ThreadPoolExecutor(processes) as pool:
-        for name, outcomes in pool.map(lambda batch: (batch[0], _batch(*batch, seed, keep)), batches):
-            for outcome in outcomes:
+        outcomes = pool.map(lambda batch: _batch(batch[0], batch[1], batch[2], seed, keep), batches)
+        for (name, _, _), each in zip(batches, outcomes, strict=True):
+            for outcome in each:
                 found[name].add(*outcome)
     return list(found.values())
 

@@ -6,8 +6,9 @@ import tempfile
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from io import BufferedReader
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 import yaml
 
@@ -108,7 +109,7 @@ def _place(temporary: Path, path: Path) -> None:
 
 
 @contextmanager
-def open_file(path: str | Path) -> Iterator[IO[bytes]]:
+def open_file(path: str | Path) -> Iterator[BufferedReader]:
     """A regular file, opened for reading.
 
     Raises:
