@@ -48,6 +48,10 @@ def main(arguments: Sequence[str] | None = None, known: Mapping[str, Workload] |
         return _rivals(arguments[1:])
     if arguments[:1] == ["sensitivity"]:
         return _sensitivity(arguments[1:])
+    if arguments[:1] == ["fuzz"]:
+        from benchmarks.fuzz import main as fuzz
+
+        return fuzz(arguments[1:])
     missing = [package for module, package in NEEDS.items() if importlib.util.find_spec(module) is None]
     if missing:
         print(f"benchmarks: {' and '.join(missing)} missing; pip install 'lite6jax[benchmark]'", file=sys.stderr)
@@ -56,7 +60,7 @@ def main(arguments: Sequence[str] | None = None, known: Mapping[str, Workload] |
     parser = argparse.ArgumentParser(
         prog="python -m benchmarks",
         description=__doc__,
-        epilog="`concealed`, `rivals` and `sensitivity` have options of their own: concealed --help.",
+        epilog="`concealed`, `rivals`, `sensitivity` and `fuzz` have options of their own: concealed --help.",
     )
     parser.add_argument("name", nargs="?", choices=list(known), help="one workload; all of them without it")
     parser.add_argument("--json", type=Path, metavar="OUT", help="write the records to this file, over an older one")

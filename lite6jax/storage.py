@@ -1,8 +1,11 @@
-"""Reading and writing files: atomic writes, no silent overwriting, and a safe subset of YAML."""
+"""Reading and writing files: regular files only, atomic writes, no silent overwriting, and a safe subset of YAML."""
 
 import os
+import stat
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from io import BufferedReader
 from pathlib import Path
 from typing import Any
 
@@ -11,21 +14,29 @@ import yaml
 from lite6jax.errors import InputError
 from lite6jax.temporaries import create_temporary, remove_temporary
 
-YAML_SIZE_LIMIT = 1 << 20
-YAML_NODE_LIMIT = 100_000
-
 
 def check_writable(path: str | Path, overwrite: bool = False) -> Path:
     """The path, after a check that a file may be written there; call it before a long computation.
 
     Raises:
-        InputError: the file exists and `overwrite` is false, or its folder does not exist.
+        InputError: the file exists and `overwrite` is false, what exists is no regular file, its folder does not exist,
+            or no file can have this name.
     """
     path = Path(path)
-    if path.is_dir():
-        raise InputError(f"{path}: is a folder; name a file")
-    if path.exists() and not overwrite:
-        raise InputError(f"{path}: exists already; choose another name or add --force to replace it")
+    _check_name(path)
+    try:
+        mode = path.stat().st_mode
+    except (FileNotFoundError, NotADirectoryError):
+        mode = None
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written ({error.strerror}); choose another name") from error
+    if mode is not None:
+        if stat.S_ISDIR(mode):
+            raise InputError(f"{path}: is a folder; name a file")
+        if not stat.S_ISREG(mode):
+            raise InputError(f"{path}: is a {_kind(mode)}, which a file would replace; choose another name")
+        if not overwrite:
+            raise InputError(f"{path}: exists already; choose another name or add --force to replace it")
     if not path.parent.is_dir():
         raise InputError(f"{path}: the folder {path.parent} does not exist; create it first")
     return path
@@ -56,12 +67,12 @@ def write_atomically(path: str | Path, write: Callable[[Path], object] | str | b
             os.fsync(file.fileno())
         umask = os.umask(0)
         os.umask(umask)
-        temporary.chmod(0o666 & ~umask)
+        with suppress(PermissionError):  # some file systems (FAT, SMB) have no such permissions
+            temporary.chmod(0o666 & ~umask)
         if overwrite:
             os.replace(temporary, path)
-        else:  # a link fails if the file exists by now, where a rename would replace it
-            os.link(temporary, path)
-            temporary.unlink()
+        else:
+            _place(temporary, path)
     except FileExistsError as error:
         raise InputError(f"{path}: appeared while it was being written; choose another name or add --force") from error
     except OSError as error:
@@ -72,20 +83,92 @@ def write_atomically(path: str | Path, write: Callable[[Path], object] | str | b
     return path
 
 
+def _place(temporary: Path, path: Path) -> None:
+    """Gives a file its name unless another file has it by now.
+
+    Raises:
+        FileExistsError: another file has it.
+    """
+    try:
+        os.link(temporary, path)  # fails if the file exists, where a rename would replace it
+    except FileExistsError:
+        raise
+    except OSError:  # no hard links on this file system (FAT, SMB): an empty file reserves the name
+        os.close(os.open(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY))
+        try:
+            os.replace(temporary, path)
+        except OSError:
+            path.unlink()
+            raise
+
+
+@contextmanager
+def open_file(path: str | Path) -> Iterator[BufferedReader]:
+    """A regular file, opened for reading.
+
+    Raises:
+        InputError: as `check_readable`, or not permitted.
+    """
+    path = check_readable(path)
+    try:
+        file = open(path, "rb")  # noqa: SIM115 (closed below: errors of the block stay what they are)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror})") from error
+    with file:
+        yield file
+
+
+def check_readable(path: str | Path) -> Path:
+    """The path, after a check that it is a regular file; every reader calls it, itself or by `open_file`.
+
+    A pipe or a device may never begin or never end, and cannot be read twice.
+
+    Raises:
+        InputError: missing, a folder, a pipe, a device or a socket, or its name is not UTF-8.
+    """
+    path = Path(path)
+    _check_name(path)
+    try:
+        mode = path.stat().st_mode
+    except (FileNotFoundError, NotADirectoryError) as error:
+        raise InputError(f"{path}: no such file; check the name") from error
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror}); check the name") from error
+    if stat.S_ISDIR(mode):
+        raise InputError(f"{path}: is a folder; name a file")
+    if not stat.S_ISREG(mode):
+        raise InputError(f"{path}: is a {_kind(mode)}; write its content to a file first, and name that")
+    return path
+
+
+def exists(path: str | Path) -> bool:
+    """Whether there is anything of this name; false as well where no file can have it."""
+    return os.path.exists(path)
+
+
+def _kind(mode: int) -> str:
+    return "pipe" if stat.S_ISFIFO(mode) else "socket" if stat.S_ISSOCK(mode) else "device"
+
+
+def _check_name(path: Path) -> None:
+    try:
+        os.fspath(path).encode()
+    except UnicodeEncodeError as error:
+        raise InputError(f"{path}: its name is not UTF-8; rename the file or its folder") from error
+
+
 def read_text(path: str | Path, size_limit: int) -> str:
     """A text file's content.
 
     Raises:
-        InputError: missing, unreadable, larger than `size_limit` bytes, or not UTF-8.
+        InputError: as `open_file`, larger than `size_limit` bytes, or not UTF-8.
     """
     path = Path(path)
-    try:
-        with open(path, "rb") as file:
+    with open_file(path) as file:
+        try:
             content = file.read(size_limit + 1)
-    except FileNotFoundError as error:
-        raise InputError(f"{path}: no such file; check the name") from error
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror})") from error
+        except OSError as error:
+            raise InputError(f"{path}: cannot be read ({error.strerror})") from error
     if len(content) > size_limit:
         raise InputError(f"{path}: larger than {size_limit} bytes, so it is not a file of this kind; check the name")
     try:
@@ -94,25 +177,35 @@ def read_text(path: str | Path, size_limit: int) -> str:
         raise InputError(f"{path}: is not text (byte {error.start} is not UTF-8); check the name") from error
 
 
+YAML_SIZE_LIMIT = 1 << 20
+YAML_NODE_LIMIT = 100_000
+YAML_DEPTH_LIMIT = 32
+"""Levels; the deepest file of ours has five."""
+YAML_SCALAR_LIMIT = 10_000
+"""Characters of a key or value: YAML 1.1 takes quadratic time over a number to the base 60."""
+
+
 def read_yaml(path: str | Path) -> Any:
     """A YAML file's content: plain mappings, lists, strings and numbers only.
 
     Raises:
-        InputError: as `read_text`, not YAML, a tag, a repeated key, or aliases that expand to too many values.
+        InputError: as `read_text`, not YAML, a tag, a repeated key, aliases that expand to too many values, or values
+            that are nested too deeply or too long.
     """
     text = read_text(path, YAML_SIZE_LIMIT)
     try:
-        node = yaml.compose(text, Loader=yaml.CSafeLoader if hasattr(yaml, "CSafeLoader") else yaml.SafeLoader)
+        _check_events(path, text)
+        node = yaml.compose(text, Loader=_LOADER)
         if node is None:
             raise InputError(f"{path}: is empty")
         _check_node(path, node, budget=[YAML_NODE_LIMIT])
-        return _construct(text)
+        return yaml.load(text, Loader=_LOADER)
     except yaml.YAMLError as error:
         mark = getattr(error, "problem_mark", None)
         where = f" line {mark.line + 1}:" if mark else ""
         problem = " ".join(str(getattr(error, "problem", None) or error).split())
         raise InputError(f"{path}:{where} not valid YAML ({problem}); correct the file") from error
-    except (RecursionError, ValueError) as error:
+    except (RecursionError, ValueError, ArithmeticError) as error:  # numbers and dates that cannot be
         if isinstance(error, InputError):
             raise
         raise InputError(
@@ -120,13 +213,26 @@ def read_yaml(path: str | Path) -> Any:
         ) from error
 
 
-def _construct(text: str) -> Any:
-    return yaml.load(text, Loader=yaml.CSafeLoader if hasattr(yaml, "CSafeLoader") else yaml.SafeLoader)
-
-
+_LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 _PLAIN_TAGS = {
     f"tag:yaml.org,2002:{kind}" for kind in ("map", "seq", "str", "int", "float", "bool", "null", "timestamp")
 }
+
+
+def _check_events(path: str | Path, text: str) -> None:
+    """Bounds depth and length before anything recursive reads them: in C, too deep a nesting ends the process."""
+    depth = 0
+    for event in yaml.parse(text, Loader=_LOADER):
+        if isinstance(event, yaml.CollectionStartEvent):
+            depth += 1
+            if depth > YAML_DEPTH_LIMIT:
+                where = f"{path}: line {event.start_mark.line + 1}:"
+                raise InputError(f"{where} nested more than {YAML_DEPTH_LIMIT} levels deep; correct the file")
+        elif isinstance(event, yaml.CollectionEndEvent):
+            depth -= 1
+        elif isinstance(event, yaml.ScalarEvent) and len(event.value) > YAML_SCALAR_LIMIT:
+            where = f"{path}: line {event.start_mark.line + 1}:"
+            raise InputError(f"{where} a value of over {YAML_SCALAR_LIMIT} characters; correct the file")
 
 
 def _check_node(path: str | Path, node: yaml.Node, budget: list[int]) -> None:

@@ -106,6 +106,7 @@ def write_factory(kinematics: ArrayLike, path: str | Path, form: str = "vendor",
     return storage.write_atomically(path, "\n".join(lines) + "\n", overwrite)
 
 
+@np.errstate(over="ignore", invalid="ignore")  # absurd numbers are far from every arm
 def recognise(
     kinematics: Array, names: Sequence[str], where: str, arm: Arm | None, T_joint_flange: ArrayLike | None = None
 ) -> Arm:

@@ -49,7 +49,7 @@ def read_arm(path_or_name: str | Path) -> Arm:
     if Path(file).suffix.lower() in _URDF:
         return read_urdf(file, tip=tip or None)
     path = Path(name)
-    if not path.exists() and not path.suffix:
+    if not storage.exists(path) and not path.suffix:
         raise InputError(f"{name}: neither a bundled arm nor a file; {entries.suggestion(name, bundled_arms())}")
     if path.suffix.lower() == ".json":
         return calibrated_arm(read_factory(path))

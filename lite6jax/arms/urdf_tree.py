@@ -16,6 +16,8 @@ from lite6jax.errors import InputError
 Array = NDArray[np.floating]
 
 SIZE_LIMIT = 1 << 23
+LARGEST = 1e9
+"""m, rad, kg; the squares of numbers far beyond are not finite."""
 TURNING = ("revolute", "continuous")
 IDENTITY = np.eye(4)
 
@@ -170,6 +172,8 @@ def scalar(text: str, where: str) -> float:
         raise InputError(f"{where} has {text!r}, which is not a number; correct it") from error
     if not math.isfinite(value):
         raise InputError(f"{where} has {text!r}, which is not finite; correct it")
+    if abs(value) > LARGEST:
+        raise InputError(f"{where} has {text!r}, which is beyond any arm; correct it")
     return value
 
 

@@ -1,5 +1,7 @@
-"""What commands share: kinds of arguments, exit codes, checks before long work."""
+"""What commands share: kinds of arguments, checks before long work."""
 
+import os
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Annotated
 
@@ -22,6 +24,38 @@ def check_out(path: Path, suffix: str, overwrite: bool) -> None:
     if path.suffix.lower() != suffix:
         raise InputError(f"{path}: what is written here is {suffix[1:]}; let the name end in {suffix}")
     check_writable(path, overwrite)
+
+
+def refuse_inputs(outputs: Iterable[Path | None], inputs: Iterable[str | Path | None]) -> None:
+    """Refuses to replace a file that the command reads, which --force does not ask for.
+
+    Args:
+        outputs: what will be written.
+        inputs: files or names of bundled arms, as given; of a recording the sidecar and the files that it names too.
+
+    Raises:
+        InputError: as said, or a sidecar cannot be read.
+    """
+    read = [file for source in inputs if source is not None for file in _files_read(source) if os.path.exists(file)]
+    for path in outputs:
+        if path is not None and os.path.exists(path) and any(os.path.samefile(path, file) for file in read):
+            raise InputError(f"{path}: is read by this command and would be replaced; choose another name to write to")
+
+
+def _files_read(source: str | Path) -> Iterator[Path]:
+    file = Path(str(source).partition("#")[0])
+    yield Path(source)
+    yield file
+    if file.suffix.lower() not in (".csv", ".parquet", ".mcap"):
+        return
+    from lite6jax.recordings import read_settings, sidecar_path
+
+    settings = read_settings(sidecar_path(file))
+    yield sidecar_path(file)
+    if settings.arm_is_file:
+        yield Path(settings.arm_reference(file.parent))
+    if settings.factory_calibration:
+        yield file.parent / settings.factory_calibration
 
 
 def check_seed(seed: int) -> None:

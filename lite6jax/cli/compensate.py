@@ -6,10 +6,10 @@ from typing import Annotated, Literal
 
 from tyro.conf import Positional, arg
 
-from lite6jax.cli.arguments import check_out
+from lite6jax.cli.arguments import check_out, refuse_inputs
 from lite6jax.cli.exit_codes import DONE, NOT_REACHED
 from lite6jax.errors import InputError
-from lite6jax.storage import check_writable, write_atomically
+from lite6jax.storage import check_writable, exists, write_atomically
 
 
 @dataclass(frozen=True)
@@ -46,14 +46,15 @@ class Compensate:
     def run(self) -> int:
         """Reads, solves, writes, prints."""
         check_out(self.out, ".csv", self.force)
+        refuse_inputs([self.out, self.out.with_suffix(".yaml")], [self.diagnosis, self.targets, self.effects])
         import pyarrow as pa
-        import pyarrow.csv as pa_csv
 
         from lite6jax.diagnosis.document import read_model
         from lite6jax.domains.pose.compensate import compensate
         from lite6jax.domains.pose.files import read_pose_targets
         from lite6jax.effects.user_effects import load_effects
-        from lite6jax.recordings import sidecar_path, write_settings
+        from lite6jax.recordings import sidecar_path
+        from lite6jax.recordings.writing import write_table, write_with_settings
         from lite6jax.report import compensation_tables, screen
         from lite6jax.report.reference import origin_statement
 
@@ -65,10 +66,10 @@ class Compensate:
                 f"{model.dof} joints"
             )
         sidecar = sidecar_path(self.out)
-        declared = sidecar_path(self.targets).exists()
+        declared = exists(sidecar_path(self.targets))
         if declared:
             check_writable(sidecar, self.force)
-        elif sidecar.exists():
+        elif exists(sidecar):
             raise InputError(
                 f"{sidecar}: would be read as the settings of {self.out.name}, but belongs to another file; choose "
                 "another name for the joint positions, or remove it"
@@ -77,17 +78,11 @@ class Compensate:
         found = compensate(model, targets, frame=self.frame, approach=approach or None)
         table = compensation_tables.compensation_columns(found)
         columns = pa.table({name: pa.array(values) for name, values in table.items()})
-
-        def write(target: Path) -> None:
-            with open(target, "wb") as file:  # Arrow would put the names in quotes
-                file.write(",".join(columns.column_names).encode() + b"\n")
-                options = pa_csv.WriteOptions(include_header=False, quoting_style="none")
-                pa_csv.write_csv(columns, file, options)
-
-        written = [write_atomically(self.out, write, self.force)]
         if declared:  # so that `predict` reads the joint positions under the same settings
             settings = targets.recording.settings.moved(self.targets.parent, self.out.parent)
-            written.append(write_settings(settings, sidecar, self.force))
+            written = [write_with_settings(columns, settings, self.out, self.force), sidecar]
+        else:
+            written = [write_atomically(self.out, lambda target: write_table(columns, target), self.force)]
         if model.reference is not None:
             screen.show([origin_statement(model.reference)])
         screen.show(compensation_tables.compensation_report(found, model, str(self.targets), self.frame))

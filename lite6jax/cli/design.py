@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal, final
 
 from tyro.conf import Positional, UseAppendAction, arg
 
-from lite6jax.cli.arguments import Folder, check_seed
+from lite6jax.cli.arguments import Folder, check_seed, refuse_inputs
 from lite6jax.cli.exit_codes import DONE
 from lite6jax.cli.study import Setup
 from lite6jax.errors import InputError
@@ -84,6 +84,9 @@ class Design:
 
         check_writable(self.out, self.force)
         check_writable(sidecar_path(self.out), self.force)
+        filters = (reference.rpartition(":")[0] for reference in self.filter)
+        read = [self.source, self.recorded, self.collision_geometry, *filters]
+        refuse_inputs([self.out, sidecar_path(self.out)], read)
         check_seed(self.seed)
         if self.discriminate is not None and (self.criterion != "I" or self.accuracy is not None):
             raise InputError(

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 from tyro.conf import Positional, arg
 
-from lite6jax.cli.arguments import ArmName, Folder, OutFile, check_out
+from lite6jax.cli.arguments import ArmName, Folder, OutFile, check_out, refuse_inputs
 from lite6jax.cli.exit_codes import DONE
 from lite6jax.errors import InputError
 from lite6jax.storage import check_writable, write_atomically
@@ -53,6 +53,7 @@ class Diagnose:
         check_out(self.out, ".json", self.force)
         if self.report:
             check_out(self.report, ".html", self.force)
+        refuse_inputs([self.out, self.report], [self.source, self.reference, self.arm, self.effects])
         if self.figures:
             from lite6jax.report import canvas
             from lite6jax.report.diagnosis_figures import NAMES
@@ -110,6 +111,8 @@ class Diagnose:
                     html = page.diagnosis_page(found, document, sides, drawn)
                     written.append(write_atomically(self.report, html, self.force))
         screen.show(diagnosis_tables.diagnosis_report(document, str(self.source)))
+        for note in recording.notes:
+            print(f"Note: {note}.")
         screen.written(written)
         return DONE
 
@@ -146,17 +149,18 @@ class Predict:
         check_writable(self.out, self.force)
         if self.out.suffix.lower() != ".csv":
             raise InputError(f"{self.out}: what is written here is csv; let the name end in .csv")
+        refuse_inputs([self.out], [self.diagnosis, self.motion, self.effects])
         import sys
 
         import numpy as np
         import pyarrow as pa
-        import pyarrow.csv as pa_csv
 
         from lite6jax.diagnosis.document import read_model
         from lite6jax.domains.pose.files import prediction_columns, read_motion
         from lite6jax.domains.pose.predict import predicted
         from lite6jax.domains.pose.registration import register_model
         from lite6jax.effects.user_effects import load_effects
+        from lite6jax.recordings.writing import write_table
         from lite6jax.report import bars, diagnosis_tables, screen
         from lite6jax.report.reference import origin_statement
 
@@ -167,17 +171,13 @@ class Predict:
             model, found = register_model(model, recording)
         shown = predicted(model, recording)
         columns = pa.table(prediction_columns(shown, model.orientation))
-
-        def write(target: Path) -> None:
-            with open(target, "wb") as file:  # Arrow would put the names in quotes
-                file.write(",".join(columns.column_names).encode() + b"\n")
-                pa_csv.write_csv(columns, file, pa_csv.WriteOptions(include_header=False))
-
-        path = write_atomically(self.out, write, self.force)
+        path = write_atomically(self.out, lambda target: write_table(columns, target), self.force)
         if model.reference is not None:
             screen.show([origin_statement(model.reference)])
         if found is not None:
             screen.show(diagnosis_tables.registration_report(found))
+        for note in recording.notes:
+            print(f"Note: {note}.")
         empty = int(np.isnan(shown.poses[:, 0, 0]).sum())
         if empty:
             print(f"{empty} rows are empty: there, the clock offset reaches beyond the ends of the motion.")

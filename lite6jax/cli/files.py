@@ -6,7 +6,7 @@ from typing import Annotated, Literal, final
 
 from tyro.conf import Positional, arg
 
-from lite6jax.cli.arguments import ArmName
+from lite6jax.cli.arguments import ArmName, refuse_inputs
 from lite6jax.cli.exit_codes import DONE
 from lite6jax.errors import InputError
 from lite6jax.storage import check_writable
@@ -38,6 +38,7 @@ class Convert:
     def run(self) -> int:
         """Converts and reads back."""
         check_writable(self.target, self.force)
+        refuse_inputs([self.target], [self.source, self.arm])
         from lite6jax.arms.forms import convert_file
         from lite6jax.fitting.source import load_nominal
         from lite6jax.report import fleet_tables, screen

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from tyro.conf import Positional, arg
 
-from lite6jax.cli.arguments import ArmName, Folder, OutFile, check_out
+from lite6jax.cli.arguments import ArmName, Folder, OutFile, check_out, refuse_inputs
 from lite6jax.cli.exit_codes import DONE, NOT_REACHED
 from lite6jax.errors import InputError
 
@@ -71,6 +71,7 @@ class Fit:
             raise InputError(f"--fk-samples {self.fk_samples}: give 1 or more, or --no-sdk to ask for none")
         if self.out:
             check_out(self.out, ".json", self.force)
+            refuse_inputs([self.out], [self.source, self.arm])
         from lite6jax.fitting.source import load_nominal
         from lite6jax.recordings import Recording
 

@@ -12,7 +12,7 @@ from typing import Annotated
 
 from tyro.conf import arg
 
-from lite6jax.cli.arguments import ArmName, OutFile
+from lite6jax.cli.arguments import ArmName, OutFile, refuse_inputs
 from lite6jax.cli.exit_codes import DONE, NOT_REACHED
 from lite6jax.errors import InputError
 from lite6jax.storage import check_writable
@@ -49,6 +49,7 @@ class Read:
             if self.out.suffix.lower() not in (".yaml", ".yml"):
                 raise InputError(f"{self.out}: the output is YAML; let the name end in .yaml")
             check_writable(self.out, self.force)
+            refuse_inputs([self.out], [self.arm])
         if not 0 < self.timeout < 3600:
             raise InputError(f"--timeout {self.timeout:g}: give seconds, more than zero and less than an hour")
         from lite6jax.arms.factory import write_factory
@@ -94,9 +95,11 @@ class Record:
 
     def run(self) -> int:
         """Records and prints the result."""
-        from lite6jax.controller.recorded import check_targets
+        from lite6jax.controller.recorded import check_targets, factory_path
 
         check_targets(self.out, self.force)
+        outputs = [self.out, self.out.with_suffix(".yaml"), factory_path(self.out)]
+        refuse_inputs(outputs, [self.poses, self.arm])
         if self.poses is not None and self.seconds is not None:
             raise InputError("--seconds and --poses: a list of joints has its own end; leave one out")
         if self.seconds is not None and not 0 < self.seconds < float("inf"):

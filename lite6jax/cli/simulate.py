@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from tyro.conf import Positional, UseAppendAction, arg
 
+from lite6jax.cli.arguments import refuse_inputs
 from lite6jax.cli.exit_codes import DONE
 from lite6jax.errors import InputError
 from lite6jax.storage import check_writable
@@ -124,6 +125,7 @@ class Simulate:
         written += [calibration] if self.tolerance else []
         for path in written:
             check_writable(path, self.force)
+        refuse_inputs(written, [self.source, self.factory, self.effects])
         arm = read_arm(self.source)
         physics, values = self._physics()
         declared, kinematics = self._geometry(arm)

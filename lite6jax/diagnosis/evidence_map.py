@@ -157,12 +157,13 @@ def joint_spectra(found: Diagnosis) -> list[JointSpectra]:
         site = f"joint{j + 1}"
         each = [_spectrum(test, test.problem.periodic[j], exact_below) for test in tests]
         searched = found.problem.motion.dof * len(each[-1].orders) / 2
+        highest = float(chdtri(2, engine.level / searched))
         spectra.append(
             JointSpectra(
                 site=site,
                 before=each[0],
                 after=each[1] if len(each) > 1 else None,
-                noise=float(chdtri(2, engine.level / searched)) / _left(tests[-1]),
+                noise=highest / max(_left(tests[-1]), highest),
                 harmonics=tuple(
                     e.order for e in effects if isinstance(e, JointHarmonic) and e.site == site and e.order
                 ),

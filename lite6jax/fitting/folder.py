@@ -1,9 +1,11 @@
 """Every file of a folder fitted, group by group: what was done before is kept, and no file stops the others."""
 
+import os
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from lite6jax import storage
 from lite6jax.errors import InputError
 from lite6jax.fitting.folder_rows import CALIBRATIONS, RECORDINGS, Row
 
@@ -24,9 +26,11 @@ def folder_files(folder: str | Path, leave_out: Path | None = None) -> list[Path
         InputError: not a folder, or none in it.
     """
     folder = Path(folder)
-    if not folder.is_dir():
-        raise InputError(f"{folder}: {'is not a folder' if folder.exists() else 'no such folder'}; name one")
+    if not os.path.isdir(folder):
+        raise InputError(f"{folder}: {'is not a folder' if storage.exists(folder) else 'no such folder'}; name one")
     out = leave_out.resolve() if leave_out else None
+    if leave_out and out and out.is_file() and out.parent == folder.resolve() and not _holds_rows(out):
+        raise InputError(f"{leave_out}: is one of the files to be fitted and would be replaced; choose another name")
     files = sorted(
         path
         for path in folder.iterdir()
@@ -41,6 +45,17 @@ def folder_files(folder: str | Path, leave_out: Path | None = None) -> list[Path
         accepted = ", ".join(CALIBRATIONS + RECORDINGS)
         raise InputError(f"{folder}: has no calibration or recording ({accepted}); name another folder")
     return files
+
+
+def _holds_rows(path: Path) -> bool:
+    """Whether a Parquet file is what `write_rows` writes, not a recording."""
+    import pyarrow
+    import pyarrow.parquet
+
+    try:
+        return {"file", "kind", "result"} <= set(pyarrow.parquet.read_schema(path).names)
+    except (pyarrow.ArrowException, OSError, UnicodeDecodeError):
+        return False
 
 
 def fit_folder(

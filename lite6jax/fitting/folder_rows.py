@@ -103,10 +103,10 @@ def write_rows(rows: Sequence[Row], path: str | Path, overwrite: bool = False) -
 
     names = list(dict.fromkeys(name for row in rows for name, _ in row.parameters))
     columns: dict[str, pyarrow.Array] = {
-        "file": pyarrow.array([row.file for row in rows]),
+        "file": pyarrow.array([_utf8(row.file) for row in rows]),
         "kind": pyarrow.array([row.kind for row in rows]),
         "result": pyarrow.array([int(row.result) for row in rows], pyarrow.int32()),
-        "message": pyarrow.array([row.message for row in rows]),
+        "message": pyarrow.array([_utf8(row.message) for row in rows]),
         "arm": pyarrow.array([row.arm or None for row in rows], pyarrow.string()),
         "joints": pyarrow.array([row.joints or None for row in rows], pyarrow.int32()),
         "samples": pyarrow.array([row.samples or None for row in rows], pyarrow.int64()),
@@ -120,7 +120,16 @@ def write_rows(rows: Sequence[Row], path: str | Path, overwrite: bool = False) -
     for name in names:
         columns[name] = pyarrow.array([dict(row.parameters).get(name) for row in rows], pyarrow.float64())
     table = pyarrow.table(columns)
-    return storage.write_atomically(path, lambda target: pyarrow.parquet.write_table(table, target), overwrite)
+
+    def write(target: Path) -> None:
+        pyarrow.parquet.write_table(table, target, write_page_checksum=True)
+
+    return storage.write_atomically(path, write, overwrite)
+
+
+def _utf8(text: str) -> str:
+    """The text with bytes of a file's name that are not UTF-8 spelled out."""
+    return text.encode(errors="backslashreplace").decode()
 
 
 def failed(rows: Sequence[Row]) -> list[Row]:

@@ -1,6 +1,7 @@
 """Joint positions among which a design may choose: inside the limits, and where every filter lets them be."""
 
 import importlib.util
+import os
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -193,7 +194,7 @@ def user_filter(reference: str) -> Filter:
     file, separator, name = reference.rpartition(":")
     if not separator or not file.endswith(".py") or not name.isidentifier():
         raise InputError(f"filter {reference!r}: write FILE.py:function")
-    if not Path(file).is_file():
+    if not os.path.isfile(file):
         raise InputError(f"{file}: no such file; a filter is FILE.py:function")
     spec = importlib.util.spec_from_file_location(f"lite6jax_filter_{Path(file).stem}", file)
     assert spec is not None

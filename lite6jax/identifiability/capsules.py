@@ -13,6 +13,7 @@ from numpy import typing as npt
 from lite6jax.arms import frames, urdf, urdf_tree
 from lite6jax.arms.arm import Arm, sample_joints
 from lite6jax.errors import InputError
+from lite6jax.storage import exists, open_file
 
 SLENDERNESS = 20.0
 """Reach over radius where no radius is given: 4 cm on a Lite 6, 10 cm on a UR10e; an assumption, not a measurement."""
@@ -170,7 +171,7 @@ def _mesh_file(path: str | Path, filename: str, where: str) -> Path:
             f"{where}: mesh {filename!r} is no STL file; convert it to STL, or use capsules around the chain"
         )
     for candidate in tried:
-        if candidate.is_file():
+        if exists(candidate):
             return candidate
     raise InputError(
         f"{where}: mesh {filename!r} is not there; put {Path(filename).name} beside the URDF, or use capsules around"
@@ -184,10 +185,10 @@ _VERTEX = re.compile(rb"vertex\s+(\S+)\s+(\S+)\s+(\S+)")
 def _read_stl(path: Path, where: str) -> npt.NDArray[np.float64]:
     """The vertices `(vertex, 3)` of a binary or ASCII STL file."""
     try:
-        with open(path, "rb") as file:
+        with open_file(path) as file:
             content = file.read(_MESH_SIZE_LIMIT + 1)
-    except OSError as error:
-        raise InputError(f"{where}: {path}: cannot be read ({error.strerror})") from error
+    except InputError as error:
+        raise InputError(f"{where}: {error}") from error
     if len(content) > _MESH_SIZE_LIMIT:
         raise InputError(f"{where}: {path}: larger than {_MESH_SIZE_LIMIT} bytes; give a coarser mesh")
     triangles = int.from_bytes(content[80:84], "little")

@@ -13,7 +13,7 @@ from lite6jax.fitting.problem import Geometry, sample_within_limits
 from lite6jax.fitting.recording_fit import fit_recording
 from lite6jax.identifiability.determination import Determination, determine
 from lite6jax.identifiability.indices import Observability, observability
-from lite6jax.identifiability.information import Experiment, recorded
+from lite6jax.identifiability.information import Experiment, checked_joints, recorded
 from lite6jax.identifiability.monte_carlo import Refits, refit
 from lite6jax.identifiability.sensor import BARE
 from lite6jax.recordings import Recording
@@ -156,10 +156,10 @@ def identify(
         seed: of the random numbers.
 
     Raises:
-        InputError: joints that the arm does not have.
+        InputError: joints that the arm does not have, degrees for radians, or numbers that are not real or not finite.
     """
     arm = experiment.arm
-    q = sample_within_limits(arm, poses, seed) if joint_position is None else np.asarray(joint_position, float)
+    q = sample_within_limits(arm, poses, seed) if joint_position is None else checked_joints(experiment, joint_position)
     determination = determine(experiment, q)
     workspace = sample_within_limits(arm, WORKSPACE, seed + 1)
     rank = determination.rank

@@ -111,7 +111,7 @@ class Experiment:
         Raises:
             InputError: joints that the arm does not have, or effects that poses at rest do not show.
         """
-        q = _checked(self, joint_position)
+        q = checked_joints(self, joint_position)
         columns = np.asarray(_columns(self, q, direction(self, q)))
         return np.transpose(columns[self.movable], (2, 1, 0)) * self.unit
 
@@ -127,7 +127,7 @@ class Experiment:
         eigenvalue of RᵀR would lose half the digits.
         """
         R = np.zeros((0, self.size))
-        q = _checked(self, joint_position)
+        q = checked_joints(self, joint_position)
         for first, (block, towards) in zip(range(0, len(q), BLOCK), _blocks(self, q), strict=True):
             columns = np.asarray(_columns(self, block, towards))[self.movable, :, : len(q) - first]
             R = np.linalg.qr(np.concatenate([R, columns.reshape(self.size, -1).T * self.unit]), mode="r")
@@ -135,7 +135,7 @@ class Experiment:
 
     def information(self, joint_position: ArrayLike) -> Array:
         """The Fisher information `(size, size)` of readings at `joint_position` `(sample, joint)` and of the prior."""
-        q = _checked(self, joint_position)
+        q = checked_joints(self, joint_position)
         blocks, directions = map(np.stack, zip(*_blocks(self, q), strict=True))
         weight = pad(np.ones(len(q)), 0, blocks.shape[0] * blocks.shape[1]).reshape(blocks.shape[:2])
         H = np.asarray(
@@ -204,7 +204,12 @@ def _blocks(experiment: Experiment, q: Array) -> Iterator[tuple[Array, Array]]:
         yield pad(q[first : first + size], 0, size), pad(directions[first : first + size], 0, size)
 
 
-def _checked(experiment: Experiment, joint_position: ArrayLike) -> Array:
+def checked_joints(experiment: Experiment, joint_position: ArrayLike) -> Array:
+    """Joint positions `(sample, joint)` rad of an experiment's arm.
+
+    Raises:
+        InputError: another shape, numbers that are not real or not finite, or degrees.
+    """
     q, arm = real_array("joint_position", joint_position), experiment.arm
     if q.ndim != 2 or q.shape[1] != arm.dof or not len(q):
         raise InputError(f"joint_position of shape {q.shape}: {arm.name} takes (sample, {arm.dof})")

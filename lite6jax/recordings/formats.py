@@ -19,10 +19,12 @@ from lite6jax.recordings import stream
 from lite6jax.recordings.checks import check_joint_scale, check_position_scale
 from lite6jax.recordings.columns import Column
 from lite6jax.recordings.mcap import read_mcap, split_topics
+from lite6jax.recordings.plausible import without_implausible
 from lite6jax.recordings.recording import Recording, drop_missing
-from lite6jax.recordings.settings import RecordingSettings, read_settings, sidecar_path, write_settings
+from lite6jax.recordings.settings import RecordingSettings, read_sidecar, sidecar_path
 from lite6jax.recordings.table import Table, arrays_of, recognised, require_numbers, si_values
-from lite6jax.storage import check_writable, write_atomically
+from lite6jax.recordings.writing import write_with_settings
+from lite6jax.storage import check_readable, exists
 
 HEADER_LIMIT = 1 << 20
 
@@ -70,8 +72,8 @@ def read_recording(
     notes: list[str] = []
     table = _read(path, readers, "a recording ends in .csv, .parquet or .mcap", dof, notes)
     columns, _, values = table
-    settings = read_settings(sidecar_path(path))
-    if not sidecar_path(path).exists():
+    settings = _settings_beside(path, notes)
+    if not exists(sidecar_path(path)):
         notes.append(f"there is no sidecar {sidecar_path(path).name}: the defaults are assumed")
 
     degrees = [name for name, column in columns.items() if assume_degrees and column.unit in ("rad", "rad_per_s")]
@@ -132,8 +134,7 @@ def read_targets(
     given = "q1_rad" in columns
     if not given:
         values |= {f"q{joint}_rad": np.zeros(len(values["x_m"])) for joint in range(1, joints + 1)}
-    settings = read_settings(sidecar_path(path))
-    recording = _assembled(table, path, settings, notes)
+    recording = _assembled(table, path, _settings_beside(path, notes), notes)
     assert recording.position is not None
     if not np.isfinite(recording.position).all(1).any():
         raise InputError(f"{path}: columns x_m y_m z_m: no row holds a whole position; fill them")
@@ -156,29 +157,23 @@ def write_recording(recording: Recording, path: str | Path, overwrite: bool = Fa
     path = Path(path)
     if path.suffix.lower() not in (".csv", ".parquet"):
         raise InputError(f"{path}: a recording ends in .csv or .parquet; choose such a name")
-    check_writable(path, overwrite)
-    check_writable(sidecar_path(path), overwrite)
-    table = pa.table(recording.columns())
-
-    def write(target: Path) -> None:
-        if path.suffix.lower() == ".parquet":
-            pa_parquet.write_table(table, target, use_dictionary=False, compression="zstd")
-        else:
-            with open(target, "wb") as file:  # Arrow would put the names in quotes
-                file.write(",".join(table.column_names).encode() + b"\n")
-                pa_csv.write_csv(table, file, pa_csv.WriteOptions(include_header=False))
-        # only now, with the table on the disk though not yet in its place: neither file goes without the other
-        write_settings(settings, sidecar_path(path), overwrite)
-
     settings = recording.settings
-    if Path(recording.source).is_file():
+    if exists(recording.source):
         settings = settings.moved(Path(recording.source).parent, path.parent)
-    return write_atomically(path, write, overwrite)
+    return write_with_settings(pa.table(recording.columns()), settings, path, overwrite)
 
 
 def _assembled(table: Table, path: Path, settings: RecordingSettings, notes: list[str]) -> Recording:
-    arrays = arrays_of(table, str(path), notes)
+    arrays = without_implausible(arrays_of(table, str(path), notes), str(path), table.spelling, notes)
     return Recording.assembled(**arrays, settings=settings, source=str(path), notes=tuple(notes))
+
+
+def _settings_beside(path: Path, notes: list[str]) -> RecordingSettings:
+    """What the sidecar declares, after a check that it was written with this table."""
+    settings, checksums = read_sidecar(sidecar_path(path))
+    checksums.check_table(path)
+    notes += checksums.notes
+    return settings
 
 
 def _read(
@@ -187,31 +182,31 @@ def _read(
     read = readers.get(path.suffix.lower())
     if read is None:
         raise InputError(f"{path}: {kinds}; convert it or correct the name")
-    if path.is_dir():
-        raise InputError(f"{path}: is a folder; name a file")
     growing = stream.stream_path(path)
-    if path.suffix.lower() == ".parquet" and not path.exists() and growing.is_file():
+    if path.suffix.lower() == ".parquet" and not exists(path) and growing.is_file():
         notes.append(f"the recording was ended before it was complete; its rows are those of {growing.name}")
         path, read = growing, _read_stream
-    if not path.exists():
-        raise InputError(f"{path}: no such file; check the name")
+    check_readable(path)
     try:
         table = read(path, dof, notes)
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({_one_line(error.strerror or error)}); check the file") from error
-    if not len(next(iter(table.values.values()))):
+    if not all(map(len, table.values.values())):
         raise InputError(f"{path}: has column names but no rows; record again")
     return table
 
 
 def _read_parquet(path: Path, dof: int | None, notes: list[str], joints_optional: bool = False) -> Table:
     try:
-        with pa_parquet.ParquetFile(path) as file:
+        with pa_parquet.ParquetFile(path, page_checksum_verification=True) as file:
             schema = file.schema_arrow
-            columns, joints = recognised(schema.names, str(path), dof, notes, joints_optional)
+            names = schema.names
+            columns, joints = recognised(names, str(path), dof, notes, joints_optional)
             for column in columns.values():
                 require_numbers(column, schema.field(column.index).type, str(path))
-            table = file.read(columns=[column.name for column in columns.values()])
+            table = file.read(columns=[names[column.index] for column in columns.values()])
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path}: a column name is not UTF-8; write the file again with other names") from error
     except (pa.ArrowException, OSError) as error:
         if isinstance(error, OSError) and error.errno:  # the disk's refusal, not Parquet's
             raise
@@ -219,7 +214,8 @@ def _read_parquet(path: Path, dof: int | None, notes: list[str], joints_optional
             start = content.read(4)
         problem = "is truncated or damaged" if start == b"PAR1" else "is not Parquet, whatever its name says"
         raise InputError(f"{path}: {problem} ({_one_line(error)}); write it again") from error
-    return Table(columns, joints, si_values(columns, {name: table[column.name] for name, column in columns.items()}))
+    chosen = {name: table[names[column.index]] for name, column in columns.items()}
+    return Table(columns, joints, si_values(columns, chosen))
 
 
 def _read_stream(path: Path, dof: int | None, notes: list[str], joints_optional: bool = False) -> Table:
@@ -250,26 +246,21 @@ def _csv_table(
 ) -> pa.Table:
     """The columns wanted, named by their index: two ignored columns may share a name."""
     wanted = [str(column.index) for column in columns.values()]
-    ragged: list[pa_csv.InvalidRow] = []
-
-    def refuse(row: pa_csv.InvalidRow) -> str:
-        ragged.append(row)
-        return "error"
-
     try:
         return pa_csv.read_csv(
             path,
             pa_csv.ReadOptions(column_names=[str(i) for i in range(len(names))], skip_rows=1, use_threads=threads),
-            pa_csv.ParseOptions(invalid_row_handler=refuse),
-            pa_csv.ConvertOptions(include_columns=wanted, column_types=dict.fromkeys(wanted, pa.float64())),
+            convert_options=pa_csv.ConvertOptions(
+                include_columns=wanted, column_types=dict.fromkeys(wanted, pa.float64())
+            ),
         )
     except pa.ArrowInvalid as error:
         if "Could not skip" in str(error):  # Arrow's word for a header and nothing after it
             raise InputError(f"{path}: has column names but no rows; record again") from error
         if threads:  # rows are numbered only when they are read in order
             return _csv_table(path, names, columns, tail, threads=False)
-        if ragged:
-            raise InputError(_ragged(path, ragged[0], names, tail)) from error
+        if match := re.search(r"Row #(\d+): Expected \d+ columns, got (\d+)", str(error)):
+            raise InputError(_ragged(path, int(match[1]) - 1, int(match[2]), names, tail)) from error
         if match := re.match(r"In CSV column #(\d+): Row #(\d+): .*?invalid value '(.*)'$", str(error), re.DOTALL):
             column = next(column for column in columns.values() if column.index == int(match[1]))
             remedy = "give numbers with a decimal point, and leave missing ones empty"
@@ -280,14 +271,12 @@ def _csv_table(
         raise InputError(f"{path}: is not a table of numbers ({_one_line(error)}); check the file") from error
 
 
-def _ragged(path: Path, row: pa_csv.InvalidRow, names: Sequence[str], tail: bytes) -> str:
-    number = (row.number or 1) - 1  # Arrow counts the header line
-    place = f"{path}: row {number} has {row.actual_columns} of {row.expected_columns} columns"
-    if row.actual_columns < row.expected_columns:
-        at_end = tail.rstrip().splitlines()[-1].strip() == row.text.encode().strip()
-        cut = "the file is truncated" if at_end else "the row is cut short"
-        empty = names[int(row.actual_columns)].strip()
-        return f"{place}, {empty} is the first without a value: {cut}; complete the row or remove it"
+def _ragged(path: Path, row: int, fields: int, names: Sequence[str], tail: bytes) -> str:
+    place = f"{path}: row {row} has {fields} of {len(names)} columns"
+    if fields < len(names):
+        last = tail.rstrip().rpartition(b"\n")[2]
+        cut = "the file is truncated" if last.count(b",") + 1 == fields else "the row is cut short"
+        return f"{place}, {names[fields].strip()} is the first without a value: {cut}; complete the row or remove it"
     return f"{place}; remove the surplus fields, and write decimals with a point"
 
 

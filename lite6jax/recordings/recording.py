@@ -11,9 +11,11 @@ from numpy.typing import ArrayLike
 from lite6jax.arms.arm import Arm
 from lite6jax.errors import InputError
 from lite6jax.recordings.arguments import checked_arrays, missing_rows, unit_quaternions
+from lite6jax.recordings.plausible import without_implausible
 from lite6jax.recordings.sequence import differentiate, directions, inferred_motion, run_segments
 from lite6jax.recordings.settings import Motion, RecordingSettings, declared_settings
 from lite6jax.recordings.table import arrays_of, read_frame
+from lite6jax.recordings.units import real_array
 from lite6jax.summary import Summarised
 
 
@@ -99,7 +101,8 @@ class Recording(Summarised):
             declared: single keys of the sidecar, such as `pose_frame="base"`, `tool="none"`, `position_noise_m=2e-5`.
 
         Returns:
-            the recording without the rows that hold NaN or infinite numbers; its `notes` count them.
+            the recording without the rows that hold NaN, infinite numbers, or numbers that no arm or sensor can give;
+            its `notes` count them.
 
         Raises:
             InputError: arrays that do not fit together or do not hold real numbers, degrees for radians, millimetres
@@ -119,8 +122,9 @@ class Recording(Summarised):
             "payload": payload,
         }
         settings = declared_settings(settings, arm, declared)
-        real = checked_arrays(arrays, arm, settings, source, {})
-        return drop_missing(cls.assembled(**real, run=run, settings=settings, source=source))
+        notes: list[str] = []
+        real = without_implausible(checked_arrays(arrays, arm, settings, source, {}), source, {}, notes)
+        return drop_missing(cls.assembled(**real, run=run, settings=settings, source=source, notes=tuple(notes)))
 
     @classmethod
     def from_dataframe(
@@ -146,6 +150,7 @@ class Recording(Summarised):
         settings = declared_settings(settings, arm, declared)
         table = read_frame(frame, source, notes)
         arrays = checked_arrays(arrays_of(table, source, notes), arm, settings, source, table.spelling)
+        arrays = without_implausible(arrays, source, table.spelling, notes)
         recording = cls.assembled(**arrays, settings=settings, source=source, notes=tuple(notes))
         return drop_missing(recording, table.spelling)
 
@@ -178,13 +183,13 @@ class Recording(Summarised):
             InputError: arrays that do not fit together, orientation without position, or quaternions of another length.
         """
         settings = settings or RecordingSettings()
-        q = np.asarray(joint_position, dtype=np.float64)
+        q = real_array(f"{source}: joint_position", joint_position)
         if q.ndim != 2 or 0 in q.shape:
             raise InputError(f"{source}: joint_position has the shape {q.shape}; give (sample, joint), neither zero")
         samples, dof = q.shape
 
         def shaped(name: str, value: ArrayLike, *rest: int, dtype: type = np.float64) -> np.ndarray:
-            array = np.asarray(value)
+            array = real_array(f"{source}: {name}", value) if dtype is np.float64 else np.asarray(value)
             if array.shape != (samples, *rest):
                 raise InputError(f"{source}: {name} has the shape {array.shape}; give {(samples, *rest)}")
             if dtype is np.int64 and array.dtype.kind not in "iu":

@@ -12,7 +12,8 @@ from typing import Any, Literal, get_args
 import yaml
 
 from lite6jax.errors import InputError
-from lite6jax.storage import read_yaml, write_atomically
+from lite6jax.recordings.checksums import KEY, RECORDING, Checksums, read_checksums, settings_checksum
+from lite6jax.storage import exists, read_yaml, write_atomically
 
 JointSource = Literal["measured", "commanded", "unknown"]
 PoseSource = Literal["laser_tracker", "motion_capture", "camera", "controller_fk", "unknown"]
@@ -22,6 +23,9 @@ Tool = Literal["none", "unknown"] | tuple[float, float, float, float, float, flo
 
 ARM_FILE_SUFFIXES = {".yaml", ".yml", ".json", ".urdf", ".xacro", ".xml"}
 LONGEST_OFFSET_M = 5.0  # a tool or a payload further out than this was written in millimetres
+SMALLEST_SIGMA, LARGEST_SIGMA = 1e-12, 1.0  # m or rad; beyond, squares of residuals over it lose all digits
+LARGEST_GRAVITY = 100.0
+HIGHEST_TEMPERATURE = 1000.0
 
 
 @dataclass(frozen=True)
@@ -134,20 +138,29 @@ def read_settings(path: str | Path) -> RecordingSettings:
     """The settings in a sidecar; the defaults where the file does not exist.
 
     Raises:
+        InputError: as `read_sidecar`.
+    """
+    return read_sidecar(path)[0]
+
+
+def read_sidecar(path: str | Path) -> tuple[RecordingSettings, Checksums]:
+    """The settings in a sidecar and its checksums; the defaults and none where the file does not exist.
+
+    Raises:
         InputError: not YAML, tags, alias bombs, an unknown key (with the nearest accepted one) or an unusable value.
     """
     path = Path(path)
-    if not path.exists():
-        if path.with_suffix(".yml").exists():
+    if not exists(path):
+        if exists(path.with_suffix(".yml")):
             raise InputError(f"{path.with_suffix('.yml')}: a sidecar ends in .yaml; rename it to {path.name}")
-        return RecordingSettings()
+        return RecordingSettings(), Checksums(path, {}, False)
     content = read_yaml(path)
     if not isinstance(content, dict) or "recording" not in content:
         raise InputError(f"{path}: is not a sidecar; its one top key must be `recording:`, with the settings below it")
-    _reject_unknown(f"{path}: ", content, ["recording", "account"])
+    _reject_unknown(f"{path}: ", content, ["recording", "account", KEY])
     settings = content["recording"]
     if settings is None:
-        return RecordingSettings()
+        return RecordingSettings(), read_checksums(content, path)
     if not isinstance(settings, dict):
         raise InputError(f"{path}: recording: {_shown(settings)} is not a mapping; write `key: value` lines below it")
     _reject_unknown(f"{path}: recording.", settings, _KINDS)
@@ -155,17 +168,27 @@ def read_settings(path: str | Path) -> RecordingSettings:
         if value is None:
             raise InputError(f"{path}: recording.{key}: has no value; give {_KINDS[key].form}, or leave the key out")
     try:
-        return RecordingSettings(**{key: _parsed(key, value) for key, value in settings.items()})
+        declared = RecordingSettings(**{key: _parsed(key, value) for key, value in settings.items()})
     except InputError as error:
         raise InputError(f"{path}: recording.{error}") from error
+    return declared, read_checksums(content, path)
 
 
 def write_settings(
-    settings: RecordingSettings, path: str | Path, overwrite: bool = False, account: Mapping[str, Any] | None = None
+    settings: RecordingSettings,
+    path: str | Path,
+    overwrite: bool = False,
+    tables: Mapping[str, str] | None = None,
+    account: Mapping[str, Any] | None = None,
 ) -> Path:
     """Writes a sidecar that `read_settings` reads back exactly; every declared key is written, defaults too.
 
-    `account` is what the recording of an arm says about itself: plain numbers and phrases, which nothing reads back.
+    Args:
+        settings: what it declares.
+        path: the file.
+        overwrite: whether it may be replaced.
+        tables: the checksum of the table beside it, by the key of `checksums.TABLES`; none where it is not known.
+        account: what the recording of an arm says about itself: plain numbers and phrases, which nothing reads back.
 
     Raises:
         InputError: the file exists and `overwrite` is false, or it cannot be written.
@@ -175,7 +198,9 @@ def write_settings(
         for key, value in asdict(settings).items()
         if value is not None
     }
-    content = {"recording": declared} | ({} if account is None else {"account": dict(account)})
+    # first: a file that is cut off keeps them, and lacks what they are of
+    content = {KEY: {RECORDING: settings_checksum(declared), **(tables or {})}, "recording": declared}
+    content |= {} if account is None else {"account": dict(account)}
     return write_atomically(
         path,
         yaml.safe_dump(content, sort_keys=False, default_flow_style=None, width=120, allow_unicode=True),
@@ -258,10 +283,34 @@ def _ratio(value: Any) -> float:
     return number
 
 
-def _positive(value: Any) -> float:
+def _sigma(value: Any) -> float:
     if (number := _number(value)) <= 0:
         raise ValueError(" (not positive)")
+    if not SMALLEST_SIGMA <= number <= LARGEST_SIGMA:
+        raise ValueError(f" (not from {SMALLEST_SIGMA:g} to {LARGEST_SIGMA:g})")
     return number
+
+
+def _up_to(highest: float) -> Callable[[Any], float]:
+    def parse(value: Any) -> float:
+        if (number := _not_negative(value)) > highest:
+            raise ValueError(f" (above {highest:g})")
+        return number
+
+    return parse
+
+
+def _temperature(value: Any) -> float:
+    if not -273.15 <= (number := _number(value)) <= HIGHEST_TEMPERATURE:
+        raise ValueError(f" (not from -273.15 to {HIGHEST_TEMPERATURE:g})")
+    return number
+
+
+def _gravity(value: Any) -> tuple[float, ...]:
+    gravity = _numbers(3)(value)
+    if max(map(abs, gravity)) > LARGEST_GRAVITY:
+        raise ValueError(f" (over {LARGEST_GRAVITY:g} m/s^2)")
+    return gravity
 
 
 def _numbers(count: int) -> Callable[[Any], tuple[float, ...]]:
@@ -302,7 +351,7 @@ def _uncertainty(value: Any) -> FactoryUncertainty:
     if not isinstance(value, Mapping) or not set(keys) <= set(value):
         raise ValueError
     _reject_unknown("factory_uncertainty.", value, keys)
-    return FactoryUncertainty(**{key: _positive(value[key]) for key in keys})
+    return FactoryUncertainty(**{key: _sigma(value[key]) for key in keys})
 
 
 def _one_of(choices: Any) -> _Kind:
@@ -324,16 +373,16 @@ _KINDS: dict[str, _Kind] = {
         "{position_m: 1.0e-5, rotation_rad: 1.0e-5}, both positive (leave it out where the file holds exactly)",
     ),
     "joint_source": _one_of(JointSource),
-    "joint_noise_rad": _Kind(_not_negative, "one sigma in rad, zero or more"),
+    "joint_noise_rad": _Kind(_up_to(LARGEST_SIGMA), "one sigma in rad, zero or more"),
     "pose_source": _one_of(PoseSource),
     "motion": _one_of(Motion),
     "pose_frame": _one_of(PoseFrame),
     "tool": _Kind(_tool, "none, unknown, or six numbers [x, y, z, roll, pitch, yaw] in m and rad"),
-    "position_noise_m": _Kind(_positive, "one sigma in m, more than zero (leave it out where unknown)"),
-    "orientation_noise_rad": _Kind(_positive, "one sigma in rad, more than zero (leave it out where unknown)"),
+    "position_noise_m": _Kind(_sigma, "one sigma in m, more than zero (leave it out where unknown)"),
+    "orientation_noise_rad": _Kind(_sigma, "one sigma in rad, more than zero (leave it out where unknown)"),
     "payload_com_m": _Kind(_offset, "three numbers [x, y, z] in m"),
-    "reference_temperature_degC": _Kind(_number, "a finite number in degrees Celsius"),
-    "gravity_m_per_s2": _Kind(_numbers(3), "three numbers [x, y, z] in m/s^2"),
+    "reference_temperature_degC": _Kind(_temperature, "a finite number in degrees Celsius"),
+    "gravity_m_per_s2": _Kind(_gravity, "three numbers [x, y, z] in m/s^2"),
     "inertial_uncertainty": _Kind(_ratio, "one sigma relative to the masses, from 0 to 0.5, such as 0.1"),
-    "payload_uncertainty_kg": _Kind(_not_negative, "one sigma in kg, zero or more"),
+    "payload_uncertainty_kg": _Kind(_up_to(1000.0), "one sigma in kg, zero or more"),
 }

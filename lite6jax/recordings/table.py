@@ -8,6 +8,7 @@ import pyarrow as pa
 
 from lite6jax.errors import InputError
 from lite6jax.recordings.columns import Column, nearest_known, recognise
+from lite6jax.recordings.plausible import implausible
 
 LATEST_START_S = 1e8  # three years: such a time is a clock's, not counted from a start
 
@@ -124,7 +125,7 @@ def arrays_of(table: Table, source: str, notes: list[str]) -> dict[str, Any]:
         run = np.where(given[last], run[last], 0.0).astype(np.int64)
     time = values.get("time_s")
     if time is not None:
-        start = np.min(time, where=np.isfinite(time), initial=np.inf)
+        start = np.min(time, where=np.isfinite(time) & ~implausible("time", time[:, None])[:, 0], initial=np.inf)
         if LATEST_START_S < start < np.inf:
             time = time - start
             notes.append(f"{columns['time_s'].name} is a clock's: times are counted from the first, {start:.0f} s")

@@ -109,8 +109,9 @@ def require_metres(position: NDArray[np.float64], reach: float, *, from_base: bo
     there = position[np.isfinite(position).all(1)]
     if not len(there):
         return
-    middle = np.median(there, axis=0)
-    distance, origin = float(np.median(np.linalg.norm(there - middle, axis=1))), "from their middle"
+    with np.errstate(over="ignore"):
+        middle = np.median(there, axis=0)
+        distance, origin = float(np.median(np.linalg.norm(there - middle, axis=1))), "from their middle"
     if from_base and np.linalg.norm(middle) > distance:
         distance, origin = float(np.linalg.norm(middle)), "from the base"
     if distance > FAR_REACHES * reach:

@@ -115,6 +115,7 @@ def order_spectrum(found: Diagnosis, title: str) -> Figure:
 
 
 def _draw_spectrum(panel: Axes, joint: JointSpectra) -> None:
+    panel.set_ylim(1e-3, 150)  # of all panels together below; a spectrum of zeros has no limits of its own
     for (_, colour), spectrum in zip(_STAGES, (joint.before, joint.after), strict=True):
         if spectrum is not None:
             many = len(spectrum.orders) > 3000

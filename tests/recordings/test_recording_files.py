@@ -396,7 +396,9 @@ def test_millimetres_named_metres_are_asked_about_and_accepted(tmp_path):
     assert read_recording(path, reach=0.7, assume_millimetres=True).notes == ()
 
 
-finite = st.floats(allow_nan=False, allow_infinity=False, allow_subnormal=True)
+def up_to(largest):
+    """Numbers that a recording may hold, the smallest and -0 among them."""
+    return st.floats(-largest, largest, allow_subnormal=True)
 
 
 @st.composite
@@ -404,34 +406,34 @@ def contents(draw):
     """What a recording is made from."""
     samples, dof = draw(st.integers(1, 5)), draw(st.integers(1, 7))
 
-    def block(*columns, elements=finite):
+    def block(*columns, elements):
         return draw(arrays(np.float64, (samples, *columns), elements=elements))
 
-    def maybe(*columns):
-        return block(*columns) if draw(st.booleans()) else None
+    def maybe(largest, *columns):
+        return block(*columns, elements=up_to(largest)) if draw(st.booleans()) else None
 
-    position, quaternion = maybe(3), None
+    position, quaternion = maybe(49.0, 3), None
     if position is not None and draw(st.booleans()):
         quaternion = block(4, elements=st.floats(0.25, 1)) * draw(st.sampled_from([1, -1]))
         quaternion /= np.linalg.norm(quaternion, axis=1, keepdims=True)
     return {
-        "joint_position": block(dof),
+        "joint_position": block(dof, elements=up_to(6e3)),
         "position": position,
         "quaternion": quaternion,
         "time": block(elements=st.floats(-1e7, 1e7)) if draw(st.booleans()) else None,
-        "joint_velocity": maybe(dof),
-        "joint_torque": maybe(dof),
-        "motor_current": maybe(dof),
-        "joint_temperature": maybe(dof),
-        "ambient_temperature": maybe(),
-        "payload": maybe(),
+        "joint_velocity": maybe(1e4, dof),
+        "joint_torque": maybe(1e6, dof),
+        "motor_current": maybe(1e5, dof),
+        "joint_temperature": maybe(1e4, dof),
+        "ambient_temperature": maybe(1e4),
+        "payload": maybe(1e5),
         "run": draw(arrays(np.int64, samples, elements=st.integers(-(2**53), 2**53))) if draw(st.booleans()) else None,
         "settings": {
             "motion": "static",
             "tool": draw(st.sampled_from(["none", "unknown", (0.1, -0.2, 1 / 3, 0.0, 1e-9, -3.0)])),
-            "joint_noise_rad": draw(st.floats(0, 1e300)),
-            "position_noise_m": draw(st.none() | st.floats(1e-300, 1e300)),
-            "gravity_m_per_s2": tuple(draw(arrays(np.float64, 3, elements=finite)).tolist()),
+            "joint_noise_rad": draw(st.floats(0, 1.0)),
+            "position_noise_m": draw(st.none() | st.floats(1e-12, 1.0)),
+            "gravity_m_per_s2": tuple(draw(arrays(np.float64, 3, elements=up_to(100.0))).tolist()),
         },
     }
 

@@ -1,5 +1,8 @@
 """Each finding's curve lies on its partial residuals, over its driver, with labels and units."""
 
+import io
+from dataclasses import replace
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -14,6 +17,7 @@ from diagnosed import (
     wavy_arm,
 )
 
+from lite6jax.diagnosis import evidence_map
 from lite6jax.effects.nonparametric import Unnamed
 from lite6jax.report import diagnosis_figures
 from lite6jax.report.finding_figures import finding_figure
@@ -136,3 +140,18 @@ def test_two_components_do_not_mix(recorded):
         dots, curve = panel.lines[0], panel.lines[1]
         fitted = np.interp(dots.get_xdata(), curve.get_xdata(), curve.get_ydata())
         assert np.median(np.abs(dots.get_ydata() - fitted)) < 0.3 * np.median(np.abs(dots.get_ydata()))
+
+
+def test_orders_are_drawn_where_nothing_is_left(compliant, monkeypatch):
+    """Of two identical recordings, whose difference is zero."""
+    tested = evidence_map.score_test
+
+    def nothing(problem, fit, options):
+        test = tested(problem, fit, options)
+        return replace(test, residual=np.zeros_like(test.residual))
+
+    monkeypatch.setattr(evidence_map, "score_test", nothing)
+    figure = diagnosis_figures.order_spectrum(compliant, "run.csv")
+    assert np.isfinite(figure.axes[0].get_ylim()).all()
+    assert all(joint.noise == 1.0 for joint in evidence_map.joint_spectra(compliant))
+    figure.savefig(io.BytesIO())

@@ -18,6 +18,7 @@ from lite6jax.recordings import (
     read_targets,
     sidecar_path,
 )
+from lite6jax.storage import exists
 
 Array = NDArray[np.floating]
 
@@ -31,13 +32,13 @@ def read_motion(path: str | Path, model: DiagnosedArm) -> Recording:
     sidecar = sidecar_path(path)
     settings = (
         read_settings(sidecar)
-        if sidecar.exists()
+        if exists(sidecar)
         else RecordingSettings(reference_temperature_degC=model.reference_temperature)
     )
     recording = read_recording(path, dof=model.dof)
     if settings.motion is None and recording.motion != model.motion:
         settings = replace(settings, motion=model.motion)  # type: ignore[arg-type]
-    return recording.made_anew(settings=settings)
+    return _declared_anew(recording, settings)
 
 
 def read_pose_targets(path: str | Path, model: DiagnosedArm) -> Targets:
@@ -50,11 +51,19 @@ def read_pose_targets(path: str | Path, model: DiagnosedArm) -> Targets:
     reach += float(np.linalg.norm(np.asarray(model.model.T_flange_tool)[:3, 3]))
     recording, start = read_targets(path, model.dof, model.joint_limits, reach)
     settings = recording.settings
-    if not sidecar_path(path).exists():
+    if not exists(sidecar_path(path)):
         settings = replace(settings, reference_temperature_degC=model.reference_temperature)
     if settings.motion is None:
         settings = replace(settings, motion=model.motion)  # type: ignore[arg-type]
-    return Targets(recording.made_anew(settings=settings), start)
+    return Targets(_declared_anew(recording, settings), start)
+
+
+def _declared_anew(recording: Recording, settings: RecordingSettings) -> Recording:
+    """With other settings; notes on the file stay, except those on what was not declared."""
+    undeclared = ("there is no sidecar", *recording.made_anew().notes)
+    kept = tuple(note for note in recording.notes if not note.startswith(undeclared))
+    anew = recording.made_anew(settings=settings)
+    return replace(anew, notes=(*kept, *anew.notes))
 
 
 def pose_columns(poses: Array, orientation: bool) -> dict[str, Array]:

@@ -1,0 +1,319 @@
+"""What is fuzzed: the readers and commands of the package, with files to damage, and how a file is damaged.
+
+A further reader is one more entry of `READERS`; the benchmark and the tests take all from there.
+"""
+
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from random import Random
+from typing import NamedTuple
+
+import numpy as np
+
+from lite6jax.arms.arm import Arm, sample_joints
+from lite6jax.arms.bundled import load_bundled
+from lite6jax.arms.factory import write_factory
+from lite6jax.arms.files import read_arm, read_factory, write_arm, write_table, write_urdf
+from lite6jax.recordings import (
+    Recording,
+    read_recording,
+    read_targets,
+    sidecar_path,
+    write_recording,
+)
+from lite6jax.recordings.checksums import KEY
+
+SAMPLES = 60
+LITE6 = load_bundled("lite6")
+
+
+class Seen(NamedTuple):
+    """What a reader returns: the value as text that is equal where the value is, and what it remarks on the file."""
+
+    value: str
+    remarks: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Reader:
+    """A reader with a file for it.
+
+    Attributes:
+        name: of both.
+        write: writes a whole file, and what belongs to it, into a folder; returns the file to read.
+        read: reads it; raises `InputError` where it cannot.
+        damaged: the file to damage, from the one to read; the same where not given.
+        sealed: whether we wrote the file with checksums: then no damage may change the value without a remark.
+    """
+
+    name: str
+    write: Callable[[Path], Path]
+    read: Callable[[Path], Seen]
+    damaged: Callable[[Path], Path] = lambda path: path
+    sealed: bool = False
+
+
+@dataclass(frozen=True)
+class Command:
+    """A command that reads a damaged file.
+
+    Attributes:
+        name: of both.
+        file: the reader whose file it takes.
+        arguments: from the file to be read, and a folder for output, to the command line.
+        weight: the share of the mutations; less where a run takes seconds.
+    """
+
+    name: str
+    file: Reader
+    arguments: Callable[[Path, Path], list[str]]
+    weight: float = 1.0
+
+
+# ------------------------------------------------------------------ damage
+
+HOSTILE = (
+    *(b"1e15", b"1e160", b"1e308", b"-1e308", b"3.4028235e38", b"1e-320", b"-0", b"nan", b".inf", b"1e999", b"0x10"),
+    *(b"9223372036854775808", b"1:30", b"1_000", b"true", b"null", b"''", b"\x00", b"\xff", b"\xed\xa0\x80", b"\n"),
+    *(b",", b'"', b": ", b"- ", b"{", b"}", b"[" * 200, b"&a [*a]", b"*a", b"!!python/object:os.system", b"<<: *a"),
+    *(b"<!ENTITY a 'b'>", b"1:" * 300 + b"0.5", b"0001-01-01 00:00:00 +23:59", b"\xef\xbb\xbf", b"#", b"PAR1"),
+)
+"""Fragments that have confused readers of numbers, text, YAML, XML and Parquet."""
+_NUMBER = re.compile(rb"[-+]?\d[\d.]*(?:e[-+]?\d+)?")
+
+
+def damage(content: bytes, rng: Random) -> bytes:
+    """Content with one to three faults of transmission, storage or editing; of text, a number is a frequent place."""
+    for _ in range(rng.choice((1, 1, 1, 2, 3))):
+        content = rng.choice(_DAMAGES)(content, rng)
+    return content
+
+
+def flip_bit(content: bytes, rng: Random) -> bytes:
+    """Content with one bit inverted."""
+    if not content:
+        return content
+    place, bit = rng.randrange(len(content)), rng.randrange(8)
+    return content[:place] + bytes([content[place] ^ 1 << bit]) + content[place + 1 :]
+
+
+def _set_byte(content: bytes, rng: Random) -> bytes:
+    place = rng.randrange(len(content) + 1)
+    return content[:place] + bytes([rng.randrange(256)]) + content[place + 1 :]
+
+
+def _cut_off(content: bytes, rng: Random) -> bytes:
+    return content[: rng.randrange(len(content) + 1)]
+
+
+def _slice(content: bytes, rng: Random) -> tuple[int, int]:
+    start = rng.randrange(len(content) + 1)
+    return start, min(start + rng.choice((1, 2, 8, 64, 512)), len(content))
+
+
+def _drop(content: bytes, rng: Random) -> bytes:
+    start, end = _slice(content, rng)
+    return content[:start] + content[end:]
+
+
+def _repeat(content: bytes, rng: Random) -> bytes:
+    start, end = _slice(content, rng)
+    return content[:end] + content[start:end] * rng.choice((1, 2, 20)) + content[end:]
+
+
+def _zero(content: bytes, rng: Random) -> bytes:
+    start, end = _slice(content, rng)
+    return content[:start] + bytes(end - start) + content[end:]
+
+
+def _insert(content: bytes, rng: Random) -> bytes:
+    place = rng.randrange(len(content) + 1)
+    return content[:place] + rng.choice(HOSTILE) + content[place:]
+
+
+def _replace_number(content: bytes, rng: Random) -> bytes:
+    numbers = list(_NUMBER.finditer(content))
+    if not numbers:
+        return _insert(content, rng)
+    start, end = rng.choice(numbers).span()
+    return content[:start] + rng.choice(HOSTILE) + content[end:]
+
+
+_DAMAGES = (flip_bit, flip_bit, flip_bit, _set_byte, _cut_off, _drop, _repeat, _zero, _insert, *(_replace_number,) * 3)
+
+
+# ------------------------------------------------------------------ files and readers
+
+
+def recording(samples: int = SAMPLES) -> Recording:
+    """Poses of a Lite 6 that is slightly off, as a tracker measures them, with all kinds of columns."""
+    from lite6jax.arms.frames import chain
+    from lite6jax.simulation import draw_calibration
+
+    rng = np.random.default_rng(0)
+    lower, upper = LITE6.joint_limits.T
+    q = (lower + upper) / 2 + 0.35 * (upper - lower) * sample_joints(LITE6.dof, samples) / np.pi
+    arm = Arm("lite6", draw_calibration(LITE6, seed=1))
+    poses = chain(arm.links, q)
+    return Recording.from_arrays(
+        q,
+        poses[:, :3, 3] + 2e-5 * rng.standard_normal((samples, 3)),
+        time=8.0 * np.arange(samples),
+        joint_temperature=np.full_like(q, 25.0),
+        payload=np.full(samples, 0.3),
+        run=np.arange(samples) // (samples // 2),
+        arm="lite6",
+        pose_frame="base",
+        tool="none",
+        motion="static",
+        position_noise_m=2e-5,
+        pose_source="laser_tracker",
+    )
+
+
+def _written(suffix: str, bound: bool) -> Callable[[Path], Path]:
+    """Writes the recording; not `bound`, as by hand: without the checksums of the sidecar."""
+
+    def write(folder: Path) -> Path:
+        path = write_recording(recording(), folder / f"run7{suffix}", overwrite=True)
+        if not bound:
+            sidecar = sidecar_path(path)
+            _, _, declared = sidecar.read_text().partition("recording:")
+            sidecar.write_text(f"recording:{declared}")
+            assert KEY not in sidecar.read_text()
+        return path
+
+    return write
+
+
+def _read_recording(path: Path) -> Seen:
+    limits = {"dof": LITE6.dof, "joint_limits": LITE6.joint_limits, "reach": LITE6.reach}
+    return _of_recording(read_recording(path, **limits))
+
+
+def _of_recording(read: Recording) -> Seen:
+    columns = {name: column.tobytes() for name, column in read.columns().items()}
+    return Seen(repr((columns, read.motion, read.row.tolist(), read.settings)), read.notes)
+
+
+def _targets(folder: Path) -> Path:
+    path = folder / "targets.csv"
+    path.write_text("note,x_m,y_m,z_m,payload_kg\na,0.2,0.1,0.3,0\nb,0.25,-0.1,0.2,0.5\n")
+    return path
+
+
+def _read_targets(path: Path) -> Seen:
+    targets = read_targets(path, LITE6.dof, LITE6.joint_limits, LITE6.reach)
+    return _of_recording(targets.recording)
+
+
+def _of_arm(arm: Arm) -> Seen:
+    arrays = (arm.kinematics, arm.joint_limits, arm.T_joint_flange, arm.mass, arm.center_of_mass, arm.dh)
+    return Seen(repr((arm.name, *(None if array is None else array.tolist() for array in arrays))))
+
+
+def _read_factory(path: Path) -> Seen:
+    read = read_factory(path)
+    return Seen(repr((read.kinematics.tolist(), read.T_joint_flange.tolist(), read.arm.name)))
+
+
+def _factory(folder: Path) -> Path:
+    from lite6jax.simulation import draw_calibration
+
+    return write_factory(draw_calibration(LITE6, seed=1), folder / "arm.yaml", overwrite=True)
+
+
+def _mcap(folder: Path) -> Path:
+    from mcap_ros2.writer import Writer
+
+    path = folder / "run7.mcap"
+    header = "std_msgs/Header header\n{}" + "=" * 80 + "\nMSG: std_msgs/Header\nbuiltin_interfaces/Time stamp\n"
+    header += "string frame_id\n" + "=" * 80 + "\nMSG: builtin_interfaces/Time\nint32 sec\nuint32 nanosec\n"
+    fields = "string[] name\nfloat64[] position\nfloat64[] velocity\nfloat64[] effort\n"
+    with open(path, "wb") as file:
+        writer = Writer(file)
+        schema = writer.register_msgdef("sensor_msgs/msg/JointState", header.format(fields))
+        for k, q in enumerate(recording().joint_position):
+            message = {
+                "header": {"stamp": {"sec": 1000 + 8 * k, "nanosec": 0}, "frame_id": "base"},
+                "name": [f"joint{j + 1}" for j in range(len(q))],
+                "position": q.tolist(),
+                "velocity": [],
+                "effort": [],
+            }
+            writer.write_message("/joint_states", schema, message, log_time=8_000_000_000 * k)
+        writer.finish()
+    return path
+
+
+CSV = Reader("csv", _written(".csv", bound=True), _read_recording, sealed=True)
+CSV_BY_HAND = Reader("csv by hand", _written(".csv", bound=False), _read_recording)
+PARQUET = Reader("parquet", _written(".parquet", bound=True), _read_recording, sealed=True)
+PARQUET_ALONE = Reader("parquet, page checksums alone", _written(".parquet", bound=False), _read_recording)
+SIDECAR = Reader("sidecar", _written(".csv", bound=True), _read_recording, sidecar_path, sealed=True)
+SIDECAR_BY_HAND = Reader("sidecar by hand", _written(".csv", bound=False), _read_recording, sidecar_path)
+TARGETS = Reader("targets", _targets, _read_targets)
+DESCRIPTION = Reader(
+    "description", lambda folder: write_arm(LITE6, folder / "arm.yaml", overwrite=True), lambda p: _of_arm(read_arm(p))
+)
+FACTORY = Reader("factory file", _factory, _read_factory)
+TABLE = Reader(
+    "table", lambda folder: write_table(LITE6.form, LITE6.hayati, folder / "arm.json", overwrite=True), _read_factory
+)
+URDF = Reader(
+    "urdf", lambda folder: write_urdf(LITE6, folder / "arm.urdf", overwrite=True), lambda p: _of_arm(read_arm(p))
+)
+MCAP = Reader("mcap", _mcap, lambda path: _of_recording(read_recording(f"{path}#/joint_states", dof=LITE6.dof)))
+READERS = (
+    *(CSV, CSV_BY_HAND, PARQUET, PARQUET_ALONE, SIDECAR, SIDECAR_BY_HAND, TARGETS, DESCRIPTION, FACTORY, TABLE),
+    *(URDF, MCAP),
+)
+
+
+def _with_model(command: str) -> Callable[[Path, Path], list[str]]:
+    """A command on a diagnosis and the file; the diagnosis is made once in each folder of output."""
+
+    def arguments(path: Path, out: Path) -> list[str]:
+        model = out / "model.json"
+        if not model.exists():
+            from lite6jax.cli import main
+
+            whole = out / "whole"
+            whole.mkdir(exist_ok=True)
+            assert main(["diagnose", str(CSV.write(whole)), "--out", str(model)]) == 0
+        return [command, str(model), str(path), "--out", str(out / f"{command}.csv"), "--force"]
+
+    return arguments
+
+
+def _plain(command: str, *options: str) -> Callable[[Path, Path], list[str]]:
+    return lambda path, out: [command, str(path), *(option.format(out=out) for option in options)]
+
+
+def _in_folder(command: str) -> Callable[[Path, Path], list[str]]:
+    return lambda path, out: [command, str(path.parent), "--out", str(out / "fleet.parquet"), "--force"]
+
+
+COMMANDS = (
+    Command("check a csv", CSV_BY_HAND, _plain("check")),
+    Command("check a factory file", FACTORY, _plain("check")),
+    Command("fit a csv", CSV_BY_HAND, _plain("fit", "--out", "{out}/model.json", "--force")),
+    Command("fit a parquet", PARQUET, _plain("fit")),
+    Command("fit a sidecar", SIDECAR_BY_HAND, _plain("fit")),
+    Command("fit a factory file", FACTORY, _plain("fit", "--out", "{out}/model.json", "--force")),
+    Command("fit a table", TABLE, _plain("fit")),
+    Command("identify a csv", CSV_BY_HAND, _plain("identify"), 0.5),
+    Command("convert a description", DESCRIPTION, _plain("convert", "{out}/arm.urdf", "--force")),
+    Command("convert a urdf", URDF, _plain("convert", "{out}/arm.yaml", "--force")),
+    Command("fleet", FACTORY, _in_folder("fleet")),
+    Command("predict", CSV_BY_HAND, _with_model("predict")),
+    Command("compensate", TARGETS, _with_model("compensate")),
+    Command("diagnose a csv", CSV_BY_HAND, _plain("diagnose", "--out", "{out}/d.json", "--force"), 0.05),
+)
+
+
+def targets() -> dict[str, "Reader | Command"]:
+    """All readers and commands by name."""
+    return {target.name: target for target in (*READERS, *COMMANDS)}

@@ -1,0 +1,128 @@
+"""Numbers beyond any arm or sensor: the rows are dropped and named, and what is left is as if they had not been."""
+
+import numpy as np
+import pytest
+
+from benchmarks.fuzzed import CSV_BY_HAND, LITE6, SAMPLES, recording
+from lite6jax.domains.pose.fit_recording import fit_recording
+from lite6jax.errors import InputError
+from lite6jax.recordings import Recording, read_recording, read_targets
+
+ROW = 20
+ABSURD = [
+    *(("x_m", value) for value in ("1e15", "-1e15", "3.4028235e38", "1e160", "1e308", "101")),
+    *(("q2_rad", value) for value in ("6284", "3.4028235e38", "-1e308")),
+    *(("time_s", value) for value in ("1e308", "-1e300", "2e9")),
+    *(("temp3_degC", "1e308"), ("payload_kg", "1e300")),
+]
+
+
+@pytest.fixture
+def written(tmp_path):
+    """Writes the recording with other text in some cells, by data row and column."""
+    path = CSV_BY_HAND.write(tmp_path)
+    lines = [line.split(",") for line in path.read_text().splitlines()]
+
+    def write(*cells):
+        changed = [list(line) for line in lines]
+        for row, name, value in cells:
+            changed[row][lines[0].index(name)] = value
+        path.write_text("".join(",".join(line) + "\n" for line in changed))
+        return path
+
+    return write
+
+
+def arrays(read, rows):
+    kept = read.select(rows)
+    return {name: value for name, value in vars(kept).items() if isinstance(value, np.ndarray)}
+
+
+@pytest.mark.parametrize(("column", "value"), ABSURD)
+def test_the_row_of_an_absurd_number_is_dropped_and_named(written, column, value):
+    whole = read_recording(written())
+    read = read_recording(written((ROW, column, value)))
+    assert read.row.tolist() == [row for row in range(1, SAMPLES + 1) if row != ROW]
+    assert read.notes == (
+        f"numbers beyond any arm or sensor count as missing: {float(value):.5g} in column {column}, row {ROW}",
+        f"dropped 1 row with NaN, infinite or empty fields, that is row {ROW}",
+    )
+    others = whole.row != ROW
+    expected, actual = arrays(whole, others), arrays(read, slice(None))
+    neighbour = expected.pop("direction_of_motion"), actual.pop("direction_of_motion")
+    np.testing.assert_array_equal(neighbour[0][: ROW - 1], neighbour[1][: ROW - 1])
+    for name, array in expected.items():
+        np.testing.assert_array_equal(actual[name], array, err_msg=name)
+
+
+@pytest.mark.parametrize(
+    ("column", "value"), [("x_m", "-0"), ("x_m", "99"), ("q2_rad", "6283"), ("z_m", "1e-320"), ("time_s", "9e8")]
+)
+def test_what_a_sensor_could_give_is_kept(written, column, value):
+    read = read_recording(written((ROW, column, value)))
+    assert read.samples == SAMPLES
+    assert read.columns()[column][ROW - 1] == float(value)
+
+
+def test_the_fit_is_that_of_the_other_rows(written):
+    limits = {"joint_limits": LITE6.joint_limits, "reach": LITE6.reach}
+    expected = fit_recording(read_recording(written((ROW, "x_m", "")), **limits))
+    found = fit_recording(read_recording(written((ROW, "x_m", "1e15")), **limits))
+    np.testing.assert_array_equal(found.parameters, expected.parameters)
+
+
+def test_many_rows_are_listed_and_over_half_are_an_error(written):
+    rows = range(2, 42, 2)
+    notes = read_recording(written(*((row, "y_m", "1e9") for row in rows))).notes
+    assert notes[0] == (
+        "numbers beyond any arm or sensor count as missing: 1e+09 in column y_m, row 2; rows 2, 4, 6, 8, 10, 12, 14, "
+        "16, 18, 20, 22, 24 and 8 more"
+    )
+    with pytest.raises(InputError) as caught:
+        read_recording(written(*((row, "q1_rad", "1e9") for row in range(1, SAMPLES))))
+    assert str(caught.value).endswith(
+        "59 of 60 rows have numbers beyond any arm or sensor (1e+09 in column q1_rad, row 1); check the unit and the "
+        "column"
+    )
+
+
+def test_positions_in_millimetres_are_asked_about_and_not_dropped(written):
+    cells = [(row, name, str(300 * row)) for row in range(1, SAMPLES + 1) for name in ("x_m", "y_m", "z_m")]
+    with pytest.raises(InputError, match="are these millimetres"):
+        read_recording(written(*cells), reach=LITE6.reach)
+
+
+def test_velocities_and_times_beside_an_absurd_number_are_those_without_its_row(tmp_path):
+    time = 1.75e9 + 0.1 * np.arange(20)
+    q = np.sin(np.arange(20.0))[:, None]
+    spoiled = {"q1_rad": q[:, 0].copy(), "time_s": time.copy()}
+    spoiled["q1_rad"][7], spoiled["time_s"][11] = 1e300, -1e300
+    read = Recording.from_dataframe(spoiled, motion="trajectory")
+    empty = {
+        "q1_rad": np.where(np.arange(20) == 7, np.nan, q[:, 0]),
+        "time_s": np.where(np.arange(20) == 11, np.nan, time),
+    }
+    expected = Recording.from_dataframe(empty, motion="trajectory")
+    np.testing.assert_array_equal(read.time, expected.time)
+    assert read.time[0] == 0
+    np.testing.assert_array_equal(read.joint_velocity, expected.joint_velocity)
+
+
+def test_arrays_are_treated_as_files_are():
+    whole = recording()
+    position = whole.position.copy()
+    position[ROW - 1, 2] = 1e200
+    read = Recording.from_arrays(whole.joint_position, position)
+    assert ROW not in read.row
+    assert read.notes[0].endswith(f"1e+200 in column z_m, row {ROW}")
+
+
+def test_a_target_that_is_absurd_is_a_target_without_a_value(tmp_path):
+    path = tmp_path / "targets.csv"
+    path.write_text("x_m,y_m,z_m\n1e15,0,0\n0.2,0.1,0.3\n")
+    read = read_targets(path, 6).recording
+    assert np.isnan(read.position[0, 0])
+    assert read.notes[0] == "numbers beyond any arm or sensor count as missing: 1e+15 in column x_m, row 1"
+    path.write_text("name,note\na,b\n")
+    with pytest.raises(InputError, match=r"has no positions to reach; name their columns x_m y_m z_m"):
+        read_targets(path, 6)

@@ -1,0 +1,142 @@
+"""Every reader on damaged files: a value or one line that says what is wrong, nothing else, and no change in silence.
+
+The long run of the same is `python -m benchmarks fuzz`.
+"""
+
+import json
+from random import Random
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from benchmarks import __main__ as harness
+from benchmarks import fuzz, fuzz_worker, fuzzed
+from benchmarks.fuzz_worker import Trial
+from benchmarks.fuzzed import COMMANDS, READERS, Command, Reader, Seen, damage, flip_bit
+from lite6jax.errors import InputError
+
+ACCEPTED = ("read", "refused")
+
+
+@pytest.fixture(scope="module")
+def trials(tmp_path_factory):
+    made = {}
+
+    def trial(reader):
+        if reader.name == "mcap":
+            pytest.importorskip("mcap_ros2.writer", reason="the packages of the extra `mcap` are not installed")
+        if reader.name not in made:
+            made[reader.name] = Trial(reader, tmp_path_factory.mktemp("fuzzed"))
+        return made[reader.name]
+
+    return trial
+
+
+@pytest.mark.parametrize("reader", READERS, ids=lambda reader: reader.name)
+def test_a_damaged_file_is_read_or_refused(trials, reader):
+    trial = trials(reader)
+
+    @settings(max_examples=25, suppress_health_check=list(HealthCheck))
+    @given(st.randoms(use_true_random=False))
+    def judge(rng):
+        assert trial.judged(damage(trial.content, rng)) in (("read", ""), ("refused", ""))
+
+    judge()
+
+
+@pytest.mark.parametrize("reader", READERS, ids=lambda reader: reader.name)
+def test_any_bytes_are_refused(trials, reader):
+    trial = trials(reader)
+
+    @settings(max_examples=15, suppress_health_check=list(HealthCheck))
+    @given(st.binary(max_size=200))
+    def judge(content):
+        assert trial.judged(content)[0] in ACCEPTED
+
+    judge()
+
+
+def test_damage_is_the_same_for_the_same_seed_and_of_every_kind():
+    content = b"q1_rad,x_m\n" + b"0.125,-3.5e-3\n" * 20
+    damaged = [damage(content, Random(f"0 {k}")) for k in range(400)]
+    assert damaged == [damage(content, Random(f"0 {k}")) for k in range(400)]
+    assert len(set(damaged)) > 300
+    assert {len(content), len(content) + 1} < {len(one) for one in damaged}
+    assert any(b"1e308" in one for one in damaged)
+    flipped = flip_bit(content, Random(1))
+    assert sum(bin(a ^ b).count("1") for a, b in zip(content, flipped, strict=True)) == 1
+
+
+# ------------------------------------------------------------------ the benchmark's own honesty
+
+
+def write_number(folder):
+    path = folder / "number.txt"
+    path.write_text("7")
+    return path
+
+
+def read_badly(path):
+    """A reader with every fault, by the length of the file."""
+    text = path.read_bytes()
+    if len(text) == 2:
+        raise InputError(f"{path}: two bytes")
+    if len(text) == 3:
+        raise InputError("two\nlines")
+    if len(text) == 4:
+        raise KeyError("four")
+    return Seen(repr(text), ("five",) if len(text) == 5 else ())
+
+
+def test_each_outcome_is_what_happened(tmp_path):
+    trial = Trial(Reader("bad", write_number, read_badly, sealed=True), tmp_path)
+    outcomes = [trial.judged(content)[0] for content in (b"7", b"8", b"xx", b"xxx", b"xxxx", b"xxxxx")]
+    assert outcomes == ["read", "silent change", "refused", "traceback", "traceback", "read"]
+    lenient = Trial(Reader("bad", write_number, read_badly), tmp_path / "lenient")
+    assert lenient.judged(b"8") == ("read", "")
+    command = Command("bad", Reader("bad", write_number, lambda path: Seen("")), lambda path, out: ["fit", str(path)])
+    with pytest.raises(RuntimeError, match="bad: on the whole file: refused"):
+        Trial(command, tmp_path / "command")
+
+
+def test_a_process_that_dies_or_waits_is_counted_and_the_next_goes_on(monkeypatch, tmp_path):
+    worker = tmp_path / "worker.py"
+    worker.write_text(
+        "import json, os, sys, time\n"
+        "print('ready', flush=True)\n"
+        "for k in range(int(sys.argv[3]), int(sys.argv[4])):\n"
+        "    if k == 2: os._exit(9)\n"
+        "    if k == 4: time.sleep(60)\n"
+        "    print(json.dumps(('traceback' if k == 5 else 'read', 'why')), flush=True)\n"
+    )
+    start = fuzz.subprocess.Popen
+    popen = lambda command, **rest: start([command[0], str(worker), *command[3:]], **rest)  # noqa: E731
+    monkeypatch.setattr(fuzz.subprocess, "Popen", popen)
+    monkeypatch.setattr(fuzz, "HANG_S", 0.2)
+    (found,) = fuzz.fuzz(["csv"], 7)
+    assert dict(found.counts) == {"read": 4, "crash": 1, "hang": 1, "traceback": 1}
+    assert [line.split(": ")[:2] for line in found.details] == [
+        ["crash", "csv 2"], ["hang", "csv 4"], ["traceback", "csv 5"],
+    ]  # fmt: skip
+    wrong = {record.metric: record.failed for record in fuzz.records(found)}
+    assert wrong == {
+        "mutations": "", "crashes": "1 of 7", "hangs": "1 of 7", "silent changes": "", "tracebacks": "1 of 7",
+    }  # fmt: skip
+
+
+def test_the_benchmark_runs_a_reader_and_a_command(capsys, tmp_path, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "160")
+    out = tmp_path / "out.json"
+    names = ["--only", "csv", "--only", "check a factory file"]
+    assert harness.main(["fuzz", "--mutations", "12", *names, "--json", str(out), "--processes", "2"]) == 0
+    counts = {(r["subject"], r["metric"]): r["value"] for r in json.loads(out.read_text())}
+    assert counts["csv", "mutations"] == 10
+    assert counts["check a factory file", "mutations"] == 2
+    assert "check a factory file" in capsys.readouterr().out
+
+
+def test_names_are_unique_and_commands_take_a_reader_of_the_list():
+    assert len(fuzzed.targets()) == len(READERS) + len(COMMANDS)
+    assert {command.file for command in COMMANDS} <= set(READERS)
+    assert fuzz.READY == fuzz_worker.READY

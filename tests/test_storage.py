@@ -1,0 +1,95 @@
+"""Files as they should not be: pipes, devices, names, file systems without links, YAML that would end the process."""
+
+import errno
+import os
+import signal
+
+import pytest
+
+from lite6jax import storage
+from lite6jax.errors import InputError
+
+
+def refused(function, *arguments):
+    with pytest.raises(InputError) as caught:
+        function(*arguments)
+    assert "\n" not in str(caught.value)
+    return str(caught.value)
+
+
+@pytest.fixture
+def deadline():
+    """Ends the process where something waits for ever."""
+    signal.alarm(60)
+    yield
+    signal.alarm(0)
+
+
+@pytest.mark.usefixtures("deadline")
+def test_pipes_and_devices_are_neither_read_nor_replaced(tmp_path):
+    pipe = tmp_path / "pipe.yaml"
+    os.mkfifo(pipe)
+    assert refused(storage.read_yaml, pipe).endswith("is a pipe; write its content to a file first, and name that")
+    assert "/dev/zero: is a device" in refused(storage.read_text, "/dev/zero", 10)
+    assert "is a pipe, which a file would replace" in refused(storage.write_atomically, pipe, "text", True)
+    assert "is a device, which a file would replace" in refused(storage.check_writable, "/dev/null", True)
+    assert "is a folder; name a file" in refused(storage.read_text, tmp_path, 10)
+    assert "no such file" in refused(storage.read_text, pipe / "below", 10)
+
+
+def test_names_that_no_file_can_have(tmp_path):
+    name = tmp_path / os.fsdecode(b"\xff.txt")
+    assert refused(storage.read_text, name, 10).endswith("its name is not UTF-8; rename the file or its folder")
+    assert "its name is not UTF-8" in refused(storage.write_atomically, name, "text")
+    long = tmp_path / ("x" * 300)
+    assert "File name too long" in refused(storage.read_text, long, 10)
+    assert "File name too long" in refused(storage.check_writable, long)
+    assert not storage.exists(long)
+    longest = tmp_path / f"{'é' * 125}.yaml"  # 255 bytes, and the temporary file beside it needs a name too
+    assert storage.write_atomically(longest, "text").read_text() == "text"
+
+
+@pytest.mark.parametrize("code", [errno.EPERM, errno.EOPNOTSUPP])
+def test_writing_needs_no_hard_links(tmp_path, monkeypatch, code):
+    def refuse(*_):
+        raise OSError(code, os.strerror(code))
+
+    monkeypatch.setattr(os, "link", refuse)
+    monkeypatch.setattr("pathlib.Path.chmod", lambda *_: (_ for _ in ()).throw(PermissionError(errno.EPERM, "mode")))
+    path = storage.write_atomically(tmp_path / "new.txt", "mine")
+    assert path.read_text() == "mine"
+
+    def appear(target):
+        (tmp_path / "late.txt").write_text("theirs")
+        target.write_text("mine")
+
+    assert "appeared while it was being written" in refused(storage.write_atomically, tmp_path / "late.txt", appear)
+    assert (tmp_path / "late.txt").read_text() == "theirs"
+    assert sorted(os.listdir(tmp_path)) == ["late.txt", "new.txt"]
+
+
+@pytest.mark.parametrize("loader", ["CSafeLoader", "SafeLoader"])
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("[" * 30_000, "line 1: nested more than 32 levels deep"),
+        ("{a: " * 30_000, "line 1: nested more than 32 levels deep"),
+        ("- " * 30_000, "line 1: nested more than 32 levels deep"),
+        ("\n".join(" " * k + "a:" for k in range(200)), "line 33: nested more than 32 levels deep"),
+        ("a: 1\nb: " + "x" * 20_000, "line 2: a value of over 10000 characters"),
+        ("a: " + "1:" * 3000 + "0.5", "not valid YAML (nested too deeply or a malformed value)"),
+        ("&a [*a]", "not valid YAML (nested too deeply or a malformed value)"),
+    ],
+    ids=range(7),
+)
+def test_yaml_that_would_end_the_process(tmp_path, monkeypatch, loader, text, message):
+    monkeypatch.setattr(storage, "_LOADER", getattr(storage.yaml, loader))
+    path = tmp_path / "deep.yaml"
+    path.write_text(text)
+    assert message in refused(storage.read_yaml, path)
+
+
+def test_yaml_may_be_as_deep_as_the_limit(tmp_path):
+    path = tmp_path / "deep.yaml"
+    path.write_text("[" * storage.YAML_DEPTH_LIMIT + "]" * storage.YAML_DEPTH_LIMIT)
+    assert storage.read_yaml(path) == eval(path.read_text())
