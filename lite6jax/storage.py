@@ -9,6 +9,7 @@ from typing import Any
 
 import yaml
 
+from lite6jax.checksum import verify_comment
 from lite6jax.errors import InputError
 
 YAML_SIZE_LIMIT = 1 << 20
@@ -108,7 +109,7 @@ def read_yaml(path: str | Path) -> Any:
         if node is None:
             raise InputError(f"{path}: is empty")
         _check_node(path, node, budget=[YAML_NODE_LIMIT])
-        return _construct(text)
+        values = _construct(text)
     except yaml.YAMLError as error:
         mark = getattr(error, "problem_mark", None)
         where = f" line {mark.line + 1}:" if mark else ""
@@ -120,6 +121,8 @@ def read_yaml(path: str | Path) -> Any:
         raise InputError(
             f"{path}: not valid YAML (nested too deeply or a malformed value); correct the file"
         ) from error
+    verify_comment(text, values, path)
+    return values
 
 
 def _construct(text: str) -> Any:

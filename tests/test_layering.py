@@ -7,7 +7,20 @@ import pytest
 
 PACKAGE = Path(__file__).resolve().parents[1] / "lite6jax"
 PARTS = [
-    *("errors", "storage", "summary", "arms", "effects", "model", "recordings", "estimation", "search", "controller"),
+    *(
+        "errors",
+        "checksum",
+        "schema",
+        "storage",
+        "summary",
+        "arms",
+        "effects",
+        "model",
+        "recordings",
+        "estimation",
+        "search",
+        "controller",
+    ),
     *("fitting", "identifiability", "domains", "diagnosis", "simulation", "emulator", "report", "cli"),
 ]
 MODULES = sorted(PACKAGE.rglob("*.py"))

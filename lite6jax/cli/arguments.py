@@ -9,7 +9,7 @@ from tyro.conf import arg
 from lite6jax.errors import InputError
 from lite6jax.storage import check_writable
 
-DONE, NOT_CONVERGED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 128 + signal.SIGINT
+DONE, NOT_CONVERGED, BAD_INPUT, BAD_FIT, INTERRUPTED = 0, 1, 2, 3, 128 + signal.SIGINT
 
 ArmName = Annotated[str | None, arg(metavar="ARM")]
 OutFile = Annotated[Path | None, arg(metavar="FILE")]

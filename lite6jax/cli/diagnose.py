@@ -1,13 +1,12 @@
 """Commands on what an arm has beyond its model: find it in a recording, predict with it."""
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
 from tyro.conf import Positional, arg
 
-from lite6jax.cli.arguments import DONE, ArmName, Folder, OutFile, check_out
+from lite6jax.cli.arguments import BAD_FIT, DONE, ArmName, Folder, OutFile, check_out
 from lite6jax.errors import InputError
 from lite6jax.storage import check_writable, write_atomically
 
@@ -58,12 +57,12 @@ class Diagnose:
 
             canvas.check_names(self.figures, [f"{self.source.stem}_{name}" for name in NAMES], self.force)
         from lite6jax.arms.arm import Arm
-        from lite6jax.arms.files import read_arm
         from lite6jax.diagnosis.diagnose import diagnose
-        from lite6jax.diagnosis.document import to_document
+        from lite6jax.diagnosis.document import to_document, write_document
         from lite6jax.diagnosis.options import Options
         from lite6jax.diagnosis.reference_diagnosis import diagnose_against
         from lite6jax.effects.user_effects import load_effects
+        from lite6jax.fitting.recognition import arm_of
         from lite6jax.fitting.source import load_nominal, read_source
         from lite6jax.recordings import Recording
         from lite6jax.report import diagnosis_tables, screen
@@ -79,7 +78,7 @@ class Diagnose:
 
         nominal = load_nominal(self.arm)
         recording = read(self.source, nominal)
-        arm = nominal or read_arm(recording.settings.arm_reference(Path(recording.source).parent))
+        arm = nominal or arm_of(recording)
         other = read(self.reference, arm) if self.reference else None
         effects = load_effects(self.effects) if self.effects else ()
         with screen.progress(Options().folds + 1, "searching") as advance:
@@ -93,7 +92,7 @@ class Diagnose:
         if seen is not None:
             document["against"] = seen.to_dict()
         document = with_statements(document)
-        written = [write_atomically(self.out, json.dumps(document, indent=1, allow_nan=False), self.force)]
+        written = [write_document(document, self.out, self.force)]
         if self.report or self.figures:
             from lite6jax.report import canvas, diagnosis_figures, page
 
@@ -111,7 +110,7 @@ class Diagnose:
                     written.append(write_atomically(self.report, html, self.force))
         screen.show(diagnosis_tables.diagnosis_report(document, str(self.source)))
         screen.written(written)
-        return DONE
+        return BAD_FIT if found.quality.verdict == "bad" else DONE
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from tyro.conf import Positional, arg
 
-from lite6jax.cli.arguments import DONE, NOT_CONVERGED, ArmName, Folder, OutFile, check_out
+from lite6jax.cli.arguments import BAD_FIT, DONE, NOT_CONVERGED, ArmName, Folder, OutFile, check_out
 from lite6jax.errors import InputError
 
 if TYPE_CHECKING:
@@ -132,7 +132,9 @@ class Fit:
         if refusal:
             raise refusal
         passed = verification is None or verification.passed
-        return DONE if solution.result.name == "CONVERGED" and passed else NOT_CONVERGED
+        if solution.result.name != "CONVERGED" or not passed:
+            return NOT_CONVERGED
+        return BAD_FIT if solution.quality.verdict == "bad" else DONE
 
     def _read(self, nominal: "Arm | None") -> "FactoryCalibration | Recording":
         if self.source is None:

@@ -6,7 +6,9 @@ import operator
 import os
 import signal
 import sys
-from collections.abc import Sequence
+import warnings
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from functools import reduce
 from importlib.metadata import PackageNotFoundError, version
 from io import TextIOWrapper
@@ -26,7 +28,7 @@ from lite6jax.cli.fit import Compare, Demo, Fit, Fleet
 from lite6jax.cli.live import Read, Record
 from lite6jax.cli.simulate import Simulate
 from lite6jax.cli.study import Identify, Sensitivity
-from lite6jax.errors import InputError
+from lite6jax.errors import InputError, InputWarning
 
 COMMANDS = {
     "fit": Fit,
@@ -49,7 +51,7 @@ COMMANDS = {
 DESCRIPTION = """Fit a UFACTORY Lite 6, or any serial arm, to its calibration or to measured poses.
 
 Exit codes: 0 done, 1 a fit did not converge, a target is out of reach or a controller does not agree with its
-calibration, 2 the input cannot be used, 130 interrupted."""
+calibration, 2 the input cannot be used, 3 the model found does not describe its data, 130 interrupted."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -59,7 +61,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         arguments: the command line without the program's name; the process's own where not given.
 
     Returns:
-        the exit code: 0 done, 1 the fit did not converge, 2 the input cannot be used, 130 interrupted.
+        the exit code: 0 done, 1 the fit did not converge, 2 the input cannot be used, 3 the model does not describe the
+        data, 130 interrupted.
     """
     arguments = sys.argv[1:] if arguments is None else list(arguments)
     for stream in (sys.stdout, sys.stderr):
@@ -77,7 +80,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
         keep_compiled_code()
         gc.set_threshold(200_000)  # tracing makes objects that stay; to look them through again and again takes a tenth
-        code = command.run()
+        with _warnings_as_lines():
+            code = command.run()
         sys.stdout.flush()
     except SystemExit as stop:  # tyro has printed help or what is wrong with the arguments
         return int(stop.code or 0)
@@ -101,7 +105,25 @@ def _subcommands() -> Any:
     return reduce(operator.or_, options)
 
 
-def _one_line(error: InputError) -> str:
+@contextmanager
+def _warnings_as_lines() -> Iterator[None]:
+    """Prints each warning of the input once, as one line on stderr."""
+    shown, said = warnings.showwarning, set()
+
+    def show(message: Warning | str, category: type[Warning], *place: Any) -> None:
+        if not issubclass(category, InputWarning):
+            shown(message, category, *place)
+        elif str(message) not in said:
+            said.add(str(message))
+            print(f"warning: {_one_line(message)}", file=sys.stderr)
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("always", InputWarning)
+        warnings.showwarning = show
+        yield
+
+
+def _one_line(error: Warning | str | InputError) -> str:
     """The message with what would break the line, or steer the terminal, spelled out."""
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in str(error))
 

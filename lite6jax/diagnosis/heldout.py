@@ -25,15 +25,30 @@ Array = NDArray[np.floating]
 
 
 class HeldOut(NamedTuple):
-    """Position errors on held-out rows, `(sample,)` m each.
+    """Errors on held-out rows, `(sample,)` each.
 
     Attributes:
-        before: with the nuisance alone.
-        after: with the effects that a search of the other rows selects.
+        before: m, of positions, with the nuisance alone.
+        after: m, of positions, with the effects that a search of the other rows selects.
+        turned_before: of orientations, over their noise, with the nuisance alone; zero where none were measured.
+        turned_after: likewise with the effects.
     """
 
     before: Array
     after: Array
+    turned_before: Array
+    turned_after: Array
+
+    def raised(self, kept: NDArray[np.bool_], options: Options) -> bool:
+        """Whether the effects raise the errors on rows that were not used.
+
+        Position and orientation have scales of their own: it is the product of their ratios, as in the likelihood of
+        Gaussian errors of unknown variance, that must not rise. Effects that show in the orientation alone may raise
+        the error of positions by what they cost in precision.
+        """
+        position = _ratio(self.before[kept], self.after[kept])
+        turned = _ratio(self.turned_before[kept], self.turned_after[kept])
+        return position * turned > 1 or position > options.heldout_rise
 
 
 def held_out_errors(
@@ -52,16 +67,18 @@ def held_out_errors(
         recording: whose rows are in order, each once and in one unit; all faults are screened for in each fold.
         decisions: between faults and physics, of all rows.
     """
-    before, after = np.zeros(recording.samples), np.zeros(recording.samples)
+    before, after, turned_before, turned_after = np.zeros((4, recording.samples))
     for held in recording.contiguous_folds(fold_count(recording.samples, options)):
         found = explain(recording, arm, geometry, options, effects, factory, ~held, False, decisions)
         state, reference = found.selection.state, found.selection.reference
         assert isinstance(reference, PoseProblem)
         before[held] = _distance(reference, state.baseline)[held]
         after[held] = _distance(found.problem, state.fit)[held]
+        turned_before[held] = _turn(reference, state.baseline)[held]
+        turned_after[held] = _turn(found.problem, state.fit)[held]
         if progress:
             progress(1)
-    return HeldOut(before, after)
+    return HeldOut(before, after, turned_before, turned_after)
 
 
 def fold_count(samples: int, options: Options) -> int:
@@ -72,3 +89,13 @@ def fold_count(samples: int, options: Options) -> int:
 def _distance(problem: PoseProblem, fit: Fit) -> Array:
     """`(sample,)` m between predicted and measured positions."""
     return np.linalg.norm(problem.position_errors(fit.nuisance, fit.terms, fit.values), axis=0)
+
+
+def _turn(problem: PoseProblem, fit: Fit) -> Array:
+    """`(sample,)` between predicted and measured orientations, over their noise; zero where none were measured."""
+    return np.linalg.norm(problem.residual(fit.nuisance, fit.terms, fit.values)[3:], axis=0)
+
+
+def _ratio(before: Array, after: Array) -> float:
+    """Of the root mean squares; 1 where there was no error."""
+    return float(np.linalg.norm(after) / np.linalg.norm(before)) if before.any() else 1.0

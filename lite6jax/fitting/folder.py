@@ -16,6 +16,7 @@ from lite6jax.fitting.calibration_fit import CHECK_SAMPLES, SAMPLES
 from lite6jax.fitting.chunks import CHUNK
 from lite6jax.fitting.fleet import fit_fleet
 from lite6jax.fitting.problem import calibration_poses, sample_within_limits
+from lite6jax.fitting.quality import Quality, quality_of_calibration
 from lite6jax.fitting.recording_fit import fit_recording
 from lite6jax.fitting.solution import Errors, Result, Solution, prediction_errors
 from lite6jax.fitting.source import read_source
@@ -40,6 +41,7 @@ class Row:
         file: its name in the folder.
         kind: what it is.
         result: how its fit ended.
+        quality: whether the model describes the data, a `QualityVerdict`; empty where nothing was fitted.
         message: the same in words; of a bad file, what is wrong with it.
         arm: the nominal arm's name; empty where unknown.
         joints: their number.
@@ -55,6 +57,7 @@ class Row:
     kind: Kind
     result: Result
     message: str
+    quality: str = ""
     arm: str = ""
     joints: int = 0
     samples: int = 0
@@ -173,18 +176,21 @@ def _fit_batch(paths: Sequence[Path], calibrations: Sequence[FactoryCalibration]
         result = Result(int(solution.result[i]))
         model = start._replace(geometry=solution.parameters[i])
         pose = calibration_poses(calibration, fresh)
+        checked = prediction_errors(form, model, fresh, pose)
+        quality = quality_of_calibration(checked.position)
         yield Row(
             file=path.name,
             kind="calibration",
             result=result,
-            message=result.message,
+            message=result.message + _qualified(quality),
+            quality=quality.verdict,
             arm=arm.name,
             joints=arm.dof,
             samples=SAMPLES,
             steps=int(solution.steps[i]),
             parameters=_named(form, solution.parameters[i]),
             fitted=prediction_errors(form, model, q, poses[i]),
-            checked=prediction_errors(form, model, fresh, pose),
+            checked=checked,
             nominal=prediction_errors(form, start, fresh, pose),
         )
 
@@ -198,7 +204,8 @@ def _fit_recording(path: Path, nominal: Arm | None, fit_one: RecordingFit) -> Ro
         file=path.name,
         kind="recording",
         result=solution.result,
-        message=solution.result.message + faults,
+        message=solution.result.message + _qualified(solution.quality) + faults,
+        quality=solution.quality.verdict,
         arm=solution.arm.name,
         joints=solution.arm.dof,
         samples=recording.samples,
@@ -208,6 +215,10 @@ def _fit_recording(path: Path, nominal: Arm | None, fit_one: RecordingFit) -> Ro
         checked=solution.checked,
         nominal=solution.nominal_errors,
     )
+
+
+def _qualified(quality: Quality) -> str:
+    return "; but the model does not describe the data" if quality.verdict == "bad" else ""
 
 
 def _named(form: ModelForm, parameters: Array) -> tuple[tuple[str, float], ...]:
@@ -230,6 +241,7 @@ def write_rows(rows: Sequence[Row], path: str | Path, overwrite: bool = False) -
         "file": pyarrow.array([row.file for row in rows]),
         "kind": pyarrow.array([row.kind for row in rows]),
         "result": pyarrow.array([int(row.result) for row in rows], pyarrow.int32()),
+        "quality": pyarrow.array([row.quality or None for row in rows], pyarrow.string()),
         "message": pyarrow.array([row.message for row in rows]),
         "arm": pyarrow.array([row.arm or None for row in rows], pyarrow.string()),
         "joints": pyarrow.array([row.joints or None for row in rows], pyarrow.int32()),
@@ -263,5 +275,5 @@ def _statistics(found: Sequence[Errors | None]) -> dict[str, list[float | None]]
 
 
 def failed(rows: Sequence[Row]) -> list[Row]:
-    """Those that a person should look at: not readable, or not converged."""
-    return [row for row in rows if row.result != Result.CONVERGED]
+    """Those that a person should look at: not readable, not converged, or with a model that is not one of the data."""
+    return [row for row in rows if row.result != Result.CONVERGED or row.quality == "bad"]
