@@ -10,9 +10,10 @@ QualityVerdict = Literal["good", "above_noise", "bad"]
 Reason = Literal["too_far", "unrelated"]
 
 FARTHEST_SHARE = 0.01
-"""Of the arm's reach, which the errors of a model that describes an arm do not exceed: 10 mm for a Lite 6. The nominal table of a real arm is off by less (8.5 mm for a real xArm 7, before any fit), and a real UR10 with all
-its compliance is 0.4 mm from the best geometry; another model of arm, a wrong joint order or a clock that is off by a
-tenth of a second leave more."""
+"""Of the arm's reach, which the errors of a model that describes an arm do not exceed: 7 mm for a Lite 6. The nominal
+table of a real arm is off by less (8.5 mm for a real xArm 7, before any fit), and a real UR10 with all its compliance
+is 0.4 mm from the best geometry; another model of arm, a wrong joint order or a clock that is off by a tenth of a
+second leave more."""
 NOISES = 5.0
 """Times the declared noise per axis, which errors may have as well: a camera need not be precise. Three quarters of
 isotropic errors are within twice their standard deviation per axis; the rest is for noise that is declared too low."""
