@@ -62,8 +62,9 @@ def diagnose(
     selection = replace(selection, state=final_estimates(problem, selection.state, options.engine))
     if progress:
         progress(1)
+    unknowns = len(problem.frames) + 1
     held_out = held_out_errors(
-        rows.recording, arm, geometry, options, found.final_decisions, effects, factory, progress
+        rows.recording, arm, geometry, options, found.final_decisions, unknowns, effects, factory, progress
     )
     findings, withdrawn = _findings(selection), None
     outliers = _outliers(selection, options)

@@ -17,6 +17,7 @@ from lite6jax.diagnosis.explanation import Decisions, explain
 from lite6jax.diagnosis.options import Options
 from lite6jax.domains.pose.problem import PoseProblem
 from lite6jax.effects.effect import Effect
+from lite6jax.errors import InputError
 from lite6jax.estimation.least_squares import Fit
 from lite6jax.fitting.problem import Geometry
 from lite6jax.recordings import Recording
@@ -57,6 +58,7 @@ def held_out_errors(
     geometry: Geometry,
     options: Options,
     decisions: Decisions,
+    unknowns: int,
     effects: Sequence[Effect] = (),
     factory: FactoryCalibration | None = None,
     progress: Callable[[int], object] | None = None,
@@ -66,9 +68,13 @@ def held_out_errors(
     Args:
         recording: whose rows are in order, each once and in one unit; all faults are screened for in each fold.
         decisions: between faults and physics, of all rows.
+        unknowns: numbers that the rows of each fold must determine.
+
+    Raises:
+        InputError: no row can be held back, because the others would be too few for the unknowns.
     """
     before, after, turned_before, turned_after = np.zeros((4, recording.samples))
-    for held in recording.contiguous_folds(fold_count(recording.samples, options)):
+    for held in recording.contiguous_folds(fold_count(recording.samples, options, _rows_needed(recording, unknowns))):
         found = explain(recording, arm, geometry, options, effects, factory, ~held, False, decisions)
         state, reference = found.selection.state, found.selection.reference
         assert isinstance(reference, PoseProblem)
@@ -81,9 +87,25 @@ def held_out_errors(
     return HeldOut(before, after, turned_before, turned_after)
 
 
-def fold_count(samples: int, options: Options) -> int:
-    """How many blocks of so many rows are held out: fewer where these would be short."""
-    return min(options.folds, max(2, samples // options.least_in_fold))
+def fold_count(samples: int, options: Options, needed: int = 0) -> int:
+    """How many blocks of so many rows are held out: fewer where these would be short, and more where the other rows
+    would be fewer than `needed`.
+    """
+    count = min(options.folds, max(2, samples // options.least_in_fold))
+    while count < samples and samples - -(-samples // count) < needed:
+        count += 1
+    return count
+
+
+def _rows_needed(recording: Recording, unknowns: int) -> int:
+    """The fewest rows that determine so many numbers, of which the recording must have one more."""
+    needed = -(-unknowns // recording.numbers_per_sample)
+    if recording.samples <= needed:
+        raise InputError(
+            f"{recording.source}: {recording.samples} samples are what {unknowns} numbers to determine need, so that "
+            f"none can be held back; record at least {needed + 1}"
+        )
+    return needed
 
 
 def _distance(problem: PoseProblem, fit: Fit) -> Array:

@@ -64,6 +64,8 @@ def verdict_statement(document: Document) -> str:
     declared = noise["declared_position_m"]
     if verdict == "undetermined":
         return f"{_VERDICTS[verdict]} Record about {document['rows_needed'] - document['samples']} more poses."
+    if verdict == "unexplained" and document["quality"]["verdict"] == "bad":
+        return "Unexplained: the model of the arm does not describe the poses, and no effect explains why."
     if verdict == "unexplained":
         times = noise["estimated_position_m"] / declared if declared else 1.0
         if times > _EXCESSIVE:
@@ -89,7 +91,7 @@ def cautions(document: Document) -> list[str]:
     bad, withdrawn = quality_statement(document["quality"]), document["withdrawn"]
     lines = [] if bad is None else [bad]
     if withdrawn is not None:
-        names = _joined(effect_title(entry) for entry in withdrawn["effects"])
+        names = _joined(_withdrawn_title(entry) for entry in withdrawn["effects"])
         before, after = (1e3 * withdrawn["heldout_position_rms_m"][stage] for stage in ("before", "after"))
         was, them = ("was", "it is") if len(withdrawn["effects"]) == 1 else ("were", "they are")
         lines.append(
@@ -97,6 +99,10 @@ def cautions(document: Document) -> list[str]:
             f"({number(after, 3)} mm RMS of position) than without ({number(before, 3)} mm)."
         )
     return lines
+
+
+def _withdrawn_title(entry: Entry) -> str:
+    return f"an effect without a name at {entry['site']}" if entry["effect"] == "unnamed" else effect_title(entry)
 
 
 def _what_is_left(left: Entry) -> str:
