@@ -123,8 +123,8 @@ _PER_AXIS = record({"position_m": _POSITIVE, "orientation_rad": _POSITIVE})
 def _site(value: Any, place: str) -> None:
     """A number of the nuisance: what it is of, of which joint or frame, and which number of that."""
     items(plain, 3)(value, place)
-    for check, entry in zip((text, whole(0), whole(0)), value, strict=True):
-        check(entry, place)
+    for k, check in enumerate((text, whole(0), whole(0))):
+        check(value[k], f"{place}[{k}]")
 
 
 _UNCERTAINTY = record(
