@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lite6jax.arms import frames
 from lite6jax.arms.arm import Arm
@@ -16,7 +17,7 @@ from lite6jax.arms.files import read_arm
 from lite6jax.arms.se3 import rotation_from_quaternion, rotation_from_rpy, transform
 from lite6jax.errors import InputError, InputWarning
 from lite6jax.fitting.start import frames_from_poses
-from lite6jax.recordings import Recording, require_samples
+from lite6jax.recordings import Recording, require_radians, require_samples
 
 ALIKE = 2.0
 """Times the error of the best arm, within which another one is as likely: the errors of two arms of one model differ by
@@ -85,9 +86,12 @@ def matches(recording: Recording) -> list[Match]:
     """The bundled arms of as many joints, the nearest first.
 
     Raises:
-        InputError: no measured poses.
+        InputError: no measured poses, or joint positions in degrees.
     """
     require_samples(recording, 1)
+    known = bundled_of(recording.dof)
+    if known:  # a wrong unit is no reason to find no arm
+        require_radians(recording.joint_position, widest_limits(known), f"{recording.source}: joint_position")
     settings, position = recording.settings, recording.position
     assert position is not None
     rotation = None if recording.quaternion is None else np.asarray(rotation_from_quaternion(recording.quaternion))
@@ -96,13 +100,19 @@ def matches(recording: Recording) -> list[Match]:
     if not isinstance(settings.tool, str):
         tool = np.asarray(transform(rotation_from_rpy(np.array(settings.tool[3:])), np.array(settings.tool[:3])))
     found = []
-    for arm in bundled_of(recording.dof):
+    for arm in known:
         flange = frames.chain(arm.links, recording.joint_position) @ arm.T_joint_flange
         T_sensor_base, T_flange_tool = frames_from_poses(flange, position, rotation, frame, tool)
         point = (flange @ T_flange_tool)[:, :3, 3] @ T_sensor_base[:3, :3].T + T_sensor_base[:3, 3]
         error = float(np.percentile(np.linalg.norm(point - position, axis=1), _PER_CENT))
         found.append(Match(arm, error))
     return sorted(found, key=lambda match: match.error)
+
+
+def widest_limits(arms: Sequence[Arm]) -> NDArray[np.floating]:
+    """`(joint, 2)` rad, of several arms of as many joints together."""
+    limits = np.stack([arm.joint_limits for arm in arms])
+    return np.stack([limits[..., 0].min(0), limits[..., 1].max(0)], 1)
 
 
 def _chosen(recording: Recording, tried: Sequence[Match]) -> Arm:

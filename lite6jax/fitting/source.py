@@ -2,13 +2,11 @@
 
 from pathlib import Path
 
-import numpy as np
-
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.bundled import bundled_of
 from lite6jax.arms.factory import FactoryCalibration, read_factory
 from lite6jax.arms.files import read_arm
-from lite6jax.fitting.recognition import with_arm
+from lite6jax.fitting.recognition import widest_limits, with_arm
 from lite6jax.recordings import (
     Recording,
     RecordingSettings,
@@ -73,8 +71,6 @@ def _of_undeclared_arm(path: str | Path, assume_degrees: bool, assume_millimetre
     recording = read_recording(path, assume_degrees=assume_degrees, assume_millimetres=assume_millimetres)
     known = bundled_of(recording.dof)
     if known:  # a wrong unit is no reason to find no arm
-        limits = np.stack([arm.joint_limits for arm in known])
-        widest = np.stack([limits[..., 0].min(0), limits[..., 1].max(0)], 1)
-        check_joint_scale(recording, widest, assumed=assume_degrees)
+        check_joint_scale(recording, widest_limits(known), assumed=assume_degrees)
         check_position_scale(recording, max(arm.reach for arm in known), assumed=assume_millimetres)
     return recording if recording.position is None else with_arm(recording, warn=True)
