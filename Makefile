@@ -8,7 +8,7 @@ PYTEST := $(BIN)/python -m pytest --numprocesses=auto --maxprocesses=4 --dist=wo
 # The parts that take arrays from outside, of which the types and shapes are checked as they run; pyright checks the rest.
 TYPED := $(addprefix tests/,arms recordings)
 
-.PHONY: demo test test-slow benchmark clean
+.PHONY: demo test test-slow benchmark installed-locked lock clean
 
 demo: $(VENV)/installed
 	$(BIN)/lite6jax demo
@@ -34,6 +34,20 @@ $(VENV)/installed: pyproject.toml
 $(VENV)/installed-test: $(VENV)/installed
 	$(BIN)/python -m pip install --quiet --editable '.[test]'
 	touch $@
+
+# The same tools as they were locked, each with its hash: what the forge tests.
+installed-locked: pyproject.toml .ci/requirements.txt
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --require-hashes --requirement .ci/requirements.txt
+	$(BIN)/python -m pip install --quiet --no-deps --editable .
+	touch $(VENV)/installed $(VENV)/installed-test
+
+# Of the newest versions that pyproject.toml accepts, for Python 3.11 and newer on any system.
+lock:
+	$(PYTHON) -m venv $(VENV)-lock
+	$(VENV)-lock/bin/python -m pip install --quiet uv
+	$(VENV)-lock/bin/uv pip compile pyproject.toml --extra test --universal --python-version 3.11 --generate-hashes \
+		--upgrade --no-emit-index-url --quiet --custom-compile-command "make lock" --output-file .ci/requirements.txt
 
 clean:
 	rm -rf $(VENV) build dist *.egg-info .pytest_cache .ruff_cache .hypothesis

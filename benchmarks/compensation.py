@@ -1,6 +1,5 @@
 """The error that a diagnosis has found, removed: a soft arm in MuJoCo is measured, diagnosed, and driven to targets."""
 
-import json
 import tempfile
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
@@ -15,7 +14,7 @@ from benchmarks.concealed.mujoco_physics import Arm
 from benchmarks.concealed.plain_physics import Hidden, Motion, Setup
 from benchmarks.measure import Record, timed
 from lite6jax.diagnosis.diagnose import diagnose
-from lite6jax.diagnosis.document import read_model, to_document
+from lite6jax.diagnosis.document import read_model, to_document, write_document
 from lite6jax.domains.pose.compensate import compensate
 from lite6jax.domains.pose.files import read_pose_targets
 from lite6jax.domains.pose.fit import fit
@@ -64,6 +63,7 @@ class Soft(NamedTuple):
         position = position + NOISE[0] * rng.standard_normal(position.shape)
         rotation = rotation @ rotation_from_vector(NOISE[1] * rng.standard_normal(position.shape))
         told = RecordingSettings(
+            arm="lite6",
             factory_calibration=str(calibration) if calibration else None,
             motion="static",
             joint_source="measured",
@@ -115,7 +115,7 @@ def compensation(
             plain = fit(recording)  # the fitted geometry is what there is without a diagnosis
             seconds, found = timed(partial(diagnose, recording))
             document = Path(folder) / "diagnosis.json"
-            write_atomically(document, json.dumps(to_document(found), allow_nan=False))
+            write_document(to_document(found), document)
             wanted_q, payload = drawn(rng, targets)
             wanted = np.asarray(plain.predict(wanted_q), np.float64)
             asked = Recording.from_arrays(

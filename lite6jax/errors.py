@@ -1,4 +1,4 @@
-"""The error of invalid user input."""
+"""The error of invalid user input, and the warning of input that is used all the same."""
 
 
 class InputError(ValueError):
@@ -6,4 +6,11 @@ class InputError(ValueError):
 
     The message is one line that names the file, the place in it and the remedy. The command line prints it and exits
     with code 2.
+    """
+
+
+class InputWarning(UserWarning):
+    """Input of a user that is used, but of which something should be known, such as a file that was edited.
+
+    The message is one line that names the file. The command line prints it on stderr.
     """

@@ -11,6 +11,7 @@ from typing import Any
 
 import yaml
 
+from lite6jax.checksum import verify_comment
 from lite6jax.errors import InputError
 from lite6jax.temporaries import create_temporary, remove_temporary
 
@@ -199,7 +200,7 @@ def read_yaml(path: str | Path) -> Any:
         if node is None:
             raise InputError(f"{path}: is empty")
         _check_node(path, node, budget=[YAML_NODE_LIMIT])
-        return yaml.load(text, Loader=_LOADER)
+        values = yaml.load(text, Loader=_LOADER)
     except yaml.YAMLError as error:
         mark = getattr(error, "problem_mark", None)
         where = f" line {mark.line + 1}:" if mark else ""
@@ -211,6 +212,8 @@ def read_yaml(path: str | Path) -> Any:
         raise InputError(
             f"{path}: not valid YAML (nested too deeply or a malformed value); correct the file"
         ) from error
+    verify_comment(text, values, path)
+    return values
 
 
 _LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)

@@ -173,7 +173,9 @@ def test_fit_prints_and_writes_the_calibrated_arm(capsys, tmp_path, calibration)
 
     # the JSON has the seed's keys, and a plain NumPy chain made of it is the calibrated arm
     table = json.loads(out.read_text())
-    assert set(table) == {"units", "base", "dh", "beta_joint2"}
+    assert set(table) == {"units", "base", "dh", "beta_joint2", "fit", "checksum"}
+    assert (table["fit"]["result"], table["fit"]["quality"]) == ("converged", "good")
+    assert 0 < table["fit"]["checked_position_rms_m"] < 1e-13
     assert table["units"] == "mm and deg"
     assert (table["base"]["z"], table["base"]["yaw"], table["dh"][1]["d"]) == (0, 0, 0)
     base = [table["base"]["x"] / 1e3, table["base"]["y"] / 1e3]
@@ -367,7 +369,11 @@ def test_degrees_and_millimetres_are_asked_about_and_accepted(capsys, tmp_path):
         ("", ("is empty",)),
         ("q1,q2\n1,2\n", ("column 'q1': the unit is missing", "write q1_rad or q1_deg")),
         ("x_m,y_m,z_m\n1,2,3\n", ("q1_rad",)),
-        ("q1_rad,q2_rad\n1,2\n", ("has 2 joints (q1 ... q2), the arm has 6", "choose the arm it is of")),
+        ("q1_rad,q2_rad\n1,2\n", ("has no measured positions",)),
+        (
+            "q1_rad,q2_rad,x_m,y_m,z_m\n1,2,0,0,0\n",
+            ("declares no arm, and no bundled one has 2 joints", "name it with --arm NAME, or `arm:` in the sidecar"),
+        ),
     ],
 )
 def test_a_recording_that_is_none(capsys, tmp_path, content, parts):
@@ -511,6 +517,7 @@ def test_convert_refuses_what_a_form_cannot_hold(capsys, tmp_path, calibration):
     run(capsys, "convert", calibration, table)
     content = json.loads(table.read_text())
     content["dh"][5].update(a=1.5, alpha=2.0)
+    del content["checksum"]
     table.write_text(json.dumps(content))
     target = tmp_path / "out.yaml"
     assert refused(capsys, "convert", table, target) == (

@@ -9,7 +9,7 @@ import pytest
 from lite6jax.cli.deprecated import RENAMED
 
 ROOT = Path(__file__).resolve().parents[1]
-DOCUMENTS = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+DOCUMENTS = [ROOT / "README.md", ROOT / "SECURITY.md", *sorted((ROOT / "docs").glob("*.md"))]
 CONTRIBUTING = (ROOT / "docs/CONTRIBUTING.md").read_text()
 CHANGELOG = (ROOT / "docs/CHANGELOG.md").read_text()
 
@@ -57,6 +57,22 @@ def test_the_screens_are_documented_in_their_order():
 def test_the_changelog_lists_every_old_spelling():
     listed = [tuple(row) for row in table_rows(CHANGELOG) if row[0] in RENAMED]
     assert listed == [(command, old, new.new) for command, names in RENAMED.items() for old, new in names.items()]
+
+
+def test_every_direct_dependency_is_listed_with_its_licence_and_locked():
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    wanted = {
+        *project["dependencies"],
+        *(name for names in project["optional-dependencies"].values() for name in names),
+    }
+    needed = {re.split(r"[<>=\[]", name)[0] for name in wanted} - {"lite6jax"}
+    rows = table_rows((ROOT / "docs/dependencies.md").read_text())[2:]
+    assert sorted(row[0] for row in rows) == sorted(needed)
+    assert all(use and licence for _, use, licence in rows)
+    locked = re.findall(
+        r"^([\w.-]+)==\S+.*\\\n    --hash=sha256:", (ROOT / ".ci/requirements.txt").read_text(), re.MULTILINE
+    )
+    assert {name.lower() for name in needed} - {"pre-commit"} <= set(locked)
 
 
 def test_the_newest_entry_of_the_changelog_is_the_version():

@@ -27,7 +27,7 @@ def _terminal(monkeypatch):
 def measured(tmp_path):
     q = random_positions(np.random.default_rng(0), 50, 6)
     position = six_parameter_poses(LITE6.kinematics, q)[:, :3, 3]
-    settings = RecordingSettings(motion="static", pose_frame="unknown", tool="none", position_noise_m=3e-5)
+    settings = RecordingSettings(arm="lite6", motion="static", pose_frame="unknown", tool="none", position_noise_m=3e-5)
     return write_recording(Recording.from_arrays(q, position=position, settings=settings), tmp_path / "run.csv")
 
 
@@ -94,7 +94,7 @@ def test_identify_takes_noise_that_is_not_declared_from_a_fit(capsys, tmp_path):
     rng = np.random.default_rng(0)
     q = random_positions(rng, 60, 6)
     position = six_parameter_poses(LITE6.kinematics, q)[:, :3, 3] + 4e-5 * rng.standard_normal((60, 3))
-    settings = RecordingSettings(motion="static", tool="none")
+    settings = RecordingSettings(arm="lite6", motion="static", tool="none")
     path = write_recording(Recording.from_arrays(q, position=position, settings=settings), tmp_path / "run.csv")
     document = json.loads(run(capsys, "identify", path, "--json")[1])
     assert document["sensor"]["position_noise"] == pytest.approx(4e-5, rel=0.2)

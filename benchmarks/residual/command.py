@@ -20,7 +20,7 @@ from rich.table import Table
 
 from benchmarks.measure import Record
 from benchmarks.residual.score import OURS, Outcome, compare, diagnosed, diagnosed_elsewhere, transfer, unseen
-from lite6jax.diagnosis.document import read_model
+from lite6jax.diagnosis.document import read_model, write_document
 from lite6jax.domains.pose.files import read_motion
 from lite6jax.domains.pose.predict import predict
 from lite6jax.errors import InputError
@@ -137,7 +137,7 @@ def on_real(
             outcomes.append(outcome)
             if other is not None:
                 with tempfile.TemporaryDirectory() as folder:
-                    stored = write_atomically(Path(folder) / "d.json", json.dumps(document, allow_nan=False))
+                    stored = write_document(document, Path(folder) / "d.json")
                     errors = diagnosed_elsewhere(read_model(stored), other)
                 elsewhere.append(replace(outcome, errors=errors))
         yield f"{path.name}, {recording.samples} rows, held-out fifths", outcomes
@@ -245,7 +245,7 @@ def on_trial(folder: Path, ours: bool, progress: Callable[[str], object]) -> tup
             if not stored.exists():
                 outcome, document = diagnosed(recording)
                 seconds = outcome.seconds
-                stored = write_atomically(Path(temporary) / "d.json", json.dumps(document, allow_nan=False))
+                stored = write_document(document, Path(temporary) / "d.json")
             model = read_model(stored)
             said_by = json.loads(stored.read_text())
         shown = predict(model, read_motion(folder / "unseen.csv", model))

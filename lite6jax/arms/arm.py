@@ -88,7 +88,7 @@ class Arm:
                     f"arm {self.name!r}: joint{i + 1}'s limits {lower:g} … {upper:g} rad are empty; write lower, upper"
                 )
         T = self.T_joint_flange
-        if np.abs(T[:3, :3] @ T[:3, :3].T - np.eye(3)).max() > 1e-9 or np.linalg.det(T[:3, :3]) < 0:
+        if not frames.is_rotation(T[:3, :3]):
             raise InputError(
                 f"arm {self.name!r}: T_joint_flange does not hold a rotation; correct its upper left 3 × 3"
             )

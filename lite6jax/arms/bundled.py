@@ -20,6 +20,12 @@ def bundled_arms() -> tuple[str, ...]:
     return tuple(sorted(path.stem for path in _DATA.glob("*.yaml")))
 
 
+def bundled_of(joints: int) -> list[Arm]:
+    """The bundled models of so many joints, in alphabetical order; of each one table."""
+    arms = [load_bundled(name) for name in bundled_arms() if name not in VARIANTS]
+    return [arm for arm in arms if arm.dof == joints]
+
+
 @cache
 def load_bundled(name: str) -> Arm:
     """A bundled arm by its name.

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from lite6jax import storage
 from lite6jax.arms import entries, frames
 from lite6jax.arms.arm import Arm
+from lite6jax.checksum import with_comment
 from lite6jax.errors import InputError
 
 DH = ("theta_off_rad", "d_m", "a_m", "alpha_rad")
@@ -18,6 +19,9 @@ OPTIONAL = ("joint_limits_rad", "inertial", "dh", "flange", "source")
 
 # rad, four turns: a larger limit is an angle in degrees.
 LARGEST_LIMIT = 8 * np.pi
+
+# kg; a heavier link is in grams.
+LARGEST_MASS = 1000.0
 
 
 def read_description(path: str | Path) -> Arm:
@@ -89,6 +93,10 @@ def _inertial(value: Any, where: str, joints: int) -> tuple[NDArray[np.float64],
         link = entries.mapping(links[f"link{i + 1}"], place, ("mass_kg", "com_m"))
         masses.append(entries.number(link["mass_kg"], f"{place}: mass_kg"))
         centers.append(entries.numbers(link["com_m"], f"{place}: com_m", 3))
+        if masses[-1] > LARGEST_MASS:
+            raise InputError(f"{place}: mass_kg is {masses[-1]:g}, heavier than any arm, so it seems to be in grams")
+        if max(map(abs, centers[-1])) > entries.LENGTH_LIMIT:
+            raise InputError(f"{place}: com_m is {centers[-1]}, beyond any arm, so it seems to be in millimetres")
     return np.array(masses), np.array(centers)
 
 
@@ -108,6 +116,10 @@ def _flange(value: Any, where: str) -> NDArray[np.floating]:
     if not isinstance(value, list) or len(value) != 3:
         raise InputError(f"{where}: flange must be x y z roll pitch yaw by name, or three rows of four numbers")
     rows = [entries.numbers(row, f"{where}: flange row {i + 1}", 4) for i, row in enumerate(value)]
+    if max(abs(row[3]) for row in rows) > entries.LENGTH_LIMIT:
+        raise InputError(
+            f"{where}: flange is further out than any arm's, so it seems to be in millimetres; write metres"
+        )
     return np.array([*rows, [0.0, 0.0, 0.0, 1.0]])
 
 
@@ -135,7 +147,7 @@ def write_arm(arm: Arm, path: str | Path, overwrite: bool = False) -> Path:
             lines.append(f"flange: {entries.yaml_row(entries.SIX, row)}")
         else:  # roll, pitch and yaw would not reproduce it exactly
             lines += ["flange:"] + [f"  - {entries.yaml_list(row)}" for row in arm.T_joint_flange[:3]]
-    return storage.write_atomically(path, "\n".join(lines) + "\n", overwrite)
+    return storage.write_atomically(path, with_comment("\n".join(lines) + "\n"), overwrite)
 
 
 def _text(value: str) -> str:

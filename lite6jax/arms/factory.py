@@ -11,8 +11,9 @@ from numpy.typing import ArrayLike, NDArray
 from lite6jax import storage
 from lite6jax.arms import convert, entries, frames
 from lite6jax.arms.arm import Arm, sample_joints
-from lite6jax.arms.bundled import VARIANTS, bundled_arms, load_bundled
+from lite6jax.arms.bundled import bundled_of
 from lite6jax.arms.table import read_table
+from lite6jax.checksum import with_comment
 from lite6jax.errors import InputError
 
 Array = NDArray[np.floating]
@@ -103,7 +104,7 @@ def write_factory(kinematics: ArrayLike, path: str | Path, form: str = "vendor",
     for joint, row in zip(joints, rows, strict=True):
         lines.append(f"  {joint}:")
         lines += [f"    {key}: {entries.yaml_number(value)}" for key, value in zip(entries.SIX, row, strict=True)]
-    return storage.write_atomically(path, "\n".join(lines) + "\n", overwrite)
+    return storage.write_atomically(path, with_comment("\n".join(lines) + "\n"), overwrite)
 
 
 @np.errstate(over="ignore", invalid="ignore")  # absurd numbers are far from every arm
@@ -125,7 +126,7 @@ def recognise(
     q = sample_joints(len(kinematics))
     links = np.stack([frames.transform_from_row(row) for row in kinematics])
     after = np.eye(4) if T_joint_flange is None else np.asarray(T_joint_flange, float)
-    candidates = _candidates(len(kinematics)) if arm is None else [arm]
+    candidates = bundled_of(len(kinematics)) if arm is None else [arm]
     points = np.stack([_flange_points(candidate.links, candidate.T_joint_flange, q) for candidate in candidates])
 
     distances = _distances(_flange_points(links, after @ candidates[0].T_joint_flange, q), points)
@@ -149,11 +150,6 @@ def recognise(
         f" {1e3 * distances[nearest]:.0f} mm RMS away at the flange; name the arm with --arm"
         " (a bundled one, or a description of your own)"
     )
-
-
-def _candidates(dof: int) -> list[Arm]:
-    arms = [load_bundled(name) for name in bundled_arms() if name not in VARIANTS]
-    return [arm for arm in arms if arm.dof == dof]
 
 
 def _flange_points(links: Array, after: Array, q: Array) -> Array:

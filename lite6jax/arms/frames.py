@@ -67,6 +67,12 @@ def row_from_transform(transform: ArrayLike) -> Array:
     return np.concatenate([T[:3, 3], rpy_from_rotation(T[:3, :3])])
 
 
+def is_rotation(matrix: ArrayLike) -> bool:
+    """Whether `(3, 3)` numbers are a rotation: orthonormal to 1e-9, and no reflection."""
+    R = np.asarray(matrix, float)
+    return bool(np.abs(R @ R.T - np.eye(3)).max() <= 1e-9 and np.linalg.det(R) > 0)
+
+
 def joint_rotations(angle: ArrayLike) -> Array:
     """`Rz(angle)` as transforms: (...,) rad to (..., 4, 4)."""
     angle = np.asarray(angle, float)

@@ -7,7 +7,8 @@ done on decimals and rounded once, so that reading a table returns the floats th
 import json
 import math
 import re
-from collections.abc import Sequence
+import warnings
+from collections.abc import Mapping
 from dataclasses import dataclass
 from decimal import Context, Decimal
 from pathlib import Path
@@ -16,13 +17,21 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lite6jax import storage
+from lite6jax import checksum, storage
 from lite6jax.arms import entries
 from lite6jax.arms.chains import HayatiForm
-from lite6jax.errors import InputError
+from lite6jax.errors import InputError, InputWarning
+from lite6jax.schema import RepeatedKeyError, unique_keys
 
 UNITS = "mm and deg"
 SIZE_LIMIT = 1 << 20
+
+FIT = ("result", "quality", "checked_position_rms_m")
+"""Of the fit that a table is from: how it ended, whether it describes its data, its error on data not fitted."""
+LENGTH_LIMIT = 100.0
+"""m; far beyond any arm, but not beyond the common normal of axes that are nearly parallel."""
+ANGLE_LIMIT = 4 * math.pi
+"""rad; no table counts more turns than two."""
 
 _EXACT = Context(prec=60)
 _DEGREE = _EXACT.divide(Decimal("3.14159265358979323846264338327950288419716939937510582097494459"), Decimal(180))
@@ -54,13 +63,17 @@ def read_table(path: str | Path) -> HayatiTable:
 
     with one row of `dh` per joint, in order, and one `beta_jointK` for each joint K that is nominally parallel to the
     next (Hayati's form, with d zero). The base's z and yaw are zero, because d and theta_off of joint 1 represent them.
+    A table that is from a fit may have `fit` with the keys `FIT`, and one that was written here has a `checksum`.
 
     Raises:
         InputError: not such a table; the line names the file, the place and the remedy.
+
+    Warns:
+        InputWarning: the table was changed after it was written, or is from a fit that does not describe its data.
     """
-    content = _parse(path)
+    content = _parse(storage.read_text(path, SIZE_LIMIT), path)
     betas = {key: int(match[1]) for key in content if isinstance(key, str) and (match := _BETA.fullmatch(key))}
-    entries.mapping(content, f"{path}:", ("units", "base", "dh"), tuple(betas) or ("beta_joint2",))
+    entries.mapping(content, f"{path}:", ("units", "base", "dh"), (*(betas or ("beta_joint2",)), "fit", checksum.KEY))
     if content["units"] != UNITS:
         raise InputError(f"{path}: units is {content['units']!r}; this table is in {UNITS!r} only, convert it")
     base = entries.mapping(content["base"], f"{path}: base", entries.SIX)
@@ -83,10 +96,18 @@ def read_table(path: str | Path) -> HayatiTable:
     tilt = [_radians(base[key], f"{path}: base: {key}") for key in ("roll", "pitch")]
     beta = [_radians(content[f"beta_joint{i + 1}"], f"{path}: beta_joint{i + 1}") for i in parallel]
     parameters = form.pack(np.array(position + tilt), dh, np.array(beta))
+    _check_fit(content.get("fit"), f"{path}: fit")
+    checksum.verify(content, path)
     return HayatiTable(form, np.asarray(parameters, np.float64))
 
 
-def write_table(form: HayatiForm, parameters: ArrayLike, path: str | Path, overwrite: bool = False) -> Path:
+def write_table(
+    form: HayatiForm,
+    parameters: ArrayLike,
+    path: str | Path,
+    overwrite: bool = False,
+    fit: Mapping[str, Any] | None = None,
+) -> Path:
     """Writes Hayati parameters as a table; `read_table` returns every float exactly.
 
     Args:
@@ -94,6 +115,7 @@ def write_table(form: HayatiForm, parameters: ArrayLike, path: str | Path, overw
         parameters: (size,) m and rad.
         path: the file to write.
         overwrite: whether the file may be replaced.
+        fit: what is to be said of the fit that they are from, under the keys `FIT`.
 
     Raises:
         InputError: parameters of the wrong size or not finite, or as `storage.write_atomically`.
@@ -115,9 +137,12 @@ def write_table(form: HayatiForm, parameters: ArrayLike, path: str | Path, overw
         '  "dh": [',
         ",\n".join(rows),
         "  ]" + "".join(f',\n  "beta_joint{i + 1}": {degrees(b)}' for i, b in zip(form.parallel, beta, strict=True)),
-        "}",
     ]
-    return storage.write_atomically(path, "\n".join(lines) + "\n", overwrite)
+    if fit is not None:
+        lines[-1] += f',\n  "fit": {json.dumps(dict(fit), allow_nan=False)}'
+    content = _parse("\n".join([*lines, "}"]), path)
+    lines[-1] += f',\n  "{checksum.KEY}": "{checksum.checksum_of(content)}"'
+    return storage.write_atomically(path, "\n".join([*lines, "}"]) + "\n", overwrite)
 
 
 def millimetres(length: float) -> str:
@@ -141,16 +166,15 @@ def _plain(value: Decimal) -> str:
     return f"{mantissa}e{power}" if power else mantissa
 
 
-def _parse(path: str | Path) -> dict[str, Any]:
-    text = storage.read_text(path, SIZE_LIMIT)
+def _parse(text: str, path: str | Path) -> dict[str, Any]:
     try:
         content = json.loads(
-            text, parse_float=Decimal, parse_int=Decimal, parse_constant=Decimal, object_pairs_hook=_unique_keys
+            text, parse_float=Decimal, parse_int=Decimal, parse_constant=Decimal, object_pairs_hook=unique_keys
         )
+    except RepeatedKeyError as error:
+        raise InputError(f"{path}: the key {error.args[0]!r} is given twice; keep one") from error
     except json.JSONDecodeError as error:
         raise InputError(f"{path}: line {error.lineno}: not valid JSON ({error.msg}); correct the file") from error
-    except _RepeatedKeyError as error:
-        raise InputError(f"{path}: the key {error.args[0]!r} is given twice; keep one") from error
     except (RecursionError, ValueError, ArithmeticError) as error:
         raise InputError(
             f"{path}: not valid JSON (nested too deeply or a malformed number); correct the file"
@@ -158,19 +182,6 @@ def _parse(path: str | Path) -> dict[str, Any]:
     if not isinstance(content, dict):
         raise InputError(f"{path}: must be a JSON object with the keys units, base, dh and beta_joint2")
     return content
-
-
-class _RepeatedKeyError(Exception):
-    pass
-
-
-def _unique_keys(pairs: Sequence[tuple[str, Any]]) -> dict[str, Any]:
-    found: dict[str, Any] = {}
-    for key, value in pairs:
-        if key in found:
-            raise _RepeatedKeyError(key)
-        found[key] = value
-    return found
 
 
 def _dh_row(value: Any, where: str, joint: int) -> list[float]:
@@ -196,14 +207,30 @@ def _decimal(value: Any, where: str) -> Decimal:
 
 
 def _metres(value: Any, where: str) -> float:
-    return _finite(float(_decimal(value, where).scaleb(-3, _EXACT)), where)
+    length = float(_decimal(value, where).scaleb(-3, _EXACT))
+    if abs(length) > LENGTH_LIMIT:
+        raise InputError(f"{where} is {length:.6g} m, longer than any arm's link; correct it")
+    return length
 
 
 def _radians(value: Any, where: str) -> float:
-    return _finite(float(_EXACT.multiply(_decimal(value, where), _DEGREE)), where)
+    angle = float(_EXACT.multiply(_decimal(value, where), _DEGREE))
+    if abs(angle) > ANGLE_LIMIT:
+        raise InputError(f"{where} is {math.degrees(angle):.6g} degrees, more than two turns; correct it")
+    return angle
 
 
-def _finite(value: float, where: str) -> float:
-    if not math.isfinite(value):
-        raise InputError(f"{where} is larger than a number can be; correct it")
-    return value
+def _check_fit(value: Any, where: str) -> None:
+    """What a table says of its fit; a table from a fit that does not describe its data is used with a warning."""
+    if value is None:
+        return
+    fit = entries.mapping(value, where, FIT)
+    for key in FIT[:2]:
+        if not isinstance(fit[key], str):
+            raise InputError(f"{where}: {key} is {json.dumps(fit[key], default=str)[:40]}, which is not text")
+    if fit[FIT[2]] is not None and _decimal(fit[FIT[2]], f"{where}: {FIT[2]}") < 0:
+        raise InputError(f"{where}: {FIT[2]} is negative; correct it")
+    if fit["quality"] == "bad":
+        warnings.warn(
+            f"{where}: the fit that this table is from does not describe its data", InputWarning, stacklevel=3
+        )

@@ -1,6 +1,5 @@
 """Commands on what an arm has beyond its model: find it in a recording, predict with it."""
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
@@ -8,7 +7,7 @@ from typing import Annotated, Literal
 from tyro.conf import Positional, arg
 
 from lite6jax.cli.arguments import ArmName, Folder, OutFile, check_out, refuse_inputs
-from lite6jax.cli.exit_codes import DONE
+from lite6jax.cli.exit_codes import BAD_FIT, DONE
 from lite6jax.errors import InputError
 from lite6jax.storage import check_writable, write_atomically
 
@@ -60,11 +59,11 @@ class Diagnose:
 
             canvas.check_names(self.figures, [f"{self.source.stem}_{name}" for name in NAMES], self.force)
         from lite6jax.arms.arm import Arm
-        from lite6jax.arms.files import read_arm
         from lite6jax.diagnosis.diagnose import diagnose
-        from lite6jax.diagnosis.document import to_document
+        from lite6jax.diagnosis.document import to_document, write_document
         from lite6jax.diagnosis.reference_diagnosis import diagnose_against
         from lite6jax.effects.user_effects import load_effects
+        from lite6jax.fitting.recognition import arm_of
         from lite6jax.fitting.source import load_nominal, read_source
         from lite6jax.recordings import Recording
         from lite6jax.report import diagnosis_tables, screen, stages
@@ -80,7 +79,7 @@ class Diagnose:
 
         nominal = load_nominal(self.arm)
         recording = read(self.source, nominal)
-        arm = nominal or read_arm(recording.settings.arm_reference(Path(recording.source).parent))
+        arm = nominal or arm_of(recording)
         other = read(self.reference, arm) if self.reference else None
         effects = load_effects(self.effects) if self.effects else ()
         with stages.shown() as entered:
@@ -94,7 +93,7 @@ class Diagnose:
         if seen is not None:
             document["against"] = seen.to_dict()
         document = with_statements(document)
-        written = [write_atomically(self.out, json.dumps(document, indent=1, allow_nan=False), self.force)]
+        written = [write_document(document, self.out, self.force)]
         if self.report or self.figures:
             from lite6jax.report import canvas, diagnosis_figures, page
 
@@ -114,7 +113,7 @@ class Diagnose:
         for note in recording.notes:
             print(f"Note: {note}.")
         screen.written(written)
-        return DONE
+        return BAD_FIT if found.quality.verdict == "bad" else DONE
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from tyro.conf import Positional, arg
 
 from lite6jax.cli.arguments import ArmName, Folder, OutFile, check_out, refuse_inputs
-from lite6jax.cli.exit_codes import DONE, NOT_REACHED
+from lite6jax.cli.exit_codes import BAD_FIT, DONE, NOT_REACHED
 from lite6jax.errors import InputError
 
 if TYPE_CHECKING:
@@ -134,7 +134,9 @@ class Fit:
         if refusal:
             raise refusal
         passed = verification is None or verification.passed
-        return DONE if solution.result.name == "CONVERGED" and passed else NOT_REACHED
+        if solution.result.name != "CONVERGED" or not passed:
+            return NOT_REACHED
+        return BAD_FIT if solution.quality.verdict == "bad" else DONE
 
     def _read(self, nominal: "Arm | None") -> "FactoryCalibration | Recording":
         if self.source is None:

@@ -5,7 +5,9 @@ import inspect
 import operator
 import os
 import sys
-from collections.abc import Sequence
+import warnings
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from functools import reduce
 from importlib.metadata import PackageNotFoundError, version
 from io import TextIOWrapper
@@ -25,7 +27,7 @@ from lite6jax.cli.fit import Compare, Demo, Fit, Fleet
 from lite6jax.cli.live import Read, Record
 from lite6jax.cli.simulate import Simulate
 from lite6jax.cli.study import Identify, Sensitivity
-from lite6jax.errors import InputError
+from lite6jax.errors import InputError, InputWarning
 
 COMMANDS = {
     "fit": Fit,
@@ -68,7 +70,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
         keep_compiled_code()
         gc.set_threshold(200_000)  # tracing makes objects that stay; to look them through again and again takes a tenth
-        code = command.run()
+        with _warnings_as_lines():
+            code = command.run()
         sys.stdout.flush()
     except SystemExit as stop:  # tyro has printed help or what is wrong with the arguments
         return int(stop.code or DONE)
@@ -92,7 +95,25 @@ def _subcommands() -> Any:
     return reduce(operator.or_, options)
 
 
-def _one_line(error: InputError) -> str:
+@contextmanager
+def _warnings_as_lines() -> Iterator[None]:
+    """Prints each warning of the input once, as one line on stderr."""
+    shown, said = warnings.showwarning, set()
+
+    def show(message: Warning | str, category: type[Warning], *place: Any) -> None:
+        if not issubclass(category, InputWarning):
+            shown(message, category, *place)
+        elif str(message) not in said:
+            said.add(str(message))
+            print(f"warning: {_one_line(message)}", file=sys.stderr)
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("always", InputWarning)
+        warnings.showwarning = show
+        yield
+
+
+def _one_line(error: Warning | str | InputError) -> str:
     """The message with what would break the line, or steer the terminal, spelled out."""
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in str(error))
 

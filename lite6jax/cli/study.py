@@ -164,6 +164,8 @@ class Identify:
             )
             assert isinstance(recording, Recording)  # by its suffix
             if recording.position is None:
+                if nominal is None and recording.settings.arm is None:
+                    raise InputError(f"{self.source}: declares no arm, and has no poses that would show it; give --arm")
                 arm = nominal or read_arm(recording.settings.arm_reference(file.parent))
                 found = identify(
                     self.setup.experiment(arm), recording.joint_position, refits=self.refits, seed=self.seed

@@ -3,24 +3,28 @@
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
+import numpy as np
+from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.factory import FactoryCalibration
 from lite6jax.diagnosis.discrimination import separating_poses
 from lite6jax.diagnosis.explanation import explain
-from lite6jax.diagnosis.heldout import fold_count, held_out_errors
+from lite6jax.diagnosis.heldout import fold_count, held_out_errors, held_out_folds
 from lite6jax.diagnosis.options import Options
-from lite6jax.diagnosis.result import Diagnosis, Finding, Rival
+from lite6jax.diagnosis.result import Diagnosis, Finding, Rival, Withdrawn
 from lite6jax.domains.pose.problem import PoseProblem
 from lite6jax.domains.pose.screening.screen import screen_rows
 from lite6jax.effects.effect import Effect
 from lite6jax.fitting.problem import Geometry
+from lite6jax.fitting.recognition import with_arm
 from lite6jax.progress import Stage, entered, followed, part
 from lite6jax.recordings import Recording
 from lite6jax.recordings.fault import DataFault, row_numbers
 from lite6jax.search.final_estimates import final_estimates
 from lite6jax.search.search import Selection
+from lite6jax.search.state import State
 
 
 # A second thread gains little on matrices of this size, and costs many times as much where another job has a core.
@@ -39,43 +43,71 @@ def diagnose(
 
     Args:
         recording: measured poses, SI units.
-        arm: the nominal arm; from the sidecar where not given.
+        arm: the nominal arm; from the sidecar, or recognised, where not given.
         geometry: what is known of it, as in `fit`.
         effects: a user's own candidates, tested like the catalogue's.
         factory: the arm's calibration; from the sidecar where not given.
         options: thresholds; the documented ones where not given.
         progress: called as each stage begins: of all rows (part 0), and of those without each held-out block.
 
+    Effects that raise the error on rows that were not used are not kept: they are in `withdrawn` of the result.
+
     Raises:
         InputError: no measured poses, too few of them, or as `fit`.
     """
     options = options or Options()
     with followed(progress):
+        recording = recording if arm is not None else with_arm(recording)
         rows = screen_rows(recording, options.screening)
-        parts = 1 + fold_count(rows.recording.samples, options)
-        with part(0, parts):
+        with part(0, 1 + fold_count(rows.recording.samples, options)):
             found = explain(rows.recording, arm, geometry, options, effects, factory)
-            problem, selection = found.problem, found.selection
+            selection = found.selection
             entered("estimating")
-            selection = replace(selection, state=final_estimates(problem, selection.state, options.engine))
+            selection = replace(selection, state=final_estimates(found.problem, selection.state, options.engine))
+        folds = held_out_folds(rows.recording, options, len(found.problem.frames) + 1)
         decisions = found.final_decisions
-        before, after = held_out_errors(rows.recording, arm, geometry, options, decisions, effects, factory)
-        with part(parts, parts):
+        held_out = held_out_errors(rows.recording, arm, geometry, options, decisions, folds, effects, factory)
+        findings, withdrawn = _findings(selection), None
+        outliers = _outliers(selection, options)
+        if findings and held_out.raised(~outliers, options):
+            withdrawn = Withdrawn(findings, *(_rms(errors[~outliers]) for errors in (held_out.before, held_out.after)))
+            selection, findings = _without_effects(selection), ()
+            outliers = _outliers(selection, options)
+        with part(len(folds) + 1, len(folds) + 1):
             entered("planning")
             separating = separating_poses(selection, geometry, factory, options)
-    limit = options.outlier_squares * problem.rows
+    problem = selection.problem
+    assert isinstance(problem, PoseProblem)
     return Diagnosis(
         problem=problem,
         selection=selection,
-        findings=_findings(selection),
-        before=before,
-        after=after,
-        outliers=(selection.state.fit.residuals.squares > limit) | ~problem.valid,
+        findings=findings,
+        before=held_out.before,
+        after=held_out.before if withdrawn else held_out.after,
+        outliers=outliers,
         faults=(*rows.found, *found.screened.found, *_without_joints(problem)),
         ruled_out=_ruled_out(rows.found, (*rows.ruled_out, *found.screened.ruled_out)),
         separating=separating,
         options=options,
+        withdrawn=withdrawn,
     )
+
+
+def _outliers(selection: Selection, options: Options) -> NDArray[np.bool_]:
+    """`(sample,)`, rows that are far from the model, and rows without joints."""
+    problem = selection.problem
+    assert isinstance(problem, PoseProblem)
+    return (selection.state.fit.residuals.squares > options.outlier_squares * problem.rows) | ~problem.valid
+
+
+def _without_effects(selection: Selection) -> Selection:
+    """The selection of nothing: the nuisance alone, as it was fitted without the effects."""
+    baseline = selection.state.baseline
+    return replace(selection, problem=selection.reference, state=State(baseline, baseline))
+
+
+def _rms(errors: NDArray[np.floating]) -> float:
+    return float(np.sqrt(np.mean(errors**2)))
 
 
 def _findings(selection: Selection) -> tuple[Finding, ...]:

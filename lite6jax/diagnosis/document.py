@@ -5,6 +5,7 @@ is written.
 """
 
 import json
+import warnings
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -12,9 +13,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lite6jax.checksum import KEY, verify, with_checksum
 from lite6jax.diagnosis.discrimination import differ
 from lite6jax.diagnosis.evidence_map import peak_to_peak
 from lite6jax.diagnosis.result import Diagnosis, Rival
+from lite6jax.diagnosis.schema import check_effect, check_model, check_parts
 from lite6jax.diagnosis.uncertainty import uncertainty_of
 from lite6jax.domains.pose.predict import DiagnosedArm, ReferenceOrigin
 from lite6jax.domains.pose.uncertainty import PerAxis, RecordedRange, Uncertainty, freed
@@ -24,9 +27,10 @@ from lite6jax.effects.effect import Effect
 from lite6jax.effects.nonparametric import Unnamed
 from lite6jax.effects.serialization import effect_as_dict, effect_from_dict
 from lite6jax.effects.statics import inertia_of, with_mass_errors
-from lite6jax.errors import InputError
+from lite6jax.errors import InputError, InputWarning
 from lite6jax.model import ArmModel
-from lite6jax.storage import read_text
+from lite6jax.schema import RepeatedKeyError, unique_keys
+from lite6jax.storage import read_text, write_atomically
 
 Array = NDArray[np.floating]
 
@@ -34,6 +38,8 @@ SCHEMA = "lite6jax/diagnosis/2"
 SCHEMAS = (SCHEMA, "lite6jax/diagnosis/1")
 """Those that are read."""
 _SIZE_LIMIT = 1 << 26
+ROUNDING = 1e-9
+"""Of the largest covariance, by which rounding may make a variance of zero negative."""
 _DAMAGED = "run `lite6jax diagnose` again"
 
 
@@ -57,6 +63,8 @@ def to_document(found: Diagnosis) -> dict[str, Any]:
             "orientation_over_noise": found.left.orientation,
             "white": found.left.white,
         },
+        "quality": found.quality.to_dict(),
+        "withdrawn": _withdrawn(found),
         "rows_needed": found.rows_needed if found.verdict == "undetermined" else None,
         "samples": problem.samples,
         "heldout_rows": int(kept.sum()),
@@ -84,6 +92,15 @@ def to_document(found: Diagnosis) -> dict[str, Any]:
             "parts": list(dict.fromkeys(name for name, _, _ in problem.frames)),
         },
         "model": _model(found),
+    }
+
+
+def _withdrawn(found: Diagnosis) -> dict[str, Any] | None:
+    if found.withdrawn is None:
+        return None
+    return {
+        "effects": [_located(finding.effect) for finding in found.withdrawn.findings],
+        "heldout_position_rms_m": {"before": found.withdrawn.before, "after": found.withdrawn.after},
     }
 
 
@@ -204,6 +221,15 @@ def _summary(errors: Array) -> dict[str, float]:
     return dict(zip(names, map(float, values), strict=True))
 
 
+def write_document(document: Mapping[str, Any], path: str | Path, overwrite: bool = False) -> Path:
+    """Writes a document, with or without sentences, and its checksum.
+
+    Raises:
+        InputError: as `write_atomically`.
+    """
+    return write_atomically(path, json.dumps(with_checksum(document), indent=1, allow_nan=False), overwrite)
+
+
 def read_model(path: str | Path, effects: tuple[Effect, ...] = ()) -> DiagnosedArm:
     """The model in a diagnosis file.
 
@@ -213,12 +239,25 @@ def read_model(path: str | Path, effects: tuple[Effect, ...] = ()) -> DiagnosedA
 
     Raises:
         InputError: no such file, not a diagnosis, or something in it is missing or not possible.
+
+    Warns:
+        InputWarning: the file was changed after it was written.
     """
     try:
-        document = json.loads(read_text(path, _SIZE_LIMIT))
+        document = json.loads(read_text(path, _SIZE_LIMIT), object_pairs_hook=unique_keys)
+    except InputError:
+        raise
+    except RepeatedKeyError as error:
+        raise InputError(f"{path}: the key {error} is given twice; {_DAMAGED}") from error
     except (ValueError, RecursionError) as error:
         raise InputError(f"{path}: is no JSON ({error}); give what `lite6jax diagnose --out` wrote") from error
-    return model_from_document(document, effects, str(path))
+    model = model_from_document(document, effects, str(path))
+    if document["schema"] == SCHEMA and KEY not in document:
+        warnings.warn(
+            f"{path}: has no checksum, so that it is not known whether it was edited", InputWarning, stacklevel=2
+        )
+    verify(document, path)
+    return model
 
 
 def model_from_document(document: Any, effects: tuple[Effect, ...] = (), source: str = "diagnosis") -> DiagnosedArm:
@@ -243,26 +282,32 @@ def model_from_document(document: Any, effects: tuple[Effect, ...] = (), source:
         )
     model: dict[str, Any] = document["model"]
     try:
+        check_parts(document, whole=document["schema"] == SCHEMA)
+        check_model(model)
         kinematics = np.asarray(model["kinematics"], float)
         frames = [np.asarray(model[name], float) for name in ("T_sensor_base", "T_flange_tool")]
-        if kinematics.ndim != 2 or kinematics.shape[1] != 6 or any(T.shape != (4, 4) for T in frames):
-            raise ValueError("kinematics or a frame has another shape")
-        if not all(np.isfinite(part).all() for part in (kinematics, *frames)):
-            raise ValueError("a number is not finite")
+    except (InputError, KeyError, TypeError, ValueError, AttributeError, OverflowError, RecursionError) as error:
+        raise InputError(f"{source}: its model is damaged ({error}); {_DAMAGED}") from error
+    try:
         pairs = [effect_from_dict(entry, kinds_of(effects)) for entry in model["effects"]]
+        for effect, values in pairs:
+            check_effect(effect, values, len(kinematics))
         physics = Physics(tuple(effect for effect, _ in pairs))
         masses = model["inertia"]
+        inertia = None if masses is None else inertia_of(**{k: np.asarray(v, float) for k, v in masses.items()})
+        if inertia is not None and len(inertia.mass) != len(kinematics):
+            raise ValueError(f"it has {len(kinematics)} joints, but {len(inertia.mass)} masses")
         return DiagnosedArm(
-            arm=str(model["arm"]),
+            arm=model["arm"],
             model=ArmModel(kinematics.ravel(), *frames),  # type: ignore[arg-type]
             physics=physics,
             values=physics.join([value for _, value in pairs]),
-            inertia=None if masses is None else inertia_of(**{k: np.asarray(v, float) for k, v in masses.items()}),
+            inertia=inertia,
             joint_limits=_limits(model.get("joint_limits"), len(kinematics)),
-            orientation=bool(model["orientation"]),
+            orientation=model["orientation"],
             reference_temperature=float(model["reference_temperature_degC"]),
-            motion=str(model["motion"]),
-            accelerated=bool(model.get("accelerated", False)),
+            motion=model["motion"],
+            accelerated=model.get("accelerated", False),
             heldout_rms=_heldout(document),
             reference=_origin(document.get("against")),
             uncertainty=_uncertainty_from(model.get("uncertainty"), physics, len(kinematics)),
@@ -277,7 +322,7 @@ def _limits(limits: Any, joints: int) -> Array | None:
     if limits is None:
         return None
     array = np.asarray(limits, float)
-    if array.shape != (joints, 2) or not (np.isfinite(array).all() and (array[:, 0] < array[:, 1]).all()):
+    if array.shape != (joints, 2) or not (array[:, 0] < array[:, 1]).all():
         raise ValueError("joint_limits are not the lower and the upper one of each joint")
     return array
 
@@ -286,7 +331,7 @@ def _uncertainty_from(entry: Any, physics: Physics, joints: int) -> Uncertainty 
     """The inverse of `_uncertainty`, checked; None of a document without it."""
     if entry is None:
         return None
-    sites = tuple((str(name), int(j), int(k)) for name, j, k in entry["sites"])
+    sites = tuple((name, j, k) for name, j, k in entry["sites"])
     sizes = {"base": (1, 6), "link": (joints, 6), "tool": (1, 6), "mass": (joints, 4), "payload": (1, 1)}
     if any(name not in sizes or not (0 <= j < sizes[name][0] and 0 <= k < sizes[name][1]) for name, j, k in sites):
         raise ValueError("a site of its uncertainty is none of this arm")
@@ -306,9 +351,11 @@ def _uncertainty_from(entry: Any, physics: Physics, joints: int) -> Uncertainty 
         raise ValueError("its recorded range is not one of this arm")
     if len(curves) != len(physics.effects):
         raise ValueError("its curves are not one for each effect")
-    numbers = (triangle, np.ravel(stds), ranges, positions, spacing, list(drivers.values()))
-    if not all(np.isfinite(part).all() for part in numbers):
-        raise ValueError("a number of its uncertainty is not finite")
+    variances = np.diagonal(C)
+    if (variances < -ROUNDING * np.abs(triangle).max(initial=0.0)).any():
+        raise ValueError("a variance of its uncertainty is negative")
+    if (ranges[:, 0] > ranges[:, 1]).any() or any(lower > upper for lower, upper in drivers.values()):
+        raise ValueError("a recorded range of its uncertainty ends before it begins")
     return Uncertainty(
         sites=sites,
         covariance=C + np.tril(C, -1).T,
@@ -333,6 +380,6 @@ def _origin(entry: Mapping[str, Any] | None) -> ReferenceOrigin | None:
     if entry is None:
         return None
     rigid = entry.get("rigid")
-    return ReferenceOrigin(
-        str(entry.get("file", "")), None if rigid is None else bool(rigid), str(entry.get("statement", ""))
-    )
+    if not isinstance(rigid, bool | None):
+        raise ValueError("whether the reference is rigid is neither true nor false")
+    return ReferenceOrigin(str(entry.get("file", "")), rigid, str(entry.get("statement", "")))

@@ -17,7 +17,9 @@ from lite6jax.diagnosis.explanation import Decisions, explain
 from lite6jax.diagnosis.options import Options
 from lite6jax.domains.pose.problem import PoseProblem
 from lite6jax.effects.effect import Effect
+from lite6jax.errors import InputError
 from lite6jax.estimation.least_squares import Fit
+from lite6jax.estimation.problem import Mask
 from lite6jax.fitting.problem import Geometry
 from lite6jax.progress import part
 from lite6jax.recordings import Recording
@@ -26,15 +28,30 @@ Array = NDArray[np.floating]
 
 
 class HeldOut(NamedTuple):
-    """Position errors on held-out rows, `(sample,)` m each.
+    """Errors on held-out rows, `(sample,)` each.
 
     Attributes:
-        before: with the nuisance alone.
-        after: with the effects that a search of the other rows selects.
+        before: m, of positions, with the nuisance alone.
+        after: m, of positions, with the effects that a search of the other rows selects.
+        turned_before: of orientations, over their noise, with the nuisance alone; zero where none were measured.
+        turned_after: likewise with the effects.
     """
 
     before: Array
     after: Array
+    turned_before: Array
+    turned_after: Array
+
+    def raised(self, kept: NDArray[np.bool_], options: Options) -> bool:
+        """Whether the effects raise the errors on rows that were not used.
+
+        Position and orientation have scales of their own: it is the product of their ratios, as in the likelihood of
+        Gaussian errors of unknown variance, that must not rise. Effects that show in the orientation alone may raise
+        the error of positions by what they cost in precision.
+        """
+        position = _ratio(self.before[kept], self.after[kept])
+        turned = _ratio(self.turned_before[kept], self.turned_after[kept])
+        return position * turned > 1 or position > options.heldout_rise
 
 
 def held_out_errors(
@@ -43,6 +60,7 @@ def held_out_errors(
     geometry: Geometry,
     options: Options,
     decisions: Decisions,
+    folds: Sequence[Mask],
     effects: Sequence[Effect] = (),
     factory: FactoryCalibration | None = None,
 ) -> HeldOut:
@@ -51,9 +69,9 @@ def held_out_errors(
     Args:
         recording: whose rows are in order, each once and in one unit; all faults are screened for in each fold.
         decisions: between faults and physics, of all rows.
+        folds: those of `held_out_folds`.
     """
-    before, after = np.zeros(recording.samples), np.zeros(recording.samples)
-    folds = recording.contiguous_folds(fold_count(recording.samples, options))
+    before, after, turned_before, turned_after = np.zeros((4, recording.samples))
     for number, held in enumerate(folds, 1):
         with part(number, 1 + len(folds)):
             found = explain(recording, arm, geometry, options, effects, factory, ~held, False, decisions)
@@ -61,14 +79,56 @@ def held_out_errors(
         assert isinstance(reference, PoseProblem)
         before[held] = _distance(reference, state.baseline)[held]
         after[held] = _distance(found.problem, state.fit)[held]
-    return HeldOut(before, after)
+        turned_before[held] = _turn(reference, state.baseline)[held]
+        turned_after[held] = _turn(found.problem, state.fit)[held]
+    return HeldOut(before, after, turned_before, turned_after)
 
 
-def fold_count(samples: int, options: Options) -> int:
-    """How many blocks of so many rows are held out: fewer where these would be short."""
-    return min(options.folds, max(2, samples // options.least_in_fold))
+def held_out_folds(recording: Recording, options: Options, unknowns: int) -> list[Mask]:
+    """The blocks `(sample,)` that are held out, one after the other.
+
+    Args:
+        recording: as of `held_out_errors`.
+        options: thresholds.
+        unknowns: numbers that the rows of each fold must determine.
+
+    Raises:
+        InputError: no row can be held back, because the others would be too few for the unknowns.
+    """
+    return recording.contiguous_folds(fold_count(recording.samples, options, _rows_needed(recording, unknowns)))
+
+
+def fold_count(samples: int, options: Options, needed: int = 0) -> int:
+    """How many blocks of so many rows are held out: fewer where these would be short, and more where the other rows
+    would be fewer than `needed`.
+    """
+    count = min(options.folds, max(2, samples // options.least_in_fold))
+    while count < samples and samples - -(-samples // count) < needed:
+        count += 1
+    return count
+
+
+def _rows_needed(recording: Recording, unknowns: int) -> int:
+    """The fewest rows that determine so many numbers, of which the recording must have one more."""
+    needed = -(-unknowns // recording.numbers_per_sample)
+    if recording.samples <= needed:
+        raise InputError(
+            f"{recording.source}: {recording.samples} samples are what {unknowns} numbers to determine need, so that "
+            f"none can be held back; record at least {needed + 1}"
+        )
+    return needed
 
 
 def _distance(problem: PoseProblem, fit: Fit) -> Array:
     """`(sample,)` m between predicted and measured positions."""
     return np.linalg.norm(problem.position_errors(fit.nuisance, fit.terms, fit.values), axis=0)
+
+
+def _turn(problem: PoseProblem, fit: Fit) -> Array:
+    """`(sample,)` between predicted and measured orientations, over their noise; zero where none were measured."""
+    return np.linalg.norm(problem.residual(fit.nuisance, fit.terms, fit.values)[3:], axis=0)
+
+
+def _ratio(before: Array, after: Array) -> float:
+    """Of the root mean squares; 1 where there was no error."""
+    return float(np.linalg.norm(after) / np.linalg.norm(before)) if before.any() else 1.0

@@ -29,6 +29,11 @@ class Options:
     as_noise: float = option(
         1.2, "error over the declared noise up to which what is left is noise", "scatter of 30 rows"
     )
+    heldout_rise: float = option(
+        1.01,
+        "ratio of held-out position errors with and without effects, above which these are not kept",
+        "what effects that only turn the tool cost in precision",
+    )
     fewest_rows: int = option(15, "rows below which nothing is said where nothing is found", "five a fitted frame")
     within_reach: int = option(200, "rows that may be asked for where something near was not found", "a day's work")
     most_separated: int = option(3, "pairs of effects for which separating poses are designed", "each takes 0.1 s")

@@ -15,6 +15,7 @@ from lite6jax.domains.pose.problem import PoseProblem
 from lite6jax.effects.catalogue import BUILT_IN, Untestable
 from lite6jax.effects.effect import Effect, Estimate
 from lite6jax.estimation.least_squares import Fit
+from lite6jax.fitting.quality import Quality, quality_of_poses
 from lite6jax.recordings.fault import DataFault
 from lite6jax.search.search import Selection
 from lite6jax.summary import Summarised
@@ -79,6 +80,22 @@ class Finding:
 
 @final
 @dataclass(frozen=True, eq=False)
+class Withdrawn:
+    """Effects that were significant, and with which the errors on rows that were not used are larger than without.
+
+    Attributes:
+        findings: the effects.
+        before: m, the root mean square of held-out position errors without them.
+        after: m, with them.
+    """
+
+    findings: tuple[Finding, ...]
+    before: float
+    after: float
+
+
+@final
+@dataclass(frozen=True, eq=False)
 class Diagnosis(Summarised):
     """What makes a recording depart from the arm's model: effects and data faults, with held-out errors.
 
@@ -93,6 +110,7 @@ class Diagnosis(Summarised):
         ruled_out: faults that were tested for and are not there.
         separating: poses that separate findings from their rivals.
         options: thresholds.
+        withdrawn: effects that were not kept, because they raise the held-out errors; None where there are none.
     """
 
     problem: PoseProblem
@@ -105,6 +123,7 @@ class Diagnosis(Summarised):
     ruled_out: tuple[DataFault, ...]
     separating: tuple[SeparatingPoses, ...]
     options: Options
+    withdrawn: Withdrawn | None = None
 
     @property
     def fit(self) -> Fit:
@@ -144,6 +163,17 @@ class Diagnosis(Summarised):
     def left(self) -> Left:
         """What the model leaves of the residuals."""
         return left_of(self)
+
+    @cached_property
+    def quality(self) -> Quality:
+        """Whether the model with the findings describes the poses, on rows that were not used."""
+        problem, fit, kept = self.problem, self.fit, self.problem.valid
+        measured = np.asarray(problem.measured.position).T
+        predicted = measured + problem.position_errors(fit.nuisance, fit.terms, fit.values).T
+        noise = problem.noise[0] if problem.declared else None
+        left = [ratio for ratio in (self.left.position, self.left.orientation) if ratio is not None]
+        reach, over_noise = problem.arm.reach, max(left, default=None)
+        return quality_of_poses(self.after[kept], measured[kept], predicted[kept], reach, noise, over_noise)
 
     @cached_property
     def rows_needed(self) -> int:

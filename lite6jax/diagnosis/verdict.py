@@ -51,13 +51,15 @@ def verdict_of(found: "Diagnosis") -> Verdict:
 
     *consistent*: nothing was found, and what is left is the declared noise. *explained*: with the findings it is.
     *partly_explained*: with the findings, more is left. *unnamed*: the largest finding has no name. *unexplained*: more
-    is left than noise, and nothing was found. *undetermined*: the rows are too few to tell.
+    is left than noise, and nothing was found. *undetermined*: the rows are too few to tell. What a model that does not
+    describe the poses leaves is not noise, whether or not noise is declared.
     """
     options, left = found.options, found.left
-    as_noise = left.is_noise(options.as_noise)
+    bad = found.quality.verdict == "bad"
+    as_noise = left.is_noise(options.as_noise) and not bad
     if not found.findings:
         few = found.problem.samples < options.fewest_rows
-        if few or (not as_noise and found.rows_needed <= options.within_reach):
+        if few or (not as_noise and not bad and found.rows_needed <= options.within_reach):
             return "undetermined"
         return "consistent" if as_noise else "unexplained"
     if max(found.findings, key=lambda finding: finding.gain).effect.nonparametric:

@@ -1,6 +1,7 @@
 """The text form and the JSON form of effects with their parameters."""
 
 import ast
+import math
 import typing
 from collections.abc import Mapping
 from dataclasses import MISSING, fields
@@ -12,7 +13,10 @@ from numpy.typing import ArrayLike, NDArray
 from lite6jax.effects.catalogue import BUILT_IN
 from lite6jax.effects.effect import Effect
 from lite6jax.errors import InputError
+from lite6jax.schema import number, record
 
+ESTIMATE = record({"value": number()}, {"std": number(0.0)})
+"""A parameter in the JSON form of an effect."""
 _TYPES = {
     int: "a whole number",
     float: "a number",
@@ -61,9 +65,13 @@ def _build(kind: type[Effect], given: Mapping[str, Any]) -> Effect:
             value = float(value)
         elif int in taken[name] and type(value) is float and value.is_integer():
             value = int(value)  # as `reported` gives a source_joint
-        elif tuple in taken[name] and isinstance(value, list) and all(type(v) in (int, float) for v in value):
+        elif (
+            tuple in taken[name]
+            and isinstance(value, list)
+            and all(type(v) in (int, float) and math.isfinite(v) for v in value)
+        ):
             value = tuple(map(float, value))
-        if type(value) not in taken[name]:
+        if type(value) not in taken[name] or (isinstance(value, float) and not math.isfinite(value)):
             wanted = " or ".join(_TYPES.get(t, t.__name__) for t in taken[name] if t is not type(None))
             raise InputError(f"{kind.name}: {name} is {value!r}; give {wanted}")
         if name in ("joint", "link", "source_joint") and isinstance(value, int) and value < 1:
@@ -151,6 +159,9 @@ def effect_from_dict(document: Any, kinds: Mapping[str, type[Effect]] = BUILT_IN
     """
     if not isinstance(document, Mapping):
         raise InputError(f"effect {document!r}: is not a mapping; give effect, where and parameters")
+    unknown = [name for name in document if name not in ("effect", "site", "where", "parameters")]
+    if unknown:
+        raise InputError(f"effect: the key {unknown[0]!r} is unknown; the keys are effect, site, where, parameters")
     kind = _kind(document.get("effect"), kinds)
     where, parameters = document.get("where", {}), document.get("parameters", {})
     for name, part in (("where", where), ("parameters", parameters)):
@@ -161,7 +172,9 @@ def effect_from_dict(document: Any, kinds: Mapping[str, type[Effect]] = BUILT_IN
         raise InputError(f"{kind.name}: the site {document['site']!r} is not that of {dict(where)}; correct one")
     numbers = {}
     for name, value in parameters.items():
-        value = value.get("value") if isinstance(value, Mapping) else value
+        if isinstance(value, Mapping):
+            ESTIMATE(value, f"{effect.label}: {name}")
+            value = value["value"]
         if not isinstance(value, int | float) or isinstance(value, bool):
             raise InputError(f"{effect.label}: {name} is {value!r}; give a number")
         numbers[name] = float(value)

@@ -22,17 +22,21 @@ _exports: Path | None = None
 
 
 def keep_compiled_code() -> None:
-    """Keeps compiled and exported functions in `cache_folder`, unless JAX has a folder; without a word if it cannot."""
+    """Keeps compiled and exported functions in `cache_folder`, unless JAX has a folder; without a word if it cannot.
+
+    What is kept is code that later runs of the program execute: the folders are made for their owner only, and are not
+    used where they belong to, or can be written by, somebody else.
+    """
     global _exports
     # JAX_COMPILATION_CACHE_DIR, or a program that calls `main`
     if getattr(jax.config, "jax_compilation_cache_dir", None):
         return
     try:
         folder = cache_folder()
-        folder.mkdir(parents=True, exist_ok=True)
+        folder.parent.parent.mkdir(parents=True, exist_ok=True)
     except (OSError, RuntimeError):  # RuntimeError: an account without a home
         return
-    if not os.access(folder, os.W_OK):
+    if _private(folder.parent) is None or _private(folder) is None or not os.access(folder, os.W_OK):
         return
     warnings.filterwarnings("ignore", ".*persistent compilation cache", UserWarning)  # a full disk costs time only
     jax.config.update("jax_compilation_cache_dir", str(folder))

@@ -16,6 +16,7 @@ from lite6jax.fitting.chunks import CHUNK
 from lite6jax.fitting.fleet import fit_fleet
 from lite6jax.fitting.folder_rows import CALIBRATIONS, Row, Statistics, kind_of
 from lite6jax.fitting.problem import calibration_poses, sample_within_limits
+from lite6jax.fitting.quality import Quality, quality_of_calibration
 from lite6jax.fitting.solution import Result, Solution, prediction_errors
 from lite6jax.fitting.source import read_source
 from lite6jax.model import ArmModel, ModelForm
@@ -107,20 +108,22 @@ def _fit_batch(
         done(i)
         result = Result(int(solution.result[i]))
         model = start._replace(geometry=solution.parameters[i])
-        pose = calibration_poses(calibration, fresh)
+        checked = prediction_errors(form, model, fresh, calibration_poses(calibration, fresh))
+        quality = quality_of_calibration(checked.position)
         yield Row(
             file=path.name,
             kind="calibration",
             result=result,
-            message=result.message,
+            message=result.message + _qualified(quality),
+            quality=quality.verdict,
             arm=arm.name,
             joints=arm.dof,
             samples=SAMPLES,
             steps=int(solution.steps[i]),
             parameters=_named(form, solution.parameters[i]),
             fitted=Statistics.of(prediction_errors(form, model, q, poses[i])),
-            checked=Statistics.of(prediction_errors(form, model, fresh, pose)),
-            nominal=Statistics.of(prediction_errors(form, start, fresh, pose)),
+            checked=Statistics.of(checked),
+            nominal=Statistics.of(prediction_errors(form, start, fresh, calibration_poses(calibration, fresh))),
         )
 
 
@@ -133,7 +136,8 @@ def _fit_recording(path: Path, nominal: Arm | None, fit_one: RecordingFit) -> Ro
         file=path.name,
         kind="recording",
         result=solution.result,
-        message=solution.result.message + faults,
+        message=solution.result.message + _qualified(solution.quality) + faults,
+        quality=solution.quality.verdict,
         arm=solution.arm.name,
         joints=solution.arm.dof,
         samples=recording.samples,
@@ -143,6 +147,10 @@ def _fit_recording(path: Path, nominal: Arm | None, fit_one: RecordingFit) -> Ro
         checked=Statistics.of(solution.checked),
         nominal=Statistics.of(solution.nominal_errors),
     )
+
+
+def _qualified(quality: Quality) -> str:
+    return "; but the model does not describe the data" if quality.verdict == "bad" else ""
 
 
 def _named(form: ModelForm, parameters: Array) -> tuple[tuple[str, float], ...]:

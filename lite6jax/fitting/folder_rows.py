@@ -46,6 +46,7 @@ class Row:
         file: its name in the folder.
         kind: what it is.
         result: how its fit ended.
+        quality: whether the model describes the data, a `QualityVerdict`; empty where nothing was fitted.
         message: the same in words; of a bad file, what is wrong with it.
         arm: the nominal arm's name; empty where unknown.
         joints: their number.
@@ -61,6 +62,7 @@ class Row:
     kind: Kind
     result: Result
     message: str
+    quality: str = ""
     arm: str = ""
     joints: int = 0
     samples: int = 0
@@ -106,6 +108,7 @@ def write_rows(rows: Sequence[Row], path: str | Path, overwrite: bool = False) -
         "file": pyarrow.array([_utf8(row.file) for row in rows]),
         "kind": pyarrow.array([row.kind for row in rows]),
         "result": pyarrow.array([int(row.result) for row in rows], pyarrow.int32()),
+        "quality": pyarrow.array([row.quality or None for row in rows], pyarrow.string()),
         "message": pyarrow.array([_utf8(row.message) for row in rows]),
         "arm": pyarrow.array([row.arm or None for row in rows], pyarrow.string()),
         "joints": pyarrow.array([row.joints or None for row in rows], pyarrow.int32()),
@@ -133,5 +136,5 @@ def _utf8(text: str) -> str:
 
 
 def failed(rows: Sequence[Row]) -> list[Row]:
-    """Those that a person should look at: not readable, or not converged."""
-    return [row for row in rows if row.result != Result.CONVERGED]
+    """Those that a person should look at: not readable, not converged, or with a model that is not one of the data."""
+    return [row for row in rows if row.result != Result.CONVERGED or row.quality == "bad"]

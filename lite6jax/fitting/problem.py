@@ -14,13 +14,13 @@ from lite6jax.arms import frames
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.chains import SixParameterForm
 from lite6jax.arms.factory import FactoryCalibration, read_factory
-from lite6jax.arms.files import read_arm
 from lite6jax.arms.forms import hayati_of
 from lite6jax.arms.forward_kinematics import fk
 from lite6jax.arms.moves import Turn
 from lite6jax.arms.se3 import rotation_from_quaternion, rotation_from_rpy, transform
 from lite6jax.errors import InputError
 from lite6jax.fitting.chunks import observe, pad, padded_size
+from lite6jax.fitting.recognition import arm_of
 from lite6jax.fitting.residual import POSE, POSITION, Observations, differences, predict_frames
 from lite6jax.fitting.start import frames_from_poses
 from lite6jax.model import LEVER, ArmModel, ModelForm
@@ -143,7 +143,7 @@ def recording_problem(
             factory calibration where there is none.
     """
     settings, folder = recording.settings, Path(recording.source).parent
-    arm = arm or read_arm(settings.arm_reference(folder))
+    arm = arm or arm_of(recording)
     if recording.dof != arm.dof:
         raise InputError(
             f"{recording.source}: has {recording.dof} joints, but {arm.name} has {arm.dof}; name the arm with --arm"

@@ -12,6 +12,7 @@ from lite6jax.arms.arm import Arm
 from lite6jax.fitting import gauss_newton
 from lite6jax.fitting.chunks import pad, padded_size
 from lite6jax.fitting.compiled import Exported
+from lite6jax.fitting.quality import Quality, quality_of_calibration, quality_of_poses
 from lite6jax.model import ArmModel, ModelForm, predict
 from lite6jax.recordings import Recording, require_radians
 from lite6jax.recordings.fault import DataFault
@@ -162,6 +163,23 @@ class Solution(Summarised):
     def standard_deviation(self) -> Array | None:
         """`(size,)` in m and rad; zero where held."""
         return None if self.covariance is None else np.sqrt(np.diagonal(self.covariance))
+
+    @cached_property
+    def quality(self) -> Quality:
+        """Whether the model describes the data, on rows or samples that were not fitted."""
+        if self.recording is None or self.noise is None:
+            return quality_of_calibration(self.checked.position)
+        measured, declared = self.recording.position, self.noise.declared
+        assert measured is not None
+        size = padded_size(len(measured))[0]
+        q = pad(self.recording.joint_position, 0, size)
+        predicted = np.asarray(_predict(self.form.chain, self.model, q))[: len(measured), :3, 3]
+        over_noise = None
+        if declared is not None:
+            left = (self.noise.position, self.noise.orientation)
+            over_noise = max(a / b for a, b in zip(left, declared, strict=True) if a is not None and b is not None)
+        noise = None if declared is None else declared[0]
+        return quality_of_poses(self.checked.position, measured, predicted, self.arm.reach, noise, over_noise)
 
     def predict(self, joint_position: Array) -> Array:
         """The poses `T_sensor_tool` `(..., 4, 4)` at `joint_position` `(..., joint)` rad.

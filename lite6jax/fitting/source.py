@@ -3,9 +3,20 @@
 from pathlib import Path
 
 from lite6jax.arms.arm import Arm
+from lite6jax.arms.bundled import bundled_of
 from lite6jax.arms.factory import FactoryCalibration, read_factory
 from lite6jax.arms.files import read_arm
-from lite6jax.recordings import Recording, read_recording, read_settings, recording_file, sidecar_path
+from lite6jax.fitting.recognition import widest_limits, with_arm
+from lite6jax.recordings import (
+    Recording,
+    RecordingSettings,
+    check_joint_scale,
+    check_position_scale,
+    read_recording,
+    read_settings,
+    recording_file,
+    sidecar_path,
+)
 
 
 def load_nominal(nominal: Arm | str | None) -> Arm | None:
@@ -20,17 +31,24 @@ def read_source(
 
     Args:
         path: the file.
-        arm: its nominal arm; recognised, or taken from the sidecar, where not given.
+        arm: its nominal arm; taken from the sidecar, or recognised, where not given.
         assume_degrees: of a recording, as in `read_recording`.
         assume_millimetres: likewise.
 
     Raises:
-        InputError: as their readers.
+        InputError: as their readers; or a recording declares no arm and fits no bundled one, or several alike.
+
+    Warns:
+        InputWarning: a recording declares no arm and looks like a bundled one, which is then taken as declared.
     """
     file = recording_file(path)
     if file is None:
         return read_factory(path, arm)
-    arm = arm or read_arm(read_settings(sidecar_path(file)).arm_reference(file.parent))
+    settings = read_settings(sidecar_path(file))
+    if arm is None and settings.arm is None and settings.factory_calibration is None:
+        return _of_undeclared_arm(path, assume_degrees, assume_millimetres)
+    if arm is None:
+        arm = read_arm(settings.arm_reference(file.parent)) if settings.arm is not None else _of_factory(settings, file)
     return read_recording(
         path,
         dof=arm.dof,
@@ -39,3 +57,20 @@ def read_source(
         joint_limits=arm.joint_limits,
         reach=arm.reach,
     )
+
+
+def _of_factory(settings: RecordingSettings, file: Path) -> Arm:
+    """The nominal arm of the calibration that a sidecar declares."""
+    factory = settings.factory_path(file.parent)
+    assert factory is not None
+    return read_factory(factory).arm
+
+
+def _of_undeclared_arm(path: str | Path, assume_degrees: bool, assume_millimetres: bool) -> Recording:
+    """A recording that says nothing of its arm, with the bundled arm that it looks like; without poses, as it is."""
+    recording = read_recording(path, assume_degrees=assume_degrees, assume_millimetres=assume_millimetres)
+    known = bundled_of(recording.dof)
+    if known:  # a wrong unit is no reason to find no arm
+        check_joint_scale(recording, widest_limits(known), assumed=assume_degrees)
+        check_position_scale(recording, max(arm.reach for arm in known), assumed=assume_millimetres)
+    return recording if recording.position is None else with_arm(recording, warn=True)

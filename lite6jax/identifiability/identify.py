@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from lite6jax.arms.arm import Arm
 from lite6jax.effects.effect import Effect
 from lite6jax.fitting.problem import Geometry, sample_within_limits
+from lite6jax.fitting.recognition import with_arm
 from lite6jax.fitting.recording_fit import fit_recording
 from lite6jax.identifiability.determination import Determination, determine
 from lite6jax.identifiability.indices import Observability, observability
@@ -190,6 +191,7 @@ def identify_recording(
     Raises:
         InputError: as `recorded`.
     """
+    recording = recording if arm is not None else with_arm(recording)
     experiment = recorded(recording, arm, geometry)
     notes = list(recording.notes)
     settings, sensor = recording.settings, experiment.sensor

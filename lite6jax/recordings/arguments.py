@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from lite6jax.arms.arm import Arm
+from lite6jax.arms.bundled import bundled_of
 from lite6jax.arms.files import read_arm
 from lite6jax.errors import InputError
 from lite6jax.recordings.settings import RecordingSettings
@@ -42,9 +43,11 @@ def checked_arrays(
         for name, value in arrays.items()
     }
     q, position = real["joint_position"], real["position"]
-    known = arm if isinstance(arm, Arm) else read_arm(settings.arm_reference(Path(source).parent))
-    if q.ndim != 2 or (arm is None and q.shape[1] != known.dof):
-        return real  # of a wrong shape, which `assembled` refuses; or the settings' arm is a default that nobody chose
+    if q.ndim != 2:
+        return real  # of a wrong shape, which `assembled` refuses
+    known = arm if isinstance(arm, Arm) else _declared_arm(settings, source, q.shape[1])
+    if known is None:
+        return real
     if q.shape[1] != known.dof:
         raise InputError(
             f"{source}: has {q.shape[1]} joints, but {known.name} has {known.dof}; give the arm that it is of"
@@ -65,6 +68,13 @@ def checked_arrays(
         remedy = "check the unit" if columns[0].endswith("_mm") else f"are these millimetres? {remedy}"
         require_metres(position, known.reach, from_base=settings.pose_frame == "base", remedy=remedy, place=place)
     return real
+
+
+def _declared_arm(settings: RecordingSettings, source: str, joints: int) -> Arm | None:
+    """The settings' arm; where none is declared, the bundled one of as many joints with the longest reach, if any."""
+    if settings.arm is not None:
+        return read_arm(settings.arm_reference(Path(source).parent))
+    return max(bundled_of(joints), key=lambda arm: arm.reach, default=None)
 
 
 def missing_rows(

@@ -42,14 +42,14 @@ class RecordingSettings:
 
     Lengths in m, angles in rad, one sigma for each noise, `tool` as x y z roll pitch yaw (R = Rz Ry Rx).
     `inertial_uncertainty` is one sigma of masses, and of the lever arms of their centres, relative to them.
-    `motion` is None where nothing was declared, `position_noise_m` and `orientation_noise_rad` likewise.
+    `arm` and `motion` are None where nothing was declared, `position_noise_m` and `orientation_noise_rad` likewise.
     `arm` and `factory_calibration` are kept as written: `arm_reference` and `factory_path` resolve them.
 
     Raises:
         InputError: a value of the wrong type, not finite, negative where that has no meaning, or not a listed one.
     """
 
-    arm: str = "lite6"
+    arm: str | None = None
     factory_calibration: str | None = None
     factory_uncertainty: FactoryUncertainty | None = None
     joint_source: JointSource = "unknown"
@@ -80,10 +80,16 @@ class RecordingSettings:
     @property
     def arm_is_file(self) -> bool:
         """Whether `arm` is the path of a description, not the name of a bundled arm."""
-        return _names_a_file(self.arm)
+        return self.arm is not None and _names_a_file(self.arm)
 
     def arm_reference(self, folder: str | Path) -> str | Path:
-        """The bundled arm's name, or the description's path when `folder` holds the sidecar."""
+        """The bundled arm's name, or the description's path when `folder` holds the sidecar.
+
+        Raises:
+            InputError: no arm is declared.
+        """
+        if self.arm is None:
+            raise InputError("no arm is declared; name it with --arm, or `arm:` in the sidecar")
         return Path(folder) / self.arm if self.arm_is_file else self.arm
 
     def factory_path(self, folder: str | Path) -> Path | None:
@@ -105,7 +111,7 @@ class RecordingSettings:
 
         return replace(
             self,
-            arm=follow(self.arm) if self.arm_is_file else self.arm,
+            arm=follow(self.arm) if self.arm is not None and self.arm_is_file else self.arm,
             factory_calibration=follow(self.factory_calibration) if self.factory_calibration else None,
         )
 

@@ -35,6 +35,7 @@ def diagnosis_report(document: Mapping[str, Any], source: str) -> Iterator[Rende
         yield from _reference(document["against"])
         yield ""
     yield Text(statements.verdict_statement(document))
+    yield from map(Text, statements.cautions(document))
     yield ""
     table = listing("held-out position error (mm)", "rms", "p95", "max")
     for name in ("before", "after"):

@@ -65,6 +65,7 @@ def diagnosis_page(found: Diagnosis, document: Document, source: str, figures: M
         source=source,
         against=_against(document),
         verdict=statements.verdict_statement(document),
+        cautions=statements.cautions(document),
         verdict_word=document["verdict"],
         setting=_setting(document),
         errors=_errors(document),

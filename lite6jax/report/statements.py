@@ -6,7 +6,8 @@ from typing import Any, NamedTuple
 
 from lite6jax.effects.drivers import driver_of
 from lite6jax.report import data_faults, reference
-from lite6jax.report.cells import fixed, ranges
+from lite6jax.report.cells import fixed, number, ranges
+from lite6jax.report.quality import quality_statement
 from lite6jax.report.quantities import quantity
 
 Document = Mapping[str, Any]
@@ -63,6 +64,8 @@ def verdict_statement(document: Document) -> str:
     declared = noise["declared_position_m"]
     if verdict == "undetermined":
         return f"{_VERDICTS[verdict]} Record about {document['rows_needed'] - document['samples']} more poses."
+    if verdict == "unexplained" and document["quality"]["verdict"] == "bad":
+        return "Unexplained: the model of the arm does not describe the poses, and no effect explains why."
     if verdict == "unexplained":
         times = noise["estimated_position_m"] / declared if declared else 1.0
         if times > _EXCESSIVE:
@@ -81,6 +84,25 @@ def verdict_statement(document: Document) -> str:
     if verdict == "partly_explained":
         return f"Partly explained: the effects below are significant. {_what_is_left(left)}"
     return _VERDICTS[verdict]
+
+
+def cautions(document: Document) -> list[str]:
+    """What qualifies the verdict: a model that does not describe the poses, effects that were not kept."""
+    bad, withdrawn = quality_statement(document["quality"]), document["withdrawn"]
+    lines = [] if bad is None else [bad]
+    if withdrawn is not None:
+        names = _joined(_withdrawn_title(entry) for entry in withdrawn["effects"])
+        before, after = (1e3 * withdrawn["heldout_position_rms_m"][stage] for stage in ("before", "after"))
+        was, them = ("was", "it is") if len(withdrawn["effects"]) == 1 else ("were", "they are")
+        lines.append(
+            f"{capital(names)} {was} significant, but {them} not kept: the errors on held-out rows are larger "
+            f"({number(after, 3)} mm RMS of position) than without ({number(before, 3)} mm)."
+        )
+    return lines
+
+
+def _withdrawn_title(entry: Entry) -> str:
+    return f"an effect without a name at {entry['site']}" if entry["effect"] == "unnamed" else effect_title(entry)
 
 
 def _what_is_left(left: Entry) -> str:

@@ -20,6 +20,7 @@ from lite6jax.recordings import Recording
 from lite6jax.report import statements
 from lite6jax.report.cells import number
 from lite6jax.report.data_faults import fault_name
+from lite6jax.report.quality import quality_statement
 
 MOST_NOTES = 4
 _MOST_FINDINGS = 4
@@ -96,7 +97,7 @@ def _recording(recording: Recording) -> Description:
         rows.append(("declared position noise (mm)", f"{1e3 * settings.position_noise_m:.3g}"))
     if recording.notes:
         sentences.append(f"{_counted(len(recording.notes), 'note')} {_be(len(recording.notes))} in `notes`.")
-    return Description(f"Recording of {settings.arm}", tuple(sentences), tuple(rows), recording.notes)
+    return Description(f"Recording of {settings.arm or 'an arm'}", tuple(sentences), tuple(rows), recording.notes)
 
 
 @described.register
@@ -111,12 +112,16 @@ def _solution(solution: Solution) -> Description:
         f"{solution.arm.name}.",
         f"The error on {on} is {_errors(after)}; that of the nominal geometry is {_errors(before)}.",
     ]
+    bad = quality_statement(solution.quality.to_dict())
+    if bad is not None:
+        sentences.append(bad)
     if held:
         names = ", ".join(each.name for each in solution.held[:6]) + (", …" if held > 6 else "")
         sentences.append(f"{_counted(held, 'parameter')} {_be(held)} held, because the data do not determine: {names}.")
     rows = [
         ("arm", solution.arm.name),
         ("result", solution.result.message),
+        ("quality", solution.quality.verdict.replace("_", " ")),
         ("parameters estimated", str(moved)),
         ("parameters held", str(held)),
         ("position error, nominal geometry (mm RMS)", _millimetres(before.position_rms)),
@@ -249,7 +254,7 @@ def _diagnosis(found: Diagnosis) -> Description:
     shown, hidden = findings[:_MOST_FINDINGS], len(findings) - _MOST_FINDINGS
     before, after = (_millimetres(document[stage]["heldout_position_rms_m"]) for stage in ("before", "after"))
     noise = _millimetres(found.estimated_noise)
-    sentences = [verdict, *(finding["statement"] for finding in shown)]
+    sentences = [verdict, *statements.cautions(document), *(finding["statement"] for finding in shown)]
     if hidden > 0:
         sentences.append(f"{_counted(hidden, 'more finding')} {_be(hidden)} in `findings`.")
     error = f"{before} mm RMS with the model of the arm alone"

@@ -12,10 +12,12 @@ from lite6jax.arms import frames
 from lite6jax.arms.chains import HayatiForm
 from lite6jax.arms.factory import FactoryCalibration
 from lite6jax.estimation.robust import DOWNWEIGHTED
+from lite6jax.fitting.quality import ABOVE_NOISE
 from lite6jax.fitting.solution import Errors, Held, Noise, Result, Solution
 from lite6jax.recordings import Recording
 from lite6jax.report.cells import SCREEN, fixed, listed, listing, number, plus_minus
 from lite6jax.report.data_faults import fault_statement
+from lite6jax.report.quality import quality_statement
 
 Array = NDArray[np.floating]
 
@@ -58,6 +60,9 @@ def solution_report(solution: Solution, recording: Recording | None = None) -> I
     """The report of a fit: result, errors, parameters with standard deviations, noise, outliers and notes."""
     yield ""
     yield Text(_result_line(solution, recording is not None))
+    bad = quality_statement(solution.quality.to_dict())
+    if bad is not None:
+        yield Text(bad)
     yield ""
     chain = solution.form.chain
     checked = "held-out blocks" if recording is not None else f"{len(solution.checked.position)} fresh samples"
@@ -222,7 +227,7 @@ def _noise_line(noise: Noise | None, checked: Errors) -> Iterator[Text]:
     if noise.declared[1] is not None:
         declared += f", {number(np.rad2deg(noise.declared[1]))}°"
     ratio = noise.position / noise.declared[0]
-    verdict = "as declared" if ratio < 1.5 else f"{ratio:.0f} times it: this geometry does not explain the rest"
+    verdict = "as declared" if ratio < ABOVE_NOISE else f"{ratio:.0f} times it: this geometry does not explain the rest"
     yield Text(f"Noise per axis: declared {declared}; the residuals have {found}, {verdict}.")
 
 

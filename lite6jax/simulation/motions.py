@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lite6jax.arms.arm import Arm
+from lite6jax.arms.bundled import bundled_arms
 from lite6jax.errors import InputError
 from lite6jax.recordings import Recording, RecordingSettings, require_radians
 from lite6jax.recordings.units import real_array
@@ -146,6 +147,8 @@ def _motion(
     if warm_up is not None and not abs(warm_up) < np.inf:
         raise InputError(f"simulation: warm_up is {warm_up}; give a number of K")
     settings = settings or RecordingSettings(arm=arm.name)
+    if settings.arm is None and arm.name in bundled_arms():
+        settings = replace(settings, arm=arm.name)
     temperature = None
     if warm_up is not None:
         duration = max(time[-1] - time[0], STEP_S[kind])

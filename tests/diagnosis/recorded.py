@@ -147,6 +147,7 @@ class Made:
                 write_factory(self.kinematics + off, declared)
             declared = str(declared)
         return RecordingSettings(
+            arm="lite6",
             motion=motion,
             pose_frame="unknown" if self.frame else "base",
             tool="unknown" if self.tool else "none",

@@ -9,8 +9,10 @@ from diagnosis.recorded import Made, static_motion, with_effects
 from lite6jax.diagnosis.diagnose import diagnose
 from lite6jax.diagnosis.document import to_document
 from lite6jax.diagnosis.explanation import explain
+from lite6jax.diagnosis.heldout import HeldOut
 from lite6jax.diagnosis.options import Options
 from lite6jax.effects.nonparametric import Unnamed
+from lite6jax.report import statements
 
 SAMPLES = 240
 OPTIONS = Options()
@@ -91,3 +93,48 @@ def test_what_is_left_beyond_the_noise_is_not_called_consistent(arm, still):
     assert diagnosis.verdict == "unexplained"
     assert diagnosis.left.position == pytest.approx(np.sqrt(5), rel=0.1)
     assert diagnosis.left.white
+
+
+def test_eleven_rows_with_a_hidden_effect_are_undetermined(arm):
+    """The rows are too few for the effect: that is the answer, and not that nothing is missing."""
+    hidden = with_effects(arm, "joint_compliance:joint=2,compliance_rad_per_Nm=8e-6").recording(static_motion(7, 11))
+    diagnosis = diagnose(hidden)
+    assert (diagnosis.findings, diagnosis.verdict) == ((), "undetermined")
+    assert diagnosis.rows_needed > 11
+
+
+def test_effects_that_raise_the_held_out_errors_are_not_kept(arm, monkeypatch):
+    """Errors on rows that were not used decide, whatever the significance."""
+    recording = with_effects(arm, "joint_compliance:joint=2,compliance_rad_per_Nm=9e-5").recording(static_motion(5, 40))
+    rows = np.ones(40)
+    worse = HeldOut(2e-4 * rows, 2.4e-4 * rows, 0 * rows, 0 * rows)
+    monkeypatch.setattr("lite6jax.diagnosis.diagnose.held_out_errors", lambda *given: worse)
+    found = diagnose(recording)
+    assert found.findings == ()
+    assert found.withdrawn is not None
+    assert [finding.effect.label for finding in found.withdrawn.findings] == ["joint_compliance:joint2"]
+    document = to_document(found)
+    assert document["after"] == document["before"]
+    assert document["verdict"] in ("unexplained", "undetermined")
+    assert document["model"]["effects"] == []
+    assert statements.cautions(document) == [
+        "Joint compliance at joint2 was significant, but it is not kept: the errors on held-out rows are larger (0.240 "
+        "mm RMS of position) than without (0.200 mm)."
+    ]
+
+
+@pytest.mark.parametrize(
+    ("position", "orientation", "raised"),
+    [
+        (0.9, 1.0, False),
+        (1.0, 1.0, False),
+        (1.001, 1.0, True),
+        (1.001, 0.9, False),
+        (1.05, 0.5, True),
+        (0.99, 1.2, True),
+    ],
+)
+def test_orientations_count_beside_positions(position, orientation, raised):
+    rows = np.linspace(1.0, 2.0, 20)
+    errors = HeldOut(1e-4 * rows, position * 1e-4 * rows, rows, orientation * rows)
+    assert errors.raised(rows > 0, OPTIONS) == raised

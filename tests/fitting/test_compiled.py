@@ -1,5 +1,10 @@
 """Functions kept between processes: traced once, equal, and safe against damaged or foreign files."""
 
+import os
+import stat
+import subprocess
+import sys
+from pathlib import Path
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -18,6 +23,7 @@ class Pair(NamedTuple):
 
 export.register_namedtuple_serialization(Pair, serialized_name="tests.Pair")
 X = np.linspace(0, 1, 5)
+ROOT = Path(__file__).resolve().parents[2]
 
 
 class Counted:
@@ -117,3 +123,25 @@ def test_without_flatbuffers_it_is_the_jitted_function(folder, monkeypatch):
     monkeypatch.setattr(compiled, "_read", missing)
     check(kept(Counted()))
     assert list(folder.iterdir()) == []
+
+
+@pytest.mark.skipif(not hasattr(os, "getuid"), reason="POSIX permissions")
+@pytest.mark.parametrize("spoilt", [None, "lite6jax", "lite6jax/jax"])
+def test_the_cache_is_made_for_its_owner_and_not_used_where_others_can_write(tmp_path, spoilt):
+    if spoilt:
+        (tmp_path / spoilt).mkdir(parents=True)
+        (tmp_path / spoilt).chmod(0o777)
+    environment = {key: value for key, value in os.environ.items() if key != "JAX_COMPILATION_CACHE_DIR"}
+    environment["XDG_CACHE_HOME"] = str(tmp_path)
+    code = (
+        "import jax; from lite6jax.fitting import compiled; compiled.keep_compiled_code();"
+        "print(jax.config.jax_compilation_cache_dir, compiled._exports)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, env=environment, capture_output=True, text=True)
+    assert done.stderr == ""
+    if spoilt:
+        assert done.stdout == "None None\n"
+        return
+    kept = tmp_path / "lite6jax"
+    assert done.stdout == f"{kept / 'jax'} {kept / 'exported'}\n"
+    assert [stat.S_IMODE((kept / name).stat().st_mode) for name in (".", "jax", "exported")] == [0o700] * 3

@@ -171,7 +171,7 @@ def recording(**settings):
         q,
         position=poses[:, :3, 3],
         quaternion=quaternion if oriented else None,
-        settings=RecordingSettings(motion="static", **settings),
+        settings=RecordingSettings(**{"arm": "lite6", "motion": "static"} | settings),
         source="run.csv",
     )
 

@@ -62,7 +62,7 @@ def test_every_key_is_read(tmp_path):
 
 def test_the_defaults_are_those_of_the_document(tmp_path):
     documented = {
-        "arm": "lite6",
+        "arm": None,
         "factory_calibration": None,
         "factory_uncertainty": None,
         "joint_source": "unknown",

@@ -39,7 +39,9 @@ def recording_maker(folder):
 
     def make(*texts, motion="static", **given):
         effects = tuple(parse_effect(text)[0] for text in texts)
-        settings = RecordingSettings(motion=motion, factory_calibration=str(calibration), position_noise_m=2e-5)
+        settings = RecordingSettings(
+            arm="lite6", motion=motion, factory_calibration=str(calibration), position_noise_m=2e-5
+        )
         return simulate(LITE6, effects=texts, motion=motion, samples=SAMPLES, settings=settings, **given), effects
 
     return make

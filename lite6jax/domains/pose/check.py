@@ -21,6 +21,7 @@ from lite6jax.arms.se3 import rotation_from_quaternion, rotation_from_rpy, trans
 from lite6jax.domains.pose.screening.options import ScreeningOptions
 from lite6jax.domains.pose.screening.screen import screen
 from lite6jax.estimation.robust import DOWNWEIGHTED
+from lite6jax.fitting.recognition import with_arm
 from lite6jax.fitting.recording_fit import fit_recording
 from lite6jax.fitting.start import frames_from_poses
 from lite6jax.recordings import Recording, outside_limits
@@ -107,6 +108,7 @@ def check_recording(
         InputError: as `fit_recording`.
     """
     options = options or ScreeningOptions()
+    recording = recording if nominal is not None else with_arm(recording)
     screened = screen(recording, nominal, options=options)
     recording, arm = screened.recording, screened.arm
     assert arm is not None

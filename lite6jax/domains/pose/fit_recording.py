@@ -8,6 +8,7 @@ from lite6jax.domains.pose.screening.screen import screen
 from lite6jax.fitting import recording_fit
 from lite6jax.fitting.chunks import MAX_STEPS
 from lite6jax.fitting.problem import Geometry
+from lite6jax.fitting.recognition import with_arm
 from lite6jax.fitting.recording_fit import Loss
 from lite6jax.fitting.solution import Solution
 from lite6jax.fitting.solve import Solver
@@ -28,7 +29,7 @@ def fit_recording(
 
     Args:
         recording: measured poses.
-        nominal: the nominal arm; from the sidecar where not given.
+        nominal: the nominal arm; from the sidecar, or recognised, where not given.
         geometry: what is known of it, as in `fit`.
         loss: Student's t, or least squares.
         solver: as in `fit`.
@@ -38,6 +39,7 @@ def fit_recording(
     Raises:
         InputError: no measured poses, too few of them, or as `recording_problem`.
     """
+    recording = recording if nominal is not None else with_arm(recording)
     screened = screen(recording, nominal, geometry, options)
     solution = recording_fit.fit_recording(
         screened.recording, screened.arm, geometry=geometry, loss=loss, solver=solver, max_steps=max_steps

@@ -10,7 +10,6 @@ from scipy.spatial.transform import Rotation
 
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.factory import FactoryCalibration
-from lite6jax.arms.files import read_arm
 from lite6jax.domains.pose.reference_arm import (
     SUBSTANTIAL,
     RigidArm,
@@ -29,6 +28,7 @@ from lite6jax.domains.pose.reference_arm import (
 from lite6jax.domains.pose.reference_rows import matched
 from lite6jax.errors import InputError
 from lite6jax.fitting.problem import Geometry
+from lite6jax.fitting.recognition import arm_of
 from lite6jax.recordings import Recording, RecordingSettings, require_samples
 
 Array = NDArray[np.floating]
@@ -116,7 +116,7 @@ def compare(
     Raises:
         InputError: no positions in one of them, another number of joints, or too few rows at the same joint positions.
     """
-    arm = arm or read_arm(recording.settings.arm_reference(Path(recording.source).parent))
+    arm = arm or arm_of(recording)
     for side in (recording, reference):
         if side.dof != arm.dof:
             raise InputError(f"{side.source}: has {side.dof} joints, but {arm.name} has {arm.dof}; give that arm's")

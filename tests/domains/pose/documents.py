@@ -5,6 +5,7 @@ import json
 import pytest
 from diagnosis.recorded import GRAVITY, LITE6, PAYLOAD_COM
 
+from lite6jax.diagnosis.document import SCHEMA, write_document
 from lite6jax.effects.serialization import effect_as_dict, parse_effect
 from lite6jax.errors import InputError
 
@@ -67,6 +68,8 @@ def document(made, texts, motion="static", orientation=True):
 
 def stored(folder, content, name="diagnosis.json"):
     path = folder / name
+    if isinstance(content, dict) and content.get("schema") == SCHEMA:
+        return write_document(content, path, overwrite=True)
     path.write_text(content if isinstance(content, str) else json.dumps(content))
     return path
 

@@ -322,7 +322,10 @@ def test_a_document_without_it_is_read(arm):
         (lambda entry: entry["sites"].append(["link", 9, 0]), "a site of its uncertainty is none of this arm"),
         (lambda entry: entry["curves"].append(None), "its curves are not one for each effect"),
         (lambda entry: entry["recorded"]["joint_range_rad"].pop(), "its recorded range is not one of this arm"),
-        (lambda entry: entry["left"].update(position_m=float("nan")), "a number of its uncertainty is not finite"),
+        (
+            lambda entry: entry["left"].update(position_m=float("nan")),
+            "model.uncertainty.left.position_m is nan, which is not finite",
+        ),
         (lambda entry: entry.pop("left"), "'left'"),
     ],
 )

@@ -1,0 +1,139 @@
+"""Which bundled arm a recording is of where nobody says so: each with as many joints is tried by its nominal table."""
+
+import warnings
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lite6jax.arms import frames
+from lite6jax.arms.arm import Arm
+from lite6jax.arms.bundled import bundled_of
+from lite6jax.arms.factory import RECOGNISED_WITHIN, read_factory
+from lite6jax.arms.files import read_arm
+from lite6jax.arms.se3 import rotation_from_quaternion, rotation_from_rpy, transform
+from lite6jax.errors import InputError, InputWarning
+from lite6jax.fitting.start import frames_from_poses
+from lite6jax.recordings import Recording, require_radians, require_samples
+
+ALIKE = 2.0
+"""Times the error of the best arm, within which another one is as likely: the errors of two arms of one model differ by
+as much. A real UR10 is 0.8 mm from its nominal table with the sensor's frame and the tool fitted."""
+_PER_CENT = 75.0
+"""Of the rows that the error of an arm is of: outliers are fewer than the rest."""
+_SHOWN = 4
+
+
+class Match(NamedTuple):
+    """A bundled arm and its error in a recording.
+
+    Attributes:
+        arm: the nominal arm.
+        error: m, which three quarters of its position errors do not exceed; the sensor's frame and the tool are fitted
+            where they are unknown, the geometry is not.
+    """
+
+    arm: Arm
+    error: float
+
+
+def arm_of(recording: Recording) -> Arm:
+    """The nominal arm of a recording: the one that it declares, else the bundled one that it looks like.
+
+    Raises:
+        InputError: as `read_arm` and `read_factory`; no measured poses; no bundled arm fits, or several do alike.
+    """
+    settings, folder = recording.settings, Path(recording.source).parent
+    if settings.arm is not None:
+        return read_arm(settings.arm_reference(folder))
+    factory = settings.factory_path(folder)
+    if factory is not None:
+        return read_factory(factory).arm
+    return _chosen(recording, matches(recording))
+
+
+def with_arm(recording: Recording, warn: bool = False) -> Recording:
+    """The recording with its arm declared: as it is where it declares one or its calibration, else the recognised one.
+
+    Args:
+        recording: measured poses.
+        warn: whether the arms that were tried are named in a warning, rather than in the recording's notes.
+
+    Raises:
+        InputError: as `arm_of`.
+
+    Warns:
+        InputWarning: as said.
+    """
+    if recording.settings.arm is not None or recording.settings.factory_calibration is not None:
+        return recording
+    tried = matches(recording)
+    name = _chosen(recording, tried).name
+    recording = replace(recording, settings=replace(recording.settings, arm=name))
+    said = (
+        f"no arm is declared, and this looks like a {_listed(tried)}; say --arm {name}, or `arm: {name}` in a sidecar"
+    )
+    if warn:
+        warnings.warn(f"{recording.source}: {said}", InputWarning, stacklevel=3)
+        return recording
+    return replace(recording, notes=(*recording.notes, said))
+
+
+def matches(recording: Recording) -> list[Match]:
+    """The bundled arms of as many joints, the nearest first.
+
+    Raises:
+        InputError: no measured poses, or joint positions in degrees.
+    """
+    require_samples(recording, 1)
+    known = bundled_of(recording.dof)
+    if known:  # a wrong unit is no reason to find no arm
+        require_radians(recording.joint_position, widest_limits(known), f"{recording.source}: joint_position")
+    settings, position = recording.settings, recording.position
+    assert position is not None
+    rotation = None if recording.quaternion is None else np.asarray(rotation_from_quaternion(recording.quaternion))
+    frame = np.eye(4) if settings.pose_frame == "base" else None
+    tool = None if settings.tool == "unknown" else np.eye(4)
+    if not isinstance(settings.tool, str):
+        tool = np.asarray(transform(rotation_from_rpy(np.array(settings.tool[3:])), np.array(settings.tool[:3])))
+    found = []
+    for arm in known:
+        flange = frames.chain(arm.links, recording.joint_position) @ arm.T_joint_flange
+        T_sensor_base, T_flange_tool = frames_from_poses(flange, position, rotation, frame, tool)
+        point = (flange @ T_flange_tool)[:, :3, 3] @ T_sensor_base[:3, :3].T + T_sensor_base[:3, 3]
+        error = float(np.percentile(np.linalg.norm(point - position, axis=1), _PER_CENT))
+        found.append(Match(arm, error))
+    return sorted(found, key=lambda match: match.error)
+
+
+def widest_limits(arms: Sequence[Arm]) -> NDArray[np.floating]:
+    """`(joint, 2)` rad, of several arms of as many joints together."""
+    limits = np.stack([arm.joint_limits for arm in arms])
+    return np.stack([limits[..., 0].min(0), limits[..., 1].max(0)], 1)
+
+
+def _chosen(recording: Recording, tried: Sequence[Match]) -> Arm:
+    remedy = "name it with --arm NAME, or `arm:` in the sidecar"
+    if not tried:
+        raise InputError(
+            f"{recording.source}: declares no arm, and no bundled one has {recording.dof} joints; {remedy}"
+        )
+    best = tried[0]
+    if not best.error <= RECOGNISED_WITHIN:
+        raise InputError(
+            f"{recording.source}: declares no arm, and its poses fit no bundled one (nearest: {_listed(tried)}); "
+            f"{remedy}, or check the joints' order, signs and units"
+        )
+    alike = [match for match in tried if match.error <= max(ALIKE * best.error, 1e-9)]
+    if len(alike) > 1:
+        raise InputError(f"{recording.source}: declares no arm, and fits several alike ({_listed(alike)}); {remedy}")
+    return best.arm
+
+
+def _listed(tried: Sequence[Match]) -> str:
+    """The nearest arms with their errors in mm."""
+    shown = "; ".join(f"{match.arm.name}: {1e3 * match.error:.3g} mm" for match in tried[:_SHOWN])
+    return shown + ("; …" if len(tried) > _SHOWN else "")

@@ -1,0 +1,335 @@
+"""Files that were damaged or edited after they were written: refused, or used with a warning, and never in silence."""
+
+import copy
+import json
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pytest
+from diagnosis.recorded import Made
+from domains.pose.documents import document, refused
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from lite6jax.arms.bundled import load_bundled
+from lite6jax.arms.factory import read_factory, write_factory
+from lite6jax.arms.files import read_arm, read_table, write_arm, write_table
+from lite6jax.checksum import checksum_of, with_checksum
+from lite6jax.diagnosis.document import SCHEMA, read_model, write_document
+from lite6jax.errors import InputError, InputWarning
+
+EFFECTS = ("joint_compliance:joint=2,compliance_rad_per_Nm=9e-5", "joint_offset:joint=3,offset_rad=2e-4")
+LITE6 = load_bundled("lite6")
+EDITED = "was changed after it was written (its checksum does not hold); its values are checked as ever, and used"
+
+
+@pytest.fixture(scope="module")
+def diagnosis(tmp_path_factory):
+    """A document of the present version with a model, errors and what a prediction's bars need."""
+    made = document(Made(tmp_path_factory.mktemp("arm"), seed=1, frame=True, tool=True), EFFECTS)
+    errors = {"heldout_position_rms_m": 3e-4, "heldout_position_p95_m": 5e-4, "heldout_position_max_m": 8e-4}
+    one = {"position_m": 1e-5, "orientation_rad": 1e-5}
+    made["model"]["uncertainty"] = {
+        "sites": [["base", 0, 0]],
+        "covariance": [1e-10, 0.0, 1e-12, 0.0, 0.0, 1e-10],
+        "left": one,
+        "unseen": one,
+        "noise": one,
+        "curves": [None, None],
+        "recorded": {
+            "joint_range_rad": [[-1.0, 1.0]] * 6,
+            "joint_position_rad": [[0.1] * 6, [0.2] * 6],
+            "spacing_rad": 0.3,
+            "drivers": {"gravity torque of joint 2": [-5.0, 5.0]},
+        },
+    }
+    return made | {"schema": SCHEMA, "verdict": "explained", "before": errors, "after": dict(errors), "samples": 30}
+
+
+# ------------------------------------------------------------------ damage
+
+
+def changed(*path_and_value):
+    *path, last, value = path_and_value
+
+    def apply(content):
+        for key in path:
+            content = content[key]
+        content[last] = value(content[last]) if callable(value) else value
+
+    return apply
+
+
+DAMAGE = {
+    "a rotation's entry of 9": (changed("model", "T_sensor_base", 0, 0, 9.0), "T_sensor_base is no rigid transform"),
+    "a mirrored frame": (
+        changed("model", "T_flange_tool", lambda T: [[-x for x in T[0]], *T[1:]]),
+        "T_flange_tool is no rigid transform",
+    ),
+    "a last row": (changed("model", "T_sensor_base", 3, 0, 0.5), "T_sensor_base is no rigid transform"),
+    "a negative mass": (changed("model", "inertia", "mass", 2, -1.0), "inertia.mass[2] is -1, which is negative"),
+    "a negative last mass": (
+        changed("model", "inertia", "mass", 5, -0.1),
+        "inertia.mass[5] is -0.1, which is negative",
+    ),
+    "an angle of 1e6": (
+        changed("model", "kinematics", 1, 4, 1e6),
+        "kinematics[1][4] is 1e+06, which is not between -6.28319 and 6.28319",
+    ),
+    "a length in millimetres": (
+        changed("model", "kinematics", 0, 2, 243.3),
+        "kinematics[0][2] is 243.3, which is not between -10 and 10",
+    ),
+    "true for a number": (changed("model", "kinematics", 0, 2, True), "kinematics[0][2] is True, which is no number"),
+    "a text for a number": (
+        changed("model", "kinematics", 0, 2, "0.2"),
+        "kinematics[0][2] is '0.2', which is no number",
+    ),
+    "a text for a flag": (
+        changed("model", "orientation", "false"),
+        "orientation is 'false', which is neither true nor",
+    ),
+    "a number for a flag": (changed("model", "orientation", 1), "orientation is 1, which is neither true nor false"),
+    "NaN": (changed("model", "inertia", "gravity", 2, float("nan")), "inertia.gravity[2] is nan, which is not finite"),
+    "an infinite number": (changed("model", "T_flange_tool", 0, 3, float("inf")), "is inf, which is not finite"),
+    "an unknown key": (changed("model", "tool", None), "model has the unknown key 'tool'"),
+    "an unknown part": (changed("note", "mine"), "the key 'note' is unknown"),
+    "an absurd effect": (
+        changed("model", "effects", 0, "parameters", "compliance_rad_per_Nm", "value", 1e6),
+        "joint_compliance:joint2: compliance_rad_per_Nm is 1e+06, which is not between",
+    ),
+    "true for an effect's number": (
+        changed("model", "effects", 0, "parameters", "compliance_rad_per_Nm", "value", True),
+        "joint_compliance:joint2: compliance_rad_per_Nm.value is True, which is no number",
+    ),
+    "an effect of another arm": (
+        changed(
+            "model", "effects", 1, {"effect": "joint_offset", "where": {"joint": 9}, "parameters": {"offset_rad": 1}}
+        ),
+        "joint_offset:joint9: is of an arm of 9 joints or more, and this one has 6",
+    ),
+    "a motion of no kind": (changed("model", "motion", "fast"), "motion is 'fast', which is not one of static, traj"),
+    "a temperature in the sun": (changed("model", "reference_temperature_degC", 6e3), "is 6000, which is not between"),
+    "a negative variance": (changed("model", "uncertainty", "covariance", 5, -1.0), "a variance of its uncertainty is"),
+    "a negative deviation": (changed("model", "uncertainty", "left", "position_m", -1.0), "which is not 0 or more"),
+    "a place that is none": (changed("model", "uncertainty", "sites", 0, 2, True), "sites[0][2] is True"),
+    "a mass too few": (changed("model", "inertia", "mass", lambda m: m[1:]), "center_of_mass has the shape"),
+    "a verdict of no kind": (
+        changed("verdict", "fine"),
+        "verdict is 'fine', which is not one of consistent, explained",
+    ),
+    "a negative error": (changed("after", "heldout_position_rms_m", -1.0), "after.heldout_position_rms_m is -1"),
+}
+
+
+@pytest.mark.parametrize("damage", DAMAGE)
+def test_a_damaged_diagnosis_is_refused(diagnosis, tmp_path, damage):
+    """The checks stand by themselves: the damaged file has a checksum that holds, where it can have one."""
+    spoil, says = DAMAGE[damage]
+    content = copy.deepcopy(diagnosis)
+    spoil(content)
+    content["checksum"] = checksum_of(content)
+    path = tmp_path / "d.json"
+    path.write_text(json.dumps(content))
+    said = refused(read_model, path)
+    assert said.startswith(f"{path}: ")
+    assert says in said
+
+
+def test_the_undamaged_diagnosis_is_read_without_a_word(diagnosis, tmp_path):
+    model = read_model(write_document(diagnosis, tmp_path / "d.json"))
+    assert model.dof == 6
+    laid_out_anew = json.dumps(dict(reversed(json.loads((tmp_path / "d.json").read_text()).items())), indent=7)
+    (tmp_path / "d.json").write_text(laid_out_anew)
+    np.testing.assert_array_equal(read_model(tmp_path / "d.json").values, model.values)
+
+
+def test_a_payload_lighter_than_declared_may_make_the_last_link_lighter_than_nothing(diagnosis, tmp_path):
+    content = copy.deepcopy(diagnosis)
+    content["model"]["inertia"]["mass"][5] = -0.1
+    content["model"]["uncertainty"]["sites"] = [["payload", 0, 0]]
+    assert read_model(write_document(content, tmp_path / "d.json")).inertia.mass[5] == -0.1
+
+
+def test_an_edited_diagnosis_is_used_with_a_warning(diagnosis, tmp_path):
+    path = write_document(diagnosis, tmp_path / "d.json")
+    content = json.loads(path.read_text())
+    content["model"]["kinematics"][0][2] += 1e-4
+    path.write_text(json.dumps(content))
+    with pytest.warns(InputWarning) as caught:
+        model = read_model(path)
+    assert [str(warning.message) for warning in caught] == [f"{path}: {EDITED}"]
+    assert model.model.geometry[2] == content["model"]["kinematics"][0][2]
+    del content["checksum"]
+    path.write_text(json.dumps(content))
+    with pytest.warns(InputWarning, match="has no checksum, so that it is not known whether it was edited"):
+        read_model(path)
+
+
+def test_a_key_given_twice_is_refused(diagnosis, tmp_path):
+    path = write_document(diagnosis, tmp_path / "d.json")
+    path.write_text(path.read_text().replace('"samples": 30', '"samples": 30, "samples": 31'))
+    assert refused(read_model, path) == f"{path}: the key samples is given twice; run `lite6jax diagnose` again"
+
+
+def test_an_edited_table_and_yaml_are_used_with_a_warning(tmp_path):
+    table = write_table(LITE6.form, LITE6.hayati, tmp_path / "t.json")
+    table.write_text(table.read_text().replace("243.3", "243.4"))
+    factory = write_factory(LITE6.kinematics, tmp_path / "f.yaml")
+    factory.write_text(factory.read_text().replace("z: 0.2", "z: 0.20"))
+    arm = write_arm(LITE6, tmp_path / "a.yaml")
+    arm.write_text(arm.read_text().replace("mass_kg: ", "mass_kg: 1"))
+    for path, read in ((table, read_table), (factory, read_factory), (arm, read_arm)):
+        with pytest.warns(InputWarning) as caught:
+            read(path)
+        assert {str(warning.message) for warning in caught} == {f"{path}: {EDITED}"}
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "says"),
+    [
+        ("quality", 3, "fit: quality is"),
+        ("checked_position_rms_m", -1.0, "fit: checked_position_rms_m is negative; correct it"),
+        ("colour", "red", "fit has the unknown key 'colour'"),
+    ],
+)
+def test_what_a_table_says_of_its_fit_is_checked(tmp_path, key, value, says):
+    fit = {"result": "converged", "quality": "good", "checked_position_rms_m": 1e-9} | {key: value}
+    path = write_table(LITE6.form, LITE6.hayati, tmp_path / "t.json", fit=fit)
+    assert f"{path}: {says}" in refused(read_table, path)
+
+
+def test_a_table_of_a_bad_fit_says_so(tmp_path):
+    fit = {"result": "converged", "quality": "bad", "checked_position_rms_m": None}
+    path = write_table(LITE6.form, LITE6.hayati, tmp_path / "t.json", fit=fit)
+    with pytest.warns(InputWarning, match="fit: the fit that this table is from does not describe its data"):
+        read_table(path)
+
+
+@pytest.mark.parametrize(
+    ("edit", "says"),
+    [
+        (lambda row: row.update(alpha=1e6), "dh row 3: alpha is 1e+06 degrees, more than two turns; correct it"),
+        (lambda row: row.update(a=1e9), "dh row 3: a is 1e+06 m, longer than any arm's link; correct it"),
+    ],
+)
+def test_absurd_numbers_of_a_table_are_refused(tmp_path, edit, says):
+    path = write_table(LITE6.form, LITE6.hayati, tmp_path / "t.json")
+    content = json.loads(path.read_text())
+    edit(content["dh"][2])
+    path.write_text(json.dumps(content))
+    assert refused(read_table, path) == f"{path}: {says}"
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "says"),
+    [
+        ("mass_kg: ", "mass_kg: 1000", "so it seems to be in grams"),
+        ("0.179", "17.9", "so it seems to be in millimetres"),
+    ],
+)
+def test_absurd_numbers_of_a_description_are_refused(tmp_path, old, new, says):
+    path = write_arm(LITE6, tmp_path / "a.yaml")
+    path.write_text("\n".join(path.read_text().replace(old, new).splitlines()[1:]))
+    assert says in refused(read_arm, path)
+
+
+# ------------------------------------------------------------------ mutations
+
+
+def outcome(read, path):
+    """What comes of reading a file: its numbers, whether a warning was given; or None where it is refused."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        try:
+            found = read(path)
+        except InputError as error:
+            return None if "\n" not in str(error) else (error, False)
+    assert all(issubclass(warning.category, InputWarning) for warning in caught)
+    return found, bool(caught)
+
+
+def mutated(data, content):
+    """Some bytes of a file with one of them another, one left out or put in, or a part repeated or cut off."""
+    at = data.draw(st.integers(0, len(content) - 1))
+    match data.draw(st.sampled_from(["flip", "byte", "drop", "insert", "cut", "repeat"])):
+        case "flip":
+            return content[:at] + bytes([content[at] ^ 1 << data.draw(st.integers(0, 7))]) + content[at + 1 :]
+        case "byte":
+            return (
+                content[:at] + data.draw(st.sampled_from(b'0123456789-+.eE"{}[],: \nx#')).to_bytes() + content[at + 1 :]
+            )
+        case "drop":
+            return content[:at] + content[at + data.draw(st.integers(1, 9)) :]
+        case "insert":
+            return content[:at] + data.draw(st.sampled_from([b"0", b"1", b"-", b"e9", b"true", b"NaN"])) + content[at:]
+        case "cut":
+            return content[:at]
+        case _:
+            return content[:at] + content[max(at - 20, 0) : at] + content[at:]
+
+
+def model_numbers(model):
+    leaves = [model.model.geometry, model.model.T_sensor_base, model.model.T_flange_tool, model.values]
+    leaves += [*model.inertia, model.joint_limits, model.uncertainty.covariance, model.uncertainty.recorded.positions]
+    rest = (
+        model.arm,
+        model.orientation,
+        model.motion,
+        model.heldout_rms,
+        model.reference_temperature,
+        model.accelerated,
+    )
+    return [np.asarray(leaf).tobytes() for leaf in leaves], rest, model.physics
+
+
+def arm_numbers(arm):
+    fields = (arm.kinematics, arm.joint_limits, arm.T_joint_flange, arm.mass, arm.center_of_mass, arm.dh)
+    return [np.asarray(field, float).tobytes() for field in fields], arm.name, arm.source
+
+
+def written_files(folder, diagnosis):
+    """Of every kind of JSON and YAML that is written: the file, what reads it, and its numbers."""
+    return {
+        "diagnosis": (write_document(diagnosis, folder / "d.json"), read_model, model_numbers),
+        "table": (
+            write_table(LITE6.form, LITE6.hayati, folder / "t.json"),
+            read_table,
+            lambda table: (table.form, table.parameters.tobytes()),
+        ),
+        "description": (write_arm(LITE6, folder / "a.yaml"), read_arm, arm_numbers),
+        "factory": (
+            write_factory(LITE6.kinematics, folder / "f.yaml"),
+            read_factory,
+            lambda found: (found.kinematics.tobytes(), found.arm.name),
+        ),
+    }
+
+
+def silent(read, numbers, original, path):
+    """Whether a file is read without a warning and as something else than the original; for `benchmarks fuzz` too."""
+    found = outcome(read, path)
+    return found is not None and not found[1] and numbers(found[0]) != numbers(original)
+
+
+@pytest.mark.parametrize("kind", ["diagnosis", "table", "description", "factory"])
+def test_no_mutation_of_a_file_is_silent(tmp_path_factory, diagnosis, kind):
+    folder = tmp_path_factory.mktemp(kind)
+    path, read, numbers = written_files(folder, diagnosis)[kind]
+    content, original = path.read_bytes(), read(path)
+    target = Path(folder) / f"mutated{path.suffix}"
+
+    @settings(max_examples=60)
+    @given(st.data())
+    def attack(data):
+        target.write_bytes(mutated(data, content))
+        assert not silent(read, numbers, original, target)
+
+    attack()
+
+
+def test_the_checksum_is_of_the_values():
+    assert checksum_of({"a": 1.0, "b": [True, None]}) == checksum_of({"b": [True, None], "a": 1.0, "checksum": "any"})
+    assert checksum_of({"a": 1.0}) != checksum_of({"a": 1.0000000000000002})
+    assert with_checksum({"a": (1, 2)})["checksum"] == checksum_of({"a": [1, 2]})
