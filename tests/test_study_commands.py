@@ -104,7 +104,7 @@ def test_identify_takes_noise_that_is_not_declared_from_a_fit(capsys, tmp_path):
 def test_identify_a_list_of_joint_positions(capsys, tmp_path):
     q = random_positions(np.random.default_rng(0), 30, 6)
     q[:, 4] = 0.3 + 0.01 * np.arange(30) / 30
-    path = write_recording(Recording.from_arrays(q), tmp_path / "poses.csv")
+    path = write_recording(Recording.from_arrays(q, arm="lite6"), tmp_path / "poses.csv")
     text = flat(run(capsys, "identify", path, "--sensor", "tracker_6d", "--frame", "known")[1])
     found = identify(plan_experiment("lite6", "tracker_6d", frame=False), q)
     assert f"These poses determine {found.determination.rank} of 28" in text if found.missed else "all 28" in text
@@ -113,7 +113,7 @@ def test_identify_a_list_of_joint_positions(capsys, tmp_path):
 def test_identify_names_a_joint_that_hardly_moves(capsys, tmp_path):
     q = random_positions(np.random.default_rng(0), 30, 6)
     q[:, 3] = 0.3
-    path = write_recording(Recording.from_arrays(q), tmp_path / "poses.csv")
+    path = write_recording(Recording.from_arrays(q, arm="lite6"), tmp_path / "poses.csv")
     text = flat(run(capsys, "identify", path, "--sensor", "tracker_6d", "--frame", "known")[1])
     assert "Other poses of this arm determine 28: joint 4 moves over 0° only; move it further." in text
 
