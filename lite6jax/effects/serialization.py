@@ -1,7 +1,6 @@
 """The text form and the JSON form of effects with their parameters."""
 
 import ast
-import math
 import typing
 from collections.abc import Mapping
 from dataclasses import MISSING, fields
@@ -13,9 +12,9 @@ from numpy.typing import ArrayLike, NDArray
 from lite6jax.effects.catalogue import BUILT_IN
 from lite6jax.effects.effect import Effect
 from lite6jax.errors import InputError
-from lite6jax.schema import number, record
+from lite6jax.schema import number, plain, record
 
-ESTIMATE = record({"value": number()}, {"std": number(0.0)})
+ESTIMATE = record({}, {"value": number(), "std": number(0.0)})
 """A parameter in the JSON form of an effect."""
 _TYPES = {
     int: "a whole number",
@@ -65,13 +64,9 @@ def _build(kind: type[Effect], given: Mapping[str, Any]) -> Effect:
             value = float(value)
         elif int in taken[name] and type(value) is float and value.is_integer():
             value = int(value)  # as `reported` gives a source_joint
-        elif (
-            tuple in taken[name]
-            and isinstance(value, list)
-            and all(type(v) in (int, float) and math.isfinite(v) for v in value)
-        ):
+        elif tuple in taken[name] and isinstance(value, list) and all(type(v) in (int, float) for v in value):
             value = tuple(map(float, value))
-        if type(value) not in taken[name] or (isinstance(value, float) and not math.isfinite(value)):
+        if type(value) not in taken[name]:
             wanted = " or ".join(_TYPES.get(t, t.__name__) for t in taken[name] if t is not type(None))
             raise InputError(f"{kind.name}: {name} is {value!r}; give {wanted}")
         if name in ("joint", "link", "source_joint") and isinstance(value, int) and value < 1:
@@ -167,6 +162,7 @@ def effect_from_dict(document: Any, kinds: Mapping[str, type[Effect]] = BUILT_IN
     for name, part in (("where", where), ("parameters", parameters)):
         if not isinstance(part, Mapping):
             raise InputError(f"{kind.name}: {name} is {part!r}; give a mapping of names to values")
+    plain(where, f"{kind.name}: where")
     effect = _build(kind, where)
     if document.get("site", effect.site) != effect.site:
         raise InputError(f"{kind.name}: the site {document['site']!r} is not that of {dict(where)}; correct one")
@@ -174,7 +170,7 @@ def effect_from_dict(document: Any, kinds: Mapping[str, type[Effect]] = BUILT_IN
     for name, value in parameters.items():
         if isinstance(value, Mapping):
             ESTIMATE(value, f"{effect.label}: {name}")
-            value = value["value"]
+            value = value.get("value")
         if not isinstance(value, int | float) or isinstance(value, bool):
             raise InputError(f"{effect.label}: {name} is {value!r}; give a number")
         numbers[name] = float(value)

@@ -106,7 +106,7 @@ def test_a_joint_a_turn_off_is_not_taken_for_degrees_where_no_joint_turns_far():
 
 
 def test_millimetres_are_refused_and_name_the_remedy(plausible):
-    message = refused(Recording.from_arrays, plausible["joint_position"], 1e3 * plausible["position"])
+    message = refused(Recording.from_arrays, plausible["joint_position"], 1e3 * plausible["position"], arm="lite6")
     assert message.startswith("recording: position: the positions lie ")
     assert message.endswith(
         f" m from their middle (median) while the arm reaches {LITE6.reach:.3g} m; are these millimetres? give metres: "
@@ -150,9 +150,9 @@ def test_arrays_that_cannot_be_a_recording(changes, message):
     assert message in refused(Recording.from_arrays, **given)
 
 
-def test_the_default_arm_does_not_judge_an_arm_of_other_joints():
-    q = np.full((3, 5), 6.0)
-    assert Recording.from_arrays(q, 1e3 * np.eye(3)).dof == 5
+def test_an_arm_that_is_not_declared_is_judged_by_the_bundled_ones_of_as_many_joints():
+    assert "while the arm reaches 1.03 m" in refused(Recording.from_arrays, np.full((3, 5), 6.0), 1e3 * np.eye(3))
+    assert Recording.from_arrays(np.full((3, 4), 6.0), 1e3 * np.eye(3)).dof == 4  # there is none
 
 
 # ------------------------------------------------------------------ data frames
