@@ -12,7 +12,8 @@ from typed import flat, refused, run
 
 from benchmarks.fuzzed import CSV, FACTORY, LITE6, recording
 from lite6jax.arms.files import write_arm, write_table
-from lite6jax.fitting.folder import fit_folder, folder_files, write_rows
+from lite6jax.fitting.folder import fit_folder, folder_files
+from lite6jax.fitting.folder_rows import write_rows
 from lite6jax.recordings import Recording, write_recording
 
 

@@ -24,6 +24,7 @@ from lite6jax.controller.station import Station
 from lite6jax.controller.stream import Lost, ReportPort, Reports
 from lite6jax.errors import InputError
 from lite6jax.recordings import sidecar_path, write_settings
+from lite6jax.recordings.checksums import TABLES, table_checksum
 
 FIRST_REPORT_S = 5.0
 GATHER_S = 0.05
@@ -129,7 +130,8 @@ def record(
     )
     if written:
         with suppress(InputError):  # a full disk; the gaps are in the table as well
-            write_settings(recorded.settings, sidecar_path(out), True, recorded.account())
+            tables = {TABLES[out.suffix.lower()]: table_checksum(out)} if out.exists() else None
+            write_settings(recorded.settings, sidecar_path(out), True, tables, recorded.account())
     return recorded
 
 
@@ -225,7 +227,7 @@ def _declare(out: Path, station: Station, overwrite: bool) -> list[Path]:
     if station.calibration is not None:
         files.append(write_factory(station.calibration.kinematics, factory_path(out), overwrite=overwrite))
     account = {"complete": False}  # until it is replaced at the end
-    return [write_settings(station.settings_beside(out), sidecar_path(out), overwrite, account), *files]
+    return [write_settings(station.settings_beside(out), sidecar_path(out), overwrite, account=account), *files]
 
 
 class _Buffer:

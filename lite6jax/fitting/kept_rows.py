@@ -92,8 +92,8 @@ def _named_by(path: Path) -> list[Path]:
         settings = read_settings(sidecar)
     except InputError:  # the row will say it, and it follows from the sidecar's content
         return [sidecar]
-    named = [settings.arm_reference(path.parent), settings.factory_path(path.parent)]
-    return [sidecar, *(part for part in named if isinstance(part, Path))]
+    arm = settings.arm_reference(path.parent) if settings.arm_is_file else None
+    return [sidecar, *(Path(part) for part in (arm, settings.factory_path(path.parent)) if part is not None)]
 
 
 def _content(path: Path) -> bytes:

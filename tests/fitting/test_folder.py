@@ -66,7 +66,9 @@ def fitted(monkeypatch):
 
 def test_a_row_is_the_same_from_json():
     errors = Statistics(1 / 3, float("inf"), None, float("nan"))
-    row = Row("a.yaml", "calibration", Result.CONVERGED, "naïve", "lite6", 6, 300, 4, (("d1_m", 0.1 + 0.2),), errors)
+    row = Row(
+        "a.yaml", "calibration", Result.CONVERGED, "naïve", "good", "lite6", 6, 300, 4, (("d1_m", 0.1 + 0.2),), errors
+    )
     again = Row.from_json(json.loads(json.dumps(row.as_json())))
     assert repr(again) == repr(row)
     assert isinstance(again.result, Result)
