@@ -183,7 +183,7 @@ def _read(
     if read is None:
         raise InputError(f"{path}: {kinds}; convert it or correct the name")
     growing = stream.stream_path(path)
-    if path.suffix.lower() == ".parquet" and not exists(path) and growing.is_file():
+    if path.suffix.lower() == ".parquet" and not exists(path) and exists(growing):
         notes.append(f"the recording was ended before it was complete; its rows are those of {growing.name}")
         path, read = growing, _read_stream
     check_readable(path)
