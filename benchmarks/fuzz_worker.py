@@ -12,7 +12,8 @@ from pathlib import Path
 from random import Random
 
 from benchmarks.fuzzed import Command, Reader, Seen, damage, targets
-from lite6jax.errors import InputError
+from lite6jax.cli.exit_codes import BAD_FIT, BAD_INPUT, DONE, NOT_REACHED
+from lite6jax.errors import InputError, InputWarning
 
 READY = "ready\n"
 """The line before the first outcome, after imports and a run on the whole file."""
@@ -70,14 +71,16 @@ class Trial:
         if isinstance(self.target, Command):
             return self._run(self.target)
         try:
-            with warnings.catch_warnings():
+            with warnings.catch_warnings(record=True) as said:
                 warnings.simplefilter("error")
+                warnings.simplefilter("always", InputWarning)  # what the command line prints as a line
                 seen = self.target.read(self._path)
         except InputError as error:
             return ("traceback", repr(str(error))) if "\n" in str(error) else ("refused", "")
         except Exception as error:
             return "traceback", f"{type(error).__name__}: {' '.join(str(error).split())[:200]}"
-        return ("silent change", self._difference(seen)) if self._silent(seen) else ("read", "")
+        silent = not said and self._silent(seen)
+        return ("silent change", self._difference(seen)) if silent else ("read", "")
 
     def _silent(self, seen: Seen) -> bool:
         return self.reader.sealed and seen.value != self._whole.value and seen.remarks == self._whole.remarks
@@ -98,11 +101,11 @@ class Trial:
                 code = cli.main(arguments)
         except Exception as error:
             return "traceback", f"{type(error).__name__}: {' '.join(str(error).split())[:200]}"
-        if code not in (0, 1, 2):
+        if code not in (DONE, NOT_REACHED, BAD_INPUT, BAD_FIT):
             return "traceback", f"exit code {code}"
-        if code == 2 and not (said.getvalue().startswith("error: ") and said.getvalue().count("\n") == 1):
+        if code == BAD_INPUT and not (said.getvalue().startswith("error: ") and said.getvalue().count("\n") == 1):
             return "traceback", f"not one line: {said.getvalue()[-200:]!r}"
-        return ("refused" if code == 2 else "read"), ""
+        return ("refused" if code == BAD_INPUT else "read"), ""
 
 
 if __name__ == "__main__":

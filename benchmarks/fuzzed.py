@@ -256,11 +256,17 @@ SIDECAR = Reader("sidecar", _written(".csv", bound=True), _read_recording, sidec
 SIDECAR_BY_HAND = Reader("sidecar by hand", _written(".csv", bound=False), _read_recording, sidecar_path)
 TARGETS = Reader("targets", _targets, _read_targets)
 DESCRIPTION = Reader(
-    "description", lambda folder: write_arm(LITE6, folder / "arm.yaml", overwrite=True), lambda p: _of_arm(read_arm(p))
+    "description",
+    lambda folder: write_arm(LITE6, folder / "arm.yaml", overwrite=True),
+    lambda path: _of_arm(read_arm(path)),
+    sealed=True,
 )
-FACTORY = Reader("factory file", _factory, _read_factory)
+FACTORY = Reader("factory file", _factory, _read_factory, sealed=True)
 TABLE = Reader(
-    "table", lambda folder: write_table(LITE6.form, LITE6.hayati, folder / "arm.json", overwrite=True), _read_factory
+    "table",
+    lambda folder: write_table(LITE6.form, LITE6.hayati, folder / "arm.json", overwrite=True),
+    _read_factory,
+    sealed=True,
 )
 URDF = Reader(
     "urdf", lambda folder: write_urdf(LITE6, folder / "arm.urdf", overwrite=True), lambda p: _of_arm(read_arm(p))

@@ -18,7 +18,8 @@ from lite6jax.errors import InputError, InputWarning
 
 KEY = "checksum"
 """Of a JSON object: its other values' checksum."""
-_COMMENT = re.compile(r"^# checksum: (sha256:[0-9a-f]{64})[ \t]*\r?$", re.MULTILINE)
+_COMMENT = re.compile(r"#.*(?:checksum|sha256)", re.IGNORECASE)
+"""Of a first or last line: damaged in part, it is still no comment of somebody else."""
 _EXACT = Context(prec=60)
 
 
@@ -47,8 +48,9 @@ def with_checksum(document: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def with_comment(text: str) -> str:
-    """A YAML text with the checksum of its values in a comment before it."""
-    return f"# checksum: {checksum_of(yaml.safe_load(text))}\n{text}"
+    """A YAML text with the checksum of its values in a comment before it and behind it, so that one may be lost."""
+    comment = _comment(yaml.safe_load(text))
+    return f"{comment}\n{text.rstrip()}\n{comment}\n"
 
 
 def verify(document: Mapping[str, Any], source: object) -> None:
@@ -64,7 +66,8 @@ def verify(document: Mapping[str, Any], source: object) -> None:
         return
     if not isinstance(document[KEY], str):
         raise InputError(f"{source}: {KEY} is not text; remove it, or write the file again")
-    _compare(document[KEY], document, source)
+    if document[KEY] != checksum_of(document):
+        _warn(source)
 
 
 def verify_comment(text: str, values: Any, source: object) -> None:
@@ -73,15 +76,20 @@ def verify_comment(text: str, values: Any, source: object) -> None:
     Warns:
         InputWarning: as `verify`.
     """
-    if stated := _COMMENT.search(text):
-        _compare(stated[1], values, source)
+    lines = text.strip().splitlines() or [""]
+    comments = [line.rstrip() for line in (lines[0], lines[-1]) if _COMMENT.match(line)]
+    if comments and set(comments) != {_comment(values)}:
+        _warn(source)
 
 
-def _compare(stated: str, values: Any, source: object) -> None:
-    if stated != checksum_of(values):
-        warnings.warn(
-            f"{source}: was changed after it was written (its checksum does not hold); its values are "
-            "checked as ever, and used",
-            InputWarning,
-            stacklevel=4,
-        )
+def _comment(values: Any) -> str:
+    return f"# {KEY}: {checksum_of(values)}"
+
+
+def _warn(source: object) -> None:
+    warnings.warn(
+        f"{source}: was changed after it was written (its checksum does not hold); its values are "
+        "checked as ever, and used",
+        InputWarning,
+        stacklevel=4,
+    )

@@ -7,6 +7,7 @@ from typing import Any, final
 import numpy as np
 from numpy.typing import NDArray
 
+from lite6jax.checksum import with_checksum
 from lite6jax.diagnosis.discrimination import SeparatingPoses
 from lite6jax.diagnosis.options import Options
 from lite6jax.diagnosis.verdict import Left, Verdict, left_of, rows_needed, verdict_of
@@ -186,12 +187,12 @@ class Diagnosis(Summarised):
         return verdict_of(self)
 
     def to_dict(self) -> dict[str, Any]:
-        """The document `lite6jax/diagnosis/2`: codes and plain numbers in SI units."""
+        """The document `lite6jax/diagnosis/2`, as `read_model` reads it: codes, numbers in SI units, a checksum."""
         from lite6jax.diagnosis.document import (
             to_document,  # which reads and writes results, and so imports this module
         )
 
-        return to_document(self)
+        return with_checksum(to_document(self))
 
     @cached_property
     def model(self) -> DiagnosedArm:

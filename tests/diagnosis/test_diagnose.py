@@ -10,6 +10,7 @@ from diagnosis.recorded import NOISE, Made, check_values, found, moving_motion, 
 from lite6jax.arms import frames
 from lite6jax.arms.bundled import load_bundled
 from lite6jax.arms.factory import write_factory
+from lite6jax.checksum import with_checksum
 from lite6jax.diagnosis.diagnose import diagnose
 from lite6jax.diagnosis.document import to_document
 from lite6jax.diagnosis.explanation import explain as explain_with
@@ -298,7 +299,7 @@ def test_one_frame_that_is_off_is_physics(tmp_path):
 
 
 def test_a_result_gives_its_document_and_its_model(soft, still):
-    assert soft.to_dict() == to_document(soft)
+    assert soft.to_dict() == with_checksum(to_document(soft))
     poses = np.asarray(soft.model.pose(still["joint_position"], payload=still["payload"]))
     errors = np.linalg.norm(poses[:, :3, 3] - soft.problem.measured.position.T, axis=1)
     assert rms(errors[~soft.outliers]) == pytest.approx(np.sqrt(3) * NOISE[0], rel=0.1)

@@ -48,7 +48,7 @@ def test_the_row_of_an_absurd_number_is_dropped_and_named(written, column, value
         f"dropped 1 row with NaN, infinite or empty fields, that is row {ROW}",
     )
     others = whole.row != ROW
-    expected, actual = arrays(whole, others), arrays(read, slice(None))
+    expected, actual = arrays(whole, others), arrays(read, np.arange(read.samples))
     neighbour = expected.pop("direction_of_motion"), actual.pop("direction_of_motion")
     np.testing.assert_array_equal(neighbour[0][: ROW - 1], neighbour[1][: ROW - 1])
     for name, array in expected.items():
