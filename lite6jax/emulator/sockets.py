@@ -103,6 +103,7 @@ class Sockets:
                 task.cancel()
             await asyncio.gather(*self._tasks, return_exceptions=True)
             self._tasks.clear()
+            await asyncio.sleep(0)  # in which the connections are closed
         if self._failure is not None:
             raise self._failure
 
@@ -127,8 +128,6 @@ class Sockets:
                 pass
             except Exception as error:  # raised by `serve`
                 self._failure = error
-            finally:
-                writer.close()
 
         def accept(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
             task = asyncio.ensure_future(guarded(reader, writer))
@@ -136,6 +135,8 @@ class Sockets:
                 line.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, KERNEL_BUFFER)
             self._tasks.add(task)
             task.add_done_callback(self._tasks.discard)
+            # not in the task, which does nothing at all where it is cancelled before its first step
+            task.add_done_callback(lambda _: writer.close())
 
         return accept
 

@@ -1,5 +1,6 @@
 """Many clients at once, and clients that do not read: bounded memory, counted losses, and others undisturbed."""
 
+import asyncio
 import select
 import socket
 import time
@@ -11,6 +12,7 @@ from emulated import CONTROL_PORT, Line, new_address, read_reports, until
 
 from lite6jax.controller import protocol
 from lite6jax.emulator import Controller, sockets
+from lite6jax.emulator.core import Core
 
 CLIENTS = 200
 
@@ -79,3 +81,30 @@ def test_a_client_that_asks_and_never_reads_costs_no_more_than_its_buffers(lite6
             assert controller.snapshot().unsent < 1 << 18
         with Line(controller) as other:
             assert other.ask(13)[6] == 13
+
+
+def test_a_connection_that_ends_before_its_first_step_is_closed(lite6):
+    """Closing the controller cancels tasks; one that has not begun runs no `finally`."""
+    closed = []
+
+    class Writer:
+        def get_extra_info(self, name):
+            return None
+
+        def close(self):
+            closed.append(self)
+
+    async def begun(reader, writer):
+        raise AssertionError("it was cancelled before")
+
+    async def accepted_and_cancelled():
+        served = sockets.Sockets(Core(lite6), new_address(), 0, (), 1.0)
+        writer = Writer()
+        served._tracked(begun)(None, writer)
+        (task,) = served._tasks
+        task.cancel()
+        await asyncio.gather(task, return_exceptions=True)
+        await asyncio.sleep(0)
+        assert closed == [writer]
+
+    asyncio.run(accepted_and_cancelled())
