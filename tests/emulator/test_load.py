@@ -5,6 +5,7 @@ import select
 import socket
 import time
 from contextlib import ExitStack
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -99,8 +100,8 @@ def test_a_connection_that_ends_before_its_first_step_is_closed(lite6):
 
     async def accepted_and_cancelled():
         served = sockets.Sockets(Core(lite6), new_address(), 0, (), 1.0)
-        writer = Writer()
-        served._tracked(begun)(None, writer)
+        reader, writer = cast(Any, None), cast(Any, Writer())
+        served._tracked(begun)(reader, writer)
         (task,) = served._tasks
         task.cancel()
         await asyncio.gather(task, return_exceptions=True)
