@@ -59,11 +59,12 @@ class Contained:
             files, nominal, fit_one: as `fit_files` takes them; `fit_one` is a function of a module.
             progress: called with the number of files done since the last call.
         """
-        told = [0]
+        reported = 0
 
         def report(done: int) -> None:
-            progress(max(0, done - told[0]))
-            told[0] = max(told[0], done)
+            nonlocal reported
+            progress(max(0, done - reported))
+            reported = max(reported, done)
 
         rows = self._fit(list(files), (nominal, fit_one), report)
         report(len(files))

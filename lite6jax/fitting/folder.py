@@ -84,11 +84,12 @@ def fit_folder(
         from lite6jax.fitting.recording_fit import fit_recording as fit_one
     rows: dict[Path, Row] = {}
     for group in _groups(files):
-        found = kept.find(group) if kept is not None else None
+        key = kept.key(group) if kept is not None else ""
+        found = kept.find(key) if kept is not None else None
         if found is None:
             found = _fitted(group, nominal, progress, fit_one, process)
             if kept is not None:
-                kept.keep(group, found)
+                kept.keep(key, found)
         else:
             progress(len(group))
         rows |= zip(group, found, strict=True)

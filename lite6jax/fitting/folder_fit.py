@@ -14,7 +14,7 @@ from lite6jax.errors import InputError
 from lite6jax.fitting.calibration_fit import CHECK_SAMPLES, SAMPLES
 from lite6jax.fitting.chunks import CHUNK
 from lite6jax.fitting.fleet import fit_fleet
-from lite6jax.fitting.folder_rows import CALIBRATIONS, Row, Statistics, kind_of
+from lite6jax.fitting.folder_rows import Row, Statistics, kind_of
 from lite6jax.fitting.problem import calibration_poses, sample_within_limits
 from lite6jax.fitting.quality import Quality, quality_of_calibration
 from lite6jax.fitting.solution import Result, Solution, prediction_errors
@@ -46,7 +46,7 @@ def fit_files(
     """
     rows: dict[Path, Row] = {}
     batches: dict[str, list[tuple[Path, FactoryCalibration]]] = {}
-    for path in (path for path in files if path.suffix.lower() in CALIBRATIONS):
+    for path in (path for path in files if kind_of(path) == "calibration"):
         at(path, len(rows))
         calibration = _attempt(path, lambda path=path: _read_calibration(path, nominal))
         if isinstance(calibration, Row):
@@ -57,7 +57,7 @@ def fit_files(
         paths, calibrations = [path for path, _ in batch], [calibration for _, calibration in batch]
         before = len(rows)
         rows |= zip(paths, _fit_batch(paths, calibrations, lambda done, n=before: at(None, n + done)), strict=True)
-    for path in (path for path in files if path.suffix.lower() not in CALIBRATIONS):
+    for path in (path for path in files if kind_of(path) == "recording"):
         at(path, len(rows))
         rows[path] = _attempt(path, lambda path=path: _fit_recording(path, nominal, fit_one))
     at(None, len(rows))
@@ -108,7 +108,8 @@ def _fit_batch(
         done(i)
         result = Result(int(solution.result[i]))
         model = start._replace(geometry=solution.parameters[i])
-        checked = prediction_errors(form, model, fresh, calibration_poses(calibration, fresh))
+        pose = calibration_poses(calibration, fresh)
+        checked = prediction_errors(form, model, fresh, pose)
         quality = quality_of_calibration(checked.position)
         yield Row(
             file=path.name,
@@ -123,7 +124,7 @@ def _fit_batch(
             parameters=_named(form, solution.parameters[i]),
             fitted=Statistics.of(prediction_errors(form, model, q, poses[i])),
             checked=Statistics.of(checked),
-            nominal=Statistics.of(prediction_errors(form, start, fresh, calibration_poses(calibration, fresh))),
+            nominal=Statistics.of(prediction_errors(form, start, fresh, pose)),
         )
 
 

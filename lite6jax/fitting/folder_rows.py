@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
@@ -31,7 +32,7 @@ class Statistics:
         """Those of errors, without orientation where none was measured."""
         orientation = errors.orientation
         return cls(
-            float(np.sqrt(np.mean(errors.position**2))),
+            errors.position_rms,
             float(errors.position.max()),
             None if orientation is None else float(np.sqrt(np.mean(orientation**2))),
             None if orientation is None else float(orientation.max()),
@@ -123,10 +124,7 @@ def write_rows(rows: Sequence[Row], path: str | Path, overwrite: bool = False) -
     for name in names:
         columns[name] = pyarrow.array([dict(row.parameters).get(name) for row in rows], pyarrow.float64())
     table = pyarrow.table(columns)
-
-    def write(target: Path) -> None:
-        pyarrow.parquet.write_table(table, target, write_page_checksum=True)
-
+    write = partial(pyarrow.parquet.write_table, table, write_page_checksum=True)
     return storage.write_atomically(path, write, overwrite)
 
 

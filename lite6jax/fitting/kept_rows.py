@@ -57,15 +57,15 @@ class KeptRows:
                 content = json.loads(line)
                 self._rows[content["group"]] = [Row.from_json(row) for row in content["rows"]]
 
-    def find(self, group: Sequence[Path]) -> list[Row] | None:
-        """The rows of a group, or None where they are not known."""
-        rows = self._rows.get(self._key(group))
+    def find(self, key: str) -> list[Row] | None:
+        """The rows of the group with this key, or None where they are not known."""
+        rows = self._rows.get(key)
         self.used += len(rows or ())
         return rows
 
-    def keep(self, group: Sequence[Path], rows: Sequence[Row]) -> None:
+    def keep(self, key: str, rows: Sequence[Row]) -> None:
         """Adds the rows of a group; on a full disk without a word, as the table will say it."""
-        line = json.dumps({"group": self._key(group), "rows": [row.as_json() for row in rows]})
+        line = json.dumps({"group": key, "rows": [row.as_json() for row in rows]})
         with suppress(OSError), open(self.path, "ab") as file:
             file.write(b"\n" if file.tell() else _FIRST_LINE)  # the last line may have been cut short
             file.write(line.encode() + b"\n")
@@ -74,7 +74,8 @@ class KeptRows:
         """Removes the file, once the table is written."""
         self.path.unlink(missing_ok=True)
 
-    def _key(self, group: Sequence[Path]) -> str:
+    def key(self, group: Sequence[Path]) -> str:
+        """What a group is known by, as hexadecimal digits; before it is fitted, as every file is read for it."""
         digest = hashlib.sha256(self._asked)
         for path in group:
             digest.update(os.fsencode(path.name) + b"\0")
