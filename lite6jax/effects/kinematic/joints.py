@@ -1,5 +1,6 @@
 """Effects of joints: what adds to the angle that an encoder says."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar, final
 
