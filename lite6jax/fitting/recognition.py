@@ -17,7 +17,7 @@ from lite6jax.arms.files import read_arm
 from lite6jax.arms.se3 import rotation_from_quaternion, rotation_from_rpy, transform
 from lite6jax.errors import InputError, InputWarning
 from lite6jax.fitting.start import frames_from_poses
-from lite6jax.recordings import Recording, require_radians, require_samples
+from lite6jax.recordings import Recording, RecordingSettings, require_radians, require_samples
 
 ALIKE = 2.0
 """Times the error of the best arm, within which another one is as likely: the errors of two arms of one model differ by
@@ -46,13 +46,24 @@ def arm_of(recording: Recording) -> Arm:
     Raises:
         InputError: as `read_arm` and `read_factory`; no measured poses; no bundled arm fits, or several do alike.
     """
-    settings, folder = recording.settings, Path(recording.source).parent
+    declared = declared_arm(recording.settings, Path(recording.source).parent)
+    return declared or _chosen(recording, matches(recording))
+
+
+def declared_arm(settings: RecordingSettings, folder: Path) -> Arm | None:
+    """The nominal arm that settings declare, or that of the calibration that they do; None where they declare neither.
+
+    Args:
+        settings: of a recording.
+        folder: which holds the sidecar.
+
+    Raises:
+        InputError: as `read_arm` and `read_factory`.
+    """
     if settings.arm is not None:
         return read_arm(settings.arm_reference(folder))
     factory = settings.factory_path(folder)
-    if factory is not None:
-        return read_factory(factory).arm
-    return _chosen(recording, matches(recording))
+    return None if factory is None else read_factory(factory).arm
 
 
 def with_arm(recording: Recording, warn: bool = False) -> Recording:
