@@ -27,11 +27,13 @@ _ABOVE_FLOOR = 10.0
 """Power spectral density over its floor from which a quantity is taken as signal."""
 _BANDWIDTH = 0.99
 """Share of the velocity's power within the motion's bandwidth."""
-_WIDEST = 20.0
-"""Largest cutoff of torques over the bandwidth of the motion: friction changes within a fraction of a period."""
+_WIDEST = 16.0
+"""Cutoff of torques over the bandwidth of the motion: friction changes within a fraction of a period."""
 _NARROWEST = 4.0
-_MOST_ROWS = 1000
-"""Rows that are kept, where their cutoff is still well above the motion's bandwidth."""
+"""The same where a recording is long, so that no more than `_MOST_ROWS` are kept."""
+_LEAST_CUTOFF = 10.0
+"""Hz; motors' ripple in slow motions."""
+_MOST_ROWS = 1500
 _FEWEST = 32
 """Samples of a run; shorter ones have no spectrum."""
 _UNEVEN = 0.2
@@ -116,19 +118,19 @@ def runs_of(recording: Recording, rate: float) -> NDArray[np.integer]:
     return run_segments(run_segments(recording.run) * (1 + len(gaps)) + np.cumsum(gaps))
 
 
-def smoothed(recording: Recording, rate: float, runs: NDArray[np.integer]) -> Smoothed:
+def smoothed(recording: Recording, chosen: LowPass) -> Smoothed:
     """The motion low-passed up to where its velocities exceed their noise, with accelerations.
 
     Args:
         recording: a trajectory with times and velocities.
-        rate: samples per second.
-        runs: `(sample,)`.
+        chosen: the filter of torques, far above which there is no need of velocities.
     """
+    rate, runs = chosen.rate, chosen.runs
     q, v = recording.joint_position.T, np.asarray(recording.velocities()).T
     cutoff = 1.5 * max(_signal_band(row, runs, rate) for row in v)
-    cutoff = float(np.clip(cutoff, 2.0, 0.4 * rate))
+    cutoff = float(np.clip(cutoff, 2.0, min(2 * chosen.cutoff, 0.4 * rate)))
     position, velocity = (_by_run(x, runs, cutoff, rate) for x in (q, v))
-    given = getattr(recording, "joint_acceleration", None)
+    given = recording.joint_acceleration
     if given is not None:
         return Smoothed(position, velocity, _by_run(given.T, runs, cutoff, rate), cutoff)
     acceleration = np.zeros_like(velocity)
@@ -138,21 +140,18 @@ def smoothed(recording: Recording, rate: float, runs: NDArray[np.integer]) -> Sm
     return Smoothed(position, velocity, acceleration, cutoff)
 
 
-def low_pass(velocity: Array, torque: Array, rate: float, runs: NDArray[np.integer]) -> LowPass:
-    """The filter for the torques of a motion, by both spectra: what torques hold above their noise, in what the motion
-    can cause.
+def low_pass(velocity: Array, rate: float, runs: NDArray[np.integer]) -> LowPass:
+    """The filter for the torques of a motion, by the spectrum of its velocities.
 
     Args:
-        velocity: `(joint, sample)` rad/s, smoothed.
-        torque: `(joint, sample)` Nm.
+        velocity: `(joint, sample)` rad/s, as recorded.
         rate: samples per second.
         runs: `(sample,)`.
     """
-    import os
     band = max(_bandwidth(row, runs, rate) for row in velocity)
-    wanted = float(os.environ.get("FC", 8 * band))
-    every = max(int(rate / (2 * wanted)), 1)
-    if os.environ.get("VERB"): print("band", band, "wanted", wanted, "signal", [_signal_band(row, runs, rate) for row in torque])
+    wanted = max(_WIDEST * band, _LEAST_CUTOFF)
+    few = min(-(-velocity.shape[1] // _MOST_ROWS), int(rate / (2 * _NARROWEST * band)))
+    every = max(int(rate / (2 * wanted)), few, 1)
     cutoff = rate / (2 * every)
     margin = 0 if every == 1 else int(np.ceil(rate / cutoff))
     kept = [np.arange(r.start + margin, r.stop - margin, every) for r in _each(runs) if r.stop - r.start >= _FEWEST]

@@ -144,22 +144,32 @@ class TorqueProblem:
 
     def residual(self, nuisance: Array, terms: Terms, values: Array) -> Array:
         """Residuals `(joint, sample)` over the declared noise, predicted minus measured."""
-        delay = sum(float(values[part][0]) for e, part in _pairs(terms) if isinstance(e, Delaying))
-        measured = self.data.measured(delay)[0][:, self.chosen]
-        return (self.torque(nuisance, terms, values) - measured) / self.noise[:, None]
+        return (self.torque(nuisance, terms, values) - self.measured) / self.noise[:, None]
+
+    @property
+    def measured(self) -> Array:
+        """`(joint, sample)` Nm, filtered."""
+        return self.data.measured[:, self.chosen]
 
     def torque(self, nuisance: Array, terms: Terms, values: Array) -> Array:
-        """Predicted torques `(joint, sample)` Nm, filtered, at the instants of the motion."""
+        """Predicted torques `(joint, sample)` Nm, filtered, as their stamps say."""
+        delays = [float(values[part][0]) for effect, part in _pairs(terms) if isinstance(effect, Delaying)]
+        if any(delays):
+            return self._delayed(nuisance, terms, values, sum(delays))[0]
         total = self.rigid
         if nuisance.any():
             total = total + np.tensordot(nuisance, self._inertial, 1)
-        scale = np.ones((self.rows, 1))
         for effect, part in _pairs(terms):
-            if isinstance(effect, Scaling):
-                scale[effect.joint - 1] += values[part][0]
-            elif not isinstance(effect, Delaying):
+            if not isinstance(effect, Scaling | Delaying):
                 total = total + self._added(effect, np.asarray(values[part], float), nuisance)
-        return scale * total
+        return _scale(terms, values, self.rows) * total
+
+    def _delayed(self, nuisance: Array, terms: Terms, values: Array, delay: float) -> tuple[Array, Array]:
+        """Predicted torques that belong to the motion `delay` s later, and their derivative by that."""
+        dynamics = self.dynamics if not nuisance.any() else self.data.bodies.dynamics(self.links_at(nuisance))
+        total = composed(terms, values, dynamics)
+        value, slope = self.data.later(total, delay)
+        return value[:, self.chosen], slope[:, self.chosen]
 
     def columns(
         self, terms: Sequence[Term], values: Array | None = None, beside: tuple[Terms, Array] | None = None
@@ -174,13 +184,15 @@ class TorqueProblem:
         for effect, part in _pairs(own):
             if isinstance(effect, Scaling):
                 others, numbers = beside or (own, at)
-                kept = [not isinstance(one, Scaling) for one, _ in _pairs(others)]
+                kept = [not isinstance(one, Scaling | Delaying) for one, _ in _pairs(others)]
                 whole = self.torque(np.zeros(len(self.precision)), *others.part(numbers, kept))
                 only = np.arange(self.rows) == effect.joint - 1
                 parts.append((whole * only[:, None] / self.noise[:, None])[None])
             elif isinstance(effect, Delaying):
-                slope = self.data.measured(float(at[part][0]))[1][:, self.chosen]
-                parts.append((-slope / self.noise[:, None])[None])
+                others, numbers = beside or (own, at)
+                none = np.zeros(len(self.precision))
+                slope = self._delayed(none, others, numbers, float(at[part][0]))[1]
+                parts.append((slope / self.noise[:, None])[None])
             elif effect.linear:
                 parts.append(self._units(effect) / self.noise[:, None])
             else:
@@ -277,6 +289,24 @@ def _pairs(terms: Terms) -> list[tuple[TorqueEffect, slice]]:
         assert isinstance(term, TorqueEffect)
         pairs.append((term, part))
     return pairs
+
+
+def composed(terms: Terms, values: Array, dynamics: Dynamics) -> Array:
+    """`(joint, sample)` Nm that a motor's sensor shows at each instant of a motion; delays are left out."""
+    total = dynamics.torque
+    for effect, part in _pairs(terms):
+        if not isinstance(effect, Scaling | Delaying):
+            total = total + effect.torque(np.asarray(values[part], float), dynamics)
+    return _scale(terms, values, len(total)) * total
+
+
+def _scale(terms: Terms, values: Array, joints: int) -> Array:
+    """`(joint, 1)`, the measured torque over the true one."""
+    scale = np.ones((joints, 1))
+    for effect, part in _pairs(terms):
+        if isinstance(effect, Scaling):
+            scale[effect.joint - 1] += values[part][0]
+    return scale
 
 
 def torque_problem(data: TorqueRows) -> TorqueProblem:

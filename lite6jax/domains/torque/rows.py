@@ -7,12 +7,11 @@ from typing import final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline
 
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.dynamics import link_parameters, regressor
 from lite6jax.domains.torque.filtering import LowPass, interpolant, low_pass, runs_of, sample_rate, smoothed
-from lite6jax.effects.dynamic.torque_effect import Dynamics, point_mass
+from lite6jax.effects.dynamic.torque_effect import Dynamics, direction, point_mass
 from lite6jax.effects.motion import Motion
 from lite6jax.errors import InputError
 from lite6jax.recordings import Recording
@@ -150,58 +149,49 @@ class TorqueRows:
         """`(joint, 10 joint, kept)`, filtered."""
         return self.filter(self.bodies.regressor)
 
-    def measured(self, offset: float) -> tuple[Array, Array]:
-        """Torques `(joint, kept)` Nm as they were `offset` s earlier, and their derivative by the offset.
+    @cached_property
+    def measured(self) -> Array:
+        """`(joint, kept)` Nm, filtered."""
+        return self.filter(self.torque)
 
-        A torque stamped t belongs to the motion at t + offset, so that the motion at t' has that stamped t' − offset.
-        Beyond the ends of a run they keep their last value; `reached` says where that is.
+    def later(self, torque: Array, offset: float) -> tuple[Array, Array]:
+        """Torques `(joint, sample)` filtered, `offset` s after each sample that is kept, and their derivative by time.
+
+        Beyond the ends of a run they keep their last value.
         """
-        value, slope = (np.zeros((len(self.torque), len(self.filter.kept))) for _ in range(2))
-        for rows, spline in self._spline:
-            here = (self.filter.kept >= rows.start) & (self.filter.kept < rows.stop)
-            first, last = spline.x[0], spline.x[-1]
-            at = np.clip(self.time[here] - offset, first, last)
-            value[:, here], slope[:, here] = spline(at), -spline(at, 1)
+        assert self.recording.time is not None
+        time, kept = self.recording.time, self.filter.kept
+        value, slope = (np.zeros((len(torque), len(kept))) for _ in range(2))
+        for rows, spline in interpolant(self.filter.whole(torque), time, self.filter.runs):
+            here = (kept >= rows.start) & (kept < rows.stop)
+            at = np.clip(time[kept[here]] + offset, time[rows.start], time[rows.stop - 1])
+            value[:, here], slope[:, here] = spline(at), spline(at, 1)
         return value, slope
 
-    def reached(self, offset: float) -> NDArray[np.bool_]:
-        """`(kept,)`, whether the torque of a sample was recorded, with this offset."""
-        inside = np.zeros(len(self.filter.kept), bool)
-        for rows, spline in self._spline:
-            here = (self.filter.kept >= rows.start) & (self.filter.kept < rows.stop)
-            at = self.time[here] - offset
-            step = 1.0 / self.filter.rate
-            inside[here] = (at >= spline.x[0] - step) & (at <= spline.x[-1] + step)
-        return inside
 
-    @cached_property
-    def _spline(self) -> list[tuple[slice, CubicSpline]]:
-        assert self.recording.time is not None
-        return interpolant(self.filter.whole(self.torque), self.recording.time, self.filter.runs)
-
-
-def bodies_of(recording: Recording, arm: Arm) -> tuple[RigidBodies, float, float, NDArray[np.integer]]:
-    """The rigid-body dynamics along a recording's motion; the cutoff of that in Hz, the sample rate and the runs.
+def bodies_of(recording: Recording, arm: Arm) -> tuple[RigidBodies, LowPass, float]:
+    """The rigid-body dynamics along a recording's motion, the filter for its torques, and the motion's cutoff in Hz.
 
     Raises:
         InputError: no times, steps that vary, or an arm at rest.
     """
     rate = sample_rate(recording)
-    runs = runs_of(recording, rate)
-    smooth = smoothed(recording, rate, runs)
+    chosen = low_pass(recording.velocities().T, rate, runs_of(recording, rate))
+    smooth = smoothed(recording, chosen)
     motion = motion_of_recording(recording)
     host = {name: None if value is None else np.asarray(value) for name, value in motion._asdict().items()}
     moved = Motion(**host)._replace(  # type: ignore[arg-type]
         joint_position=smooth.position,
         joint_velocity=smooth.velocity,
-        direction=np.tanh(smooth.velocity / 0.002),
+        direction=direction(smooth.velocity),
         joint_acceleration=smooth.acceleration,
     )
     settings = recording.settings
     center = arm.T_joint_flange[:3, :3] @ np.array(settings.payload_com_m) + arm.T_joint_flange[:3, 3]
     links = np.zeros((arm.dof, 10)) if arm.mass is None else np.asarray(link_parameters(arm))
     gravity = np.array(settings.gravity_m_per_s2)
-    return RigidBodies(moved, links, center, gravity, np.asarray(arm.kinematics)), smooth.cutoff, rate, runs
+    bodies = RigidBodies(moved, links, center, gravity, np.asarray(arm.kinematics))
+    return bodies, chosen, smooth.cutoff
 
 
 def torque_rows(recording: Recording, arm: Arm, torque: Array) -> TorqueRows:
@@ -215,9 +205,7 @@ def torque_rows(recording: Recording, arm: Arm, torque: Array) -> TorqueRows:
     Raises:
         InputError: as `bodies_of`.
     """
-    bodies, cutoff, rate, runs = bodies_of(recording, arm)
-    assert bodies.motion.joint_velocity is not None
-    chosen = low_pass(np.asarray(bodies.motion.joint_velocity), torque, rate, runs)
+    bodies, chosen, cutoff = bodies_of(recording, arm)
     if not len(chosen.kept):
         raise InputError(f"{recording.source}: every run is shorter than its filter; record runs of some seconds")
     return TorqueRows(recording, arm, bodies, torque, chosen, cutoff)
