@@ -57,6 +57,7 @@ class TorqueProblem:
         declared: whether the sidecar declares it.
         candidates: effects that are testable with this recording.
         untestable: those that are not, and why.
+        valid: `(sample,)`, those that may be used at all.
         refused: labels of shaped effects that are no candidates.
     """
 
@@ -70,6 +71,7 @@ class TorqueProblem:
     declared: bool
     candidates: tuple[TorqueEffect, ...]
     untestable: tuple[Untestable, ...]
+    valid: Mask
     refused: frozenset[str] = frozenset()
 
     @property
@@ -91,11 +93,6 @@ class TorqueProblem:
     def run(self) -> NDArray[np.integer]:
         """`(sample,)`."""
         return self.data.runs[self.chosen]
-
-    @lazy
-    def valid(self) -> Mask:
-        """All samples."""
-        return np.ones(self.samples, bool)
 
     @lazy
     def informative(self) -> Mask:
@@ -227,7 +224,7 @@ class TorqueProblem:
 
     def selected(self, rows: NDArray[np.integer]) -> "TorqueProblem":
         """Some of the samples."""
-        return replace(self, chosen=self.chosen[rows])
+        return replace(self, chosen=self.chosen[rows], valid=self.valid[rows])
 
     def thinned(self, every: int) -> "TorqueProblem":
         """One in `every` samples."""
@@ -337,6 +334,7 @@ def torque_problem(data: TorqueRows) -> TorqueProblem:
         declared=declared,
         candidates=tuple(effect for effect in candidates if effect not in lacking),
         untestable=missing,
+        valid=np.ones(len(data.filter.kept), bool),
     )
 
 
