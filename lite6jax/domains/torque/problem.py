@@ -104,6 +104,14 @@ class TorqueProblem:
         """None."""
         return Terms(), np.zeros(0)
 
+    @property
+    def relative_std(self) -> float | None:
+        """Of the prior of inertial numbers, over what is declared; None where these are exact."""
+        if not len(self.precision):
+            return None
+        _, deviations = uncertain(self.data.bodies.links, 1.0)
+        return float(np.median(self.precision**-0.5 / deviations))
+
     @cached_property
     def dynamics(self) -> Dynamics:
         """Of every sample of the recording, at the linearisation."""
@@ -317,7 +325,7 @@ def torque_problem(data: TorqueRows) -> TorqueProblem:
     if inertial == "declared":
         directions, deviations = np.zeros((0, *links.shape)), np.zeros(0)
     else:
-        directions, deviations = _uncertain(links, 1.0 if inertial == "unknown" else float(inertial))
+        directions, deviations = uncertain(links, 1.0 if inertial == "unknown" else float(inertial))
     candidates = torque_catalogue(data.arm.dof)
     missing = tuple(untestable(candidates, data.motion, links.any() or inertial == "unknown"))
     lacking = {item.effect for item in missing}
@@ -377,7 +385,7 @@ def _evidence(problem: TorqueProblem, found: Fit) -> float:
     return found.log_likelihood(found.scale) - 0.5 * volume
 
 
-def _uncertain(links: Array, relative: float) -> tuple[Array, Array]:
+def uncertain(links: Array, relative: float) -> tuple[Array, Array]:
     """Changes of each inertial number, and the standard deviation of its prior.
 
     Of a mass it is relative to it; of its first moments and tensor to that mass at the distance of its centre, or at
