@@ -57,6 +57,22 @@ def torque_catalogue(dof: int) -> tuple[TorqueEffect, ...]:
     )
 
 
+def torque_ladder(dof: int) -> tuple[TorqueEffect, ...]:
+    """What the joints of most real arms have: friction, offsets, rotors, and wrist motors that turn two joints.
+
+    No two are the same function: a spring includes the offset.
+
+    Args:
+        dof: number of joints.
+    """
+    joints = range(1, dof + 1)
+    simple = (ViscousFriction, CoulombFriction, LoadFriction, FrictionTemperature, TorqueOffset, RotorInertia)
+    return (
+        *(kind(joint) for kind in simple for joint in joints),
+        *(CoupledFriction(joint, joint - 1) for joint in joints if joint > 1),
+    )
+
+
 def torque_shaped(motion: Motion) -> tuple[TorqueEffect, ...]:
     """Stribeck friction at a few of its speeds, as far as a motion shows them."""
     assert motion.joint_velocity is not None
