@@ -44,15 +44,15 @@ def predict_motors(command: "Predict") -> int:
     import pyarrow as pa
 
     from lite6jax.diagnosis.torque_document import read_torque_model
+    from lite6jax.domains.pose.files import read_motion
     from lite6jax.domains.torque.predict import predict_torques
-    from lite6jax.recordings import read_torque_motion
     from lite6jax.recordings.writing import write_table
     from lite6jax.report import screen
 
     if command.register or command.effects is not None:
         raise InputError("--register, --effects: a diagnosis of torques has neither a sensor frame nor effects of yours")
     model = read_torque_model(command.diagnosis)
-    recording = read_torque_motion(command.motion, model.dof, model.reference_temperature)
+    recording = read_motion(command.motion, model)
     torque = predict_torques(model, recording)
     columns = pa.table({f"tau{joint}_Nm": row for joint, row in enumerate(torque.T, 1)})
     path = write_atomically(command.out, lambda target: write_table(columns, target), command.force)

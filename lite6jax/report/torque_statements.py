@@ -4,7 +4,6 @@ from collections.abc import Mapping
 from typing import Any
 
 from lite6jax.report import data_faults
-from lite6jax.report.cells import number
 from lite6jax.report.quantities import quantity
 from lite6jax.report.statements import capital, effect_title
 
@@ -54,7 +53,7 @@ def finding_statement(finding: Entry, where: Entry) -> str:
         finding: of the document.
         where: the fields of its effect.
     """
-    moved = f"it moves the torque by {number(finding['moves_rms_Nm'], 3)} Nm RMS"
+    moved = f"it moves the torque by {finding['moves_rms_Nm']:.3g} Nm RMS"
     if finding["effect"] == "unnamed":
         times = ", times the direction of motion," if where.get("signed") else ""
         driver = finding["driver"].removesuffix(f" and direction of motion of joint {where['joint']}")
@@ -76,9 +75,9 @@ def filter_statement(document: Document) -> str:
     used = document["filter"]
     kept = "every sample" if used["every"] == 1 else f"one sample in {used['every']}"
     return (
-        f"Torques and model pass the same zero-phase low pass of {number(used['cutoff_Hz'], 3)} Hz (of "
-        f"{number(used['rate_Hz'], 4)} samples a second), and {kept} is kept; the motion passes one of "
-        f"{number(used['motion_cutoff_Hz'], 3)} Hz before it is differentiated."
+        f"Torques and model pass the same zero-phase low pass of {used['cutoff_Hz']:.3g} Hz (of "
+        f"{used['rate_Hz']:.4g} samples a second), and {kept} is kept; the motion passes one of "
+        f"{used['motion_cutoff_Hz']:.3g} Hz before it is differentiated."
     )
 
 
@@ -88,7 +87,7 @@ def inertial_statement(document: Document) -> str:
     if not numbers:
         return "The inertial numbers of the links are taken as declared."
     return (
-        f"The inertial numbers of the links are fitted, with a prior standard deviation of {number(100 * std, 2)} % about "
+        f"The inertial numbers of the links are fitted, with a prior standard deviation of {100 * std:.2g} % about "
         "the declared ones."
     )
 

@@ -9,7 +9,7 @@ from rich.table import Table
 from rich.text import Text
 
 from lite6jax.report import statements, torque_statements
-from lite6jax.report.cells import listed, listing, number
+from lite6jax.report.cells import listed, listing
 
 
 def torque_report(document: Mapping[str, Any], source: str) -> Iterator[RenderableType]:
@@ -56,9 +56,9 @@ def torque_report(document: Mapping[str, Any], source: str) -> Iterator[Renderab
 def _errors(document: Mapping[str, Any]) -> Table:
     """Held-out errors by joint."""
     by_joint = [document[stage]["heldout_torque_rms_by_joint_Nm"] for stage in ("before", "after")]
-    table = listing("held-out torque error (Nm RMS)", "all", *(f"{joint}" for joint in range(1, len(by_joint[0]) + 1)))
+    table = listing("held-out error (Nm RMS)", "all", *(f"{joint}" for joint in range(1, len(by_joint[0]) + 1)))
     for stage, rows in zip(("before", "after"), by_joint, strict=True):
-        table.add_row(stage, number(document[stage]["heldout_torque_rms_Nm"], 3), *(number(one, 3) for one in rows))
+        table.add_row(stage, f"{document[stage]['heldout_torque_rms_Nm']:.3g}", *(f"{one:.3g}" for one in rows))
     return table
 
 

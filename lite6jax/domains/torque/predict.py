@@ -48,6 +48,11 @@ class DiagnosedMotors:
         """Number of joints."""
         return self.arm.dof
 
+    @property
+    def motion(self) -> str:
+        """Torques are of a moving arm."""
+        return "trajectory"
+
 
 def predict_torques(model: DiagnosedMotors, recording: Recording) -> Array:
     """The torques `(sample, joint)` Nm that the sensors of a diagnosed recording would show in a motion.
