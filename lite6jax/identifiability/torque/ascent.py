@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from lite6jax.identifiability.candidates import Filter, all_pass
 from lite6jax.identifiability.criteria import Criterion, determined_value
-from lite6jax.identifiability.torque.fourier import PEAK_POINTS, Free, Motion, MotionLimits, Series, within
+from lite6jax.identifiability.torque.fourier import PEAK_POINTS, Free, Motion, MotionLimits, within
 
 Matrix = NDArray[np.floating]
 Columns = Callable[[Motion], Matrix | Array]
@@ -54,10 +54,6 @@ class Excitation(NamedTuple):
     period: float
     harmonics: int
     samples: int
-
-    def series(self, free: Free) -> Series:
-        """The series that keeps the limits."""
-        return within(free, *self._room(), self.harmonics)
 
     def motion(self, free: Free, count: int) -> Motion:
         """Its motion at so many equidistant instants of a period; NumPy."""

@@ -147,7 +147,7 @@ def plan_torque_discrimination(
     return TorqueDiscrimination(
         model=model,
         room=room,
-        trajectory=room.trajectory(excitation.series(best)),
+        trajectory=room.trajectory(room.series(best)),
         rivals=(one.name, other.name),
         both_ways=bool(other.values.any()),
         distance=float(np.sqrt(value)),

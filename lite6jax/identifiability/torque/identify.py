@@ -13,7 +13,6 @@ from lite6jax.identifiability.determination import independent_columns
 from lite6jax.identifiability.identify import NARROW
 from lite6jax.identifiability.torque.columns import TorqueModel
 from lite6jax.identifiability.torque.fourier import ACCELERATION, VELOCITY, Motion
-from lite6jax.summary import Summarised
 
 Array = NDArray[np.floating]
 
@@ -71,7 +70,7 @@ class Structure:
 
 @final
 @dataclass(frozen=True, eq=False)
-class TorqueIdentification(Summarised):
+class TorqueIdentification:
     """What a motion determines.
 
     Attributes:
@@ -83,6 +82,7 @@ class TorqueIdentification(Summarised):
         condition: of the whitened regressor of the base parameters determined, in their typical sizes.
         log_determinant: of the information about all base parameters in their typical sizes; −inf unless all are
             determined.
+        at_rest: whether the arm stands still in all samples.
         notes: what was assumed, a sentence each.
     """
 
@@ -93,6 +93,7 @@ class TorqueIdentification(Summarised):
     standard_deviation: Array
     condition: float
     log_determinant: float
+    at_rest: bool
     notes: tuple[str, ...] = ()
 
     @property
@@ -225,6 +226,7 @@ def identify_torques(
         standard_deviation=np.where(entangled, np.inf, deviation),
         condition=float(sizes[0] / sizes[-1]),
         log_determinant=float(2 * np.linalg.slogdet(np.linalg.qr(R, "r"))[1]) if kept.all() else -np.inf,
+        at_rest=not np.any(motion.dq),
         notes=notes,
     )
 

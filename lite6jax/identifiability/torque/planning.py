@@ -13,9 +13,8 @@ from lite6jax.identifiability.candidates import Filter, candidates
 from lite6jax.identifiability.criteria import Criterion, Determinant
 from lite6jax.identifiability.torque.ascent import Columns, Excitation, ascend
 from lite6jax.identifiability.torque.columns import TorqueModel
-from lite6jax.identifiability.torque.fourier import Free, Motion, MotionLimits, Series
+from lite6jax.identifiability.torque.fourier import Free, Motion, MotionLimits, Series, within
 from lite6jax.identifiability.torque.identify import TorqueIdentification, identify_torques, structure_of
-from lite6jax.summary import Summarised
 
 Array = NDArray[np.floating]
 
@@ -96,6 +95,11 @@ class MotionRoom:
         time = np.arange(self.samples + 1) * self.duration / self.samples
         return Trajectory(series, time, Motion(*(np.asarray(part) for part in series.at(time))))
 
+    def series(self, free: Free) -> Series:
+        """The series of free numbers that keeps the limits."""
+        room = self.limits
+        return within(free, *room.position.T, room.velocity, room.acceleration, self.duration, self.harmonics)
+
     def excitation(self, columns: Columns, criterion: Criterion, outward: Array | None = None) -> Excitation:
         """How motions in this room are judged: by a criterion in the coordinates that `outward` leads out of."""
         return Excitation(
@@ -105,7 +109,7 @@ class MotionRoom:
 
 @final
 @dataclass(frozen=True, eq=False)
-class TorquePlan(Summarised):
+class TorquePlan:
     """A motion whose torques determine an arm's parameters, and what random motions of the same limits determine.
 
     Attributes:
@@ -170,10 +174,10 @@ def plan_motion(
     drawn = random_motions(room, seed)
     first = room.excitation(columns, Determinant())
     best, _, improved = best_ascent(first, drawn, starts, steps)
-    trajectory = room.trajectory(first.series(best))
+    trajectory = room.trajectory(room.series(best))
 
     def identified(free: Free) -> TorqueIdentification:
-        return identify_torques(model, room.trajectory(first.series(free)).motion, structure=structure)
+        return identify_torques(model, room.trajectory(room.series(free)).motion, structure=structure)
 
     return TorquePlan(
         room=room,
