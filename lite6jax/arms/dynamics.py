@@ -1,10 +1,11 @@
-"""Rigid-body dynamics of a serial arm: the motors' torques, linear in ten inertial parameters a link.
+"""Rigid-body dynamics of a serial arm: the motors' torques, linear in ten parameters a link, and what they determine.
 
 The sample is the last axis of every array, so that an operation is one vector instruction over samples. Equations:
 R. Featherstone, Rigid Body Dynamics Algorithms (2008), section 5.3; the regressor: C. Atkeson, C. An and J. Hollerbach,
 Int. J. Robotics Research 5(3), 1986.
 """
 
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import jax
@@ -21,11 +22,40 @@ from lite6jax.errors import InputError
 PARAMETERS = ("m", "mx", "my", "mz", "Ixx", "Iyy", "Izz", "Ixy", "Ixz", "Iyz")
 """A link's inertial parameters: mass, kg; first moments, kg·m; inertia about the origin of its frame, kg·m²."""
 
+# Of a link, what is kept before what is grouped into it: Iyy, mz and m of a link are then grouped with parameters of the
+# same link and of the previous one, as by Gautier and Khalil.
+_PREFERENCE = [PARAMETERS.index(name) for name in ("Izz", "Ixx", "Ixy", "Ixz", "Iyz", "mx", "my", "mz", "Iyy", "m")]
+_LENGTHS = np.array([0, 1, 1, 1, 2, 2, 2, 2, 2, 2])
+"""The power of m in each parameter's unit, kg m^power."""
+
+INDEPENDENT = 1e-7
+"""Of the longest column's norm: what a column must leave after the projection on those before it. A first axis tilted by
+1e-6 rad against gravity is noticed, rounding in the sixteenth digit is not."""
+
 _CHUNK = 512
 """Samples at a time: their columns and what these are made of stay in a core's cache."""
 
 _Vector = tuple[Array, Array, Array]
 """Components, each (sample,), (joint, sample) or a number."""
+
+
+def link_parameters(arm: Arm) -> NDArray[np.floating]:
+    """(joint, 10) `PARAMETERS` of each link, about the origin and in the axes of the frame after its joint's rotation.
+
+    Torques are linear in them: the inertia about the origin is that about the centre of mass plus the parallel-axis
+    term.
+
+    Raises:
+        InputError: the arm has no masses or no inertia tensors.
+    """
+    if arm.mass is None or arm.center_of_mass is None or arm.inertia is None:
+        lacks = "masses" if arm.mass is None else "inertia tensors"
+        raise InputError(
+            f"arm {arm.name!r}: has no {lacks}, which torques need; give mass_kg, com_m and inertia_kg_m2 of every link"
+        )
+    about_origin = arm.inertia + inertia.point_tensor(arm.mass, arm.center_of_mass)
+    first = arm.mass[:, None] * arm.center_of_mass
+    return np.hstack([arm.mass[:, None], first, inertia.six_entries(about_origin)])
 
 
 class _Motion(NamedTuple):
@@ -202,3 +232,97 @@ def inverse_dynamics(
     motions = lax.scan(outwards, resting, steps)[1]
     links = (steps, motions, jnp.asarray(parameters, float))
     return lax.scan(inwards, (resting.spin, resting.spin), links, reverse=True)[1]
+
+
+@dataclass(frozen=True, eq=False)
+class BaseParameters:
+    """The identifiable combinations of the inertial parameters of all links.
+
+    With β = `grouping` x, x being `link_parameters(arm).ravel()`, torques are `regressor[:, independent] β`.
+
+    Attributes:
+        independent: (base,) the places in x of one parameter of each combination, in ascending order.
+        grouping: (base, 10 × joint) the coefficients; 1 at the combination's own parameter, 0 at those of others.
+        basis: (10 × joint, base) an orthonormal basis of the identifiable directions: the rows of `grouping` span it.
+    """
+
+    independent: NDArray[np.integer]
+    grouping: Array
+    basis: Array
+
+    @property
+    def size(self) -> int:
+        """The number of base parameters: 36 for six joints in general, 43 for seven."""
+        return len(self.independent)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Each combination, such as `Ixx2 − Iyy2 + 0.04 m² m3`: the parameter's name with the link's number."""
+        return tuple(self._name(row, own) for row, own in zip(self.grouping, self.independent, strict=True))
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """`kg`, `kg m` or `kg m²` of each."""
+        return tuple(("kg", "kg m", "kg m²")[_LENGTHS[own % 10]] for own in self.independent)
+
+    def values(self, parameters: ArrayLike) -> Array:
+        """(base,) the combinations' values for links' parameters (joint, 10)."""
+        return self.grouping @ np.asarray(parameters, float).ravel()
+
+    def _name(self, row: Array, own: int) -> str:
+        name = parameter_name(own)
+        for place in np.flatnonzero(row):
+            if place == own:
+                continue
+            power = _LENGTHS[own % 10] - _LENGTHS[place % 10]
+            size = f"{abs(row[place]):.4g}" + {0: "", 1: " m", 2: " m²", -1: " /m", -2: " /m²"}[int(power)]
+            factor = "" if size == "1" else f"{size} "
+            name += f" {'+' if row[place] > 0 else '−'} {factor}{parameter_name(int(place))}"
+        return name
+
+
+def parameter_name(place: int) -> str:
+    """The name of one inertial parameter in `link_parameters(arm).ravel()`, such as `Ixx2` for link 2."""
+    return f"{PARAMETERS[place % 10]}{place // 10 + 1}"
+
+
+def base_parameters(kinematics: ArrayLike, gravity: ArrayLike) -> BaseParameters:
+    """The base parameters of a chain, by the regressor of random motion.
+
+    The columns that are independent of those before them, links from the base outwards, are found by orthogonalisation;
+    every other column is a combination of them (M. Gautier, J. Robotic Systems 8(4), 1991). A chain measured rather
+    than designed has more of them where its first axis is not quite along gravity.
+
+    Args:
+        kinematics: (joint, 6) x y z roll pitch yaw of each joint's frame in the previous one, m and rad.
+        gravity: (3,) m/s² in the base frame; it decides what the first joints' links show at rest.
+    """
+    kinematics = np.asarray(kinematics, float)
+    joints = len(kinematics)
+    rng = np.random.default_rng(0)
+    samples = 16 * joints + 32
+    q = rng.uniform(-np.pi, np.pi, (joints, samples))
+    dq, ddq = 2 * rng.standard_normal((2, joints, samples))
+    W = np.moveaxis(np.asarray(regressor(kinematics, q, dq, ddq, gravity)), 2, 0).reshape(-1, 10 * joints)
+
+    order = (10 * np.arange(joints)[:, None] + _PREFERENCE).ravel()
+    independent = np.sort(order[_independent(W[:, order])])
+    grouping = np.linalg.lstsq(W[:, independent], W, rcond=None)[0]
+    grouping[np.abs(grouping) < 1e-9] = 0.0  # rounding, in kg m^±2 of an arm of metres
+    grouping[:, independent] = np.eye(len(independent))
+    basis, _ = np.linalg.qr(grouping.T)
+    return BaseParameters(independent, grouping, basis)
+
+
+def _independent(W: Array) -> NDArray[np.integer]:
+    """The places of the columns that are no combination of those before them (Gram–Schmidt, twice)."""
+    found: list[int] = []
+    Q = np.zeros((len(W), 0))
+    least = INDEPENDENT * np.linalg.norm(W, axis=0).max()
+    for k, column in enumerate(W.T):
+        left = column - Q @ (Q.T @ column)
+        left -= Q @ (Q.T @ left)
+        if np.linalg.norm(left) > least:
+            found.append(k)
+            Q = np.column_stack([Q, left / np.linalg.norm(left)])
+    return np.array(found, int)

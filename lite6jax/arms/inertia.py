@@ -31,7 +31,7 @@ class Body(NamedTuple):
 
 
 def tensor(six: ArrayLike) -> Array:
-    """(..., 3, 3) of the entries (..., 6) of a tensor in the order `SIX`, the products with the tensor's sign, as in URDF."""
+    """(..., 3, 3) of the entries (..., 6) in the order `SIX`; the products have the tensor's sign, as in URDF."""
     six = np.asarray(six, float)
     full = np.empty((*six.shape[:-1], 3, 3))
     full[..., _ROWS, _COLUMNS] = six
