@@ -32,9 +32,8 @@ def effect_columns(
     """
     at = np.asarray(values, float)
     arm = model.arm
-    for driver in effect.drivers:
-        if driver.joint is not None and not 1 <= driver.joint <= arm.dof:
-            raise InputError(f"{effect.label}: {arm.name} has {arm.dof} joints; choose one of these")
+    if any(getattr(effect, name, 1) > arm.dof for name in ("joint", "link", "source_joint")):
+        raise InputError(f"{effect.label}: {arm.name} has {arm.dof} joints; choose one of these")
     if isinstance(effect, Delaying) or any("temperature" in driver.quantity for driver in effect.drivers):
         raise InputError(f"{effect.label}: depends on more than positions, velocities and accelerations; choose another")
     linear = np.array([i for i, coordinate in enumerate(effect.coordinates) if coordinate.linear], int)
