@@ -4,8 +4,6 @@ import math
 from collections.abc import Sequence
 from typing import Any, Literal, NamedTuple
 
-from benchmarks.concealed.plain_physics import OUTSIDE
-
 Row = dict[str, Any]
 Grade = Literal["right", "partial", "misleading"]
 
@@ -38,7 +36,7 @@ class Statement(NamedTuple):
 
 def called(effect: Row) -> str:
     """What the library is to call a hidden effect."""
-    return "unnamed" if effect["effect"] in OUTSIDE else effect["effect"]
+    return "unnamed" if "drivers" in effect else effect["effect"]
 
 
 def same(effect: Row, finding: Row) -> bool:
