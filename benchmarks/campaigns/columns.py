@@ -1,15 +1,16 @@
 """Tables of numbers as the files of a trial have them: CSV, a column a name."""
 
 import math
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike
 
 
-def csv_text(columns: dict[str, NDArray[np.floating]], digits: int = 13) -> str:
+def csv_text(columns: Mapping[str, ArrayLike], digits: int = 13) -> str:
     """The columns, of equal length, as CSV with so many significant digits."""
-    rows = np.column_stack(list(columns.values()))
+    rows = np.column_stack([np.asarray(values, float) for values in columns.values()])
     lines = ([f"{v:.{digits}g}" for v in row] for row in rows)
     return "\n".join([",".join(columns), *map(",".join, lines)]) + "\n"
 

@@ -10,7 +10,7 @@ from benchmarks.campaigns.columns import read_columns
 from benchmarks.concealed.scores import scored
 from benchmarks.concealed.trials import draw
 
-_ESTIMATE = pa.struct(fields({"name": TEXT, "true off std bound": NUMBER}))
+ESTIMATE = pa.struct(fields({"name": TEXT, "true off std bound": NUMBER}))
 _HIDDEN = pa.struct(
     fields(
         {
@@ -19,11 +19,11 @@ _HIDDEN = pa.struct(
             "rival rival_site": TEXT,
             "apart": NUMBER,
             "site_found named in_set": FLAG,
-            "numbers": pa.list_(_ESTIMATE),
+            "numbers": pa.list_(ESTIMATE),
         }
     )
 )
-_FINDING = pa.struct(
+FINDING = pa.struct(
     fields(
         {
             "effect site driver": TEXT,
@@ -46,7 +46,7 @@ SCHEMA = pa.schema(
             "inside_components inside_covered outside_components outside_covered": NUMBER,
             "faults": pa.list_(TEXT),
             "hidden": pa.list_(_HIDDEN),
-            "findings": pa.list_(_FINDING),
+            "findings": pa.list_(FINDING),
         }
     )
 )

@@ -42,9 +42,7 @@ def scored(truth: Row, diagnosis: Row | None, predicted: Row | None, seconds: fl
     findings = sorted(diagnosis["findings"], key=lambda finding: -finding.get("log_likelihood_gain", 0.0))
     names = [fault["fault"] for fault in diagnosis["data_faults"]]
     nearest = diagnosis.get("nearest") or {}
-    top = findings[0] if findings else None
-    first = hidden[0] if hidden else None
-    row |= {
+    row |= answered(hidden, findings, error) | {
         "rows": measured,
         "edge": truth.get("edge", ""),
         "masses_off": truth.get("masses_off", False),
@@ -55,13 +53,6 @@ def scored(truth: Row, diagnosis: Row | None, predicted: Row | None, seconds: fl
         "seconds": seconds,
         "verdict": diagnosis["verdict"],
         "planned_size": float(truth["sizes"][0]) if truth["sizes"] else None,
-        "detected": bool(findings),
-        "found": not error and all_found(hidden, findings),
-        "exact": not error and matched(hidden, findings, same),
-        "exact_in_set": not error and matched(hidden, findings, admits),
-        "top_site": bool(first and top and top["site"] == first["site"]),
-        "top_named": bool(first and top and same(first, top)),
-        "top_in_set": bool(first and top and admits(first, top)),
         "faults": names,
         "fault_found": _fault_of(truth["fault"]) in names,
         "before_m": diagnosis["before"].get("heldout_position_rms_m"),
@@ -71,8 +62,7 @@ def scored(truth: Row, diagnosis: Row | None, predicted: Row | None, seconds: fl
         "nearest_effect": nearest.get("effect"),
         "nearest_site": nearest.get("site"),
         "nearest_p": nearest.get("p_value"),
-        "hidden": [_of_hidden(effect, findings) for effect in hidden],
-        "findings": [_of_finding(finding, hidden) for finding in findings],
+        "hidden": [of_hidden(effect, findings) | {"moved_m": effect["moved_m"]} for effect in hidden],
         "moved_m": truth["moved_rms_m"],
     }
     return row | _unseen(truth, predicted)
@@ -82,7 +72,24 @@ def _fault_of(fault: str) -> str:
     return fault.split(" ")[0]
 
 
-def _of_hidden(effect: Row, findings: Sequence[Row]) -> Row:
+def answered(hidden: Sequence[Row], findings: Sequence[Row], error: str) -> Row:
+    """What of a row says whether the findings, the largest first, are what is hidden."""
+    top = findings[0] if findings else None
+    first = hidden[0] if hidden else None
+    return {
+        "detected": bool(findings),
+        "found": not error and all_found(hidden, findings),
+        "exact": not error and matched(hidden, findings, same),
+        "exact_in_set": not error and matched(hidden, findings, admits),
+        "top_site": bool(first and top and top["site"] == first["site"]),
+        "top_named": bool(first and top and same(first, top)),
+        "top_in_set": bool(first and top and admits(first, top)),
+        "findings": [_of_finding(finding, hidden) for finding in findings],
+    }
+
+
+def of_hidden(effect: Row, findings: Sequence[Row]) -> Row:
+    """What of a row says how well an effect was found: its site, its name, and the error of each of its numbers."""
     ours = next((finding for finding in findings if same(effect, finding)), None)
     rival = effect["rival"] or {"name": "", "site": "", "apart": None}
     numbers = []
@@ -102,7 +109,6 @@ def _of_hidden(effect: Row, findings: Sequence[Row]) -> Row:
         "site": effect["site"],
         "size": effect["size"],
         "seen": effect["seen"],
-        "moved_m": effect["moved_m"],
         "rival": rival["name"],
         "rival_site": rival["site"],
         "apart": rival["apart"],

@@ -151,7 +151,7 @@ def judged(truth: Row, diagnosis: Row | None, rows: int) -> Statement:
     if diagnosis is None:
         return Statement("misleading", "no answer")
     hidden, findings = truth["hidden"], diagnosis["findings"]
-    false = [f"{f['effect']}@{f['site']}" for f in findings if not _true(f, hidden, findings)]
+    false = [f"{f['effect']}@{f['site']}" for f in findings if not is_true(f, hidden, findings)]
     missing = [effect for effect in hidden if not any(admits(effect, finding) for finding in findings)]
     said = []
     if false:
@@ -169,7 +169,7 @@ def judged(truth: Row, diagnosis: Row | None, rows: int) -> Statement:
     return Statement("partial", f"without the whole of {_listed(lacking)}") if lacking else Statement("right", "")
 
 
-def _true(finding: Row, hidden: Sequence[Row], findings: Sequence[Row]) -> bool:
+def is_true(finding: Row, hidden: Sequence[Row], findings: Sequence[Row]) -> bool:
     """Whether a finding is a hidden effect, says that it may be, or is a true part of one."""
     for effect in hidden:
         if admits(effect, finding) or unnamed_of(effect, finding):
