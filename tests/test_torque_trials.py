@@ -416,7 +416,7 @@ def test_resting_joints_rest_and_the_effect_is_elsewhere():
     setup, motion = a_scene(resting=3)
     assert not motion.dq[:, :3].any()
     view = View.of(setup, motion, setup.arm.noise, 0.0)
-    sites = {hiding.hide(plan, rng, view)[0].site for _ in range(20)}
+    sites = {effect.site for _ in range(20) for effect in hiding.hide(plan, rng, view) or ()}
     assert sites <= {"joint4", "joint5", "joint6"}
     assert len(sites) > 1
 

@@ -26,7 +26,7 @@ LADDER = (
 )
 """What the catalogue may add to a joint without another joint's help."""
 _LEAST_TIED = 1e-9
-_ROWS = 1500
+_ROWS = 1000
 """Samples that are enough to know how much all of them can tell."""
 
 
