@@ -200,7 +200,7 @@ def read_yaml(path: str | Path) -> Any:
         if node is None:
             raise InputError(f"{path}: is empty")
         _check_node(path, node, budget=[YAML_NODE_LIMIT])
-        values = yaml.load(text, Loader=_LOADER)
+        values = yaml.constructor.SafeConstructor().construct_document(node)
     except yaml.YAMLError as error:
         mark = getattr(error, "problem_mark", None)
         where = f" line {mark.line + 1}:" if mark else ""

@@ -12,9 +12,11 @@ from typed import flat, refused, run
 
 from benchmarks.fuzzed import CSV, FACTORY, LITE6, recording
 from lite6jax.arms.files import write_arm, write_table
+from lite6jax.cli.arguments import refuse_inputs
+from lite6jax.errors import InputError
 from lite6jax.fitting.folder import fit_folder, folder_files
 from lite6jax.fitting.folder_rows import write_rows
-from lite6jax.recordings import Recording, write_recording
+from lite6jax.recordings import Recording, RecordingSettings, write_recording, write_settings
 
 
 @pytest.fixture(autouse=True)
@@ -133,6 +135,18 @@ def test_files_that_a_sidecar_names_are_inputs_too(capsys, tmp_path):
     path = write_recording(Recording.from_arrays([[0.0] * 6], factory_calibration="own.json"), tmp_path / "run7.csv")
     assert refused(capsys, "fit", path, "--out", table, "--force").startswith(f"{table}: is read by this command")
     assert refused(capsys, "diagnose", path, "--out", table, "--force").startswith(f"{table}: is read by this command")
+
+
+def test_inputs_of_a_log_and_of_a_growing_recording_are_those_of_its_sidecar(tmp_path):
+    sidecar = tmp_path / "run7.yaml"
+    write_settings(RecordingSettings(arm="mine.urdf"), sidecar)
+    arm = tmp_path / "mine.urdf"
+    arm.write_text("<robot/>")
+    for source in ("run7.arrows", "run7.ARROWS", "run7.mcap#/joint_states"):
+        for output in (sidecar, arm):
+            with pytest.raises(InputError, match="is read by this command and would be replaced"):
+                refuse_inputs([output], [str(tmp_path / source)])
+    refuse_inputs([sidecar, arm], [tmp_path / "run7.txt"])
 
 
 def test_the_table_of_an_earlier_fleet_is_replaced(tmp_path):

@@ -1,4 +1,4 @@
-"""The nominal arm: its chain, limits, masses and flange by design."""
+"""The nominal arm: its chain, limits, inertia, friction and flange by design."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lite6jax.arms import chains, convert, frames
+from lite6jax.arms.inertia import defect
 from lite6jax.errors import InputError
 
 Array = NDArray[np.floating]
@@ -14,6 +15,13 @@ Array = NDArray[np.floating]
 # A published DH table and the six parameters beside it may be rounded differently (the vendor's ROS file has 1.5708).
 DH_EXACT = 1e-9
 DH_AGREES = 1e-4
+
+JOINT_TERMS = {
+    "viscous_friction": "viscous friction",
+    "coulomb_friction": "Coulomb friction",
+    "rotor_inertia": "rotor inertia",
+}
+"""What an arm may know of each joint's drive, in words."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,13 +37,19 @@ class Arm:
         T_joint_flange: (4, 4) from the frame after the last joint to the flange; None for the identity.
         mass: (joint,) kg, of the link after joint i; None if unknown.
         center_of_mass: (joint, 3) m, in the frame after joint i's rotation; given together with `mass`.
+        inertia: (joint, 3, 3) kg·m², of the link after joint i about its centre of mass, in the axes of the frame after
+            the joint's rotation; None if unknown.
+        viscous_friction: (joint,) N·m·s/rad, of the joint; None if unknown.
+        coulomb_friction: (joint,) N·m; None if unknown.
+        rotor_inertia: (joint,) kg·m², of the motor's rotor and gear, reflected to the joint; None if unknown.
         dh: (joint, 4) the published standard DH table, theta_off d a alpha in rad and m, or None. It describes the same
             chain without `T_joint_flange`, and determines the branch (theta, sign of alpha) of the Hayati parameters.
         source: the origin of the numbers.
 
     Raises:
         InputError: an array of the wrong shape, a number that is not finite, limits in the wrong order, a negative
-            mass, a flange that is not a rigid transform, or a DH table of another chain than `kinematics`.
+            mass, friction or rotor inertia, an inertia tensor that no body has or that has no mass beside it, a flange
+            that is not a rigid transform, or a DH table of another chain than `kinematics`.
     """
 
     name: str
@@ -46,6 +60,10 @@ class Arm:
     center_of_mass: Array | None = None
     dh: Array | None = None
     source: str = ""
+    inertia: Array | None = None
+    viscous_friction: Array | None = None
+    coulomb_friction: Array | None = None
+    rotor_inertia: Array | None = None
 
     def __post_init__(self) -> None:
         if not self.name or not self.name.isprintable():
@@ -64,7 +82,10 @@ class Arm:
         self._store("T_joint_flange", (4, 4))
         if (self.mass is None) != (self.center_of_mass is None):
             raise InputError(f"arm {self.name!r}: mass and center_of_mass belong together; give both or neither")
-        for field, shape in (("mass", (joints,)), ("center_of_mass", (joints, 3)), ("dh", (joints, 4))):
+        if self.inertia is not None and self.mass is None:
+            raise InputError(f"arm {self.name!r}: inertia needs the links' masses; give mass and center_of_mass too")
+        shapes = {"mass": (joints,), "center_of_mass": (joints, 3), "dh": (joints, 4), "inertia": (joints, 3, 3)}
+        for field, shape in (shapes | dict.fromkeys(JOINT_TERMS, (joints,))).items():
             if getattr(self, field) is not None:
                 self._store(field, shape)
         self._check()
@@ -98,6 +119,16 @@ class Arm:
             raise InputError(
                 f"arm {self.name!r}: link{int(np.argmax(self.mass < 0)) + 1}'s mass is negative; correct it"
             )
+        for i, tensor in enumerate([] if self.inertia is None else self.inertia):
+            if wrong := defect(tensor):
+                raise InputError(
+                    f"arm {self.name!r}: link{i + 1}'s inertia {wrong}; correct it, or leave out all inertia"
+                )
+        for field, what in JOINT_TERMS.items():
+            if (values := getattr(self, field)) is not None and (values < 0).any():
+                raise InputError(
+                    f"arm {self.name!r}: joint{int(np.argmax(values < 0)) + 1}'s {what} is negative; correct it"
+                )
         if self._dh_distance > DH_AGREES:
             raise InputError(
                 f"arm {self.name!r}: its DH table is another chain than its kinematics (they differ by"

@@ -1,4 +1,4 @@
-"""Arm descriptions: YAML with a name, the six-parameter chain, and optionally limits, masses, DH table and flange."""
+"""Arm descriptions: YAML with a name, the six-parameter chain, and optionally limits, inertia, drives, DH, flange."""
 
 import json
 from collections.abc import Mapping
@@ -9,13 +9,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lite6jax import storage
-from lite6jax.arms import entries, frames
+from lite6jax.arms import entries, frames, inertia
 from lite6jax.arms.arm import Arm
 from lite6jax.checksum import with_comment
 from lite6jax.errors import InputError
 
 DH = ("theta_off_rad", "d_m", "a_m", "alpha_rad")
-OPTIONAL = ("joint_limits_rad", "inertial", "dh", "flange", "source")
+OPTIONAL = ("joint_limits_rad", "inertial", "dynamics", "dh", "flange", "source")
+
+FRICTION = {"viscous_Nm_s_per_rad": "viscous_friction", "coulomb_Nm": "coulomb_friction"}
+ROTOR = "rotor_inertia_kg_m2"
 
 # rad, four turns: a larger limit is an angle in degrees.
 LARGEST_LIMIT = 8 * np.pi
@@ -33,14 +36,19 @@ def read_description(path: str | Path) -> Arm:
       joint1: {x: 0.0, y: 0.0, z: 0.2433, roll: 0.0, pitch: 0.0, yaw: 0.0}  # m, rad; one row per joint
     joint_limits_rad: [[-3.1, 3.1]]
     inertial:
-      link1: {mass_kg: 1.4, com_m: [0.0, 0.04, 0.0]}  # in the frame after the joint's rotation
+      link1: {mass_kg: 1.4, com_m: [0.0, 0.04, 0.0], inertia_kg_m2: [1.5e-3, 0.9e-3, 1.3e-3, 0.0, 0.0, 0.0]}
+    dynamics:
+      joint1: {friction: {viscous_Nm_s_per_rad: 0.1, coulomb_Nm: 0.2}, rotor_inertia_kg_m2: 0.01}
     dh:
       joint1: {theta_off_rad: 0.0, d_m: 0.2433, a_m: 0.0, alpha_rad: 0.0}  # the published table, if any
     flange: {x: 0.0, y: 0.0, z: 0.0, roll: 0.0, pitch: 0.0, yaw: 0.0}  # after the last joint
     source: where the numbers are from
     ```
 
-    `name` and `kinematics` are required. `flange` may also be three rows of four numbers.
+    `name` and `kinematics` are required. A link's centre of mass is in the frame after its joint's rotation; its
+    inertia (ixx iyy izz ixy ixz iyz, the products with the tensor's sign) is about the centre of mass in that frame's
+    axes, and given for all links or none. Friction and rotor inertia, reflected to the joint, are zero where only
+    another joint has them. `flange` may also be three rows of four numbers.
 
     Raises:
         InputError: as `storage.read_yaml`; a key missing or unknown, a value that is not a number, degrees for radians,
@@ -61,7 +69,9 @@ def arm_from_description(content: Any, where: str) -> Arm:
     if "joint_limits_rad" in content:
         fields["joint_limits"] = _limits(content["joint_limits_rad"], where, joints)
     if "inertial" in content:
-        fields["mass"], fields["center_of_mass"] = _inertial(content["inertial"], where, joints)
+        fields["mass"], fields["center_of_mass"], fields["inertia"] = _inertial(content["inertial"], where, joints)
+    if "dynamics" in content:
+        fields |= _dynamics(content["dynamics"], where, joints)
     if "dh" in content:
         fields["dh"] = _dh(content["dh"], where, joints)
     if "flange" in content:
@@ -85,19 +95,49 @@ def _limits(value: Any, where: str, joints: int) -> NDArray[np.float64]:
     return limits
 
 
-def _inertial(value: Any, where: str, joints: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    links = entries.mapping(value, f"{where}: inertial", [f"link{i + 1}" for i in range(joints)])
-    masses, centers = [], []
-    for i in range(joints):
-        place = f"{where}: inertial: link{i + 1}"
-        link = entries.mapping(links[f"link{i + 1}"], place, ("mass_kg", "com_m"))
+def _inertial(
+    value: Any, where: str, joints: int
+) -> tuple[NDArray[np.floating], NDArray[np.floating], NDArray[np.floating] | None]:
+    names = [f"link{i + 1}" for i in range(joints)]
+    links = entries.mapping(value, f"{where}: inertial", names)
+    masses, centers, tensors = [], [], []
+    for name in names:
+        place = f"{where}: inertial: {name}"
+        link = entries.mapping(links[name], place, ("mass_kg", "com_m"), ("inertia_kg_m2",))
         masses.append(entries.number(link["mass_kg"], f"{place}: mass_kg"))
         centers.append(entries.numbers(link["com_m"], f"{place}: com_m", 3))
         if masses[-1] > LARGEST_MASS:
             raise InputError(f"{place}: mass_kg is {masses[-1]:g}, heavier than any arm, so it seems to be in grams")
         if max(map(abs, centers[-1])) > entries.LENGTH_LIMIT:
             raise InputError(f"{place}: com_m is {centers[-1]}, beyond any arm, so it seems to be in millimetres")
-    return np.array(masses), np.array(centers)
+        if "inertia_kg_m2" in link:
+            tensors.append(entries.numbers(link["inertia_kg_m2"], f"{place}: inertia_kg_m2", 6))
+            gyration = np.sqrt(max(map(abs, tensors[-1])) / masses[-1]) if masses[-1] > 0 else 0.0
+            if gyration > entries.LENGTH_LIMIT:
+                raise InputError(
+                    f"{place}: inertia_kg_m2 has a radius of gyration of {gyration:.3g} m, beyond any arm, so it seems"
+                    " to be in kg mm²; write kg m²"
+                )
+    if tensors and len(tensors) < joints:
+        lacking = next(name for name in names if "inertia_kg_m2" not in links[name])
+        raise InputError(f"{where}: inertial: {lacking} lacks inertia_kg_m2, which other links have; give all or none")
+    return np.array(masses), np.array(centers), inertia.tensor(tensors) if tensors else None
+
+
+def _dynamics(value: Any, where: str, joints: int) -> dict[str, NDArray[np.floating]]:
+    """The joints' drives by the field of `Arm`: those that any joint has."""
+    names = [f"joint{i + 1}" for i in range(joints)]
+    table = entries.mapping(value, f"{where}: dynamics", (), names)
+    fields: dict[str, NDArray[np.floating]] = {}
+    for i, name in enumerate(names):
+        place = f"{where}: dynamics: {name}"
+        drive = entries.mapping(table.get(name, {}), place, (), ("friction", ROTOR))
+        friction = entries.mapping(drive.get("friction", {}), f"{place}: friction", (), tuple(FRICTION))
+        given = [(FRICTION[key], number, f"{place}: friction: {key}") for key, number in friction.items()]
+        given += [("rotor_inertia", drive[ROTOR], f"{place}: {ROTOR}")] if ROTOR in drive else []
+        for field, number, at in given:
+            fields.setdefault(field, np.zeros(joints))[i] = entries.number(number, at)
+    return fields
 
 
 def _dh(value: Any, where: str, joints: int) -> NDArray[np.float64]:
@@ -138,7 +178,11 @@ def write_arm(arm: Arm, path: str | Path, overwrite: bool = False) -> Path:
     if arm.mass is not None and arm.center_of_mass is not None:
         lines += ["inertial:"]
         for i, (mass, center) in enumerate(zip(arm.mass, arm.center_of_mass, strict=True)):
-            lines.append(f"  link{i + 1}: {{mass_kg: {entries.yaml_number(mass)}, com_m: {entries.yaml_list(center)}}}")
+            body = f"mass_kg: {entries.yaml_number(mass)}, com_m: {entries.yaml_list(center)}"
+            if arm.inertia is not None:
+                body += f", inertia_kg_m2: {entries.yaml_list(inertia.six_entries(arm.inertia[i]))}"
+            lines.append(f"  link{i + 1}: {{{body}}}")
+    lines += _drive_lines(arm)
     if arm.dh is not None:
         lines += ["dh:"] + [f"  joint{i + 1}: {entries.yaml_row(DH, row)}" for i, row in enumerate(arm.dh)]
     if not np.array_equal(arm.T_joint_flange, np.eye(4)):
@@ -148,6 +192,19 @@ def write_arm(arm: Arm, path: str | Path, overwrite: bool = False) -> Path:
         else:  # roll, pitch and yaw would not reproduce it exactly
             lines += ["flange:"] + [f"  - {entries.yaml_list(row)}" for row in arm.T_joint_flange[:3]]
     return storage.write_atomically(path, with_comment("\n".join(lines) + "\n"), overwrite)
+
+
+def _drive_lines(arm: Arm) -> list[str]:
+    friction = {key: values for key, field in FRICTION.items() if (values := getattr(arm, field)) is not None}
+    if not friction and arm.rotor_inertia is None:
+        return []
+    lines = ["dynamics:"]
+    for i in range(arm.dof):
+        numbers = ", ".join(f"{key}: {entries.yaml_number(values[i])}" for key, values in friction.items())
+        drive = [f"friction: {{{numbers}}}"] if friction else []
+        drive += [] if arm.rotor_inertia is None else [f"{ROTOR}: {entries.yaml_number(arm.rotor_inertia[i])}"]
+        lines.append(f"  joint{i + 1}: {{{', '.join(drive)}}}")
+    return lines
 
 
 def _text(value: str) -> str:

@@ -62,7 +62,7 @@ def mapping(value: Any, where: str, required: Sequence[str], optional: Sequence[
         InputError: not a mapping, a missing key or an unknown key.
     """
     if not isinstance(value, Mapping):
-        raise InputError(f"{where} must be a mapping with the keys {', '.join(required)}")
+        raise InputError(f"{where} must be a mapping with the keys {', '.join(required or optional)}")
     accepted = [*required, *optional]
     for key in value:
         if key not in accepted:

@@ -43,13 +43,13 @@ def refuse_inputs(outputs: Iterable[Path | None], inputs: Iterable[str | Path | 
 
 
 def _files_read(source: str | Path) -> Iterator[Path]:
-    file = Path(str(source).partition("#")[0])
-    yield Path(source)
-    yield file
-    if file.suffix.lower() not in (".csv", ".parquet", ".mcap"):
-        return
-    from lite6jax.recordings import read_settings, sidecar_path
+    from lite6jax.recordings import read_settings, recording_file, sidecar_path
 
+    yield Path(source)
+    yield Path(str(source).partition("#")[0])
+    file = recording_file(source)
+    if file is None:
+        return
     settings = read_settings(sidecar_path(file))
     yield sidecar_path(file)
     if settings.arm_is_file:

@@ -110,8 +110,7 @@ class Diagnose:
                     html = page.diagnosis_page(found, document, sides, drawn)
                     written.append(write_atomically(self.report, html, self.force))
         screen.show(diagnosis_tables.diagnosis_report(document, str(self.source)))
-        for note in recording.notes:
-            print(f"Note: {note}.")
+        screen.show(screen.notes(recording.notes))
         screen.written(written)
         return BAD_FIT if found.quality.verdict == "bad" else DONE
 
@@ -175,8 +174,7 @@ class Predict:
             screen.show([origin_statement(model.reference)])
         if found is not None:
             screen.show(diagnosis_tables.registration_report(found))
-        for note in recording.notes:
-            print(f"Note: {note}.")
+        screen.show(screen.notes(recording.notes))
         empty = int(np.isnan(shown.poses[:, 0, 0]).sum())
         if empty:
             print(f"{empty} rows are empty: there, the clock offset reaches beyond the ends of the motion.")

@@ -261,6 +261,7 @@ class Simulate:
         import numpy as np
         from rich.text import Text
 
+        from lite6jax.report import screen
         from lite6jax.report.cells import fixed, number
 
         recording, settings = measured.recording, measured.recording.settings
@@ -285,8 +286,7 @@ class Simulate:
         yield Text(f"Noise, as declared: {', '.join(said)}.")
         if hidden := self._undeclared():
             yield Text(f"Noise, not declared: {hidden}.")
-        for note in recording.notes:
-            yield Text(f"Note: {note}.")
+        yield from screen.notes(recording.notes)
         yield ""
         if not physics.effects:
             yield Text("No effects: the arm is rigid.")

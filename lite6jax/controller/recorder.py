@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -125,7 +125,9 @@ def record(
         gaps=rows.gaps,
         repeated=rows.repeated,
         sources={name: SOURCES[name] for name in rows.names},
-        settings=station.settings_beside(out),
+        settings=replace(
+            station.settings_beside(out), torque_source="estimated" if rows.torques_computed else "unknown"
+        ),
         notes=notes,
     )
     if written:

@@ -13,6 +13,7 @@ from lite6jax.controller.condition import Condition
 from lite6jax.controller.gaps import Gap, Gaps
 from lite6jax.controller.station import Station
 from lite6jax.controller.stream import SILENCE_S, Reports
+from lite6jax.recordings.torque_source import WINDOW, TorqueNoise
 
 Array = NDArray[np.floating]
 
@@ -66,6 +67,8 @@ class Rows:
         self.time = self.recent_rate = 0.0
         self.gaps = Gaps()
         self.names: tuple[str, ...] = ()
+        self._torque_noise = TorqueNoise()
+        self._window: list[Array] = []
         self._station = station
         rows = station.arm.kinematics if station.calibration is None else station.calibration.kinematics
         self._links = np.stack([frames.transform_from_row(row) for row in rows])
@@ -84,6 +87,11 @@ class Rows:
     def missing(self) -> int:
         """The number of missing reports within and between runs."""
         return self.gaps.within + self.gaps.between
+
+    @property
+    def torques_computed(self) -> bool:
+        """Whether the torques have no noise, as those of the controller's own model."""
+        return self._torque_noise.absent
 
     @property
     def rate(self) -> float:
@@ -148,6 +156,8 @@ class Rows:
         gaps = self._gaps(np.diff(time_us[new], prepend=self._time_us), run, new_connection, 0 if continuous else step)
         if not self.count:
             self._span = (0.0, 0.0, event.heard, event.heard)
+        if run != self.run:
+            self._window.clear()
         self._account(time_us[new], run, event)
         self._clock = int(clock[new][-1])
         return self._table(reports[new], time_us[new] / 1e6, gaps)
@@ -196,6 +206,7 @@ class Rows:
             "current{}_A": "current",
         }
         table: dict[str, NDArray] = {"time_s": time}
+        self._observe_torques(np.stack([reports["joint_position"], reports["torque"]], 1).astype(float))
         for pattern, field in fields.items():
             values = reports[field].astype(float)
             table |= {pattern.format(i + 1): values[:, i] for i in range(dof)}
@@ -222,9 +233,23 @@ class Rows:
             table["missing"][row], table["gap"][row] = gap.missing, gap.reason
         return table
 
+    def _observe_torques(self, both: Array) -> None:
+        """Whole windows of consecutive joint positions and torques `(row, 2, joint)`; the rest waits for the next."""
+        both = np.concatenate([*self._window, both])
+        whole = len(both) // WINDOW * WINDOW
+        for start in range(0, whole, WINDOW):
+            position, torque = np.swapaxes(both[start : start + WINDOW], 0, 1)
+            self._torque_noise.add(position, torque)
+        self._window = [both[whole:]]
+
     def notes(self) -> tuple[str, ...]:
         """Remarks about the rows, one sentence each."""
         notes = []
+        if self.torques_computed:
+            notes.append(
+                "the torques have no noise, not even at rest: the controller computes them from its own model, and they"
+                " say nothing of friction or load that it does not know"
+            )
         if self._orientations is not None:
             notes += self._orientations.notes()
         if self._not_finite:

@@ -13,6 +13,7 @@ from lite6jax.arms.description import LARGEST_MASS
 from lite6jax.arms.entries import ANGLE_LIMIT, LENGTH_LIMIT
 from lite6jax.effects.effect import Effect
 from lite6jax.errors import InputError
+from lite6jax.recordings.settings import HIGHEST_TEMPERATURE, LARGEST_GRAVITY
 from lite6jax.schema import (
     Check,
     array,
@@ -30,8 +31,6 @@ from lite6jax.schema import (
 
 FARTHEST = 1e4
 """m; a sensor stands no further from the arm, and nothing on a flange is larger."""
-LARGEST_GRAVITY = 100.0
-"""m/s²; that of no planet on which an arm stands."""
 LARGEST_MISFIT = 10.0
 """Multiples of the range of a number of an effect, beyond which it is damaged; estimates scatter about the range."""
 
@@ -162,7 +161,7 @@ _MODEL = record(
                 }
             )
         ),
-        "reference_temperature_degC": number(-273.15, 1000.0),
+        "reference_temperature_degC": number(-273.15, HIGHEST_TEMPERATURE),
         "motion": one_of("static", "trajectory"),
         "effects": items(plain),
     },

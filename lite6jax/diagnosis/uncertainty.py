@@ -6,10 +6,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import log_ndtr
 
-from lite6jax.diagnosis.heldout import fold_count
+from lite6jax.diagnosis.heldout import held_out_folds
 from lite6jax.domains.pose.kinematics import whitened
 from lite6jax.domains.pose.uncertainty import Derivatives, PerAxis, RecordedRange, Uncertainty, distance_to, freed
 from lite6jax.effects.nonparametric import Unnamed
+from lite6jax.estimation.problem import Mask
 from lite6jax.estimation.projection import scaled_inverse
 from lite6jax.estimation.robust import FREEDOM, variance_factor
 from lite6jax.estimation.terms import Terms
@@ -87,7 +88,7 @@ def _left(found: "Diagnosis", estimated: Array) -> tuple[PerAxis, PerAxis, PerAx
     count = max(int(kept.sum()), 1)
     scale = min(float(fit.scale[0]), 1.0) if problem.declared else float(fit.scale[0])
     noise = scale * problem.noise[0], scale * (problem.noise[1] or 0.0)
-    folds = fold_count(problem.samples, found.options)
+    folds = len(_folds(found))
     fewer = folds / (folds - 1)  # numbers that were estimated without a block
     squares = found.after[kept] ** 2 / _SQUARE
     position = _excess(squares - fewer * estimated[:3, kept].mean(0), noise[0])
@@ -101,6 +102,11 @@ def _left(found: "Diagnosis", estimated: Array) -> tuple[PerAxis, PerAxis, PerAx
     left = position, orientation
     unseen = [float(np.sqrt(_error(count) * (n**2 + s**2))) for n, s in zip(noise, left, strict=True)]
     return left, (unseen[0], unseen[1]), noise
+
+
+def _folds(found: "Diagnosis") -> list[Mask]:
+    """The blocks that were held out."""
+    return held_out_folds(found.problem.recording, found.options, len(found.problem.frames) + 1)
 
 
 def _error(count: int) -> float:
@@ -127,12 +133,10 @@ def _recorded(found: "Diagnosis", change: Derivatives) -> RecordedRange:
     kept = kept if kept.size else np.arange(problem.samples)
     q = problem.recording.joint_position
     rows = np.unique(kept[np.linspace(0, len(kept) - 1, min(ROWS, len(kept))).astype(int)])
-    folds = fold_count(problem.samples, found.options)
-    block = np.arange(problem.samples) * folds // problem.samples
     some = kept[np.linspace(0, len(kept) - 1, min(_MOST, len(kept))).astype(int)]
     distances = []
-    for number in range(folds):
-        held, others = some[block[some] == number], rows[block[rows] != number]
+    for fold in _folds(found):
+        held, others = some[fold[some]], rows[~fold[rows]]
         if held.size and others.size:
             distances.append(distance_to(q[others], q[held]))
     return RecordedRange(

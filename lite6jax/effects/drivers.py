@@ -53,6 +53,12 @@ _SOURCES = {
         "joint",
         "the velocities of a moving arm; record a trajectory with time_s or dq1_rad_per_s …",
     ),
+    "acceleration": _Source(
+        lambda m, _: m.joint_acceleration,
+        "rad/s²",
+        "joint",
+        "the accelerations of a moving arm; record a trajectory with time_s, or ddq1_rad_per_s2 …",
+    ),
     "gravity torque": _Source(lambda _, l: None if l is None else l.torque, "Nm", "joint", _MASSES, True),
     "gravity moment x": _Source(lambda _, l: None if l is None else l.moment[:, 0], "Nm", "link", _MASSES, True),
     "gravity moment y": _Source(lambda _, l: None if l is None else l.moment[:, 1], "Nm", "link", _MASSES, True),

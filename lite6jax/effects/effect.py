@@ -147,7 +147,7 @@ class Effect(ABC):
 
     name: ClassVar[str]
     domain: ClassVar[str] = "kinematic"
-    """What it acts on: `kinematic` effects move the tool."""
+    """What it acts on: `kinematic` effects move the tool, `dynamic` ones add to the motors' torques."""
     specificity: ClassVar[int] = 14
     """Rank of its name among effects that the data do not distinguish; the least is reported."""
     nonparametric: ClassVar[bool] = False
@@ -185,8 +185,8 @@ class Effect(ABC):
     @property
     @final
     def linear(self) -> bool:
-        """Whether its deflection is proportional to its numbers; columns are then computed once."""
-        return isinstance(self, Bending) and all(coordinate.linear for coordinate in self.coordinates)
+        """Whether what it adds is proportional to its numbers; columns are then computed once."""
+        return not isinstance(self, Altering) and all(coordinate.linear for coordinate in self.coordinates)
 
     @property
     @final

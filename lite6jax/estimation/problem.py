@@ -32,6 +32,7 @@ class PeriodicFamily:
             training samples, the prior of its coefficients, or None, and the range of the angle in rad within which it
             fades out beyond the training samples. A prior is the standard deviation of coefficients of low order, and
             the corner c and the slope s by which their variance falls, as 1 / (1 + (order / c)ˢ).
+        waves: sine and cosine `(order, 2, sample)` of orders `(order,)`, where a filter changes them; else plain ones.
     """
 
     site: str
@@ -40,9 +41,12 @@ class PeriodicFamily:
     term: Callable[[float], Term]
     order: Callable[[Term], float | None]
     curve: Callable[[Sequence[float] | Array, Mask, tuple[float, float, float] | None, float], Term]
+    waves: Callable[[Array], Array] | None = None
 
     def columns(self, orders: Array) -> Array:
         """Sine and cosine of each order, `(order, 2, row, sample)`."""
+        if self.waves is not None:
+            return self.column * self.waves(np.asarray(orders))[:, :, None]
         turned = np.multiply.outer(orders, self.angle)
         return self.column * np.stack([np.sin(turned), np.cos(turned)], 1)[:, :, None]
 
@@ -155,6 +159,7 @@ class Problem(LinearisedProblem, Protocol):
         periodic: families of periodic terms.
         curves: families of nonparametric terms.
         shaped: named terms with a number in which they are not linear, each at a few of its values.
+        ladder: named terms of which most real problems have many; none where a domain knows of no such.
         flexible: nonparametric terms of every site and driver, by which the names of the others are tested.
     """
 
@@ -172,6 +177,8 @@ class Problem(LinearisedProblem, Protocol):
     def curves(self) -> tuple[CurveFamily, ...]: ...
     @property
     def shaped(self) -> tuple[Term, ...]: ...
+    @property
+    def ladder(self) -> tuple[Term, ...]: ...
     @property
     def flexible(self) -> tuple[Term, ...]: ...
 

@@ -202,7 +202,7 @@ def recording_problem(
     orientation_noise = None if rotation is None else settings.orientation_noise_rad or UNDECLARED_NOISE[1]
     sigma = (settings.position_noise_m or UNDECLARED_NOISE[0], orientation_noise)
     if not declared:
-        notes.append("The sidecar does not declare the noise of all that is measured: it is taken from the residuals.")
+        notes.append("the sidecar does not declare the noise of all that is measured: it is taken from the residuals")
     return Problem(
         arm=arm,
         form=form,

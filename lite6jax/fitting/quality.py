@@ -72,7 +72,7 @@ def quality_of_poses(
         over_noise: residuals over the declared noise; None where there is none.
     """
     limit = max(FARTHEST_SHARE * reach, NOISES * (declared or 0.0))
-    error, spread, moved = _quartile(distance), _spread(measured), _spread(predicted)
+    error, spread, moved = upper_quartile(distance), _spread(measured), _spread(predicted)
     explained = 1 - (error / spread) ** 2 if spread > 0 else 0.0
     explained = float(explained) if np.isfinite(explained) else -1.0
     if not error <= limit:
@@ -90,10 +90,11 @@ def quality_of_calibration(distance: Array) -> Quality:
     return Quality("good" if good else "bad", None if good else "too_far", error, ROUNDING, None)
 
 
-def _quartile(distance: Array) -> float:
+def upper_quartile(distance: Array) -> float:
+    """The distance that three quarters of `(sample,)` do not exceed; infinite where one is not finite."""
     return float(np.percentile(distance, _QUARTILE)) if np.isfinite(distance).all() else float("inf")
 
 
 def _spread(position: Array) -> float:
     """m, from the median position, as `error` is of the errors."""
-    return _quartile(np.linalg.norm(position - np.median(position, axis=0), axis=1))
+    return upper_quartile(np.linalg.norm(position - np.median(position, axis=0), axis=1))

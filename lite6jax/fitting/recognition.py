@@ -16,14 +16,13 @@ from lite6jax.arms.factory import RECOGNISED_WITHIN, read_factory
 from lite6jax.arms.files import read_arm
 from lite6jax.arms.se3 import rotation_from_quaternion, rotation_from_rpy, transform
 from lite6jax.errors import InputError, InputWarning
+from lite6jax.fitting.quality import upper_quartile
 from lite6jax.fitting.start import frames_from_poses
-from lite6jax.recordings import Recording, require_radians, require_samples
+from lite6jax.recordings import Recording, RecordingSettings, require_radians, require_samples
 
 ALIKE = 2.0
 """Times the error of the best arm, within which another one is as likely: the errors of two arms of one model differ by
 as much. A real UR10 is 0.8 mm from its nominal table with the sensor's frame and the tool fitted."""
-_PER_CENT = 75.0
-"""Of the rows that the error of an arm is of: outliers are fewer than the rest."""
 _SHOWN = 4
 
 
@@ -46,13 +45,24 @@ def arm_of(recording: Recording) -> Arm:
     Raises:
         InputError: as `read_arm` and `read_factory`; no measured poses; no bundled arm fits, or several do alike.
     """
-    settings, folder = recording.settings, Path(recording.source).parent
+    declared = declared_arm(recording.settings, Path(recording.source).parent)
+    return declared or _chosen(recording, matches(recording))
+
+
+def declared_arm(settings: RecordingSettings, folder: Path) -> Arm | None:
+    """The nominal arm that settings declare, or that of the calibration that they do; None where they declare neither.
+
+    Args:
+        settings: of a recording.
+        folder: which holds the sidecar.
+
+    Raises:
+        InputError: as `read_arm` and `read_factory`.
+    """
     if settings.arm is not None:
         return read_arm(settings.arm_reference(folder))
     factory = settings.factory_path(folder)
-    if factory is not None:
-        return read_factory(factory).arm
-    return _chosen(recording, matches(recording))
+    return None if factory is None else read_factory(factory).arm
 
 
 def with_arm(recording: Recording, warn: bool = False) -> Recording:
@@ -104,8 +114,7 @@ def matches(recording: Recording) -> list[Match]:
         flange = frames.chain(arm.links, recording.joint_position) @ arm.T_joint_flange
         T_sensor_base, T_flange_tool = frames_from_poses(flange, position, rotation, frame, tool)
         point = (flange @ T_flange_tool)[:, :3, 3] @ T_sensor_base[:3, :3].T + T_sensor_base[:3, 3]
-        error = float(np.percentile(np.linalg.norm(point - position, axis=1), _PER_CENT))
-        found.append(Match(arm, error))
+        found.append(Match(arm, upper_quartile(np.linalg.norm(point - position, axis=1))))
     return sorted(found, key=lambda match: match.error)
 
 

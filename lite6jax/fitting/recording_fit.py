@@ -129,7 +129,7 @@ def _unconverged_folds(fits: RobustFits) -> list[str]:
         return []
     return [
         f"{count} of the {FOLDS} held-out fits did not converge: without their block the other rows do not identify "
-        f"every parameter, and the held-out errors are unreliable; mix the poses when recording."
+        f"every parameter, and the held-out errors are unreliable; mix the poses when recording"
     ]
 
 

@@ -6,10 +6,9 @@ from lite6jax.arms.arm import Arm
 from lite6jax.arms.bundled import bundled_of
 from lite6jax.arms.factory import FactoryCalibration, read_factory
 from lite6jax.arms.files import read_arm
-from lite6jax.fitting.recognition import widest_limits, with_arm
+from lite6jax.fitting.recognition import declared_arm, widest_limits, with_arm
 from lite6jax.recordings import (
     Recording,
-    RecordingSettings,
     check_joint_scale,
     check_position_scale,
     read_recording,
@@ -44,11 +43,9 @@ def read_source(
     file = recording_file(path)
     if file is None:
         return read_factory(path, arm)
-    settings = read_settings(sidecar_path(file))
-    if arm is None and settings.arm is None and settings.factory_calibration is None:
-        return _of_undeclared_arm(path, assume_degrees, assume_millimetres)
+    arm = arm or declared_arm(read_settings(sidecar_path(file)), file.parent)
     if arm is None:
-        arm = read_arm(settings.arm_reference(file.parent)) if settings.arm is not None else _of_factory(settings, file)
+        return _of_undeclared_arm(path, assume_degrees, assume_millimetres)
     return read_recording(
         path,
         dof=arm.dof,
@@ -57,13 +54,6 @@ def read_source(
         joint_limits=arm.joint_limits,
         reach=arm.reach,
     )
-
-
-def _of_factory(settings: RecordingSettings, file: Path) -> Arm:
-    """The nominal arm of the calibration that a sidecar declares."""
-    factory = settings.factory_path(file.parent)
-    assert factory is not None
-    return read_factory(factory).arm
 
 
 def _of_undeclared_arm(path: str | Path, assume_degrees: bool, assume_millimetres: bool) -> Recording:

@@ -20,6 +20,7 @@ from lite6jax.recordings.settings import (
     sidecar_path,
     write_settings,
 )
+from lite6jax.recordings.torque_source import estimated_torque
 from lite6jax.recordings.units import require_radians
 
 __all__ = [
@@ -33,6 +34,7 @@ __all__ = [
     "check_joint_scale",
     "check_position_scale",
     "drop_missing",
+    "estimated_torque",
     "outside_limits",
     "read_recording",
     "read_settings",

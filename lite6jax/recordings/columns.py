@@ -13,7 +13,8 @@ from lite6jax.errors import InputError
 _PER_JOINT = {
     "q": {"rad": 1.0, "deg": 180 / pi},
     "dq": {"rad_per_s": 1.0, "deg_per_s": 180 / pi},
-    "tau": {"Nm": 1.0},
+    "ddq": {"rad_per_s2": 1.0, "deg_per_s2": 180 / pi},
+    "tau": {"Nm": 1.0, "mNm": 1e3},
     "current": {"A": 1.0, "mA": 1e3},
     "temp": {"degC": 1.0},
 }

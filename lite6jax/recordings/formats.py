@@ -53,7 +53,7 @@ def read_recording(
         path: a `.csv`, `.parquet` or `.mcap` file; the sidecar is the `.yaml` of the same stem, if there is one. Of an
             MCAP file with several topics of a type, `run.mcap#/joint_states,/pose` names those to be read.
         dof: the number of joints expected, where the arm is known.
-        assume_degrees: take joint columns that say `rad` (positions and velocities) as degrees.
+        assume_degrees: take joint columns that say `rad` (positions, velocities and accelerations) as degrees.
         assume_millimetres: take position columns that say `m` as millimetres.
         joint_limits: `(joint, 2)` in rad, to recognise degrees; unchecked without.
         reach: in m, to recognise millimetres; unchecked without.
@@ -76,7 +76,7 @@ def read_recording(
     if not exists(sidecar_path(path)):
         notes.append(f"there is no sidecar {sidecar_path(path).name}: the defaults are assumed")
 
-    degrees = [name for name, column in columns.items() if assume_degrees and column.unit in ("rad", "rad_per_s")]
+    degrees = [name for name, column in columns.items() if assume_degrees and column.unit.startswith("rad")]
     millimetres = [name for name, column in columns.items() if assume_millimetres and column.unit == "m"]
     for names, divisor, unit in ((degrees, 180 / pi, "degrees"), (millimetres, 1e3, "millimetres")):
         for name in names:

@@ -159,7 +159,10 @@ def _chosen(path: Path, types: dict[str, str], named: Sequence[str]) -> tuple[st
         if not found and kind == POSE_STAMPED and named:
             return chosen[0], None
         if not found:
-            raise InputError(f"{path}: has no topic of {kind}; {there}; record one with these types")
+            remedy = "record one with these types"
+            if chosen:
+                remedy += f", or name {path.name}#{chosen[0]} for a motion or torques without poses"
+            raise InputError(f"{path}: has no topic of {kind}; {there}; {remedy}")
         if len(found) > 1:
             others = [topic for topic, other in types.items() if other == POSE_STAMPED]
             pair = f"{found[0]},{others[0]}" if kind == JOINT_STATE and others else f"{chosen[0]},{found[0]}"

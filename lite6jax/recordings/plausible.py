@@ -25,7 +25,8 @@ LONGEST_TIME_S = 1e9
 _MOST = {
     "joint_position": ("q{}_rad", 2 * pi * MOST_TURNS),
     "joint_velocity": ("dq{}_rad_per_s", 1e4),
-    "joint_torque": ("tau{}_Nm", 1e6),
+    "joint_acceleration": ("ddq{}_rad_per_s2", 1e7),
+    "joint_torque": ("tau{}_Nm", 1e5),
     "motor_current": ("current{}_A", 1e5),
     "joint_temperature": ("temp{}_degC", 1e4),
     "ambient_temperature": ("ambient_degC", 1e4),

@@ -37,7 +37,7 @@ class Recording(Summarised):
         time: `(sample,)` from `time_s = 0`, or None: the row order is the sequence.
         joint_velocity: `(sample, joint)` or None. In a trajectory with times it is always there.
         velocity_differentiated: whether `joint_velocity` was derived from position and time, not recorded.
-        joint_torque, motor_current, joint_temperature: `(sample, joint)` or None.
+        joint_acceleration, joint_torque, motor_current, joint_temperature: `(sample, joint)` as recorded, or None.
         ambient_temperature: `(sample,)` or None.
         payload: `(sample,)` mass at the flange.
         run: `(sample,)` int, as in the file: a new run starts where it changes.
@@ -55,6 +55,7 @@ class Recording(Summarised):
     time: Float[np.ndarray, " sample"] | None
     joint_velocity: Float[np.ndarray, "sample joint"] | None
     velocity_differentiated: bool
+    joint_acceleration: Float[np.ndarray, "sample joint"] | None
     joint_torque: Float[np.ndarray, "sample joint"] | None
     motor_current: Float[np.ndarray, "sample joint"] | None
     joint_temperature: Float[np.ndarray, "sample joint"] | None
@@ -76,6 +77,7 @@ class Recording(Summarised):
         arm: Arm | str | None = None,
         time: ArrayLike | None = None,
         joint_velocity: ArrayLike | None = None,
+        joint_acceleration: ArrayLike | None = None,
         joint_torque: ArrayLike | None = None,
         motor_current: ArrayLike | None = None,
         joint_temperature: ArrayLike | None = None,
@@ -93,7 +95,8 @@ class Recording(Summarised):
             position: `(sample, 3)` m, the measured tool point in the sensor's frame.
             quaternion: `(sample, 4)`, the measured orientation of the tool in the sensor's frame, unit, scalar first.
             arm: the arm's type, an `Arm` or what `read_arm` takes; its limits and reach reveal a wrong unit.
-            joint_velocity, joint_torque, motor_current, joint_temperature: `(sample, joint)` rad/s, N·m, A, °C.
+            joint_velocity, joint_acceleration: `(sample, joint)` rad/s, rad/s².
+            joint_torque, motor_current, joint_temperature: `(sample, joint)` N·m, A, °C.
             time, ambient_temperature, payload: `(sample,)` s, °C, kg at the flange (zero where not given).
             run: `(sample,)` int, which changes where a new run starts.
             settings: what a sidecar would declare; the defaults where not given.
@@ -115,6 +118,7 @@ class Recording(Summarised):
             "quaternion": quaternion,
             "time": time,
             "joint_velocity": joint_velocity,
+            "joint_acceleration": joint_acceleration,
             "joint_torque": joint_torque,
             "motor_current": motor_current,
             "joint_temperature": joint_temperature,
@@ -163,6 +167,7 @@ class Recording(Summarised):
         quaternion: ArrayLike | None = None,
         time: ArrayLike | None = None,
         joint_velocity: ArrayLike | None = None,
+        joint_acceleration: ArrayLike | None = None,
         joint_torque: ArrayLike | None = None,
         motor_current: ArrayLike | None = None,
         joint_temperature: ArrayLike | None = None,
@@ -180,13 +185,15 @@ class Recording(Summarised):
         `row` is `(sample,)` int, the data row of each sample in its file, from 1; `notes` say what was done before.
 
         Raises:
-            InputError: arrays that do not fit together, orientation without position, or quaternions of another length.
+            InputError: arrays that do not fit together, orientation without position, quaternions of another length, or
+                settings with a number per joint that are of another number of joints.
         """
         settings = settings or RecordingSettings()
         q = real_array(f"{source}: joint_position", joint_position)
         if q.ndim != 2 or 0 in q.shape:
             raise InputError(f"{source}: joint_position has the shape {q.shape}; give (sample, joint), neither zero")
         samples, dof = q.shape
+        settings.require_joints(dof, source)
 
         def shaped(name: str, value: ArrayLike, *rest: int, dtype: type = np.float64) -> np.ndarray:
             array = real_array(f"{source}: {name}", value) if dtype is np.float64 else np.asarray(value)
@@ -229,6 +236,7 @@ class Recording(Summarised):
             time=time,
             joint_velocity=velocity,
             velocity_differentiated=differentiated,
+            joint_acceleration=optional("joint_acceleration", joint_acceleration, dof),
             joint_torque=optional("joint_torque", joint_torque, dof),
             motor_current=optional("motor_current", motor_current, dof),
             joint_temperature=optional("joint_temperature", joint_temperature, dof),
@@ -265,6 +273,27 @@ class Recording(Summarised):
         if self.joint_velocity is None:
             raise InputError(f"{self.source}: a trajectory without velocities; add time_s or dq1_rad_per_s ...")
         return self.joint_velocity
+
+    def torques(self) -> Float[np.ndarray, "sample joint"]:
+        """Joint torques in N·m: those recorded, else motor currents times the declared torque constants.
+
+        Raises:
+            InputError: neither torques nor currents, or currents without torque constants.
+        """
+        if self.joint_torque is not None:
+            return self.joint_torque
+        if self.motor_current is None:
+            raise InputError(
+                f"{self.source}: has no joint torques; add tau1_Nm ..., or current1_A ... and "
+                "torque_constant_Nm_per_A in the sidecar"
+            )
+        constants = self.settings.torque_constant_Nm_per_A
+        if constants is None:
+            raise InputError(
+                f"{self.source}: has motor currents without torque constants; declare torque_constant_Nm_per_A in the "
+                "sidecar, one number per joint"
+            )
+        return self.motor_current * np.array(constants)
 
     def select(self, rows: Bool[np.ndarray, " sample"] | Int[np.ndarray, " chosen"]) -> "Recording":
         """The samples of a boolean mask or of indices; direction, velocity and row number stay those of the whole."""
@@ -303,7 +332,7 @@ class Recording(Summarised):
     def made_anew(self, **changes: Any) -> "Recording":
         """With other arguments of `assembled`; directions, and velocities that were not recorded, follow from them.
 
-        Torques and currents are left out, as they belong to the motion as it was, and notes as well.
+        Accelerations, torques and currents are left out, as they belong to the motion as it was, and notes as well.
 
         Raises:
             InputError: as `assembled`.
@@ -324,6 +353,7 @@ class Recording(Summarised):
         for pattern, joints in (
             ("q{}_rad", self.joint_position),
             ("dq{}_rad_per_s", velocity),
+            ("ddq{}_rad_per_s2", self.joint_acceleration),
             ("tau{}_Nm", self.joint_torque),
             ("current{}_A", self.motor_current),
             ("temp{}_degC", self.joint_temperature),

@@ -18,14 +18,18 @@ from lite6jax.storage import exists, read_yaml, write_atomically
 JointSource = Literal["measured", "commanded", "unknown"]
 PoseSource = Literal["laser_tracker", "motion_capture", "camera", "controller_fk", "unknown"]
 Motion = Literal["static", "trajectory"]
+TorqueSource = Literal["measured", "current", "estimated", "unknown"]
+Inertial = Literal["declared", "unknown"] | float
 PoseFrame = Literal["base", "unknown"]
 Tool = Literal["none", "unknown"] | tuple[float, float, float, float, float, float]
 
 ARM_FILE_SUFFIXES = {".yaml", ".yml", ".json", ".urdf", ".xacro", ".xml"}
 LONGEST_OFFSET_M = 5.0  # a tool or a payload further out than this was written in millimetres
 SMALLEST_SIGMA, LARGEST_SIGMA = 1e-12, 1.0  # m or rad; beyond, squares of residuals over it lose all digits
-LARGEST_GRAVITY = 100.0
+LARGEST_GRAVITY = 100.0  # m/s²; that of no planet on which an arm stands
 HIGHEST_TEMPERATURE = 1000.0
+SMALLEST_TORQUE_SIGMA, LARGEST_TORQUE_SIGMA = 1e-9, 1e4  # Nm; the motors of the largest arms exert 1e5
+LARGEST_TORQUE_CONSTANT = 1e5  # Nm/A at the joint, gear included
 
 
 @dataclass(frozen=True)
@@ -41,8 +45,11 @@ class RecordingSettings:
     """What a sidecar declares; the defaults are those of a recording without one.
 
     Lengths in m, angles in rad, one sigma for each noise, `tool` as x y z roll pitch yaw (R = Rz Ry Rx).
-    `inertial_uncertainty` is one sigma of masses, and of the lever arms of their centres, relative to them.
-    `arm` and `motion` are None where nothing was declared, `position_noise_m` and `orientation_noise_rad` likewise.
+    `inertial_uncertainty` is one sigma of masses, and of the lever arms of their centres, relative to them, where poses
+    are explained. `inertial` is what holds where torques are: the numbers of the arm's description ("declared"), those
+    of no description ("unknown"), or its numbers with a relative standard deviation. `torque_noise_Nm` and
+    `torque_constant_Nm_per_A` have a number per joint. Of the latter, of `arm`, `motion` and of each noise of a sensor,
+    None is what is not declared.
     `arm` and `factory_calibration` are kept as written: `arm_reference` and `factory_path` resolve them.
 
     Raises:
@@ -65,6 +72,10 @@ class RecordingSettings:
     gravity_m_per_s2: tuple[float, float, float] = (0.0, 0.0, -9.81)
     inertial_uncertainty: float = 0.1
     payload_uncertainty_kg: float = 0.0
+    torque_source: TorqueSource = "unknown"
+    torque_noise_Nm: tuple[float, ...] | None = None  # noqa: N815 (the sidecar's key)
+    inertial: Inertial = "declared"
+    torque_constant_Nm_per_A: tuple[float, ...] | None = None  # noqa: N815 (the sidecar's key)
 
     def __post_init__(self) -> None:
         for field in fields(self):
@@ -95,6 +106,19 @@ class RecordingSettings:
     def factory_path(self, folder: str | Path) -> Path | None:
         """The factory calibration's path when `folder` holds the sidecar; None where there is none."""
         return Path(folder) / self.factory_calibration if self.factory_calibration else None
+
+    def require_joints(self, joints: int, source: str) -> None:
+        """Refuses lists with a number per joint that are of an arm with another number of joints.
+
+        Raises:
+            InputError: as said; the message begins with `source`.
+        """
+        for key in ("torque_noise_Nm", "torque_constant_Nm_per_A"):
+            given = getattr(self, key)
+            if given is not None and len(given) != joints:
+                raise InputError(
+                    f"{source}: recording.{key} has {len(given)} numbers for {joints} joints; give one per joint"
+                )
 
     def moved(self, old_folder: str | Path, new_folder: str | Path) -> "RecordingSettings":
         """The same settings for a sidecar in another folder: relative paths still lead to the same files."""
@@ -335,6 +359,37 @@ def _offset(value: Any) -> tuple[float, ...]:
     return offset
 
 
+def _per_joint(parse: Callable[[Any], float]) -> Callable[[Any], tuple[float, ...]]:
+    def numbers(value: Any) -> tuple[float, ...]:
+        if not isinstance(value, list | tuple) or not value:
+            raise ValueError
+        return tuple(parse(part) for part in value)
+
+    return numbers
+
+
+def _torque_sigma(value: Any) -> float:
+    if (number := _number(value)) <= 0:
+        raise ValueError(" (not positive)")
+    if not SMALLEST_TORQUE_SIGMA <= number <= LARGEST_TORQUE_SIGMA:
+        raise ValueError(f" (not from {SMALLEST_TORQUE_SIGMA:g} to {LARGEST_TORQUE_SIGMA:g})")
+    return number
+
+
+def _torque_constant(value: Any) -> float:
+    if not 0 < abs(number := _number(value)) <= LARGEST_TORQUE_CONSTANT:
+        raise ValueError(" (zero)" if number == 0 else f" (beyond {LARGEST_TORQUE_CONSTANT:g})")
+    return number
+
+
+def _inertial(value: Any) -> Inertial:
+    if value in ("declared", "unknown"):
+        return value
+    if (number := _ratio(value)) == 0:
+        raise ValueError(" (zero: write declared)")
+    return number
+
+
 def _tool(value: Any) -> Tool:
     if value in ("none", "unknown"):
         return value
@@ -391,4 +446,15 @@ _KINDS: dict[str, _Kind] = {
     "gravity_m_per_s2": _Kind(_gravity, "three numbers [x, y, z] in m/s^2"),
     "inertial_uncertainty": _Kind(_ratio, "one sigma relative to the masses, from 0 to 0.5, such as 0.1"),
     "payload_uncertainty_kg": _Kind(_up_to(1000.0), "one sigma in kg, zero or more"),
+    "torque_source": _one_of(TorqueSource),
+    "torque_noise_Nm": _Kind(
+        _per_joint(_torque_sigma),
+        "a list with one sigma in N m per joint, each more than zero (leave it out where unknown)",
+    ),
+    "inertial": _Kind(
+        _inertial, "declared, unknown (they are fitted), or a relative uncertainty up to 0.5, such as 0.1"
+    ),
+    "torque_constant_Nm_per_A": _Kind(
+        _per_joint(_torque_constant), "a list with one number in N m per A for each joint, none zero"
+    ),
 }

@@ -29,9 +29,9 @@ def stream_batch(batch: pa.RecordBatch) -> bytes:
     sink = pa.BufferOutputStream()
     writer = pa.ipc.new_stream(sink, batch.schema, options=_OPTIONS)
     writer.write_batch(batch, custom_metadata={_CHECKSUM: str(_checksum(batch)).encode()})
-    end = sink.tell()
+    start, end = len(stream_start(batch.schema)), sink.tell()
     writer.close()
-    return sink.getvalue().slice(batch.schema.serialize().size, end - batch.schema.serialize().size).to_pybytes()
+    return sink.getvalue()[start:end].to_pybytes()
 
 
 def stream_batches(path: Path, notes: list[str]) -> Iterator[pa.RecordBatch]:

@@ -135,6 +135,7 @@ def arrays_of(table: Table, source: str, notes: list[str]) -> dict[str, Any]:
         "quaternion": block("qw", "qx", "qy", "qz"),
         "time": time,
         "joint_velocity": per_joint("dq{}_rad_per_s"),
+        "joint_acceleration": per_joint("ddq{}_rad_per_s2"),
         "joint_torque": per_joint("tau{}_Nm"),
         "motor_current": per_joint("current{}_A"),
         "joint_temperature": per_joint("temp{}_degC"),

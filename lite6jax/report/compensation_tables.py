@@ -13,6 +13,7 @@ from lite6jax.domains.pose.compensate import Compensation, Reason, TargetFrame
 from lite6jax.domains.pose.compensation_search import REACHED
 from lite6jax.domains.pose.files import bar_columns
 from lite6jax.domains.pose.predict import DiagnosedArm
+from lite6jax.report import screen
 from lite6jax.report.bars import NO_BARS, outside_sentence
 from lite6jax.report.cells import fixed, listing, number
 
@@ -82,11 +83,11 @@ def compensation_report(
     if found.correction is not None and hit:
         yield ""
         yield from _corrections(np.abs(np.rad2deg(found.correction[found.reached])))
-    for note in found.notes:
-        yield Text(f"Note: {note}.")
+    yield from screen.notes(found.notes)
     if found.omitted:
         verb = "concerns" if len(found.omitted) == 1 else "concern"
-        yield Text(f"Note: omitted: {' and '.join(found.omitted)}, which {verb} the sensor and not the arm's position.")
+        omitted = f"omitted: {' and '.join(found.omitted)}, which {verb} the sensor and not the arm's position"
+        yield from screen.notes([omitted])
     yield from _bars(found)
     if model.heldout_rms is not None:
         before, after = (number(1e3 * rms) for rms in model.heldout_rms)
@@ -100,7 +101,7 @@ def compensation_report(
 def _bars(found: Compensation) -> Iterator[RenderableType]:
     """How sure the poses are, and how many targets are outside."""
     if found.position_std is None or found.outside is None:
-        yield Text(f"Note: {NO_BARS}.")
+        yield from screen.notes([NO_BARS])
         return
     yield Text(outside_sentence(int(found.outside.sum()), len(found.outside), "target"))
     if found.reached.any():

@@ -33,7 +33,7 @@ def calibration_report(read: CalibrationRead) -> Iterator[RenderableType]:
     arm = calibration.arm
     yield Text(f"{calibration.source}: factory calibration of {arm.dof} joints, of a {arm.name}.")
     if read.error:
-        yield Text("Note: the controller reports an error or a warning, which does not affect the calibration.")
+        yield from screen.notes(["the controller reports an error or a warning, which does not affect the calibration"])
     q = sample_joints(arm.dof, 1000)
     links = np.stack([frames.transform_from_row(row) for row in calibration.kinematics])
     apart = frames.chain(links, q)[:, :3, 3] - frames.chain(arm.links, q)[:, :3, 3]
@@ -80,7 +80,7 @@ def verification_report(verification: Verification, where: str) -> Iterator[Rend
             cells = (number(scale * float(statistic(values)), digits) for _, statistic in STATISTICS)
             table.add_row(name if unit == "mm" else "", unit, *cells)
     yield table
-    yield from (Text(line) for line in _tool_lines(verification))
+    yield from _tool_lines(verification)
     most = 1e3 * float(verification.position.max())
     if verification.passed:
         yield Text(
@@ -119,7 +119,7 @@ def verification_report(verification: Verification, where: str) -> Iterator[Rend
         yield Text(f"  {command}", no_wrap=True, overflow="ignore")
 
 
-def _tool_lines(verification: Verification) -> Iterator[str]:
+def _tool_lines(verification: Verification) -> Iterator[Text]:
     condition = verification.condition
     distance, angle = 1e3 * verification.tool_agrees[0], np.degrees(verification.tool_agrees[1])
     agrees = verification.tool_agrees[0] <= GATE_M
@@ -131,11 +131,12 @@ def _tool_lines(verification: Verification) -> Iterator[str]:
     else:
         stated = f"Tool offset: {_offset(condition.tool_offset)} in its report, omitted by its forward kinematics"
     cross = "which agrees" if agrees else "which disagrees"
-    yield f"{stated}; {cross} with the forward kinematics at the current joint position ({here})."
+    yield Text(f"{stated}; {cross} with the forward kinematics at the current joint position ({here}).")
     if condition.has_world:
-        yield f"Note: a base offset is set, {_offset(condition.world_offset)}; its effect is not included."
+        offset = _offset(condition.world_offset)
+        yield from screen.notes([f"a base offset is set, {offset}; its effect is not included"])
     if condition.warning:
-        yield f"Note: the controller has warning {condition.warning}, which is not cleared."
+        yield from screen.notes([f"the controller has warning {condition.warning}, which is not cleared"])
 
 
 def _offset(offset: Array) -> str:
@@ -192,8 +193,7 @@ def recorded_report(recorded: Recorded) -> Iterator[RenderableType]:
         yield Text(f"{recorded.missing} joint positions were not requested.")
     if recorded.rows:
         yield _sources(recorded)
-    for note in recorded.notes:
-        yield Text(f"Note: {note[0].upper()}{note[1:]}.")
+    yield from screen.notes(recorded.notes)
 
 
 def _missing(gaps: Gaps, runs: int) -> str:

@@ -21,6 +21,11 @@ def show(parts: Iterable[RenderableType]) -> None:
         screen.print(part, soft_wrap=isinstance(part, Text) and bool(part.no_wrap))
 
 
+def notes(said: Iterable[str]) -> Iterator[Text]:
+    """Remarks, a line each, such as those of a recording; a full stop at their end is added where there is none."""
+    yield from (Text(f"Note: {note.removesuffix('.')}.") for note in said)
+
+
 def written(paths: Iterable[Path]) -> None:
     """Prints the written files, one line each without wrapping."""
     screen = console()

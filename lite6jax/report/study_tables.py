@@ -15,6 +15,7 @@ from lite6jax.identifiability.monte_carlo import Refits
 from lite6jax.identifiability.sensitivity import GlobalSensitivity, Sensitivity
 from lite6jax.identifiability.sensor import Sensor
 from lite6jax.model import TWIST_NAMES
+from lite6jax.report import screen
 from lite6jax.report.cells import SCREEN, listing, number, plus_minus
 
 Array = NDArray[np.floating]
@@ -70,7 +71,7 @@ def identification_report(found: Identification, source: str, drawn: bool) -> It
     if found.refits is not None:
         yield ""
         yield Text(refits_in_words(found.refits))
-    yield from (Text(f"Note: {note[0].upper()}{note[1:]}{'' if note.endswith('.') else '.'}") for note in found.notes)
+    yield from screen.notes(found.notes)
 
 
 def _verdict(found: Identification) -> str:

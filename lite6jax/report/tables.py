@@ -15,6 +15,7 @@ from lite6jax.estimation.robust import DOWNWEIGHTED
 from lite6jax.fitting.quality import ABOVE_NOISE
 from lite6jax.fitting.solution import Errors, Held, Noise, Result, Solution
 from lite6jax.recordings import Recording
+from lite6jax.report import screen
 from lite6jax.report.cells import SCREEN, fixed, listed, listing, number, plus_minus
 from lite6jax.report.data_faults import fault_statement
 from lite6jax.report.quality import quality_statement
@@ -85,8 +86,7 @@ def solution_report(solution: Solution, recording: Recording | None = None) -> I
         yield from _held_lines(solution.held)
         yield from _noise_line(solution.noise, solution.checked)
         yield from _outlier_line(solution.weight, recording)
-        notes = solution.notes
-        yield from (Text(f"Note: {note[0].upper()}{note[1:]}{'' if note.endswith('.') else '.'}") for note in notes)
+        yield from screen.notes(solution.notes)
 
 
 def _result_line(solution: Solution, recorded: bool) -> str:

@@ -32,7 +32,7 @@ def prune(problem: Problem, state: State, options: EngineOptions) -> State:
     n, searched = state.fit.freedom, searched_size(problem, options)
     while len(state.tested) > 1:
         losses = []
-        missed = [_missed(state, k) - 0.5 * t.term.size * np.log(n) for k, t in enumerate(state.tested)]
+        missed = [state.fit.quadratic_gain(k) - 0.5 * t.term.size * np.log(n) for k, t in enumerate(state.tested)]
         for k in np.argsort(missed)[: options.refitted_without].tolist():
             tested = state.tested[k]
             rest = reduced(problem, state, k, options)
@@ -44,10 +44,3 @@ def prune(problem: Problem, state: State, options: EngineOptions) -> State:
             break
         state = rest
     return state
-
-
-def _missed(state: State, k: int) -> float:
-    """The log-likelihood that the k-th term explains, to second order: half its squared numbers in their metric."""
-    part = state.fit.terms.slices[k]
-    values, covariance = state.fit.values[part], state.fit.covariance[part, part]
-    return 0.5 * float(values @ np.linalg.lstsq(covariance, values, rcond=1e-12)[0])

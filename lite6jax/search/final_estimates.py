@@ -21,8 +21,7 @@ def final_estimates(problem: Problem, state: State, options: EngineOptions) -> S
     """
     fitted, between = state.fit, _between_models(problem, state.fit, options)
     free = [term.chosen is not None for term in fitted.terms.terms]
-    # differences by each of hundreds of coefficients would take minutes, for the last per cent of their uncertainty
-    uncertain = bool(len(problem.precision)) and fitted.terms.size <= options.most_exact
+    uncertain = _with_exact_derivatives(problem, fitted, options)
     if any(free) or uncertain:
         released = _released(problem, fitted, free, options)
         still = [f and not _is_whole(released, k, fitted, options) for k, f in enumerate(free)]
@@ -58,9 +57,16 @@ def _released(problem: Problem, fitted: Fit, free: list[bool], options: EngineOp
     for term, part, is_free in zip(fitted.terms.terms, fitted.terms.slices, free, strict=True):
         terms.append(term.released() if is_free else term)
         values.append([*fitted.values[part], *([term.chosen] if is_free else [])])
-    exact = bool(len(problem.precision)) and fitted.terms.size <= options.most_exact
-    start = join(values)
+    start, exact = join(values), _with_exact_derivatives(problem, fitted, options)
     return fit(problem, Terms(tuple(terms)), options, start, fitted.nuisance, fitted.training, fitted.noise, exact)
+
+
+def _with_exact_derivatives(problem: Problem, fitted: Fit, options: EngineOptions) -> bool:
+    """Whether derivatives are taken at the estimate.
+
+    Differences by each of hundreds of coefficients would take minutes, for the last per cent of their uncertainty.
+    """
+    return bool(len(problem.precision)) and fitted.terms.size <= options.most_exact
 
 
 def _is_whole(released: Fit, k: int, fitted: Fit, options: EngineOptions) -> bool:

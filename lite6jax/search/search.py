@@ -17,6 +17,7 @@ from lite6jax.search.exchange import exchange, one_for_several
 from lite6jax.search.forward import forward
 from lite6jax.search.names import believable, challenge_names, significant
 from lite6jax.search.retest import retest
+from lite6jax.search.saturated import from_saturated, refined
 from lite6jax.search.shrinkage import shrink
 from lite6jax.search.state import SelectedTerm, State
 from lite6jax.search.whole_orders import with_whole_orders
@@ -63,6 +64,10 @@ def search(
     """
     training = problem.valid if training is None else training & problem.valid
     reference = problem if reference is None else reference
+    many = from_saturated(problem, training, options)
+    if many is not None:
+        selection = Selection(problem, reference, refined(problem, many, options))
+        return _reviewed(selection, options) if thorough else selection
     every = max(int(training.sum()) // options.first_samples, 1)
     if every == 1:
         state = _selected(problem, reference, training, options, thorough)

@@ -9,7 +9,6 @@ eq. 2.43 and 5.9); the whole posterior is kept.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import NamedTuple, final
 
 import numpy as np
@@ -138,7 +137,7 @@ def _spectra(problem: Problem, current: Fit, named: Terms) -> list[_Spectrum]:
         scale = float(np.sqrt(np.sum(weight * squares) / max(target.size - effective, 1.0)))
         weight = (FREEDOM + problem.rows) / (FREEDOM + squares / scale**2)
     assert evidence is not None
-    found, coefficients = [], np.split(values, np.cumsum([2 * len(each) for each in orders])[:-1])
+    found, coefficients = [], _by_family(values, orders)
     kept = evidence.determined(at)
     for family, each, numbers, values, some in zip(
         families, orders, at.reshape(-1, 3), coefficients, kept, strict=True
@@ -154,6 +153,11 @@ def _orders(angle: Array) -> Array:
     """The orders of a family: whole ones; of an angle that turns far, so fine that its range is within one period."""
     lowest = float(np.clip(2 * np.pi / (_RANGES * max(float(np.ptp(angle)), 1e-3)), 0.25, 1.0))
     return lowest * np.arange(1, int(_HIGHEST / lowest) + 1)
+
+
+def _by_family(lines: Array, orders: Sequence[Array]) -> list[Array]:
+    """What stands for sine and cosine of all orders `(line,)`, for each family apart."""
+    return np.split(lines, np.cumsum([2 * len(each) for each in orders])[:-1])
 
 
 def _start() -> list[float]:
@@ -218,7 +222,7 @@ class _Evidence:
     def determined(self, at: Array) -> list[int]:
         """How many orders of each family the data say something of."""
         information = np.diagonal(self.gram) * self._variance(at)
-        parts = np.split(information, np.cumsum([2 * len(each) for each in self.orders])[:-1])
+        parts = _by_family(information, self.orders)
         pairs = (np.flatnonzero(part.reshape(-1, 2).max(1) > _UNDETERMINED) for part in parts)
         return [int(some[-1]) + 1 if some.size else 0 for some in pairs]
 
@@ -236,12 +240,8 @@ class _Evidence:
         # by the logarithm of each coefficient's prior variance
         change = 0.5 * (1 - _inverse_diagonal(factor) - x**2)
         slopes = []
-        for each, part, (_, corner, slope) in zip(
-            self.orders,
-            np.split(change, np.cumsum([2 * len(o) for o in self.orders])[:-1]),
-            at.reshape(-1, 3),
-            strict=True,
-        ):
+        parts = _by_family(change, self.orders)
+        for each, part, (_, corner, slope) in zip(self.orders, parts, at.reshape(-1, 3), strict=True):
             pair, relative = part.reshape(-1, 2).sum(1), each / np.exp(corner)
             faded = relative**slope / (1 + relative**slope)
             slopes += [2 * pair.sum(), slope * pair @ faded, -pair @ (faded * np.log(relative))]
@@ -270,8 +270,9 @@ def _named(
         columns = problem.columns([term])
         score = test.score_columns([columns])[0]
         p_value = score.familywise(searched)
-        outside = partial(_outside, problem, term)
-        if term in current.terms.terms or outside(score.values) or score.confounded or p_value >= options.level:
+        if term in current.terms.terms or _outside(problem, term, score.values):
+            continue
+        if score.confounded or p_value >= options.level:
             continue
         if score.gain < term.size * np.log(test.freedom) or term.size > room:
             continue
@@ -290,10 +291,11 @@ def _outside(problem: Problem, term: Term, values: Array) -> bool:
 
 def _tested(problem: Problem, current: Fit, curve: Term, time: float, options: EngineOptions) -> SelectedTerm:
     """The test of a curve beside all else: by the square of its coefficients in their posterior's metric."""
-    at = current.terms.slices[current.terms.terms.index(curve)]
+    k = current.terms.terms.index(curve)
+    at = current.terms.slices[k]
     values, covariance = current.values[at], current.covariance[at, at]
     prior = np.array([number.spread for number in curve.coordinates]) ** 2
     effective = int(np.ceil(max(len(values) - float(np.sum(np.diagonal(covariance) / prior)), 1.0)))
-    gain = 0.5 * float(values @ np.linalg.lstsq(covariance, values, rcond=1e-10)[0])
+    gain = current.quadratic_gain(k)
     p_value = min(gain_p_value(gain, effective, time) * searched_size(problem, options), 1.0)
     return SelectedTerm(curve, p_value, Score(gain, effective, p_value, False, values))

@@ -260,3 +260,29 @@ def test_a_clock_of_another_speed_is_said():
     took(rows, reports(STEP * np.arange(2)), heard=0.0)
     took(rows, reports(STEP * np.arange(2, 5000)), heard=10.0)
     assert any("runs 2 times as fast" in note for note in rows.notes())
+
+
+def resting(noise=0.0, connection=0):
+    """Rows of an arm at rest whose torques have some noise, in pieces of 33 reports."""
+    rows = Rows(station())
+    rng = np.random.default_rng(0)
+    for k in range(10):
+        many = np.frombuffer(b"".join(reports(STEP * np.arange(33 * k, 33 * (k + 1)), np.full((33, 6), 0.4))), "u1")
+        made = many.reshape(33, -1).copy().view(protocol.report_layout(protocol.REALTIME))[:, 0]
+        made["torque"][:, :6] += noise * rng.normal(size=(33, 6))
+        took(rows, [row.tobytes() for row in made], connection=k * connection)
+    return rows
+
+
+def test_torques_without_noise_are_the_controllers_own():
+    rows = resting()
+    assert rows.torques_computed
+    said = "the torques have no noise, not even at rest: the controller computes them from its own model"
+    assert any(note.startswith(said) for note in rows.notes())
+    measured = resting(noise=1e-3)
+    assert not measured.torques_computed
+    assert not any(note.startswith(said) for note in measured.notes())
+
+
+def test_torques_of_runs_that_are_shorter_than_a_window_say_nothing():
+    assert not resting(connection=1).torques_computed

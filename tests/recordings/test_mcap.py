@@ -290,14 +290,31 @@ def test_topics_are_named_where_there_are_several(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("topic", "missing"), [("/tool", "sensor_msgs/JointState"), ("/joint_states", "geometry_msgs/PoseStamped")]
+    ("topic", "missing", "remedy"),
+    [
+        ("/tool", "sensor_msgs/JointState", ""),
+        (
+            "/joint_states",
+            "geometry_msgs/PoseStamped",
+            ", or name run.mcap#/joint_states for a motion or torques without poses",
+        ),
+    ],
 )
-def test_a_topic_that_is_missing(tmp_path, topic, missing):
+def test_a_topic_that_is_missing(tmp_path, topic, missing, remedy):
     t = np.arange(3) / 10
     both = {"/joint_states": joints(t, np.stack([t, t], 1)), "/tool": poses(t, np.outer(t, [1, 0, 0]))}
     kind = both[topic].kind.replace("/msg/", "/")
     path = write(tmp_path / "run.mcap", {topic: both[topic]})
-    assert refusal(path) == f"has no topic of {missing}; it has {topic} ({kind}); record one with these types"
+    assert refusal(path) == f"has no topic of {missing}; it has {topic} ({kind}); record one with these types{remedy}"
+
+
+def test_efforts_are_torques_without_poses_too(tmp_path):
+    t = np.arange(5) / 10
+    q, tau = np.stack([t, -t], 1), np.stack([3 + t, 1 - t], 1)
+    path = write(tmp_path / "run.mcap", {"/joint_states": joints(t, q, efforts=tau)})
+    recording = read_recording(f"{path}#/joint_states")
+    np.testing.assert_array_equal(recording.torques(), tau)
+    assert recording.position is None
 
 
 def test_no_topics_at_all(tmp_path):

@@ -228,6 +228,7 @@ def test_quaternions_with_missing_numbers_are_left_to_be_dropped():
         ({"position": np.zeros((4, 3))}, r"position has the shape \(4, 3\); give \(3, 3\)"),
         ({"quaternion": np.ones((3, 4))}, "orientations without positions; add x_m y_m z_m"),
         ({"joint_torque": np.zeros((3, 5))}, r"joint_torque has the shape \(3, 5\); give \(3, 6\)"),
+        ({"joint_acceleration": np.zeros((2, 6))}, r"joint_acceleration has the shape \(2, 6\); give \(3, 6\)"),
         ({"time": np.zeros((3, 1))}, r"time has the shape \(3, 1\); give \(3,\)"),
         ({"run": np.array([0.0, 0.5, 1.0])}, "run has the type float64; give integers"),
     ],

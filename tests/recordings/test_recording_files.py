@@ -37,15 +37,16 @@ def refusal(path, **options):
 
 def test_every_column_of_the_document_is_read_in_si(tmp_path):
     text = (
-        "time_s,q1_rad,q2_rad,dq1_rad_per_s,dq2_rad_per_s,tau1_Nm,tau2_Nm,current1_A,current2_A,temp1_degC,temp2_degC,"
+        "time_s,q1_rad,q2_rad,dq1_rad_per_s,dq2_rad_per_s,ddq1_rad_per_s2,ddq2_rad_per_s2,tau1_Nm,tau2_Nm,current1_A,current2_A,temp1_degC,temp2_degC,"
         "ambient_degC,payload_kg,run,x_m,y_m,z_m,qw,qx,qy,qz\n"
-        "0,0.1,0.2,1,2,3,4,5,6,25,26,21,0.5,7,0.3,0.4,0.5,1,0,0,0\n"
-        "0.5,0.2,0.1,-1,-2,-3,-4,-5,-6,27,28,22,0.6,8,0.6,0.7,0.8,0,1,0,0\n"
+        "0,0.1,0.2,1,2,7,8,3,4,5,6,25,26,21,0.5,7,0.3,0.4,0.5,1,0,0,0\n"
+        "0.5,0.2,0.1,-1,-2,-7,-8,-3,-4,-5,-6,27,28,22,0.6,8,0.6,0.7,0.8,0,1,0,0\n"
     )
     recording = read_recording(file(tmp_path, text))
     assert recording.time.tolist() == [0, 0.5]
     assert recording.joint_position.tolist() == [[0.1, 0.2], [0.2, 0.1]]
     assert recording.joint_velocity.tolist() == [[1, 2], [-1, -2]]
+    assert recording.joint_acceleration.tolist() == [[7, 8], [-7, -8]]
     assert recording.joint_torque.tolist() == [[3, 4], [-3, -4]]
     assert recording.motor_current.tolist() == [[5, 6], [-5, -6]]
     assert recording.joint_temperature.tolist() == [[25, 26], [27, 28]]
@@ -62,12 +63,15 @@ def test_every_column_of_the_document_is_read_in_si(tmp_path):
 
 def test_other_units_are_converted_and_may_be_mixed(tmp_path):
     text = (
-        "time_ms,q1_deg,q2_rad,dq1_deg_per_s,dq2_rad_per_s,current1_mA,current2_A,x_mm,y_m,z_mm\n"
-        "20,90,1,180,2,1500,1.5,371.5,0.25,-1\n"
+        "time_ms,q1_deg,q2_rad,dq1_deg_per_s,dq2_rad_per_s,ddq1_deg_per_s2,ddq2_rad_per_s2,tau1_mNm,tau2_Nm,"
+        "current1_mA,current2_A,x_mm,y_m,z_mm\n"
+        "20,90,1,180,2,-360,3,4300,4.3,1500,1.5,371.5,0.25,-1\n"
     )
     recording = read_recording(file(tmp_path, text))
     np.testing.assert_allclose(recording.joint_position, [[np.pi / 2, 1]], rtol=1e-15)
     np.testing.assert_allclose(recording.joint_velocity, [[np.pi, 2]], rtol=1e-15)
+    np.testing.assert_allclose(recording.joint_acceleration, [[-2 * np.pi, 3]], rtol=1e-15)
+    assert recording.joint_torque.tolist() == [[4.3, 4.3]]
     assert recording.motor_current.tolist() == [[1.5, 1.5]]
     assert recording.position.tolist() == [[0.3715, 0.25, -0.001]]  # to the last digit
     assert recording.time.tolist() == [0.02]
@@ -123,7 +127,12 @@ def test_unknown_columns_are_ignored_and_named(tmp_path):
             f"{JOINTS},dq1_rpm,dq2_rpm",
             "column 'dq1_rpm': the unit 'rpm' is unknown; write dq1_rad_per_s or dq1_deg_per_s",
         ),
-        (f"{JOINTS},tau1_mNm,tau2_mNm", "column 'tau1_mNm': the unit 'mNm' is unknown; write tau1_Nm"),
+        (f"{JOINTS},tau1_Ncm,tau2_Ncm", "column 'tau1_Ncm': the unit 'Ncm' is unknown; write tau1_Nm or tau1_mNm"),
+        (
+            f"{JOINTS},ddq1_rad",
+            "column 'ddq1_rad': the unit 'rad' is unknown; write ddq1_rad_per_s2 or ddq1_deg_per_s2",
+        ),
+        (f"{JOINTS},tau1_Nm", "tau2_Nm or tau2_mNm is missing beside its like; give it for all joints"),
         (f"{JOINTS},ambient_K", "column 'ambient_K': the unit 'K' is unknown; write ambient_degC"),
         (f"{JOINTS},payload", "column 'payload': the unit is missing; write payload_kg"),
         (f"{JOINTS},x_m,y_m", "z_m or z_mm is missing; give all of x_m y_m z_m, or none"),
@@ -422,7 +431,8 @@ def contents(draw):
         "quaternion": quaternion,
         "time": block(elements=st.floats(-1e7, 1e7)) if draw(st.booleans()) else None,
         "joint_velocity": maybe(1e4, dof),
-        "joint_torque": maybe(1e6, dof),
+        "joint_acceleration": maybe(1e7, dof),
+        "joint_torque": maybe(1e5, dof),
         "motor_current": maybe(1e5, dof),
         "joint_temperature": maybe(1e4, dof),
         "ambient_temperature": maybe(1e4),
@@ -434,6 +444,10 @@ def contents(draw):
             "joint_noise_rad": draw(st.floats(0, 1.0)),
             "position_noise_m": draw(st.none() | st.floats(1e-12, 1.0)),
             "gravity_m_per_s2": tuple(draw(arrays(np.float64, 3, elements=up_to(100.0))).tolist()),
+            "torque_source": draw(st.sampled_from(["measured", "current", "estimated", "unknown"])),
+            "torque_noise_Nm": draw(st.none() | st.tuples(*[st.floats(1e-9, 1e4)] * dof)),
+            "inertial": draw(st.sampled_from(["declared", "unknown"]) | st.floats(1e-300, 0.5)),
+            "torque_constant_Nm_per_A": draw(st.none() | st.tuples(*[st.floats(-1e5, -1e-9)] * dof)),
         },
     }
 
@@ -491,6 +505,37 @@ def test_writing_replaces_nothing_unasked_and_leaves_nothing_half_done(tmp_path,
     assert sorted(os.listdir(tmp_path)) == ["run7.yaml"]
 
 
+@pytest.mark.parametrize("key", ["torque_noise_Nm", "torque_constant_Nm_per_A"])
+def test_a_list_with_a_number_per_joint_is_held_against_the_joints(tmp_path, key):
+    path = file(tmp_path, f"{JOINTS}\n1,2\n", sidecar=f"recording: {{motion: static, {key}: [1, 2, 3]}}")
+    assert refusal(path) == f"recording.{key} has 3 numbers for 2 joints; give one per joint"
+    with pytest.raises(InputError, match=rf"^mine: recording\.{key} has 1 numbers for 2 joints; give one per joint$"):
+        Recording.from_arrays([[0.1, 0.2]], source="mine", **{key: [1.0]})
+
+
+def test_torques_are_those_recorded_or_currents_times_constants(tmp_path):
+    head, row = f"{JOINTS},current1_mA,current2_mA", "1,2,500,-4000"
+    constants = "recording: {motion: static, torque_constant_Nm_per_A: [10, -0.5]}"
+    read = read_recording(file(tmp_path, f"{head}\n{row}\n", sidecar=constants))
+    assert read.joint_torque is None
+    assert read.torques().tolist() == [[5, 2]]
+    both = read_recording(file(tmp_path, f"{head},tau1_mNm,tau2_Nm\n{row},7000,8\n", sidecar=constants))
+    assert both.torques().tolist() == [[7, 8]]
+    path = file(tmp_path, f"{head}\n{row}\n")
+    with pytest.raises(InputError) as caught:
+        read_recording(path).torques()
+    assert str(caught.value) == (
+        f"{path}: has motor currents without torque constants; declare torque_constant_Nm_per_A in the sidecar, one "
+        "number per joint"
+    )
+    path = file(tmp_path, f"{JOINTS}\n1,2\n", sidecar=constants)
+    with pytest.raises(InputError) as caught:
+        read_recording(path).torques()
+    assert str(caught.value) == (
+        f"{path}: has no joint torques; add tau1_Nm ..., or current1_A ... and torque_constant_Nm_per_A in the sidecar"
+    )
+
+
 def test_a_sidecar_that_moves_still_names_its_files(tmp_path):
     (tmp_path / "out").mkdir()
     path = file(tmp_path, FINE, sidecar="recording: {arm: arm.urdf, factory_calibration: own.yaml, motion: static}")
@@ -544,3 +589,33 @@ def test_the_open_trial_recordings():
         agrees_with_numpy(path, recording)
         unseen = read_recording(path.with_name("unseen.csv"), dof=6)
         assert (unseen.samples, unseen.numbers_per_sample, unseen.motion) == (400, 0, recording.motion)
+
+
+TORQUES = sorted((SHARED / "dynamics/open").glob("*/recording.csv"))
+
+
+@pytest.mark.skipif(not TORQUES, reason="the open torque recordings are not on this machine")
+def test_the_open_torque_recordings():
+    for path in TORQUES:
+        recording = read_recording(path, dof=6)
+        assert recording.notes == ()
+        settings = recording.settings
+        assert (settings.arm, settings.torque_source, settings.inertial) == ("arm.yaml", "measured", "declared")
+        assert settings.torque_noise_Nm == (0.06, 0.08, 0.05, 0.02, 0.02, 0.015)
+        assert recording.torques().shape == recording.velocities().shape == (recording.samples, 6)
+        agrees_with_numpy(path, recording)
+        unseen = read_recording(path.with_name("unseen.csv"), dof=6)
+        assert (unseen.joint_torque, unseen.motion) == (None, "trajectory")
+
+
+@pytest.mark.parametrize(("name", "arm"), [("ur10", "ur10"), ("tx40", "tx40.urdf")])
+def test_the_real_torque_recordings(name, arm):
+    path = SHARED / f"real/torque/{name}_first.csv"
+    if not path.exists():
+        pytest.skip("the real torque recordings are not on this machine")
+    recording = read_recording(path, dof=6)
+    assert recording.notes == ()
+    settings = recording.settings
+    assert (settings.arm, settings.torque_source, settings.inertial) == (arm, "current", "unknown")
+    assert recording.torques().shape == (recording.samples, 6)
+    agrees_with_numpy(path, recording)

@@ -23,6 +23,10 @@ recording:
   payload_com_m: [0, 0, 0.05]
   reference_temperature_degC: 21
   gravity_m_per_s2: [0, 9.81, 0]
+  torque_source: current
+  torque_noise_Nm: [0.06, 8e-2]
+  inertial: 0.1
+  torque_constant_Nm_per_A: [-10, 0.5]
 """
 
 
@@ -57,6 +61,10 @@ def test_every_key_is_read(tmp_path):
         payload_com_m=(0.0, 0.0, 0.05),
         reference_temperature_degC=21.0,
         gravity_m_per_s2=(0.0, 9.81, 0.0),
+        torque_source="current",
+        torque_noise_Nm=(0.06, 0.08),
+        inertial=0.1,
+        torque_constant_Nm_per_A=(-10.0, 0.5),
     )
 
 
@@ -78,6 +86,10 @@ def test_the_defaults_are_those_of_the_document(tmp_path):
         "gravity_m_per_s2": (0.0, 0.0, -9.81),
         "inertial_uncertainty": 0.1,
         "payload_uncertainty_kg": 0.0,
+        "torque_source": "unknown",
+        "torque_noise_Nm": None,
+        "inertial": "declared",
+        "torque_constant_Nm_per_A": None,
     }
     for settings in (
         read_settings(tmp_path / "absent.yaml"),
@@ -158,6 +170,31 @@ def test_writing_needs_permission_to_replace(tmp_path):
             "recording: {payload_uncertainty_kg: -1}",
             "-1 is not accepted (negative); give one sigma in kg, zero or more",
         ),
+        (
+            "recording: {torque_source: sensor}",
+            "recording.torque_source: 'sensor' is not accepted; give measured, current, estimated or unknown",
+        ),
+        (
+            "recording: {torque_noise_Nm: 0.1}",
+            "recording.torque_noise_Nm: 0.1 is not accepted; give a list with one sigma in N m per joint, each more",
+        ),
+        ("recording: {torque_noise_Nm: []}", "torque_noise_Nm: [] is not accepted; give a list with one sigma"),
+        ("recording: {torque_noise_Nm: [0.1, 0]}", "torque_noise_Nm: [0.1, 0] is not accepted (not positive); give"),
+        ("recording: {torque_noise_Nm: [0.1, 1.0e5]}", "is not accepted (not from 1e-09 to 10000); give a list"),
+        ("recording: {torque_noise_Nm: [0.1, low]}", "torque_noise_Nm: [0.1, 'low'] is not accepted; give a list"),
+        (
+            "recording: {inertial: fitted}",
+            "inertial: 'fitted' is not accepted; give declared, unknown (they are fitted)",
+        ),
+        ("recording: {inertial: 10}", "inertial: 10 is not accepted (above 0.5: per cent?); give declared, unknown"),
+        ("recording: {inertial: 0}", "inertial: 0 is not accepted (zero: write declared); give declared, unknown"),
+        ("recording: {inertial: true}", "inertial: True is not accepted; give declared, unknown"),
+        (
+            "recording: {torque_constant_Nm_per_A: 12}",
+            "torque_constant_Nm_per_A: 12 is not accepted; give a list with one number in N m per A for each joint",
+        ),
+        ("recording: {torque_constant_Nm_per_A: [12, 0]}", "[12, 0] is not accepted (zero); give a list with one"),
+        ("recording: {torque_constant_Nm_per_A: [12, 1.0e9]}", "is not accepted (beyond 100000); give a list with one"),
         ("recording: {tool: flange}", "recording.tool: 'flange' is not accepted; give none, unknown, or six numbers"),
         (
             "recording: {tool: [0, 0, 1]}",

@@ -203,6 +203,11 @@ class PoseProblem:
         found = shaped(self.time_shifted, self.loads, self.motion.dof)
         return tuple(effect for effect in found if effect.label not in self.refused)
 
+    @property
+    def ladder(self) -> tuple[Effect, ...]:
+        """None: a calibrated arm has few effects."""
+        return ()
+
     @lazy
     def flexible(self) -> tuple[Unnamed, ...]:
         """Functions without a name, of every site and driver."""

@@ -14,6 +14,7 @@ from lite6jax.effects.effect import Choice, Coordinate, Effect, JointEffect, Rep
 from lite6jax.effects.kinematic import bounds
 from lite6jax.effects.motion import Motion
 from lite6jax.effects.statics import Loads
+from lite6jax.effects.waves import order_choice, wave_reporting
 from lite6jax.errors import InputError
 
 
@@ -77,45 +78,6 @@ class JointCompliance(JointEffect):
         return values[0] * self.drivers[0].values(motion, loads)
 
 
-def _harmonic_parameters(effect: Effect, values: NDArray) -> tuple[NDArray, NDArray]:
-    assert isinstance(effect, JointHarmonic)
-    sine, cosine = values[:2]
-    order = values[2] if effect.order is None else effect.order
-    amplitude = np.hypot(sine, cosine)
-    phase = np.arctan2(cosine, sine)
-    jacobian = np.zeros((3, values.size))
-    jacobian[0, 2:] = 1.0
-    # at no amplitude the phase is anything: a huge derivative, which `reported` takes for no knowledge
-    along = np.array([sine, cosine]) / amplitude if amplitude else np.array([1.0, 0.0])
-    jacobian[1, :2] = along
-    jacobian[2, :2] = np.array([-along[1], along[0]]) / max(amplitude, 1e-300)
-    return np.array([order, amplitude, np.pi if phase == -np.pi else phase]), jacobian
-
-
-def _harmonic_values(effect: Effect, given: Mapping[str, float]) -> NDArray:
-    assert isinstance(effect, JointHarmonic)
-    order = given.get("order", effect.order)
-    if order is None:
-        raise InputError(f"{effect.label}: no order is given; say how often the error comes in a turn, as order=2")
-    if effect.order is not None and order != effect.order:
-        raise InputError(f"{effect.label}: order {order:g} beside the fixed order {effect.order:g}; give one of them")
-    amplitude, phase = given.get("amplitude_rad", 0.0), given.get("phase_rad", 0.0)
-    if amplitude < 0:
-        raise InputError(f"{effect.label}: amplitude_rad is {amplitude:g}; make it positive and add pi to phase_rad")
-    values = [amplitude * np.cos(phase), amplitude * np.sin(phase)]
-    return np.array(values if effect.order is not None else [*values, order])
-
-
-def _harmonic_order(effect: Effect) -> float | None:
-    assert isinstance(effect, JointHarmonic)
-    return None if effect.order is None else float(effect.order)
-
-
-def _harmonic_of(effect: Effect, order: float | None) -> "JointHarmonic":
-    assert isinstance(effect, JointHarmonic)
-    return JointHarmonic(effect.joint, order)
-
-
 @final
 @dataclass(frozen=True)
 class JointHarmonic(JointEffect):
@@ -132,18 +94,8 @@ class JointHarmonic(JointEffect):
 
     name: ClassVar[str] = "joint_harmonic"
     specificity: ClassVar[int] = 5
-    choice: ClassVar[Choice | None] = Choice(
-        number=_harmonic_order,
-        searched=lambda effect: _harmonic_order(effect) not in (None, 1.0, 2.0),
-        released=lambda effect: _harmonic_of(effect, None),
-        held=_harmonic_of,
-        periodic=True,
-    )
-    reporting: ClassVar[Reporting] = Reporting(
-        names=lambda effect: ("order", "amplitude_rad", "phase_rad"),
-        parameters=_harmonic_parameters,
-        values=_harmonic_values,
-    )
+    choice: ClassVar[Choice | None] = order_choice(named=(1.0, 2.0))
+    reporting: ClassVar[Reporting] = wave_reporting("amplitude_rad")
 
     def __post_init__(self) -> None:
         if self.order is not None and not 0 < self.order < np.inf:

@@ -92,14 +92,16 @@ class ColumnCorrection:
         order, factor = list(self.order), np.array(self.factor)
         changed = {"joint_position": self.joints(recording.joint_position)}
         changed["direction_of_motion"] = recording.direction_of_motion[:, order] * np.sign(factor)
-        if recording.joint_velocity is not None:
-            changed["joint_velocity"] = recording.joint_velocity[:, order] * factor
-        for name in ("joint_torque", "motor_current"):
+        for name, scale in (
+            ("joint_velocity", factor),
+            ("joint_acceleration", factor),
+            ("joint_torque", np.sign(factor)),
+            ("motor_current", np.sign(factor)),
+            ("joint_temperature", 1.0),
+        ):
             column = getattr(recording, name)
             if column is not None:
-                changed[name] = column[:, order] * np.sign(factor)
-        if recording.joint_temperature is not None:
-            changed["joint_temperature"] = recording.joint_temperature[:, order]
+                changed[name] = column[:, order] * scale
         if recording.quaternion is not None:
             turned = Rotation.from_matrix(self.rotations(recording.quaternion)).as_quat()
             unit = np.roll(turned, 1, axis=1)

@@ -1,0 +1,328 @@
+"""Rigid-body dynamics of a serial arm: the motors' torques, linear in ten parameters a link, and what they determine.
+
+The sample is the last axis of every array, so that an operation is one vector instruction over samples. Equations:
+R. Featherstone, Rigid Body Dynamics Algorithms (2008), section 5.3; the regressor: C. Atkeson, C. An and J. Hollerbach,
+Int. J. Robotics Research 5(3), 1986.
+"""
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array, lax
+from jax.typing import ArrayLike
+from numpy.typing import NDArray
+
+from lite6jax.arms import inertia, se3
+from lite6jax.arms.arm import Arm
+from lite6jax.errors import InputError
+
+PARAMETERS = ("m", "mx", "my", "mz", "Ixx", "Iyy", "Izz", "Ixy", "Ixz", "Iyz")
+"""A link's inertial parameters: mass, kg; first moments, kg·m; inertia about the origin of its frame, kg·m²."""
+
+# Of a link, what is kept before what is grouped into it: Iyy, mz and m of a link are then grouped with parameters of the
+# same link and of the previous one, as by Gautier and Khalil.
+_PREFERENCE = [PARAMETERS.index(name) for name in ("Izz", "Ixx", "Ixy", "Ixz", "Iyz", "mx", "my", "mz", "Iyy", "m")]
+_LENGTHS = np.array([0, 1, 1, 1, 2, 2, 2, 2, 2, 2])
+"""The power of m in each parameter's unit, kg m^power."""
+
+INDEPENDENT = 1e-7
+"""Of the longest column's norm: what a column must leave after the projection on those before it. A first axis tilted by
+1e-6 rad against gravity is noticed, rounding in the sixteenth digit is not."""
+
+_CHUNK = 512
+"""Samples at a time: their columns and what these are made of stay in a core's cache."""
+
+_Vector = tuple[Array, Array, Array]
+"""Components, each (sample,), (joint, sample) or a number."""
+
+
+def link_parameters(arm: Arm) -> NDArray[np.floating]:
+    """(joint, 10) `PARAMETERS` of each link, about the origin and in the axes of the frame after its joint's rotation.
+
+    Torques are linear in them: the inertia about the origin is that about the centre of mass plus the parallel-axis
+    term.
+
+    Raises:
+        InputError: the arm has no masses or no inertia tensors.
+    """
+    if arm.mass is None or arm.center_of_mass is None or arm.inertia is None:
+        lacks = "masses" if arm.mass is None else "inertia tensors"
+        raise InputError(
+            f"arm {arm.name!r}: has no {lacks}, which torques need; give mass_kg, com_m and inertia_kg_m2 of every link"
+        )
+    about_origin = arm.inertia + inertia.point_tensor(arm.mass, arm.center_of_mass)
+    first = arm.mass[:, None] * arm.center_of_mass
+    return np.hstack([arm.mass[:, None], first, inertia.six_entries(about_origin)])
+
+
+class _Motion(NamedTuple):
+    """The motion of a link's frame in its own axes; each component (sample,), or (link, sample) of all."""
+
+    spin: _Vector  # angular velocity
+    spin_rate: _Vector  # its derivative
+    acceleration: _Vector  # of the frame's origin, less gravity
+
+
+class _Step(NamedTuple):
+    """From the previous link's frame to this one's: a fixed shift and rotation, then the joint's rotation about z."""
+
+    R: Array  # (3, 3)
+    p: Array  # (3,)
+    cos: Array  # (sample,)
+    sin: Array
+    rate: Array
+    rate_change: Array
+
+    def into(self, v: _Vector) -> _Vector:
+        """A vector of the previous frame, in the axes of this one."""
+        x, y, z = _product(self.R.T, v)
+        return self.cos * x + self.sin * y, self.cos * y - self.sin * x, z
+
+    def out_of(self, v: _Vector) -> _Vector:
+        """A vector of this frame, in the axes of the previous one."""
+        return _product(self.R, (self.cos * v[0] - self.sin * v[1], self.sin * v[0] + self.cos * v[1], v[2]))
+
+
+def _steps(kinematics: Array, q: Array, dq: Array, ddq: Array) -> _Step:
+    """All steps, joint first. Loops over the joints are compiled as loops, for two reasons: unrolled, XLA would fuse
+    every step into each of its uses, compute it anew there, and compile for a minute."""
+    return _Step(se3.rotation_from_rpy(kinematics[:, 3:]), kinematics[:, :3], jnp.cos(q), jnp.sin(q), dq, ddq)
+
+
+def _product(M: Array, v: _Vector) -> _Vector:
+    x, y, z = (M[k, 0] * v[0] + M[k, 1] * v[1] + M[k, 2] * v[2] for k in range(3))
+    return x, y, z
+
+
+def _cross(a: _Vector | Array, b: _Vector | Array) -> _Vector:
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+
+
+def _sum(a: _Vector, b: _Vector) -> _Vector:
+    return a[0] + b[0], a[1] + b[1], a[2] + b[2]
+
+
+def _resting(gravity: Array, samples: int) -> _Motion:
+    """The base, at rest; gravity is an acceleration the other way."""
+    zero = jnp.zeros(samples)
+    return _Motion((zero, zero, zero), (zero, zero, zero), (zero - gravity[0], zero - gravity[1], zero - gravity[2]))
+
+
+def _next(motion: _Motion, step: _Step) -> _Motion:
+    """The motion of the link after a step."""
+    centripetal = _cross(motion.spin, _cross(motion.spin, step.p))
+    at_origin = _sum(motion.acceleration, _sum(_cross(motion.spin_rate, step.p), centripetal))
+    x, y, z = step.into(motion.spin)
+    ax, ay, az = step.into(motion.spin_rate)
+    rate = (ax + y * step.rate, ay - x * step.rate, az + step.rate_change)
+    return _Motion((x, y, z + step.rate), rate, step.into(at_origin))
+
+
+def _rotation_rate(motion: _Motion) -> tuple[_Vector, _Vector, _Vector]:
+    """The rows of [α]ₓ + [ω]ₓ², which takes a point of the link to its acceleration relative to the origin."""
+    (x, y, z), (ax, ay, az) = motion.spin, motion.spin_rate
+    return (
+        (-y * y - z * z, x * y - az, x * z + ay),
+        (x * y + az, -x * x - z * z, y * z - ax),
+        (x * z - ay, y * z + ax, -x * x - y * y),
+    )
+
+
+@jax.jit
+def regressor(kinematics: ArrayLike, q: ArrayLike, dq: ArrayLike, ddq: ArrayLike, gravity: ArrayLike) -> Array:
+    """The matrix that takes all links' inertial parameters to the joints' torques.
+
+    Args:
+        kinematics: (joint, 6) x y z roll pitch yaw of each joint's frame in the previous one, m and rad.
+        q: (joint, sample) rad; `dq` rad/s and `ddq` rad/s² likewise.
+        gravity: (3,) m/s² in the base frame.
+
+    Returns:
+        (joint, 10 × joint, sample) such that `inverse_dynamics` is its product with the parameters, link after link.
+    """
+    kinematics, gravity = jnp.asarray(kinematics, float), jnp.asarray(gravity, float)
+    motion = jnp.stack([jnp.asarray(value, float) for value in (q, dq, ddq)])
+    joints, samples = motion.shape[1:]
+    size = min(samples, _CHUNK)
+
+    def fill(k: int, filled: Array) -> Array:
+        start = jnp.minimum(k * size, samples - size)  # the last chunk overlaps the one before
+        chunk = lax.dynamic_slice_in_dim(motion, start, size, 2)
+        columns = _columns(*_link_motions(_steps(kinematics, *chunk), gravity))
+        for c, column in enumerate(columns):
+            filled = lax.dynamic_update_slice(filled, column[:, :, None], (0, 0, c, start))
+        return filled
+
+    filled = lax.fori_loop(0, -(-samples // size), fill, jnp.zeros((joints, joints, 10, samples)))
+    return filled.reshape(joints, 10 * joints, samples)
+
+
+def _link_motions(steps: _Step, gravity: Array) -> tuple[_Vector, _Vector, _Motion]:
+    """Of each link its motion, (link, sample); of each joint and link the joint's axis, and the velocity of the link's
+    origin per unit of the joint's rate: (joint, link, sample), zero for joints that do not move the link."""
+    joints, samples = steps.cos.shape
+    nothing = jnp.zeros((joints, samples))
+    Carry = tuple[Array, _Vector, _Vector, _Motion]
+
+    def walk(carry: Carry, step: _Step) -> tuple[Carry, Carry]:
+        number, axis, velocity, motion = carry
+        shifted = step.into(_sum(velocity, _cross(axis, step.p)))
+        own = (jnp.arange(joints) == number)[:, None]
+        x, y, z = step.into(axis)
+        carry = (number + 1, (x, y, jnp.where(own, 1.0, z)), shifted, _next(motion, step))
+        return carry, carry
+
+    start = (jnp.zeros((), int), (nothing,) * 3, (nothing,) * 3, _resting(gravity, samples))
+    _, axis, velocity, motion = lax.scan(walk, start, steps)[1]
+    axis, velocity = (tuple(jnp.swapaxes(v[k], 0, 1) for k in range(3)) for v in (axis, velocity))
+    return axis, velocity, motion
+
+
+def _columns(axis: _Vector, velocity: _Vector, motion: _Motion) -> list[Array]:
+    """Ten (joint, link, sample) torques about the joints' axes, one per unit of each of a link's parameters.
+
+    By virtual work: the link's inertial force times the velocity of its origin, plus its moment times the axis.
+    """
+    D, a, w, dw = _rotation_rate(motion), motion.acceleration, motion.spin, motion.spin_rate
+    turned, u = _cross(a, axis), _cross(axis, w)
+    mass = velocity[0] * a[0] + velocity[1] * a[1] + velocity[2] * a[2]
+    first = [velocity[0] * D[0][k] + velocity[1] * D[1][k] + velocity[2] * D[2][k] + turned[k] for k in range(3)]
+    moments = [axis[k] * dw[k] + u[k] * w[k] for k in range(3)]
+    products = [axis[k] * dw[m] + axis[m] * dw[k] + u[k] * w[m] + u[m] * w[k] for k, m in ((0, 1), (0, 2), (1, 2))]
+    return [mass, *first, *moments, *products]
+
+
+@jax.jit
+def inverse_dynamics(
+    kinematics: ArrayLike, parameters: ArrayLike, q: ArrayLike, dq: ArrayLike, ddq: ArrayLike, gravity: ArrayLike
+) -> Array:
+    """The torques that the motors exert about +z of the joints, without friction, rotor inertia or payload.
+
+    A motor that holds a load up exerts the negative of gravity's torque.
+
+    Args:
+        kinematics: as of `regressor`, and `q`, `dq`, `ddq` and `gravity`.
+        parameters: (joint, 10) `PARAMETERS` of each link.
+
+    Returns:
+        (joint, sample) N·m.
+    """
+    kinematics, q, dq, ddq, gravity = (jnp.asarray(value, float) for value in (kinematics, q, dq, ddq, gravity))
+    steps = _steps(kinematics, q, dq, ddq)
+
+    def outwards(motion: _Motion, step: _Step) -> tuple[_Motion, _Motion]:
+        motion = _next(motion, step)
+        return motion, motion
+
+    def inwards(load: tuple[_Vector, _Vector], link: tuple[_Step, _Motion, Array]) -> tuple[Any, Array]:
+        (force, moment), (step, motion, (m, hx, hy, hz, xx, yy, zz, xy, xz, yz)) = load, link
+        first, a = (hx, hy, hz), motion.acceleration
+        M = jnp.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+        x, y, z = (row[0] * hx + row[1] * hy + row[2] * hz for row in _rotation_rate(motion))
+        force = _sum(force, (m * a[0] + x, m * a[1] + y, m * a[2] + z))
+        own = _sum(_product(M, motion.spin_rate), _cross(motion.spin, _product(M, motion.spin)))
+        moment = _sum(moment, _sum(own, _cross(first, a)))
+        before = step.out_of(force)
+        return (before, _sum(step.out_of(moment), _cross(step.p, before))), moment[2]
+
+    resting = _resting(gravity, q.shape[1])
+    motions = lax.scan(outwards, resting, steps)[1]
+    links = (steps, motions, jnp.asarray(parameters, float))
+    return lax.scan(inwards, (resting.spin, resting.spin), links, reverse=True)[1]
+
+
+@dataclass(frozen=True, eq=False)
+class BaseParameters:
+    """The identifiable combinations of the inertial parameters of all links.
+
+    With β = `grouping` x, x being `link_parameters(arm).ravel()`, torques are `regressor[:, independent] β`.
+
+    Attributes:
+        independent: (base,) the places in x of one parameter of each combination, in ascending order.
+        grouping: (base, 10 × joint) the coefficients; 1 at the combination's own parameter, 0 at those of others.
+        basis: (10 × joint, base) an orthonormal basis of the identifiable directions: the rows of `grouping` span it.
+    """
+
+    independent: NDArray[np.integer]
+    grouping: Array
+    basis: Array
+
+    @property
+    def size(self) -> int:
+        """The number of base parameters: 36 for six joints in general, 43 for seven."""
+        return len(self.independent)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Each combination, such as `Ixx2 − Iyy2 + 0.04 m² m3`: the parameter's name with the link's number."""
+        return tuple(self._name(row, own) for row, own in zip(self.grouping, self.independent, strict=True))
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """`kg`, `kg m` or `kg m²` of each."""
+        return tuple(("kg", "kg m", "kg m²")[_LENGTHS[own % 10]] for own in self.independent)
+
+    def values(self, parameters: ArrayLike) -> Array:
+        """(base,) the combinations' values for links' parameters (joint, 10)."""
+        return self.grouping @ np.asarray(parameters, float).ravel()
+
+    def _name(self, row: Array, own: int) -> str:
+        name = parameter_name(own)
+        for place in np.flatnonzero(row):
+            if place == own:
+                continue
+            power = _LENGTHS[own % 10] - _LENGTHS[place % 10]
+            size = f"{abs(row[place]):.4g}" + {0: "", 1: " m", 2: " m²", -1: " /m", -2: " /m²"}[int(power)]
+            factor = "" if size == "1" else f"{size} "
+            name += f" {'+' if row[place] > 0 else '−'} {factor}{parameter_name(int(place))}"
+        return name
+
+
+def parameter_name(place: int) -> str:
+    """The name of one inertial parameter in `link_parameters(arm).ravel()`, such as `Ixx2` for link 2."""
+    return f"{PARAMETERS[place % 10]}{place // 10 + 1}"
+
+
+def base_parameters(kinematics: ArrayLike, gravity: ArrayLike) -> BaseParameters:
+    """The base parameters of a chain, by the regressor of random motion.
+
+    The columns that are independent of those before them, links from the base outwards, are found by orthogonalisation;
+    every other column is a combination of them (M. Gautier, J. Robotic Systems 8(4), 1991). A chain measured rather
+    than designed has more of them where its first axis is not quite along gravity.
+
+    Args:
+        kinematics: (joint, 6) x y z roll pitch yaw of each joint's frame in the previous one, m and rad.
+        gravity: (3,) m/s² in the base frame; it decides what the first joints' links show at rest.
+    """
+    kinematics = np.asarray(kinematics, float)
+    joints = len(kinematics)
+    rng = np.random.default_rng(0)
+    samples = 16 * joints + 32
+    q = rng.uniform(-np.pi, np.pi, (joints, samples))
+    dq, ddq = 2 * rng.standard_normal((2, joints, samples))
+    W = np.moveaxis(np.asarray(regressor(kinematics, q, dq, ddq, gravity)), 2, 0).reshape(-1, 10 * joints)
+
+    order = (10 * np.arange(joints)[:, None] + _PREFERENCE).ravel()
+    independent = np.sort(order[_independent(W[:, order])])
+    grouping = np.linalg.lstsq(W[:, independent], W, rcond=None)[0]
+    grouping[np.abs(grouping) < 1e-9] = 0.0  # rounding, in kg m^±2 of an arm of metres
+    grouping[:, independent] = np.eye(len(independent))
+    basis, _ = np.linalg.qr(grouping.T)
+    return BaseParameters(independent, grouping, basis)
+
+
+def _independent(W: Array) -> NDArray[np.integer]:
+    """The places of the columns that are no combination of those before them (Gram–Schmidt, twice)."""
+    found: list[int] = []
+    Q = np.zeros((len(W), 0))
+    least = INDEPENDENT * np.linalg.norm(W, axis=0).max()
+    for k, column in enumerate(W.T):
+        left = column - Q @ (Q.T @ column)
+        left -= Q @ (Q.T @ left)
+        if np.linalg.norm(left) > least:
+            found.append(k)
+            Q = np.column_stack([Q, left / np.linalg.norm(left)])
+    return np.array(found, int)

@@ -1,0 +1,1 @@
+"""Torques of motors as the quantity that is measured."""

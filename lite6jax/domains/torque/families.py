@@ -1,0 +1,160 @@
+"""Families of effects on torques that a search needs: ripple of every order, curves, and functions without a name."""
+
+from collections.abc import Callable, Sequence
+from functools import partial
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lite6jax.domains.torque.rows import TorqueRows
+from lite6jax.effects.drivers import Driver
+from lite6jax.effects.dynamic.motors import TorqueRipple
+from lite6jax.effects.dynamic.torque_effect import Dynamics, JointTorque, TorqueEffect
+from lite6jax.effects.dynamic.unnamed import UnnamedTorque, waves
+from lite6jax.estimation.problem import CurveDriver, CurveFamily, Mask, PeriodicFamily
+from lite6jax.estimation.terms import Term
+
+Array = NDArray[np.floating]
+
+_PIECES = {"position": (4, 8, 16), "velocity": (4, 8), "gravity torque": (4, 8)}
+"""Numbers of intervals of the splines that are tried."""
+_EVERYWHERE = ("time",)
+_LEAST_VARIED = 1e-3
+"""Range of a driver, in its unit, below which it did not vary."""
+
+
+def periodic(data: TorqueRows, chosen: NDArray[np.integer], noise: Array) -> tuple[PeriodicFamily, ...]:
+    """Ripple of each joint, whose waves pass the filter as torques do."""
+    found = []
+    positions = np.asarray(data.motion.joint_position)
+    for j, q in enumerate(positions):
+        angle = q[data.filter.kept][chosen]
+        filtered = partial(_waves, data, q, chosen)
+        site, column = f"joint{j + 1}", _column(j, noise, len(chosen))
+        found.append(
+            PeriodicFamily(site, column, angle, partial(_ripple, j + 1), _order, partial(_curve, j + 1, angle), filtered)
+        )
+    return tuple(found)
+
+
+def curves(dynamics: Dynamics, data: TorqueRows, chosen: NDArray[np.integer], noise: Array) -> tuple[CurveFamily, ...]:
+    """The curves of each joint over its position, its speed and its load."""
+    found = []
+    for j in range(len(noise)):
+        drivers = []
+        for quantity, pieces in _PIECES.items():
+            driver = Driver(quantity, j + 1)
+            values = _values(driver, dynamics)
+            if values is None:
+                continue
+            values = values[data.filter.kept][chosen]
+            drivers.append(CurveDriver(values, pieces, quantity == "position", partial(_spline, j + 1, driver.phrase)))
+        found.append(CurveFamily(f"joint{j + 1}", _column(j, noise, len(chosen)), tuple(drivers)))
+    return tuple(found)
+
+
+def flexible(dynamics: Dynamics) -> tuple[UnnamedTorque, ...]:
+    """Functions of every driver at every joint, as far as drivers are known and vary.
+
+    They are of the position of any joint, of the joint's own speed, load and temperature, and of time; those of
+    position, load and temperature also times the direction of motion or the speed, as friction is.
+    """
+    dof = dynamics.torque.shape[0]
+    ranges = {d: _range(d, dynamics) for j in range(1, dof + 1) for d in _own(j)}
+    ranges |= {Driver(quantity): _range(Driver(quantity), dynamics) for quantity in _EVERYWHERE}
+    found: list[UnnamedTorque] = []
+
+    def add(joint: int, drivers: Sequence[Driver], pieces: int = 8, signed: bool = False, degree: int = 0) -> None:
+        spans = [ranges.get(driver) for driver in drivers]
+        if any(span is None for span in spans):
+            return
+        (lower, upper), *further = [span for span in spans if span is not None]
+        phrase = " and ".join(driver.phrase for driver in drivers)
+        bounds = tuple(bound for span in further for bound in span)
+        found.append(UnnamedTorque(joint, phrase, lower, upper, pieces, signed, degree=degree, further=bounds))
+
+    for j in range(1, dof + 1):
+        position, velocity, load, temperature = _own(j)
+        for signed in (False, True):
+            add(j, [position], 10, signed)
+            add(j, [load], 4, signed)
+            add(j, [temperature], 3, signed)
+            for everywhere in _EVERYWHERE:
+                add(j, [Driver(everywhere)], 4, signed)
+        add(j, [velocity], 8)
+        for other in (position, load, temperature):
+            add(j, [velocity, other], degree=3)
+        for k in range(1, dof + 1):
+            if k != j:
+                add(j, [Driver("position", k)], 6)
+                add(j, [Driver("velocity", k)], 6)
+        for a, b in combinations(range(1, dof + 1), 2):
+            if j in (a, b):
+                add(j, [Driver("position", a), Driver("position", b)], degree=3)
+    return tuple(found)
+
+
+def unit_torques(effect: TorqueEffect, dynamics: Dynamics, kept: Callable[[Array], Array]) -> Array:
+    """Torques `(number, joint, sample)` by each number of a linear effect, filtered by `kept`."""
+    if isinstance(effect, JointTorque):
+        j = effect.joint - 1
+        if isinstance(effect, UnnamedTorque):
+            rows = kept(effect.basis(dynamics))
+        else:
+            rows = kept(np.stack([effect.at_joint(unit, dynamics) for unit in np.eye(effect.size)]))
+        found = np.zeros((effect.size, dynamics.torque.shape[0], rows.shape[-1]))
+        found[:, j] = rows
+        return found
+    return kept(np.stack([effect.torque(unit, dynamics) for unit in np.eye(effect.size)]))
+
+
+def _own(j: int) -> tuple[Driver, Driver, Driver, Driver]:
+    """Position, speed, load and temperature of a joint."""
+    return Driver("position", j), Driver("velocity", j), Driver("gravity torque", j), Driver("temperature", j)
+
+
+def _values(driver: Driver, dynamics: Dynamics) -> Array | None:
+    loads = dynamics.loads if driver.loaded else None
+    return np.asarray(driver.values(dynamics.motion, loads)) if driver.known(dynamics.motion, loads) else None
+
+
+def _range(driver: Driver, dynamics: Dynamics) -> tuple[float, float] | None:
+    """Lower and upper of a driver; None where it is not known or does not vary."""
+    values = _values(driver, dynamics)
+    return None if values is None or np.ptp(values) < _LEAST_VARIED else (float(values.min()), float(values.max()))
+
+
+def _column(j: int, noise: Array, samples: int) -> Array:
+    """How residuals change with a torque at a joint, `(joint, sample)`."""
+    return np.where(np.arange(len(noise))[:, None] == j, 1 / noise[:, None], 0.0) * np.ones(samples)
+
+
+def _waves(data: TorqueRows, q: Array, chosen: NDArray[np.integer], orders: Array) -> Array:
+    turned = np.multiply.outer(orders, q)
+    return data.filter(np.stack([np.sin(turned), np.cos(turned)], 1))[..., chosen]
+
+
+def _ripple(joint: int, order: float) -> TorqueRipple:
+    return TorqueRipple(joint, order)
+
+
+def _order(term: Term) -> float | None:
+    assert isinstance(term, TorqueRipple)
+    return None if term.order is None else float(term.order)
+
+
+def _curve(
+    joint: int,
+    q: Array,
+    orders: Sequence[float] | Array,
+    training: Mask,
+    prior: tuple[float, float, float] | None,
+    fade: float,
+) -> UnnamedTorque:
+    """The curve of several orders of a joint; nothing is known of coefficients beforehand, and it does not fade out."""
+    return waves(joint, q[training], orders)
+
+
+def _spline(joint: int, driver: str, lower: float, upper: float, pieces: int) -> UnnamedTorque:
+    return UnnamedTorque(joint, driver, lower, upper, pieces)

@@ -1,0 +1,233 @@
+"""Filtering: smooth motions with accelerations, and one zero-phase low pass for both sides of the equation of motion.
+
+Raw noise is never differentiated into a regressor: velocities are low-passed before they are differentiated. Measured
+and modelled torques then pass the same filter, and one row in several is kept, so that noise that was white stays white
+(parallel filtering; M. Gautier, Dynamic identification of robots with power model, ICRA 1997).
+"""
+
+from dataclasses import dataclass
+from functools import cache
+from typing import NamedTuple, final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+from scipy.ndimage import median_filter
+from scipy.signal import butter, sosfiltfilt, welch
+
+from lite6jax.errors import InputError
+from lite6jax.recordings import Recording
+from lite6jax.recordings.sequence import run_segments
+
+Array = NDArray[np.floating]
+
+_ORDER = 4
+"""Of the Butterworth filter; run forwards and backwards."""
+_ABOVE_FLOOR = 10.0
+"""Power spectral density over its floor from which a quantity is taken as signal."""
+_BANDWIDTH = 0.99
+"""Share of the velocity's power within the motion's bandwidth."""
+_WIDEST = 16.0
+"""Cutoff of torques over the bandwidth of the motion: friction changes within a fraction of a period."""
+_NARROWEST = 4.0
+"""The same where a recording is long, so that no more than `_MOST_ROWS` are kept."""
+_LEAST_CUTOFF = 10.0
+"""Hz; motors' ripple in slow motions."""
+_MOST_ROWS = 1500
+_FEWEST = 32
+"""Samples of a run; shorter ones have no spectrum."""
+_UNEVEN = 0.2
+"""Deviation of time steps from their median, over it, from which sampling is not uniform."""
+_GAP = 1.8
+"""Time steps over their median from which samples are missing, so that a new run begins."""
+_SPIKE = 8.0
+"""Standard deviations from the median of neighbouring samples from which a torque is a spike."""
+
+
+class Smoothed(NamedTuple):
+    """A motion without the noise of its encoders, `(joint, sample)` each.
+
+    Attributes:
+        position: rad.
+        velocity: rad/s.
+        acceleration: rad/s².
+        cutoff: Hz, of the low pass.
+    """
+
+    position: Array
+    velocity: Array
+    acceleration: Array
+    cutoff: float
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class LowPass:
+    """The filter that measured and modelled torques both pass.
+
+    Attributes:
+        rate: samples per second.
+        cutoff: Hz, half the rate of what is kept.
+        every: one sample in so many is kept.
+        runs: `(sample,)` int, which run a sample belongs to.
+        kept: indices of the samples that are kept; those near the ends of a run are not.
+    """
+
+    rate: float
+    cutoff: float
+    every: int
+    runs: NDArray[np.integer]
+    kept: NDArray[np.integer]
+
+    def whole(self, rows: Array) -> Array:
+        """Rows `(…, sample)` low-passed, every sample of them."""
+        return rows if self.every == 1 else _by_run(rows, self.runs, self.cutoff, self.rate)
+
+    def __call__(self, rows: Array) -> Array:
+        """Rows `(…, sample)` low-passed, and of them the samples that are kept."""
+        return self.whole(rows)[..., self.kept]
+
+
+def sample_rate(recording: Recording) -> float:
+    """Samples per second.
+
+    Raises:
+        InputError: no times, or steps that vary.
+    """
+    if recording.time is None:
+        raise InputError(f"{recording.source}: has torques without times; add time_s, one row per sample of a motion")
+    steps = np.diff(recording.time)[np.diff(recording.run) == 0]
+    steps = steps[steps > 0]
+    if steps.size < _FEWEST:
+        raise InputError(f"{recording.source}: {recording.samples} rows are too few; record a motion of some seconds")
+    step = float(np.median(steps))
+    usual = steps[steps < _GAP * step]
+    if np.mean(np.abs(usual - step) > _UNEVEN * step) > 0.05 or len(usual) < 0.8 * len(steps):
+        low, high = np.percentile(steps, (5, 95))
+        raise InputError(
+            f"{recording.source}: its time steps vary, most of them from {low:.3g} to {high:.3g} s; record at a "
+            "constant rate, or resample it"
+        )
+    return 1 / step
+
+
+def runs_of(recording: Recording, rate: float) -> NDArray[np.integer]:
+    """`(sample,)`, a number for each run; a gap in time begins a new one."""
+    assert recording.time is not None
+    gaps = np.diff(recording.time, prepend=recording.time[0]) > _GAP / rate
+    return run_segments(run_segments(recording.run) * (1 + len(gaps)) + np.cumsum(gaps))
+
+
+def smoothed(recording: Recording, chosen: LowPass) -> Smoothed:
+    """The motion low-passed up to where its velocities exceed their noise, with accelerations.
+
+    Args:
+        recording: a trajectory with times and velocities.
+        chosen: the filter of torques, far above which there is no need of velocities.
+    """
+    rate, runs = chosen.rate, chosen.runs
+    q, v = recording.joint_position.T, np.asarray(recording.velocities()).T
+    cutoff = 1.5 * max(_signal_band(row, runs, rate) for row in v)
+    cutoff = float(np.clip(cutoff, 2.0, min(2 * chosen.cutoff, 0.4 * rate)))
+    position, velocity = (_by_run(x, runs, cutoff, rate) for x in (q, v))
+    given = recording.joint_acceleration
+    if given is not None:
+        return Smoothed(position, velocity, _by_run(given.T, runs, cutoff, rate), cutoff)
+    acceleration = np.zeros_like(velocity)
+    for rows in _each(runs):
+        if rows.stop - rows.start > 2:
+            acceleration[:, rows] = np.gradient(velocity[:, rows], 1 / rate, axis=1, edge_order=2)
+    return Smoothed(position, velocity, acceleration, cutoff)
+
+
+def low_pass(velocity: Array, rate: float, runs: NDArray[np.integer]) -> LowPass:
+    """The filter for the torques of a motion, by the spectrum of its velocities.
+
+    Args:
+        velocity: `(joint, sample)` rad/s, as recorded.
+        rate: samples per second.
+        runs: `(sample,)`.
+    """
+    band = max(_bandwidth(row, runs, rate) for row in velocity)
+    wanted = max(_WIDEST * band, _LEAST_CUTOFF)
+    few = min(-(-velocity.shape[1] // _MOST_ROWS), int(rate / (2 * _NARROWEST * band)))
+    every = max(int(rate / (2 * wanted)), few, 1)
+    cutoff = rate / (2 * every)
+    margin = 0 if every == 1 else int(np.ceil(rate / cutoff))
+    kept = [np.arange(r.start + margin, r.stop - margin, every) for r in _each(runs) if r.stop - r.start >= _FEWEST]
+    return LowPass(rate, cutoff, every, runs, np.concatenate([np.zeros(0, int), *kept]))
+
+
+def spikes(torque: Array, runs: NDArray[np.integer]) -> NDArray[np.bool_]:
+    """`(joint, sample)` bool, single torques far from the median of their neighbours and from the line through these."""
+    found = np.zeros(torque.shape, bool)
+    for rows in _each(runs):
+        part = torque[:, rows]
+        if part.shape[1] < _FEWEST:
+            continue
+        off = np.zeros_like(part)
+        off[:, 1:-1] = np.abs(part[:, 1:-1] - 0.5 * (part[:, :-2] + part[:, 2:]))
+        # of quantised torques most differences are zero
+        typical = np.maximum(1.4826 * np.median(off, axis=1), 0.1 * off.mean(1))[:, None]
+        away = np.abs(part - median_filter(part, (1, 5), mode="nearest"))
+        found[:, rows] = (np.minimum(off, away) > _SPIKE * np.maximum(typical, 1e-12))
+    return found
+
+
+def without_spikes(torque: Array, spiked: NDArray[np.bool_]) -> Array:
+    """Torques `(joint, sample)`, spikes replaced by interpolation between their neighbours."""
+    out = torque.copy()
+    at = np.arange(torque.shape[1])
+    for row, bad in zip(out, spiked, strict=True):
+        if bad.any():
+            row[bad] = np.interp(at[bad], at[~bad], row[~bad])
+    return out
+
+
+def interpolant(rows: Array, time: Array, runs: NDArray[np.integer]) -> list[tuple[slice, CubicSpline]]:
+    """A cubic spline in time of rows `(joint, sample)`, for each run of more than one sample."""
+    return [(r, CubicSpline(time[r], rows[:, r], axis=1)) for r in _each(runs) if r.stop - r.start >= _FEWEST]
+
+
+def _each(runs: NDArray[np.integer]) -> list[slice]:
+    edges = [0, *(np.flatnonzero(np.diff(runs)) + 1).tolist(), len(runs)]
+    return [slice(a, b) for a, b in zip(edges[:-1], edges[1:], strict=True)]
+
+
+def _by_run(rows: Array, runs: NDArray[np.integer], cutoff: float, rate: float) -> Array:
+    """Each run low-passed on its own, without shift in time."""
+    sections = _sections(cutoff, rate)
+    out = np.array(rows, float)
+    for part in _each(runs):
+        length = part.stop - part.start
+        if length >= _FEWEST:
+            pad = min(int(3 * rate / cutoff) + 1, length - 1)
+            out[..., part] = sosfiltfilt(sections, rows[..., part], axis=-1, padlen=pad)
+    return out
+
+
+@cache
+def _sections(cutoff: float, rate: float) -> Array:
+    return butter(_ORDER, cutoff, fs=rate, output="sos")
+
+
+def _spectrum(row: Array, runs: NDArray[np.integer], rate: float) -> tuple[Array, Array]:
+    """Frequencies and power spectral density of the longest run."""
+    longest = max(_each(runs), key=lambda r: r.stop - r.start)
+    part = row[longest]
+    return welch(part - part.mean(), rate, nperseg=min(len(part), 512))
+
+
+def _signal_band(row: Array, runs: NDArray[np.integer], rate: float) -> float:
+    """Hz up to which a row exceeds the floor of its spectrum."""
+    f, power = _spectrum(row, runs, rate)
+    floor = float(np.median(power[len(power) // 2 :]))
+    above = np.flatnonzero(power > _ABOVE_FLOOR * max(floor, 1e-300))
+    return float(f[above[-1]]) if above.size else float(f[1])
+
+
+def _bandwidth(row: Array, runs: NDArray[np.integer], rate: float) -> float:
+    """Hz within which nearly all of a row's power lies."""
+    f, power = _spectrum(row, runs, rate)
+    total = np.cumsum(power)
+    return float(max(f[np.searchsorted(total, _BANDWIDTH * total[-1])], f[1])) if total[-1] > 0 else float(f[1])

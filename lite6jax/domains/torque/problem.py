@@ -1,0 +1,393 @@
+"""Measured torques as an estimation problem: one arm, its inertial numbers, and the columns of effects on torques."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import TYPE_CHECKING, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lite6jax.domains.torque import families
+from lite6jax.domains.torque.rows import TorqueRows
+from lite6jax.effects.catalogue import Untestable, untestable
+from lite6jax.effects.dynamic.bodies import LinkMass, PayloadTorque
+from lite6jax.effects.dynamic.catalogue import torque_catalogue, torque_ladder, torque_shaped
+from lite6jax.effects.dynamic.friction import CoulombFriction, ViscousFriction
+from lite6jax.effects.dynamic.motors import RotorInertia, TorqueOffset
+from lite6jax.effects.dynamic.torque_effect import Delaying, Dynamics, Scaling, TorqueEffect
+from lite6jax.effects.dynamic.unnamed import UnnamedTorque
+from lite6jax.estimation.least_squares import Fit, fit
+from lite6jax.estimation.options import EngineOptions
+from lite6jax.estimation.problem import CurveFamily, Mask, PeriodicFamily
+from lite6jax.estimation.projection import schur_complement
+from lite6jax.estimation.terms import Term, Terms
+
+Array = NDArray[np.floating]
+
+# type checkers do not accept a cached property where a protocol declares a property
+lazy = property if TYPE_CHECKING else cached_property
+
+_EVERYWHERE = (ViscousFriction, CoulombFriction, TorqueOffset, RotorInertia)
+"""What every joint has, to some degree."""
+_WIDTHS = (0.1, 0.3, 1.0, 3.0)
+"""Relative standard deviations of inertial numbers that are unknown: from another series of the arm to another arm."""
+_UNKNOWN_MASS, _UNKNOWN_LEVER = 3.0, 0.1
+"""kg and m, of links about which nothing is declared."""
+_ASSUMED = 0.02
+"""Of a joint's torque: the noise that is assumed where none is declared; its scale is estimated in any case."""
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class TorqueProblem:
+    """A torque recording; `estimation.problem.Problem` describes the members it shares. A sample is one that is kept.
+
+    Torques are linear in all numbers but a few of single effects, so that nothing is linearised but the part that
+    effects of the load take from the inertial numbers.
+
+    Attributes:
+        data: the recording, filtered.
+        chosen: `(sample,)`, which of the samples that the filter keeps.
+        links: `(joint, 10)`, inertial numbers of the linearisation.
+        directions: `(number, joint, 10)`, the nuisance: changes of inertial numbers.
+        precision: `(number,)`, one over the variance of their prior.
+        offset: `(number,)`, from the prior's mean to `links`.
+        noise: `(joint,)` Nm, one sigma as declared or assumed.
+        declared: whether the sidecar declares it.
+        candidates: effects that are testable with this recording.
+        untestable: those that are not, and why.
+        refused: labels of shaped effects that are no candidates.
+    """
+
+    data: TorqueRows
+    chosen: NDArray[np.integer]
+    links: Array
+    directions: Array
+    precision: Array
+    offset: Array
+    noise: Array
+    declared: bool
+    candidates: tuple[TorqueEffect, ...]
+    untestable: tuple[Untestable, ...]
+    refused: frozenset[str] = frozenset()
+
+    @property
+    def rows(self) -> int:
+        """One a joint."""
+        return len(self.noise)
+
+    @property
+    def samples(self) -> int:
+        """Of those that are kept."""
+        return len(self.chosen)
+
+    @lazy
+    def groups(self) -> NDArray[np.integer]:
+        """Each joint has a noise of its own."""
+        return np.arange(self.rows)
+
+    @lazy
+    def run(self) -> NDArray[np.integer]:
+        """`(sample,)`."""
+        return self.data.runs[self.chosen]
+
+    @lazy
+    def valid(self) -> Mask:
+        """All samples."""
+        return np.ones(self.samples, bool)
+
+    @lazy
+    def informative(self) -> Mask:
+        """A prior of inertial numbers states knowledge."""
+        return self.precision > 0
+
+    @property
+    def preset(self) -> tuple[Terms, Array]:
+        """None."""
+        return Terms(), np.zeros(0)
+
+    @cached_property
+    def dynamics(self) -> Dynamics:
+        """Of every sample of the recording, at the linearisation."""
+        return self.data.bodies.dynamics(self.links)
+
+    @cached_property
+    def rigid(self) -> Array:
+        """`(joint, sample)` Nm, filtered."""
+        return self._kept(self.dynamics.torque)
+
+    @lazy
+    def periodic(self) -> tuple[PeriodicFamily, ...]:
+        """Ripple of each joint."""
+        return families.periodic(self.data, self.chosen, self.noise)
+
+    @lazy
+    def curves(self) -> tuple[CurveFamily, ...]:
+        """Curves of each joint."""
+        return families.curves(self.dynamics, self.data, self.chosen, self.noise)
+
+    @lazy
+    def shaped(self) -> tuple[TorqueEffect, ...]:
+        """Stribeck friction at a few of its speeds."""
+        return tuple(effect for effect in torque_shaped(self.data.motion) if effect.label not in self.refused)
+
+    @lazy
+    def ladder(self) -> tuple[TorqueEffect, ...]:
+        """What the joints of most real arms have."""
+        return tuple(effect for effect in torque_ladder(self.rows) if effect in self.candidates)
+
+    @lazy
+    def flexible(self) -> tuple[UnnamedTorque, ...]:
+        """Functions without a name, of every joint and driver."""
+        return families.flexible(self.dynamics)
+
+    def residual(self, nuisance: Array, terms: Terms, values: Array) -> Array:
+        """Residuals `(joint, sample)` over the declared noise, predicted minus measured."""
+        return (self.torque(nuisance, terms, values) - self.measured) / self.noise[:, None]
+
+    @property
+    def measured(self) -> Array:
+        """`(joint, sample)` Nm, filtered."""
+        return self.data.measured[:, self.chosen]
+
+    def torque(self, nuisance: Array, terms: Terms, values: Array) -> Array:
+        """Predicted torques `(joint, sample)` Nm, filtered, as their stamps say."""
+        delays = [float(values[part][0]) for effect, part in _pairs(terms) if isinstance(effect, Delaying)]
+        if any(delays):
+            return self._delayed(nuisance, terms, values, sum(delays))[0]
+        total = self.rigid
+        if nuisance.any():
+            total = total + np.tensordot(nuisance, self._inertial, 1)
+        for effect, part in _pairs(terms):
+            if not isinstance(effect, Scaling | Delaying):
+                total = total + self._added(effect, np.asarray(values[part], float), nuisance)
+        return _scale(terms, values, self.rows) * total
+
+    def _delayed(self, nuisance: Array, terms: Terms, values: Array, delay: float) -> tuple[Array, Array]:
+        """Predicted torques that belong to the motion `delay` s later, and their derivative by that."""
+        dynamics = self.dynamics if not nuisance.any() else self.data.bodies.dynamics(self.links_at(nuisance))
+        total = composed(terms, values, dynamics)
+        value, slope = self.data.later(total, delay)
+        return value[:, self.chosen], slope[:, self.chosen]
+
+    def columns(
+        self, terms: Sequence[Term], values: Array | None = None, beside: tuple[Terms, Array] | None = None
+    ) -> Array:
+        """How residuals change with the numbers of effects, `(number, joint, sample)`.
+
+        The scale of a torque acts on all that `beside`, or `terms` where that is not given, make of it.
+        """
+        own = Terms(tuple(terms))
+        at = np.zeros(own.size) if values is None else np.asarray(values, float)
+        parts: list[Array] = [np.zeros((0, self.rows, self.samples))]
+        for effect, part in _pairs(own):
+            if isinstance(effect, Scaling):
+                others, numbers = beside or (own, at)
+                kept = [not isinstance(one, Scaling | Delaying) for one, _ in _pairs(others)]
+                whole = self.torque(np.zeros(len(self.precision)), *others.part(numbers, kept))
+                only = np.arange(self.rows) == effect.joint - 1
+                parts.append((whole * only[:, None] / self.noise[:, None])[None])
+            elif isinstance(effect, Delaying):
+                others, numbers = beside or (own, at)
+                none = np.zeros(len(self.precision))
+                slope = self._delayed(none, others, numbers, float(at[part][0]))[1]
+                parts.append((slope / self.noise[:, None])[None])
+            elif effect.linear:
+                parts.append(self._units(effect) / self.noise[:, None])
+            else:
+                parts.append(self._slopes(effect, at[part]) / self.noise[:, None])
+        return np.concatenate(parts)
+
+    def nuisance_columns(self, terms: Terms, values: Array) -> Array:
+        """How residuals change with the inertial numbers, `(number, joint, sample)`."""
+        return self._inertial / self.noise[:, None]
+
+    def relinearised(self, nuisance: Array) -> "TorqueProblem":
+        """The same problem at other inertial numbers: nuisance zero is then there."""
+        return replace(self, links=self.links_at(nuisance), offset=self.offset + nuisance)
+
+    def links_at(self, nuisance: Array) -> Array:
+        """Inertial numbers `(joint, 10)` at a nuisance `(number,)`."""
+        return self.links + np.tensordot(nuisance, self.directions, 1)
+
+    def limits(self, term: Term) -> list[tuple[float, float]]:
+        """Those of the effect; neither a payload nor a link is lighter than nothing."""
+        if isinstance(term, PayloadTorque):
+            return [(-float(np.min(np.asarray(self.data.motion.payload))), term.coordinates[0].upper)]
+        if isinstance(term, LinkMass):
+            return [(-float(self.links[term.link - 1, 0]), term.coordinates[0].upper)]
+        return [(number.lower, number.upper) for number in term.coordinates]
+
+    def without_candidates(self, terms: Sequence[Term]) -> "TorqueProblem":
+        """The same problem in which these effects are no candidates."""
+        refused = self.refused | {term.label for term in terms if term.chosen is not None}
+        candidates = tuple(effect for effect in self.candidates if effect not in terms)
+        return replace(self, candidates=candidates, refused=refused)
+
+    def selected(self, rows: NDArray[np.integer]) -> "TorqueProblem":
+        """Some of the samples."""
+        return replace(self, chosen=self.chosen[rows])
+
+    def thinned(self, every: int) -> "TorqueProblem":
+        """One in `every` samples."""
+        return self if every == 1 else self.selected(np.arange(self.samples)[::every])
+
+    def without_preset(self) -> "TorqueProblem":
+        """Itself: it has none."""
+        return self
+
+    def alternative(self, terms: Terms) -> None:
+        """None: there is one model of the inputs."""
+        return
+
+    def shrinkable(self, term: Term) -> bool:
+        """Whether an effect has drivers, none of which is a joint position."""
+        assert isinstance(term, TorqueEffect)
+        return bool(term.drivers) and not any(driver.quantity == "position" for driver in term.drivers)
+
+    @cached_property
+    def _inertial(self) -> Array:
+        """Torques `(number, joint, sample)` by each nuisance number."""
+        flat = self.directions.reshape(len(self.directions), self.links.size)
+        return np.einsum("np,jps->njs", flat, self.data.regressor[..., self.chosen])
+
+    def _kept(self, torque: Array) -> Array:
+        """Torques `(…, joint, every sample)` filtered, of the samples of this problem."""
+        return self.data.filter(torque)[..., self.chosen]
+
+    def _added(self, effect: TorqueEffect, values: Array, nuisance: Array) -> Array:
+        if effect.linear and not (nuisance.any() and any(driver.loaded for driver in effect.drivers)):
+            return np.tensordot(values, self._units(effect), 1)
+        dynamics = self.dynamics if not nuisance.any() else self.data.bodies.dynamics(self.links_at(nuisance))
+        return self._kept(effect.torque(values, dynamics))
+
+    def _units(self, effect: TorqueEffect) -> Array:
+        """Torques `(number, joint, sample)` by each number of a linear effect."""
+        if effect not in self._known:
+            self._known[effect] = families.unit_torques(effect, self.dynamics, self._kept)
+        return self._known[effect]
+
+    def _slopes(self, effect: TorqueEffect, values: Array) -> Array:
+        """Derivatives of an effect's torque by its numbers, `(number, joint, sample)`, by central differences."""
+        found = []
+        for k, number in enumerate(effect.coordinates):
+            step = np.eye(effect.size)[k] * 1e-4 * number.typical
+            up, down = (effect.torque(values + sign * step, self.dynamics) for sign in (1, -1))
+            found.append(self._kept((up - down) / (2 * step[k])))
+        return np.stack(found)
+
+    @cached_property
+    def _known(self) -> dict[TorqueEffect, Array]:
+        return {}
+
+
+def _pairs(terms: Terms) -> list[tuple[TorqueEffect, slice]]:
+    """The effects that are the terms of a torque problem, each with the place of its numbers."""
+    pairs = []
+    for term, part in zip(terms.terms, terms.slices, strict=True):
+        assert isinstance(term, TorqueEffect)
+        pairs.append((term, part))
+    return pairs
+
+
+def composed(terms: Terms, values: Array, dynamics: Dynamics) -> Array:
+    """`(joint, sample)` Nm that a motor's sensor shows at each instant of a motion; delays are left out."""
+    total = dynamics.torque
+    for effect, part in _pairs(terms):
+        if not isinstance(effect, Scaling | Delaying):
+            total = total + effect.torque(np.asarray(values[part], float), dynamics)
+    return _scale(terms, values, len(total)) * total
+
+
+def _scale(terms: Terms, values: Array, joints: int) -> Array:
+    """`(joint, 1)`, the measured torque over the true one."""
+    scale = np.ones((joints, 1))
+    for effect, part in _pairs(terms):
+        if isinstance(effect, Scaling):
+            scale[effect.joint - 1] += values[part][0]
+    return scale
+
+
+def torque_problem(data: TorqueRows) -> TorqueProblem:
+    """The problem of a filtered recording and its sidecar, at the declared inertial numbers.
+
+    With `inertial: unknown` the combinations of inertial numbers that torques of this motion determine are fitted;
+    with a relative uncertainty all of them, with that as their prior's standard deviation.
+    """
+    settings, links = data.recording.settings, data.bodies.links
+    inertial = settings.inertial
+    if inertial == "declared":
+        directions, deviations = np.zeros((0, *links.shape)), np.zeros(0)
+    else:
+        directions, deviations = _uncertain(links, 1.0 if inertial == "unknown" else float(inertial))
+    candidates = torque_catalogue(data.arm.dof)
+    missing = tuple(untestable(candidates, data.motion, links.any() or inertial == "unknown"))
+    lacking = {item.effect for item in missing}
+    declared = settings.torque_noise_Nm is not None
+    noise = np.asarray(settings.torque_noise_Nm or _ASSUMED * np.std(data.torque, axis=1) + 1e-6, float)
+    return TorqueProblem(
+        data=data,
+        chosen=np.arange(len(data.filter.kept)),
+        links=links,
+        directions=directions,
+        precision=deviations**-2.0,
+        offset=np.zeros(len(directions)),
+        noise=noise / np.sqrt(data.filter.every),  # white noise, of which the filter leaves one part in so many
+        declared=declared,
+        candidates=tuple(effect for effect in candidates if effect not in lacking),
+        untestable=missing,
+    )
+
+
+def linearised(problem: TorqueProblem, options: EngineOptions, training: Mask | None = None) -> TorqueProblem:
+    """The problem at the inertial numbers that fit best beside the effects that every arm has.
+
+    Without these they would be those of an arm whose weight does what friction does, and so would its loads be. Where
+    the numbers are unknown, the width of their prior is the most likely one (D. MacKay, Bayesian Interpolation, Neural
+    Computation 4, 1992).
+
+    Args:
+        problem: at the declared numbers.
+        options: thresholds.
+        training: `(sample,)` bool; all where not given.
+    """
+    if not len(problem.directions):
+        return problem
+    joints = range(1, problem.rows + 1)
+    terms = Terms(tuple(kind(joint) for kind in _EVERYWHERE for joint in joints))
+    widths = _WIDTHS if problem.data.recording.settings.inertial == "unknown" else (1.0,)
+    choices = []
+    for width in widths:
+        wider = replace(problem, precision=problem.precision / width**2)
+        found = fit(wider, terms, options, training=training)
+        choices.append((_evidence(wider, found), wider, found))
+    _, wider, found = max(choices, key=lambda choice: choice[0])
+    return wider.relinearised(found.nuisance)
+
+
+def _evidence(problem: TorqueProblem, found: Fit) -> float:
+    """The logarithm of the marginal likelihood of a prior's width, in noise of the fit."""
+    root = np.sqrt(np.where(found.training, found.residuals.row_weight, 0.0))
+    columns = np.concatenate([problem.nuisance_columns(found.terms, found.values), problem.columns(found.terms.terms)])
+    flat = (columns * root).reshape(len(columns), -1)
+    k = len(problem.precision)
+    S = schur_complement(flat @ flat.T, np.arange(k, len(columns)))[:k, :k] / np.sqrt(
+        np.outer(problem.precision, problem.precision)
+    )
+    volume = float(np.linalg.slogdet(np.eye(k) + S)[1])
+    return found.log_likelihood(found.scale) - 0.5 * volume
+
+
+def _uncertain(links: Array, relative: float) -> tuple[Array, Array]:
+    """Changes of each inertial number, and the standard deviation of its prior.
+
+    Of a mass it is relative to it; of its first moments and tensor to that mass at the distance of its centre, or at
+    the mean such distance of the arm where that is larger. Links of unknown mass are taken as ones of `_UNKNOWN_MASS`
+    at `_UNKNOWN_LEVER`.
+    """
+    mass = np.maximum(links[:, :1], _UNKNOWN_MASS * (not links.any()) + 0.05 * links[:, 0].mean())
+    lever = np.linalg.norm(links[:, 1:4], axis=1, keepdims=True) / mass
+    lever = np.maximum(lever, lever.mean() if lever.any() else _UNKNOWN_LEVER)
+    typical = mass * np.concatenate([lever**0, np.repeat(lever, 3, 1), np.repeat(lever**2, 6, 1)], 1)
+    return np.eye(links.size).reshape(-1, *links.shape), relative * typical.ravel()

@@ -1,0 +1,211 @@
+"""The rows of a torque recording: its motion, its rigid-body dynamics and its torques, filtered alike."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lite6jax.arms.arm import Arm
+from lite6jax.arms.dynamics import link_parameters, regressor
+from lite6jax.domains.torque.filtering import LowPass, interpolant, low_pass, runs_of, sample_rate, smoothed
+from lite6jax.effects.dynamic.torque_effect import Dynamics, direction, point_mass
+from lite6jax.effects.motion import Motion
+from lite6jax.errors import InputError
+from lite6jax.recordings import Recording
+from lite6jax.recordings.motion import motion_of_recording
+
+Array = NDArray[np.floating]
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class RigidBodies:
+    """The rigid-body dynamics of an arm along a motion: torques are linear in its links' inertial numbers.
+
+    Attributes:
+        motion: smoothed, with accelerations; NumPy arrays.
+        links: `(joint, 10)`, of the declared arm; zero where it has none.
+        payload_center: `(3,)` m in the frame after the last joint.
+        gravity: `(3,)` m/s² in the base frame.
+        kinematics: `(joint, 6)`.
+    """
+
+    motion: Motion
+    links: Array
+    payload_center: Array
+    gravity: Array
+    kinematics: Array
+
+    @cached_property
+    def regressor(self) -> Array:
+        """`(joint, 10 joint, sample)`, torques by each inertial number."""
+        q, dq, ddq = self._moved
+        return np.asarray(regressor(self.kinematics, q, dq, ddq, self.gravity))
+
+    def of_inertia(self, numbers: Array) -> Array:
+        """Torques `(joint, sample)` by inertial numbers `(joint, 10)`."""
+        return np.einsum("jps,p->js", self.regressor, np.asarray(numbers, float).ravel())
+
+    @cached_property
+    def of_payload(self) -> Array:
+        """Torques `(joint, sample)` by the payload as declared row by row."""
+        payload = np.asarray(self.motion.payload)
+        if not payload.any():
+            return np.zeros((len(self.links), self.motion.samples))
+        unit = np.zeros_like(self.links)
+        unit[-1] = point_mass(1.0, self.payload_center)
+        return self.of_inertia(unit) * payload
+
+    def dynamics(self, links: Array) -> Dynamics:
+        """The dynamics of an arm whose links have these inertial numbers `(joint, 10)`."""
+        return Dynamics(
+            motion=self.motion,
+            torque=self.of_inertia(links) + self.of_payload,
+            links=links,
+            payload_center=self.payload_center,
+            of_inertia=self.of_inertia,
+            of_gravity=self._of_gravity(links),
+            gravity=self.gravity,
+        )
+
+    def _of_gravity(self, links: Array) -> Callable[[Array], Array]:
+        def of_gravity(gravity: Array) -> Array:
+            # torques at rest are linear in gravity, and three of them span all
+            return np.tensordot(gravity, self._per_axis(links), 1)
+
+        return of_gravity
+
+    def _per_axis(self, links: Array) -> Array:
+        """Torques `(axis, joint, sample)` at rest by a gravity of 1 m/s² along each axis of the base."""
+        key = links.tobytes()
+        if key not in self._known:
+            q = self._moved[0]
+            still = np.zeros_like(q)
+            numbers = links.copy()
+            found = []
+            payload = np.asarray(self.motion.payload)
+            unit = point_mass(1.0, self.payload_center)
+            for axis in np.eye(3):
+                at_rest = np.asarray(regressor(self.kinematics, q, still, still, axis))
+                torque = np.einsum("jps,p->js", at_rest, numbers.ravel())
+                found.append(torque + np.einsum("jps,p->js", at_rest[:, -10:], unit) * payload)
+            self._known.clear()
+            self._known[key] = np.stack(found)
+        return self._known[key]
+
+    @cached_property
+    def _known(self) -> dict[bytes, Array]:
+        return {}
+
+    @cached_property
+    def _moved(self) -> tuple[Array, Array, Array]:
+        m = self.motion
+        q, dq, ddq = map(np.asarray, (m.joint_position, m.joint_velocity, m.joint_acceleration))
+        return q, dq, ddq
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class TorqueRows:
+    """What a torque recording is compared with, row by row.
+
+    Attributes:
+        recording: its rows in the order of time.
+        arm: the declared arm.
+        bodies: its dynamics along the smoothed motion.
+        torque: `(joint, sample)` Nm, measured, without spikes.
+        filter: which torques, measured and modelled, pass.
+        motion_cutoff: Hz, of the low pass of the motion.
+    """
+
+    recording: Recording
+    arm: Arm
+    bodies: RigidBodies
+    torque: Array
+    filter: LowPass
+    motion_cutoff: float
+
+    @property
+    def motion(self) -> Motion:
+        """Of every sample."""
+        return self.bodies.motion
+
+    @cached_property
+    def time(self) -> Array:
+        """`(kept,)` s, of the samples that are kept."""
+        assert self.recording.time is not None
+        return self.recording.time[self.filter.kept]
+
+    @cached_property
+    def runs(self) -> NDArray[np.integer]:
+        """`(kept,)`, the run of each sample that is kept."""
+        return self.filter.runs[self.filter.kept]
+
+    @cached_property
+    def regressor(self) -> Array:
+        """`(joint, 10 joint, kept)`, filtered."""
+        return self.filter(self.bodies.regressor)
+
+    @cached_property
+    def measured(self) -> Array:
+        """`(joint, kept)` Nm, filtered."""
+        return self.filter(self.torque)
+
+    def later(self, torque: Array, offset: float) -> tuple[Array, Array]:
+        """Torques `(joint, sample)` filtered, `offset` s after each sample that is kept, and their derivative by time.
+
+        Beyond the ends of a run they keep their last value.
+        """
+        assert self.recording.time is not None
+        time, kept = self.recording.time, self.filter.kept
+        value, slope = (np.zeros((len(torque), len(kept))) for _ in range(2))
+        for rows, spline in interpolant(self.filter.whole(torque), time, self.filter.runs):
+            here = (kept >= rows.start) & (kept < rows.stop)
+            at = np.clip(time[kept[here]] + offset, time[rows.start], time[rows.stop - 1])
+            value[:, here], slope[:, here] = spline(at), spline(at, 1)
+        return value, slope
+
+
+def bodies_of(recording: Recording, arm: Arm) -> tuple[RigidBodies, LowPass, float]:
+    """The rigid-body dynamics along a recording's motion, the filter for its torques, and the motion's cutoff in Hz.
+
+    Raises:
+        InputError: no times, steps that vary, or an arm at rest.
+    """
+    rate = sample_rate(recording)
+    chosen = low_pass(recording.velocities().T, rate, runs_of(recording, rate))
+    smooth = smoothed(recording, chosen)
+    motion = motion_of_recording(recording)
+    host = {name: None if value is None else np.asarray(value) for name, value in motion._asdict().items()}
+    moved = Motion(**host)._replace(  # type: ignore[arg-type]
+        joint_position=smooth.position,
+        joint_velocity=smooth.velocity,
+        direction=direction(smooth.velocity),
+        joint_acceleration=smooth.acceleration,
+    )
+    settings = recording.settings
+    center = arm.T_joint_flange[:3, :3] @ np.array(settings.payload_com_m) + arm.T_joint_flange[:3, 3]
+    links = np.zeros((arm.dof, 10)) if arm.mass is None else np.asarray(link_parameters(arm))
+    gravity = np.array(settings.gravity_m_per_s2)
+    bodies = RigidBodies(moved, links, center, gravity, np.asarray(arm.kinematics))
+    return bodies, chosen, smooth.cutoff
+
+
+def torque_rows(recording: Recording, arm: Arm, torque: Array) -> TorqueRows:
+    """The rows of a recording with times and velocities.
+
+    Args:
+        recording: in the order of time.
+        arm: the declared arm.
+        torque: `(joint, sample)` Nm, without spikes.
+
+    Raises:
+        InputError: as `bodies_of`.
+    """
+    bodies, chosen, cutoff = bodies_of(recording, arm)
+    if not len(chosen.kept):
+        raise InputError(f"{recording.source}: every run is shorter than its filter; record runs of some seconds")
+    return TorqueRows(recording, arm, bodies, torque, chosen, cutoff)

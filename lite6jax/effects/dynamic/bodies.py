@@ -1,0 +1,136 @@
+"""Effects of what the motors carry: masses, centres of mass, the payload, the direction of gravity."""
+
+from dataclasses import dataclass
+from typing import ClassVar, final
+
+import numpy as np
+
+from lite6jax.effects.drivers import Driver
+from lite6jax.effects.dynamic import bounds
+from lite6jax.effects.dynamic.torque_effect import Array, Dynamics, TorqueEffect, point_mass
+from lite6jax.effects.effect import Coordinate
+
+
+@dataclass(frozen=True)
+class _OfLink(TorqueEffect):
+    """An effect on the inertia of one link.
+
+    Attributes:
+        link: that moves with joint N, counted from 1.
+    """
+
+    link: int
+
+    @property
+    @final
+    def site(self) -> str:
+        """`linkN`."""
+        return f"link{self.link}"
+
+    @property
+    @final
+    def drivers(self) -> tuple[Driver, ...]:
+        """The motion of its own joint, by which it shows in any case."""
+        return (Driver("acceleration", self.link),)
+
+    @final
+    def _heavier(self, dynamics: Dynamics, numbers: Array) -> Array:
+        """Torques `(joint, sample)` by a change of the link's inertial numbers `(10,)`."""
+        change = np.zeros_like(dynamics.links)
+        change[self.link - 1] = numbers
+        return dynamics.of_inertia(change)
+
+
+@final
+@dataclass(frozen=True)
+class LinkMass(_OfLink):
+    """A link's mass is another, at the same centre."""
+
+    name: ClassVar[str] = "link_mass"
+    specificity: ClassVar[int] = 3
+
+    @property
+    def coordinates(self) -> tuple[Coordinate, ...]:
+        return (Coordinate("mass_kg", "kg", 0.1, lower=-bounds.MASS, upper=bounds.MASS),)
+
+    def torque(self, values: Array, dynamics: Dynamics) -> Array:
+        own = dynamics.links[self.link - 1]
+        center = own[1:4] / own[0] if own[0] > 0 else np.zeros(3)
+        return self._heavier(dynamics, point_mass(float(values[0]), center))
+
+
+@final
+@dataclass(frozen=True)
+class LinkCom(_OfLink):
+    """A link's centre of mass is elsewhere, in the axes of its frame; its mass is as declared."""
+
+    name: ClassVar[str] = "link_com"
+    specificity: ClassVar[int] = 4
+
+    @property
+    def coordinates(self) -> tuple[Coordinate, ...]:
+        most = bounds.LENGTH
+        return tuple(Coordinate(f"{axis}_m", "m", 1e-2, lower=-most, upper=most) for axis in "xyz")
+
+    def torque(self, values: Array, dynamics: Dynamics) -> Array:
+        m, *first = dynamics.links[self.link - 1, :4]
+        center = np.array(first) / m if m > 0 else np.zeros(3)
+        # to first order: the square of the shift is a thousandth of the inertia
+        moved, mid = np.asarray(values, float), center
+        tensor = 2 * (moved @ mid) * np.eye(3) - np.outer(moved, mid) - np.outer(mid, moved)
+        numbers = [0.0, *moved, *np.diagonal(tensor), tensor[0, 1], tensor[0, 2], tensor[1, 2]]
+        return self._heavier(dynamics, m * np.array(numbers))
+
+
+@final
+@dataclass(frozen=True)
+class PayloadTorque(TorqueEffect):
+    """The mass at the flange is another than declared, at the declared centre of mass."""
+
+    name: ClassVar[str] = "payload_error"
+    specificity: ClassVar[int] = 2
+
+    @property
+    def site(self) -> str:
+        """`payload`."""
+        return "payload"
+
+    @property
+    def coordinates(self) -> tuple[Coordinate, ...]:
+        return (Coordinate("mass_kg", "kg", 0.1, lower=-bounds.MASS, upper=bounds.MASS),)
+
+    @property
+    def drivers(self) -> tuple[Driver, ...]:
+        return (Driver("acceleration", 1),)
+
+    def torque(self, values: Array, dynamics: Dynamics) -> Array:
+        change = np.zeros_like(dynamics.links)
+        change[-1] = point_mass(float(values[0]), dynamics.payload_center)
+        return dynamics.of_inertia(change)
+
+
+@final
+@dataclass(frozen=True)
+class BaseTilt(TorqueEffect):
+    """Gravity as declared is turned by a small rotation of the base about x and y: g ← R(tilt)ᵀ g."""
+
+    name: ClassVar[str] = "base_tilt"
+    specificity: ClassVar[int] = 3
+
+    @property
+    def site(self) -> str:
+        """`base`."""
+        return "base"
+
+    @property
+    def coordinates(self) -> tuple[Coordinate, ...]:
+        most = bounds.TILT
+        return tuple(Coordinate(f"tilt_{axis}_rad", "rad", 1e-2, lower=-most, upper=most) for axis in "xy")
+
+    @property
+    def drivers(self) -> tuple[Driver, ...]:
+        return ()
+
+    def torque(self, values: Array, dynamics: Dynamics) -> Array:
+        tilt = np.array([values[0], values[1], 0.0])
+        return dynamics.of_gravity(-np.cross(tilt, dynamics.gravity))  # R(tilt)ᵀ g − g, to first order

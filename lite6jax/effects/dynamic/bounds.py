@@ -1,0 +1,37 @@
+"""The largest numbers that effects on torques have in arms up to the heaviest; beyond them a name is not believable."""
+
+TORQUE = 2000.0
+"""Nm, of friction, offsets and ripple."""
+
+VISCOUS = 3000.0
+"""Nm·s/rad."""
+
+VISCOUS_PER_KELVIN = 100.0
+"""Nm·s/rad/K, of either sign."""
+
+COEFFICIENT = 1.0
+"""Of friction by load."""
+
+STRIBECK = (1e-3, 2.0)
+"""rad/s, the speed over which Stribeck friction vanishes."""
+
+SCALE = 0.9
+"""Of a measured torque; a wrong sign is a data fault."""
+
+ROTOR = 500.0
+"""kg·m², reflected to the joint."""
+
+STIFFNESS = 1e4
+"""Nm/rad, of cables, hoses and balancers."""
+
+MASS = 500.0
+"""kg."""
+
+LENGTH = 2.0
+"""m, by which a centre of mass may be off."""
+
+TILT = 0.5
+"""rad, by which a base may be turned from what is declared."""
+
+DELAY = 0.5
+"""s."""

@@ -1,0 +1,82 @@
+"""The catalogue of effects on torques: every named one of an arm, and those of a few values of a number."""
+
+import types
+from collections.abc import Mapping
+
+import numpy as np
+
+from lite6jax.effects.dynamic import bounds
+from lite6jax.effects.dynamic.bodies import BaseTilt, LinkCom, LinkMass, PayloadTorque
+from lite6jax.effects.dynamic.friction import (
+    CoulombFriction,
+    CoupledFriction,
+    FrictionTemperature,
+    LoadFriction,
+    StribeckFriction,
+    ViscousFriction,
+)
+from lite6jax.effects.dynamic.motors import (
+    JointSpring,
+    RotorInertia,
+    TorqueOffset,
+    TorqueRipple,
+    TorqueScale,
+    TorqueTimeOffset,
+)
+from lite6jax.effects.dynamic.torque_effect import TorqueEffect
+from lite6jax.effects.dynamic.unnamed import UnnamedTorque
+from lite6jax.effects.effect import Effect
+from lite6jax.effects.motion import Motion
+
+_ALL: tuple[type[TorqueEffect], ...] = (
+    *(ViscousFriction, CoulombFriction, StribeckFriction, LoadFriction, FrictionTemperature, CoupledFriction),
+    *(TorqueOffset, TorqueScale, RotorInertia, JointSpring, TorqueRipple, LinkMass, LinkCom, PayloadTorque, BaseTilt),
+    *(TorqueTimeOffset, UnnamedTorque),
+)
+BUILT_IN: Mapping[str, type[Effect]] = types.MappingProxyType({kind.name: kind for kind in _ALL})
+"""The classes of the catalogue by name."""
+
+_SPEEDS = (0.02, 0.05, 0.1, 0.2, 0.4)
+"""Shares of a joint's largest speed that the speed of Stribeck friction is tried at."""
+
+
+def torque_catalogue(dof: int) -> tuple[TorqueEffect, ...]:
+    """Every named effect on torques of an arm at every site, without those of `torque_shaped` and ripple.
+
+    Args:
+        dof: number of joints.
+    """
+    joints = range(1, dof + 1)
+    simple = (ViscousFriction, CoulombFriction, LoadFriction, FrictionTemperature)
+    motors = (TorqueOffset, TorqueScale, RotorInertia, JointSpring)
+    return (
+        *(kind(joint) for kind in (*simple, *motors) for joint in joints),
+        *(CoupledFriction(joint, source) for joint in joints for source in range(1, joint)),
+        *(kind(link) for kind in (LinkMass, LinkCom) for link in joints),
+        *(PayloadTorque(), BaseTilt(), TorqueTimeOffset()),
+    )
+
+
+def torque_ladder(dof: int) -> tuple[TorqueEffect, ...]:
+    """What the joints of most real arms have: friction, offsets, rotors, and wrist motors that turn two joints.
+
+    No two are the same function: a spring includes the offset.
+
+    Args:
+        dof: number of joints.
+    """
+    joints = range(1, dof + 1)
+    simple = (ViscousFriction, CoulombFriction, LoadFriction, FrictionTemperature, TorqueOffset, RotorInertia)
+    return (
+        *(kind(joint) for kind in simple for joint in joints),
+        *(CoupledFriction(joint, joint - 1) for joint in joints if joint > 1),
+    )
+
+
+def torque_shaped(motion: Motion) -> tuple[TorqueEffect, ...]:
+    """Stribeck friction at a few of its speeds, as far as a motion shows them."""
+    assert motion.joint_velocity is not None
+    fastest = np.abs(np.asarray(motion.joint_velocity)).max(1)
+    tried = [(joint, float(f"{share * v:.3g}")) for joint, v in enumerate(fastest, 1) for share in _SPEEDS]
+    low, high = bounds.STRIBECK
+    return tuple(StribeckFriction(joint, speed) for joint, speed in tried if low <= speed <= high)

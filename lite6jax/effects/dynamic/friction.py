@@ -1,0 +1,185 @@
+"""Friction of joints: by speed, by direction, by load, by temperature, and of motors that turn two joints.
+
+Viscous and Coulomb friction and their dependence on the load: P. Hamon et al., IROS 2010, eq. 6; the decay at low
+speed: B. Armstrong-Hélouvry, Control of Machines with Friction, 1991, ch. 2.
+"""
+
+from dataclasses import dataclass
+from typing import ClassVar, final
+
+import numpy as np
+
+from lite6jax.effects.drivers import Driver
+from lite6jax.effects.dynamic import bounds
+from lite6jax.effects.dynamic.torque_effect import Array, Dynamics, JointTorque, TorqueEffect, direction
+from lite6jax.effects.effect import Choice, Coordinate, Reporting, tried, with_field
+from lite6jax.errors import InputError
+
+
+@final
+@dataclass(frozen=True)
+class ViscousFriction(JointTorque):
+    """τ += b·q̇."""
+
+    name: ClassVar[str] = "viscous_friction"
+    specificity: ClassVar[int] = 1
+
+    @property
+    def coordinates(self) -> tuple[Coordinate, ...]:
+        return (Coordinate("viscous_Nm_s_per_rad", "Nm·s/rad", 0.1, lower=0.0, upper=bounds.VISCOUS),)
+
+    @property
+    def drivers(self) -> tuple[Driver, ...]:
+        return (Driver("velocity", self.joint),)
+
+    def at_joint(self, values: Array, dynamics: Dynamics) -> Array:
+        return values[0] * dynamics.velocity(self.joint)
+
+
+@final
+@dataclass(frozen=True)
+class CoulombFriction(JointTorque):
+    """τ += c·sign(q̇)."""
+
+    name: ClassVar[str] = "coulomb_friction"
+    specificity: ClassVar[int] = 1
+
+    @property
+    def coordinates(self) -> tuple[Coordinate, ...]:
+        return (Coordinate("coulomb_Nm", "Nm", 0.1, lower=0.0, upper=bounds.TORQUE),)
+
+    @property
+    def drivers(self) -> tuple[Driver, ...]:
+        return (Driver("direction of motion", self.joint),)
+
+    def at_joint(self, values: Array, dynamics: Dynamics) -> Array:
+        return values[0] * dynamics.direction(self.joint)
+
+
+@final
+@dataclass(frozen=True)
+class StribeckFriction(JointTorque):
+    """τ += s·exp(−(q̇/v)²)·sign(q̇), beside Coulomb friction.
+
+    The search tries some v, in which it is not linear; without a fixed one v is its second number.
+
+    Attributes:
+        velocity_rad_per_s: v, where it is fixed.
+    """
+
+    velocity_rad_per_s: float | None = None
+
+    name: ClassVar[str] = "stribeck_friction"
+    specificity: ClassVar[int] = 4
+    choice: ClassVar[Choice | None] = tried("velocity_rad_per_s", bounds.STRIBECK[0])
+    reporting: ClassVar[Reporting] = with_field("velocity_rad_per_s")
+
+    def __post_init__(self) -> None:
+        v = self.velocity_rad_per_s
+        if v is not None and not 0 < v < np.inf:
+            raise InputError(f"{self.label}: velocity_rad_per_s is {v:g}; give a positive number")
+
+    @property
+    def coordinates(self) -> tuple[Coordinate, ...]:
+        torque = Coordinate("stribeck_Nm", "Nm", 0.1, lower=0.0, upper=bounds.TORQUE)
+        low, high = bounds.STRIBECK
+        speed = Coordinate("velocity_rad_per_s", "rad/s", 0.01, lower=low, upper=high, linear=False)
+        return (torque,) if self.velocity_rad_per_s is not None else (torque, speed)
+
+    @property
+    def drivers(self) -> tuple[Driver, ...]:
+        return (Driver("velocity", self.joint), Driver("direction of motion", self.joint))
+
+    def at_joint(self, values: Array, dynamics: Dynamics) -> Array:
+        v = max(values[1], 1e-9) if self.velocity_rad_per_s is None else self.velocity_rad_per_s
+        speed = dynamics.velocity(self.joint)
+        return values[0] * np.exp(-((speed / v) ** 2)) * direction(speed)
+
+
+@final
+@dataclass(frozen=True)
+class LoadFriction(JointTorque):
+    """τ += μ·|τ_rigid|·sign(q̇): gears whose friction grows with the load."""
+
+    name: ClassVar[str] = "load_friction"
+    specificity: ClassVar[int] = 2
+
+    @property
+    def coordinates(self) -> tuple[Coordinate, ...]:
+        return (Coordinate("coefficient", "1", 0.01, lower=0.0, upper=bounds.COEFFICIENT),)
+
+    @property
+    def drivers(self) -> tuple[Driver, ...]:
+        return (Driver("gravity torque", self.joint), Driver("direction of motion", self.joint))
+
+    def at_joint(self, values: Array, dynamics: Dynamics) -> Array:
+        return values[0] * np.abs(dynamics.torque[self.joint - 1]) * dynamics.direction(self.joint)
+
+
+@final
+@dataclass(frozen=True)
+class FrictionTemperature(JointTorque):
+    """τ += k·(T − T₀)·q̇, T of this joint: grease that thins, where k is negative."""
+
+    name: ClassVar[str] = "friction_temperature"
+    specificity: ClassVar[int] = 3
+
+    @property
+    def coordinates(self) -> tuple[Coordinate, ...]:
+        most = bounds.VISCOUS_PER_KELVIN
+        return (Coordinate("viscous_Nm_s_per_rad_K", "Nm·s/rad/K", 0.01, lower=-most, upper=most),)
+
+    @property
+    def drivers(self) -> tuple[Driver, ...]:
+        return (Driver("temperature", self.joint), Driver("velocity", self.joint))
+
+    def at_joint(self, values: Array, dynamics: Dynamics) -> Array:
+        rise = np.asarray(self.drivers[0].values(dynamics.motion, None))
+        return values[0] * rise * dynamics.velocity(self.joint)
+
+
+@final
+@dataclass(frozen=True)
+class CoupledFriction(TorqueEffect):
+    """τ += b·(q̇_N + q̇_M) + c·sign(q̇_N + q̇_M) on both joints: a motor of the wrist that turns both.
+
+    Attributes:
+        joint: N, the outer one, counted from 1.
+        source_joint: M.
+    """
+
+    joint: int
+    source_joint: int
+
+    name: ClassVar[str] = "coupled_friction"
+    specificity: ClassVar[int] = 3
+    reporting: ClassVar[Reporting] = with_field("source_joint")
+
+    def __post_init__(self) -> None:
+        if self.source_joint >= self.joint:
+            raise InputError(
+                f"{self.label}: source_joint {self.source_joint} is not before joint {self.joint}; name the outer "
+                "joint as joint"
+            )
+
+    @property
+    def site(self) -> str:
+        """Of the outer joint."""
+        return f"joint{self.joint}"
+
+    @property
+    def coordinates(self) -> tuple[Coordinate, ...]:
+        return (
+            Coordinate("viscous_Nm_s_per_rad", "Nm·s/rad", 0.1, lower=0.0, upper=bounds.VISCOUS),
+            Coordinate("coulomb_Nm", "Nm", 0.1, lower=0.0, upper=bounds.TORQUE),
+        )
+
+    @property
+    def drivers(self) -> tuple[Driver, ...]:
+        return (Driver("velocity", self.joint), Driver("velocity", self.source_joint))
+
+    def torque(self, values: Array, dynamics: Dynamics) -> Array:
+        speed = dynamics.velocity(self.joint) + dynamics.velocity(self.source_joint)
+        total = np.zeros_like(dynamics.torque)
+        total[[self.joint - 1, self.source_joint - 1]] = values[0] * speed + values[1] * direction(speed)
+        return total

@@ -1,0 +1,169 @@
+"""Effects of motors, their gears and their sensors: offset, scale, rotor inertia, springs, ripple, delay."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import ClassVar, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lite6jax.effects.drivers import Driver
+from lite6jax.effects.dynamic import bounds
+from lite6jax.effects.dynamic.torque_effect import Array, Delaying, Dynamics, JointTorque, Scaling
+from lite6jax.effects.effect import Choice, Coordinate, Effect, Reporting
+from lite6jax.effects.waves import order_choice, wave_reporting
+from lite6jax.errors import InputError
+
+
+@final
+@dataclass(frozen=True)
+class TorqueOffset(JointTorque):
+    """τ += o: a sensor's zero, or a current's."""
+
+    name: ClassVar[str] = "torque_offset"
+    specificity: ClassVar[int] = 0
+
+    @property
+    def coordinates(self) -> tuple[Coordinate, ...]:
+        return (Coordinate("offset_Nm", "Nm", 0.1, lower=-bounds.TORQUE, upper=bounds.TORQUE),)
+
+    @property
+    def drivers(self) -> tuple[Driver, ...]:
+        return ()
+
+    def at_joint(self, values: Array, dynamics: Dynamics) -> Array:
+        return np.full(dynamics.motion.samples, values[0])
+
+
+@final
+@dataclass(frozen=True)
+class TorqueScale(Scaling):
+    """The measured torque is 1 + s times the true one, friction included: a torque constant, a gear ratio."""
+
+    name: ClassVar[str] = "torque_scale"
+    specificity: ClassVar[int] = 2
+
+    @property
+    def coordinates(self) -> tuple[Coordinate, ...]:
+        return (Coordinate("scale", "1", 0.01, lower=-bounds.SCALE, upper=10 * bounds.SCALE),)
+
+    @property
+    def drivers(self) -> tuple[Driver, ...]:
+        return (Driver("gravity torque", self.joint),)
+
+    def at_joint(self, values: Array, dynamics: Dynamics) -> Array:
+        return values[0] * dynamics.torque[self.joint - 1]
+
+
+@final
+@dataclass(frozen=True)
+class RotorInertia(JointTorque):
+    """τ += I·q̈, of the rotor, reflected to the joint."""
+
+    name: ClassVar[str] = "rotor_inertia"
+    specificity: ClassVar[int] = 1
+
+    @property
+    def coordinates(self) -> tuple[Coordinate, ...]:
+        return (Coordinate("inertia_kg_m2", "kg·m²", 0.01, lower=0.0, upper=bounds.ROTOR),)
+
+    @property
+    def drivers(self) -> tuple[Driver, ...]:
+        return (Driver("acceleration", self.joint),)
+
+    def at_joint(self, values: Array, dynamics: Dynamics) -> Array:
+        assert dynamics.motion.joint_acceleration is not None
+        return values[0] * np.asarray(dynamics.motion.joint_acceleration)[self.joint - 1]
+
+
+def _spring_parameters(effect: Effect, values: NDArray) -> tuple[NDArray, NDArray]:
+    k, m = values
+    rest = -m / k if k else 0.0
+    slope = [rest / k * -1.0, -1.0 / k] if k else [0.0, 0.0]
+    return np.array([k, rest]), np.array([[1.0, 0.0], slope])
+
+
+def _spring_values(effect: Effect, given: Mapping[str, float]) -> NDArray:
+    k = given.get("stiffness_Nm_per_rad", 0.0)
+    return np.array([k, -k * given.get("rest_rad", 0.0)])
+
+
+@final
+@dataclass(frozen=True)
+class JointSpring(JointTorque):
+    """τ += k·(q − q₀): a cable, a hose, a balancer. Its coordinates are k and −k·q₀, in which it is linear."""
+
+    name: ClassVar[str] = "joint_spring"
+    specificity: ClassVar[int] = 3
+    reporting: ClassVar[Reporting] = Reporting(
+        names=lambda effect: ("stiffness_Nm_per_rad", "rest_rad"), parameters=_spring_parameters, values=_spring_values
+    )
+    special_cases = staticmethod(lambda effect: (TorqueOffset(effect.joint),))
+
+    @property
+    def coordinates(self) -> tuple[Coordinate, ...]:
+        return (
+            Coordinate("stiffness_Nm_per_rad", "Nm/rad", 0.1, lower=0.0, upper=bounds.STIFFNESS),
+            Coordinate("torque_at_zero_Nm", "Nm", 0.1, lower=-bounds.TORQUE, upper=bounds.TORQUE),
+        )
+
+    @property
+    def drivers(self) -> tuple[Driver, ...]:
+        return (Driver("position", self.joint),)
+
+    def at_joint(self, values: Array, dynamics: Dynamics) -> Array:
+        return values[0] * np.asarray(dynamics.motion.joint_position)[self.joint - 1] + values[1]
+
+
+@final
+@dataclass(frozen=True)
+class TorqueRipple(JointTorque):
+    """τ += A·sin(n·q + φ): cogging, gear mesh. Its coordinates are A cos φ and A sin φ, and n where it is not fixed.
+
+    Attributes:
+        order: n ≥ 1, where it is fixed; not necessarily an integer.
+    """
+
+    order: float | None = None
+
+    name: ClassVar[str] = "torque_ripple"
+    specificity: ClassVar[int] = 5
+    choice: ClassVar[Choice | None] = order_choice()
+    reporting: ClassVar[Reporting] = wave_reporting("amplitude_Nm")
+
+    def __post_init__(self) -> None:
+        if self.order is not None and not 0 < self.order < np.inf:
+            raise InputError(f"{self.label}: order is {self.order:g}; give a positive number")
+
+    @property
+    def coordinates(self) -> tuple[Coordinate, ...]:
+        most = bounds.TORQUE
+        waves = tuple(Coordinate(f"{wave}_Nm", "Nm", 0.1, lower=-most, upper=most) for wave in ("sine", "cosine"))
+        return waves if self.order is not None else (*waves, Coordinate("order", "1", 0.1, lower=0.0, linear=False))
+
+    @property
+    def drivers(self) -> tuple[Driver, ...]:
+        return (Driver("position", self.joint),)
+
+    def at_joint(self, values: Array, dynamics: Dynamics) -> Array:
+        order = values[2] if self.order is None else self.order
+        turned = order * np.asarray(dynamics.motion.joint_position)[self.joint - 1]
+        return values[0] * np.sin(turned) + values[1] * np.cos(turned)
+
+
+@final
+@dataclass(frozen=True)
+class TorqueTimeOffset(Delaying):
+    """The torque stamped t belongs to the motion at t + offset."""
+
+    name: ClassVar[str] = "time_offset"
+    specificity: ClassVar[int] = 1
+
+    @property
+    def site(self) -> str:
+        """`clock`."""
+        return "clock"
+
+    @property
+    def coordinates(self) -> tuple[Coordinate, ...]:
+        return (Coordinate("offset_s", "s", 1e-3, lower=-bounds.DELAY, upper=bounds.DELAY, linear=False),)

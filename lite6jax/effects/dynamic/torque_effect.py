@@ -1,0 +1,142 @@
+"""What an effect on torques is: a function of an arm's motion and rigid-body torques that adds to what motors exert.
+
+Everything is on the host: each column is evaluated once per recording, and nearly all effects are linear.
+"""
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import ClassVar, NamedTuple, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lite6jax.effects.drivers import Driver
+from lite6jax.effects.effect import Effect
+from lite6jax.effects.motion import Motion
+from lite6jax.effects.statics import Loads
+
+Array = NDArray[np.floating]
+
+DIRECTION_SPEED = 0.002
+"""rad/s, the speed v over which the direction of motion changes its sign, as tanh(q̇ / v)."""
+
+POINT_MASS = 10
+"""Numbers of a link's inertia: m, m·c, and the tensor about the frame's origin (xx yy zz xy xz yz)."""
+
+
+class Dynamics(NamedTuple):
+    """An arm's motion and the rigid-body torques in it, on the host.
+
+    Attributes:
+        motion: with velocities and accelerations; NumPy arrays.
+        torque: `(joint, sample)` Nm that motors exert about +z of the joints on the rigid arm with its payload.
+        links: `(joint, 10)` inertial numbers of each link, its payload left out; see `POINT_MASS`.
+        payload_center: `(3,)` m, of the payload, in the frame after the last joint.
+        of_inertia: torques `(joint, sample)` by inertial numbers `(joint, 10)` in this motion.
+        of_gravity: torques `(joint, sample)` of this arm by a gravity `(3,)` m/s² in the base frame, at rest.
+        gravity: `(3,)` m/s², as declared.
+    """
+
+    motion: Motion
+    torque: Array
+    links: Array
+    payload_center: Array
+    of_inertia: Callable[[Array], Array]
+    of_gravity: Callable[[Array], Array]
+    gravity: Array
+
+    @property
+    def loads(self) -> Loads:
+        """The moments about the joints' axes that links and payload exert, the opposite of the motors' torques."""
+        return loads_of(self.torque)
+
+    def direction(self, joint: int) -> Array:
+        """`(sample,)`, from -1 to 1, of a joint counted from 1."""
+        return direction(self.velocity(joint))
+
+    def velocity(self, joint: int) -> Array:
+        """`(sample,)` rad/s, of a joint counted from 1."""
+        assert self.motion.joint_velocity is not None
+        return np.asarray(self.motion.joint_velocity)[joint - 1]
+
+
+def loads_of(torque: Array) -> Loads:
+    """The loads in which drivers find what acts on each joint: the opposite of what motors exert, `(joint, sample)`."""
+    moment = np.zeros((len(torque), 3, torque.shape[1]))
+    moment[:, 2] = -torque
+    return Loads(moment, np.zeros((3, torque.shape[1])))  # type: ignore[arg-type]
+
+
+def direction(velocity: Array) -> Array:
+    """The direction of motion, -1 to 1, with a transition within a few mrad/s: encoders have no exact zero."""
+    return np.tanh(velocity / DIRECTION_SPEED)
+
+
+def point_mass(mass: float, center: Array) -> Array:
+    """`(10,)` inertial numbers of a point mass in kg at a place in m."""
+    x, y, z = center
+    tensor = [y * y + z * z, x * x + z * z, x * x + y * y, -x * y, -x * z, -y * z]
+    return mass * np.array([1.0, x, y, z, *tensor])
+
+
+class TorqueEffect(Effect, ABC):
+    """An effect on the torques that motors exert."""
+
+    domain: ClassVar[str] = "dynamic"
+
+    @abstractmethod
+    def torque(self, values: Array, dynamics: Dynamics) -> Array:
+        """`(joint, sample)` Nm that add to the rigid arm's torques, by `values` `(coordinate,)`."""
+
+
+@dataclass(frozen=True)
+class JointTorque(TorqueEffect, ABC):
+    """An effect on the torque of one joint.
+
+    Attributes:
+        joint: counted from 1.
+    """
+
+    joint: int
+
+    @abstractmethod
+    def at_joint(self, values: Array, dynamics: Dynamics) -> Array:
+        """`(sample,)` Nm that add to this joint's torque."""
+
+    @property
+    @final
+    def site(self) -> str:
+        """`jointN`."""
+        return f"joint{self.joint}"
+
+    @final
+    def torque(self, values: Array, dynamics: Dynamics) -> Array:
+        """The torque at its joint, zero at the others."""
+        total = np.zeros_like(dynamics.torque)
+        total[self.joint - 1] = self.at_joint(np.asarray(values, float), dynamics)
+        return total
+
+
+@dataclass(frozen=True)
+class Scaling(JointTorque, ABC):
+    """An effect that multiplies the torque of its joint, whatever causes that torque.
+
+    `at_joint` takes the whole torque from `dynamics.torque`.
+    """
+
+
+@dataclass(frozen=True)
+class Delaying(TorqueEffect, ABC):
+    """An effect by which torques belong to another instant than stamped; its only number is that offset in s."""
+
+    @final
+    def torque(self, values: Array, dynamics: Dynamics) -> Array:
+        """Nothing: a domain shifts what was measured."""
+        return np.zeros_like(dynamics.torque)
+
+    @property
+    @final
+    def drivers(self) -> tuple[Driver, ...]:
+        """The time of each sample."""
+        return (Driver("time"),)

@@ -1,0 +1,128 @@
+"""Torques without a name: at one joint, a function of one driver or of two, also times the direction of motion."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from math import comb
+from typing import ClassVar, final
+
+import numpy as np
+
+from lite6jax.effects.drivers import Driver, driver_of
+from lite6jax.effects.dynamic.torque_effect import Array, Dynamics, JointTorque
+from lite6jax.effects.effect import Coordinate
+from lite6jax.effects.nonparametric import polynomial_basis, spline_basis
+from lite6jax.errors import InputError
+
+
+@final
+@dataclass(frozen=True)
+class UnnamedTorque(JointTorque):
+    """τ += Σ coefficient · B(driver), or that times the direction of motion of the joint.
+
+    B are cubic B-splines; with `orders`, the sine and cosine of each order of the driver, an angle; with `degree`,
+    products of one or several drivers.
+
+    Attributes:
+        driver: the phrase of a `Driver`; of several, joined by " and ".
+        lower: of the first driver's range, in its unit; beyond it the curve is constant.
+        upper: of the first driver's range.
+        pieces: the intervals of the spline; it has three more coefficients.
+        signed: whether the curve is multiplied by the direction of motion, as friction is.
+        orders: of the waves, that are there instead of a spline.
+        spread: one standard deviation of the coefficients, where that is known beforehand.
+        degree: of polynomials, that are there instead of a spline; 0 for none.
+        further: lower and upper of each further driver.
+
+    Raises:
+        InputError: no such driver, or an empty range.
+    """
+
+    driver: str
+    lower: float
+    upper: float
+    pieces: int = 8
+    signed: bool = False
+    orders: tuple[float, ...] = ()
+    spread: float | None = None
+    degree: int = 0
+    further: tuple[float, ...] = ()
+
+    name: ClassVar[str] = "unnamed"
+    nonparametric: ClassVar[bool] = True
+    specificity: ClassVar[int] = 17
+
+    def __post_init__(self) -> None:
+        several = len(self.of) - 1
+        if not self.lower < self.upper or self.pieces < 1:
+            raise InputError(
+                f"unnamed:{self.site}: {self.pieces} pieces from {self.lower:g} to {self.upper:g} are no curve; give "
+                "lower < upper and at least one piece"
+            )
+        if len(self.further) != 2 * several or (several and not self.degree):
+            raise InputError(
+                f"unnamed:{self.site}: {several + 1} drivers and {len(self.further)} further bounds; give lower and "
+                "upper of each driver but the first, and a degree"
+            )
+        if self.degree and self.orders:
+            raise InputError(f"unnamed:{self.site}: a degree beside orders; give one of them")
+
+    @cached_property
+    def of(self) -> tuple[Driver, ...]:
+        """What the curve runs over."""
+        return tuple(driver_of(phrase) for phrase in self.driver.split(" and "))
+
+    @property
+    def drivers(self) -> tuple[Driver, ...]:
+        """What the curve runs over, and the direction of motion where that multiplies it."""
+        return (*self.of, Driver("direction of motion", self.joint)) if self.signed else self.of
+
+    @property
+    def coordinates(self) -> tuple[Coordinate, ...]:
+        """The coefficients."""
+        names = [f"{wave}_{order:g}" for order in self.orders for wave in ("sine", "cosine")]
+        names = names or [f"coefficient{i + 1}" for i in range(self.functions)]
+        spread = np.inf if self.spread is None else self.spread
+        return tuple(Coordinate(f"{name}_Nm", "Nm", 0.1, spread) for name in names)
+
+    @property
+    def functions(self) -> int:
+        """How many functions of the drivers there are."""
+        if self.degree:
+            return comb(len(self.of) + self.degree, self.degree)
+        return 2 * len(self.orders) or self.pieces + 3
+
+    def basis(self, dynamics: Dynamics) -> Array:
+        """The functions that coefficients multiply, `(function, sample)`."""
+        loads = dynamics.loads if any(driver.loaded for driver in self.of) else None
+        values = np.stack([np.asarray(driver.values(dynamics.motion, loads)) for driver in self.of])
+        found = self.functions_of(values)
+        return found * dynamics.direction(self.joint) if self.signed else found
+
+    def functions_of(self, values: Array) -> Array:
+        """The functions `(function, sample)` at values `(driver, sample)` of the drivers, without the direction."""
+        if self.degree:
+            ranges = np.array((self.lower, self.upper, *self.further)).reshape(-1, 2)
+            return np.asarray(polynomial_basis(values, ranges, self.degree))  # type: ignore[arg-type]
+        if not self.orders:
+            return np.asarray(spline_basis(values[0], self.lower, self.upper, self.pieces))  # type: ignore[arg-type]
+        turned = np.array(self.orders)[:, None] * values[0]
+        return np.stack([np.sin(turned), np.cos(turned)], 1).reshape(self.functions, -1)
+
+    def at_joint(self, values: Array, dynamics: Dynamics) -> Array:
+        return values @ self.basis(dynamics)
+
+    def curve(self, values: Array, driver: Array) -> Array:
+        """The curve's value `(sample,)` Nm at values `(sample,)` or `(driver, sample)` of the driver, forwards."""
+        return np.asarray(values) @ self.functions_of(np.atleast_2d(driver))
+
+
+def waves(joint: int, q: Array, orders: Sequence[float] | Array) -> UnnamedTorque:
+    """The curve of some orders of a joint's position `(sample,)` rad."""
+    return UnnamedTorque(
+        joint,
+        Driver("position", joint).phrase,
+        float(q.min()) - 1e-6,
+        float(q.max()) + 1e-6,
+        orders=tuple(float(order) for order in orders),
+    )

@@ -1,0 +1,109 @@
+"""Backward selection from all terms that most problems of a domain have, where a problem has many of them.
+
+Where many effects are missing at once, what they leave looks like autocorrelated noise and masks each of them, so that
+forward selection ends early. The residuals of the saturated model show the noise itself; in that noise, terms leave one
+by one as long as what they explain is not significant (Efroymson's backward elimination, in generalised least squares).
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from lite6jax.estimation.least_squares import Fit, fit
+from lite6jax.estimation.options import EngineOptions
+from lite6jax.estimation.problem import Mask, Problem
+from lite6jax.estimation.score_test import Score, gain_p_value, score_test, searched_size
+from lite6jax.estimation.terms import Terms
+from lite6jax.progress import entered
+from lite6jax.search.backward import eliminate, prune
+from lite6jax.search.forward import forward
+from lite6jax.search.names import challenge_names
+from lite6jax.search.state import SelectedTerm, State
+
+
+def from_saturated(problem: Problem, training: Mask, options: EngineOptions) -> State | None:
+    """The terms of `problem.ladder` that its residuals require, in their noise; None where forward selection suffices.
+
+    Args:
+        problem: the data.
+        training: `(sample,)` bool, the samples to use.
+        options: thresholds.
+    """
+    if not problem.ladder:
+        return None
+    baseline = fit(problem, Terms(), options, training=training)
+    scores = zip(problem.ladder, score_test(problem, baseline, options).score(problem.ladder), strict=True)
+    terms = Terms(tuple(term for term, score in scores if not score.confounded))
+    found = fit(problem, terms, options, training=baseline.training)
+    time = score_test(problem, found, options).time
+    while (leaving := _unnecessary(problem, found, time, options)) and len(found.terms.terms) > len(leaving):
+        kept = [k not in leaving for k in range(len(found.terms.terms))]
+        rest, values = found.terms.part(found.values, kept)
+        found = fit(problem, rest, options, values, found.nuisance, found.training)
+    if len(found.terms.terms) <= options.most_terms:
+        return None
+    return _tested(problem, State(baseline, found, _untested(found)), time, options)
+
+
+def refined(problem: Problem, state: State, options: EngineOptions) -> State:
+    """A state of many terms with what it still lacks, and without what that makes unnecessary.
+
+    Each term is finally tested by what it explains, in as many independent samples as the autocorrelation time leaves:
+    blocks of samples are too few for a test of so many terms.
+    """
+    more = replace(options, most_terms=len(state.tested) + options.most_terms)
+    state = prune(problem, eliminate(problem, forward(problem, state, more, shaped=True), more), more)
+    entered("naming")
+    state = challenge_names(problem, state, replace(more, name_rounds=2 * options.name_rounds))
+    while True:
+        time = score_test(problem, state.fit, options).time
+        leaving = _unnecessary(problem, state.fit, time, options)
+        if not leaving:
+            break
+        kept = [k not in leaving for k in range(len(state.tested))]
+        rest, values = state.fit.terms.part(state.fit.values, kept)
+        found = fit(problem, rest, options, values, state.fit.nuisance, state.fit.training)
+        tested = tuple(test for test, stays in zip(state.tested, kept, strict=True) if stays)
+        state = State(state.baseline, found, tested)
+    # the noise of neighbouring samples is not independent: so many of them count as one
+    inflated = replace(state.fit, covariance=state.fit.covariance * max(time, 1.0))
+    return _tested(problem, replace(state, fit=inflated), 1.0, options)
+
+
+def _untested(found: Fit) -> tuple[SelectedTerm, ...]:
+    return tuple(
+        SelectedTerm(term, 1.0, Score(0.0, term.size, 1.0, False, found.values[part]))
+        for term, part in zip(found.terms.terms, found.terms.slices, strict=True)
+    )
+
+
+def _tested(problem: Problem, state: State, time: float, options: EngineOptions) -> State:
+    """With each term tested by what it explains to second order, in noise of this autocorrelation time."""
+    searched, tested = searched_size(problem, options), []
+    for k, test in enumerate(state.tested):
+        gain = _explained(state.fit, k)
+        p_value = min(gain_p_value(gain, test.term.size, time) * searched, 1.0)
+        tested.append(replace(test, p_value=p_value, score=test.score._replace(gain=gain, p_value=p_value)))
+    return replace(state, tested=tuple(tested))
+
+
+def _unnecessary(problem: Problem, found: Fit, time: float, options: EngineOptions) -> set[int]:
+    """Of each site, the term that leaves: the least possible one, or else the least significant one; if there is one."""
+    searched, std = searched_size(problem, options), np.sqrt(np.maximum(np.diagonal(found.covariance), 1e-300))
+    worst: dict[str, tuple[float, int]] = {}
+    for k, (term, part) in enumerate(zip(found.terms.terms, found.terms.slices, strict=True)):
+        p_value = gain_p_value(_explained(found, k), term.size, time) * searched
+        beyond = max(
+            max(lower - value, value - upper) / s
+            for (lower, upper), value, s in zip(problem.limits(term), found.values[part], std[part], strict=True)
+        )
+        badness = 1e6 + beyond if beyond > options.impossible else p_value
+        if badness >= options.level and badness > worst.get(term.site, (0.0, 0))[0]:
+            worst[term.site] = (badness, k)
+    return {k for _, k in worst.values()}
+
+
+def _explained(found: Fit, k: int) -> float:
+    """The log-likelihood that the k-th term explains, to second order: half its squared numbers in their metric."""
+    part = found.terms.slices[k]
+    return 0.5 * float(found.values[part] @ np.linalg.lstsq(found.covariance[part, part], found.values[part], rcond=1e-12)[0])

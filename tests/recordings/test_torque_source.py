@@ -1,0 +1,74 @@
+"""Torques without noise are told from measured ones, by synthetic pendulums that move and rest."""
+
+import numpy as np
+import pytest
+
+from lite6jax.recordings import Recording, estimated_torque
+
+STEP = 0.004
+
+
+def pendulum(noise=0.0, encoder=2e-6, digits=9, rests=True, seconds=12.0, spacing=1):
+    """Two joints that swing for four seconds and rest for two, again and again; the torques of their weights.
+
+    The torques follow the true positions, which differ from those of the encoders by their noise.
+    """
+    rng = np.random.default_rng(0)
+    time = np.arange(0.0, seconds, STEP)
+    phase = np.minimum(time % 6.0, 4.0) if rests else time % 4.0
+    swing = 0.5 * (1 - np.cos(np.pi * phase / 2))
+    q = np.stack([0.8 * swing, 1.2 - 0.5 * swing], 1)
+    torque = np.stack([5 * np.sin(q[:, 0]), 0.7 * np.cos(q[:, 1])], 1)
+    torque = np.round(torque + noise * np.abs(torque).max(0) * rng.normal(size=q.shape), digits)
+    return Recording.from_arrays(
+        (q + encoder * rng.normal(size=q.shape))[::spacing],
+        time=time[::spacing],
+        joint_torque=torque[::spacing],
+        motion="trajectory",
+    )
+
+
+def test_a_torque_that_is_constant_at_rest_is_computed():
+    assert estimated_torque(pendulum())
+
+
+@pytest.mark.parametrize(
+    "changed",
+    [
+        {"noise": 1e-3},
+        {"noise": 3e-4, "digits": 3},
+        {"noise": 2e-3, "digits": 1},  # the noise is rounded away at rest
+        {"rests": False},
+        {"seconds": 0.5},
+        {"encoder": 1e-3},  # of an arm that shakes nothing is known
+    ],
+)
+def test_a_measured_torque_and_one_of_which_nothing_can_be_told_are_not(changed):
+    assert not estimated_torque(pendulum(**changed))
+
+
+def test_one_joint_with_noise_is_enough():
+    recording = pendulum()
+    noisy = recording.joint_torque + [[0.0, 1.0]] * np.random.default_rng(1).normal(scale=1e-3, size=(3000, 2))
+    assert not estimated_torque(
+        Recording.from_arrays(recording.joint_position, time=recording.time, joint_torque=noisy, motion="trajectory")
+    )
+
+
+def test_a_joint_that_carries_nothing_does_not_count():
+    recording = pendulum()
+    torque = recording.joint_torque * [1.0, 0.0]
+    q, time = recording.joint_position, recording.time
+    assert estimated_torque(Recording.from_arrays(q, time=time, joint_torque=torque, motion="trajectory"))
+    assert not estimated_torque(Recording.from_arrays(q, time=time, joint_torque=0 * torque, motion="trajectory"))
+    assert not estimated_torque(Recording.from_arrays(q, time=time, motion="trajectory"))
+
+
+def test_a_window_ends_with_its_run():
+    """A controller that was moved between its runs: across them the torques differ, within them they do not."""
+    q = np.repeat([[0.3, 0.2], [0.3, 0.2]], 120, axis=0)
+    torque = np.repeat([[5.0, 1.0], [5.1, 1.2]], 120, axis=0)
+    run = np.repeat([0, 1], 120)
+    assert estimated_torque(
+        Recording.from_arrays(q, time=STEP * np.arange(240), joint_torque=torque, run=run, motion="trajectory")
+    )
