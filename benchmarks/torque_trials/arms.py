@@ -3,7 +3,9 @@
 Shares no code with the library. The sample comes first.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 import yaml
@@ -94,53 +96,84 @@ def inverse_dynamics(
         payload: `(sample,)` kg, a point mass in the last frame; none where not given.
         at: `(3,)` m, where it is.
     """
-    chain, z = arm.chain, np.array([0.0, 0.0, 1.0])
-    samples, dof = q.shape
-    rate, spin, thrust = np.zeros((samples, 3)), np.zeros((samples, 3)), np.tile(-gravity, (samples, 1))
-    turns, forces, torques = [], [], []
-    for i in range(dof):
-        offset = chain.rows[i, :3]
-        turn = rotation_from_rpy(*chain.rows[i, 3:]) @ about_z(q[:, i])
-        thrust = thrust + _cross(spin, offset) + _cross(rate, _cross(rate, offset))
-        rate, spin, thrust = (_into(turn, v) for v in (rate, spin, thrust))
+    pulls = []
+    bodies = travelled(arm, q, dq, ddq, gravity)
+    for i, body in enumerate(bodies):
+        force, torque = link_pull(arm, body, i)
+        if i == len(bodies) - 1 and payload is not None:
+            place = np.zeros(3) if at is None else at
+            load = payload[:, None] * _pushed(body, place)
+            force, torque = force + load, torque + _cross(place, load)
+        pulls.append((force, torque))
+    return held(arm, bodies, pulls)
+
+
+class Body(NamedTuple):
+    """How a link's frame moves, in its own axes; all arrays with the sample first.
+
+    Attributes:
+        turn: `(sample, 3, 3)`, its axes in those of the frame before.
+        thrust: `(sample, 3)` m/s², the acceleration of its origin, gravity among it.
+        spin: `(sample, 3)` rad/s².
+        rate: `(sample, 3)` rad/s.
+    """
+
+    turn: Array
+    thrust: Array
+    spin: Array
+    rate: Array
+
+
+def travelled(arm: Arm, q: Array, dq: Array, ddq: Array, gravity: Array) -> list[Body]:
+    """How the links of an arm move, from the base outwards; nothing here depends on what they weigh."""
+    z = np.array([0.0, 0.0, 1.0])
+    rate, spin, thrust = np.zeros((len(q), 3)), np.zeros((len(q), 3)), np.tile(-gravity, (len(q), 1))
+    bodies = []
+    for i, row in enumerate(arm.chain.rows):
+        turn = rotation_from_rpy(*row[3:]) @ about_z(q[:, i])
+        thrust = thrust + _cross(spin, row[:3]) + _cross(rate, _cross(rate, row[:3]))
+        rate, spin, thrust = (np.einsum("sji,sj->si", turn, v) for v in (rate, spin, thrust))
         spin = spin + _cross(rate, z) * dq[:, i : i + 1] + z * ddq[:, i : i + 1]
         rate = rate + z * dq[:, i : i + 1]
+        bodies.append(Body(turn, thrust, spin, rate))
+    return bodies
 
-        center, inertia = chain.center[i], arm.inertia[i]
-        force = chain.mass[i] * _pushed(thrust, spin, rate, center)
-        torque = spin @ inertia + _cross(rate, rate @ inertia) + _cross(center, force)
-        if i == dof - 1 and payload is not None:
-            place = np.zeros(3) if at is None else at
-            load = payload[:, None] * _pushed(thrust, spin, rate, place)
-            force, torque = force + load, torque + _cross(place, load)
-        turns.append(turn)
-        forces.append(force)
-        torques.append(torque)
 
-    exerted = np.empty((samples, dof))
-    force, torque = forces[-1], torques[-1]
-    for i in reversed(range(dof)):
+def link_pull(arm: Arm, body: Body, i: int) -> tuple[Array, Array]:
+    """`(sample, 3)` N and Nm about its frame's origin that a link (from 0) asks for, in its own axes."""
+    center, inertia = arm.chain.center[i], arm.inertia[i]
+    force = arm.chain.mass[i] * _pushed(body, center)
+    return force, body.spin @ inertia + _cross(body.rate, body.rate @ inertia) + _cross(center, force)
+
+
+def held(arm: Arm, bodies: Sequence[Body], pulls: Sequence[tuple[Array, Array]]) -> Array:
+    """`(sample, joint)` Nm that hold what the first links ask for, from the last of them inwards.
+
+    Args:
+        arm: the arm.
+        bodies: how its links move.
+        pulls: N and Nm of the links from the first on; links beyond ask for nothing.
+    """
+    exerted = np.zeros((len(bodies[0].rate), len(bodies)))
+    force, torque = pulls[-1]
+    for i in reversed(range(len(pulls))):
         exerted[:, i] = torque[:, 2]
         if i:
-            carried = np.einsum("sij,sj->si", turns[i], force)
-            torque = torques[i - 1] + np.einsum("sij,sj->si", turns[i], torque) + _cross(chain.rows[i, :3], carried)
-            force = forces[i - 1] + carried
+            carried, twisted = (np.einsum("sij,sj->si", bodies[i].turn, v) for v in (force, torque))
+            own = pulls[i - 1]
+            force, torque = own[0] + carried, own[1] + twisted + _cross(arm.chain.rows[i, :3], carried)
     return exerted
 
 
-def _pushed(thrust: Array, spin: Array, rate: Array, at: Array) -> Array:
-    """Accelerations of a point of a body, whose frame's origin has `thrust`."""
-    return thrust + _cross(spin, at) + _cross(rate, _cross(rate, at))
+def _pushed(body: Body, at: Array) -> Array:
+    """`(sample, 3)` m/s² of a point of a body."""
+    return body.thrust + _cross(body.spin, at) + _cross(body.rate, _cross(body.rate, at))
 
 
 def _cross(a: Array, b: Array) -> Array:
     """`(sample, 3)` of vectors of which either may be one for all; NumPy's own takes thrice the time."""
     (x, y, z), (u, v, w) = a.T, b.T
     return np.stack([y * w - z * v, z * u - x * w, x * v - y * u], -1)
-
-
-def _into(turn: Array, vectors: Array) -> Array:
-    return np.einsum("sji,sj->si", turn, vectors)
 
 
 def arm_text(arm: Arm) -> str:

@@ -12,7 +12,7 @@ from functools import cached_property
 import numpy as np
 
 from benchmarks.campaigns.threshold import LEAST_SEEN, Array, across, least_power
-from benchmarks.torque_trials.arms import Arm
+from benchmarks.torque_trials.arms import Arm, held, link_pull, travelled
 from benchmarks.torque_trials.effects import NAMED, Hidden, Scene
 from benchmarks.torque_trials.motion import Motion
 from benchmarks.torque_trials.physics import RIGID, Setup, rigid, torques
@@ -82,10 +82,14 @@ class View:
         if not self.inertial:
             return np.zeros((self.motion.q.size, 0))
         arm, motion = self.setup.arm, self.motion
+        bodies = travelled(arm, motion.q, motion.dq, motion.ddq, self.setup.gravity)
+        nothing = np.zeros((len(motion.q), 3))
         columns = []
-        for ahead, behind in _inertial_moves(arm, self.inertial):
-            pair = [rigid(replace(self.setup, arm=each), (), motion).load for each in (ahead, behind)]
-            columns.append((pair[0] - pair[1]).ravel() / 2)
+        for i, ahead, behind in _inertial_moves(arm, self.inertial):
+            # of one link alone: the others ask for the same either way
+            pair = [link_pull(each, bodies[i], i) for each in (ahead, behind)]
+            pull = [(a - b) / 2 for a, b in zip(*pair, strict=True)]
+            columns.append(held(arm, bodies, [*[(nothing, nothing)] * i, (pull[0], pull[1])]).ravel())
         return np.stack(columns, 1)
 
     def span(self) -> Array:
@@ -109,20 +113,20 @@ class View:
             yield (ahead - behind) / (2 * step)
 
 
-def _inertial_moves(arm: Arm, share: float) -> Iterator[tuple[Arm, Arm]]:
-    """The arm moved either way along every inertial number left open."""
+def _inertial_moves(arm: Arm, share: float) -> Iterator[tuple[int, Arm, Arm]]:
+    """Of every inertial number left open, its link (from 0) and the arm with more and with less of it."""
     known = share < np.inf
     for i, (mass, center) in enumerate(zip(arm.chain.mass, arm.chain.center, strict=True)):
         step = share * mass if known else 1e-2
-        yield arm.with_link(i + 1, mass=step), arm.with_link(i + 1, mass=-step)
+        yield i, arm.with_link(i + 1, mass=step), arm.with_link(i + 1, mass=-step)
         for axis in range(3):
             shift = np.zeros(3)
             shift[axis] = share * np.linalg.norm(center) if known else 1e-3
-            yield arm.with_link(i + 1, center=shift), arm.with_link(i + 1, center=-shift)
+            yield i, arm.with_link(i + 1, center=shift), arm.with_link(i + 1, center=-shift)
         for tensor in [share * arm.inertia[i]] if known else _tensors():
             either = np.zeros_like(arm.inertia)
             either[i] = tensor
-            yield replace(arm, inertia=arm.inertia + either), replace(arm, inertia=arm.inertia - either)
+            yield i, replace(arm, inertia=arm.inertia + either), replace(arm, inertia=arm.inertia - either)
 
 
 def _tensors() -> Iterator[Array]:
