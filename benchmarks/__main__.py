@@ -44,6 +44,8 @@ def main(arguments: Sequence[str] | None = None, known: Mapping[str, Workload] |
     arguments = sys.argv[1:] if arguments is None else list(arguments)
     if arguments[:1] == ["concealed"]:
         return _concealed(arguments[1:])
+    if arguments[:1] == ["torque"]:
+        return _torque(arguments[1:])
     if arguments[:1] == ["rivals"]:
         return _rivals(arguments[1:])
     if arguments[:1] == ["sensitivity"]:
@@ -60,7 +62,7 @@ def main(arguments: Sequence[str] | None = None, known: Mapping[str, Workload] |
     parser = argparse.ArgumentParser(
         prog="python -m benchmarks",
         description=__doc__,
-        epilog="`concealed`, `rivals`, `sensitivity` and `fuzz` have options of their own: concealed --help.",
+        epilog="`concealed`, `torque`, `rivals`, `sensitivity` and `fuzz` have options of their own: concealed --help.",
     )
     parser.add_argument("name", nargs="?", choices=list(known), help="one workload; all of them without it")
     parser.add_argument("--json", type=Path, metavar="OUT", help="write the records to this file, over an older one")
@@ -102,6 +104,16 @@ def _concealed(arguments: Sequence[str]) -> int:
     from benchmarks.concealed.command import main as concealed
 
     return concealed(arguments)
+
+
+def _torque(arguments: Sequence[str]) -> int:
+    """The concealed torque trials, which are run by name only."""
+    if importlib.util.find_spec("mujoco") is None:
+        print("benchmarks: mujoco missing; pip install 'lite6jax[benchmark]'", file=sys.stderr)
+        return 2
+    from benchmarks.torque_trials.command import main as torque
+
+    return torque(arguments)
 
 
 def _sensitivity(arguments: Sequence[str]) -> int:

@@ -21,7 +21,8 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from benchmarks.concealed.trials import draw, write_trial
+from benchmarks.campaigns.campaign import write_files
+from benchmarks.concealed.trials import draw
 
 FACTOR = 1.5
 SEED = 8
@@ -123,7 +124,7 @@ def table(rows: Sequence[Change], trials: int) -> Table:
 
 
 def _written(folder: Path, index: int) -> None:
-    write_trial(draw(SEED, index), folder / str(index))
+    write_files(draw(SEED, index).files, folder / str(index))
 
 
 def _outcome(folder: Path, option: str | None, changed: float, index: int) -> Outcome:

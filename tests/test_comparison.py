@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.concealed.campaign import read_rows
+from benchmarks.concealed.campaign import POSES
 from benchmarks.concealed.comparison import differences
 
 RECORD = Path(__file__).resolve().parents[1] / "benchmarks/records/concealed_0.1.0_seed8.parquet"
@@ -12,7 +12,7 @@ RECORD = Path(__file__).resolve().parents[1] / "benchmarks/records/concealed_0.1
 
 @pytest.fixture(scope="module")
 def record():
-    return read_rows(RECORD)
+    return POSES.read_rows(RECORD)
 
 
 def test_a_result_agrees_with_itself(record):

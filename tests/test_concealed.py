@@ -5,16 +5,20 @@ import hashlib
 import json
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from concealed_rows import TRUTH, WAVE, a_diagnosis, a_finding, a_hidden, a_row
 from concealed_work import work_of
+from scipy.stats import chi2
 
 from benchmarks import __main__ as harness
+from benchmarks.campaigns import campaign, shares, tables, threshold, workers
+from benchmarks.campaigns.campaign import given_in, opened, sealed_in, sealed_text, write_files
+from benchmarks.campaigns.command import DONE, UNUSABLE
 from benchmarks.concealed import (
-    campaign,
     chain,
     command,
     figures,
@@ -27,6 +31,7 @@ from benchmarks.concealed import (
     trials,
 )
 from benchmarks.concealed import view as views
+from benchmarks.concealed.campaign import POSES
 from benchmarks.concealed.chain import MADE, lite6, lite6_ros, rotation_from_rpy, seven
 from benchmarks.concealed.mujoco_physics import Arm
 from benchmarks.concealed.plain_physics import (
@@ -82,7 +87,7 @@ def test_the_generator_imports_nothing_of_the_library():
             assert not [n for n in names if n.split(".")[0] in ("lite6jax", "jax", "tests")], (name, names)
             # of its neighbours, too, only those that import nothing of it
             own = [n.rsplit(".", 1)[-1] for n in names if n.startswith("benchmarks.")]
-            assert not set(own) - {*GENERATOR, "concealed"}, (name, own)
+            assert not set(own) - {*GENERATOR, "concealed", "threshold", "columns"}, (name, own)
 
 
 def test_drawing_a_trial_loads_nothing_of_the_library():
@@ -279,11 +284,11 @@ def test_a_test_that_is_told_where_to_look_finds_the_threshold_half_the_time(nam
     span = view.nuisance()
     size = information.threshold(view, (effect,), 0, span).size
     hidden = (effect.sized(np.array(effect.values) * size),)
-    columns = views.across(span, view.columns(hidden, 0))
+    columns = threshold.across(span, view.columns(hidden, 0))
     shown = view.difference(poses(view.setup, (), view.motion), poses(view.setup, hidden, view.motion))
     y = shown[:, None] + rng.normal(size=(len(shown), 4000))
-    explained = np.sum((np.linalg.qr(columns)[0].T @ views.across(span, y)) ** 2, 0)
-    limit = information.chi2.isf(information.ALARM / information.SEARCHED, columns.shape[1])
+    explained = np.sum((np.linalg.qr(columns)[0].T @ threshold.across(span, y)) ** 2, 0)
+    limit = chi2.isf(threshold.ALARM / threshold.SEARCHED, columns.shape[1])
     assert np.mean(explained > limit) == pytest.approx(0.5, abs=0.03)
 
 
@@ -322,9 +327,9 @@ def test_what_frames_can_do_as_well_is_not_seen():
 @pytest.mark.parametrize("index", [5, 8, 11])
 def test_a_seed_gives_the_same_trial_and_the_library_reads_it(index, tmp_path):
     first, second = trials.draw(0, index), trials.draw(0, index)
-    assert trials.sealed_text(first) == trials.sealed_text(second)
+    assert sealed_text(first.truth) == sealed_text(second.truth)
     assert first.files == second.files
-    trials.write_trial(first, tmp_path)
+    write_files(first.files, tmp_path)
     recording = read_recording(tmp_path / "recording.csv")
     assert recording.joint_position.shape[0] == first.plan.rows
     assert not recording.notes
@@ -420,18 +425,18 @@ def test_a_trial_without_an_answer_counts_as_wrong():
 
 
 def test_shares_have_the_intervals_of_clopper_and_pearson():
-    found = scores.share([True] * 95 + [False] * 5)
+    found = shares.share([True] * 95 + [False] * 5)
     assert (found.low, found.high) == pytest.approx((0.8872, 0.9836), abs=1e-4)
-    assert scores.Share(0, 367).high == pytest.approx(0.01, abs=1e-4)
-    assert (scores.Share(0, 5).low, scores.Share(5, 5).high) == (0.0, 1.0)
-    assert str(scores.Share(0, 0)) == "none"
+    assert shares.Share(0, 367).high == pytest.approx(0.01, abs=1e-4)
+    assert (shares.Share(0, 5).low, shares.Share(5, 5).high) == (0.0, 1.0)
+    assert str(shares.Share(0, 0)) == "none"
 
 
 def test_ratios_are_of_root_mean_squares():
-    found = scores.ratio([2.0, 2.0, 4.0], [1.0, 2.0, 4.0])
+    found = shares.ratio([2.0, 2.0, 4.0], [1.0, 2.0, 4.0])
     assert found.value == pytest.approx(np.sqrt(24 / 21))
     assert found.low <= found.value <= found.high
-    assert scores.ratio([], []).of == 0
+    assert shares.ratio([], []).of == 0
 
 
 def a_campaign():
@@ -456,8 +461,8 @@ def test_goals_are_met_or_not_and_said_so():
     assert met["false alarms, upper end of the interval: 1 %"] is False  # none, of too few
     assert met["outside the catalogue: unnamed, at its site, by its driver: 90 %"] is True
     assert all(goal.met is None for goal in scores.goals([]))
-    assert "| NO |" in report.markdown(rows)
-    assert all(table.row_count for table in report.tables(rows))
+    assert "| NO |" in tables.markdown(report.sections(rows))
+    assert all(table.row_count for table in tables.tables(report.sections(rows)))
 
 
 def test_figures_are_drawn_of_what_there_is(tmp_path):
@@ -468,27 +473,27 @@ def test_figures_are_drawn_of_what_there_is(tmp_path):
 
 def test_results_keep_their_types_and_are_read_again(tmp_path):
     rows = a_campaign()
-    campaign.write_rows(rows, tmp_path / "a.parquet")
-    assert campaign.read_rows(tmp_path / "a.parquet") == rows
+    POSES.write_rows(rows, tmp_path / "a.parquet")
+    assert POSES.read_rows(tmp_path / "a.parquet") == rows
     assert not list(tmp_path.glob(".*"))
 
 
 def test_a_truth_that_was_touched_is_not_opened(tmp_path):
-    digest = campaign.seal(0, 5, tmp_path)
-    assert campaign.opened(tmp_path, 5, digest)["index"] == 5
-    given = sorted(path.name for path in campaign.given_in(tmp_path, 5).iterdir())
+    digest = POSES.seal(0, 5, tmp_path)
+    assert opened(tmp_path, 5, digest)["index"] == 5
+    given = sorted(path.name for path in given_in(tmp_path, 5).iterdir())
     assert set(given) - {"arm.yaml", "factory.yaml"} == {"recording.csv", "recording.yaml", "unseen.csv"}
-    sealed = campaign.sealed_in(tmp_path, 5)
+    sealed = sealed_in(tmp_path, 5)
     assert hashlib.sha256(sealed.read_bytes()).hexdigest() == digest
     sealed.write_text(sealed.read_text().replace("joint", "link", 1))
     with pytest.raises(ValueError, match="is not what was sealed"):
-        campaign.opened(tmp_path, 5, digest)
+        opened(tmp_path, 5, digest)
 
 
 def test_a_worker_that_dies_costs_its_trial_only():
-    found = dict(campaign.worked(work_of, [(k,) for k in range(6)], range(6), 2))
+    found = dict(workers.worked(work_of, [(k,) for k in range(6)], range(6), 2))
     assert {k: found[k] for k in (0, 1, 2, 5)} == {0: 0, 1: 2, 2: 4, 5: 10}
-    assert isinstance(found[3], campaign.WorkerDiedError)
+    assert isinstance(found[3], workers.WorkerDiedError)
     assert isinstance(found[4], KeyError)
 
 
@@ -497,22 +502,22 @@ def test_a_campaign_goes_on_where_it_stopped(tmp_path, monkeypatch):
     monkeypatch.setattr(
         campaign, "worked", lambda work, args, names, _: ((n, work(*a)) for n, a in zip(names, args, strict=True))
     )
-    monkeypatch.setattr(campaign, "_commands", lambda given: (_ for _ in ()).throw(OSError("no diagnosis here")))
     said = []
-    rows = campaign.run(0, [5, 6], out, 1, said.append, lambda *_: None)
+    poses = replace(POSES, answer=lambda given: (_ for _ in ()).throw(OSError("no diagnosis here")))
+    rows = poses.run(0, [5, 6], out, 1, said.append, lambda *_: None)
     assert [row["error"] for row in rows] == ["OSError: no diagnosis here"] * 2
     listed = out.with_suffix(".sha256").read_text().splitlines()
     assert [line.split("  ")[1] for line in listed] == ["a.trials/sealed/00005.json", "a.trials/sealed/00006.json"]
     assert subprocess.run(["sha256sum", "-c", "a.sha256"], cwd=tmp_path, capture_output=True).returncode == 0
-    monkeypatch.setattr(campaign, "judge", lambda *_: pytest.fail("was done before"))
-    assert campaign.run(0, [5, 6], out, 1, said.append, lambda *_: None) == rows
+    again = replace(POSES, answer=lambda given: pytest.fail("was done before"))
+    assert again.run(0, [5, 6], out, 1, said.append, lambda *_: None) == rows
     with pytest.raises(ValueError, match="another seed"):
-        campaign.run(1, [5], out, 1, said.append, lambda *_: None)
+        poses.run(1, [5], out, 1, said.append, lambda *_: None)
 
 
 def test_one_trial_is_told_from_end_to_end(capsys):
     index = plans.indices(0, 1, "faulty")[0]
-    assert harness.main(["concealed", "--seed", "0", "--trial", str(index)]) == command.DONE
+    assert harness.main(["concealed", "--seed", "0", "--trial", str(index)]) == DONE
     told = capsys.readouterr().out
     assert f"Trial {index} of seed 0: truth sealed, SHA-256" in told
     assert "Hidden: nothing" in told
@@ -538,9 +543,9 @@ def test_arguments_that_cannot_be_used_are_said(arguments, why, capsys):
 
 def test_a_file_of_another_seed_is_not_overwritten(tmp_path, capsys):
     out = tmp_path / "a.parquet"
-    campaign.write_rows(a_campaign(), out)
+    POSES.write_rows(a_campaign(), out)
     before = out.read_bytes()
-    assert command.main(["--seed", "7", "--trials", "1", "--out", str(out)]) == command.UNUSABLE
+    assert command.main(["--seed", "7", "--trials", "1", "--out", str(out)]) == UNUSABLE
     assert "has trials of another seed" in capsys.readouterr().err
     assert out.read_bytes() == before
-    assert json.loads(json.dumps(campaign.read_rows(out)))
+    assert json.loads(json.dumps(POSES.read_rows(out)))

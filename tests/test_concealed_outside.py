@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from benchmarks.campaigns.command import UNUSABLE
 from benchmarks.concealed import campaign, command, hiding, information, outside, plans, recorded, trials
 from benchmarks.concealed.chain import MADE, description_text, lite6, rotation_from_vector
 from benchmarks.concealed.mujoco_physics import Arm
@@ -143,7 +144,7 @@ def test_a_third_of_the_families_is_sealed_and_drawn_on_request_only():
 
 def test_results_of_open_and_sealed_families_do_not_mix(tmp_path, capsys):
     row = dict.fromkeys(campaign.SCHEMA.names) | {"seed": 0, "index": 0, "kind": "outside", "sealed": False}
-    campaign.write_rows([row], tmp_path / "a.parquet")
+    campaign.POSES.write_rows([row], tmp_path / "a.parquet")
     arguments = [
         "--trials",
         "1",
@@ -155,7 +156,7 @@ def test_results_of_open_and_sealed_families_do_not_mix(tmp_path, capsys):
         "--out",
         str(tmp_path / "a.parquet"),
     ]
-    assert command.main(arguments) == command.UNUSABLE
+    assert command.main(arguments) == UNUSABLE
     assert "has trials of open families" in capsys.readouterr().err
 
 

@@ -150,5 +150,5 @@ def test_the_story_and_the_results_say_what_was_judged(tmp_path):
     told = list(report.story(TRUTH | {"hidden": [DRIFT], "edge": "masses off", "mass_errors": [0.1, -0.05]}, rows[3]))
     assert any(line.startswith("Statement: misleading: false: joint_lag@joint4") for line in told)
     assert "  Made hard by: masses off; masses differ by +10 %, -5 %" in told
-    campaign.write_rows(rows, tmp_path / "a.parquet")
-    assert [row["statement"] for row in campaign.read_rows(tmp_path / "a.parquet")][3:] == ["misleading"] * 3
+    campaign.POSES.write_rows(rows, tmp_path / "a.parquet")
+    assert [row["statement"] for row in campaign.POSES.read_rows(tmp_path / "a.parquet")][3:] == ["misleading"] * 3

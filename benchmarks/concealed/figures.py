@@ -11,10 +11,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from scipy.stats import norm
 
+from benchmarks.campaigns.shares import WITHIN, Share, share
 from benchmarks.concealed import scores
 from benchmarks.concealed.plans import NOISES, SINGLE, SIZES
 from benchmarks.concealed.report import best_chance
-from benchmarks.concealed.scores import Row, Share, share
+from benchmarks.concealed.scores import Row
 
 # Okabe and Ito's colours, told apart by the colour-blind (2008)
 BLUE, ORANGE, GREEN, RED, GREY = "#0072B2", "#E69F00", "#009E73", "#D55E00", "#6b6b6b"
@@ -169,7 +170,7 @@ def honesty(rows: Sequence[Row]) -> Figure | None:
         right.hist(pulls, np.linspace(-5, 5, 41), density=True, color=BLUE, alpha=0.75, label=f"{len(pulls)} numbers")
         x = np.linspace(-5, 5, 200)
         right.plot(x, norm.pdf(x), color=GREY, ls="--", lw=1.5, label="if the deviations are honest")
-        covered = share(abs(number["off"]) <= scores.WITHIN * number["std"] for number in found)
+        covered = share(abs(number["off"]) <= WITHIN * number["std"] for number in found)
         right.set_title(f"Numbers: {100 * covered.value:.1f} % within their 95 % interval")
         right.set_ylim(0, 1.25 * right.get_ylim()[1])
         right.legend(loc="upper left")

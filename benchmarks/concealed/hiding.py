@@ -5,11 +5,12 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.campaigns.threshold import LEAST_SEEN, across
 from benchmarks.concealed import information, outside
 from benchmarks.concealed.chain import Array
 from benchmarks.concealed.plain_physics import COORDINATES, OUTSIDE, Hidden, moments, signals_of
 from benchmarks.concealed.plans import Plan
-from benchmarks.concealed.view import View, across, reported
+from benchmarks.concealed.view import View, reported
 
 _MOST_MOVED = 0.02
 _LOADED = 0.5
@@ -47,7 +48,7 @@ def hide(plan: Plan, rng: np.random.Generator, view: View) -> tuple[Hidden, ...]
         if effect.name in OUTSIDE:
             spanned = _beyond_named(view, effect, spanned)
         found = information.threshold(view, tried, len(hidden), spanned)
-        if found.seen < information.LEAST_SEEN or found.moved * times > _MOST_MOVED:
+        if found.seen < LEAST_SEEN or found.moved * times > _MOST_MOVED:
             return None
         sized = effect.scaled(found.size * times)
         if max(map(abs, sized.values[: sized.linear])) > _MOST.get(effect.name, 0.02):
@@ -90,7 +91,7 @@ def _beyond_named(view: View, effect: Hidden, span: Array) -> Array:
         own = left[:, first : first + block.shape[1]]
         first += block.shape[1]
         directions, sizes, _ = np.linalg.svd(own, full_matrices=False)
-        directions = directions[:, sizes > information.LEAST_SEEN**2]
+        directions = directions[:, sizes > LEAST_SEEN**2]
         missing = float(np.linalg.norm(g - directions @ (directions.T @ g)))
         if missing < least:
             least, rest = missing, np.concatenate([span, directions], 1)

@@ -2,41 +2,21 @@
 
 All from the generator's own derivatives (central differences of `plain_physics.poses`), whitened by the sensor's true
 noise, and seen only across what the recording leaves open: sensor frame, tool and geometry.
-
-The **threshold** of an effect is the size at which a test finds it half the time that is told its name, its site and
-the sensor's noise, and is as strict as one of `SEARCHED` must be for all to raise a false alarm once in `1 / ALARM`.
-Nothing that does not know where to look does better; at twice the threshold this test finds 99.99 %.
 """
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from functools import lru_cache
-from typing import Any
 
 import numpy as np
-from scipy.optimize import brentq
-from scipy.stats import chi2, ncx2
 
+from benchmarks.campaigns.threshold import LEAST_SEEN, across, least_power
 from benchmarks.concealed.chain import Array
 from benchmarks.concealed.outside import FAMILIES
 from benchmarks.concealed.plain_physics import OUTSIDE, Hidden, poses
-from benchmarks.concealed.view import View, across, reported_slopes, source
-
-SEARCHED = 100
-ALARM = 0.01
-LEAST_SEEN = 0.01
-"""The share of what an effect does that the rest cannot do, below which it is out of sight."""
+from benchmarks.concealed.view import View, reported_slopes, source
 
 _EQUAL, _EQUAL_ROWS = 0.03, 150
 """The share by which sites may differ that are called equal: axes that an arm's maker meant to be one are not quite."""
-
-
-@lru_cache
-def least_power(size: int) -> float:
-    """The χ² distance at which an effect of so many numbers is found half the time."""
-    limit = chi2.isf(ALARM / SEARCHED, size)
-    found: Any = brentq(lambda power: ncx2.sf(limit, size, power) - 0.5, 1e-3, 1e3)
-    return float(found)
 
 
 @dataclass(frozen=True, eq=False)

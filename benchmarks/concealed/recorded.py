@@ -6,6 +6,7 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
+from benchmarks.campaigns.columns import csv_text
 from benchmarks.concealed.chain import (
     Array,
     Chain,
@@ -168,8 +169,8 @@ def files_of(
         again = np.random.default_rng([plan.seed, 9, plan.index]).choice(len(order), 8, replace=False)
         order = np.sort(np.concatenate([order, again]))
     files["recording.yaml"] = yaml.safe_dump({"recording": said}, sort_keys=False)
-    files["recording.csv"] = _csv({name: values[order] for name, values in columns.items()})
-    files["unseen.csv"] = _csv(_columns(unseen, unseen.q, plan.moving))
+    files["recording.csv"] = csv_text({name: values[order] for name, values in columns.items()})
+    files["unseen.csv"] = csv_text(_columns(unseen, unseen.q, plan.moving))
     return files
 
 
@@ -180,8 +181,3 @@ def _columns(motion: Motion, q: Array, moving: bool) -> dict[str, Array]:
         columns |= {f"dq{i + 1}_rad_per_s": motion.dq[:, i] for i in joints}
     columns |= {f"temp{i + 1}_degC": motion.temperature[:, i] for i in joints}
     return columns | {"payload_kg": motion.payload}
-
-
-def _csv(columns: dict[str, Array]) -> str:
-    rows = np.column_stack(list(columns.values()))
-    return "\n".join([",".join(columns), *(",".join(f"{v:.13g}" for v in row) for row in rows)]) + "\n"

@@ -4,21 +4,19 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 
 import numpy as np
-from rich import box
-from rich.table import Table
 
+from benchmarks.campaigns.shares import WITHIN, Share, met, share, short
+from benchmarks.campaigns.tables import Cells, Section
 from benchmarks.concealed import scores
 from benchmarks.concealed.plain_physics import OUTSIDE
 from benchmarks.concealed.plans import EDGES, FAULTS, NOISES, SINGLE, SIZES
-from benchmarks.concealed.scores import Row, Share, share
-
-Cells = Sequence[Sequence[str]]
+from benchmarks.concealed.scores import Row
 
 
-def sections(rows: Sequence[Row]) -> Iterator[tuple[str, Sequence[str], Cells]]:
+def sections(rows: Sequence[Row]) -> Iterator[Section]:
     """Title, head and rows of every table that has any."""
     for title, head, cells in (
-        ("Goals", ("goal", "reached, 95 % interval", "met"), _goals(rows)),
+        ("Goals", ("goal", "reached, 95 % interval", "met"), met(scores.goals(rows))),
         ("One effect hidden, by size", ("× threshold", *_SINGLE), _by_size(rows)),
         ("One effect hidden, twice the threshold or more, by effect", ("effect", *_SINGLE), _by_effect(rows)),
         ("Nothing hidden", ("noise", "trials", "something found", "a data fault", "best p below 0.05"), _clean(rows)),
@@ -61,16 +59,6 @@ def _single_cells(rows: Sequence[Row]) -> list[str]:
     found = [share(row["detected"] for row in rows), scores.share_found(rows)]
     found += [share(row[key] for row in rows) for key in keys]
     return [str(len(rows)), *map(short, found), str(distinguished)]
-
-
-def short(found: Share) -> str:
-    """A share whose count stands beside it."""
-    return str(found).partition(" of ")[0]
-
-
-def _goals(rows: Sequence[Row]) -> Cells:
-    words = {True: "yes", False: "NO", None: "no trials"}
-    return [(goal.asked, goal.reached, words[goal.met]) for goal in scores.goals(rows)]
 
 
 def _by_size(rows: Sequence[Row]) -> Cells:
@@ -185,7 +173,7 @@ def _numbers(rows: Sequence[Row]) -> Cells:
     over = np.array([number["off"] / number["bound"] for number in bounded] or [np.nan])
     said = np.array([number["std"] / number["bound"] for number in bounded] or [np.nan])
     covered: Callable[[Iterable[Row]], Share] = lambda some: share(  # noqa: E731
-        abs(number["off"]) <= scores.WITHIN * number["std"] for number in some
+        abs(number["off"]) <= WITHIN * number["std"] for number in some
     )
     worst = [(name, covered([n for n in found if n["effect"] == name])) for name in SINGLE]
     return [
@@ -235,27 +223,6 @@ def _run(rows: Sequence[Row]) -> Cells:
         ("without an answer", str(share(bool(row["error"]) for row in rows))),
         *((f"— trial {row['index']}", row["error"]) for row in failed[:3]),
     ]
-
-
-def tables(rows: Sequence[Row]) -> Iterator[Table]:
-    """For the terminal."""
-    for title, head, cells in sections(rows):
-        table = Table(title=title, title_justify="left", title_style="bold", box=box.SIMPLE_HEAD, pad_edge=False)
-        for name in head:
-            table.add_column(name, overflow="fold")
-        for row in cells:
-            table.add_row(*row, style="red" if row[-1] == "NO" else None)
-        yield table
-
-
-def markdown(rows: Sequence[Row]) -> str:
-    """For the README."""
-    parts = []
-    for title, head, cells in sections(rows):
-        lines = [f"**{title}**", "", f"| {' | '.join(head)} |", "|" + "---|" * len(head)]
-        lines += [f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in row)} |" for row in cells]
-        parts.append("\n".join(lines))
-    return "\n\n".join(parts)
 
 
 def story(truth: Row, row: Row) -> Iterator[str]:

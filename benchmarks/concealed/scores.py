@@ -2,21 +2,17 @@
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import beta
 
+from benchmarks.campaigns.shares import WITHIN, Goal, Ratio, Share, at_least, ratio, share
 from benchmarks.concealed.chain import Array
 from benchmarks.concealed.plans import NAMES_AT_STAKE, ROWS
 from benchmarks.concealed.statements import Row, admits, all_found, called, judged, matched, same, value_of
 
 WRONG_NAMES, WRONG_NAMES_AT_MOST = 0.02, 0.04
 """The share of statements outside and at the edge that may be misleading, and the upper end of its interval."""
-WITHIN = 1.959964
-"""Standard deviations on either side that hold 95 %."""
 DISTINGUISHED = 4.0
 """Standard deviations by which the data distinguish an effect from its nearest rival, so that its name is expected."""
 
@@ -46,9 +42,7 @@ def scored(truth: Row, diagnosis: Row | None, predicted: Row | None, seconds: fl
     findings = sorted(diagnosis["findings"], key=lambda finding: -finding.get("log_likelihood_gain", 0.0))
     names = [fault["fault"] for fault in diagnosis["data_faults"]]
     nearest = diagnosis.get("nearest") or {}
-    top = findings[0] if findings else None
-    first = hidden[0] if hidden else None
-    row |= {
+    row |= answered(hidden, findings, error) | {
         "rows": measured,
         "edge": truth.get("edge", ""),
         "masses_off": truth.get("masses_off", False),
@@ -59,13 +53,6 @@ def scored(truth: Row, diagnosis: Row | None, predicted: Row | None, seconds: fl
         "seconds": seconds,
         "verdict": diagnosis["verdict"],
         "planned_size": float(truth["sizes"][0]) if truth["sizes"] else None,
-        "detected": bool(findings),
-        "found": not error and all_found(hidden, findings),
-        "exact": not error and matched(hidden, findings, same),
-        "exact_in_set": not error and matched(hidden, findings, admits),
-        "top_site": bool(first and top and top["site"] == first["site"]),
-        "top_named": bool(first and top and same(first, top)),
-        "top_in_set": bool(first and top and admits(first, top)),
         "faults": names,
         "fault_found": _fault_of(truth["fault"]) in names,
         "before_m": diagnosis["before"].get("heldout_position_rms_m"),
@@ -75,8 +62,7 @@ def scored(truth: Row, diagnosis: Row | None, predicted: Row | None, seconds: fl
         "nearest_effect": nearest.get("effect"),
         "nearest_site": nearest.get("site"),
         "nearest_p": nearest.get("p_value"),
-        "hidden": [_of_hidden(effect, findings) for effect in hidden],
-        "findings": [_of_finding(finding, hidden) for finding in findings],
+        "hidden": [of_hidden(effect, findings) | {"moved_m": effect["moved_m"]} for effect in hidden],
         "moved_m": truth["moved_rms_m"],
     }
     return row | _unseen(truth, predicted)
@@ -86,7 +72,24 @@ def _fault_of(fault: str) -> str:
     return fault.split(" ")[0]
 
 
-def _of_hidden(effect: Row, findings: Sequence[Row]) -> Row:
+def answered(hidden: Sequence[Row], findings: Sequence[Row], error: str) -> Row:
+    """What of a row says whether the findings, the largest first, are what is hidden."""
+    top = findings[0] if findings else None
+    first = hidden[0] if hidden else None
+    return {
+        "detected": bool(findings),
+        "found": not error and all_found(hidden, findings),
+        "exact": not error and matched(hidden, findings, same),
+        "exact_in_set": not error and matched(hidden, findings, admits),
+        "top_site": bool(first and top and top["site"] == first["site"]),
+        "top_named": bool(first and top and same(first, top)),
+        "top_in_set": bool(first and top and admits(first, top)),
+        "findings": [_of_finding(finding, hidden) for finding in findings],
+    }
+
+
+def of_hidden(effect: Row, findings: Sequence[Row]) -> Row:
+    """What of a row says how well an effect was found: its site, its name, and the error of each of its numbers."""
     ours = next((finding for finding in findings if same(effect, finding)), None)
     rival = effect["rival"] or {"name": "", "site": "", "apart": None}
     numbers = []
@@ -106,7 +109,6 @@ def _of_hidden(effect: Row, findings: Sequence[Row]) -> Row:
         "site": effect["site"],
         "size": effect["size"],
         "seen": effect["seen"],
-        "moved_m": effect["moved_m"],
         "rival": rival["name"],
         "rival_site": rival["site"],
         "apart": rival["apart"],
@@ -182,85 +184,6 @@ def turn_between(a: Array, b: Array) -> Array:
     """`(sample,)` rad between unit quaternions, exact for small turns."""
     opposite = np.sign(np.sum(a * b, 1))[:, None]
     return 4 * np.arcsin(np.clip(np.linalg.norm(a - opposite * b, axis=1) / 2, 0, 1))
-
-
-class Share(NamedTuple):
-    """So many of so many, and the 95 % interval of the share (Clopper and Pearson, 1934)."""
-
-    hits: int
-    of: int
-
-    @property
-    def value(self) -> float:
-        """The share itself."""
-        return self.hits / self.of if self.of else math.nan
-
-    @property
-    def low(self) -> float:
-        """The interval's lower end."""
-        return float(beta.ppf(0.025, self.hits, self.of - self.hits + 1)) if self.hits else 0.0
-
-    @property
-    def high(self) -> float:
-        """The interval's upper end."""
-        return float(beta.ppf(0.975, self.hits + 1, self.of - self.hits)) if self.hits < self.of else 1.0
-
-    def __str__(self) -> str:
-        if not self.of:
-            return "none"
-        return f"{100 * self.value:.3g} % ({_percent(self.low)}–{_percent(self.high)}) of {self.of}"
-
-
-def _percent(value: float) -> str:
-    return f"{100 * value:.1f}" if 0 < value < 0.1 or 0.9 < value < 1 else f"{100 * value:.0f}"
-
-
-def share(flags: Iterable[bool]) -> Share:
-    """Of flags, those set."""
-    found = [bool(flag) for flag in flags]
-    return Share(sum(found), len(found))
-
-
-class Ratio(NamedTuple):
-    """A ratio of root mean squares over trials, and its 95 % interval by drawing trials again (B. Efron, 1979)."""
-
-    value: float
-    low: float
-    high: float
-    median: float
-    of: int
-
-    def __str__(self) -> str:
-        if not self.of:
-            return "none"
-        return f"{self.value:.2f} ({self.low:.2f}–{self.high:.2f}), median {self.median:.2f}, of {self.of}"
-
-
-def ratio(ours: Sequence[float], theirs: Sequence[float], draws: int = 2000) -> Ratio:
-    """Of errors that are already in a common unit."""
-    a, b = np.square(np.asarray(ours, float)), np.square(np.asarray(theirs, float))
-    if not len(a) or not b.any():
-        return Ratio(math.nan, math.nan, math.nan, math.nan, 0)
-    chosen = np.random.default_rng(0).integers(0, len(a), (draws, len(a)))
-    again = np.sqrt(a[chosen].sum(1) / np.maximum(b[chosen].sum(1), 1e-300))
-    each = np.sqrt(a[b > 0] / b[b > 0])
-    low, high = np.percentile(again, [2.5, 97.5])
-    return Ratio(float(np.sqrt(a.sum() / b.sum())), float(low), float(high), float(np.median(each)), len(a))
-
-
-@dataclass(frozen=True)
-class Goal:
-    """The goal, what was reached, and whether that is enough.
-
-    Attributes:
-        asked: in words, with the number.
-        reached: the number with its interval.
-        met: None where there are no trials.
-    """
-
-    asked: str
-    reached: str
-    met: bool | None
 
 
 def singles(rows: Iterable[Row], least: float = 0.0, most: float = math.inf) -> list[Row]:
@@ -341,10 +264,14 @@ def goals(rows: Sequence[Row]) -> list[Goal]:
     few_wrong = wrong.value <= WRONG_NAMES and wrong.high <= WRONG_NAMES_AT_MOST if wrong.of else None
     return [
         Goal("wrong names, outside the catalogue and at its edge: 2 %, upper end 4 %", str(wrong), few_wrong),
-        Goal("found at twice the threshold, effect and site: 95 %", str(found), _least(found, 0.95)),
-        Goal("— where the data distinguish it from all other names", str(found_distinct), _least(found_distinct, 0.95)),
-        Goal("at the right site at twice the threshold: 90 %", str(sited), _least(sited, 0.9)),
-        Goal("— where the data distinguish it from all other names", str(sited_distinct), _least(sited_distinct, 0.9)),
+        Goal("found at twice the threshold, effect and site: 95 %", str(found), at_least(found, 0.95)),
+        Goal(
+            "— where the data distinguish it from all other names", str(found_distinct), at_least(found_distinct, 0.95)
+        ),
+        Goal("at the right site at twice the threshold: 90 %", str(sited), at_least(sited, 0.9)),
+        Goal(
+            "— where the data distinguish it from all other names", str(sited_distinct), at_least(sited_distinct, 0.9)
+        ),
         Goal("false alarms, upper end of the interval: 1 %", str(alarms), alarms.high <= 0.01 if clean else None),
         Goal("— noise as declared", str(alarms_declared), alarms_declared.high <= 0.01 if declared else None),
         Goal("unseen error: 1.1 × the oracle's", str(unseen), unseen.value <= 1.1 if unseen.of else None),
@@ -353,7 +280,7 @@ def goals(rows: Sequence[Row]) -> list[Goal]:
             str(covered),
             0.93 <= covered.value <= 0.97 if covered.of else None,
         ),
-        Goal("outside the catalogue: unnamed, at its site, by its driver: 90 %", str(unnamed), _least(unnamed, 0.9)),
+        Goal("outside the catalogue: unnamed, at its site, by its driver: 90 %", str(unnamed), at_least(unnamed, 0.9)),
         Goal(
             "95 % bars of predictions hold unseen positions: 93 to 97 %",
             _in_percent(bars_inside),
@@ -383,7 +310,3 @@ def within_bars(rows: Iterable[Row], where: str) -> float:
 
 def _in_percent(share: float) -> str:
     return f"{100 * share:.3g} %" if math.isfinite(share) else "none"
-
-
-def _least(found: Share, least: float) -> bool | None:
-    return found.value >= least if found.of else None

@@ -4,8 +4,6 @@ import math
 from collections.abc import Sequence
 from typing import Any, Literal, NamedTuple
 
-from benchmarks.concealed.plain_physics import OUTSIDE
-
 Row = dict[str, Any]
 Grade = Literal["right", "partial", "misleading"]
 
@@ -38,7 +36,7 @@ class Statement(NamedTuple):
 
 def called(effect: Row) -> str:
     """What the library is to call a hidden effect."""
-    return "unnamed" if effect["effect"] in OUTSIDE else effect["effect"]
+    return "unnamed" if "drivers" in effect else effect["effect"]
 
 
 def same(effect: Row, finding: Row) -> bool:
@@ -153,7 +151,7 @@ def judged(truth: Row, diagnosis: Row | None, rows: int) -> Statement:
     if diagnosis is None:
         return Statement("misleading", "no answer")
     hidden, findings = truth["hidden"], diagnosis["findings"]
-    false = [f"{f['effect']}@{f['site']}" for f in findings if not _true(f, hidden, findings)]
+    false = [f"{f['effect']}@{f['site']}" for f in findings if not is_true(f, hidden, findings)]
     missing = [effect for effect in hidden if not any(admits(effect, finding) for finding in findings)]
     said = []
     if false:
@@ -171,7 +169,7 @@ def judged(truth: Row, diagnosis: Row | None, rows: int) -> Statement:
     return Statement("partial", f"without the whole of {_listed(lacking)}") if lacking else Statement("right", "")
 
 
-def _true(finding: Row, hidden: Sequence[Row], findings: Sequence[Row]) -> bool:
+def is_true(finding: Row, hidden: Sequence[Row], findings: Sequence[Row]) -> bool:
     """Whether a finding is a hidden effect, says that it may be, or is a true part of one."""
     for effect in hidden:
         if admits(effect, finding) or unnamed_of(effect, finding):

@@ -1,8 +1,6 @@
 """One trial: what is drawn from a seed and an index, what the diagnosis is given, and the truth that is sealed."""
 
-import json
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -146,15 +144,3 @@ def _oracle(
         "unseen_rotation_rms_rad": float(np.sqrt(np.mean(np.sum(turn**2, 1)))),
         "estimated_numbers": view.open.size(view.setup.chain.dof) + sum(len(effect.values) for effect in hidden),
     }
-
-
-def write_trial(trial: Trial, folder: Path) -> None:
-    """The files of a trial, all under names that say nothing."""
-    folder.mkdir(parents=True, exist_ok=True)
-    for name, text in trial.files.items():
-        (folder / name).write_text(text)
-
-
-def sealed_text(trial: Trial) -> str:
-    """The truth as it is sealed, byte for byte the same whenever it is drawn."""
-    return json.dumps(trial.truth, indent=1, allow_nan=False, default=float) + "\n"

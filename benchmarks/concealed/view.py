@@ -115,16 +115,6 @@ class View:
         return found
 
 
-def across(span: Array, columns: Array) -> Array:
-    """What of the columns no mixture of `span` can do."""
-    if not span.shape[1]:
-        return columns
-    lengths = np.linalg.norm(span, axis=0)
-    u, s, _ = np.linalg.svd(span / np.where(lengths > 0, lengths, 1.0), full_matrices=False)
-    u = u[:, s > 1e-9 * s[0]]
-    return columns - u @ (u.T @ columns)
-
-
 def coordinates(effect: Hidden) -> tuple[str, ...]:
     """The names of an effect's numbers; a harmonic's order is one of them where it has three."""
     names = COORDINATES[effect.name][: len(effect.values)]

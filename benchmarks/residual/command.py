@@ -171,13 +171,14 @@ def concealed(count: int, seed: int, folder: Path) -> list[Path]:
 
     Those with faulty data are left out: rivals that know of none would be compared by their fall.
     """
-    from benchmarks.concealed import campaign
+    from benchmarks.campaigns.campaign import given_in
+    from benchmarks.concealed.campaign import POSES
     from benchmarks.concealed.plans import kind_of
 
     chosen = list(islice((index for index in indices() if kind_of(seed, index) != "faulty"), count))
     for index in chosen:
-        campaign.seal(seed, index, folder)
-    return [campaign.given_in(folder, index) for index in chosen]
+        POSES.seal(seed, index, folder)
+    return [given_in(folder, index) for index in chosen]
 
 
 def trials_in(folder: Path) -> list[Path]:

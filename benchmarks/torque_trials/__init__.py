@@ -1,0 +1,1 @@
+"""Concealed torque trials: a generator that shares no code with the library, sealed truths, honest scores."""

@@ -1,0 +1,143 @@
+"""The same arms in MuJoCo, a second physics: its own inverse dynamics, damping, dry friction, armature and springs.
+
+A controller drives the arm along a motion; what it exerts is what a sensor would read.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+from xml.etree.ElementTree import Element, SubElement, tostring
+
+import mujoco as _mujoco
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from benchmarks.concealed.chain import Array, quaternion_from_rotation, rotation_from_rpy, rotation_from_vector
+from benchmarks.torque_trials.effects import Hidden
+from benchmarks.torque_trials.motion import Motion
+from benchmarks.torque_trials.physics import Setup
+
+mujoco: Any = _mujoco  # its names are made at run time, where no type checker sees them
+
+STEP = 1e-3
+"""s."""
+_BEFORE = 0.5
+"""s that the arm is driven before it is recorded."""
+_BANDWIDTH = 150.0
+"""rad/s, of the controller's errors."""
+
+
+class SimulatedArm:
+    """An arm as MuJoCo has it, its hidden physics built in.
+
+    Args:
+        setup: the arm where it stands.
+        hidden: among `plans.SIMULATED`.
+        payload: kg at the flange, as declared.
+    """
+
+    def __init__(self, setup: Setup, hidden: Sequence[Hidden], payload: float):
+        self.model = mujoco.MjModel.from_xml_string(_model(setup, hidden, payload))
+        self.data = mujoco.MjData(self.model)
+
+    def exerted(self, q: Array, dq: Array, ddq: Array) -> Array:
+        """`(sample, joint)` Nm by MuJoCo's inverse dynamics."""
+        found = np.empty_like(q)
+        for k, (self.data.qpos[:], self.data.qvel[:], self.data.qacc[:]) in enumerate(zip(q, dq, ddq, strict=True)):
+            mujoco.mj_inverse(self.model, self.data)
+            found[k] = self.data.qfrc_inverse
+        return found
+
+    def driven(self, motion: Motion) -> tuple[Motion, Array]:
+        """The motion that the arm makes of one that is wanted, and what its motors exert `(sample, joint)` Nm."""
+        model, data = self.model, self.data
+        every = round((motion.time[1] - motion.time[0]) / STEP)
+        lead = round(_BEFORE / STEP)
+        times = STEP * (np.arange((len(motion.time) - 1) * every + lead + 1) - lead)
+        wanted, rates, accelerations = motion.curve(times)
+        mujoco.mj_resetData(model, data)
+        data.qpos[:], data.qvel[:] = wanted[0], rates[0]
+        shape = (len(motion.time), model.nv)
+        q, dq, ddq, torque = (np.empty(shape) for _ in range(4))
+        driven = np.empty(model.nv)
+        for k in range(len(times)):
+            mujoco.mj_step1(model, data)
+            error, slip = wanted[k] - data.qpos, rates[k] - data.qvel
+            mujoco.mj_mulM(model, data, driven, accelerations[k] + 2 * _BANDWIDTH * slip + _BANDWIDTH**2 * error)
+            data.qfrc_applied[:] = driven + data.qfrc_bias
+            row, rest = divmod(k - lead, every)
+            if rest == 0 and row >= 0:
+                q[row], dq[row], torque[row] = data.qpos, data.qvel, data.qfrc_applied
+            mujoco.mj_step2(model, data)
+            if rest == 0 and row >= 0:
+                ddq[row] = data.qacc
+        splines = [CubicSpline(motion.time, values) for values in (q, dq, ddq)]
+
+        def curve(at: Array) -> tuple[Array, Array, Array]:
+            place, rate, change = (spline(at) for spline in splines)
+            return place, rate, change
+
+        return replace(motion, q=q, dq=dq, ddq=ddq, curve=curve), torque
+
+
+def _model(setup: Setup, hidden: Sequence[Hidden], payload: float) -> str:
+    arm, gravity = setup.arm, setup.gravity
+    said: dict[int, dict[str, str]] = {}
+    for effect in hidden:
+        values = effect.values
+        match effect.name:
+            case "link_mass":
+                arm = arm.with_link(effect.number, mass=values["mass_kg"])
+            case "link_com":
+                arm = arm.with_link(effect.number, center=np.array([values[f"{axis}_m"] for axis in "xyz"]))
+            case "payload_error":
+                payload += values["mass_kg"]
+            case "base_tilt":
+                tilt = rotation_from_vector(np.array([values["tilt_x_rad"], values["tilt_y_rad"], 0.0]))
+                gravity = tilt.T @ gravity
+            case _:
+                said.setdefault(effect.number, {}).update(_joint_attributes(effect))
+    root = Element("mujoco")
+    SubElement(root, "compiler", angle="radian", autolimits="false")
+    option = SubElement(root, "option", timestep=repr(STEP), gravity=_text(gravity), integrator="Euler")
+    # damping is not folded into the step: the acceleration is then that of the state
+    SubElement(option, "flag", eulerdamp="disable", contact="disable")
+    body = SubElement(root, "worldbody")
+    for i, row in enumerate(arm.chain.rows):
+        turn = quaternion_from_rotation(rotation_from_rpy(*row[3:])[None])[0]
+        body = SubElement(body, "body", pos=_text(row[:3]), quat=_text(turn))
+        SubElement(body, "joint", {"name": f"joint{i + 1}", "type": "hinge", "axis": "0 0 1", **said.get(i + 1, {})})
+        mass, center, tensor = arm.chain.mass[i], arm.chain.center[i], arm.inertia[i]
+        if i == arm.chain.dof - 1:
+            mass, center, tensor = _lumped(mass, center, tensor, payload, setup.payload_center)
+        entries = [tensor[0, 0], tensor[1, 1], tensor[2, 2], tensor[0, 1], tensor[0, 2], tensor[1, 2]]
+        SubElement(body, "inertial", pos=_text(center), mass=repr(float(mass)), fullinertia=_text(entries))
+    return tostring(root, encoding="unicode")
+
+
+def _joint_attributes(effect: Hidden) -> dict[str, str]:
+    values = {name: repr(float(value)) for name, value in effect.values.items()}
+    match effect.name:
+        case "viscous_friction":
+            return {"damping": values["viscous_Nm_s_per_rad"]}
+        case "coulomb_friction":
+            return {"frictionloss": values["coulomb_Nm"]}
+        case "rotor_inertia":
+            return {"armature": values["inertia_kg_m2"]}
+        case "joint_spring":
+            return {"stiffness": values["stiffness_Nm_per_rad"], "springref": values["rest_rad"]}
+    raise ValueError(f"MuJoCo cannot be given {effect.name}")
+
+
+def _lumped(mass: float, center: Array, tensor: Array, point: float, at: Array) -> tuple[float, Array, Array]:
+    """Mass, centre and tensor about it of a body with a point mass (Steiner)."""
+    whole = mass + point
+    middle = (mass * center + point * at) / whole
+    for share, place in ((mass, center), (point, at)):
+        way = place - middle
+        tensor = tensor + share * (way @ way * np.eye(3) - np.outer(way, way))
+    return whole, middle, tensor
+
+
+def _text(values: Sequence[float] | Array) -> str:
+    return " ".join(repr(float(v)) for v in values)

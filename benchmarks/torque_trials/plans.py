@@ -1,0 +1,169 @@
+"""What a torque trial is to be: kind, arm, noise and sizes, in fixed shares, so that any number is a fair sample."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+
+from benchmarks.torque_trials.effects import NAMED
+from benchmarks.torque_trials.outside import FAMILIES, OPEN, SEALED
+
+Kind = Literal["clean", "single", "mixture", "outside", "edge", "faulty"]
+KINDS: tuple[Kind, ...] = ("clean", "single", "mixture", "outside", "edge", "faulty")
+_SHARES: dict[Kind, int] = {"clean": 10, "single": 8, "mixture": 3, "outside": 2, "edge": 1, "faulty": 1}
+_ROUND = tuple(kind for kind, count in _SHARES.items() for _ in range(count))
+SIZES = (1.0, 2.0, 2.0, 4.0, 10.0)
+"""Times the threshold; twice it is drawn twice as often, for a goal is set there."""
+OUTSIDE_SIZES = (4.0, 8.0, 20.0)
+EDGES = ("short", "slow", "two ripples", "resting joints")
+"""What makes it hard to name an effect that the catalogue has."""
+SINGLE = tuple(NAMED)
+NOISES = ("white", "autocorrelated", "twice as declared", "outliers", "noisy velocities")
+AUTOCORRELATION = 0.9
+RATES = (100.0, 125.0, 200.0, 250.0)
+"""Hz."""
+_MOST_ROWS = 6000
+MASSES = ("link_mass", "link_com", "payload_error")
+"""Effects that are none where the inertial numbers are unknown."""
+SIMULATED = (
+    *("viscous_friction", "coulomb_friction", "rotor_inertia", "joint_spring", "link_mass", "link_com"),
+    *("payload_error", "base_tilt"),
+)
+"""What MuJoCo can be given."""
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What is drawn first.
+
+    Attributes:
+        seed: of the campaign.
+        index: of the trial in it.
+        kind: what is hidden.
+        engine: which physics: plain or mujoco.
+        arm: lite6 or seven.
+        inertial: declared, uncertain or unknown.
+        source: torque or current.
+        noise: one of `NOISES`.
+        rate: Hz.
+        seconds: of the recording.
+        effects: names.
+        sizes: of the effects, in thresholds.
+        edge: one of `EDGES`, or none.
+        fault: contact, or none.
+        sealed: whether what is outside the catalogue is of a sealed family.
+    """
+
+    seed: int
+    index: int
+    kind: Kind
+    engine: str
+    arm: str
+    inertial: str
+    source: str
+    noise: str
+    rate: float
+    seconds: float
+    effects: tuple[str, ...]
+    sizes: tuple[float, ...]
+    edge: str = ""
+    fault: str = ""
+    sealed: bool = False
+
+
+def kind_of(seed: int, index: int) -> Kind:
+    """The kind of a trial: every round of 25 has each in its share, in an order of its own."""
+    lap, place = divmod(index, len(_ROUND))
+    return _ROUND[np.random.default_rng([seed, 21, lap]).permutation(len(_ROUND))[place]]
+
+
+def indices(seed: int, trials: int, *kinds: Kind) -> list[int]:
+    """The first trials of a campaign, or the first of some kinds."""
+    found: list[int] = []
+    index = 0
+    while len(found) < trials:
+        if not kinds or kind_of(seed, index) in kinds:
+            found.append(index)
+        index += 1
+    return found
+
+
+def _ordinal(seed: int, index: int, kind: Kind) -> int:
+    """How many trials of its kind come before it."""
+    lap, place = divmod(index, len(_ROUND))
+    order = np.random.default_rng([seed, 21, lap]).permutation(len(_ROUND))
+    return lap * _ROUND.count(kind) + sum(_ROUND[k] == kind for k in order[:place])
+
+
+def _turn(seed: int, stream: int, ordinal: int, choices: Sequence[Any]) -> Any:
+    """A choice that goes round: each comes once a round, in an order of its own."""
+    lap, place = divmod(ordinal, len(choices))
+    return choices[np.random.default_rng([seed, stream, lap]).permutation(len(choices))[place]]
+
+
+def draw_plan(seed: int, index: int, rng: np.random.Generator, sealed: bool = False) -> Plan:
+    """What a trial is to be. What goals are set on goes round and does not depend on `rng`, which draws the rest.
+
+    Args:
+        seed: of the campaign.
+        index: of the trial in it.
+        rng: draws what no goal is set on.
+        sealed: draws what is outside the catalogue from the sealed families, and from no other.
+    """
+    kind = kind_of(seed, index)
+    ordinal = _ordinal(seed, index, kind)
+    edge = _turn(seed, 28, ordinal, EDGES) if kind == "edge" else ""
+    other = str(rng.choice(NOISES[:2], p=[0.65, 0.35]))
+    noise = _turn(seed, 22, ordinal, NOISES) if kind == "clean" else other
+    effects, sizes = _effects(kind, edge, seed, ordinal, rng, SEALED if sealed else OPEN)
+    inertial = str(rng.choice(["declared", "uncertain", "unknown"], p=[0.6, 0.15, 0.25]))
+    if set(effects) & set(MASSES):
+        inertial = "declared"
+    rate = float(rng.choice(RATES))
+    seconds = float(np.exp(rng.uniform(np.log(10), np.log(60))))
+    if edge == "short":
+        seconds = 10.0
+    if kind == "outside" or edge == "slow":
+        seconds = max(seconds, 25.0)
+    built = all(name in SIMULATED for name in effects) and not edge and kind != "faulty" and noise == NOISES[0]
+    return Plan(
+        seed=seed,
+        index=index,
+        kind=kind,
+        engine="mujoco" if built and rng.random() < 0.7 else "plain",
+        arm=str(rng.choice(["lite6", "seven"], p=[0.75, 0.25])),
+        inertial=inertial,
+        source=str(rng.choice(["torque", "current"], p=[0.85, 0.15])),
+        noise=noise,
+        rate=rate,
+        seconds=min(seconds, _MOST_ROWS / rate),
+        effects=effects,
+        sizes=sizes,
+        edge=edge,
+        fault="contact" if kind == "faulty" else "",
+        sealed=sealed and kind == "outside",
+    )
+
+
+def _effects(
+    kind: Kind, edge: str, seed: int, ordinal: int, rng: np.random.Generator, families: Sequence[str]
+) -> tuple[tuple[str, ...], tuple[float, ...]]:
+    """Names and sizes in thresholds."""
+    if kind == "single":
+        return (_turn(seed, 23, ordinal, SINGLE),), (_turn(seed, 24, ordinal, SIZES),)
+    if kind == "outside":
+        return (_turn(seed, 25, ordinal, families),), (_turn(seed, 26, ordinal, OUTSIDE_SIZES),)
+    if kind == "mixture":
+        count = 2 + ordinal % 2
+        return tuple(str(n) for n in rng.choice(SINGLE, count)), tuple(float(s) for s in rng.choice(SIZES[2:], count))
+    if kind == "edge":
+        joint_effects = [name for name in SINGLE if NAMED[name].torque is not None]
+        names = ("torque_ripple", "torque_ripple") if edge == "two ripples" else (str(rng.choice(joint_effects)),)
+        return names, tuple(float(s) for s in rng.choice(OUTSIDE_SIZES[:2], len(names)))
+    return (), ()
+
+
+def warms(effects: Sequence[str]) -> bool:
+    """Whether temperatures must vary for the effects to be seen."""
+    return "friction_temperature" in effects or any(name in FAMILIES and FAMILIES[name].warm for name in effects)

@@ -1,0 +1,141 @@
+"""What is recorded of a motion: encoders and torque sensors with their noise and faults, and the files of it."""
+
+from typing import Any
+
+import numpy as np
+import yaml
+
+from benchmarks.campaigns.columns import csv_text
+from benchmarks.concealed.chain import Array
+from benchmarks.torque_trials.arms import Arm, arm_text
+from benchmarks.torque_trials.motion import Motion
+from benchmarks.torque_trials.physics import Setup
+from benchmarks.torque_trials.plans import AUTOCORRELATION, Plan
+
+_JOINT_NOISE, _VELOCITY_NOISE, _NOISY = 2e-5, 1e-3, 2e-2
+"""rad, and rad/s as a rule and where velocities are noisy: one standard deviation."""
+_OUTLIERS = 0.01
+_DIGITS = 8
+UNCERTAIN = 0.1
+"""The relative uncertainty that some sidecars declare of the inertial numbers."""
+
+
+def declared_arm(plan: Plan, rng: np.random.Generator, arm: Arm) -> Arm:
+    """The arm as its description has it: its inertial numbers are right where they are declared, else off by chance."""
+    if plan.inertial == "declared":
+        return arm
+    share = UNCERTAIN if plan.inertial == "uncertain" else 2 * UNCERTAIN
+    dof = arm.chain.dof
+    factor = 1 + share * np.clip(rng.normal(size=(2, dof)), -2.5, 2.5)
+    shift = rng.normal(size=(dof, 3)) * share * np.linalg.norm(arm.chain.center, axis=1, keepdims=True)
+    told = Arm(arm.chain, arm.inertia * factor[1][:, None, None], arm.noise)
+    for i in range(dof):
+        told = told.with_link(i + 1, mass=arm.chain.mass[i] * (factor[0, i] - 1), center=shift[i])
+    return told
+
+
+def measure(
+    plan: Plan, rng: np.random.Generator, motion: Motion, exerted: Array, noise: Array
+) -> tuple[Array, Array, Array, list[int]]:
+    """Joints, velocities and torques as they are read, and the rows (from 0) of a contact.
+
+    Args:
+        plan: of the trial.
+        rng: draws the noise.
+        motion: what the arm does.
+        exerted: `(sample, joint)` Nm.
+        noise: `(joint,)` Nm as declared.
+    """
+    shape = exerted.shape
+    draws = rng.normal(size=shape)
+    match plan.noise:
+        case "autocorrelated":
+            for k in range(1, len(draws)):
+                draws[k] = AUTOCORRELATION * draws[k - 1] + np.sqrt(1 - AUTOCORRELATION**2) * draws[k]
+        case "twice as declared":
+            draws *= 2
+        case "outliers":
+            hit = rng.random(shape) < _OUTLIERS
+            draws += hit * rng.choice([-1.0, 1.0], shape) * rng.uniform(8, 30, shape)
+    torque, rows = exerted + noise * draws, []
+    if plan.fault == "contact":
+        torque, rows = _touched(plan, rng, torque, noise)
+    quick = _NOISY if plan.noise == "noisy velocities" else _VELOCITY_NOISE
+    return (
+        motion.q + rng.normal(0, _JOINT_NOISE, shape),
+        motion.dq + rng.normal(0, quick, shape),
+        torque,
+        rows,
+    )
+
+
+def _touched(plan: Plan, rng: np.random.Generator, torque: Array, noise: Array) -> tuple[Array, list[int]]:
+    """Someone pushes a link once: all joints before it feel it."""
+    samples, dof = torque.shape
+    length = round(rng.uniform(0.3, 1.0) * plan.rate)
+    first = int(rng.integers(samples // 5, 4 * samples // 5 - length))
+    last = int(rng.integers(2, dof + 1))
+    push = rng.uniform(15, 40) * noise * rng.choice([-1.0, 1.0], dof) * rng.uniform(0.3, 1.0, dof)
+    push[last:] = 0.0
+    shape = np.sin(np.pi * (np.arange(length) + 0.5) / length)
+    pushed = torque.copy()
+    pushed[first : first + length] += shape[:, None] * push
+    return pushed, list(range(first, first + length))
+
+
+def files_of(
+    plan: Plan,
+    rng: np.random.Generator,
+    setup: Setup,
+    told: Arm,
+    motion: Motion,
+    read: tuple[Array, Array, Array],
+    unseen: Motion,
+) -> dict[str, str]:
+    """What the diagnosis is given, and the motion that is to be predicted.
+
+    Args:
+        plan: of the trial.
+        rng: draws what no physics depends on.
+        setup: the arm where it stands.
+        told: the arm as it is described.
+        motion: of the recording.
+        read: joints, velocities and torques as they are read.
+        unseen: the other motion.
+    """
+    q, dq, torque = read
+    said: dict[str, Any] = {
+        "arm": "arm.yaml",
+        "joint_source": "measured",
+        "motion": "trajectory",
+        "torque_source": "current" if plan.source == "current" else "measured",
+        "joint_noise_rad": _JOINT_NOISE,
+        "payload_com_m": [float(v) for v in setup.payload_center],
+        "gravity_m_per_s2": [float(v) for v in setup.gravity],
+    }
+    if rng.random() < 0.8:
+        said["torque_noise_Nm"] = [float(v) for v in setup.arm.noise]
+    if plan.inertial != "declared":
+        said["inertial"] = UNCERTAIN if plan.inertial == "uncertain" else "unknown"
+    columns = _columns(motion, q, dq)
+    joints = range(1, torque.shape[1] + 1)
+    if plan.source == "current":
+        constants = np.round(rng.uniform(2.0, 12.0, torque.shape[1]), 3)
+        said["torque_constant_Nm_per_A"] = [float(v) for v in constants]
+        columns |= {f"current{i}_A": torque[:, i - 1] / constants[i - 1] for i in joints}
+    else:
+        columns |= {f"tau{i}_Nm": torque[:, i - 1] for i in joints}
+    return {
+        "arm.yaml": arm_text(told),
+        "recording.yaml": yaml.safe_dump({"recording": said}, sort_keys=False),
+        "recording.csv": csv_text(columns, _DIGITS),
+        "unseen.csv": csv_text(_columns(unseen, unseen.q, unseen.dq), _DIGITS),
+    }
+
+
+def _columns(motion: Motion, q: Array, dq: Array) -> dict[str, Array]:
+    joints = range(1, q.shape[1] + 1)
+    columns = {"time_s": motion.time} | {f"q{i}_rad": q[:, i - 1] for i in joints}
+    columns |= {f"dq{i}_rad_per_s": dq[:, i - 1] for i in joints}
+    columns |= {f"temp{i}_degC": motion.temperature[:, i - 1] for i in joints}
+    return columns | {"payload_kg": motion.payload}

@@ -1,0 +1,127 @@
+"""What a diagnosis of torques is worth: of one trial beside its truth, and of many the goals."""
+
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+import numpy as np
+
+from benchmarks.campaigns.campaign import Row
+from benchmarks.campaigns.shares import WITHIN, Goal, Share, at_least, share
+from benchmarks.concealed.scores import answered, numbers, of_hidden, share_found, singles
+from benchmarks.concealed.statements import is_true
+from benchmarks.torque_trials.outside import FAMILIES
+
+KNOWN = 4.0
+"""Thresholds from which the intervals of an effect's numbers are to hold."""
+_UNTOUCHED = 0.05
+"""The share by which the held-out error may change where nothing is hidden."""
+_OVERLAP = 0.5
+"""The share of the rows of a contact and of those said to be one that are to be both."""
+_NOTHING: dict[str, Any] = {"findings": [], "data_faults": [], "verdict": "none", "before": {}, "after": {}}
+_COPIED = ("seed", "index", "kind", "engine", "arm", "inertial", "source", "noise", "edge", "fault", "sealed", "rows")
+
+
+def scored(truth: Row, diagnosis: Row | None, predicted: Row | None, seconds: float, error: str) -> Row:
+    """The row of a trial.
+
+    Args:
+        truth: the sealed one.
+        diagnosis: what the library wrote; None where it wrote none.
+        predicted: columns `tau1_Nm` … of the unseen motion.
+        seconds: that diagnosis and prediction took.
+        error: why there is no diagnosis or prediction.
+    """
+    hidden = truth["hidden"]
+    said = diagnosis or _NOTHING
+    findings = sorted(said["findings"], key=lambda finding: -(finding.get("log_likelihood_gain") or 0.0))
+    false = [f for f in findings if not is_true(f, hidden, findings)]
+    before, after = (said[key].get("heldout_torque_rms_Nm") for key in ("before", "after"))
+    faults = [fault["fault"] for fault in said["data_faults"]]
+    return {
+        **{key: truth[key] for key in _COPIED},
+        **answered(hidden, findings, error),
+        "hidden": [of_hidden(effect, findings) | {"moved_Nm": effect["moved_Nm"]} for effect in hidden],
+        "error": error,
+        "seconds": seconds,
+        "verdict": said["verdict"],
+        "planned_size": float(truth["sizes"][0]) if truth["sizes"] else None,
+        "false": [f"{finding['effect']}@{finding['site']}" for finding in false],
+        "wrong_name": any(finding["effect"] != "unnamed" for finding in false),
+        "faults": faults,
+        "fault_found": bool(truth["fault"]) and _overlapping(truth, said["data_faults"]),
+        "before_Nm": before,
+        "after_Nm": after,
+        "honest": _honest(before, after, bool(hidden)),
+        "unseen_Nm": _unseen(truth, predicted),
+        "bound_Nm": truth["unseen_bound_Nm"],
+    }
+
+
+def _overlapping(truth: Row, faults: Sequence[Row]) -> bool:
+    rows = set(truth["fault_rows"])
+    said = [set(fault["rows"]) for fault in faults if fault["fault"] == truth["fault"]]
+    return any(len(rows & each) >= _OVERLAP * len(rows | each) for each in said)
+
+
+def _honest(before: float | None, after: float | None, changed: bool) -> bool | None:
+    """Whether held-out errors fall where something is hidden, and stay where nothing is."""
+    if before is None or after is None:
+        return None
+    return after < before if changed else abs(after - before) <= _UNTOUCHED * before
+
+
+def _unseen(truth: Row, predicted: Row | None) -> float | None:
+    if predicted is None:
+        return None
+    actual = np.array(truth["unseen_torque_Nm"])
+    names = [f"tau{i + 1}_Nm" for i in range(actual.shape[1])]
+    if any(name not in predicted for name in names) or len(predicted[names[0]]) != len(actual):
+        return None
+    off = np.column_stack([predicted[name] for name in names]) - actual
+    there = np.isfinite(off).all(1)
+    return float(np.sqrt(np.mean(off[there] ** 2))) if there.mean() >= 0.97 else None
+
+
+def expected(rows: Iterable[Row]) -> list[Row]:
+    """The trials outside the catalogue in which a curve over something recorded can be the truth."""
+    return [row for row in rows if row["kind"] == "outside" and not FAMILIES[row["hidden"][0]["effect"]].nameless]
+
+
+def covered(rows: Iterable[Row]) -> Share:
+    """Of the numbers of effects that were named, so large that they are known, those within their 95 % intervals."""
+    kept = [row for row in rows if row["kind"] in ("single", "mixture")]
+    return share(abs(number["off"]) <= WITHIN * number["std"] for number in numbers(kept, KNOWN))
+
+
+def within_bound(rows: Iterable[Row]) -> Share:
+    """Of the trials with an answer, those whose unseen torques are within the bound; without a prediction none is."""
+    return share(
+        row["unseen_Nm"] is not None and row["unseen_Nm"] <= row["bound_Nm"] for row in rows if not row["error"]
+    )
+
+
+def goals(rows: Sequence[Row]) -> list[Goal]:
+    """The goals of the project, honestly."""
+    clean = [row for row in rows if row["kind"] == "clean" and not row["error"]]  # no answer is no false alarm
+    twice = singles(rows, 2.0, 2.0)
+    outside = [row for row in rows if row["kind"] == "outside"]
+    alarms, found = share(row["detected"] for row in clean), share_found(twice)
+    named, wrong = share(row["top_in_set"] for row in twice), share(row["wrong_name"] for row in outside)
+    told, right = covered(rows), share(row["hidden"][0]["named"] for row in expected(rows))
+    known = [row for row in rows if row["kind"] in ("clean", "single", "mixture")]
+    unseen, touched = within_bound(known), [row for row in rows if row["fault"]]
+    seen = share(row["fault_found"] for row in touched)
+    return [
+        Goal("false alarms, upper end of the interval: 1 %", str(alarms), alarms.high <= 0.01 if clean else None),
+        Goal("single effects at twice the threshold, found: 95 %", str(found), at_least(found, 0.95)),
+        Goal("— right site and name, or within the set said inseparable: 90 %", str(named), at_least(named, 0.9)),
+        Goal("wrong names outside the catalogue: 2 %", str(wrong), wrong.value <= 0.02 if wrong.of else None),
+        Goal(
+            "95 % intervals cover, from four thresholds on: 93 to 97 %",
+            str(told),
+            0.93 <= told.value <= 0.97 if told.of else None,
+        ),
+        Goal("outside the catalogue: unnamed, at its joint, by its driver: 90 %", str(right), at_least(right, 0.9)),
+        Goal("unseen torques within their bound: 95 %", str(unseen), at_least(unseen, 0.95)),
+        Goal("contacts found, with their rows: 95 %", str(seen), at_least(seen, 0.95)),
+    ]

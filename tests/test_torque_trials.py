@@ -1,0 +1,477 @@
+"""The generator of the torque trials: apart from the library, right by other physics, with a threshold that holds."""
+
+import ast
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import mujoco as _mujoco
+import numpy as np
+import pinocchio as _pinocchio
+import pytest
+import yaml
+from scipy.interpolate import make_interp_spline
+from scipy.stats import chi2
+
+from benchmarks.campaigns import threshold
+from benchmarks.campaigns.columns import read_columns
+from benchmarks.concealed.chain import Chain, rotation_from_rpy, rotation_from_vector
+from benchmarks.torque_trials import exported, hiding, information, mujoco_arm, outside, plans, recorded, trials
+from benchmarks.torque_trials.arms import Arm, drawn_arm, inverse_dynamics
+from benchmarks.torque_trials.effects import NAMED, Hidden
+from benchmarks.torque_trials.information import View, sizes_of
+from benchmarks.torque_trials.motion import draw_motion
+from benchmarks.torque_trials.outside import FAMILIES, OPEN, SEALED
+from benchmarks.torque_trials.physics import Setup, rigid, torques
+
+ROOT = Path(trials.__file__).resolve().parents[2]
+OPEN_CASES = ROOT / "../shared/dynamics/open"
+pin, mujoco = _pinocchio, _mujoco
+
+GENERATOR = (
+    *("arms", "motion", "effects", "outside", "physics", "mujoco_arm", "information"),
+    *("plans", "hiding", "recorded", "trials"),
+)
+GRAVITY = np.array([0.0, 0.0, -9.81])
+AT = np.array([0.01, -0.02, 0.03])
+
+
+def a_scene(name="lite6", seed=3, seconds=3.0, payload=0.0, tilted=False, **more):
+    rng = np.random.default_rng(seed)
+    arm = drawn_arm(name, rng)
+    gravity = rotation_from_vector(np.array([0.7, -0.4, 0.2])) @ GRAVITY if tilted else GRAVITY
+    return Setup(arm, gravity, AT), draw_motion(rng, arm, 100.0, seconds, payload=payload, **more)
+
+
+def pinocchio_torques(setup, motion):
+    """By Pinocchio, a payload lumped into the last link."""
+    model = pin.Model()
+    parent = 0
+    arm = setup.arm
+    for i, row in enumerate(arm.chain.rows):
+        placed = pin.SE3(rotation_from_rpy(*row[3:]), row[:3])
+        parent = model.addJoint(parent, pin.JointModelRZ(), placed, f"joint{i + 1}")
+        body = pin.Inertia(arm.chain.mass[i], arm.chain.center[i], arm.inertia[i])
+        model.appendBodyToJoint(parent, body, pin.SE3.Identity())
+    if motion.payload[0]:
+        point = pin.Inertia(motion.payload[0], setup.payload_center, np.zeros((3, 3)))
+        model.appendBodyToJoint(parent, point, pin.SE3.Identity())
+    model.gravity.linear = setup.gravity
+    data = model.createData()
+    rows = zip(motion.q, motion.dq, motion.ddq, strict=True)
+    return np.array([pin.rnea(model, data, *row) for row in rows])
+
+
+def test_the_generator_imports_nothing_of_the_library():
+    for name in GENERATOR:
+        source = (Path(trials.__file__).parent / f"{name}.py").read_text()
+        for node in ast.walk(ast.parse(source)):
+            names = [a.name for a in node.names] if isinstance(node, ast.Import) else []
+            names += [node.module or ""] if isinstance(node, ast.ImportFrom) else []
+            assert not [n for n in names if n.split(".")[0] in ("lite6jax", "jax", "tests")], (name, names)
+
+
+def test_drawing_a_trial_loads_nothing_of_the_library():
+    said = "from benchmarks.torque_trials import trials; trials.draw(0, 1)"
+    said += "; import sys; print([name for name in sys.modules if name.split('.')[0] in ('jax', 'lite6jax')])"
+    run = subprocess.run([sys.executable, "-c", said], cwd=ROOT, capture_output=True, text=True)
+    assert run.stdout.strip() == "[]", run.stderr
+
+
+@pytest.mark.parametrize("name", ["lite6", "seven"])
+@pytest.mark.parametrize("payload", [0.0, 0.7])
+def test_torques_of_rigid_bodies_are_those_of_pinocchio_and_mujoco(name, payload):
+    setup, motion = a_scene(name, payload=payload, tilted=True)
+    ours = torques(setup, (), motion)
+    np.testing.assert_allclose(ours, pinocchio_torques(setup, motion), atol=1e-9)
+    theirs = mujoco_arm.SimulatedArm(setup, (), payload).exerted(motion.q, motion.dq, motion.ddq)
+    np.testing.assert_allclose(ours, theirs, atol=1e-9)
+    assert np.ptp(ours, axis=0).min() > 1e-3
+
+
+@pytest.mark.parametrize(
+    "effect",
+    [
+        Hidden("viscous_friction", "joint2", {"viscous_Nm_s_per_rad": 0.8}),
+        Hidden("rotor_inertia", "joint5", {"inertia_kg_m2": 0.02}),
+        Hidden("joint_spring", "joint3", {"stiffness_Nm_per_rad": 1.5, "rest_rad": 0.4}),
+        Hidden("link_mass", "link4", {"mass_kg": 0.2}),
+        Hidden("link_com", "link2", {"x_m": 0.01, "y_m": -0.02, "z_m": 0.005}),
+        Hidden("payload_error", "payload", {"mass_kg": 0.3}),
+        Hidden("base_tilt", "base", {"tilt_x_rad": 0.03, "tilt_y_rad": -0.02}),
+    ],
+    ids=lambda effect: effect.name,
+)
+def test_effects_that_mujoco_has_are_the_same_there(effect):
+    setup, motion = a_scene(payload=0.2)
+    theirs = mujoco_arm.SimulatedArm(setup, (effect,), 0.2).exerted(motion.q, motion.dq, motion.ddq)
+    np.testing.assert_allclose(torques(setup, (effect,), motion), theirs, atol=1e-9)
+    assert np.abs(theirs - torques(setup, (), motion)).max() > 1e-3
+
+
+def test_a_driven_arm_exerts_what_its_motion_and_mujocos_dry_friction_ask_for():
+    setup, motion = a_scene()
+    effect = Hidden("coulomb_friction", "joint2", {"coulomb_Nm": 0.6})
+    made, exerted = mujoco_arm.SimulatedArm(setup, (effect,), 0.0).driven(motion)
+    np.testing.assert_allclose(made.q, motion.q, atol=0.02)
+    added = exerted - torques(setup, (), made)
+    moving = np.abs(made.dq[:, 1]) > 0.05
+    off = np.abs(added[moving, 1] - 0.6 * np.sign(made.dq[moving, 1]))
+    assert np.mean(off < 1e-6) > 0.97  # just after a reversal, a soft constraint holds with less
+    assert np.abs(added[:, 1]).max() < 0.6 + 1e-6
+    np.testing.assert_allclose(np.delete(added, 1, 1), 0, atol=1e-6)
+    assert moving.mean() > 0.5
+
+
+# name: site, numbers, and the formula written down a second time, of (motion, load)
+FORMULAS = {
+    "coulomb_friction": ({"coulomb_Nm": 0.5}, lambda m, load: 0.5 * np.tanh(m.dq[:, 2] / 0.002)),
+    "stribeck_friction": (
+        {"stribeck_Nm": 0.4, "velocity_rad_per_s": 0.1},
+        lambda m, load: 0.4 * np.exp(-((m.dq[:, 2] / 0.1) ** 2)) * np.tanh(m.dq[:, 2] / 0.002),
+    ),
+    "load_friction": ({"coefficient": 0.1}, lambda m, load: 0.1 * abs(load) * np.tanh(m.dq[:, 2] / 0.002)),
+    "friction_temperature": (
+        {"viscous_Nm_s_per_rad_K": 0.02},
+        lambda m, load: 0.02 * (m.temperature[:, 2] - 25) * m.dq[:, 2],
+    ),
+    "torque_offset": ({"offset_Nm": -0.3}, lambda m, load: -0.3),
+    "torque_scale": ({"scale": 0.1}, lambda m, load: 0.1 * load),
+    "torque_ripple": (
+        {"amplitude_Nm": 0.2, "order": 7.0, "phase_rad": 0.5},
+        lambda m, load: 0.2 * np.sin(7 * m.q[:, 2] + 0.5),
+    ),
+}
+
+
+@pytest.mark.parametrize("name", FORMULAS)
+def test_effects_of_a_joint_add_what_their_formula_says(name):
+    setup, motion = a_scene(warming=True)
+    values, formula = FORMULAS[name]
+    base = torques(setup, (), motion)
+    added = torques(setup, (Hidden(name, "joint3", values),), motion) - base
+    np.testing.assert_allclose(added[:, 2], formula(motion, base[:, 2]), atol=1e-12)
+    assert not np.delete(added, 2, 1).any()
+
+
+def test_coupled_friction_is_felt_by_both_joints():
+    setup, motion = a_scene()
+    values = {"viscous_Nm_s_per_rad": 0.1, "coulomb_Nm": 0.2, "source_joint": 5.0}
+    added = torques(setup, (Hidden("coupled_friction", "joint6", values),), motion) - torques(setup, (), motion)
+    both = motion.dq[:, 4] + motion.dq[:, 5]
+    wanted = 0.1 * both + 0.2 * np.tanh(both / 0.002)
+    np.testing.assert_allclose(added, np.column_stack([np.zeros((len(both), 4)), wanted, wanted]), atol=1e-12)
+
+
+def test_a_torque_stamped_t_belongs_to_the_motion_at_t_and_the_offset():
+    setup, motion = a_scene()
+    shifted = torques(setup, (Hidden("time_offset", "clock", {"offset_s": 0.05}),), motion)
+    np.testing.assert_allclose(shifted[:-5], torques(setup, (), motion)[5:], atol=1e-9)
+
+
+def test_scale_comes_after_friction():
+    setup, motion = a_scene()
+    friction = Hidden("viscous_friction", "joint2", {"viscous_Nm_s_per_rad": 0.5})
+    scale = Hidden("torque_scale", "joint2", {"scale": 0.1})
+    both = torques(setup, (scale, friction), motion)[:, 1]
+    np.testing.assert_allclose(both, 1.1 * torques(setup, (friction,), motion)[:, 1], atol=1e-12)
+
+
+# family: numbers of its form, and its formula written down a second time, of (motion, rigid load, torque)
+OUTSIDE = {
+    "sticky_zone": (
+        {"centre": 2.5, "width": 0.2},
+        lambda m, load: np.exp(-((m.q[:, 2] - 2.5) ** 2) / 0.08) * np.tanh(m.dq[:, 2] / 0.002),
+    ),
+    "squared_load_friction": (
+        {"load_Nm": 2.0},
+        lambda m, load: load[:, 2] ** 2 / 4 * np.tanh(m.dq[:, 2] / 0.002),
+    ),
+    "cross_load_friction": (
+        {"by": 2.0, "other_load_Nm": 4.0},
+        lambda m, load: abs(load[:, 1]) / 4 * np.tanh(m.dq[:, 2] / 0.002),
+    ),
+    "loaded_ripple": (
+        {"order": 3.0, "second": 8.0, "load_Nm": 2.0},
+        lambda m, load: load[:, 2] / 2 * (np.sin(3 * m.q[:, 2]) + np.sin(8 * m.q[:, 2])),
+    ),
+    "soft_stop": ({"at": 2.6}, lambda m, load: np.where(m.q[:, 2] > 2.6, (m.q[:, 2] - 2.6) ** 2, 0)),
+    "asymmetric_viscous": ({}, lambda m, load: abs(m.dq[:, 2])),
+    "squared_speed": ({}, lambda m, load: np.sign(m.dq[:, 2]) * m.dq[:, 2] ** 2),
+    "saturation": ({"knee_Nm": 1.0}, lambda m, load: np.clip(load[:, 2], -1, 1) - load[:, 2]),
+    "gain_drift": ({}, lambda m, load: (m.time / m.time[-1] - 0.5) * load[:, 2]),
+    "hardening_cable": ({"rest": 2.0}, lambda m, load: np.sign(m.q[:, 2] - 2) * (m.q[:, 2] - 2) ** 2),
+    "warming_coulomb": ({}, lambda m, load: (m.temperature[:, 2] - 25) / 10 * np.tanh(m.dq[:, 2] / 0.002)),
+    "uneven_viscous": ({"centre": 2.0}, lambda m, load: np.sin(m.q[:, 2] - 2) * m.dq[:, 2]),
+    "running_in": ({}, lambda m, load: np.exp(-3 * m.time / m.time[-1]) * np.tanh(m.dq[:, 2] / 0.002)),
+}
+
+
+@pytest.mark.parametrize("name", OUTSIDE)
+def test_families_outside_add_what_their_formula_says(name):
+    setup, motion = a_scene(warming=True)
+    fixed, formula = OUTSIDE[name]
+    base = torques(setup, (), motion)
+    added = torques(setup, (Hidden(name, "joint3", {"size": 0.3}, fixed),), motion) - base
+    np.testing.assert_allclose(added[:, 2], 0.3 * formula(motion, base), atol=1e-12)
+    assert not np.delete(added, 2, 1).any()
+    assert added.any()
+
+
+def test_families_with_a_memory_or_steps_do_what_they_say():
+    setup, motion = a_scene()
+    base = torques(setup, (), motion)
+
+    def added(name, size, **fixed):
+        return (torques(setup, (Hidden(name, "joint2", {"size": size}, fixed),), motion) - base)[:, 1]
+
+    rounded = added("quantised", 1.0, step_Nm=0.25) + base[:, 1]
+    np.testing.assert_allclose(rounded / 0.25, np.round(rounded / 0.25), atol=1e-9)
+    late = torques(setup, (Hidden("time_offset", "clock", {"offset_s": 1e-3}),), motion)[:, 1] - base[:, 1]
+    np.testing.assert_allclose(added("joint_delay", 1e-3)[2:-2], late[2:-2], atol=2e-3 * np.abs(base[:, 1]).max())
+    bent = added("presliding", 1.0, bristle_rad=0.05)
+    assert np.abs(bent).max() <= 1
+    # Dahl's equation: bending grows by the way, less what has slid already
+    way = np.diff(motion.q[:, 1])
+    slope = (1 - np.sign(way) * (bent[1:] + bent[:-1]) / 2) / 0.05
+    np.testing.assert_allclose(np.diff(bent), slope * way, atol=4e-3)
+
+
+def test_every_family_has_a_formula_here_and_a_third_of_them_are_sealed():
+    assert set(FAMILIES) == {*OUTSIDE, "quantised", "joint_delay", "presliding"}
+    assert len(FAMILIES) >= 8
+    assert {*OPEN} | {*SEALED} == set(FAMILIES)
+    assert not {*OPEN} & {*SEALED}
+    assert 0.2 <= len(SEALED) / len(FAMILIES) <= 0.45
+    wanted = plans.indices(5, 3 * len(FAMILIES), "outside")
+    for chosen, families in ((False, OPEN), (True, SEALED)):
+        drawn = [plans.draw_plan(5, index, np.random.default_rng(0), chosen) for index in wanted]
+        assert {plan.effects[0] for plan in drawn} == set(families)
+        assert all(plan.sealed == chosen for plan in drawn)
+
+
+@pytest.mark.parametrize("name", FAMILIES)
+def test_every_family_can_be_drawn(name):
+    setup, motion = a_scene(warming=True)
+    rng = np.random.default_rng(1)
+    scene = rigid(setup, (), motion)
+    joint, fixed = next(filter(None, (outside.drawn(name, rng, scene, setup.arm.noise) for _ in range(50))))
+    assert set(fixed) == set(FAMILIES[name].keys)
+    assert FAMILIES[name].drivers(joint, fixed)
+    assert set(FAMILIES[name].beside) <= set(NAMED)
+    assert torques(setup, (Hidden(name, f"joint{joint}", {"size": 1.0}, fixed),), motion)[:, joint - 1].any()
+
+
+def test_motions_keep_within_the_limits():
+    for seed in range(5):
+        setup, motion = a_scene("seven" if seed % 2 else "lite6", seed=seed, seconds=20.0)
+        limits = setup.arm.chain.limits
+        assert np.all((motion.q > limits[:, 0]) & (motion.q < limits[:, 1]))
+        assert np.abs(motion.dq).max() < setup.arm.velocity
+        assert np.abs(motion.ddq).max() < setup.arm.acceleration
+        np.testing.assert_allclose(np.gradient(motion.q, 0.01, axis=0)[1:-1], motion.dq[1:-1], atol=5e-3)
+        np.testing.assert_allclose(np.gradient(motion.dq, 0.01, axis=0)[1:-1], motion.ddq[1:-1], atol=3e-2)
+
+
+@pytest.mark.parametrize("inertial", [0.0, 0.1, np.inf], ids=["declared", "uncertain", "unknown"])
+def test_at_the_threshold_half_are_found(inertial):
+    rng = np.random.default_rng(17)
+    setup, motion = a_scene(seconds=8.0)
+    view = View.of(setup, motion, setup.arm.noise, inertial)
+    effect = Hidden("viscous_friction", "joint5", {"viscous_Nm_s_per_rad": 1.0})
+    span = view.span()
+    found = information.threshold(view, (effect,), 0, span)
+    there = effect.scaled(found.size, sizes_of(effect))
+    column = threshold.across(span, view.columns((effect,), 0, sizes_of(effect)))[:, 0]
+    shown = view.whitened(view.torques((there,)) - view.torques(()))
+    # noise of every whitened number, and of every inertial number of which something is known
+    noise = rng.normal(size=(4000, len(shown)))
+    explained = ((shown + noise) @ column / np.linalg.norm(column)) ** 2
+    assert np.mean(explained > chi2.isf(threshold.ALARM / threshold.SEARCHED, 1)) == pytest.approx(0.5, abs=0.03)
+    assert (found.seen < 1 - 1e-6) == (inertial > 0)
+
+
+def test_bounds_are_what_a_fit_reaches():
+    rng = np.random.default_rng(19)
+    setup, motion = a_scene(seconds=8.0)
+    view = View(setup, motion, setup.arm.noise, np.inf)
+    hidden = (
+        Hidden("viscous_friction", "joint3", {"viscous_Nm_s_per_rad": 0.3}),
+        Hidden("torque_ripple", "joint3", {"amplitude_Nm": 0.3, "order": 9.0, "phase_rad": 1.0}),
+    )
+    limits = information.bounds(view, hidden)
+    J = np.concatenate([view.span(), *(view.columns(hidden, k, list(limits[k])) for k in (0, 1))], 1)
+    lengths = np.linalg.norm(J, axis=0).clip(1e-9)  # some numbers of the first link move nothing
+    off = np.linalg.lstsq(J / lengths, rng.normal(size=(len(J), 800)), rcond=1e-10)[0][-4:] / lengths[-4:, None]
+    wanted = [bound for each in limits for bound in each.values()]
+    np.testing.assert_allclose(off.std(1), wanted, rtol=0.12)
+
+
+def test_the_unseen_error_is_that_of_a_fit():
+    """Of base parameters and a friction, fitted and predicted on another motion."""
+    rng = np.random.default_rng(23)
+    setup, motion = a_scene(seconds=8.0)
+    unseen = draw_motion(rng, setup.arm, 100.0, 4.0)
+    view = View(setup, motion, setup.arm.noise, np.inf)
+    hidden = (Hidden("coulomb_friction", "joint2", {"coulomb_Nm": 0.3}),)
+    later = View(setup, unseen, setup.arm.noise, np.inf)
+    ours = np.concatenate([view.span(), view.columns(hidden, 0, ["coulomb_Nm"])], 1)
+    slope = next(later.slopes(hidden, 0, ["coulomb_Nm"]))
+    theirs = np.concatenate([later.nuisance, slope.reshape(-1, 1)], 1)
+    lengths = np.linalg.norm(ours, axis=0).clip(1e-9)
+    fits = np.linalg.lstsq(ours / lengths, rng.normal(size=(len(ours), 200)), rcond=1e-7)[0]
+    off = theirs / lengths @ fits
+    assert information.unseen_error(view, hidden, unseen) == pytest.approx(np.sqrt(np.mean(off**2)), rel=0.06)
+
+
+def test_unknown_inertial_numbers_have_as_many_base_parameters_as_the_literature_says():
+    for name, wanted in (("lite6", 36), ("seven", 43)):
+        setup, motion = a_scene(name, seconds=8.0)
+        columns = View(setup, motion, setup.arm.noise, np.inf).nuisance
+        sizes = np.linalg.svd(columns / np.linalg.norm(columns, axis=0).clip(1e-12), compute_uv=False)
+        # geometry as it is made has no parallel axes, so that one more of the first link may be seen with tilt
+        assert np.sum(sizes > 1e-9 * sizes[0]) in range(wanted, wanted + 13)
+
+
+def test_a_payload_is_what_comes_nearest_to_a_mass_of_the_last_link():
+    setup, motion = a_scene(seconds=5.0)
+    at = setup.arm.chain.center[-1]
+    view = View(Setup(setup.arm, GRAVITY, at), motion, setup.arm.noise)
+    hidden = (Hidden("payload_error", "payload", {"mass_kg": 0.2}),)
+    rival = information.nearest_rival(view, hidden, 0, view.span())
+    assert (rival.name, rival.site) == ("link_mass", "link6")
+    assert rival.apart < 1e-3
+
+
+@pytest.mark.parametrize("noise", plans.NOISES)
+def test_noise_is_of_its_kind(noise):
+    setup, motion = a_scene(seconds=40.0)
+    plan = plans.Plan(0, 0, "clean", "plain", "lite6", "declared", "torque", noise, 100.0, 40.0, (), ())
+    exerted = torques(setup, (), motion)
+    q, dq, torque, rows = recorded.measure(plan, np.random.default_rng(5), motion, exerted, setup.arm.noise)
+    e = (torque - exerted) / setup.arm.noise
+    memory = np.mean(e[1:] * e[:-1]) / np.mean(e**2)
+    assert memory == pytest.approx(0.9 if noise == "autocorrelated" else 0, abs=0.05)
+    assert np.median(np.abs(e)) / 0.6745 == pytest.approx(2 if noise == "twice as declared" else 1, rel=0.12)
+    assert (np.abs(e).max() > 12) == (noise == "outliers")
+    assert np.std(dq - motion.dq) == pytest.approx(2e-2 if noise == "noisy velocities" else 1e-3, rel=0.05)
+    assert np.std(q - motion.q) == pytest.approx(2e-5, rel=0.05)
+    assert rows == []
+
+
+def test_a_contact_is_felt_where_it_is_said_to_be():
+    setup, motion = a_scene(seconds=10.0)
+    plan = plans.Plan(
+        0, 0, "faulty", "plain", "lite6", "declared", "torque", "white", 100.0, 10.0, (), (), "", "contact"
+    )
+    quiet = np.zeros((len(motion.q), 6))
+    _, _, torque, rows = recorded.measure(plan, np.random.default_rng(5), motion, quiet, setup.arm.noise)
+    pushed = np.abs(torque / setup.arm.noise).max(1)
+    assert pushed[rows].max() > 8
+    assert np.delete(pushed, rows).max() < 5
+    assert rows == list(range(rows[0], rows[-1] + 1))
+
+
+def test_a_declared_arm_is_as_far_off_as_is_said():
+    arm = drawn_arm("lite6", np.random.default_rng(0))
+    said = {}
+    for inertial in ("declared", "uncertain", "unknown"):
+        plan = plans.Plan(0, 0, "clean", "plain", "lite6", inertial, "torque", "white", 100.0, 10.0, (), ())
+        told = [recorded.declared_arm(plan, np.random.default_rng(k), arm) for k in range(200)]
+        said[inertial] = np.std([each.chain.mass / arm.chain.mass for each in told])
+    assert said == {"declared": 0.0, "uncertain": pytest.approx(0.1, rel=0.1), "unknown": pytest.approx(0.2, rel=0.1)}
+
+
+def test_every_round_has_every_kind_in_its_share():
+    kinds = [plans.kind_of(3, index) for index in range(50)]
+    wanted = {"clean": 20, "single": 16, "mixture": 6, "outside": 4, "edge": 2, "faulty": 2}
+    assert {kind: kinds.count(kind) for kind in plans.KINDS} == wanted
+    noises = [plans.draw_plan(3, i, np.random.default_rng(0)).noise for i in plans.indices(3, 5, "clean")]
+    assert sorted(noises) == sorted(plans.NOISES)
+    names = [plans.draw_plan(3, i, np.random.default_rng(0)).effects[0] for i in plans.indices(3, 16, "single")]
+    assert sorted(names) == sorted(NAMED)
+
+
+@pytest.mark.parametrize("kind", plans.KINDS)
+def test_a_seed_gives_the_same_trial_of_the_planned_size(kind):
+    index = plans.indices(1, 1, kind)[0]
+    first, second = trials.draw(1, index), trials.draw(1, index)
+    assert first.files == second.files
+    assert first.truth == second.truth
+    told = json.dumps(first.truth, allow_nan=False)
+    assert json.loads(told)["rows"] == len(first.files["recording.csv"].splitlines()) - 1
+    given = " ".join(first.files.values())
+    assert not any(effect["effect"] in given for effect in first.truth["hidden"])  # nothing tells
+    if kind == "single" and first.plan.engine == "plain":
+        assert first.truth["hidden"][0]["size"] == pytest.approx(first.truth["sizes"][0], rel=0.01)
+
+
+def test_resting_joints_rest_and_the_effect_is_elsewhere():
+    plan = plans.Plan(
+        *(0, 0, "edge", "plain", "lite6", "declared", "torque", "white", 100.0, 10.0),
+        *(("viscous_friction",), (4.0,), "resting joints"),
+    )
+    rng = np.random.default_rng(2)
+    setup, motion = a_scene(resting=3)
+    assert not motion.dq[:, :3].any()
+    view = View.of(setup, motion, setup.arm.noise, 0.0)
+    sites = {effect.site for _ in range(20) for effect in hiding.hide(plan, rng, view) or ()}
+    assert sites <= {"joint4", "joint5", "joint6"}
+    assert len(sites) > 1
+
+
+def read_arm(path):
+    said = yaml.safe_load(path.read_text())
+    rows = [[each[name] for name in ("x", "y", "z", "roll", "pitch", "yaw")] for each in said["kinematics"].values()]
+    links = list(said["inertial"].values())
+    tensors = [[[a, d, e], [d, b, f], [e, f, c]] for a, b, c, d, e, f in (link["inertia_kg_m2"] for link in links)]
+    mass, center = (np.array([link[key] for link in links]) for key in ("mass_kg", "com_m"))
+    chain = Chain(said["name"], np.array(rows), np.array(said["joint_limits_rad"]), mass, center)
+    return Arm(chain, np.array(tensors), np.ones(len(mass)))
+
+
+@pytest.mark.skipif(not OPEN_CASES.exists(), reason="the open torque cases are not beside this checkout")
+@pytest.mark.parametrize("case", ["t01_null", "t04_payload", "t07_delay"])
+def test_the_torques_of_open_cases_are_reproduced_from_their_files(case):
+    folder = OPEN_CASES / case
+    unseen, truth = (
+        np.genfromtxt(folder / f"{name}.csv", delimiter=",", names=True) for name in ("unseen", "unseen_truth")
+    )
+    effects = {
+        effect["effect"]: effect["args"] for effect in json.loads((folder / "truth.json").read_text())["effects"]
+    }
+    said = yaml.safe_load((folder / "recording.yaml").read_text())["recording"]
+    time = unseen["time_s"]
+    q, dq = (
+        np.column_stack([unseen[f"{n}{i}_{u}"] for i in range(1, 7)]) for n, u in (("q", "rad"), ("dq", "rad_per_s"))
+    )
+    place, rate = make_interp_spline(time, q, 5), make_interp_spline(time, dq, 5)
+    at = np.clip(time + effects.get("torque_delay", {"dt": 0.0})["dt"], time[0], time[-1])
+    payload = np.array(unseen["payload_kg"]) + effects.get("payload_error", {"mass": 0.0})["mass"]
+    gravity, center = np.array(said["gravity_m_per_s2"]), np.array(said["payload_com_m"], float)
+    ours = inverse_dynamics(
+        read_arm(folder / "arm.yaml"), place(at), rate(at), rate.derivative()(at), gravity, payload, center
+    )
+    theirs = np.column_stack([truth[f"tau{i}_Nm"] for i in range(1, 7)])
+    np.testing.assert_allclose(ours[20:-20], theirs[20:-20], atol=2e-5)
+
+
+@pytest.mark.skipif(not OPEN_CASES.exists(), reason="the open torque cases are not beside this checkout")
+def test_the_files_of_a_trial_are_like_those_of_the_open_cases(tmp_path):
+    open_case = OPEN_CASES / "t01_null"
+    drawn = (trials.draw(1, index) for index in range(20))
+    trial = next(t for t in drawn if (t.plan.arm, t.plan.source) == ("lite6", "torque"))
+    case = exported.export(1, trial.plan.index, False, tmp_path)
+    assert {path.name for path in case.iterdir()} == {path.name for path in open_case.iterdir()}
+    for name in ("recording.csv", "unseen.csv", "unseen_truth.csv"):
+        assert list(read_columns(case / name)) == list(read_columns(open_case / name))
+    ours, theirs = (yaml.safe_load((folder / "arm.yaml").read_text()) for folder in (case, open_case))
+    assert ours["inertial"].keys() == theirs["inertial"].keys()
+    assert ours["inertial"]["link1"].keys() == theirs["inertial"]["link1"].keys()
+    ours, theirs = (
+        yaml.safe_load((folder / "recording.yaml").read_text())["recording"] for folder in (case, open_case)
+    )
+    assert set(ours) <= {*theirs, "inertial"}
+    ours, theirs = (json.loads((folder / "truth.json").read_text()) for folder in (case, open_case))
+    assert {*theirs} - {"arm_seed"} <= set(ours)
