@@ -50,7 +50,9 @@ def predict_motors(command: "Predict") -> int:
     from lite6jax.report import screen
 
     if command.register or command.effects is not None:
-        raise InputError("--register, --effects: a diagnosis of torques has neither a sensor frame nor effects of yours")
+        raise InputError(
+            "--register, --effects: a diagnosis of torques has neither a sensor frame nor effects of yours"
+        )
     model = read_torque_model(command.diagnosis)
     recording = read_motion(command.motion, model)
     torque = predict_torques(model, recording)

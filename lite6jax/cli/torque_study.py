@@ -95,9 +95,7 @@ def identify_arm(setup: TorqueSetup, source: str, seed: int, as_json: bool) -> i
     return _identified(setup.model(arm), trajectory.motion, source, phrase, as_json)
 
 
-def identify_recording(
-    setup: TorqueSetup, recording: "Recording", arm: "Arm", source: str, as_json: bool
-) -> int:
+def identify_recording(setup: TorqueSetup, recording: "Recording", arm: "Arm", source: str, as_json: bool) -> int:
     """Prints what the motion of a recording determines.
 
     Raises:
@@ -189,7 +187,9 @@ def design_motion(
         found = plan_torque_discrimination(model, room, rivals, seed=seed)
         report = torque_study_tables.torque_discrimination_report(found, disabled, source)
     made = found.trajectory
-    settings = RecordingSettings(arm=reference, motion="trajectory", gravity_m_per_s2=setup.gravity or (0.0, 0.0, -9.81))
+    settings = RecordingSettings(
+        arm=reference, motion="trajectory", gravity_m_per_s2=setup.gravity or (0.0, 0.0, -9.81)
+    )
     recording = Recording.assembled(
         made.motion.q.T,
         time=made.time,

@@ -80,7 +80,7 @@ def diagnose_torques(
 
 
 def _held_out(problem: TorqueProblem, valid: Mask, options: Options) -> tuple[Array, Array]:
-    """Errors `(joint, sample)` Nm on every sample, predicted from the other contiguous blocks, without and with effects.
+    """Errors `(joint, sample)` Nm on every sample, from the other contiguous blocks, without and with effects.
 
     The filter spreads a sample over its neighbours: those beside a held-out block are not used either.
     """
@@ -102,5 +102,3 @@ def _held_out(problem: TorqueProblem, valid: Mask, options: Options) -> tuple[Ar
 
 def _errors(problem: TorqueProblem, fit: Fit) -> Array:
     return problem.residual(fit.nuisance, fit.terms, fit.values) * problem.noise[:, None]
-
-

@@ -38,7 +38,9 @@ _ERRORS = record(
     }
 )
 _PLACE = {"effect": text, "site": text, "driver": text}
-_RIVAL = record({**_PLACE, "log_likelihood_gap": number(), "status": text}, {"source_joint": whole(1), "order": number()})
+_RIVAL = record(
+    {**_PLACE, "log_likelihood_gap": number(), "status": text}, {"source_joint": whole(1), "order": number()}
+)
 _FINDING = record(
     {
         **_PLACE,
@@ -262,5 +264,3 @@ def is_of_torques(document: Any) -> bool:
         and document.get("domain") == "torque"
         and isinstance(document.get("model"), dict)
     )
-
-

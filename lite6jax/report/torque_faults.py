@@ -10,6 +10,7 @@ NAMES = {
     "swapped_torques": "Swapped torque columns",
     "reversed_torque": "Torque of reversed sign",
     "contact": "Contact",
+    "estimated_torque": "Torques without noise",
 }
 """Each fault in a few words."""
 
@@ -42,8 +43,15 @@ def _reversed(rows: Sequence[int], n: Numbers) -> str:
 def _contact(rows: Sequence[int], n: Numbers) -> str:
     return (
         f"From {n['from_s']:.2f} to {n['to_s']:.2f} s something else pushed the arm: the torque of "
-        f"{_joints(n['joints']) if n['joints'] else 'the arm'} is up to {n['largest_Nm']:.3g} Nm from the model, once and "
-        "nowhere else. These rows were left out."
+        f"{_joints(n['joints']) if n['joints'] else 'the arm'} is up to {n['largest_Nm']:.3g} Nm from the model, only "
+        "there. These rows were left out."
+    )
+
+
+def _estimated(rows: Sequence[int], n: Numbers) -> str:
+    return (
+        "The torques of the arm at rest are constant: they are the controller's own model, not measurements. What is "
+        "found is what that model lacks or has beyond this arm's. Record motor currents, or declare torque_source."
     )
 
 
@@ -52,6 +60,7 @@ FOUND: dict[str, Callable[[Sequence[int], Numbers], str]] = {
     "swapped_torques": _swapped,
     "reversed_torque": _reversed,
     "contact": _contact,
+    "estimated_torque": _estimated,
 }
 """What is wrong and how it was corrected, of rows and numbers."""
 RULED_OUT: dict[str, Callable[[Numbers], str]] = {

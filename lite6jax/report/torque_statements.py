@@ -17,7 +17,7 @@ ESTIMATED = (
 _VERDICTS = {
     "consistent": "Consistent: the inverse dynamics of the declared arm and the sensors' noise explain the torques.",
     "explained": "Explained: with the effects below, the held-out errors are the sensors' noise.",
-    "partly_explained": "Partly explained: the effects below are significant, and more than the declared noise is left.",
+    "partly_explained": "Partly explained: the effects below are significant, and more than noise is left.",
     "unnamed": "Unnamed: no effect of the catalogue explains the largest effect that was found.",
     "unexplained": "Unexplained: more is left than the sensors' noise, and no effect is significant.",
     "undetermined": "Undetermined: the recording is too short to tell whether something is missing.",

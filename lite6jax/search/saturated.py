@@ -81,18 +81,18 @@ def _tested(problem: Problem, state: State, time: float, options: EngineOptions)
     """With each term tested by what it explains to second order, in noise of this autocorrelation time."""
     searched, tested = searched_size(problem, options), []
     for k, test in enumerate(state.tested):
-        gain = _explained(state.fit, k)
+        gain = state.fit.quadratic_gain(k)
         p_value = min(gain_p_value(gain, test.term.size, time) * searched, 1.0)
         tested.append(replace(test, p_value=p_value, score=test.score._replace(gain=gain, p_value=p_value)))
     return replace(state, tested=tuple(tested))
 
 
 def _unnecessary(problem: Problem, found: Fit, time: float, options: EngineOptions) -> set[int]:
-    """Of each site, the term that leaves: the least possible one, or else the least significant one; if there is one."""
+    """Of each site, the term that leaves, if there is one: the least possible, or else the least significant one."""
     searched, std = searched_size(problem, options), np.sqrt(np.maximum(np.diagonal(found.covariance), 1e-300))
     worst: dict[str, tuple[float, int]] = {}
     for k, (term, part) in enumerate(zip(found.terms.terms, found.terms.slices, strict=True)):
-        p_value = gain_p_value(_explained(found, k), term.size, time) * searched
+        p_value = gain_p_value(found.quadratic_gain(k), term.size, time) * searched
         beyond = max(
             max(lower - value, value - upper) / s
             for (lower, upper), value, s in zip(problem.limits(term), found.values[part], std[part], strict=True)
@@ -101,9 +101,3 @@ def _unnecessary(problem: Problem, found: Fit, time: float, options: EngineOptio
         if badness >= options.level and badness > worst.get(term.site, (0.0, 0))[0]:
             worst[term.site] = (badness, k)
     return {k for _, k in worst.values()}
-
-
-def _explained(found: Fit, k: int) -> float:
-    """The log-likelihood that the k-th term explains, to second order: half its squared numbers in their metric."""
-    part = found.terms.slices[k]
-    return 0.5 * float(found.values[part] @ np.linalg.lstsq(found.covariance[part, part], found.values[part], rcond=1e-12)[0])

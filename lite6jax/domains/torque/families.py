@@ -33,7 +33,9 @@ def periodic(data: TorqueRows, chosen: NDArray[np.integer], noise: Array) -> tup
         filtered = partial(_waves, data, q, chosen)
         site, column = f"joint{j + 1}", _column(j, noise, len(chosen))
         found.append(
-            PeriodicFamily(site, column, angle, partial(_ripple, j + 1), _order, partial(_curve, j + 1, angle), filtered)
+            PeriodicFamily(
+                site, column, angle, partial(_ripple, j + 1), _order, partial(_curve, j + 1, angle), filtered
+            )
         )
     return tuple(found)
 

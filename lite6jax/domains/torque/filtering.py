@@ -5,6 +5,7 @@ and modelled torques then pass the same filter, and one row in several is kept, 
 (parallel filtering; M. Gautier, Dynamic identification of robots with power model, ICRA 1997).
 """
 
+import itertools
 from dataclasses import dataclass
 from functools import cache
 from typing import NamedTuple, final
@@ -159,7 +160,7 @@ def low_pass(velocity: Array, rate: float, runs: NDArray[np.integer]) -> LowPass
 
 
 def spikes(torque: Array, runs: NDArray[np.integer]) -> NDArray[np.bool_]:
-    """`(joint, sample)` bool, single torques far from the median of their neighbours and from the line through these."""
+    """`(joint, sample)` bool, single torques far from the median of their neighbours and from their middle."""
     found = np.zeros(torque.shape, bool)
     for rows in _each(runs):
         part = torque[:, rows]
@@ -170,7 +171,7 @@ def spikes(torque: Array, runs: NDArray[np.integer]) -> NDArray[np.bool_]:
         # of quantised torques most differences are zero
         typical = np.maximum(1.4826 * np.median(off, axis=1), 0.1 * off.mean(1))[:, None]
         away = np.abs(part - median_filter(part, (1, 5), mode="nearest"))
-        found[:, rows] = (np.minimum(off, away) > _SPIKE * np.maximum(typical, 1e-12))
+        found[:, rows] = np.minimum(off, away) > _SPIKE * np.maximum(typical, 1e-12)
     return found
 
 
@@ -191,7 +192,7 @@ def interpolant(rows: Array, time: Array, runs: NDArray[np.integer]) -> list[tup
 
 def _each(runs: NDArray[np.integer]) -> list[slice]:
     edges = [0, *(np.flatnonzero(np.diff(runs)) + 1).tolist(), len(runs)]
-    return [slice(a, b) for a, b in zip(edges[:-1], edges[1:], strict=True)]
+    return [slice(a, b) for a, b in itertools.pairwise(edges)]
 
 
 def _by_run(rows: Array, runs: NDArray[np.integer], cutoff: float, rate: float) -> Array:

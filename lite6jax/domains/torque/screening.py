@@ -1,5 +1,6 @@
 """Data faults of torque recordings: what cannot be diagnosed at all, and what is located, said and corrected."""
 
+import itertools
 from typing import NamedTuple
 
 import numpy as np
@@ -15,25 +16,18 @@ from lite6jax.estimation.least_squares import fit
 from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.score_test import score_test
 from lite6jax.estimation.terms import Terms
-from lite6jax.recordings import Recording
+from lite6jax.recordings import Recording, estimated_torque
+from lite6jax.recordings.checks import check_torque_scale, check_velocity_scale
 from lite6jax.recordings.fault import DataFault, row_numbers
 
 Array = NDArray[np.floating]
 
 _LEAST_MOTION = 0.02
 """rad over which one joint moves at least; noise of encoders is far below."""
-_VELOCITY_RATIO = (0.7, 1.4)
-"""Recorded over differentiated velocity, beyond which they are of another unit or another joint."""
-_WEIGHT_RATIO = 100.0
-"""Measured over modelled torque, from which its unit is another."""
 _CORRELATED = 0.9
 """Correlation of a measured with another joint's modelled torque from which columns may be swapped."""
 _CLEARLY = 0.3
 """By which that exceeds the correlation with the joint's own."""
-_TURNED = 0.5
-"""rad between declared and fitted gravity from which the declaration is wrong rather than the base tilted."""
-_UPRIGHT_SHARE = 0.5
-"""Share of the residual's squares that another direction of gravity must explain."""
 _EVENT = 60.0
 """Squared residual over its robust scale, summed over joints, from which a sample may belong to a contact."""
 _JOINED = 0.3
@@ -75,17 +69,20 @@ def screen_torques(recording: Recording, arm: Arm) -> ScreenedTorques:
     _require_inertia(recording, arm)
     rate = sample_rate(recording)
     runs = runs_of(recording, rate)
-    _require_motion(recording, rate)
+    _require_motion(recording)
+    check_velocity_scale(recording)
+    check_torque_scale(recording, arm)
     spiked = spikes(torque, runs)
     found = []
     if spiked.any():
         rows = row_numbers(recording.row[spiked.any(0)])
         joints = (1 + np.flatnonzero(spiked.any(1))).tolist()
         found.append(DataFault("torque_spikes", rows, {"joints": joints, "count": int(spiked.sum())}))
+    if recording.settings.torque_source == "unknown" and estimated_torque(recording):
+        found.append(DataFault("estimated_torque", (), {}))
     data = torque_rows(recording, arm, without_spikes(torque, spiked))
     ruled_out: list[DataFault] = []
     if recording.settings.inertial != "unknown":
-        _require_newton_metres(data)
         data, columns = _in_order(data)
         found += columns
         if not columns:
@@ -103,40 +100,12 @@ def _require_inertia(recording: Recording, arm: Arm) -> None:
         )
 
 
-def _require_motion(recording: Recording, rate: float) -> None:
+def _require_motion(recording: Recording) -> None:
     q = recording.joint_position
     if np.ptp(q, axis=0).max() < _LEAST_MOTION:
         raise InputError(
             f"{recording.source}: the arm is at rest (no joint moves by {_LEAST_MOTION:g} rad); record a motion in "
             "which every joint turns both ways"
-        )
-    recorded, t = recording.velocities(), recording.time
-    assert t is not None
-    inside = (np.diff(recording.run) == 0) & (np.diff(t) > 0)
-    steps = np.diff(q, axis=0)[inside] / np.diff(t)[inside][:, None]
-    middle = 0.5 * (recorded[1:] + recorded[:-1])[inside]
-    for joint, (v, moved) in enumerate(zip(middle.T, steps.T, strict=True), 1):
-        if np.ptp(q[:, joint - 1]) < _LEAST_MOTION:
-            continue
-        # the slope with the larger error in the denominator is the smaller one
-        ratio = float(v @ moved / max(moved @ moved, 1e-300))
-        if ratio > _VELOCITY_RATIO[1] or (ratio < _VELOCITY_RATIO[0] and v @ moved / max(v @ v, 1e-300) > 1.4):
-            unit = "degrees? name them dq1_deg_per_s …" if 40 < ratio < 80 else "another unit, or another joint's?"
-            raise InputError(
-                f"{recording.source}: dq{joint} is {ratio:.3g} times the change of q{joint}; is it in {unit}"
-            )
-
-
-def _require_newton_metres(data: TorqueRows) -> None:
-    rigid = data.filter(data.bodies.dynamics(data.bodies.links).torque)
-    loaded = np.sqrt(np.mean(rigid**2, 1)) > 0.05 * np.sqrt(np.mean(rigid**2))
-    ratio = np.sum(data.measured * rigid, 1)[loaded] / np.sum(rigid**2, 1)[loaded]
-    typical = float(np.median(np.abs(ratio))) if loaded.any() else 1.0
-    if typical > _WEIGHT_RATIO or typical < 1 / _WEIGHT_RATIO:
-        unit = "mNm? name the columns tau1_mNm …" if typical > 1 else "kNm or an amplifier's units? give Nm"
-        raise InputError(
-            f"{data.recording.source}: the torques are {typical:.3g} times what the arm's weight and motion require; "
-            f"are they in {unit}"
         )
 
 
@@ -218,7 +187,7 @@ def _robust(rows: Array) -> Array:
 def _joined(far: NDArray[np.bool_], time: Array, runs: NDArray[np.integer]) -> NDArray[np.bool_]:
     """With the samples between those that are far away, where these are near each other in time."""
     inside, at = far.copy(), np.flatnonzero(far)
-    for a, b in zip(at[:-1], at[1:], strict=True):
+    for a, b in itertools.pairwise(at):
         if runs[a] == runs[b] and time[b] - time[a] <= _JOINED:
             inside[a:b] = True
     return inside

@@ -88,9 +88,7 @@ class TorqueModel:
         kept = [10 * link + i for link in range(self.arm.dof) for i in _KEPT_FIRST] if links else []
         return [*kept, *range(links, links + 4 * self.arm.dof)]
 
-    def columns(
-        self, motion: Motion, chosen: NDArray[np.integer] | None = None, scale: Matrix | None = None
-    ) -> Matrix:
+    def columns(self, motion: Motion, chosen: NDArray[np.integer] | None = None, scale: Matrix | None = None) -> Matrix:
         """Whitened torques per unit of the unknown parameters, `(joint, column, sample)`; NumPy.
 
         Args:
@@ -122,7 +120,9 @@ def link_columns(arm: Arm, motion: Motion, gravity: Matrix) -> Matrix:
     found = []
     for some in in_blocks(motion):
         short = BLOCK - some.q.shape[1]
-        found.append(np.asarray(regressor(arm.kinematics, *(np.pad(part, ((0, 0), (0, short))) for part in some), gravity)))
+        found.append(
+            np.asarray(regressor(arm.kinematics, *(np.pad(part, ((0, 0), (0, short))) for part in some), gravity))
+        )
         if short:
             found[-1] = found[-1][..., :-short]
     return found[0] if len(found) == 1 else np.concatenate(found, -1)

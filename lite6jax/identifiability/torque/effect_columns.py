@@ -35,7 +35,9 @@ def effect_columns(
     if any(getattr(effect, name, 1) > arm.dof for name in ("joint", "link", "source_joint")):
         raise InputError(f"{effect.label}: {arm.name} has {arm.dof} joints; choose one of these")
     if isinstance(effect, Delaying) or any("temperature" in driver.quantity for driver in effect.drivers):
-        raise InputError(f"{effect.label}: depends on more than positions, velocities and accelerations; choose another")
+        raise InputError(
+            f"{effect.label}: depends on more than positions, velocities and accelerations; choose another"
+        )
     linear = np.array([i for i, coordinate in enumerate(effect.coordinates) if coordinate.linear], int)
     for i, coordinate in enumerate(effect.coordinates):
         if not coordinate.linear and not at[i]:
@@ -58,7 +60,9 @@ def _links(effect: TorqueEffect, model: TorqueModel) -> Array:
     try:
         return link_parameters(model.arm)
     except InputError as error:
-        depends = isinstance(effect, TorqueScale) or effect.site == "base" or effect.name in ("load_friction", "link_com")
+        depends = (
+            isinstance(effect, TorqueScale) or effect.site == "base" or effect.name in ("load_friction", "link_com")
+        )
         if depends:
             raise InputError(f"{effect.label}: depends on the arm's inertia; {error}") from error
         return np.zeros((model.arm.dof, 10))

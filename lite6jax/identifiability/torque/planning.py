@@ -225,6 +225,4 @@ def random_motions(room: MotionRoom, seed: int = 0, count: int = RANDOM_DRAWS) -
         if len(passed) == count:
             return passed
     names = ", ".join(condition.name for condition in room.filters)
-    raise InputError(
-        f"motions: {len(passed)} of {len(middles)} random ones pass {names} at any amplitude; widen them"
-    )
+    raise InputError(f"motions: {len(passed)} of {len(middles)} random ones pass {names} at any amplitude; widen them")
