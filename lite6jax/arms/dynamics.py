@@ -22,15 +22,15 @@ from lite6jax.errors import InputError
 PARAMETERS = ("m", "mx", "my", "mz", "Ixx", "Iyy", "Izz", "Ixy", "Ixz", "Iyz")
 """A link's inertial parameters: mass, kg; first moments, kg·m; inertia about the origin of its frame, kg·m²."""
 
-# Of a link, what is kept before what is grouped into it: Iyy, mz and m of a link are then grouped with parameters of the
-# same link and of the previous one, as by Gautier and Khalil.
+# Of a link, what is kept before what is grouped with it: mz, Iyy and m are then grouped with parameters of the same
+# link and of the previous one, as by Gautier and Khalil.
 _PREFERENCE = [PARAMETERS.index(name) for name in ("Izz", "Ixx", "Ixy", "Ixz", "Iyz", "mx", "my", "mz", "Iyy", "m")]
 _LENGTHS = np.array([0, 1, 1, 1, 2, 2, 2, 2, 2, 2])
 """The power of m in each parameter's unit, kg m^power."""
 
 INDEPENDENT = 1e-7
-"""Of the longest column's norm: what a column must leave after the projection on those before it. A first axis tilted by
-1e-6 rad against gravity is noticed, rounding in the sixteenth digit is not."""
+"""Of the longest column's norm: what a column must leave after the projection on those before it. A first axis that
+is tilted by 1e-6 rad against gravity is noticed, rounding in the sixteenth digit is not."""
 
 _CHUNK = 512
 """Samples at a time: their columns and what these are made of stay in a core's cache."""
@@ -64,6 +64,9 @@ class _Motion(NamedTuple):
     spin: _Vector  # angular velocity
     spin_rate: _Vector  # its derivative
     acceleration: _Vector  # of the frame's origin, less gravity
+
+
+_Carry = tuple[Array, _Vector, _Vector, _Motion]
 
 
 class _Step(NamedTuple):
@@ -164,10 +167,10 @@ def _link_motions(steps: _Step, gravity: Array) -> tuple[_Vector, _Vector, _Moti
     """Of each link its motion, (link, sample); of each joint and link the joint's axis, and the velocity of the link's
     origin per unit of the joint's rate: (joint, link, sample), zero for joints that do not move the link."""
     joints, samples = steps.cos.shape
-    nothing = jnp.zeros((joints, samples))
-    Carry = tuple[Array, _Vector, _Vector, _Motion]
+    zero = jnp.zeros((joints, samples))
+    nothing: _Vector = (zero, zero, zero)
 
-    def walk(carry: Carry, step: _Step) -> tuple[Carry, Carry]:
+    def walk(carry: _Carry, step: _Step) -> tuple[_Carry, _Carry]:
         number, axis, velocity, motion = carry
         shifted = step.into(_sum(velocity, _cross(axis, step.p)))
         own = (jnp.arange(joints) == number)[:, None]
@@ -175,10 +178,13 @@ def _link_motions(steps: _Step, gravity: Array) -> tuple[_Vector, _Vector, _Moti
         carry = (number + 1, (x, y, jnp.where(own, 1.0, z)), shifted, _next(motion, step))
         return carry, carry
 
-    start = (jnp.zeros((), int), (nothing,) * 3, (nothing,) * 3, _resting(gravity, samples))
+    start = (jnp.zeros((), int), nothing, nothing, _resting(gravity, samples))
     _, axis, velocity, motion = lax.scan(walk, start, steps)[1]
-    axis, velocity = (tuple(jnp.swapaxes(v[k], 0, 1) for k in range(3)) for v in (axis, velocity))
-    return axis, velocity, motion
+    return _joint_first(axis), _joint_first(velocity), motion
+
+
+def _joint_first(v: _Vector) -> _Vector:
+    return jnp.swapaxes(v[0], 0, 1), jnp.swapaxes(v[1], 0, 1), jnp.swapaxes(v[2], 0, 1)
 
 
 def _columns(axis: _Vector, velocity: _Vector, motion: _Motion) -> list[Array]:
@@ -247,8 +253,8 @@ class BaseParameters:
     """
 
     independent: NDArray[np.integer]
-    grouping: Array
-    basis: Array
+    grouping: NDArray[np.floating]
+    basis: NDArray[np.floating]
 
     @property
     def size(self) -> int:
@@ -265,11 +271,11 @@ class BaseParameters:
         """`kg`, `kg m` or `kg m²` of each."""
         return tuple(("kg", "kg m", "kg m²")[_LENGTHS[own % 10]] for own in self.independent)
 
-    def values(self, parameters: ArrayLike) -> Array:
+    def values(self, parameters: ArrayLike) -> NDArray[np.floating]:
         """(base,) the combinations' values for links' parameters (joint, 10)."""
         return self.grouping @ np.asarray(parameters, float).ravel()
 
-    def _name(self, row: Array, own: int) -> str:
+    def _name(self, row: NDArray[np.floating], own: int) -> str:
         name = parameter_name(own)
         for place in np.flatnonzero(row):
             if place == own:
@@ -314,7 +320,7 @@ def base_parameters(kinematics: ArrayLike, gravity: ArrayLike) -> BaseParameters
     return BaseParameters(independent, grouping, basis)
 
 
-def _independent(W: Array) -> NDArray[np.integer]:
+def _independent(W: NDArray[np.floating]) -> NDArray[np.integer]:
     """The places of the columns that are no combination of those before them (Gram–Schmidt, twice)."""
     found: list[int] = []
     Q = np.zeros((len(W), 0))

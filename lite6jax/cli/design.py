@@ -2,15 +2,17 @@
 
 import math
 import os
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal, final
 
 from tyro.conf import Positional, UseAppendAction, arg
 
+from lite6jax.cli import torque_study
 from lite6jax.cli.arguments import Folder, check_seed, refuse_inputs
 from lite6jax.cli.exit_codes import DONE
 from lite6jax.cli.study import Setup
+from lite6jax.cli.torque_study import TorqueSetup
 from lite6jax.errors import InputError
 from lite6jax.storage import check_writable
 
@@ -22,7 +24,8 @@ if TYPE_CHECKING:
 @final
 @dataclass(frozen=True)
 class Design:
-    """Which poses to record: those that determine an arm's parameters best, and how many are enough.
+    """Which poses to record: those that determine an arm's parameters best, and how many are enough; or, with --torque,
+    which motion to make: one from rest to rest whose torques determine an arm's dynamics best.
 
     For example:
 
@@ -30,6 +33,9 @@ class Design:
         lite6jax design lite6 --poses 30 --box 100 -300 0 500 300 500 --floor 20 --out poses.csv
         lite6jax design lite6 --discriminate joint_compliance:joint=2,compliance_rad_per_Nm=1e-5
             joint_harmonic:joint=2,order=1 --out poses.csv
+        lite6jax design lite6 --torque --out motion.csv
+        lite6jax design lite6 --torque --discriminate viscous_friction:joint=2,viscous_Nm_s_per_rad=1
+            coulomb_friction:joint=2 --out motion.csv
     """
 
     out: Annotated[Path, arg(metavar="FILE")]
@@ -37,6 +43,7 @@ class Design:
     source: Annotated[Positional[str], arg(metavar="ARM|FILE")] = "lite6"
     """A bundled arm or an arm's file."""
     setup: Setup = field(default_factory=Setup)
+    torque: TorqueSetup = field(default_factory=TorqueSetup)
     poses: int = 40
     """Number of poses to choose."""
     accuracy: Annotated[float | None, arg(metavar="MM")] = None
@@ -88,12 +95,13 @@ class Design:
         read = [self.source, self.recorded, self.collision_geometry, *filters]
         refuse_inputs([self.out, sidecar_path(self.out)], read)
         check_seed(self.seed)
+        if self.torque.torque:
+            return self._design_motion()
+        torque_study.refuse_without_torque(self.torque)
         if self.discriminate is not None and (self.criterion != "I" or self.accuracy is not None):
             raise InputError(
                 "--discriminate: chooses by the distance between two effects; leave --criterion and --accuracy out"
             )
-        if self.floor is not None and not math.isfinite(self.floor):
-            raise InputError(f"--floor {self.floor}: give a height in mm")
         if self.accuracy is not None and not self.accuracy > 0:
             raise InputError(f"--accuracy {self.accuracy}: give a standard deviation in mm, above 0")
         name = f"{self.out.stem}_accuracy"
@@ -145,6 +153,8 @@ class Design:
     def _filters(self, arm: "Arm") -> "tuple[list[Filter], tuple[tuple[str, str], ...]]":
         from lite6jax.identifiability import candidates, capsules, clearance
 
+        if self.floor is not None and not math.isfinite(self.floor):
+            raise InputError(f"--floor {self.floor}: give a height in mm")
         at = [value / 1e3 for value in self.setup.tool_at]
         filters: list[Filter] = []
         disabled: tuple[tuple[str, str], ...] = ()
@@ -167,6 +177,35 @@ class Design:
             filters.append(candidates.clear_of_itself(apart))
         filters += map(candidates.user_filter, self.filter)
         return filters, disabled
+
+    def _design_motion(self) -> int:
+        from lite6jax.arms.files import read_arm
+
+        others = (*("poses", "accuracy", "criterion", "candidates", "recorded", "refine"),)
+        default = {item.name: item.default for item in fields(self)}
+        given = [name for name in others if getattr(self, name) != default[name]]
+        if given or replace(self.setup, tool_at=(0.0, 0.0, 0.0)) != Setup():
+            raise InputError(
+                f"--torque: designs a motion; leave {f'--{given[0]}' if given else 'the options of a sensor'} out"
+            )
+        if self.figures:
+            from lite6jax.report import canvas
+
+            canvas.check_names(self.figures, [torque_study.figure_name(self.out)], self.force)
+        filters, disabled = self._filters(read_arm(self.source))
+        return torque_study.design_motion(
+            self.torque,
+            self.source,
+            self.out,
+            self._arm_reference(),
+            filters,
+            disabled,
+            math.radians(self.limit_margin),
+            self.discriminate,
+            self.seed,
+            self.figures,
+            self.force,
+        )
 
     def _arm_reference(self) -> str:
         """The arm's name in the sidecar: a bundled name, or the path of its file relative to the sidecar."""

@@ -24,7 +24,8 @@ class Diagnose:
     """
 
     source: Annotated[Positional[Path], arg(metavar="FILE")]
-    """A recording of measured poses (.csv, .parquet, .mcap), with its sidecar .yaml beside it."""
+    """A recording of measured poses, or of motor torques or currents (.csv, .parquet, .mcap), with its sidecar .yaml
+    beside it."""
     out: Annotated[Path, arg(metavar="FILE")]
     """Write findings and model here (JSON)."""
     reference: Annotated[Path | None, arg(metavar="OTHER")] = None
@@ -79,6 +80,10 @@ class Diagnose:
 
         nominal = load_nominal(self.arm)
         recording = read(self.source, nominal)
+        if recording.position is None and recording.has_torques:
+            from lite6jax.cli.diagnose_torques import diagnose_motors
+
+            return diagnose_motors(self, recording, nominal)
         arm = nominal or arm_of(recording)
         other = read(self.reference, arm) if self.reference else None
         effects = load_effects(self.effects) if self.effects else ()
@@ -119,6 +124,8 @@ class Diagnose:
 class Predict:
     """Predict what the sensor of a diagnosed recording would measure in another motion of the same arm.
 
+    Of a diagnosis of torques these are tau1_Nm …, the torques of the motors.
+
     Beside each pose stand its standard deviations, x_std_m … and where orientation was recorded rx_std_rad … about the
     axes of the tool. They contain what the diagnosis left uncertain, and not the sensor's noise. Where `outside` is 1
     the row is beyond what was recorded.
@@ -153,7 +160,8 @@ class Predict:
         import numpy as np
         import pyarrow as pa
 
-        from lite6jax.diagnosis.document import read_model
+        from lite6jax.diagnosis.document import parsed_document, read_model
+        from lite6jax.diagnosis.torque_document import is_of_torques
         from lite6jax.domains.pose.files import prediction_columns, read_motion
         from lite6jax.domains.pose.predict import predicted
         from lite6jax.domains.pose.registration import register_model
@@ -162,6 +170,10 @@ class Predict:
         from lite6jax.report import bars, diagnosis_tables, screen
         from lite6jax.report.reference import origin_statement
 
+        if is_of_torques(parsed_document(self.diagnosis)):
+            from lite6jax.cli.diagnose_torques import predict_motors
+
+            return predict_motors(self)
         model = read_model(self.diagnosis, load_effects(self.effects) if self.effects else ())
         recording = read_motion(self.motion, model)
         found = None

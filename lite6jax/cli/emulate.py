@@ -47,12 +47,16 @@ class Emulate:
     control_port: Annotated[int, arg(metavar="PORT")] = 502
     """502, as on an arm, requires privileges; another one must be set in the SDK."""
     effect: Annotated[tuple[str, ...], UseAppendAction, arg(metavar="NAME:KEY=VALUE,…")] = ()
-    """A hidden effect with its parameters, such as joint_backlash:joint=4,gap_rad=1e-3; repeatable. The pose
-    on port 30000 contains it, the controller's kinematics do not."""
+    """A hidden effect with its parameters, such as joint_backlash:joint=4,gap_rad=1e-3, which the pose on port 30000
+    contains, or viscous_friction:joint=2,viscous_Nm_s_per_rad=3, which the motors feel; repeatable. The controller's
+    kinematics contain none."""
     effects: Annotated[Path | None, arg(metavar="FILE.py")] = None
     """A file of your own effects for --effect. It is executed."""
     motion: Annotated[str, arg(metavar="rest|sines|poses|FILE")] = "rest"
     """Rest until a command; a smooth motion; from pose to pose; or the motion in a recording."""
+    torque_noise: Annotated[tuple[float, ...], arg(metavar="NM…")] = ()
+    """The noise of the torques, one sigma: one number for all joints, or one per joint. Without it they are constant at
+    rest, as those that a controller computes from a model."""
     fault: Annotated[tuple[str, ...], UseAppendAction, arg(metavar="NAME[:VALUE]")] = ()
     """A fault; repeatable. --faults lists them."""
     faults: bool = False
@@ -148,17 +152,27 @@ class Emulate:
         return controllers
 
     def _body(self, index: int) -> "Body":
+        import numpy as np
+
         from lite6jax.arms.factory import read_factory
         from lite6jax.arms.files import read_arm
         from lite6jax.effects.catalogue import kinds_of
         from lite6jax.effects.composition import Physics
+        from lite6jax.effects.dynamic.catalogue import BUILT_IN as OF_TORQUES
+        from lite6jax.effects.dynamic.torque_effect import TorqueEffect
         from lite6jax.effects.serialization import parse_effect
         from lite6jax.effects.user_effects import load_effects
         from lite6jax.emulator import Body
         from lite6jax.simulation import draw_calibration
 
         user_effects = () if self.effects is None else load_effects(self.effects)
-        parsed = [parse_effect(text, kinds_of(user_effects)) for text in self.effect]
+        kinds = {**OF_TORQUES, **kinds_of(user_effects)}
+        torque_effects, parsed = [], []
+        for effect, values in (parse_effect(text, kinds) for text in self.effect):
+            if isinstance(effect, TorqueEffect):
+                torque_effects.append((effect, values))
+            else:
+                parsed.append((effect, values))
         physics = Physics(tuple(effect for effect, _ in parsed))
         nominal = None if self.arm is None else read_arm(self.arm)
         if self.factory:
@@ -167,7 +181,9 @@ class Emulate:
         else:
             arm = nominal or read_arm("lite6")
             kinematics = draw_calibration(arm, self.seed + index)
-        return Body(arm, kinematics, physics, physics.join([values for _, values in parsed]), self.warm_up)
+        noise = np.array(self.torque_noise * arm.dof if len(self.torque_noise) == 1 else self.torque_noise, float)
+        values = physics.join([values for _, values in parsed])
+        return Body(arm, kinematics, physics, values, self.warm_up, tuple(torque_effects), noise)
 
     def _page(self, controllers: "Sequence[Controller]") -> "Iterator[RenderableType]":
         """The addresses, the motion, the hidden effects and faults, and how to connect."""
@@ -187,6 +203,13 @@ class Emulate:
             for effect, parameters in zip(physics.effects, physics.reported(values), strict=True):
                 numbers = ", ".join(f"{key} = {estimate.value:.6g}" for key, estimate in parameters.items())
                 yield Text(f"  {effect.name} at {effect.site}: {numbers}")
+        if first.body.torque_effects:
+            yield Text("Hidden effects, in the torques")
+            for effect, values in first.body.torque_effects:
+                numbers = ", ".join(f"{key} = {found.value:.6g}" for key, found in effect.reported(values).items())
+                yield Text(f"  {effect.name} at {effect.site}: {numbers}")
+        if first.body.torque_noise.any():
+            yield Text(f"Noise of the torques: {' '.join(f'{sigma:g}' for sigma in first.body.torque_noise)} N m.")
         if self.fault:
             yield Text(f"Faults: {', '.join(self.fault)}.")
         ip = first.address if first.control_port == 502 else f"{first.address}:{first.control_port}"

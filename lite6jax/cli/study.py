@@ -3,17 +3,21 @@
 import json
 import math
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal, final
 
 from tyro.conf import Positional, UseAppendAction, arg
 
+from lite6jax.cli import torque_study
 from lite6jax.cli.arguments import ArmName, Folder, check_seed, stem
 from lite6jax.cli.exit_codes import DONE
+from lite6jax.cli.torque_study import TorqueSetup
 from lite6jax.errors import InputError
 
 if TYPE_CHECKING:
     from lite6jax.arms.arm import Arm
     from lite6jax.identifiability.information import Experiment
+    from lite6jax.recordings import Recording
 
 SensorName = Literal["tracker", "tracker_6d", "motion_capture", "camera", "dial_gauge", "ball_bar"]
 Known = Literal["known", "unknown"]
@@ -99,18 +103,21 @@ class Setup:
 @final
 @dataclass(frozen=True)
 class Identify:
-    """What poses determine of an arm's parameters, and how well: before anything is measured, or of a recording.
+    """What poses determine of an arm's parameters, or torques (--torque) of its dynamics, and how well: before anything
+    is measured, or of a recording. A recording with torques or currents and no poses is studied for its torques.
 
     For example:
 
         lite6jax identify lite6 --sensor tracker --poses 60
         lite6jax identify run7.csv --figures figures
         lite6jax identify poses.csv --tool unknown --json
+        lite6jax identify lite6 --torque --duration 20
     """
 
     source: Annotated[Positional[str], arg(metavar="ARM|FILE")]
     """A bundled arm, an arm's file, or a recording (.csv, .parquet, .mcap); one without poses lists joint positions."""
     setup: Setup = Setup()
+    torque: TorqueSetup = TorqueSetup()
     poses: int = 100
     """Number of poses drawn inside the limits of an arm."""
     seed: int = 0
@@ -149,7 +156,12 @@ class Identify:
             canvas.check_names(self.figures, names, self.force)
         file = recording_file(self.source)
         drawn = file is None
+        if self.torque.torque:
+            self._refuse_with_torque()
+            if file is None:
+                return torque_study.identify_arm(self.torque, self.source, self.seed, self.json)
         if file is None:
+            torque_study.refuse_without_torque(self.torque)
             if self.poses < 1:
                 raise InputError(f"--poses {self.poses}: give at least 1")
             if self.geometry != "declared" or self.arm is not None:
@@ -163,10 +175,14 @@ class Identify:
                 self.source, nominal, assume_degrees=self.assume_degrees, assume_millimetres=self.assume_millimetres
             )
             assert isinstance(recording, Recording)  # by its suffix
+            torques = recording.joint_torque is not None or recording.motor_current is not None
+            if self.torque.torque or (recording.position is None and torques):
+                self._refuse_with_torque()
+                arm = nominal or self._declared_arm(recording, file)
+                return torque_study.identify_recording(self.torque, recording, arm, self.source, self.json)
+            torque_study.refuse_without_torque(self.torque)
             if recording.position is None:
-                if nominal is None and recording.settings.arm is None:
-                    raise InputError(f"{self.source}: declares no arm, and has no poses that would show it; give --arm")
-                arm = nominal or read_arm(recording.settings.arm_reference(file.parent))
+                arm = nominal or self._declared_arm(recording, file)
                 found = identify(
                     self.setup.experiment(arm), recording.joint_position, refits=self.refits, seed=self.seed
                 )
@@ -199,6 +215,21 @@ class Identify:
             screen.show(study_tables.identification_report(found, self.source, drawn))
             screen.written(written)
         return DONE
+
+    def _declared_arm(self, recording: "Recording", file: Path) -> "Arm":
+        from lite6jax.arms.files import read_arm
+
+        if recording.settings.arm is None:
+            raise InputError(f"{self.source}: declares no arm, and has no poses that would show it; give --arm")
+        return read_arm(recording.settings.arm_reference(file.parent))
+
+    def _refuse_with_torque(self) -> None:
+        given = self.setup != Setup() or self.poses != 100 or self.refits or self.geometry != "declared"
+        if given or self.figures is not None:
+            raise InputError(
+                f"{self.source}: torques are studied; leave out --poses, --refits, --geometry, --figures and the options"
+                " of a sensor"
+            )
 
 
 @final

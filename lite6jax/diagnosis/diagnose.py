@@ -67,11 +67,11 @@ def diagnose(
         folds = held_out_folds(rows.recording, options, len(found.problem.frames) + 1)
         decisions = found.final_decisions
         held_out = held_out_errors(rows.recording, arm, geometry, options, decisions, folds, effects, factory)
-        findings, withdrawn = _findings(selection), None
+        findings, withdrawn = findings_of(selection), None
         outliers = _outliers(selection, options)
         if findings and held_out.raised(~outliers, options):
             withdrawn = Withdrawn(findings, *(_rms(errors[~outliers]) for errors in (held_out.before, held_out.after)))
-            selection, findings = _without_effects(selection), ()
+            selection, findings = without_effects(selection), ()
             outliers = _outliers(selection, options)
         with part(len(folds) + 1, len(folds) + 1):
             entered("planning")
@@ -100,7 +100,7 @@ def _outliers(selection: Selection, options: Options) -> NDArray[np.bool_]:
     return (selection.state.fit.residuals.squares > options.outlier_squares * problem.rows) | ~problem.valid
 
 
-def _without_effects(selection: Selection) -> Selection:
+def without_effects(selection: Selection) -> Selection:
     """The selection of nothing: the nuisance alone, as it was fitted without the effects."""
     baseline = selection.state.baseline
     return replace(selection, problem=selection.reference, state=State(baseline, baseline))
@@ -110,7 +110,7 @@ def _rms(errors: NDArray[np.floating]) -> float:
     return float(np.sqrt(np.mean(errors**2)))
 
 
-def _findings(selection: Selection) -> tuple[Finding, ...]:
+def findings_of(selection: Selection) -> tuple[Finding, ...]:
     state, findings = selection.state, []
     for tested, numbers in zip(state.tested, state.fit.terms.slices, strict=True):
         assert isinstance(tested.term, Effect)

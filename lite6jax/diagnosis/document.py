@@ -40,7 +40,7 @@ SCHEMAS = (SCHEMA, "lite6jax/diagnosis/1")
 _SIZE_LIMIT = 1 << 26
 ROUNDING = 1e-9
 """Of the largest covariance, by which rounding may make a variance of zero negative."""
-_DAMAGED = "run `lite6jax diagnose` again"
+DAMAGED = "run `lite6jax diagnose` again"
 
 
 def to_document(found: Diagnosis) -> dict[str, Any]:
@@ -86,7 +86,7 @@ def to_document(found: Diagnosis) -> dict[str, Any]:
             {"effect": item.effect.name, "site": item.effect.site, "driver": item.driver.phrase}
             for item in found.untestable
         ],
-        "confounded": [_located(effect) for effect in found.confounded],
+        "confounded": [located(effect) for effect in found.confounded],
         "nuisance": {
             "numbers": len(problem.frames),
             "parts": list(dict.fromkeys(name for name, _, _ in problem.frames)),
@@ -99,7 +99,7 @@ def _withdrawn(found: Diagnosis) -> dict[str, Any] | None:
     if found.withdrawn is None:
         return None
     return {
-        "effects": [_located(finding.effect) for finding in found.withdrawn.findings],
+        "effects": [located(finding.effect) for finding in found.withdrawn.findings],
         "heldout_position_rms_m": {"before": found.withdrawn.before, "after": found.withdrawn.after},
     }
 
@@ -111,9 +111,9 @@ def _finding(found: Diagnosis, k: int, before: float, after: float) -> dict[str,
         size = {"peak_to_peak": _peak_to_peak(found, k, effect), "effective_parameters": finding.effective_parameters}
     if finding.nearest is not None:
         rival, share = finding.nearest
-        size |= {"nearest": {**_located(rival.effect), "share": share}}
+        size |= {"nearest": {**located(rival.effect), "share": share}}
     return {
-        **_located(effect),
+        **located(effect),
         "parameters": {name: estimate._asdict() for name, estimate in finding.parameters.items()},
         **size,
         "p_value": finding.p_value,
@@ -134,7 +134,7 @@ def _peak_to_peak(found: Diagnosis, k: int, effect: Unnamed) -> dict[str, dict[s
     }
 
 
-def _located(effect: Effect) -> dict[str, Any]:
+def located(effect: Effect) -> dict[str, Any]:
     return {"effect": effect.name, "site": effect.site, "driver": _driver(effect)}
 
 
@@ -154,7 +154,7 @@ def _rival(found: Diagnosis, k: int, rival: Rival) -> dict[str, Any]:
     else:
         status = "undecided" if differ(found.selection, k, effect, found.options) else "equivalent"
     numbers = {key: getattr(effect, key) for key in ("order", "source_joint") if hasattr(effect, key)}
-    return {**_located(effect), **numbers, "log_likelihood_gap": rival.gap, "status": status}
+    return {**located(effect), **numbers, "log_likelihood_gap": rival.gap, "status": status}
 
 
 def _model(found: Diagnosis) -> dict[str, Any]:
@@ -243,21 +243,36 @@ def read_model(path: str | Path, effects: tuple[Effect, ...] = ()) -> DiagnosedA
     Warns:
         InputWarning: the file was changed after it was written.
     """
+    document = parsed_document(path)
+    model = model_from_document(document, effects, str(path))
+    check_sum(document, path)
+    return model
+
+
+def parsed_document(path: str | Path) -> Any:
+    """A document as JSON holds it.
+
+    Raises:
+        InputError: no such file, or no JSON.
+    """
     try:
         document = json.loads(read_text(path, _SIZE_LIMIT), object_pairs_hook=unique_keys)
     except InputError:
         raise
     except RepeatedKeyError as error:
-        raise InputError(f"{path}: the key {error} is given twice; {_DAMAGED}") from error
+        raise InputError(f"{path}: the key {error} is given twice; {DAMAGED}") from error
     except (ValueError, RecursionError) as error:
         raise InputError(f"{path}: is no JSON ({error}); give what `lite6jax diagnose --out` wrote") from error
-    model = model_from_document(document, effects, str(path))
-    if document["schema"] == SCHEMA and KEY not in document:
+    return document
+
+
+def check_sum(document: Mapping[str, Any], path: str | Path) -> None:
+    """Warns of a document that was changed after it was written, or that does not say so."""
+    if document.get("schema") == SCHEMA and KEY not in document:
         warnings.warn(
-            f"{path}: has no checksum, so that it is not known whether it was edited", InputWarning, stacklevel=2
+            f"{path}: has no checksum, so that it is not known whether it was edited", InputWarning, stacklevel=3
         )
     verify(document, path)
-    return model
 
 
 def model_from_document(document: Any, effects: tuple[Effect, ...] = (), source: str = "diagnosis") -> DiagnosedArm:
@@ -287,7 +302,7 @@ def model_from_document(document: Any, effects: tuple[Effect, ...] = (), source:
         kinematics = np.asarray(model["kinematics"], float)
         frames = [np.asarray(model[name], float) for name in ("T_sensor_base", "T_flange_tool")]
     except (InputError, KeyError, TypeError, ValueError, AttributeError, OverflowError, RecursionError) as error:
-        raise InputError(f"{source}: its model is damaged ({error}); {_DAMAGED}") from error
+        raise InputError(f"{source}: its model is damaged ({error}); {DAMAGED}") from error
     try:
         pairs = [effect_from_dict(entry, kinds_of(effects)) for entry in model["effects"]]
         for effect, values in pairs:
@@ -315,7 +330,7 @@ def model_from_document(document: Any, effects: tuple[Effect, ...] = (), source:
     except InputError as error:
         raise InputError(f"{source}: {error}") from error
     except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
-        raise InputError(f"{source}: its model is damaged ({error}); {_DAMAGED}") from error
+        raise InputError(f"{source}: its model is damaged ({error}); {DAMAGED}") from error
 
 
 def _limits(limits: Any, joints: int) -> Array | None:

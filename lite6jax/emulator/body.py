@@ -1,4 +1,4 @@
-"""The emulated arm: its kinematics, holding torques, temperature and true poses."""
+"""The emulated arm: its kinematics, motors, temperature and true poses."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -15,7 +15,8 @@ from lite6jax.arms.factory import recognise
 from lite6jax.controller import protocol
 from lite6jax.effects.composition import Physics
 from lite6jax.effects.motion import Motion
-from lite6jax.effects.statics import STANDARD_GRAVITY, Inertia, inertia_of
+from lite6jax.effects.statics import Inertia, inertia_of
+from lite6jax.emulator.motors import Hidden, Motors, inertial_numbers, seen_by_motors
 from lite6jax.errors import InputError
 from lite6jax.model import ArmModel, predict_poses
 
@@ -71,9 +72,12 @@ class Body:
         physics: the effects beyond that chain, which the kinematics of the controller do not include.
         values: `(physics.size,)`.
         warm_up: K, the final temperature rise from 25 °C, with a time constant of 20 min.
+        torque_effects: what adds to the torques of the motors, each with its values.
+        torque_noise: `(joint,)` Nm, one sigma of torques as they are read; without noise they are what a controller
+            computes from a model. Empty for none.
 
     Raises:
-        InputError: an arm without such a controller, a chain or values of the wrong size, effects that this arm
+        InputError: an arm without such a controller, a chain, values or noise of the wrong size, effects that this arm
             cannot have, or a warm-up beyond the range of reports.
     """
 
@@ -82,6 +86,8 @@ class Body:
     physics: Physics = Physics()  # noqa: RUF009 (frozen)
     values: Array = field(default_factory=lambda: np.zeros(0))
     warm_up: float = 12.0
+    torque_effects: tuple[Hidden, ...] = ()
+    torque_noise: Array = field(default_factory=lambda: np.zeros(0))
 
     def __post_init__(self) -> None:
         if self.arm.dof not in (5, 6, 7):
@@ -94,6 +100,10 @@ class Body:
             )
         if self.values.shape != (self.physics.size,):
             raise InputError(f"{self.arm.name}: {self.values.size} values of effects that take {self.physics.size}")
+        noise = self.torque_noise if self.torque_noise.size else np.zeros(self.arm.dof)
+        object.__setattr__(self, "torque_noise", noise)
+        if noise.shape != (self.arm.dof,) or not ((noise >= 0) & np.isfinite(noise)).all():
+            raise InputError(f"{self.arm.name}: the noise of torques; give one Nm per joint, {self.arm.dof}, 0 or more")
         if not abs(self.warm_up) <= MOST_WARM_UP:
             raise InputError(
                 f"{self.arm.name}: warms up by {self.warm_up:g} K; give at most {MOST_WARM_UP:g} either way"
@@ -103,6 +113,16 @@ class Body:
         if self.physics.effects:
             zero = np.zeros((1, self.arm.dof))
             self.physics.check(self._motion(Sample(np.zeros(1), zero, zero, zero), 0.0, 1), self.arm.mass is not None)
+        for effect, _ in self.torque_effects:
+            if effect.joints_needed > self.arm.dof:
+                raise InputError(
+                    f"{effect.label}: acts at joint {effect.joints_needed}, but the arm has {self.arm.dof} joints; "
+                    "choose one of them"
+                )
+        if self.torque_effects and self.arm.mass is None:
+            raise InputError(f"{self.arm.name}: has no masses, which torques need; add `inertial` to its description")
+        if abs(self.motors.delay) > LONGEST_OFFSET_S:
+            raise InputError(f"time_offset: an emulator supports at most {LONGEST_OFFSET_S:g} s; give a smaller offset")
 
     @cached_property
     def type(self) -> int:
@@ -125,6 +145,14 @@ class Body:
             if effect.name == "time_offset"
         ]
         return float(sum(offsets))
+
+    @cached_property
+    def motors(self) -> Motors:
+        """With effects on torques, and those on poses that motors see as well."""
+        both = zip(self.physics.effects, self._split, strict=True)
+        shared = [hidden for effect, values in both for hidden in seen_by_motors(effect, values)]
+        numbers = inertial_numbers(self.arm)
+        return Motors(self._links, numbers, (*self.torque_effects, *shared), self.torque_noise)
 
     @property
     def _split(self) -> list[Array]:
@@ -163,19 +191,28 @@ class Body:
         arrays: Any = (self.kinematics.ravel(), np.eye(4), T_flange @ T_flange_tool)  # JAX converts them at the call
         return Carried(T_flange_tool, payload, payload_center, ArmModel(*arrays), inertia)
 
-    def holding_torque(self, q: Array, carried: "Carried") -> Array:
-        """`(sample, joint)` N·m, the motor torques that hold the arm at `(sample, joint)` rad; zero without masses."""
-        if self.arm.mass is None or self.arm.center_of_mass is None:
-            return np.zeros_like(q)
-        T = self.joint_frames(q)
-        R, o = T[..., :3, :3], T[..., :3, 3]
-        mass = self.arm.mass[:, None, None]
-        moment = mass * ((R @ self.arm.center_of_mass[:, None, :, None])[..., 0] + o)
-        moment[-1] += carried.payload * (R[-1] @ carried.center + o[-1])
-        outboard = np.cumsum(moment[::-1], axis=0)[::-1]
-        weight = np.cumsum(mass[::-1], axis=0)[::-1] + carried.payload
-        of_gravity = np.cross(outboard - weight * o, np.array(STANDARD_GRAVITY))
-        return -np.sum(R[..., :, 2] * of_gravity, -1).T
+    def torque(self, sample: Sample, acceleration: Array, carried: "Carried") -> Array:
+        """`(sample, joint)` N·m that the motors exert about +z of the joints, without noise; zero without masses.
+
+        Args:
+            sample: the joints.
+            acceleration: `(sample, joint)` rad/s².
+            carried: tool and payload.
+        """
+        if self.arm.mass is None:
+            return np.zeros_like(sample.position)
+        rise = self.temperature(sample.time).T - 25.0
+        count = len(sample.time)
+        arrays: Any = (  # NumPy arrays, of which all here is made
+            *(part.T for part in sample[1:]),
+            sample.time,
+            np.stack([np.zeros(count, int), np.full(count, count - 1)]),
+            rise.mean(0),
+            np.full(count, carried.payload),
+            acceleration.T,
+            rise,
+        )
+        return self.motors.torque(Motion(*arrays), carried.center)
 
     def temperature(self, time: Array, reference: float = 25.0) -> Array:
         """`(sample, joint)` °C; the rise decreases linearly to 0.8 of the first joint's at the last joint."""

@@ -24,6 +24,8 @@ POSITIONS, SERVO = 0, 1
 
 LAG_S: Final = 0.008
 """s, the delay of the joints relative to their commands: two periods of the control loop."""
+DIFFERENCE_S: Final = 1e-3
+"""s, the step of the finite differences for speeds and accelerations."""
 LIMIT_TOLERANCE: Final = math.radians(0.1)
 BOOT_US: Final = 60_000_000
 """µs, the controller's clock at the start of the emulation."""
@@ -270,9 +272,14 @@ class Core:
             poses.append(found[around : around + len(part)])
         return np.concatenate(poses)
 
-    def torque(self, q: Array) -> Array:
-        """`(sample, joint)` N·m, the motor torques at `q` `(sample, joint)` rad."""
-        return self.body.holding_torque(q, self.carried)
+    def torque(self, time: Array) -> Array:
+        """`(sample, joint)` N·m, the motor torques as they are read at `(sample,)` s: with effects and noise."""
+        motors = self.body.motors
+        instants = time + motors.delay
+        q, dq = self.measured(instants)
+        later, earlier = (self.measured(instants + sign * DIFFERENCE_S / 2)[1] for sign in (1, -1))
+        sample = Sample(instants, q, dq, np.sign(dq))
+        return self.body.torque(sample, (later - earlier) / DIFFERENCE_S, self.carried) + motors.noise_at(time)
 
     def current(self, torque: Array, velocity: Array) -> Array:
         """`(sample, joint)` A of the assumed motor."""

@@ -248,7 +248,7 @@ def _joints(core: Core, frame: Frame, client: Client) -> bytes:
     if not 1 <= blocks <= 3:
         raise RefusedError
     q, dq = core.measured(now)
-    values = (q, dq, core.torque(q))[:blocks]
+    values = (q, dq, core.torque(now))[:blocks]
     return b"".join(protocol.floats(_with_fault(core, "kinematics", protocol.seven(value[0]))) for value in values)
 
 
@@ -279,8 +279,8 @@ def _joint_limit(core: Core, frame: Frame, client: Client) -> bytes:
 
 @_answers(Register.TORQUE)
 def _torque(core: Core, frame: Frame, client: Client) -> bytes:
-    q = core.measured(np.array([core.time]))[0]
-    return protocol.floats(_with_fault(core, "kinematics", protocol.seven(core.torque(q)[0])))
+    torque = core.torque(np.array([core.time]))[0]
+    return protocol.floats(_with_fault(core, "kinematics", protocol.seven(torque)))
 
 
 @_answers(Register.DH)

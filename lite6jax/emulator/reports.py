@@ -3,8 +3,10 @@
 The content of the ports, with which an arm with hidden effects can be recorded and diagnosed:
 
 - 30000, `target_…`: the commanded joints and the controller's kinematics of them, without effects.
-- 30000, joints, velocities, currents, torques: the readings of encoders and drives, 8 ms after the commands. They
-  do not contain the effects, because compliance or backlash acts between encoder and link.
+- 30000, joints and velocities: the readings of encoders, 8 ms after the commands. They do not contain the effects,
+  because compliance or backlash acts between encoder and link.
+- Every port and the registers 42 and 55, torques: what the motors exert in the motion of the encoders, by the dynamics
+  of the rigid arm and its payload, with the effects on torques and their noise. Currents follow them.
 - 30000, `pose`: the true pose of the tool *with* all effects, as measured by a perfect sensor. This is the only
   deviation from a real controller, which computes this pose from the encoders. It replaces a laser tracker.
 - 30001, 30002, 30003 and the registers 41 and 42: the commanded joints and the controller's kinematics of them.
@@ -18,11 +20,8 @@ import numpy as np
 from lite6jax.arms.frames import Array
 from lite6jax.controller import protocol
 from lite6jax.emulator.body import identity_of
-from lite6jax.emulator.core import Core
+from lite6jax.emulator.core import DIFFERENCE_S, Core
 from lite6jax.emulator.paths import MAX_ACCELERATION, MAX_SPEED
-
-DIFFERENCE_S = 1e-3
-"""s, the step of the finite differences for speeds and accelerations."""
 
 
 def report(core: Core, port: int, time: Array) -> bytes:
@@ -57,10 +56,9 @@ def _realtime(core: Core, time: Array, records: np.ndarray) -> None:
     if core.faults.rotation_vectors:
         for name in ("target_pose", "pose"):
             records[name] = protocol.axis_angle_of_wire_pose(records[name])
-    q, dq = both[1]
-    torque = core.torque(q)
+    torque = core.torque(time)
     records["torque"] = protocol.seven(torque)
-    records["current"] = protocol.seven(core.current(torque, dq))
+    records["current"] = protocol.seven(core.current(torque, both[1][1]))
 
 
 def _pose_and_speed(core: Core, q: Array, dq: Array) -> tuple[Array, Array]:
@@ -77,7 +75,7 @@ def _slow(core: Core, time: Array, records: np.ndarray) -> None:
     names = records.dtype.names or ()
     q, dq = core.commanded(time)
     pose = protocol.wire_pose(core.computed_pose(q))
-    torque = core.torque(q)
+    torque = core.torque(time)
     records["joint_position"] = protocol.seven(q)
     records["pose"] = pose
     records["torque"] = protocol.seven(torque)

@@ -49,6 +49,18 @@ def arm_of(recording: Recording) -> Arm:
     return declared or _chosen(recording, matches(recording))
 
 
+def declared_arm_of(recording: Recording) -> Arm:
+    """The nominal arm that a recording declares.
+
+    Raises:
+        InputError: it declares none, which only poses would show; or as `declared_arm`.
+    """
+    arm = declared_arm(recording.settings, Path(recording.source).parent)
+    if arm is None:
+        raise InputError(f"{recording.source}: declares no arm; name it with --arm NAME, or `arm:` in the sidecar")
+    return arm
+
+
 def declared_arm(settings: RecordingSettings, folder: Path) -> Arm | None:
     """The nominal arm that settings declare, or that of the calibration that they do; None where they declare neither.
 

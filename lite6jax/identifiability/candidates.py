@@ -29,10 +29,12 @@ class Filter:
     Attributes:
         name: what messages call it.
         accepts: `(sample, joint)` rad to `(sample,)` bool.
+        distance: `(sample, joint)` rad to `(sample,)` m from what is refused, negative inside it; None where unknown.
     """
 
     name: str
     accepts: Callable[[NDArray[np.floating]], NDArray[np.bool_]]
+    distance: Callable[[NDArray[np.floating]], NDArray[np.floating]] | None = None
 
 
 @final
@@ -152,12 +154,12 @@ def inside_box(arm: Arm, box: Box, tool_point: ArrayLike | Sequence[float] = (0.
     """
     point = np.asarray(tool_point, float)
 
-    def accepts(q: NDArray[np.floating]) -> NDArray[np.bool_]:
+    def distance(q: NDArray[np.floating]) -> NDArray[np.floating]:
         T = link_frames(arm, q)[-1]
         position = np.einsum("ijs,j->si", T[:, :3], point) + T[:, 3].T
-        return np.all((position >= box.lower) & (position <= box.upper), axis=1)
+        return np.minimum(position - box.lower, box.upper - position).min(1)
 
-    return Filter("box", accepts)
+    return Filter("box", lambda q: distance(q) >= 0, distance)
 
 
 def above_floor(arm: Arm, height: float, tool_point: ArrayLike | Sequence[float] = (0.0, 0.0, 0.0)) -> Filter:
@@ -170,17 +172,19 @@ def above_floor(arm: Arm, height: float, tool_point: ArrayLike | Sequence[float]
     """
     point = np.asarray(tool_point, float)
 
-    def accepts(q: NDArray[np.floating]) -> NDArray[np.bool_]:
+    def distance(q: NDArray[np.floating]) -> NDArray[np.floating]:
         F = link_frames(arm, q)
         tool = np.einsum("js,j->s", F[-1, 2, :3], point) + F[-1, 2, 3]
-        return (F[1:, 2, 3] > height).all(0) & (tool > height)
+        return np.minimum(F[1:, 2, 3].min(0), tool) - height
 
-    return Filter("floor", accepts)
+    return Filter("floor", lambda q: distance(q) > 0, distance)
 
 
 def clear_of_itself(collision: SelfCollision, margin: float = 0.0) -> Filter:
     """The arm's capsules keep a clearance of more than `margin`, m."""
-    return Filter("self-collision", lambda q: collision.clearance(q) > margin)
+    return Filter(
+        "self-collision", lambda q: collision.clearance(q) > margin, lambda q: collision.clearance(q) - margin
+    )
 
 
 def user_filter(reference: str) -> Filter:

@@ -160,7 +160,7 @@ def determination_of(experiment: Experiment, root: Array, samples: int) -> Deter
     names, units, unit = experiment.names, experiment.units, experiment.unit
     singular = np.linalg.svd(root, compute_uv=False)
     order = _order(experiment)
-    determined, shares = _independent(root, order)
+    determined, shares = independent_columns(root, order)
     dependencies = []
     carried: dict[int, list[tuple[str, float, str]]] = {int(k): [] for k in np.flatnonzero(determined)}
     for k in map(int, np.flatnonzero(~determined)):
@@ -180,7 +180,7 @@ def determination_of(experiment: Experiment, root: Array, samples: int) -> Deter
     base = tuple(BaseParameter(names[i], units[i], tuple(adds)) for i, adds in carried.items() if adds)
 
     known = np.sqrt(np.diagonal(experiment.prior))
-    free = _independent(np.vstack([root, np.diag(known)]), order)[0] if known.any() else determined
+    free = independent_columns(np.vstack([root, np.diag(known)]), order)[0] if known.any() else determined
     H = (root.T @ root + experiment.prior)[np.ix_(free, free)]
     covariance = np.zeros((len(names), len(names)))
     covariance[np.ix_(free, free)] = _inverse(H) * np.outer(unit[free], unit[free])
@@ -250,7 +250,7 @@ def _null(root: Array, size: int) -> Array:
     return np.linalg.qr((right[len(scale) - size :] / scale).T)[0]
 
 
-def _independent(root: Array, order: list[int]) -> tuple[NDArray[np.bool_], dict[int, Array]]:
+def independent_columns(root: Array, order: list[int]) -> tuple[NDArray[np.bool_], dict[int, Array]]:
     """Columns that are independent, taken one by one in `order`; of the others, their coordinates `(size,)` in these.
 
     The coordinates of a dependent column are unique, so that each names the smallest set it depends on.

@@ -7,9 +7,10 @@ import numpy as np
 from jaxtyping import Int
 from numpy.typing import ArrayLike
 
+from lite6jax.arms.arm import Arm
 from lite6jax.errors import InputError
 from lite6jax.recordings.recording import Recording
-from lite6jax.recordings.sequence import run_segments
+from lite6jax.recordings.sequence import differentiate, run_segments
 from lite6jax.recordings.units import far_joint, limits_of, require_metres, unlikely_joint
 
 
@@ -69,6 +70,61 @@ def check_position_scale(
     place = f"{recording.source}: columns {' '.join(names)}"
     from_base = recording.settings.pose_frame == "base"
     require_metres(recording.position, reach, from_base=from_base, remedy=remedy, place=place)
+
+
+HEAVIEST = 20.0
+"""Times what the weight of an arm and its payload exerts at full reach: beyond, torques are in another unit. Torques in
+mN m exceed that of a Lite 6 a hundredfold, and friction or acceleration is at most a few times as much as weight."""
+UNLIKE = 10.0
+"""Times what positions change per second, or a tenth of it: beyond, velocities are in another unit, or times are."""
+_MOVING_SHARE = 0.1
+"""Of the fastest motion of a joint, above which rows count: near rest, differences are noise."""
+
+
+def check_torque_scale(recording: Recording, arm: Arm) -> None:
+    """Refuses torques so large that they must be N mm or mN m. Medians decide, so outliers pass.
+
+    Args:
+        recording: with torques, or with currents and their constants.
+        arm: with masses; without, nothing is known.
+
+    Raises:
+        InputError: as said, or as `Recording.torques`.
+    """
+    torque = np.median(np.abs(recording.torques()), axis=0)
+    if arm.mass is None:
+        return
+    weight = 9.81 * (float(np.sum(arm.mass)) + float(recording.payload.max())) * arm.reach
+    joint = int(np.argmax(torque))
+    if torque[joint] > HEAVIEST * weight:
+        computed = recording.joint_torque is None
+        column = f"current{joint + 1}_A" if computed else f"tau{joint + 1}_Nm"
+        unit = "check torque_constant_Nm_per_A" if computed else "are these mN m? name the columns tau1_mNm ..."
+        raise InputError(
+            f"{recording.source}: column {column}: the torque of joint {joint + 1} is {torque[joint]:.4g} N m (median) "
+            f"while the weight of the arm exerts {weight:.3g} N m at most; {unit}"
+        )
+
+
+def check_velocity_scale(recording: Recording) -> None:
+    """Refuses recorded velocities that must be degrees per second, or that contradict the times. Medians decide.
+
+    Raises:
+        InputError: where a joint moves, its velocity is ten times what its position changes per second, or a tenth.
+    """
+    recorded, time = recording.joint_velocity, recording.time
+    if recorded is None or recording.velocity_differentiated or time is None:
+        return
+    slope = differentiate(recording.joint_position, time, run_segments(recording.run))
+    moving = np.abs(slope) > _MOVING_SHARE * np.abs(slope).max(0)
+    ratio = np.median(np.abs(recorded[moving]) / np.abs(slope[moving])) if moving.any() else 1.0
+    if not 1 / UNLIKE < ratio < UNLIKE:
+        degrees = 0.9 < ratio / np.rad2deg(1.0) < 1.1
+        remedy = "are these degrees? name the columns dq1_deg_per_s ..." if degrees else "check their unit and time_s"
+        raise InputError(
+            f"{recording.source}: columns dq1_rad_per_s ...: the velocities are {ratio:.3g} times what the positions "
+            f"change per second (median); {remedy}"
+        )
 
 
 def require_samples(recording: Recording, unknowns: int) -> None:

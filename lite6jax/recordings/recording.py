@@ -274,6 +274,11 @@ class Recording(Summarised):
             raise InputError(f"{self.source}: a trajectory without velocities; add time_s or dq1_rad_per_s ...")
         return self.joint_velocity
 
+    @property
+    def has_torques(self) -> bool:
+        """Whether it holds joint torques or motor currents."""
+        return self.joint_torque is not None or self.motor_current is not None
+
     def torques(self) -> Float[np.ndarray, "sample joint"]:
         """Joint torques in N·m: those recorded, else motor currents times the declared torque constants.
 

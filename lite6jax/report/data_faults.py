@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from lite6jax.recordings.fault import DataFault
+from lite6jax.report import torque_faults
 
 Numbers = Mapping[str, Any]
 
@@ -26,6 +27,7 @@ _NAMES = {
     "calibration_off": "Calibration off everywhere",
     "no_joints": "Rows without joint positions",
     "outliers": "Outliers",
+    **torque_faults.NAMES,
 }
 _CONVENTIONS = {
     "inverted": "inverted orientations (those of the sensor's frame in the tool's)",
@@ -347,6 +349,7 @@ def _outliers(rows: Sequence[int], n: Numbers) -> str:
 
 
 _FOUND: dict[str, Callable[[Sequence[int], Numbers], str]] = {
+    **torque_faults.FOUND,
     "time_order": _time_order,
     "repeated_rows": _repeated_rows,
     "position_unit": _position_unit,
@@ -364,6 +367,7 @@ _FOUND: dict[str, Callable[[Sequence[int], Numbers], str]] = {
     "outliers": _outliers,
 }
 _RULED_OUT: dict[str, Callable[[Numbers], str]] = {
+    **torque_faults.RULED_OUT,
     "time_order": _no_time_order,
     "repeated_rows": lambda n: f"None of the {n['samples']} rows repeats joints and pose of another.",
     "position_unit": _no_position_unit,

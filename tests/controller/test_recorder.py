@@ -17,9 +17,9 @@ from lite6jax.controller.exchange import Address
 from lite6jax.controller.recorder import record
 from lite6jax.controller.station import read_station
 from lite6jax.controller.stream import Lost, ReportPort, Reports, first_report
-from lite6jax.emulator import Faults, draw_sines
+from lite6jax.emulator import Body, Faults, draw_sines, visits
 from lite6jax.errors import InputError
-from lite6jax.recordings import Recording, read_recording
+from lite6jax.recordings import Recording, estimated_torque, read_recording
 from tests.oracles.chains import six_parameter_poses
 
 TOOL = [0.0, 0.0, 120.0, 0.0, 0.3, 0.0]
@@ -68,6 +68,20 @@ def test_a_recording_is_what_the_arm_did_and_says_what_it_is(tmp_path):
     source = pyarrow.parquet.read_schema(tmp_path / "run.parquet").field("q1_rad").metadata[b"source"]
     assert source == b"measured, encoders"
     assert [path.name for path in done.written] == ["run.parquet", "run.yaml", "run_factory.yaml"]
+
+
+@pytest.mark.parametrize(("noise", "source"), [(0.0, "estimated"), (0.02, "unknown")])
+def test_torques_without_noise_are_declared_as_the_controllers_own(tmp_path, noise, source):
+    """Of an arm that moves, and then rests."""
+    path = visits([[0, 0, 1, 0, 0, 0], [0.5, 0.3, 1, 0, 0.4, 0]], pause=1.0)
+    body = Body(ARM, KINEMATICS, torque_noise=np.full(6, noise))
+    with emulated(body=body, path=path, speed=20.0) as (_, address):
+        done = record(address, tmp_path / "run.parquet", read_station(address, ARM, "lite6"), seconds=8.0)
+    read = read_recording(tmp_path / "run.parquet")
+    assert read.settings.torque_source == done.settings.torque_source == source
+    assert estimated_torque(read) == (source == "estimated")
+    account = yaml.safe_load((tmp_path / "run.yaml").read_text())["account"]
+    assert any("the torques have no noise" in note for note in account["notes"]) == (source == "estimated")
 
 
 def test_missing_reports_are_counted(tmp_path):

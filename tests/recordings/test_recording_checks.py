@@ -3,12 +3,15 @@ import dataclasses
 import numpy as np
 import pytest
 
+from lite6jax.arms.bundled import load_bundled
 from lite6jax.errors import InputError
 from lite6jax.recordings import (
     Recording,
     RecordingSettings,
     check_joint_scale,
     check_position_scale,
+    check_torque_scale,
+    check_velocity_scale,
     drop_missing,
     outside_limits,
     repeated_rows,
@@ -154,3 +157,61 @@ def test_joints_outside_their_limits_are_listed(plausible):
     (found,) = outside_limits(with_joints(plausible, q), LITE6)
     assert (found.joint, found.rows.tolist()) == (2, [4, 10])
     assert found.largest_excess_rad == pytest.approx(3.0 - LITE6[1, 1])
+
+
+def swinging(torque_factor=1.0, velocity_factor=1.0, time_factor=1.0, **declared):
+    """Two joints that swing, with currents of 2 A and torques of up to 6 N m; one row in nine is an outlier."""
+    time = np.arange(0.0, 8.0, 0.01)
+    q = np.stack([np.sin(time), 0.3 * np.cos(2 * time)] + [np.zeros_like(time)] * 4, 1)
+    dq = np.stack([np.cos(time), -0.6 * np.sin(2 * time)] + [np.zeros_like(time)] * 4, 1)
+    torque = np.tile([0.5, 6.0, 3.0, 0.4, 0.2, 0.0], (len(time), 1))
+    torque[::9], dq[::9] = 9e4, 300.0
+    measured = {"motor_current": np.full((len(time), 6), 2.0)} if declared else {"joint_torque": torque_factor * torque}
+    return Recording.from_arrays(
+        q, time=time_factor * time, joint_velocity=velocity_factor * dq, motion="trajectory", **measured, **declared
+    )
+
+
+def test_torques_and_velocities_in_their_units_pass():
+    arm = load_bundled("lite6")
+    check_torque_scale(swinging(), arm)
+    check_torque_scale(swinging(torque_constant_Nm_per_A=[10.0] * 6), arm)
+    check_torque_scale(swinging(1e3), dataclasses.replace(arm, mass=None, center_of_mass=None, inertia=None))
+    check_velocity_scale(swinging())
+    check_velocity_scale(swinging(time_factor=2.0))  # a clock that is off is for a diagnosis to find
+    check_velocity_scale(Recording.from_arrays(np.zeros((9, 6)), time=np.arange(9.0), motion="trajectory"))
+
+
+def test_torques_in_another_unit_are_asked_about():
+    arm = load_bundled("lite6")
+    with pytest.raises(InputError) as caught:
+        check_torque_scale(swinging(900.0), arm)  # outliers are then beyond any arm, and dropped
+    message = str(caught.value)
+    assert message.startswith(
+        "recording: column tau2_Nm: the torque of joint 2 is 5400 N m (median) while the weight of"
+    )
+    assert message.endswith("N m at most; are these mN m? name the columns tau1_mNm ...")
+    with pytest.raises(InputError, match=r"column current1_A: .* N m at most; check torque_constant_Nm_per_A"):
+        check_torque_scale(swinging(torque_constant_Nm_per_A=[1e4, 1, 1, 1, 1, 1]), arm)
+    with pytest.raises(InputError, match="has no joint torques; add tau1_Nm"):
+        check_torque_scale(Recording.from_arrays(np.zeros((3, 6))), arm)
+
+
+@pytest.mark.parametrize(
+    ("factors", "message"),
+    [
+        (
+            {"velocity_factor": 180 / np.pi},
+            "57.3 times what the positions change per second (median); are these degrees?",
+        ),
+        (
+            {"time_factor": 1e3},
+            "1e+03 times what the positions change per second (median); check their unit and time_s",
+        ),
+        ({"velocity_factor": 0.0}, "0 times what the positions change per second"),
+    ],
+)
+def test_velocities_that_contradict_the_positions_are_asked_about(factors, message):
+    with pytest.raises(InputError) as caught:
+        check_velocity_scale(swinging(**factors))
+    assert str(caught.value).startswith(f"recording: columns dq1_rad_per_s ...: the velocities are {message}")

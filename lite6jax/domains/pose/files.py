@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Protocol
 
 import jax
 import numpy as np
@@ -23,7 +24,24 @@ from lite6jax.storage import exists
 Array = NDArray[np.floating]
 
 
-def read_motion(path: str | Path, model: DiagnosedArm) -> Recording:
+class Diagnosed(Protocol):
+    """What a motion inherits from the recording that was diagnosed.
+
+    Attributes:
+        dof: number of joints.
+        motion: "static" or "trajectory".
+        reference_temperature: °C.
+    """
+
+    @property
+    def dof(self) -> int: ...
+    @property
+    def motion(self) -> str: ...
+    @property
+    def reference_temperature(self) -> float: ...
+
+
+def read_motion(path: str | Path, model: Diagnosed) -> Recording:
     """A motion to predict; what its own sidecar does not declare is taken from the diagnosed recording.
 
     Raises:

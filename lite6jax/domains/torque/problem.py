@@ -57,6 +57,7 @@ class TorqueProblem:
         declared: whether the sidecar declares it.
         candidates: effects that are testable with this recording.
         untestable: those that are not, and why.
+        valid: `(sample,)`, those that may be used at all.
         refused: labels of shaped effects that are no candidates.
     """
 
@@ -70,6 +71,7 @@ class TorqueProblem:
     declared: bool
     candidates: tuple[TorqueEffect, ...]
     untestable: tuple[Untestable, ...]
+    valid: Mask
     refused: frozenset[str] = frozenset()
 
     @property
@@ -93,11 +95,6 @@ class TorqueProblem:
         return self.data.runs[self.chosen]
 
     @lazy
-    def valid(self) -> Mask:
-        """All samples."""
-        return np.ones(self.samples, bool)
-
-    @lazy
     def informative(self) -> Mask:
         """A prior of inertial numbers states knowledge."""
         return self.precision > 0
@@ -106,6 +103,14 @@ class TorqueProblem:
     def preset(self) -> tuple[Terms, Array]:
         """None."""
         return Terms(), np.zeros(0)
+
+    @property
+    def relative_std(self) -> float | None:
+        """Of the prior of inertial numbers, over what is declared; None where these are exact."""
+        if not len(self.precision):
+            return None
+        _, deviations = uncertain(self.data.bodies.links, 1.0)
+        return float(np.median(self.precision**-0.5 / deviations))
 
     @cached_property
     def dynamics(self) -> Dynamics:
@@ -227,7 +232,7 @@ class TorqueProblem:
 
     def selected(self, rows: NDArray[np.integer]) -> "TorqueProblem":
         """Some of the samples."""
-        return replace(self, chosen=self.chosen[rows])
+        return replace(self, chosen=self.chosen[rows], valid=self.valid[rows])
 
     def thinned(self, every: int) -> "TorqueProblem":
         """One in `every` samples."""
@@ -320,7 +325,7 @@ def torque_problem(data: TorqueRows) -> TorqueProblem:
     if inertial == "declared":
         directions, deviations = np.zeros((0, *links.shape)), np.zeros(0)
     else:
-        directions, deviations = _uncertain(links, 1.0 if inertial == "unknown" else float(inertial))
+        directions, deviations = uncertain(links, 1.0 if inertial == "unknown" else float(inertial))
     candidates = torque_catalogue(data.arm.dof)
     missing = tuple(untestable(candidates, data.motion, links.any() or inertial == "unknown"))
     lacking = {item.effect for item in missing}
@@ -337,6 +342,7 @@ def torque_problem(data: TorqueRows) -> TorqueProblem:
         declared=declared,
         candidates=tuple(effect for effect in candidates if effect not in lacking),
         untestable=missing,
+        valid=np.ones(len(data.filter.kept), bool),
     )
 
 
@@ -379,7 +385,7 @@ def _evidence(problem: TorqueProblem, found: Fit) -> float:
     return found.log_likelihood(found.scale) - 0.5 * volume
 
 
-def _uncertain(links: Array, relative: float) -> tuple[Array, Array]:
+def uncertain(links: Array, relative: float) -> tuple[Array, Array]:
     """Changes of each inertial number, and the standard deviation of its prior.
 
     Of a mass it is relative to it; of its first moments and tensor to that mass at the distance of its centre, or at

@@ -1,0 +1,106 @@
+"""The pipeline of a diagnosis of torques: screen, filter, search, estimate finally, cross-validate."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
+
+from lite6jax.arms.arm import Arm
+from lite6jax.diagnosis.diagnose import findings_of, without_effects
+from lite6jax.diagnosis.heldout import fold_count
+from lite6jax.diagnosis.options import Options
+from lite6jax.diagnosis.torque_result import TorqueDiagnosis
+from lite6jax.domains.torque.problem import TorqueProblem, linearised, torque_problem
+from lite6jax.domains.torque.screening import contacts, screen_torques
+from lite6jax.estimation.least_squares import Fit
+from lite6jax.estimation.problem import Mask
+from lite6jax.fitting.recognition import declared_arm_of
+from lite6jax.progress import Stage, entered, followed, part
+from lite6jax.recordings import Recording
+from lite6jax.search.final_estimates import final_estimates
+from lite6jax.search.search import search
+
+Array = NDArray[np.floating]
+
+
+@threadpool_limits.wrap(limits=1, user_api="blas")
+def diagnose_torques(
+    recording: Recording,
+    arm: Arm | None = None,
+    *,
+    options: Options | None = None,
+    progress: Callable[[Stage], object] | None = None,
+) -> TorqueDiagnosis:
+    """Locates, names, models and verifies what makes motor torques depart from the inverse dynamics of the arm.
+
+    Args:
+        recording: a trajectory with times and torques, or currents with their torque constants; SI units.
+        arm: the declared arm; from the sidecar where not given.
+        options: thresholds; the documented ones where not given.
+        progress: called as each stage begins.
+
+    Effects that raise the error on rows that were not used are not kept: they are in `withdrawn` of the result.
+
+    Raises:
+        InputError: no arm is declared; no torques, no times, steps that vary, an arm at rest, or another unit.
+    """
+    options = options or Options()
+    with followed(progress):
+        arm = arm or declared_arm_of(recording)
+        with part(0, 1 + options.folds):
+            entered("screening")
+            screened = screen_torques(recording, arm)
+            problem = torque_problem(screened.data)
+            problem = linearised(problem, options.engine)
+            pushed, events = contacts(problem, options.engine)
+            problem = replace(problem, valid=~pushed)
+            problem = linearised(problem, options.engine, ~pushed) if pushed.any() else problem
+            selection = search(problem, options.engine)
+            entered("estimating")
+            selection = replace(selection, state=final_estimates(problem, selection.state, options.engine))
+        before, after = _held_out(torque_problem(screened.data), problem.valid, options)
+        findings = findings_of(selection)
+        withdrawn = ()
+        size = problem.noise[:, None]
+        if findings and np.sum((after / size) ** 2) > options.heldout_rise**2 * np.sum((before / size) ** 2):
+            withdrawn, selection, findings = findings, without_effects(selection), ()
+    return TorqueDiagnosis(
+        problem=problem,
+        selection=selection,
+        findings=findings,
+        before=before,
+        after=before if withdrawn else after,
+        faults=(*screened.found, *events),
+        ruled_out=screened.ruled_out,
+        options=options,
+        withdrawn=withdrawn,
+    )
+
+
+def _held_out(problem: TorqueProblem, valid: Mask, options: Options) -> tuple[Array, Array]:
+    """Errors `(joint, sample)` Nm on every sample, predicted from the other contiguous blocks, without and with effects.
+
+    The filter spreads a sample over its neighbours: those beside a held-out block are not used either.
+    """
+    before, after = np.zeros((2, problem.rows, problem.samples))
+    count = fold_count(problem.samples, options)
+    block = np.arange(problem.samples) * count // problem.samples
+    problem = replace(problem, valid=valid)
+    for number in range(count):
+        held = block == number
+        near = np.convolve(held, np.ones(3), "same") > 0
+        training = ~near & valid
+        with part(number + 1, 1 + count):
+            there = linearised(problem, options.engine, training)
+            state = search(there, options.engine, training, thorough=False).state
+        before[:, held] = _errors(there, state.baseline)[:, held]
+        after[:, held] = _errors(there, state.fit)[:, held]
+    return before, after
+
+
+def _errors(problem: TorqueProblem, fit: Fit) -> Array:
+    return problem.residual(fit.nuisance, fit.terms, fit.values) * problem.noise[:, None]
+
+

@@ -1,0 +1,104 @@
+"""The torques that an effect adds to a motion, per unit of its numbers, without a recording."""
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lite6jax.arms.dynamics import link_parameters
+from lite6jax.effects.dynamic.motors import TorqueScale
+from lite6jax.effects.dynamic.torque_effect import Delaying, Dynamics, TorqueEffect
+from lite6jax.effects.motion import Motion as EffectMotion
+from lite6jax.errors import InputError
+from lite6jax.identifiability.torque.columns import TorqueModel, link_columns
+from lite6jax.identifiability.torque.fourier import Motion
+
+Array = NDArray[np.floating]
+
+
+def effect_columns(
+    effect: TorqueEffect, values: ArrayLike, model: TorqueModel
+) -> tuple[Callable[[Motion], Array], NDArray[np.integer]]:
+    """The columns of an effect's linear coordinates, as a function of a motion, and which coordinates they are.
+
+    Args:
+        effect: on torques.
+        values: `(coordinate,)`, at which what is not linear stays.
+        model: the arm, its gravity.
+
+    Raises:
+        InputError: a joint or link that the arm does not have, an effect that needs inertia of an arm without,
+            temperatures, or a shift of time, which is no column.
+    """
+    at = np.asarray(values, float)
+    arm = model.arm
+    if any(getattr(effect, name, 1) > arm.dof for name in ("joint", "link", "source_joint")):
+        raise InputError(f"{effect.label}: {arm.name} has {arm.dof} joints; choose one of these")
+    if isinstance(effect, Delaying) or any("temperature" in driver.quantity for driver in effect.drivers):
+        raise InputError(f"{effect.label}: depends on more than positions, velocities and accelerations; choose another")
+    linear = np.array([i for i, coordinate in enumerate(effect.coordinates) if coordinate.linear], int)
+    for i, coordinate in enumerate(effect.coordinates):
+        if not coordinate.linear and not at[i]:
+            raise InputError(f"{effect.label}: {coordinate.name} is not given; it has to be known to plan with")
+    links = _links(effect, model)
+
+    def columns(motion: Motion) -> Array:
+        dynamics = _dynamics(model, links, motion)
+        found = []
+        for i in linear:
+            unit = np.where(np.arange(len(at)) == i, 1.0, np.where(np.isin(np.arange(len(at)), linear), 0.0, at))
+            found.append(np.asarray(effect.torque(unit, dynamics)))
+        return np.stack(found, 1)
+
+    return columns, linear
+
+
+def _links(effect: TorqueEffect, model: TorqueModel) -> Array:
+    """The links' numbers `(joint, 10)`; zero for an arm that declares none, if the effect does not depend on them."""
+    try:
+        return link_parameters(model.arm)
+    except InputError as error:
+        depends = isinstance(effect, TorqueScale) or effect.site == "base" or effect.name in ("load_friction", "link_com")
+        if depends:
+            raise InputError(f"{effect.label}: depends on the arm's inertia; {error}") from error
+        return np.zeros((model.arm.dof, 10))
+
+
+def _dynamics(model: TorqueModel, links: Array, motion: Motion) -> Dynamics:
+    regressors: dict[str, Array] = {}
+    arm, samples = model.arm, np.shape(motion.q)[1]
+
+    def of(kind: str, moved: Motion, gravity: Array, numbers: Array) -> Array:
+        if kind not in regressors:
+            regressors[kind] = link_columns(arm, moved, gravity)
+        return np.einsum("jps,p->js", regressors[kind], np.asarray(numbers, float).ravel())
+
+    def of_gravity(gravity: Array) -> Array:
+        still = np.zeros_like(motion.q)
+        turned = [of(f"axis{i}", Motion(np.asarray(motion.q), still, still), np.eye(3)[i], links) for i in range(3)]
+        return np.tensordot(gravity, np.stack(turned), 1)
+
+    def of_inertia(numbers: Array) -> Array:
+        return of("motion", motion, model.gravity, numbers)
+
+    whole = np.zeros(samples, int)
+    moving = EffectMotion(
+        joint_position=np.asarray(motion.q),
+        joint_velocity=np.asarray(motion.dq),
+        direction=np.sign(motion.dq),
+        time=None,
+        run=np.stack([whole, whole + samples - 1]),
+        temperature_rise=None,
+        payload=np.zeros(samples),
+        joint_acceleration=np.asarray(motion.ddq),
+    )  # type: ignore[arg-type]
+    center = arm.T_joint_flange[:3, 3]
+    return Dynamics(
+        motion=moving,
+        torque=of_inertia(links) if links.any() else np.zeros((arm.dof, samples)),
+        links=links,
+        payload_center=center,
+        of_inertia=of_inertia,
+        of_gravity=of_gravity,
+        gravity=model.gravity,
+    )

@@ -1,0 +1,73 @@
+"""The screen report of a diagnosis of torques."""
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from rich.console import RenderableType
+from rich.padding import Padding
+from rich.table import Table
+from rich.text import Text
+
+from lite6jax.report import statements, torque_statements
+from lite6jax.report.cells import listed, listing
+
+
+def torque_report(document: Mapping[str, Any], source: str) -> Iterator[RenderableType]:
+    """The screen report.
+
+    Args:
+        document: as in the JSON file, with statements.
+        source: the recording.
+    """
+    yield Text(source, no_wrap=True, overflow="ignore")
+    yield Text(f"{document['model']['arm']}, {document['samples']} samples of torques.")
+    yield ""
+    yield Text(torque_statements.verdict_statement(document))
+    if document["torque_source"] == "estimated":
+        yield Text(torque_statements.ESTIMATED)
+    if document["withdrawn"]:
+        names = ", ".join(statements.effect_title(entry) for entry in document["withdrawn"])
+        yield Text(f"Significant, but not kept, because the held-out errors are larger with them: {names}.")
+    yield ""
+    yield _errors(document)
+    yield Text(torque_statements.filter_statement(document))
+    yield Text(torque_statements.inertial_statement(document))
+    if document["data_faults"]:
+        yield ""
+        yield Text("Data faults:")
+        for fault in document["data_faults"]:
+            rows = f" Rows {listed(fault['rows'])}." if fault["rows"] else ""
+            yield Padding(Text(f"{fault['statement']}{rows}"), (0, 0, 0, 2))
+    if document["findings"]:
+        yield ""
+        yield Text("Findings:")
+        yield _findings(document)
+    groups = statements.untested({**document, "confounded": document["confounded"]})
+    if groups:
+        yield ""
+        yield Text("Effects not tested:")
+        for group in groups:
+            names = ", ".join(f"{name} at {sites}" for name, sites in statements.by_site(group.entries))
+            reason = group.reason if group.remedy else "They are confounded with the inertial numbers that are fitted."
+            yield Padding(Text(f"{statements.capital(names)}. {reason}"), (0, 0, 0, 2))
+    yield ""
+
+
+def _errors(document: Mapping[str, Any]) -> Table:
+    """Held-out errors by joint."""
+    by_joint = [document[stage]["heldout_torque_rms_by_joint_Nm"] for stage in ("before", "after")]
+    table = listing("held-out error (Nm RMS)", "all", *(f"{joint}" for joint in range(1, len(by_joint[0]) + 1)))
+    for stage, rows in zip(("before", "after"), by_joint, strict=True):
+        table.add_row(stage, f"{document[stage]['heldout_torque_rms_Nm']:.3g}", *(f"{one:.3g}" for one in rows))
+    return table
+
+
+def _findings(document: Mapping[str, Any]) -> Table:
+    table = Table.grid(padding=(0, 1, 0, 0))
+    for k, finding in enumerate(document["findings"], 1):
+        lines = [f"{finding['statement']} {statements.p_value_statement(finding)}"]
+        rivals = torque_statements.undistinguished(finding)
+        if rivals:
+            lines.append(f"Not distinguished from {', '.join(rivals)}.")
+        table.add_row(Text(f"{k}."), Text("\n".join(lines)))
+    return table

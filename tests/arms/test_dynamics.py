@@ -1,0 +1,147 @@
+"""Torques, their regressor and base parameters, against Pinocchio, MuJoCo and what physics demands."""
+
+import re
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from lite6jax.arms import dynamics
+from lite6jax.arms.arm import Arm
+from lite6jax.arms.bundled import load_bundled
+from lite6jax.errors import InputError
+from tests.oracles.arms import perturbed, random_kinematics
+from tests.oracles.pinocchio_dynamics import (
+    pinocchio_model,
+    pinocchio_parameters,
+    pinocchio_regressor,
+    pinocchio_torques,
+    random_bodies,
+)
+
+TILTED = np.array([0.3, -0.4, -9.7])
+UPRIGHT = np.array([0.0, 0.0, -9.81])
+
+
+def random_motion(rng, joints, samples):
+    """Positions, velocities and accelerations (joint, sample)."""
+    return rng.uniform(-np.pi, np.pi, (joints, samples)), *rng.normal(0, 2, (2, joints, samples))
+
+
+def random_arm(rng, joints):
+    mass, center, inertia = random_bodies(rng, joints)
+    return Arm("random", random_kinematics(rng, joints), mass=mass, center_of_mass=center, inertia=inertia)
+
+
+@pytest.mark.parametrize("joints", [1, 6, 7])
+def test_torques_and_regressor_are_pinocchios(joints):
+    rng = np.random.default_rng(joints)
+    for _ in range(3):
+        arm, motion = random_arm(rng, joints), random_motion(rng, joints, 20)
+        model = pinocchio_model(arm.kinematics, arm.mass, arm.center_of_mass, arm.inertia, TILTED)
+        parameters = dynamics.link_parameters(arm)
+        np.testing.assert_allclose(parameters, pinocchio_parameters(model), rtol=0, atol=1e-12)
+        torques = dynamics.inverse_dynamics(arm.kinematics, parameters, *motion, TILTED)
+        np.testing.assert_allclose(torques, pinocchio_torques(model, *motion), rtol=0, atol=1e-10)
+        matrix = dynamics.regressor(arm.kinematics, *motion, TILTED)
+        np.testing.assert_allclose(matrix, pinocchio_regressor(model, *motion), rtol=0, atol=1e-10)
+
+
+@pytest.mark.parametrize("samples", [1, dynamics._CHUNK + 1, 3 * dynamics._CHUNK - 7])
+def test_chunks_of_samples_leave_no_seam(samples):
+    rng = np.random.default_rng(samples)
+    arm, motion = random_arm(rng, 2), random_motion(rng, 2, samples)
+    model = pinocchio_model(arm.kinematics, arm.mass, arm.center_of_mass, arm.inertia, TILTED)
+    matrix = np.asarray(dynamics.regressor(arm.kinematics, *motion, TILTED))
+    assert matrix.shape == (2, 20, samples)
+    np.testing.assert_allclose(matrix, pinocchio_regressor(model, *motion), rtol=0, atol=1e-10)
+
+
+def test_a_motor_that_holds_a_load_up_exerts_the_negative_of_gravitys_torque():
+    turned = np.array([[0.0, 0.0, 0.0, -np.pi / 2, 0.0, 0.0]])  # z along the base's y: a positive angle lowers the link
+    point = np.array([[2.0, 2.0 * 0.5, 0.0, 0.0, 0.0, 0.5, 0.5, 0.0, 0.0, 0.0]])  # 2 kg at 0.5 m along x
+    zero = np.zeros((1, 1))
+    torque = dynamics.inverse_dynamics(turned, point, zero, zero, zero, UPRIGHT)
+    np.testing.assert_allclose(torque, [[-2.0 * 9.81 * 0.5]], rtol=0, atol=1e-14)
+
+
+def test_torques_differentiate_and_vectorise():
+    rng = np.random.default_rng(5)
+    arm, motion = random_arm(rng, 3), random_motion(rng, 3, 4)
+    kinematics, parameters = jnp.asarray(arm.kinematics), jnp.asarray(dynamics.link_parameters(arm))
+    step = jnp.asarray(rng.standard_normal(kinematics.shape))
+
+    def torques(kinematics):
+        return dynamics.inverse_dynamics(kinematics, parameters, *motion, TILTED)
+
+    def by_regressor(kinematics):
+        return jnp.einsum("ips,p->is", dynamics.regressor(kinematics, *motion, TILTED), parameters.ravel())
+
+    arms = jax.vmap(torques)(jnp.stack([kinematics + 1e-5 * step, kinematics - 1e-5 * step]))
+    np.testing.assert_allclose(arms[0], by_regressor(kinematics + 1e-5 * step), rtol=1e-12)
+    for function in (torques, by_regressor):
+        tangent = jax.jvp(function, (kinematics,), (step,))[1]
+        np.testing.assert_allclose(tangent, (arms[0] - arms[1]) / 2e-5, rtol=1e-6, atol=1e-6)
+
+
+@pytest.mark.parametrize(("name", "size"), [("lite6", 36), ("ur10", 36), ("xarm5", 29), ("xarm7", 43)])
+def test_base_parameters_of_the_arms(name, size):
+    arm = load_bundled(name)
+    assert dynamics.base_parameters(arm.kinematics, UPRIGHT).size == size
+
+
+def test_base_parameters_say_all_that_torques_do():
+    rng = np.random.default_rng(2)
+    for gravity, size in ((UPRIGHT, 38), (np.zeros(3), 36)):
+        arm, motion = random_arm(rng, 6), random_motion(rng, 6, 40)
+        base = dynamics.base_parameters(arm.kinematics, gravity)
+        model = pinocchio_model(arm.kinematics, arm.mass, arm.center_of_mass, arm.inertia, gravity)
+        W = np.moveaxis(pinocchio_regressor(model, *motion), 2, 0).reshape(-1, 60)
+        assert base.size == np.linalg.matrix_rank(W, tol=1e-8) == size
+        x = pinocchio_parameters(model)
+        torques = pinocchio_torques(model, *motion).T.ravel()
+        np.testing.assert_allclose(W[:, base.independent] @ base.values(x), torques, rtol=0, atol=1e-9)
+        np.testing.assert_allclose(W @ base.basis @ (base.basis.T @ x.ravel()), torques, rtol=0, atol=1e-9)
+        np.testing.assert_allclose(base.basis.T @ base.basis, np.eye(size), rtol=0, atol=1e-12)
+
+
+def test_the_grouping_in_words_is_that_of_the_planar_arm():
+    l1, l2 = 0.4, 0.3
+    flat = np.zeros((3, 6))
+    flat[1, 0], flat[2, 0] = l1, l2
+    sideways = dynamics.base_parameters(flat, [0.0, -9.81, 0.0])
+    assert sideways.names == (
+        "mx1 + 0.4 m m2 + 0.4 m m3",
+        "my1",
+        "Izz1 + 0.16 m² m2 + 0.16 m² m3",
+        "mx2 + 0.3 m m3",
+        "my2",
+        "Izz2 + 0.09 m² m3",
+        "mx3",
+        "my3",
+        "Izz3",
+    )
+    assert sideways.units == ("kg m", "kg m", "kg m²") * 3
+    level = dynamics.base_parameters(flat, UPRIGHT)
+    assert level.names[0] == "Izz1 + 0.16 m² m2 + 0.16 m² m3"
+    assert level.size == 7
+
+
+def test_a_measured_chain_shows_how_its_first_axis_is_tilted():
+    kinematics = perturbed(np.random.default_rng(3), load_bundled("lite6").kinematics)
+    base = dynamics.base_parameters(kinematics, UPRIGHT)
+    assert base.size == 38
+    assert [name.split(" ")[0] for name in base.names[:2]] == ["mx1", "my1"]
+    assert np.abs(base.grouping).max() < 1.1
+
+
+@pytest.mark.parametrize(
+    ("fields", "lacks"),
+    [({}, "masses"), ({"mass": np.ones(2), "center_of_mass": np.zeros((2, 3))}, "inertia tensors")],
+)
+def test_torques_need_inertia(fields, lacks):
+    arm = Arm("bare", random_kinematics(np.random.default_rng(0), 2), **fields)
+    message = f"arm 'bare': has no {lacks}, which torques need; give mass_kg, com_m and inertia_kg_m2 of every link"
+    with pytest.raises(InputError, match=re.escape(message)):
+        dynamics.link_parameters(arm)
