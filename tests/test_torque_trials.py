@@ -15,6 +15,7 @@ from scipy.interpolate import make_interp_spline
 from scipy.stats import chi2
 
 from benchmarks.campaigns import threshold
+from benchmarks.campaigns.campaign import write_files
 from benchmarks.campaigns.columns import read_columns
 from benchmarks.concealed.chain import Chain, rotation_from_rpy, rotation_from_vector
 from benchmarks.torque_trials import exported, hiding, information, mujoco_arm, outside, plans, recorded, trials
@@ -24,6 +25,10 @@ from benchmarks.torque_trials.information import View, sizes_of
 from benchmarks.torque_trials.motion import draw_motion
 from benchmarks.torque_trials.outside import FAMILIES, OPEN, SEALED
 from benchmarks.torque_trials.physics import Setup, rigid, torques
+from lite6jax.arms.description import read_description
+from lite6jax.arms.dynamics import inverse_dynamics as library_torques
+from lite6jax.arms.dynamics import link_parameters
+from lite6jax.recordings import read_recording
 
 ROOT = Path(trials.__file__).resolve().parents[2]
 OPEN_CASES = ROOT / "../shared/dynamics/open"
@@ -405,6 +410,22 @@ def test_a_seed_gives_the_same_trial_of_the_planned_size(kind):
     assert not any(effect["effect"] in given for effect in first.truth["hidden"])  # nothing tells
     if kind == "single" and first.plan.engine == "plain":
         assert first.truth["hidden"][0]["size"] == pytest.approx(first.truth["sizes"][0], rel=0.01)
+
+
+@pytest.mark.parametrize("source", ["torque", "current"])
+def test_the_library_reads_a_trial_and_its_arm_exerts_the_same(source, tmp_path):
+    drawn = (trials.draw(2, index) for index in plans.indices(2, 40, "clean"))
+    trial = next(t for t in drawn if (t.plan.source, t.plan.inertial) == (source, "declared"))
+    write_files(trial.files, tmp_path)
+    recording = read_recording(tmp_path / "recording.csv")
+    assert not recording.notes
+    assert len(recording.torques()) == trial.truth["rows"]
+    arm, gravity = read_description(tmp_path / "arm.yaml"), np.array(recording.settings.gravity_m_per_s2)
+    rng = np.random.default_rng(3)
+    q, dq, ddq = rng.uniform(-2, 2, (3, 20, arm.dof))
+    theirs = np.asarray(library_torques(arm.kinematics, link_parameters(arm), q.T, dq.T, ddq.T, gravity)).T
+    ours = inverse_dynamics(read_arm(tmp_path / "arm.yaml"), q, dq, ddq, gravity)
+    np.testing.assert_allclose(ours, theirs, atol=1e-9)
 
 
 def test_resting_joints_rest_and_the_effect_is_elsewhere():

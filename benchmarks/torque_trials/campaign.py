@@ -44,14 +44,12 @@ def _drawn(seed: int, index: int, sealed: bool) -> Drawn:
 
 
 def _diagnosed(given: Path) -> None:
-    import lite6jax
-    from lite6jax.cli.diagnose import Predict
+    from lite6jax.cli.diagnose import Diagnose, Predict
     from lite6jax.fitting.compiled import keep_compiled_code
 
     keep_compiled_code()
-    document = lite6jax.diagnose(lite6jax.read_recording(given / "recording.csv")).to_dict()
     diagnosis = given / "diagnosis.json"
-    diagnosis.write_text(json.dumps(document))
+    Diagnose(given / "recording.csv", out=diagnosis, force=True).run()
     Predict(diagnosis, given / "unseen.csv", out=given / "predicted.csv", force=True).run()
 
 

@@ -49,7 +49,7 @@ def _own(*quantities: str) -> Callable[[int, Values], Drivers]:
 
 def _of(quantity: str, joint: int) -> list[str]:
     if quantity == "load":
-        return [f"{word} of joint {joint}" for word in ("load", "torque", "rigid torque", "model torque")]
+        return [f"{word} of joint {joint}" for word in ("gravity torque", "load", "torque")]
     if quantity == "temperature":
         return [f"temperature of joint {joint}", "temperature"]
     if quantity == "direction":
