@@ -2,7 +2,7 @@
 
 import json
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal, final
 
@@ -117,7 +117,7 @@ class Identify:
     source: Annotated[Positional[str], arg(metavar="ARM|FILE")]
     """A bundled arm, an arm's file, or a recording (.csv, .parquet, .mcap); one without poses lists joint positions."""
     setup: Setup = Setup()
-    torque: TorqueSetup = TorqueSetup()
+    torque: TorqueSetup = field(default_factory=TorqueSetup)
     poses: int = 100
     """Number of poses drawn inside the limits of an arm."""
     seed: int = 0
@@ -227,8 +227,8 @@ class Identify:
         given = self.setup != Setup() or self.poses != 100 or self.refits or self.geometry != "declared"
         if given or self.figures is not None:
             raise InputError(
-                f"{self.source}: torques are studied; leave out --poses, --refits, --geometry, --figures and the options"
-                " of a sensor"
+                f"{self.source}: torques are studied; leave out --poses, --refits, --geometry, --figures and the"
+                " options of a sensor"
             )
 
 

@@ -27,7 +27,9 @@ def designed_motion(found: TorquePlan | TorqueDiscrimination, title: str) -> Fig
             at = np.arange(len(base))
             there = np.isfinite(high)
             lower.vlines(at[there], low[there], high[there], color=BEFORE, alpha=0.4, linewidth=5)
-            lower.plot(at, np.where(np.isfinite(middle), middle, np.nan), "_", color=BEFORE, label="random, median, 90 %")
+            lower.plot(
+                at, np.where(np.isfinite(middle), middle, np.nan), "_", color=BEFORE, label="random, median, 90 %"
+            )
             designed = found.identification.standard_deviation / scale
             lower.plot(at, np.where(np.isfinite(designed), designed, np.nan), "o", color=AFTER, label="designed")
             lower.set_yscale("log")

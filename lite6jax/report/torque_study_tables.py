@@ -126,9 +126,7 @@ def _structure(structure: Structure) -> Iterator[str]:
         yield f"Only in combinations: {', '.join(links)}."
 
 
-def torque_plan_report(
-    found: TorquePlan, disabled: Sequence[tuple[str, str]], source: str
-) -> Iterator[RenderableType]:
+def torque_plan_report(found: TorquePlan, disabled: Sequence[tuple[str, str]], source: str) -> Iterator[RenderableType]:
     """What a designed motion determines, beside random ones of the same limits.
 
     Args:
