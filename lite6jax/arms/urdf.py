@@ -1,5 +1,6 @@
 """URDF files: any chain of revolute joints as a six-parameter arm with the same joint angles, and the reverse."""
 
+import warnings
 import xml.etree.ElementTree as ET
 from pathlib import Path
 
@@ -7,12 +8,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lite6jax import storage
-from lite6jax.arms import frames
+from lite6jax.arms import frames, inertia
 from lite6jax.arms.arm import Arm
-from lite6jax.arms.urdf_tree import IDENTITY, TURNING, Joint, attribute, fixed_to, origin, read_tree, scalar
-from lite6jax.errors import InputError
+from lite6jax.arms.urdf_tree import IDENTITY, TURNING, Joint, Tree, attribute, fixed_to, origin, read_tree, scalar
+from lite6jax.errors import InputError, InputWarning
 
 Array = NDArray[np.floating]
+
+FRICTION = {"viscous_friction": "damping", "coulomb_friction": "friction"}
+"""Where a joint's element `dynamics` has the fields of `Arm`, N·m·s/rad and N·m."""
 
 
 def read_urdf(path: str | Path, base: str | None = None, tip: str | None = None) -> Arm:
@@ -20,8 +24,8 @@ def read_urdf(path: str | Path, base: str | None = None, tip: str | None = None)
 
     Fixed joints are merged into the chain: those before the first joint into its frame, those after the last into
     `T_joint_flange`. A joint whose axis is not its z axis gets a frame whose z is that axis, so that every joint angle
-    keeps its value and sign. The masses of fixed links are added to the link that carries them; links on moving joints
-    beside the chain are omitted.
+    keeps its value and sign. Fixed links are lumped with the link that carries them, mass and inertia; links on moving
+    joints beside the chain are omitted. Inertia that is zero throughout is unknown.
 
     Args:
         path: the file.
@@ -32,6 +36,9 @@ def read_urdf(path: str | Path, base: str | None = None, tip: str | None = None)
         InputError: not a URDF, a document type or entities in it, unexpanded xacro, a joint in the chain that is not
             revolute or that mimics another, or an ambiguous tip. The line names the file, the joint or link, and the
             remedy.
+
+    Warns:
+        InputWarning: a tensor that no rigid body has, as published files have some; all inertia is then left out.
     """
     tree = read_tree(path, base, tip)
     rows, limits, turning, axes = [], [], [], []
@@ -56,16 +63,15 @@ def read_urdf(path: str | Path, base: str | None = None, tip: str | None = None)
         before = R.T
     if not rows:
         raise InputError(f"{path}: no joint turns between {tree.base!r} and {tree.tip!r}; name another base or tip")
-    mass, center_of_mass = _inertial(path, [joint.child for joint in turning], axes, tree.links, tree.joints)
+    fields = _inertial(path, [joint.child for joint in turning], axes, tree) | _friction(path, turning)
     try:
         return Arm(
             name=tree.robot.get("name") or Path(path).stem,
             kinematics=np.array(rows),
             joint_limits=np.array(limits),
             T_joint_flange=before,
-            mass=mass,
-            center_of_mass=center_of_mass,
             source=f"URDF {Path(path).name}, {tree.base} to {tree.tip}",
+            **fields,
         )
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
@@ -94,8 +100,9 @@ def carried_links(
 def write_urdf(arm: Arm, path: str | Path, overwrite: bool = False) -> Path:
     """Writes the arm as a URDF from `base_link` to `flange`.
 
-    `read_urdf` returns chain, limits and masses exactly, and the flange's rotation to rounding. A DH table and the
-    source are omitted. Inertia tensors, efforts and velocities, which an `Arm` does not contain, are written as zero.
+    `read_urdf` returns chain, limits, inertia and friction exactly, and the flange's rotation to rounding. A DH table,
+    rotor inertia and the source are omitted. Efforts and velocities, which an `Arm` does not contain, and unknown
+    inertia are written as zero.
 
     Raises:
         InputError: as `storage.write_atomically`.
@@ -105,14 +112,18 @@ def write_urdf(arm: Arm, path: str | Path, overwrite: bool = False) -> Path:
     for i, row in enumerate(arm.kinematics):
         link = ET.SubElement(robot, "link", name=f"link{i + 1}")
         if arm.mass is not None and arm.center_of_mass is not None:
-            inertial = ET.SubElement(link, "inertial")
-            ET.SubElement(inertial, "origin", xyz=_floats(arm.center_of_mass[i]), rpy="0.0 0.0 0.0")
-            ET.SubElement(inertial, "mass", value=repr(float(arm.mass[i])))
-            ET.SubElement(inertial, "inertia", dict.fromkeys(("ixx", "ixy", "ixz", "iyy", "iyz", "izz"), "0.0"))
+            element = ET.SubElement(link, "inertial")
+            ET.SubElement(element, "origin", xyz=_floats(arm.center_of_mass[i]), rpy="0.0 0.0 0.0")
+            ET.SubElement(element, "mass", value=repr(float(arm.mass[i])))
+            six = np.zeros(6) if arm.inertia is None else inertia.six_entries(arm.inertia[i])
+            ET.SubElement(element, "inertia", {k: repr(float(v)) for k, v in zip(inertia.SIX, six, strict=True)})
         lower, upper = (repr(float(limit)) for limit in arm.joint_limits[i])
         joint = _add_joint(robot, f"joint{i + 1}", "revolute", f"link{i}" if i else "base_link", f"link{i + 1}", row)
         ET.SubElement(joint, "axis", xyz="0 0 1")
         ET.SubElement(joint, "limit", lower=lower, upper=upper, effort="0.0", velocity="0.0")
+        known = {key: values for field, key in FRICTION.items() if (values := getattr(arm, field)) is not None}
+        if known:
+            ET.SubElement(joint, "dynamics", {key: repr(float(values[i])) for key, values in known.items()})
     ET.SubElement(robot, "link", name="flange")
     flange = frames.row_from_transform(arm.T_joint_flange)
     _add_joint(robot, "flange_joint", "fixed", f"link{arm.dof}", "flange", flange)
@@ -148,24 +159,49 @@ def _axis_frame(axis: Array) -> Array:
     return T + 0.0  # no minus zeros
 
 
-def _inertial(
-    path: str | Path, moved: list[str], axes: list[Array], links: dict[str, ET.Element], joints: list[Joint]
-) -> tuple[Array, Array] | tuple[None, None]:
-    """(joint,) kg and (joint, 3) m of each moved link with every link fixed to it; None without inertial elements."""
-    if all(link.find("inertial") is None for link in links.values()):
-        return None, None
-    mass, center_of_mass = [], []
+def _inertial(path: str | Path, moved: list[str], axes: list[Array], tree: Tree) -> dict[str, Array]:
+    """The fields of `Arm` that say what each moved link is with every link fixed to it; none without inertial elements.
+
+    Files without figures write tensors of zeros: then the inertia is unknown.
+    """
+    if all(link.find("inertial") is None for link in tree.links.values()):
+        return {}
+    links = []
     for link, R in zip(moved, axes, strict=True):
-        found: list[tuple[float, Array]] = []
-        for name, T in fixed_to(link, joints):
-            if (inertial := links[name].find("inertial")) is not None:
-                where = f"{path}: link {name!r}: inertial"
-                kg = scalar(attribute(inertial, "mass", "value", where), f"{where}: mass")
-                found.append((kg, R[:3, :3].T @ (T[:3, :3] @ origin(inertial, where)[:3] + T[:3, 3])))
-        total = sum(kg for kg, _ in found)
-        mass.append(total)
-        if len(found) == 1:
-            center_of_mass.append(found[0][1])
-        else:
-            center_of_mass.append(sum((kg * center for kg, center in found), np.zeros(3)) / (total or 1.0))
-    return np.array(mass), np.array(center_of_mass)
+        fixed = [
+            inertia.moved(_body(element, f"{path}: link {name!r}: inertial"), R.T @ T)
+            for name, T in fixed_to(link, tree.joints)
+            if (element := tree.links[name].find("inertial")) is not None
+        ]
+        links.append(inertia.lumped(fixed))
+        if wrong := next((wrong for body in (*fixed, links[-1]) if (wrong := inertia.defect(body.inertia))), ""):
+            warnings.warn(
+                f"{path}: link {link!r}: its inertia {wrong}; the inertia of this file is left out, correct it to"
+                " diagnose torques",
+                InputWarning,
+                stacklevel=3,
+            )
+            links[-1] = links[-1]._replace(inertia=np.full((3, 3), np.nan))
+    fields = {"mass": np.array([link.mass for link in links]), "center_of_mass": np.array([b.center for b in links])}
+    tensors = np.array([link.inertia for link in links])
+    return fields | ({"inertia": tensors} if np.isfinite(tensors).all() and tensors.any() else {})
+
+
+def _body(element: ET.Element, where: str) -> inertia.Body:
+    """What an inertial element describes, in the frame of its link."""
+    kg = scalar(attribute(element, "mass", "value", where), f"{where}: mass")
+    entry = element.find("inertia")
+    six = [0.0 if entry is None else scalar(entry.get(key, "0"), f"{where}: {key}") for key in inertia.SIX]
+    body = inertia.Body(kg, np.zeros(3), inertia.tensor(six))
+    return inertia.moved(body, frames.transform_from_row(origin(element, where)))
+
+
+def _friction(path: str | Path, turning: list[Joint]) -> dict[str, Array]:
+    """The fields of `Arm` that the joints' dynamics elements give; a joint without one has none."""
+    fields: dict[str, Array] = {}
+    for field, key in FRICTION.items():
+        given = [joint.dynamics.get(key) for joint in turning]
+        if any(text is not None for text in given):
+            where = [f"{path}: joint {joint.name!r}: dynamics: {key}" for joint in turning]
+            fields[field] = np.array([scalar(text or "0", at) for text, at in zip(given, where, strict=True)])
+    return fields

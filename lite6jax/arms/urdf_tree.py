@@ -2,6 +2,7 @@
 
 import math
 import xml.etree.ElementTree as ET
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -34,6 +35,7 @@ class Joint:
     axis: Array  # (3,) unit vector
     limits: tuple[float, float]
     mimics: bool
+    dynamics: Mapping[str, str]  # the attributes of the element of this name, as written
 
 
 class Tree(NamedTuple):
@@ -120,7 +122,9 @@ def _joint(element: ET.Element, path: str | Path) -> Joint:
         )
         limits = (lower, upper)
     row = origin(element, where)
-    return Joint(name, kind, parent, child, row, axis / (length or 1.0), limits, element.find("mimic") is not None)
+    mimics, dynamics = element.find("mimic") is not None, element.find("dynamics")
+    drive = {} if dynamics is None else dynamics.attrib
+    return Joint(name, kind, parent, child, row, axis / (length or 1.0), limits, mimics, drive)
 
 
 def attribute(element: ET.Element, tag: str, key: str, where: str) -> str:

@@ -9,7 +9,7 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lite6jax.arms.arm import Arm
+from lite6jax.arms.arm import JOINT_TERMS, Arm
 from lite6jax.arms.bundled import bundled_arms, load_bundled
 from lite6jax.arms.chains import HayatiForm
 from lite6jax.arms.files import (
@@ -300,7 +300,14 @@ def test_a_description_is_read_whole(save):
         "source": "drawing 7",
         "kinematics": vendor([[0, 0, 0.3, 0, 0, 0], [0.2, 0, 0, 0, 0, 0]]),
         "joint_limits_rad": [[-1, 1], [-2, 2.5]],
-        "inertial": {"link1": {"mass_kg": 2, "com_m": [0, 0, 0.1]}, "link2": {"mass_kg": 1, "com_m": [0.1, 0, 0]}},
+        "inertial": {
+            "link1": {"mass_kg": 2, "com_m": [0, 0, 0.1], "inertia_kg_m2": [0.3, 0.4, 0.5, 0.01, 0.02, 0.03]},
+            "link2": {"mass_kg": 1, "com_m": [0.1, 0, 0], "inertia_kg_m2": [0.1, 0.1, 0.1, 0, 0, 0]},
+        },
+        "dynamics": {
+            "joint1": {"friction": {"viscous_Nm_s_per_rad": 0.7}},
+            "joint2": {"friction": {"viscous_Nm_s_per_rad": 0.4, "coulomb_Nm": 0.2}, "rotor_inertia_kg_m2": 0.05},
+        },
         "flange": {"x": 0.0, "y": 0.0, "z": 0.05, "roll": 0.0, "pitch": 0.0, "yaw": 0.0},
         "dh": {
             "joint1": {"theta_off_rad": 0, "d_m": 0.3, "a_m": 0.2, "alpha_rad": 0},
@@ -312,8 +319,23 @@ def test_a_description_is_read_whole(save):
     np.testing.assert_array_equal(arm.joint_limits, [[-1, 1], [-2, 2.5]])
     np.testing.assert_array_equal(arm.mass, [2, 1])
     np.testing.assert_array_equal(arm.center_of_mass, [[0, 0, 0.1], [0.1, 0, 0]])
+    np.testing.assert_array_equal(arm.inertia[0], [[0.3, 0.01, 0.02], [0.01, 0.4, 0.03], [0.02, 0.03, 0.5]])
+    np.testing.assert_array_equal(arm.inertia[1], 0.1 * np.eye(3))
+    np.testing.assert_array_equal(arm.viscous_friction, [0.7, 0.4])
+    np.testing.assert_array_equal(arm.coulomb_friction, [0, 0.2])
+    np.testing.assert_array_equal(arm.rotor_inertia, [0, 0.05])
     np.testing.assert_array_equal(arm.T_joint_flange[:3, 3], [0, 0, 0.05])
     np.testing.assert_array_equal(arm.dh, [[0, 0.3, 0.2, 0], [0, 0, 0, 0]])
+
+
+def test_dynamics_that_no_joint_has_are_unknown(save):
+    arm = read_arm(save({**ONE, "dynamics": {"joint1": {"friction": {"coulomb_Nm": 0.3}}}}))
+    assert (arm.viscous_friction, arm.rotor_inertia, arm.inertia) == (None, None, None)
+    np.testing.assert_array_equal(arm.coulomb_friction, [0.3])
+
+
+def with_tensor(*six, mass=1):
+    return {"inertial": {"link1": {"mass_kg": mass, "com_m": [0, 0, 0], "inertia_kg_m2": list(six)}}}
 
 
 ONE = {"name": "one", "kinematics": vendor([[0, 0, 0.3, 0, 0, 0]])}
@@ -324,7 +346,8 @@ ONE = {"name": "one", "kinematics": vendor([[0, 0, 0.3, 0, 0, 0]])}
     [
         (
             {"limits": []},
-            ": has the unknown key 'limits'; accepted are name, kinematics, joint_limits_rad, inertial, dh, flange",
+            ": has the unknown key 'limits'; accepted are name, kinematics, joint_limits_rad, inertial, dynamics,"
+            " dh, flange, source",
         ),
         ({"name": 7}, ": name is 7, which is not text; put it in quotes"),
         ({"source": ["a"]}, ": source is ['a'], which is not text; put it in quotes"),
@@ -342,6 +365,37 @@ ONE = {"name": "one", "kinematics": vendor([[0, 0, 0.3, 0, 0, 0]])}
             {"inertial": {"link1": {"mass_kg": 1, "com_m": [0, 0, "x"]}}},
             ": inertial: link1: com_m number 3 is 'x', which is not a number; write a plain number",
         ),
+        (with_tensor(1, 2, 3), ": inertial: link1: inertia_kg_m2 must be a list of 6 numbers; write [0.0, 0.0, 0.0,"),
+        (
+            with_tensor(1, 1, 1, 2, 0, 0),
+            ": arm 'one': link1's inertia has the negative principal moment -1 kg·m²; correct it, or leave out all",
+        ),
+        (
+            with_tensor(1, 2, 4, 0, 0, 0),
+            ": arm 'one': link1's inertia has the principal moments 1, 2, 4 kg·m², the largest of which exceeds",
+        ),
+        (
+            with_tensor(1451, 887, 1319, 0, 0, 0),
+            ": inertial: link1: inertia_kg_m2 has a radius of gyration of 38.1 m, beyond any arm, so it seems to be in"
+            " kg mm²; write kg m²",
+        ),
+        ({"dynamics": {"joint2": {}}}, ": dynamics has the unknown key 'joint2'; did you mean 'joint1'?"),
+        (
+            {"dynamics": {"joint1": 3}},
+            ": dynamics: joint1 must be a mapping with the keys friction, rotor_inertia_kg_m2",
+        ),
+        (
+            {"dynamics": {"joint1": {"friction": {"viscous_Nm_s_per_rad": -0.1}}}},
+            ": arm 'one': joint1's viscous friction is negative; correct it",
+        ),
+        (
+            {"dynamics": {"joint1": {"friction": {"coulomb": 0.1}}}},
+            ": dynamics: joint1: friction has the unknown key 'coulomb'; did you mean 'coulomb_Nm'?",
+        ),
+        (
+            {"dynamics": {"joint1": {"rotor_inertia_kg_m2": "heavy"}}},
+            ": dynamics: joint1: rotor_inertia_kg_m2 is 'heavy', which is not a number; write a plain number",
+        ),
         ({"dh": {"joint1": {}}}, ": dh: joint1 lacks the key 'theta_off_rad'; add it"),
         ({"flange": 3}, ": flange must be x y z roll pitch yaw by name, or three rows of four numbers"),
         ({"flange": [[1, 0, 0, 0]] * 3}, ": arm 'one': T_joint_flange does not hold a rotation"),
@@ -351,6 +405,26 @@ ONE = {"name": "one", "kinematics": vendor([[0, 0, 0.3, 0, 0, 0]])}
 def test_a_spoilt_description_names_the_place(extra, message, save):
     path = save({**ONE, **extra})
     assert refusal(read_arm, path).startswith(f"{path}{message}")
+
+
+def test_inertia_is_given_for_every_link_or_none(save):
+    links = with_tensor(1, 1, 1, 0, 0, 0)["inertial"] | {"link2": {"mass_kg": 1, "com_m": [0, 0, 0]}}
+    two = {"name": "two", "kinematics": vendor([[0, 0, 0.3, 0, 0, 0]] * 2), "inertial": links}
+    path = save(two)
+    message = f"{path}: inertial: link2 lacks inertia_kg_m2, which other links have; give all or none"
+    assert refusal(read_arm, path) == message
+    message = "arm 'bare': inertia needs the links' masses; give mass and center_of_mass too"
+    assert refusal(Arm, "bare", np.zeros((1, 6)), inertia=np.eye(3)[None]) == message
+    skewed = np.eye(3)[None] + np.triu(np.ones(3), 1)
+    message = "arm 'skewed': link1's inertia is not symmetric; correct it, or leave out all inertia"
+    assert (
+        refusal(Arm, "skewed", np.zeros((1, 6)), mass=[1], center_of_mass=np.zeros((1, 3)), inertia=skewed) == message
+    )
+
+
+def test_a_rounded_tensor_of_a_flat_body_is_a_bodys(save):
+    arm = read_arm(save({**ONE, **with_tensor(1.333e-3, 2.222e-3, 3.556e-3, 0, 0, 0)}))
+    np.testing.assert_array_equal(np.diag(arm.inertia[0]), [1.333e-3, 2.222e-3, 3.556e-3])
 
 
 name_text = st.text(st.characters(codec="utf-8"), min_size=1, max_size=12).filter(str.isprintable)
@@ -363,8 +437,9 @@ name_text = st.text(st.characters(codec="utf-8"), min_size=1, max_size=12).filte
     source=name_text | st.just(""),
     flange=st.lists(number, min_size=3, max_size=3),
     mass=st.none() | st.floats(0, 1e3),
+    drives=st.lists(st.none() | st.floats(0, 1e3), min_size=3, max_size=3),
 )
-def test_description_round_trip_is_exact(tmp_path_factory, rows, name, source, flange, mass):
+def test_description_round_trip_is_exact(tmp_path_factory, rows, name, source, flange, mass, drives):
     angle = flange[0]
     T = np.array(
         [[np.cos(angle), 0, np.sin(angle), flange[1]], [0, 1, 0, 5e-324], [-np.sin(angle), 0, np.cos(angle), 0]]
@@ -377,10 +452,12 @@ def test_description_round_trip_is_exact(tmp_path_factory, rows, name, source, f
         T_joint_flange=np.vstack([T, [0, 0, 0, 1]]) if flange[2] > 0 else None,
         mass=None if mass is None else np.full(len(rows), mass),
         center_of_mass=None if mass is None else np.array(rows)[:, :3],
+        inertia=None if mass is None or mass < 1 else np.tile(np.diag([1 / 3, 1e-5, 1 / 3]), (len(rows), 1, 1)),
+        **{key: value and np.full(len(rows), value) for key, value in zip(JOINT_TERMS, drives, strict=True)},
     )
     back = read_description(write_arm(arm, tmp_path_factory.mktemp("arm") / "arm.yaml"))
     assert (back.name, back.source) == (name, source)
-    for field in ("kinematics", "joint_limits", "T_joint_flange", "mass", "center_of_mass"):
+    for field in ("kinematics", "joint_limits", "T_joint_flange", "mass", "center_of_mass", "inertia", *JOINT_TERMS):
         np.testing.assert_equal(getattr(back, field), getattr(arm, field))
 
 
@@ -389,7 +466,7 @@ def test_bundled_descriptions_survive_the_round_trip(name, tmp_path):
     arm = load_bundled(name)
     back = read_arm(write_arm(arm, tmp_path / "arm.yaml"))
     assert (back.name, back.source) == (arm.name, arm.source)
-    for field in ("kinematics", "joint_limits", "T_joint_flange", "mass", "center_of_mass", "dh"):
+    for field in ("kinematics", "joint_limits", "T_joint_flange", "mass", "center_of_mass", "inertia", "dh"):
         np.testing.assert_array_equal(getattr(back, field), getattr(arm, field))
 
 

@@ -135,8 +135,36 @@ def test_parallel_pairs_and_reach(name, parallel, dof, reach):
 @pytest.mark.parametrize("name", bundled_arms())
 def test_every_arm_names_its_sources(name):
     arm = load_bundled(name)
-    for word in ("DH table:", "Joint limits:", "Masses:"):
+    for word in ("DH table:", "Joint limits:", "Masses and inertia"):
         assert word in arm.source
+
+
+LITE6_MOMENTS = 1e-6 * np.array(
+    [
+        [1451.64, 887.3, 1319.93],
+        [1585.4, 5609.7, 4850],
+        [886.1, 1578.5, 1846.77],
+        [3705, 3045.5, 1541.3],
+        [566.8, 507.7, 530],
+        [77.26, 85.665, 148.14],
+    ]
+)
+
+
+def test_the_lite6_has_the_published_moments_of_inertia():
+    moments = np.diagonal(load_bundled("lite6").inertia, axis1=1, axis2=2)
+    np.testing.assert_allclose(moments, LITE6_MOMENTS, rtol=1e-14)
+
+
+@pytest.mark.parametrize("name", bundled_arms())
+def test_every_link_has_the_inertia_of_a_body_of_its_size(name):
+    arm = load_bundled(name)
+    moments = np.linalg.eigvalsh(arm.inertia)
+    assert (moments[:, 0] > 0).all()
+    assert (moments[:, 2] < moments[:, 0] + moments[:, 1]).all()
+    gyration = np.sqrt(moments / arm.mass[:, None])
+    assert (gyration > 0.01).all()
+    assert (gyration < 0.25 * arm.reach).all()
 
 
 def test_seed_nominal_puts_the_lite6_flange_where_the_hardware_page_says():

@@ -1,6 +1,7 @@
 """URDF against Pinocchio: odd axes, fixed joints, branches; and every refusal's message."""
 
 import numpy as np
+import pinocchio as pin
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -8,11 +9,13 @@ from hypothesis import strategies as st
 from lite6jax.arms import frames
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.bundled import bundled_arms, load_bundled
+from lite6jax.arms.dynamics import inverse_dynamics, link_parameters
 from lite6jax.arms.files import read_arm
 from lite6jax.arms.urdf import read_urdf, write_urdf
-from lite6jax.errors import InputError
+from lite6jax.errors import InputError, InputWarning
 from tests.oracles.chains import six_parameter_poses
 from tests.oracles.pinocchio_arm import urdf_link_pose
+from tests.oracles.pinocchio_dynamics import pinocchio_torques, random_bodies
 from tests.oracles.transforms import origin_transform, rotate
 
 
@@ -131,7 +134,7 @@ def test_round_trip_is_exact(tmp_path_factory, rows, mass, com, flange):
 def test_bundled_arms_survive_the_round_trip(name, tmp_path):
     arm = load_bundled(name)
     back = read_arm(write_urdf(arm, tmp_path / "arm.urdf"))
-    for field in ("kinematics", "joint_limits", "T_joint_flange", "mass", "center_of_mass"):
+    for field in ("kinematics", "joint_limits", "T_joint_flange", "mass", "center_of_mass", "inertia"):
         np.testing.assert_array_equal(getattr(back, field), getattr(arm, field))
 
 
@@ -267,3 +270,97 @@ def test_roll_pitch_yaw_and_back_at_every_pitch(angles, pole):
     R = origin_transform([0, 0, 0, *angles])[:3, :3]
     np.testing.assert_allclose(frames.rotation_from_rpy(angles), R, rtol=0, atol=1e-15)
     np.testing.assert_allclose(frames.rotation_from_rpy(frames.rpy_from_rotation(R)), R, rtol=0, atol=3e-15)
+
+
+# --- inertia and friction ---
+
+
+def heavy(name, mass, com="0 0 0", rpy="0 0 0", six=(0.03, 0.001, -0.002, 0.04, 0.003, 0.05)):
+    tensor = " ".join(
+        f'{key}="{value}"' for key, value in zip(("ixx", "ixy", "ixz", "iyy", "iyz", "izz"), six, strict=True)
+    )
+    inertial = f'<inertial><origin xyz="{com}" rpy="{rpy}"/><mass value="{mass}"/><inertia {tensor}/></inertial>'
+    return f'<link name="{name}">{inertial}</link>'
+
+
+def test_torques_of_rotated_inertia_and_fixed_bodies_are_pinocchios(tmp_path):
+    parts = [heavy("base", 9), heavy("a", 2, "0.1 0 0.02", "0.3 -0.2 1"), heavy("cover", 1, "0 0.05 0.1", "0 1 0.4")]
+    parts += [heavy("b", 3, "0 0.2 0", "1 1 1"), link("bare"), heavy("hand", 0.5, "0.01 0.02 0.03", "0.5 0 0")]
+    parts += [heavy("bolt", 0.2, "0 0.1 0"), link("tool")]
+    parts += [joint("j1", "base", "a", axis="0 -1 0", rpy="0.2 0 0", extra='<dynamics damping="0.7" friction="0.2"/>')]
+    parts += [joint("weld", "a", "cover", "fixed", xyz="0 0.5 0", rpy="1.2 0.3 0")]
+    parts += [joint("j2", "a", "b", xyz="0.3 0 0", axis="1 2 -3"), joint("f1", "b", "bare", "fixed", xyz="0 0 0.1")]
+    parts += [joint("f2", "bare", "hand", "fixed", rpy="0 0 1"), joint("f3", "hand", "bolt", "fixed", xyz="0.1 0 0")]
+    path = write(tmp_path, *parts, joint("f4", "hand", "tool", "fixed", xyz="0.1 0 0"))
+    arm = read_urdf(path, tip="tool")
+    np.testing.assert_array_equal(arm.mass, [3, 3.7])
+    np.testing.assert_array_equal(arm.viscous_friction, [0.7, 0])
+    np.testing.assert_array_equal(arm.coulomb_friction, [0.2, 0])
+    model = pin.buildModelFromUrdf(str(path))
+    rng = np.random.default_rng(7)
+    motion = rng.normal(0, 2, (3, 2, 20))
+    torques = inverse_dynamics(arm.kinematics, link_parameters(arm), *motion, model.gravity.linear)
+    np.testing.assert_allclose(torques, pinocchio_torques(model, *motion), rtol=0, atol=1e-10)
+
+
+@settings(deadline=None, max_examples=20)
+@given(seed=st.integers(0, 2**32 - 1), viscous=st.booleans(), coulomb=st.booleans())
+def test_inertia_and_friction_survive_the_round_trip(tmp_path_factory, seed, viscous, coulomb):
+    rng = np.random.default_rng(seed)
+    mass, center, inertia = random_bodies(rng, 3)
+    friction = rng.uniform(0, 2, (2, 3))
+    arm = Arm(
+        name="arm",
+        kinematics=rng.normal(size=(3, 6)),
+        mass=mass,
+        center_of_mass=center,
+        inertia=(inertia + np.swapaxes(inertia, 1, 2)) / 2,
+        viscous_friction=friction[0] if viscous else None,
+        coulomb_friction=friction[1] if coulomb else None,
+    )
+    back = read_urdf(write_urdf(arm, tmp_path_factory.mktemp("urdf") / "arm.urdf"))
+    for field in ("inertia", "viscous_friction", "coulomb_friction"):
+        np.testing.assert_equal(getattr(back, field), getattr(arm, field))
+
+
+def test_inertia_of_zeros_is_unknown(tmp_path):
+    parts = [link("base"), heavy("a", 1, six=[0] * 6), joint("j", "base", "a")]
+    arm = read_urdf(write(tmp_path, *parts))
+    assert arm.inertia is None
+    np.testing.assert_array_equal(arm.mass, [1])
+
+
+def test_an_impossible_tensor_is_left_out_with_a_warning(tmp_path):
+    parts = [link("base"), heavy("a", 1, six=[1, 0, 0, 1, 0, 5]), joint("j", "base", "a")]
+    path = write(tmp_path, *parts)
+    with pytest.warns(InputWarning) as warned:
+        arm = read_urdf(path)
+    assert arm.inertia is None
+    assert str(warned[0].message) == (
+        f"{path}: link 'a': its inertia has the principal moments 1, 1, 5 kg·m², the largest of which exceeds the sum"
+        " of the others, as no body's does; the inertia of this file is left out, correct it to diagnose torques"
+    )
+
+
+@pytest.mark.parametrize(
+    ("part", "message"),
+    [
+        (heavy("a", 1, six=["x", 0, 0, 1, 0, 1]), "link 'a': inertial: ixx has 'x', which is not a number; correct it"),
+        ('<link name="a"><inertial/></link>', "link 'a': inertial: lacks <mass value=\"…\">; add it"),
+    ],
+)
+def test_a_spoilt_inertial_names_the_link(part, message, tmp_path):
+    path = write(tmp_path, link("base"), part, joint("j", "base", "a"))
+    with pytest.raises(InputError) as error:
+        read_urdf(path)
+    assert str(error.value) == f"{path}: {message}"
+
+
+def test_spoilt_friction_names_the_joint(tmp_path):
+    path = write(tmp_path, *TWO, joint("j", "base", "a", extra='<dynamics damping="much"/>'))
+    with pytest.raises(InputError) as error:
+        read_urdf(path)
+    assert str(error.value) == f"{path}: joint 'j': dynamics: damping has 'much', which is not a number; correct it"
+    path = write(tmp_path, *TWO, joint("j", "base", "a", extra='<dynamics friction="-1"/>'))
+    with pytest.raises(InputError, match="joint1's Coulomb friction is negative; correct it"):
+        read_urdf(path)
