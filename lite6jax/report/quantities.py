@@ -8,6 +8,10 @@ import numpy as np
 from lite6jax.report.cells import plus_minus
 
 _UNITS = (
+    ("_Nm_s_per_rad_K", 1.0, "Nm·s/rad/K"),
+    ("_Nm_s_per_rad", 1.0, "Nm·s/rad"),
+    ("_Nm_per_rad", 1.0, "Nm/rad"),
+    ("_kg_m2", 1.0, "kg·m²"),
     ("_rad_per_Nm", 1e6, "µrad/Nm"),
     ("_m_per_Nm", 1e6, "µm/Nm"),
     ("_Nm", 1.0, "Nm"),
@@ -22,7 +26,12 @@ _UNITS = (
     ("_kg", 1.0, "kg"),
 )
 """The end of a parameter's name, and the unit in which it is read; the first that fits."""
-_NAMED = {"scale": (1e6, "ppm"), "coupling": (1e6, "ppm"), "time_constant_s": (1.0, "s")}
+_NAMED = {
+    "scale": (1e6, "ppm"),
+    "coupling": (1e6, "ppm"),
+    "time_constant_s": (1.0, "s"),
+    "velocity_rad_per_s": (1e3, "mrad/s"),
+}
 """Whose names alone do not say how they are read."""
 
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from functools import partial
-from itertools import combinations
+from itertools import combinations, product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,18 +41,22 @@ def periodic(data: TorqueRows, chosen: NDArray[np.integer], noise: Array) -> tup
 
 
 def curves(dynamics: Dynamics, data: TorqueRows, chosen: NDArray[np.integer], noise: Array) -> tuple[CurveFamily, ...]:
-    """The curves of each joint over its position, its speed and its load."""
+    """The curves of each joint over its position, its speed and its load, and those times its direction of motion."""
     found = []
-    for j in range(len(noise)):
+    for j, signed in product(range(len(noise)), (False, True)):
         drivers = []
         for quantity, pieces in _PIECES.items():
             driver = Driver(quantity, j + 1)
             values = _values(driver, dynamics)
-            if values is None:
+            if values is None or (signed and quantity == "velocity"):
                 continue
             values = values[data.filter.kept][chosen]
-            drivers.append(CurveDriver(values, pieces, quantity == "position", partial(_spline, j + 1, driver.phrase)))
-        found.append(CurveFamily(f"joint{j + 1}", _column(j, noise, len(chosen)), tuple(drivers)))
+            spline = partial(_spline, j + 1, driver.phrase, signed)
+            drivers.append(CurveDriver(values, pieces, quantity == "position" and not signed, spline))
+        column = _column(j, noise, len(chosen))
+        if signed:
+            column = column * dynamics.direction(j + 1)[data.filter.kept][chosen]
+        found.append(CurveFamily(f"joint{j + 1}", column, tuple(drivers)))
     return tuple(found)
 
 
@@ -158,5 +162,5 @@ def _curve(
     return waves(joint, q[training], orders)
 
 
-def _spline(joint: int, driver: str, lower: float, upper: float, pieces: int) -> UnnamedTorque:
-    return UnnamedTorque(joint, driver, lower, upper, pieces)
+def _spline(joint: int, driver: str, signed: bool, lower: float, upper: float, pieces: int) -> UnnamedTorque:
+    return UnnamedTorque(joint, driver, lower, upper, pieces, signed)

@@ -6,7 +6,7 @@ and modelled torques then pass the same filter, and one row in several is kept, 
 """
 
 import itertools
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from typing import NamedTuple, final
 
@@ -137,7 +137,9 @@ def smoothed(recording: Recording, chosen: LowPass) -> Smoothed:
     acceleration = np.zeros_like(velocity)
     for rows in _each(runs):
         if rows.stop - rows.start > 2:
-            acceleration[:, rows] = np.gradient(velocity[:, rows], 1 / rate, axis=1, edge_order=2)
+            # central differences of fifty samples a second lose half a per cent of a motion of 1.5 Hz
+            t = np.arange(rows.stop - rows.start) / rate
+            acceleration[:, rows] = CubicSpline(t, velocity[:, rows], axis=1)(t, 1)
     return Smoothed(position, velocity, acceleration, cutoff)
 
 
@@ -154,9 +156,18 @@ def low_pass(velocity: Array, rate: float, runs: NDArray[np.integer]) -> LowPass
     few = min(-(-velocity.shape[1] // _MOST_ROWS), int(rate / (2 * _NARROWEST * band)))
     every = max(int(rate / (2 * wanted)), few, 1)
     cutoff = rate / (2 * every)
-    margin = 0 if every == 1 else int(np.ceil(rate / cutoff))
-    kept = [np.arange(r.start + margin, r.stop - margin, every) for r in _each(runs) if r.stop - r.start >= _FEWEST]
-    return LowPass(rate, cutoff, every, runs, np.concatenate([np.zeros(0, int), *kept]))
+    return LowPass(rate, cutoff, every, runs, _kept(runs, every, 0 if every == 1 else int(np.ceil(rate / cutoff))))
+
+
+def without_ends(chosen: LowPass, motion_cutoff: float) -> LowPass:
+    """The filter that keeps no sample near the ends of a run, where a motion low-passed at so many Hz is inexact."""
+    margin = int(np.ceil(chosen.rate / min(motion_cutoff, chosen.cutoff)))
+    return replace(chosen, kept=_kept(chosen.runs, chosen.every, margin))
+
+
+def _kept(runs: NDArray[np.integer], every: int, margin: int) -> NDArray[np.integer]:
+    parts = [np.arange(r.start + margin, r.stop - margin, every) for r in _each(runs) if r.stop - r.start >= _FEWEST]
+    return np.concatenate([np.zeros(0, int), *parts])
 
 
 def spikes(torque: Array, runs: NDArray[np.integer]) -> NDArray[np.bool_]:
@@ -168,10 +179,13 @@ def spikes(torque: Array, runs: NDArray[np.integer]) -> NDArray[np.bool_]:
             continue
         off = np.zeros_like(part)
         off[:, 1:-1] = np.abs(part[:, 1:-1] - 0.5 * (part[:, :-2] + part[:, 2:]))
+        step = np.abs(np.roll(part, -1, 1) - np.roll(part, 1, 1))  # of a level that changes, the neighbours differ
         # of quantised torques most differences are zero
         typical = np.maximum(1.4826 * np.median(off, axis=1), 0.1 * off.mean(1))[:, None]
         away = np.abs(part - median_filter(part, (1, 5), mode="nearest"))
-        found[:, rows] = np.minimum(off, away) > _SPIKE * np.maximum(typical, 1e-12)
+        # the neighbours of a spike are off from their middle by half as much
+        alone = off >= np.maximum(np.roll(off, 1, 1), np.roll(off, -1, 1))
+        found[:, rows] = alone & (step < 0.5 * off) & (np.minimum(off, away) > _SPIKE * np.maximum(typical, 1e-12))
     return found
 
 
@@ -209,7 +223,7 @@ def _by_run(rows: Array, runs: NDArray[np.integer], cutoff: float, rate: float) 
 
 @cache
 def _sections(cutoff: float, rate: float) -> Array:
-    return butter(_ORDER, cutoff, fs=rate, output="sos")
+    return np.asarray(butter(_ORDER, cutoff, fs=rate, output="sos"))
 
 
 def _spectrum(row: Array, runs: NDArray[np.integer], rate: float) -> tuple[Array, Array]:

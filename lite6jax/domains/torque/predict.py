@@ -17,6 +17,9 @@ from lite6jax.recordings import Recording
 
 Array = NDArray[np.floating]
 
+_EXTRAPOLATED = 5
+"""Samples beyond the ends of a run to which torques are extrapolated where they are delayed."""
+
 
 @final
 @dataclass(frozen=True, eq=False)
@@ -61,6 +64,9 @@ def predict_torques(model: DiagnosedMotors, recording: Recording) -> Array:
         model: as diagnosed.
         recording: joint positions with times, and with the drivers of its effects.
 
+    Returns:
+        the torques; NaN where a delay reaches far beyond the ends of a run.
+
     Raises:
         InputError: no times, steps that vary, or a driver that the model needs and the motion lacks.
     """
@@ -82,6 +88,7 @@ def predict_torques(model: DiagnosedMotors, recording: Recording) -> Array:
     assert recording.time is not None
     later = torque.copy()
     for rows, spline in interpolant(torque, recording.time, chosen.runs):
-        t = recording.time[rows]
-        later[:, rows] = spline(np.clip(t + delay, t[0], t[-1]))
+        at, (first, last) = recording.time[rows] + delay, recording.time[rows][[0, -1]]
+        reach = _EXTRAPOLATED / chosen.rate
+        later[:, rows] = np.where((at >= first - reach) & (at <= last + reach), spline(at), np.nan)
     return later.T

@@ -325,7 +325,7 @@ def torque_problem(data: TorqueRows) -> TorqueProblem:
     else:
         directions, deviations = uncertain(links, 1.0 if inertial == "unknown" else float(inertial))
     candidates = torque_catalogue(data.arm.dof)
-    missing = tuple(untestable(candidates, data.motion, links.any() or inertial == "unknown"))
+    missing = tuple(untestable(candidates, data.motion, bool(links.any()) or inertial == "unknown"))
     lacking = {item.effect for item in missing}
     declared = settings.torque_noise_Nm is not None
     noise = np.asarray(settings.torque_noise_Nm or _ASSUMED * np.std(data.torque, axis=1) + 1e-6, float)

@@ -10,7 +10,15 @@ from numpy.typing import NDArray
 
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.dynamics import link_parameters, regressor
-from lite6jax.domains.torque.filtering import LowPass, interpolant, low_pass, runs_of, sample_rate, smoothed
+from lite6jax.domains.torque.filtering import (
+    LowPass,
+    interpolant,
+    low_pass,
+    runs_of,
+    sample_rate,
+    smoothed,
+    without_ends,
+)
 from lite6jax.effects.dynamic.torque_effect import Dynamics, direction, point_mass
 from lite6jax.effects.motion import Motion
 from lite6jax.errors import InputError
@@ -191,7 +199,7 @@ def bodies_of(recording: Recording, arm: Arm) -> tuple[RigidBodies, LowPass, flo
     links = np.zeros((arm.dof, 10)) if arm.mass is None else np.asarray(link_parameters(arm))
     gravity = np.array(settings.gravity_m_per_s2)
     bodies = RigidBodies(moved, links, center, gravity, np.asarray(arm.kinematics))
-    return bodies, chosen, smooth.cutoff
+    return bodies, without_ends(chosen, smooth.cutoff), smooth.cutoff
 
 
 def torque_rows(recording: Recording, arm: Arm, torque: Array) -> TorqueRows:

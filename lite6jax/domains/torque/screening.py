@@ -11,6 +11,7 @@ from lite6jax.arms.arm import Arm
 from lite6jax.domains.torque.filtering import runs_of, sample_rate, spikes, without_spikes
 from lite6jax.domains.torque.problem import TorqueProblem
 from lite6jax.domains.torque.rows import TorqueRows, torque_rows
+from lite6jax.effects.dynamic.torque_effect import direction
 from lite6jax.errors import InputError
 from lite6jax.estimation.least_squares import fit
 from lite6jax.estimation.options import EngineOptions
@@ -24,10 +25,8 @@ Array = NDArray[np.floating]
 
 _LEAST_MOTION = 0.02
 """rad over which one joint moves at least; noise of encoders is far below."""
-_CORRELATED = 0.9
-"""Correlation of a measured with another joint's modelled torque from which columns may be swapped."""
-_CLEARLY = 0.3
-"""By which that exceeds the correlation with the joint's own."""
+_CLEARLY = 9.0
+"""Times by which another column or sign leaves less of the squares of a torque."""
 _EVENT = 60.0
 """Squared residual over its robust scale, summed over joints, from which a sample may belong to a contact."""
 _JOINED = 0.3
@@ -110,35 +109,39 @@ def _require_motion(recording: Recording) -> None:
 
 
 def _in_order(data: TorqueRows) -> tuple[TorqueRows, list[DataFault]]:
-    """With each torque in the column of its joint and of its sign, as far as the rigid arm shows."""
+    """With each torque in the column of its joint and of its sign, as far as the rigid arm shows.
+
+    Each column is compared with the torque of each joint, of either sign, beside an offset and friction. Another
+    assignment than the declared one must leave far less of every torque that it moves.
+    """
     rigid = data.filter(data.bodies.dynamics(data.bodies.links).torque)
-    measured = data.measured
-    both = np.corrcoef(np.concatenate([measured, rigid]))
-    joints = len(rigid)
-    # a joint that bears nothing correlates with nothing
-    R = np.nan_to_num(both[:joints, joints:])
-    order, sign = np.arange(joints), np.ones(joints)
-    columns, place = linear_sum_assignment(-np.abs(R))
-    for column, joint in zip(columns, place, strict=True):
-        other = place[joint] if column != joint else joint
-        mutual = abs(R[column, joint]) > _CORRELATED and abs(R[column, joint]) > abs(R[column, column]) + _CLEARLY
-        if column != joint and mutual and abs(R[joint, other]) > _CORRELATED:
-            order[joint] = column
-    if sorted(order) != list(range(joints)):
-        order = np.arange(joints)
+    measured, joints = data.measured, len(rigid)
+    velocity = np.asarray(data.motion.joint_velocity)[:, data.filter.kept]
+    left = np.empty((2, joints, joints))
     for joint in range(joints):
-        if R[order[joint], joint] < -_CORRELATED:
-            sign[joint] = -1.0
+        beside = np.stack([np.ones(rigid.shape[1]), velocity[joint], direction(velocity[joint])])
+        basis = np.linalg.qr(beside.T)[0]
+        for k, sign in enumerate((1.0, -1.0)):
+            rest = measured - sign * rigid[joint]
+            left[k, :, joint] = np.mean((rest - (rest @ basis) @ basis.T) ** 2, 1)
+    log_left = np.log(np.maximum(left, 1e-300))
+    columns, place = linear_sum_assignment(log_left.min(0))
+    order = np.empty(joints, int)
+    order[place] = columns
+    sign = np.where(np.argmin(left[:, order, np.arange(joints)], 0) == 1, -1.0, 1.0)
+    own = log_left[0, np.arange(joints), np.arange(joints)]
+    better = own - log_left.min(0)[order, np.arange(joints)]
+    changed = (order != np.arange(joints)) | (sign < 0)
+    if not changed.any() or (better[changed] < np.log(_CLEARLY)).any():
+        return data, []
     found = []
     swapped = [int(j) + 1 for j in np.flatnonzero(order != np.arange(joints))]
     if swapped:
         sources = [int(order[j - 1]) + 1 for j in swapped]
         found.append(DataFault("swapped_torques", (), {"joints": swapped, "columns": sources}))
-    reversed_ = [int(j) + 1 for j in np.flatnonzero(sign < 0)]
-    if reversed_:
-        found.append(DataFault("reversed_torque", (), {"joints": reversed_}))
-    if not found:
-        return data, []
+    turned = [int(j) + 1 for j in np.flatnonzero(sign < 0)]
+    if turned:
+        found.append(DataFault("reversed_torque", (), {"joints": turned}))
     return torque_rows(data.recording, data.arm, sign[:, None] * data.torque[order]), found
 
 

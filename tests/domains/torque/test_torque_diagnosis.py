@@ -1,0 +1,198 @@
+"""Torques from a recording to findings, a document, a model and a prediction; and everything that is refused."""
+
+import json
+
+import numpy as np
+import pytest
+from domains.torque.moved import hidden, motion_of, recorded, setup_of
+
+from benchmarks.torque_trials.physics import torques
+from lite6jax.diagnosis.document import write_document
+from lite6jax.diagnosis.options import Options
+from lite6jax.diagnosis.torque_diagnosis import diagnose_torques
+from lite6jax.diagnosis.torque_document import read_torque_model, torque_model_from_document
+from lite6jax.domains.torque.predict import predict_torques
+from lite6jax.domains.torque.problem import linearised, torque_problem
+from lite6jax.domains.torque.screening import screen_torques
+from lite6jax.effects.dynamic.friction import CoulombFriction, ViscousFriction
+from lite6jax.errors import InputError
+from lite6jax.estimation.options import EngineOptions
+from lite6jax.recordings import Recording
+from lite6jax.report.torque_statements import with_statements
+from lite6jax.search.search import search
+
+FEW = Options(folds=2)
+"""Two held-out blocks instead of five."""
+
+FRICTION = (
+    hidden("viscous_friction", "joint2", viscous_Nm_s_per_rad=0.6),
+    hidden("coulomb_friction", "joint2", coulomb_Nm=0.4),
+)
+
+
+@pytest.fixture(scope="module")
+def diagnosed():
+    recording, arm = recorded(FRICTION, seed=1)
+    return diagnose_torques(recording, arm, options=FEW)
+
+
+def test_nothing_is_found_where_nothing_is_hidden():
+    found = diagnose_torques(*recorded(seed=2), options=FEW)
+    assert found.findings == ()
+    assert found.verdict == "consistent"
+    np.testing.assert_array_equal(found.before, found.after)
+
+
+def test_friction_is_found_with_its_numbers(diagnosed):
+    assert {finding.effect for finding in diagnosed.findings} == {ViscousFriction(2), CoulombFriction(2)}
+    assert diagnosed.verdict == "explained"
+    truth = {"viscous_friction": 0.6, "coulomb_friction": 0.4}
+    for finding in diagnosed.findings:
+        ((_, estimate),) = finding.parameters.items()
+        assert abs(estimate.value - truth[finding.effect.name]) < 4 * estimate.std
+        assert finding.p_value < 0.003
+    assert np.mean(diagnosed.after**2) < 0.2 * np.mean(diagnosed.before**2)
+
+
+def test_the_model_predicts_another_motion(diagnosed, tmp_path):
+    path = write_document(with_statements(diagnosed.to_dict()), tmp_path / "d.json")
+    model = read_torque_model(path)
+    setup, _ = setup_of(1)
+    motion = motion_of(setup, 999)
+    unseen = Recording.from_arrays(motion.q, time=motion.time, joint_velocity=motion.dq, motion="trajectory")
+    predicted = predict_torques(model, unseen)
+    np.testing.assert_allclose(predicted, predict_torques(diagnosed.model, unseen), rtol=0, atol=1e-12)
+    truth = torques(setup, FRICTION, motion)
+    assert np.sqrt(np.mean((predicted - truth)[10:-10] ** 2)) < 0.02
+    assert np.sqrt(np.mean((torques(setup, (), motion) - truth) ** 2)) > 0.1
+    document = json.loads(path.read_text())
+    assert document["domain"] == "torque"
+    assert document["after"]["heldout_torque_rms_Nm"] < document["before"]["heldout_torque_rms_Nm"]
+    assert "Nm·s/rad" in document["findings"][0]["statement"] + document["findings"][1]["statement"]
+
+
+@pytest.mark.parametrize(
+    ("damage", "message"),
+    [
+        (lambda d: d["model"]["links"].pop(), "links of the shape"),
+        (lambda d: d["model"].update(gravity=[0, 0, 1e6]), "gravity"),
+        (lambda d: d["model"]["effects"][0].update(effect="viscous_frictio"), "unknown"),
+        (lambda d: d.update(verdict="fine"), "verdict"),
+        (lambda d: d.update(more=1), "'more' is unknown"),
+        (lambda d: d.pop("domain"), "is no diagnosis of torques"),
+    ],
+)
+def test_damaged_documents_are_refused(diagnosed, damage, message):
+    document = json.loads(json.dumps(diagnosed.to_dict()))
+    damage(document)
+    with pytest.raises(InputError, match=message):
+        torque_model_from_document(document)
+
+
+def test_a_function_outside_the_catalogue_has_no_name():
+    recording, arm = recorded(seed=3)
+    q, v = recording.joint_position[:, 1], recording.velocities()[:, 1]
+    middle = float(np.median(q))
+    sticky = 0.8 * np.exp(-(((q - middle) / 0.25) ** 2)) * np.tanh(v / 0.002)
+    changed = recorded(seed=3, change=lambda tau: tau + np.stack([sticky * (j == 1) for j in range(6)], 1))[0]
+    found = diagnose_torques(changed, arm, options=FEW)
+    largest = max(found.findings, key=lambda finding: finding.gain)
+    assert (largest.effect.name, largest.effect.site) == ("unnamed", "joint2")
+    assert "position of joint 2" in [driver.phrase for driver in largest.effect.drivers]
+    assert found.verdict == "unnamed"
+
+
+def test_friction_of_every_joint_of_an_arm_of_unknown_links():
+    effects = [hidden("viscous_friction", f"joint{j}", viscous_Nm_s_per_rad=0.5) for j in range(1, 7)]
+    effects += [hidden("coulomb_friction", f"joint{j}", coulomb_Nm=0.4) for j in range(1, 7)]
+    recording, arm = recorded(effects, seed=4, inertial="unknown", declare=False)
+    options = EngineOptions()
+    problem = linearised(torque_problem(screen_torques(recording, arm).data), options)
+    found = search(problem, options)
+    assert found.saturated
+    labels = {term.label for term in found.state.fit.terms.terms}
+    assert {f"{kind}_friction:joint{j}" for kind in ("viscous", "coulomb") for j in range(1, 7)} <= labels
+    before, after = found.state.baseline.residuals.rows, found.state.fit.residuals.rows
+    assert np.mean(after**2) < 0.05 * np.mean(before**2)
+
+
+def test_swapped_columns_are_exchanged():
+    recording, arm = recorded(seed=7, change=lambda tau: tau[:, [0, 2, 1, 3, 4, 5]])
+    screened = screen_torques(recording, arm)
+    assert [(f.code, f.numbers) for f in screened.found] == [("swapped_torques", {"joints": [2, 3], "columns": [3, 2]})]
+    straight = recorded(seed=7)[0].torques().T
+    np.testing.assert_array_equal(screened.data.torque, straight)
+
+
+def test_a_reversed_sign_is_turned():
+    recording, arm = recorded(seed=7, change=lambda tau: tau * [1, -1, 1, 1, 1, 1])
+    screened = screen_torques(recording, arm)
+    assert [(f.code, f.numbers) for f in screened.found] == [("reversed_torque", {"joints": [2]})]
+
+
+def test_spikes_are_said_with_their_rows():
+    def spiked(tau):
+        tau[[50, 400], 1] += 20.0
+        return tau
+
+    (fault,) = screen_torques(*recorded(seed=7, change=spiked)).found
+    assert (fault.code, fault.rows, fault.numbers) == ("torque_spikes", (51, 401), {"joints": [2], "count": 2})
+
+
+def test_a_contact_is_an_event_and_no_physics():
+    def pushed(tau):
+        tau[300:330, :3] += [3.0, 5.0, 2.0]
+        return tau
+
+    found = diagnose_torques(*recorded(seed=8, change=pushed), options=FEW)
+    (fault,) = found.faults
+    assert fault.code == "contact"
+    assert {1, 2, 3} <= set(fault.numbers["joints"])
+    hidden_rows = set(range(301, 331))
+    assert len(hidden_rows & set(fault.rows)) >= 0.5 * len(hidden_rows | set(fault.rows))
+    assert found.findings == ()
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda tau: 1000 * tau, "mN m"),
+        (lambda tau: tau * 0 + np.nan, "not finite|NaN|no row"),
+    ],
+)
+def test_torques_that_cannot_be(change, message):
+    with pytest.raises(InputError, match=message):
+        screen_torques(*recorded(seed=7, change=change))
+
+
+def test_what_cannot_be_diagnosed_is_refused():
+    recording, arm = recorded(seed=7)
+    still = Recording.from_arrays(
+        np.zeros((200, 6)) + 0.1,
+        time=np.arange(200) / 50,
+        joint_velocity=np.zeros((200, 6)),
+        joint_torque=np.ones((200, 6)),
+        motion="trajectory",
+    )
+    with pytest.raises(InputError, match="the arm is at rest"):
+        screen_torques(still, arm)
+    bare = type(arm)(arm.name, arm.kinematics)
+    with pytest.raises(InputError, match=r"has no masses; add them .* or declare inertial: unknown"):
+        screen_torques(recording, bare)
+    currents = Recording.from_arrays(
+        recording.joint_position, time=recording.time, motor_current=recording.torques(), motion="trajectory"
+    )
+    with pytest.raises(InputError, match="torque_constant_Nm_per_A"):
+        screen_torques(currents, arm)
+    with pytest.raises(InputError, match="declares no arm"):
+        diagnose_torques(recording)
+
+
+def test_a_motion_without_a_driver_of_the_model_is_refused():
+    effect = hidden("friction_temperature", "joint2", viscous_Nm_s_per_rad_K=-0.05)
+    found = diagnose_torques(*recorded([effect], seed=9, warming=True), options=FEW)
+    assert [finding.effect.label for finding in found.findings] == ["friction_temperature:joint2"]
+    motion = motion_of(setup_of(9)[0], 3)
+    cold = Recording.from_arrays(motion.q, time=motion.time, joint_velocity=motion.dq, motion="trajectory")
+    with pytest.raises(InputError, match="has no temperature of joint 2; give the temperature of each joint"):
+        predict_torques(found.model, cold)

@@ -1,0 +1,144 @@
+"""The filter, and torques as an estimation problem."""
+
+import numpy as np
+import pytest
+from domains.torque.moved import hidden, motion_of, recorded, setup_of
+
+from lite6jax.domains.torque.filtering import low_pass, runs_of, sample_rate, spikes, without_spikes
+from lite6jax.domains.torque.problem import linearised, torque_problem
+from lite6jax.domains.torque.rows import bodies_of, torque_rows
+from lite6jax.effects.dynamic.friction import StribeckFriction
+from lite6jax.effects.dynamic.motors import TorqueRipple, TorqueScale, TorqueTimeOffset
+from lite6jax.errors import InputError
+from lite6jax.estimation.least_squares import fit
+from lite6jax.estimation.options import EngineOptions
+from lite6jax.estimation.terms import Terms
+from lite6jax.recordings import Recording
+
+
+def plain(time, run=None):
+    q = np.sin(time)[:, None] * np.ones(2)
+    return Recording.from_arrays(q, time=time, joint_velocity=q, run=run, motion="trajectory")
+
+
+def test_a_uniform_rate_passes_and_gaps_begin_runs():
+    time = np.delete(np.arange(300) / 100, np.s_[120:140])
+    recording = plain(time)
+    assert sample_rate(recording) == pytest.approx(100)
+    runs = runs_of(recording, 100)
+    assert np.flatnonzero(np.diff(runs)).tolist() == [119]
+
+
+@pytest.mark.parametrize(
+    ("time", "message"),
+    [
+        (np.cumsum(np.random.default_rng(0).exponential(0.01, 300)), "its time steps vary.*record at a constant rate"),
+        (np.arange(20) / 100, "20 rows are too few; record a motion of some seconds"),
+    ],
+)
+def test_times_that_cannot_be_filtered(time, message):
+    with pytest.raises(InputError, match=message):
+        sample_rate(plain(time))
+
+
+def test_torques_without_times():
+    with pytest.raises(InputError, match="has torques without times; add time_s"):
+        sample_rate(Recording.from_arrays(np.zeros((50, 2)), joint_velocity=np.zeros((50, 2)), motion="trajectory"))
+
+
+def test_the_low_pass_keeps_what_is_slow_without_shift_and_removes_what_is_fast():
+    t = np.arange(4000) / 200
+    slow, fast = np.sin(2 * np.pi * 0.5 * t), np.sin(2 * np.pi * 60 * t)
+    chosen = low_pass(np.stack([slow, slow]), 200.0, np.zeros(len(t), int))
+    assert chosen.cutoff == 100 / chosen.every
+    assert 10 <= chosen.cutoff < 20
+    assert np.abs(chosen((slow + fast)[None])[0] - slow[chosen.kept])[5:-5].max() < 1e-3
+
+
+def test_white_noise_stays_white_of_one_part_in_so_many():
+    rng = np.random.default_rng(2)
+    t = np.arange(40000) / 200
+    noise = rng.normal(0, 1, (4, len(t)))
+    chosen = low_pass(np.sin(2 * np.pi * 0.4 * t)[None], 200.0, np.zeros(len(t), int))
+    kept = chosen(noise)
+    assert kept.std() * np.sqrt(chosen.every) == pytest.approx(0.93, abs=0.05)
+    neighbours = np.mean(kept[:, 1:] * kept[:, :-1]) / np.mean(kept**2)
+    assert abs(neighbours) < 0.12
+
+
+def test_accelerations_follow_those_of_the_motion():
+    recording, arm = recorded(seed=5, velocity_noise=1e-3)
+    motion = motion_of(setup_of(5)[0], 105)
+    bodies, chosen, cutoff = bodies_of(recording, arm)
+    error = np.asarray(bodies.motion.joint_acceleration).T - motion.ddq
+    inside = slice(25, -25)
+    assert np.sqrt(np.mean(error[inside] ** 2)) < 0.02 * np.sqrt(np.mean(motion.ddq**2)) + 0.02
+    assert cutoff <= 2 * chosen.cutoff
+
+
+def test_spikes_are_found_and_nothing_else():
+    recording, _ = recorded(seed=6)
+    tau = recording.torques().T.copy()
+    runs = np.zeros(tau.shape[1], int)
+    assert not spikes(tau, runs).any()
+    tau[2, 100] += 15.0
+    tau[4, 300] -= 4.0
+    found = spikes(tau, runs)
+    assert sorted(map(tuple, np.argwhere(found))) == [(2, 100), (4, 300)]
+    clean = without_spikes(tau, found)
+    assert abs(clean[2, 100] - recording.torques()[100, 2]) < 1.0
+
+
+@pytest.mark.parametrize("inertial", ["declared", 0.1])
+def test_columns_are_the_derivatives_of_residuals(inertial):
+    recording, arm = recorded([hidden("viscous_friction", "joint2", viscous_Nm_s_per_rad=0.5)], inertial=inertial)
+    problem = torque_problem(torque_rows(recording, arm, recording.torques().T))
+    terms = Terms((*problem.candidates, StribeckFriction(1), TorqueRipple(3), *problem.flexible[:4]))
+    rng = np.random.default_rng(0)
+    values = 0.1 * terms.typical * rng.normal(0, 1, terms.size)
+    for effect, part in zip(terms.terms, terms.slices, strict=True):
+        if isinstance(effect, StribeckFriction | TorqueRipple):
+            values[part] = (0.2, 0.1) if effect.size == 2 else (0.2, 0.1, 6.0)
+        if isinstance(effect, TorqueTimeOffset | TorqueScale):
+            values[part] = 0.0  # other effects' own columns are neither delayed nor scaled
+    nuisance = np.zeros(len(problem.precision))
+    columns = problem.columns(terms.terms, values)
+    at = problem.residual(nuisance, terms, values)
+    for effect, part in zip(terms.terms, terms.slices, strict=True):
+        for k, number in enumerate(effect.coordinates):
+            step = np.zeros(terms.size)
+            step[part.start + k] = 1e-4 * number.typical
+            up, down = (problem.residual(nuisance, terms, values + sign * step) for sign in (1, -1))
+            slope = (up - down) / (2e-4 * number.typical)
+            column = columns[part.start + k]
+            inside = slice(1, -1)  # beyond the ends of the run, torques keep their last value
+            off = np.abs(slope - column)[:, inside].max()
+            assert off < 1e-5 * max(np.abs(slope).max(), 1e-9), effect.label
+    for k, column in enumerate(problem.nuisance_columns(terms, values)):
+        step = 1e-4 * np.eye(len(nuisance))[k]
+        slope = (problem.residual(nuisance + step, Terms(), np.zeros(0)) - problem.residual(nuisance, Terms(),
+                 np.zeros(0))) / 1e-4  # fmt: skip
+        np.testing.assert_allclose(slope, column, rtol=0, atol=1e-6 * max(np.abs(column).max(), 1.0))
+    assert at.shape == (6, problem.samples)
+
+
+@pytest.mark.parametrize(("offset", "within"), [(0.02, 5e-4), (-0.06, 5e-4)])
+def test_a_delay_is_estimated(offset, within):
+    recording, arm = recorded([hidden("time_offset", "clock", offset_s=offset)])
+    problem = torque_problem(torque_rows(recording, arm, recording.torques().T))
+    found = fit(problem, Terms((TorqueTimeOffset(),)), EngineOptions())
+    assert found.values[0] == pytest.approx(offset, abs=within)
+    assert abs(found.values[0] - offset) < 5 * np.sqrt(found.covariance[0, 0]) + 1e-4
+
+
+def test_unknown_links_are_fitted_about_the_declared_ones():
+    effects = [hidden("link_mass", "link3", mass_kg=0.4)]
+    recording, arm = recorded(effects, inertial="unknown")
+    problem = torque_problem(torque_rows(recording, arm, recording.torques().T))
+    assert problem.precision.shape == (60,)
+    options = EngineOptions()
+    there = linearised(problem, options)
+    before = np.sqrt(np.mean(problem.residual(np.zeros(60), Terms(), np.zeros(0)) ** 2))
+    after = np.sqrt(np.mean(there.residual(np.zeros(60), Terms(), np.zeros(0)) ** 2))
+    assert after < 1.3 < before
+    assert there.relative_std in (0.1, 0.3, 1.0, 3.0) or there.relative_std == pytest.approx(0.3)
