@@ -29,13 +29,27 @@ def workloads() -> dict[str, Workload]:
     from benchmarks.interrupts import interrupts
     from benchmarks.models import models
     from benchmarks.profile import profile
+    from benchmarks.regressor import regressor
     from benchmarks.samples import samples
     from benchmarks.soak import soak
     from benchmarks.study import study
 
     return {
         run.__name__: run
-        for run in (one, fleet, samples, study, command, diagnose, compensation, models, profile, soak, interrupts)
+        for run in (
+            one,
+            fleet,
+            samples,
+            study,
+            command,
+            diagnose,
+            compensation,
+            models,
+            regressor,
+            profile,
+            soak,
+            interrupts,
+        )
     }
 
 

@@ -10,8 +10,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from benchmarks import __main__ as harness
-from benchmarks import command, diagnose, fits, measure, one_by_one, problem, rivals, samples, seed_way
+from benchmarks import command, diagnose, fits, measure, one_by_one, problem, regressor, rivals, samples, seed_way
 from benchmarks.measure import Record
+from lite6jax.arms import dynamics
 from lite6jax.diagnosis.result import Finding
 from lite6jax.effects.catalogue import catalogue
 from lite6jax.effects.kinematic.surroundings import TimeOffset
@@ -123,6 +124,16 @@ def test_a_fleet_is_compared_with_the_closed_form():
     records = list(fits.fleet(sizes=(1,), samples=40, repeats=1, rivals=()))
     assert [record.failed for record in records] == [""] * len(records)
     assert {record.subject for record in records} == {fits.OURS, fits.CLOSED_FORM}
+
+
+def test_a_regressor_that_is_not_pinocchios_is_marked(monkeypatch):
+    right = list(regressor.regressor(samples=30, repeats=1))
+    assert [record.failed for record in right] == [""] * 4
+    assert right[-1].value == pytest.approx(right[1].value / right[2].value)
+    correct = dynamics.regressor
+    monkeypatch.setattr(dynamics, "regressor", lambda *motion: correct(*motion) + 1e-9)
+    wrong = list(regressor.regressor(samples=30, repeats=1))
+    assert [record.subject for record in wrong if "the regressor off by 1e-09" in record.failed] == ["lite6jax"] * 3
 
 
 def test_peak_memory_is_what_the_process_held_itself():

@@ -507,9 +507,8 @@ def test_convert_carries_a_calibration_through_every_form(capsys, tmp_path, cali
     truth = six_parameter_poses(read_factory(calibration).kinematics, q)
     np.testing.assert_allclose(six_parameter_poses(read_factory(chain[-1]).kinematics, q), truth, atol=1e-13)
     assert set(yaml.safe_load(chain[-1].read_text())["kinematics"]) >= {"shoulder", "wrist_3"}
-    assert (
-        "Left out: joint limits and masses." in run(capsys, "convert", chain[3], tmp_path / "f.yaml", "--to", "ur")[1]
-    )
+    said = run(capsys, "convert", chain[3], tmp_path / "f.yaml", "--to", "ur")[1]
+    assert "Left out: joint limits, masses and inertia." in said
 
 
 def test_convert_refuses_what_a_form_cannot_hold(capsys, tmp_path, calibration):

@@ -151,7 +151,7 @@ def regressor(kinematics: ArrayLike, q: ArrayLike, dq: ArrayLike, ddq: ArrayLike
     joints, samples = motion.shape[1:]
     size = min(samples, _CHUNK)
 
-    def fill(k: int, filled: Array) -> Array:
+    def fill(k: ArrayLike, filled: Array) -> Array:
         start = jnp.minimum(k * size, samples - size)  # the last chunk overlaps the one before
         chunk = lax.dynamic_slice_in_dim(motion, start, size, 2)
         columns = _columns(*_link_motions(_steps(kinematics, *chunk), gravity))

@@ -1,5 +1,6 @@
-"""Reading an arm by its name or path: a bundled arm, a description, a calibration, a table or a URDF."""
+"""Reading an arm by its name or path: a bundled arm, a description, a calibration, a table, a URDF or MJCF."""
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,8 +10,10 @@ from lite6jax.arms.arm import Arm
 from lite6jax.arms.bundled import bundled_arms, load_bundled
 from lite6jax.arms.description import arm_from_description, read_description, write_arm
 from lite6jax.arms.factory import FactoryCalibration, read_factory, write_factory
+from lite6jax.arms.mjcf import read_mjcf, write_mjcf
 from lite6jax.arms.table import HayatiTable, read_table, write_table
 from lite6jax.arms.urdf import read_urdf, write_urdf
+from lite6jax.arms.urdf_tree import SIZE_LIMIT
 from lite6jax.errors import InputError
 
 __all__ = [
@@ -19,15 +22,19 @@ __all__ = [
     "read_arm",
     "read_description",
     "read_factory",
+    "read_mjcf",
     "read_table",
     "read_urdf",
     "write_arm",
     "write_factory",
+    "write_mjcf",
     "write_table",
     "write_urdf",
 ]
 
-_URDF = (".urdf", ".xacro", ".xml")
+_XML = (".urdf", ".xacro", ".xml", ".mjcf")
+_ROOT = re.compile(r"<([A-Za-z][\w.:-]*)")
+_COMMENT = re.compile(r"<!--.*?-->", re.DOTALL)
 
 
 def read_arm(path_or_name: str | Path) -> Arm:
@@ -37,7 +44,8 @@ def read_arm(path_or_name: str | Path) -> Arm:
     - a description: YAML with `name` and `kinematics`;
     - a factory calibration, in YAML or as a JSON table: the calibrated chain as the nominal one, with the limits and
       masses of the recognised bundled arm;
-    - a URDF; `robot.urdf#tool0` names the tip link where it has several.
+    - a URDF or an MJCF file, by its root element; `robot.urdf#tool0` names the tip link, body or site where it has
+      several.
 
     Raises:
         InputError: neither the name of a bundled arm nor a file, or as the reader of that file.
@@ -46,8 +54,9 @@ def read_arm(path_or_name: str | Path) -> Arm:
     if name in bundled_arms():
         return load_bundled(name)
     file, _, tip = name.partition("#")
-    if Path(file).suffix.lower() in _URDF:
-        return read_urdf(file, tip=tip or None)
+    if Path(file).suffix.lower() in _XML:
+        read = read_mjcf if is_mjcf(file) else read_urdf
+        return read(file, tip=tip or None)
     path = Path(name)
     if not storage.exists(path) and not path.suffix:
         raise InputError(f"{name}: neither a bundled arm nor a file; {entries.suggestion(name, bundled_arms())}")
@@ -57,6 +66,16 @@ def read_arm(path_or_name: str | Path) -> Arm:
     if isinstance(content, dict) and set(content) == {"kinematics"}:
         return calibrated_arm(read_factory(path))
     return arm_from_description(content, str(path))
+
+
+def is_mjcf(path: str | Path) -> bool:
+    """Whether the root element of an XML file is MuJoCo's.
+
+    Raises:
+        InputError: as `storage.read_text`.
+    """
+    root = _ROOT.search(_COMMENT.sub("", storage.read_text(path, SIZE_LIMIT)))
+    return root is not None and root[1] == "mujoco"
 
 
 def calibrated_arm(calibration: FactoryCalibration) -> Arm:

@@ -1,5 +1,6 @@
 """Conversion of an arm's file to another form, and the parts that the new form cannot represent."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
@@ -9,21 +10,28 @@ from numpy.typing import NDArray
 
 from lite6jax import storage
 from lite6jax.arms import convert, frames
-from lite6jax.arms.arm import Arm, sample_joints
+from lite6jax.arms.arm import JOINT_TERMS, Arm, sample_joints
 from lite6jax.arms.factory import FactoryCalibration, read_factory, write_factory
-from lite6jax.arms.files import calibrated_arm, read_arm, write_arm, write_table, write_urdf
+from lite6jax.arms.files import calibrated_arm, read_arm, write_arm, write_mjcf, write_table, write_urdf
 from lite6jax.errors import InputError
 
 Array = NDArray[np.floating]
-FileForm = Literal["vendor", "ur", "table", "urdf", "description"]
+FileForm = Literal["vendor", "ur", "table", "urdf", "mjcf", "description"]
 
 SUFFIXES: dict[FileForm, tuple[str, ...]] = {
     "vendor": (".yaml", ".yml"),
     "ur": (".yaml", ".yml"),
     "table": (".json",),
+    "mjcf": (".xml", ".mjcf"),
     "urdf": (".urdf", ".xml"),
     "description": (".yaml", ".yml"),
 }
+WHOLE_ARM: dict[FileForm, Callable[[Arm, str | Path, bool], Path]] = {
+    "description": write_arm,
+    "urdf": write_urdf,
+    "mjcf": write_mjcf,
+}
+"""The forms that hold an arm rather than its chain alone, and what writes them."""
 _SAME = 1e-12
 """The tolerance of the identity, m and entries of a rotation, far below the firmware's 32-bit resolution."""
 
@@ -57,7 +65,7 @@ def convert_file(
     """Reads an arm in any form and writes it in another.
 
     Args:
-        source: a factory calibration, a JSON table, a URDF, a description, or the name of a bundled arm.
+        source: a factory calibration, a JSON table, a URDF, MJCF, a description, or the name of a bundled arm.
         target: the file to write.
         form: of the target; None derives it from the suffix, `.yaml` being the vendor's form of a calibration and
             the description of any other arm.
@@ -87,16 +95,43 @@ def convert_file(
         parameters = hayati_of(FactoryCalibration(arm.kinematics, reference, arm.T_joint_flange, str(source)))
         write_table(reference.form, parameters, target, overwrite)
         left_out.append("where each joint's frame stands on its axis (the flange's pose does not depend on it)")
-    elif form == "urdf":
-        write_urdf(arm, target, overwrite)
     else:
-        write_arm(arm, target, overwrite)
-    if not calibrated and form in ("vendor", "ur", "table"):
-        left_out.append("joint limits" + (" and masses" if arm.mass is not None else ""))
-    if arm.dh is not None and form in ("vendor", "ur", "urdf"):
-        left_out.append("the published DH table")
-    again = _read(target, None if form in ("urdf", "description") else reference, is_calibration(target))[0]
+        export_arm(arm, target, form, overwrite)
+    left_out += left_out_of(arm, form, calibrated)
+    again = _read(target, None if form in WHOLE_ARM else reference, is_calibration(target))[0]
     return Conversion(target, form, arm, tuple(left_out), _distance(arm, again))
+
+
+def export_arm(arm: Arm, path: str | Path, form: FileForm | None = None, overwrite: bool = False) -> Path:
+    """Writes all that an arm holds and the form has a place for; `left_out_of` says what it has none for.
+
+    Args:
+        arm: the arm.
+        path: the file to write.
+        form: description, urdf or mjcf; None derives it from the suffix: `.yaml`, `.urdf`, `.xml` (MJCF).
+        overwrite: whether the file may be replaced.
+
+    Raises:
+        InputError: another form or suffix, or as the writers.
+    """
+    form = form or _form_of(Path(path), calibrated=False)
+    if form not in WHOLE_ARM:
+        raise InputError(f"{path}: the form {form} holds a chain only; write {', '.join(WHOLE_ARM)}")
+    return WHOLE_ARM[form](arm, path, overwrite)
+
+
+def left_out_of(arm: Arm, form: FileForm, calibrated: bool = False) -> list[str]:
+    """What of an arm a form has no place for, a phrase each; of a calibrated arm its chain alone is its own."""
+    phrases = []
+    drives = [what for field, what in JOINT_TERMS.items() if getattr(arm, field) is not None]
+    if form not in WHOLE_ARM and not calibrated:
+        bodies = "" if arm.mass is None else " and masses" if arm.inertia is None else ", masses and inertia"
+        phrases += [f"joint limits{bodies}", *drives]
+    if form == "urdf" and arm.rotor_inertia is not None:
+        phrases.append("rotor inertia")
+    if arm.dh is not None and form in ("vendor", "ur", "urdf", "mjcf"):
+        phrases.append("the published DH table")
+    return phrases
 
 
 def is_calibration(path: str | Path) -> bool:
@@ -146,7 +181,9 @@ def _form_of(target: Path, calibrated: bool) -> FileForm:
     for form, suffixes in SUFFIXES.items():
         if suffix in suffixes:
             return form
-    raise InputError(f"{target}: no form has this suffix; write .yaml, .json or .urdf, or name the form with --to")
+    raise InputError(
+        f"{target}: no form has this suffix; write .yaml, .json, .urdf or .xml, or name the form with --to"
+    )
 
 
 def _read(source: str | Path, nominal: Arm | None, calibrated: bool) -> tuple[Arm, Arm]:

@@ -44,7 +44,7 @@ def six_entries(inertia: ArrayLike) -> Array:
     return np.asarray(inertia, float)[..., _ROWS, _COLUMNS]
 
 
-def point_tensor(mass: ArrayLike, position: ArrayLike) -> Array:
+def point_tensor(mass: ArrayLike | float, position: ArrayLike) -> Array:
     """(..., 3, 3) kg·m² about the origin of points of `mass` (...) kg at `position` (..., 3) m."""
     p = np.asarray(position, float)
     squared = (p * p).sum(-1)[..., None, None]

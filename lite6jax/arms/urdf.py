@@ -10,7 +10,18 @@ from numpy.typing import NDArray
 from lite6jax import storage
 from lite6jax.arms import frames, inertia
 from lite6jax.arms.arm import Arm
-from lite6jax.arms.urdf_tree import IDENTITY, TURNING, Joint, Tree, attribute, fixed_to, origin, read_tree, scalar
+from lite6jax.arms.urdf_tree import (
+    IDENTITY,
+    TURNING,
+    Joint,
+    Tree,
+    attribute,
+    axis_frame,
+    fixed_to,
+    origin,
+    read_tree,
+    scalar,
+)
 from lite6jax.errors import InputError, InputWarning
 
 Array = NDArray[np.floating]
@@ -54,7 +65,7 @@ def read_urdf(path: str | Path, base: str | None = None, tip: str | None = None)
                 f"{path}: joint {joint.name!r} {what}; an arm here has revolute joints only, name a chain without it"
                 " with base and tip"
             )
-        R = _axis_frame(joint.axis)
+        R = axis_frame(joint.axis)
         exact = np.array_equal(before, IDENTITY) and np.array_equal(R, IDENTITY)
         rows.append(joint.row if exact else frames.row_from_transform(before @ T_before_joint @ R))
         limits.append(joint.limits)
@@ -93,7 +104,7 @@ def carried_links(
     tree = read_tree(path, base, tip)
     turning = [joint for joint in tree.chain if joint.kind != "fixed"]
     roots = [(0, tree.base, IDENTITY)]
-    roots += [(i + 1, joint.child, _axis_frame(joint.axis).T) for i, joint in enumerate(turning)]
+    roots += [(i + 1, joint.child, axis_frame(joint.axis).T) for i, joint in enumerate(turning)]
     return [(number, tree.links[name], R @ T) for number, root, R in roots for name, T in fixed_to(root, tree.joints)]
 
 
@@ -142,21 +153,6 @@ def _add_joint(robot: ET.Element, name: str, kind: str, parent: str, child: str,
 
 def _floats(values: Array) -> str:
     return " ".join(repr(float(value)) for value in values)
-
-
-def _axis_frame(axis: Array) -> Array:
-    """(4, 4) a rotation whose z is the axis; exact where the axis is ±x, ±y or ±z of the frame."""
-    x, y, z = axis
-    T = np.eye(4)
-    if z < 0:  # relative to -z, so that the divisor below stays away from zero
-        T[:3, :3] = _axis_frame(-axis)[:3, :3] @ np.diag([1.0, -1.0, -1.0])
-    else:  # the shortest rotation that takes z to the axis
-        T[:3, :3] = [
-            [1 - x * x / (1 + z), -x * y / (1 + z), x],
-            [-x * y / (1 + z), 1 - y * y / (1 + z), y],
-            [-x, -y, z],
-        ]
-    return T + 0.0  # no minus zeros
 
 
 def _inertial(path: str | Path, moved: list[str], axes: list[Array], tree: Tree) -> dict[str, Array]:

@@ -249,3 +249,18 @@ def fixed_to(link: str, joints: list[Joint]) -> list[tuple[str, Array]]:
         waiting += [(j.child, T @ frames.transform_from_row(j.row)) for j in below.get(name, [])]
         found.append((name, T))
     return found
+
+
+def axis_frame(axis: Array) -> Array:
+    """(4, 4) a rotation whose z is the axis; exact where the axis is ±x, ±y or ±z of the frame."""
+    x, y, z = axis
+    T = np.eye(4)
+    if z < 0:  # relative to -z, so that the divisor below stays away from zero
+        T[:3, :3] = axis_frame(-axis)[:3, :3] @ np.diag([1.0, -1.0, -1.0])
+    else:  # the shortest rotation that takes z to the axis
+        T[:3, :3] = [
+            [1 - x * x / (1 + z), -x * y / (1 + z), x],
+            [-x * y / (1 + z), 1 - y * y / (1 + z), y],
+            [-x, -y, z],
+        ]
+    return T + 0.0  # no minus zeros

@@ -20,16 +20,17 @@ class Convert:
     For example:
 
         lite6jax convert arm.yaml arm.urdf
+        lite6jax convert lite6 arm.xml
         lite6jax convert model.json arm.yaml --to ur
     """
 
     source: Annotated[Positional[str], arg(metavar="FILE|ARM")]
-    """A calibration (.yaml, .json), a description, a URDF (robot.urdf#tip), or a bundled arm's name."""
+    """A calibration (.yaml, .json), a description, a URDF or MJCF (robot.urdf#tip), or a bundled arm's name."""
     target: Annotated[Positional[Path], arg(metavar="FILE")]
     """The file to write."""
-    to: Annotated[Literal["vendor", "ur", "table", "urdf", "description"] | None, arg(metavar="FORM")] = None
-    """vendor or ur (.yaml), table (.json), urdf, or description (.yaml). By the suffix where not given: a calibration
-    becomes vendor .yaml, everything else a description."""
+    to: Annotated[Literal["vendor", "ur", "table", "urdf", "mjcf", "description"] | None, arg(metavar="FORM")] = None
+    """vendor or ur (.yaml), table (.json), urdf, mjcf (.xml), or description (.yaml). By the suffix where not given: a
+    calibration becomes vendor .yaml, everything else a description."""
     arm: ArmName = None
     """The nominal arm of a calibration; recognised where not given."""
     force: bool = False
