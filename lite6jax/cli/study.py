@@ -227,8 +227,8 @@ class Identify:
         given = self.setup != Setup() or self.poses != 100 or self.refits or self.geometry != "declared"
         if given or self.figures is not None:
             raise InputError(
-                f"{self.source}: torques are studied; leave out --poses, --refits, --geometry, --figures and the "
-                "options of a sensor"
+                f"{self.source}: torques are studied; leave out --poses, --refits, --geometry, --figures and the"
+                " options of a sensor"
             )
 
 

@@ -133,14 +133,14 @@ def _recorded_motion(recording: "Recording") -> "tuple[Motion, list[str]]":
     recording = recording.sorted_by_time()
     q, dq = recording.joint_position.T, recording.velocities().T
     if recording.motion == "static":
-        return Motion(q, dq, np.zeros_like(q)), []  # type: ignore[arg-type]
+        return Motion(q, dq, np.zeros_like(q)), []
     if recording.joint_acceleration is not None:
-        return Motion(q, dq, recording.joint_acceleration.T), []  # type: ignore[arg-type]
+        return Motion(q, dq, recording.joint_acceleration.T), []
     if recording.time is None:
         raise InputError(f"{recording.source}: has no accelerations; add time_s, or ddq1_rad_per_s2 …")
     found = accelerated(motion_of_recording(recording)).joint_acceleration
     note = "the accelerations were not recorded and come from differences of the velocities over 0.1 s"
-    return Motion(q, dq, np.asarray(found)), [note]  # type: ignore[arg-type]
+    return Motion(q, dq, np.asarray(found)), [note]
 
 
 def design_motion(
@@ -169,7 +169,9 @@ def design_motion(
     """
     from lite6jax.arms.files import read_arm
     from lite6jax.effects.dynamic.catalogue import BUILT_IN
+    from lite6jax.effects.dynamic.torque_effect import TorqueEffect
     from lite6jax.effects.serialization import parse_effect
+    from lite6jax.identifiability.torque.columns import GRAVITY
     from lite6jax.identifiability.torque.discrimination import plan_torque_discrimination, rival_of
     from lite6jax.identifiability.torque.planning import plan_motion
     from lite6jax.recordings import Recording, RecordingSettings, sidecar_path, write_recording
@@ -183,13 +185,11 @@ def design_motion(
     else:
         model = setup.model(arm, unknown=False)
         parsed = (parse_effect(discriminate[0], BUILT_IN), parse_effect(discriminate[1], BUILT_IN, neutral=True))
-        rivals = [rival_of(effect, values, model) for effect, values in parsed]  # type: ignore[arg-type]
+        rivals = [rival_of(effect, values, model) for effect, values in parsed if isinstance(effect, TorqueEffect)]
         found = plan_torque_discrimination(model, room, rivals, seed=seed)
         report = torque_study_tables.torque_discrimination_report(found, disabled, source)
     made = found.trajectory
-    settings = RecordingSettings(
-        arm=reference, motion="trajectory", gravity_m_per_s2=setup.gravity or (0.0, 0.0, -9.81)
-    )
+    settings = RecordingSettings(arm=reference, motion="trajectory", gravity_m_per_s2=setup.gravity or GRAVITY)
     recording = Recording.assembled(
         made.motion.q.T,
         time=made.time,

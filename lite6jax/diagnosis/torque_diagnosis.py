@@ -60,7 +60,7 @@ def diagnose_torques(
             selection = search(problem, options.engine)
             entered("estimating")
             selection = replace(selection, state=final_estimates(problem, selection.state, options.engine))
-        before, after = _held_out(torque_problem(screened.data), problem.valid, options)
+        before, after = _held_out(torque_problem(screened.data), problem.valid, selection.saturated, options)
         findings = findings_of(selection)
         withdrawn = ()
         size = problem.noise[:, None]
@@ -79,10 +79,11 @@ def diagnose_torques(
     )
 
 
-def _held_out(problem: TorqueProblem, valid: Mask, options: Options) -> tuple[Array, Array]:
+def _held_out(problem: TorqueProblem, valid: Mask, saturated: bool, options: Options) -> tuple[Array, Array]:
     """Errors `(joint, sample)` Nm on every sample, from the other contiguous blocks, without and with effects.
 
-    The filter spreads a sample over its neighbours: those beside a held-out block are not used either.
+    The filter spreads a sample over its neighbours: those beside a held-out block are not used either. Whether terms
+    are selected forward or from the saturated model is decided once, in all samples.
     """
     before, after = np.zeros((2, problem.rows, problem.samples))
     count = fold_count(problem.samples, options)
@@ -94,7 +95,7 @@ def _held_out(problem: TorqueProblem, valid: Mask, options: Options) -> tuple[Ar
         training = ~near & valid
         with part(number + 1, 1 + count):
             there = linearised(problem, options.engine, training)
-            state = search(there, options.engine, training, thorough=False).state
+            state = search(there, options.engine, training, thorough=False, saturated=saturated).state
         before[:, held] = _errors(there, state.baseline)[:, held]
         after[:, held] = _errors(there, state.fit)[:, held]
     return before, after

@@ -20,6 +20,9 @@ from lite6jax.search.forward import forward
 from lite6jax.search.names import challenge_names
 from lite6jax.search.state import SelectedTerm, State
 
+_STEPS = 6
+"""Most steps of a fit whose terms are about to leave."""
+
 
 def from_saturated(problem: Problem, training: Mask, options: EngineOptions) -> State | None:
     """The terms of `problem.ladder` that its residuals require, in their noise; None where forward selection suffices.
@@ -34,12 +37,13 @@ def from_saturated(problem: Problem, training: Mask, options: EngineOptions) -> 
     baseline = fit(problem, Terms(), options, training=training)
     scores = zip(problem.ladder, score_test(problem, baseline, options).score(problem.ladder), strict=True)
     terms = Terms(tuple(term for term, score in scores if not score.confounded))
-    found = fit(problem, terms, options, training=baseline.training)
+    rough = replace(options, steps=_STEPS)
+    found = fit(problem, terms, rough, training=baseline.training)
     time = score_test(problem, found, options).time
     while (leaving := _unnecessary(problem, found, time, options)) and len(found.terms.terms) > len(leaving):
         kept = [k not in leaving for k in range(len(found.terms.terms))]
         rest, values = found.terms.part(found.values, kept)
-        found = fit(problem, rest, options, values, found.nuisance, found.training)
+        found = fit(problem, rest, rough, values, found.nuisance, found.training)
     if len(found.terms.terms) <= options.most_terms:
         return None
     return _tested(problem, State(baseline, found, _untested(found)), time, options)

@@ -34,6 +34,7 @@ class Selection:
         state: the terms with their fit.
         confounded: candidates that are confounded with the nuisance.
         nearest: the most significant candidate that was not selected, and its family-wise p-value.
+        saturated: whether terms were selected backward from the saturated model.
     """
 
     problem: Problem
@@ -41,6 +42,7 @@ class Selection:
     state: State
     confounded: tuple[Term, ...] = ()
     nearest: tuple[Term, float] | None = None
+    saturated: bool = False
 
 
 def search(
@@ -49,6 +51,7 @@ def search(
     training: Mask | None = None,
     reference: Problem | None = None,
     thorough: bool = True,
+    saturated: bool = True,
 ) -> Selection:
     """Selects terms: forward, backward, curves, exchange, merging of harmonics, and a retest with the noise model.
 
@@ -61,12 +64,13 @@ def search(
         training: `(sample,)` bool, the samples to use; all where not given.
         reference: the problem without its preset terms, linearised on its own; the problem itself where not given.
         thorough: whether sets of terms are exchanged, and what is confounded or nearest is determined.
+        saturated: whether a backward selection from the problem's ladder is tried first.
     """
     training = problem.valid if training is None else training & problem.valid
     reference = problem if reference is None else reference
-    many = from_saturated(problem, training, options)
+    many = from_saturated(problem, training, options) if saturated else None
     if many is not None:
-        selection = Selection(problem, reference, refined(problem, many, options))
+        selection = Selection(problem, reference, refined(problem, many, options), saturated=True)
         return _reviewed(selection, options) if thorough else selection
     every = max(int(training.sum()) // options.first_samples, 1)
     if every == 1:

@@ -1,7 +1,7 @@
 """Measured torques as an estimation problem: one arm, its inertial numbers, and the columns of effects on torques."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, final
 
@@ -59,6 +59,7 @@ class TorqueProblem:
         untestable: those that are not, and why.
         valid: `(sample,)`, those that may be used at all.
         refused: labels of shaped effects that are no candidates.
+        units: torques by each number of linear effects, shared between problems of the same samples and links.
     """
 
     data: TorqueRows
@@ -73,6 +74,7 @@ class TorqueProblem:
     untestable: tuple[Untestable, ...]
     valid: Mask
     refused: frozenset[str] = frozenset()
+    units: dict[TorqueEffect, Array] = field(default_factory=dict)
 
     @property
     def rows(self) -> int:
@@ -210,7 +212,7 @@ class TorqueProblem:
 
     def relinearised(self, nuisance: Array) -> "TorqueProblem":
         """The same problem at other inertial numbers: nuisance zero is then there."""
-        return replace(self, links=self.links_at(nuisance), offset=self.offset + nuisance)
+        return replace(self, links=self.links_at(nuisance), offset=self.offset + nuisance, units={})
 
     def links_at(self, nuisance: Array) -> Array:
         """Inertial numbers `(joint, 10)` at a nuisance `(number,)`."""
@@ -232,7 +234,7 @@ class TorqueProblem:
 
     def selected(self, rows: NDArray[np.integer]) -> "TorqueProblem":
         """Some of the samples."""
-        return replace(self, chosen=self.chosen[rows], valid=self.valid[rows])
+        return replace(self, chosen=self.chosen[rows], valid=self.valid[rows], units={})
 
     def thinned(self, every: int) -> "TorqueProblem":
         """One in `every` samples."""
@@ -269,9 +271,9 @@ class TorqueProblem:
 
     def _units(self, effect: TorqueEffect) -> Array:
         """Torques `(number, joint, sample)` by each number of a linear effect."""
-        if effect not in self._known:
-            self._known[effect] = families.unit_torques(effect, self.dynamics, self._kept)
-        return self._known[effect]
+        if effect not in self.units:
+            self.units[effect] = families.unit_torques(effect, self.dynamics, self._kept)
+        return self.units[effect]
 
     def _slopes(self, effect: TorqueEffect, values: Array) -> Array:
         """Derivatives of an effect's torque by its numbers, `(number, joint, sample)`, by central differences."""
@@ -281,10 +283,6 @@ class TorqueProblem:
             up, down = (effect.torque(values + sign * step, self.dynamics) for sign in (1, -1))
             found.append(self._kept((up - down) / (2 * step[k])))
         return np.stack(found)
-
-    @cached_property
-    def _known(self) -> dict[TorqueEffect, Array]:
-        return {}
 
 
 def _pairs(terms: Terms) -> list[tuple[TorqueEffect, slice]]:

@@ -57,7 +57,7 @@ class Excitation(NamedTuple):
 
     def motion(self, free: Free, count: int) -> Motion:
         """Its motion at so many equidistant instants of a period; NumPy."""
-        return Motion(*(np.asarray(part) for part in _motion(free, self._room(), self.harmonics, count)))  # type: ignore[arg-type]
+        return Motion(*(np.asarray(part) for part in _motion(free, self._room(), self.harmonics, count)))
 
     def about(self, middle: Matrix, free: Free) -> Free:
         """The motion moved to have its middle at joint positions `(joint,)`, or as near as the limits allow."""
@@ -97,7 +97,7 @@ class Excitation(NamedTuple):
         size, count = numbers.shape
         shifts = _STEP * np.concatenate([np.zeros((1, size)), np.eye(size)]).T
         around = (numbers[:, None] + shifts[:, :, None]).reshape(size, -1)
-        columns = np.asarray(self.columns(Motion(*np.split(around, 3))))  # type: ignore[arg-type]
+        columns = np.asarray(self.columns(Motion(*np.split(around, 3))))
         rows, M = self._gram(columns[:, :, :count])
         value, slope = (np.asarray(part) for part in _value_and_slope(self.criterion, M))
         to_columns = 2 * self.samples / count * (slope @ rows)  # of M, a sum over rows wᵀw
@@ -107,7 +107,7 @@ class Excitation(NamedTuple):
         change = (change[1:] - change[0]) / _STEP
         penalty, push = self._penalty(numbers[: size // 3])
         change[: size // 3] -= push
-        uphill = _pull_back(free, self._room(), self.harmonics, Motion(*np.split(change, 3)))  # type: ignore[arg-type]
+        uphill = _pull_back(free, self._room(), self.harmonics, Motion(*np.split(change, 3)))
         return float(value), penalty, uphill
 
     def _penalty(self, q: Matrix) -> tuple[float, Matrix]:
@@ -133,7 +133,7 @@ def ascend(excitation: Excitation, start: Free, steps: int) -> tuple[Free, float
     Returns:
         the best motion met that passes, its criterion, and how many steps led to a better one.
     """
-    best, best_value, improved = start, -np.inf, 0
+    best, best_value, improved = start, excitation.value(start), 0
     free, first, second = start, *(jax.tree.map(jnp.zeros_like, start) for _ in range(2))
     for i in range(steps):
         value, penalty, uphill = excitation.ascent(free)

@@ -108,7 +108,7 @@ class TorqueModel:
         R = np.zeros((0, len(self.names)))
         for some in in_blocks(motion):
             rows = self.columns(some).transpose(0, 2, 1).reshape(-1, R.shape[1])
-            R = np.linalg.qr(np.vstack([R, rows]), "r")
+            R = np.linalg.qr(np.vstack([R, rows])).R
         return R
 
 
@@ -120,11 +120,8 @@ def link_columns(arm: Arm, motion: Motion, gravity: Matrix) -> Matrix:
     found = []
     for some in in_blocks(motion):
         short = BLOCK - some.q.shape[1]
-        found.append(
-            np.asarray(regressor(arm.kinematics, *(np.pad(part, ((0, 0), (0, short))) for part in some), gravity))
-        )
-        if short:
-            found[-1] = found[-1][..., :-short]
+        padded = (np.pad(part, ((0, 0), (0, short))) for part in some)
+        found.append(np.asarray(regressor(arm.kinematics, *padded, gravity))[..., : BLOCK - short])
     return found[0] if len(found) == 1 else np.concatenate(found, -1)
 
 
@@ -136,7 +133,7 @@ def in_blocks(motion: Motion) -> Iterator[Motion]:
 
 def joint_columns(motion: Motion) -> Matrix:
     """Torques per unit of each joint's parameters `JOINT`, `(joint, 4 joint, sample)`: on its own joint alone."""
-    q, dq, ddq = motion
+    q, dq, ddq = (np.asarray(part) for part in motion)
     own = np.stack([dq, direction(dq), np.ones_like(q), ddq], 1)
     found = np.zeros((len(q), len(q), *own.shape[1:]))
     found[np.arange(len(q)), np.arange(len(q))] = own

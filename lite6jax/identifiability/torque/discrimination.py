@@ -14,6 +14,7 @@ from lite6jax.identifiability.torque.ascent import Columns
 from lite6jax.identifiability.torque.columns import TorqueModel
 from lite6jax.identifiability.torque.fourier import Motion
 from lite6jax.identifiability.torque.planning import (
+    RANDOM_DRAWS,
     STARTS,
     STEPS,
     MotionRoom,
@@ -89,6 +90,7 @@ def plan_torque_discrimination(
     rivals: Sequence[Rival],
     *,
     seed: int = 0,
+    draws: int = RANDOM_DRAWS,
     starts: int = STARTS,
     steps: int = STEPS,
 ) -> TorqueDiscrimination:
@@ -101,7 +103,7 @@ def plan_torque_discrimination(
         model: what is unknown beside the two, and the noise.
         room: limits, obstacles, duration.
         rivals: two; the first with values that are not all zero.
-        seed, starts, steps: as in `plan_motion`.
+        seed, draws, starts, steps: as in `plan_motion`.
 
     Raises:
         InputError: the first has no size, the rivals are the same, or as `random_motions`.
@@ -109,7 +111,7 @@ def plan_torque_discrimination(
     one, other = rivals
     if not one.values.any():
         raise InputError(f"{one.name}: has no size; give a value of its parameters")
-    drawn = random_motions(room, seed)
+    drawn = random_motions(room, seed, draws)
     checks = room.excitation(lambda motion: np.zeros((1, 1, 1)), discrimination(2, [0], [1], [1.0]))
     sample = Motion(*np.concatenate([checks.motion(free, 20 * room.harmonics) for free in drawn[:4]], 2))
     own = np.concatenate([_whitened(model, rival, sample) for rival in rivals], 1)

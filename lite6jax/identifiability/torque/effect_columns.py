@@ -2,13 +2,16 @@
 
 from collections.abc import Callable
 
+import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lite6jax.arms.dynamics import link_parameters
+from lite6jax.effects.dynamic.bodies import BaseTilt, LinkCom
+from lite6jax.effects.dynamic.friction import LoadFriction
 from lite6jax.effects.dynamic.motors import TorqueScale
 from lite6jax.effects.dynamic.torque_effect import Delaying, Dynamics, TorqueEffect
-from lite6jax.effects.motion import Motion as EffectMotion
+from lite6jax.effects.motion import motion_of
 from lite6jax.errors import InputError
 from lite6jax.identifiability.torque.columns import TorqueModel, link_columns
 from lite6jax.identifiability.torque.fourier import Motion
@@ -35,9 +38,7 @@ def effect_columns(
     if any(getattr(effect, name, 1) > arm.dof for name in ("joint", "link", "source_joint")):
         raise InputError(f"{effect.label}: {arm.name} has {arm.dof} joints; choose one of these")
     if isinstance(effect, Delaying) or any("temperature" in driver.quantity for driver in effect.drivers):
-        raise InputError(
-            f"{effect.label}: depends on more than positions, velocities and accelerations; choose another"
-        )
+        raise InputError(f"{effect.label}: depends on more than the motion of the joints; choose another")
     linear = np.array([i for i, coordinate in enumerate(effect.coordinates) if coordinate.linear], int)
     for i, coordinate in enumerate(effect.coordinates):
         if not coordinate.linear and not at[i]:
@@ -60,10 +61,7 @@ def _links(effect: TorqueEffect, model: TorqueModel) -> Array:
     try:
         return link_parameters(model.arm)
     except InputError as error:
-        depends = (
-            isinstance(effect, TorqueScale) or effect.site == "base" or effect.name in ("load_friction", "link_com")
-        )
-        if depends:
+        if isinstance(effect, TorqueScale | LoadFriction | BaseTilt | LinkCom):
             raise InputError(f"{effect.label}: depends on the arm's inertia; {error}") from error
         return np.zeros((model.arm.dof, 10))
 
@@ -79,23 +77,15 @@ def _dynamics(model: TorqueModel, links: Array, motion: Motion) -> Dynamics:
 
     def of_gravity(gravity: Array) -> Array:
         still = np.zeros_like(motion.q)
-        turned = [of(f"axis{i}", Motion(np.asarray(motion.q), still, still), np.eye(3)[i], links) for i in range(3)]
+        turned = [of(f"axis{i}", Motion(motion.q, still, still), np.eye(3)[i], links) for i in range(3)]
         return np.tensordot(gravity, np.stack(turned), 1)
 
     def of_inertia(numbers: Array) -> Array:
         return of("motion", motion, model.gravity, numbers)
 
-    whole = np.zeros(samples, int)
-    moving = EffectMotion(
-        joint_position=np.asarray(motion.q),
-        joint_velocity=np.asarray(motion.dq),
-        direction=np.sign(motion.dq),
-        time=None,
-        run=np.stack([whole, whole + samples - 1]),
-        temperature_rise=None,
-        payload=np.zeros(samples),
-        joint_acceleration=np.asarray(motion.ddq),
-    )  # type: ignore[arg-type]
+    q, dq, ddq = (np.asarray(part) for part in motion)
+    moving = motion_of(q.T, joint_velocity=dq.T, direction=np.sign(dq).T)
+    moving = moving._replace(joint_acceleration=jnp.asarray(ddq))
     center = arm.T_joint_flange[:3, 3]
     return Dynamics(
         motion=moving,

@@ -30,12 +30,16 @@ PEAK_POINTS = 32
 """Points per period of the highest harmonic at which peaks are read."""
 
 
+Numbers = Array | NDArray[np.floating]
+"""Of JAX where something is differentiated, of NumPy elsewhere."""
+
+
 class Motion(NamedTuple):
     """Joint positions, velocities and accelerations, `(joint, sample)` each; rad, rad/s, rad/s²."""
 
-    q: Array
-    dq: Array
-    ddq: Array
+    q: Numbers
+    dq: Numbers
+    ddq: Numbers
 
 
 @final
@@ -92,10 +96,10 @@ class Series(NamedTuple):
         period: s.
     """
 
-    centre: Array
-    cosine: Array
-    sine: Array
-    period: Array
+    centre: Numbers
+    cosine: Numbers
+    sine: Numbers
+    period: Numbers | float
 
     def at(self, time: ArrayLike) -> Motion:
         """The motion at times `(sample,)` in s."""
@@ -117,9 +121,9 @@ class Free(NamedTuple):
         size: `(joint,)`: how much of the greatest possible amplitude is used; 0 is a half.
     """
 
-    shape: Array
-    place: Array
-    size: Array
+    shape: Numbers
+    place: Numbers
+    size: Numbers
 
 
 @partial(jax.jit, static_argnames="harmonics")

@@ -28,8 +28,8 @@ _FULL = 7.0
 """Of `Free.size`: 99.9 % of the greatest amplitude."""
 _SMALLEST = 2.0**-6
 """Of the greatest amplitude: a motion that is refused at this size starts where there is no room."""
-_TRIES = 2000
-"""Random motions drawn until `RANDOM_DRAWS` pass."""
+_FEWEST = 20
+"""Random motions of which one has to pass."""
 
 
 @final
@@ -148,7 +148,13 @@ class TorquePlan:
 
 
 def plan_motion(
-    model: TorqueModel, room: MotionRoom, *, seed: int = 0, starts: int = STARTS, steps: int = STEPS
+    model: TorqueModel,
+    room: MotionRoom,
+    *,
+    seed: int = 0,
+    draws: int = RANDOM_DRAWS,
+    starts: int = STARTS,
+    steps: int = STEPS,
 ) -> TorquePlan:
     """The motion with the largest information determinant about base parameters and friction that the room allows.
 
@@ -159,6 +165,7 @@ def plan_motion(
         model: the unknowns and the noise.
         room: limits, obstacles, duration.
         seed: of the random motions.
+        draws: random motions.
         starts: ascents.
         steps: of each.
 
@@ -171,7 +178,7 @@ def plan_motion(
     def columns(motion: Motion) -> Array:
         return model.columns(motion, structure.free, scale)
 
-    drawn = random_motions(room, seed)
+    drawn = random_motions(room, seed, draws)
     first = room.excitation(columns, Determinant())
     best, _, improved = best_ascent(first, drawn, starts, steps)
     trajectory = room.trajectory(room.series(best))
@@ -205,24 +212,26 @@ def random_motions(room: MotionRoom, seed: int = 0, count: int = RANDOM_DRAWS) -
     halved until the whole of it passes.
 
     Raises:
-        InputError: as `candidates`; or fewer than `count` of many pass at any size.
+        InputError: as `candidates`; or fewer than one in `_FEWEST` passes at any size.
     """
     rng = np.random.default_rng(seed)
     dof = room.arm.dof
-    middles = candidates(room.arm, _TRIES, seed, room.filters).joint_position
+    middles = candidates(room.arm, _FEWEST * (count + 1), seed, room.filters).joint_position
     checks = room.excitation(lambda motion: np.zeros((dof, 1, motion.q.shape[1])), Determinant())
     passed: list[Free] = []
-    for middle in middles:
+    for tried, middle in enumerate(middles):
+        if len(passed) == count:
+            break
+        if tried >= _FEWEST * (len(passed) + 1):
+            names = ", ".join(condition.name for condition in room.filters)
+            raise InputError(f"motions: {len(passed)} of {tried} random ones pass {names} at any amplitude; widen them")
         shape = rng.standard_normal((dof, 2 * room.harmonics - 2))
         share = 1.0
         while share >= _SMALLEST:
             size = _FULL if share == 1 else float(np.log(share / (1 - share)))
-            free = checks.about(middle, Free(shape, np.zeros(dof), np.full(dof, size)))  # type: ignore[arg-type]
+            free = checks.about(middle, Free(shape, np.zeros(dof), np.full(dof, size)))
             if checks.passes(free):
                 passed.append(free)
                 break
             share /= 2
-        if len(passed) == count:
-            return passed
-    names = ", ".join(condition.name for condition in room.filters)
-    raise InputError(f"motions: {len(passed)} of {len(middles)} random ones pass {names} at any amplitude; widen them")
+    return passed
