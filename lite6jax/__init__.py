@@ -20,11 +20,17 @@ if TYPE_CHECKING:
     from lite6jax.arms.forward_kinematics import hayati_fk as hayati_fk, six_parameter_fk as six_parameter_fk
     from lite6jax.diagnosis.diagnose import Diagnosis as Diagnosis, diagnose as diagnose
     from lite6jax.diagnosis.options import Options as Options
+    from lite6jax.diagnosis.torque_diagnosis import (
+        TorqueDiagnosis as TorqueDiagnosis,
+        diagnose_torques as diagnose_torques,
+    )
+    from lite6jax.diagnosis.torque_document import read_torque_model as read_torque_model
     from lite6jax.domains.pose.compensate import compensate as compensate
     from lite6jax.domains.pose.fit import fit as fit
     from lite6jax.diagnosis.document import read_model as read_model
     from lite6jax.domains.pose.predict import predict as predict, predicted as predicted
     from lite6jax.domains.pose.registration import register as register, register_model as register_model
+    from lite6jax.domains.torque.predict import predict_torques as predict_torques
     from lite6jax.effects.effect import Effect as Effect, JointEffect as JointEffect
     from lite6jax.errors import InputError as InputError
     from lite6jax.estimation.options import EngineOptions as EngineOptions
@@ -66,10 +72,13 @@ _NAMES = {
     "lite6jax.arms.files": ("read_arm", "read_factory", "write_factory"),
     "lite6jax.diagnosis.diagnose": ("Diagnosis", "diagnose"),
     "lite6jax.diagnosis.options": ("Options",),
+    "lite6jax.diagnosis.torque_diagnosis": ("TorqueDiagnosis", "diagnose_torques"),
+    "lite6jax.diagnosis.torque_document": ("read_torque_model",),
     "lite6jax.domains.pose.compensate": ("compensate",),
     "lite6jax.diagnosis.document": ("read_model",),
     "lite6jax.domains.pose.predict": ("predict", "predicted"),
     "lite6jax.domains.pose.registration": ("register", "register_model"),
+    "lite6jax.domains.torque.predict": ("predict_torques",),
     "lite6jax.effects.effect": ("Effect", "JointEffect"),
     "lite6jax.errors": ("InputError",),
     "lite6jax.estimation.options": ("EngineOptions",),

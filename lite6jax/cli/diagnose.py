@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 from tyro.conf import Positional, arg
 
 from lite6jax.cli.arguments import ArmName, Folder, OutFile, check_out, refuse_inputs
+from lite6jax.cli.drawing import draw
 from lite6jax.cli.exit_codes import BAD_FIT, DONE
 from lite6jax.errors import InputError
 from lite6jax.storage import check_writable, write_atomically
@@ -100,20 +101,16 @@ class Diagnose:
         document = with_statements(document)
         written = [write_document(document, self.out, self.force)]
         if self.report or self.figures:
-            from lite6jax.report import canvas, diagnosis_figures, page
+            from lite6jax.report import diagnosis_figures, page
 
-            with screen.progress(len(diagnosis_figures.NAMES), "drawing") as advance:
-                drawn = {}
-                for name, figure in diagnosis_figures.drawings(found, self.source.name):
-                    drawn[name] = figure
-                    advance(1)
-                if self.figures:
-                    named = {f"{self.source.stem}_{name}": figure for name, figure in drawn.items()}
-                    written += canvas.save(named, self.figures, self.force)
-                if self.report:
-                    sides = str(self.source) if seen is None else f"{self.source} against {seen.file}"
-                    html = page.diagnosis_page(found, document, sides, drawn)
-                    written.append(write_atomically(self.report, html, self.force))
+            sides = str(self.source) if seen is None else f"{self.source} against {seen.file}"
+            drawings = diagnosis_figures.drawings(found, self.source.name)
+            written += draw(
+                self,
+                drawings,
+                len(diagnosis_figures.NAMES),
+                lambda drawn: page.diagnosis_page(found, document, sides, drawn),
+            )
         screen.show(diagnosis_tables.diagnosis_report(document, str(self.source)))
         screen.show(screen.notes(recording.notes))
         screen.written(written)

@@ -2,6 +2,7 @@
 
 from typing import TYPE_CHECKING
 
+from lite6jax.cli.drawing import draw
 from lite6jax.cli.exit_codes import DONE
 from lite6jax.errors import InputError
 from lite6jax.storage import write_atomically
@@ -23,16 +24,27 @@ def diagnose_motors(command: "Diagnose", recording: "Recording", arm: "Arm | Non
     from lite6jax.diagnosis.document import write_document
     from lite6jax.diagnosis.torque_diagnosis import diagnose_torques
     from lite6jax.diagnosis.torque_document import to_torque_document
-    from lite6jax.report import screen, stages, torque_tables
+    from lite6jax.report import canvas, screen, stages, torque_figures, torque_page, torque_tables
     from lite6jax.report.torque_statements import with_statements
 
     for given, name in ((command.reference, "--reference"), (command.effects, "--effects")):
         if given is not None:
             raise InputError(f"{name}: {command.source} has torques and no poses; {name} needs poses")
+    if command.figures:
+        names = [f"{command.source.stem}_{name}" for name in torque_figures.NAMES]
+        canvas.check_names(command.figures, names, command.force)
     with stages.shown() as entered:
         found = diagnose_torques(recording, arm, progress=entered)
     document = with_statements(to_torque_document(found))
     written = [write_document(document, command.out, command.force)]
+    if command.report or command.figures:
+        drawings = torque_figures.drawings(found, command.source.name)
+        written += draw(
+            command,
+            drawings,
+            len(torque_figures.NAMES),
+            lambda drawn: torque_page.torque_page(found, document, str(command.source), drawn),
+        )
     screen.show(torque_tables.torque_report(document, str(command.source)))
     screen.show(screen.notes(recording.notes))
     screen.written(written)

@@ -17,6 +17,7 @@ from lite6jax.diagnosis.result import Diagnosis, Finding, Rival, Withdrawn
 from lite6jax.domains.pose.problem import PoseProblem
 from lite6jax.domains.pose.screening.screen import screen_rows
 from lite6jax.effects.effect import Effect
+from lite6jax.errors import InputError
 from lite6jax.fitting.problem import Geometry
 from lite6jax.fitting.recognition import with_arm
 from lite6jax.progress import Stage, entered, followed, part
@@ -55,6 +56,8 @@ def diagnose(
     Raises:
         InputError: no measured poses, too few of them, or as `fit`.
     """
+    if recording.position is None and recording.has_torques:
+        raise InputError(f"{recording.source}: has torques and no poses; call lite6jax.diagnose_torques")
     options = options or Options()
     with followed(progress):
         recording = recording if arm is not None else with_arm(recording)

@@ -19,13 +19,14 @@ from lite6jax.effects.effect import Effect
 from lite6jax.estimation.least_squares import Fit
 from lite6jax.recordings.fault import DataFault
 from lite6jax.search.search import Selection
+from lite6jax.summary import Summarised
 
 Array = NDArray[np.floating]
 
 
 @final
 @dataclass(frozen=True, eq=False)
-class TorqueDiagnosis:
+class TorqueDiagnosis(Summarised):
     """What makes measured torques depart from the inverse dynamics of the arm.
 
     Attributes:

@@ -8,17 +8,26 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from lite6jax.diagnosis import partial_residuals
+from lite6jax.diagnosis import partial_residuals, torque_curves
 from lite6jax.diagnosis.partial_residuals import FindingCurve
 from lite6jax.diagnosis.result import Diagnosis
+from lite6jax.diagnosis.torque_result import TorqueDiagnosis
+from lite6jax.effects.dynamic.unnamed import UnnamedTorque
 from lite6jax.report.canvas import AFTER, STYLE, degree_ticks, thinned
 from lite6jax.report.panels import BINS, GREY, legend_below, medians, panels_in_rows
+from lite6jax.report.statements import effect_name
 
 _SAMPLES_PER_BIN = 12
 _BINS_PER_WAVE = 4
 _DRIVERS = {"rad": (180 / np.pi, "deg"), "rad/s": (180 / np.pi, "deg/s"), "1": (1.0, ""), "m": (1e3, "mm")}
 """Factor and unit in which drivers are read."""
-_DEFLECTIONS = {"m": (1e3, "mm"), "rad": (1e3, "mrad"), "1": (1e6, "ppm"), "sigma": (1.0, "std. deviations")}
+_DEFLECTIONS = {
+    "m": (1e3, "mm"),
+    "rad": (1e3, "mrad"),
+    "1": (1e6, "ppm"),
+    "Nm": (1.0, "Nm"),
+    "sigma": (1.0, "std. deviations"),
+}
 _MOVEMENTS = {"joint": "joint deflection", "stretch": "growth of the links", "scale": "growth of the readings"}
 
 
@@ -31,13 +40,25 @@ def finding_figure(found: Diagnosis, title: str, chosen: Sequence[int] | None = 
         chosen: which findings, from 0; all where not given.
     """
     chosen = range(len(found.findings)) if chosen is None else chosen
-    curves = [curve for k in chosen for curve in partial_residuals.finding_curves(found, k)]
+    return _curves_figure([curve for k in chosen for curve in partial_residuals.finding_curves(found, k)], found, title)
+
+
+def torque_finding_figure(found: TorqueDiagnosis, title: str, chosen: Sequence[int] | None = None) -> Figure:
+    """As `finding_figure`, of a diagnosis of torques."""
+    chosen = range(len(found.findings)) if chosen is None else chosen
+    return _curves_figure([torque_curves.finding_curve(found, k) for k in chosen], found, title)
+
+
+def _curves_figure(curves: Sequence[FindingCurve], found: Diagnosis | TorqueDiagnosis, title: str) -> Figure:
+    """Curves of findings, a panel each."""
     with rc_context(STYLE):
         figure, panels = panels_in_rows(len(curves), wide=True)
         for panel, curve in zip(panels, curves, strict=True):
             _draw(panel, curve)
             effect = found.findings[curve.finding].effect
-            panel.set_title(f"{curve.finding + 1}. {effect.name.replace('_', ' ')}, {effect.site}", fontsize=13)
+            if isinstance(effect, UnnamedTorque) and effect.signed and not curve.hysteresis:
+                panel.set_ylabel("torque × direction of motion (Nm)")
+            panel.set_title(f"{curve.finding + 1}. {effect_name(effect.name)}, {effect.site}", fontsize=13)
         panels[0].plot([], [], color=AFTER, linewidth=2.5, label="fitted")
         if all(curve.hysteresis for curve in curves):
             panels[0].plot([], [], ".", color=GREY, markersize=8, label="partial residuals")
@@ -70,6 +91,7 @@ def _draw(panel: Axes, curve: FindingCurve) -> None:
     many = bins > BINS
     panel.plot(at, fitted, color=AFTER, linewidth=1.5 if many else 2.5, zorder=4)
     centre, middle, error = medians(x, seen, 3 if discrete else bins)
+    centre = np.linspace(x.min(), x.max(), 3) if discrete and len(x) else centre
     panel.errorbar(
         centre, middle, error, fmt="o", color="black", markersize=3 if many else 5, capsize=0 if many else 3, zorder=5
     )
@@ -91,7 +113,8 @@ def _across(curve: FindingCurve) -> tuple[float, str, bool]:
         return 1.0, "row of the recording", False
     if curve.over == "displacement":
         scale, unit = _DEFLECTIONS[curve.unit]
-        return scale, f"fitted displacement of the measured pose ({unit})", False
+        moved = "displacement of the measured pose" if curve.site is None else f"torque at joint {curve.site[1] + 1}"
+        return scale, f"fitted {moved} ({unit})", False
     assert curve.quantity is not None
     if curve.over == "phase":
         return 180 / np.pi, f"phase of the harmonic, {curve.quantity.phrase} (deg)", True
@@ -104,6 +127,8 @@ def _up(curve: FindingCurve) -> tuple[float, str]:
     scale, unit = _DEFLECTIONS[curve.unit]
     if curve.site is None:
         return scale, f"displacement along it ({unit})"
-    field, _, component = curve.site
+    field, place, component = curve.site
+    if curve.unit == "Nm":
+        return scale, f"torque at joint {place + 1} ({unit})"
     movement = f"{'translation along' if component < 3 else 'rotation about'} {'xyz'[component % 3]}"
     return scale, f"{_MOVEMENTS.get(field, movement)} ({unit})"

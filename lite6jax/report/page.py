@@ -1,30 +1,21 @@
 """A diagnosis as one self-contained HTML page: verdict, errors, data faults, findings with figures, next steps."""
 
-import base64
 from collections.abc import Mapping
-from functools import cache
-from io import BytesIO
-from typing import Any, NamedTuple
+from typing import Any
 
-import jinja2
 import numpy as np
-from matplotlib import rc_context
 from matplotlib.figure import Figure
 
 from lite6jax.diagnosis.result import Diagnosis
 from lite6jax.report import reference, statements
-from lite6jax.report.canvas import STYLE
-from lite6jax.report.cells import fixed, listed, number
-from lite6jax.report.data_faults import fault_name
+from lite6jax.report.cells import fixed, number
 from lite6jax.report.diagnosis_tables import ERRORS, noise_statement
 from lite6jax.report.finding_figures import finding_figure
 from lite6jax.report.quantities import quantity
+from lite6jax.report.rendering import FEW, fault_row, finding_row, picture, template, untested_row
 
 Document = Mapping[str, Any]
 
-_DPI = 120
-_FEW = 3
-"""Findings that are read one by one; more have an overview."""
 _CAPTIONS = {
     "error_by_joint": "Held-out position error against each joint: dots are samples, lines are medians.",
     "where": "Share of the residual's variance that a curve over each driver explains at each site, less what as many "
@@ -37,20 +28,6 @@ _CAPTIONS = {
 }
 
 
-class Picture(NamedTuple):
-    """A figure in the page.
-
-    Attributes:
-        data: the whole image, as a `data:` address.
-        caption: one sentence.
-        narrow: whether it has one panel.
-    """
-
-    data: str
-    caption: str
-    narrow: bool
-
-
 def diagnosis_page(found: Diagnosis, document: Document, source: str, figures: Mapping[str, Figure]) -> str:
     """The page, HTML; the same diagnosis gives the same bytes.
 
@@ -61,7 +38,7 @@ def diagnosis_page(found: Diagnosis, document: Document, source: str, figures: M
         figures: those of `diagnosis_figures.drawings`.
     """
     findings = [_finding(found, entry, k) for k, entry in enumerate(statements.findings_of(document))]
-    return _template().render(
+    return template("diagnosis.html").render(
         source=source,
         against=_against(document),
         verdict=statements.verdict_statement(document),
@@ -72,37 +49,17 @@ def diagnosis_page(found: Diagnosis, document: Document, source: str, figures: M
         held=f"{document['heldout_rows']} rows, each predicted without the contiguous block that it belongs to: "
         "screening, search and fit did not use this block.",
         noise=noise_statement(document),
-        figures={name: _picture(figures[name], caption) for name, caption in _CAPTIONS.items()},
-        faults=[_fault(entry) for entry in document["data_faults"]],
+        figures={name: picture(figures[name], caption) for name, caption in _CAPTIONS.items()},
+        faults=[fault_row(entry) for entry in document["data_faults"]],
         notes=statements.assumptions(document),
         findings=findings,
-        overview=len(findings) > _FEW,
-        checked=[_fault(entry) for entry in document["ruled_out"]],
-        untested=[_untested(group) for group in statements.untested(document)],
+        overview=len(findings) > FEW,
+        checked=[fault_row(entry) for entry in document["ruled_out"]],
+        untested=[untested_row(group) for group in statements.untested(document)],
         to_record=statements.what_to_record(document),
         separating=[_poses(item) for item in document["separating_poses"]],
         not_checked=statements.NOT_CHECKED,
     )
-
-
-def _picture(figure: Figure, caption: str) -> Picture:
-    return Picture(_embedded(figure), caption, sum(panel.get_visible() for panel in figure.axes) == 1)
-
-
-@cache
-def _template() -> jinja2.Template:
-    loader = jinja2.PackageLoader("lite6jax.report")
-    environment = jinja2.Environment(
-        loader=loader, autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
-    )
-    return environment.get_template("diagnosis.html")
-
-
-def _embedded(figure: Figure) -> str:
-    with BytesIO() as held:
-        with rc_context(STYLE):
-            figure.savefig(held, format="png", dpi=_DPI, metadata={"Software": None})
-        return "data:image/png;base64," + base64.b64encode(held.getvalue()).decode()
 
 
 def _setting(document: Document) -> str:
@@ -123,36 +80,17 @@ def _errors(document: Document) -> list[dict[str, Any]]:
     return rows
 
 
-def _fault(entry: Mapping[str, Any]) -> dict[str, str]:
-    return {"name": fault_name(entry["fault"]), "statement": entry["statement"], "rows": listed(entry["rows"])}
-
-
 def _finding(found: Diagnosis, entry: Mapping[str, Any], k: int) -> dict[str, Any]:
     numbers = entry.get("peak_to_peak", entry["parameters"])
     quantities = [quantity(name, estimate) for name, estimate in numbers.items()]
-    gain = entry["log_likelihood_gain"]
     over = "" if entry["driver"] == "none" else f" over the {entry['driver']}"
     name = {"unnamed": "curve"}.get(entry["effect"], entry["effect"].replace("_", " "))
     caption = (
         f"The fitted {name} at {entry['site']}{over} with two standard deviations, beside "
         "the partial residuals: those of the whole model without it."
     )
-    return {
-        "title": entry["title"],
-        "statement": entry["statement"],
-        "parameters": quantities,
-        "sizes": [each for each in quantities if each.std],
-        "gain": f"{gain:+.0f}",
-        "significance": f"{statements.p_value_statement(entry)} It increases the log-likelihood by {gain:.1f}.",
-        "rivals": statements.undistinguished(entry),
-        "rejected": ", ".join(statements.rejected(entry)),
-        "figure": _picture(finding_figure(found, "", [k]), caption),
-    }
-
-
-def _untested(group: statements.Untested) -> dict[str, str]:
-    effects = "; ".join(f"{name} at {sites}" for name, sites in statements.by_site(group.entries))
-    return {"reason": group.reason, "effects": effects}
+    shown = picture(finding_figure(found, "", [k]), caption)
+    return finding_row(entry, quantities, statements.undistinguished(entry), statements.rejected(entry), shown)
 
 
 def _poses(item: Mapping[str, Any]) -> dict[str, Any]:

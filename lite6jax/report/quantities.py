@@ -15,6 +15,10 @@ _UNITS = (
     ("_rad_per_Nm", 1e6, "µrad/Nm"),
     ("_m_per_Nm", 1e6, "µm/Nm"),
     ("_Nm", 1.0, "Nm"),
+    ("_Nm_s_per_rad_K", 1.0, "Nm·s/rad/K"),
+    ("_Nm_s_per_rad", 1.0, "Nm·s/rad"),
+    ("_Nm_per_rad", 1.0, "Nm/rad"),
+    ("_kg_m2", 1.0, "kg·m²"),
     ("_rad_per_K", 1e6, "µrad/K"),
     ("_rad_per_s", 1e6, "µrad/s"),
     ("_m_per_s", 1e6, "µm/s"),
@@ -30,9 +34,12 @@ _NAMED = {
     "scale": (1e6, "ppm"),
     "coupling": (1e6, "ppm"),
     "time_constant_s": (1.0, "s"),
-    "velocity_rad_per_s": (1e3, "mrad/s"),
+    "velocity_rad_per_s": (1.0, "rad/s"),
+    "rest_rad": (180 / np.pi, "deg"),
 }
 """Whose names alone do not say how they are read."""
+OF_TORQUES = {**_NAMED, "scale": (100.0, "%")}
+"""The same, of effects on torques: the scale of a current is not known to ppm."""
 
 
 class Quantity(NamedTuple):
@@ -55,12 +62,18 @@ class Quantity(NamedTuple):
         return f"{self.name} {size}{f' {self.unit}' if self.unit else ''}"
 
 
-def quantity(name: str, estimate: Mapping[str, float]) -> Quantity:
-    """A parameter by the name and the estimate, `value` and `std`, that the JSON file has."""
+def quantity(name: str, estimate: Mapping[str, float], named: Mapping[str, tuple[float, str]] = _NAMED) -> Quantity:
+    """A parameter by the name and the estimate, `value` and `std`, that the JSON file has.
+
+    Args:
+        name: as in the file.
+        estimate: `value` and `std`.
+        named: factors and units of parameters whose names do not say how they are read.
+    """
     fitting = (known for known in _UNITS if name.endswith(known[0]))
     end, scale, unit = next(fitting, ("", 1.0, ""))
-    if name in _NAMED:
-        scale, unit = _NAMED[name]
+    if name in named:
+        scale, unit = named[name]
     read = name.removesuffix("_rad" if end == "phase_rad" else end).replace("_", " ")
     value, std = scale * estimate["value"], scale * estimate["std"]
     if not std:

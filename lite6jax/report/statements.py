@@ -159,9 +159,15 @@ def effect_title(entry: Entry) -> str:
     if entry["effect"] == "unnamed" and where:
         place = re.sub(r"(\D)(\d)", r"\1 \2", entry["site"])
         driver = entry["driver"].removesuffix(f" of {place}")
-        over = driver if driver == entry["driver"] else f"its {driver}"
+        alone = driver != entry["driver"] and " and " not in driver
+        over = f"its {driver}" if alone else entry["driver"]
         return f"unnamed effect at {entry['site']}{_component(where)}, {_shape(where)} over {over}"
-    return f"{entry['effect'].replace('_', ' ')}{_detail(_order_and_source(entry))} at {entry['site']}"
+    return f"{effect_name(entry['effect'])}{_detail(_order_and_source(entry))} at {entry['site']}"
+
+
+def effect_name(effect: str) -> str:
+    """The name of an effect in words; friction has those of its discoverers."""
+    return effect.replace("_", " ").replace("coulomb", "Coulomb").replace("stribeck", "Stribeck")
 
 
 def undistinguished(finding: Entry) -> list[str]:
@@ -197,7 +203,7 @@ def by_site(entries: Iterable[Entry]) -> list[tuple[str, str]]:
     """Names of effects, each with all its sites, those of consecutive numbers as a range: joint1–6."""
     sites: dict[str, list[str]] = {}
     for entry in entries:
-        held = sites.setdefault(entry["effect"].replace("_", " "), [])
+        held = sites.setdefault(effect_name(entry["effect"]), [])
         held += [entry["site"]] if entry["site"] not in held else []
     return [(name, _sites(held)) for name, held in sites.items()]
 
@@ -221,7 +227,7 @@ def what_to_record(document: Document) -> list[str]:
         lines.append(f"To separate {_joined(pairs, 'or')}, record more poses{vary}.")
     for group in untested(document):
         if group.remedy:
-            names = _joined(dict.fromkeys(entry["effect"].replace("_", " ") for entry in group.entries))
+            names = _joined(dict.fromkeys(effect_name(entry["effect"]) for entry in group.entries))
             lines.append(f"To test for {names}, give {group.remedy.removesuffix(' …')}.")
     return [*lines, *(_against_confounding(document) if document["confounded"] else [])]
 
@@ -283,7 +289,11 @@ def _detail(numbers: Mapping[str, float | None]) -> str:
 
 
 def _component(where: Entry) -> str:
-    return "" if where["where"].startswith("joint") else f" ({', '.join(where.get('component', 'rz').split())})"
+    return (
+        ""
+        if where.get("where", "joint").startswith("joint")
+        else f" ({', '.join(where.get('component', 'rz').split())})"
+    )
 
 
 def _shape(where: Entry) -> str:

@@ -12,12 +12,14 @@ from numpy.typing import NDArray
 
 from lite6jax.diagnosis.document import to_document
 from lite6jax.diagnosis.result import Diagnosis
+from lite6jax.diagnosis.torque_document import to_torque_document
+from lite6jax.diagnosis.torque_result import TorqueDiagnosis
 from lite6jax.fitting.solution import Errors, FleetSolution, Result, Solution
 from lite6jax.identifiability.discrimination import DiscriminationPlan
 from lite6jax.identifiability.identify import Identification
 from lite6jax.identifiability.planning import Plan
 from lite6jax.recordings import Recording
-from lite6jax.report import statements
+from lite6jax.report import statements, torque_statements
 from lite6jax.report.cells import number
 from lite6jax.report.data_faults import fault_name
 from lite6jax.report.quality import quality_statement
@@ -277,6 +279,41 @@ def _diagnosis(found: Diagnosis) -> Description:
     ]
     notes = (*statements.assumptions(document), *statements.what_to_record(document))
     return Description(f"Diagnosis of a {found.problem.arm.name}", tuple(sentences), tuple(rows), notes)
+
+
+@described.register
+def _torque_diagnosis(found: TorqueDiagnosis) -> Description:
+    document = to_torque_document(found)
+    findings = torque_statements.findings_of(document)
+    shown, hidden = findings[:_MOST_FINDINGS], len(findings) - _MOST_FINDINGS
+    sentences = [torque_statements.cause_statement(document)]
+    if findings:
+        sentences.append(torque_statements.verdict_statement(document))
+    sentences += [*torque_statements.cautions(document), *(finding["statement"] for finding in shown)]
+    if hidden > 0:
+        sentences.append(f"{_counted(hidden, 'more finding')} {_be(hidden)} in `findings`.")
+    faults = [fault_name(entry["fault"]).lower() for entry in document["data_faults"]]
+    if faults:
+        sentences.append(f"The data have {_counted(len(faults), 'fault')}: {', '.join(faults)}.")
+    stages = [(stage, document[stage]["heldout_torque_rms_by_joint_Nm"]) for stage in ("before", "after")]
+    rows = [
+        ("verdict", found.verdict.replace("_", " ")),
+        ("samples", str(document["samples"])),
+        *(
+            (f"held-out torque error {stage}, of each joint (Nm RMS)", ", ".join(f"{value:.3g}" for value in by_joint))
+            for stage, by_joint in stages
+        ),
+        *((finding["title"], ", ".join(map(str, torque_statements.sizes(finding)))) for finding in findings),
+        ("data faults", ", ".join(faults) or "none"),
+    ]
+    notes = (
+        torque_statements.filter_statement(document),
+        torque_statements.inertial_statement(document),
+        *torque_statements.what_to_record(document),
+    )
+    return Description(
+        f"Diagnosis of the torques of a {document['model']['arm']}", tuple(sentences), tuple(rows), notes
+    )
 
 
 def _counted(count: int, noun: str) -> str:

@@ -3,16 +3,16 @@
 from collections.abc import Mapping
 from typing import Any
 
-from lite6jax.report import data_faults
-from lite6jax.report.quantities import quantity
-from lite6jax.report.statements import capital, effect_title
+from lite6jax.report import data_faults, statements
+from lite6jax.report.quantities import OF_TORQUES, Quantity, quantity
+from lite6jax.report.statements import Untested, capital, effect_title
 
 Document = Mapping[str, Any]
 Entry = Mapping[str, Any]
 
 ESTIMATED = (
-    "The torques are declared as estimated by the controller: what is found here is what the controller's own model "
-    "lacks or has beyond this arm's, not what its motors feel."
+    "The torques are declared as estimated by the controller: the findings are differences between the model of the "
+    "controller and the model of this arm, and not effects on the motors."
 )
 _VERDICTS = {
     "consistent": "Consistent: the inverse dynamics of the declared arm and the sensors' noise explain the torques.",
@@ -46,28 +46,102 @@ def verdict_statement(document: Document) -> str:
     return _VERDICTS[verdict]
 
 
+def cause_statement(document: Document) -> str:
+    """The most significant finding and what the findings together explain; the verdict where there is none."""
+    if not document["findings"]:
+        return verdict_statement(document)
+    pairs = zip(document["findings"], document["model"]["effects"], strict=True)
+    finding, effect = max(pairs, key=lambda pair: pair[0]["log_likelihood_gain"])
+    count = len(document["findings"])
+    before, after = (document[stage]["heldout_torque_rms_Nm"] for stage in ("before", "after"))
+    with_all = "With it" if count == 1 else f"With all {count} findings"
+    moves = f"contributes {finding['moves_rms_Nm']:.3g} Nm RMS"
+    main = f"The main cause is {effect_title(finding)}: it {moves}."
+    if finding["effect"] == "unnamed":
+        of = _of_what(finding, effect["where"])
+        main = f"The main cause has no name in the catalogue: a torque at {finding['site']} that is a function of {of}"
+        main += f", and {moves}."
+    fall = "falls" if after < before else "goes"
+    return f"{main} {with_all}, the held-out torque error {fall} from {before:.3g} to {after:.3g} Nm RMS."
+
+
+def cautions(document: Document) -> list[str]:
+    """What qualifies the verdict: torques that the controller computed, effects that were not kept."""
+    lines = [ESTIMATED] if document["torque_source"] == "estimated" else []
+    if document["withdrawn"]:
+        names = ", ".join(effect_title(entry) for entry in document["withdrawn"])
+        lines.append(f"Significant, but not kept, because the held-out errors are larger with them: {names}.")
+    return lines
+
+
+def setting_statement(document: Document) -> str:
+    """The arm and how much was recorded."""
+    return f"{document['model']['arm']}, {document['samples']} samples of torques."
+
+
+def noise_statement(document: Document) -> str:
+    """The noise of each joint's torque, declared and estimated."""
+    noise = document["noise"]
+    estimated = f"the residuals have {_each(noise['estimated_torque_Nm'])} Nm"
+    if noise["declared_torque_Nm"] is None:
+        return f"Noise of the torques, one sigma of each joint in turn: {estimated}; none is declared."
+    return (
+        f"Noise of the torques, one sigma of each joint in turn: {estimated}; {_each(noise['declared_torque_Nm'])} Nm "
+        "are declared."
+    )
+
+
+def findings_of(document: Document) -> list[dict[str, Any]]:
+    """The findings, each with its `title`, its `statement` and the fields of its effect as `where`."""
+    pairs = zip(document["findings"], document["model"]["effects"], strict=True)
+    return [
+        {
+            **finding,
+            "title": capital(effect_title({**finding, "where": effect["where"]})),
+            "statement": finding_statement(finding, effect["where"]),
+            "where": effect["where"],
+        }
+        for finding, effect in pairs
+    ]
+
+
 def finding_statement(finding: Entry, where: Entry) -> str:
-    """A finding in one sentence, with its numbers and what it moves.
+    """A finding in one sentence, with its numbers and the torque that it contributes.
 
     Args:
         finding: of the document.
         where: the fields of its effect.
     """
-    moved = f"it moves the torque by {finding['moves_rms_Nm']:.3g} Nm RMS"
+    moved = f"it contributes {finding['moves_rms_Nm']:.3g} Nm RMS to the torque"
     if finding["effect"] == "unnamed":
-        times = ", times the direction of motion," if where.get("signed") else ""
-        driver = finding["driver"].removesuffix(f" and direction of motion of joint {where['joint']}")
         near = ""
         if "nearest" in finding:
             share = 100 * finding["nearest"]["share"]
-            near = f" The nearest one, {effect_title(finding['nearest'])}, explains {share:.0f} % of it."
+            near = f" The nearest named effect, {effect_title(finding['nearest'])}, explains {share:.0f} % of it."
         return (
-            f"No effect of the catalogue explains a function of the {driver.replace(' and ', ' and the ')}{times} at "
-            f"{finding['site']}: {moved}.{near}"
+            f"No effect of the catalogue explains a torque at {finding['site']} that is a function of "
+            f"{_of_what(finding, where)}: {moved}.{near}"
         )
-    sizes = [quantity(*item) for item in finding["parameters"].items()]
-    shown = ", ".join(str(size) for size in sizes if size.std)
+    shown = ", ".join(str(size) for size in sizes(finding) if size.std)
     return f"{capital(effect_title(finding))} is significant: {shown}; {moved}."
+
+
+def sizes(finding: Entry) -> list[Quantity]:
+    """The numbers of a finding as they are read; of a curve its peak to peak."""
+    if "peak_to_peak_Nm" in finding:
+        return [quantity("peak_to_peak_Nm", {"value": float(f"{finding['peak_to_peak_Nm']:.3g}"), "std": 0.0})]
+    return [quantity(*item, OF_TORQUES) for item in finding["parameters"].items()]
+
+
+def _of_what(finding: Entry, where: Entry) -> str:
+    """The drivers of a curve."""
+    driver = finding["driver"].removesuffix(f" and direction of motion of joint {where['joint']}")
+    times = ", multiplied by the direction of motion" if where.get("signed") else ""
+    return f"the {driver.replace(' and ', ' and the ')}{times}"
+
+
+def _each(values: Any) -> str:
+    return ", ".join(f"{value:.3g}" for value in values)
 
 
 def filter_statement(document: Document) -> str:
@@ -75,7 +149,7 @@ def filter_statement(document: Document) -> str:
     used = document["filter"]
     kept = "every sample" if used["every"] == 1 else f"one sample in {used['every']}"
     return (
-        f"Torques and model pass the same zero-phase low pass of {used['cutoff_Hz']:.3g} Hz (of "
+        f"Measured and modelled torques pass the same zero-phase low-pass filter of {used['cutoff_Hz']:.3g} Hz (of "
         f"{used['rate_Hz']:.4g} samples a second), and {kept} is kept; the motion passes one of "
         f"{used['motion_cutoff_Hz']:.3g} Hz before it is differentiated."
     )
@@ -95,3 +169,29 @@ def inertial_statement(document: Document) -> str:
 def undistinguished(finding: Entry) -> list[str]:
     """The effects that the recording does not distinguish from a finding."""
     return [effect_title(rival) for rival in finding["confusable_with"] if rival["status"] != "rejected"]
+
+
+def rejected(finding: Entry) -> list[str]:
+    """The nearest effects that explain clearly less."""
+    return [effect_title(rival) for rival in finding["confusable_with"] if rival["status"] == "rejected"]
+
+
+def untested(document: Document) -> list[Untested]:
+    """The effects that the recording cannot show, by reason."""
+    return [
+        group
+        if group.remedy
+        else group._replace(reason="They are confounded with the inertial numbers that are fitted.")
+        for group in statements.untested(document)
+    ]
+
+
+def what_to_record(document: Document) -> list[str]:
+    """A sentence for each question that this recording leaves open and another one answers."""
+    lines = statements.what_to_record({**document, "confounded": []})
+    if document["confounded"]:
+        lines.append(
+            "To test for effects that are confounded with the inertial numbers, declare these numbers (`inertial` in "
+            "the sidecar)."
+        )
+    return lines

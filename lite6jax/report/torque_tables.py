@@ -20,14 +20,10 @@ def torque_report(document: Mapping[str, Any], source: str) -> Iterator[Renderab
         source: the recording.
     """
     yield Text(source, no_wrap=True, overflow="ignore")
-    yield Text(f"{document['model']['arm']}, {document['samples']} samples of torques.")
+    yield Text(torque_statements.setting_statement(document))
     yield ""
     yield Text(torque_statements.verdict_statement(document))
-    if document["torque_source"] == "estimated":
-        yield Text(torque_statements.ESTIMATED)
-    if document["withdrawn"]:
-        names = ", ".join(statements.effect_title(entry) for entry in document["withdrawn"])
-        yield Text(f"Significant, but not kept, because the held-out errors are larger with them: {names}.")
+    yield from map(Text, torque_statements.cautions(document))
     yield ""
     yield _errors(document)
     yield Text(torque_statements.filter_statement(document))
@@ -42,14 +38,18 @@ def torque_report(document: Mapping[str, Any], source: str) -> Iterator[Renderab
         yield ""
         yield Text("Findings:")
         yield _findings(document)
-    groups = statements.untested({**document, "confounded": document["confounded"]})
+    groups = torque_statements.untested(document)
     if groups:
         yield ""
         yield Text("Effects not tested:")
         for group in groups:
             names = ", ".join(f"{name} at {sites}" for name, sites in statements.by_site(group.entries))
-            reason = group.reason if group.remedy else "They are confounded with the inertial numbers that are fitted."
-            yield Padding(Text(f"{statements.capital(names)}. {reason}"), (0, 0, 0, 2))
+            yield Padding(Text(f"{statements.capital(names)}. {group.reason}"), (0, 0, 0, 2))
+    to_record = torque_statements.what_to_record(document)
+    if to_record:
+        yield ""
+        yield Text("What to record next:")
+        yield from (Padding(Text(line), (0, 0, 0, 2)) for line in to_record)
     yield ""
 
 

@@ -1,0 +1,94 @@
+"""What the pages of all diagnoses share: templates, embedded figures, data faults and effects that were not tested."""
+
+import base64
+from collections.abc import Mapping
+from functools import cache
+from io import BytesIO
+from typing import Any, NamedTuple
+
+import jinja2
+from matplotlib import rc_context
+from matplotlib.figure import Figure
+
+from lite6jax.report import statements
+from lite6jax.report.canvas import STYLE
+from lite6jax.report.cells import listed
+from lite6jax.report.data_faults import fault_name
+from lite6jax.report.quantities import Quantity
+
+_DPI = 120
+FEW = 3
+"""Findings that are read one by one; more have an overview."""
+
+
+class Picture(NamedTuple):
+    """A figure in the page.
+
+    Attributes:
+        data: the whole image, as a `data:` address.
+        caption: one sentence.
+        narrow: whether it has one panel.
+    """
+
+    data: str
+    caption: str
+    narrow: bool
+
+
+def picture(figure: Figure, caption: str) -> Picture:
+    """A figure with its caption."""
+    return Picture(_embedded(figure), caption, sum(panel.get_visible() for panel in figure.axes) == 1)
+
+
+@cache
+def template(name: str) -> jinja2.Template:
+    """A template of this package by the name of its file."""
+    loader = jinja2.PackageLoader("lite6jax.report")
+    environment = jinja2.Environment(
+        loader=loader, autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    )
+    return environment.get_template(name)
+
+
+def fault_row(entry: Mapping[str, Any]) -> dict[str, str]:
+    """A data fault, found or ruled out, of a document with statements."""
+    return {"name": fault_name(entry["fault"]), "statement": entry["statement"], "rows": listed(entry["rows"])}
+
+
+def finding_row(
+    entry: Mapping[str, Any], quantities: list[Quantity], rivals: list[str], rejected: list[str], shown: Picture
+) -> dict[str, Any]:
+    """A finding with its figure.
+
+    Args:
+        entry: of the document, with `title` and `statement`.
+        quantities: its parameters as they are read.
+        rivals: effects that the recording does not distinguish from it.
+        rejected: the nearest effects that explain clearly less.
+        shown: its figure.
+    """
+    gain = entry["log_likelihood_gain"]
+    return {
+        "title": entry["title"],
+        "statement": entry["statement"],
+        "parameters": quantities,
+        "sizes": [each for each in quantities if each.std],
+        "gain": f"{gain:+.0f}",
+        "significance": f"{statements.p_value_statement(entry)} It increases the log-likelihood by {gain:.1f}.",
+        "rivals": rivals,
+        "rejected": ", ".join(rejected),
+        "figure": shown,
+    }
+
+
+def untested_row(group: statements.Untested) -> dict[str, str]:
+    """Effects that a recording cannot show, with the reason."""
+    effects = "; ".join(f"{name} at {sites}" for name, sites in statements.by_site(group.entries))
+    return {"reason": group.reason, "effects": effects}
+
+
+def _embedded(figure: Figure) -> str:
+    with BytesIO() as held:
+        with rc_context(STYLE):
+            figure.savefig(held, format="png", dpi=_DPI, metadata={"Software": None})
+        return "data:image/png;base64," + base64.b64encode(held.getvalue()).decode()

@@ -1,0 +1,111 @@
+"""Figures of a diagnosis of torques: errors before and after by joint, torques over time, friction, findings."""
+
+from collections.abc import Iterator
+
+import numpy as np
+from matplotlib import rc_context
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator, StrMethodFormatter
+
+from lite6jax.diagnosis import torque_curves
+from lite6jax.diagnosis.torque_result import TorqueDiagnosis
+from lite6jax.report.canvas import AFTER, BEFORE, STYLE, blank, thinned
+from lite6jax.report.finding_figures import torque_finding_figure
+from lite6jax.report.panels import GREY, legend_below, panels_in_rows
+
+NAMES = ("error_by_joint", "over_time", "friction", "findings")
+"""The figures that `drawings` may give."""
+
+_WIDTH = 0.38
+"""Of a bar, over the distance of two joints."""
+_LOWEST = 1e-4
+"""Nm, the shortest bar."""
+
+
+def drawings(found: TorqueDiagnosis, title: str) -> Iterator[tuple[str, Figure]]:
+    """The figures by name, of `NAMES`; there is no figure of findings where there are none."""
+    yield "error_by_joint", error_by_joint(found, title)
+    yield "over_time", over_time(found, title)
+    yield "friction", friction(found, title)
+    if found.findings:
+        yield "findings", torque_finding_figure(found, title)
+
+
+def error_by_joint(found: TorqueDiagnosis, title: str) -> Figure:
+    """Held-out errors of each joint, before and after, beside the standard deviation of what was measured."""
+    kept = found.problem.valid
+    spread = np.maximum(np.std(found.problem.measured[:, kept], axis=1), _LOWEST)
+    at = np.arange(1, len(spread) + 1)
+    with rc_context(STYLE):
+        figure = blank(4.0 + 1.5 * len(at), 5.4)
+        panel = figure.subplots()
+        lowest = float(spread.min())
+        for side, (name, colour, errors) in enumerate(
+            (("before", BEFORE, found.before), ("after", AFTER, found.after))
+        ):
+            rms = np.maximum(np.sqrt(np.mean(errors[:, kept] ** 2, 1)), _LOWEST)
+            lowest = min(lowest, float(rms.min()))
+            bars = panel.bar(at + (side - 0.5) * _WIDTH, rms, _WIDTH, color=colour, label=f"{name}, held out", zorder=3)
+            panel.bar_label(bars, [f"{value:.2g}" for value in rms], padding=2, fontsize=12)
+        label = "standard deviation of the measured torque"
+        panel.hlines(spread, at - 0.45, at + 0.45, color="black", linestyle="--", linewidth=2, label=label, zorder=4)
+        panel.set_yscale("log")
+        panel.set_ylim(0.4 * lowest, 2.5 * max(panel.get_ylim()[1] / 2.5, spread.max()))
+        panel.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
+        panel.set(xlabel="joint", ylabel="torque error (Nm RMS)", xticks=at)
+        panel.grid(visible=False, axis="x")
+        legend_below(figure, panel, 3)
+        figure.suptitle(f"{title}: held-out torque error of each joint", fontsize=15)
+    return figure
+
+
+def over_time(found: TorqueDiagnosis, title: str) -> Figure:
+    """Measured, rigid-body and modelled torques of each joint over a part of the recording."""
+    shown = torque_curves.torques_over_time(found)
+    lines = (
+        ("measured", shown.measured, {"color": "black", "linewidth": 3.5, "alpha": 0.35}),
+        ("rigid body", shown.rigid, {"color": BEFORE, "linewidth": 1.6, "linestyle": "--"}),
+        ("modelled, with the findings", shown.modelled, {"color": AFTER, "linewidth": 1.6}),
+    )
+    with rc_context(STYLE):
+        figure, panels = panels_in_rows(len(shown.measured), wide=True)
+        for j, panel in enumerate(panels):
+            for name, torque, style in lines:
+                panel.plot(shown.time, torque[j], label=name, **style)  # type: ignore[arg-type]
+            panel.set(xlabel="time (s)", ylabel=f"torque of joint {j + 1} (Nm)")
+            panel.xaxis.set_major_locator(MaxNLocator(5))
+        legend_below(figure, panels[0], 3)
+        figure.suptitle(f"{title}: measured and modelled torques", fontsize=15)
+    return figure
+
+
+def friction(found: TorqueDiagnosis, title: str) -> Figure:
+    """The torque that the model without friction leaves at each joint over its velocity, and the friction found."""
+    joints = torque_curves.joint_frictions(found)
+    with rc_context(STYLE):
+        figure, panels = panels_in_rows(len(joints), wide=True)
+        for j, (panel, joint) in enumerate(zip(panels, joints, strict=True)):
+            _draw_friction(panel, joint)
+            panel.set(xlabel=f"velocity of joint {j + 1} (deg/s)", ylabel=f"torque left at joint {j + 1} (Nm)")
+            panel.xaxis.set_major_locator(MaxNLocator(5))
+        panels[0].plot([], [], ".", color=GREY, markersize=8, label="measured, less the model without friction")
+        panels[0].plot([], [], color=AFTER, linewidth=2.5, label="friction found, at the median load")
+        legend_below(figure, panels[0], 2)
+        figure.suptitle(f"{title}: friction", fontsize=15)
+    return figure
+
+
+def _draw_friction(panel: Axes, joint: torque_curves.JointFriction) -> None:
+    shown = thinned(len(joint.partial))
+    panel.plot(
+        np.rad2deg(joint.velocity[shown]), joint.partial[shown], ".", color=GREY, markersize=5, alpha=0.45,
+        markeredgewidth=0, rasterized=True,
+    )  # fmt: skip
+    panel.axhline(0, color="black", linewidth=1)
+    if len(joint.at):
+        panel.plot(np.rad2deg(joint.at), joint.friction, color=AFTER, linewidth=2.5, zorder=4)
+    else:
+        text = {"ha": "center", "va": "top", "color": "#5c5c5c", "transform": panel.transAxes}
+        panel.margins(y=0.15)
+        panel.text(0.5, 0.99, "no friction over velocity found", **text)  # type: ignore[arg-type]

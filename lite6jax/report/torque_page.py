@@ -1,0 +1,78 @@
+"""A diagnosis of torques as one self-contained HTML page: cause, errors, data faults, findings, friction."""
+
+from collections.abc import Mapping
+from typing import Any
+
+from matplotlib.figure import Figure
+
+from lite6jax.diagnosis.torque_result import TorqueDiagnosis
+from lite6jax.report import statements, torque_statements
+from lite6jax.report.finding_figures import torque_finding_figure
+from lite6jax.report.rendering import FEW, fault_row, finding_row, picture, template, untested_row
+
+Document = Mapping[str, Any]
+
+_CAPTIONS = {
+    "error_by_joint": "Held-out torque error of each joint, by the arm's model alone and with the findings. "
+    "Dashed lines are the standard deviations of the measured torques themselves.",
+    "over_time": "Torques of each joint as measured, of the rigid-body model, and modelled with the findings, in a part "
+    "of the recording; all have passed the same low-pass filter.",
+    "friction": "What the model without friction leaves of each joint's torque over the velocity of the joint, and the "
+    "friction that was found, at the median load and temperature with the other joints at rest.",
+}
+_ERRORS = {
+    "heldout_torque_rms_Nm": "all joints, RMS",
+    "heldout_torque_p95_Nm": "all joints, 95th percentile",
+    "heldout_torque_max_Nm": "all joints, maximum",
+}
+_BY_JOINT = "heldout_torque_rms_by_joint_Nm"
+
+
+def torque_page(found: TorqueDiagnosis, document: Document, source: str, figures: Mapping[str, Figure]) -> str:
+    """The page, HTML; the same diagnosis gives the same bytes.
+
+    Args:
+        found: the diagnosis, of which the figures of single findings are drawn.
+        document: as in its JSON file, with statements; all text is made from it.
+        source: the recording's name, of any characters.
+        figures: those of `torque_figures.drawings`.
+    """
+    findings = [_finding(found, entry, k) for k, entry in enumerate(torque_statements.findings_of(document))]
+    said = [torque_statements.verdict_statement(document)] if findings else []
+    return template("torque_diagnosis.html").render(
+        source=source,
+        cause=torque_statements.cause_statement(document),
+        cautions=[*said, *torque_statements.cautions(document)],
+        verdict_word=document["verdict"],
+        setting=torque_statements.setting_statement(document),
+        errors=_errors(document),
+        held=f"Errors of {document['kept_samples']} filtered samples, each predicted without the contiguous block that "
+        "it belongs to: search and fit did not use this block.",
+        noise=torque_statements.noise_statement(document),
+        figures={name: picture(figures[name], caption) for name, caption in _CAPTIONS.items()},
+        faults=[fault_row(entry) for entry in document["data_faults"]],
+        notes=[torque_statements.filter_statement(document), torque_statements.inertial_statement(document)],
+        findings=findings,
+        overview=len(findings) > FEW,
+        checked=[fault_row(entry) for entry in document["ruled_out"]],
+        untested=[untested_row(group) for group in torque_statements.untested(document)],
+        to_record=torque_statements.what_to_record(document),
+    )
+
+
+def _errors(document: Document) -> list[dict[str, Any]]:
+    stages = [document[stage] for stage in ("before", "after")]
+    rows = [(name, [part[key] for part in stages]) for key, name in _ERRORS.items()]
+    by_joint = zip(*(part[_BY_JOINT] for part in stages), strict=True)
+    rows += [(f"joint {joint}, RMS", list(pair)) for joint, pair in enumerate(by_joint, 1)]
+    return [{"name": name, "numbers": [f"{value:.3g}" for value in pair]} for name, pair in rows]
+
+
+def _finding(found: TorqueDiagnosis, entry: Mapping[str, Any], k: int) -> dict[str, Any]:
+    driver = statements.effect_title(entry) if entry["driver"] == "none" else f"the {entry['driver']}"
+    caption = (
+        f"The torque of this finding over {driver}, beside the partial residuals: those of the whole model without it."
+    )
+    shown = picture(torque_finding_figure(found, "", [k]), caption)
+    rivals, rejected = torque_statements.undistinguished(entry), torque_statements.rejected(entry)
+    return finding_row(entry, torque_statements.sizes(entry), rivals, rejected, shown)
