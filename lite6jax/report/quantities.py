@@ -8,10 +8,6 @@ import numpy as np
 from lite6jax.report.cells import plus_minus
 
 _UNITS = (
-    ("_Nm_s_per_rad_K", 1.0, "Nm·s/rad/K"),
-    ("_Nm_s_per_rad", 1.0, "Nm·s/rad"),
-    ("_Nm_per_rad", 1.0, "Nm/rad"),
-    ("_kg_m2", 1.0, "kg·m²"),
     ("_rad_per_Nm", 1e6, "µrad/Nm"),
     ("_m_per_Nm", 1e6, "µm/Nm"),
     ("_Nm", 1.0, "Nm"),
