@@ -16,6 +16,7 @@ if TYPE_CHECKING:
         hayati_to_six_parameter as hayati_to_six_parameter,
         six_parameter_to_hayati as six_parameter_to_hayati,
     )
+    from lite6jax.arms.dynamics import inverse_dynamics as inverse_dynamics, link_parameters as link_parameters
     from lite6jax.arms.files import read_arm as read_arm, read_factory as read_factory, write_factory as write_factory
     from lite6jax.arms.forward_kinematics import hayati_fk as hayati_fk, six_parameter_fk as six_parameter_fk
     from lite6jax.diagnosis.diagnose import Diagnosis as Diagnosis, diagnose as diagnose
@@ -68,6 +69,7 @@ _NAMES = {
     "lite6jax.arms.arm": ("Arm",),
     "lite6jax.arms.chains": ("HayatiForm",),
     "lite6jax.arms.convert": ("hayati_to_six_parameter", "six_parameter_to_hayati"),
+    "lite6jax.arms.dynamics": ("inverse_dynamics", "link_parameters"),
     "lite6jax.arms.forward_kinematics": ("hayati_fk", "six_parameter_fk"),
     "lite6jax.arms.files": ("read_arm", "read_factory", "write_factory"),
     "lite6jax.diagnosis.diagnose": ("Diagnosis", "diagnose"),

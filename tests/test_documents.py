@@ -4,6 +4,7 @@ import re
 import tomllib
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from lite6jax.cli.deprecated import RENAMED
@@ -52,6 +53,28 @@ def test_the_screens_are_documented_in_their_order():
     section = CONTRIBUTING.partition("### What happens to a recording with swapped joints")[2].partition("\n1. ")[2]
     documented = re.findall(r"`([a-z_]+)`", section.partition("\n\n")[0])
     assert documented == [code for screen in SCREENS for code in screen.codes]
+
+
+def test_the_effects_faults_and_keys_of_torques_are_documented():
+    from lite6jax.diagnosis import torque_document
+    from lite6jax.effects.dynamic.catalogue import BUILT_IN
+    from lite6jax.report.torque_faults import NAMES
+
+    text = (ROOT / "docs/torques.md").read_text()
+    sections = {part.partition("\n")[0]: table_rows(part)[2:] for part in text.split("\n## ")[1:]}
+    assert [row[0] for row in sections["Effects"]] == list(BUILT_IN)
+    assert {row[0] for row in sections["Data faults"]} == set(NAMES)
+    documented = {key for row in sections["The JSON file"] for key in row[0].replace("`", "").split(", ")}
+    assert documented | {"schema", "domain", "checksum"} == set(torque_document.PARTS) | {"model"}
+    for effect, (_, _, _, parameters, *_) in zip(BUILT_IN.values(), sections["Effects"], strict=True):
+        if effect.nonparametric:
+            continue
+        given = {name: 2 for name in ("joint", "link") if name in effect.__dataclass_fields__}
+        given |= {"source_joint": 1} if "source_joint" in effect.__dataclass_fields__ else {}
+        made = effect(**given)
+        names = set(parameters.replace("`", "").split(", "))
+        reported = set(made.reported(np.ones(made.size)))
+        assert reported == names, effect.name
 
 
 def test_the_changelog_lists_every_old_spelling():

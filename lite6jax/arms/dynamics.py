@@ -210,11 +210,15 @@ def inverse_dynamics(
     A motor that holds a load up exerts the negative of gravity's torque.
 
     Args:
-        kinematics: as of `regressor`, and `q`, `dq`, `ddq` and `gravity`.
-        parameters: (joint, 10) `PARAMETERS` of each link.
+        kinematics: `(joint, 6)` m and rad, the six-parameter chain.
+        parameters: `(joint, 10)` `PARAMETERS` of each link, as `link_parameters` gives them.
+        q: `(joint, sample)` rad.
+        dq: `(joint, sample)` rad/s.
+        ddq: `(joint, sample)` rad/s².
+        gravity: `(3,)` m/s² in the base frame, such as (0, 0, -9.81).
 
     Returns:
-        (joint, sample) N·m.
+        `(joint, sample)` N·m.
     """
     kinematics, q, dq, ddq, gravity = (jnp.asarray(value, float) for value in (kinematics, q, dq, ddq, gravity))
     steps = _steps(kinematics, q, dq, ddq)

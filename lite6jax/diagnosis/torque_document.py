@@ -53,7 +53,7 @@ _FINDING = record(
     {"nearest": record({**_PLACE, "share": number(0.0, 1.0)}), "statement": text, "peak_to_peak_Nm": _POSITIVE},
 )
 _FAULT = record({"fault": text, "rows": items(whole(1)), "numbers": plain}, {"statement": text})
-_PARTS = {
+PARTS = {
     "schema": text,
     "domain": one_of("torque"),
     "verdict": one_of("consistent", "explained", "partly_explained", "unnamed", "unexplained", "undetermined"),
@@ -225,9 +225,9 @@ def torque_model_from_document(document: Any, source: str = "diagnosis") -> Diag
     try:
         for key, value in document.items():
             if key != "model":
-                if key not in _PARTS:
+                if key not in PARTS:
                     raise InputError(f"the key {key!r} is unknown")
-                _PARTS[key](value, key)
+                PARTS[key](value, key)
         _MODEL(model, "model")
         arm = Arm(
             model["arm"],

@@ -15,8 +15,8 @@ Document = Mapping[str, Any]
 _CAPTIONS = {
     "error_by_joint": "Held-out torque error of each joint, by the arm's model alone and with the findings. "
     "Dashed lines are the standard deviations of the measured torques themselves.",
-    "over_time": "Torques of each joint as measured, of the rigid-body model, and modelled with the findings, in a part "
-    "of the recording; all have passed the same low-pass filter.",
+    "over_time": "Torques of each joint as measured, of the rigid-body model, and modelled with the findings, in a "
+    "part of the recording; all have passed the same low-pass filter.",
     "friction": "What the model without friction leaves of each joint's torque over the velocity of the joint, and the "
     "friction that was found, at the median load and temperature with the other joints at rest.",
 }
