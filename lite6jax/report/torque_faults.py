@@ -36,15 +36,15 @@ def _swapped(rows: Sequence[int], n: Numbers) -> str:
 def _reversed(rows: Sequence[int], n: Numbers) -> str:
     return (
         f"The torque of {_joints(n['joints'])} has its sign reversed: it is the opposite of what the weight and the "
-        "motion of the arm require. It was turned. A torque is what the motor exerts about +z of its joint."
+        "motion of the arm require. Its sign was changed. A torque is what the motor exerts about +z of its joint."
     )
 
 
 def _contact(rows: Sequence[int], n: Numbers) -> str:
     return (
-        f"From {n['from_s']:.2f} to {n['to_s']:.2f} s something else pushed the arm: the torque of "
-        f"{_joints(n['joints']) if n['joints'] else 'the arm'} is up to {n['largest_Nm']:.3g} Nm from the model, only "
-        "there. These rows were left out."
+        f"From {n['from_s']:.2f} to {n['to_s']:.2f} s the arm was in contact with something: the torque of "
+        f"{_joints(n['joints']) if n['joints'] else 'the arm'} differs by up to "
+        f"{n['largest_Nm']:.3g} Nm from the model, in these rows only. They were left out."
     )
 
 

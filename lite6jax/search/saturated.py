@@ -1,8 +1,9 @@
 """Backward selection from all terms that most problems of a domain have, where a problem has many of them.
 
-Where many effects are missing at once, what they leave looks like autocorrelated noise and masks each of them, so that
-forward selection ends early. The residuals of the saturated model show the noise itself; in that noise, terms leave one
-by one as long as what they explain is not significant (Efroymson's backward elimination, in generalised least squares).
+Where many effects are missing at once, their residuals inflate the estimate of autocorrelated noise, which masks each
+of them, and forward selection ends early. The noise is therefore estimated from the residuals of the saturated model,
+and terms are removed one by one as long as what they explain is not significant in that noise (Efroymson's backward
+elimination, in generalised least squares).
 """
 
 from dataclasses import replace

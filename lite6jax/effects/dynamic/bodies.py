@@ -30,7 +30,7 @@ class _OfLink(TorqueEffect):
     @property
     @final
     def drivers(self) -> tuple[Driver, ...]:
-        """The motion of its own joint, by which it shows in any case."""
+        """The acceleration of its own joint, on which its torque depends in every position."""
         return (Driver("acceleration", self.link),)
 
     @final
@@ -44,7 +44,7 @@ class _OfLink(TorqueEffect):
 @final
 @dataclass(frozen=True)
 class LinkMass(_OfLink):
-    """A link's mass is another, at the same centre."""
+    """A link's mass differs from the declared one; its centre of mass does not."""
 
     name: ClassVar[str] = "link_mass"
     specificity: ClassVar[int] = 3
@@ -62,7 +62,7 @@ class LinkMass(_OfLink):
 @final
 @dataclass(frozen=True)
 class LinkCom(_OfLink):
-    """A link's centre of mass is elsewhere, in the axes of its frame; its mass is as declared."""
+    """A link's centre of mass is displaced, in the axes of its frame; its mass is as declared."""
 
     name: ClassVar[str] = "link_com"
     specificity: ClassVar[int] = 4
@@ -85,7 +85,7 @@ class LinkCom(_OfLink):
 @final
 @dataclass(frozen=True)
 class PayloadTorque(TorqueEffect):
-    """The mass at the flange is another than declared, at the declared centre of mass."""
+    """The mass at the flange differs from the declared one, at the declared centre of mass."""
 
     name: ClassVar[str] = "payload_error"
     specificity: ClassVar[int] = 2
@@ -112,7 +112,7 @@ class PayloadTorque(TorqueEffect):
 @final
 @dataclass(frozen=True)
 class BaseTilt(TorqueEffect):
-    """Gravity as declared is turned by a small rotation of the base about x and y: g ← R(tilt)ᵀ g."""
+    """The base is tilted from what is declared, by small rotations about x and y: g ← R(tilt)ᵀ g."""
 
     name: ClassVar[str] = "base_tilt"
     specificity: ClassVar[int] = 3

@@ -1,4 +1,4 @@
-"""The largest numbers that effects on torques have in arms up to the heaviest; beyond them a name is not believable."""
+"""Bounds on the parameters of effects on torques: those of the heaviest arms; beyond, a name is implausible."""
 
 TORQUE = 2000.0
 """Nm, of friction, offsets and ripple."""
@@ -16,7 +16,7 @@ STRIBECK = (1e-3, 2.0)
 """rad/s, the speed over which Stribeck friction vanishes."""
 
 SCALE = 0.9
-"""Of a measured torque; a wrong sign is a data fault."""
+"""Of a measured torque, relative; a reversed sign is a data fault."""
 
 ROTOR = 500.0
 """kg·m², reflected to the joint."""
@@ -28,10 +28,10 @@ MASS = 500.0
 """kg."""
 
 LENGTH = 2.0
-"""m, by which a centre of mass may be off."""
+"""m, by which a centre of mass may be displaced."""
 
 TILT = 0.5
-"""rad, by which a base may be turned from what is declared."""
+"""rad, by which a base may be tilted from what is declared."""
 
 DELAY = 0.5
 """s."""

@@ -1,4 +1,4 @@
-"""The catalogue of effects on torques: every named one of an arm, and those of a few values of a number."""
+"""The catalogue of effects on torques: the named ones of an arm at every site, and those tried at a few values."""
 
 import types
 from collections.abc import Mapping

@@ -1,4 +1,4 @@
-"""Friction of joints: by speed, by direction, by load, by temperature, and of motors that turn two joints.
+"""Friction of joints: viscous, Coulomb, Stribeck, of the load, of the temperature, and of motors that drive two joints.
 
 Viscous and Coulomb friction and their dependence on the load: P. Hamon et al., IROS 2010, eq. 6; the decay at low
 speed: B. Armstrong-Hélouvry, Control of Machines with Friction, 1991, ch. 2.
@@ -61,7 +61,7 @@ class CoulombFriction(JointTorque):
 class StribeckFriction(JointTorque):
     """τ += s·exp(−(q̇/v)²)·sign(q̇), beside Coulomb friction.
 
-    The search tries some v, in which it is not linear; without a fixed one v is its second number.
+    It is not linear in v: the search tries some values of v, and v without a fixed value is its second coordinate.
 
     Attributes:
         velocity_rad_per_s: v, where it is fixed.
@@ -99,7 +99,7 @@ class StribeckFriction(JointTorque):
 @final
 @dataclass(frozen=True)
 class LoadFriction(JointTorque):
-    """τ += μ·|τ_rigid|·sign(q̇): gears whose friction grows with the load."""
+    """τ += μ·|τ_rigid|·sign(q̇): friction of a gear in proportion to its load."""
 
     name: ClassVar[str] = "load_friction"
     specificity: ClassVar[int] = 2
@@ -119,7 +119,7 @@ class LoadFriction(JointTorque):
 @final
 @dataclass(frozen=True)
 class FrictionTemperature(JointTorque):
-    """τ += k·(T − T₀)·q̇, T of this joint: grease that thins, where k is negative."""
+    """τ += k·(T − T₀)·q̇, T the temperature of this joint; k is negative where grease becomes thinner."""
 
     name: ClassVar[str] = "friction_temperature"
     specificity: ClassVar[int] = 3
@@ -141,7 +141,7 @@ class FrictionTemperature(JointTorque):
 @final
 @dataclass(frozen=True)
 class CoupledFriction(TorqueEffect):
-    """τ += b·(q̇_N + q̇_M) + c·sign(q̇_N + q̇_M) on both joints: a motor of the wrist that turns both.
+    """τ += b·(q̇_N + q̇_M) + c·sign(q̇_N + q̇_M) on both joints: a motor of the wrist that drives both.
 
     Attributes:
         joint: N, the outer one, counted from 1.

@@ -18,7 +18,7 @@ from lite6jax.errors import InputError
 @final
 @dataclass(frozen=True)
 class TorqueOffset(JointTorque):
-    """τ += o: a sensor's zero, or a current's."""
+    """τ += o: the zero offset of a torque sensor or of a current."""
 
     name: ClassVar[str] = "torque_offset"
     specificity: ClassVar[int] = 0
@@ -38,7 +38,7 @@ class TorqueOffset(JointTorque):
 @final
 @dataclass(frozen=True)
 class TorqueScale(Scaling):
-    """The measured torque is 1 + s times the true one, friction included: a torque constant, a gear ratio."""
+    """The measured torque is 1 + s times the true one, friction included: a wrong torque constant or gear ratio."""
 
     name: ClassVar[str] = "torque_scale"
     specificity: ClassVar[int] = 2

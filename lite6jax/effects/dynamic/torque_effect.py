@@ -128,7 +128,7 @@ class Scaling(JointTorque, ABC):
 
 @dataclass(frozen=True)
 class Delaying(TorqueEffect, ABC):
-    """An effect by which torques belong to another instant than stamped; its only number is that offset in s."""
+    """An effect by which torques belong to another time than their rows; its only coordinate is the offset in s."""
 
     @final
     def torque(self, values: Array, dynamics: Dynamics) -> Array:
