@@ -59,18 +59,21 @@ class SimulatedArm:
         data.qpos[:], data.qvel[:] = wanted[0], rates[0]
         shape = (len(motion.time), model.nv)
         q, dq, ddq, torque = (np.empty(shape) for _ in range(4))
-        driven = np.empty(model.nv)
+        driven, exerted = np.empty(model.nv), np.zeros(model.nv)
         for k in range(len(times)):
-            mujoco.mj_step1(model, data)
+            mujoco.mj_forward(model, data)
             error, slip = wanted[k] - data.qpos, rates[k] - data.qvel
             mujoco.mj_mulM(model, data, driven, accelerations[k] + 2 * _BANDWIDTH * slip + _BANDWIDTH**2 * error)
-            data.qfrc_applied[:] = driven + data.qfrc_bias
+            before, exerted = exerted, driven + data.qfrc_bias
             row, rest = divmod(k - lead, every)
             if rest == 0 and row >= 0:
-                q[row], dq[row], torque[row] = data.qpos, data.qvel, data.qfrc_applied
-            mujoco.mj_step2(model, data)
-            if rest == 0 and row >= 0:
-                ddq[row] = data.qacc
+                # a torque is held for a step: what moves the arm at this instant is between the last one and the next,
+                # and either alone would be half a step early or late, which a diagnosis finds
+                data.qfrc_applied[:] = torque[row] = (before + exerted) / 2
+                mujoco.mj_forward(model, data)
+                q[row], dq[row], ddq[row] = data.qpos, data.qvel, data.qacc
+            data.qfrc_applied[:] = exerted
+            mujoco.mj_step(model, data)
         splines = [CubicSpline(motion.time, values) for values in (q, dq, ddq)]
 
         def curve(at: Array) -> tuple[Array, Array, Array]:
@@ -99,9 +102,9 @@ def _model(setup: Setup, hidden: Sequence[Hidden], payload: float) -> str:
                 said.setdefault(effect.number, {}).update(_joint_attributes(effect))
     root = Element("mujoco")
     SubElement(root, "compiler", angle="radian", autolimits="false")
-    option = SubElement(root, "option", timestep=repr(STEP), gravity=_text(gravity), integrator="Euler")
-    # damping is not folded into the step: the acceleration is then that of the state
-    SubElement(option, "flag", eulerdamp="disable", contact="disable")
+    # positions and velocities of Euler's steps are half a step apart
+    option = SubElement(root, "option", timestep=repr(STEP), gravity=_text(gravity), integrator="RK4")
+    SubElement(option, "flag", contact="disable")
     body = SubElement(root, "worldbody")
     for i, row in enumerate(arm.chain.rows):
         turn = quaternion_from_rotation(rotation_from_rpy(*row[3:])[None])[0]

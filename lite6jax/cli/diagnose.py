@@ -38,6 +38,8 @@ class Diagnose:
     """What is known of its geometry: as the sidecar declares; exactly the factory calibration; near it; nothing."""
     effects: Annotated[Path | None, arg(metavar="FILE.py")] = None
     """Effects of your own, tested for like the catalogue's. Runs the file."""
+    torques: bool = False
+    """Of a recording that has poses and torques, diagnose the torques."""
     report: OutFile = None
     """Write a self-contained page with the findings and their figures here (.html)."""
     figures: Folder = None
@@ -81,7 +83,7 @@ class Diagnose:
 
         nominal = load_nominal(self.arm)
         recording = read(self.source, nominal)
-        if recording.position is None and recording.has_torques:
+        if self.torques or (recording.position is None and recording.has_torques):
             from lite6jax.cli.diagnose_torques import diagnose_motors
 
             return diagnose_motors(self, recording, nominal)

@@ -1,6 +1,7 @@
 """Torques from a recording to findings, a document, a model and a prediction; and everything that is refused."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -176,6 +177,8 @@ def test_what_cannot_be_diagnosed_is_refused():
     )
     with pytest.raises(InputError, match="the arm is at rest"):
         screen_torques(still, arm)
+    with pytest.raises(InputError, match="holds static poses; torques are diagnosed in a motion"):
+        screen_torques(replace(recording, motion="static"), arm)
     bare = type(arm)(arm.name, arm.kinematics)
     with pytest.raises(InputError, match=r"has no masses; add them .* or declare inertial: unknown"):
         screen_torques(recording, bare)
