@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
 from jax.typing import ArrayLike
+from numpy import typing as npt
 from numpy.typing import NDArray
 
 from lite6jax.arms import inertia, se3
@@ -268,14 +269,14 @@ class BaseParameters:
     @property
     def names(self) -> tuple[str, ...]:
         """Each combination, such as `Ixx2 − Iyy2 + 0.04 m² m3`: the parameter's name with the link's number."""
-        return tuple(self._name(row, own) for row, own in zip(self.grouping, self.independent, strict=True))
+        return tuple(self._name(row, int(own)) for row, own in zip(self.grouping, self.independent, strict=True))
 
     @property
     def units(self) -> tuple[str, ...]:
         """`kg`, `kg m` or `kg m²` of each."""
         return tuple(("kg", "kg m", "kg m²")[_LENGTHS[own % 10]] for own in self.independent)
 
-    def values(self, parameters: ArrayLike) -> NDArray[np.floating]:
+    def values(self, parameters: npt.ArrayLike) -> NDArray[np.floating]:
         """(base,) the combinations' values for links' parameters (joint, 10)."""
         return self.grouping @ np.asarray(parameters, float).ravel()
 
@@ -296,7 +297,7 @@ def parameter_name(place: int) -> str:
     return f"{PARAMETERS[place % 10]}{place // 10 + 1}"
 
 
-def base_parameters(kinematics: ArrayLike, gravity: ArrayLike) -> BaseParameters:
+def base_parameters(kinematics: npt.ArrayLike, gravity: npt.ArrayLike) -> BaseParameters:
     """The base parameters of a chain, by the regressor of random motion.
 
     The columns that are independent of those before them, links from the base outwards, are found by orthogonalisation;
@@ -313,7 +314,9 @@ def base_parameters(kinematics: ArrayLike, gravity: ArrayLike) -> BaseParameters
     samples = 16 * joints + 32
     q = rng.uniform(-np.pi, np.pi, (joints, samples))
     dq, ddq = 2 * rng.standard_normal((2, joints, samples))
-    W = np.moveaxis(np.asarray(regressor(kinematics, q, dq, ddq, gravity)), 2, 0).reshape(-1, 10 * joints)
+    W = np.moveaxis(np.asarray(regressor(kinematics, q, dq, ddq, np.asarray(gravity, float))), 2, 0).reshape(
+        -1, 10 * joints
+    )
 
     order = (10 * np.arange(joints)[:, None] + _PREFERENCE).ravel()
     independent = np.sort(order[_independent(W[:, order])])

@@ -16,7 +16,7 @@ from lite6jax.domains.torque.problem import TorqueProblem, linearised, torque_pr
 from lite6jax.domains.torque.screening import contacts, screen_torques
 from lite6jax.estimation.least_squares import Fit
 from lite6jax.estimation.problem import Mask
-from lite6jax.fitting.recognition import declared_arm_of
+from lite6jax.fitting.recognition import declared_arm_of, with_calibration
 from lite6jax.progress import Stage, entered, followed, part
 from lite6jax.recordings import Recording
 from lite6jax.search.final_estimates import final_estimates
@@ -37,7 +37,8 @@ def diagnose_torques(
 
     Args:
         recording: a trajectory with times and torques, or currents with their torque constants; SI units.
-        arm: the declared arm; from the sidecar where not given.
+        arm: the declared arm; from the sidecar where not given. Its chain is that of the factory calibration, where the
+            sidecar declares one.
         options: thresholds; the documented ones where not given.
         progress: called as each stage begins.
 
@@ -48,7 +49,7 @@ def diagnose_torques(
     """
     options = options or Options()
     with followed(progress):
-        arm = arm or declared_arm_of(recording)
+        arm = with_calibration(arm or declared_arm_of(recording), recording)
         with part(0, 1 + options.folds):
             entered("screening")
             screened = screen_torques(recording, arm)

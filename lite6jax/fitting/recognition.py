@@ -13,7 +13,7 @@ from lite6jax.arms import frames
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.bundled import bundled_of
 from lite6jax.arms.factory import RECOGNISED_WITHIN, read_factory
-from lite6jax.arms.files import read_arm
+from lite6jax.arms.files import calibrated_arm, read_arm
 from lite6jax.arms.se3 import rotation_from_quaternion, rotation_from_rpy, transform
 from lite6jax.errors import InputError, InputWarning
 from lite6jax.fitting.quality import upper_quartile
@@ -59,6 +59,18 @@ def declared_arm_of(recording: Recording) -> Arm:
     if arm is None:
         raise InputError(f"{recording.source}: declares no arm; name it with --arm NAME, or `arm:` in the sidecar")
     return arm
+
+
+def with_calibration(arm: Arm, recording: Recording) -> Arm:
+    """The arm with the chain of the factory calibration that a recording declares; itself where it declares none.
+
+    Raises:
+        InputError: as `read_factory`.
+    """
+    file = recording.settings.factory_calibration
+    if file is None:
+        return arm
+    return calibrated_arm(read_factory(Path(recording.source).parent / file, arm))
 
 
 def declared_arm(settings: RecordingSettings, folder: Path) -> Arm | None:

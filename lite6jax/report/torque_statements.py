@@ -178,18 +178,16 @@ def rejected(finding: Entry) -> list[str]:
 
 def untested(document: Document) -> list[Untested]:
     """The effects that the recording cannot show, by reason."""
-    return [
-        group
-        if group.remedy
-        else group._replace(reason="They are confounded with the inertial numbers that are fitted.")
-        for group in statements.untested(document)
-    ]
+    reason = "What they depend on does not vary in this recording."
+    if document["nuisance"]["numbers"]:
+        reason = "They are confounded with the inertial numbers that are fitted, or what they depend on does not vary."
+    return [group if group.remedy else group._replace(reason=reason) for group in statements.untested(document)]
 
 
 def what_to_record(document: Document) -> list[str]:
     """A sentence for each question that this recording leaves open and another one answers."""
     lines = statements.what_to_record({**document, "confounded": []})
-    if document["confounded"]:
+    if document["confounded"] and document["nuisance"]["numbers"]:
         lines.append(
             "To test for effects that are confounded with the inertial numbers, declare these numbers (`inertial` in "
             "the sidecar)."

@@ -453,7 +453,7 @@ def test_description_round_trip_is_exact(tmp_path_factory, rows, name, source, f
         mass=None if mass is None else np.full(len(rows), mass),
         center_of_mass=None if mass is None else np.array(rows)[:, :3],
         inertia=None if mass is None or mass < 1 else np.tile(np.diag([1 / 3, 1e-5, 1 / 3]), (len(rows), 1, 1)),
-        **{key: value and np.full(len(rows), value) for key, value in zip(JOINT_TERMS, drives, strict=True)},
+        **{k: None if v is None else np.full(len(rows), v) for k, v in zip(JOINT_TERMS, drives, strict=True)},
     )
     back = read_description(write_arm(arm, tmp_path_factory.mktemp("arm") / "arm.yaml"))
     assert (back.name, back.source) == (name, source)
