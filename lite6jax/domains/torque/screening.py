@@ -102,8 +102,8 @@ def _require_inertia(recording: Recording, arm: Arm) -> None:
 def _require_motion(recording: Recording) -> None:
     if recording.motion != "trajectory":
         raise InputError(
-            f"{recording.source}: holds static poses; torques are diagnosed in a motion: record one, or declare motion: "
-            "trajectory"
+            f"{recording.source}: holds static poses; torques are diagnosed in a motion: record one, or declare "
+            "motion: trajectory"
         )
     q = recording.joint_position
     if np.ptp(q, axis=0).max() < _LEAST_MOTION:
