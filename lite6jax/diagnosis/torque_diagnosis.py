@@ -64,15 +64,14 @@ def diagnose_torques(
         before, after = _held_out(torque_problem(screened.data), problem.valid, selection.saturated, options)
         findings = findings_of(selection)
         withdrawn = ()
-        size = problem.noise[:, None]
-        if findings and np.sum((after / size) ** 2) > options.heldout_rise**2 * np.sum((before / size) ** 2):
+        if findings and _raised(before, after, problem, options):
             withdrawn, selection, findings = findings, without_effects(selection), ()
     return TorqueDiagnosis(
         problem=problem,
         selection=selection,
         findings=findings,
         before=before,
-        after=before if withdrawn else after,
+        after=after if findings else before,
         faults=(*screened.found, *events),
         ruled_out=screened.ruled_out,
         options=options,
@@ -100,6 +99,23 @@ def _held_out(problem: TorqueProblem, valid: Mask, saturated: bool, options: Opt
         before[:, held] = _errors(there, state.baseline)[:, held]
         after[:, held] = _errors(there, state.fit)[:, held]
     return before, after
+
+
+def _raised(before: Array, after: Array, problem: TorqueProblem, options: Options) -> bool:
+    """Whether effects raise the error on held-out samples, in the mean of the logarithms over blocks.
+
+    Of errors whose variance is unknown and differs from block to block that is the ratio of likelihoods: one block in
+    which a curve meets what it was never fitted to does not decide alone.
+    """
+    block = np.arange(problem.samples) * (count := fold_count(problem.samples, options)) // problem.samples
+    size = problem.noise[:, None]
+    ratios = []
+    for number in range(count):
+        held = (block == number) & problem.valid
+        if held.any():
+            squares = [float(np.sum((errors[:, held] / size) ** 2)) for errors in (before, after)]
+            ratios.append(0.5 * np.log(max(squares[1], 1e-300) / max(squares[0], 1e-300)))
+    return bool(np.mean(ratios) > np.log(options.heldout_rise))
 
 
 def _errors(problem: TorqueProblem, fit: Fit) -> Array:

@@ -88,7 +88,8 @@ class TorqueDiagnosis(Summarised):
         white = self.fit.noise.white
         as_noise = self.over_noise is not None and bool((self.over_noise <= self.options.as_noise).all())
         if not self.findings:
-            return "consistent" if as_noise or (self.over_noise is None and white) else "unexplained"
+            unknown = self.over_noise is None and white and not self.withdrawn
+            return "consistent" if as_noise or unknown else "unexplained"
         if max(self.findings, key=lambda finding: finding.gain).effect.nonparametric:
             return "unnamed"
         return "explained" if as_noise else "partly_explained"

@@ -152,6 +152,8 @@ class Effect(ABC):
     """Rank of its name among effects that the data do not distinguish; the least is reported."""
     nonparametric: ClassVar[bool] = False
     """Whether it is a flexible curve rather than a named effect."""
+    shrinking: ClassVar[bool] = False
+    """Whether a prior of its coefficients is that of harmonic shrinkage."""
     choice: ClassVar[Choice | None] = None
     reporting: ClassVar[Reporting] = DIRECT
     special_cases: "ClassVar[Callable[[Any], tuple[Effect, ...]] | None]" = None
@@ -193,6 +195,12 @@ class Effect(ABC):
     def periodic(self) -> bool:
         """Whether a spectrum of orders finds it."""
         return self.choice is not None and self.choice.periodic
+
+    @property
+    @final
+    def shrunk(self) -> bool:
+        """Whether it is a curve with the prior of harmonic shrinkage."""
+        return self.shrinking and any(np.isfinite(number.spread) for number in self.coordinates)
 
     @property
     @final

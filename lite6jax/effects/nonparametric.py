@@ -136,6 +136,7 @@ class Unnamed(Bending):
 
     name: ClassVar[str] = "unnamed"
     nonparametric: ClassVar[bool] = True
+    shrinking: ClassVar[bool] = True
     specificity: ClassVar[int] = 17
 
     def __post_init__(self) -> None:

@@ -43,6 +43,8 @@ class Term(Protocol):
         specificity: rank of its name among terms that the data do not distinguish; the least is reported.
         periodic: whether it is found by the spectrum of a periodic family.
         nonparametric: whether it is a flexible curve rather than a named term.
+        shrunk: whether it is a curve with the prior of harmonic shrinkage, which absorbs what resembles autocorrelated
+            noise.
         chosen: the number that a search chose instead of fitting it (an order), or None.
         includes: terms that are this one with some of its numbers zero; it takes their place.
     """
@@ -60,6 +62,8 @@ class Term(Protocol):
     def coordinates(self) -> Sequence[Number]: ...
     @property
     def periodic(self) -> bool: ...
+    @property
+    def shrunk(self) -> bool: ...
     @property
     def chosen(self) -> float | None: ...
     @property

@@ -3,8 +3,6 @@
 from dataclasses import dataclass, replace
 from typing import final
 
-import numpy as np
-
 from lite6jax.estimation.least_squares import Fit, fit
 from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.problem import Mask, Problem
@@ -78,17 +76,12 @@ def search(
     else:
         part = _selected(problem.thinned(every), reference.thinned(every), training[::every], options, thorough)
         state = _continued(problem, reference, part, training, options)
-    if not any(map(_shrunk, state.fit.terms.terms)):
+    if not any(term.shrunk for term in state.fit.terms.terms):
         entered("noise")
         state = retest(problem, state, options)
         state = significant(problem, believable(problem, state, options), options)
     selection = Selection(problem, reference, state)
     return _reviewed(selection, options) if thorough else selection
-
-
-def _shrunk(term: Term) -> bool:
-    """Whether a curve has the prior of harmonic shrinkage: it has absorbed what resembles autocorrelated noise."""
-    return term.nonparametric and any(np.isfinite(number.spread) for number in term.coordinates)
 
 
 def _selected(problem: Problem, reference: Problem, training: Mask, options: EngineOptions, thorough: bool) -> State:
@@ -130,7 +123,8 @@ def _continued(problem: Problem, reference: Problem, part: State, training: Mask
     """The terms found in a part of the samples, fitted to all, with further ones that are significant there."""
     baseline = fit(reference, Terms(), options, training=training)
     fitted = baseline
-    if any(map(_shrunk, part.fit.terms.terms)):  # hundreds of numbers: a step from the estimate of enough samples
+    if any(term.shrunk for term in part.fit.terms.terms):
+        # hundreds of numbers: a step from the estimate of enough samples
         once = replace(options, steps=1)
         fitted = fit(problem, part.fit.terms, once, part.fit.values, part.fit.nuisance, training)
         return State(baseline, fitted, part.tested)
@@ -146,7 +140,7 @@ def _reviewed(selection: Selection, options: EngineOptions) -> Selection:
     candidates, searched = problem.candidates, searched_size(problem, options)
     scores = score_test(problem, state.baseline, options).score(candidates)
     confounded = tuple(term for term, score in zip(candidates, scores, strict=True) if score.confounded)
-    if any(map(_shrunk, state.fit.terms.terms)):
+    if any(term.shrunk for term in state.fit.terms.terms):
         return replace(selection, confounded=confounded)
     left = [term for term in candidates if term not in state.fit.terms.terms]
     scored = zip(left, score_test(problem, state.fit, options).score(left), strict=True)

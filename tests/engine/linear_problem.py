@@ -26,6 +26,7 @@ class Column:
     site: str = "x"
     periodic: bool = False
     nonparametric: bool = False
+    shrunk: bool = False
     chosen: float | None = None
     coordinates: tuple = (Number(),)
     includes: tuple = ()
@@ -46,6 +47,7 @@ class Wave:
     specificity: int = 2
     periodic: bool = True
     nonparametric: bool = False
+    shrunk: bool = False
     includes: tuple = ()
 
     chosen = property(lambda self: None if self.order in (None, 1.0) else self.order)
@@ -85,6 +87,7 @@ class Hat:
     chosen: float | None = None
     includes: tuple = ()
 
+    shrunk = property(lambda self: np.isfinite(self.spread))
     size = property(lambda self: 2 * len(self.orders) or self.pieces + 1)
     coordinates = property(lambda self: (Number(1.0, self.spread),) * self.size)
     label = property(lambda self: f"curve:{self.site}")
@@ -105,6 +108,7 @@ class Curve:
     specificity: int = 9
     periodic: bool = False
     nonparametric: bool = True
+    shrunk: bool = False
     chosen: float | None = None
     includes: tuple = ()
     coordinates: tuple = (Number(),) * 3
@@ -128,6 +132,7 @@ class LinearProblem:
     candidates: tuple
     scale: np.ndarray = field(default_factory=lambda: np.ones(2))
     run: np.ndarray = None
+    ladder: tuple = ()
     offset: np.ndarray = field(default_factory=lambda: np.zeros(2))
     precision: np.ndarray = field(default_factory=lambda: np.zeros(2))
     informative: np.ndarray = field(default_factory=lambda: np.zeros(2, bool))

@@ -51,7 +51,7 @@ def curves(dynamics: Dynamics, data: TorqueRows, chosen: NDArray[np.integer], no
             if values is None or (signed and quantity == "velocity"):
                 continue
             values = values[data.filter.kept][chosen]
-            spline = partial(_spline, j + 1, driver.phrase, signed)
+            spline = partial(_spline, j + 1, driver.phrase, signed, float(sizes(data)[j]))
             drivers.append(CurveDriver(values, pieces, quantity == "position" and not signed, spline))
         column = _column(j, noise, len(chosen))
         if signed:
@@ -60,11 +60,15 @@ def curves(dynamics: Dynamics, data: TorqueRows, chosen: NDArray[np.integer], no
     return tuple(found)
 
 
-def flexible(dynamics: Dynamics) -> tuple[UnnamedTorque, ...]:
+def flexible(dynamics: Dynamics, sizes: Array) -> tuple[UnnamedTorque, ...]:
     """Functions of every driver at every joint, as far as drivers are known and vary.
 
     They are of the position of any joint, of the joint's own speed, load and temperature, and of time; those of
     position, load and temperature also times the direction of motion or the speed, as friction is.
+
+    Args:
+        dynamics: of every sample.
+        sizes: `(joint,)` Nm, of the torques that were measured, which no curve exceeds by much.
     """
     dof = dynamics.torque.shape[0]
     ranges = {d: _range(d, dynamics) for j in range(1, dof + 1) for d in _own(j)}
@@ -78,7 +82,9 @@ def flexible(dynamics: Dynamics) -> tuple[UnnamedTorque, ...]:
         (lower, upper), *further = [span for span in spans if span is not None]
         phrase = " and ".join(driver.phrase for driver in drivers)
         bounds = tuple(bound for span in further for bound in span)
-        found.append(UnnamedTorque(joint, phrase, lower, upper, pieces, signed, degree=degree, further=bounds))
+        spread = float(sizes[joint - 1])
+        curve = UnnamedTorque(joint, phrase, lower, upper, pieces, signed, spread=spread, degree=degree, further=bounds)
+        found.append(curve)
 
     for j in range(1, dof + 1):
         position, velocity, load, temperature = _own(j)
@@ -162,5 +168,12 @@ def _curve(
     return waves(joint, q[training], orders)
 
 
-def _spline(joint: int, driver: str, signed: bool, lower: float, upper: float, pieces: int) -> UnnamedTorque:
-    return UnnamedTorque(joint, driver, lower, upper, pieces, signed)
+def sizes(data: TorqueRows) -> Array:
+    """`(joint,)` Nm, the range of the torques that were measured, rounded."""
+    return np.array([float(f"{max(size, 1e-6):.2g}") for size in np.ptp(data.measured, axis=1)])
+
+
+def _spline(
+    joint: int, driver: str, signed: bool, spread: float, lower: float, upper: float, pieces: int
+) -> UnnamedTorque:
+    return UnnamedTorque(joint, driver, lower, upper, pieces, signed, spread=spread)

@@ -147,7 +147,7 @@ class TorqueProblem:
     @lazy
     def flexible(self) -> tuple[UnnamedTorque, ...]:
         """Functions without a name, of every joint and driver."""
-        return families.flexible(self.dynamics)
+        return families.flexible(self.dynamics, families.sizes(self.data))
 
     def residual(self, nuisance: Array, terms: Terms, values: Array) -> Array:
         """Residuals `(joint, sample)` over the declared noise, predicted minus measured."""

@@ -30,7 +30,8 @@ class UnnamedTorque(JointTorque):
         pieces: the intervals of the spline; it has three more coefficients.
         signed: whether the curve is multiplied by the direction of motion, as friction is.
         orders: of the waves, that are there instead of a spline.
-        spread: one standard deviation of the coefficients, where that is known beforehand.
+        spread: one standard deviation of the coefficients in Nm, the size of the joint's torque: where nothing was
+            measured a curve returns to zero.
         degree: of polynomials, that are there instead of a spline; 0 for none.
         further: lower and upper of each further driver.
 
