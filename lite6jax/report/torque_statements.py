@@ -130,7 +130,7 @@ def sizes(finding: Entry) -> list[Quantity]:
     """The numbers of a finding as they are read; of a curve its peak to peak."""
     if "peak_to_peak_Nm" in finding:
         return [quantity("peak_to_peak_Nm", {"value": float(f"{finding['peak_to_peak_Nm']:.3g}"), "std": 0.0})]
-    return [quantity(*item, OF_TORQUES) for item in finding["parameters"].items()]
+    return [quantity(name, estimate, OF_TORQUES) for name, estimate in finding["parameters"].items()]
 
 
 def _of_what(finding: Entry, where: Entry) -> str:
