@@ -112,7 +112,12 @@ def reference_links(arm: Arm) -> Array:
     if arm.inertia is None:
         mass = np.asarray(arm.mass)
         arm = replace(arm, inertia=(mass * GYRATION**2)[:, None, None] * np.eye(3))
-    P = pseudo_inertia(link_parameters(arm))
+    return bodies_near(link_parameters(arm))
+
+
+def bodies_near(parameters: ArrayLike) -> Array:
+    """(joint, 10) links whose pseudo-inertias are those of `parameters` (joint, 10), made positive."""
+    P = pseudo_inertia(parameters)
     scale, vectors = np.linalg.eigh(P)
     least = np.where(scale[:, -1:] > 0, THIN * scale[:, -1:], THIN)
     return _parameters_of((vectors * np.maximum(scale, least)[:, None, :]) @ np.swapaxes(vectors, 1, 2))

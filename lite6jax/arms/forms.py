@@ -120,6 +120,28 @@ def export_arm(arm: Arm, path: str | Path, form: FileForm | None = None, overwri
     return WHOLE_ARM[form](arm, path, overwrite)
 
 
+def export_file(
+    arm: Arm,
+    target: str | Path,
+    form: FileForm | None = None,
+    overwrite: bool = False,
+    left_out: tuple[str, ...] = (),
+) -> Conversion:
+    """As `export_arm`, read back.
+
+    Args:
+        arm, target, form, overwrite: as of `export_arm`.
+        left_out: what the arm itself has no place for, a phrase each.
+
+    Raises:
+        InputError: as `export_arm`.
+    """
+    form = form or _form_of(Path(target), calibrated=False)
+    path = export_arm(arm, target, form, overwrite)
+    again = read_arm(str(target))
+    return Conversion(path, form, arm, (*left_out, *left_out_of(arm, form)), _distance(arm, again))
+
+
 def left_out_of(arm: Arm, form: FileForm, calibrated: bool = False) -> list[str]:
     """What of an arm a form has no place for, a phrase each; of a calibrated arm its chain alone is its own."""
     phrases = []

@@ -22,10 +22,12 @@ class Convert:
         lite6jax convert arm.yaml arm.urdf
         lite6jax convert lite6 arm.xml
         lite6jax convert model.json arm.yaml --to ur
+        lite6jax convert diagnosis.json arm.urdf
     """
 
     source: Annotated[Positional[str], arg(metavar="FILE|ARM")]
-    """A calibration (.yaml, .json), a description, a URDF or MJCF (robot.urdf#tip), or a bundled arm's name."""
+    """A calibration (.yaml, .json), a description, a URDF or MJCF (robot.urdf#tip), a bundled arm's name, or what
+    `diagnose` wrote of torques (.json): the arm with the friction, rotors and links that were found."""
     target: Annotated[Positional[Path], arg(metavar="FILE")]
     """The file to write."""
     to: Annotated[Literal["vendor", "ur", "table", "urdf", "mjcf", "description"] | None, arg(metavar="FORM")] = None
@@ -40,11 +42,16 @@ class Convert:
         """Converts and reads back."""
         check_writable(self.target, self.force)
         refuse_inputs([self.target], [self.source, self.arm])
-        from lite6jax.arms.forms import convert_file
+        from lite6jax.arms.forms import convert_file, export_file
+        from lite6jax.diagnosis.export import is_diagnosis, read_diagnosed_arm
         from lite6jax.fitting.source import load_nominal
         from lite6jax.report import fleet_tables, screen
 
-        done = convert_file(self.source, self.target, self.to, load_nominal(self.arm), self.force)
+        if is_diagnosis(self.source):
+            arm, left_out = read_diagnosed_arm(self.source)
+            done = export_file(arm, self.target, self.to, self.force, left_out)
+        else:
+            done = convert_file(self.source, self.target, self.to, load_nominal(self.arm), self.force)
         screen.written([done.path])
         screen.show(fleet_tables.conversion_report(done))
         return DONE

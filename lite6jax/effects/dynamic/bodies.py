@@ -53,10 +53,14 @@ class LinkMass(_OfLink):
     def coordinates(self) -> tuple[Coordinate, ...]:
         return (Coordinate("mass_kg", "kg", 0.1, lower=-bounds.MASS, upper=bounds.MASS),)
 
-    def torque(self, values: Array, dynamics: Dynamics) -> Array:
-        own = dynamics.links[self.link - 1]
+    def numbers(self, values: Array, links: Array) -> Array:
+        """`(10,)`, the change of the inertial numbers of its link, beside `links` `(joint, 10)` as they are."""
+        own = links[self.link - 1]
         center = own[1:4] / own[0] if own[0] > 0 else np.zeros(3)
-        return self._heavier(dynamics, point_mass(float(values[0]), center))
+        return point_mass(float(values[0]), center)
+
+    def torque(self, values: Array, dynamics: Dynamics) -> Array:
+        return self._heavier(dynamics, self.numbers(values, dynamics.links))
 
 
 @final
@@ -72,14 +76,17 @@ class LinkCom(_OfLink):
         most = bounds.LENGTH
         return tuple(Coordinate(f"{axis}_m", "m", 1e-2, lower=-most, upper=most) for axis in "xyz")
 
-    def torque(self, values: Array, dynamics: Dynamics) -> Array:
-        m, *first = dynamics.links[self.link - 1, :4]
+    def numbers(self, values: Array, links: Array) -> Array:
+        """`(10,)`, the change of the inertial numbers of its link, beside `links` `(joint, 10)` as they are."""
+        m, *first = links[self.link - 1, :4]
         center = np.array(first) / m if m > 0 else np.zeros(3)
         # to first order: the square of the shift is a thousandth of the inertia
-        moved, mid = np.asarray(values, float), center
-        tensor = 2 * (moved @ mid) * np.eye(3) - np.outer(moved, mid) - np.outer(mid, moved)
-        numbers = [0.0, *moved, *np.diagonal(tensor), tensor[0, 1], tensor[0, 2], tensor[1, 2]]
-        return self._heavier(dynamics, m * np.array(numbers))
+        moved = np.asarray(values, float)
+        tensor = 2 * (moved @ center) * np.eye(3) - np.outer(moved, center) - np.outer(center, moved)
+        return m * np.array([0.0, *moved, *np.diagonal(tensor), tensor[0, 1], tensor[0, 2], tensor[1, 2]])
+
+    def torque(self, values: Array, dynamics: Dynamics) -> Array:
+        return self._heavier(dynamics, self.numbers(values, dynamics.links))
 
 
 @final

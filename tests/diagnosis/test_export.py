@@ -1,0 +1,78 @@
+"""The arm of a diagnosis of torques, as simulators read it."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from domains.torque.moved import GRAVITY, motion_of, setup_of
+
+from lite6jax.arms.consistency import is_consistent
+from lite6jax.arms.dynamics import base_parameters, inverse_dynamics, link_parameters
+from lite6jax.arms.files import read_arm
+from lite6jax.arms.forms import export_file
+from lite6jax.diagnosis.export import diagnosed_arm, read_diagnosed_arm
+from lite6jax.domains.torque.predict import DiagnosedMotors
+from lite6jax.effects.dynamic.catalogue import BUILT_IN
+from lite6jax.effects.serialization import parse_effect
+from lite6jax.errors import InputError
+from lite6jax.estimation.terms import Terms, join
+
+
+def model_with(*texts):
+    """A Lite 6 with these effects."""
+    _, arm = setup_of(2)
+    pairs = [parse_effect(text, BUILT_IN) for text in texts]
+    links = np.asarray(link_parameters(arm))
+    terms, values = Terms(tuple(e for e, _ in pairs)), join(v for _, v in pairs)
+    return arm, DiagnosedMotors(arm, links, np.zeros(3), GRAVITY, terms, values, 25.0)
+
+
+@pytest.mark.parametrize("suffix", [".urdf", ".xml", ".yaml"])
+def test_what_was_found_stands_in_the_file(tmp_path, suffix):
+    _, model = model_with(
+        "viscous_friction:joint=2,viscous_Nm_s_per_rad=0.8",
+        "coulomb_friction:joint=3,coulomb_Nm=0.5",
+        "rotor_inertia:joint=5,inertia_kg_m2=0.02",
+        "torque_offset:joint=1,offset_Nm=0.3",
+        "link_mass:link=3,mass_kg=0.2",
+    )
+    if suffix == ".xml":
+        pytest.importorskip("mujoco")
+    arm, left_out = diagnosed_arm(model)
+    assert left_out == ("torque offset at joint1",)
+    done = export_file(arm, tmp_path / f"arm{suffix}", left_out=left_out)
+    again = read_arm(str(done.path))
+    assert again.viscous_friction[1] == pytest.approx(0.8)
+    assert again.coulomb_friction[2] == pytest.approx(0.5)
+    assert again.mass[2] == pytest.approx(model.links[2, 0] + 0.2)
+    if suffix == ".urdf":
+        assert done.left_out == ("torque offset at joint1", "rotor inertia")
+    else:
+        assert again.rotor_inertia[4] == pytest.approx(0.02)
+    assert done.difference < 1e-9
+
+
+def test_links_that_are_no_bodies_become_such_with_the_same_torques():
+    declared, model = model_with()
+    base = base_parameters(declared.kinematics, GRAVITY)
+    silent = np.linalg.svd(base.basis.T)[2][base.size :]  # directions that no torque shows
+    along = np.random.default_rng(0).normal(0, 1, len(silent)) @ silent
+    size = next(s for s in np.geomspace(1e-3, 10, 60) if not is_consistent(model.links + s * along.reshape(-1, 10)))
+    impossible = model.links + 2 * size * along.reshape(-1, 10)
+    arm, left_out = diagnosed_arm(replace(model, links=impossible))
+    found = np.asarray(link_parameters(arm))
+    assert is_consistent(found)
+    assert left_out == ()
+    motion = motion_of(setup_of(2)[0], 1, rate=10.0, seconds=5.0)
+    asked, has = (
+        np.asarray(inverse_dynamics(arm.kinematics, links, motion.q.T, motion.dq.T, motion.ddq.T, GRAVITY))
+        for links in (impossible, found)
+    )
+    np.testing.assert_allclose(has, asked, rtol=0, atol=1e-6 * np.abs(asked).max())
+
+
+def test_a_diagnosis_of_poses_is_refused(tmp_path):
+    path = tmp_path / "d.json"
+    path.write_text('{"schema": "lite6jax/diagnosis/2", "model": {}}')
+    with pytest.raises(InputError, match="is a diagnosis of poses; an arm is written from a diagnosis of torques"):
+        read_diagnosed_arm(path)
