@@ -54,11 +54,13 @@ def torque_report(document: Mapping[str, Any], source: str) -> Iterator[Renderab
 
 
 def _errors(document: Mapping[str, Any]) -> Table:
-    """Held-out errors by joint."""
-    by_joint = [document[stage]["heldout_torque_rms_by_joint_Nm"] for stage in ("before", "after")]
-    table = listing("held-out error (Nm RMS)", "all", *(f"{joint}" for joint in range(1, len(by_joint[0]) + 1)))
-    for stage, rows in zip(("before", "after"), by_joint, strict=True):
-        table.add_row(stage, f"{document[stage]['heldout_torque_rms_Nm']:.3g}", *(f"{one:.3g}" for one in rows))
+    """Held-out errors by joint, one a line: seven joints side by side do not fit a narrow terminal."""
+    stages = [document[stage] for stage in ("before", "after")]
+    table = listing("held-out error (Nm RMS)", "before", "after")
+    table.add_row("all joints", *(f"{stage['heldout_torque_rms_Nm']:.3g}" for stage in stages))
+    by_joint = zip(*(stage["heldout_torque_rms_by_joint_Nm"] for stage in stages), strict=True)
+    for joint, errors in enumerate(by_joint, 1):
+        table.add_row(f"joint {joint}", *(f"{error:.3g}" for error in errors))
     return table
 
 
