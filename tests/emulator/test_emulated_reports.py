@@ -228,8 +228,8 @@ def test_warmth_and_a_payload_that_is_not_as_declared(lite6, sines):
     mean_rise = 12 * -np.expm1(-seconds(warm) / 1200) * np.mean(np.linspace(1, 0.8, 6))
     np.testing.assert_allclose(growth, 2e-4 * mean_rise, atol=2e-6)
     heavy = "joint_compliance:joint=2,compliance_rad_per_Nm=1e-3", "payload_error:mass_kg=0.5"
-    declared = shown(hidden(lite6, heavy[0]), sines, 300, payload=[0.5, 0, 0, 0])
-    hidden_mass = shown(hidden(lite6, *heavy), sines, 300)
+    declared = shown(hidden(lite6, heavy[0]), sines, 600, payload=[0.5, 0, 0, 0])
+    hidden_mass = shown(hidden(lite6, *heavy), sines, 600)
     same = np.isin(declared["time_us"], hidden_mass["time_us"])
     again = np.isin(hidden_mass["time_us"], declared["time_us"])
     assert same.sum() > 250
