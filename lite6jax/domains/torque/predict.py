@@ -17,8 +17,8 @@ from lite6jax.recordings import Recording
 
 Array = NDArray[np.floating]
 
-_EXTRAPOLATED = 5
-"""Samples beyond the ends of a run to which torques are extrapolated where they are delayed."""
+_LINE = 10
+"""Samples over which the slope is taken by which delayed torques go on beyond the ends of a run."""
 
 
 @final
@@ -64,9 +64,6 @@ def predict_torques(model: DiagnosedMotors, recording: Recording) -> Array:
         model: as diagnosed.
         recording: joint positions with times, and with the drivers of its effects.
 
-    Returns:
-        the torques; NaN where a delay reaches far beyond the ends of a run.
-
     Raises:
         InputError: no times, steps that vary, or a driver that the model needs and the motion lacks.
     """
@@ -88,7 +85,11 @@ def predict_torques(model: DiagnosedMotors, recording: Recording) -> Array:
     assert recording.time is not None
     later = torque.copy()
     for rows, spline in interpolant(torque, recording.time, chosen.runs):
-        at, (first, last) = recording.time[rows] + delay, recording.time[rows][[0, -1]]
-        reach = _EXTRAPOLATED / chosen.rate
-        later[:, rows] = np.where((at >= first - reach) & (at <= last + reach), spline(at), np.nan)
+        t, part = recording.time[rows], torque[:, rows]
+        at = np.clip(t + delay, t[0], t[-1])
+        # beyond the ends along the line through some samples: a cubic would follow their noise
+        near, far = ((0, _LINE), (-1 - _LINE, -1))[delay > 0], (0, -1)[delay > 0]
+        slope = (part[:, near[1]] - part[:, near[0]]) / (t[near[1]] - t[near[0]])
+        beyond = t + delay - at
+        later[:, rows] = np.where(beyond != 0, part[:, [far]] + slope[:, None] * beyond, spline(at))
     return later.T
