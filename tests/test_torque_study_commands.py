@@ -7,8 +7,7 @@ import pytest
 from typed import flat, refused, run
 
 from lite6jax.arms.arm import Arm
-from lite6jax.arms.bundled import load_bundled
-from lite6jax.arms.files import write_arm
+from lite6jax.arms.files import read_arm, write_arm
 from lite6jax.recordings import Recording, RecordingSettings, read_recording, write_recording
 from tests.oracles.arms import random_kinematics
 
@@ -137,6 +136,9 @@ def test_what_identify_refuses(capsys, tmp_path, recorded):
     assert line == "motion: 4 samples of 6 torques for 58 unknowns; record 10 samples or more"
 
 
-def test_an_arm_without_inertia_serves(capsys):
-    assert load_bundled("xarm5").inertia is None
-    assert run(capsys, "identify", "xarm5", "--torque", "--duration", "5")[0] == 0
+def test_an_arm_without_inertia_serves(capsys, tmp_path, arm):
+    assert read_arm(arm).mass is None
+    assert run(capsys, "identify", arm, "--torque")[0] == 0
+    rivals = ("torque_scale:joint=1,scale=0.1", "payload_error")
+    line = refused(capsys, "design", arm, "--torque", *SMALL, "--discriminate", *rivals, "--out", tmp_path / "m.csv")
+    assert line.startswith("torque_scale:joint1: depends on the arm's inertia; arm 'small': has no masses")
