@@ -8,7 +8,7 @@ PYTEST := $(BIN)/python -m pytest --numprocesses=auto --maxprocesses=4 --dist=wo
 # The parts that take arrays from outside, of which the types and shapes are checked as they run; pyright checks the rest.
 TYPED := $(addprefix tests/,arms recordings)
 
-.PHONY: demo test test-slow benchmark installed-locked lock clean
+.PHONY: demo test test-slow docs screens benchmark installed-locked lock clean
 
 demo: $(VENV)/installed
 	$(BIN)/lite6jax demo
@@ -19,6 +19,15 @@ test: $(VENV)/installed-test
 # The second stage of .ci/run: annotated types and shapes checked in each call, and the notebooks.
 test-slow: $(VENV)/installed-test
 	CHECK_TYPES=1 $(PYTEST) $(TYPED) tests/test_notebooks.py
+
+# The documentation, in the folder site: built strictly, and looked through for links that lead nowhere.
+docs: $(VENV)/installed-test
+	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict --quiet
+	$(BIN)/python -m docs.hooks.site_check site
+
+# What the commands in the documentation print now, written into its pages and the README.
+screens: $(VENV)/installed-test
+	$(BIN)/python -m docs.hooks.screens
 
 benchmark: $(VENV)/installed-test
 	$(BIN)/python -m benchmarks
@@ -50,4 +59,4 @@ lock:
 		--upgrade --no-emit-index-url --quiet --custom-compile-command "make lock" --output-file .ci/requirements.txt
 
 clean:
-	rm -rf $(VENV) build dist *.egg-info .pytest_cache .ruff_cache .hypothesis
+	rm -rf $(VENV) build dist site *.egg-info .pytest_cache .ruff_cache .hypothesis

@@ -14,7 +14,7 @@ NAMED = {name: value for name, value in vars(exit_codes).items() if name.isupper
 
 
 def test_the_documented_table_is_that_of_the_code():
-    rows = re.findall(r"^\| (\d+) \| (.+) \|$", (ROOT / "docs/exit_codes.md").read_text(), re.MULTILINE)
+    rows = re.findall(r"^\| (\d+) \| (.+) \|$", (ROOT / "docs/reference/exit_codes.md").read_text(), re.MULTILINE)
     assert {int(code): meaning for code, meaning in rows} == dict(exit_codes.MEANINGS)
     assert len(rows) == len(NAMED)
     assert sorted(NAMED.values()) == sorted(exit_codes.MEANINGS)

@@ -1,4 +1,4 @@
-"""The exit codes of every command, by name and meaning; `docs/exit_codes.md` has the same table."""
+"""The exit codes of every command, by name and meaning; `docs/reference/exit_codes.md` has the same table."""
 
 from collections.abc import Mapping
 from types import MappingProxyType

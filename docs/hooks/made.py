@@ -1,0 +1,301 @@
+"""What the build makes of the code: `<!-- made: NAME -->` in a page is replaced by what the code itself says.
+
+MkDocs calls `on_page_markdown` for each page. A name that nothing makes, an effect, a column or a key without a text here
+ends the build, so that no table of the reference can lag behind the code.
+"""
+
+import contextlib
+import io
+import os
+import re
+import tempfile
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import MISSING, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+import lite6jax
+from lite6jax.arms.bundled import bundled_arms, load_bundled
+from lite6jax.cli import main
+from lite6jax.cli.program import COMMANDS
+from lite6jax.controller import rows
+from lite6jax.effects import catalogue, user_effects
+from lite6jax.effects.dynamic import catalogue as torque_catalogue
+from lite6jax.effects.effect import Effect
+from lite6jax.fitting.folder_rows import write_rows
+from lite6jax.recordings import RecordingSettings, columns, settings
+
+HERE = Path(__file__).parent
+MARK = re.compile(r"^<!-- made: (\w+) -->$", re.MULTILINE)
+WIDTH = 100
+"""Columns of a screen in the documents."""
+PLACES = {"joint": 2, "link": 2, "source_joint": 1}
+"""Where the effects that are described act: N is 2 and M is 1."""
+WHOLE: Mapping[str, Mapping[str, Any]] = {
+    "base_compliance": {"cross": True, "shift": True},
+    "joint_backlash": {"friction_torque_Nm": 0.1},
+    "tool_offset": {"turned": True},
+}
+"""The form of an effect that has all of its numbers."""
+COLUMNS = {
+    "q": "joint positions; required, but in targets and predictions",
+    "dq": "joint velocities; a trajectory with times and without them gets them by differentiation, and says so",
+    "ddq": "joint accelerations, used for torques",
+    "tau": "joint torques: what the motor exerts about +z of its joint",
+    "current": "motor currents; torques with `torque_constant_Nm_per_A` in the sidecar",
+    "temp": "temperatures of the joints",
+    "time": "time of the sample; without it the order of the rows is the sequence",
+    **dict.fromkeys("xyz", "measured position of the tool point"),
+    **dict.fromkeys(("qw", "qx", "qy", "qz"), "measured orientation as a unit quaternion, scalar first"),
+    "ambient": "temperature of the surroundings",
+    "payload": "mass at the flange; 0 where the column is missing",
+    "run": "an integer that changes where a new run starts",
+    "missing": "how many reports of a controller are missing before the row",
+    "gap": "why they are missing, in words",
+}
+KEYS = {
+    "arm": "the nominal arm; relative paths start at the sidecar",
+    "factory_calibration": "the arm's own calibration. With it, the geometry is exactly that, unless "
+    "`factory_uncertainty` is given; without it, the geometry is fitted",
+    "factory_uncertainty": "one standard deviation of each number of the calibration; the geometry is fitted near it",
+    "joint_source": "whether the columns q are encoder read-outs or commands",
+    "joint_noise_rad": "noise of a joint's read-out",
+    "pose_source": "which sensor measured the poses",
+    "motion": "`static`: the arm stood still at each row; `trajectory`: it moved",
+    "pose_frame": "`base`: positions are in the arm's base frame exactly; `unknown`: in the sensor's own, which is fitted",
+    "tool": "`none`: the flange is measured; `unknown`: the measured point is fitted; or its place on the flange",
+    "position_noise_m": "the sensor's noise of a position, along each axis",
+    "orientation_noise_rad": "the sensor's noise of an orientation, about each axis",
+    "payload_com_m": "the payload's centre of mass in the flange's frame",
+    "reference_temperature_degC": "the temperature at which the geometry holds",
+    "gravity_m_per_s2": "gravity in the arm's base frame: change it where the arm hangs or leans",
+    "inertial_uncertainty": "one standard deviation of the masses and their lever arms, relative",
+    "payload_uncertainty_kg": "one standard deviation of the payload's mass",
+    "torque_source": "where torques come from; `estimated` is the controller's own model",
+    "torque_noise_Nm": "noise of the torque of each joint",
+    "inertial": "for torques: what is known of the masses and inertias of the links",
+    "torque_constant_Nm_per_A": "torque per current of each joint, at the joint, gear included",
+}
+PYTHON = {
+    "Fit": (
+        "fit", "Solution", "Result", "fit_fleet", "fit_fleet_calibrations", "FleetSolution",
+        "six_parameter_to_hayati", "hayati_to_six_parameter",
+    ),
+    "Diagnose": ("diagnose", "Diagnosis", "diagnose_torques", "TorqueDiagnosis", "Options", "EngineOptions"),
+    "Use a diagnosis": (
+        "read_model", "predict", "predicted", "compensate", "register", "register_model", "read_torque_model",
+        "predict_torques",
+    ),
+    "Recordings": ("Recording", "RecordingSettings", "read_recording", "write_recording"),
+    "Arms": (
+        "read_arm", "Arm", "HayatiForm", "read_factory", "write_factory", "hayati_fk", "six_parameter_fk",
+        "inverse_dynamics", "link_parameters",
+    ),
+    "Simulate": ("simulate", "UndeclaredNoise", "draw_calibration", "draw_sensor_frame"),
+    "Plan a measurement": (
+        "plan_experiment", "Experiment", "Sensor", "identify", "identify_recording", "plan_poses", "candidates",
+        "above_floor", "all_pass", "clear_of_itself", "link_frames", "self_collision", "sensitivity",
+        "global_sensitivity",
+    ),
+    "Effects of your own": ("Effect", "JointEffect"),
+    "Errors": ("InputError",),
+}  # fmt: skip
+"""Where each public name is described."""
+
+
+def on_page_markdown(markdown: str, **_: object) -> str:
+    """The page with its marks replaced."""
+    return MARK.sub(lambda mark: MADE[mark[1]](), markdown)
+
+
+def command_help() -> str:
+    """What `--help` of the program and of each command prints."""
+    sections = ["## lite6jax\n\n" + _screen("--help")]
+    return "\n\n".join(sections + [f"## {name}\n\n{_screen(name, '--help')}" for name in COMMANDS])
+
+
+def column_table() -> str:
+    """Every column of a recording, with the units that are read."""
+    accepted = {**columns._PER_JOINT, **columns._SCALAR, **{name: {"": 1.0} for name in columns._TEXTS}}
+    _check("columns", COLUMNS, accepted)
+    lines = []
+    for quantity, units in accepted.items():
+        numbers = ("1", "N") if quantity in columns._PER_JOINT else ("",)
+        spelled = [
+            " … ".join(f"`{quantity}{number}{unit and '_'}{unit}`" for number in numbers) for unit in units
+        ]
+        lines.append((" or ".join(spelled), COLUMNS[quantity]))
+    return _table(("column", "meaning"), lines)
+
+
+def sidecar_table() -> str:
+    """Every key of a sidecar, with what it accepts and what holds without it."""
+    defaults = {field.name: field.default for field in fields(RecordingSettings)}
+    _check("keys of a sidecar", KEYS, defaults)
+    lines = [
+        (f"`{name}`", KEYS[name], settings._KINDS[name].form, _default(value)) for name, value in defaults.items()
+    ]
+    return _table(("key", "meaning", "accepted", "without it"), lines)
+
+
+def _default(value: Any) -> str:
+    if value is None:
+        return "not declared"
+    return f"`{list(value) if isinstance(value, tuple) else value}`"
+
+
+def arm_table() -> str:
+    """The bundled arms."""
+    lines = []
+    for name in bundled_arms():
+        arm = load_bundled(name)
+        known = "masses and inertias" if arm.inertia is not None else "masses" if arm.mass is not None else "geometry"
+        lines.append((f"`{name}`", str(arm.dof), f"{arm.reach:.2f} m", known, arm.source))
+    return _table(("name", "joints", "reach", "known", "source"), lines)
+
+
+def recorded_table() -> str:
+    """The columns that `record` writes, with the source of each."""
+    found: dict[str, list[str]] = {}
+    for name, source in rows.SOURCES.items():
+        found.setdefault(source, []).append(re.sub(r"[1-7]", "N", name, count=1) if name[-1] not in "wxyz" else name)
+    lines = [(", ".join(f"`{name}`" for name in dict.fromkeys(names)), source) for source, names in found.items()]
+    return _table(("columns", "source"), lines)
+
+
+def fleet_table() -> str:
+    """The columns of a fleet's table."""
+    import pyarrow.parquet
+
+    with tempfile.TemporaryDirectory() as folder:
+        written = pyarrow.parquet.read_schema(write_rows([], Path(folder) / "fleet.parquet"))
+    return ", ".join(f"`{name}`" for name in written.names)
+
+
+def pose_effects() -> str:
+    """The catalogue of effects on poses."""
+    return _effects(catalogue.BUILT_IN, _texts("poses"))
+
+
+def torque_effects() -> str:
+    """The catalogue of effects on torques."""
+    return _effects(torque_catalogue.BUILT_IN, _texts("torques"))
+
+
+def own_effect() -> str:
+    """The example of an effect of a user's own."""
+    example = re.search(r"```python\n.*?```", user_effects.__doc__ or "", re.DOTALL)
+    assert example is not None
+    return example[0].replace("```python", '```python title="mine.py"')
+
+
+def python_pages() -> str:
+    """Every public name, in groups, for mkdocstrings."""
+    groups = {title: list(names) for title, names in PYTHON.items()}
+    placed = {name for names in groups.values() for name in names}
+    groups["Further names"] = [name for name in lite6jax.__all__ if name not in placed]
+    unknown = placed - set(lite6jax.__all__)
+    if unknown:
+        raise SystemExit(f"docs/hooks/made.py: PYTHON has names that lite6jax does not export: {sorted(unknown)}")
+    sections = []
+    for title, names in groups.items():
+        if names:
+            described = "\n\n".join(f"::: {lite6jax._MODULES[name]}.{name}" for name in names)
+            sections.append(f"## {title}\n\n{described}")
+    return "\n\n".join(sections)
+
+
+def _effects(kinds: Mapping[str, type[Effect]], texts: Mapping[str, Mapping[str, str]]) -> str:
+    _check("effects.yaml", texts, kinds)
+    return "\n\n".join(_effect(kind, texts[name]) for name, kind in kinds.items())
+
+
+def _effect(kind: type[Effect], text: Mapping[str, str]) -> str:
+    told = [f"### {kind.name}", _formula(kind)]
+    if not kind.nonparametric:
+        made = _examples(kind)
+        whole = made[-1]
+        sites = " or ".join(dict.fromkeys(f"`{_general(effect.site)}`" for effect in made))
+        driven = ", ".join(_driver(whole, driver.phrase) for driver in whole.drivers) or "nothing: it is constant"
+        told.append(f"**Where:** {sites}. **Depends on:** {driven}.")
+        told.append(_table(("parameter", "physically possible"), list(_parameters(whole))))
+    told += [f"**What it looks like.** {text['looks']}", f"**What to do.** {text['remedy']}"]
+    return "\n\n".join(told)
+
+
+def _examples(kind: type[Effect]) -> list[Effect]:
+    """An effect of this kind: of the whole arm first where it has such a form, and last with all of its numbers."""
+    own = {item.name: item for item in fields(kind)}  # type: ignore[arg-type]
+    placed = {name: place for name, place in PLACES.items() if name in own}
+    forms = [{**placed, **WHOLE.get(kind.name, {})}]
+    if any(own[name].default is not MISSING for name in placed):
+        forms.insert(0, {name: place for name, place in placed.items() if own[name].default is MISSING})
+    return [kind(**form) for form in forms]
+
+
+def _formula(kind: type[Effect]) -> str:
+    """What the docstring says, without the fields of the class."""
+    paragraphs = re.split(r"\n\s*\n", (kind.__doc__ or "").strip())
+    kept = [p for p in paragraphs if not p.lstrip().startswith(("Attributes:", "Raises:"))]
+    return "\n\n".join(" ".join(line.strip() for line in p.splitlines()) for p in kept[:2]).replace("|", "\\|")
+
+
+def _parameters(effect: Effect) -> Iterable[tuple[str, str]]:
+    bounds = {coordinate.name: coordinate for coordinate in effect.coordinates}
+    for name in effect.reporting.names(effect):
+        limits = bounds.get(name)
+        if limits is None or not np.isfinite([limits.lower, limits.upper]).all():
+            yield f"`{name}`", ""
+        else:
+            yield f"`{name}`", f"{limits.lower:g} to {limits.upper:g}"
+
+
+def _driver(effect: Effect, phrase: str) -> str:
+    """A driver; an effect of the whole arm names joint 1 where it means every joint."""
+    if not set(PLACES) & {item.name for item in fields(effect)}:  # type: ignore[arg-type]
+        return re.sub(r" of joint 1$", " of the joints", phrase)
+    return _general(phrase)
+
+
+def _general(place: str) -> str:
+    return re.sub(r"(?<=[a-z])2$|(?<=[a-z] )2\b", "N", re.sub(r"(?<=joint )1\b", "M", place))
+
+
+def _texts(part: str) -> Mapping[str, Mapping[str, str]]:
+    return yaml.safe_load((HERE / "effects.yaml").read_text(encoding="utf-8"))[part]
+
+
+def _check(what: str, described: Iterable[str], there: Iterable[str]) -> None:
+    missing, surplus = set(there) - set(described), set(described) - set(there)
+    if missing or surplus:
+        raise SystemExit(f"docs/hooks: {what}: {sorted(missing)} need a description, {sorted(surplus)} do not exist")
+
+
+def _table(head: tuple[str, ...], lines: Iterable[tuple[str, ...]]) -> str:
+    cells = [head, tuple("---" for _ in head), *lines]
+    return "\n".join("| " + " | ".join(line) + " |" for line in cells)
+
+
+def _screen(*arguments: str) -> str:
+    said = io.StringIO()
+    os.environ["COLUMNS"] = str(WIDTH)
+    with contextlib.redirect_stdout(said):
+        main(list(arguments))
+    return f"```text\n$ lite6jax {' '.join(arguments)}\n{said.getvalue().strip()}\n```"
+
+
+MADE: Mapping[str, Callable[[], str]] = {
+    "arms": arm_table,
+    "columns": column_table,
+    "commands": command_help,
+    "fleet": fleet_table,
+    "own_effect": own_effect,
+    "pose_effects": pose_effects,
+    "python": python_pages,
+    "recorded": recorded_table,
+    "sidecar": sidecar_table,
+    "torque_effects": torque_effects,
+}

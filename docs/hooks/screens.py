@@ -1,0 +1,173 @@
+"""The screens in the documents: runs what a page tells its reader to type, and compares or renews what it shows of it.
+
+In a page, a block with `title="FILE"` is that file, a `python` block is run, and of a `console` block each `$ lite6jax …` is
+run; all of a page in one folder, from its top to its end. A line `…` stands for lines that are left out. A `sh` block is not
+run. The README shows commands of the pages again; it is compared with these.
+
+`python -m docs.hooks.screens` (`make screens`) writes what the commands print now into the pages and the README.
+"""
+
+import contextlib
+import io
+import math
+import os
+import re
+import shlex
+import sys
+import tempfile
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+from lite6jax import cli
+
+ROOT = Path(__file__).resolve().parents[2]
+README = ROOT / "README.md"
+WIDTH = 100
+LEFT_OUT = "…"
+_BLOCK = re.compile(r"^```(?P<kind>\w+)(?P<info>[^\n]*)\n(?P<body>.*?)^```$", re.MULTILINE | re.DOTALL)
+_TITLE = re.compile(r'title="([^"]+)"')
+_ENTRY = re.compile(r"^\$ (?P<typed>(?:[^\n]*\\\n)*[^\n]*)\n(?P<shown>(?:(?!\$ )[^\n]*\n)*)", re.MULTILINE)
+_NUMBER = re.compile(r"[-+]?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
+
+
+class Screen(NamedTuple):
+    """A command as it is typed, and what a page shows of its output."""
+
+    typed: str
+    shown: str
+
+    @property
+    def words(self) -> tuple[str, ...]:
+        """The command's words, without the comment."""
+        return tuple(shlex.split(self.typed.replace("\\\n", " "), comments=True))
+
+
+def pages() -> list[Path]:
+    """The pages of which something is run."""
+    return [path for path in sorted((ROOT / "docs").rglob("*.md")) if "\n```console\n" in path.read_text()]
+
+
+def screens(text: str) -> list[Screen]:
+    """The commands of the `console` blocks of a text."""
+    blocks = [block["body"] for block in _BLOCK.finditer(text) if block["kind"] == "console"]
+    return [Screen(entry["typed"], entry["shown"]) for body in blocks for entry in _ENTRY.finditer(body)]
+
+
+def run(text: str, folder: Path) -> Iterator[tuple[Screen, str]]:
+    """Runs a page in a folder; yields each command with what it printed.
+
+    Raises:
+        RuntimeError: a command refused its input.
+    """
+    with contextlib.chdir(folder):
+        for block in _BLOCK.finditer(text):
+            title = _TITLE.search(block["info"])
+            if title:
+                Path(title[1]).write_text(block["body"])
+            elif block["kind"] == "python":
+                exec(compile(block["body"], "page", "exec"), {"__name__": "page"})
+            elif block["kind"] == "console":
+                for screen in screens(block[0]):
+                    yield screen, _printed(screen)
+
+
+def _printed(screen: Screen) -> str:
+    os.environ["COLUMNS"] = str(WIDTH)
+    said, complained = io.StringIO(), io.StringIO()
+    with contextlib.redirect_stdout(said), contextlib.redirect_stderr(complained):
+        code = cli.main(screen.words[1:])
+    if screen.words[0] != "lite6jax" or code not in (0, 1):
+        raise RuntimeError(f"$ {screen.typed}\nended with {code}: {complained.getvalue()}")
+    return "\n".join(line.rstrip() for line in said.getvalue().splitlines()) + "\n"
+
+
+def difference(shown: str, printed: str) -> str:
+    """The first words that a page shows and that were not printed so; empty where it is right.
+
+    Line breaks do not count, numbers may differ by a twentieth or in their last digit, and p-values by their size.
+    """
+    there, at = _tokens(printed), 0
+    parts = [_tokens(part) for part in re.split(rf"^{LEFT_OUT}$", shown, flags=re.MULTILINE)]
+    for number, part in enumerate(parts):
+        last = len(there) - len(part)
+        starts: Sequence[int] = range(at, last + 1) if number else [0]
+        if number == len(parts) - 1 and (part or not number):  # what is shown last is printed last
+            starts = [start for start in starts if start == last]
+        found = next((start for start in starts if _alike(part, there[start : start + len(part)])), None)
+        if found is None:
+            return " ".join(part[:40]) or "(nothing is shown)"
+        at = found + len(part)
+    return ""
+
+
+def _tokens(text: str) -> list[str]:
+    return [token for token in text.split() if set(token) - {"─"}]
+
+
+def _alike(one: Sequence[str], other: Sequence[str]) -> bool:
+    return len(one) == len(other) and all(map(_same, one, other))
+
+
+def _same(one: str, other: str) -> bool:
+    if _NUMBER.sub("#", one) != _NUMBER.sub("#", other):
+        return False
+    return all(map(_near, _NUMBER.findall(one), _NUMBER.findall(other)))
+
+
+def _near(one: str, other: str) -> bool:
+    a, b = float(one), float(other)
+    if "e" in one + other and a > 0 and b > 0:
+        return abs(math.log(a) - math.log(b)) <= 0.1 * abs(math.log(a)) + 1
+    digits = max((len(text.partition(".")[2]) for text in (one, other)), default=0)
+    return a == b or (digits > 0 and math.isclose(a, b, rel_tol=0.05, abs_tol=1.5 * 10.0**-digits))
+
+
+def renewed(text: str, printed: dict[tuple[str, ...], str]) -> str:
+    """A text with what was printed in place of what it shows, shortened as it was."""
+
+    def renew(entry: re.Match[str]) -> str:
+        screen = Screen(entry["typed"], entry["shown"])
+        now = printed.get(screen.words)
+        if now is None:
+            return entry[0]
+        blank = "\n" if screen.shown.endswith("\n\n") else ""
+        return f"$ {screen.typed}\n{_shortened(screen, now.strip(chr(10)) + chr(10))}{blank}"
+
+    return _BLOCK.sub(
+        lambda block: block[0] if block["kind"] != "console" else _ENTRY.sub(renew, block[0]), text
+    )
+
+
+def _shortened(screen: Screen, printed: str) -> str:
+    if not re.search(rf"^{LEFT_OUT}$", screen.shown, re.MULTILINE):
+        return printed
+    lines, at, kept = printed.splitlines(), 0, []
+    for line in screen.shown.strip("\n").splitlines():
+        if line == LEFT_OUT:
+            kept.append(line)
+            continue
+        shape = _NUMBER.sub("#", "".join(line.split()))
+        same = [k for k in range(at, len(lines)) if _NUMBER.sub("#", "".join(lines[k].split())) == shape]
+        if not same:
+            print(f"$ {screen.typed}\n  {line!r} is no longer printed: all is shown; shorten it by hand", file=sys.stderr)
+            return printed
+        kept.append(lines[same[0]])
+        at = same[0] + 1
+    return "\n".join(kept) + "\n"
+
+
+def main(chosen: Sequence[str]) -> None:
+    """Renews the pages named, or all, and the README."""
+    printed: dict[tuple[str, ...], str] = {}
+    for page in [Path(name).resolve() for name in chosen] or pages():
+        text = page.read_text()
+        with tempfile.TemporaryDirectory() as folder:
+            of_page = {screen.words: output for screen, output in run(text, Path(folder))}
+        page.write_text(renewed(text, of_page))
+        printed |= of_page
+    README.write_text(renewed(README.read_text(), printed))
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

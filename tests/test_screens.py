@@ -1,0 +1,63 @@
+"""What the documents show of commands is what these print, and every command that they name is accepted."""
+
+import re
+import shlex
+
+import pytest
+import tyro
+from docs.hooks import screens
+from tyro.conf import FlagCreatePairsOff, OmitArgPrefixes
+
+from lite6jax.cli.program import COMMANDS
+
+DOCUMENTS = [screens.README, *sorted((screens.ROOT / "docs").rglob("*.md"))]
+SHELL = re.compile(r"^```sh\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+
+
+def named_commands():
+    """The commands of `sh` blocks, which are not run: where each stands, and its words."""
+    for document in DOCUMENTS:
+        for block in SHELL.findall(document.read_text()):
+            for line in block.replace("\\\n", " ").splitlines():
+                if line.startswith("lite6jax "):
+                    yield pytest.param(shlex.split(line, comments=True)[1:], id=f"{document.stem}: {line[:60]}")
+
+
+@pytest.mark.parametrize("page", screens.pages(), ids=lambda path: path.stem)
+def test_a_page_shows_what_its_commands_print(page, tmp_path):
+    for screen, printed in screens.run(page.read_text(), tmp_path):
+        assert screens.difference(screen.shown, printed) == "", f"$ {screen.typed}\n{printed}\n(make screens)"
+
+
+def test_the_readme_shows_commands_of_the_pages():
+    shown = {screen.words: screen.shown for page in screens.pages() for screen in screens.screens(page.read_text())}
+    of_readme = screens.screens(screens.README.read_text())
+    assert len(of_readme) >= 4
+    for screen in of_readme:
+        assert screens.difference(screen.shown, shown[screen.words]) == "", screen.typed
+
+
+@pytest.mark.parametrize("words", named_commands())
+def test_a_command_that_is_named_is_accepted(words):
+    name, *arguments = words
+    tyro.cli(COMMANDS[name], args=arguments, config=(FlagCreatePairsOff, OmitArgPrefixes))
+
+
+@pytest.mark.parametrize(
+    ("shown", "printed", "right"),
+    [
+        ("a 1.00 b\n", "a 1.02\nb\n", True),
+        ("a 1.00 b\n", "a 1.2 b\n", False),
+        ("joint2\n", "joint3\n", False),
+        ("p 2.6e-80\n", "p 3.1e-78\n", True),
+        ("p 2.6e-80\n", "p 3.1e-8\n", False),
+        ("a\n…\nd\n", "a b c d\n", True),
+        ("a\n…\n", "a b c d\n", True),
+        ("a\n…\nc\n", "a b c d\n", False),
+        ("b\n…\n", "a b c d\n", False),
+        ("a b\n", "a b c\n", False),
+        ("", "a\n", False),
+    ],
+)
+def test_what_the_comparison_finds(shown, printed, right):
+    assert (screens.difference(shown, printed) == "") == right
