@@ -1,4 +1,4 @@
-"""The notebooks: what is stored is their text alone, but of the one on real data; all run and end in a figure."""
+"""The notebooks: what is stored is their text, and of some their outputs, in few bytes; all run and end in a figure."""
 
 import ast
 import importlib.util
@@ -13,8 +13,10 @@ import pytest
 ROOT = Path(__file__).resolve().parents[1]
 NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
 CELL_TIMEOUT_S = 300
-REAL = ("06_a_real_arm",)
-"""Stored with the outputs of data that are not in the repository; here they run without those data."""
+STORED = ("06_a_real_arm", "08_your_own_recording")
+"""Stored with their outputs; the first with those of data that are not in the repository, without which it runs here."""
+LARGEST = 200_000
+"""Bytes of a notebook with its outputs."""
 # nbclient, zmq and their event loop stay in a process of their own, as this one turns each warning into an error.
 EXECUTE = f"""
 import sys
@@ -71,12 +73,17 @@ def test_only_its_text_is_stored(path):
     assert len({cell["id"] for cell in cells}) == len(cells)
     for cell in cells:
         assert cell["metadata"] == {}
-        if cell["cell_type"] == "code" and path.stem not in REAL:
+        if cell["cell_type"] == "code" and path.stem not in STORED:
             assert (cell["outputs"], cell["execution_count"]) == ([], None), f"clear the outputs of {path.name}"
 
 
-@pytest.mark.parametrize("name", REAL)
-def test_one_on_real_data_is_stored_as_it_ran(name):
+@every_notebook
+def test_it_is_small(path):
+    assert path.stat().st_size <= LARGEST
+
+
+@pytest.mark.parametrize("name", STORED)
+def test_one_with_outputs_is_stored_as_it_ran(name):
     cells = cells_of(ROOT / "notebooks" / f"{name}.ipynb", "code")
     assert [cell["execution_count"] for cell in cells] == list(range(1, len(cells) + 1))
     outputs = [output for cell in cells for output in cell["outputs"]]
