@@ -30,10 +30,10 @@ def main() -> None:
         panel.plot(angle, errors, ".", color=colour, alpha=0.7, markeredgewidth=0, markersize=7)
         panel.plot([], [], "o", color=colour, label=f"{name}: {rms:.3f} mm RMS")
     panel.axhline(noise, color="black", linestyle=":", linewidth=1.5, label=f"noise of the tracker: {noise:.3f} mm")
-    panel.set(xlabel="angle of joint 2 (deg)", ylabel="position error (mm)", ylim=(0, None))
-    found = " and ".join(f"{f.effect.name.replace('_', ' ')} of joint {f.effect.joint}" for f in diagnosis.findings)
+    panel.set(xlabel="angle of joint 2 (deg)", ylabel="position error (mm)", ylim=(0, 1.2 * before.max()))
+    found = " and ".join(f"{f.effect.name.removeprefix('joint_')} of joint {f.effect.joint}" for f in diagnosis.findings)
     panel.set_title(f"Found: {found}", loc="left", fontsize=14)
-    panel.legend(frameon=False, loc="upper right")
+    panel.legend(frameon=False, loc="upper center", ncols=3, columnspacing=1.2, handletextpad=0.4)
     figure.savefig(Path(__file__).with_suffix(".png"), dpi=110)
 
 

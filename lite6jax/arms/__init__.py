@@ -1,0 +1,1 @@
+"""What an arm is: chains and their conversion, descriptions, factory files, URDF, MJCF, inertia, inverse dynamics."""

@@ -1,0 +1,1 @@
+"""The geometry of one arm or of many: start, residual, two solvers, solution."""

@@ -1,0 +1,1 @@
+"""All sentences, tables, figures and pages, made from codes and numbers."""
