@@ -14,11 +14,11 @@ demo: $(VENV)/installed
 	$(BIN)/lite6jax demo
 
 test: $(VENV)/installed-test
-	$(PYTEST) --ignore=tests/test_notebooks.py
+	$(PYTEST) --ignore=tests/test_notebooks.py --ignore=tests/test_screens.py
 
-# The second stage of .ci/run: annotated types and shapes checked in each call, and the notebooks.
+# The second stage of .ci/run: annotated types and shapes checked in each call, the notebooks, and what documents show.
 test-slow: $(VENV)/installed-test
-	CHECK_TYPES=1 $(PYTEST) $(TYPED) tests/test_notebooks.py
+	CHECK_TYPES=1 $(PYTEST) $(TYPED) tests/test_notebooks.py tests/test_screens.py
 
 # The documentation, in the folder site: built strictly, and looked through for links that lead nowhere.
 docs: $(VENV)/installed-test

@@ -37,7 +37,7 @@ def test_the_readme_shows_commands_of_the_pages():
         assert screens.difference(screen.shown, shown[screen.words]) == "", screen.typed
 
 
-@pytest.mark.parametrize("words", named_commands())
+@pytest.mark.parametrize("words", list(named_commands()))
 def test_a_command_that_is_named_is_accepted(words):
     name, *arguments = words
     tyro.cli(COMMANDS[name], args=arguments, config=(FlagCreatePairsOff, OmitArgPrefixes))
