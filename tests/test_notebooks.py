@@ -14,7 +14,7 @@ ROOT = Path(__file__).resolve().parents[1]
 NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
 CELL_TIMEOUT_S = 300
 STORED = ("06_a_real_arm", "08_your_own_recording")
-"""Stored with their outputs; the first with those of data that are not in the repository, without which it runs here."""
+"""Stored with their outputs; the first with those of data that are not in the repository, without which it runs."""
 LARGEST = 200_000
 """Bytes of a notebook with its outputs."""
 # nbclient, zmq and their event loop stay in a process of their own, as this one turns each warning into an error.
@@ -79,7 +79,7 @@ def test_only_its_text_is_stored(path):
 
 @every_notebook
 def test_it_is_small(path):
-    assert path.stat().st_size <= LARGEST
+    assert path.stat().st_size <= LARGEST, "draw its figures smaller, or with fewer colours"
 
 
 @pytest.mark.parametrize("name", STORED)

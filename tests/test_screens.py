@@ -5,9 +5,9 @@ import shlex
 
 import pytest
 import tyro
-from docs.hooks import screens
 from tyro.conf import FlagCreatePairsOff, OmitArgPrefixes
 
+from docs.hooks import screens
 from lite6jax.cli.program import COMMANDS
 
 DOCUMENTS = [screens.README, *sorted((screens.ROOT / "docs").rglob("*.md"))]

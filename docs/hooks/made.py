@@ -1,7 +1,7 @@
 """What the build makes of the code: `<!-- made: NAME -->` in a page is replaced by what the code itself says.
 
-MkDocs calls `on_page_markdown` for each page. A name that nothing makes, an effect, a column or a key without a text here
-ends the build, so that no table of the reference can lag behind the code.
+MkDocs calls `on_page_markdown` for each page. A name that nothing makes, an effect, a column or a key without a text
+here ends the build, so that no table of the reference can lag behind the code.
 """
 
 import contextlib
@@ -65,7 +65,7 @@ KEYS = {
     "joint_noise_rad": "noise of a joint's read-out",
     "pose_source": "which sensor measured the poses",
     "motion": "`static`: the arm stood still at each row; `trajectory`: it moved",
-    "pose_frame": "`base`: positions are in the arm's base frame exactly; `unknown`: in the sensor's own, which is fitted",
+    "pose_frame": "`base`: positions are in the arm's base frame exactly; `unknown`: in the sensor's, which is fitted",
     "tool": "`none`: the flange is measured; `unknown`: the measured point is fitted; or its place on the flange",
     "position_noise_m": "the sensor's noise of a position, along each axis",
     "orientation_noise_rad": "the sensor's noise of an orientation, about each axis",
@@ -124,9 +124,7 @@ def column_table() -> str:
     lines = []
     for quantity, units in accepted.items():
         numbers = ("1", "N") if quantity in columns._PER_JOINT else ("",)
-        spelled = [
-            " … ".join(f"`{quantity}{number}{unit and '_'}{unit}`" for number in numbers) for unit in units
-        ]
+        spelled = [" … ".join(f"`{quantity}{number}{unit and '_'}{unit}`" for number in numbers) for unit in units]
         lines.append((" or ".join(spelled), COLUMNS[quantity]))
     return _table(("column", "meaning"), lines)
 
@@ -135,9 +133,7 @@ def sidecar_table() -> str:
     """Every key of a sidecar, with what it accepts and what holds without it."""
     defaults = {field.name: field.default for field in fields(RecordingSettings)}
     _check("keys of a sidecar", KEYS, defaults)
-    lines = [
-        (f"`{name}`", KEYS[name], settings._KINDS[name].form, _default(value)) for name, value in defaults.items()
-    ]
+    lines = [(f"`{name}`", KEYS[name], settings._KINDS[name].form, _default(value)) for name, value in defaults.items()]
     return _table(("key", "meaning", "accepted", "without it"), lines)
 
 

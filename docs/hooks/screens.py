@@ -1,8 +1,8 @@
 """The screens in the documents: runs what a page tells its reader to type, and compares or renews what it shows of it.
 
-In a page, a block with `title="FILE"` is that file, a `python` block is run, and of a `console` block each `$ lite6jax …` is
-run; all of a page in one folder, from its top to its end. A line `…` stands for lines that are left out. A `sh` block is not
-run. The README shows commands of the pages again; it is compared with these.
+In a page, a block with `title="FILE"` is that file, a `python` block is run, and of a `console` block each
+`$ lite6jax …` is run; all of a page in one folder, from its top to its end. A line `…` stands for lines that are left
+out. A `sh` block is not run. The README shows commands of the pages again; it is compared with these.
 
 `python -m docs.hooks.screens` (`make screens`) writes what the commands print now into the pages and the README.
 """
@@ -135,9 +135,7 @@ def renewed(text: str, printed: dict[tuple[str, ...], str]) -> str:
         blank = "\n" if screen.shown.endswith("\n\n") else ""
         return f"$ {screen.typed}\n{_shortened(screen, now.strip(chr(10)) + chr(10))}{blank}"
 
-    return _BLOCK.sub(
-        lambda block: block[0] if block["kind"] != "console" else _ENTRY.sub(renew, block[0]), text
-    )
+    return _BLOCK.sub(lambda block: block[0] if block["kind"] != "console" else _ENTRY.sub(renew, block[0]), text)
 
 
 def _shortened(screen: Screen, printed: str) -> str:
@@ -151,7 +149,9 @@ def _shortened(screen: Screen, printed: str) -> str:
         shape = _NUMBER.sub("#", "".join(line.split()))
         same = [k for k in range(at, len(lines)) if _NUMBER.sub("#", "".join(lines[k].split())) == shape]
         if not same:
-            print(f"$ {screen.typed}\n  {line!r} is no longer printed: all is shown; shorten it by hand", file=sys.stderr)
+            print(
+                f"$ {screen.typed}\n  {line!r} is no longer printed: all is shown; shorten it by hand", file=sys.stderr
+            )
             return printed
         kept.append(lines[same[0]])
         at = same[0] + 1

@@ -1,4 +1,4 @@
-"""The built site from the disk: every link and picture leads somewhere, nothing is loaded from a network, search knows all.
+"""The built site from the disk: links and pictures lead somewhere, nothing is of a network, the search knows all.
 
 `python -m docs.hooks.site_check site` prints what is wrong, a line each, and ends with 1 where something is.
 """
