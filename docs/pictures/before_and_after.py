@@ -19,6 +19,7 @@ def main() -> None:
     diagnosis = lite6jax.diagnose(measured)
     nominal = lite6jax.six_parameter_fk(arm.kinematics, unseen.joint_position)[:, :3, 3]
     predicted = lite6jax.predict(diagnosis.model, unseen)[:, :3, 3]
+    assert unseen.position is not None
     before, after = (1e3 * np.linalg.norm(unseen.position - pose, axis=1) for pose in (nominal, predicted))
     noise = 1e3 * np.sqrt(3) * (unseen.settings.position_noise_m or 0)
     angle = np.rad2deg(unseen.joint_position[:, 1])
@@ -29,12 +30,12 @@ def main() -> None:
         rms = np.sqrt(np.mean(errors**2))
         panel.plot(angle, errors, ".", color=colour, alpha=0.7, markeredgewidth=0, markersize=7)
         panel.plot([], [], "o", color=colour, label=f"{name}: {rms:.3f} mm RMS")
-    panel.axhline(noise, color="black", linestyle=":", linewidth=1.5, label=f"noise of the tracker: {noise:.3f} mm")
+    panel.axhline(noise, color="black", linestyle=":", linewidth=1.5, label=f"noise: {noise:.3f} mm RMS")
     panel.set(xlabel="angle of joint 2 (deg)", ylabel="position error (mm)", ylim=(0, 1.2 * before.max()))
-    names = (f"{f.effect.name.removeprefix('joint_')} of joint {f.effect.joint}" for f in diagnosis.findings)
-    found = " and ".join(names)
+    effects = [finding.effect for finding in diagnosis.findings]
+    found = " and ".join(f"{e.name.removeprefix('joint_')} of {e.site.replace('joint', 'joint ')}" for e in effects)
     panel.set_title(f"Found: {found}", loc="left", fontsize=14)
-    panel.legend(frameon=False, loc="upper center", ncols=3, columnspacing=1.2, handletextpad=0.4)
+    panel.legend(frameon=False, loc="upper center", ncols=3, fontsize=11.5, columnspacing=1.0, handlelength=1.2)
     figure.savefig(Path(__file__).with_suffix(".png"), dpi=110)
 
 
