@@ -85,6 +85,29 @@ def test_the_keys_and_verdicts_of_a_diagnosis_are_documented():
     assert verdicts == set(get_args(Verdict))
 
 
+def test_the_check_of_the_built_site_finds_what_is_wrong(tmp_path):
+    from docs.hooks.site_check import problems
+
+    (tmp_path / "search").mkdir()
+    (tmp_path / "search/search_index.json").write_text('{"docs": [{"location": "index.html#a"}]}')
+    (tmp_path / "style.css").write_text("@import 'https://fonts.example/a.css';")
+    (tmp_path / "other.html").write_text("<h1 id='there'>x</h1>")
+    body = [
+        *("<a href='other.html#there'>", "<a href='https://example.org'>", "<a href='#'>"),
+        *("<a href='other.html#gone'>", "<a href='gone.html'>", "<img src='gone.png'>", "<script src='//net/a.js'>"),
+    ]
+    (tmp_path / "index.html").write_text("\n".join(body))
+    assert [line.partition(":")[2].strip() or line for line in problems(tmp_path)] == [
+        "other.html#gone: there is no such place on the page",
+        "gone.html: there is no such file",
+        "gone.png: there is no such file",
+        "//net/a.js: loaded from a network",
+        "loads from a network",
+        "is missing, so that the search does not work from the disk",
+        "the search does not know it",
+    ]
+
+
 def test_the_screens_are_documented_in_their_order():
     from lite6jax.domains.pose.screening.registry import SCREENS
 

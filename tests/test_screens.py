@@ -2,6 +2,7 @@
 
 import re
 import shlex
+from dataclasses import MISSING, fields, is_dataclass
 
 import pytest
 import tyro
@@ -41,6 +42,22 @@ def test_the_readme_shows_commands_of_the_pages():
 def test_a_command_that_is_named_is_accepted(words):
     name, *arguments = words
     tyro.cli(COMMANDS[name], args=arguments, config=(FlagCreatePairsOff, OmitArgPrefixes))
+
+
+def options_of(command):
+    """The options of a command, and of the groups of options in it."""
+    for item in fields(command):
+        default = item.default if item.default_factory is MISSING else item.default_factory()
+        yield from options_of(type(default)) if is_dataclass(default) else [f"--{item.name.replace('_', '-')}"]
+
+
+def test_the_options_that_a_text_names_exist():
+    known = {"--help", "--version"}.union(*map(options_of, COMMANDS.values()))
+    of_benchmarks = {"CHANGELOG", "CONTRIBUTING", "benchmarks", "proof"}
+    for document in DOCUMENTS:
+        if document.stem not in of_benchmarks:
+            named = set(re.findall(r"`[^`\n]*?(--[a-z][a-z-]*)", document.read_text()))
+            assert named - known == set(), document.name
 
 
 @pytest.mark.parametrize(

@@ -233,10 +233,9 @@ def _examples(kind: type[Effect]) -> list[Effect]:
 
 
 def _formula(kind: type[Effect]) -> str:
-    """What the docstring says, without the fields of the class."""
-    paragraphs = re.split(r"\n\s*\n", (kind.__doc__ or "").strip())
-    kept = [p for p in paragraphs if not p.lstrip().startswith(("Attributes:", "Raises:"))]
-    return "\n\n".join(" ".join(line.strip() for line in p.splitlines()) for p in kept[:2]).replace("|", "\\|")
+    """The first paragraph of the docstring; the others are for those who read the code."""
+    first = re.split(r"\n\s*\n", (kind.__doc__ or "").strip())[0]
+    return " ".join(line.strip() for line in first.splitlines()).replace("|", "\\|")
 
 
 def _parameters(effect: Effect) -> Iterable[tuple[str, str]]:
