@@ -72,15 +72,21 @@ def test_the_faults_of_poses_are_documented_in_their_order():
 
 
 def test_the_keys_and_verdicts_of_a_diagnosis_are_documented():
+    import inspect
     from typing import get_args
 
+    from lite6jax.diagnosis import document
     from lite6jax.diagnosis.schema import _PARTS
     from lite6jax.diagnosis.verdict import Verdict
 
     text = (ROOT / "docs/reference/results.md").read_text()
-    sections = {part.partition("\n")[0]: table_rows(part)[2:] for part in text.split("\n## ")[1:]}
-    documented = {key for row in sections["The file of a diagnosis"] for key in row[0].replace("`", "").split(", ")}
-    assert documented == {*_PARTS, "model"}
+    sections = {part.partition("\n")[0]: table_rows(part)[2:] for part in re.split("\n##+ ", text)[1:]}
+    keys = {
+        name: {key for row in sections[name] for key in row[0].replace("`", "").split(", ")}
+        for name in ("The file of a diagnosis", "The model in it")
+    }
+    assert keys["The file of a diagnosis"] == {*_PARTS, "model"}
+    assert keys["The model in it"] == set(re.findall(r'^        "(\w+)":', inspect.getsource(document._model), re.M))
     verdicts = {row[0].strip("*").replace(" ", "_") for row in sections["The verdicts"]}
     assert verdicts == set(get_args(Verdict))
 
