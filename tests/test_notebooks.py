@@ -109,6 +109,7 @@ def test_it_imports_nothing_that_the_package_does_not_bring(path):
             names += [node.module or ""] if isinstance(node, ast.ImportFrom) else []
             for name in names:
                 top = name.split(".")[0]
+                assert top != "lite6jax" or name == top, "only what lite6jax exports is public"
                 assert top in {"lite6jax", "jax", "numpy", "scipy", "matplotlib"} | sys.stdlib_module_names
 
 
