@@ -47,7 +47,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
-hypothesis.settings.register_profile("repeatable", derandomize=True, deadline=None, max_examples=40)
+hypothesis.settings.register_profile("repeatable", derandomize=True, deadline=None, max_examples=20)
 hypothesis.settings.load_profile("repeatable")
 
 
@@ -72,6 +72,12 @@ def corpus(tmp_path_factory: pytest.TempPathFactory) -> Any:
     from tests.corpus import Corpus
 
     return Corpus(tmp_path_factory.mktemp("corpus"))
+
+
+@pytest.fixture
+def unpainted(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Pages of a diagnosis without their pictures, where only text is read: painting them takes seconds."""
+    monkeypatch.setattr("lite6jax.report.rendering._embedded", lambda figure: "data:image/png;base64,")
 
 
 @pytest.fixture(scope="module", autouse=True)

@@ -69,7 +69,7 @@ class Corpus:
     def _make(self, name: str) -> Diagnosed:
         folder = self._folder / name
         folder.mkdir()
-        made, motion, curve = Made(folder, seed=1), static_motion(1, 300), None
+        made, motion, curve = Made(folder, seed=1), static_motion(1, 200), None
         if name == "compliance":
             made = replace(made, effects=(COMPLIANCE,))
         elif name == "moving":

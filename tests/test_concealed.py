@@ -148,45 +148,65 @@ SITES = {
 WHERE = {"joint_harmonic": {"joint": 2, "order": 3.5}, "joint_coupling": {"joint": 2, "source_joint": 4}}
 
 
-@pytest.mark.parametrize("name", [n for n in COORDINATES if n not in (*OUTSIDE, "time_offset")])
-def test_two_codes_that_know_nothing_of_each_other_show_the_same_physics(name):
+SHARED = [name for name in COORDINATES if name not in (*OUTSIDE, "time_offset")]
+"""Effects that both codes know."""
+
+
+def of_the_library(hidden):
+    """The library's effect for a hidden one, and its values."""
+    place = "joint" if hidden.site.startswith("joint") else "link"
+    where = WHERE.get(hidden.name, {place: hidden.number} if hidden.number else {})
+    numbers = {key: value for key, value in views.reported(hidden).items() if key not in where}
+    return effect_from_dict({"effect": hidden.name, "where": where, "parameters": numbers})
+
+
+@pytest.fixture(scope="module")
+def two_codes():
+    """Each shared effect as it is hidden, and what either code shows of some of them.
+
+    The library's code is compiled once, with all effects, of which the others' values are zero.
+    """
     rng = np.random.default_rng(5)
     setup = a_setup(rng)
     motion = a_motion(rng, setup, moving=True, rows=20)
-    values = 1e-4 * rng.normal(size=3 if name == "tool_offset" else len(COORDINATES[name]))
-    fixed = {key: v for key, v in WHERE.get(name, {}).items() if key != "joint"}
-    hidden = [Hidden(name, SITES.get(name, "joint2"), tuple(values), fixed)]
-    if name == "payload_error":
-        hidden.append(Hidden("joint_compliance", "joint2", (1e-4,)))
-    pairs = []
-    for effect in hidden:
-        place = "joint" if effect.site.startswith("joint") else "link"
-        where = WHERE.get(effect.name, {place: effect.number} if effect.number else {})
-        said = views.reported(effect)
-        numbers = {key: value for key, value in said.items() if key not in where}
-        pairs.append(effect_from_dict({"effect": effect.name, "where": where, "parameters": numbers}))
-    physics = Physics(tuple(effect for effect, _ in pairs))
-    theirs = np.asarray(
-        predict_poses(
-            SixParameterForm(6),
-            physics,
-            ArmModel(setup.chain.rows.ravel(), setup.sensor, setup.tool),
-            physics.join([v for _, v in pairs]),
-            motion_of(
-                motion.q,
-                joint_velocity=motion.dq,
-                direction=motion.direction,
-                time=motion.time,
-                joint_temperature=motion.temperature,
-                payload=motion.payload,
-            ),
-            inertia_of(setup.chain.mass, setup.chain.center, PAYLOAD_CENTER),
-        )
+    hidden = {}
+    for name in SHARED:
+        values = 1e-4 * rng.normal(size=3 if name == "tool_offset" else len(COORDINATES[name]))
+        fixed = {key: v for key, v in WHERE.get(name, {}).items() if key != "joint"}
+        hidden[name] = Hidden(name, SITES.get(name, "joint2"), tuple(values), fixed)
+    pairs = {name: of_the_library(effect) for name, effect in hidden.items()}
+    physics = Physics(tuple(effect for effect, _ in pairs.values()))
+    given = (
+        ArmModel(setup.chain.rows.ravel(), setup.sensor, setup.tool),
+        motion_of(
+            motion.q,
+            joint_velocity=motion.dq,
+            direction=motion.direction,
+            time=motion.time,
+            joint_temperature=motion.temperature,
+            payload=motion.payload,
+        ),
+        inertia_of(setup.chain.mass, setup.chain.center, PAYLOAD_CENTER),
     )
-    rotation, position = poses(setup, tuple(hidden), motion)
-    assert rms(position - poses(setup, (), motion)[1]) > 1e-7
-    np.testing.assert_allclose(position, theirs[:, :3, 3], atol=1e-13)
-    np.testing.assert_allclose(rotation, theirs[:, :3, :3], atol=1e-13)
+
+    def ours(*names):
+        return poses(setup, tuple(hidden[name] for name in names), motion)
+
+    def theirs(*names):
+        values = physics.join([np.multiply(value, name in names) for name, (_, value) in pairs.items()])
+        return np.asarray(predict_poses(SixParameterForm(6), physics, given[0], values, *given[1:]))
+
+    return ours, theirs
+
+
+@pytest.mark.parametrize("name", SHARED)
+def test_two_codes_that_know_nothing_of_each_other_show_the_same_physics(two_codes, name):
+    ours, theirs = two_codes
+    names = (name, "joint_compliance") if name == "payload_error" else (name,)
+    (rotation, position), shown = ours(*names), theirs(*names)
+    assert rms(position - ours()[1]) > 1e-7
+    np.testing.assert_allclose(position, shown[:, :3, 3], atol=1e-13)
+    np.testing.assert_allclose(rotation, shown[:, :3, :3], atol=1e-13)
 
 
 def test_gravity_does_the_work_that_its_torques_say():

@@ -8,7 +8,7 @@ from lite6jax.cli.program import COMMANDS
 
 OLD_AND_NEW = [(command, old, renamed) for command, names in RENAMED.items() for old, renamed in names.items()]
 DISCRIMINATED = ("joint_compliance:joint=2,compliance_rad_per_Nm=5e-5", "joint_harmonic:joint=2,order=1")
-SMALL = ("--candidates", "400", "--poses", "14", "--sensor", "tracker_6d", "--no-refine")
+SMALL = ("--candidates", "200", "--poses", "14", "--sensor", "tracker_6d", "--no-refine")
 
 
 def test_the_old_spellings_are_those_of_the_changelog():

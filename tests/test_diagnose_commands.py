@@ -59,7 +59,7 @@ def test_diagnose_prints_a_page(diagnosed, recorded):
     out, said = diagnosed
     text = flat(said)
     assert str(recorded) in said
-    assert "lite6, 300 samples (static)." in text
+    assert "lite6, 200 samples (static)." in text
     assert "Explained: with the effects below, the held-out errors are the sensor's noise." in text
     assert "held-out position error (mm) rms p95 max" in text
     assert "0.0200 mm is declared." in text

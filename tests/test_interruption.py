@@ -29,8 +29,9 @@ def process(program, *arguments, **options):
 
 
 SWALLOWS = """
-import sys, time
+import signal, sys, time
 from pathlib import Path
+signal.signal(signal.SIGHUP, signal.SIG_DFL)  # `nohup` has this run, and not its terminal, ignore it
 from lite6jax import interruption
 interruption.end_on_signals()
 from lite6jax.temporaries import create_temporary, temporary_folder
@@ -58,7 +59,11 @@ def test_a_signal_ends_what_catches_every_exception_and_cleans_up(tmp_path, numb
     started = process(SWALLOWS, tmp_path, env=os.environ | {"TMPDIR": str(tmp_path)})
     assert len(list(tmp_path.iterdir())) == 2
     started.send_signal(number)
-    out, err = started.communicate(timeout=30)
+    try:
+        out, err = started.communicate(timeout=30)
+    finally:
+        started.kill()  # what outlives its signal would go on for ever
+        started.wait()
     assert (started.returncode, out, err) == (code, "", says)
     assert list(tmp_path.iterdir()) == [tmp_path / "undone"]
 

@@ -5,11 +5,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from diagnosis.recorded import Made, quaternions, static_motion, with_effects
+from diagnosis.recorded import LITE6, Made, quaternions, static_motion, with_effects
 from threadpoolctl import threadpool_limits
 from typed import flat
 
 from benchmarks import __main__ as harness
+from benchmarks.concealed.chain import Chain
 from benchmarks.residual import black_boxes, command, linear, score
 from benchmarks.residual.view import Geometry
 from lite6jax.recordings import read_recording, write_recording
@@ -36,9 +37,13 @@ def soft(arm, motion):
 @pytest.fixture(scope="module")
 def view(arm, motion):
     """Rows as the true geometry sees them, without noise."""
-    recording = arm.recording(motion, noise=None)
-    rigid = Geometry.of(recording)
-    return rigid.view(recording)
+    return true_geometry(arm).view(arm.recording(motion, noise=None))
+
+
+def true_geometry(arm):
+    """What a fit would find of an arm's frame and tool if there were neither noise nor physics."""
+    chain = Chain("lite6", arm.kinematics, LITE6.joint_limits, LITE6.mass, LITE6.center_of_mass)
+    return Geometry(chain, True, arm.T_sensor_base, arm.T_flange_tool, free=False, parameters=12)
 
 
 def moved(arm, motion, text, size):
@@ -106,7 +111,7 @@ def test_folds_stay_unseen_and_the_stepwise_search_names_what_is_hidden(soft, mo
 def test_black_boxes_and_a_ridge_learn_what_they_can(arm, monkeypatch):
     monkeypatch.setattr(black_boxes, "_GP_TUNED", 100)
     many = with_effects(arm, COMPLIANCE).recording(static_motion(2, 300))
-    geometry = Geometry.of(many)
+    geometry = true_geometry(arm)
     train, other = many.select(np.arange(250)), many.select(np.arange(250, 300))
     view = geometry.view(train)
     with threadpool_limits(1):

@@ -215,7 +215,7 @@ def test_what_sensitivity_refuses(capsys, arguments, says):
 
 # ------------------------------------------------------------------ design
 
-SMALL = ("--candidates", "400", "--poses", "14", "--sensor", "tracker_6d")
+SMALL = ("--candidates", "200", "--poses", "14", "--sensor", "tracker_6d")
 
 
 def test_design(capsys, tmp_path):
@@ -223,7 +223,7 @@ def test_design(capsys, tmp_path):
     code, said, err = run(capsys, "design", "lite6", *SMALL, "--out", out, "--accuracy", 0.02, "--figures", tmp_path)
     assert (code, err) == (0, "")
     text = flat(said)
-    assert "14 poses of 400 candidates" in text
+    assert "14 poses of 200 candidates" in text
     assert "These poses let the fit predict positions to ±" in text
     assert "They are worth " in text
     more = int(re.search(r"±0\.0200 mm takes (\d+) poses; give --poses \1\.", text)[1])

@@ -53,6 +53,8 @@ EFFECTS = (
     *(JointWarmUp(1, 2.5), JointWarmUp(3, 40.0)),
 )
 THROUGH_LOADS = ("payload_error", "payload_com", "gravity_direction")
+ALL = Physics(EFFECTS)
+"""Compiled once: an effect alone is all of them with the others' values zero."""
 every_effect = pytest.mark.parametrize("effect", EFFECTS, ids=lambda effect: f"{effect.label}{effect.size}")
 
 
@@ -64,40 +66,55 @@ def values_of(effect, size=1.0):
     return values
 
 
-def physics_of(effect):
-    """The effect, with a compliance beside it where it shows in nothing else."""
-    return Physics((effect, JointCompliance(2))) if effect.name in THROUGH_LOADS else Physics((effect,))
+def beside(effect):
+    """A compliance, where an effect shows in nothing else."""
+    return (JointCompliance(2),) if effect.name in THROUGH_LOADS else ()
+
+
+def placed(values):
+    """Values of `ALL` from those of some effects."""
+    return ALL.join([values.get(effect, np.zeros(effect.size)) for effect in EFFECTS])
 
 
 def predicted(physics, values):
     return predict_poses(FORM, physics, MODEL, values, MOTION, INERTIA)
 
 
-@every_effect
-def test_zero_changes_nothing(effect):
+@jax.jit
+def slope_of_all(at, step):
+    return jax.jvp(lambda values: predicted(ALL, values), (at,), (step,))[1]
+
+
+def test_zero_changes_nothing():
     rigid = predict(FORM, MODEL, MOTION.joint_position.T)
-    np.testing.assert_allclose(predicted(Physics((effect,)), np.zeros(effect.size)), rigid, rtol=0, atol=1e-14)
+    np.testing.assert_allclose(predicted(ALL, np.zeros(ALL.size)), rigid, rtol=0, atol=1e-14)
+
+
+@pytest.mark.parametrize("effect", {e.name: e for e in EFFECTS}.values(), ids=lambda effect: effect.name)
+def test_an_effect_needs_no_other(effect):
+    shape = jax.eval_shape(lambda values: predicted(Physics((effect,)), values), np.zeros(effect.size))
+    assert shape.shape == (MOTION.samples, 4, 4)
 
 
 @every_effect
 def test_something_else_changes_something(effect):
-    physics = physics_of(effect)
-    values = physics.join([values_of(e) for e in physics.effects])
-    without = physics.join([np.zeros(effect.size), values[effect.size :]])
-    change = np.abs(predicted(physics, values) - predicted(physics, without)).max()
+    without = {other: values_of(other) for other in beside(effect)}
+    values = without | {effect: values_of(effect)}
+    change = np.abs(predicted(ALL, placed(values)) - predicted(ALL, placed(without))).max()
     assert 1e-9 < change < 0.2
 
 
 @every_effect
 @pytest.mark.parametrize("at_neutral", [True, False])
 def test_derivative_is_that_of_finite_differences(effect, at_neutral):
-    physics = physics_of(effect)
-    at = physics.join([values_of(e) * (not at_neutral or e is not effect) for e in physics.effects])
-    typical = physics.typical
-    step = 1e-3 * RNG.uniform(0.5, 1, physics.size) * typical
-    step = np.maximum(step, 1e-6) if effect.name in ("base_drift", "sensor_drift") else step
-    _, slope = jax.jvp(lambda v: predicted(physics, v), (jnp.asarray(at),), (jnp.asarray(step),))
-    difference = (predicted(physics, at + step) - predicted(physics, at - step)) / 2
+    together = (effect, *beside(effect))
+    at = placed({e: values_of(e) * (not at_neutral or e is not effect) for e in together})
+    steps = {e: 1e-3 * RNG.uniform(0.5, 1, e.size) * [c.typical for c in e.coordinates] for e in together}
+    if effect.name in ("base_drift", "sensor_drift"):
+        steps[effect] = np.maximum(steps[effect], 1e-6)
+    step = placed(steps)
+    slope = slope_of_all(at, step)
+    difference = (predicted(ALL, at + step) - predicted(ALL, at - step)) / 2
     np.testing.assert_allclose(slope, difference, rtol=0, atol=1e-15 + 2e-6 * np.abs(difference).max())
 
 
@@ -194,10 +211,9 @@ NAMED = [effect for effect in EFFECTS if effect.name != "unnamed"]
 
 @pytest.mark.parametrize("effect", NAMED, ids=lambda effect: f"{effect.label}{effect.size}")
 def test_prediction_is_that_of_plain_numpy(effect):
-    physics = physics_of(effect)
-    parts = [values_of(e) for e in physics.effects]
-    poses = predicted(physics, physics.join(parts))
-    effects = [plain_form(e, v) for e, v in zip(physics.effects, parts, strict=True)]
+    values = {e: values_of(e) for e in (effect, *beside(effect))}
+    poses = predicted(ALL, placed(values))
+    effects = [plain_form(e, v) for e, v in values.items()]
     plain = predicted_poses(KINEMATICS, T_SENSOR_BASE, T_FLANGE_TOOL, MOTION_ARRAYS, INERTIA_ARRAYS, effects)
     np.testing.assert_allclose(poses, plain, rtol=0, atol=1e-13)
 

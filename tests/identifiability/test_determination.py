@@ -79,8 +79,9 @@ def test_a_joint_that_stands_still_tells_less():
     assert study.narrow() == [(1, 0.0)]
 
 
-@pytest.mark.parametrize("quantity", ["pose", "position", "axis", "distance"])
-@pytest.mark.parametrize("dof", [4, 6, 7])
+@pytest.mark.parametrize(
+    ("dof", "quantity"), [(4, "pose"), (7, "position"), (4, "axis"), (7, "distance"), (6, "position")]
+)
 def test_theory_counts_what_random_arms_show(dof, quantity):
     """The published counts, by rank, on arms in general position seen by sensors in general position."""
     sensor = Sensor(
@@ -107,11 +108,11 @@ def test_theory_counts_what_random_arms_show(dof, quantity):
 
 
 def test_the_published_counts():
-    assert determine(plan_experiment("lite6", "tracker_6d", tool=True), joints(100)).rank == 30
-    assert determine(plan_experiment("lite6", "tracker_6d", frame=False), joints(100)).rank == 28
+    assert determine(plan_experiment("lite6", "tracker_6d", tool=True), joints(60)).rank == 30
+    assert determine(plan_experiment("lite6", "tracker_6d", frame=False), joints(60)).rank == 28
     calibrated = replace(LITE6, kinematics=perturbed(np.random.default_rng(0), LITE6.kinematics), dh=None)
     assert (
-        determine(plan_experiment(calibrated, "tracker_6d", chain="six_parameter", frame=False), joints(100)).rank == 26
+        determine(plan_experiment(calibrated, "tracker_6d", chain="six_parameter", frame=False), joints(60)).rank == 26
     )
 
 
@@ -128,7 +129,7 @@ def test_every_dependency_changes_no_reading():
         plan_experiment("lite6", "tracker_6d", chain="six_parameter", frame=False),
         plan_experiment("lite6", "ball_bar", tool=True),
     ):
-        q = joints(80)
+        q = joints(60)
         found = determine(setup, q)
         rows = setup.rows(q).reshape(-1, setup.size) / setup.unit
         assert len(found.dependencies) == setup.size - found.rank
@@ -143,7 +144,7 @@ def test_every_dependency_changes_no_reading():
 def test_base_parameters_are_felt_alike_however_they_are_made_up():
     """A step of the held parameters is the same to every reading as that of the base parameters it adds to."""
     setup = plan_experiment("lite6", "tracker_6d", chain="six_parameter", frame=False)
-    q = joints(80)
+    q = joints(60)
     found = determine(setup, q)
     rows = setup.rows(q).reshape(-1, setup.size) / setup.unit
     step = np.zeros(setup.size)
@@ -157,7 +158,7 @@ def test_base_parameters_are_felt_alike_however_they_are_made_up():
 
 def test_covariance_is_the_inverse_information():
     setup = plan_experiment("lite6", "tracker_6d", frame=False)
-    q = joints(40)
+    q = joints(60)
     found = determine(setup, q)
     rows = setup.rows(q).reshape(-1, 28) / setup.unit
     np.testing.assert_allclose(found.covariance @ (rows.T @ rows), np.eye(28), atol=1e-8)
@@ -186,11 +187,11 @@ def test_what_is_known_beforehand_decides_what_readings_cannot():
     model = plan_experiment("lite6", "tracker_6d", chain="six_parameter", frame=False).model
     sigma = np.array([1e-4 if unit == "m" else 1e-3 for unit in form.units])
     setup = experiment(LITE6, form, model, SENSORS["tracker_6d"], precision=1 / sigma**2)
-    found = determine(setup, joints(50))
+    found = determine(setup, joints(60))
     assert found.rank == 25
     assert found.free.all()
     assert (found.standard_deviation <= sigma * (1 + 1e-9)).all()
-    rows = setup.rows(joints(50)).reshape(-1, 36) / setup.unit
+    rows = setup.rows(joints(60)).reshape(-1, 36) / setup.unit
     want = np.linalg.inv(rows.T @ rows + np.diag(1 / sigma**2))
     np.testing.assert_allclose(found.covariance, want, rtol=0, atol=1e-6 * np.abs(want).max())
 
@@ -199,7 +200,7 @@ def test_what_cannot_move_is_left_out():
     full = plan_experiment("lite6", "tracker_6d")
     movable = np.arange(full.form.size) >= 28
     setup = experiment(LITE6, full.form, full.model, full.sensor, movable=movable)
-    found = determine(setup, joints(10))
+    found = determine(setup, joints(60))
     assert found.names == tuple(f"frame_{t}" for t in ("x", "y", "z", "rx", "ry", "rz"))
     assert (found.rank, found.size, found.theory) == (6, 6, None)
 
@@ -207,8 +208,8 @@ def test_what_cannot_move_is_left_out():
 def test_weak_parameters_are_named():
     """A sensor of 100 mm tells nothing better than assembly does."""
     setup = plan_experiment("lite6", SENSORS["tracker_6d"].with_noise(0.1, 1.0), frame=False)
-    assert set(determine(setup, joints(40)).weak()) == set(setup.names)
-    assert determine(plan_experiment("lite6", "tracker_6d", frame=False), joints(40)).weak() == ()
+    assert set(determine(setup, joints(60)).weak()) == set(setup.names)
+    assert determine(plan_experiment("lite6", "tracker_6d", frame=False), joints(60)).weak() == ()
 
 
 def test_correlated_pairs():
@@ -257,7 +258,7 @@ def test_no_accuracy_is_promised_where_something_stays_open():
     one = identify(plan_experiment("lite6", "tracker", tool_at=offset), joints(1))
     assert not one.accuracy.position_determined
     assert one.to_dict()["predicted_accuracy"] == {"position_rms_m": None, "orientation_rms_rad": None}
-    gauge = identify(plan_experiment("lite6", "dial_gauge", tool_at=offset), joints(200))
+    gauge = identify(plan_experiment("lite6", "dial_gauge", tool_at=offset), joints(60))
     assert not gauge.accuracy.position_determined
     tracker = identify(plan_experiment("lite6", "tracker", tool_at=offset), joints(60))
     assert (tracker.accuracy.position_determined, tracker.accuracy.orientation_determined) == (True, False)

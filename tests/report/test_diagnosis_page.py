@@ -93,6 +93,7 @@ def test_the_same_diagnosis_gives_the_same_page(found, html):
     assert diagnosis_page(found, documented(found), "folder/run.csv", again) == html
 
 
+@pytest.mark.usefixtures("unpainted")
 def test_names_are_text(found, drawn):
     hostile = "<script>alert('1')</script>\"><img src=x onerror=alert(1)>{{ 7*7 }}.csv"
     html = diagnosis_page(found, documented(found), hostile, drawn)
@@ -103,6 +104,7 @@ def test_names_are_text(found, drawn):
     assert "<script" not in html
 
 
+@pytest.mark.usefixtures("unpainted")
 def test_nothing_missing(recorded):
     clean = diagnosed(*recorded())
     drawn = dict(diagnosis_figures.drawings(clean, "run.csv"))
@@ -118,6 +120,7 @@ def test_nothing_missing(recorded):
     assert np.nanmedian(shares) < 0.02
 
 
+@pytest.mark.usefixtures("unpainted")
 def test_physics_without_a_name(recorded):
     recording, _ = recorded(HARMONIC)
     curve = Unnamed("joint1", "position of joint 1", -np.pi, np.pi, 8)
@@ -218,6 +221,7 @@ def test_written_as_png_and_svg(tmp_path, drawn):
     assert {path.name for path in paths} == {f"{n}{s}" for n in diagnosis_figures.NAMES for s in (".png", ".svg")}
 
 
+@pytest.mark.usefixtures("unpainted")
 def test_the_command_writes_both(tmp_path, recorded, monkeypatch, capsys):
     recording, effects = recorded(COMPLIANCE)
     run = write_recording(recording, tmp_path / "<b>run.csv")

@@ -37,6 +37,8 @@ from lite6jax.report.diagnosis_tables import diagnosis_report
 from lite6jax.report.page import diagnosis_page
 from lite6jax.report.quantities import quantity, rounded
 
+pytestmark = pytest.mark.usefixtures("unpainted")
+
 JUMP = {
     "row": 90,
     "part": "base",

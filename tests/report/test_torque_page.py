@@ -95,6 +95,7 @@ def test_the_page_is_one_file(html):
         assert imread(BytesIO(base64.b64decode(attributes["src"].partition("base64,")[2]))).ndim == 3
 
 
+@pytest.mark.usefixtures("unpainted")
 def test_names_are_text(found, drawn):
     hostile = "<script>alert('1')</script>{{ 7*7 }}.csv"
     page = torque_page(found, documented(found), hostile, drawn)
@@ -102,6 +103,7 @@ def test_names_are_text(found, drawn):
     assert hostile in Reader(page).text
 
 
+@pytest.mark.usefixtures("unpainted")
 def test_nothing_missing():
     clean = diagnosed(recorded(friction=False))
     drawn = dict(torque_figures.drawings(clean, "run.csv"))
@@ -161,6 +163,7 @@ def test_every_kind_of_finding_draws():
         assert np.all(np.diff(curve.at) >= 0)
 
 
+@pytest.mark.usefixtures("unpainted")
 @pytest.mark.parametrize("signed", [False, True])
 def test_a_curve_without_a_name_passes_through_its_partial_residuals(signed):
     _, q, dq, _ = moved()
@@ -183,6 +186,7 @@ def test_a_curve_without_a_name_passes_through_its_partial_residuals(signed):
     assert "coefficient" not in text
 
 
+@pytest.mark.usefixtures("unpainted")
 def test_a_curve_of_two_drivers_has_a_point_for_each_sample():
     _, q, dq, _ = moved()
     further = (float(dq[1].min()), float(dq[1].max()))
@@ -195,12 +199,14 @@ def test_a_curve_of_two_drivers_has_a_point_for_each_sample():
     assert "position of joint 2 and the velocity of joint 2" in text_of(paged(found))
 
 
+@pytest.mark.usefixtures("unpainted")
 def test_without_declared_noise(found):
     text = text_of(paged(diagnosed(recorded(declared=False), FRICTION)))
     assert "the sidecar declares no torque_noise_Nm" in text
     assert "none is declared" in text
 
 
+@pytest.mark.usefixtures("unpainted")
 def test_the_command_writes_both(tmp_path, monkeypatch, capsys, found):
     run = write_recording(recorded(), tmp_path / "<b>run.csv")
     monkeypatch.setattr("lite6jax.diagnosis.torque_diagnosis.diagnose_torques", lambda *_, **__: found)

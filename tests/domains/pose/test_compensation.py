@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pyarrow.csv
@@ -13,7 +14,9 @@ from typed import refused as refused_as_typed
 
 from benchmarks import compensation as benchmark
 from lite6jax.arms.bundled import load_bundled
+from lite6jax.diagnosis.diagnose import diagnose
 from lite6jax.diagnosis.document import model_from_document, read_model
+from lite6jax.diagnosis.options import Options
 from lite6jax.domains.pose.compensate import Reason, compensate
 from lite6jax.domains.pose.predict import predict
 from lite6jax.effects.nonparametric import Unnamed
@@ -469,7 +472,8 @@ def test_refused_in_one_line(capsys, diagnosis, targets, tmp_path, monkeypatch, 
 # ------------------------------------------------------------------ another physics
 
 
-def test_a_soft_arm_in_mujoco_hits_its_targets():
+def test_a_soft_arm_in_mujoco_hits_its_targets(monkeypatch):
+    monkeypatch.setattr(benchmark, "diagnose", partial(diagnose, options=Options(folds=2)))
     values = {
         (r.subject, r.metric): r for r in benchmark.compensation(rows=90, targets=30, kinds=("positions",), known=True)
     }
