@@ -78,7 +78,8 @@ def main(arguments: Sequence[str] | None = None, known: Mapping[str, Workload] |
     parser = argparse.ArgumentParser(
         prog="python -m benchmarks",
         description=__doc__,
-        epilog="`concealed`, `torque`, `ladder`, `rivals`, `sensitivity` and `fuzz` have options of their own: concealed --help.",
+        epilog="`concealed`, `torque`, `ladder`, `rivals`, `sensitivity` and `fuzz` have options of their own: "
+        "concealed --help.",
     )
     parser.add_argument("name", nargs="?", choices=list(known), help="one workload; all of them without it")
     parser.add_argument("--json", type=Path, metavar="OUT", help="write the records to this file, over an older one")

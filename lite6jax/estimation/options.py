@@ -106,7 +106,9 @@ class EngineOptions:
     functions: int = option(3, "functions without a name that are fitted in a round", "scores and fits rank alike")
     named_share: float = option(0.5, "share of its gain that a name must reach to replace a function", "saves time")
     together: float = option(
-        12.0, "log-likelihood that each further name at a site must gain over one function", "twice `close`: names are few"
+        12.0,
+        "log-likelihood that each further name at a site must gain over one function",
+        "twice `close`: names are few",
     )
     impossible: float = option(3.0, "standard deviations outside its bounds from which a name falls", "one in 700")
     # spectrum

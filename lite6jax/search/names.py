@@ -220,9 +220,7 @@ def _added(problem: Problem, state: State, functions: Sequence[_Likely], options
     return [prune(problem, one, options) for one in further if one.tested[-1].p_value < options.level]
 
 
-def _likely(
-    problem: Problem, fit: Fit, within: Fit, options: EngineOptions, site: str | None = None
-) -> list[_Likely]:
+def _likely(problem: Problem, fit: Fit, within: Fit, options: EngineOptions, site: str | None = None) -> list[_Likely]:
     """The few functions that are most likely beside a fit: one of each site, or those of one site."""
     test, found = score_test(problem, fit, options, within=None if within is fit else within), {}
     searched, log_n = searched_size(problem, options), np.log(test.freedom)
