@@ -60,6 +60,8 @@ def main(arguments: Sequence[str] | None = None, known: Mapping[str, Workload] |
         return _concealed(arguments[1:])
     if arguments[:1] == ["torque"]:
         return _torque(arguments[1:])
+    if arguments[:1] == ["ladder"]:
+        return _ladder(arguments[1:])
     if arguments[:1] == ["rivals"]:
         return _rivals(arguments[1:])
     if arguments[:1] == ["sensitivity"]:
@@ -76,7 +78,8 @@ def main(arguments: Sequence[str] | None = None, known: Mapping[str, Workload] |
     parser = argparse.ArgumentParser(
         prog="python -m benchmarks",
         description=__doc__,
-        epilog="`concealed`, `torque`, `rivals`, `sensitivity` and `fuzz` have options of their own: concealed --help.",
+        epilog="`concealed`, `torque`, `ladder`, `rivals`, `sensitivity` and `fuzz` have options of their own: "
+        "concealed --help.",
     )
     parser.add_argument("name", nargs="?", choices=list(known), help="one workload; all of them without it")
     parser.add_argument("--json", type=Path, metavar="OUT", help="write the records to this file, over an older one")
@@ -128,6 +131,16 @@ def _torque(arguments: Sequence[str]) -> int:
     from benchmarks.torque_trials.command import main as torque
 
     return torque(arguments)
+
+
+def _ladder(arguments: Sequence[str]) -> int:
+    """Real torques beside least squares of friction terms, which needs data and is run by name only."""
+    if importlib.util.find_spec("pinocchio") is None:
+        print("benchmarks: pin missing; pip install 'lite6jax[benchmark]'", file=sys.stderr)
+        return 2
+    from benchmarks.ladder import main as ladder
+
+    return ladder(arguments)
 
 
 def _sensitivity(arguments: Sequence[str]) -> int:

@@ -23,6 +23,9 @@ from lite6jax.summary import Summarised
 
 Array = NDArray[np.floating]
 
+_NORMAL = 1.4826
+"""Standard deviation over median magnitude of a normal distribution."""
+
 
 @final
 @dataclass(frozen=True, eq=False)
@@ -77,10 +80,13 @@ class TorqueDiagnosis(Summarised):
 
     @cached_property
     def over_noise(self) -> Array | None:
-        """`(joint,)`, held-out errors over the declared noise as the filter leaves it; None where none is declared."""
+        """`(joint,)`, held-out errors, winsorised, over the declared noise as the filter leaves it."""
         if not self.problem.declared:
             return None
-        return np.sqrt(np.mean(self.after[:, self.problem.valid] ** 2, 1)) / self.problem.noise
+        errors = self.after[:, self.problem.valid]
+        # spikes that pass the filter are outliers of the sensor and nothing that the model leaves
+        limit = self.options.engine.winsor * _NORMAL * np.median(np.abs(errors), 1, keepdims=True)
+        return np.sqrt(np.mean(np.clip(errors, -limit, limit) ** 2, 1)) / self.problem.noise
 
     @cached_property
     def verdict(self) -> Verdict:

@@ -20,6 +20,8 @@ Array = NDArray[np.floating]
 Integers = NDArray[np.integer]
 
 _COEFFICIENTS = (0.3, 0.5, 0.6, 0.7, 0.8, 0.85, 0.9, 0.93, 0.95, 0.97, 0.98, 0.99, 0.995, 0.999)
+_SCALINGS = 3
+"""Estimates of the variance, each with the numbers that the last one determines."""
 _SHARES = (0.05, 0.1, 0.2, 0.3, 0.45, 0.6, 0.75, 0.9, 1.0)
 
 
@@ -127,11 +129,11 @@ def noise_model(
     """The most likely noise model of residuals; a group stays white where that is not clearly less likely.
 
     The noise that a fit has absorbed is accounted for by the restricted likelihood (REML; D. Harville, Journal of the
-    American Statistical Association 72, 1977, eq. 3.2).
+    American Statistical Association 72, 1977, eq. 3.2), in which numbers with a prior are random.
 
     Args:
         rows: residuals `(row, sample)`, of one variance in each group.
-        columns: `(number, row, sample)`, of what has been fitted.
+        columns: `(number, row, sample)`, of what has been fitted, in the unit of the residuals.
         prior: `(number,)`, one over the standard deviation of each number's prior.
         groups: `(row,)`.
         run: `(sample,)`, changes where a sample is independent of those before it.
@@ -155,17 +157,21 @@ def _autocorrelation(
     def likelihood(model: Autocorrelation) -> float:
         X = model.whitened(columns, starts).reshape(len(columns), rows.size)
         y = model.whitened(rows, starts).ravel()
-        G = X @ X.T
-        G[np.diag_indices_from(G)] += prior**2
-        root = np.sqrt(np.maximum(np.diagonal(G), np.finfo(float).tiny))
-        eigenvalues, V = np.linalg.eigh(G / np.outer(root, root))
-        determined = eigenvalues > options.rounding * eigenvalues.max(initial=0.0)
-        rotated = V[:, determined].T @ ((X @ y) / root)
-        left = float(y @ y - np.sum(rotated**2 / eigenvalues[determined]))
-        freedom = rows.size - int(determined.sum())
-        volume = float(np.sum(np.log(eigenvalues[determined])) + 2 * np.sum(np.log(root)))
+        measured, target, scale = X @ X.T, X @ y, float(y @ y) / rows.size
         filtered = len(rows) * model.log_volume(rows.shape[1], len(starts))
-        return -0.5 * freedom * np.log(max(left, 1e-300)) - 0.5 * volume + filtered
+        for _ in range(_SCALINGS):
+            # a prior is in absolute units: beside noise of another variance it weighs otherwise
+            G = measured + scale * np.diag(prior**2)
+            root = np.sqrt(np.maximum(np.diagonal(G), np.finfo(float).tiny))
+            eigenvalues, V = np.linalg.eigh(G / np.outer(root, root))
+            determined = eigenvalues > options.rounding * eigenvalues.max(initial=0.0)
+            T = V[:, determined] / (np.sqrt(eigenvalues[determined]) * root[:, None])
+            left = max(float(y @ y - np.sum((T.T @ target) ** 2)), 1e-300)
+            used = scale, int(determined.sum()), eigenvalues[determined], root
+            scale = left / max(rows.size - float(np.sum((measured @ T) * T)), 1.0)
+        scale, size, kept, root = used
+        volume = float(np.sum(np.log(kept)) + 2 * np.sum(np.log(root)))
+        return -0.5 * (rows.size - size) * np.log(scale) - 0.5 * volume - 0.5 * left / scale + filtered
 
     coarse = [Autocorrelation(*pair) for pair in product(_COEFFICIENTS[1::3], _SHARES[1::3])]
     best = max(coarse, key=likelihood)

@@ -105,6 +105,11 @@ class EngineOptions:
     name_rounds: int = option(3, "rounds in which functions without a name challenge the names", "one a round")
     functions: int = option(3, "functions without a name that are fitted in a round", "scores and fits rank alike")
     named_share: float = option(0.5, "share of its gain that a name must reach to replace a function", "saves time")
+    together: float = option(
+        12.0,
+        "log-likelihood that each further name at a site must gain over one function",
+        "twice `close`: names are few",
+    )
     impossible: float = option(3.0, "standard deviations outside its bounds from which a name falls", "one in 700")
     # spectrum
     highest_order: float = option(200.0, "highest order of a spectrum", "teeth of strain-wave gears to ratio 100")

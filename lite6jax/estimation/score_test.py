@@ -226,9 +226,9 @@ def remaining_noise_model(problem: Problem, fit: Fit, options: EngineOptions) ->
     begins = np.diff(np.asarray(problem.run), prepend=problem.run[0]).astype(bool) | np.diff(training, prepend=True)
     run = np.cumsum(begins, dtype=int)
     prior = np.zeros(len(problem.precision) + fit.terms.size)
-    prior[: len(problem.precision)] = np.sqrt(problem.precision) * fit.scale[0]
+    prior[: len(problem.precision)] = np.sqrt(problem.precision)
     rows = _winsorised(fit.residuals.rows, fit, options.winsor)
-    columns = linear_columns(problem, fit.terms, fit.values)
+    columns = linear_columns(problem, fit.terms, fit.values) / fit.scale[fit.residuals.groups, None]
     found = noise_model(rows[:, training], columns[..., training], prior, problem.groups, run[training], options)
     return found if found.white else replace(found, starts=run_starts(run))
 

@@ -19,7 +19,16 @@ from lite6jax.estimation.terms import Term
 from lite6jax.search.backward import eliminate, prune
 from lite6jax.search.curves import with_curve
 from lite6jax.search.forward import forward, with_term
-from lite6jax.search.state import SelectedTerm, State, description_length, preferred, reduced, retested
+from lite6jax.search.state import (
+    SelectedTerm,
+    State,
+    description_length,
+    extended,
+    preferred,
+    reduced,
+    refitted,
+    retested,
+)
 
 _NUMBERS = 1 << 22
 """Of columns that are scored at once: 32 MB."""
@@ -40,7 +49,7 @@ def challenge_names(problem: Problem, state: State, options: EngineOptions) -> S
         if better is None:
             break
         state = believable(problem, better, options)
-    return _named_again(problem, state, options)
+    return _one_for_names(problem, _named_again(problem, state, options), options)
 
 
 def _shaped_instead(problem: Problem, state: State, options: EngineOptions) -> State:
@@ -81,6 +90,47 @@ def _named_again(problem: Problem, state: State, options: EngineOptions) -> Stat
         if preferred(named, state, 0.0, options):
             state = named
     return state
+
+
+def _one_for_names(problem: Problem, state: State, options: EngineOptions) -> State:
+    """One function without a name in the place of several names, unless these are clearly more likely.
+
+    Several effects of the catalogue can add up to one that it does not have: a spring and a slow wave to an end stop.
+    That so many effects are there at once is itself unlikely, the more so the more they are.
+    """
+    preset = problem.preset[0].terms
+    while True:
+        names = [t for t in state.tested if not (t.term.nonparametric or t.term in preset)]
+        best: State | None = None
+        for site in {tested.term.site for tested in names}:
+            there = [tested for tested in names if tested.term.site == site]
+            if len(there) < 2:
+                continue
+            rest = refitted(problem, state, [t for t in state.tested if t not in there], options)
+            for choice in _with_functions(problem, rest, state.fit, options, site):
+                # beside the function a name may stay: it is then not what the function replaces
+                choice = _restored(problem, choice, there, options)
+                fewer = len(there) - sum(t.term in choice.fit.terms.terms for t in there)
+                margin = options.together * (fewer - 1)
+                if fewer > 1 and preferred(choice, best or state, 0.0 if best else -margin, options):
+                    best = choice
+        if best is None:
+            return state
+        state = best
+
+
+def _restored(problem: Problem, state: State, names: Sequence[SelectedTerm], options: EngineOptions) -> State:
+    """The state with those of some names that are significant beside its function, the most significant first."""
+    left, searched = list(names), searched_size(problem, options)
+    while left:
+        scores = score_test(problem, state.fit, options).score([tested.term for tested in left])
+        k = min(range(len(left)), key=lambda i: scores[i].p_value)
+        if scores[k].confounded or scores[k].familywise(searched) >= options.level:
+            break
+        term = left.pop(k).term
+        tested = SelectedTerm(term, scores[k].familywise(searched), scores[k])
+        state = extended(problem, state, tested, scores[k].values, options)
+    return prune(problem, state, options)
 
 
 def believable(problem: Problem, state: State, options: EngineOptions) -> State:
@@ -158,8 +208,10 @@ def _most_preferred(state: State, choices: Sequence[State], options: EngineOptio
     return best
 
 
-def _with_functions(problem: Problem, rest: State, within: Fit, options: EngineOptions) -> list[State]:
-    return _added(problem, rest, _likely(problem, rest.fit, within, options), options)
+def _with_functions(
+    problem: Problem, rest: State, within: Fit, options: EngineOptions, site: str | None = None
+) -> list[State]:
+    return _added(problem, rest, _likely(problem, rest.fit, within, options, site), options)
 
 
 def _added(problem: Problem, state: State, functions: Sequence[_Likely], options: EngineOptions) -> list[State]:
@@ -168,18 +220,20 @@ def _added(problem: Problem, state: State, functions: Sequence[_Likely], options
     return [prune(problem, one, options) for one in further if one.tested[-1].p_value < options.level]
 
 
-def _likely(problem: Problem, fit: Fit, within: Fit, options: EngineOptions) -> list[_Likely]:
-    """The few functions that are most likely beside a fit, one of each site."""
+def _likely(problem: Problem, fit: Fit, within: Fit, options: EngineOptions, site: str | None = None) -> list[_Likely]:
+    """The few functions that are most likely beside a fit: one of each site, or those of one site."""
     test, found = score_test(problem, fit, options, within=None if within is fit else within), {}
     searched, log_n = searched_size(problem, options), np.log(test.freedom)
-    for part in _of_equal_size(problem.flexible, problem.rows * problem.samples):
+    flexible = [term for term in problem.flexible if site in (None, term.site)]
+    for part in _of_equal_size(flexible, problem.rows * problem.samples):
         columns = problem.columns(part).reshape(len(part), part[0].size, problem.rows, problem.samples)
         gains, sizes = test.gains_and_sizes(columns)
         for term, gain, size in zip(part, gains, sizes, strict=True):
             # what the names and the nuisance explain already costs nothing
             gain = gain - description_length([term], test.freedom, options) + 0.5 * (term.size - size) * log_n
-            if gain > max(options.close, found.get(term.site, _Likely(term, 0.0)).gain):
-                found[term.site] = _Likely(term, gain)
+            key = term.site if site is None else term
+            if gain > max(options.close, found.get(key, _Likely(term, 0.0)).gain):
+                found[key] = _Likely(term, gain)
     likely = sorted(found.values(), key=lambda one: -one.gain)[: 2 * options.functions]
     scored = zip(likely, test.score([one.term for one in likely]), strict=True) if likely else ()
     sure = [one for one, s in scored if gain_p_value(s.gain, s.size, test.time) * searched < options.level]

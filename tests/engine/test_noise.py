@@ -76,6 +76,17 @@ def test_colour_is_found_although_a_fit_has_taken_part_of_it(memory, slow, smoot
     assert found.share == pytest.approx(slow, abs=0.2)
 
 
+def test_what_is_known_beforehand_is_no_memory():
+    """Numbers that their prior knows better than the rows do: they weigh the same whatever the noise is taken for."""
+    rng = np.random.default_rng(4)
+    columns = 0.1 * np.cumsum(rng.normal(size=(60, 1, 600)), -1)
+    prior = np.full(60, 300.0)
+    y = noise(rng, 0.5, 0.8, 1, 600) + np.tensordot(rng.normal(size=60) / prior, columns, 1)
+    (found,) = noise_model(y, columns, prior, np.zeros(1, int), np.zeros(600, int), OPTIONS).models
+    assert found.coefficient == pytest.approx(0.5, abs=0.1)
+    assert found.share == pytest.approx(0.8, abs=0.2)
+
+
 def test_white_noise_is_white():
     rng = np.random.default_rng(1)
     columns = rng.normal(size=(34, 3, 400))

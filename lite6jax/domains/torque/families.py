@@ -89,12 +89,14 @@ def flexible(dynamics: Dynamics, sizes: Array) -> tuple[UnnamedTorque, ...]:
     for j in range(1, dof + 1):
         position, velocity, load, temperature = _own(j)
         for signed in (False, True):
-            add(j, [position], 10, signed)
+            for pieces in (3, 10):
+                add(j, [position], pieces, signed)
             add(j, [load], 4, signed)
             add(j, [temperature], 3, signed)
             for everywhere in _EVERYWHERE:
                 add(j, [Driver(everywhere)], 4, signed)
-        add(j, [velocity], 8)
+        for pieces in (3, 8):
+            add(j, [velocity], pieces)
         for other in (position, load, temperature):
             add(j, [velocity, other], degree=3)
         for k in range(1, dof + 1):

@@ -15,7 +15,7 @@ from lite6jax.effects.dynamic.bodies import LinkMass, PayloadTorque
 from lite6jax.effects.dynamic.catalogue import torque_catalogue, torque_ladder, torque_shaped
 from lite6jax.effects.dynamic.friction import CoulombFriction, ViscousFriction
 from lite6jax.effects.dynamic.motors import RotorInertia, TorqueOffset
-from lite6jax.effects.dynamic.torque_effect import Delaying, Dynamics, Scaling, TorqueEffect
+from lite6jax.effects.dynamic.torque_effect import Delaying, Dynamics, Scaling, TorqueEffect, point_mass
 from lite6jax.effects.dynamic.unnamed import UnnamedTorque
 from lite6jax.estimation.least_squares import Fit, fit
 from lite6jax.estimation.options import EngineOptions
@@ -384,14 +384,24 @@ def _evidence(problem: TorqueProblem, found: Fit) -> float:
 
 
 def uncertain(links: Array, relative: float) -> tuple[Array, Array]:
-    """Changes of each inertial number, and the standard deviation of its prior.
+    """Changes `(number, joint, 10)` of inertial numbers, and the standard deviation `(number,)` of each's prior.
 
-    Of a mass it is relative to it; of its first moments and tensor to that mass at the distance of its centre, or at
-    the mean such distance of the arm where that is larger. Links of unknown mass are taken as ones of `_UNKNOWN_MASS`
-    at `_UNKNOWN_LEVER`.
+    They are those of each link's mass with its centre in place, of its centre of mass with its mass and tensor as they
+    are, and of its tensor: what is uncertain by itself. A heavier link has larger first moments as well. The prior of a
+    mass is relative to it, that of a centre to its distance from the joint, or to the mean such distance of the arm
+    where that is larger, that of a tensor to it and to the mass at that distance. Links of unknown mass are taken as
+    ones of `_UNKNOWN_MASS` at `_UNKNOWN_LEVER`.
     """
-    mass = np.maximum(links[:, :1], _UNKNOWN_MASS * (not links.any()) + 0.05 * links[:, 0].mean())
-    lever = np.linalg.norm(links[:, 1:4], axis=1, keepdims=True) / mass
+    mass = np.maximum(links[:, 0], _UNKNOWN_MASS * (not links.any()) + 0.05 * links[:, 0].mean())
+    lever = np.linalg.norm(links[:, 1:4], axis=1) / mass
     lever = np.maximum(lever, lever.mean() if lever.any() else _UNKNOWN_LEVER)
-    typical = mass * np.concatenate([lever**0, np.repeat(lever, 3, 1), np.repeat(lever**2, 6, 1)], 1)
-    return np.eye(links.size).reshape(-1, *links.shape), relative * typical.ravel()
+    directions, deviations = np.zeros((len(links), 10, *links.shape)), np.zeros((len(links), 10))
+    for j, (m, length) in enumerate(zip(mass, lever, strict=True)):
+        center = links[j, 1:4] / m
+        own = links[j, 4:7].sum() / 2 - point_mass(m, center)[4:7].sum() / 2
+        directions[j, 0, j] = point_mass(1.0, center)
+        for axis, step in enumerate(np.eye(3)):  # exact: a point's tensor is quadratic in its place
+            directions[j, 1 + axis, j] = m * 0.5 * (point_mass(1.0, center + step) - point_mass(1.0, center - step))
+        directions[j, 4:, j, 4:] = np.eye(6)
+        deviations[j] = [m, *(3 * [length]), *(6 * [m * length**2 + max(own, 0.0)])]
+    return directions.reshape(-1, *links.shape), relative * deviations.ravel()

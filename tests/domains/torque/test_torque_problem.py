@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 from domains.torque.moved import hidden, motion_of, recorded, setup_of
 
+from lite6jax.arms.dynamics import link_parameters
 from lite6jax.domains.torque.filtering import low_pass, runs_of, sample_rate, spikes, without_spikes
-from lite6jax.domains.torque.problem import linearised, torque_problem
+from lite6jax.domains.torque.problem import linearised, torque_problem, uncertain
 from lite6jax.domains.torque.rows import bodies_of, torque_rows
 from lite6jax.effects.dynamic.friction import StribeckFriction
 from lite6jax.effects.dynamic.motors import TorqueRipple, TorqueScale, TorqueTimeOffset
@@ -142,3 +143,26 @@ def test_unknown_links_are_fitted_about_the_declared_ones():
     after = np.sqrt(np.mean(there.residual(np.zeros(60), Terms(), np.zeros(0)) ** 2))
     assert after < 1.3 < before
     assert there.relative_std in (0.1, 0.3, 1.0, 3.0) or there.relative_std == pytest.approx(0.3)
+
+
+def test_a_heavier_link_has_larger_moments():
+    """What is uncertain is each link's mass, centre and tensor: random draws of these have the prior's covariance."""
+    _, arm = setup_of(3)
+    links = np.asarray(link_parameters(arm))
+    directions, deviations = uncertain(links, 0.01)
+    prior = np.einsum("nja,nkb,n->jakb", directions, directions, deviations**2).reshape(links.size, -1)
+    rng, draws = np.random.default_rng(0), []
+    mass, center, inertia = np.asarray(arm.mass), np.asarray(arm.center_of_mass), np.asarray(arm.inertia)
+    lever = np.linalg.norm(center, axis=1)
+    lever = np.maximum(lever, lever.mean())
+    for _ in range(4000):
+        m = mass * (1 + 0.01 * rng.normal(size=len(mass)))
+        c = center + 0.01 * lever[:, None] * rng.normal(size=center.shape)
+        shifted = np.einsum("jk,jk,ab->jab", c, c, np.eye(3)) - np.einsum("ja,jb->jab", c, c)
+        tensor = inertia + m[:, None, None] * shifted
+        six = tensor[:, [0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
+        draws.append(np.concatenate([m[:, None], m[:, None] * c, six], 1).ravel() - links.ravel())
+    drawn = np.cov(np.array(draws).T)
+    first = (10 * np.arange(len(mass))[:, None] + np.arange(4)).ravel()  # tensors have a share of their own
+    scale = np.sqrt(np.diagonal(prior))[first]
+    np.testing.assert_allclose((drawn - prior)[np.ix_(first, first)] / np.outer(scale, scale), 0, atol=0.08)

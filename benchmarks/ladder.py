@@ -1,0 +1,217 @@
+"""`python -m benchmarks ladder`: a diagnosis of real torques beside the usual ladder of friction terms.
+
+The rival is what identification of robot dynamics usually does (Swevers, Verdonck & De Schutter, IEEE Control Systems
+Magazine 27(5), 2007): one zero-phase low pass, the regressor of the inertial numbers, the same friction terms at every
+joint, least squares weighted by the residual of each joint; nothing is chosen. It shares no code with the library but
+the reading of the files. Each half of the recording is fitted and the other one predicted.
+"""
+
+import argparse
+import sys
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pinocchio
+from numpy.typing import NDArray
+from rich.console import Console
+from rich.table import Table
+from scipy.signal import butter, sosfiltfilt
+
+from lite6jax.arms.arm import Arm
+from lite6jax.diagnosis.torque_diagnosis import diagnose_torques
+from lite6jax.domains.torque.filtering import sample_rate
+from lite6jax.domains.torque.predict import predict_torques
+from lite6jax.errors import InputError
+from lite6jax.fitting.compiled import keep_compiled_code
+from lite6jax.fitting.recognition import declared_arm_of
+from lite6jax.recordings import Recording, read_recording
+from tests.oracles.pinocchio_dynamics import pinocchio_model, pinocchio_regressor
+
+pin: Any = pinocchio  # a compiled module, which a type checker cannot look into
+Array = NDArray[np.floating]
+
+DONE, UNUSABLE, INTERRUPTED = 0, 2, 130
+STEPS = ("rigid body alone", "+ viscous, Coulomb, offset", "+ all other terms")
+OURS = "diagnosis"
+_SMOOTH = 2e-3
+"""rad/s within which the direction of motion turns."""
+_STRIBECK = (0.05, 0.15)
+"""rad/s, velocities of the Stribeck terms."""
+_DETERMINED = 1e-4
+"""Singular value over the largest, below which a combination of columns is not determined."""
+_WEIGHTINGS = 3
+"""Rounds of weighting by what is left."""
+_EDGE = 0.25
+"""s at each end of a half that are not scored, as the filter rings there."""
+
+
+class Half(NamedTuple):
+    """A stretch of a recording, low-passed, `(joint, sample)` each.
+
+    Attributes:
+        q: rad.
+        dq: rad/s.
+        ddq: rad/s².
+        torque: Nm.
+        scored: `(sample,)` bool, away from its ends.
+    """
+
+    q: Array
+    dq: Array
+    ddq: Array
+    torque: Array
+    scored: NDArray[np.bool_]
+
+
+class LowPass(NamedTuple):
+    """Zero phase, of fourth order.
+
+    Attributes:
+        rate: samples per second.
+        cutoff: Hz.
+    """
+
+    rate: float
+    cutoff: float
+
+    def __call__(self, rows: Array) -> Array:
+        """Rows `(…, sample)` low-passed."""
+        return sosfiltfilt(butter(4, self.cutoff, fs=self.rate, output="sos"), rows)
+
+
+def half_of(recording: Recording, rate: float, low: "LowPass") -> Half:
+    """A recording of torques in order of time, with everything low-passed."""
+    dq = low(recording.velocities().T)
+    edge, samples = int(_EDGE * rate), np.arange(recording.samples)
+    return Half(
+        low(recording.joint_position.T),
+        dq,
+        np.gradient(dq, 1 / rate, axis=1),
+        low(recording.torques().T),
+        (samples >= edge) & (samples < recording.samples - edge),
+    )
+
+
+def columns(arm: Arm, half: Half, gravity: Sequence[float], step: int, rigid: Array, low: LowPass) -> Array:
+    """Columns `(joint, number, sample)` of a step of the ladder.
+
+    Args:
+        arm: whose chain carries bodies of which nothing is known.
+        half: the motion.
+        gravity: `(3,)` m/s².
+        step: index into `STEPS`.
+        rigid: `(joint, sample)` Nm, of the rigid bodies, on which friction by the load depends.
+        low: what the torques passed.
+    """
+    dof = len(half.q)
+    # of unit bodies: the regressor does not depend on them
+    model = pinocchio_model(arm.kinematics, np.ones(dof), np.zeros((dof, 3)), np.tile(np.eye(3), (dof, 1, 1)), gravity)
+    blocks = [low(pinocchio_regressor(model, half.q, half.dq, half.ddq))]
+    turned = np.tanh(half.dq / _SMOOTH)
+    added: list[Array] = []
+    if step >= 1:
+        added += [half.dq, turned, np.ones_like(half.q)]
+    if step >= 2:
+        added += [half.ddq, half.q, np.abs(rigid) * turned]
+        added += [np.exp(-((half.dq / v) ** 2)) * turned for v in _STRIBECK]
+    for rows in added:
+        blocks.append(low(np.eye(dof)[:, :, None] * rows))
+    if step >= 2:
+        for joint in range(dof - 1):  # motors that drive two joints
+            both = half.dq[joint] + half.dq[joint + 1]
+            pair = np.zeros((dof, 2, half.q.shape[1]))
+            pair[joint : joint + 2] = low(np.stack([both, np.tanh(both / _SMOOTH)]))
+            blocks.append(pair)
+    return np.concatenate(blocks, 1)
+
+
+def climbed(arm: Arm, train: Half, test: Half, gravity: Sequence[float], low: LowPass) -> Iterator[tuple[str, Array]]:
+    """Each step of the ladder with its errors `(joint, sample)` Nm on the other half."""
+    rigid = [np.zeros_like(train.q), np.zeros_like(test.q)]
+    for step, name in enumerate(STEPS):
+        ours, theirs = (
+            columns(arm, half, gravity, step, load, low) for half, load in zip((train, test), rigid, strict=True)
+        )
+        scale = np.maximum(np.sqrt(np.mean(ours**2, (0, 2))), 1e-12)
+        weight, numbers = 1 / train.torque.std(1), np.zeros(len(scale))
+        for _ in range(_WEIGHTINGS):
+            A = (ours / scale[:, None] * weight[:, None, None])[..., train.scored]
+            y = (train.torque * weight[:, None])[:, train.scored].ravel()
+            rows = A.transpose(0, 2, 1).reshape(-1, len(scale))
+            numbers = np.linalg.lstsq(rows, y, rcond=_DETERMINED)[0] / scale
+            left = np.einsum("jns,n->js", ours, numbers) - train.torque
+            weight = 1 / rms(left, train)
+        if step == 0:
+            count = 10 * len(train.q)
+            rigid = [np.einsum("jns,n->js", part[:, :count], numbers[:count]) for part in (ours, theirs)]
+        yield name, np.einsum("jns,n->js", theirs, numbers) - test.torque
+
+
+def diagnosed(train: Recording, test: Recording, low: LowPass) -> Array:
+    """Errors `(joint, sample)` Nm on a recording of what a diagnosis of another one predicts."""
+    model = diagnose_torques(train).model
+    return low((predict_torques(model, test) - test.torques()).T)
+
+
+def rms(errors: Array, half: Half) -> Array:
+    """`(joint,)` Nm, of the samples that are scored."""
+    return np.sqrt(np.mean(errors[:, half.scored] ** 2, 1))
+
+
+def tables(recording: Recording, cutoff: float, ours: bool) -> Iterator[Table]:
+    """A table for each half that is predicted, with a row for each step.
+
+    Raises:
+        InputError: no torques or times, or no arm declared.
+    """
+    arm, recording = declared_arm_of(recording), recording.sorted_by_time()
+    rate = sample_rate(recording)
+    if cutoff >= rate / 2:
+        raise InputError(f"{recording.source}: has {rate:.4g} rows a second; give a --cut below {rate / 2:.4g} Hz")
+    low, middle = LowPass(rate, cutoff), recording.samples // 2
+    parts = [
+        recording.select(np.arange(recording.samples) < middle),
+        recording.select(np.arange(recording.samples) >= middle),
+    ]
+    halves = [half_of(part, rate, low) for part in parts]
+    gravity = recording.settings.gravity_m_per_s2
+    for train, name in ((0, "first half fitted, second predicted"), (1, "second half fitted, first predicted")):
+        test = halves[1 - train]
+        table = Table(title=f"{recording.source}: {name}, RMS in Nm below {cutoff:g} Hz", title_justify="left")
+        table.add_column("")
+        for joint in range(arm.dof):
+            table.add_column(f"joint {joint + 1}", justify="right")
+        errors = dict(climbed(arm, halves[train], test, gravity, low))
+        if ours:
+            errors[OURS] = diagnosed(parts[train], parts[1 - train], low)
+        for step, off in errors.items():
+            table.add_row(step, *(f"{value:.3f}" for value in rms(off, test)))
+        yield table
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """The exit code: 0, 2 for arguments that cannot be used, 130 where interrupted."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks ladder", description=(__doc__ or "").split("\n\n")[0])
+    parser.add_argument("recording", type=Path, help="a table of joints, velocities and torques, its sidecar beside it")
+    parser.add_argument("--cut", type=float, default=10.0, metavar="HZ", help="of the low pass; 10 if not given")
+    parser.add_argument("--rivals-only", action="store_true", help="leave the diagnosis out, which takes minutes")
+    options = parser.parse_args(arguments)
+    if not options.cut > 0:
+        parser.error("--cut: give a frequency above zero")
+    keep_compiled_code()
+    try:
+        for table in tables(read_recording(options.recording), options.cut, not options.rivals_only):
+            Console(highlight=False).print(table)
+    except InputError as problem:
+        print(f"benchmarks: {problem}", file=sys.stderr)
+        return UNUSABLE
+    except KeyboardInterrupt:
+        print("benchmarks: interrupted", file=sys.stderr)
+        return INTERRUPTED
+    return DONE
+
+
+if __name__ == "__main__":
+    sys.exit(main())
