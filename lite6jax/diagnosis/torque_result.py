@@ -12,8 +12,9 @@ from lite6jax.diagnosis.options import Options
 from lite6jax.diagnosis.result import Finding
 from lite6jax.diagnosis.verdict import Verdict
 from lite6jax.domains.torque.predict import DiagnosedMotors
-from lite6jax.domains.torque.problem import TorqueProblem
+from lite6jax.domains.torque.problem import FITTED, TorqueProblem
 from lite6jax.effects.catalogue import Untestable
+from lite6jax.effects.dynamic.catalogue import torque_catalogue
 from lite6jax.effects.dynamic.torque_effect import TorqueEffect
 from lite6jax.effects.effect import Effect
 from lite6jax.estimation.least_squares import Fit
@@ -67,7 +68,11 @@ class TorqueDiagnosis(Summarised):
     @property
     def confounded(self) -> tuple[Effect, ...]:
         """Effects that are confounded with the inertial numbers that are fitted."""
-        return tuple(term for term in self.selection.confounded if isinstance(term, Effect))
+        fitted = torque_catalogue(self.problem.rows) if len(self.problem.precision) else ()
+        return (
+            *(term for term in self.selection.confounded if isinstance(term, Effect)),
+            *(effect for effect in fitted if isinstance(effect, FITTED)),
+        )
 
     @property
     def nearest(self) -> tuple[Effect, float] | None:

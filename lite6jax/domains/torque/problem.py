@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from lite6jax.domains.torque import families
 from lite6jax.domains.torque.rows import TorqueRows
 from lite6jax.effects.catalogue import Untestable, untestable
-from lite6jax.effects.dynamic.bodies import LinkMass, PayloadTorque
+from lite6jax.effects.dynamic.bodies import LinkCom, LinkMass, PayloadTorque
 from lite6jax.effects.dynamic.catalogue import torque_catalogue, torque_ladder, torque_shaped
 from lite6jax.effects.dynamic.friction import CoulombFriction, ViscousFriction
 from lite6jax.effects.dynamic.motors import RotorInertia, TorqueOffset
@@ -32,6 +32,8 @@ _EVERYWHERE = (ViscousFriction, CoulombFriction, TorqueOffset, RotorInertia)
 """What every joint has, to some degree."""
 _WIDTHS = (0.1, 0.3, 1.0, 3.0)
 """Relative standard deviations of inertial numbers that are unknown: from another series of the arm to another arm."""
+FITTED = (LinkMass, LinkCom)
+"""Effects that are confounded with inertial numbers that are fitted."""
 _UNKNOWN_MASS, _UNKNOWN_LEVER = 3.0, 0.1
 """kg and m, of links about which nothing is declared."""
 _ASSUMED = 0.02
@@ -325,6 +327,8 @@ def torque_problem(data: TorqueRows) -> TorqueProblem:
     else:
         directions, deviations = uncertain(links, 1.0 if inertial == "unknown" else float(inertial))
     candidates = torque_catalogue(data.arm.dof)
+    if len(directions):  # what is fitted is no effect, however far it is from what was declared
+        candidates = tuple(effect for effect in candidates if not isinstance(effect, FITTED))
     missing = tuple(untestable(candidates, data.motion, bool(links.any()) or inertial == "unknown"))
     lacking = {item.effect for item in missing}
     declared = settings.torque_noise_Nm is not None
