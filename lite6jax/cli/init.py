@@ -75,8 +75,7 @@ class Init:
         check_writable(sidecar, self.force)
         arm = self.arm
         found = self._inspected(table, arm, given, path)
-        asking = not (self.yes or self.json) and sys.stdin.isatty() and sys.stdout.isatty()
-        if asking:
+        if not (self.yes or self.json) and _on_a_terminal():
             arm = arm or _asked_arm(found)
             settings |= _asked(found, settings)
             found = self._inspected(table, arm, given, path)
@@ -122,6 +121,10 @@ class Init:
         declared_settings(None, None, settings)
         dof = None if found.arm is None else found.arm.dof
         tabulated(table.names, str(path), table.load, [], dof=dof, renamed=found.columns)
+
+
+def _on_a_terminal() -> bool:
+    return sys.stdin.isatty() and sys.stdout.isatty()
 
 
 def _pairs(option: str, given: tuple[str, ...], parsed: bool = False) -> dict[str, Any]:

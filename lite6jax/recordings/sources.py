@@ -63,6 +63,8 @@ def open_table(
     try:
         if os.path.isdir(path) and set(LOGS) <= set(kinds) and suffix not in SUFFIXES:
             return path, _of_folder(path, topics, dof, notes)
+        if not suffix and not exists(path):
+            raise InputError(f"{path}: no such file or folder; check the name")
         if suffix not in kinds:
             raise InputError(f"{path}: {stranger(path) or _other(kinds)}")
         check_readable(path)
