@@ -1,4 +1,4 @@
-"""`lite6jax init` as a person meets it: what it says, the sidecar it writes, and that other commands then read the table."""
+"""`lite6jax init` as a person meets it: what it says, the sidecar it writes, the commands that then read the table."""
 
 import json
 import re
@@ -39,9 +39,9 @@ def recorded(tmp_path, measured):
     columns |= {f"tcp: {axis}": 1e3 * poses[:, k, 3] for k, axis in enumerate("xyz")}
     columns |= {f"tcp: r{axis}": vector[:, k] for k, axis in enumerate("xyz")}
     path = tmp_path / "run7.csv"
-    rows = zip(*columns.values(), strict=True)
-    lines = [",".join([*columns, "operator", "x"]), *(",".join([*map(repr, map(float, row)), "me", "1"]) for row in rows)]
-    path.write_text("\n".join(lines) + "\n")
+    rows = [[*columns, "operator", "x"]]
+    rows += [[*map(repr, map(float, row)), "me", "1"] for row in zip(*columns.values(), strict=True)]
+    path.write_text("".join(",".join(row) + "\n" for row in rows))
     return path
 
 
@@ -83,7 +83,8 @@ def test_the_sidecar_explains_every_key(recorded, capsys):
     assert set(examples) == set(inspection.KEYS) - set(content["recording"]) - of_torques
     assert max(map(len, text.splitlines())) <= 120
     # each example is accepted in its place
-    uncommented = re.sub(r"^  # (\w+): ", lambda m: f"  {m[1]}: " if m[1] in examples else m[0], text, flags=re.MULTILINE)
+    keys = "|".join(examples)
+    uncommented = re.sub(rf"^  # ({keys}): ", r"  \1: ", text, flags=re.MULTILINE)
     recorded.with_suffix(".yaml").write_text(uncommented)
     assert read_settings(recorded.with_suffix(".yaml")).pose_source == "laser_tracker"
     for key, (_, example) in inspection.KEYS.items():
@@ -174,13 +175,13 @@ def test_the_report_is_readable_on_any_terminal(recorded, capsys, width):
     ("command", "name", "message"),
     [
         ("fit", "robot.urdf", "describes an arm and holds no measurements; name a recording, and the arm with --arm"),
-        ("diagnose", "robot.xml", "describes an arm and holds no measurements; name a recording, and the arm with --arm"),
-        ("init", "run7.xlsx", "is a workbook; save its sheet as CSV (UTF-8), and name its columns by `lite6jax init run7"),
-        ("diagnose", "run7.xlsx", "is a workbook; save its sheet as CSV (UTF-8), and name its columns by `lite6jax init"),
+        ("diagnose", "robot.xml", "describes an arm and holds no measurements; name a recording, and the arm with"),
+        ("init", "run7.xlsx", "is a workbook; save its sheet as CSV (UTF-8), and name its columns by `lite6jax init"),
+        ("diagnose", "run7.xlsx", "is a workbook; save its sheet as CSV (UTF-8), and name its columns by `lite6jax"),
         ("check", "run7.npz", "is no recording; write it as run7.csv or .parquet with a name for each column"),
         ("fit", "empty", "is a folder without a recording: no rosbag2 (metadata.yaml and .db3 or .mcap), no LeRobot"),
-        ("diagnose", "tables", "is a folder; name a file in it, such as run7.csv, or fit all of them with `lite6jax fleet"),
-        ("init", "tables", "is a folder; name a file in it, such as run7.csv, or fit all of them with `lite6jax fleet"),
+        ("diagnose", "tables", "is a folder; name a file in it, such as run7.csv, or fit all of them with `lite6jax"),
+        ("init", "tables", "is a folder; name a file in it, such as run7.csv, or fit all of them with `lite6jax"),
     ],
 )
 def test_what_is_often_taken_for_a_recording(capsys, tmp_path, command, name, message):

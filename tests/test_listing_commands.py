@@ -1,4 +1,4 @@
-"""`lite6jax effects` and `lite6jax arms`: everything that there is, from the catalogue and the descriptions themselves."""
+"""`lite6jax effects` and `lite6jax arms`: all that there is, from the catalogues and the descriptions themselves."""
 
 import json
 
@@ -35,7 +35,7 @@ def test_every_effect_of_both_catalogues_is_listed(capsys):
     assert found["kinematic", "link_thermal_expansion"]["sites"] == ["links", "linkN"]
     assert found["dynamic", "coupled_friction"]["drivers"] == ["velocity"]
     assert found["dynamic", "stribeck_friction"]["parameters"] == ["stribeck_Nm", "velocity_rad_per_s"]
-    for (domain, name), entry in found.items():
+    for (_, name), entry in found.items():
         assert entry["description"].endswith("."), name
         assert set(entry["drivers"]) <= {*QUANTITIES, "any"}, name
         assert entry["sites"], name

@@ -25,7 +25,7 @@ _QUESTIONS = {
         "What measured the poses?",
         ("laser_tracker", "motion_capture", "camera", "controller_fk", "unknown"),
     ),
-    "pose_frame": ("Are the poses in the arm's base frame (base), or in the sensor's own (unknown)?", ("unknown", "base")),
+    "pose_frame": ("Are the poses in the arm's base frame (base), or in the sensor's (unknown)?", ("unknown", "base")),
     "tool": ("Are the poses of the flange itself (none), or of a tool (unknown)?", ("unknown", "none")),
     "torque_source": ("Where are the torques from?", ("measured", "current", "estimated", "unknown")),
 }
@@ -79,8 +79,8 @@ class Init:
             arm = arm or _asked_arm(found)
             settings |= _asked(found, settings)
             found = self._inspected(table, arm, given, path)
-        if arm is not None or found.arm is not None:
-            settings = {"arm": arm_reference(arm, sidecar) if arm else found.arm.name} | settings  # type: ignore[union-attr]
+        named = arm_reference(arm, sidecar) if arm else None if found.arm is None else found.arm.name
+        settings = ({"arm": named} if named else {}) | settings
         settings.setdefault("motion", found.motion[0])
         self._check(found, table, settings, path)
 
@@ -97,17 +97,13 @@ class Init:
         screen.show(inspection.next_steps(found, settings, self.source))
         return DONE
 
-    def _inspected(
-        self, table: "RawTable", arm: str | None, given: Mapping[str, str], path: "Path"
-    ) -> "Inspection":
+    def _inspected(self, table: "RawTable", arm: str | None, given: Mapping[str, str], path: "Path") -> "Inspection":
         from lite6jax.domains.pose.inspection import inspect
         from lite6jax.fitting.source import load_nominal
 
         return inspect(list(table.numbers()), load_nominal(arm), given, str(path))
 
-    def _check(
-        self, found: "Inspection", table: "RawTable", settings: Mapping[str, Any], path: "Path"
-    ) -> None:
+    def _check(self, found: "Inspection", table: "RawTable", settings: Mapping[str, Any], path: "Path") -> None:
         """Refuses what the other commands would refuse, before anything is written."""
         from lite6jax.recordings.settings import declared_settings
         from lite6jax.recordings.table import tabulated

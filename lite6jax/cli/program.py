@@ -23,9 +23,9 @@ from lite6jax.cli.diagnose import Diagnose, Predict
 from lite6jax.cli.emulate import Emulate
 from lite6jax.cli.exit_codes import BAD_INPUT, DONE, INTERRUPTED, MEANINGS, READER_LEFT
 from lite6jax.cli.files import Check, Convert
+from lite6jax.cli.fit import Compare, Demo, Fit, Fleet
 from lite6jax.cli.init import Init
 from lite6jax.cli.listing import Arms, Effects
-from lite6jax.cli.fit import Compare, Demo, Fit, Fleet
 from lite6jax.cli.live import Read, Record
 from lite6jax.cli.simulate import Simulate
 from lite6jax.cli.study import Identify, Sensitivity

@@ -1,4 +1,4 @@
-"""What the two catalogues hold, from the effects themselves: domain, sites, drivers, numbers with units, and formula."""
+"""What the two catalogues hold, from the effects themselves: domain, sites, drivers, numbers with units, formula."""
 
 import inspect
 import re

@@ -26,7 +26,7 @@ _SCALAR = {
     "time": {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9},
     **{axis: {"m": 1.0, "mm": 1e3} for axis in "xyz"},
     **{part: {"": 1.0} for part in QUATERNION},
-    **{part: _ANGLE for part in _OF_ANGLES},
+    **dict.fromkeys(_OF_ANGLES, _ANGLE),
     "ambient": {"degC": 1.0},
     "payload": {"kg": 1.0},
     "run": {"": 1.0},
@@ -81,7 +81,7 @@ def recognise(
     """What the columns of a table mean.
 
     Problems are a unit that is missing or unknown, a quantity given twice, a joint left out, a position or an
-    orientation in part, no joint positions, another number of joints than `dof`, and a name of `renamed` that is absent.
+    orientation in part, no joint positions, another number of joints than `dof`, and absent names in `renamed`.
 
     Args:
         names: the column names, in order.
@@ -172,7 +172,7 @@ def _column(name: str, own: str, index: int, problems: _Problems) -> Column | No
     known = match is not None and (per_joint or (quantity in _SCALAR and not match["joint"]))
     if known:
         assert match is not None
-        joint, unit = int(match["joint"][:9] or 0), match["unit"]
+        joint = int(match["joint"][:9] or 0)
         for number, (accepted, divisor) in enumerate(units_of(quantity).items()):
             if name == spelled(quantity, joint, number) and (joint or not per_joint):
                 return Column(own, index, quantity, joint, accepted, divisor)
@@ -284,5 +284,7 @@ def is_standard(name: str) -> bool:
 
 def nearest_known(name: str) -> str | None:
     """The column that an ignored one may have meant."""
+    if name in _OF_ANGLES:
+        return spelled(name)
     known = [spelled(quantity, 1 if quantity in _PER_JOINT else 0) for quantity in (*_PER_JOINT, *_SCALAR)]
     return next(iter(get_close_matches(name, known, n=1, cutoff=0.8)), None)

@@ -1,4 +1,4 @@
-"""CSV: fields between commas, semicolons, tabs or single spaces, decimals with a point or a comma; one line per fault."""
+"""CSV: fields between commas, semicolons, tabs or single spaces, decimals with a point or a comma."""
 
 import csv
 import re
@@ -27,7 +27,11 @@ class _Layout(NamedTuple):
 
 
 class _NoNumberError(InputError):
-    """A field that holds no number."""
+    """A field that holds no number, in the column of this index."""
+
+    def __init__(self, message: str, index: int) -> None:
+        super().__init__(message)
+        self.index = index
 
 
 def of_csv(path: Path, notes: list[str]) -> RawTable:
@@ -45,25 +49,22 @@ def of_csv(path: Path, notes: list[str]) -> RawTable:
         notes.append("the file does not end with a line break: its last number may have been cut short")
 
     def load(columns: Mapping[str, Column]) -> Loaded:
-        try:
-            table = _read(path, layout, list(columns.values()), tail)
-        except _NoNumberError:  # which columns hold none: each by itself
-            return {key: _one(path, layout, column, tail) for key, column in columns.items()}
-        return {key: table[str(column.index)] for key, column in columns.items()}
+        wanted, wrong = [column.index for column in columns.values()], {}
+        while True:
+            try:
+                table = _read(path, layout, wanted, tail) if wanted else None
+                break
+            except _NoNumberError as error:  # the others may hold numbers
+                wrong[error.index] = str(error)
+                wanted.remove(error.index)
+        return {key: wrong.get(column.index) or table[str(column.index)] for key, column in columns.items()}
 
     return RawTable(layout.names, load)
 
 
-def _one(path: Path, layout: _Layout, column: Column, tail: bytes) -> pa.ChunkedArray | str:
-    try:
-        return _read(path, layout, [column], tail, threads=False)[str(column.index)]
-    except _NoNumberError as error:
-        return str(error)
-
-
-def _read(path: Path, layout: _Layout, columns: Sequence[Column], tail: bytes, threads: bool = True) -> pa.Table:
+def _read(path: Path, layout: _Layout, indices: Sequence[int], tail: bytes, threads: bool = True) -> pa.Table:
     """The columns wanted, named by their index: two ignored columns may share a name."""
-    wanted = list(dict.fromkeys(str(column.index) for column in columns))
+    wanted = [str(index) for index in indices]
     numbers = [str(index) for index in range(len(layout.names))]
     try:
         return pa_csv.read_csv(
@@ -80,7 +81,7 @@ def _read(path: Path, layout: _Layout, columns: Sequence[Column], tail: bytes, t
         if "Could not skip" in str(error):  # Arrow's word for a header and nothing after it
             raise InputError(f"{path}: has column names but no rows; record again") from error
         if threads:  # rows are numbered only when they are read in order
-            return _read(path, layout, columns, tail, threads=False)
+            return _read(path, layout, indices, tail, threads=False)
         if match := re.search(r"Row #(\d+): Expected \d+ columns, got (\d+)", str(error)):
             raise InputError(_ragged(path, int(match[1]) - 1, int(match[2]), layout, tail)) from error
         if match := re.match(r"In CSV column #(\d+): Row #(\d+): .*?invalid value '(.*)'$", str(error), re.DOTALL):
@@ -88,7 +89,8 @@ def _read(path: Path, layout: _Layout, columns: Sequence[Column], tail: bytes, t
             point = "point" if layout.decimal == "." else "comma"
             raise _NoNumberError(
                 f"row {int(match[2]) - 1} holds {value}, which is no number; give numbers with a decimal {point}, and "
-                "leave missing ones empty"
+                "leave missing ones empty",
+                int(match[1]),
             ) from error
         raise InputError(f"{path}: is not a table of numbers ({one_line(error)}); check the file") from error
 

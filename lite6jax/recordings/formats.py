@@ -20,6 +20,7 @@ from lite6jax.recordings.table import Table, arrays_of, tabulated
 from lite6jax.recordings.writing import write_with_settings
 from lite6jax.storage import exists
 
+
 def read_recording(
     path: str | Path,
     *,

@@ -30,7 +30,7 @@ def of_lerobot(folder: Path) -> RawTable:
     features = _features(folder / INFO)
     files = sorted((folder / "data").rglob("*.parquet"))
     if not files:
-        raise InputError(f"{folder}: has no Parquet files below data; fetch the whole data set (Git LFS: `git lfs pull`)")
+        raise InputError(f"{folder}: has no Parquet files below data; fetch the whole data set (by `git lfs pull`)")
     kinds = parquet_schema(files[0])
     columns: list[tuple[str, str, int | None]] = []
     for name in kinds.names:

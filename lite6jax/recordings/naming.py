@@ -17,8 +17,9 @@ VECTOR, RPY, XYZ, ZYZ = ANGLES
 _MEASURED = {"actual", "measured", "feedback", "real", "act", "meas", "present"}
 _WANTED = {"target", "commanded", "command", "cmd", "desired", "goal", "setpoint", "reference", "ref", "action", "des"}
 _UNUSED = {
-    *("force", "wrench", "ft", "error", "err", "residual", "std", "sigma", "var", "cov", "covariance", "status", "mode"),
-    *("bits", "voltage", "digital", "analog", "power", "gripper", "finger", "reward", "done", "success", "task", "next"),
+    *("force", "wrench", "ft", "error", "err", "residual", "std", "sigma", "var", "cov", "covariance", "status"),
+    *("mode", "bits", "voltage", "digital", "analog", "power", "gripper", "finger", "reward", "done", "success"),
+    *("task", "next"),
     *("frame", "accelerometer", "momentum", "sec", "nanosec", "secs", "nsecs", "seq", "twist", "linear", "angular"),
     *("offset", "inertia", "cog"),
 }
@@ -62,6 +63,7 @@ _UNITS = {
 _UNIT = re.compile(
     rf"[\s_.\[(/-]+({'|'.join(sorted(map(re.escape, _UNITS), key=len, reverse=True))})[\])]*\s*$", re.IGNORECASE
 )
+_SPLIT_STAMP = re.compile(r"stamp\W*_?n?(?:ano)?secs?\s*$", re.IGNORECASE)
 _OF_LETTERS = re.compile(r"curr|amp|temp|ambient", re.IGNORECASE)
 _ALLOWED = {
     "q": {"rad", "deg"},
@@ -140,6 +142,8 @@ def units_allowed(kind: str) -> set[str]:
 def _taken_apart(name: str) -> _Word:
     text, unit = name, None
     match = _UNIT.search(name)
+    if match and _SPLIT_STAMP.search(name):
+        match = None  # whole seconds alone are no time
     if match and (match[1] not in ("a", "c") or _OF_LETTERS.search(name)):  # pose_a, pose_b, pose_c are angles
         text, unit = name[: match.start()], _UNITS[match[1].lower()]
     spaced = re.sub(r"(?<=[a-z])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])", " ", text)

@@ -20,11 +20,11 @@ Array = NDArray[np.floating]
 
 VECTOR, RPY, XYZ, ZYZ = ANGLES
 _EULER = {RPY: "ZYX", XYZ: "XYZ", ZYZ: "ZYZ"}
-"""Intrinsic sequences in SciPy's spelling; the angles of a form stand in the order of its columns, of `RPY` reversed."""
+"""Intrinsic sequences in SciPy's spelling, in the order of the columns; of `RPY` in the reverse order."""
 
 
 def quaternions(form: tuple[str, ...], angles: Array) -> Array:
-    """`(sample, 4)` unit quaternions, scalar first, of `(sample, 3)` rad in one of `ANGLES`; NaN where one is missing."""
+    """`(sample, 4)` unit quaternions, scalar first, of `(sample, 3)` rad of one of `ANGLES`; NaN where one is."""
     from scipy.spatial.transform import Rotation
 
     found = np.full((len(angles), 4), np.nan)
@@ -49,5 +49,3 @@ def with_quaternions(values: Mapping[str, Array]) -> dict[str, Array]:
             angles = np.stack([told.pop(name) for name in names], axis=1)
             told |= dict(zip(QUATERNION, quaternions(form, angles).T, strict=True))
     return told
-
-

@@ -1,4 +1,4 @@
-"""Logs of ROS: joint states and stamped poses or transforms become the columns of one table, whatever file they were in."""
+"""Logs of ROS, in whatever file: joint states and stamped poses or transforms become the columns of one table."""
 
 import re
 from collections.abc import Callable, Mapping, Sequence
@@ -91,8 +91,8 @@ class Messages:
                 raise InputError(f"{path}: topic {chosen.topic} has {said}; it has {_listed(_arrows(pairs))}")
         elif len(pairs) > 1:
             raise InputError(
-                f"{path}: topic {chosen.topic} has {len(pairs)} transforms: {_listed(_arrows(pairs))}; choose the frame "
-                f"that was measured, as in {path.name}#/joint_states,{chosen.topic}:{children[0]}"
+                f"{path}: topic {chosen.topic} has {len(pairs)} transforms: {_listed(_arrows(pairs))}; choose the "
+                f"frame that was measured, as in {path.name}#/joint_states,{chosen.topic}:{children[0]}"
             )
         stamped = any(header for _, header, _ in found)
         clock = "the header stamps" if stamped else "the log times (no header stamps)"
@@ -229,9 +229,7 @@ def _plain(message: Any) -> _JointState | _Pose:
 
 
 def _pose(at: Any, turn: Any, frames: tuple[str, str]) -> _Pose:
-    return _Pose(
-        (float(at.x), float(at.y), float(at.z)), tuple(map(float, (turn.w, turn.x, turn.y, turn.z))), frames
-    )
+    return _Pose((float(at.x), float(at.y), float(at.z)), tuple(map(float, (turn.w, turn.x, turn.y, turn.z))), frames)
 
 
 def _joint_states(path: Path, topic: str, series: _Series, dof: int | None, notes: list[str]) -> _JointStates:

@@ -12,8 +12,8 @@ from typing import Any, Literal, NamedTuple, get_args
 import yaml
 
 from lite6jax.errors import InputError
-from lite6jax.recordings.columns import IGNORED
 from lite6jax.recordings.checksums import KEY, RECORDING, Checksums, read_checksums, settings_checksum
+from lite6jax.recordings.columns import IGNORED
 from lite6jax.storage import exists, read_yaml, write_atomically
 
 JointSource = Literal["measured", "commanded", "unknown"]
@@ -230,8 +230,8 @@ def _columns(given: Any, path: Path) -> dict[str, str]:
     for name, meaning in given.items():
         if not isinstance(meaning, str):
             raise InputError(
-                f"{path}: columns.{str(name)[:60]}: {_shown(meaning)} is no name of a column; write one such as q1_rad, "
-                f"or {IGNORED}"
+                f"{path}: columns.{str(name)[:60]}: {_shown(meaning)} is no name of a column; write one such as q1_rad,"
+                f" or {IGNORED}"
             )
     return {str(name): meaning.strip() for name, meaning in given.items()}
 

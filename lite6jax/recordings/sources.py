@@ -44,7 +44,7 @@ def recording_file(path: str | Path) -> Path | None:
 def open_table(
     path: Path, topics: Sequence[str], dof: int | None, notes: list[str], kinds: Sequence[str] = SUFFIXES
 ) -> tuple[Path, RawTable]:
-    """The table of a recording, and where it really is: of a Parquet file that was not completed, the stream of its stem.
+    """The table of a recording and where it is: of a Parquet file that was not completed, the stream of its stem.
 
     Args:
         path: the file or folder.

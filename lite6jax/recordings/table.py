@@ -110,9 +110,7 @@ def _empty(name: str, column: np.ndarray) -> str:
     return f"column {name}: {count} of {len(column)} rows are NaN, infinite or empty; fill it or leave it out"
 
 
-def read_frame(
-    frame: Any, source: str, notes: list[str], renamed: Mapping[str, str] | None = None
-) -> Table:
+def read_frame(frame: Any, source: str, notes: list[str], renamed: Mapping[str, str] | None = None) -> Table:
     """The columns of a data frame that a recording has.
 
     Args:

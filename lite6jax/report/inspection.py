@@ -70,8 +70,8 @@ KEYS: Mapping[str, tuple[str, str]] = {
     "joint_source": ("Where the joint positions are from: measured (by encoders), commanded or unknown.", "measured"),
     "joint_noise_rad": ("Noise of the joint positions, one standard deviation in rad.", "1.0e-5"),
     "pose_source": (
-        "What measured the poses: laser_tracker, motion_capture, camera, controller_fk (computed by the controller from "
-        "the joints, as UR's actual_TCP_pose is: nothing was measured then) or unknown.",
+        "What measured the poses: laser_tracker, motion_capture, camera, controller_fk (computed by the controller "
+        "from the joints, as UR's actual_TCP_pose is: nothing was measured then) or unknown.",
         "laser_tracker",
     ),
     "motion": ("static (the arm stood still at each row) or trajectory.", "static"),
@@ -89,7 +89,7 @@ KEYS: Mapping[str, tuple[str, str]] = {
     "payload_com_m": ("Centre of mass of the payload in the flange's frame, in m.", "[0, 0, 0.05]"),
     "payload_uncertainty_kg": ("Standard deviation of the payload's mass in kg.", "0.05"),
     "reference_temperature_degC": ("Temperature at which the geometry holds, in degrees Celsius.", "25.0"),
-    "gravity_m_per_s2": ("Gravity in the arm's base frame; another for an arm on a wall or a ceiling.", "[0, 0, -9.81]"),
+    "gravity_m_per_s2": ("Gravity in the arm's base frame; another on a wall or a ceiling.", "[0, 0, -9.81]"),
     "inertial_uncertainty": (
         "Of poses: relative standard deviation of the links' masses and of the lever arms of their centres.",
         "0.1",
@@ -98,9 +98,9 @@ KEYS: Mapping[str, tuple[str, str]] = {
         "Of torques: measured, current (motor currents), estimated (by the controller's own model) or unknown.",
         "current",
     ),
-    "torque_noise_Nm": ("Of torques: one standard deviation for each joint in N m.", "[0.1, 0.1, 0.1, 0.05, 0.05, 0.05]"),
+    "torque_noise_Nm": ("Of torques: one standard deviation for each joint in N m.", "[0.1, 0.1, 0.1, 0.1, 0.1, 0.1]"),
     "inertial": (
-        "Of torques: declared (the arm's inertial numbers are exact), a relative standard deviation of them, or unknown.",
+        "Of torques: declared (the arm's inertial numbers are exact), their relative standard deviation, or unknown.",
         "unknown",
     ),
     "torque_constant_Nm_per_A": (
@@ -189,7 +189,7 @@ def arm_statement(found: Inspection) -> str:
     if found.arm is None:
         tried = "; ".join(f"{name}: {1e3 * error:.3g} mm" for name, error in found.arms[:4])
         if not tried:
-            return "Arm: unknown. Name it with --arm, or `arm:` in the sidecar (`lite6jax arms` lists the bundled ones)."
+            return "Arm: unknown. Name it with --arm, or `arm:` in the sidecar; `lite6jax arms` lists the bundled ones."
         return f"Arm: none of the bundled ones alone agrees (median errors: {tried}). Name it with --arm."
     if not found.arms:
         return f"Arm: {found.arm.name}, as given; there are no poses to compare it with."

@@ -100,9 +100,7 @@ def arms_report(arms: Sequence[ArmEntry], width: int) -> Iterator[RenderableType
     for index in (1, 4):
         table.columns[index].justify = "left"
     for arm in arms:
-        table.add_row(
-            arm.name, arm.maker, str(arm.joints), f"{1e3 * arm.reach_m:.0f}", "yes" if arm.inertia else "no"
-        )
+        table.add_row(arm.name, arm.maker, str(arm.joints), f"{1e3 * arm.reach_m:.0f}", "yes" if arm.inertia else "no")
     yield table
     yield ""
     yield Text("reach: the sum of the links' lengths, which no flange exceeds.")

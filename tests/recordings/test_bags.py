@@ -72,9 +72,7 @@ def topics_of(store, poses="pose", frames=("marker",)):
     elif poses == "transform":
         found["/vicon"] = [(t, transform(t, p, r)) for t, p, r in measured]
     else:
-        moved = [
-            (t, tf(*(transform(t, p + k, r, child) for k, child in enumerate(frames)))) for t, p, r in measured
-        ]
+        moved = [(t, tf(*(transform(t, p + k, r, child) for k, child in enumerate(frames)))) for t, p, r in measured]
         found["/tf"] = moved
     return found
 

@@ -1,4 +1,4 @@
-"""LeRobot data sets of versions 2 and 3, as their tools lay them out, read through the sidecar that names their columns."""
+"""LeRobot data sets of versions 2 and 3, read through the sidecar that names their columns."""
 
 import json
 

@@ -1,4 +1,4 @@
-"""Tables whose columns have names of their own, the sidecar that says what they are, and all their faults in one line."""
+"""Tables whose columns have names of their own, the sidecar that says what they are, all their faults in one line."""
 
 import numpy as np
 import pyarrow as pa
@@ -98,23 +98,27 @@ def test_one_line_says_all_that_is_wrong_with_the_columns(tmp_path):
         "q1_rad,q2_rad,q2_deg,q3_rad,x,y,z_m,tau1_Nm,time,payload_kg,ambient_degC\n"
         + "0.1,0.2,3,oops,1,2,3,4,0,,a\n0.2,x,3,0.3,1,2,3,4,0,,b\n0.2,0.1,3,0.3,1,2,3,4,0,1,\n"
     )
-    assert refusal(path) == (
-        "9 problems of its columns: (1) columns q2_rad and q2_deg give the same quantity; keep one. (2) column 'x': the "
-        "unit is missing; write x_m or x_mm (and likewise 'y'). (3) column 'time': the unit is missing; write time_s or "
-        "time_ms or time_us or time_ns. (4) tau2_Nm or tau2_mNm is missing beside its like; give it for all joints. (5) "
-        "column q2_rad: row 2 holds 'x', which is no number; give numbers with a decimal point, and leave missing ones "
-        "empty. (6) column q3_rad: row 1 holds 'oops', which is no number; give numbers with a decimal point, and leave "
-        "missing ones empty. (7) column ambient_degC: row 1 holds 'a', which is no number; give numbers with a decimal "
-        "point, and leave missing ones empty. (8) column payload_kg: 2 of 3 rows are NaN, infinite or empty; fill it or "
-        "leave it out; `lite6jax init run7.csv` names columns as they are"
-    ).replace("9 problems", "8 problems")
+    problems = [
+        "columns q2_rad and q2_deg give the same quantity; keep one",
+        "column 'x': the unit is missing; write x_m or x_mm (and likewise 'y')",
+        "column 'time': the unit is missing; write time_s or time_ms or time_us or time_ns",
+        "tau2_Nm or tau2_mNm is missing beside its like; give it for all joints",
+        *(
+            f"column {name}: row {row} holds {value!r}, which is no number; give numbers with a decimal point, and "
+            "leave missing ones empty"
+            for name, row, value in (("q2_rad", 2, "x"), ("q3_rad", 1, "oops"), ("ambient_degC", 1, "a"))
+        ),
+        "column payload_kg: 2 of 3 rows are NaN, infinite or empty; fill it or leave it out",
+    ]
+    said = " ".join(f"({number}) {problem}." for number, problem in enumerate(problems, 1)).removesuffix(".")
+    assert refusal(path) == (f"8 problems of its columns: {said}; `lite6jax init run7.csv` names columns as they are")
     table = {"q1_rad": ["a"], "q2_rad": [True], "run": [None], "q3_grad": [0.0]}
     with pytest.raises(InputError) as caught:
         Recording.from_dataframe(table)
     assert str(caught.value) == (
-        "recording: 4 problems of its columns: (1) column 'q3_grad': the unit 'grad' is unknown; write q3_rad or q3_deg. "
-        "(2) column q1_rad: holds string, not numbers; write it as float64. (3) column q2_rad: holds bool, not numbers; "
-        "write it as float64. (4) column run: 1 of 1 rows are NaN, infinite or empty; fill it or leave it out"
+        "recording: 4 problems of its columns: (1) column 'q3_grad': the unit 'grad' is unknown; write q3_rad or "
+        "q3_deg. (2) column q1_rad: holds string, not numbers; write it as float64. (3) column q2_rad: holds bool, not "
+        "numbers; write it as float64. (4) column run: 1 of 1 rows are NaN, infinite or empty; fill it or leave it out"
     )
 
 
@@ -123,7 +127,7 @@ def test_a_table_cut_short_is_told_with_the_names(tmp_path):
     path.write_text("q1_rad,y_m\n0.1,0.2\n0.1\n")
     assert refusal(path) == (
         "2 problems of its columns: (1) x_m or x_mm is missing; give all of x_m y_m z_m, or none. (2) row 2 has 1 of 2 "
-        "columns, y_m is the first without a value: the row is cut short; complete the row or remove it"
+        "columns, y_m is the first without a value: the file is truncated; complete the row or remove it"
     )
 
 
@@ -147,7 +151,7 @@ def test_a_sidecar_that_names_columns_wrongly(tmp_path, sidecar, message):
 def test_two_forms_of_an_orientation_are_one_too_many():
     names = ("q1_rad", "x_m", "y_m", "z_m", "qw", "qx", "qy", "qz", "rx_rad", "ry_rad", "rz_rad")
     with pytest.raises(InputError, match="orientation twice, qw qx qy qz and rx_rad ry_rad rz_rad; keep one"):
-        Recording.from_dataframe(dict.fromkeys(names, [0.5]))
+        Recording.from_dataframe({name: [0.5] for name in names})
 
 
 # ------------------------------------------------------------------ frames that are not pandas'
@@ -189,8 +193,15 @@ def joints(pattern, count=6, first=0):
 
 NAMINGS = {
     "ros": (
-        [*joints("joint_{}.position", first=1), *joints("joint_{}.velocity", first=1), "pose.position.x"]
-        + ["pose.position.y", "pose.position.z", *(f"pose.orientation.{c}" for c in "xyzw"), "header.stamp.sec"],
+        [
+            *joints("joint_{}.position", first=1),
+            *joints("joint_{}.velocity", first=1),
+            "pose.position.x",
+            "pose.position.y",
+            "pose.position.z",
+            *(f"pose.orientation.{c}" for c in "xyzw"),
+            "header.stamp.sec",
+        ],
         {
             "q": joints("joint_{}.position", first=1),
             "dq": joints("joint_{}.velocity", first=1),
@@ -199,11 +210,25 @@ NAMINGS = {
         },
     ),
     "rtde": (
-        ["timestamp", *joints("target_q_{}"), *joints("target_qd_{}"), *joints("target_moment_{}")]
-        + [*joints("actual_q_{}"), *joints("actual_qd_{}"), *joints("actual_current_{}")]
-        + [*joints("actual_TCP_pose_{}"), *joints("actual_TCP_speed_{}"), *joints("actual_TCP_force_{}")]
-        + [*joints("joint_temperatures_{}"), *joints("joint_mode_{}"), "robot_mode", "payload"]
-        + [*joints("actual_tool_accelerometer_{}", 3), *joints("elbow_position_{}", 3), *joints("tcp_offset_{}")],
+        [
+            "timestamp",
+            *joints("target_q_{}"),
+            *joints("target_qd_{}"),
+            *joints("target_moment_{}"),
+            *joints("actual_q_{}"),
+            *joints("actual_qd_{}"),
+            *joints("actual_current_{}"),
+            *joints("actual_TCP_pose_{}"),
+            *joints("actual_TCP_speed_{}"),
+            *joints("actual_TCP_force_{}"),
+            *joints("joint_temperatures_{}"),
+            *joints("joint_mode_{}"),
+            "robot_mode",
+            "payload",
+            *joints("actual_tool_accelerometer_{}", 3),
+            *joints("elbow_position_{}", 3),
+            *joints("tcp_offset_{}"),
+        ],
         {
             "time": ["timestamp"],
             "q": joints("actual_q_{}"),
@@ -221,7 +246,7 @@ NAMINGS = {
         {"q": joints("A{}", first=1), "position": [*"XYZ"], "rotation": [*"CBA"]},
     ),
     "plain": (
-        [*joints("q{}"), *joints("dq{}"), *joints("ddq{}"), *joints("tau{}"), "x", "y", "z", "qx", "qy", "qz", "qw", "t"],
+        [*joints("q{}"), *joints("dq{}"), *joints("ddq{}"), *joints("tau{}"), *"xyz", "qx", "qy", "qz", "qw", "t"],
         {
             "q": joints("q{}"),
             "dq": joints("dq{}"),
@@ -233,8 +258,19 @@ NAMINGS = {
         },
     ),
     "arrays": (
-        [*joints("position_{}"), *joints("velocity_{}"), *joints("effort_{}"), "tcp_x", "tcp_y", "tcp_z"]
-        + ["tcp_rx", "tcp_ry", "tcp_rz", "gripper_position", "position_error_0"],
+        [
+            *joints("position_{}"),
+            *joints("velocity_{}"),
+            *joints("effort_{}"),
+            "tcp_x",
+            "tcp_y",
+            "tcp_z",
+            "tcp_rx",
+            "tcp_ry",
+            "tcp_rz",
+            "gripper_position",
+            "position_error_0",
+        ],
         {
             "q": joints("position_{}"),
             "dq": joints("velocity_{}"),
@@ -244,8 +280,13 @@ NAMINGS = {
         },
     ),
     "plotjuggler": (
-        ["__time", *joints("/joint_states/position[{}]"), "/tracker/pose/position/x", "/tracker/pose/position/y"]
-        + ["/tracker/pose/position/z"],
+        [
+            "__time",
+            *joints("/joint_states/position[{}]"),
+            "/tracker/pose/position/x",
+            "/tracker/pose/position/y",
+            "/tracker/pose/position/z",
+        ],
         {
             "time": ["__time"],
             "q": joints("/joint_states/position[{}]"),
@@ -269,8 +310,18 @@ NAMINGS = {
         },
     ),
     "lerobot": (
-        ["action.waist", "action.elbow", "observation.state.waist", "observation.state.elbow"]
-        + ["observation.state.gripper", "timestamp", "frame_index", "episode_index", "index", "task_index"],
+        [
+            "action.waist",
+            "action.elbow",
+            "observation.state.waist",
+            "observation.state.elbow",
+            "observation.state.gripper",
+            "timestamp",
+            "frame_index",
+            "episode_index",
+            "index",
+            "task_index",
+        ],
         {
             "q": ["observation.state.waist", "observation.state.elbow"],
             "time": ["timestamp"],
@@ -298,8 +349,18 @@ def test_the_names_of_a_recording_mean_what_they_say():
     names += ["payload_kg", "run", "x_mm", "y_mm", "z_mm", "roll_deg", "pitch_deg", "yaw_deg"]
     found = {block.kind: block for block in naming.blocks(names)}
     assert {kind: block.unit for kind, block in found.items()} == {
-        **{"q": "rad", "dq": "rad_per_s", "ddq": "deg_per_s2", "tau": "mNm", "current": "A", "temp": "degC"},
-        **{"position": "mm", "rotation": "deg", "time": "ms", "payload": "kg", "ambient": "degC", "run": None},
+        "q": "rad",
+        "dq": "rad_per_s",
+        "ddq": "deg_per_s2",
+        "tau": "mNm",
+        "current": "A",
+        "temp": "degC",
+        "position": "mm",
+        "rotation": "deg",
+        "time": "ms",
+        "payload": "kg",
+        "ambient": "degC",
+        "run": None,
     }
     assert found["rotation"].form == ("roll", "pitch", "yaw")
     assert sorted(sum((block.columns for block in found.values()), ())) == sorted(names)

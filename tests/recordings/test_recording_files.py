@@ -242,8 +242,8 @@ def test_a_missing_last_line_break_is_said(tmp_path):
         ("run7.txt", "is no recording; write it as run7.csv or .parquet with a name for each column"),
         (
             "run7.doc",
-            "a recording ends in .csv, .parquet or .mcap, or is the folder of a rosbag2 or of a LeRobot data set; convert "
-            "it or correct the name",
+            "a recording ends in .csv, .parquet or .mcap, or is the folder of a rosbag2 or of a LeRobot data set; "
+            "convert it or correct the name",
         ),
         ("run7", "no such file or folder; check the name"),
         ("absent.csv", "no such file; check the name"),

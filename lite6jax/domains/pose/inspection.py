@@ -1,4 +1,4 @@
-"""What a table with column names of its own holds: by the names, by the sizes of the numbers, and by an arm's kinematics.
+"""What a table with column names of its own holds: by names, by the sizes of the numbers, and by an arm's kinematics.
 
 Names come first; what they leave open, such as units and the form of a rotation, the arm decides where one is known or
 recognised, and sizes decide elsewhere. Codes and numbers only: the words are those of `report.inspection`.
@@ -17,7 +17,16 @@ from lite6jax.arms.factory import RECOGNISED_WITHIN
 from lite6jax.domains.pose.readings import NO_AGREEMENT, Agreement, Pose, agreement
 from lite6jax.errors import InputError
 from lite6jax.recordings import naming, sizes
-from lite6jax.recordings.columns import ANGLES, IGNORED, QUATERNION, is_per_joint, is_standard, nearest_known, spelled, units_of
+from lite6jax.recordings.columns import (
+    ANGLES,
+    IGNORED,
+    QUATERNION,
+    is_per_joint,
+    is_standard,
+    nearest_known,
+    spelled,
+    units_of,
+)
 from lite6jax.recordings.naming import Block
 from lite6jax.recordings.sequence import inferred_motion
 from lite6jax.recordings.sizes import Decision
@@ -97,15 +106,17 @@ class Inspection:
 
     def to_dict(self) -> dict[str, Any]:
         """As plain JSON values; the reasons are codes."""
-        return _finite({
-            "columns": self.columns,
-            "blocks": [meaning.to_dict() for meaning in self.meanings],
-            "unused": [*self.unused, *self.texts],
-            "samples": self.samples,
-            "arm": None if self.arm is None else self.arm.name,
-            "arms_m": dict(self.arms),
-            "motion": self.motion[0],
-        })
+        return _finite(
+            {
+                "columns": self.columns,
+                "blocks": [meaning.to_dict() for meaning in self.meanings],
+                "unused": [*self.unused, *self.texts],
+                "samples": self.samples,
+                "arm": None if self.arm is None else self.arm.name,
+                "arms_m": dict(self.arms),
+                "motion": self.motion[0],
+            }
+        )
 
 
 def inspect(
@@ -230,9 +241,7 @@ def _chosen(arm: Arm | None, tried: Sequence[tuple[Arm, Agreement]]) -> tuple[Ar
     return (first if alone else None), found  # arms that are alike agree on the units
 
 
-def _meanings(
-    blocks: Mapping[str, Block], values: Mapping[str, Array], agreed: Agreement
-) -> tuple[Meaning, ...]:
+def _meanings(blocks: Mapping[str, Block], values: Mapping[str, Array], agreed: Agreement) -> tuple[Meaning, ...]:
     found: dict[str, Meaning] = {}
     joint: Array | None = None
     angle = "rad"

@@ -1,6 +1,6 @@
 """How the numbers of a table are to be read: the units and the form of rotations that agree best with an arm.
 
-Every reading is compared with the nominal forward kinematics, with the sensor's frame and the tool fitted in closed form.
+Each is compared with the nominal forward kinematics, with the sensor's frame and the tool fitted in closed form.
 """
 
 from itertools import product
