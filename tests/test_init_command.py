@@ -102,7 +102,7 @@ def test_what_is_given_and_what_is_refused(recorded, capsys, tmp_path):
         (["--column", "Joint 9=q1_deg"], f"{recorded}: has no column 'Joint 9'; it has 'Joint 1', 'Joint 2'"),
         (["--column", "Joint 1=theta"], "column 'Joint 1': the sidecar names it 'theta', which means nothing here"),
         (["--column", "Joint 6=ignore"], "has 5 joints (q1 ... q5), the arm has 6; choose the arm it is of"),
-        (["--arm", "lite7"], "neither a bundled arm nor a file; did you mean lite6?"),
+        (["--arm", "lite7"], "neither a bundled arm nor a file; did you mean 'lite6'?"),
     ):
         assert message in refused(capsys, "init", recorded, "--arm", "lite6", *arguments)
     assert not sidecar.exists()

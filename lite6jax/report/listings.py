@@ -1,7 +1,7 @@
 """Lists of what there is: the effects of both catalogues, and the bundled arms."""
 
 from collections.abc import Iterator, Sequence
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from rich.console import RenderableType
 from rich.padding import Padding
@@ -9,18 +9,20 @@ from rich.text import Text
 
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.bundled import VARIANTS, maker_of
-from lite6jax.effects.listing import Listed
 from lite6jax.report.cells import listing
+
+if TYPE_CHECKING:
+    from lite6jax.effects.listing import Listed  # which takes a second, and which arms do not need
 
 _DOMAINS = {
     "kinematic": "Effects on poses: what moves the tool (diagnose, simulate, identify)",
     "dynamic": "Effects on torques: what motors exert besides (diagnose, identify --torque)",
 }
-_WIDE = 100
+_WIDE = 140
 """Columns from which effects are a table; below, each is a paragraph."""
 
 
-def effects_report(effects: Sequence[Listed], width: int) -> Iterator[RenderableType]:
+def effects_report(effects: "Sequence[Listed]", width: int) -> Iterator[RenderableType]:
     """The effects by domain, as tables or, on a narrow screen, as paragraphs."""
     for domain, title in _DOMAINS.items():
         chosen = [effect for effect in effects if effect.domain == domain]
@@ -36,7 +38,7 @@ def effects_report(effects: Sequence[Listed], width: int) -> Iterator[Renderable
     yield Text("jointN and linkN stand for every joint and link of an arm; a unit of 1 is a ratio.")
 
 
-def _paragraphs(effects: Sequence[Listed]) -> Iterator[RenderableType]:
+def _paragraphs(effects: "Sequence[Listed]") -> Iterator[RenderableType]:
     for effect in effects:
         yield Text(effect.name)
         yield Padding(Text(effect.description), (0, 0, 0, 2))
@@ -45,7 +47,7 @@ def _paragraphs(effects: Sequence[Listed]) -> Iterator[RenderableType]:
             yield Padding(Text(f"Numbers: {', '.join(effect.parameters)} ({_units(effect)})."), (0, 0, 0, 2))
 
 
-def _table(effects: Sequence[Listed]) -> RenderableType:
+def _table(effects: "Sequence[Listed]") -> RenderableType:
     table = listing("effect", "site", "driver", "unit", "what it is")
     for column in table.columns[1:]:
         column.justify, column.no_wrap, column.overflow = "left", False, "fold"
@@ -58,11 +60,11 @@ def _table(effects: Sequence[Listed]) -> RenderableType:
     return table
 
 
-def _drivers(effect: Listed) -> str:
+def _drivers(effect: "Listed") -> str:
     return ", ".join(effect.drivers) or "none"
 
 
-def _units(effect: Listed) -> str:
+def _units(effect: "Listed") -> str:
     return ", ".join(effect.units) or "as fitted"
 
 

@@ -38,7 +38,7 @@ def messages(store):
     def joints(t, q):
         empty = np.array([])
         return types["sensor_msgs/msg/JointState"](
-            header=headed(t), name=["joint2", "joint1"], position=np.array(q)[::-1], velocity=empty, effort=empty
+            header=headed(t), name=["joint2", "joint1"], position=np.array(q[::-1]), velocity=empty, effort=empty
         )
 
     def vector(kind, p):

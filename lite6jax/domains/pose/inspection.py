@@ -134,9 +134,12 @@ def inspect(
         source: what messages begin with.
 
     Raises:
-        InputError: a column that is given is not there.
+        InputError: a column that is given is not there, or there are no rows.
     """
     given = dict(given or {})
+    samples = max((len(values) for _, values in columns if values is not None), default=1)
+    if not samples:
+        raise InputError(f"{source}: has column names but no rows; record again")
     numbers = {name: values for name, values in columns if values is not None and np.isfinite(values).any()}
     texts = tuple(name for name, values in columns if name not in numbers)
     for name in given:
@@ -155,7 +158,7 @@ def inspect(
         given=given,
         unused=tuple(name for name in numbers if name not in used),
         texts=tuple(name for name in texts if name not in given),
-        samples=len(next(iter(numbers.values()))) if numbers else 0,
+        samples=samples,
         arm=arm,
         arms=tuple((one.name, found.error) for one, found in tried),
         error=agreed.error,
