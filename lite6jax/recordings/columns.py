@@ -282,6 +282,12 @@ def is_standard(name: str) -> bool:
     return name in _TEXTS or _column(name, name, 0, _Problems()) is not None
 
 
+def is_refused(name: str) -> bool:
+    """Whether a table's column of this name has to be named or ignored by a sidecar."""
+    _column(name, name, 0, problems := _Problems())
+    return bool(problems.listed())
+
+
 def nearest_known(name: str) -> str | None:
     """The column that an ignored one may have meant."""
     if name in _OF_ANGLES:

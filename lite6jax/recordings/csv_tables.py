@@ -52,7 +52,7 @@ def of_csv(path: Path, notes: list[str]) -> RawTable:
         wanted, wrong = [column.index for column in columns.values()], {}
         while True:
             try:
-                table = _read(path, layout, wanted, tail) if wanted else None
+                table = _read(path, layout, wanted, tail) if wanted else pa.table({})
                 break
             except _NoNumberError as error:  # the others may hold numbers
                 wrong[error.index] = str(error)

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import pyarrow as pa
-import pyarrow.compute
+import pyarrow.compute as pa_compute
 
 from lite6jax.errors import InputError
 from lite6jax.recordings.columns import Column
@@ -61,7 +61,7 @@ def _part(column: pa.ChunkedArray, index: int | None) -> pa.ChunkedArray | str:
     if index is None:
         return no_numbers(column.type) or column
     try:
-        parts = [pa.compute.list_element(chunk, index).cast(pa.float64()) for chunk in column.chunks]
+        parts = [pa_compute.list_element(chunk, index).cast(pa.float64()) for chunk in column.chunks]
     except pa.ArrowException as error:
         return f"its lists differ in length ({error})"[:100]
     return pa.chunked_array(parts, pa.float64())

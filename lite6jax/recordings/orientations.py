@@ -19,7 +19,7 @@ from lite6jax.recordings.columns import ANGLES, QUATERNION, spelled
 Array = NDArray[np.floating]
 
 VECTOR, RPY, XYZ, ZYZ = ANGLES
-_EULER = {RPY: "ZYX", XYZ: "XYZ", ZYZ: "ZYZ"}
+_EULER: dict[tuple[str, ...], str] = {RPY: "ZYX", XYZ: "XYZ", ZYZ: "ZYZ"}
 """Intrinsic sequences in SciPy's spelling, in the order of the columns; of `RPY` in the reverse order."""
 
 

@@ -22,6 +22,7 @@ from lite6jax.recordings.columns import (
     IGNORED,
     QUATERNION,
     is_per_joint,
+    is_refused,
     is_standard,
     nearest_known,
     spelled,
@@ -96,9 +97,10 @@ class Inspection:
             for own, name in zip(meaning.block.columns, meaning.names, strict=True)
         }
         taken = {_without_unit(name) for name in self.given.values()}
-        told = {own: IGNORED if _without_unit(name) in taken else name for own, name in told.items()} | self.given
-        told |= {name: IGNORED for name in (*self.unused, *self.texts) if not is_standard(name)}
-        return told if any(own != name and name != IGNORED for own, name in told.items()) or self.given else {}
+        told = {own: IGNORED if _without_unit(name) in taken else name for own, name in told.items()} | dict(self.given)
+        unused = {name: IGNORED for name in (*self.unused, *self.texts) if not is_standard(name)}
+        needed = any(own != name for own, name in told.items()) or any(map(is_refused, unused))
+        return told | unused if needed else {}
 
     def of(self, kind: str) -> Meaning | None:
         """The meaning of a kind of block."""

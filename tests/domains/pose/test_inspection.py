@@ -162,3 +162,5 @@ def test_a_gripper_behind_the_arm_is_left_out():
 def test_a_table_with_the_names_of_a_recording_needs_no_columns():
     frame = {"q1_rad": Q[:, 0], "q2_rad": Q[:, 1], "gap": None, "missing": np.zeros(ROWS), "note": None}
     assert inspect(list(frame.items())).columns == {}
+    refused = inspect([*frame.items(), ("x", None)]).columns  # it would have to have a unit
+    assert refused == {"q1_rad": "q1_rad", "q2_rad": "q2_rad", "note": "ignore", "x": "ignore"}
