@@ -2,7 +2,7 @@
 
 import json
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any, final
 
@@ -63,6 +63,8 @@ class Init:
 
     def run(self) -> int:
         """Looks, asks, writes, prints."""
+        from lite6jax.domains.pose.inspection import inspect
+        from lite6jax.fitting.source import load_nominal
         from lite6jax.recordings.settings import sidecar_path
         from lite6jax.recordings.sources import open_table, split_topics
 
@@ -73,12 +75,14 @@ class Init:
         notes: list[str] = []
         path, table = open_table(path, topics, None, notes)
         check_writable(sidecar, self.force)
-        arm = self.arm
-        found = self._inspected(table, arm, given, path)
+        columns, arm = list(table.numbers()), self.arm
+        found = inspect(columns, load_nominal(arm), given, str(path))
         if not (self.yes or self.json) and _on_a_terminal():
             arm = arm or _asked_arm(found)
+            found = inspect(columns, load_nominal(arm), given, str(path))
+            given |= _asked_columns(found)
             settings |= _asked(found, settings)
-            found = self._inspected(table, arm, given, path)
+            found = inspect(columns, load_nominal(arm), given, str(path))
         named = arm_reference(arm, sidecar) if arm else None if found.arm is None else found.arm.name
         settings = ({"arm": named} if named else {}) | settings
         settings.setdefault("motion", found.motion[0])
@@ -96,12 +100,6 @@ class Init:
         screen.written([sidecar])
         screen.show(inspection.next_steps(found, settings, self.source))
         return DONE
-
-    def _inspected(self, table: "RawTable", arm: str | None, given: Mapping[str, str], path: "Path") -> "Inspection":
-        from lite6jax.domains.pose.inspection import inspect
-        from lite6jax.fitting.source import load_nominal
-
-        return inspect(list(table.numbers()), load_nominal(arm), given, str(path))
 
     def _check(self, found: "Inspection", table: "RawTable", settings: Mapping[str, Any], path: "Path") -> None:
         """Refuses what the other commands would refuse, before anything is written."""
@@ -162,11 +160,31 @@ def _asked(found: "Inspection", settings: Mapping[str, Any]) -> dict[str, Any]:
     for key in (*wanted, *(("torque_source",) if torques else ())):
         if key in settings:
             continue
-        question, choices = _QUESTIONS[key]
-        while True:
-            answer = input(f"{question} [{' | '.join(choices)}; nothing for unknown]: ").strip() or "unknown"
-            if answer in choices:
-                answers[key] = answer
-                break
-            print(f"write one of {', '.join(choices)}")
+        answers[key] = _answer(*_QUESTIONS[key], "unknown")
     return answers
+
+
+def _asked_columns(found: "Inspection") -> dict[str, str]:
+    """The names of columns whose unit or form is only assumed."""
+    from lite6jax.report.inspection import statement
+
+    given: dict[str, str] = {}
+    for meaning in found.meanings:
+        form, unit = meaning.form, meaning.unit
+        doubtful = form is not None and form.sure == "assumed"
+        if not doubtful and (unit.sure != "assumed" or len(meaning.units) < 2):
+            continue
+        print(statement(meaning))
+        if form is not None and doubtful:
+            given |= meaning.renamed(form=_answer("Which form is it?", meaning.forms, form.choice))
+        if unit.choice and unit.sure == "assumed":
+            given |= meaning.renamed(unit=_answer("In which unit?", meaning.units, unit.choice))
+    return given
+
+
+def _answer(question: str, choices: Sequence[str], usual: str) -> str:
+    while True:
+        answer = input(f"{question} [{' | '.join(choices)}; nothing for {usual}]: ").strip() or usual
+        if answer in choices:
+            return answer
+        print(f"write one of {', '.join(choices)}")

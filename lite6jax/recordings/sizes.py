@@ -8,6 +8,8 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from lite6jax.recordings.columns import QUATERNION
+
 Array = NDArray[np.floating]
 Sureness = Literal["certain", "likely", "assumed"]
 """By name or by kinematics; by size; or the usual one, where neither tells."""
@@ -156,7 +158,7 @@ def rotation_form(rotation: Array, unit: str | None, form: tuple[str, ...] | Non
     there = rotation[np.isfinite(rotation).all(1)]
     if rotation.shape[1] == 4:
         usual = Decision("scalar_last", "assumed", "usual_quaternion", {})
-        return (by_name("scalar_first") if form else usual), by_name("")
+        return (by_name("scalar_first" if form == QUATERNION else "scalar_last") if form else usual), by_name("")
     largest = _largest(there)
     degrees = largest > 2.1 * np.pi
     angle = Decision("deg" if degrees else "rad", "likely", "largest_angle", {"largest": largest})

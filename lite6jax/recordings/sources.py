@@ -94,7 +94,8 @@ def stranger(path: str | Path) -> str:
     if suffix in _ARMS:
         return f"describes an arm and holds no measurements; name a recording, and the arm with --arm {name}"
     if suffix in _EXCEL:
-        return f"is a workbook; save its sheet as CSV (UTF-8), and name its columns by `lite6jax init {path.stem}.csv`"
+        table = path.with_suffix(".csv")
+        return f"is a workbook; save its sheet as CSV (UTF-8), and name its columns by `lite6jax init {table}`"
     if suffix in _ARRAYS:
         return f"is no recording; write it as {path.stem}.csv or .parquet with a name for each column"
     return ""
@@ -120,7 +121,7 @@ def _of_no_recording(path: Path) -> str:
             "is a folder without a recording: no rosbag2 (metadata.yaml and .db3 or .mcap), no LeRobot data set "
             "(meta/info.json), no table; name the file of a recording"
         )
-    return f"is a folder; name a file in it, such as {tables[0]}, or fit all of them with `lite6jax fleet {path.name}`"
+    return f"is a folder; name a file in it, such as {tables[0]}, or fit all of them with `lite6jax fleet {path}`"
 
 
 def _is_lerobot(path: Path) -> bool:

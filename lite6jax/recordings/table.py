@@ -1,7 +1,6 @@
 """From the columns of a table to the arrays of a recording: the same for files and for data frames in memory."""
 
 from collections.abc import Callable, Mapping, Sequence
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -100,7 +99,7 @@ def tabulated(
 def _remedy(source: str, found: Recognised) -> str:
     """What names the columns of a file, where their names are the problem."""
     named = any("write " in problem or "name their columns" in problem for problem in found.problems)
-    return f"; `lite6jax init {Path(source).name}` names columns as they are" if named and exists(source) else ""
+    return f"; `lite6jax init {source}` names columns as they are" if named and exists(source) else ""
 
 
 def _empty(name: str, column: np.ndarray) -> str:

@@ -123,7 +123,12 @@ def inspection_report(found: Inspection, path: str) -> Iterator[RenderableType]:
     yield ""
     for meaning in found.meanings:
         yield Padding(Text(statement(meaning)), (0, 0, 0, 2))
+    recognised = {
+        own: name for meaning in found.meanings for own, name in zip(meaning.block.columns, meaning.names, strict=True)
+    }
     for own, name in found.given.items():
+        if recognised.get(own) == name:
+            continue
         yield Padding(Text(f"{own}: {name}, as given."), (0, 0, 0, 2))
     if found.unused or found.texts:
         yield Padding(Text(f"Not used: {_listed((*found.unused, *found.texts))}."), (0, 0, 0, 2))

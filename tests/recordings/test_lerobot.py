@@ -88,7 +88,7 @@ def test_without_a_sidecar_its_columns_are_named_and_init_with_them(tmp_path):
     with pytest.raises(InputError) as caught:
         read_recording(folder)
     assert str(caught.value).startswith(f"{folder}: has no joint positions; name their columns q1_rad")
-    assert str(caught.value).endswith("; `lite6jax init picks` names columns as they are")
+    assert str(caught.value).endswith(f"; `lite6jax init {folder}` names columns as they are")
 
 
 def test_data_sets_that_are_none(tmp_path):

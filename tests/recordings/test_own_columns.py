@@ -111,7 +111,7 @@ def test_one_line_says_all_that_is_wrong_with_the_columns(tmp_path):
         "column payload_kg: 2 of 3 rows are NaN, infinite or empty; fill it or leave it out",
     ]
     said = " ".join(f"({number}) {problem}." for number, problem in enumerate(problems, 1)).removesuffix(".")
-    assert refusal(path) == (f"8 problems of its columns: {said}; `lite6jax init run7.csv` names columns as they are")
+    assert refusal(path) == (f"8 problems of its columns: {said}; `lite6jax init {path}` names columns as they are")
     table = {"q1_rad": ["a"], "q2_rad": [True], "run": [None], "q3_grad": [0.0]}
     with pytest.raises(InputError) as caught:
         Recording.from_dataframe(table)

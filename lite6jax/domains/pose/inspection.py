@@ -35,6 +35,7 @@ from lite6jax.recordings.sizes import Decision
 Array = NDArray[np.floating]
 
 _XYZ = ("x", "y", "z")
+_SCALAR_FIRST, _SCALAR_LAST = "scalar_first", "scalar_last"
 
 ALIKE = 2.0
 """Times the error of the best arm, within which another one is as likely, as in `fitting.recognition`."""
@@ -54,6 +55,27 @@ class Meaning(NamedTuple):
     names: tuple[str, ...]
     unit: Decision
     form: Decision | None = None
+
+    def renamed(self, *, unit: str | None = None, form: str | None = None) -> dict[str, str]:
+        """The columns with the names that they have in another unit, or as another of `forms`; for `given`."""
+        if form in (_SCALAR_FIRST, _SCALAR_LAST):
+            return dict(zip(self.block.columns, _of_quaternion(form), strict=True))
+        parts = next((parts for parts in ANGLES if parts[0] == form), None)
+        quantities = parts or tuple(_without_unit(name) for name in self.names)
+        unit = unit or self.unit.choice
+        return {own: f"{part}_{unit}" for own, part in zip(self.block.columns, quantities, strict=True)}
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """The units in which the columns may be."""
+        return tuple(unit for unit in units_of(_letters(self.names[0])) if unit)
+
+    @property
+    def forms(self) -> tuple[str, ...]:
+        """The forms of which a rotation may be; none of anything else."""
+        if self.form is None:
+            return ()
+        return (_SCALAR_FIRST, _SCALAR_LAST) if len(self.names) == 4 else tuple(parts[0] for parts in ANGLES)
 
     def to_dict(self) -> dict[str, Any]:
         """As plain JSON values."""
@@ -153,6 +175,8 @@ def inspect(
     pose = _pose(blocks, values)
     tried = _tried(arm, pose, blocks)
     arm, agreed = _chosen(arm, tried)
+    if "rotation" in blocks and all(name in given for name in blocks["rotation"].columns):
+        agreed = agreed._replace(form=None, turn=None)
     meanings = _meanings(blocks, values, agreed)
     used = {name for block in named for name in block.columns} | set(given)
     return Inspection(
@@ -194,7 +218,10 @@ def _fitting(blocks: Sequence[Block], given: Mapping[str, str], arm: Arm | None)
             if len(block.columns) < dof and block.kind != "q":
                 continue
         units = {_unit_of(block, given.get(name, "")) for name in block.columns}
-        found.append(replace(block, unit=units.pop()) if len(units) == 1 and None not in units else block)
+        block = replace(block, unit=units.pop()) if len(units) == 1 and None not in units else block
+        form = tuple(_without_unit(given.get(name, "")) for name in block.columns)
+        turned = block.kind == "rotation" and (form in ANGLES or {*form} == {*QUATERNION})
+        found.append(replace(block, form=form) if turned else block)
     placed = any(block.kind == "position" for block in found)
     return [block for block in found if placed or block.kind != "rotation"]
 
@@ -207,6 +234,15 @@ def _unit_of(block: Block, name: str) -> str | None:
 
 def _without_unit(name: str) -> str:
     return name.partition("_")[0]
+
+
+def _letters(name: str) -> str:
+    """The quantity in the name of a recording's column."""
+    return _without_unit(name).rstrip("0123456789")
+
+
+def _of_quaternion(form: str) -> tuple[str, ...]:
+    return QUATERNION if form == _SCALAR_FIRST else (*QUATERNION[1:], QUATERNION[0])
 
 
 def _pose(blocks: Mapping[str, Block], values: Mapping[str, Array]) -> Pose | None:
@@ -302,8 +338,7 @@ def _rotation(block: Block, values: Array, agreed: Agreement) -> Meaning:
     if agreed.turn is not None and block.unit is None:
         unit = agreed.turn
     if values.shape[1] == 4:
-        names = QUATERNION if form.choice == "scalar_first" else (*QUATERNION[1:], QUATERNION[0])
-        return Meaning(block, names, sizes.by_name(""), form)
+        return Meaning(block, _of_quaternion(form.choice), sizes.by_name(""), form)
     parts = next(parts for parts in ANGLES if parts[0] == form.choice)
     return Meaning(block, tuple(_with_unit(part, 0, unit.choice) for part in parts), unit, form)
 

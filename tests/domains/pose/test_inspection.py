@@ -152,6 +152,24 @@ def test_what_is_given_comes_before_what_is_recognised():
         inspect(list(frame.items()), None, {"J9": "q1_rad"})
 
 
+def test_what_is_assumed_can_be_renamed():
+    frame = table(rotation=ROTATIONS["quaternion w x y z"][0])
+    found = inspect(list(frame.items()), load_bundled("ur10"))
+    rotation = found.of("rotation")
+    assert rotation.form[:2] == ("scalar_last", "assumed")
+    assert rotation.forms == ("scalar_first", "scalar_last")
+    given = rotation.renamed(form="scalar_first") | found.of("q").renamed(unit="deg")
+    assert [*given.values()] == ["qw", "qx", "qy", "qz"] + [f"q{k}_deg" for k in range(1, 7)]
+    again = inspect(list(frame.items()), LITE6, given)
+    assert {own: again.columns[own] for own in given} == given
+    assert again.of("rotation").form == ("scalar_first", "certain", "name", {})
+    angles = table(rotation=ROTATIONS["rotation vector"][0])
+    vector = inspect(list(angles.items()), load_bundled("ur10")).of("rotation")
+    given = vector.renamed(form="alpha")
+    assert [*given.values()] == ["alpha_rad", "beta_rad", "gamma_rad"]
+    assert inspect(list(angles.items()), LITE6, given).of("rotation").names == ("alpha_rad", "beta_rad", "gamma_rad")
+
+
 def test_a_gripper_behind_the_arm_is_left_out():
     frame = {f"joint_{k}": np.linspace(0, k, 30) for k in range(1, 8)}
     found = inspect(list(frame.items()), LITE6)
