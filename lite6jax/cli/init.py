@@ -67,6 +67,7 @@ class Init:
         from lite6jax.fitting.source import load_nominal
         from lite6jax.recordings.settings import sidecar_path
         from lite6jax.recordings.sources import open_table, split_topics
+        from lite6jax.report import inspection, screen
 
         path, topics = split_topics(self.source)
         sidecar = sidecar_path(path)
@@ -75,27 +76,30 @@ class Init:
         notes: list[str] = []
         path, table = open_table(path, topics, None, notes)
         check_writable(sidecar, self.force)
-        columns, arm = list(table.numbers()), self.arm
-        found = inspect(columns, load_nominal(arm), given, str(path))
+        columns, arm, shown = list(table.numbers()), self.arm, False
+
+        def look() -> "Inspection":
+            return inspect(columns, load_nominal(arm), given, str(path))
+
+        found = look()
         if not (self.yes or self.json) and _on_a_terminal():
+            screen.show(inspection.inspection_report(found, str(path)))
             arm = arm or _asked_arm(found)
-            found = inspect(columns, load_nominal(arm), given, str(path))
-            given |= _asked_columns(found)
+            answered = _asked_columns(look())
+            given |= answered
             settings |= _asked(found, settings)
-            found = inspect(columns, load_nominal(arm), given, str(path))
+            found, shown = look(), arm == self.arm and not answered
         named = arm_reference(arm, sidecar) if arm else None if found.arm is None else found.arm.name
         settings = ({"arm": named} if named else {}) | settings
         settings.setdefault("motion", found.motion[0])
         self._check(found, table, settings, path)
-
-        from lite6jax.report import inspection, screen
-
         text = inspection.sidecar_text(found, _declared(settings), path.name)
         write_atomically(sidecar, text, self.force)
         if self.json:
             print(json.dumps({**found.to_dict(), "sidecar": str(sidecar)}, indent=1, allow_nan=False))
             return DONE
-        screen.show(inspection.inspection_report(found, str(path)))
+        if not shown:
+            screen.show(inspection.inspection_report(found, str(path)))
         screen.show(screen.notes(notes))
         screen.written([sidecar])
         screen.show(inspection.next_steps(found, settings, self.source))
@@ -143,11 +147,8 @@ def _declared(settings: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _asked_arm(found: "Inspection") -> str | None:
-    from lite6jax.report.inspection import arm_statement
-
     if found.arm is not None:
         return None
-    print(arm_statement(found))
     return input("Arm (a bundled name or a file; nothing for later): ").strip() or None
 
 
