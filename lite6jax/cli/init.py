@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from lite6jax.domains.pose.inspection import Inspection
     from lite6jax.recordings.raw import RawTable
 
-_QUESTIONS = {
+_QUESTIONS: dict[str, tuple[str, tuple[str, ...]]] = {
     "joint_source": ("Where are the joint positions from?", ("measured", "commanded", "unknown")),
     "pose_source": (
         "What measured the poses?",
@@ -161,7 +161,8 @@ def _asked(found: "Inspection", settings: Mapping[str, Any]) -> dict[str, Any]:
     for key in (*wanted, *(("torque_source",) if torques else ())):
         if key in settings:
             continue
-        answers[key] = _answer(*_QUESTIONS[key], "unknown")
+        question, choices = _QUESTIONS[key]
+        answers[key] = _answer(question, choices, "unknown")
     return answers
 
 

@@ -61,7 +61,7 @@ def _part(column: pa.ChunkedArray, index: int | None) -> pa.ChunkedArray | str:
     if index is None:
         return no_numbers(column.type) or column
     try:
-        parts = [pa_compute.list_element(chunk, index).cast(pa.float64()) for chunk in column.chunks]
+        parts = [pa_compute.call_function("list_element", [chunk, index]).cast(pa.float64()) for chunk in column.chunks]
     except pa.ArrowException as error:
         return f"its lists differ in length ({error})"[:100]
     return pa.chunked_array(parts, pa.float64())
