@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pyarrow as pa
@@ -100,7 +100,7 @@ def read_parquet(path: Path, columns: Sequence[str]) -> pa.Table:
     return _parquet(path, lambda file: file.read(columns=list(columns)))
 
 
-def _parquet(path: Path, read: Callable[[pa_parquet.ParquetFile], pa.Table]) -> pa.Table:
+def _parquet(path: Path, read: Callable[[pa_parquet.ParquetFile], Any]) -> Any:
     try:
         with pa_parquet.ParquetFile(path, page_checksum_verification=True) as file:
             return read(file)
