@@ -113,9 +113,11 @@ def test_what_is_given_and_what_is_refused(recorded, capsys, tmp_path):
         "--column NAME=q2_rad and so on; it has 'load', 'depth'"
     )
     assert refused(capsys, "init", tmp_path / "empty.csv").endswith("has column names but no rows; record again")
-    code, _, _ = run(capsys, "init", recorded, "--column", "operator=ignore", "--set", "tool=[0, 0, 0.1, 0, 0, 0]")
+    declared = ["--set", "tool=[0, 0, 0.1, 0, 0, 0]", "--set", "inertial=unknown"]
+    code, _, _ = run(capsys, "init", recorded, "--column", "operator=ignore", *declared)
     assert code == 0
     assert read_settings(sidecar).tool == (0, 0, 0.1, 0, 0, 0)
+    assert read_settings(sidecar).inertial == "unknown"  # which is not what a missing key means
     before = sidecar.read_text()
     assert "exists already" in refused(capsys, "init", recorded)
     assert sidecar.read_text() == before

@@ -93,7 +93,7 @@ class Init:
         settings = ({"arm": named} if named else {}) | settings
         settings.setdefault("motion", found.motion[0])
         self._check(found, table, settings, path)
-        text = inspection.sidecar_text(found, _declared(settings), path.name)
+        text = inspection.sidecar_text(found, settings, path.name)
         write_atomically(sidecar, text, self.force)
         if self.json:
             print(json.dumps({**found.to_dict(), "sidecar": str(sidecar)}, indent=1, allow_nan=False))
@@ -141,11 +141,6 @@ def _pairs(option: str, given: tuple[str, ...], parsed: bool = False) -> dict[st
     return found
 
 
-def _declared(settings: Mapping[str, Any]) -> dict[str, Any]:
-    """The settings that say something: `unknown` is what a missing key means."""
-    return {key: value for key, value in settings.items() if value != "unknown"}
-
-
 def _asked_arm(found: "Inspection") -> str | None:
     if found.arm is not None:
         return None
@@ -163,7 +158,7 @@ def _asked(found: "Inspection", settings: Mapping[str, Any]) -> dict[str, Any]:
             continue
         question, choices = _QUESTIONS[key]
         answers[key] = _answer(question, choices, "unknown")
-    return answers
+    return {key: answer for key, answer in answers.items() if answer != "unknown"}
 
 
 def _asked_columns(found: "Inspection") -> dict[str, str]:

@@ -165,7 +165,8 @@ def _reason(decision: Decision) -> str:
             return "the arm's kinematics agree"
         return f"the arm's kinematics agree {_times(other / max(least, 1e-12))} better than with the next reading"
     if decision.reason == "slope":
-        return f"they are {n['ratio']:.3g} times the change of the positions in rad per second"
+        times = "" if 0.5 < n["ratio"] < 2 else f"{n['ratio']:.3g} times "
+        return f"they are {times}what the positions change per second in rad"
     return {
         "name": "by name",
         "beyond_turns": "they reach {largest:.4g}, beyond any joint's turns in rad",
