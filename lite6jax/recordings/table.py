@@ -84,7 +84,8 @@ def tabulated(
     else:
         empty = [_empty(found.columns[name].name, column) for name, column in values.items()]
         empty = [said for said in empty if said]
-        problems += empty if problems or len(empty) > 1 else []  # a single one is told with the rows that it costs
+        # a single one is told with the rows that it costs; targets keep their rows
+        problems += empty if problems or (len(empty) > 1 and not joints_optional) else []
     if problems:
         raise InputError(one_line(source, problems, _remedy(source, found)))
     if found.ignored:
