@@ -13,11 +13,19 @@ _DATA = Path(__file__).parent / "data"
 # The same model from another file of the vendor: excluded when the model of a calibration is recognised.
 VARIANTS = ("lite6_ros",)
 
+_MAKERS = {"lite6": "UFACTORY", "uf": "UFACTORY", "xarm": "UFACTORY", "ur": "Universal Robots"}
+"""By how the name of an arm begins."""
+
 
 @cache
 def bundled_arms() -> tuple[str, ...]:
     """The names of the bundled arms, in alphabetical order."""
     return tuple(sorted(path.stem for path in _DATA.glob("*.yaml")))
+
+
+def maker_of(name: str) -> str:
+    """Who makes the bundled arm of this name."""
+    return next(maker for start, maker in _MAKERS.items() if name.startswith(start))
 
 
 def bundled_of(joints: int) -> list[Arm]:

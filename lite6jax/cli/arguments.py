@@ -68,6 +68,20 @@ def check_seed(seed: int) -> None:
         raise InputError(f"--seed {seed}: give 0 or more")
 
 
+def arm_reference(arm: str, file: Path) -> str:
+    """How a sidecar names an arm: a bundled one by its name, a file by its path relative to the sidecar.
+
+    Args:
+        arm: as it was given.
+        file: the sidecar, or what stands in the same folder.
+    """
+    from lite6jax.arms.bundled import bundled_arms
+
+    if arm in bundled_arms():
+        return arm
+    return Path(os.path.relpath(Path(arm).resolve(), file.resolve().parent)).as_posix()
+
+
 def stem(source: str) -> str:
     """The name of an arm, or of its file without folder, suffix and tip: figures are named after it."""
     return Path(source.partition("#")[0]).stem

@@ -1,7 +1,6 @@
 """The command that chooses poses to record, for the parameters or to discriminate between two effects."""
 
 import math
-import os
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal, final
@@ -9,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal, final
 from tyro.conf import Positional, UseAppendAction, arg
 
 from lite6jax.cli import torque_study
-from lite6jax.cli.arguments import Folder, check_seed, refuse_inputs
+from lite6jax.cli.arguments import Folder, arm_reference, check_seed, refuse_inputs
 from lite6jax.cli.exit_codes import DONE
 from lite6jax.cli.study import Setup
 from lite6jax.cli.torque_study import TorqueSetup
@@ -138,7 +137,7 @@ class Design:
             rivals = (parse_effect(self.discriminate[0]), parse_effect(self.discriminate[1], neutral=True))
             found = plan_discrimination(experiment, rivals, drawn.joint_position, self.poses, **options)
         q = found.joint_position[shortest_round(found.joint_position)]
-        settings = RecordingSettings(arm=self._arm_reference(), motion="static")
+        settings = RecordingSettings(arm=arm_reference(self.source, self.out), motion="static")
         written = [write_recording(Recording.assembled(q, settings=settings), self.out, self.force)]
         written.append(sidecar_path(self.out))
         if self.figures:
@@ -197,7 +196,7 @@ class Design:
             self.torque,
             self.source,
             self.out,
-            self._arm_reference(),
+            arm_reference(self.source, self.out),
             filters,
             disabled,
             math.radians(self.limit_margin),
@@ -206,11 +205,3 @@ class Design:
             self.figures,
             self.force,
         )
-
-    def _arm_reference(self) -> str:
-        """The arm's name in the sidecar: a bundled name, or the path of its file relative to the sidecar."""
-        from lite6jax.arms.bundled import bundled_arms
-
-        if self.source in bundled_arms():
-            return self.source
-        return Path(os.path.relpath(Path(self.source).resolve(), self.out.resolve().parent)).as_posix()

@@ -25,8 +25,8 @@ class Diagnose:
     """
 
     source: Annotated[Positional[Path], arg(metavar="FILE")]
-    """A recording of measured poses, or of motor torques or currents (.csv, .parquet, .mcap), with its sidecar .yaml
-    beside it."""
+    """A recording of measured poses, or of motor torques or currents (.csv, .parquet, .mcap, .bag, or the folder of a
+    rosbag2 or of a LeRobot data set), with its sidecar .yaml beside it; `lite6jax init` writes one."""
     out: Annotated[Path, arg(metavar="FILE")]
     """Write findings and model here (JSON)."""
     reference: Annotated[Path | None, arg(metavar="OTHER")] = None

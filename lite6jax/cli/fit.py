@@ -32,7 +32,8 @@ class Fit:
     """
 
     source: Annotated[Positional[Path | None], arg(metavar="FILE")] = None
-    """A calibration (.yaml, .json) or a recording (.csv, .parquet, with its sidecar .yaml beside it)."""
+    """A calibration (.yaml, .json) or a recording (.csv, .parquet, .mcap, .bag, or the folder of a rosbag2 or of a
+    LeRobot data set), with its sidecar .yaml beside it; `lite6jax init` writes one."""
     ip: Annotated[str | None, arg(metavar="ADDRESS")] = None
     """In place of a file: read the calibration of the arm at this address, fit it, and compare it with the controller's
     own forward kinematics. The arm does not move."""

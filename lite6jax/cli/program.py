@@ -24,12 +24,15 @@ from lite6jax.cli.emulate import Emulate
 from lite6jax.cli.exit_codes import BAD_INPUT, DONE, INTERRUPTED, MEANINGS, READER_LEFT
 from lite6jax.cli.files import Check, Convert
 from lite6jax.cli.fit import Compare, Demo, Fit, Fleet
+from lite6jax.cli.init import Init
+from lite6jax.cli.listing import Arms, Effects
 from lite6jax.cli.live import Read, Record
 from lite6jax.cli.simulate import Simulate
 from lite6jax.cli.study import Identify, Sensitivity
 from lite6jax.errors import InputError, InputWarning
 
 COMMANDS = {
+    "init": Init,
     "fit": Fit,
     "compare": Compare,
     "fleet": Fleet,
@@ -45,6 +48,8 @@ COMMANDS = {
     "check": Check,
     "read": Read,
     "record": Record,
+    "effects": Effects,
+    "arms": Arms,
     "demo": Demo,
 }
 DESCRIPTION = f"""Fit a UFACTORY Lite 6, or any serial arm, to its calibration or to measured poses.

@@ -6,6 +6,7 @@ from lite6jax.arms.arm import Arm
 from lite6jax.arms.bundled import bundled_of
 from lite6jax.arms.factory import FactoryCalibration, read_factory
 from lite6jax.arms.files import read_arm
+from lite6jax.errors import InputError
 from lite6jax.fitting.recognition import declared_arm, widest_limits, with_arm
 from lite6jax.recordings import (
     Recording,
@@ -15,6 +16,7 @@ from lite6jax.recordings import (
     read_settings,
     recording_file,
     sidecar_path,
+    stranger,
 )
 
 
@@ -42,6 +44,8 @@ def read_source(
     """
     file = recording_file(path)
     if file is None:
+        if helps := stranger(path):
+            raise InputError(f"{path}: {helps}")
         return read_factory(path, arm)
     arm = arm or declared_arm(read_settings(sidecar_path(file)), file.parent)
     if arm is None:

@@ -13,7 +13,7 @@ from lite6jax.recordings.checks import (
     require_samples,
     time_disorder,
 )
-from lite6jax.recordings.formats import Targets, read_recording, read_targets, recording_file, write_recording
+from lite6jax.recordings.formats import Targets, read_recording, read_targets, write_recording
 from lite6jax.recordings.recording import Recording, drop_missing
 from lite6jax.recordings.settings import (
     FactoryUncertainty,
@@ -22,6 +22,7 @@ from lite6jax.recordings.settings import (
     sidecar_path,
     write_settings,
 )
+from lite6jax.recordings.sources import recording_file, stranger
 from lite6jax.recordings.torque_source import estimated_torque
 from lite6jax.recordings.units import require_radians
 
@@ -48,6 +49,7 @@ __all__ = [
     "require_radians",
     "require_samples",
     "sidecar_path",
+    "stranger",
     "time_disorder",
     "write_recording",
     "write_settings",

@@ -1,27 +1,32 @@
-"""The column names of a recording: which quantity, which joint, which unit."""
+"""The column names of a recording: which quantity, which joint, which unit, and all that is wrong with them at once."""
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
 from math import pi
-
-from lite6jax.errors import InputError
+from typing import NamedTuple
 
 # quantity -> accepted units, the SI one first, each with the divisor that leads to it: dividing by 1000 rounds
 # correctly, multiplying by 0.001 does not
+_ANGLE = {"rad": 1.0, "deg": 180 / pi}
 _PER_JOINT = {
-    "q": {"rad": 1.0, "deg": 180 / pi},
+    "q": _ANGLE,
     "dq": {"rad_per_s": 1.0, "deg_per_s": 180 / pi},
     "ddq": {"rad_per_s2": 1.0, "deg_per_s2": 180 / pi},
     "tau": {"Nm": 1.0, "mNm": 1e3},
     "current": {"A": 1.0, "mA": 1e3},
     "temp": {"degC": 1.0},
 }
+QUATERNION = ("qw", "qx", "qy", "qz")
+ANGLES = (("rx", "ry", "rz"), ("roll", "pitch", "yaw"), ("rotx", "roty", "rotz"), ("alpha", "beta", "gamma"))
+"""The other forms of an orientation (`orientations.py`). Without their unit they are any column of the user's own."""
+_OF_ANGLES = {part for form in ANGLES for part in form}
 _SCALAR = {
-    "time": {"s": 1.0, "ms": 1e3, "us": 1e6},
+    "time": {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9},
     **{axis: {"m": 1.0, "mm": 1e3} for axis in "xyz"},
-    **{part: {"": 1.0} for part in ("qw", "qx", "qy", "qz")},
+    **{part: {"": 1.0} for part in QUATERNION},
+    **dict.fromkeys(_OF_ANGLES, _ANGLE),
     "ambient": {"degC": 1.0},
     "payload": {"kg": 1.0},
     "run": {"": 1.0},
@@ -29,7 +34,10 @@ _SCALAR = {
 }
 _TEXTS = ("gap",)
 """Columns of words, for people."""
+IGNORED = "ignore"
+"""What a sidecar says of a column that is not to be read."""
 _NAME = re.compile(r"(?P<quantity>[a-z]+?)(?P<joint>\d*)(?:_(?P<unit>.*))?", re.IGNORECASE | re.DOTALL | re.ASCII)
+_SHOWN = 8
 
 
 @dataclass(frozen=True)
@@ -45,126 +53,244 @@ class Column:
 
     @property
     def si_name(self) -> str:
-        return _spelled(self.quantity, self.joint, 0)
+        return spelled(self.quantity, self.joint)
+
+
+class Recognised(NamedTuple):
+    """What the columns of a table mean.
+
+    Attributes:
+        columns: by their SI name.
+        joints: how many.
+        ignored: names that mean nothing here, without those that are to be ignored.
+        problems: what makes the table unusable, each with its remedy; empty where nothing does.
+    """
+
+    columns: dict[str, Column]
+    joints: int
+    ignored: list[str]
+    problems: list[str]
 
 
 def recognise(
-    names: Sequence[str], source: str, dof: int | None = None, joints_optional: bool = False
-) -> tuple[dict[str, Column], int, list[str]]:
+    names: Sequence[str],
+    dof: int | None = None,
+    joints_optional: bool = False,
+    renamed: Mapping[str, str] | None = None,
+) -> Recognised:
     """What the columns of a table mean.
+
+    Problems are a unit that is missing or unknown, a quantity given twice, a joint left out, a position or an
+    orientation in part, no joint positions, another number of joints than `dof`, and absent names in `renamed`.
 
     Args:
         names: the column names, in order.
-        source: the file's name, for messages.
         dof: the number of joints expected, where known.
         joints_optional: whether joint positions may be absent; then `dof` is to be known.
-
-    Returns:
-        the recognised columns by their SI name, the number of joints, and the names that mean nothing here.
-
-    Raises:
-        InputError: a unit missing or unknown, a quantity given twice, a joint left out, a position or quaternion in
-            part, no joint positions, or another number of joints than `dof`.
+        renamed: of columns with names of their own, the names that they would have here, or `IGNORED`.
     """
+    own = renamed or {}
     found: dict[str, Column] = {}
     ignored: list[str] = []
+    problems = _Problems()
+    for name in own:
+        if name not in names and name.strip() not in map(str.strip, names):
+            problems.say(f"column {name[:60]!r} of the sidecar is not in the table; it has {_listed(names)}")
     for index, raw in enumerate(names):
-        if raw.strip() in _TEXTS:
+        name = own.get(raw, own.get(raw.strip(), raw.strip()))
+        if name == IGNORED or name in _TEXTS:
             continue
-        column = _column(raw.strip(), index, source)
+        column = _column(name, raw.strip(), index, problems)
         if column is None:
-            ignored.append(raw)
+            if not problems.about(index):
+                ignored.append(raw)
         elif (twin := found.get(column.si_name)) is None:
             found[column.si_name] = column
         elif twin.name == column.name:
-            raise InputError(f"{source}: column {column.name} stands there twice; keep one")
+            problems.say(f"column {column.name} stands there twice; keep one")
         else:
-            raise InputError(f"{source}: columns {twin.name} and {column.name} give the same quantity; keep one")
-    without = joints_optional and not any(column.quantity == "q" for column in found.values())
-    joints = dof if without and dof is not None else _joint_count(found, names, source)
-    if dof is not None and joints != dof:
-        raise InputError(
-            f"{source}: has {joints} joints (q1 ... q{joints}), the arm has {dof}; choose the arm it is of"
-        )
-    for quantity in _PER_JOINT:
-        present = {column.joint for column in found.values() if column.quantity == quantity}
-        if surplus := present - set(range(1, joints + 1)):
-            raise InputError(
-                f"{source}: column {_forms(quantity, min(surplus))}: the joint positions end with q{joints}; "
-                f"add q{min(surplus)} or remove the column"
-            )
-        if present and (missing := set(range(1, joints + 1)) - present):
-            raise InputError(
-                f"{source}: {_forms(quantity, min(missing))} is missing beside its like; give it for all joints"
-            )
-    for group in (["x", "y", "z"], ["qw", "qx", "qy", "qz"]):
-        missing = [quantity for quantity in group if _spelled(quantity, 0, 0) not in found]
-        if missing and len(missing) < len(group):
-            needed = " ".join(_spelled(quantity, 0, 0) for quantity in group)
-            raise InputError(f"{source}: {_forms(missing[0], 0)} is missing; give all of {needed}, or none")
-    if "qw" in found and "x_m" not in found:
-        raise InputError(f"{source}: has the orientation qw qx qy qz without a position; add x_m y_m z_m")
-    return found, joints, ignored
+            problems.say(f"columns {twin.name} and {column.name} give the same quantity; keep one")
+    joints = _joints(found, names, dof if joints_optional else None, problems)
+    if joints and dof is not None and joints != dof:
+        problems.say(f"has {joints} joints (q1 ... q{joints}), the arm has {dof}; choose the arm it is of")
+    _check_joints(found, joints, problems)
+    _check_groups(found, problems)
+    return Recognised(found, joints, ignored, problems.listed())
 
 
-def _column(name: str, index: int, source: str) -> Column | None:
+def one_line(source: str, problems: Sequence[str], remedy: str = "") -> str:
+    """The message that names all problems of a table, numbered where there are several."""
+    if len(problems) == 1:
+        return f"{source}: {problems[0]}{remedy}"
+    numbered = " ".join(f"({number}) {problem}." for number, problem in enumerate(problems, 1))
+    return f"{source}: {len(problems)} problems of its columns: {numbered.removesuffix('.')}{remedy}"
+
+
+class _Problems:
+    """Problems in the order in which they were found; those of columns that differ in their number only are one."""
+
+    def __init__(self) -> None:
+        self._texts: list[str] = []
+        self._alike: dict[tuple[str, str], tuple[int, list[str]]] = {}
+        self._indices: set[int] = set()
+        self.quantities: set[str] = set()
+
+    def say(self, text: str) -> None:
+        self._texts.append(text)
+
+    def column(self, name: str, index: int, quantity: str, problem: str, remedy: str) -> None:
+        """A problem of one column; of the next ones with the same only the names are added."""
+        self._indices.add(index)
+        self.quantities.add(quantity)
+        group = self._group(quantity)
+        if (group, problem) in self._alike:
+            self._alike[group, problem][1].append(name)
+            return
+        self._alike[group, problem] = (len(self._texts), [])
+        self._texts.append(f"column {name[:60]!r}: {problem}; write {remedy}")
+
+    def about(self, index: int) -> bool:
+        return index in self._indices
+
+    def listed(self) -> list[str]:
+        texts = list(self._texts)
+        for place, others in self._alike.values():
+            if others:
+                texts[place] += f" (and likewise {_listed(others)})"
+        return texts
+
+    @staticmethod
+    def _group(quantity: str) -> str:
+        return "xyz" if quantity in ("x", "y", "z") else "quaternion" if quantity in QUATERNION else quantity
+
+
+def _column(name: str, own: str, index: int, problems: _Problems) -> Column | None:
+    """The column that a name means; `own` is its name in the file, for messages."""
     match = _NAME.fullmatch(name)
     quantity = match["quantity"].lower() if match else ""
     per_joint = quantity in _PER_JOINT
-    if match is None or not (per_joint or (quantity in _SCALAR and not match["joint"])):
-        return None
-    units = _units(quantity)
-    joint, unit = int(match["joint"][:9] or 0), match["unit"]
-    for number, (accepted, divisor) in enumerate(units.items()):
-        if name == _spelled(quantity, joint, number) and (joint or not per_joint):
-            return Column(name, index, quantity, joint, accepted, divisor)
-    forms = _forms(quantity, joint or 1)
-    if per_joint and not joint:
-        problem = "joints are numbered from 1"
-    elif match["quantity"] != quantity or (unit or "") in units:
-        problem = "is not spelled as it must be"
-    else:
-        problem = (
-            f"the unit {unit[:40]!r} is unknown"
-            if unit
-            else "the unit is missing"
-            if "" not in units
-            else "has no unit"
-        )
-    raise InputError(f"{source}: column {name[:60]!r}: {problem}; write {forms}")
+    known = match is not None and (per_joint or (quantity in _SCALAR and not match["joint"]))
+    if known:
+        assert match is not None
+        joint = int(match["joint"][:9] or 0)
+        for number, (accepted, divisor) in enumerate(units_of(quantity).items()):
+            if name == spelled(quantity, joint, number) and (joint or not per_joint):
+                return Column(own, index, quantity, joint, accepted, divisor)
+    if known and quantity not in _OF_ANGLES:
+        assert match is not None
+        forms = _forms(quantity, int(match["joint"][:9] or 0) or 1)
+        problem = _misspelling(match, quantity, per_joint)
+        problems.column(_shown(own, name), index, quantity, problem, forms)
+    elif name != own:
+        near = nearest_known(name)
+        remedy = f"{near or 'q1_rad, x_m, tau1_Nm and the like'}, or {IGNORED}"
+        problems.column(own, index, name, f"the sidecar names it {name[:40]!r}, which means nothing here", remedy)
+    return None
 
 
-def _joint_count(found: dict[str, Column], names: Sequence[str], source: str) -> int:
+def _shown(own: str, name: str) -> str:
+    return own if own == name else f"{own} ({name})"
+
+
+def _misspelling(match: re.Match[str], quantity: str, per_joint: bool) -> str:
+    units, unit = units_of(quantity), match["unit"]
+    if per_joint and not int(match["joint"][:9] or 0):
+        return "joints are numbered from 1"
+    if match["quantity"] != quantity or (unit or "") in units:
+        return "is not spelled as it must be"
+    if unit:
+        return f"the unit {unit[:40]!r} is unknown"
+    return "the unit is missing" if "" not in units else "has no unit"
+
+
+def _joints(found: dict[str, Column], names: Sequence[str], dof: int | None, problems: _Problems) -> int:
+    """How many joints there are; `dof` where that is known and there need be no columns of them."""
     joints = {column.joint for column in found.values() if column.quantity == "q"}
     if not joints:
-        shown = ", ".join(repr(name[:40]) for name in names[:8]) + (", ..." if len(names) > 8 else "")
-        raise InputError(
-            f"{source}: has no joint positions; name their columns q1_rad ... qN_rad (or q1_deg ...); it has {shown}"
-        )
-    for joint in range(1, max(joints)):
-        if joint not in joints:
-            raise InputError(
-                f"{source}: {_forms('q', joint)} is missing while q{max(joints)} is there; give every joint"
+        if dof is None and "q" not in problems.quantities:
+            problems.say(
+                f"has no joint positions; name their columns q1_rad ... qN_rad (or q1_deg ...); it has {_listed(names)}"
             )
+        return dof or 0
+    if "q" not in problems.quantities:
+        for joint in range(1, max(joints)):
+            if joint not in joints:
+                problems.say(f"{_forms('q', joint)} is missing while q{max(joints)} is there; give every joint")
     return max(joints)
 
 
-def _spelled(quantity: str, joint: int, number: int) -> str:
-    unit = list(_units(quantity))[number]
+def _check_joints(found: Mapping[str, Column], joints: int, problems: _Problems) -> None:
+    for quantity in _PER_JOINT:
+        present = {column.joint for column in found.values() if column.quantity == quantity}
+        if not joints or quantity in problems.quantities or "q" in problems.quantities:
+            continue
+        if surplus := present - set(range(1, joints + 1)):
+            problems.say(
+                f"column {_forms(quantity, min(surplus))}: the joint positions end with q{joints}; "
+                f"add q{min(surplus)} or remove the column"
+            )
+        if quantity != "q" and present and (missing := set(range(1, joints + 1)) - present):
+            problems.say(f"{_forms(quantity, min(missing))} is missing beside its like; give it for all joints")
+
+
+def _check_groups(found: Mapping[str, Column], problems: _Problems) -> None:
+    given = []
+    for group in (("x", "y", "z"), QUATERNION, *ANGLES):
+        missing = [quantity for quantity in group if spelled(quantity) not in found]
+        if len(missing) < len(group) and len(group) > 1 and group != ("x", "y", "z"):
+            given.append(group)
+        if missing and len(missing) < len(group) and not problems.quantities & set(group):
+            problems.say(f"{_forms(missing[0], 0)} is missing; give all of {_together(group)}, or none")
+    if len(given) > 1:
+        problems.say(f"has the orientation twice, {_together(given[0])} and {_together(given[1])}; keep one")
+    if given and "x_m" not in found and not problems.quantities & {"x", "y", "z"}:
+        problems.say(f"has the orientation {_together(given[0])} without a position; add x_m y_m z_m")
+
+
+def _together(group: Iterable[str]) -> str:
+    return " ".join(map(spelled, group))
+
+
+def _listed(names: Sequence[str]) -> str:
+    return ", ".join(repr(name[:40]) for name in names[:_SHOWN]) + (", ..." if len(names) > _SHOWN else "")
+
+
+def spelled(quantity: str, joint: int = 0, number: int = 0) -> str:
+    """The name of a column: of a joint counted from 1, and in the unit of this number in `units_of`."""
+    unit = list(units_of(quantity))[number]
     return f"{quantity}{joint or ''}" + (f"_{unit}" if unit else "")
 
 
 def _forms(quantity: str, joint: int) -> str:
     if quantity not in _PER_JOINT:
         joint = 0
-    return " or ".join(_spelled(quantity, joint, number) for number in range(len(_units(quantity))))
+    return " or ".join(spelled(quantity, joint, number) for number in range(len(units_of(quantity))))
 
 
-def _units(quantity: str) -> dict[str, float]:
+def units_of(quantity: str) -> dict[str, float]:
+    """The accepted units of a quantity, the SI one first, with what to divide by to get there."""
     return _PER_JOINT[quantity] if quantity in _PER_JOINT else _SCALAR[quantity]
+
+
+def is_per_joint(quantity: str) -> bool:
+    """Whether there is one column for each joint."""
+    return quantity in _PER_JOINT
+
+
+def is_standard(name: str) -> bool:
+    """Whether a table's column of this name is read, or passed over, without a sidecar's help."""
+    return name in _TEXTS or _column(name, name, 0, _Problems()) is not None
+
+
+def is_refused(name: str) -> bool:
+    """Whether a table's column of this name has to be named or ignored by a sidecar."""
+    _column(name, name, 0, problems := _Problems())
+    return bool(problems.listed())
 
 
 def nearest_known(name: str) -> str | None:
     """The column that an ignored one may have meant."""
-    known = [_spelled(quantity, 1 if quantity in _PER_JOINT else 0, 0) for quantity in (*_PER_JOINT, *_SCALAR)]
+    if name in _OF_ANGLES:
+        return spelled(name)
+    known = [spelled(quantity, 1 if quantity in _PER_JOINT else 0) for quantity in (*_PER_JOINT, *_SCALAR)]
     return next(iter(get_close_matches(name, known, n=1, cutoff=0.8)), None)

@@ -137,14 +137,18 @@ class Recording(Summarised):
         settings: RecordingSettings | None = None,
         *,
         arm: Arm | str | None = None,
+        columns: Mapping[str, str] | None = None,
         source: str = "recording",
         **declared: Any,
     ) -> "Recording":
         """A recording from a data frame with the columns of a recording's file, read and checked as a file is.
 
         Args:
-            frame: a pandas or polars `DataFrame`, a pyarrow `Table`, or a mapping of column names to `(sample,)`
-                arrays. Units stand in the names: `q1_rad` or `q1_deg`, `x_m` or `x_mm`.
+            frame: a pandas or polars `DataFrame`, a pyarrow `Table`, a mapping of column names to `(sample,)` arrays,
+                or what has `__arrow_c_stream__` or `__dataframe__`. Units stand in the names: `q1_rad` or `q1_deg`,
+                `x_m` or `x_mm`.
+            columns: of columns with names of their own, the names that a recording has, as in a sidecar:
+                `{"actual_q_0": "q1_rad", "robot_mode": "ignore"}`.
             settings, arm, source, declared: as in `from_arrays`.
 
         Raises:
@@ -152,7 +156,7 @@ class Recording(Summarised):
         """
         notes: list[str] = []
         settings = declared_settings(settings, arm, declared)
-        table = read_frame(frame, source, notes)
+        table = read_frame(frame, source, notes, columns)
         arrays = checked_arrays(arrays_of(table, source, notes), arm, settings, source, table.spelling)
         arrays = without_implausible(arrays, source, table.spelling, notes)
         recording = cls.assembled(**arrays, settings=settings, source=source, notes=tuple(notes))

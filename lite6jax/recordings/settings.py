@@ -7,12 +7,13 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict, dataclass, fields, replace
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any, Literal, NamedTuple, get_args
 
 import yaml
 
 from lite6jax.errors import InputError
 from lite6jax.recordings.checksums import KEY, RECORDING, Checksums, read_checksums, settings_checksum
+from lite6jax.recordings.columns import IGNORED
 from lite6jax.storage import exists, read_yaml, write_atomically
 
 JointSource = Literal["measured", "commanded", "unknown"]
@@ -159,9 +160,24 @@ def declared_settings(settings: RecordingSettings | None, arm: Any, declared: Ma
     return replace(settings or RecordingSettings(), **parsed)
 
 
+class Sidecar(NamedTuple):
+    """What stands beside a recording.
+
+    Attributes:
+        settings: of the arm, the sensor and the motion.
+        columns: of columns with names of their own, the names in `columns.py`, or `ignore`.
+        checksums: of the table and of the settings.
+    """
+
+    settings: RecordingSettings
+    columns: Mapping[str, str]
+    checksums: Checksums
+
+
 def sidecar_path(recording: str | Path) -> Path:
-    """Where the sidecar of a recording stands: the same stem, `.yaml`."""
-    return Path(recording).with_suffix(".yaml")
+    """Where the sidecar of a recording stands: the same stem, `.yaml`; of a folder, beside it."""
+    path = Path(recording)
+    return path.with_name(f"{path.name}.yaml") if os.path.isdir(path) else path.with_suffix(".yaml")
 
 
 def read_settings(path: str | Path) -> RecordingSettings:
@@ -170,11 +186,11 @@ def read_settings(path: str | Path) -> RecordingSettings:
     Raises:
         InputError: as `read_sidecar`.
     """
-    return read_sidecar(path)[0]
+    return read_sidecar(path).settings
 
 
-def read_sidecar(path: str | Path) -> tuple[RecordingSettings, Checksums]:
-    """The settings in a sidecar and its checksums; the defaults and none where the file does not exist.
+def read_sidecar(path: str | Path) -> Sidecar:
+    """What a sidecar says; the defaults where the file does not exist.
 
     Raises:
         InputError: not YAML, tags, alias bombs, an unknown key (with the nearest accepted one) or an unusable value.
@@ -183,14 +199,16 @@ def read_sidecar(path: str | Path) -> tuple[RecordingSettings, Checksums]:
     if not exists(path):
         if exists(path.with_suffix(".yml")):
             raise InputError(f"{path.with_suffix('.yml')}: a sidecar ends in .yaml; rename it to {path.name}")
-        return RecordingSettings(), Checksums(path, {}, False)
+        return Sidecar(RecordingSettings(), {}, Checksums(path, {}, False))
     content = read_yaml(path)
-    if not isinstance(content, dict) or "recording" not in content:
+    if not isinstance(content, dict) or not {"recording", "columns"} & set(content):
         raise InputError(f"{path}: is not a sidecar; its one top key must be `recording:`, with the settings below it")
-    _reject_unknown(f"{path}: ", content, ["recording", "account", KEY])
+    _reject_unknown(f"{path}: ", content, ["recording", "columns", "account", KEY])
+    columns = _columns(content.get("columns"), path)
+    content.setdefault("recording", None)
     settings = content["recording"]
     if settings is None:
-        return RecordingSettings(), read_checksums(content, path)
+        return Sidecar(RecordingSettings(), columns, read_checksums(content, path))
     if not isinstance(settings, dict):
         raise InputError(f"{path}: recording: {_shown(settings)} is not a mapping; write `key: value` lines below it")
     _reject_unknown(f"{path}: recording.", settings, _KINDS)
@@ -201,7 +219,21 @@ def read_sidecar(path: str | Path) -> tuple[RecordingSettings, Checksums]:
         declared = RecordingSettings(**{key: _parsed(key, value) for key, value in settings.items()})
     except InputError as error:
         raise InputError(f"{path}: recording.{error}") from error
-    return declared, read_checksums(content, path)
+    return Sidecar(declared, columns, read_checksums(content, path))
+
+
+def _columns(given: Any, path: Path) -> dict[str, str]:
+    if given is None:
+        return {}
+    if not isinstance(given, dict):
+        raise InputError(f"{path}: columns: {_shown(given)} is not a mapping; write lines `name in the table: q1_rad`")
+    for name, meaning in given.items():
+        if not isinstance(meaning, str):
+            raise InputError(
+                f"{path}: columns.{str(name)[:60]}: {_shown(meaning)} is no name of a column; write one such as q1_rad,"
+                f" or {IGNORED}"
+            )
+    return {str(name): meaning.strip() for name, meaning in given.items()}
 
 
 def write_settings(

@@ -1,14 +1,18 @@
 """From the columns of a table to the arrays of a recording: the same for files and for data frames in memory."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.interchange as pa_interchange
 
 from lite6jax.errors import InputError
-from lite6jax.recordings.columns import Column, nearest_known, recognise
+from lite6jax.recordings.arguments import LARGEST_MISSING_SHARE
+from lite6jax.recordings.columns import Column, Recognised, nearest_known, one_line, recognise
+from lite6jax.recordings.orientations import with_quaternions
 from lite6jax.recordings.plausible import implausible
+from lite6jax.storage import exists
 
 LATEST_START_S = 1e8  # three years: such a time is a clock's, not counted from a start
 
@@ -32,65 +36,140 @@ class Table(NamedTuple):
         return {name: column.name for name, column in self.columns.items()}
 
 
-def read_frame(frame: Any, source: str, notes: list[str]) -> Table:
+Loaded = Mapping[str, pa.Array | pa.ChunkedArray | str]
+"""A column, or what is wrong with it, by its SI name."""
+
+
+def tabulated(
+    names: Sequence[str],
+    source: str,
+    load: Callable[[Mapping[str, Column]], Loaded],
+    notes: list[str],
+    *,
+    dof: int | None = None,
+    renamed: Mapping[str, str] | None = None,
+    joints_optional: bool = False,
+) -> Table:
+    """The columns of a table that a recording has, or one line with all that is wrong with them.
+
+    Args:
+        names: of all columns.
+        source: what messages begin with.
+        load: of recognised columns, their values.
+        notes: gets a sentence on the columns that are ignored.
+        dof, renamed, joints_optional: as in `recognise`.
+
+    Raises:
+        InputError: problems of names as `recognise`, columns that hold no numbers, no rows; where there are several
+            problems, or several columns are over half empty, all are named.
+    """
+    found = recognise(names, dof, joints_optional, renamed)
+    problems, arrays = list(found.problems), {}
+    try:
+        for name, array in (load(found.columns) if found.columns else {}).items():
+            if isinstance(array, str):
+                problems.append(f"column {found.columns[name].name}: {array}")
+            else:
+                arrays[name] = array
+    except InputError as error:  # of the table as a whole
+        if not problems:
+            raise
+        problems.append(str(error).removeprefix(f"{source}: "))
+    values = si_values(found.columns, arrays)
+    lengths = {len(column) for column in values.values()}
+    if len(lengths) > 1:
+        problems.append(f"its columns have unequal lengths, {min(lengths)} to {max(lengths)}; give one each")
+    elif lengths == {0} and not problems:
+        problems.append("has column names but no rows; record again")
+    else:
+        empty = [_empty(found.columns[name].name, column) for name, column in values.items()]
+        empty = [said for said in empty if said]
+        # a single one is told with the rows that it costs; targets keep their rows
+        problems += empty if problems or (len(empty) > 1 and not joints_optional) else []
+    if problems:
+        raise InputError(one_line(source, problems, _remedy(source, found)))
+    if found.ignored:
+        shown = ", ".join(
+            f"{n[:40]!r}" + (f" (meant {near}?)" if (near := nearest_known(n)) else "") for n in found.ignored[:6]
+        )
+        rest = f" and {len(found.ignored) - 6} more" if len(found.ignored) > 6 else ""
+        notes.append(f"ignored columns that mean nothing here: {shown}{rest}")
+    return Table(found.columns, found.joints, values)
+
+
+def _remedy(source: str, found: Recognised) -> str:
+    """What names the columns of a file, where their names are the problem."""
+    named = any("write " in problem or "name their columns" in problem for problem in found.problems)
+    return f"; `lite6jax init {source}` names columns as they are" if named and exists(source) else ""
+
+
+def _empty(name: str, column: np.ndarray) -> str:
+    count = int(np.sum(~np.isfinite(column)))
+    if count <= LARGEST_MISSING_SHARE * len(column):
+        return ""
+    return f"column {name}: {count} of {len(column)} rows are NaN, infinite or empty; fill it or leave it out"
+
+
+def read_frame(frame: Any, source: str, notes: list[str], renamed: Mapping[str, str] | None = None) -> Table:
     """The columns of a data frame that a recording has.
 
     Args:
-        frame: anything with named columns: a pandas or polars `DataFrame`, a pyarrow `Table`, or a mapping of names to
-            arrays.
+        frame: anything with named columns: a pandas or polars `DataFrame`, a pyarrow `Table`, a mapping of names to
+            arrays, or what has `__arrow_c_stream__` or `__dataframe__`.
         source: for messages.
         notes: gets a sentence on the columns that are ignored.
+        renamed: of columns with names of their own, the names that a recording has, as in a sidecar.
 
     Raises:
         InputError: no named columns, no rows, columns of unequal length, or a column that does not hold numbers; names
             as `recognise`.
     """
-    listed = getattr(frame, "column_names", None) or getattr(frame, "columns", None)
-    names = list(frame) if isinstance(frame, Mapping) else [] if listed is None else list(listed)
+    frame, names = _named(frame)
     if not names or not all(isinstance(name, str) for name in names):
         raise InputError(
             f"{source}: a {type(frame).__name__} has no named columns; give a data frame with columns q1_rad ... qN_rad"
         )
-    columns, joints = recognised(names, source, None, notes)
-    arrays = {name: _arrow(frame[column.name], column, source) for name, column in columns.items()}
-    lengths = {len(array) for array in arrays.values()}
-    if len(lengths) > 1:
-        raise InputError(f"{source}: its columns have unequal lengths, {min(lengths)} to {max(lengths)}; give one each")
-    if lengths == {0}:
-        raise InputError(f"{source}: has column names but no rows; record again")
-    return Table(columns, joints, si_values(columns, arrays))
+    return tabulated(
+        names,
+        source,
+        lambda columns: {name: _arrow(frame[column.name]) for name, column in columns.items()},
+        notes,
+        renamed=renamed,
+    )
 
 
-def recognised(
-    names: Sequence[str], source: str, dof: int | None, notes: list[str], joints_optional: bool = False
-) -> tuple[dict[str, Column], int]:
-    """As `recognise`, with a note on the columns that are ignored."""
-    columns, joints, ignored = recognise(names, source, dof, joints_optional)
-    if ignored:
-        shown = ", ".join(
-            f"{n[:40]!r}" + (f" (meant {near}?)" if (near := nearest_known(n)) else "") for n in ignored[:6]
-        )
-        rest = f" and {len(ignored) - 6} more" if len(ignored) > 6 else ""
-        notes.append(f"ignored columns that mean nothing here: {shown}{rest}")
-    return columns, joints
+def _named(frame: Any) -> tuple[Any, list[Any]]:
+    """What gives a column by its name, and the names."""
+    if isinstance(frame, Mapping):
+        return frame, list(frame)
+    listed = getattr(frame, "column_names", None)
+    listed = getattr(frame, "columns", None) if listed is None else listed
+    if listed is not None:
+        return frame, list(listed)
+    try:
+        if hasattr(frame, "__arrow_c_stream__"):
+            frame = pa.table(frame)
+        elif hasattr(frame, "__dataframe__"):
+            frame = pa_interchange.from_dataframe(frame)
+    except (pa.ArrowException, TypeError, ValueError, NotImplementedError):
+        return frame, []
+    return (frame, frame.column_names) if isinstance(frame, pa.Table) else (frame, [])
 
 
-def require_numbers(column: Column, kind: pa.DataType, source: str) -> None:
-    """Refuses a column of text, truth values, times or complex numbers.
-
-    Raises:
-        InputError: as said, by name.
-    """
-    if not (pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_null(kind)):
-        raise InputError(f"{source}: column {column.name}: holds {kind}, not numbers; write it as float64")
+def no_numbers(kind: pa.DataType) -> str:
+    """What is wrong with a column of text, truth values, times or complex numbers; empty where it holds numbers."""
+    if pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_null(kind):
+        return ""
+    return f"holds {kind}, not numbers; write it as float64"
 
 
 def si_values(columns: Mapping[str, Column], table: Mapping[str, Any]) -> dict[str, np.ndarray]:
     """`(sample,)` float64 in SI units of Arrow columns; an absent value becomes NaN."""
     values = {}
-    for name, column in columns.items():
-        array = table[name].cast(pa.float64(), safe=False).to_numpy(zero_copy_only=False)
-        values[name] = array if column.divisor == 1.0 else array / column.divisor
+    for name, arrow in table.items():
+        array = arrow.cast(pa.float64(), safe=False).to_numpy(zero_copy_only=False)
+        divisor = columns[name].divisor
+        values[name] = array if divisor == 1.0 else array / divisor
     return values
 
 
@@ -100,7 +179,8 @@ def arrays_of(table: Table, source: str, notes: list[str]) -> dict[str, Any]:
     Raises:
         InputError: a run that is not a whole number.
     """
-    columns, joints, values = table
+    columns, joints = table.columns, table.joints
+    values = with_quaternions(table.values)
 
     def block(*names: str) -> np.ndarray | None:
         return np.column_stack([values[name] for name in names]) if names[0] in values else None
@@ -145,8 +225,8 @@ def arrays_of(table: Table, source: str, notes: list[str]) -> dict[str, Any]:
     }
 
 
-def _arrow(values: Any, column: Column, source: str) -> pa.Array | pa.ChunkedArray:
-    """One column of any data frame as Arrow's."""
+def _arrow(values: Any) -> pa.Array | pa.ChunkedArray | str:
+    """One column of any data frame as Arrow's, or what is wrong with it."""
     try:
         if isinstance(values, pa.Array | pa.ChunkedArray):
             array = values
@@ -154,8 +234,7 @@ def _arrow(values: Any, column: Column, source: str) -> pa.Array | pa.ChunkedArr
             array = pa.chunked_array(values)
         else:
             array = pa.array(values, from_pandas=True)
-    except (pa.ArrowException, TypeError, ValueError) as error:
+    except (pa.ArrowException, TypeError, ValueError):
         kind = getattr(values, "dtype", type(values).__name__)
-        raise InputError(f"{source}: column {column.name}: holds {kind}, not numbers; give it as float64") from error
-    require_numbers(column, array.type, source)
-    return array
+        return f"holds {kind}, not numbers; give it as float64"
+    return no_numbers(array.type) or array

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from lite6jax.errors import InputError
-from lite6jax.recordings import mcap as reading
 from lite6jax.recordings import read_recording
-from lite6jax.recordings.mcap import split_topics
+from lite6jax.recordings.ros import UR_JOINTS
+from lite6jax.recordings.sources import split_topics
 
 ros2 = pytest.importorskip("mcap_ros2.writer", reason="the packages of the extra `mcap` are not installed")
 raw = pytest.importorskip("mcap.writer", reason="the packages of the extra `mcap` are not installed")
@@ -193,9 +193,9 @@ def test_poses_without_joints_around_them_are_dropped_and_counted(tmp_path):
         (("waist", "joint_3", "joint_2"), None, ["waist", "joint_3", "joint_2"], "in order of appearance"),
         (("waist", "arm", "wrist"), 3, ["waist", "arm", "wrist"], "in order of appearance"),
         (
-            tuple(sorted(f"{part}_joint" for part in reading.UR_JOINTS)),
+            tuple(sorted(f"{part}_joint" for part in UR_JOINTS)),
             6,
-            [f"{part}_joint" for part in reading.UR_JOINTS],
+            [f"{part}_joint" for part in UR_JOINTS],
             "in the order of Universal Robots' arms",
         ),
     ],

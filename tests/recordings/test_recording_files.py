@@ -86,6 +86,10 @@ def test_other_units_are_converted_and_may_be_mixed(tmp_path):
         '"q1_rad","q2_rad"\n"1","2"\n3,4\n\n\n',
         "q2_rad,q1_rad\n2,1\n4,3e0\n",
         "q1_rad,note,q2_rad,note\n1,a,2,b\n3,,4,\n",
+        "q1_rad;q2_rad\n1.0;2\n3;4\n",
+        "q1_rad;q2_rad\n1,0;2,0\n3;4\n",
+        "q1_rad\tq2_rad\r\n1,0\t2\r\n3\t4,0\r\n",
+        "q1_rad q2_rad\n1.0 2\n3 4\n",
     ],
 )
 def test_the_ways_a_table_may_be_written(tmp_path, text):
@@ -197,18 +201,12 @@ FINE = f"{JOINTS},x_m,y_m,z_m\n" + "0.1,0.2,0.3,0.4,0.5\n" * 3
         (FINE.encode("utf-16"), "is not a CSV table but binary or of another encoding; write it as UTF-8 text"),
         ("Größe,".encode("latin-1") + FINE.encode(), "is not a CSV table but binary or of another encoding"),
         (b"PAR1" + bytes(20), "is a Parquet file, whatever its name says; name it .parquet"),
+        (FINE.replace(".", ",").replace(",", ";"), "row 1 has 10 of 5 columns; remove the surplus fields"),
         (
-            FINE.replace(".", ",").replace(",", ";"),
-            "line 1: the fields are separated by semicolons; write commas between",
+            "q1_rad;q2_rad\n0,1;0,2\n0,1;0.2\n",
+            "column q2_rad: row 2 holds '0.2', which is no number; give numbers with a decimal comma",
         ),
-        (
-            "q1_rad;q2_rad\n0,1;0,2\n",
-            "line 1: the fields are separated by semicolons; write commas between them and decimal",
-        ),
-        (
-            "q1_rad\tq2_rad\n0.1\t0.2\n",
-            "line 1: the fields are separated by tabs; write commas between them and decimal",
-        ),
+        ("q1_rad q2_rad\n0.1 0.2\n0.1  0.2\n", "row 2 has 3 of 2 columns; remove the surplus fields"),
         ("<html><body>404</body></html>\n", "has no joint positions; name their columns q1_rad ... qN_rad"),
         ("q1_rad," + "x" * (1 << 21), "is not a CSV table but binary or of another encoding"),
         (
@@ -241,8 +239,13 @@ def test_a_missing_last_line_break_is_said(tmp_path):
 @pytest.mark.parametrize(
     ("name", "message"),
     [
-        ("run7.txt", "a recording ends in .csv, .parquet or .mcap; convert it or correct the name"),
-        ("run7", "a recording ends in .csv, .parquet or .mcap; convert it or correct the name"),
+        ("run7.txt", "is no recording; write it as run7.csv or .parquet with a name for each column"),
+        (
+            "run7.doc",
+            "a recording ends in .csv, .parquet or .mcap, or is the folder of a rosbag2 or of a LeRobot data set; "
+            "convert it or correct the name",
+        ),
+        ("run7", "no such file or folder; check the name"),
         ("absent.csv", "no such file; check the name"),
         ("folder.csv", "is a folder; name a file"),
     ],

@@ -1,0 +1,187 @@
+"""The command that looks at a table with column names of its own and writes the sidecar by which all others read it."""
+
+import json
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated, Any, final
+
+from tyro.conf import Positional, UseAppendAction, arg
+
+from lite6jax.cli.arguments import ArmName, arm_reference
+from lite6jax.cli.exit_codes import DONE
+from lite6jax.errors import InputError
+from lite6jax.storage import check_writable, write_atomically
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from lite6jax.domains.pose.inspection import Inspection
+    from lite6jax.recordings.raw import RawTable
+
+_QUESTIONS: dict[str, tuple[str, tuple[str, ...]]] = {
+    "joint_source": ("Where are the joint positions from?", ("measured", "commanded", "unknown")),
+    "pose_source": (
+        "What measured the poses?",
+        ("laser_tracker", "motion_capture", "camera", "controller_fk", "unknown"),
+    ),
+    "pose_frame": ("Are the poses in the arm's base frame (base), or in the sensor's (unknown)?", ("unknown", "base")),
+    "tool": ("Are the poses of the flange itself (none), or of a tool (unknown)?", ("unknown", "none")),
+    "torque_source": ("Where are the torques from?", ("measured", "current", "estimated", "unknown")),
+}
+
+
+@final
+@dataclass(frozen=True)
+class Init:
+    """Look at a recording, whatever its columns are called, and write the sidecar that says how to read it.
+
+    Joints, poses, torques and times are recognised by the names; degrees, millimetres and the form of rotations by size
+    and, with an arm, by its kinematics. It asks on a terminal, and takes options elsewhere.
+
+    For example:
+
+        lite6jax init run7.csv --arm ur10
+        lite6jax init run7.csv --arm my_arm.urdf --set pose_source=laser_tracker --set pose_frame=base
+        lite6jax init run7.csv --column tracker_x=x_mm --column spindle=ignore
+    """
+
+    source: Annotated[Positional[str], arg(metavar="RECORDING")]
+    """A table (.csv, .parquet), a log (.mcap, .bag, the folder of a rosbag2), or the folder of a LeRobot data set."""
+    arm: ArmName = None
+    """The nominal arm: a bundled name, or a description, URDF or MJCF. Recognised by the poses where not given."""
+    column: Annotated[tuple[str, ...], UseAppendAction, arg(metavar="COLUMN=MEANING")] = ()
+    """What a column is, such as joint_1=q1_deg, tcp_x=x_mm, or foo=ignore. May be repeated."""
+    set: Annotated[tuple[str, ...], UseAppendAction, arg(metavar="KEY=VALUE")] = ()
+    """A key of the sidecar, such as pose_frame=base or tool=none. May be repeated."""
+    yes: bool = False
+    """Ask nothing."""
+    json: bool = False
+    """Print what was recognised as JSON, and ask nothing."""
+    force: bool = False
+    """Replace the sidecar if it exists."""
+
+    def run(self) -> int:
+        """Looks, asks, writes, prints."""
+        from lite6jax.domains.pose.inspection import inspect
+        from lite6jax.fitting.source import load_nominal
+        from lite6jax.recordings.settings import sidecar_path
+        from lite6jax.recordings.sources import open_table, split_topics
+        from lite6jax.report import inspection, screen
+
+        path, topics = split_topics(self.source)
+        sidecar = sidecar_path(path)
+        settings = _pairs("--set", self.set, parsed=True)
+        given = _pairs("--column", self.column)
+        notes: list[str] = []
+        path, table = open_table(path, topics, None, notes)
+        check_writable(sidecar, self.force)
+        columns, arm, shown = list(table.numbers()), self.arm, False
+
+        def look() -> "Inspection":
+            return inspect(columns, load_nominal(arm), given, str(path))
+
+        found = look()
+        if not (self.yes or self.json) and _on_a_terminal():
+            screen.show(inspection.inspection_report(found, str(path)))
+            arm = arm or _asked_arm(found)
+            answered = _asked_columns(look())
+            given |= answered
+            settings |= _asked(found, settings)
+            found, shown = look(), arm == self.arm and not answered
+        named = arm_reference(arm, sidecar) if arm else None if found.arm is None else found.arm.name
+        settings = ({"arm": named} if named else {}) | settings
+        settings.setdefault("motion", found.motion[0])
+        self._check(found, table, settings, path)
+        text = inspection.sidecar_text(found, settings, path.name)
+        write_atomically(sidecar, text, self.force)
+        if self.json:
+            print(json.dumps({**found.to_dict(), "sidecar": str(sidecar)}, indent=1, allow_nan=False))
+            return DONE
+        if not shown:
+            screen.show(inspection.inspection_report(found, str(path)))
+        screen.show(screen.notes(notes))
+        screen.written([sidecar])
+        screen.show(inspection.next_steps(found, settings, self.source))
+        return DONE
+
+    def _check(self, found: "Inspection", table: "RawTable", settings: Mapping[str, Any], path: "Path") -> None:
+        """Refuses what the other commands would refuse, before anything is written."""
+        from lite6jax.recordings.settings import declared_settings
+        from lite6jax.recordings.table import tabulated
+
+        if found.of("q") is None and not any(name.startswith("q1_") for name in found.given.values()):
+            listed = ", ".join(repr(name[:40]) for name in table.names[:8]) + (", ..." if len(table.names) > 8 else "")
+            raise InputError(
+                f"{path}: no columns look like joint positions; say which they are, --column NAME=q1_rad --column "
+                f"NAME=q2_rad and so on; it has {listed}"
+            )
+        declared_settings(None, None, settings)
+        dof = None if found.arm is None else found.arm.dof
+        tabulated(table.names, str(path), table.load, [], dof=dof, renamed=found.columns)
+
+
+def _on_a_terminal() -> bool:
+    return sys.stdin.isatty() and sys.stdout.isatty()
+
+
+def _pairs(option: str, given: tuple[str, ...], parsed: bool = False) -> dict[str, Any]:
+    """`name=value` by name; with `parsed`, values as YAML has them."""
+    import yaml
+
+    found: dict[str, Any] = {}
+    for pair in given:
+        name, mark, value = pair.rpartition("=") if not parsed else pair.partition("=")
+        if not mark or not name or not value or len(pair) > 1000:
+            raise InputError(f"{option} {pair[:60]}: write it as {'KEY=VALUE' if parsed else 'COLUMN=MEANING'}")
+        try:
+            found[name] = yaml.safe_load(value) if parsed else value
+        except yaml.YAMLError as error:
+            raise InputError(f"{option} {pair[:60]}: its value is not valid YAML; write KEY=VALUE") from error
+    return found
+
+
+def _asked_arm(found: "Inspection") -> str | None:
+    if found.arm is not None:
+        return None
+    return input("Arm (a bundled name or a file; nothing for later): ").strip() or None
+
+
+def _asked(found: "Inspection", settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Answers to the questions that the table raises and no option has answered."""
+    poses = found.of("position") is not None
+    torques = found.of("tau") is not None or found.of("current") is not None
+    wanted = ["joint_source", *(("pose_source", "pose_frame", "tool") if poses else ())]
+    answers = {}
+    for key in (*wanted, *(("torque_source",) if torques else ())):
+        if key in settings:
+            continue
+        question, choices = _QUESTIONS[key]
+        answers[key] = _answer(question, choices, "unknown")
+    return {key: answer for key, answer in answers.items() if answer != "unknown"}
+
+
+def _asked_columns(found: "Inspection") -> dict[str, str]:
+    """The names of columns whose unit or form is only assumed."""
+    from lite6jax.report.inspection import statement
+
+    given: dict[str, str] = {}
+    for meaning in found.meanings:
+        form, unit = meaning.form, meaning.unit
+        doubtful = form is not None and form.sure == "assumed"
+        if not doubtful and (unit.sure != "assumed" or len(meaning.units) < 2):
+            continue
+        print(statement(meaning))
+        if form is not None and doubtful:
+            given |= meaning.renamed(form=_answer("Which form is it?", meaning.forms, form.choice))
+        if unit.choice and unit.sure == "assumed":
+            given |= meaning.renamed(unit=_answer("In which unit?", meaning.units, unit.choice))
+    return given
+
+
+def _answer(question: str, choices: Sequence[str], usual: str) -> str:
+    while True:
+        answer = input(f"{question} [{' | '.join(choices)}; nothing for {usual}]: ").strip() or usual
+        if answer in choices:
+            return answer
+        print(f"write one of {', '.join(choices)}")

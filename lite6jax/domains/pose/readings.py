@@ -1,0 +1,166 @@
+"""How the numbers of a table are to be read: the units and the form of rotations that agree best with an arm.
+
+Each is compared with the nominal forward kinematics, with the sensor's frame and the tool fitted in closed form.
+"""
+
+from itertools import product
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from lite6jax.arms import frames
+from lite6jax.arms.arm import Arm
+from lite6jax.fitting.start import frames_from_poses
+from lite6jax.recordings.columns import ANGLES, units_of
+from lite6jax.recordings.orientations import quaternions
+from lite6jax.recordings.sizes import Decision, Sureness
+
+Array = NDArray[np.floating]
+
+ROWS = 400
+"""Spread over the recording: enough to tell readings that differ by factors or by whole rotations."""
+FEWEST = 8
+"""Rows: the frame and the tool have nine numbers."""
+CLOSE = 0.05
+"""Of the spread of the positions, which errors of the right reading do not exceed: a nominal arm of 1 m is off by
+millimetres. A wrong reading is off by as much as the arm moves."""
+CLOSE_RAD = 0.2
+"""The same for orientations."""
+CLEARLY = 3.0
+"""Times the error of the best reading, which all others have where it is certain."""
+SLIGHTLY = 1.3
+"""The same where it is likely."""
+
+
+class Pose(NamedTuple):
+    """Numbers as they stand in a table, rows without gaps.
+
+    Attributes:
+        joint: `(sample, joint)`, rad or deg.
+        position: `(sample, 3)`, m or mm.
+        rotation: `(sample, 3 | 4)`, or None.
+    """
+
+    joint: Array
+    position: Array
+    rotation: Array | None
+
+
+class Agreement(NamedTuple):
+    """The readings that agree with an arm; None where they are not told apart.
+
+    Attributes:
+        angle: `rad` or `deg` of the joints.
+        length: `m` or `mm` of the positions.
+        form: of the rotation: the first name of one of `columns.ANGLES`, `scalar_first` or `scalar_last`.
+        turn: `rad` or `deg` of three numbers of a rotation.
+        error: m, the median error of the best reading; infinite where too few rows tell.
+        spread: m, of the positions in it.
+    """
+
+    angle: Decision | None
+    length: Decision | None
+    form: Decision | None
+    turn: Decision | None
+    error: float
+    spread: float
+
+    @property
+    def close(self) -> bool:
+        """Whether the arm agrees with the poses at all."""
+        return self.error <= CLOSE * self.spread
+
+
+NO_AGREEMENT = Agreement(None, None, None, None, np.inf, 0.0)
+
+
+def agreement(arm: Arm, pose: Pose, angle: str | None, length: str | None, turn: str | None) -> Agreement:
+    """The readings of a table with which an arm agrees best.
+
+    Args:
+        arm: of as many joints.
+        pose: the numbers.
+        angle, length, turn: units that are known already, or None.
+    """
+    if len(pose.joint) < FEWEST:
+        return NO_AGREEMENT
+    rows = np.unique(np.linspace(0, len(pose.joint) - 1, ROWS).astype(int))
+    tried = {}
+    for joint_unit, unit in product((angle,) if angle else ("rad", "deg"), (length,) if length else ("m", "mm")):
+        tried[joint_unit, unit] = _positions(
+            arm, pose.joint[rows] / units_of("q")[joint_unit], pose.position[rows] / units_of("x")[unit]
+        )
+    best = min(tried, key=lambda units: tried[units].score)
+    found = tried[best]
+    joint = _decided(best[0], {units[0]: t.score for units, t in tried.items() if units[1] == best[1]}, CLOSE)
+    metres = _decided(best[1], {units[1]: t.score for units, t in tried.items() if units[0] == best[0]}, CLOSE)
+    form, angle_of_turn = None, None
+    if pose.rotation is not None and found.score <= CLOSE:
+        form, angle_of_turn = _rotations(found.predicted, pose.rotation[rows], turn)
+    return Agreement(joint, metres, form, angle_of_turn, found.error, found.spread)
+
+
+class _Tried(NamedTuple):
+    """A reading: its median error in m, how far the positions spread, the rotations that it predicts of the flange."""
+
+    error: float
+    spread: float
+    predicted: Array
+
+    @property
+    def score(self) -> float:
+        return self.error / max(self.spread, 1e-9)
+
+
+def _positions(arm: Arm, joint: Array, position: Array) -> _Tried:
+    flange = frames.chain(arm.links, joint) @ arm.T_joint_flange
+    T_sensor_base, T_flange_tool = frames_from_poses(flange, position, None, None, None)
+    point = (flange @ T_flange_tool)[:, :3, 3] @ T_sensor_base[:3, :3].T + T_sensor_base[:3, 3]
+    error = float(np.median(np.linalg.norm(point - position, axis=1)))
+    moved = [np.median(np.linalg.norm(p - np.median(p, axis=0), axis=1)) for p in (position, flange[:, :3, 3])]
+    return _Tried(error, float(max(moved)), T_sensor_base[:3, :3] @ flange[:, :3, :3])
+
+
+def _rotations(predicted: Array, rotation: Array, unit: str | None) -> tuple[Decision | None, Decision | None]:
+    """The form of a rotation and its unit, by how constant the tool is on the flange."""
+    tried: dict[tuple[str, str], float] = {}
+    if rotation.shape[1] == 4:
+        for name, order in (("scalar_first", (1, 2, 3, 0)), ("scalar_last", (0, 1, 2, 3))):
+            length = np.linalg.norm(rotation, axis=1, keepdims=True)
+            tried[name, ""] = _wobble(predicted, rotation[:, order] / np.where(length > 0, length, 1.0) + 0.0)
+    else:
+        for form, angle in product(ANGLES, (unit,) if unit else ("rad", "deg")):
+            given = quaternions(form, rotation / units_of(form[0])[angle])
+            tried[form[0], angle] = _wobble(predicted, np.roll(given, -1, axis=1))
+    best = min(tried, key=lambda reading: tried[reading])
+    of_forms = {form: error for (form, angle), error in tried.items() if angle == best[1]}
+    of_units = {angle: error for (form, angle), error in tried.items() if form == best[0]}
+    form = _decided(best[0], of_forms, CLOSE_RAD)
+    return form, None if form is None or not best[1] else _decided(best[1], of_units, CLOSE_RAD)
+
+
+def _wobble(predicted: Array, quaternion: Array) -> float:
+    """rad, the median turn of the tool on the flange from its mean; `quaternion` scalar last."""
+    usable = np.linalg.norm(quaternion, axis=1) > 0.5
+    if usable.sum() < FEWEST:
+        return np.pi
+    relative = np.swapaxes(predicted[usable], 1, 2) @ Rotation.from_quat(quaternion[usable]).as_matrix()
+    turned = Rotation.from_matrix(relative)
+    return float(np.median((turned.mean().inv() * turned).magnitude()))
+
+
+def _decided(best: str, errors: dict[str, float], limit: float) -> Decision | None:
+    """The best of some readings; None where it does not agree, or others do as well."""
+    others = {name: error for name, error in errors.items() if name != best}
+    numbers = {"error": errors[best], "others": others}
+    if errors[best] > limit:
+        return None
+    if not others:
+        return Decision(best, "certain", "kinematics", numbers)
+    ratio = min(others.values()) / max(errors[best], 1e-12)
+    if ratio < SLIGHTLY:
+        return None
+    sure: Sureness = "certain" if ratio >= CLEARLY else "likely"
+    return Decision(best, sure, "kinematics", numbers)

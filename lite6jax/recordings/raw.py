@@ -1,0 +1,121 @@
+"""A table of columns with any names, which are read when they are asked for."""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pa_parquet
+
+from lite6jax.errors import InputError
+from lite6jax.recordings import stream
+from lite6jax.recordings.columns import Column
+from lite6jax.recordings.table import Loaded, no_numbers
+
+Load = Callable[[Mapping[str, Column]], Loaded]
+
+
+class RawTable(NamedTuple):
+    """The columns of a file or folder.
+
+    Attributes:
+        names: of all columns, in order.
+        load: the values of some, by any keys: of each an array, or what is wrong with it.
+    """
+
+    names: Sequence[str]
+    load: Load
+
+    def numbers(self) -> Iterator[tuple[str, np.ndarray | None]]:
+        """Every column with `(sample,)` float64, NaN where empty; None where it does not hold numbers."""
+        every = {str(k): Column(name.strip(), k, "", 0, "", 1.0) for k, name in enumerate(self.names)}
+        loaded = self.load(every)
+        for key, column in every.items():
+            values = loaded[key]
+            array = None if isinstance(values, str) else values.cast(pa.float64(), safe=False)
+            yield column.name, None if array is None else array.to_numpy(zero_copy_only=False)
+
+
+def of_arrays(values: Mapping[str, np.ndarray]) -> RawTable:
+    """Columns in memory."""
+    names = list(values)
+    return RawTable(
+        names, lambda columns: {key: pa.array(values[names[column.index]]) for key, column in columns.items()}
+    )
+
+
+def of_stream(path: Path, notes: list[str]) -> RawTable:
+    """The table of a recording that is being written.
+
+    Raises:
+        InputError: as `stream.read_stream`.
+    """
+    table = stream.read_stream(path, notes)
+
+    def load(columns: Mapping[str, Column]) -> Loaded:
+        return {
+            key: no_numbers(table.schema.field(column.index).type) or table.column(column.index)
+            for key, column in columns.items()
+        }
+
+    return RawTable(table.column_names, load)
+
+
+def of_parquet(path: Path) -> RawTable:
+    """The table of a Parquet file; only the columns asked for are read.
+
+    Raises:
+        InputError: damaged, or another kind of file; here and in `load`.
+    """
+    schema = parquet_schema(path)
+
+    def load(columns: Mapping[str, Column]) -> Loaded:
+        wrong = {key: no_numbers(schema.field(column.index).type) for key, column in columns.items()}
+        wanted = [schema.names[column.index] for key, column in columns.items() if not wrong[key]]
+        table = read_parquet(path, wanted)
+        return {
+            key: wrong[key] or table.column(table.column_names.index(schema.names[column.index]))
+            for key, column in columns.items()
+        }
+
+    return RawTable(schema.names, load)
+
+
+def parquet_schema(path: Path) -> pa.Schema:
+    """The columns of a Parquet file.
+
+    Raises:
+        InputError: as `read_parquet`.
+    """
+    return _parquet(path, lambda file: file.schema_arrow)
+
+
+def read_parquet(path: Path, columns: Sequence[str]) -> pa.Table:
+    """Columns of a Parquet file, its checksums verified.
+
+    Raises:
+        InputError: a name that is not UTF-8, damaged, or another kind of file.
+    """
+    return _parquet(path, lambda file: file.read(columns=list(columns)))
+
+
+def _parquet(path: Path, read: Callable[[pa_parquet.ParquetFile], Any]) -> Any:
+    try:
+        with pa_parquet.ParquetFile(path, page_checksum_verification=True) as file:
+            return read(file)
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path}: a column name is not UTF-8; write the file again with other names") from error
+    except (pa.ArrowException, OSError) as error:
+        if isinstance(error, OSError) and error.errno:  # the disk's refusal, not Parquet's
+            raise
+        with open(path, "rb") as content:
+            start = content.read(4)
+        problem = "is truncated or damaged" if start == b"PAR1" else "is not Parquet, whatever its name says"
+        raise InputError(f"{path}: {problem} ({one_line(error)}); write it again") from error
+
+
+def one_line(error: object) -> str:
+    """What a library says of a file, shortened."""
+    text = " ".join(str(error).split())
+    return text if len(text) <= 120 else f"{text[:117]}..."

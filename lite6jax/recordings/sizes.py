@@ -1,0 +1,185 @@
+"""Which unit numbers are in, by their size alone: degrees or radians, millimetres or metres, seconds or nanoseconds.
+
+What an arm's forward kinematics says, where the arm is known, weighs more (`domains.pose.readings`).
+"""
+
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lite6jax.recordings.columns import QUATERNION
+
+Array = NDArray[np.floating]
+Sureness = Literal["certain", "likely", "assumed"]
+"""By name or by kinematics; by size; or the usual one, where neither tells."""
+
+WIDEST_RAD = 4 * np.pi
+"""Beyond, joint positions are degrees: no arm's joint turns twice either way."""
+WIDE_RAD = 2.1 * np.pi
+"""Beyond, they are likely to be."""
+MOVING_RAD = 0.5
+"""Positions that spread so far are not degrees: an arm that is measured moves by more than a degree."""
+FAR_M = 10.0
+"""From the middle of all positions: beyond, they are millimetres. No arm reaches so far."""
+NEAR_M = 5.0
+"""Below, they are metres: an arm that moved less than 5 mm is not measured."""
+LARGE_A = 100.0
+"""Beyond, currents are milliamperes."""
+LARGE_NM = 2000.0
+"""Beyond, torques are millinewton metres."""
+_CLOCKS = ((1e17, "ns"), (1e14, "us"), (1e11, "ms"), (1e8, "s"))
+"""Times since 1970, by their least magnitude."""
+_SLOW, _FAST = 2e-3, 8.0
+"""rad/s: between them is the median speed of joints that move from row to row."""
+_STEPS_S = (1e-4, 600.0)
+"""Between rows."""
+
+
+class Decision(NamedTuple):
+    """A unit or a form, how sure it is, and why.
+
+    Attributes:
+        choice: such as `deg`.
+        sure: how sure.
+        reason: a code, for `report.inspection`.
+        numbers: that the reason names.
+    """
+
+    choice: str
+    sure: Sureness
+    reason: str
+    numbers: dict[str, Any]
+
+
+def by_name(unit: str) -> Decision:
+    """What the columns' names say."""
+    return Decision(unit, "certain", "name", {})
+
+
+def angle_unit(position: Array) -> Decision:
+    """`deg` or `rad` of joint positions `(sample, joint)`; numbers that are not finite are ignored."""
+    largest, spread = _largest(position), _spread(position)
+    said = {"largest": largest}
+    if largest > WIDEST_RAD:
+        return Decision("deg", "certain", "beyond_turns", said)
+    if largest > WIDE_RAD:
+        return Decision("deg", "likely", "beyond_turns", said)
+    return Decision("rad", "likely" if spread > MOVING_RAD else "assumed", "within_turns", said | {"spread": spread})
+
+
+def rate_unit(rate: Array, position: Array, angle: str, time: Array | None) -> Decision:
+    """The unit of velocities or accelerations: that of the positions per second, unless their change says otherwise.
+
+    Args:
+        rate: velocities `(sample, joint)`, in an unknown unit.
+        position: joint positions `(sample, joint)` in rad.
+        angle: the unit in which they were given, `deg` or `rad`.
+        time: `(sample,)` s, or None.
+    """
+    if time is None or len(time) < 3:
+        return Decision(angle, "assumed", "as_positions", {})
+    step = np.diff(time)
+    with np.errstate(all="ignore"):
+        slope = (position[1:] - position[:-1]) / step[:, None]
+        middle = 0.5 * (rate[1:] + rate[:-1])
+        fast = np.abs(slope) > 0.3 * np.nanmax(np.abs(slope), initial=0.0)
+        ratio = np.nanmedian(np.abs(middle[fast]) / np.abs(slope[fast])) if fast.any() else np.nan
+    if 0.5 < ratio < 2.0:
+        return Decision("rad", "certain", "slope", {"ratio": float(ratio)})
+    if 0.5 < ratio / np.rad2deg(1.0) < 2.0:
+        return Decision("deg", "certain", "slope", {"ratio": float(ratio)})
+    return Decision(angle, "assumed", "as_positions", {})
+
+
+def length_unit(position: Array) -> Decision:
+    """`mm` or `m` of positions `(sample, 3)`."""
+    there = position[np.isfinite(position).all(1)]
+    spread = float(np.max(np.ptp(np.quantile(there, [0.02, 0.98], axis=0), axis=0))) if len(there) else 0.0
+    said = {"spread": spread}
+    if spread > FAR_M:
+        return Decision("mm", "certain", "beyond_reach", said)
+    return Decision("m", "likely" if spread < NEAR_M else "assumed", "within_reach", said)
+
+
+def current_unit(current: Array) -> Decision:
+    """`mA` or `A`."""
+    largest = _largest(current)
+    large = largest > LARGE_A
+    return Decision("mA" if large else "A", "likely" if large else "assumed", "largest", {"largest": largest})
+
+
+def torque_unit(torque: Array) -> Decision:
+    """`mNm` or `Nm`."""
+    largest = _largest(torque)
+    large = largest > LARGE_NM
+    return Decision("mNm" if large else "Nm", "likely" if large else "assumed", "largest", {"largest": largest})
+
+
+def time_unit(time: Array, position: Array | None) -> Decision:
+    """`s`, `ms`, `us` or `ns`: of a clock by its size, else by the speed that joints would have.
+
+    Args:
+        time: `(sample,)`.
+        position: joint positions `(sample, joint)` in rad; None where unknown.
+    """
+    there = time[np.isfinite(time)]
+    start = float(np.min(there, initial=np.inf))
+    for least, unit in _CLOCKS:
+        if least <= start < np.inf:
+            return Decision(unit, "certain", "clock", {"start": start})
+    steps = np.diff(there)
+    step = float(np.median(steps[steps > 0])) if (steps > 0).any() else 1.0
+    speed = 0.0
+    if position is not None and len(there) == len(position):
+        with np.errstate(invalid="ignore"):
+            moved = np.nanmax(np.abs(np.diff(position, axis=0)), axis=1, initial=0.0)
+        usable = (steps > 0) & np.isfinite(moved) & (moved > 1e-5)
+        speed = float(np.median(moved[usable] / steps[usable])) if usable.any() else 0.0
+    for unit, divisor in (("s", 1.0), ("ms", 1e3), ("us", 1e6), ("ns", 1e9)):
+        possible = _STEPS_S[0] <= step / divisor <= _STEPS_S[1]
+        if possible and (not speed or _SLOW <= speed * divisor <= _FAST):
+            sure: Sureness = "likely" if speed else "assumed"
+            return Decision(unit, sure, "step", {"step_s": step / divisor, "speed": speed * divisor})
+    return Decision("s", "assumed", "step", {"step_s": step, "speed": speed})
+
+
+def rotation_form(rotation: Array, unit: str | None, form: tuple[str, ...] | None) -> tuple[Decision, Decision]:
+    """The form and the unit of a rotation of which no arm tells more.
+
+    Args:
+        rotation: `(sample, 3)` numbers, or `(sample, 4)` of a quaternion.
+        unit: of three numbers, where their names say it.
+        form: where their names say it, as in `columns.py`.
+
+    Returns:
+        the first name of a form in `columns.ANGLES`, `scalar_first` or `scalar_last`; and `rad`, `deg` or nothing.
+    """
+    there = rotation[np.isfinite(rotation).all(1)]
+    if rotation.shape[1] == 4:
+        usual = Decision("scalar_last", "assumed", "usual_quaternion", {})
+        return (by_name("scalar_first" if form == QUATERNION else "scalar_last") if form else usual), by_name("")
+    largest = _largest(there)
+    degrees = largest > 2.1 * np.pi
+    angle = Decision("deg" if degrees else "rad", "likely", "largest_angle", {"largest": largest})
+    angle = by_name(unit) if unit else angle
+    norm = np.linalg.norm(there, axis=1) * (np.pi / 180 if angle.choice == "deg" else 1.0)
+    if form:
+        return by_name(form[0]), angle
+    if np.mean(norm > 1.01 * np.pi) > 0.01:
+        return Decision("roll", "likely", "beyond_half_turn", {"largest": float(norm.max())}), angle
+    if angle.choice == "deg":
+        return Decision("roll", "assumed", "usual_degrees", {}), angle
+    return Decision("rx", "assumed", "within_half_turn", {}), angle
+
+
+def _largest(values: Array) -> float:
+    """The largest magnitude but for the highest thousandth, which may be faults."""
+    there = np.abs(values[np.isfinite(values)])
+    return float(np.quantile(there, 0.999)) if there.size else 0.0
+
+
+def _spread(values: Array) -> float:
+    """Of the column that spreads most, from the 5th percentile to the 95th."""
+    there = [column[np.isfinite(column)] for column in values.T]
+    return max((float(np.ptp(np.quantile(column, [0.05, 0.95]))) for column in there if column.size), default=0.0)

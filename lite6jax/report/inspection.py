@@ -1,0 +1,301 @@
+"""What was recognised in a table, in words: on the screen, and as the comments of the sidecar that `init` writes."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+import yaml
+from rich.console import RenderableType
+from rich.padding import Padding
+from rich.text import Text
+
+from lite6jax.domains.pose.inspection import Inspection, Meaning
+from lite6jax.recordings.columns import IGNORED
+from lite6jax.recordings.sizes import Decision
+
+_KINDS = {
+    "q": "Joint positions",
+    "dq": "Joint velocities",
+    "ddq": "Joint accelerations",
+    "tau": "Joint torques",
+    "current": "Motor currents",
+    "temp": "Joint temperatures",
+    "position": "Tool position",
+    "rotation": "Tool orientation",
+    "time": "Time",
+    "payload": "Payload",
+    "ambient": "Ambient temperature",
+    "run": "Runs",
+}
+_UNITS = {
+    "rad": "radians",
+    "deg": "degrees",
+    "rad_per_s": "rad/s",
+    "deg_per_s": "deg/s",
+    "rad_per_s2": "rad/s²",
+    "deg_per_s2": "deg/s²",
+    "m": "metres",
+    "mm": "millimetres",
+    "Nm": "N m",
+    "mNm": "mN m",
+    "s": "seconds",
+    "ms": "milliseconds",
+    "us": "microseconds",
+    "ns": "nanoseconds",
+    "degC": "°C",
+}
+_FORMS = {
+    "scalar_first": "a quaternion w x y z",
+    "scalar_last": "a quaternion x y z w",
+    "rx": "a rotation vector",
+    "roll": "roll, pitch, yaw: Rz(yaw) Ry(pitch) Rx(roll)",
+    "rotx": "angles Rx(rotx) Ry(roty) Rz(rotz)",
+    "alpha": "Euler angles Rz(alpha) Ry(beta) Rz(gamma)",
+}
+_MANY = 3
+"""Columns that are named one by one; of more, the first and the last."""
+
+KEYS: Mapping[str, tuple[str, str]] = {
+    "arm": (
+        "The arm: a bundled one (`lite6jax arms`), or the path of a description, URDF or MJCF, relative to this file.",
+        "lite6",
+    ),
+    "factory_calibration": (
+        "The path of the arm's own six-parameter file. With it the geometry is that, exactly; without, it is fitted.",
+        "arm.yaml",
+    ),
+    "factory_uncertainty": (
+        "Standard deviations of the numbers in that file: the geometry is then fitted near it.",
+        "{position_m: 1.0e-5, rotation_rad: 1.0e-5}",
+    ),
+    "joint_source": ("Where the joint positions are from: measured (by encoders), commanded or unknown.", "measured"),
+    "joint_noise_rad": ("Noise of the joint positions, one standard deviation in rad.", "1.0e-5"),
+    "pose_source": (
+        "What measured the poses: laser_tracker, motion_capture, camera, controller_fk (computed by the controller "
+        "from the joints, as UR's actual_TCP_pose is: nothing was measured then) or unknown.",
+        "laser_tracker",
+    ),
+    "motion": ("static (the arm stood still at each row) or trajectory.", "static"),
+    "pose_frame": (
+        "The frame of the poses: base (exactly the arm's base frame) or unknown (the sensor's own, which is fitted).",
+        "unknown",
+    ),
+    "tool": (
+        "What the poses are of: none (the flange), unknown (a tool, which is fitted), or its x, y, z, roll, pitch, yaw "
+        "on the flange in m and rad.",
+        "[0, 0, 0.1, 0, 0, 0]",
+    ),
+    "position_noise_m": ("Noise of the positions, one standard deviation per axis in m.", "2.0e-5"),
+    "orientation_noise_rad": ("Noise of the orientations, one standard deviation per axis in rad.", "1.0e-4"),
+    "payload_com_m": ("Centre of mass of the payload in the flange's frame, in m.", "[0, 0, 0.05]"),
+    "payload_uncertainty_kg": ("Standard deviation of the payload's mass in kg.", "0.05"),
+    "reference_temperature_degC": ("Temperature at which the geometry holds, in degrees Celsius.", "25.0"),
+    "gravity_m_per_s2": ("Gravity in the arm's base frame; another on a wall or a ceiling.", "[0, 0, -9.81]"),
+    "inertial_uncertainty": (
+        "Of poses: relative standard deviation of the links' masses and of the lever arms of their centres.",
+        "0.1",
+    ),
+    "torque_source": (
+        "Of torques: measured, current (motor currents), estimated (by the controller's own model) or unknown.",
+        "current",
+    ),
+    "torque_noise_Nm": ("Of torques: one standard deviation for each joint in N m.", "[0.1, 0.1, 0.1, 0.1, 0.1, 0.1]"),
+    "inertial": (
+        "Of torques: declared (the arm's inertial numbers are exact), their relative standard deviation, or unknown.",
+        "unknown",
+    ),
+    "torque_constant_Nm_per_A": (
+        "Of currents: one number for each joint in N m per A, gear included.",
+        "[12.0, 12.0, 9.0, 4.0, 4.0, 4.0]",
+    ),
+}
+"""The keys of `recording` in a sidecar: what each means, and an example."""
+_OF_TORQUES = ("torque_source", "torque_noise_Nm", "inertial", "torque_constant_Nm_per_A")
+_OF_POSES = (
+    *("pose_source", "pose_frame", "tool", "position_noise_m", "orientation_noise_rad", "factory_calibration"),
+    *("factory_uncertainty", "inertial_uncertainty"),
+)
+
+
+def inspection_report(found: Inspection, path: str) -> Iterator[RenderableType]:
+    """What each column means, how sure that is, and why."""
+    yield Text(path, no_wrap=True, overflow="ignore")
+    yield Text(f"{found.samples} rows, {_counted(found)}.")
+    yield ""
+    for meaning in found.meanings:
+        yield Padding(Text(statement(meaning)), (0, 0, 0, 2))
+    recognised = {
+        own: name for meaning in found.meanings for own, name in zip(meaning.block.columns, meaning.names, strict=True)
+    }
+    for own, name in found.given.items():
+        if recognised.get(own) == name:
+            continue
+        yield Padding(Text(f"{own}: {name}, as given."), (0, 0, 0, 2))
+    if found.unused or found.texts:
+        yield Padding(Text(f"Not used: {_listed((*found.unused, *found.texts))}."), (0, 0, 0, 2))
+    yield ""
+    yield Text(arm_statement(found))
+    yield Text(f"Motion: {found.motion[0]}; {found.motion[1]}.")
+
+
+def statement(meaning: Meaning) -> str:
+    """A block in one or two sentences."""
+    block = meaning.block
+    said = f"{_KINDS[block.kind]}: {_columns(block.columns)}"
+    if meaning.form is not None:
+        said += f", {_FORMS[meaning.form.choice]} ({_sure(meaning.form)})"
+    if meaning.unit.choice:
+        unit = _UNITS.get(meaning.unit.choice, meaning.unit.choice)
+        said += f", {'in ' if meaning.form is None else ''}{unit} ({_sure(meaning.unit)})"
+    said += "."
+    if block.rivals:
+        said += f" {_listed(block.rivals)} may be meant instead: choose with --column."
+    return said
+
+
+def _sure(decision: Decision) -> str:
+    return f"{decision.sure}: {_reason(decision)}"
+
+
+def _reason(decision: Decision) -> str:
+    n = decision.numbers
+    if decision.reason == "kinematics":
+        other = min(n["others"].values(), default=None)
+        least = n["error"]
+        if other is None:
+            return "the arm's kinematics agree"
+        return f"the arm's kinematics agree {_times(other / max(least, 1e-12))} better than with the next reading"
+    if decision.reason == "slope":
+        times = "" if 0.5 < n["ratio"] < 2 else f"{n['ratio']:.3g} times "
+        return f"they are {times}what the positions change per second in rad"
+    return {
+        "name": "by name",
+        "beyond_turns": "they reach {largest:.4g}, beyond any joint's turns in rad",
+        "within_turns": "none is beyond {largest:.3g}",
+        "as_positions": "as the positions",
+        "beyond_reach": "they spread over {spread:.4g}, beyond any arm's reach in metres",
+        "within_reach": "they spread over {spread:.3g}",
+        "largest": "the largest is {largest:.3g}",
+        "usual": "the usual unit",
+        "usual_quaternion": "as ROS writes it",
+        "largest_angle": "the largest is {largest:.3g}",
+        "beyond_half_turn": "they reach {largest:.3g} rad, and a rotation vector ends at half a turn",
+        "within_half_turn": "none is beyond half a turn",
+        "usual_degrees": "as degrees usually are",
+        "clock": "a clock that counts from 1970",
+        "step": "rows would be {step_s:.3g} s apart",
+    }[decision.reason].format(**n)
+
+
+def _times(ratio: float) -> str:
+    return f"{ratio:.3g} times" if ratio < 1e3 else "over 1000 times"
+
+
+def arm_statement(found: Inspection) -> str:
+    """Which arm it is, and how well its nominal kinematics agree."""
+    if found.arm is None:
+        tried = "; ".join(f"{name}: {1e3 * error:.3g} mm" for name, error in found.arms[:4])
+        if not tried:
+            return "Arm: unknown. Name it with --arm, or `arm:` in the sidecar; `lite6jax arms` lists the bundled ones."
+        return f"Arm: none of the bundled ones alone agrees (median errors: {tried}). Name it with --arm."
+    if not found.arms:
+        return f"Arm: {found.arm.name}, as given; there are no poses to compare it with."
+    near = f"its nominal kinematics agree with the poses to {1e3 * found.error:.3g} mm (median)"
+    if found.error > 0.05:
+        return f"Arm: {found.arm.name}, but {near}: check the arm, the order of the joints and their signs."
+    others = "; ".join(f"{name} to {1e3 * error:.3g} mm" for name, error in found.arms[1:3])
+    return f"Arm: {found.arm.name}; {near}" + (f", {others}." if others else ".")
+
+
+def sidecar_text(found: Inspection, settings: Mapping[str, Any], table: str) -> str:
+    """The YAML of a sidecar with every key and what it means; keys without a value are commented out.
+
+    Args:
+        found: the columns.
+        settings: keys of `recording` that are known, as plain YAML values.
+        table: the name of the recording's file.
+    """
+    lines = [
+        f"# How lite6jax reads {' '.join(table.split())}. Written by `lite6jax init`, to be corrected by hand;",
+        "# docs/recordings.md has all columns and keys. A line that begins with # is not in force.",
+        "",
+    ]
+    if found.columns:
+        lines += _column_lines(found)
+    torques = found.of("tau") is not None or found.of("current") is not None
+    poses = found.of("position") is not None or any(name.startswith("x_") for name in found.given.values())
+    lines.append("recording:" if settings else "recording: {}  # nothing is declared yet")
+    for key, (meaning, example) in KEYS.items():
+        if key not in settings and ((key in _OF_TORQUES and not torques) or (key in _OF_POSES and not poses)):
+            continue
+        lines += _wrapped(meaning, "  # ")
+        value = _flow(settings[key]) if key in settings else example
+        lines.append(f"  {key}: {value}" if key in settings else f"  # {key}: {example}")
+    return "\n".join(lines) + "\n"
+
+
+def _column_lines(found: Inspection) -> list[str]:
+    lines = ["# What each column is: its name in the table, then what it holds and its unit; `ignore` for nothing."]
+    lines.append("columns:")
+    told = dict(found.columns)
+    for meaning in found.meanings:
+        lines += _wrapped(statement(meaning), "  # ")
+        lines += [_entry(own, told.pop(own)) for own in meaning.block.columns if own in told]
+    rest = {own: name for own, name in told.items() if name != IGNORED}
+    unused = {own: name for own, name in told.items() if name == IGNORED}
+    for comment, entries in (("As given.", rest), ("Not used.", unused)):
+        if entries:
+            lines += [f"  # {comment}", *(_entry(own, name) for own, name in entries.items())]
+    return [*lines, ""]
+
+
+def _entry(own: str, name: str) -> str:
+    dumped = yaml.safe_dump({own: name}, allow_unicode=True, width=1 << 20, default_flow_style=False).rstrip("\n")
+    return "\n".join(f"  {line}" for line in dumped.split("\n"))
+
+
+def _flow(value: Any) -> str:
+    dumped = yaml.safe_dump(value, default_flow_style=True, allow_unicode=True, width=1 << 20)
+    return dumped.removesuffix("\n").removesuffix("...").strip()
+
+
+def _wrapped(text: str, start: str, width: int = 118) -> list[str]:
+    lines, line = [], start
+    for word in text.split():
+        if len(line) + len(word) > width and line != start:
+            lines.append(line.rstrip())
+            line = start
+        line += f"{word} "
+    return [*lines, line.rstrip()]
+
+
+def _columns(names: Sequence[str]) -> str:
+    return ", ".join(names) if len(names) <= _MANY else f"{names[0]} … {names[-1]}"
+
+
+def _listed(names: Sequence[str], most: int = 8) -> str:
+    return ", ".join(repr(name[:40]) for name in names[:most]) + (
+        f" and {len(names) - most} more" if len(names) > most else ""
+    )
+
+
+def _counted(found: Inspection) -> str:
+    used = sum(len(meaning.block.columns) for meaning in found.meanings) + len(found.given)
+    rest = len(found.unused) + len(found.texts)
+    return f"{used + rest} columns, of which {used} are used" if rest else f"{used} columns"
+
+
+def next_steps(found: Inspection, settings: Mapping[str, Any], source: str) -> Iterator[RenderableType]:
+    """What is still unknown, and the command that follows."""
+    doubtful = [
+        _KINDS[meaning.block.kind].lower()
+        for meaning in found.meanings
+        if "assumed" in (meaning.unit.sure, meaning.form.sure if meaning.form else "")
+    ]
+    if doubtful:
+        yield Text(f"Check in the sidecar what was assumed: {', '.join(doubtful)}.")
+    if found.of("position") is None and found.of("tau") is None and found.of("current") is None and not found.given:
+        yield Text("There are neither poses nor torques: this is a motion, to predict or to compute with.")
+        return
+    if "arm" not in settings:
+        yield Text("Name the arm in the sidecar, then:")
+    yield Text(f"lite6jax diagnose {source} --out diagnosis.json", no_wrap=True, overflow="ignore")

@@ -1,0 +1,115 @@
+"""Lists of what there is: the effects of both catalogues, and the bundled arms."""
+
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from rich.console import RenderableType
+from rich.padding import Padding
+from rich.text import Text
+
+from lite6jax.arms.arm import Arm
+from lite6jax.arms.bundled import VARIANTS, maker_of
+from lite6jax.report.cells import listing
+
+if TYPE_CHECKING:
+    from lite6jax.effects.listing import Listed  # which takes a second, and which arms do not need
+
+_DOMAINS = {
+    "kinematic": "Effects on poses: what moves the tool (diagnose, simulate, identify)",
+    "dynamic": "Effects on torques: what motors exert besides (diagnose, identify --torque)",
+}
+_WIDE = 140
+"""Columns from which effects are a table; below, each is a paragraph."""
+
+
+def effects_report(effects: "Sequence[Listed]", width: int) -> Iterator[RenderableType]:
+    """The effects by domain, as tables or, on a narrow screen, as paragraphs."""
+    for domain, title in _DOMAINS.items():
+        chosen = [effect for effect in effects if effect.domain == domain]
+        if not chosen:
+            continue
+        yield Text(title)
+        yield ""
+        if width < _WIDE:
+            yield from _paragraphs(chosen)
+        else:
+            yield _table(chosen)
+        yield ""
+    yield Text("jointN and linkN stand for every joint and link of an arm; a unit of 1 is a ratio.")
+
+
+def _paragraphs(effects: "Sequence[Listed]") -> Iterator[RenderableType]:
+    for effect in effects:
+        yield Text(effect.name)
+        yield Padding(Text(effect.description), (0, 0, 0, 2))
+        yield Padding(Text(f"Site: {', '.join(effect.sites)}. Driver: {_drivers(effect)}."), (0, 0, 0, 2))
+        if effect.parameters:
+            yield Padding(Text(f"Numbers: {', '.join(effect.parameters)} ({_units(effect)})."), (0, 0, 0, 2))
+
+
+def _table(effects: "Sequence[Listed]") -> RenderableType:
+    table = listing("effect", "site", "driver", "unit", "what it is")
+    for column in table.columns[1:]:
+        column.justify, column.no_wrap, column.overflow = "left", False, "fold"
+    table.columns[1].min_width, table.columns[3].min_width = 6, 8
+    table.columns[4].ratio = 1
+    table.expand = True
+    for effect in effects:
+        cells = (", ".join(effect.sites), _drivers(effect), _units(effect), effect.description)
+        table.add_row(effect.name, *map(Text, cells))
+    return table
+
+
+def _drivers(effect: "Listed") -> str:
+    return ", ".join(effect.drivers) or "none"
+
+
+def _units(effect: "Listed") -> str:
+    return ", ".join(effect.units) or "as fitted"
+
+
+class ArmEntry(NamedTuple):
+    """A bundled arm as it is listed: reach in m, an upper bound; where its numbers are from."""
+
+    name: str
+    maker: str
+    joints: int
+    reach_m: float
+    inertia: bool
+    source: str
+
+    def to_dict(self) -> dict[str, Any]:
+        """As plain JSON values."""
+        return self._asdict()
+
+
+def arm_entry(arm: Arm) -> ArmEntry:
+    """What is listed of an arm."""
+    return ArmEntry(arm.name, maker_of(arm.name), arm.dof, round(arm.reach, 4), arm.inertia is not None, arm.source)
+
+
+def arms_report(arms: Sequence[ArmEntry], width: int) -> Iterator[RenderableType]:
+    """The bundled arms, and below the table where their numbers are from."""
+    if width < 60:
+        for arm in arms:
+            inertia = "with inertia" if arm.inertia else "without inertia"
+            yield Text(arm.name)
+            about = f"{arm.maker}, {arm.joints} joints, {1e3 * arm.reach_m:.0f} mm, {inertia}."
+            yield Padding(Text(about), (0, 0, 0, 2))
+            yield Padding(Text(arm.source), (0, 0, 0, 2))
+        return
+    table = listing("arm", "maker", "joints", "reach (mm)", "inertia")
+    for index in (1, 4):
+        table.columns[index].justify = "left"
+    for arm in arms:
+        table.add_row(arm.name, arm.maker, str(arm.joints), f"{1e3 * arm.reach_m:.0f}", "yes" if arm.inertia else "no")
+    yield table
+    yield ""
+    yield Text("reach: the sum of the links' lengths, which no flange exceeds.")
+    variants = [arm.name for arm in arms if arm.name in VARIANTS]
+    if variants:
+        yield Text(f"{', '.join(variants)}: the same model by another file of the vendor.")
+    yield ""
+    yield Text("Sources")
+    for arm in arms:
+        yield Padding(Text(f"{arm.name}: {arm.source}"), (0, 0, 0, 2))

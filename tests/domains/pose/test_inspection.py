@@ -1,0 +1,184 @@
+"""What is recognised in tables of an arm whose pose is read by a sensor anywhere: units, rotations, the arm itself."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from lite6jax.arms.bundled import load_bundled
+from lite6jax.domains.pose.inspection import inspect
+from lite6jax.errors import InputError
+from lite6jax.recordings import Recording
+from tests.oracles.arms import lite6_positions, perturbed
+from tests.oracles.chains import six_parameter_poses
+from tests.oracles.transforms import random_transform, shift
+
+LITE6 = load_bundled("lite6")
+ROWS = 60
+
+
+def measured(rows=ROWS, seed=0):
+    """Joints, and poses of a tool on a Lite 6 as made, in the frame of a sensor some metres away."""
+    rng = np.random.default_rng(seed)
+    q = lite6_positions(rng, rows)
+    poses = random_transform(rng, 2.0) @ six_parameter_poses(perturbed(rng, LITE6.kinematics), q)
+    tool = shift(0.03, 0.01, 0.12)
+    tool[:3, :3] = Rotation.random(random_state=rng).as_matrix()
+    return q, poses @ tool
+
+
+Q, POSES = measured()
+P, TURNED = POSES[:, :3, 3], Rotation.from_matrix(POSES[:, :3, :3])
+ROTATIONS = {
+    "quaternion w x y z": (TURNED.as_quat(scalar_first=True), ("qw", "qx", "qy", "qz")),
+    "quaternion x y z w": (TURNED.as_quat(), ("qx", "qy", "qz", "qw")),
+    "rotation vector": (TURNED.as_rotvec(), ("rx_rad", "ry_rad", "rz_rad")),
+    "rotation vector, degrees": (TURNED.as_rotvec(degrees=True), ("rx_deg", "ry_deg", "rz_deg")),
+    "roll pitch yaw": (TURNED.as_euler("xyz"), ("roll_rad", "pitch_rad", "yaw_rad")),
+    "roll pitch yaw, degrees": (TURNED.as_euler("xyz", degrees=True), ("roll_deg", "pitch_deg", "yaw_deg")),
+    "Rx Ry Rz": (TURNED.as_euler("XYZ"), ("rotx_rad", "roty_rad", "rotz_rad")),
+    "Rz Ry Rz, degrees": (TURNED.as_euler("ZYZ", degrees=True), ("alpha_deg", "beta_deg", "gamma_deg")),
+}
+
+
+def table(joints="q_{}", pose="tool_pose_{}", angle=1.0, length=1.0, rotation=None):
+    """A frame with columns of these names, and numbers in other units."""
+    columns = dict(zip((joints.format(k) for k in range(6)), angle * Q.T, strict=True))
+    parts = np.column_stack([length * P, *([] if rotation is None else [rotation])])
+    return columns | dict(zip((pose.format(k) for k in range(parts.shape[1])), parts.T, strict=True))
+
+
+def read(frame, arm=LITE6, **options):
+    """The inspection, and the recording that it leads to."""
+    found = inspect(list(frame.items()), arm, **options)
+    return found, Recording.from_dataframe(frame, columns=found.columns, motion="static")
+
+
+@pytest.mark.parametrize("case", ROTATIONS)
+def test_the_arm_shows_units_and_the_form_of_a_rotation(case):
+    rotation, names = ROTATIONS[case]
+    found, recording = read(table(angle=180 / np.pi, length=1e3, rotation=rotation))
+    assert tuple(found.columns.values())[6:9] == ("x_mm", "y_mm", "z_mm")
+    assert tuple(found.columns.values())[9:] == names
+    np.testing.assert_allclose(recording.joint_position, Q, atol=1e-13)
+    np.testing.assert_allclose(recording.position, P, atol=1e-13)
+    turned = Rotation.from_quat(recording.quaternion, scalar_first=True)
+    np.testing.assert_allclose((turned.inv() * TURNED).magnitude(), 0, atol=1e-7)
+    for meaning in found.meanings:
+        assert meaning.unit.sure == "certain"
+    assert found.of("q").unit.reason == found.of("rotation").form.reason == "kinematics"
+    assert found.error < 5e-3
+
+
+def test_numbers_that_size_alone_would_misread():
+    """Degrees of joints that hardly move, and a sensor 30 m away."""
+    small = np.random.default_rng(1).uniform(-0.09, 0.09, (ROWS, 6))
+    poses = six_parameter_poses(LITE6.kinematics, small)
+    frame = {f"q{k}": np.rad2deg(small[:, k]) for k in range(6)}
+    assert inspect(list(frame.items())).of("q").unit[:2] == ("rad", "likely")
+    frame |= {f"tcp_{axis}": poses[:, k, 3] + 30.0 for k, axis in enumerate("xyz")}
+    found = inspect(list(frame.items()), LITE6)
+    assert [found.of(kind).unit[:2] for kind in ("q", "position")] == [("deg", "certain"), ("m", "certain")]
+
+
+def test_the_arm_is_recognised_where_only_one_agrees():
+    found = inspect(list(table(angle=180 / np.pi, length=1e3).items()))
+    assert found.arm is not None
+    assert found.arm.name == found.arms[0][0] == "lite6"
+    assert found.arms[0][1] < 5e-3 < found.arms[1][1]
+    assert [*found.columns.values()] == [f"q{k}_deg" for k in range(1, 7)] + ["x_mm", "y_mm", "z_mm"]
+
+
+def test_an_arm_that_does_not_agree_decides_nothing():
+    found = inspect(list(table(rotation=ROTATIONS["rotation vector"][0]).items()), load_bundled("ur10"))
+    assert found.error > 0.05
+    assert [(meaning.unit.choice, meaning.unit.sure) for meaning in found.meanings] == [
+        ("rad", "likely"),
+        ("m", "likely"),
+        ("rad", "likely"),
+    ]
+    assert found.of("rotation").form[:2] == ("rx", "assumed")
+
+
+def test_names_that_a_rotation_contradicts():
+    """Columns called roll, pitch and yaw that hold Rx Ry Rz; and a quaternion whose names stay."""
+    angles, _ = ROTATIONS["Rx Ry Rz"]
+    frame = table("joint{}", "tool_{}") | dict(zip(("roll", "pitch", "yaw"), angles.T, strict=True))
+    frame = {name.replace("tool_", "tcp_pose_"): column for name, column in frame.items()}
+    found, recording = read(frame)
+    assert found.of("rotation").names == ("rotx_rad", "roty_rad", "rotz_rad")
+    turned = Rotation.from_quat(recording.quaternion, scalar_first=True)
+    np.testing.assert_allclose((turned.inv() * TURNED).magnitude(), 0, atol=1e-7)
+
+
+def test_without_poses_sizes_and_slopes_decide():
+    t = np.arange(200) * 8.0  # ms
+    q = np.stack([90 * np.sin(t / 1000 + k) for k in range(6)], 1)
+    dq = np.deg2rad(np.stack([90 * np.cos(t / 1000 + k) for k in range(6)], 1))
+    frame = {"t": t} | {f"q{k}": q[:, k] for k in range(6)} | {f"qd{k}": dq[:, k] for k in range(6)}
+    frame |= {f"torque_{k}": 5e3 * np.sin(q[:, k]) for k in range(6)} | {f"current_{k}": q[:, k] / 50 for k in range(6)}
+    found = inspect(list(frame.items()), LITE6)
+    chosen = {meaning.block.kind: (meaning.unit.choice, meaning.unit.sure) for meaning in found.meanings}
+    assert chosen == {
+        "q": ("deg", "certain"),
+        "dq": ("rad_per_s", "certain"),
+        "tau": ("mNm", "likely"),
+        "current": ("A", "assumed"),
+        "time": ("ms", "likely"),
+    }
+    assert found.motion[0] == "trajectory"
+    recording = Recording.from_dataframe(frame, columns=found.columns)
+    np.testing.assert_allclose(recording.time, t / 1e3, atol=1e-12)
+
+
+@pytest.mark.parametrize(("factor", "unit"), [(1, "s"), (1e3, "ms"), (1e6, "us"), (1e9, "ns")])
+def test_clocks_are_recognised(factor, unit):
+    frame = {"stamp": (1.76e9 + np.arange(50.0)) * factor, "q0": np.linspace(0, 1, 50), "q1": np.zeros(50)}
+    assert inspect(list(frame.items())).of("time").unit[:3] == (unit, "certain", "clock")
+
+
+def test_what_is_given_comes_before_what_is_recognised():
+    frame = table("J{}", "tool_pose_{}") | {"spindle_1": np.ones(ROWS), "label": None}
+    given = {"J5": "q6_deg", "spindle_1": "ignore"}
+    found = inspect(list(frame.items()), None, given)
+    assert found.columns["J5"] == "q6_deg"
+    assert found.columns["spindle_1"] == found.columns["label"] == "ignore"
+    swapped = inspect(list(frame.items()), None, {"J0": "q2_rad", "J1": "q1_rad"}).columns
+    assert (swapped["J0"], swapped["J1"]) == ("q2_rad", "q1_rad")
+    other = inspect(list(frame.items()), None, {"spindle_1": "q6_rad"}).columns
+    assert (other["J5"], other["spindle_1"]) == ("ignore", "q6_rad")
+    degrees = inspect(list(frame.items()), None, {f"J{k}": f"q{k + 1}_deg" for k in range(6)})
+    assert degrees.of("q").unit.reason == "name"
+    with pytest.raises(InputError, match=r"recording: has no column 'J9'; it has 'J0', 'J1'"):
+        inspect(list(frame.items()), None, {"J9": "q1_rad"})
+
+
+def test_what_is_assumed_can_be_renamed():
+    frame = table(rotation=ROTATIONS["quaternion w x y z"][0])
+    found = inspect(list(frame.items()), load_bundled("ur10"))
+    rotation = found.of("rotation")
+    assert rotation.form[:2] == ("scalar_last", "assumed")
+    assert rotation.forms == ("scalar_first", "scalar_last")
+    given = rotation.renamed(form="scalar_first") | found.of("q").renamed(unit="deg")
+    assert [*given.values()] == ["qw", "qx", "qy", "qz"] + [f"q{k}_deg" for k in range(1, 7)]
+    again = inspect(list(frame.items()), LITE6, given)
+    assert {own: again.columns[own] for own in given} == given
+    assert again.of("rotation").form == ("scalar_first", "certain", "name", {})
+    angles = table(rotation=ROTATIONS["rotation vector"][0])
+    vector = inspect(list(angles.items()), load_bundled("ur10")).of("rotation")
+    given = vector.renamed(form="alpha")
+    assert [*given.values()] == ["alpha_rad", "beta_rad", "gamma_rad"]
+    assert inspect(list(angles.items()), LITE6, given).of("rotation").names == ("alpha_rad", "beta_rad", "gamma_rad")
+
+
+def test_a_gripper_behind_the_arm_is_left_out():
+    frame = {f"joint_{k}": np.linspace(0, k, 30) for k in range(1, 8)}
+    found = inspect(list(frame.items()), LITE6)
+    assert found.columns["joint_7"] == "ignore"
+    assert found.of("q").block.columns == tuple(f"joint_{k}" for k in range(1, 7))
+
+
+def test_a_table_with_the_names_of_a_recording_needs_no_columns():
+    frame = {"q1_rad": Q[:, 0], "q2_rad": Q[:, 1], "gap": None, "missing": np.zeros(ROWS), "note": None}
+    assert inspect(list(frame.items())).columns == {}
+    refused = inspect([*frame.items(), ("x", None)]).columns  # it would have to have a unit
+    assert refused == {"q1_rad": "q1_rad", "q2_rad": "q2_rad", "note": "ignore", "x": "ignore"}

@@ -1,0 +1,210 @@
+"""`lite6jax init` as a person meets it: what it says, the sidecar it writes, the commands that then read the table."""
+
+import json
+import re
+from dataclasses import fields
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from scipy.spatial.transform import Rotation
+from typed import flat, refused, run
+
+from lite6jax.arms.bundled import load_bundled
+from lite6jax.cli import init
+from lite6jax.recordings import RecordingSettings, read_recording, read_settings
+from lite6jax.report import inspection
+from tests.oracles.arms import lite6_positions, perturbed
+from tests.oracles.chains import six_parameter_poses
+from tests.oracles.transforms import perturb_poses
+
+ROOT = Path(__file__).resolve().parents[1]
+LITE6 = load_bundled("lite6").kinematics
+
+
+@pytest.fixture(scope="module")
+def measured():
+    rng = np.random.default_rng(4)
+    q = lite6_positions(rng, 80)
+    return q, perturb_poses(rng, six_parameter_poses(perturbed(rng, LITE6), q), 2e-5, 1e-4)
+
+
+@pytest.fixture
+def recorded(tmp_path, measured):
+    """A table as a lab wrote it: degrees and millimetres, a rotation vector, a text, spaces and a colon in names."""
+    q, poses = measured
+    vector = Rotation.from_matrix(poses[:, :3, :3]).as_rotvec()
+    columns = {f"Joint {k + 1}": np.rad2deg(q[:, k]) for k in range(6)}
+    columns |= {f"tcp: {axis}": 1e3 * poses[:, k, 3] for k, axis in enumerate("xyz")}
+    columns |= {f"tcp: r{axis}": vector[:, k] for k, axis in enumerate("xyz")}
+    path = tmp_path / "run7.csv"
+    rows = [[*columns, "operator", "x"]]
+    rows += [[*map(repr, map(float, row)), "me", "1"] for row in zip(*columns.values(), strict=True)]
+    path.write_text("".join(",".join(row) + "\n" for row in rows))
+    return path
+
+
+def test_the_table_is_read_by_all_commands_afterwards(capsys, recorded, measured):
+    assert "has no joint positions" in refused(capsys, "fit", recorded)
+    code, out, err = run(
+        capsys, "init", recorded, "--arm", "lite6", "--set", "pose_frame=base", "--set", "tool=none", width=100
+    )
+    assert (code, err) == (0, "")
+    said = flat(out)
+    assert "Joint positions: Joint 1 … Joint 6, in degrees (certain: the arm's kinematics agree" in said
+    assert "Tool orientation: tcp: rx, tcp: ry, tcp: rz, a rotation vector (certain: the arm's kinematics" in said
+    assert "Not used: 'x', 'operator'." in said
+    assert out.endswith(f"lite6jax diagnose {recorded} --out diagnosis.json\n")
+    recording = read_recording(recorded)
+    q, poses = measured
+    np.testing.assert_allclose(recording.joint_position, q, atol=1e-13)
+    np.testing.assert_allclose(recording.position, poses[:, :3, 3], atol=1e-13)
+    turned = Rotation.from_quat(recording.quaternion, scalar_first=True).as_matrix()
+    np.testing.assert_allclose(turned, poses[:, :3, :3], atol=1e-12)
+    assert recording.settings == RecordingSettings(arm="lite6", motion="static", pose_frame="base", tool="none")
+    assert recording.notes == ()
+    code, out, _ = run(capsys, "fit", recorded)
+    assert code == 0
+    assert "Recording of 80 samples, 6 joints of a lite6: positions and orientations" in flat(out)
+
+
+def test_the_sidecar_explains_every_key(recorded, capsys):
+    assert run(capsys, "init", recorded)[0] == 0
+    text = recorded.with_suffix(".yaml").read_text()
+    content = yaml.safe_load(text)
+    assert content["recording"] == {"arm": "lite6", "motion": "static"}  # recognised
+    assert content["columns"]["tcp: x"] == "x_mm"
+    assert content["columns"]["operator"] == content["columns"]["x"] == "ignore"
+    assert set(inspection.KEYS) == {field.name for field in fields(RecordingSettings)}
+    commented = re.findall(r"^  # (\w+): (.*)$", text, re.MULTILINE)
+    examples = {key: value for key, value in commented if key in inspection.KEYS}
+    of_torques = {"torque_source", "torque_noise_Nm", "inertial", "torque_constant_Nm_per_A"}
+    assert set(examples) == set(inspection.KEYS) - set(content["recording"]) - of_torques
+    assert max(map(len, text.splitlines())) <= 120
+    # each example is accepted in its place
+    keys = "|".join(examples)
+    uncommented = re.sub(rf"^  # ({keys}): ", r"  \1: ", text, flags=re.MULTILINE)
+    recorded.with_suffix(".yaml").write_text(uncommented)
+    assert read_settings(recorded.with_suffix(".yaml")).pose_source == "laser_tracker"
+    for key, (_, example) in inspection.KEYS.items():
+        paired = {"factory_calibration": "arm.yaml"} if key == "factory_uncertainty" else {}
+        RecordingSettings(**{key: yaml.safe_load(example)}, **paired)
+
+
+def test_what_is_given_and_what_is_refused(recorded, capsys, tmp_path):
+    sidecar = recorded.with_suffix(".yaml")
+    for arguments, message in (
+        (["--set", "pose_fame=base"], "pose_fame: unknown key; did you mean pose_frame?"),
+        (["--set", "pose_frame=table"], "pose_frame: 'table' is not accepted; give base or unknown"),
+        (["--set", "tool"], "--set tool: write it as KEY=VALUE"),
+        (["--set", "tool=["], "--set tool=[: its value is not valid YAML; write KEY=VALUE"),
+        (["--column", "Joint 9=q1_deg"], f"{recorded}: has no column 'Joint 9'; it has 'Joint 1', 'Joint 2'"),
+        (["--column", "Joint 1=theta"], "column 'Joint 1': the sidecar names it 'theta', which means nothing here"),
+        (["--column", "Joint 6=ignore"], "has 5 joints (q1 ... q5), the arm has 6; choose the arm it is of"),
+        (["--arm", "lite7"], "neither a bundled arm nor a file; did you mean 'lite6'?"),
+    ):
+        assert message in refused(capsys, "init", recorded, "--arm", "lite6", *arguments)
+    assert not sidecar.exists()
+    for name in ("other.csv", "empty.csv"):
+        (tmp_path / name).write_text("load,depth\n" + "1,2\n" * (name == "other.csv"))
+    assert refused(capsys, "init", tmp_path / "other.csv") == (
+        f"{tmp_path / 'other.csv'}: no columns look like joint positions; say which they are, --column NAME=q1_rad "
+        "--column NAME=q2_rad and so on; it has 'load', 'depth'"
+    )
+    assert refused(capsys, "init", tmp_path / "empty.csv").endswith("has column names but no rows; record again")
+    declared = ["--set", "tool=[0, 0, 0.1, 0, 0, 0]", "--set", "inertial=unknown"]
+    code, _, _ = run(capsys, "init", recorded, "--column", "operator=ignore", *declared)
+    assert code == 0
+    assert read_settings(sidecar).tool == (0, 0, 0.1, 0, 0, 0)
+    assert read_settings(sidecar).inertial == "unknown"  # which is not what a missing key means
+    before = sidecar.read_text()
+    assert "exists already" in refused(capsys, "init", recorded)
+    assert sidecar.read_text() == before
+    assert run(capsys, "init", recorded, "--force")[0] == 0
+
+
+def test_an_arm_in_a_file_is_named_relative_to_the_sidecar(recorded, capsys, tmp_path):
+    (tmp_path / "arms").mkdir()
+    arm = tmp_path / "arms" / "mine.urdf"
+    assert run(capsys, "convert", "lite6", arm)[0] == 0
+    assert run(capsys, "init", recorded, "--arm", arm)[0] == 0
+    assert read_settings(recorded.with_suffix(".yaml")).arm == "arms/mine.urdf"
+
+
+def test_json_holds_what_was_recognised(recorded, capsys):
+    code, out, _ = run(capsys, "init", recorded, "--json")
+    found = json.loads(out)
+    assert code == 0
+    assert (found["arm"], found["samples"], found["motion"]) == ("lite6", 80, "static")
+    assert found["columns"]["Joint 2"] == "q2_deg"
+    kinds = {block["kind"]: block for block in found["blocks"]}
+    assert kinds["rotation"]["form"]["choice"] == "rx"
+    assert kinds["q"]["unit"]["sure"] == "certain"
+
+
+def test_on_a_terminal_it_asks_for_what_it_cannot_see(recorded, capsys, monkeypatch):
+    asked = []
+    answers = iter(["measured", "tracker", "laser_tracker", "", "none"])
+
+    def answer(question):
+        asked.append(question)
+        return next(answers)
+
+    monkeypatch.setattr("builtins.input", answer)
+    monkeypatch.setattr(init, "_on_a_terminal", lambda: True)
+    code, out, _ = run(capsys, "init", recorded)
+    assert code == 0
+    assert "write one of laser_tracker, motion_capture, camera, controller_fk, unknown" in out
+    assert len(asked) == 5
+    settings = read_settings(recorded.with_suffix(".yaml"))
+    assert (settings.joint_source, settings.pose_source, settings.tool) == ("measured", "laser_tracker", "none")
+    assert settings.pose_frame == "unknown"
+    monkeypatch.setattr("builtins.input", lambda question: pytest.fail(question))
+    assert run(capsys, "init", recorded, "--force", "--yes")[0] == 0
+    assert run(capsys, "init", recorded, "--force", "--json")[0] == 0
+
+
+def test_on_a_terminal_it_asks_for_what_it_assumes(tmp_path, capsys, monkeypatch):
+    path = tmp_path / "run7.csv"
+    path.write_text("q0,q1,current_0,current_1\n" + "".join(f"{k / 99},{k / 70},{k},1\n" for k in range(30)))
+    answers = iter(["", "deg", "mA", "", ""])
+    monkeypatch.setattr("builtins.input", lambda _: next(answers))
+    monkeypatch.setattr(init, "_on_a_terminal", lambda: True)
+    code, out, _ = run(capsys, "init", path)
+    assert code == 0
+    assert "Joint positions: q0, q1, in radians (assumed: none is beyond 0.413)." in flat(out)
+    assert "Joint positions: q0, q1, in degrees (certain: by name)." in flat(out)
+    columns = yaml.safe_load(path.with_suffix(".yaml").read_text())["columns"]
+    assert columns == {"q0": "q1_deg", "q1": "q2_deg", "current_0": "current1_mA", "current_1": "current2_mA"}
+
+
+@pytest.mark.parametrize("width", [40, 60, 200])
+def test_the_report_is_readable_on_any_terminal(recorded, capsys, width):
+    _, out, _ = run(capsys, "init", recorded, width=width)
+    paths = {str(recorded), f"Wrote {recorded.with_suffix('.yaml')}"}
+    lines = [line for line in out.splitlines() if line not in paths and not line.startswith("lite6jax diagnose")]
+    assert max(map(len, lines)) <= width
+
+
+@pytest.mark.parametrize(
+    ("command", "name", "message"),
+    [
+        ("fit", "robot.urdf", "describes an arm and holds no measurements; name a recording, and the arm with --arm"),
+        ("diagnose", "robot.xml", "describes an arm and holds no measurements; name a recording, and the arm with"),
+        ("init", "run7.xlsx", "is a workbook; save its sheet as CSV (UTF-8), and name its columns by `lite6jax init"),
+        ("diagnose", "run7.xlsx", "is a workbook; save its sheet as CSV (UTF-8), and name its columns by `lite6jax"),
+        ("check", "run7.npz", "is no recording; write it as run7.csv or .parquet with a name for each column"),
+        ("fit", "empty", "is a folder without a recording: no rosbag2 (metadata.yaml and .db3 or .mcap), no LeRobot"),
+        ("diagnose", "tables", "is a folder; name a file in it, such as run7.csv, or fit all of them with `lite6jax"),
+        ("init", "tables", "is a folder; name a file in it, such as run7.csv, or fit all of them with `lite6jax"),
+    ],
+)
+def test_what_is_often_taken_for_a_recording(capsys, tmp_path, command, name, message):
+    (tmp_path / "empty").mkdir()
+    (tmp_path / "tables").mkdir()
+    (tmp_path / "tables" / "run7.csv").write_text("q1_rad\n0\n")
+    for file in ("robot.urdf", "robot.xml", "run7.xlsx", "run7.npz"):
+        (tmp_path / file).write_text("<robot/>")
+    options = ["--out", tmp_path / "d.json"] if command == "diagnose" else []
+    assert message in refused(capsys, command, tmp_path / name, *options)
