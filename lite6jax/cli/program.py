@@ -8,13 +8,14 @@ import sys
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import is_dataclass
 from functools import reduce
 from importlib.metadata import PackageNotFoundError, version
 from io import TextIOWrapper
 from typing import Annotated, Any
 
 import tyro
-from tyro.conf import FlagCreatePairsOff, OmitArgPrefixes, subcommand
+from tyro.conf import FlagCreatePairsOff, OmitArgPrefixes, arg, subcommand
 
 from lite6jax.cli.compensate import Compensate
 from lite6jax.cli.deprecated import current_spelling
@@ -25,6 +26,7 @@ from lite6jax.cli.exit_codes import BAD_INPUT, DONE, INTERRUPTED, MEANINGS, READ
 from lite6jax.cli.files import Check, Convert
 from lite6jax.cli.fit import Compare, Demo, Fit, Fleet
 from lite6jax.cli.live import Read, Record
+from lite6jax.cli.report import Report
 from lite6jax.cli.simulate import Simulate
 from lite6jax.cli.study import Identify, Sensitivity
 from lite6jax.errors import InputError, InputWarning
@@ -37,6 +39,7 @@ COMMANDS = {
     "sensitivity": Sensitivity,
     "design": Design,
     "diagnose": Diagnose,
+    "report": Report,
     "predict": Predict,
     "compensate": Compensate,
     "simulate": Simulate,
@@ -90,9 +93,26 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _subcommands() -> Any:
     options = []
     for name, command in COMMANDS.items():
+        _with_readable_defaults(command)
         text = inspect.getdoc(command)  # as it stands: tyro would join the lines of the examples
         options.append(Annotated[command, subcommand(name, description=text)])
     return reduce(operator.or_, options)
+
+
+def _with_readable_defaults(command: Any) -> None:
+    """Lets help show the defaults of a command's options, and of groups of options in it, as people read them."""
+    for name, annotation in command.__annotations__.items():
+        if is_dataclass(annotation):
+            _with_readable_defaults(annotation)
+        else:
+            command.__annotations__[name] = Annotated[annotation, arg(help_behavior_hint=_default_as_read)]
+
+
+def _default_as_read(default: str) -> str:
+    """Nothing of an option that is left out, or of a flag that is not set."""
+    if default in ("None", "False", ""):
+        return ""
+    return "(default: on)" if default == "True" else f"(default: {default})"
 
 
 @contextmanager

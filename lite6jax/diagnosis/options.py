@@ -1,6 +1,6 @@
 """All options of a diagnosis in one object: the engine's, the screening's, and its own."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from typing import final
 
 from lite6jax.domains.pose.screening.options import ScreeningOptions
@@ -43,3 +43,13 @@ class Options:
     same_effect: float = option(
         1e-4, "share of an effect that its alternative cannot do, below which both are the same", "1 % of its length"
     )
+
+    @property
+    def quick(self) -> bool:
+        """Whether fewer blocks are held out than usual."""
+        usual = next(option.default for option in fields(self) if option.name == "folds")
+        return self.folds < usual
+
+
+QUICK = Options(folds=2, most_separated=0)
+"""Those of a quick diagnosis: the same search of all rows, with two held-out blocks and without separating poses."""
