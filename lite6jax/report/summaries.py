@@ -81,7 +81,7 @@ def _recording(recording: Recording) -> Description:
     sentences = [
         f"{recording.source} has {_counted(recording.samples, 'sample')} of {recording.dof} joints in "
         f"{_counted(runs, 'run')} ({recording.motion}), with {poses}{by}.",
-        f"The joints move over ranges of {np.rad2deg(span.min()):.0f}° to {np.rad2deg(span.max()):.0f}°.",
+        f"The joints move over ranges of {np.rad2deg(span.min()):.0f} deg to {np.rad2deg(span.max()):.0f} deg.",
     ]
     rows = [
         ("samples", str(recording.samples)),
@@ -338,5 +338,5 @@ def _rms(values: NDArray[np.floating]) -> float:
 def _errors(errors: Errors) -> str:
     parts = [f"{_millimetres(errors.position_rms)} mm RMS"]
     if errors.orientation is not None:
-        parts.append(f"{_degrees(_rms(errors.orientation))}° RMS")
+        parts.append(f"{_degrees(_rms(errors.orientation))} deg RMS")
     return " and ".join(parts)
