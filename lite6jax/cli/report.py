@@ -30,7 +30,7 @@ class Report:
     date: Annotated[str | None, arg(metavar="YYYY-MM-DD")] = None
     """When it was measured, for the certificate."""
     instrument: Annotated[str | None, arg(metavar="TEXT")] = None
-    """With what it was measured, for the certificate; the kind of sensor that the recording declares where not given."""
+    """With what it was measured, for the certificate; the kind of sensor that is declared where not given."""
     details: bool = False
     """Print also what was ruled out and what was not tested."""
     json: bool = False

@@ -257,7 +257,11 @@ def read_document(path: str | Path) -> dict[str, Any]:
         InputWarning: the file was changed after it was written.
     """
     document = parsed_document(path)
-    if not isinstance(document, dict) or document.get("schema") != SCHEMA or not isinstance(document.get("model"), dict):
+    if (
+        not isinstance(document, dict)
+        or document.get("schema") != SCHEMA
+        or not isinstance(document.get("model"), dict)
+    ):
         raise InputError(f"{path}: is no diagnosis ({SCHEMA}); give what `lite6jax diagnose --out` wrote")
     try:
         check_parts(document)

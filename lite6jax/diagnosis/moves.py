@@ -30,22 +30,20 @@ def moves_of(found: "Diagnosis") -> tuple[Moves, ...]:
     """What each finding moves beyond what the fitted frames and geometry would take up, were it not in the model.
 
     The displacement is that of the whole model, with the finding less without it. From it the weighted least-squares
-    fit of the nuisance's columns, with their prior, is subtracted: an effect that a sensor's frame imitates moves a
-    measured pose by much and its residual by little.
+    fit of the nuisance beside the other findings, with its prior, is subtracted: an effect that a sensor's frame
+    imitates moves a measured pose by much and its residual by little.
     """
     problem, fit, kept = found.problem, found.fit, ~found.outliers
-    nuisance = problem.nuisance_columns(fit.terms, fit.values)
     weight = np.where(fit.training & kept, fit.residuals.row_weight, 0.0)
-    flat = nuisance.reshape(len(nuisance), -1)
-    weighted = (nuisance * weight).reshape(len(nuisance), -1)
-    H = weighted @ flat.T + np.diag(problem.precision)
     whole = problem.residual(fit.nuisance, fit.terms, fit.values)
     moves = []
-    for part in fit.terms.slices:
-        without = fit.values.copy()
-        without[part] = 0.0
-        moved = whole - problem.residual(fit.nuisance, fit.terms, without)
+    for k in range(len(fit.terms.terms)):
+        others = fit.terms.part(fit.values, [other != k for other in range(len(fit.terms.terms))])
+        moved = whole - problem.residual(fit.nuisance, *others)
+        nuisance = problem.nuisance_columns(*others)
         if len(nuisance):
+            weighted = (nuisance * weight).reshape(len(nuisance), -1)
+            H = weighted @ nuisance.reshape(len(nuisance), -1).T + np.diag(problem.precision)
             moved = moved - np.tensordot(scaled_solve(H, weighted @ moved.ravel()), nuisance, 1)
         displaced = unwhitened(moved, problem.measured.whitener)[:, kept]
         moves.append(Moves(_rms(displaced[:3]), _rms(displaced[3:]) if problem.rows == 6 else None))

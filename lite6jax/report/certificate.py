@@ -48,11 +48,11 @@ class Stated(NamedTuple):
     """What a person states on a certificate and no file holds.
 
     Attributes:
-        date: of the measurement.
+        day: of the measurement.
         instrument: such as its type and serial number.
     """
 
-    date: date | None = None
+    day: date | None = None
     instrument: str | None = None
 
 
@@ -63,7 +63,7 @@ def write_certificate(document: Document, path: str | Path, stated: Stated, over
         InputError: as `storage.write_atomically`.
     """
     figure = certificate(document, stated)
-    return storage.write_atomically(path, partial(_print, figure, stated.date), overwrite)
+    return storage.write_atomically(path, partial(_print, figure, stated.day), overwrite)
 
 
 def _print(figure: Figure, stated: date | None, target: Path) -> None:
@@ -161,7 +161,7 @@ class _Page:
         self._y -= 0.4 * _LINE
 
     def _draw(self, x: float, text: str, **style: Any) -> None:
-        if self._y > _MARGIN / 2:
+        if text and self._y > _MARGIN / 2:
             self.figure.text(x / _WIDTH, self._y / _HEIGHT, text, va="top", parse_math=False, **style)
 
 
@@ -178,13 +178,15 @@ def _subject(document: Document, stated: Stated) -> list[tuple[str, str]]:
     instrument = stated.instrument or _INSTRUMENTS.get(source, "not stated")
     noise = document["noise"]["declared_torque_Nm" if torques else "declared_position_m"]
     if noise is not None:
-        shown = ", ".join(f"{value:.3g}" for value in noise) + " Nm" if torques else f"{number(1e3 * noise)} mm per axis"
+        shown = (
+            ", ".join(f"{value:.3g}" for value in noise) + " Nm" if torques else f"{number(1e3 * noise)} mm per axis"
+        )
         instrument += f"; declared noise {shown} (one standard deviation)"
     samples = f"{document['samples']} rows" + ("" if torques else f", {document['model']['motion']}")
     return [
         ("Arm", document["model"]["arm"]),
         ("Recording", f"{recording}, {samples}" if recording else samples),
-        ("Date", "not stated" if stated.date is None else stated.date.isoformat()),
+        ("Date", "not stated" if stated.day is None else stated.day.isoformat()),
         ("Instrument", instrument),
     ]
 
@@ -194,7 +196,11 @@ def _accuracy(document: Document) -> tuple[list[str], list[list[str]]]:
     before, after = document["before"], document["after"]
     if worth.of_torques(document):
         names = [(f"heldout_torque_{key}_Nm", name) for key, name in _STATISTICS]
-        rows = [_compared(f"torque error (Nm), {name}", before[key], after[key], 1.0) for key, name in names if key in before]
+        rows = [
+            _compared(f"torque error (Nm), {name}", before[key], after[key], 1.0)
+            for key, name in names
+            if key in before
+        ]
         joints = zip(*(stage["heldout_torque_rms_by_joint_Nm"] for stage in (before, after)), strict=True)
         rows += [_compared(f"joint {j} (Nm), RMS", *pair, 1.0) for j, pair in enumerate(joints, 1)]
     else:
@@ -237,7 +243,9 @@ def _interval(name: str, estimate: Mapping[str, float], torques: bool) -> str:
     if not estimate["std"]:
         return f"{shown.name} {shown.value} {shown.unit}".rstrip()
     ends = [
-        quantity(name, {"value": estimate["value"] + side * _NORMAL_95 * estimate["std"], "std": estimate["std"]}, **named)
+        quantity(
+            name, {"value": estimate["value"] + side * _NORMAL_95 * estimate["std"], "std": estimate["std"]}, **named
+        )
         for side in (-1, 1)
     ]
     return f"{shown.name} {shown.value} [{ends[0].value}, {ends[1].value}] {shown.unit}".rstrip()

@@ -20,7 +20,6 @@ from lite6jax.report.sections import (
     headed,
     indented,
     ruled_out,
-    short_title,
     what_to_do,
 )
 
@@ -50,7 +49,7 @@ def diagnosis_report(
     yield ""
     yield Text(statements.verdict_statement(document))
     yield from map(Text, statements.cautions(document))
-    yield from chart(document, [short_title(finding) for finding in findings])
+    yield from chart(document, findings)
     yield ""
     table = listing("held-out position error (mm)", "rms", "p95", "max")
     for name in ("before", "after"):

@@ -99,9 +99,7 @@ def _comparison(found: Comparison) -> dict[str, Any]:
             {"name": name, "unit": unit, "difference": found.difference[:, i], "std": found.spread[i]}
             for i, (name, unit) in enumerate(zip(form.names, form.units, strict=True))
         ],
-        "from_nominal_m": [
-            {key: float(statistic(own)) for key, statistic in STATISTICS} for own in found.from_nominal
-        ],
+        "from_nominal_m": [{key: float(statistic(own)) for key, statistic in STATISTICS} for own in found.from_nominal],
         "between_max_m": found.between,
     }
 

@@ -44,7 +44,9 @@ def finding_figure(
     """
     order = range(len(found.findings)) if order is None else order
     places = order if chosen is None else chosen
-    return _curves_figure([curve for k in places for curve in partial_residuals.finding_curves(found, k)], found, title, order)
+    return _curves_figure(
+        [curve for k in places for curve in partial_residuals.finding_curves(found, k)], found, title, order
+    )
 
 
 def torque_finding_figure(

@@ -52,9 +52,9 @@ def actions(document: Document) -> list[tuple[list[int], str]]:
 
 
 def steps(document: Document, files: Files) -> list[Step]:
-    """Commands on these files; where the diagnosis was not written, the first one writes it."""
-    recording, stem = files.recording, files.recording.stem
-    named = files.diagnosis or recording.with_name(f"{stem}_diagnosis.json")
+    """Commands on these files, which write beside the diagnosis; where that was not written, the first one does."""
+    recording = files.recording
+    named = files.diagnosis or Path(f"{recording.stem}_diagnosis.json")
     own = ["--effects", str(files.effects)] if files.effects is not None else []
     found = []
     if files.diagnosis is None:
@@ -73,11 +73,11 @@ def _of_poses(document: Document, recording: Path, diagnosis: Path, own: Sequenc
     if known and recording.suffix.lower() in _TARGETS and any(remedy_of(finding).of_arm for finding in findings):
         play = any(finding["effect"] == "joint_backlash" for finding in findings)
         side = ["--approach", "1"] if play else []
-        out = recording.with_name(f"{recording.stem}_compensated.csv")
+        out = diagnosis.with_name(f"{recording.stem}_compensated.csv")
         purpose = "joint positions that reach these poses; give a table of your own targets in their place"
         found.append(_step(purpose, "compensate", diagnosis, recording, *side, *own, "--out", out))
     if any(remedy_of(finding).of_geometry for finding in findings):
-        out = recording.with_name(f"{recording.stem}_table.json")
+        out = diagnosis.with_name(f"{recording.stem}_table.json")
         found.append(_step("recalibrate", "fit", recording, "--geometry", "free", "--out", out))
     return found
 
@@ -85,11 +85,11 @@ def _of_poses(document: Document, recording: Path, diagnosis: Path, own: Sequenc
 def _of_torques(document: Document, recording: Path, diagnosis: Path) -> list[Step]:
     found = []
     if document["findings"] and recording.suffix.lower() in _TARGETS:
-        out = recording.with_name(f"{recording.stem}_torques.csv")
+        out = diagnosis.with_name(f"{recording.stem}_torques.csv")
         purpose = "torques of this motion, for a feed-forward; give a motion of your own in its place"
         found.append(_step(purpose, "predict", diagnosis, recording, "--out", out))
     if document["findings"]:
-        out = recording.with_name(f"{recording.stem}_arm.urdf")
+        out = diagnosis.with_name(f"{recording.stem}_arm.urdf")
         found.append(_step("the arm with what was found, for a simulator", "convert", diagnosis, out))
     return found
 

@@ -1,14 +1,14 @@
 """The figure of what each finding moves: a bar each, the largest above."""
 
+import textwrap
 from collections.abc import Mapping
 from typing import Any
 
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 
-from lite6jax.report import worth
+from lite6jax.report import statements, torque_statements, worth
 from lite6jax.report.canvas import AFTER, STYLE, blank
-from lite6jax.report.sections import short_title
 
 _MOST = 20
 """Findings that are drawn."""
@@ -21,9 +21,10 @@ def ranking_figure(document: Mapping[str, Any], title: str) -> Figure:
         document: of poses or of torques, with findings.
         title: of the figure.
     """
-    measure, findings = worth.measure_of(document), worth.ranked(document)[:_MOST]
+    measure, named = worth.measure_of(document), torque_statements if worth.of_torques(document) else statements
+    findings = named.findings_of(document)[:_MOST]
     sizes = [measure.scale * finding[measure.moves] for finding in findings]
-    names = [f"{k}. {short_title(finding)}" for k, finding in enumerate(findings, 1)]
+    names = [f"{k}. {textwrap.fill(finding['title'], 44)}" for k, finding in enumerate(findings, 1)]
     with rc_context(STYLE):
         figure = blank(9.0, 1.7 + 0.42 * len(findings))
         panel = figure.subplots()

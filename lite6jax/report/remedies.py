@@ -1,4 +1,4 @@
-"""What causes an error in the words of a workshop, and what to do about it: one entry for each effect of the catalogues.
+"""What causes an error, in the words of a workshop, and what to do about it, for each effect of the catalogues.
 
 An effect of a user's own has a general one. Causes are parts of sentences about `{place}`, such as "joint 2".
 """
@@ -16,8 +16,8 @@ class Remedy(NamedTuple):
     Attributes:
         cause: what is the matter, a clause with `{place}`, and `{source}` where another joint is its source.
         action: what to do, in whole sentences.
-        of_arm: whether it displaces the arm, so that other joint positions compensate it; else it is the sensor's or the
-            clock's, and belongs in the model alone.
+        of_arm: whether it displaces the arm, so that other joint positions compensate it; else it is the sensor's or
+            the clock's, and belongs in the model alone.
         of_geometry: whether a new calibration of the geometry contains it.
     """
 

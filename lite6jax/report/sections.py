@@ -15,7 +15,6 @@ from lite6jax.report import next_steps, statements, worth
 from lite6jax.report.cells import listed
 from lite6jax.report.data_faults import ruled_out_statements
 from lite6jax.report.next_steps import Files
-from lite6jax.report.remedies import place_of
 
 _NARROW, _WIDE = 8, 40
 """Characters of the longest bar, on a narrow and on a wide terminal."""
@@ -37,12 +36,12 @@ class TextBar:
         return Measurement(min(_NARROW, options.max_width), min(_WIDE, options.max_width))
 
 
-def chart(document: Mapping[str, Any], titles: list[str]) -> Iterator[RenderableType]:
+def chart(document: Mapping[str, Any], findings: Sequence[Mapping[str, Any]]) -> Iterator[RenderableType]:
     """The findings with a bar each, in their order; nothing where there are none.
 
     Args:
         document: of poses or of torques.
-        titles: of all findings, in the same order.
+        findings: all of them, ranked, with titles.
     """
     bars, measure = worth.bars(document), worth.measure_of(document)
     if not bars:
@@ -54,16 +53,11 @@ def chart(document: Mapping[str, Any], titles: list[str]) -> Iterator[Renderable
     table.add_column(max_width=44)
     table.add_column(min_width=_NARROW)
     table.add_column(justify="right", no_wrap=True)
-    for bar, title in zip(bars[:_MOST], titles, strict=False):
-        table.add_row(Text(f"{bar.number}."), Text(title), TextBar(bar.share), Text(bar.size))
+    for bar, finding in zip(bars[:_MOST], findings, strict=False):
+        table.add_row(Text(f"{bar.number}."), Text(finding["title"]), TextBar(bar.share), Text(bar.size))
     yield table
     if len(bars) > _MOST:
         yield Text(f"and {len(bars) - _MOST} more, which move less")
-
-
-def short_title(finding: Mapping[str, Any]) -> str:
-    """The name of an effect and its place: joint compliance, joint 2."""
-    return f"{finding['effect'].replace('_', ' ')}, {place_of(finding['site'])}"
 
 
 def finding_list(
@@ -93,17 +87,15 @@ def fault_line(entry: Mapping[str, Any]) -> str:
 def what_to_do(document: Mapping[str, Any], files: Files | None) -> Iterator[RenderableType]:
     """Remedies of the findings, each once, and commands to copy."""
     several = len(document["findings"]) > 1
-    lines = [
-        f"{listed(ranks)}. {action}" if several else action for ranks, action in next_steps.actions(document)
-    ]
+    lines = [f"{listed(ranks)}. {action}" if several else action for ranks, action in next_steps.actions(document)]
     yield from headed("What to do:", lines)
     steps = [] if files is None else next_steps.steps(document, files)
     if steps:
         yield ""
         yield Text("Commands to copy:")
     for step in steps:
-        yield indented(f"# {step.purpose}")
-        yield Text(f"  {step.command}", no_wrap=True, overflow="ignore")
+        yield indented(f"{statements.capital(step.purpose)}:")
+        yield Text(f"    {step.command}", no_wrap=True, overflow="ignore")
 
 
 def ruled_out(

@@ -10,7 +10,7 @@ from rich.text import Text
 from lite6jax.report import statements, torque_statements, worth
 from lite6jax.report.cells import listing
 from lite6jax.report.next_steps import Files
-from lite6jax.report.sections import chart, fault_line, finding_list, headed, ruled_out, short_title, what_to_do
+from lite6jax.report.sections import chart, fault_line, finding_list, headed, ruled_out, what_to_do
 
 
 def torque_report(
@@ -25,7 +25,7 @@ def torque_report(
     yield ""
     yield Text(torque_statements.verdict_statement(document))
     yield from map(Text, torque_statements.cautions(document))
-    yield from chart(document, [short_title(finding) for finding in findings])
+    yield from chart(document, findings)
     yield ""
     yield _errors(document)
     yield Text(statements.held_out_statement(document, f"{document['kept_samples']} filtered samples"))

@@ -114,7 +114,8 @@ def headline(document: Document) -> str:
     before, after = (error_at(document[stage], measure, main) for stage in ("before", "after"))
     cause = cause_of(main, torques)
     cause = f"{cause[0].upper()}{cause[1:]}"
-    left = f"{_kept(document, len(others) + 1, torques)} {_size(after, measure)} is left"
+    noise = ", the sensor's noise" if document["verdict"] == "explained" else ""
+    left = f"{_kept(document, len(others) + 1, torques)} {_size(after, measure)} is left{noise}"
     moved = main.get(measure.moves)
     if moved is None:
         return f"{cause}: of {_size(before, measure)}, {left}."
@@ -148,7 +149,9 @@ def _nothing_found(document: Document) -> str:
     measure = TORQUE if torques else POSITION
     error = f"{_size(measure.scale * document['before'][measure.error], measure)} RMS"
     faults = [fault for fault in document["data_faults"] if fault["fault"] != "outliers"]
-    begin = f"The data have {_faults(faults)}; with {'this' if len(faults) == 1 else 'these'} corrected, " if faults else ""
+    begin = (
+        f"The data have {_faults(faults)}; with {'this' if len(faults) == 1 else 'these'} corrected, " if faults else ""
+    )
     of = "torques" if torques else "poses"
     said = {
         "consistent": f"nothing is missing from the model: the error of {error} is the sensor's noise.",
