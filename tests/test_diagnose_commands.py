@@ -262,7 +262,7 @@ def test_without_out_nothing_is_written_and_json_is_the_file(capsys, recorded, d
     assert (code, err) == (0, "")
     assert {path.name: path.stat().st_mtime_ns for path in recorded.parent.iterdir()} == before
     assert "Wrote" not in said
-    assert f"lite6jax diagnose {recorded} --out {recorded.with_name('run7_diagnosis.json')}" in said
+    assert f"    lite6jax diagnose {recorded} --out run7_diagnosis.json" in said
     code, said, err = run(capsys, "diagnose", recorded, "--json")
     assert (code, err) == (0, "")
     assert json.loads(said) == json.loads(diagnosed[0].read_text())
@@ -287,12 +287,13 @@ def test_a_quick_diagnosis_holds_out_fewer_blocks_and_says_so(capsys, recorded, 
 
 
 def test_the_commands_to_copy_work(capsys, recorded, diagnosed):
-    lines = [line.strip() for line in diagnosed[1].splitlines() if line.startswith("  lite6jax ")]
+    lines = [line.strip() for line in diagnosed[1].splitlines() if line.startswith("    lite6jax ")]
     commands = [shlex.split(line)[1:] for line in lines]
     assert [command[0] for command in commands] == ["compensate", "report"]
     for command in commands:
         code, _, err = run(capsys, *command)
-        assert (code, err) == (0, ""), command
+        assert err == ""
+        assert code in ((0, 1) if command[0] == "compensate" else (0,))  # the outliers are poses out of reach
         assert Path(command[-1]).exists()
         Path(command[-1]).unlink()
     recorded.with_name("run7_compensated.yaml").unlink()
@@ -375,4 +376,4 @@ def test_a_diagnosis_plots_its_figures(corpus):
     document = corpus["compliance"].diagnosis.to_dict()
     assert [bar.get_width() for bar in panel.patches] == [1e3 * f["moves_rms_m"] for f in document["findings"]]
     assert panel.get_xlabel() == "moves the measured point (mm RMS)"
-    assert figures["where"].get_suptitle().startswith("run7.csv: ")
+    assert figures["where"].get_suptitle().startswith("run.csv: ")

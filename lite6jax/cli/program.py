@@ -7,15 +7,14 @@ import os
 import sys
 import warnings
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
-from dataclasses import is_dataclass
+from contextlib import contextmanager, nullcontext
 from functools import reduce
 from importlib.metadata import PackageNotFoundError, version
 from io import TextIOWrapper
 from typing import Annotated, Any
 
 import tyro
-from tyro.conf import FlagCreatePairsOff, OmitArgPrefixes, arg, subcommand
+from tyro.conf import FlagCreatePairsOff, OmitArgPrefixes, subcommand
 
 from lite6jax.cli.compensate import Compensate
 from lite6jax.cli.deprecated import current_spelling
@@ -25,6 +24,7 @@ from lite6jax.cli.emulate import Emulate
 from lite6jax.cli.exit_codes import BAD_INPUT, DONE, INTERRUPTED, MEANINGS, READER_LEFT
 from lite6jax.cli.files import Check, Convert
 from lite6jax.cli.fit import Compare, Demo, Fit, Fleet
+from lite6jax.cli.help import is_help, with_readable_options, wrapped
 from lite6jax.cli.live import Read, Record
 from lite6jax.cli.report import Report
 from lite6jax.cli.simulate import Simulate
@@ -65,10 +65,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if arguments == ["--version"]:
             print(f"lite6jax {_version()}")
             return DONE
-        command = tyro.cli(
-            _subcommands(), prog="lite6jax", description=DESCRIPTION, args=current_spelling(arguments),
-            config=(FlagCreatePairsOff, OmitArgPrefixes),
-        )  # fmt: skip
+        with wrapped() if is_help(arguments) else nullcontext():
+            command = tyro.cli(
+                _subcommands(arguments), prog="lite6jax", description=DESCRIPTION, args=current_spelling(arguments),
+                config=(FlagCreatePairsOff, OmitArgPrefixes),
+            )  # fmt: skip
         from lite6jax.fitting.compiled import keep_compiled_code
 
         keep_compiled_code()
@@ -90,29 +91,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return code
 
 
-def _subcommands() -> Any:
-    options = []
+def _subcommands(arguments: Sequence[str]) -> Any:
+    """The commands as tyro takes them; the list of all commands has their first paragraphs only."""
+    options, alone = [], not set(arguments) & set(COMMANDS)
     for name, command in COMMANDS.items():
-        _with_readable_defaults(command)
-        text = inspect.getdoc(command)  # as it stands: tyro would join the lines of the examples
+        text = inspect.getdoc(command) or ""  # as it stands: tyro would join the lines of the examples
+        if alone:
+            text = " ".join(text.partition("\n\n")[0].split())
+        elif is_help(arguments):
+            with_readable_options(command)
         options.append(Annotated[command, subcommand(name, description=text)])
     return reduce(operator.or_, options)
-
-
-def _with_readable_defaults(command: Any) -> None:
-    """Lets help show the defaults of a command's options, and of groups of options in it, as people read them."""
-    for name, annotation in command.__annotations__.items():
-        if is_dataclass(annotation):
-            _with_readable_defaults(annotation)
-        else:
-            command.__annotations__[name] = Annotated[annotation, arg(help_behavior_hint=_default_as_read)]
-
-
-def _default_as_read(default: str) -> str:
-    """Nothing of an option that is left out, or of a flag that is not set."""
-    if default in ("None", "False", ""):
-        return ""
-    return "(default: on)" if default == "True" else f"(default: {default})"
 
 
 @contextmanager

@@ -135,7 +135,7 @@ class _Page:
         """A line in bold with a rule below."""
         self._y -= 0.9 * _LINE
         self.text(text, size=11, weight="bold")
-        y = (self._y + 0.11) / _HEIGHT
+        y = (self._y + 0.04) / _HEIGHT
         ends = [_MARGIN / _WIDTH, 1 - _MARGIN / _WIDTH]
         rule = Line2D(ends, [y, y], color="#d9d9d9", linewidth=0.8, transform=self.figure.transFigure)
         self.figure.add_artist(rule)
