@@ -1,10 +1,13 @@
 """All options of a diagnosis in one object: the engine's, the screening's, and its own."""
 
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from typing import final
 
 from lite6jax.domains.pose.screening.options import ScreeningOptions
 from lite6jax.estimation.options import EngineOptions, option
+
+
+_USUAL_FOLDS = 5
 
 
 @final
@@ -21,7 +24,7 @@ class Options:
 
     engine: EngineOptions = field(default_factory=EngineOptions)
     screening: ScreeningOptions = field(default_factory=ScreeningOptions)
-    folds: int = option(5, "contiguous held-out blocks", "each leaves four fifths of the rows for the search")
+    folds: int = option(_USUAL_FOLDS, "contiguous held-out blocks", "each leaves four fifths of the rows for the search")
     least_in_fold: int = option(10, "fewest rows of a held-out block", "fewer have no meaningful percentiles")
     outlier_squares: float = option(
         30.0, "squared residual over the scale, per number, beyond which a row is an outlier", "5.5 standard deviations"
@@ -47,8 +50,7 @@ class Options:
     @property
     def quick(self) -> bool:
         """Whether fewer blocks are held out than usual."""
-        usual = next(option.default for option in fields(self) if option.name == "folds")
-        return self.folds < usual
+        return self.folds < _USUAL_FOLDS
 
 
 QUICK = Options(folds=2, most_separated=0)

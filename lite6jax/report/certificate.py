@@ -202,7 +202,7 @@ def _accuracy(document: Document) -> tuple[list[str], list[list[str]]]:
             if key in before
         ]
         joints = zip(*(stage["heldout_torque_rms_by_joint_Nm"] for stage in (before, after)), strict=True)
-        rows += [_compared(f"joint {j} (Nm), RMS", *pair, 1.0) for j, pair in enumerate(joints, 1)]
+        rows += [_compared(f"joint {j} (Nm), RMS", own, left, 1.0) for j, (own, left) in enumerate(joints, 1)]
     else:
         rows = []
         for what, unit, scale, shown in (("position", "m", 1e3, "mm"), ("orientation", "rad", 180 / np.pi, "deg")):

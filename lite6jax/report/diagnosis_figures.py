@@ -96,7 +96,7 @@ def explained_map(found: Diagnosis, title: str) -> Figure:
         for (i, j), share in np.ndenumerate(table.shares):
             text, colour = "–", GREY
             if np.isfinite(share):
-                text, colour = _percent(100 * share), "black" if 100 * share > 0.55 * most else "white"
+                text, colour = _percent(100 * float(share)), "black" if 100 * share > 0.55 * most else "white"
             panel.text(j, i, text, ha="center", va="center", color=colour, fontsize=14)
         panel.set_xticks(range(columns), [_QUANTITIES.get(name, name) for name in table.quantities])
         panel.set_yticks(range(rows), [name.replace("joint", "joint ") for name in table.sites])

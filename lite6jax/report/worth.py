@@ -114,7 +114,8 @@ def headline(document: Document) -> str:
     before, after = (error_at(document[stage], measure, main) for stage in ("before", "after"))
     cause = cause_of(main, torques)
     cause = f"{cause[0].upper()}{cause[1:]}"
-    noise = ", the sensor's noise" if document["verdict"] == "explained" else ""
+    whose = "sensors'" if torques else "sensor's"
+    noise = f", the {whose} noise" if document["verdict"] == "explained" else ""
     left = f"{_kept(document, len(others) + 1, torques)} {_size(after, measure)} is left{noise}"
     moved = main.get(measure.moves)
     if moved is None:
@@ -146,7 +147,7 @@ def _kept(document: Document, count: int, torques: bool) -> str:
 
 def _nothing_found(document: Document) -> str:
     torques = of_torques(document)
-    measure = TORQUE if torques else POSITION
+    measure, whose = (TORQUE, "sensors'") if torques else (POSITION, "sensor's")
     error = f"{_size(measure.scale * document['before'][measure.error], measure)} RMS"
     faults = [fault for fault in document["data_faults"] if fault["fault"] != "outliers"]
     begin = (
@@ -154,7 +155,7 @@ def _nothing_found(document: Document) -> str:
     )
     of = "torques" if torques else "poses"
     said = {
-        "consistent": f"nothing is missing from the model: the error of {error} is the sensor's noise.",
+        "consistent": f"nothing is missing from the model: the error of {error} is the {whose} noise.",
         "undetermined": f"the recording is too short to tell what the error of {error} is.",
     }.get(document["verdict"], f"the error of {error} is more than the noise of the {of}, and nothing explains it.")
     return begin + said if begin else f"{said[0].upper()}{said[1:]}"
