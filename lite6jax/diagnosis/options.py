@@ -6,7 +6,6 @@ from typing import final
 from lite6jax.domains.pose.screening.options import ScreeningOptions
 from lite6jax.estimation.options import EngineOptions, option
 
-
 _USUAL_FOLDS = 5
 
 
@@ -24,7 +23,9 @@ class Options:
 
     engine: EngineOptions = field(default_factory=EngineOptions)
     screening: ScreeningOptions = field(default_factory=ScreeningOptions)
-    folds: int = option(_USUAL_FOLDS, "contiguous held-out blocks", "each leaves four fifths of the rows for the search")
+    folds: int = option(
+        _USUAL_FOLDS, "contiguous held-out blocks", "each leaves four fifths of the rows for the search"
+    )
     least_in_fold: int = option(10, "fewest rows of a held-out block", "fewer have no meaningful percentiles")
     outlier_squares: float = option(
         30.0, "squared residual over the scale, per number, beyond which a row is an outlier", "5.5 standard deviations"
