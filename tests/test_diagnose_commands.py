@@ -369,6 +369,16 @@ def test_the_document_names_its_inputs(diagnosed, recorded):
     assert "calibration" in roles
 
 
+def test_what_a_finding_moves_is_by_how_much_the_arm_was_bent(corpus, arm, diagnosed):
+    motion = corpus["compliance"].motion
+    bent, rigid = with_effects(arm, COMPLIANCE).poses(motion), arm.poses(motion)
+    moved = np.sqrt(np.mean(np.sum((bent - rigid)[:, :3, 3] ** 2, 1)))
+    turned = np.linalg.norm((bent - rigid)[:, :3, :3], axis=(1, 2)) / np.sqrt(2)
+    (finding,) = json.loads(diagnosed[0].read_text())["findings"]
+    assert finding["moves_rms_m"] == pytest.approx(moved, rel=0.03)
+    assert finding["moves_rms_rad"] == pytest.approx(np.sqrt(np.mean(turned**2)), rel=0.03)
+
+
 def test_a_diagnosis_plots_its_figures(corpus):
     figures = corpus["compliance"].diagnosis.plot()
     assert list(figures) == ["ranking", "error_by_joint", "where", "orders", "findings", "remaining"]
