@@ -161,7 +161,7 @@ OF_TORQUES: Mapping[str, Remedy] = {
 """By the name of an effect on torques."""
 
 _OWN = Remedy("{place} has {effect}", "It is an effect of your own; its model is part of the diagnosis.")
-_PLACES = {"links": "all links", "clock": "the clock", "sensor": "the sensor", "base": "the base", "tool": "the tool"}
+_PLACES = {"links": "the arm", "clock": "the clock", "sensor": "the sensor", "base": "the base", "tool": "the tool"}
 
 
 def remedy_of(entry: Entry, torques: bool = False) -> Remedy:

@@ -51,6 +51,10 @@ def test_an_effect_of_ones_own_has_a_general_one():
     assert "effect of your own" in remedy_of(entry).action
 
 
+def test_all_links_together_are_the_arm():
+    assert cause_of({"effect": "link_thermal_expansion", "site": "links"}) == "the arm grows as it warms"
+
+
 def test_the_source_of_a_coupling_is_named():
     entry = {"effect": "joint_coupling", "site": "joint3", "parameters": {"source_joint": {"value": 2.0, "std": 0.0}}}
     assert cause_of(entry) == "the motion of joint 2 turns joint 3 as well"
