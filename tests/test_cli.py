@@ -327,7 +327,7 @@ def test_fit_of_a_recording(capsys, tmp_path):
     assert "Recording of 120 samples, 6 joints of a lite6: positions and orientations by laser tracker." in text
     assert "Geometry: nominal, fitted. Sensor frame: the arm's base. Tool: none." in text
     assert "below each number its standard deviation" in text
-    assert "Noise per axis: declared 0.0200 mm, 0.0057°; the residuals have" in text
+    assert "Noise per axis: declared 0.0200 mm, 0.0057 deg; the residuals have" in text
     assert "as declared." in text
     assert "No outliers: all 120 samples keep their weight." in text
     assert max(map(len, [line for line in said.splitlines() if str(tmp_path) not in line])) <= 60

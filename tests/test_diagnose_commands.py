@@ -1,6 +1,11 @@
 """`diagnose` and `predict` as they are typed: what is printed, written and refused."""
 
+import hashlib
 import json
+import re
+import shlex
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pyarrow.csv
@@ -65,8 +70,8 @@ def test_diagnose_prints_a_page(diagnosed, recorded):
     assert "0.0200 mm is declared." in text
     assert "1. Joint compliance at joint2, a function of the gravity torque of joint 2, is significant: " in text
     assert "3 rows are outliers and have little weight. Check them. Rows 4, 51, 100." in text
-    assert "Effects not tested:" in text
-    assert "Joint lag at joint1–6" in text
+    assert text.index("Joint 2 gives way to gravity: ") < text.index("Explained: ")
+    assert "(stiffness 1" in text
     assert f"Wrote {out}" in said.replace("\n", "")
     assert max(map(len, said.splitlines())) <= 80 or str(recorded) in said
 
@@ -87,7 +92,8 @@ def test_diagnose_writes_the_schema(diagnosed):
     assert document["verdict"] == "explained"
     for part in ("before", "after"):
         errors = document[part]
-        assert set(errors) == {"heldout_position_rms_m", "heldout_position_p95_m", "heldout_position_max_m"}
+        position = {f"heldout_position_{key}_m" for key in ("mean", "rms", "p95", "max")}
+        assert set(errors) == position | {f"heldout_orientation_{key}_rad" for key in ("mean", "rms", "p95", "max")}
         assert all(type(value) is float and value > 0 for value in errors.values())
         assert errors["heldout_position_rms_m"] < errors["heldout_position_p95_m"] <= errors["heldout_position_max_m"]
     assert document["after"]["heldout_position_rms_m"] < document["before"]["heldout_position_rms_m"]
@@ -243,3 +249,141 @@ def test_what_predict_refuses(capsys, arm, diagnosed, motion_file, tmp_path):
     assert "base_drift" in said
     assert "needs the time" in said
     assert not out.exists()
+
+
+# ------------------------------------------------------------------ what it begins with, and what follows from it
+
+
+def test_without_out_nothing_is_written_and_json_is_the_file(capsys, recorded, diagnosed, monkeypatch, corpus):
+    found = corpus["compliance"].diagnosis
+    monkeypatch.setattr("lite6jax.diagnosis.diagnose.diagnose", lambda *_, **__: found)
+    before = {path.name: path.stat().st_mtime_ns for path in recorded.parent.iterdir()}
+    code, said, err = run(capsys, "diagnose", recorded)
+    assert (code, err) == (0, "")
+    assert {path.name: path.stat().st_mtime_ns for path in recorded.parent.iterdir()} == before
+    assert "Wrote" not in said
+    assert f"    lite6jax diagnose {recorded} --out run7_diagnosis.json" in said
+    code, said, err = run(capsys, "diagnose", recorded, "--json")
+    assert (code, err) == (0, "")
+    assert json.loads(said) == json.loads(diagnosed[0].read_text())
+
+
+def test_a_quick_diagnosis_holds_out_fewer_blocks_and_says_so(capsys, recorded, monkeypatch, corpus):
+    from lite6jax.diagnosis.options import QUICK, Options
+
+    given, found = [], replace(corpus["compliance"].diagnosis, options=QUICK)
+
+    def diagnose(*_, options, **__):
+        given.append(options)
+        return found
+
+    monkeypatch.setattr("lite6jax.diagnosis.diagnose.diagnose", diagnose)
+    code, said, _ = run(capsys, "diagnose", recorded, "--quick")
+    assert code == 0
+    assert given == [QUICK]
+    assert QUICK.folds < Options().folds
+    assert "This was a quick diagnosis: fewer blocks than usual" in flat(said)
+    assert "held out in 2 contiguous blocks" in flat(said)
+
+
+def test_the_commands_to_copy_work(capsys, recorded, diagnosed):
+    lines = [line.strip() for line in diagnosed[1].splitlines() if line.startswith("    lite6jax ")]
+    commands = [shlex.split(line)[1:] for line in lines]
+    assert [command[0] for command in commands] == ["compensate", "report"]
+    for command in commands:
+        code, _, err = run(capsys, *command)
+        assert err == ""
+        assert code in ((0, 1) if command[0] == "compensate" else (0,))  # the outliers are poses out of reach
+        assert Path(command[-1]).exists()
+        Path(command[-1]).unlink()
+    recorded.with_name("run7_compensated.yaml").unlink()
+
+
+def test_what_was_ruled_out_is_folded(capsys, diagnosed):
+    assert "Effects not tested:" not in diagnosed[1]
+    folded = re.search(
+        r"(\d+) data faults ruled out and (\d+) effects not tested: --details lists them\.", diagnosed[1]
+    )
+    document = json.loads(diagnosed[0].read_text())
+    assert int(folded[1]) == len(document["ruled_out"])
+    assert int(folded[2]) == len(
+        {(e["effect"], e["site"]) for key in ("untestable", "confounded") for e in document[key]}
+    )
+    code, said, _ = run(capsys, "report", diagnosed[0], "--details")
+    assert code == 0
+    assert "Effects not tested:" in said
+    assert "Joint lag at joint1–6" in flat(said)
+
+
+@pytest.mark.parametrize("width", [40, 60, 200])
+def test_the_report_fits_narrow_and_wide_terminals(capsys, diagnosed, width):
+    code, said, _ = run(capsys, "report", diagnosed[0], "--details", width=width)
+    assert code == 0
+    commands = [line for line in said.splitlines() if "lite6jax" in line or str(diagnosed[0]) in line]
+    assert max(len(line) for line in said.splitlines() if line not in commands) <= width
+    assert "█" in said
+
+
+def test_report_repeats_the_page_and_certifies(capsys, diagnosed, tmp_path):
+    code, said, _ = run(capsys, "report", diagnosed[0])
+    assert code == 0
+    page = diagnosed[1].splitlines()
+    assert said.splitlines()[1:20] == page[1:20]
+    pdf = tmp_path / "c.pdf"
+    code, said, _ = run(capsys, "report", diagnosed[0], "--certificate", pdf, "--date", "2026-11-21")
+    assert code == 0
+    assert pdf.read_bytes().startswith(b"%PDF-")
+    assert f"Wrote {pdf}" in said.replace("\n", "")
+    assert f"{pdf}: exists already" in refused(capsys, "report", diagnosed[0], "--certificate", pdf)
+    code, said, _ = run(capsys, "report", diagnosed[0], "--json")
+    assert json.loads(said) == json.loads(diagnosed[0].read_text())
+
+
+def test_what_report_refuses(capsys, diagnosed, recorded, tmp_path):
+    pdf = tmp_path / "c.pdf"
+    assert "is no JSON (" in refused(capsys, "report", recorded)
+    said = refused(capsys, "report", diagnosed[0], "--certificate", tmp_path / "c.txt")
+    assert said == f"{tmp_path / 'c.txt'}: what is written here is pdf; let the name end in .pdf"
+    said = refused(capsys, "report", diagnosed[0], "--certificate", pdf, "--date", "21.11.2026")
+    assert said == "--date 21.11.2026: give a day as YYYY-MM-DD, such as 2026-11-21"
+    said = refused(capsys, "report", diagnosed[0], "--instrument", "AT960")
+    assert said == "--date, --instrument: stand on a certificate; add --certificate FILE.pdf"
+    document = json.loads(diagnosed[0].read_text())
+    broken = tmp_path / "broken.json"
+    for lost in ("before", "findings", "left"):
+        broken.write_text(json.dumps({key: value for key, value in document.items() if key != lost}))
+        code, out, err = run(capsys, "report", broken, "--certificate", pdf)
+        assert (code, out) == (2, "")
+        assert f"{broken}: is damaged (it lacks '{lost}'); run `lite6jax diagnose` again" in err
+    assert not pdf.exists()
+    broken.write_text(json.dumps({**document, "schema": "lite6jax/diagnosis/1"}))
+    assert "is no diagnosis (lite6jax/diagnosis/2)" in refused(capsys, "report", broken)
+
+
+def test_the_document_names_its_inputs(diagnosed, recorded):
+    document = json.loads(diagnosed[0].read_text())
+    roles = {entry["role"]: entry for entry in document["inputs"]}
+    assert roles["recording"]["file"] == recorded.name
+    assert roles["recording"]["sha256"] == hashlib.sha256(recorded.read_bytes()).hexdigest()
+    assert roles["settings"]["sha256"] == hashlib.sha256(recorded.with_suffix(".yaml").read_bytes()).hexdigest()
+    assert "calibration" in roles
+
+
+def test_what_a_finding_moves_is_by_how_much_the_arm_was_bent(corpus, arm, diagnosed):
+    motion = corpus["compliance"].motion
+    bent, rigid = with_effects(arm, COMPLIANCE).poses(motion), arm.poses(motion)
+    moved = np.sqrt(np.mean(np.sum((bent - rigid)[:, :3, 3] ** 2, 1)))
+    turned = np.linalg.norm((bent - rigid)[:, :3, :3], axis=(1, 2)) / np.sqrt(2)
+    (finding,) = json.loads(diagnosed[0].read_text())["findings"]
+    assert finding["moves_rms_m"] == pytest.approx(moved, rel=0.03)
+    assert finding["moves_rms_rad"] == pytest.approx(np.sqrt(np.mean(turned**2)), rel=0.03)
+
+
+def test_a_diagnosis_plots_its_figures(corpus):
+    figures = corpus["compliance"].diagnosis.plot()
+    assert list(figures) == ["ranking", "error_by_joint", "where", "orders", "findings", "remaining"]
+    (panel,) = figures["ranking"].axes
+    document = corpus["compliance"].diagnosis.to_dict()
+    assert [bar.get_width() for bar in panel.patches] == [1e3 * f["moves_rms_m"] for f in document["findings"]]
+    assert panel.get_xlabel() == "moves the measured point (mm RMS)"
+    assert figures["where"].get_suptitle().startswith("run.csv: ")

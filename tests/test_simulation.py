@@ -547,10 +547,10 @@ def test_everything_the_command_can_hide_is_said(capsys, tmp_path):
     flat = " ".join(said.split())
     assert "Simulated 200 poses of a lite6 by motion capture, trajectory in 2 runs." in flat
     assert "Geometry: as drawn, not declared. Sensor frame: unknown. Tool: unknown." in flat
-    assert "Noise, as declared: 0.1 mm, 0.01°, joints 0.001°." in flat
+    assert "Noise, as declared: 0.1 mm, 0.01 deg, joints 0.001 deg." in flat
     assert (
         "Noise, not declared: 2 times as large, with autocorrelation 0.5 from row to row, growing by 30 % per m from "
-        "the base, joints' read-outs 0.002°, 5 % outliers."
+        "the base, joints' read-outs 0.002 deg, 5 % outliers."
     ) in flat
     assert max(map(len, said.splitlines()[:-3])) <= 80
     recording = read_recording(out)

@@ -115,7 +115,7 @@ def test_identify_names_a_joint_that_hardly_moves(capsys, tmp_path):
     q[:, 3] = 0.3
     path = write_recording(Recording.from_arrays(q, arm="lite6"), tmp_path / "poses.csv")
     text = flat(run(capsys, "identify", path, "--sensor", "tracker_6d", "--frame", "known")[1])
-    assert "Other poses of this arm determine 28: joint 4 moves over 0° only; move it further." in text
+    assert "Other poses of this arm determine 28: joint 4 moves over 0 deg only; move it further." in text
 
 
 def test_identify_json(capsys, measured):
@@ -187,7 +187,7 @@ def test_sensitivity(capsys, tmp_path):
     code, said, err = run(capsys, "sensitivity", "lite6", "--figures", tmp_path)
     assert (code, err) == (0, "")
     text = flat(said)
-    assert "Arms made to ±0.8 mm and ±0.15° in each number, one standard deviation." in text
+    assert "Arms made to ±0.8 mm and ±0.15 deg in each number, one standard deviation." in text
     assert "The flange stands 4.0 mm (RMS) from nominal over the workspace" in text
     assert "joint2_pitch 6.3" in text
     for what in ("sensitivity_by_joint", "sensitivity_workspace"):

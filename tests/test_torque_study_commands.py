@@ -61,7 +61,7 @@ def test_a_recording_that_shows_little(capsys, tmp_path, arm):
     moving = Recording.assembled(q, time=t, settings=RecordingSettings(arm="small.yaml", motion="trajectory"))
     text = flat(run(capsys, "identify", write_recording(moving, tmp_path / "a.csv"), "--torque")[1])
     assert "Not determined apart from others: " in text
-    assert "Joint 2 moves over 0° only; move it further." in text
+    assert "Joint 2 moves over 0 deg only; move it further." in text
     still = Recording.assembled(
         np.random.default_rng(0).uniform(-2, 2, (50, 2)), settings=RecordingSettings(arm="small.yaml", motion="static")
     )
@@ -76,7 +76,7 @@ def test_design_a_motion(capsys, tmp_path, arm):
     code, said, err = run(capsys, "design", arm, "--torque", *SMALL, *limits, "--out", out, "--figures", tmp_path)
     assert (code, err) == (0, "")
     text = flat(said)
-    assert "A motion of 4 s from rest to rest, 3 harmonics, 201 samples, up to 90°/s and 400°/s²" in text
+    assert "A motion of 4 s from rest to rest, 3 harmonics, 201 samples, up to 90 deg/s and 400 deg/s²" in text
     assert "times smaller than those of a random motion of the same limits (the median of 50)" in text
     assert (tmp_path / "motion_motion.png").stat().st_size > 10_000
     made = read_recording(out)

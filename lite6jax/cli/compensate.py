@@ -1,5 +1,6 @@
 """The command that compensates the errors of a diagnosed arm: joint positions at which it reaches given poses."""
 
+import warnings
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
@@ -8,7 +9,7 @@ from tyro.conf import Positional, arg
 
 from lite6jax.cli.arguments import check_out, refuse_inputs
 from lite6jax.cli.exit_codes import DONE, NOT_REACHED
-from lite6jax.errors import InputError
+from lite6jax.errors import InputError, InputWarning
 from lite6jax.storage import check_writable, exists, write_atomically
 
 
@@ -40,6 +41,8 @@ class Compensate:
     default each row is approached from the one before."""
     effects: Annotated[Path | None, arg(metavar="FILE.py")] = None
     """Effects of your own that the model has. Runs the file."""
+    json: bool = False
+    """Print JSON instead of the report."""
     force: bool = False
     """Replace the file if it exists."""
 
@@ -55,7 +58,7 @@ class Compensate:
         from lite6jax.effects.user_effects import load_effects
         from lite6jax.recordings import sidecar_path
         from lite6jax.recordings.writing import write_table, write_with_settings
-        from lite6jax.report import compensation_tables, screen
+        from lite6jax.report import bars, compensation_tables, screen
         from lite6jax.report.reference import origin_statement
 
         model = read_model(self.diagnosis, load_effects(self.effects) if self.effects else ())
@@ -83,6 +86,14 @@ class Compensate:
             written = [write_with_settings(columns, settings, self.out, self.force), sidecar]
         else:
             written = [write_atomically(self.out, lambda target: write_table(columns, target), self.force)]
+        beyond = bars.outside_warning(found, model)
+        if beyond:
+            warnings.warn(f"{self.targets}: {beyond}", InputWarning, stacklevel=1)
+        if self.json:
+            from lite6jax.report import documents
+
+            print(documents.text(documents.document(found), written))
+            return DONE if found.reached.all() else NOT_REACHED
         if model.reference is not None:
             screen.show([origin_statement(model.reference)])
         screen.show(compensation_tables.compensation_report(found, model, str(self.targets), self.frame))

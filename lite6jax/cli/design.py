@@ -74,6 +74,8 @@ class Design:
     """Seed of the random numbers."""
     figures: Folder = None
     """Draw the accuracy against the number of poses into this folder (PNG and SVG)."""
+    json: bool = False
+    """Print JSON instead of the report."""
     force: bool = False
     """Replace files that exist."""
 
@@ -145,6 +147,11 @@ class Design:
 
             drawing = study_figures.accuracy_by_count(found, self.source)
             written += canvas.save({name: drawing}, self.figures, self.force)
+        if self.json:
+            from lite6jax.report import documents
+
+            print(documents.text(documents.document(found), written))
+            return DONE
         screen.show(design_tables.design_report(found, drawn, disabled, self.source, accuracy))
         screen.written(written)
         return DONE
@@ -204,4 +211,5 @@ class Design:
             self.seed,
             self.figures,
             self.force,
+            self.json,
         )

@@ -29,13 +29,14 @@ def draw(
     from lite6jax.report import canvas, screen
 
     written, drawn = [], {}
-    with screen.progress(count, "drawing") as advance:
+    with screen.progress(2 * count + 1, "drawing") as advance:
         for name, figure in drawings:
             drawn[name] = figure
             advance(1)
         if command.figures:
             named = {f"{command.source.stem}_{name}": figure for name, figure in drawn.items()}
             written += canvas.save(named, command.figures, command.force)
+        advance(count)
         if command.report:
             written.append(write_atomically(command.report, page(drawn), command.force))
     return written

@@ -35,6 +35,8 @@ class Convert:
     calibration becomes vendor .yaml, everything else a description."""
     arm: ArmName = None
     """The nominal arm of a calibration; recognised where not given."""
+    json: bool = False
+    """Print JSON instead of the report."""
     force: bool = False
     """Replace the file if it exists."""
 
@@ -52,6 +54,11 @@ class Convert:
             done = export_file(arm, self.target, self.to, self.force, left_out)
         else:
             done = convert_file(self.source, self.target, self.to, load_nominal(self.arm), self.force)
+        if self.json:
+            from lite6jax.report import documents
+
+            print(documents.text(documents.document(done), [done.path]))
+            return DONE
         screen.written([done.path])
         screen.show(fleet_tables.conversion_report(done))
         return DONE
@@ -75,6 +82,8 @@ class Check:
     """Take joint columns that say rad as degrees."""
     assume_millimetres: bool = False
     """Take position columns that say m as millimetres."""
+    json: bool = False
+    """Print a JSON object for each file, a line each, instead of the report."""
 
     def run(self) -> int:
         """Reads, checks, prints."""
@@ -91,5 +100,10 @@ class Check:
                 path, nominal, assume_degrees=self.assume_degrees, assume_millimetres=self.assume_millimetres
             )
             found = check_recording(source, nominal) if isinstance(source, Recording) else check_calibration(source)
-            screen.show(checks.check_report(path, found))
+            if self.json:
+                from lite6jax.report import documents
+
+                print(documents.line({"file": str(path), **documents.document(found)}))
+            else:
+                screen.show(checks.check_report(path, found))
         return DONE

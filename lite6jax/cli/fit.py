@@ -63,6 +63,8 @@ class Fit:
     """Take joint columns that say rad as degrees."""
     assume_millimetres: bool = False
     """Take position columns that say m as millimetres."""
+    json: bool = False
+    """Print JSON instead of the report."""
 
     def run(self) -> int:
         """Reads, fits, prints, writes."""
@@ -122,16 +124,24 @@ class Fit:
 
                 drawn[names[2]] = live_figures.verification_figure(verification, title)
             written += canvas.save(drawn, self.figures, self.force)
-        if isinstance(source, Recording):
-            screen.show(tables.recording_read(source, solution))
-        else:
-            screen.show(tables.calibration_read(source))
-        screen.show(tables.solution_report(solution, recording))
-        if verification:
-            from lite6jax.report import live_tables
+        if self.json:
+            from lite6jax.report import documents
 
-            screen.show(live_tables.verification_report(verification, str(self.ip)))
-        screen.written(written)
+            document = documents.document(solution)
+            if verification:
+                document["controller_agrees"] = bool(verification.passed)
+            print(documents.text(document, written))
+        else:
+            if isinstance(source, Recording):
+                screen.show(tables.recording_read(source, solution))
+            else:
+                screen.show(tables.calibration_read(source))
+            screen.show(tables.solution_report(solution, recording))
+            if verification:
+                from lite6jax.report import live_tables
+
+                screen.show(live_tables.verification_report(verification, str(self.ip)))
+            screen.written(written)
         if refusal:
             raise refusal
         passed = verification is None or verification.passed
@@ -198,6 +208,8 @@ class Compare:
     """The nominal arm of all of them; recognised where not given."""
     figures: Folder = None
     """Draw the differences into this folder (PNG and SVG)."""
+    json: bool = False
+    """Print JSON instead of the report."""
     force: bool = False
     """Replace files that exist."""
 
@@ -223,6 +235,11 @@ class Compare:
 
             drawn = (figures.parameter_differences(comparison), figures.distance_between(comparison))
             written = canvas.save(dict(zip(names, drawn, strict=True)), self.figures, self.force)
+        if self.json:
+            from lite6jax.report import documents
+
+            print(documents.text(documents.document(comparison), written))
+            return DONE
         screen.show(fleet_tables.comparison_report(comparison, screen.console().width))
         screen.written(written)
         return DONE
@@ -244,6 +261,8 @@ class Fleet:
     """Write a row a file here (Parquet; SI units in the column names)."""
     arm: ArmName = None
     """The nominal arm of all of them; recognised file by file where not given."""
+    json: bool = False
+    """Print JSON instead of the report."""
     force: bool = False
     """Replace the file if it exists."""
 
@@ -266,6 +285,11 @@ class Fleet:
                 rows = fit_folder(files, nominal, advance, _screened_fit, kept, process)
         path = write_rows(rows, self.out, self.force)
         kept.remove()
+        if self.json:
+            from lite6jax.report import documents
+
+            print(documents.text(documents.of_folder(rows), [path]))
+            return DONE
         screen.show(fleet_tables.folder_report(rows, kept.used))
         screen.written([path])
         return DONE

@@ -40,6 +40,8 @@ class Read:
     """The expected nominal arm; by default a Lite 6."""
     timeout: Annotated[float, arg(metavar="S")] = 5.0
     """The time limit of the whole exchange."""
+    json: bool = False
+    """Print JSON instead of the report."""
     force: bool = False
     """Replace the file if it exists."""
 
@@ -62,6 +64,11 @@ class Read:
         written = []  # before anything is printed, because printing fails if the pipe is closed
         if self.out:
             written.append(write_factory(read.calibration.kinematics, self.out, overwrite=self.force))
+        if self.json:
+            from lite6jax.report import documents
+
+            print(documents.text(documents.document(read), written))
+            return DONE
         from lite6jax.report import live_tables, screen
 
         screen.show(live_tables.calibration_report(read))

@@ -7,7 +7,7 @@ import os
 import sys
 import warnings
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from functools import reduce
 from importlib.metadata import PackageNotFoundError, version
 from io import TextIOWrapper
@@ -24,9 +24,11 @@ from lite6jax.cli.emulate import Emulate
 from lite6jax.cli.exit_codes import BAD_INPUT, DONE, INTERRUPTED, MEANINGS, READER_LEFT
 from lite6jax.cli.files import Check, Convert
 from lite6jax.cli.fit import Compare, Demo, Fit, Fleet
+from lite6jax.cli.help import is_help, with_readable_options, wrapped
 from lite6jax.cli.init import Init
 from lite6jax.cli.listing import Arms, Effects
 from lite6jax.cli.live import Read, Record
+from lite6jax.cli.report import Report
 from lite6jax.cli.simulate import Simulate
 from lite6jax.cli.study import Identify, Sensitivity
 from lite6jax.errors import InputError, InputWarning
@@ -40,6 +42,7 @@ COMMANDS = {
     "sensitivity": Sensitivity,
     "design": Design,
     "diagnose": Diagnose,
+    "report": Report,
     "predict": Predict,
     "compensate": Compensate,
     "simulate": Simulate,
@@ -67,10 +70,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if arguments == ["--version"]:
             print(f"lite6jax {_version()}")
             return DONE
-        command = tyro.cli(
-            _subcommands(), prog="lite6jax", description=DESCRIPTION, args=current_spelling(arguments),
-            config=(FlagCreatePairsOff, OmitArgPrefixes),
-        )  # fmt: skip
+        with wrapped() if is_help(arguments) else nullcontext():
+            command = tyro.cli(
+                _subcommands(arguments), prog="lite6jax", description=DESCRIPTION, args=current_spelling(arguments),
+                config=(FlagCreatePairsOff, OmitArgPrefixes),
+            )  # fmt: skip
         from lite6jax.fitting.compiled import keep_compiled_code
 
         keep_compiled_code()
@@ -92,10 +96,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return code
 
 
-def _subcommands() -> Any:
-    options = []
+def _subcommands(arguments: Sequence[str]) -> Any:
+    """The commands as tyro takes them; the list of all commands has their first paragraphs only."""
+    options, alone = [], not set(arguments) & set(COMMANDS)
     for name, command in COMMANDS.items():
-        text = inspect.getdoc(command)  # as it stands: tyro would join the lines of the examples
+        text = inspect.getdoc(command) or ""  # as it stands: tyro would join the lines of the examples
+        if alone:
+            text = " ".join(text.partition("\n\n")[0].split())
+        elif is_help(arguments):
+            with_readable_options(command)
         options.append(Annotated[command, subcommand(name, description=text)])
     return reduce(operator.or_, options)
 

@@ -281,8 +281,8 @@ class Simulate:
         yield Text(f"Geometry: {chain}. Sensor frame: {frame}. Tool: {tool}.")
         said = [f"{1e3 * (settings.position_noise_m or 0):.3g} mm"]
         if settings.orientation_noise_rad is not None:
-            said.append(f"{math.degrees(settings.orientation_noise_rad):.3g}°")
-        said += [f"joints {self.noise.joint_noise:.3g}°"] if self.noise.joint_noise else []
+            said.append(f"{math.degrees(settings.orientation_noise_rad):.3g} deg")
+        said += [f"joints {self.noise.joint_noise:.3g} deg"] if self.noise.joint_noise else []
         yield Text(f"Noise, as declared: {', '.join(said)}.")
         if hidden := self._undeclared():
             yield Text(f"Noise, not declared: {hidden}.")
@@ -300,7 +300,7 @@ class Simulate:
         turned = float(np.sqrt(np.mean(turn**2)))
         yield Text(
             f"The effects displace the measured point by {number(rms)} mm RMS ({number(largest)} mm at most) "
-            f"and rotate it by {fixed(turned)}° RMS."
+            f"and rotate it by {fixed(turned)} deg RMS."
         )
 
     def _undeclared(self) -> str:
@@ -309,7 +309,7 @@ class Simulate:
             (noise.noise_factor != 1, f"{noise.noise_factor:g} times as large"),
             (noise.noise_correlation, f"with autocorrelation {noise.noise_correlation:g} from row to row"),
             (noise.noise_growth, f"growing by {100 * noise.noise_growth:g} % per m from the base"),
-            (noise.undeclared_joint_noise, f"joints' read-outs {noise.undeclared_joint_noise:g}°"),
+            (noise.undeclared_joint_noise, f"joints' read-outs {noise.undeclared_joint_noise:g} deg"),
             (noise.outliers, f"{100 * noise.outliers:g} % outliers"),
         ]
         return ", ".join(text for given, text in parts if given)

@@ -258,6 +258,8 @@ class Sensitivity:
     """Seed of the random numbers."""
     figures: Folder = None
     """Draw maps over each joint and over the workspace into this folder (PNG and SVG)."""
+    json: bool = False
+    """Print JSON instead of the report."""
     force: bool = False
     """Replace files that exist."""
 
@@ -289,6 +291,11 @@ class Sensitivity:
                 study_figures.sensitivity_over_workspace(found, self.source),
             )
             written = canvas.save(dict(zip(names, drawings, strict=True)), self.figures, self.force)
+        if self.json:
+            from lite6jax.report import documents
+
+            print(documents.text(documents.of_sensitivity(found, over_arms), written))
+            return DONE
         screen.show(study_tables.sensitivity_report(found, over_arms, self.source))
         screen.written(written)
         return DONE

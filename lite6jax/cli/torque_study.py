@@ -155,6 +155,7 @@ def design_motion(
     seed: int,
     figures: Path | None,
     force: bool,
+    as_json: bool = False,
 ) -> int:
     """Designs a motion, writes it as a recording with its sidecar, prints what it is worth.
 
@@ -203,6 +204,11 @@ def design_motion(
 
         drawing = torque_study_figures.designed_motion(found, source)
         written += canvas.save({figure_name(out): drawing}, figures, force)
+    if as_json:
+        from lite6jax.report import documents
+
+        print(documents.text(documents.document(found), written))
+        return DONE
     screen.show(report)
     screen.written(written)
     return DONE

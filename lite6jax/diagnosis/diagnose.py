@@ -11,7 +11,7 @@ from lite6jax.arms.arm import Arm
 from lite6jax.arms.factory import FactoryCalibration
 from lite6jax.diagnosis.discrimination import separating_poses
 from lite6jax.diagnosis.explanation import explain
-from lite6jax.diagnosis.heldout import fold_count, held_out_errors, held_out_folds
+from lite6jax.diagnosis.heldout import HeldOut, fold_count, held_out_errors, held_out_folds
 from lite6jax.diagnosis.options import Options
 from lite6jax.diagnosis.result import Diagnosis, Finding, Rival, Withdrawn
 from lite6jax.domains.pose.problem import PoseProblem
@@ -93,7 +93,13 @@ def diagnose(
         separating=separating,
         options=options,
         withdrawn=withdrawn,
+        turned=_turned(held_out, withdrawn is not None) if problem.rows == 6 else None,
     )
+
+
+def _turned(held_out: HeldOut, withdrawn: bool) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
+    """The held-out errors of orientations, before and after."""
+    return held_out.angle_before, held_out.angle_before if withdrawn else held_out.angle_after
 
 
 def _outliers(selection: Selection, options: Options) -> NDArray[np.bool_]:

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from lite6jax.checksum import KEY, verify, with_checksum
 from lite6jax.diagnosis.discrimination import differ
 from lite6jax.diagnosis.evidence_map import peak_to_peak
+from lite6jax.diagnosis.heldout import held_out_folds
 from lite6jax.diagnosis.result import Diagnosis, Rival
 from lite6jax.diagnosis.schema import check_effect, check_model, check_parts
 from lite6jax.diagnosis.uncertainty import uncertainty_of
@@ -46,7 +47,8 @@ DAMAGED = "run `lite6jax diagnose` again"
 def to_document(found: Diagnosis) -> dict[str, Any]:
     """The whole diagnosis as values that JSON can hold."""
     problem, kept = found.problem, ~found.outliers
-    before, after = _summary(found.before[kept]), _summary(found.after[kept])
+    turned = (None, None) if found.turned is None else tuple(errors[kept] for errors in found.turned)
+    before, after = _summary(found.before[kept], turned[0]), _summary(found.after[kept], turned[1])
     heldout = before["heldout_position_rms_m"], after["heldout_position_rms_m"]
     faults = [fault.to_dict() for fault in found.faults]
     outliers = found.outliers & problem.valid
@@ -68,6 +70,9 @@ def to_document(found: Diagnosis) -> dict[str, Any]:
         "rows_needed": found.rows_needed if found.verdict == "undetermined" else None,
         "samples": problem.samples,
         "heldout_rows": int(kept.sum()),
+        "heldout_blocks": len(held_out_folds(problem.recording, found.options, len(problem.frames) + 1)),
+        "quick": found.options.quick,
+        "pose_source": problem.recording.settings.pose_source,
         "noise": {
             "declared_position_m": problem.noise[0] if problem.declared else None,
             "estimated_position_m": found.estimated_noise,
@@ -118,6 +123,8 @@ def _finding(found: Diagnosis, k: int, before: float, after: float) -> dict[str,
         **size,
         "p_value": finding.p_value,
         "log_likelihood_gain": finding.gain,
+        "moves_rms_m": found.moves[k].position,
+        "moves_rms_rad": found.moves[k].orientation,
         "heldout_rms_before_m": before,
         "heldout_rms_after_m": after,
         "confusable_with": [_rival(found, k, rival) for rival in finding.rivals],
@@ -213,12 +220,17 @@ def _per_axis(std: PerAxis) -> dict[str, float]:
     return dict(zip(("position_m", "orientation_rad"), std, strict=True))
 
 
-def _summary(errors: Array) -> dict[str, float]:
-    names = ("heldout_position_rms_m", "heldout_position_p95_m", "heldout_position_max_m")
-    if not errors.size:
-        return dict.fromkeys(names, 0.0)
-    values = (np.sqrt(np.mean(errors**2)), np.percentile(errors, 95), errors.max())
-    return dict(zip(names, map(float, values), strict=True))
+def _summary(errors: Array, turned: Array | None) -> dict[str, float]:
+    """Of errors `(sample,)` m of positions and rad of orientations, where these were measured."""
+    found = {}
+    for name, unit, values in (("position", "m", errors), ("orientation", "rad", turned)):
+        if values is not None:
+            there = values if values.size else np.zeros(1)
+            found[f"heldout_{name}_mean_{unit}"] = float(there.mean())
+            found[f"heldout_{name}_rms_{unit}"] = float(np.sqrt(np.mean(there**2)))
+            found[f"heldout_{name}_p95_{unit}"] = float(np.percentile(there, 95))
+            found[f"heldout_{name}_max_{unit}"] = float(there.max())
+    return found
 
 
 def write_document(document: Mapping[str, Any], path: str | Path, overwrite: bool = False) -> Path:
@@ -227,7 +239,37 @@ def write_document(document: Mapping[str, Any], path: str | Path, overwrite: boo
     Raises:
         InputError: as `write_atomically`.
     """
-    return write_atomically(path, json.dumps(with_checksum(document), indent=1, allow_nan=False), overwrite)
+    return write_atomically(path, document_text(document), overwrite)
+
+
+def document_text(document: Mapping[str, Any]) -> str:
+    """The text of a diagnosis file: the document with its checksum."""
+    return json.dumps(with_checksum(document), indent=1, allow_nan=False)
+
+
+def read_document(path: str | Path) -> dict[str, Any]:
+    """A whole diagnosis of poses, for a report; effects of a user's own are not needed.
+
+    Raises:
+        InputError: no such file, not a diagnosis of this version, or something in it is missing or not possible.
+
+    Warns:
+        InputWarning: the file was changed after it was written.
+    """
+    document = parsed_document(path)
+    if (
+        not isinstance(document, dict)
+        or document.get("schema") != SCHEMA
+        or not isinstance(document.get("model"), dict)
+    ):
+        raise InputError(f"{path}: is no diagnosis ({SCHEMA}); give what `lite6jax diagnose --out` wrote")
+    try:
+        check_parts(document)
+        check_model(document["model"])
+    except InputError as error:
+        raise InputError(f"{path}: is damaged ({error}); {DAMAGED}") from error
+    check_sum(document, path)
+    return document
 
 
 def read_model(path: str | Path, effects: tuple[Effect, ...] = ()) -> DiagnosedArm:

@@ -15,6 +15,7 @@ from lite6jax.arms.arm import Arm
 from lite6jax.arms.factory import FactoryCalibration
 from lite6jax.diagnosis.explanation import Decisions, explain
 from lite6jax.diagnosis.options import Options
+from lite6jax.domains.pose.kinematics import unwhitened
 from lite6jax.domains.pose.problem import PoseProblem
 from lite6jax.effects.effect import Effect
 from lite6jax.errors import InputError
@@ -35,12 +36,16 @@ class HeldOut(NamedTuple):
         after: m, of positions, with the effects that a search of the other rows selects.
         turned_before: of orientations, over their noise, with the nuisance alone; zero where none were measured.
         turned_after: likewise with the effects.
+        angle_before: rad, of orientations, with the nuisance alone; zero where none were measured.
+        angle_after: likewise with the effects.
     """
 
     before: Array
     after: Array
     turned_before: Array
     turned_after: Array
+    angle_before: Array
+    angle_after: Array
 
     def raised(self, kept: NDArray[np.bool_], options: Options) -> bool:
         """Whether the effects raise the errors on rows that were not used.
@@ -71,7 +76,7 @@ def held_out_errors(
         decisions: between faults and physics, of all rows.
         folds: those of `held_out_folds`.
     """
-    before, after, turned_before, turned_after = np.zeros((4, recording.samples))
+    before, after, turned_before, turned_after, angle_before, angle_after = np.zeros((6, recording.samples))
     for number, held in enumerate(folds, 1):
         with part(number, 1 + len(folds)):
             found = explain(recording, arm, geometry, options, effects, factory, ~held, False, decisions)
@@ -79,9 +84,9 @@ def held_out_errors(
         assert isinstance(reference, PoseProblem)
         before[held] = _distance(reference, state.baseline)[held]
         after[held] = _distance(found.problem, state.fit)[held]
-        turned_before[held] = _turn(reference, state.baseline)[held]
-        turned_after[held] = _turn(found.problem, state.fit)[held]
-    return HeldOut(before, after, turned_before, turned_after)
+        turned_before[held], angle_before[held] = (size[held] for size in _turns(reference, state.baseline))
+        turned_after[held], angle_after[held] = (size[held] for size in _turns(found.problem, state.fit))
+    return HeldOut(before, after, turned_before, turned_after, angle_before, angle_after)
 
 
 def held_out_folds(recording: Recording, options: Options, unknowns: int) -> list[Mask]:
@@ -124,9 +129,13 @@ def _distance(problem: PoseProblem, fit: Fit) -> Array:
     return np.linalg.norm(problem.position_errors(fit.nuisance, fit.terms, fit.values), axis=0)
 
 
-def _turn(problem: PoseProblem, fit: Fit) -> Array:
-    """`(sample,)` between predicted and measured orientations, over their noise; zero where none were measured."""
-    return np.linalg.norm(problem.residual(fit.nuisance, fit.terms, fit.values)[3:], axis=0)
+def _turns(problem: PoseProblem, fit: Fit) -> tuple[Array, Array]:
+    """`(sample,)` between predicted and measured orientations, over their noise and in rad; zero where none were
+    measured.
+    """
+    rows = problem.residual(fit.nuisance, fit.terms, fit.values)
+    angles = unwhitened(rows, problem.measured.whitener)
+    return np.linalg.norm(rows[3:], axis=0), np.linalg.norm(angles[3:], axis=0)
 
 
 def _ratio(before: Array, after: Array) -> float:

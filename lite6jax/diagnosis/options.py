@@ -6,6 +6,8 @@ from typing import final
 from lite6jax.domains.pose.screening.options import ScreeningOptions
 from lite6jax.estimation.options import EngineOptions, option
 
+_USUAL_FOLDS = 5
+
 
 @final
 @dataclass(frozen=True)
@@ -21,7 +23,9 @@ class Options:
 
     engine: EngineOptions = field(default_factory=EngineOptions)
     screening: ScreeningOptions = field(default_factory=ScreeningOptions)
-    folds: int = option(5, "contiguous held-out blocks", "each leaves four fifths of the rows for the search")
+    folds: int = option(
+        _USUAL_FOLDS, "contiguous held-out blocks", "each leaves four fifths of the rows for the search"
+    )
     least_in_fold: int = option(10, "fewest rows of a held-out block", "fewer have no meaningful percentiles")
     outlier_squares: float = option(
         30.0, "squared residual over the scale, per number, beyond which a row is an outlier", "5.5 standard deviations"
@@ -43,3 +47,12 @@ class Options:
     same_effect: float = option(
         1e-4, "share of an effect that its alternative cannot do, below which both are the same", "1 % of its length"
     )
+
+    @property
+    def quick(self) -> bool:
+        """Whether fewer blocks are held out than usual."""
+        return self.folds < _USUAL_FOLDS
+
+
+QUICK = Options(folds=2, most_separated=0)
+"""Those of a quick diagnosis: the same search of all rows, with two held-out blocks and without separating poses."""

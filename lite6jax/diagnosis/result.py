@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from lite6jax.checksum import with_checksum
 from lite6jax.diagnosis.discrimination import SeparatingPoses
+from lite6jax.diagnosis.moves import Moves, moves_of
 from lite6jax.diagnosis.options import Options
 from lite6jax.diagnosis.verdict import Left, Verdict, left_of, rows_needed, verdict_of
 from lite6jax.domains.pose.predict import DiagnosedArm
@@ -19,7 +20,7 @@ from lite6jax.estimation.least_squares import Fit
 from lite6jax.fitting.quality import Quality, quality_of_poses
 from lite6jax.recordings.fault import DataFault
 from lite6jax.search.search import Selection
-from lite6jax.summary import Summarised
+from lite6jax.summary import Plotted, Summarised
 
 Array = NDArray[np.floating]
 
@@ -97,7 +98,7 @@ class Withdrawn:
 
 @final
 @dataclass(frozen=True, eq=False)
-class Diagnosis(Summarised):
+class Diagnosis(Summarised, Plotted):
     """What makes a recording depart from the arm's model: effects and data faults, with held-out errors.
 
     Attributes:
@@ -112,6 +113,7 @@ class Diagnosis(Summarised):
         separating: poses that separate findings from their rivals.
         options: thresholds.
         withdrawn: effects that were not kept, because they raise the held-out errors; None where there are none.
+        turned: `(sample,)` rad each, held-out errors of orientations before and after; None where none were measured.
     """
 
     problem: PoseProblem
@@ -125,11 +127,17 @@ class Diagnosis(Summarised):
     separating: tuple[SeparatingPoses, ...]
     options: Options
     withdrawn: Withdrawn | None = None
+    turned: tuple[Array, Array] | None = None
 
     @property
     def fit(self) -> Fit:
         """Of the nuisance and all findings."""
         return self.selection.state.fit
+
+    @cached_property
+    def moves(self) -> tuple[Moves, ...]:
+        """What each finding moves beyond what the nuisance would take up."""
+        return moves_of(self)
 
     @property
     def untestable(self) -> tuple[Untestable, ...]:

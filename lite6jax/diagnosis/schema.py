@@ -38,8 +38,15 @@ _LARGEST = (LENGTH_LIMIT, ANGLE_LIMIT)
 _BY_UNIT = {"m": LENGTH_LIMIT, "rad": ANGLE_LIMIT}
 _POSITIVE = number(0.0)
 _ERRORS = record(
-    {}, dict.fromkeys(("heldout_position_rms_m", "heldout_position_p95_m", "heldout_position_max_m"), _POSITIVE)
+    {},
+    {
+        f"heldout_{name}_{statistic}_{unit}": _POSITIVE
+        for name, unit in (("position", "m"), ("orientation", "rad"))
+        for statistic in ("mean", "rms", "p95", "max")
+    },
 )
+INPUTS = items(record({"role": text, "file": text, "sha256": text}))
+"""Of both kinds of documents: the files that were read."""
 _ESTIMATE = record({"value": number(), "std": _POSITIVE})
 _PLACE: Mapping[str, Check] = {"effect": text, "site": text, "driver": text}
 _FAULT = record({"fault": text, "rows": items(whole(1)), "numbers": plain}, {"statement": text})
@@ -55,6 +62,8 @@ _RIVAL = record(
 _FINDING = record(
     {**_PLACE, "parameters": mapping(_ESTIMATE), "p_value": number(0.0, 1.0), "log_likelihood_gain": number()},
     {
+        "moves_rms_m": _POSITIVE,
+        "moves_rms_rad": optional(_POSITIVE),
         "heldout_rms_before_m": _POSITIVE,
         "heldout_rms_after_m": _POSITIVE,
         "confusable_with": items(_RIVAL),
@@ -92,6 +101,10 @@ _PARTS: Mapping[str, Check] = {
     "rows_needed": optional(whole(1)),
     "samples": whole(1),
     "heldout_rows": whole(0),
+    "heldout_blocks": whole(1),
+    "quick": flag,
+    "pose_source": text,
+    "inputs": INPUTS,
     "noise": record({"declared_position_m": optional(_POSITIVE), "estimated_position_m": _POSITIVE}),
     "data_faults": items(_FAULT),
     "ruled_out": items(_FAULT),

@@ -12,8 +12,9 @@ from lite6jax.arms.arm import Arm
 from lite6jax.arms.description import LARGEST_MASS
 from lite6jax.arms.entries import ANGLE_LIMIT, LENGTH_LIMIT
 from lite6jax.diagnosis.document import DAMAGED, SCHEMA, check_sum, located, parsed_document
+from lite6jax.diagnosis.heldout import fold_count
 from lite6jax.diagnosis.result import Finding, Rival
-from lite6jax.diagnosis.schema import FARTHEST, check_effect
+from lite6jax.diagnosis.schema import FARTHEST, INPUTS, check_effect
 from lite6jax.diagnosis.torque_result import TorqueDiagnosis
 from lite6jax.domains.torque.predict import DiagnosedMotors
 from lite6jax.effects.dynamic.catalogue import BUILT_IN
@@ -35,7 +36,8 @@ _ERRORS = record(
         "heldout_torque_p95_Nm": _POSITIVE,
         "heldout_torque_max_Nm": _POSITIVE,
         "heldout_torque_rms_by_joint_Nm": _BY_JOINT,
-    }
+    },
+    {"heldout_torque_mean_Nm": _POSITIVE},
 )
 _PLACE = {"effect": text, "site": text, "driver": text}
 _RIVAL = record(
@@ -50,7 +52,12 @@ _FINDING = record(
         "moves_rms_Nm": _POSITIVE,
         "confusable_with": items(_RIVAL),
     },
-    {"nearest": record({**_PLACE, "share": number(0.0, 1.0)}), "statement": text, "peak_to_peak_Nm": _POSITIVE},
+    {
+        "nearest": record({**_PLACE, "share": number(0.0, 1.0)}),
+        "statement": text,
+        "peak_to_peak_Nm": _POSITIVE,
+        "joints": items(whole(1)),
+    },
 )
 _FAULT = record({"fault": text, "rows": items(whole(1)), "numbers": plain}, {"statement": text})
 PARTS = {
@@ -63,6 +70,9 @@ PARTS = {
     "withdrawn": items(record(_PLACE)),
     "samples": whole(1),
     "kept_samples": whole(1),
+    "heldout_blocks": whole(1),
+    "quick": flag,
+    "inputs": INPUTS,
     "filter": record({"rate_Hz": _POSITIVE, "cutoff_Hz": _POSITIVE, "motion_cutoff_Hz": _POSITIVE, "every": whole(1)}),
     "noise": record({"declared_torque_Nm": optional(_BY_JOINT), "estimated_torque_Nm": _BY_JOINT}),
     "torque_source": text,
@@ -110,6 +120,8 @@ def to_torque_document(found: TorqueDiagnosis) -> dict[str, Any]:
         "withdrawn": [located(finding.effect) for finding in found.withdrawn],
         "samples": data.recording.samples,
         "kept_samples": int(kept.sum()),
+        "heldout_blocks": fold_count(problem.samples, found.options),
+        "quick": found.options.quick,
         "filter": {
             "rate_Hz": chosen.rate,
             "cutoff_Hz": chosen.cutoff,
@@ -141,6 +153,7 @@ def _summary(errors: Array) -> dict[str, Any]:
     """Of errors `(joint, sample)` Nm."""
     size = np.abs(errors)
     return {
+        "heldout_torque_mean_Nm": float(size.mean()) if errors.size else 0.0,
         "heldout_torque_rms_Nm": float(np.sqrt(np.mean(errors**2))) if errors.size else 0.0,
         "heldout_torque_p95_Nm": float(np.percentile(size, 95)) if errors.size else 0.0,
         "heldout_torque_max_Nm": float(size.max(initial=0.0)),
@@ -152,6 +165,7 @@ def _finding(found: TorqueDiagnosis, k: int) -> dict[str, Any]:
     finding, part = found.findings[k], found.fit.terms.slices[k]
     columns = found.problem.columns([finding.effect], finding.values, (found.fit.terms, found.fit.values))
     moved = np.tensordot(found.fit.values[part], columns, 1) * found.problem.noise[:, None]
+    acts = np.abs(moved).max(1) > 0
     size: dict[str, Any] = {}
     if isinstance(finding.effect, UnnamedTorque):
         size["peak_to_peak_Nm"] = float(np.ptp(moved, axis=1).max())
@@ -164,7 +178,8 @@ def _finding(found: TorqueDiagnosis, k: int) -> dict[str, Any]:
         **size,
         "p_value": finding.p_value,
         "log_likelihood_gain": finding.gain,
-        "moves_rms_Nm": float(np.sqrt(np.mean(moved[np.abs(moved).max(1) > 0] ** 2))) if moved.any() else 0.0,
+        "moves_rms_Nm": float(np.sqrt(np.mean(moved[acts] ** 2))) if acts.any() else 0.0,
+        "joints": (1 + np.flatnonzero(acts)).tolist(),
         "confusable_with": [_rival(found, rival) for rival in _near(found, finding)],
     }
 
@@ -211,6 +226,21 @@ def read_torque_model(path: str | Path) -> DiagnosedMotors:
     model = torque_model_from_document(document, str(path))
     check_sum(document, path)
     return model
+
+
+def read_torque_document(path: str | Path) -> dict[str, Any]:
+    """A whole diagnosis of torques, for a report.
+
+    Raises:
+        InputError: as `read_torque_model`.
+
+    Warns:
+        InputWarning: as `read_torque_model`.
+    """
+    document = parsed_document(path)
+    torque_model_from_document(document, str(path))
+    check_sum(document, path)
+    return document
 
 
 def torque_model_from_document(document: Any, source: str = "diagnosis") -> DiagnosedMotors:

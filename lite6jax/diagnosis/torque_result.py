@@ -20,7 +20,7 @@ from lite6jax.effects.effect import Effect
 from lite6jax.estimation.least_squares import Fit
 from lite6jax.recordings.fault import DataFault
 from lite6jax.search.search import Selection
-from lite6jax.summary import Summarised
+from lite6jax.summary import Plotted, Summarised
 
 Array = NDArray[np.floating]
 
@@ -30,7 +30,7 @@ _NORMAL = 1.4826
 
 @final
 @dataclass(frozen=True, eq=False)
-class TorqueDiagnosis(Summarised):
+class TorqueDiagnosis(Summarised, Plotted):
     """What makes measured torques depart from the inverse dynamics of the arm.
 
     Attributes:

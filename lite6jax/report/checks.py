@@ -57,7 +57,7 @@ def statement(cause: Cause) -> str:
         return f"No tool offset: {share}."
     if cause.code == "joint_limits":
         beyond = np.rad2deg(n["largest_excess_rad"])
-        return f"Joint {n['joint']} is beyond its limits by up to {beyond:.3g}° in {rows_named(cause.rows)}."
+        return f"Joint {n['joint']} is beyond its limits by up to {beyond:.3g} deg in {rows_named(cause.rows)}."
     if cause.code == "outliers":
         if not cause.rows:
             return "There are no outliers."

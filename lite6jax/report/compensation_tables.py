@@ -138,7 +138,7 @@ def _missed(found: Compensation, rows: NDArray) -> str:
     largest = []
     for errors, scale, unit, least in (
         (found.position_error, 1e3, " mm", REACHED[0]),
-        (found.orientation_error, 180 / np.pi, "°", REACHED[1]),
+        (found.orientation_error, 180 / np.pi, " deg", REACHED[1]),
     ):
         most = 0.0 if errors is None else float(np.nan_to_num(errors[rows]).max())
         if most > least:

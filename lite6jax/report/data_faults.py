@@ -145,7 +145,7 @@ def _not_commanded(n: Numbers) -> str:
 
 
 def _grid(n: Numbers) -> str:
-    return "0.01°" if n["grid_unit"] == "deg" else f"{n['grid_rad']:g} rad"
+    return "0.01 deg" if n["grid_unit"] == "deg" else f"{n['grid_rad']:g} rad"
 
 
 # ------------------------------------------------------------------ columns
@@ -183,7 +183,7 @@ def _column_fault(code: str, n: Numbers) -> str:
     if code == "orientation_convention":
         return f"the orientations are {_CONVENTIONS[n['convention']]}"
     turned = abs(n["added_rad"])
-    away = "half a turn" if np.isclose(turned, np.pi) else f"{np.rad2deg(-n['added_rad']):+.0f}°"
+    away = "half a turn" if np.isclose(turned, np.pi) else f"{np.rad2deg(-n['added_rad']):+.0f} deg"
     return f"the zero of joint {n['joint']} is off by {away}"
 
 

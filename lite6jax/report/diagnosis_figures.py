@@ -1,6 +1,6 @@
 """Figures of a diagnosis: errors before and after, explained shares, spectra of orders, remaining residuals."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from matplotlib import rc_context
@@ -27,15 +27,25 @@ _QUANTITIES = {
     "gravity torque": "gravity\nload",
     "temperature rise": "temperature\nrise",
 }
+_THIN = 0.2
+"""Of the samples that an even distribution would have, below which a bin's median is left out."""
+_LEAST_SCALE = 2.0
+"""Percent of the variance at which the colours of a map of noise end."""
 
 
-def drawings(found: Diagnosis, title: str) -> Iterator[tuple[str, Figure]]:
-    """The figures by name, of `NAMES`; there is no figure of findings where there are none."""
+def drawings(found: Diagnosis, title: str, order: Sequence[int] | None = None) -> Iterator[tuple[str, Figure]]:
+    """The figures by name, of `NAMES`; there is no figure of findings where there are none.
+
+    Args:
+        found: the diagnosis.
+        title: of each figure.
+        order: places of the findings, from 0, in which they are numbered; theirs where not given.
+    """
     yield "error_by_joint", error_by_joint(found, title)
     yield "where", explained_map(found, title)
     yield "orders", order_spectrum(found, title)
     if found.findings:
-        yield "findings", finding_figure(found, title)
+        yield "findings", finding_figure(found, title, order=order)
     yield "remaining", remaining(found, title)
 
 
@@ -53,7 +63,7 @@ def error_by_joint(found: Diagnosis, title: str) -> Figure:
                     q[joint, shown], error[shown], ".", color=colour, markersize=5, alpha=0.35, markeredgewidth=0,
                     rasterized=True, zorder=3,
                 )  # fmt: skip
-                at, middle, _ = medians(q[joint], error)
+                at, middle, _ = medians(q[joint], error, share=_THIN)
                 panel.plot(at, middle, color=colour, linewidth=2.5, zorder=5)
             panel.set_xlabel(f"joint {joint + 1} (deg)")
             panel.xaxis.set_major_locator(degree_ticks(panel))
@@ -69,27 +79,37 @@ def error_by_joint(found: Diagnosis, title: str) -> Figure:
 
 
 def explained_map(found: Diagnosis, title: str) -> Figure:
-    """The share of the variance left by the nuisance that a curve over each driver explains at each site."""
+    """The share of the variance left by the nuisance that a curve over each driver explains at each site.
+
+    Colours end at the largest share: on an arm whose error has many causes, no curve alone explains much of it.
+    """
     table = evidence_map.explained_shares(found)
     rows, columns = len(table.sites), len(table.quantities)
+    known = table.shares[np.isfinite(table.shares)]
+    most = max(100 * float(known.max(initial=0.0)), _LEAST_SCALE)
     with rc_context(FRAMED):
         figure = blank(3.5 + 1.35 * columns, 2.2 + 0.62 * rows)
         panel = figure.subplots()
         percent = np.ma.masked_invalid(100 * table.shares)
-        colours = panel.imshow(percent, cmap="cividis", vmin=0, vmax=100, aspect="auto", interpolation="nearest")
+        colours = panel.imshow(percent, cmap="cividis", vmin=0, vmax=most, aspect="auto", interpolation="nearest")
         panel.set_facecolor("#eeeeee")
         for (i, j), share in np.ndenumerate(table.shares):
             text, colour = "–", GREY
             if np.isfinite(share):
-                text, colour = f"{100 * share:.0f}", "black" if share > 0.55 else "white"
+                text, colour = _percent(100 * float(share)), "black" if 100 * share > 0.55 * most else "white"
             panel.text(j, i, text, ha="center", va="center", color=colour, fontsize=14)
         panel.set_xticks(range(columns), [_QUANTITIES.get(name, name) for name in table.quantities])
         panel.set_yticks(range(rows), [name.replace("joint", "joint ") for name in table.sites])
         panel.set(xlabel="driver of the curve", ylabel="site")
         panel.tick_params(length=0)
-        figure.colorbar(colours, label="explained variance (%)")
+        figure.colorbar(colours, label=f"explained variance (%), scaled to {most:.2g} %")
         figure.suptitle(f"{title}: explained variance by site and driver", fontsize=15)
     return figure
+
+
+def _percent(share: float) -> str:
+    """Whole percents; a decimal below ten of what is not zero."""
+    return f"{share:.1f}" if 0.05 <= share < 9.95 else f"{share:.0f}"
 
 
 def order_spectrum(found: Diagnosis, title: str) -> Figure:

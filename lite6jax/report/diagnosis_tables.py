@@ -1,63 +1,75 @@
 """The screen report of a diagnosis: verdict, errors before and after, findings, and what was not tested."""
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
 from rich.console import RenderableType
-from rich.padding import Padding
 from rich.table import Table
 from rich.text import Text
 
 from lite6jax.arms import frames
 from lite6jax.domains.pose.registration import Registration
-from lite6jax.recordings.fault import DataFault
-from lite6jax.report import reference, statements
-from lite6jax.report.cells import SCREEN, fixed, listed, listing, number
-from lite6jax.report.data_faults import ruled_out_statements
+from lite6jax.report import reference, statements, worth
+from lite6jax.report.cells import SCREEN, fixed, listing, number
+from lite6jax.report.next_steps import Files
+from lite6jax.report.sections import (
+    chart,
+    fault_line,
+    finding_list,
+    headed,
+    indented,
+    ruled_out,
+    what_to_do,
+)
 
 ERRORS = ("heldout_position_rms_m", "heldout_position_p95_m", "heldout_position_max_m")
 """The keys of errors in the JSON file: root mean square, 95th percentile and largest."""
 
 
-def diagnosis_report(document: Mapping[str, Any], source: str) -> Iterator[RenderableType]:
+def diagnosis_report(
+    document: Mapping[str, Any], source: str, files: Files | None = None, details: bool = False
+) -> Iterator[RenderableType]:
     """The screen report.
 
     Args:
         document: as in the JSON file, with statements.
         source: the recording.
+        files: for commands to copy; without them there are none.
+        details: whether to list also what was ruled out and what was not tested.
     """
-    model = document["model"]
+    model, findings = document["model"], statements.findings_of(document)
     yield Text(source, no_wrap=True, overflow="ignore")
     yield Text(f"{model['arm']}, {document['samples']} samples ({model['motion']}).")
     yield ""
     if "against" in document:
         yield from _reference(document["against"])
         yield ""
+    yield Text(worth.headline(document))
+    yield ""
     yield Text(statements.verdict_statement(document))
     yield from map(Text, statements.cautions(document))
+    yield from chart(document, findings)
     yield ""
     table = listing("held-out position error (mm)", "rms", "p95", "max")
     for name in ("before", "after"):
         table.add_row(name, *(number(1e3 * document[name][key]) for key in ERRORS))
+    table.columns[0].no_wrap = False
     yield table
+    yield Text(statements.held_out_statement(document, f"{document['heldout_rows']} rows"))
     yield Text(noise_statement(document))
-    yield from _headed("Data faults:", map(_fault, document["data_faults"]))
-    if document["findings"]:
-        yield ""
-        yield Text("Findings:")
-        yield _findings(document)
-    yield from _headed("Assumptions:", statements.assumptions(document))
-    ruled_out = (DataFault(entry["fault"], (), entry["numbers"]) for entry in document["ruled_out"])
-    yield from _headed("Data faults tested and ruled out:", ruled_out_statements(ruled_out))
-    yield from _headed("Effects not tested:", map(_untested, statements.untested(document)))
-    yield from _headed("What to record next:", statements.what_to_record(document))
+    yield from headed("Data faults:", map(fault_line, document["data_faults"]))
+    yield from finding_list(findings, statements.undistinguished)
+    yield from what_to_do(document, files)
+    yield from headed("Assumptions:", statements.assumptions(document))
+    yield from headed("What to record next:", statements.what_to_record(document))
     for item in document["separating_poses"]:
         yield ""
         yield Text(f"{statements.separating_title(item)}:")
         yield _poses(item["joint_position_rad"])
     if document["separating_poses"]:
         yield Text(statements.NOT_CHECKED)
+    yield from ruled_out(document, statements.untested(document), details)
     yield ""
 
 
@@ -70,42 +82,8 @@ def noise_statement(document: Mapping[str, Any]) -> str:
 
 def _reference(comparison: Mapping[str, Any]) -> Iterator[RenderableType]:
     yield Text(reference.headline(comparison))
-    yield from (_indented(entry["statement"]) for entry in (*comparison["differences"], *comparison["notes"]))
-    yield _indented(comparison["statement"])
-
-
-def _findings(document: Mapping[str, Any]) -> Table:
-    table = Table.grid(padding=(0, 1, 0, 0))
-    for k, finding in enumerate(statements.findings_of(document), 1):
-        lines = [f"{finding['statement']} {statements.p_value_statement(finding)}"]
-        rivals = statements.undistinguished(finding)
-        if rivals:
-            lines.append(f"Not distinguished from {', '.join(rivals)}.")
-        table.add_row(Text(f"{k}."), Text("\n".join(lines)))
-    return table
-
-
-def _fault(entry: Mapping[str, Any]) -> str:
-    rows = f" Rows {listed(entry['rows'])}." if entry["rows"] else ""
-    return f"{entry['statement']}{rows}"
-
-
-def _untested(group: statements.Untested) -> str:
-    names = ", ".join(f"{name} at {sites}" for name, sites in statements.by_site(group.entries))
-    return f"{statements.capital(names)}. {group.reason}"
-
-
-def _headed(heading: str, lines: Iterable[str]) -> Iterator[RenderableType]:
-    """A heading with indented lines; nothing where there are none."""
-    for k, line in enumerate(lines):
-        if not k:
-            yield ""
-            yield Text(heading)
-        yield _indented(line)
-
-
-def _indented(line: str) -> RenderableType:
-    return Padding(Text(line), (0, 0, 0, 2))
+    yield from (indented(entry["statement"]) for entry in (*comparison["differences"], *comparison["notes"]))
+    yield indented(comparison["statement"])
 
 
 def _poses(joint_position: list[list[float]]) -> Table:

@@ -31,25 +31,36 @@ _DEFLECTIONS = {
 _MOVEMENTS = {"joint": "joint deflection", "stretch": "growth of the links", "scale": "growth of the readings"}
 
 
-def finding_figure(found: Diagnosis, title: str, chosen: Sequence[int] | None = None) -> Figure:
+def finding_figure(
+    found: Diagnosis, title: str, chosen: Sequence[int] | None = None, order: Sequence[int] | None = None
+) -> Figure:
     """Each finding's curve with two standard deviations, over its partial residuals.
 
     Args:
         found: with findings.
         title: of the figure.
-        chosen: which findings, from 0; all where not given.
+        chosen: places of findings, from 0; all, in their order, where not given.
+        order: places of all findings in the order in which they are numbered; theirs where not given.
     """
-    chosen = range(len(found.findings)) if chosen is None else chosen
-    return _curves_figure([curve for k in chosen for curve in partial_residuals.finding_curves(found, k)], found, title)
+    order = range(len(found.findings)) if order is None else order
+    places = order if chosen is None else chosen
+    return _curves_figure(
+        [curve for k in places for curve in partial_residuals.finding_curves(found, k)], found, title, order
+    )
 
 
-def torque_finding_figure(found: TorqueDiagnosis, title: str, chosen: Sequence[int] | None = None) -> Figure:
+def torque_finding_figure(
+    found: TorqueDiagnosis, title: str, chosen: Sequence[int] | None = None, order: Sequence[int] | None = None
+) -> Figure:
     """As `finding_figure`, of a diagnosis of torques."""
-    chosen = range(len(found.findings)) if chosen is None else chosen
-    return _curves_figure([torque_curves.finding_curve(found, k) for k in chosen], found, title)
+    order = range(len(found.findings)) if order is None else order
+    places = order if chosen is None else chosen
+    return _curves_figure([torque_curves.finding_curve(found, k) for k in places], found, title, order)
 
 
-def _curves_figure(curves: Sequence[FindingCurve], found: Diagnosis | TorqueDiagnosis, title: str) -> Figure:
+def _curves_figure(
+    curves: Sequence[FindingCurve], found: Diagnosis | TorqueDiagnosis, title: str, order: Sequence[int]
+) -> Figure:
     """Curves of findings, a panel each."""
     with rc_context(STYLE):
         figure, panels = panels_in_rows(len(curves), wide=True)
@@ -58,7 +69,8 @@ def _curves_figure(curves: Sequence[FindingCurve], found: Diagnosis | TorqueDiag
             effect = found.findings[curve.finding].effect
             if isinstance(effect, UnnamedTorque) and effect.signed and not curve.hysteresis:
                 panel.set_ylabel("torque × direction of motion (Nm)")
-            panel.set_title(f"{curve.finding + 1}. {effect_name(effect.name)}, {effect.site}", fontsize=13)
+            number = order.index(curve.finding) + 1
+            panel.set_title(f"{number}. {effect_name(effect.name)}, {effect.site}", fontsize=13)
         panels[0].plot([], [], color=AFTER, linewidth=2.5, label="fitted")
         if all(curve.hysteresis for curve in curves):
             panels[0].plot([], [], ".", color=GREY, markersize=8, label="partial residuals")

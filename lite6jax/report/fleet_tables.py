@@ -50,7 +50,7 @@ def comparison_report(comparison: Comparison, width: int) -> Iterator[Renderable
     spread = scale * comparison.spread
     yield Text(
         f"Spread between the arms: standard deviation {np.sqrt(np.mean(spread[lengths] ** 2)):.3f} mm and"
-        f" {np.sqrt(np.mean(spread[~lengths] ** 2)):.4f}° per parameter (RMS)."
+        f" {np.sqrt(np.mean(spread[~lengths] ** 2)):.4f} deg per parameter (RMS)."
     )
     yield from _pairwise_distances(comparison)
 

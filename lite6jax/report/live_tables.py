@@ -90,8 +90,8 @@ def verification_report(verification: Verification, where: str) -> Iterator[Rend
         return
     turn = float(np.degrees(verification.orientation.max()))
     yield Text(
-        f"Not passed: they differ by up to {number(most, 4)} mm and {number(turn, 4)}°; above {1e3 * GATE_M:g} mm"
-        f" or {np.degrees(GATE_RAD):.4f}° a difference is significant."
+        f"Not passed: they differ by up to {number(most, 4)} mm and {number(turn, 4)} deg; above {1e3 * GATE_M:g} mm"
+        f" or {np.degrees(GATE_RAD):.4f} deg a difference is significant."
     )
     if verification.hidden_tool is not None:
         shown = _offset(verification.hidden_tool)
@@ -123,7 +123,7 @@ def _tool_lines(verification: Verification) -> Iterator[Text]:
     condition = verification.condition
     distance, angle = 1e3 * verification.tool_agrees[0], np.degrees(verification.tool_agrees[1])
     agrees = verification.tool_agrees[0] <= GATE_M
-    here = f"difference {number(float(distance))} mm and {number(float(angle))}°"
+    here = f"difference {number(float(distance))} mm and {number(float(angle))} deg"
     if verification.tool == "none":
         stated = "Tool offset: none in the controller's report"
     elif verification.tool == "applied":

@@ -1,18 +1,19 @@
-"""A diagnosis as one self-contained HTML page: verdict, errors, data faults, findings with figures, next steps."""
+"""A diagnosis as one self-contained HTML page: cause, ranking, errors, findings with figures, remedies, next steps."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
 
 from lite6jax.diagnosis.result import Diagnosis
-from lite6jax.report import reference, statements
+from lite6jax.report import next_steps, reference, statements, worth
 from lite6jax.report.cells import fixed, number
 from lite6jax.report.diagnosis_tables import ERRORS, noise_statement
 from lite6jax.report.finding_figures import finding_figure
+from lite6jax.report.next_steps import Files
 from lite6jax.report.quantities import quantity
-from lite6jax.report.rendering import FEW, fault_row, finding_row, picture, template, untested_row
+from lite6jax.report.rendering import fault_row, finding_row, folded, picture, ranking, template, untested_row
 
 Document = Mapping[str, Any]
 
@@ -28,7 +29,9 @@ _CAPTIONS = {
 }
 
 
-def diagnosis_page(found: Diagnosis, document: Document, source: str, figures: Mapping[str, Figure]) -> str:
+def diagnosis_page(
+    found: Diagnosis, document: Document, source: str, figures: Mapping[str, Figure], files: Files | None = None
+) -> str:
     """The page, HTML; the same diagnosis gives the same bytes.
 
     Args:
@@ -36,25 +39,29 @@ def diagnosis_page(found: Diagnosis, document: Document, source: str, figures: M
         document: as in its JSON file, with statements; all text is made from it.
         source: the recording's name, of any characters.
         figures: those of `diagnosis_figures.drawings`.
+        files: for commands to copy; without them there are none.
     """
-    findings = [_finding(found, entry, k) for k, entry in enumerate(statements.findings_of(document))]
+    order = worth.order(document)
+    findings = [_finding(found, entry, order) for entry in statements.findings_of(document)]
+    checked = [fault_row(entry) for entry in document["ruled_out"]]
     return template("diagnosis.html").render(
         source=source,
         against=_against(document),
-        verdict=statements.verdict_statement(document),
-        cautions=statements.cautions(document),
+        headline=worth.headline(document),
+        cautions=[statements.verdict_statement(document), *statements.cautions(document)],
         verdict_word=document["verdict"],
         setting=_setting(document),
         errors=_errors(document),
-        held=f"{document['heldout_rows']} rows, each predicted without the contiguous block that it belongs to: "
-        "screening, search and fit did not use this block.",
+        held=statements.held_out_statement(document, f"{document['heldout_rows']} rows"),
         noise=noise_statement(document),
         figures={name: picture(figures[name], caption) for name, caption in _CAPTIONS.items()},
         faults=[fault_row(entry) for entry in document["data_faults"]],
         notes=statements.assumptions(document),
         findings=findings,
-        overview=len(findings) > FEW,
-        checked=[fault_row(entry) for entry in document["ruled_out"]],
+        ranking=ranking(document, findings),
+        steps=[] if files is None else next_steps.steps(document, files),
+        checked=checked,
+        folded=folded(checked, document),
         untested=[untested_row(group) for group in statements.untested(document)],
         to_record=statements.what_to_record(document),
         separating=[_poses(item) for item in document["separating_poses"]],
@@ -80,7 +87,7 @@ def _errors(document: Document) -> list[dict[str, Any]]:
     return rows
 
 
-def _finding(found: Diagnosis, entry: Mapping[str, Any], k: int) -> dict[str, Any]:
+def _finding(found: Diagnosis, entry: Mapping[str, Any], order: Sequence[int]) -> dict[str, Any]:
     numbers = entry.get("peak_to_peak", entry["parameters"])
     quantities = [quantity(name, estimate) for name, estimate in numbers.items()]
     over = "" if entry["driver"] == "none" else f" over the {entry['driver']}"
@@ -89,7 +96,7 @@ def _finding(found: Diagnosis, entry: Mapping[str, Any], k: int) -> dict[str, An
         f"The fitted {name} at {entry['site']}{over} with two standard deviations, beside "
         "the partial residuals: those of the whole model without it."
     )
-    shown = picture(finding_figure(found, "", [k]), caption)
+    shown = picture(finding_figure(found, "", [entry["place"]], order), caption)
     return finding_row(entry, quantities, statements.undistinguished(entry), statements.rejected(entry), shown)
 
 

@@ -16,8 +16,15 @@ _WIDE = ((1, (1, 7.5, 4.2)), (6, (2, 6.0, 4.2)), (15, (3, 5.0, 3.6)), (np.inf, (
 """Layouts by the largest number of panels: the number of columns, and the width and height of a panel in inches."""
 
 
-def medians(x: Array, y: Array, count: int = BINS) -> tuple[Array, Array, Array]:
-    """Centres of bins of equal width, medians and their standard errors; NaN where a bin has too few samples."""
+def medians(x: Array, y: Array, count: int = BINS, share: float = 0.0) -> tuple[Array, Array, Array]:
+    """Centres of bins of equal width, medians and their standard errors; NaN where a bin has too few samples.
+
+    Args:
+        x: `(sample,)`, which is binned.
+        y: `(sample,)`.
+        count: the number of bins.
+        share: of the samples that an even distribution would have, what a bin has at least beside `_LEAST_IN_BIN`.
+    """
     if not len(x):
         return np.zeros(0), np.zeros(0), np.zeros(0)
     edges = np.linspace(x.min(), max(x.max(), x.min() + 1e-9), count + 1)
@@ -25,7 +32,7 @@ def medians(x: Array, y: Array, count: int = BINS) -> tuple[Array, Array, Array]
     middle, error = np.full(count, np.nan), np.full(count, np.nan)
     for k in range(count):
         inside = y[at == k]
-        if len(inside) >= _LEAST_IN_BIN:
+        if len(inside) >= max(_LEAST_IN_BIN, share * len(x) / count):
             middle[k] = np.median(inside)
             deviation = 1.4826 * np.median(np.abs(inside - middle[k]))
             error[k] = np.sqrt(np.pi / 2 / len(inside)) * deviation  # the standard error of a median of normal noise

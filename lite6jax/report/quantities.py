@@ -37,6 +37,11 @@ _NAMED = {
 OF_TORQUES = {**_NAMED, "scale": (100.0, "%")}
 """The same, of effects on torques: the scale of a current is not known to ppm."""
 
+_STIFF = 3.0
+"""Standard deviations that a compliance must be from zero for its inverse to mean something."""
+_DAY = 86400.0
+"""s."""
+
 
 class Quantity(NamedTuple):
     """A parameter as it is read.
@@ -46,16 +51,19 @@ class Quantity(NamedTuple):
         value: rounded to its standard deviation.
         std: two digits; empty where the number was chosen and not estimated.
         unit: of both; empty for plain numbers.
+        also: the same in another unit, with its name or unit; empty where there is none.
     """
 
     name: str
     value: str
     std: str
     unit: str
+    also: str = ""
 
     def __str__(self) -> str:
         size = f"{self.value} ± {self.std}" if self.std else self.value
-        return f"{self.name} {size}{f' {self.unit}' if self.unit else ''}"
+        also = f" ({self.also})" if self.also else ""
+        return f"{self.name} {size}{f' {self.unit}' if self.unit else ''}{also}"
 
 
 def quantity(name: str, estimate: Mapping[str, float], named: Mapping[str, tuple[float, str]] = _NAMED) -> Quantity:
@@ -74,7 +82,18 @@ def quantity(name: str, estimate: Mapping[str, float], named: Mapping[str, tuple
     value, std = scale * estimate["value"], scale * estimate["std"]
     if not std:
         return Quantity(read, f"{value:.6g}", "", unit)
-    return Quantity(read, *rounded(value, std), unit)
+    return Quantity(read, *rounded(value, std), unit, "" if name in named else _otherwise(end, estimate))
+
+
+def _otherwise(end: str, estimate: Mapping[str, float]) -> str:
+    """A compliance as a stiffness, a rate as a drift per day; a compliance within its error of none has no inverse."""
+    value, std = estimate["value"], estimate["std"]
+    if end == "_rad_per_Nm" and value > _STIFF * std:
+        return f"stiffness {' ± '.join(rounded(1 / value, std / value**2))} Nm/rad"
+    if end in ("_m_per_s", "_rad_per_s"):
+        scale, unit = (1e3, "mm") if end == "_m_per_s" else (180 / np.pi, "deg")
+        return f"{' ± '.join(rounded(scale * _DAY * value, scale * _DAY * std))} {unit} a day"
+    return ""
 
 
 def rounded(value: float, std: float) -> tuple[str, str]:

@@ -1,7 +1,7 @@
 """What the pages of all diagnoses share: templates, embedded figures, data faults and effects that were not tested."""
 
 import base64
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import cache
 from io import BytesIO
 from typing import Any, NamedTuple
@@ -10,15 +10,14 @@ import jinja2
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 
-from lite6jax.report import statements
+from lite6jax.report import statements, worth
 from lite6jax.report.canvas import STYLE
 from lite6jax.report.cells import listed
 from lite6jax.report.data_faults import fault_name
 from lite6jax.report.quantities import Quantity
+from lite6jax.report.remedies import remedy_of
 
 _DPI = 120
-FEW = 3
-"""Findings that are read one by one; more have an overview."""
 
 
 class Picture(NamedTuple):
@@ -56,7 +55,12 @@ def fault_row(entry: Mapping[str, Any]) -> dict[str, str]:
 
 
 def finding_row(
-    entry: Mapping[str, Any], quantities: list[Quantity], rivals: list[str], rejected: list[str], shown: Picture
+    entry: Mapping[str, Any],
+    quantities: list[Quantity],
+    rivals: list[str],
+    rejected: list[str],
+    shown: Picture,
+    torques: bool = False,
 ) -> dict[str, Any]:
     """A finding with its figure.
 
@@ -66,11 +70,13 @@ def finding_row(
         rivals: effects that the recording does not distinguish from it.
         rejected: the nearest effects that explain clearly less.
         shown: its figure.
+        torques: whether it acts on torques.
     """
     gain = entry["log_likelihood_gain"]
     return {
         "title": entry["title"],
         "statement": entry["statement"],
+        "remedy": remedy_of(entry, torques).action,
         "parameters": quantities,
         "sizes": [each for each in quantities if each.std],
         "gain": f"{gain:+.0f}",
@@ -79,6 +85,20 @@ def finding_row(
         "rejected": ", ".join(rejected),
         "figure": shown,
     }
+
+
+def ranking(document: Mapping[str, Any], findings: list[dict[str, Any]]) -> dict[str, Any]:
+    """The findings of a page with a bar each, in the unit in which they are ranked; no bars in an old document."""
+    bars = worth.bars(document)
+    for bar, finding in zip(bars, findings, strict=False):
+        finding |= {"size": bar.size, "width": f"{100 * bar.share:.1f}"}
+    return {"unit": worth.measure_of(document).unit, "bars": bool(bars)}
+
+
+def folded(checked: Sequence[object], document: Mapping[str, Any]) -> str:
+    """What the folded part of a page holds."""
+    effects = {(entry["effect"], entry["site"]) for key in ("untestable", "confounded") for entry in document[key]}
+    return f"{len(checked)} data faults ruled out, {len(effects)} effects not tested"
 
 
 def untested_row(group: statements.Untested) -> dict[str, str]:

@@ -1,5 +1,7 @@
-"""Output to the terminal: text without markup, unbroken paths, and a progress bar."""
+"""Output to the terminal: text without markup, unbroken paths, and progress, as a bar or as lines."""
 
+import threading
+import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -33,11 +35,63 @@ def written(paths: Iterable[Path]) -> None:
         screen.print(f"Wrote {path}", soft_wrap=True)
 
 
+EVERY = 10.0
+"""Seconds between two lines of progress where stderr is no terminal; what takes less says nothing."""
+
+
+def minutes(seconds: float) -> str:
+    """A duration as minutes and seconds: 1:05."""
+    return f"{int(seconds) // 60}:{int(seconds) % 60:02d}"
+
+
+@contextmanager
+def repeated(line: Callable[[], str]) -> Iterator[None]:
+    """Prints a line on stderr every ten seconds, until the end of the context."""
+    screen, ended = console(stderr=True), threading.Event()
+
+    def report() -> None:
+        while not ended.wait(EVERY):
+            screen.print(line(), soft_wrap=True)
+
+    reporter = threading.Thread(target=report, daemon=True)
+    reporter.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        reporter.join()
+
+
 @contextmanager
 def progress(total: int, what: str) -> Iterator[Callable[[int], None]]:
-    """A transient progress bar on stderr if that is a terminal. Yields a thread-safe function that advances it."""
+    """Progress on stderr: a transient bar on a terminal, else a line every ten seconds.
+
+    Yields:
+        a thread-safe function that advances it.
+    """
     screen = console(stderr=True)
+    if not screen.is_terminal:
+        with _lines(total, what) as advance:
+            yield advance
+        return
     columns = (TextColumn(what), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=screen, transient=True, disable=not screen.is_terminal) as bar:
+    with Progress(*columns, console=screen, transient=True) as bar:
         task = bar.add_task("", total=total)
         yield lambda done: bar.advance(task, done)
+
+
+@contextmanager
+def _lines(total: int, what: str) -> Iterator[Callable[[int], None]]:
+    began, lock, done = time.monotonic(), threading.Lock(), [0]
+
+    def advance(more: int) -> None:
+        with lock:
+            done[0] += more
+
+    def line() -> str:
+        so_far = time.monotonic() - began
+        ahead = f", about {minutes(so_far * (total - done[0]) / done[0])} to go" if done[0] else ""
+        return f"{what}: {done[0]} of {total}, {minutes(so_far)} so far{ahead}"
+
+    with repeated(line):
+        yield advance

@@ -1,6 +1,5 @@
 """The stage of a long computation and its time to go, on stderr: an updated line, or one line every ten seconds."""
 
-import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -11,9 +10,8 @@ from rich.text import Text
 
 from lite6jax.progress import Code, Stage
 from lite6jax.report import screen
+from lite6jax.report.screen import minutes
 
-EVERY = 10.0
-"""Seconds between two lines where stderr is no terminal; a computation that takes less says nothing."""
 _STAGES: dict[Code, str] = {
     "screening": "looking for data faults",
     "linearising": "fitting frames and clock offset",
@@ -63,12 +61,12 @@ class Clock:
     def line(self, now: float) -> str:
         """The stage, the time since the beginning and the time to go, in words."""
         if self.stage is None:
-            return f"reading rows, {_minutes(now - self._began[0])} so far"
+            return f"reading rows, {minutes(now - self._began[0])} so far"
         block = f", without block {self.stage.part} of {self.stage.parts - 1}" if self.stage.part > 0 else ""
         block = block if self.stage.part < self.stage.parts else ""
         to_go = self.to_go(now)
-        ahead = f"more than {_minutes(self.at_least(now))} to go" if to_go is None else f"about {_minutes(to_go)} to go"
-        return f"{_STAGES[self.stage.code]}{block}: {_minutes(now - self._began[0])} so far, {ahead}"
+        ahead = f"more than {minutes(self.at_least(now))} to go" if to_go is None else f"about {minutes(to_go)} to go"
+        return f"{_STAGES[self.stage.code]}{block}: {minutes(now - self._began[0])} so far, {ahead}"
 
 
 @contextmanager
@@ -84,20 +82,5 @@ def shown() -> Iterator[Callable[[Stage], None]]:
         with Live(get_renderable=line, console=console, transient=True, refresh_per_second=2):
             yield follow
         return
-    ended = threading.Event()
-
-    def report() -> None:
-        while not ended.wait(EVERY):
-            console.print(clock.line(time.monotonic()), soft_wrap=True)
-
-    reporter = threading.Thread(target=report, daemon=True)
-    reporter.start()
-    try:
+    with screen.repeated(lambda: clock.line(time.monotonic())):
         yield follow
-    finally:
-        ended.set()
-        reporter.join()
-
-
-def _minutes(seconds: float) -> str:
-    return f"{int(seconds) // 60}:{int(seconds) % 60:02d}"

@@ -5,7 +5,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 from lite6jax.effects.drivers import driver_of
-from lite6jax.report import data_faults, reference
+from lite6jax.report import data_faults, reference, worth
 from lite6jax.report.cells import fixed, number, ranges
 from lite6jax.report.quality import quality_statement
 from lite6jax.report.quantities import quantity
@@ -120,13 +120,14 @@ def finding_statement(finding: Entry) -> str:
     """A finding in one sentence, with its numbers; `finding` has the fields of its effect as `where`."""
     where, name = finding["where"], finding["effect"].replace("_", " ")
     driver = "" if finding["driver"] == "none" else f", a function of the {_worded(finding['driver'])}"
+    moves = f"; {worth.moves_phrase(finding)}" if worth.moves_phrase(finding) else ""
     if "peak_to_peak" in finding:
         return (
             f"No effect of the catalogue explains an effect at {finding['site']}{_component(where)}{driver}: "
-            f"{_shape(where)}{_effective(finding)}, {sizes(finding)}."
+            f"{_shape(where)}{_effective(finding)}, {sizes(finding)}{moves}."
         )
     end, detail = "," if driver else "", _detail(_order_and_source(finding))
-    return f"{capital(name)}{detail} at {finding['site']}{driver}{end} is significant: {sizes(finding)}."
+    return f"{capital(name)}{detail} at {finding['site']}{driver}{end} is significant: {sizes(finding)}{moves}."
 
 
 def sizes(finding: Entry) -> str:
@@ -136,10 +137,19 @@ def sizes(finding: Entry) -> str:
 
 
 def findings_of(document: Document) -> list[dict[str, Any]]:
-    """The findings, each with its `title`, its `statement` and the fields of its effect as `where`."""
+    """The findings, those that move most first, each with `title`, `statement`, `where` and `place`.
+
+    `where` has the fields of its effect, and `place` is that in the document, from 0.
+    """
+    detailed = _detailed(document)
     return [
-        {**finding, "title": capital(effect_title(finding)), "statement": finding_statement(finding)}
-        for finding in _detailed(document)
+        {
+            **detailed[k],
+            "title": capital(effect_title(detailed[k])),
+            "statement": finding_statement(detailed[k]),
+            "place": k,
+        }
+        for k in worth.order(document)
     ]
 
 
@@ -230,6 +240,23 @@ def what_to_record(document: Document) -> list[str]:
             names = _joined(dict.fromkeys(effect_name(entry["effect"]) for entry in group.entries))
             lines.append(f"To test for {names}, give {group.remedy.removesuffix(' …')}.")
     return [*lines, *(_against_confounding(document) if document["confounded"] else [])]
+
+
+def held_out_statement(document: Document, rows: str) -> str:
+    """How errors were held out, and what a quick diagnosis left out.
+
+    Args:
+        document: of poses or of torques.
+        rows: how many, with their noun.
+    """
+    blocks = f"{document['heldout_blocks']} contiguous blocks" if "heldout_blocks" in document else "contiguous blocks"
+    line = f"Errors of {rows}, held out in {blocks}: screening, search and fit of each did without it."
+    if document.get("quick"):
+        line += (
+            " This was a quick diagnosis: fewer blocks than usual, so that each is predicted from fewer rows and the"
+            " errors are rather too large; poses that separate rival effects were not designed."
+        )
+    return line
 
 
 def assumptions(document: Document) -> list[str]:

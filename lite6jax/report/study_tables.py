@@ -34,9 +34,9 @@ def described(sensor: Sensor) -> str:
         "distance": "distances to a point",
     }[sensor.quantity]
     if sensor.orientation_noise is not None:
-        noise += f" and {np.rad2deg(sensor.orientation_noise):.2g}°"
+        noise += f" and {np.rad2deg(sensor.orientation_noise):.2g} deg"
     per = " per axis" if sensor.rows > 1 else ""
-    joints = f", joints read to ±{np.rad2deg(sensor.joint_noise):.2g}°" if sensor.joint_noise else ""
+    joints = f", joints read to ±{np.rad2deg(sensor.joint_noise):.2g} deg" if sensor.joint_noise else ""
     return f"{reads} to ±{noise}{per}{joints}"
 
 
@@ -84,7 +84,7 @@ def _reasons(found: Identification) -> Iterator[str]:
     d = found.determination
     if found.missed:
         narrow = found.narrow()
-        which = " and ".join(f"joint {j + 1} moves over {np.rad2deg(span):.2g}°" for j, span in narrow)
+        which = " and ".join(f"joint {j + 1} moves over {np.rad2deg(span):.2g} deg" for j, span in narrow)
         some = 0 < len(narrow) < found.experiment.arm.dof
         remedy = f"{which} only; move it further" if some else "record more poses, or others (lite6jax design)"
         yield f"Other poses of this arm determine {found.possible.rank}: {remedy}."
@@ -183,7 +183,7 @@ def _indices(found: Identification) -> Iterator[RenderableType]:
     o = found.observability
     if o is None:
         return
-    yield Text("Observability (parameters in units of 0.8 mm and 0.15°, readings in standard deviations)")
+    yield Text("Observability (parameters in units of 0.8 mm and 0.15 deg, readings in standard deviations)")
     yield ""
     table = listing("O1", "O2", "O3", "O4", "O5", "condition")
     table.columns[0].justify = "right"
@@ -219,7 +219,7 @@ def sensitivity_report(
     )
     yield Text(source, no_wrap=True, overflow="ignore")
     yield Text(
-        f"Arms made to ±{1e3 * length:.3g} mm and ±{np.rad2deg(angle):.3g}° in each number, one standard deviation."
+        f"Arms made to ±{1e3 * length:.3g} mm and ±{np.rad2deg(angle):.3g} deg in each number, one standard deviation."
     )
     yield ""
     expected = found.expected_error
@@ -273,7 +273,7 @@ def _expected(found: Identification) -> str:
         )
     expected = f"±{number(1e3 * accuracy.position_rms)} mm"
     if accuracy.orientation_determined:
-        expected += f" and ±{number(np.rad2deg(accuracy.orientation_rms))}°"
+        expected += f" and ±{number(np.rad2deg(accuracy.orientation_rms))} deg"
     return f"The fitted model predicts the whole workspace to {expected}."
 
 

@@ -19,7 +19,7 @@ from lite6jax.identifiability.discrimination import DiscriminationPlan
 from lite6jax.identifiability.identify import Identification
 from lite6jax.identifiability.planning import Plan
 from lite6jax.recordings import Recording
-from lite6jax.report import statements, torque_statements
+from lite6jax.report import statements, torque_statements, worth
 from lite6jax.report.cells import number
 from lite6jax.report.data_faults import fault_name
 from lite6jax.report.quality import quality_statement
@@ -81,7 +81,7 @@ def _recording(recording: Recording) -> Description:
     sentences = [
         f"{recording.source} has {_counted(recording.samples, 'sample')} of {recording.dof} joints in "
         f"{_counted(runs, 'run')} ({recording.motion}), with {poses}{by}.",
-        f"The joints move over ranges of {np.rad2deg(span.min()):.0f}° to {np.rad2deg(span.max()):.0f}°.",
+        f"The joints move over ranges of {np.rad2deg(span.min()):.0f} deg to {np.rad2deg(span.max()):.0f} deg.",
     ]
     rows = [
         ("samples", str(recording.samples)),
@@ -256,7 +256,8 @@ def _diagnosis(found: Diagnosis) -> Description:
     shown, hidden = findings[:_MOST_FINDINGS], len(findings) - _MOST_FINDINGS
     before, after = (_millimetres(document[stage]["heldout_position_rms_m"]) for stage in ("before", "after"))
     noise = _millimetres(found.estimated_noise)
-    sentences = [verdict, *statements.cautions(document), *(finding["statement"] for finding in shown)]
+    sentences = [worth.headline(document), verdict, *statements.cautions(document)]
+    sentences += [finding["statement"] for finding in shown]
     if hidden > 0:
         sentences.append(f"{_counted(hidden, 'more finding')} {_be(hidden)} in `findings`.")
     error = f"{before} mm RMS with the model of the arm alone"
@@ -286,9 +287,7 @@ def _torque_diagnosis(found: TorqueDiagnosis) -> Description:
     document = to_torque_document(found)
     findings = torque_statements.findings_of(document)
     shown, hidden = findings[:_MOST_FINDINGS], len(findings) - _MOST_FINDINGS
-    sentences = [torque_statements.cause_statement(document)]
-    if findings:
-        sentences.append(torque_statements.verdict_statement(document))
+    sentences = [worth.headline(document), torque_statements.verdict_statement(document)]
     sentences += [*torque_statements.cautions(document), *(finding["statement"] for finding in shown)]
     if hidden > 0:
         sentences.append(f"{_counted(hidden, 'more finding')} {_be(hidden)} in `findings`.")
@@ -339,5 +338,5 @@ def _rms(values: NDArray[np.floating]) -> float:
 def _errors(errors: Errors) -> str:
     parts = [f"{_millimetres(errors.position_rms)} mm RMS"]
     if errors.orientation is not None:
-        parts.append(f"{_degrees(_rms(errors.orientation))}° RMS")
+        parts.append(f"{_degrees(_rms(errors.orientation))} deg RMS")
     return " and ".join(parts)

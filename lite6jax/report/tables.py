@@ -219,13 +219,13 @@ def _noise_line(noise: Noise | None, checked: Errors) -> Iterator[Text]:
         return
     found = f"{number(1e3 * noise.position)} mm"
     if noise.orientation is not None:
-        found += f", {number(np.rad2deg(noise.orientation))}°"
+        found += f", {number(np.rad2deg(noise.orientation))} deg"
     if noise.declared is None:
         yield Text(f"Noise per axis: not declared for every measured quantity; the residuals have {found}.")
         return
     declared = f"{number(1e3 * noise.declared[0])} mm"
     if noise.declared[1] is not None:
-        declared += f", {number(np.rad2deg(noise.declared[1]))}°"
+        declared += f", {number(np.rad2deg(noise.declared[1]))} deg"
     ratio = noise.position / noise.declared[0]
     verdict = "as declared" if ratio < ABOVE_NOISE else f"{ratio:.0f} times it: this geometry does not explain the rest"
     yield Text(f"Noise per axis: declared {declared}; the residuals have {found}, {verdict}.")

@@ -1,6 +1,6 @@
 """Figures of a diagnosis of torques: errors before and after by joint, torques over time, friction, findings."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from matplotlib import rc_context
@@ -23,13 +23,19 @@ _LOWEST = 1e-4
 """Nm, the shortest bar."""
 
 
-def drawings(found: TorqueDiagnosis, title: str) -> Iterator[tuple[str, Figure]]:
-    """The figures by name, of `NAMES`; there is no figure of findings where there are none."""
+def drawings(found: TorqueDiagnosis, title: str, order: Sequence[int] | None = None) -> Iterator[tuple[str, Figure]]:
+    """The figures by name, of `NAMES`; there is no figure of findings where there are none.
+
+    Args:
+        found: the diagnosis.
+        title: of each figure.
+        order: places of the findings, from 0, in which they are numbered; theirs where not given.
+    """
     yield "error_by_joint", error_by_joint(found, title)
     yield "over_time", over_time(found, title)
     yield "friction", friction(found, title)
     if found.findings:
-        yield "findings", torque_finding_figure(found, title)
+        yield "findings", torque_finding_figure(found, title, order=order)
 
 
 def error_by_joint(found: TorqueDiagnosis, title: str) -> Figure:

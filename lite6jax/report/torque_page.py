@@ -1,14 +1,15 @@
 """A diagnosis of torques as one self-contained HTML page: cause, errors, data faults, findings, friction."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from matplotlib.figure import Figure
 
 from lite6jax.diagnosis.torque_result import TorqueDiagnosis
-from lite6jax.report import statements, torque_statements
+from lite6jax.report import next_steps, statements, torque_statements, worth
 from lite6jax.report.finding_figures import torque_finding_figure
-from lite6jax.report.rendering import FEW, fault_row, finding_row, picture, template, untested_row
+from lite6jax.report.next_steps import Files
+from lite6jax.report.rendering import fault_row, finding_row, folded, picture, ranking, template, untested_row
 
 Document = Mapping[str, Any]
 
@@ -28,7 +29,9 @@ _ERRORS = {
 _BY_JOINT = "heldout_torque_rms_by_joint_Nm"
 
 
-def torque_page(found: TorqueDiagnosis, document: Document, source: str, figures: Mapping[str, Figure]) -> str:
+def torque_page(
+    found: TorqueDiagnosis, document: Document, source: str, figures: Mapping[str, Figure], files: Files | None = None
+) -> str:
     """The page, HTML; the same diagnosis gives the same bytes.
 
     Args:
@@ -36,25 +39,28 @@ def torque_page(found: TorqueDiagnosis, document: Document, source: str, figures
         document: as in its JSON file, with statements; all text is made from it.
         source: the recording's name, of any characters.
         figures: those of `torque_figures.drawings`.
+        files: for commands to copy; without them there are none.
     """
-    findings = [_finding(found, entry, k) for k, entry in enumerate(torque_statements.findings_of(document))]
-    said = [torque_statements.verdict_statement(document)] if findings else []
+    order = worth.order(document)
+    findings = [_finding(found, entry, order) for entry in torque_statements.findings_of(document)]
+    checked = [fault_row(entry) for entry in document["ruled_out"]]
     return template("torque_diagnosis.html").render(
         source=source,
-        cause=torque_statements.cause_statement(document),
-        cautions=[*said, *torque_statements.cautions(document)],
+        headline=worth.headline(document),
+        cautions=[torque_statements.verdict_statement(document), *torque_statements.cautions(document)],
         verdict_word=document["verdict"],
         setting=torque_statements.setting_statement(document),
         errors=_errors(document),
-        held=f"Errors of {document['kept_samples']} filtered samples, each predicted without the contiguous block that "
-        "it belongs to: search and fit did not use this block.",
+        held=statements.held_out_statement(document, f"{document['kept_samples']} filtered samples"),
         noise=torque_statements.noise_statement(document),
         figures={name: picture(figures[name], caption) for name, caption in _CAPTIONS.items()},
         faults=[fault_row(entry) for entry in document["data_faults"]],
         notes=[torque_statements.filter_statement(document), torque_statements.inertial_statement(document)],
         findings=findings,
-        overview=len(findings) > FEW,
-        checked=[fault_row(entry) for entry in document["ruled_out"]],
+        ranking=ranking(document, findings),
+        steps=[] if files is None else next_steps.steps(document, files),
+        checked=checked,
+        folded=folded(checked, document),
         untested=[untested_row(group) for group in torque_statements.untested(document)],
         to_record=torque_statements.what_to_record(document),
     )
@@ -68,11 +74,11 @@ def _errors(document: Document) -> list[dict[str, Any]]:
     return [{"name": name, "numbers": [f"{value:.3g}" for value in pair]} for name, pair in rows]
 
 
-def _finding(found: TorqueDiagnosis, entry: Mapping[str, Any], k: int) -> dict[str, Any]:
+def _finding(found: TorqueDiagnosis, entry: Mapping[str, Any], order: Sequence[int]) -> dict[str, Any]:
     driver = statements.effect_title(entry) if entry["driver"] == "none" else f"the {entry['driver']}"
     caption = (
         f"The torque of this finding over {driver}, beside the partial residuals: those of the whole model without it."
     )
-    shown = picture(torque_finding_figure(found, "", [k]), caption)
+    shown = picture(torque_finding_figure(found, "", [entry["place"]], order), caption)
     rivals, rejected = torque_statements.undistinguished(entry), torque_statements.rejected(entry)
-    return finding_row(entry, torque_statements.sizes(entry), rivals, rejected, shown)
+    return finding_row(entry, torque_statements.sizes(entry), rivals, rejected, shown, torques=True)

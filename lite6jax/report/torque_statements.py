@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from typing import Any
 
-from lite6jax.report import data_faults, statements
+from lite6jax.report import data_faults, statements, worth
 from lite6jax.report.quantities import OF_TORQUES, Quantity, quantity
 from lite6jax.report.statements import Untested, capital, effect_title
 
@@ -46,25 +46,6 @@ def verdict_statement(document: Document) -> str:
     return _VERDICTS[verdict]
 
 
-def cause_statement(document: Document) -> str:
-    """The most significant finding and what the findings together explain; the verdict where there is none."""
-    if not document["findings"]:
-        return verdict_statement(document)
-    pairs = zip(document["findings"], document["model"]["effects"], strict=True)
-    finding, effect = max(pairs, key=lambda pair: pair[0]["log_likelihood_gain"])
-    count = len(document["findings"])
-    before, after = (document[stage]["heldout_torque_rms_Nm"] for stage in ("before", "after"))
-    with_all = "With it" if count == 1 else f"With all {count} findings"
-    moves = f"contributes {finding['moves_rms_Nm']:.3g} Nm RMS"
-    main = f"The main cause is {effect_title(finding)}: it {moves}."
-    if finding["effect"] == "unnamed":
-        of = _of_what(finding, effect["where"])
-        main = f"The main cause has no name in the catalogue: a torque at {finding['site']} that is a function of {of}"
-        main += f", and {moves}."
-    fall = "falls" if after < before else "goes"
-    return f"{main} {with_all}, the held-out torque error {fall} from {before:.3g} to {after:.3g} Nm RMS."
-
-
 def cautions(document: Document) -> list[str]:
     """What qualifies the verdict: torques that the controller computed, effects that were not kept."""
     lines = [ESTIMATED] if document["torque_source"] == "estimated" else []
@@ -92,17 +73,14 @@ def noise_statement(document: Document) -> str:
 
 
 def findings_of(document: Document) -> list[dict[str, Any]]:
-    """The findings, each with its `title`, its `statement` and the fields of its effect as `where`."""
-    pairs = zip(document["findings"], document["model"]["effects"], strict=True)
-    return [
-        {
-            **finding,
-            "title": capital(effect_title({**finding, "where": effect["where"]})),
-            "statement": finding_statement(finding, effect["where"]),
-            "where": effect["where"],
-        }
-        for finding, effect in pairs
-    ]
+    """As `statements.findings_of`."""
+    effects = document["model"]["effects"]
+    found = []
+    for k in worth.order(document):
+        finding, where = document["findings"][k], effects[k]["where"]
+        title, statement = capital(effect_title({**finding, "where": where})), finding_statement(finding, where)
+        found.append({**finding, "title": title, "statement": statement, "where": where, "place": k})
+    return found
 
 
 def finding_statement(finding: Entry, where: Entry) -> str:

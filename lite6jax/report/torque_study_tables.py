@@ -105,9 +105,9 @@ def _undetermined(found: TorqueIdentification) -> Iterator[str]:
     yield f"Not determined apart from others: {', '.join(missed)}."
     narrow = found.narrow()
     if len(narrow) == found.model.arm.dof:
-        yield "No joint moves over more than 10°: record a motion of all joints (lite6jax design --torque)."
+        yield "No joint moves over more than 10 deg: record a motion of all joints (lite6jax design --torque)."
     elif narrow:
-        which = " and ".join(f"joint {j + 1} moves over {np.rad2deg(span):.2g}°" for j, span in narrow)
+        which = " and ".join(f"joint {j + 1} moves over {np.rad2deg(span):.2g} deg" for j, span in narrow)
         yield f"{which[0].upper()}{which[1:]} only; move it further."
     elif found.at_rest:
         yield "The arm stands still in all samples, which show gravity only: record it in motion."
@@ -210,7 +210,7 @@ def _motion_report(
     speed, acceleration = (np.rad2deg(np.max(limit)) for limit in (room.limits.velocity, room.limits.acceleration))
     yield Text(
         f"A motion of {room.duration:g} s from rest to rest, {room.harmonics} harmonics, {room.samples + 1} samples, up"
-        f" to {speed:.4g}°/s and {acceleration:.4g}°/s²; {torque_noise(model)}."
+        f" to {speed:.4g} deg/s and {acceleration:.4g} deg/s²; {torque_noise(model)}."
     )
     if disabled:
         pairs = ", ".join(f"{a} with {b}" for a, b in disabled)

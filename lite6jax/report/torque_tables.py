@@ -4,52 +4,38 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from rich.console import RenderableType
-from rich.padding import Padding
 from rich.table import Table
 from rich.text import Text
 
-from lite6jax.report import statements, torque_statements
-from lite6jax.report.cells import listed, listing
+from lite6jax.report import statements, torque_statements, worth
+from lite6jax.report.cells import listing
+from lite6jax.report.next_steps import Files
+from lite6jax.report.sections import chart, fault_line, finding_list, headed, ruled_out, what_to_do
 
 
-def torque_report(document: Mapping[str, Any], source: str) -> Iterator[RenderableType]:
-    """The screen report.
-
-    Args:
-        document: as in the JSON file, with statements.
-        source: the recording.
-    """
+def torque_report(
+    document: Mapping[str, Any], source: str, files: Files | None = None, details: bool = False
+) -> Iterator[RenderableType]:
+    """The screen report; arguments as of `diagnosis_report`."""
+    findings = torque_statements.findings_of(document)
     yield Text(source, no_wrap=True, overflow="ignore")
     yield Text(torque_statements.setting_statement(document))
     yield ""
+    yield Text(worth.headline(document))
+    yield ""
     yield Text(torque_statements.verdict_statement(document))
     yield from map(Text, torque_statements.cautions(document))
+    yield from chart(document, findings)
     yield ""
     yield _errors(document)
+    yield Text(statements.held_out_statement(document, f"{document['kept_samples']} filtered samples"))
     yield Text(torque_statements.filter_statement(document))
     yield Text(torque_statements.inertial_statement(document))
-    if document["data_faults"]:
-        yield ""
-        yield Text("Data faults:")
-        for fault in document["data_faults"]:
-            rows = f" Rows {listed(fault['rows'])}." if fault["rows"] else ""
-            yield Padding(Text(f"{fault['statement']}{rows}"), (0, 0, 0, 2))
-    if document["findings"]:
-        yield ""
-        yield Text("Findings:")
-        yield _findings(document)
-    groups = torque_statements.untested(document)
-    if groups:
-        yield ""
-        yield Text("Effects not tested:")
-        for group in groups:
-            names = ", ".join(f"{name} at {sites}" for name, sites in statements.by_site(group.entries))
-            yield Padding(Text(f"{statements.capital(names)}. {group.reason}"), (0, 0, 0, 2))
-    to_record = torque_statements.what_to_record(document)
-    if to_record:
-        yield ""
-        yield Text("What to record next:")
-        yield from (Padding(Text(line), (0, 0, 0, 2)) for line in to_record)
+    yield from headed("Data faults:", map(fault_line, document["data_faults"]))
+    yield from finding_list(findings, torque_statements.undistinguished)
+    yield from what_to_do(document, files)
+    yield from headed("What to record next:", torque_statements.what_to_record(document))
+    yield from ruled_out(document, torque_statements.untested(document), details)
     yield ""
 
 
@@ -61,15 +47,4 @@ def _errors(document: Mapping[str, Any]) -> Table:
     by_joint = zip(*(stage["heldout_torque_rms_by_joint_Nm"] for stage in stages), strict=True)
     for joint, errors in enumerate(by_joint, 1):
         table.add_row(f"joint {joint}", *(f"{error:.3g}" for error in errors))
-    return table
-
-
-def _findings(document: Mapping[str, Any]) -> Table:
-    table = Table.grid(padding=(0, 1, 0, 0))
-    for k, finding in enumerate(document["findings"], 1):
-        lines = [f"{finding['statement']} {statements.p_value_statement(finding)}"]
-        rivals = torque_statements.undistinguished(finding)
-        if rivals:
-            lines.append(f"Not distinguished from {', '.join(rivals)}.")
-        table.add_row(Text(f"{k}."), Text("\n".join(lines)))
     return table

@@ -107,7 +107,7 @@ def test_effects_that_raise_the_held_out_errors_are_not_kept(arm, monkeypatch):
     """Errors on rows that were not used decide, whatever the significance."""
     recording = with_effects(arm, "joint_compliance:joint=2,compliance_rad_per_Nm=9e-5").recording(static_motion(5, 40))
     rows = np.ones(40)
-    worse = HeldOut(2e-4 * rows, 2.4e-4 * rows, 0 * rows, 0 * rows)
+    worse = HeldOut(2e-4 * rows, 2.4e-4 * rows, *np.zeros((4, len(rows))))
     monkeypatch.setattr("lite6jax.diagnosis.diagnose.held_out_errors", lambda *given: worse)
     found = diagnose(recording)
     assert found.findings == ()
@@ -136,5 +136,5 @@ def test_effects_that_raise_the_held_out_errors_are_not_kept(arm, monkeypatch):
 )
 def test_orientations_count_beside_positions(position, orientation, raised):
     rows = np.linspace(1.0, 2.0, 20)
-    errors = HeldOut(1e-4 * rows, position * 1e-4 * rows, rows, orientation * rows)
+    errors = HeldOut(1e-4 * rows, position * 1e-4 * rows, rows, orientation * rows, rows, rows)
     assert errors.raised(rows > 0, OPTIONS) == raised

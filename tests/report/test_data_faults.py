@@ -37,7 +37,7 @@ FOUND = [
             (),
             {"reason": "grid", "distinct_positions": 90, "grid_rad": 1.7e-4, "grid_unit": "deg"},
         ),
-        "multiples of 0.01°",
+        "multiples of 0.01 deg",
     ),
     (DataFault("swapped_joints", (), {"joints": [2, 3], **COLUMNS}), "Joints 2 and 3 are swapped."),
     (DataFault("mirrored_joint", (), {"joint": 4, **COLUMNS}), "Joint 4 has its sign reversed."),
@@ -45,7 +45,7 @@ FOUND = [
     (DataFault("joint_turns", (5, 10), {"joints": [2]}), "Joint 2 is off by whole turns in 2 rows."),
     (
         DataFault("joint_turns", (), {"joint": 2, "added_rad": -1.5707963, **COLUMNS}),
-        "The zero of joint 2 is off by +90°.",
+        "The zero of joint 2 is off by +90 deg.",
     ),
     (
         DataFault("orientation_convention", (), {"convention": "scalar_last", **COLUMNS}),

@@ -3,6 +3,7 @@
 import base64
 import re
 from io import BytesIO
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,7 +15,9 @@ from lite6jax.diagnosis.evidence_map import explained_shares
 from lite6jax.effects.nonparametric import Unnamed
 from lite6jax.recordings import write_recording
 from lite6jax.report import canvas, diagnosis_figures
+from lite6jax.report.next_steps import Files
 from lite6jax.report.page import diagnosis_page
+from lite6jax.report.panels import medians
 
 
 @pytest.fixture(scope="module")
@@ -164,10 +167,40 @@ def test_where_it_is(recorded):
     assert 0.9 < shares[at, driver] <= 1
     figure = diagnosis_figures.explained_map(only, "run.csv")
     panel, bar = figure.axes
-    assert bar.get_ylabel() == "explained variance (%)"
+    assert bar.get_ylabel() == f"explained variance (%), scaled to {100 * shares[at, driver]:.2g} %"
+    assert panel.images[0].get_clim() == (0, pytest.approx(100 * shares[at, driver]))
     assert panel.images[0].get_cmap().name == "cividis"
     assert [tick.get_text().replace(" ", "") for tick in panel.get_yticklabels()] == list(sites)
     assert f"{100 * shares[at, driver]:.0f}" in [text.get_text() for text in panel.texts]
+
+
+def test_where_little_is_explained_the_map_is_scaled_to_that(recorded):
+    clean = diagnosed(*recorded())
+    low, high = diagnosis_figures.explained_map(clean, "run.csv").axes[0].images[0].get_clim()
+    shares = explained_shares(clean).shares
+    assert (low, high) == (0, pytest.approx(max(100 * np.nanmax(shares), 2.0)))
+
+
+def test_a_median_of_a_thin_bin_is_left_out():
+    x = np.concatenate([np.linspace(0, 1, 400), np.full(6, 2.0)])
+    at, thick, _ = medians(x, np.ones(406), share=0.5)
+    assert np.isfinite(thick[at < 1]).all()
+    assert np.isnan(thick[at > 1.1]).all()
+    assert np.isfinite(medians(x, np.ones(406))[1][-1])
+
+
+def test_what_was_ruled_out_is_folded_and_commands_stand_on_the_page(found, drawn):
+    html = diagnosis_page(found, documented(found), "run.csv", drawn, Files(Path("my run.csv"), Path("d.json")))
+    page = Reader(html)
+    assert page.open == []
+    folded = html[html.index("<details>") : html.index("</details>")]
+    assert "Effects not tested" in folded
+    assert "Effects not tested" not in html.replace(folded, "")
+    text = " ".join(page.text.split())
+    assert "lite6jax compensate d.json 'my run.csv' --out 'my run_compensated.csv'" in text
+    assert text.index("Joint 2 gives way to gravity: ") < text.index("Explained: ")
+    widths = [float(width) for width in re.findall(r'class="bar"><span style="width: ([\d.]+)%"', html)]
+    assert widths[0] == 100 > widths[1]
 
 
 def test_the_share_is_what_a_plain_fit_explains(recorded):

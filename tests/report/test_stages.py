@@ -5,7 +5,7 @@ import time
 import pytest
 
 from lite6jax.progress import Stage, entered, followed, part
-from lite6jax.report import stages
+from lite6jax.report import screen, stages
 from lite6jax.report.stages import Clock
 
 
@@ -56,7 +56,7 @@ def test_lines_name_stage_block_and_times():
 
 
 def test_where_stderr_is_no_terminal_a_line_comes_from_time_to_time(monkeypatch, capsys):
-    monkeypatch.setattr(stages, "EVERY", 0.01)
+    monkeypatch.setattr(screen, "EVERY", 0.01)
     with stages.shown() as follow:
         follow(Stage("naming", 1, 5))
         until = time.monotonic() + 10.0

@@ -30,7 +30,7 @@ from lite6jax.effects.catalogue import catalogue
 from lite6jax.effects.nonparametric import Unnamed
 from lite6jax.effects.serialization import effect_as_dict, parse_effect
 from lite6jax.recordings.fault import DataFault
-from lite6jax.report import diagnosis_figures, reference, statements
+from lite6jax.report import diagnosis_figures, reference, statements, worth
 from lite6jax.report.cells import listed
 from lite6jax.report.data_faults import fault_name, fault_statement, ruled_out_statement, ruled_out_statements
 from lite6jax.report.diagnosis_tables import diagnosis_report
@@ -116,7 +116,7 @@ def screen(found, against=None, width=96):
     """What a terminal shows, and its text without the breaks of lines."""
     held = StringIO()
     console = Console(width=width, file=held, highlight=False, markup=False, emoji=False)
-    for part in diagnosis_report(documented(found, against), "run.csv"):
+    for part in diagnosis_report(documented(found, against), "run.csv", details=True):
         console.print(part, soft_wrap=isinstance(part, Text) and bool(part.no_wrap))
     return held.getvalue(), " ".join(held.getvalue().split())
 
@@ -147,7 +147,7 @@ def test_faults_come_before_the_findings(compliant, drawn):
     assert "Rows 90–200." in said
     short = ruled_out_statements(RULED_OUT)
     assert len(short) == 2
-    assert start < said.index("1. Joint compliance") < said.index(short[0]) < said.index(short[1])
+    assert start < said.index("1. Joint compliance at joint2, a function") < said.index(short[0]) < said.index(short[1])
 
 
 def test_one_row_is_an_outlier(compliant):
@@ -199,9 +199,10 @@ def test_what_was_not_tested_is_grouped_alike_everywhere(compliant, drawn):
 def test_curves_of_many_waves_are_named_in_short(wavy, drawn):
     text, (shown, said) = page(wavy, drawn), screen(wavy, width=60)
     assert max(map(len, shown.splitlines())) <= 60
-    for joint in (1, 2, 3, 4):
+    for rank, place in enumerate(worth.order(documented(wavy)), 1):
+        joint = place + 1
         title = f"Unnamed effect at joint{joint}, harmonics of 5 orders from 3 to 33 over its position"
-        assert text.count(f"{joint}. {title}") == 2  # in the overview and above its figure
+        assert text.count(f"{rank}. {title}") == 2  # in the ranking and above its figure
         place = (
             f"an effect at joint{joint}, a function of the position of joint {joint}: harmonics of 5 orders from 3 to"
         )
@@ -217,7 +218,7 @@ def test_curves_of_many_waves_are_named_in_short(wavy, drawn):
     assert 0 < std < 3e-5
     assert swing == pytest.approx(np.ptp(truth), abs=5 * std)
     value, spread = rounded(1e3 * swing, 1e3 * std)
-    assert f"peak to peak {value} ± {spread} mrad." in said
+    assert f"peak to peak {value} ± {spread} mrad; it moves the measured point by " in said
     assert f"peak to peak {value} {spread} mrad" in text
 
 
@@ -252,11 +253,11 @@ def test_numbers_have_the_digits_that_they_are_known_to():
 @pytest.mark.parametrize(
     ("name", "value", "std", "text"),
     [
-        ("compliance_rad_per_Nm", 9.012e-5, 3.5e-7, "compliance 90.12 ± 0.35 µrad/Nm"),
-        ("compliance_x_rad_per_Nm", 9e-5, 3e-6, "compliance x 90.0 ± 3.0 µrad/Nm"),
+        ("compliance_rad_per_Nm", 9.012e-5, 3.5e-7, "compliance 90.12 ± 0.35 µrad/Nm (stiffness 11096 ± 43 Nm/rad)"),
+        ("compliance_x_rad_per_Nm", 9e-5, 3e-6, "compliance x 90.0 ± 3.0 µrad/Nm (stiffness 11111 ± 370 Nm/rad)"),
         ("phase_rad", 0.5, 0.02, "phase 28.6 ± 1.1 deg"),
         ("amplitude_rad", 4e-4, 1e-5, "amplitude 0.400 ± 0.010 mrad"),
-        ("vx_m_per_s", 1e-6, 1e-7, "vx 1.00 ± 0.10 µm/s"),
+        ("vx_m_per_s", 1e-6, 1e-7, "vx 1.00 ± 0.10 µm/s (86.4 ± 8.6 mm a day)"),
         ("expansion_per_K", 2.3e-5, 1e-6, "expansion 23.0 ± 1.0 ppm/K"),
         ("offset_s", 0.02, 1e-4, "offset 20.00 ± 0.10 ms"),
         ("scale", 1.6e-4, 2e-6, "scale 160.0 ± 2.0 ppm"),
@@ -424,7 +425,7 @@ def test_a_summary_is_sentences_of_a_few_lines(compliant):
     size = str(
         quantity("compliance_rad_per_Nm", documented(compliant)["findings"][0]["parameters"]["compliance_rad_per_Nm"])
     )
-    assert f"is significant: {size}." in text
+    assert f"is significant: {size}; it moves" in text
     rms = 1e3 * np.sqrt(np.mean(compliant.after**2))
     assert f"The held-out position error is {rms:.4f} mm RMS with these effects" in text
     html = compliant._repr_html_()

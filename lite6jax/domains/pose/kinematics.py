@@ -91,6 +91,13 @@ def whitened(columns: Array, whitener: Array) -> Array:
     return np.einsum("abs,...bs->...as", whitener, columns)
 
 
+def unwhitened(rows: Array, whitener: Array) -> Array:
+    """The inverse of `whitened`, of rows `(row, sample)`."""
+    if whitener.ndim == 1:
+        return rows / np.repeat(whitener, 3)[: len(rows), None]
+    return np.linalg.solve(np.moveaxis(whitener, -1, 0), rows.T[..., None])[..., 0].T
+
+
 def site_columns(model: ArmModel, joint_position: Array, measured: Measured) -> dict[Site, Array]:
     """How whitened residuals `(row, sample)` change with a unit deflection at each site of a rigid arm."""
     rigid = rigid_frames(model, joint_position)

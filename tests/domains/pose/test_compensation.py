@@ -254,7 +254,7 @@ def test_what_is_out_of_reach_is_reported_row_by_row(arm, diagnosis, motion, pos
     np.testing.assert_allclose(found.joint_position[others], motion["joint_position"][others], atol=1e-6)
     said = page(found, diagnosis)
     assert "an empty field: row 8" in said
-    assert any(line.startswith("out of reach: row 6, with errors up to ") and line.endswith("°") for line in said)
+    assert any(line.startswith("out of reach: row 6, with errors up to ") and line.endswith(" deg") for line in said)
 
 
 def test_a_joint_at_its_limit_is_named(arm, diagnosis, motion, poses, tmp_path):

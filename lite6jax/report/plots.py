@@ -1,0 +1,38 @@
+"""`plot()` of each kind of diagnosis: its figures by name. `lite6jax.summary.Plotted` loads this module by its name."""
+
+from functools import singledispatch
+from pathlib import Path
+from typing import Any
+
+from matplotlib.figure import Figure
+
+from lite6jax.diagnosis.document import to_document
+from lite6jax.diagnosis.result import Diagnosis
+from lite6jax.diagnosis.torque_document import to_torque_document
+from lite6jax.diagnosis.torque_result import TorqueDiagnosis
+from lite6jax.report import diagnosis_figures, torque_figures, worth
+from lite6jax.report.ranking_figure import ranking_figure
+
+
+@singledispatch
+def plotted(result: Any, title: str) -> dict[str, Figure]:
+    """The figures of a result by name.
+
+    Raises:
+        TypeError: a class for which no function is registered here.
+    """
+    raise TypeError(f"{type(result).__name__} has no figures in lite6jax.report.plots; register a function")
+
+
+@plotted.register
+def _diagnosis(found: Diagnosis, title: str) -> dict[str, Figure]:
+    document, title = to_document(found), title or Path(found.problem.recording.source).name
+    figures = dict(diagnosis_figures.drawings(found, title, worth.order(document)))
+    return {"ranking": ranking_figure(document, title), **figures} if found.findings else figures
+
+
+@plotted.register
+def _torque_diagnosis(found: TorqueDiagnosis, title: str) -> dict[str, Figure]:
+    document, title = to_torque_document(found), title or Path(found.problem.data.recording.source).name
+    figures = dict(torque_figures.drawings(found, title, worth.order(document)))
+    return {"ranking": ranking_figure(document, title), **figures} if found.findings else figures

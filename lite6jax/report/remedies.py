@@ -1,0 +1,191 @@
+"""What causes an error, in the words of a workshop, and what to do about it, for each effect of the catalogues.
+
+An effect of a user's own has a general one. Causes are parts of sentences about `{place}`, such as "joint 2".
+"""
+
+import re
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+Entry = Mapping[str, Any]
+
+
+class Remedy(NamedTuple):
+    """An effect as a workshop sees it.
+
+    Attributes:
+        cause: what is the matter, a clause with `{place}`, and `{source}` where another joint is its source.
+        action: what to do, in whole sentences.
+        of_arm: whether it displaces the arm, so that other joint positions compensate it; else it is the sensor's or
+            the clock's, and belongs in the model alone.
+        of_geometry: whether a new calibration of the geometry contains it.
+    """
+
+    cause: str
+    action: str
+    of_arm: bool = True
+    of_geometry: bool = False
+
+
+_GEAR = "Service the gear; until then compensate."
+_DECLARE_LOAD = "Set the payload in the controller, and declare it in the recording (payload_kg, payload_com_m)."
+_FEED = "Add it to the model of the controller's feed-forward."
+_FRICTION = "Check the lubrication of the gear if it has grown, and add it to the controller's feed-forward."
+
+OF_POSES: Mapping[str, Remedy] = {
+    "joint_offset": Remedy(
+        "the zero of {place} is off", "Set the joint's zero anew, or recalibrate.", of_geometry=True
+    ),
+    "joint_scale": Remedy(
+        "{place} turns by another angle than its encoder says",
+        "Check the gear ratio and the encoder's resolution in the controller; until then compensate.",
+    ),
+    "joint_compliance": Remedy(
+        "{place} gives way to gravity",
+        "Set the payload, so that its load is known, and compensate. Service the gear if its stiffness has fallen.",
+    ),
+    "joint_harmonic": Remedy(
+        "the gear or the encoder of {place} runs out of true",
+        "Check how the encoder and the gear are centred; until then compensate.",
+    ),
+    "joint_backlash": Remedy(
+        "{place} has play in its gear", "Service the gear. Until then compensate, and approach poses from one side."
+    ),
+    "joint_lag": Remedy(
+        "{place} is behind what its encoder says while it moves",
+        "Measure and work at rest or slowly, check the servo's gains, and compensate where it must move.",
+    ),
+    "joint_coupling": Remedy(
+        "the motion of {source} turns {place} as well",
+        "Check cables and gears that the two joints share, and the coupling that the controller assumes; compensate.",
+    ),
+    "link_compliance": Remedy(
+        "{place} bends under gravity", "Tighten the bolts at both of its ends, set the payload, and compensate."
+    ),
+    "link_thermal_expansion": Remedy(
+        "{place} grows as it warms", "Warm the arm up before work, record temperatures, and compensate with them."
+    ),
+    "frame_offset": Remedy(
+        "the geometry at {place} is not that of the calibration",
+        "Look for a collision or an exchanged part, and recalibrate.",
+        of_geometry=True,
+    ),
+    "base_compliance": Remedy(
+        "the base tilts under the arm's weight", "Tighten the mount and stiffen the stand; compensate what is left."
+    ),
+    "base_drift": Remedy(
+        "the base drifts", "Tighten the mount, and find what moves it; measure its place again before work."
+    ),
+    "tool_offset": Remedy(
+        "the tool's tip is elsewhere than declared", "Set the tool (TCP) in the controller, and in the sidecar (tool)."
+    ),
+    "measurement_scale": Remedy(
+        "the sensor's lengths are off",
+        "Recalibrate the sensor: scale bar, air temperature and pressure of a tracker.",
+        of_arm=False,
+    ),
+    "time_offset": Remedy(
+        "the clocks of poses and joints differ",
+        "Synchronise the clocks, or correct the stamps by this offset, and record again.",
+        of_arm=False,
+    ),
+    "payload_error": Remedy("the payload is not the declared one", _DECLARE_LOAD),
+    "payload_com": Remedy("the payload's centre of mass is not the declared one", _DECLARE_LOAD),
+    "joint_thermal_offset": Remedy(
+        "the zero of {place} moves with temperature", "Warm the arm up before work, and compensate with temperatures."
+    ),
+    "joint_warm_up": Remedy(
+        "{place} drifts while it warms up",
+        "Warm the arm up for three of these time constants before work, and record temperatures.",
+    ),
+    "joint_windup": Remedy("{place} winds up against the friction of its gear", _GEAR),
+    "axis_wobble": Remedy("the axis of {place} wobbles", "Check the joint's bearing; until then compensate."),
+    "tool_compliance": Remedy(
+        "the tool gives way to the payload's weight", "Tighten the tool and its flange; compensate what is left."
+    ),
+    "gravity_direction": Remedy(
+        "the base does not stand upright as declared",
+        "Level the base, or set the mounting in the controller and gravity_m_per_s2 in the sidecar.",
+    ),
+    "sensor_drift": Remedy(
+        "the sensor drifts",
+        "Let the sensor warm up, tighten its stand, and measure reference points during the recording.",
+        of_arm=False,
+    ),
+    "unnamed": Remedy(
+        "{place} has an error that no effect of the catalogue names",
+        "Compensate: the curve is part of the model. Inspect what moves with its driver there.",
+    ),
+}
+"""By the name of an effect on poses."""
+
+OF_TORQUES: Mapping[str, Remedy] = {
+    "viscous_friction": Remedy("{place} rubs the more the faster it turns", _FRICTION),
+    "coulomb_friction": Remedy("{place} rubs whichever way it turns", _FRICTION),
+    "stribeck_friction": Remedy("{place} sticks at low speed", _FRICTION),
+    "load_friction": Remedy("{place} rubs in proportion to its load", _FRICTION),
+    "friction_temperature": Remedy(
+        "the friction of {place} changes with temperature", "Warm the arm up before work, and record temperatures."
+    ),
+    "coupled_friction": Remedy("the motor that turns {place} and {source} together rubs", _FRICTION),
+    "torque_offset": Remedy(
+        "the torque reading of {place} is off by a constant", "Zero the torque sensor or the current at rest."
+    ),
+    "torque_scale": Remedy(
+        "the torque reading of {place} has another scale",
+        "Check the torque constant and the gear ratio (torque_constant_Nm_per_A in the sidecar).",
+    ),
+    "rotor_inertia": Remedy(
+        "the rotor of {place} weighs in", "Declare its inertia in the description of the arm (dynamics)."
+    ),
+    "joint_spring": Remedy(
+        "a cable, a hose or a balancer pulls at {place}", "Look at the dress pack, and declare the spring."
+    ),
+    "torque_ripple": Remedy("{place} cogs as it turns", _GEAR.replace("compensate", "feed it forward")),
+    "link_mass": Remedy(
+        "{place} weighs another mass than declared", "Weigh what is mounted there, and declare it (inertial)."
+    ),
+    "link_com": Remedy(
+        "the centre of mass of {place} is not the declared one", "Look at what is mounted there, and declare it."
+    ),
+    "payload_error": Remedy("the payload is not the declared one", _DECLARE_LOAD),
+    "base_tilt": Remedy(
+        "the base does not stand upright as declared",
+        "Level the base, or set the mounting in the controller and gravity_m_per_s2 in the sidecar.",
+    ),
+    "time_offset": Remedy(
+        "the torques are stamped late or early", "Synchronise the clocks, or correct the stamps by this offset."
+    ),
+    "unnamed": Remedy("{place} has a torque that no effect of the catalogue names", _FEED),
+}
+"""By the name of an effect on torques."""
+
+_OWN = Remedy("{place} has {effect}", "It is an effect of your own; its model is part of the diagnosis.")
+_PLACES = {"links": "the arm", "clock": "the clock", "sensor": "the sensor", "base": "the base", "tool": "the tool"}
+
+
+def remedy_of(entry: Entry, torques: bool = False) -> Remedy:
+    """The remedy of an effect, that of a user's own where neither catalogue has it.
+
+    Args:
+        entry: a finding of the document.
+        torques: whether it acts on torques.
+    """
+    return (OF_TORQUES if torques else OF_POSES).get(entry["effect"], _OWN)
+
+
+def cause_of(entry: Entry, torques: bool = False) -> str:
+    """The cause in the words of a workshop, a clause in small letters: joint 2 gives way to gravity."""
+    source = entry.get("parameters", {}).get("source_joint", {"value": entry.get("source_joint") or 0})["value"]
+    return remedy_of(entry, torques).cause.format(
+        place=place_of(entry["site"]), source=f"joint {source:.0f}" if source else "another joint", effect=_own(entry)
+    )
+
+
+def place_of(site: str) -> str:
+    """A site in words: joint2 is joint 2, base is the base."""
+    return _PLACES.get(site) or ("the payload" if site == "payload" else re.sub(r"(\D)(\d)", r"\1 \2", site))
+
+
+def _own(entry: Entry) -> str:
+    return entry["effect"].replace("_", " ")

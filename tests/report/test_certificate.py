@@ -1,0 +1,100 @@
+"""A certificate is one page, the same bytes for the same document, and holds the document's figures."""
+
+import re
+from datetime import date
+
+import numpy as np
+import pytest
+from diagnosed import COMPLIANCE, HARMONIC, diagnosed, documented, recording_maker
+from torque_diagnosed import diagnosed as torques_diagnosed
+from torque_diagnosed import recorded as torques_recorded
+
+from lite6jax.diagnosis.torque_document import to_torque_document
+from lite6jax.effects.dynamic.friction import CoulombFriction, ViscousFriction
+from lite6jax.report.certificate import Stated, certificate, write_certificate
+from lite6jax.report.torque_statements import with_statements
+
+INPUTS = [{"role": "recording", "file": "run7.csv", "sha256": "ab" * 32}]
+
+
+@pytest.fixture(scope="module")
+def document(tmp_path_factory):
+    recorded = recording_maker(tmp_path_factory.mktemp("arm"))
+    return {**documented(diagnosed(*recorded(COMPLIANCE, HARMONIC))), "inputs": INPUTS}
+
+
+@pytest.fixture(scope="module")
+def motors():
+    found = torques_diagnosed(torques_recorded(), (ViscousFriction(2), CoulombFriction(2)))
+    return {**with_statements(to_torque_document(found)), "inputs": INPUTS}
+
+
+def texts(figure):
+    return [text.get_text() for text in figure.texts]
+
+
+def test_the_figures_are_those_of_the_document(document):
+    said = texts(certificate(document, Stated(date(2026, 11, 21), "tracker 7")))
+    assert said[0] == "Certificate of accuracy"
+    assert {"lite6", "2026-11-21", "run7.csv, 200 rows, static", "ab" * 32} <= set(said)
+    assert any(line.startswith("tracker 7; declared noise 0.0200 mm") for line in said)
+    for key, name in (("mean", "mean"), ("rms", "RMS"), ("p95", "95th percentile"), ("max", "maximum")):
+        at = said.index(f"position error (mm), {name}")
+        before, after = (1e3 * document[stage][f"heldout_position_{key}_m"] for stage in ("before", "after"))
+        assert [float(cell) for cell in said[at + 1 : at + 3]] == pytest.approx([before, after], abs=6e-5)
+        assert said[at + 3] == f"{100 * after / before:.0f} %"
+
+
+def test_intervals_are_95_percent(document):
+    said = " ".join(texts(certificate(document, Stated())))
+    finding = next(entry for entry in document["findings"] if entry["effect"] == "joint_compliance")
+    value, std = (1e6 * finding["parameters"]["compliance_rad_per_Nm"][key] for key in ("value", "std"))
+    low, high = map(float, re.search(r"compliance [\d.]+ \[([\d.]+), ([\d.]+)\] µrad/Nm", said).groups())
+    assert [low, high] == pytest.approx([value - 1.96 * std, value + 1.96 * std], abs=0.1 * std)
+
+
+def test_orientations_stand_on_it_where_they_were_measured(document):
+    keys = {f"heldout_orientation_{key}_rad": 1e-3 * k for k, key in enumerate(("mean", "rms", "p95", "max"), 1)}
+    turned = {**document, **{stage: {**document[stage], **keys} for stage in ("before", "after")}}
+    said = texts(certificate(turned, Stated()))
+    assert float(said[said.index("orientation error (deg), RMS") + 1]) == pytest.approx(np.rad2deg(2e-3), abs=6e-5)
+    assert not any("orientation" in line for line in texts(certificate(document, Stated())))
+
+
+def test_torques_are_in_newton_metres(motors):
+    said = texts(certificate(motors, Stated()))
+    at = said.index("joint 2 (Nm), RMS")
+    pair = [motors[stage]["heldout_torque_rms_by_joint_Nm"][1] for stage in ("before", "after")]
+    assert [float(cell) for cell in said[at + 1 : at + 3]] == pytest.approx(pair, abs=6e-5)
+    assert "torque sensors of the joints" in " ".join(said)
+
+
+def test_one_page_and_the_same_bytes(document, tmp_path):
+    stated = Stated(date(2026, 11, 21))
+    paths = [write_certificate(document, tmp_path / f"{name}.pdf", stated) for name in "ab"]
+    first, second = (path.read_bytes() for path in paths)
+    assert first == second
+    assert len(re.findall(rb"/Type /Page\b", first)) == 1
+    assert b"CreationDate (D:20261121000000" in first
+    undated = write_certificate(document, tmp_path / "c.pdf", Stated()).read_bytes()
+    assert b"CreationDate" not in undated
+    width, height = map(float, re.search(rb"/MediaBox \[ ?0 0 ([\d.]+) ([\d.]+)", first).groups())
+    assert (width / 72, height / 72) == pytest.approx((8.27, 11.69), abs=0.01)  # A4
+
+
+def test_everything_stays_inside_the_page(document, motors):
+    for each in (
+        document,
+        motors,
+        {
+            **motors,
+            "findings": motors["findings"] * 20,
+            "model": {**motors["model"], "effects": motors["model"]["effects"] * 20},
+        },
+    ):
+        figure = certificate(each, Stated())
+        figure.canvas.draw()
+        for text in figure.texts:
+            box = text.get_window_extent()
+            assert 0 < box.x0 < box.x1 < figure.bbox.x1, text.get_text()
+            assert box.y0 > 0, text.get_text()

@@ -1,0 +1,182 @@
+"""The first sentence, the ranking, the remedies and the commands of a diagnosis say what the document holds."""
+
+import shlex
+
+import numpy as np
+import pytest
+from diagnosed import COMPLIANCE, HARMONIC, diagnosed, documented, recording_maker
+from torque_diagnosed import diagnosed as torques_diagnosed
+from torque_diagnosed import recorded as torques_recorded
+
+from lite6jax.diagnosis.torque_document import to_torque_document
+from lite6jax.effects import catalogue
+from lite6jax.effects.dynamic import catalogue as dynamic
+from lite6jax.effects.dynamic.friction import CoulombFriction, ViscousFriction
+from lite6jax.report import next_steps, worth
+from lite6jax.report.next_steps import Files
+from lite6jax.report.quantities import quantity
+from lite6jax.report.remedies import OF_POSES, OF_TORQUES, cause_of, remedy_of
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory):
+    return recording_maker(tmp_path_factory.mktemp("arm"))
+
+
+@pytest.fixture(scope="module")
+def found(recorded):
+    """A compliance that moves the point by less than the harmonic that was found after it."""
+    return diagnosed(*recorded(COMPLIANCE, HARMONIC), outliers=(3, 5))
+
+
+@pytest.fixture(scope="module")
+def motors():
+    return torques_diagnosed(torques_recorded(), (ViscousFriction(2), CoulombFriction(2)))
+
+
+@pytest.mark.parametrize(("known", "remedies"), [(catalogue.BUILT_IN, OF_POSES), (dynamic.BUILT_IN, OF_TORQUES)])
+def test_every_effect_of_a_catalogue_has_a_remedy(known, remedies):
+    assert set(remedies) == set(known)
+    for name, remedy in remedies.items():
+        cause = remedy.cause.format(place="joint 2", source="joint 1")
+        assert cause[0].islower(), name
+        assert not cause.endswith("."), name
+        assert remedy.action.endswith("."), name
+        assert remedy.action[0].isupper(), name
+
+
+def test_an_effect_of_ones_own_has_a_general_one():
+    entry = {"effect": "cable_drag", "site": "joint3", "parameters": {}}
+    assert cause_of(entry) == "joint 3 has cable drag"
+    assert "effect of your own" in remedy_of(entry).action
+
+
+def test_all_links_together_are_the_arm():
+    assert cause_of({"effect": "link_thermal_expansion", "site": "links"}) == "the arm grows as it warms"
+
+
+def test_the_source_of_a_coupling_is_named():
+    entry = {"effect": "joint_coupling", "site": "joint3", "parameters": {"source_joint": {"value": 2.0, "std": 0.0}}}
+    assert cause_of(entry) == "the motion of joint 2 turns joint 3 as well"
+
+
+def test_what_a_finding_moves_is_the_displacement_that_it_alone_causes(found):
+    """Of a known geometry nothing is taken up: by the deflected chain itself, without the engine."""
+    problem, kept = found.problem, ~found.outliers
+    for k, (finding, moves) in enumerate(zip(found.findings, found.moves, strict=True)):
+        values = np.zeros_like(found.fit.values)
+        values[found.fit.terms.slices[k]] = finding.values
+        none, alone = (
+            problem.position_errors(found.fit.nuisance, found.fit.terms, v) for v in (np.zeros_like(values), values)
+        )
+        moved = np.linalg.norm(alone - none, axis=0)[kept]
+        assert moves.position == pytest.approx(np.sqrt(np.mean(moved**2)), rel=2e-3)
+
+
+def test_findings_are_ranked_by_what_they_move(found):
+    document = documented(found)
+    sizes = [finding["moves_rms_m"] for finding in worth.ranked(document)]
+    assert sizes == sorted(sizes, reverse=True)
+    assert sizes[0] > 1.05 * sizes[1]
+    bars = worth.bars(document)
+    assert [bar.number for bar in bars] == [1, 2]
+    assert bars[0].share == 1
+    assert bars[1].share == pytest.approx(sizes[1] / sizes[0])
+    assert float(bars[0].size) == pytest.approx(1e3 * sizes[0], rel=0.05)
+
+
+def test_the_first_sentence_is_the_cause_and_its_worth(recorded):
+    found = diagnosed(*recorded(COMPLIANCE))
+    document = documented(found)
+    moved = 1e3 * document["findings"][0]["moves_rms_m"]
+    before, after = (1e3 * document[stage]["heldout_position_rms_m"] for stage in ("before", "after"))
+    assert worth.headline(document) == (
+        f"Joint 2 gives way to gravity: {moved:.2g} of {before:.2g} mm; compensated, {after:.3f} mm is left, "
+        "the sensor's noise."
+    )
+    scaled = {**document, "findings": [{**document["findings"][0], "effect": "measurement_scale", "site": "sensor"}]}
+    assert worth.headline(scaled).startswith("The sensor's lengths are off: ")
+    assert "; with it in the model, " in worth.headline(scaled)
+    larger = {**document, "findings": [{**document["findings"][0], "moves_rms_m": 1.0}]}
+    assert "1000 mm, which others partly cancel" in worth.headline(larger)
+
+
+def test_effects_that_only_turn_the_tool_are_ranked_in_degrees(found):
+    document = documented(found)
+    turning = [
+        {**finding, "moves_rms_m": 1e-9, "moves_rms_rad": 1e-3 * k} for k, finding in enumerate(document["findings"], 1)
+    ]
+    errors = {stage: {**document[stage], "heldout_orientation_rms_rad": 2e-3} for stage in ("before", "after")}
+    turned = {**document, "findings": turning, **errors}
+    assert worth.measure_of(turned).unit == "deg"
+    assert worth.ranked(turned)[0] == turning[1]
+    assert "0.11 of 0.11 deg" in worth.headline(turned)
+
+
+def test_a_document_without_sizes_is_ranked_by_likelihood(found):
+    document = documented(found)
+    old = [
+        {key: value for key, value in entry.items() if not key.startswith("moves")} for entry in document["findings"]
+    ]
+    old = {**document, "findings": old}
+    assert worth.bars(old) == []
+    gains = [finding["log_likelihood_gain"] for finding in worth.ranked(old)]
+    assert gains == sorted(gains, reverse=True)
+    assert " is left" in worth.headline(old)
+
+
+@pytest.mark.parametrize(
+    ("verdict", "says"),
+    [
+        ("consistent", "Nothing is missing from the model: the error of 0.034 mm RMS is the sensor's noise."),
+        ("unexplained", "The error of 0.034 mm RMS is more than the noise of the poses, and nothing explains it."),
+        ("undetermined", "The recording is too short to tell what the error of 0.034 mm RMS is."),
+    ],
+)
+def test_without_findings_the_first_sentence_is_the_verdict(verdict, says):
+    document = {
+        "verdict": verdict, "findings": [], "data_faults": [{"fault": "outliers"}],
+        "before": {"heldout_position_rms_m": 3.4e-5}, "after": {"heldout_position_rms_m": 3.4e-5},
+    }  # fmt: skip
+    assert worth.headline(document) == says
+    faulty = {**document, "data_faults": [{"fault": "swapped_joints"}]}
+    assert worth.headline(faulty).startswith("The data have a fault (swapped joints); with this corrected, ")
+
+
+def test_of_torques_the_worth_is_that_at_the_joint(motors):
+    document = to_torque_document(motors)
+    main = worth.ranked(document)[0]
+    assert main["joints"] == [2]
+    before, after = (document[stage]["heldout_torque_rms_by_joint_Nm"][1] for stage in ("before", "after"))
+    said = worth.headline(document)
+    assert f" of {before:.2g} Nm; with all 2 findings in the model, {after:.2g}" in said
+    assert said.startswith("Joint 2 rubs")
+
+
+def test_a_compliance_is_a_stiffness_too_and_a_rate_a_drift_per_day():
+    soft = quantity("compliance_rad_per_Nm", {"value": 1e-4, "std": 1e-6})
+    assert soft.also == "stiffness 10000 ± 100 Nm/rad"
+    assert str(soft) == "compliance 100.0 ± 1.0 µrad/Nm (stiffness 10000 ± 100 Nm/rad)"
+    assert quantity("compliance_rad_per_Nm", {"value": 1e-6, "std": 1e-6}).also == ""
+    assert quantity("vx_m_per_s", {"value": 1e-8, "std": 1e-9}).also == "0.864 ± 0.086 mm a day"
+    assert quantity("velocity_rad_per_s", {"value": 0.1, "std": 0.01}).also == ""
+
+
+def test_each_remedy_is_said_once_with_the_findings_that_it_is_for(motors, found):
+    assert [ranks for ranks, _ in next_steps.actions(to_torque_document(motors))] == [[1, 2]]
+    assert sorted(rank for ranks, _ in next_steps.actions(documented(found)) for rank in ranks) == [1, 2]
+
+
+def test_commands_name_the_files_at_hand(found, motors, tmp_path):
+    recording, diagnosis = tmp_path / "my run.csv", tmp_path / "d.json"
+    lines = [step.command for step in next_steps.steps(documented(found), Files(recording, diagnosis))]
+    assert [shlex.split(line)[1] for line in lines] == ["compensate", "report"]
+    assert shlex.split(lines[0])[2:4] == [str(diagnosis), str(recording)]
+    first = next_steps.steps(documented(found), Files(recording))[0].command
+    assert shlex.split(first)[1:] == ["diagnose", str(recording), "--out", "my run_diagnosis.json"]
+    lines = [step.command for step in next_steps.steps(to_torque_document(motors), Files(recording, diagnosis))]
+    assert [shlex.split(line)[1] for line in lines] == ["predict", "convert", "report"]
+    own = {**documented(found), "findings": [{**documented(found)["findings"][0], "effect": "cable_drag"}]}
+    assert [shlex.split(step.command)[1] for step in next_steps.steps(own, Files(recording, diagnosis))] == ["report"]
+    given = next_steps.steps(own, Files(recording, diagnosis, tmp_path / "mine.py"))[0].command
+    assert shlex.split(given)[-4:-2] == ["--effects", str(tmp_path / "mine.py")]
