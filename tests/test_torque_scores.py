@@ -157,6 +157,16 @@ def test_a_contact_is_found_by_half_its_rows_at_least():
     assert not judged(truth, faults=[{"fault": "outliers", "rows": list(range(100, 200))}])["fault_found"]
 
 
+def test_a_wrong_column_is_found_by_its_joints():
+    truth = a_truth(kind="faulty", fault="swapped_torques", fault_joints=[2, 3])
+    for joints, right in (([3, 2], True), ([2, 4], False), ([2], False)):
+        row = judged(truth, faults=[{"fault": "swapped_torques", "rows": [], "numbers": {"joints": joints}}])
+        assert row["fault_found"] is right
+    assert not judged(truth, faults=[{"fault": "reversed_torque", "rows": [], "numbers": {"joints": [2, 3]}}])[
+        "fault_found"
+    ]
+
+
 def test_a_trial_without_an_answer_counts_as_wrong():
     row = scores.scored(a_truth(FRICTION), None, None, 2.0, "InputError: no")
     assert (row["exact"], row["found"], row["unseen_Nm"], row["honest"]) == (False, False, None, None)

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from lite6jax.checksum import with_checksum
 from lite6jax.diagnosis.options import Options
 from lite6jax.diagnosis.result import Finding
+from lite6jax.diagnosis.torque_uncertainty import torque_uncertainty_of
 from lite6jax.diagnosis.verdict import Verdict
 from lite6jax.domains.torque.predict import DiagnosedMotors
 from lite6jax.domains.torque.problem import TorqueProblem
@@ -80,7 +81,7 @@ class TorqueDiagnosis(Summarised):
         """`(joint,)`, held-out errors over the declared noise as the filter leaves it; None where none is declared."""
         if not self.problem.declared:
             return None
-        return np.sqrt(np.mean(self.after[:, self.problem.valid] ** 2, 1)) / self.problem.noise
+        return np.sqrt(np.mean((self.after / self.problem.sigma)[:, self.problem.valid] ** 2, 1))
 
     @cached_property
     def verdict(self) -> Verdict:
@@ -106,6 +107,7 @@ class TorqueDiagnosis(Summarised):
             terms=self.fit.terms,
             values=self.fit.values,
             reference_temperature=self.problem.data.recording.settings.reference_temperature_degC,
+            uncertainty=torque_uncertainty_of(self),
         )
 
     def to_dict(self) -> dict[str, Any]:

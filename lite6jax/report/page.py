@@ -37,29 +37,34 @@ def diagnosis_page(found: Diagnosis, document: Document, source: str, figures: M
         source: the recording's name, of any characters.
         figures: those of `diagnosis_figures.drawings`.
     """
+    return template("diagnosis.html").render(page_values(found, document, source, figures), anchor="")
+
+
+def page_values(found: Diagnosis, document: Document, source: str, figures: Mapping[str, Figure]) -> dict[str, Any]:
+    """What the templates of the page are filled with; arguments as of `diagnosis_page`."""
     findings = [_finding(found, entry, k) for k, entry in enumerate(statements.findings_of(document))]
-    return template("diagnosis.html").render(
-        source=source,
-        against=_against(document),
-        verdict=statements.verdict_statement(document),
-        cautions=statements.cautions(document),
-        verdict_word=document["verdict"],
-        setting=_setting(document),
-        errors=_errors(document),
-        held=f"{document['heldout_rows']} rows, each predicted without the contiguous block that it belongs to: "
+    return {
+        "source": source,
+        "against": _against(document),
+        "verdict": statements.verdict_statement(document),
+        "cautions": statements.cautions(document),
+        "verdict_word": document["verdict"],
+        "setting": _setting(document),
+        "errors": _errors(document),
+        "held": f"{document['heldout_rows']} rows, each predicted without the contiguous block that it belongs to: "
         "screening, search and fit did not use this block.",
-        noise=noise_statement(document),
-        figures={name: picture(figures[name], caption) for name, caption in _CAPTIONS.items()},
-        faults=[fault_row(entry) for entry in document["data_faults"]],
-        notes=statements.assumptions(document),
-        findings=findings,
-        overview=len(findings) > FEW,
-        checked=[fault_row(entry) for entry in document["ruled_out"]],
-        untested=[untested_row(group) for group in statements.untested(document)],
-        to_record=statements.what_to_record(document),
-        separating=[_poses(item) for item in document["separating_poses"]],
-        not_checked=statements.NOT_CHECKED,
-    )
+        "noise": noise_statement(document),
+        "figures": {name: picture(figures[name], caption) for name, caption in _CAPTIONS.items()},
+        "faults": [fault_row(entry) for entry in document["data_faults"]],
+        "notes": statements.assumptions(document),
+        "findings": findings,
+        "overview": len(findings) > FEW,
+        "checked": [fault_row(entry) for entry in document["ruled_out"]],
+        "untested": [untested_row(group) for group in statements.untested(document)],
+        "to_record": statements.what_to_record(document),
+        "separating": [_poses(item) for item in document["separating_poses"]],
+        "not_checked": statements.NOT_CHECKED,
+    }
 
 
 def _setting(document: Document) -> str:

@@ -6,7 +6,7 @@ from typing import Any
 from matplotlib.figure import Figure
 
 from lite6jax.diagnosis.torque_result import TorqueDiagnosis
-from lite6jax.report import statements, torque_statements
+from lite6jax.report import statements, torque_reference, torque_statements
 from lite6jax.report.finding_figures import torque_finding_figure
 from lite6jax.report.rendering import FEW, fault_row, finding_row, picture, template, untested_row
 
@@ -37,27 +37,47 @@ def torque_page(found: TorqueDiagnosis, document: Document, source: str, figures
         source: the recording's name, of any characters.
         figures: those of `torque_figures.drawings`.
     """
+    return template("torque_diagnosis.html").render(page_values(found, document, source, figures), anchor="")
+
+
+def page_values(
+    found: TorqueDiagnosis, document: Document, source: str, figures: Mapping[str, Figure]
+) -> dict[str, Any]:
+    """What the templates of the page are filled with; arguments as of `torque_page`."""
     findings = [_finding(found, entry, k) for k, entry in enumerate(torque_statements.findings_of(document))]
     said = [torque_statements.verdict_statement(document)] if findings else []
-    return template("torque_diagnosis.html").render(
-        source=source,
-        cause=torque_statements.cause_statement(document),
-        cautions=[*said, *torque_statements.cautions(document)],
-        verdict_word=document["verdict"],
-        setting=torque_statements.setting_statement(document),
-        errors=_errors(document),
-        held=f"Errors of {document['kept_samples']} filtered samples, each predicted without the contiguous block that "
-        "it belongs to: search and fit did not use this block.",
-        noise=torque_statements.noise_statement(document),
-        figures={name: picture(figures[name], caption) for name, caption in _CAPTIONS.items()},
-        faults=[fault_row(entry) for entry in document["data_faults"]],
-        notes=[torque_statements.filter_statement(document), torque_statements.inertial_statement(document)],
-        findings=findings,
-        overview=len(findings) > FEW,
-        checked=[fault_row(entry) for entry in document["ruled_out"]],
-        untested=[untested_row(group) for group in torque_statements.untested(document)],
-        to_record=torque_statements.what_to_record(document),
-    )
+    return {
+        "source": source,
+        "against": _against(document),
+        "cause": torque_statements.cause_statement(document),
+        "cautions": [*said, *torque_statements.cautions(document)],
+        "verdict_word": document["verdict"],
+        "setting": torque_statements.setting_statement(document),
+        "errors": _errors(document),
+        "held": f"Errors of {document['kept_samples']} filtered samples, each predicted without the contiguous block "
+        "that it belongs to: search and fit did not use this block.",
+        "noise": torque_statements.noise_statement(document),
+        "figures": {name: picture(figures[name], caption) for name, caption in _CAPTIONS.items()},
+        "faults": [fault_row(entry) for entry in document["data_faults"]],
+        "notes": [torque_statements.filter_statement(document), torque_statements.inertial_statement(document)],
+        "findings": findings,
+        "overview": len(findings) > FEW,
+        "checked": [fault_row(entry) for entry in document["ruled_out"]],
+        "untested": [untested_row(group) for group in torque_statements.untested(document)],
+        "to_record": torque_statements.what_to_record(document),
+    }
+
+
+def _against(document: Document) -> dict[str, Any] | None:
+    if "against" not in document:
+        return None
+    comparison = document["against"]
+    return {
+        "headline": torque_reference.headline(comparison),
+        "differences": [entry["statement"] for entry in comparison.get("differences", ())],
+        "notes": [],
+        "statement": comparison["statement"],
+    }
 
 
 def _errors(document: Document) -> list[dict[str, Any]]:

@@ -8,7 +8,7 @@ from rich.padding import Padding
 from rich.table import Table
 from rich.text import Text
 
-from lite6jax.report import statements, torque_statements
+from lite6jax.report import statements, torque_reference, torque_statements
 from lite6jax.report.cells import listed, listing
 
 
@@ -22,6 +22,12 @@ def torque_report(document: Mapping[str, Any], source: str) -> Iterator[Renderab
     yield Text(source, no_wrap=True, overflow="ignore")
     yield Text(torque_statements.setting_statement(document))
     yield ""
+    if "against" in document:
+        comparison = document["against"]
+        yield Text(torque_reference.headline(comparison))
+        lines = [*(entry["statement"] for entry in comparison.get("differences", ())), comparison["statement"]]
+        yield from (Padding(Text(line), (0, 0, 0, 2)) for line in lines)
+        yield ""
     yield Text(torque_statements.verdict_statement(document))
     yield from map(Text, torque_statements.cautions(document))
     yield ""
