@@ -4,10 +4,11 @@ import json
 from dataclasses import replace
 
 import numpy as np
+import pinocchio as pin
 import pyarrow.csv
 import pytest
-from diagnosed import Reader
 from diagnosis.recorded import LITE6, Made, moving_motion, static_motion
+from report import diagnosed, torque_diagnosed
 from typed import flat, run
 
 from lite6jax.arms.consistency import is_consistent
@@ -15,17 +16,18 @@ from lite6jax.arms.dynamics import link_parameters
 from lite6jax.arms.files import read_arm
 from lite6jax.diagnosis.combined import CombinedDiagnosis, diagnose_combined
 from lite6jax.diagnosis.document import read_model, write_document
-from lite6jax.diagnosis.export import read_diagnosed_arm
-from lite6jax.diagnosis.options import Options
 from lite6jax.diagnosis.shared import shared_by
-from lite6jax.diagnosis.torque_diagnosis import diagnose_torques
 from lite6jax.diagnosis.torque_document import read_torque_model
+from lite6jax.diagnosis.torque_reference import TorqueComparison
+from lite6jax.effects.dynamic.bodies import BaseTilt, PayloadTorque
+from lite6jax.effects.dynamic.friction import ViscousFriction
+from lite6jax.effects.kinematic.joints import JointCompliance
+from lite6jax.effects.kinematic.weights import GravityDirection, PayloadError
 from lite6jax.errors import InputError
 from lite6jax.recordings import Recording, write_recording
 from lite6jax.report import combined
 from tests.oracles.pinocchio_dynamics import pinocchio_model, pinocchio_torques
 
-FEW = Options(folds=2)
 COMPLIANCE = "joint_compliance:joint=2,compliance_rad_per_Nm=2e-4"
 SIGMA = np.array([0.06, 0.08, 0.05, 0.02, 0.02, 0.015])
 DECLARED, HELD = 0.4, 0.9
@@ -47,9 +49,7 @@ def both(made, held=HELD, seed=0):
     motion["payload"] = np.full(800, held)
     recording = made.recording(motion, seed=seed)
     center = np.array(recording.settings.payload_com_m)
-    model = pinocchio_model(made.kinematics, LITE6.mass, LITE6.center_of_mass, LITE6.inertia, (0, 0, -9.81))
-    import pinocchio as pin
-
+    model = pinocchio_model(LITE6.kinematics, LITE6.mass, LITE6.center_of_mass, LITE6.inertia, (0, 0, -9.81))
     model.appendBodyToJoint(6, pin.Inertia(held, center, np.zeros((3, 3))), pin.SE3.Identity())
     q, dq = motion["joint_position"], motion["joint_velocity"]
     tau = pinocchio_torques(model, q.T, dq.T, accelerations(motion).T).T
@@ -57,6 +57,11 @@ def both(made, held=HELD, seed=0):
     tau += np.random.default_rng(seed + 9).normal(0, 1, tau.shape) * SIGMA
     settings = replace(recording.settings, torque_noise_Nm=tuple(SIGMA.tolist()))
     return replace(recording, joint_torque=tau, payload=np.full(800, DECLARED), settings=settings)
+
+
+def torques_of(recording):
+    """The diagnosis of its torques that finds just the truth; no search is run."""
+    return torque_diagnosed.diagnosed(recording, (ViscousFriction(2), PayloadTorque()))
 
 
 @pytest.fixture(scope="module")
@@ -71,24 +76,38 @@ def recording(made):
 
 @pytest.fixture(scope="module")
 def found(recording):
-    return diagnose_combined(recording, LITE6, options=FEW)
+    """Both, the payload found by the torques alone: the poses have it beside their finding."""
+    poses, torques = diagnosed.diagnosed(recording, (JointCompliance(2),)), torques_of(recording)
+    return CombinedDiagnosis(poses, torques, shared_by(poses, torques))
 
 
-def labels(result):
-    return {finding.effect.label for finding in result.findings}
-
-
-def test_each_domain_finds_its_own_and_both_the_payload(found):
-    assert {"joint_compliance:joint2", "payload_error:payload"} <= labels(found.poses)
-    assert labels(found.torques) == {"viscous_friction:joint2", "payload_error:payload"}
+def test_the_payload_is_compared(recording, found):
     shared = {each.quantity: each for each in found.shared}
     payload = shared["payload_mass"]
-    assert payload.poses.found
     assert payload.torques.found
+    assert not payload.poses.found
     assert payload.agree
+    assert set(shared) == {"payload_mass", "load"}
     for known in (payload.poses, payload.torques):
         estimate = known.parameters["mass_kg"]
-        assert abs(estimate.value - (HELD - DECLARED)) < 4 * estimate.std
+        assert abs(estimate.value - (HELD - DECLARED)) < 4 * estimate.std < 1.0
+    poses = diagnosed.diagnosed(recording, (JointCompliance(2), PayloadError()))
+    both_found = shared_by(poses, found.torques)[0]
+    assert both_found.poses.found
+    assert both_found.agree
+
+
+def test_a_tilt_has_one_sign_in_both(recording, found):
+    """Poses state by what gravity is turned, torques by what the base is."""
+    declared = recording.settings
+    tilted = 9.81 * np.array([np.sin(0.05), 0.0, -np.cos(0.05)])
+    turned = replace(recording, settings=replace(declared, gravity_m_per_s2=tuple(tilted)))
+    poses = diagnosed.diagnosed(turned, (JointCompliance(2), PayloadError(), GravityDirection()))
+    torques = torque_diagnosed.diagnosed(turned, (ViscousFriction(2), PayloadTorque(), BaseTilt()))
+    tilt = next(each for each in shared_by(poses, torques) if each.quantity == "gravity_direction")
+    assert abs(tilt.torques.values[1]) == pytest.approx(0.05, abs=0.02)
+    assert tilt.agree
+    assert np.sign(tilt.poses.values[1]) == -np.sign(tilt.torques.values[1])
 
 
 def test_the_load_by_the_torques_stands_beside_the_compliance(found):
@@ -100,7 +119,7 @@ def test_the_load_by_the_torques_stands_beside_the_compliance(found):
 
 
 def test_what_disagrees_is_said(made, found):
-    heavier = diagnose_torques(both(made, held=1.6), LITE6, options=FEW)
+    heavier = torques_of(both(made, held=2.4))
     payload = next(each for each in shared_by(found.poses, heavier) if each.quantity == "payload_mass")
     assert payload.agree is False
     document = combined.with_statements(
@@ -125,22 +144,6 @@ def test_one_document_is_read_as_each_of_both(found, recording, tmp_path):
         read_torque_model(path)
 
 
-def test_one_page_has_both_parts(found):
-    document = combined.with_statements(found.to_dict())
-    drawn = dict(combined.drawings(found, "run.csv"))
-    assert {"where", "torque_friction"} <= set(drawn)
-    html = combined.combined_page(found, document, "run.csv", drawn)
-    page = Reader(html)
-    assert page.open == []
-    text = " ".join(page.text.split())
-    for finding in (*document["findings"], *document["torques"]["findings"]):
-        assert finding["statement"] in text
-    assert "they agree, and it is one finding that both sensors see" in text
-    assert text.index("Poses") < text.index("What poses and torques both depend on") < text.index("Friction")
-    anchors = [dict(attributes).get("id") for tag, attributes in page.tags if tag == "article"]
-    assert len(set(anchors)) == len(anchors) == len(document["findings"]) + len(document["torques"]["findings"])
-
-
 def test_a_summary_names_both(found):
     text = found.summary()
     assert "The held-out position error is" in text
@@ -158,7 +161,16 @@ def test_the_commands_take_it(made, found, recording, tmp_path, capsys, monkeypa
     assert text.index("Joint compliance at joint2") < text.index("held-out error (Nm RMS)")
     assert "What poses and torques both depend on:" in text
     assert "they agree" in text
-    assert "Torques" in (tmp_path / "r.html").read_text()
+    html = (tmp_path / "r.html").read_text()
+    document, page = json.loads(out.read_text()), diagnosed.Reader(html)
+    assert page.open == []
+    shown = flat(page.text)
+    for finding in (*document["findings"], *document["torques"]["findings"]):
+        assert finding["statement"] in shown
+    assert "they agree, and it is one finding that both sensors see" in shown
+    assert shown.index("Poses") < shown.index("What poses and torques both depend on") < shown.index("Friction")
+    anchors = [attributes.get("id") for tag, attributes in page.tags if tag == "article"]
+    assert len(set(anchors)) == len(anchors) == len(document["findings"]) + len(document["torques"]["findings"])
     code, said, _ = run(capsys, "predict", out, run_file, "--out", tmp_path / "p.csv")
     assert code == 0
     names = pyarrow.csv.read_csv(tmp_path / "p.csv").column_names
@@ -176,20 +188,44 @@ def test_the_commands_take_it(made, found, recording, tmp_path, capsys, monkeypa
     assert arm.viscous_friction[1] == pytest.approx(VISCOUS, abs=0.1)
     assert is_consistent(link_parameters(arm))
     assert "joint compliance at joint2" in flat(said)
-    assert read_diagnosed_arm(out)[0].dof == 6
 
 
-def test_torques_that_cannot_be_diagnosed_do_not_stop_the_poses(made, tmp_path, capsys):
-    still = Made(made.folder, seed=1).recording(static_motion(2, 120))
-    recording = replace(still, joint_torque=np.ones((120, 6)))
-    found = diagnose_combined(recording, LITE6, options=FEW)
-    assert found.torques is None
-    assert "holds static poses" in found.refused
-    path = write_document(combined.with_statements(found.to_dict()), tmp_path / "d.json")
+def test_both_are_diagnosed_with_their_effects_and_references(recording, found, monkeypatch):
+    asked = {}
+
+    def poses(*given, **options):
+        asked["poses"] = options["effects"]
+        return found.poses
+
+    def torques(_, reference, *given, **options):
+        asked["torques"] = options["effects"]
+        asked["reference"] = reference
+        return found.torques, TorqueComparison("earlier.csv", None)
+
+    monkeypatch.setattr("lite6jax.diagnosis.combined.diagnose", poses)
+    monkeypatch.setattr("lite6jax.diagnosis.combined.diagnose_torques_against", torques)
+    reference = replace(recording, position=None, quaternion=None)
+    effects = (JointCompliance(1), ViscousFriction(1))
+    again = diagnose_combined(recording, LITE6, reference=reference, effects=effects)
+    assert asked == {"poses": effects[:1], "torques": effects[1:], "reference": reference}
+    assert [each.quantity for each in again.shared] == [each.quantity for each in found.shared]
+    document = combined.with_statements(again.to_dict())
+    assert document["torques"]["against"]["statement"].startswith("Findings and model are those of this recording")
+    assert "against" not in document
+
+
+def test_torques_that_cannot_be_diagnosed_do_not_stop_the_poses(recording, found, tmp_path, monkeypatch):
+    monkeypatch.setattr("lite6jax.diagnosis.combined.diagnose", lambda *_, **__: found.poses)
+    alone = diagnose_combined(replace(recording, motion="static"), LITE6)
+    assert alone.torques is None
+    assert "holds static poses" in alone.refused
+    document = combined.with_statements(alone.to_dict())
+    path = write_document(document, tmp_path / "d.json")
     assert read_model(path).dof == 6
     with pytest.raises(InputError, match="is no diagnosis of torques"):
         read_torque_model(path)
-    assert "are not diagnosed: " in found.summary()
+    assert "are not diagnosed: " in alone.summary()
+    assert any("holds static poses" in str(part) for part in combined.combined_report(document, "run.csv"))
 
 
 def test_what_is_not_both_is_refused(recording, tmp_path, capsys):

@@ -151,18 +151,7 @@ def _with_gravity(data: TorqueRows) -> tuple[TorqueRows, DataFault] | None:
     dynamics = data.bodies.dynamics(data.bodies.links)
     of_axes = np.stack([data.filter(dynamics.of_gravity(axis)) for axis in np.eye(3)])
     rest = data.measured - _rigid(data) + np.tensordot(declared, of_axes, 1)
-    columns, rows = [], []
-    for j in range(len(rest)):
-        basis = _beside(data, j)
-        columns.append(_without(of_axes[:, j], basis))
-        rows.append(_without(rest[j], basis))
-    found, scale = declared, np.ones(len(rest))
-    for _ in range(4):
-        A = np.concatenate([c / s for c, s in zip(columns, scale, strict=True)], 1)
-        b = np.concatenate([r / s for r, s in zip(rows, scale, strict=True)])
-        found = np.linalg.lstsq(A.T, b, rcond=None)[0]
-        left = [np.sqrt(np.mean((r - found @ c) ** 2)) for r, c in zip(rows, columns, strict=True)]
-        scale = np.maximum(left, 1e-6 + 1e-3 * np.std(data.measured, axis=1))
+    found, columns, rows, scale = _fitted(data, of_axes, rest)
     size = float(np.linalg.norm(found))
     tilt = float(np.arccos(np.clip(found @ declared / max(size * strength, 1e-300), -1, 1)))
     weighed = [
@@ -182,23 +171,57 @@ def _with_gravity(data: TorqueRows) -> tuple[TorqueRows, DataFault] | None:
     return corrected, DataFault("wrong_gravity", (), numbers)
 
 
+def _fitted(data: TorqueRows, columns: Array, rest: Array) -> tuple[Array, list[Array], list[Array], Array]:
+    """Numbers of columns `(number, joint, sample)` that explain torques `(joint, sample)` beside offset and friction.
+
+    Returns:
+        the numbers; columns and torques of each joint without what offset and friction can do; and `(joint,)` Nm, what
+        is left, by which joints are weighted.
+    """
+    bases = [_beside(data, j) for j in range(len(rest))]
+    moved = [_without(columns[:, j], basis) for j, basis in enumerate(bases)]
+    rows = [_without(row, basis) for row, basis in zip(rest, bases, strict=True)]
+    floor = 1e-6 + 1e-3 * np.std(data.measured, axis=1)
+    found, scale = np.zeros(len(columns)), np.ones(len(rest))
+    for _ in range(4):
+        A = np.concatenate([c / s for c, s in zip(moved, scale, strict=True)], 1)
+        b = np.concatenate([r / s for r, s in zip(rows, scale, strict=True)])
+        found = np.linalg.lstsq(A.T, b, rcond=None)[0]
+        left = [np.sqrt(np.mean((r - found @ c) ** 2)) for r, c in zip(rows, moved, strict=True)]
+        scale = np.maximum(left, floor)
+    return found, moved, rows, scale
+
+
+def _left_by_masses(data: TorqueRows) -> Array:
+    """`(joint,)` Nm, what other masses and centres of mass of the links, and of a payload on the last, leave."""
+    of_links = data.regressor.reshape(len(data.measured), -1, 10, data.regressor.shape[-1])
+    columns = np.moveaxis(of_links[:, :, :4], 0, 2).reshape(-1, *data.measured.shape)
+    return _fitted(data, columns, data.measured - _rigid(data))[3]
+
+
 def _with_constants(data: TorqueRows) -> tuple[TorqueRows, list[DataFault]]:
-    """With the torques of single joints divided by a factor that is no error of calibration: see `_FACTORS`."""
+    """With the torques of single joints divided by a factor that is no error of calibration: see `_FACTORS`.
+
+    A factor that other masses, or another payload, explain as well is none.
+    """
     rigid = _rigid(data)
     factor, sure = np.ones(len(rigid)), np.zeros(len(rigid), bool)
+    left = np.ones(len(rigid))
     for j, (own, row) in enumerate(zip(rigid, data.measured, strict=True)):
         basis = _beside(data, j)
         x, y = _without(own, basis), _without(row, basis)
         if not x @ x:
             continue
         k = float(x @ y / (x @ x))
-        left = float(np.mean((y - k * x) ** 2))
-        std = np.sqrt(left / (x @ x))
-        sure[j] = abs(k - 1) > _SURE * std and np.mean((y - x) ** 2) > _CLEARLY * left
+        squares = float(np.mean((y - k * x) ** 2)), float(np.mean((y - x) ** 2))
+        sure[j] = abs(k - 1) > _SURE * np.sqrt(squares[0] / (x @ x)) and squares[1] > _CLEARLY * squares[0]
         factor[j] = k if sure[j] else 1.0
+        left[j] = squares[0] if sure[j] else squares[1]
     other = sure & (factor > 0) & ((factor < _FACTORS[0]) | (factor > _FACTORS[1]))
     usual = (factor > 1 / _USUAL) & (factor < _USUAL)
     if not other.any() or 2 * usual.sum() < len(rigid):
+        return data, []
+    if np.sum(np.log(_left_by_masses(data))) < np.sum(0.5 * np.log(np.maximum(left, 1e-300))):
         return data, []
     factor = np.array([float(f"{k:.2g}") if wrong else 1.0 for k, wrong in zip(factor, other, strict=True)])
     joints = np.flatnonzero(other)

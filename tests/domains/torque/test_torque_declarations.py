@@ -121,6 +121,19 @@ def test_what_is_no_wrong_constant(change):
     assert faults_of(*recorded(FRICTION, seed=7, change=change)) == []
 
 
+@pytest.mark.parametrize(
+    "effect",
+    [
+        hidden("payload_error", "payload", mass_kg=0.9),
+        hidden("link_com", "link5", x_m=0.03, y_m=0.04, z_m=0.0),
+        hidden("link_mass", "link3", mass_kg=1.5),
+    ],
+)
+def test_other_masses_are_no_wrong_constant(effect):
+    """Though the torque of a joint may be a multiple of what it should be."""
+    assert faults_of(*recorded([effect], seed=7)) == []
+
+
 # ------------------------------------------------------------------ rest
 
 
