@@ -35,7 +35,8 @@ def met(rows):
 def a_truth(*hidden, kind="single", **more):
     base = {"seed": 0, "index": 0, "kind": kind, "engine": "plain", "arm": "lite6", "inertial": "declared"}
     base |= {"source": "torque", "noise": "white", "edge": "", "fault": "", "sealed": False, "rows": 1000}
-    base |= {"sizes": [2.0] if hidden else [], "hidden": list(hidden), "fault_rows": [], "unseen_bound_Nm": 0.01}
+    base |= {"sizes": [2.0] if hidden else [], "hidden": list(hidden), "fault_rows": [], "fault_joints": []}
+    base |= {"unseen_bound_Nm": 0.01}
     return base | {"unseen_torque_Nm": [[1.0, 2.0], [3.0, 4.0]]} | more
 
 

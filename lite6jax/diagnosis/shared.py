@@ -98,9 +98,11 @@ def shared_by(poses: Diagnosis, torques: TorqueDiagnosis) -> tuple[Shared, ...]:
         one, other = known_of(poses, kinematic), known_of(torques, dynamic)
         p = None if one is None or other is None else difference_p_value(one, other, sign)
         found.append(Shared(quantity, one, other, p))
+    # what the poses found of the loads themselves, the compliance rests on already
+    known_to_poses = tuple(dynamic for _, kinematic, dynamic, _ in _PAIRS if _finding(poses, kinematic))
     for finding in poses.findings:
         if isinstance(finding.effect, JointCompliance):
-            load = _load(torques, finding.effect.joint)
+            load = _load(torques, finding.effect.joint, known_to_poses)
             if load is not None:
                 own = Known(True, finding.values, finding.covariance, finding.parameters)
                 std = float(np.sqrt(load.covariance[0, 0]))
@@ -158,17 +160,18 @@ def difference_p_value(one: Known, other: Known, sign: float = 1.0) -> float:
     return float(chi2.sf(off @ np.linalg.pinv(together) @ off, len(off)))
 
 
-def _load(torques: TorqueDiagnosis, joint: int) -> Known | None:
+def _load(torques: TorqueDiagnosis, joint: int, left_out: tuple[Effect, ...]) -> Known | None:
     """The torque of the arm's weight and motion at a joint over that of the declared arm, as the torques show it.
 
-    None where the torques do not tell: no finding changes the loads, or the declared arm loads the joint with nothing.
+    None where the torques do not tell: no finding but those left out changes the loads, or the declared arm loads the
+    joint with nothing.
     """
     problem, at = torques.problem, torques.fit
     declared = problem.data.bodies.dynamics(problem.data.bodies.links).torque[joint - 1]
     changed = [
         (effect, part)
         for effect, part in zip(at.terms.terms, at.terms.slices, strict=True)
-        if isinstance(effect, _WEIGHTS)
+        if isinstance(effect, _WEIGHTS) and effect not in left_out
     ]
     if not changed or not declared.any():
         return None

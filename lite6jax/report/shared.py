@@ -7,6 +7,8 @@ from lite6jax.report.quantities import OF_TORQUES, quantity
 
 Entry = Mapping[str, Any]
 
+_LEAST = 1e-16
+"""Probability below which a number says no more."""
 HEADING = "What poses and torques both depend on"
 NOTHING = "No finding concerns a quantity on which both poses and torques depend."
 _NAMES = {
@@ -44,7 +46,7 @@ def statement(entry: Entry) -> str:
     said = f"poses say {poses}, torques say {torques}"
     if entry["agree"]:
         return f"Of {name}, {said}: they agree, and it is one finding that both sensors see."
-    return f"Of {name}, {said}: they disagree (p = {entry['p_value']:.2g}). {_REMEDIES[entry['quantity']]}"
+    return f"Of {name}, {said}: they disagree ({_by_chance(entry)}). {_REMEDIES[entry['quantity']]}"
 
 
 def _load(entry: Entry) -> str:
@@ -58,9 +60,14 @@ def _load(entry: Entry) -> str:
         return f"{said}, which is within the uncertainty of the masses."
     corrected = {key: value / ratio["value"] for key, value in compliance.items()}
     return (
-        f"{said}. They disagree (p = {entry['p_value']:.2g}): by the loads that the torques show it is "
-        f"{quantity('compliance_rad_per_Nm', corrected)}. Correct the masses of the arm's description."
+        f"{said}. They disagree ({_by_chance(entry)}): by the loads that the torques show, it is "
+        f"{quantity('compliance_rad_per_Nm', corrected)}. Correct payload_kg, or the masses of the arm's description."
     )
+
+
+def _by_chance(entry: Entry) -> str:
+    p = entry["p_value"]
+    return f"p = {p:.2g}" if p > _LEAST else f"p < {_LEAST:g}"
 
 
 def _numbers(known: Entry | None) -> str:
