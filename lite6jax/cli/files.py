@@ -57,17 +57,16 @@ class Convert:
         from lite6jax.fitting.source import load_nominal
         from lite6jax.report import fleet_tables, screen
 
-        nominal, left_out = load_nominal(self.arm), ()
-        diagnosed = is_diagnosis(self.source)
+        nominal, arm, left_out = load_nominal(self.arm), None, ()
         if self.into is not None and self.to not in (None, "urdf"):
             raise InputError(f"--into writes a URDF, and --to asks for {self.to}; give one of them")
-        if diagnosed:
+        if is_diagnosis(self.source):
             effects = load_effects(self.effects) if self.effects else ()
             arm, left_out = read_diagnosed_arm(self.source, nominal, effects, alone=self.into is None)
         if self.into is not None:
-            arm = arm if diagnosed else read_arm(self.source)
-            done = export_into(arm, self.into, self.target, self.force, left_out, with_flange=not diagnosed)
-        elif diagnosed:
+            whole = arm or read_arm(self.source)
+            done = export_into(whole, self.into, self.target, self.force, left_out, with_flange=arm is None)
+        elif arm is not None:
             done = export_file(arm, self.target, self.to, self.force, left_out)
         else:
             done = convert_file(self.source, self.target, self.to, nominal, self.force)

@@ -342,20 +342,20 @@ def _uncertainty_from(entry: Any, terms: Terms, values: Array, joints: int) -> T
     C[np.tril_indices(size)] = triangle
     if (np.diagonal(C) < -ROUNDING * np.abs(triangle).max(initial=0.0)).any():
         raise ValueError("a variance of its uncertainty is negative")
-    by_joint = [np.asarray(entry[f"{name}_Nm"], float) for name in ("left", "unseen", "noise")]
+    left, unseen, noise = (np.asarray(entry[f"{name}_Nm"], float) for name in ("left", "unseen", "noise"))
     recorded, curves = entry["recorded"], tuple(entry["curves_Nm"])
     ranges = np.asarray([recorded[name] for name in _RANGES], float)
     positions = np.asarray(recorded["joint_position_rad"], float)
     drivers = {str(phrase): (float(lower), float(upper)) for phrase, (lower, upper) in recorded["drivers"].items()}
     whole = ranges.shape == (3, joints, 2) and positions.ndim == 2 and positions.shape[1] == joints and len(positions)
-    if not whole or any(part.shape != (joints,) for part in by_joint):
+    if not whole or any(part.shape != (joints,) for part in (left, unseen, noise)):
         raise ValueError("its uncertainty is not one of this arm")
     if len(curves) != len(terms.terms):
         raise ValueError("its curves are not one for each effect")
     if (ranges[..., 0] > ranges[..., 1]).any() or any(lower > upper for lower, upper in drivers.values()):
         raise ValueError("a recorded range of its uncertainty ends before it begins")
     motion = RecordedMotion(ranges, positions, float(recorded["spacing_rad"]), drivers)
-    return TorqueUncertainty(entry["inertial"], C + np.tril(C, -1).T, *by_joint, curves, motion)
+    return TorqueUncertainty(entry["inertial"], C + np.tril(C, -1).T, left, unseen, noise, curves, motion)
 
 
 def is_of_torques(document: Any) -> bool:

@@ -201,7 +201,7 @@ def _departures(
     q = states[0].T
     further = (np.maximum(distance_to(recorded.positions, q) - recorded.spacing, 0.0) / LENGTH) ** 2
     over = [  # (sample, joint) each
-        beyond_range(state.T, *ranges.T, least) / DRIVEN
+        beyond_range(state.T, ranges[:, 0], ranges[:, 1], least) / DRIVEN
         for state, ranges, least in zip(states, recorded.ranges, _OF_STATE.values(), strict=True)
     ]
     outside: Flags = np.asarray(np.max(over, axis=(0, 2)) > MARGIN / DRIVEN)
