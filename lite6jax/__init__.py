@@ -19,6 +19,10 @@ if TYPE_CHECKING:
     from lite6jax.arms.dynamics import inverse_dynamics as inverse_dynamics, link_parameters as link_parameters
     from lite6jax.arms.files import read_arm as read_arm, read_factory as read_factory, write_factory as write_factory
     from lite6jax.arms.forward_kinematics import hayati_fk as hayati_fk, six_parameter_fk as six_parameter_fk
+    from lite6jax.diagnosis.combined import (
+        CombinedDiagnosis as CombinedDiagnosis,
+        diagnose_combined as diagnose_combined,
+    )
     from lite6jax.diagnosis.diagnose import Diagnosis as Diagnosis, diagnose as diagnose
     from lite6jax.diagnosis.options import Options as Options
     from lite6jax.diagnosis.torque_diagnosis import (
@@ -31,7 +35,11 @@ if TYPE_CHECKING:
     from lite6jax.diagnosis.document import read_model as read_model
     from lite6jax.domains.pose.predict import predict as predict, predicted as predicted
     from lite6jax.domains.pose.registration import register as register, register_model as register_model
-    from lite6jax.domains.torque.predict import predict_torques as predict_torques
+    from lite6jax.domains.torque.predict import (
+        predict_torques as predict_torques,
+        predicted_torques as predicted_torques,
+    )
+    from lite6jax.effects.dynamic.torque_effect import JointTorque as JointTorque, TorqueEffect as TorqueEffect
     from lite6jax.effects.effect import Effect as Effect, JointEffect as JointEffect
     from lite6jax.errors import InputError as InputError
     from lite6jax.estimation.options import EngineOptions as EngineOptions
@@ -72,6 +80,7 @@ _NAMES = {
     "lite6jax.arms.dynamics": ("inverse_dynamics", "link_parameters"),
     "lite6jax.arms.forward_kinematics": ("hayati_fk", "six_parameter_fk"),
     "lite6jax.arms.files": ("read_arm", "read_factory", "write_factory"),
+    "lite6jax.diagnosis.combined": ("CombinedDiagnosis", "diagnose_combined"),
     "lite6jax.diagnosis.diagnose": ("Diagnosis", "diagnose"),
     "lite6jax.diagnosis.options": ("Options",),
     "lite6jax.diagnosis.torque_diagnosis": ("TorqueDiagnosis", "diagnose_torques"),
@@ -80,7 +89,8 @@ _NAMES = {
     "lite6jax.diagnosis.document": ("read_model",),
     "lite6jax.domains.pose.predict": ("predict", "predicted"),
     "lite6jax.domains.pose.registration": ("register", "register_model"),
-    "lite6jax.domains.torque.predict": ("predict_torques",),
+    "lite6jax.domains.torque.predict": ("predict_torques", "predicted_torques"),
+    "lite6jax.effects.dynamic.torque_effect": ("JointTorque", "TorqueEffect"),
     "lite6jax.effects.effect": ("Effect", "JointEffect"),
     "lite6jax.errors": ("InputError",),
     "lite6jax.estimation.options": ("EngineOptions",),

@@ -35,7 +35,8 @@ def met(rows):
 def a_truth(*hidden, kind="single", **more):
     base = {"seed": 0, "index": 0, "kind": kind, "engine": "plain", "arm": "lite6", "inertial": "declared"}
     base |= {"source": "torque", "noise": "white", "edge": "", "fault": "", "sealed": False, "rows": 1000}
-    base |= {"sizes": [2.0] if hidden else [], "hidden": list(hidden), "fault_rows": [], "unseen_bound_Nm": 0.01}
+    base |= {"sizes": [2.0] if hidden else [], "hidden": list(hidden), "fault_rows": [], "fault_joints": []}
+    base |= {"unseen_bound_Nm": 0.01}
     return base | {"unseen_torque_Nm": [[1.0, 2.0], [3.0, 4.0]]} | more
 
 
@@ -155,6 +156,16 @@ def test_a_contact_is_found_by_half_its_rows_at_least():
         row = judged(truth, faults=[{"fault": "contact", "rows": list(rows)}])
         assert row["fault_found"] is right
     assert not judged(truth, faults=[{"fault": "outliers", "rows": list(range(100, 200))}])["fault_found"]
+
+
+def test_a_wrong_column_is_found_by_its_joints():
+    truth = a_truth(kind="faulty", fault="swapped_torques", fault_joints=[2, 3])
+    for joints, right in (([3, 2], True), ([2, 4], False), ([2], False)):
+        row = judged(truth, faults=[{"fault": "swapped_torques", "rows": [], "numbers": {"joints": joints}}])
+        assert row["fault_found"] is right
+    assert not judged(truth, faults=[{"fault": "reversed_torque", "rows": [], "numbers": {"joints": [2, 3]}}])[
+        "fault_found"
+    ]
 
 
 def test_a_trial_without_an_answer_counts_as_wrong():

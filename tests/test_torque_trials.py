@@ -4,6 +4,7 @@ import ast
 import json
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import mujoco as _mujoco
@@ -515,3 +516,19 @@ def test_the_files_of_a_trial_are_like_those_of_the_open_cases(tmp_path):
     assert set(ours) <= {*theirs, "inertial"}
     ours, theirs = (json.loads((folder / "truth.json").read_text()) for folder in (case, open_case))
     assert {*theirs} - {"arm_seed"} <= set(ours)
+
+
+@pytest.mark.parametrize(("fault", "count"), [("swapped_torques", 2), ("reversed_torque", 1)])
+def test_a_wrong_column_is_where_it_is_said_to_be(fault, count):
+    setup, motion = a_scene(seconds=10.0)
+    plan = plans.Plan(0, 0, "faulty", "plain", "lite6", "declared", "torque", "white", 100.0, 10.0, (), (), "", fault)
+    torque = np.random.default_rng(1).normal(size=(len(motion.q), 6)) * [9, 8, 7, 0.1, 0.1, 0.1] * setup.arm.noise
+    wrong, joints = recorded.misplaced(plan, np.random.default_rng(5), torque, setup.arm.noise)
+    assert len(joints) == count
+    assert set(joints) <= {1, 2, 3}
+    changed = np.flatnonzero((wrong != torque).any(0)) + 1
+    assert changed.tolist() == sorted(joints)
+    at = [joint - 1 for joint in joints]
+    np.testing.assert_array_equal(wrong[:, at], torque[:, at[::-1]] if count == 2 else -torque[:, at])
+    right = replace(plan, fault="contact")
+    assert recorded.misplaced(right, np.random.default_rng(5), torque, setup.arm.noise)[1] == []

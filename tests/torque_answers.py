@@ -39,7 +39,8 @@ def the_oracle(truth, rng):
         for name, bound in effect["bound"].items():
             said[name] = {"value": effect["parameters"][name] + bound * rng.normal(), "std": bound}
         findings.append(a_finding(effect["effect"], effect["site"], said))
-    faults = [{"fault": truth["fault"], "rows": truth["fault_rows"]}] if truth["fault"] else []
+    numbers = {"joints": truth["fault_joints"]}
+    faults = [{"fault": truth["fault"], "rows": truth["fault_rows"], "numbers": numbers}] if truth["fault"] else []
     return a_document(findings, faults, after=0.5 if findings else 1.0)
 
 

@@ -49,6 +49,8 @@ def export(seed: int, index: int, sealed: bool, folder: Path) -> Path:
         first, last = truth["fault_rows"][0], truth["fault_rows"][-1]
         span = {"start": (first - 0.5) / trial.plan.rate, "stop": (last + 0.5) / trial.plan.rate}
         effects.append({"effect": truth["fault"], "args": span})
+    if truth["fault_joints"]:
+        effects.append({"effect": truth["fault"], "args": {"joints": truth["fault_joints"]}})
     truth |= {
         "name": case.name,
         "effects": effects,

@@ -18,6 +18,9 @@ SIZES = (1.0, 2.0, 2.0, 4.0, 10.0)
 OUTSIDE_SIZES = (4.0, 8.0, 20.0)
 EDGES = ("short", "slow", "two ripples", "resting joints")
 """What makes it hard to name an effect that the catalogue has."""
+COLUMNS = ("swapped_torques", "reversed_torque")
+FAULTS = ("contact", "contact", *COLUMNS)
+"""What is wrong with a faulty recording: an event, or the columns of the file."""
 SINGLE = tuple(NAMED)
 NOISES = ("white", "autocorrelated", "twice as declared", "outliers", "noisy velocities")
 AUTOCORRELATION = 0.9
@@ -51,7 +54,7 @@ class Plan:
         effects: names.
         sizes: of the effects, in thresholds.
         edge: one of `EDGES`, or none.
-        fault: contact, or none.
+        fault: one of `FAULTS`, or none.
         sealed: whether what is outside the catalogue is of a sealed family.
     """
 
@@ -118,7 +121,8 @@ def draw_plan(seed: int, index: int, rng: np.random.Generator, sealed: bool = Fa
     noise = _turn(seed, 22, ordinal, NOISES) if kind == "clean" else other
     effects, sizes = _effects(kind, edge, seed, ordinal, rng, SEALED if sealed else OPEN)
     inertial = str(rng.choice(["declared", "uncertain", "unknown"], p=[0.6, 0.15, 0.25]))
-    if set(effects) & set(MASSES):
+    fault = _turn(seed, 30, ordinal, FAULTS) if kind == "faulty" else ""
+    if set(effects) & set(MASSES) or fault in COLUMNS:
         inertial = "declared"
     rate = float(rng.choice(RATES))
     seconds = float(np.exp(rng.uniform(np.log(10), np.log(60))))
@@ -141,7 +145,7 @@ def draw_plan(seed: int, index: int, rng: np.random.Generator, sealed: bool = Fa
         effects=effects,
         sizes=sizes,
         edge=edge,
-        fault="contact" if kind == "faulty" else "",
+        fault=fault,
         sealed=sealed and kind == "outside",
     )
 

@@ -10,7 +10,7 @@ from benchmarks.concealed.chain import Array
 from benchmarks.torque_trials.arms import Arm, arm_text
 from benchmarks.torque_trials.motion import Motion
 from benchmarks.torque_trials.physics import Setup
-from benchmarks.torque_trials.plans import AUTOCORRELATION, Plan
+from benchmarks.torque_trials.plans import AUTOCORRELATION, COLUMNS, Plan
 
 _JOINT_NOISE, _VELOCITY_NOISE, _NOISY = 2e-5, 1e-3, 2e-2
 """rad, and rad/s as a rule and where velocities are noisy: one standard deviation."""
@@ -81,6 +81,20 @@ def _touched(plan: Plan, rng: np.random.Generator, torque: Array, noise: Array) 
     pushed = torque.copy()
     pushed[first : first + length] += shape[:, None] * push
     return pushed, list(range(first, first + length))
+
+
+def misplaced(plan: Plan, rng: np.random.Generator, torque: Array, noise: Array) -> tuple[Array, list[int]]:
+    """Torques with the columns of two joints exchanged or that of one reversed, and these joints, from 1.
+
+    They are of the half of the joints whose torques are largest beside their noise: of others nobody could tell.
+    """
+    if plan.fault not in COLUMNS:
+        return torque, []
+    told = np.argsort(-np.std(torque, axis=0) / noise)[: max(2, torque.shape[1] // 2)]
+    joints = np.sort(rng.choice(told, 2 if plan.fault == "swapped_torques" else 1, replace=False))
+    wrong = torque.copy()
+    wrong[:, joints] = torque[:, joints[::-1]] if len(joints) == 2 else -torque[:, joints]
+    return wrong, [int(joint) + 1 for joint in joints]
 
 
 def files_of(

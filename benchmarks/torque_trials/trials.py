@@ -14,7 +14,7 @@ from benchmarks.torque_trials.mujoco_arm import SimulatedArm
 from benchmarks.torque_trials.outside import FAMILIES
 from benchmarks.torque_trials.physics import Setup, torques
 from benchmarks.torque_trials.plans import AUTOCORRELATION, Plan, draw_plan, warms
-from benchmarks.torque_trials.recorded import UNCERTAIN, declared_arm, files_of, measure
+from benchmarks.torque_trials.recorded import UNCERTAIN, declared_arm, files_of, measure, misplaced
 
 _TRIES = 200
 UNSEEN_SECONDS = 10.0
@@ -93,6 +93,7 @@ def _make(plan: Plan, rng: np.random.Generator) -> Trial | None:
 
     told = declared_arm(plan, rng, arm)
     q, dq, torque, rows = measure(plan, rng, motion, exerted, arm.noise)
+    torque, joints = misplaced(plan, rng, torque, arm.noise)
     added = later - torques(setup, (), unseen)
     truth = {
         "schema": "torque/truth/1",
@@ -100,6 +101,7 @@ def _make(plan: Plan, rng: np.random.Generator) -> Trial | None:
         "rows": len(q),
         "hidden": described(view, hidden),
         "fault_rows": rows,
+        "fault_joints": joints,
         "noise_Nm": arm.noise.tolist(),
         "exerted_rms_Nm": _rms(exerted),
         "unseen_effect_rms_Nm": _rms(added),

@@ -20,6 +20,7 @@ JOINT_TERMS = {
     "viscous_friction": "viscous friction",
     "coulomb_friction": "Coulomb friction",
     "rotor_inertia": "rotor inertia",
+    "spring_stiffness": "spring stiffness",
 }
 """What an arm may know of each joint's drive, in words."""
 
@@ -42,14 +43,16 @@ class Arm:
         viscous_friction: (joint,) N·m·s/rad, of the joint; None if unknown.
         coulomb_friction: (joint,) N·m; None if unknown.
         rotor_inertia: (joint,) kg·m², of the motor's rotor and gear, reflected to the joint; None if unknown.
+        spring_stiffness: (joint,) N·m/rad, of what pulls the joint towards `spring_rest`; None if unknown.
+        spring_rest: (joint,) rad; given together with `spring_stiffness`.
         dh: (joint, 4) the published standard DH table, theta_off d a alpha in rad and m, or None. It describes the same
             chain without `T_joint_flange`, and determines the branch (theta, sign of alpha) of the Hayati parameters.
         source: the origin of the numbers.
 
     Raises:
         InputError: an array of the wrong shape, a number that is not finite, limits in the wrong order, a negative
-            mass, friction or rotor inertia, an inertia tensor that no body has or that has no mass beside it, a flange
-            that is not a rigid transform, or a DH table of another chain than `kinematics`.
+            mass, friction, rotor inertia or stiffness, an inertia tensor that no body has or that has no mass beside
+            it, a flange that is not a rigid transform, or a DH table of another chain than `kinematics`.
     """
 
     name: str
@@ -64,6 +67,8 @@ class Arm:
     viscous_friction: Array | None = None
     coulomb_friction: Array | None = None
     rotor_inertia: Array | None = None
+    spring_stiffness: Array | None = None
+    spring_rest: Array | None = None
 
     def __post_init__(self) -> None:
         if not self.name or not self.name.isprintable():
@@ -84,7 +89,17 @@ class Arm:
             raise InputError(f"arm {self.name!r}: mass and center_of_mass belong together; give both or neither")
         if self.inertia is not None and self.mass is None:
             raise InputError(f"arm {self.name!r}: inertia needs the links' masses; give mass and center_of_mass too")
-        shapes = {"mass": (joints,), "center_of_mass": (joints, 3), "dh": (joints, 4), "inertia": (joints, 3, 3)}
+        if (self.spring_stiffness is None) != (self.spring_rest is None):
+            raise InputError(
+                f"arm {self.name!r}: spring_stiffness and spring_rest belong together; give both or neither"
+            )
+        shapes = {
+            "spring_rest": (joints,),
+            "mass": (joints,),
+            "center_of_mass": (joints, 3),
+            "dh": (joints, 4),
+            "inertia": (joints, 3, 3),
+        }
         for field, shape in (shapes | dict.fromkeys(JOINT_TERMS, (joints,))).items():
             if getattr(self, field) is not None:
                 self._store(field, shape)

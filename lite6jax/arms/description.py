@@ -19,6 +19,7 @@ OPTIONAL = ("joint_limits_rad", "inertial", "dynamics", "dh", "flange", "source"
 
 FRICTION = {"viscous_Nm_s_per_rad": "viscous_friction", "coulomb_Nm": "coulomb_friction"}
 ROTOR = "rotor_inertia_kg_m2"
+SPRING = {"stiffness_Nm_per_rad": "spring_stiffness", "rest_rad": "spring_rest"}
 
 # rad, four turns: a larger limit is an angle in degrees.
 LARGEST_LIMIT = 8 * np.pi
@@ -38,7 +39,8 @@ def read_description(path: str | Path) -> Arm:
     inertial:
       link1: {mass_kg: 1.4, com_m: [0.0, 0.04, 0.0], inertia_kg_m2: [1.5e-3, 0.9e-3, 1.3e-3, 0.0, 0.0, 0.0]}
     dynamics:
-      joint1: {friction: {viscous_Nm_s_per_rad: 0.1, coulomb_Nm: 0.2}, rotor_inertia_kg_m2: 0.01}
+      joint1: {friction: {viscous_Nm_s_per_rad: 0.1, coulomb_Nm: 0.2}, rotor_inertia_kg_m2: 0.01,
+               spring: {stiffness_Nm_per_rad: 2.0, rest_rad: 0.0}}
     dh:
       joint1: {theta_off_rad: 0.0, d_m: 0.2433, a_m: 0.0, alpha_rad: 0.0}  # the published table, if any
     flange: {x: 0.0, y: 0.0, z: 0.0, roll: 0.0, pitch: 0.0, yaw: 0.0}  # after the last joint
@@ -47,8 +49,8 @@ def read_description(path: str | Path) -> Arm:
 
     `name` and `kinematics` are required. A link's centre of mass is in the frame after its joint's rotation; its
     inertia (ixx iyy izz ixy ixz iyz, the products with the tensor's sign) is about the centre of mass in that frame's
-    axes, and given for all links or none. Friction and rotor inertia, reflected to the joint, are zero where only
-    another joint has them. `flange` may also be three rows of four numbers.
+    axes, and given for all links or none. Friction, rotor inertia, reflected to the joint, and springs are zero where
+    only another joint has them. `flange` may also be three rows of four numbers.
 
     Raises:
         InputError: as `storage.read_yaml`; a key missing or unknown, a value that is not a number, degrees for radians,
@@ -131,10 +133,13 @@ def _dynamics(value: Any, where: str, joints: int) -> dict[str, NDArray[np.float
     fields: dict[str, NDArray[np.floating]] = {}
     for i, name in enumerate(names):
         place = f"{where}: dynamics: {name}"
-        drive = entries.mapping(table.get(name, {}), place, (), ("friction", ROTOR))
+        drive = entries.mapping(table.get(name, {}), place, (), ("friction", ROTOR, "spring"))
         friction = entries.mapping(drive.get("friction", {}), f"{place}: friction", (), tuple(FRICTION))
         given = [(FRICTION[key], number, f"{place}: friction: {key}") for key, number in friction.items()]
         given += [("rotor_inertia", drive[ROTOR], f"{place}: {ROTOR}")] if ROTOR in drive else []
+        if "spring" in drive:
+            spring = entries.mapping(drive["spring"], f"{place}: spring", tuple(SPRING))
+            given += [(SPRING[key], number, f"{place}: spring: {key}") for key, number in spring.items()]
         for field, number, at in given:
             fields.setdefault(field, np.zeros(joints))[i] = entries.number(number, at)
     return fields
@@ -196,15 +201,20 @@ def write_arm(arm: Arm, path: str | Path, overwrite: bool = False) -> Path:
 
 def _drive_lines(arm: Arm) -> list[str]:
     friction = {key: values for key, field in FRICTION.items() if (values := getattr(arm, field)) is not None}
-    if not friction and arm.rotor_inertia is None:
+    spring = {key: values for key, field in SPRING.items() if (values := getattr(arm, field)) is not None}
+    if not friction and not spring and arm.rotor_inertia is None:
         return []
     lines = ["dynamics:"]
     for i in range(arm.dof):
-        numbers = ", ".join(f"{key}: {entries.yaml_number(values[i])}" for key, values in friction.items())
-        drive = [f"friction: {{{numbers}}}"] if friction else []
+        drive = [f"friction: {_mapping(friction, i)}"] if friction else []
         drive += [] if arm.rotor_inertia is None else [f"{ROTOR}: {entries.yaml_number(arm.rotor_inertia[i])}"]
+        drive += [f"spring: {_mapping(spring, i)}"] if spring else []
         lines.append(f"  joint{i + 1}: {{{', '.join(drive)}}}")
     return lines
+
+
+def _mapping(table: Mapping[str, NDArray[np.floating]], i: int) -> str:
+    return f"{{{', '.join(f'{key}: {entries.yaml_number(values[i])}' for key, values in table.items())}}}"
 
 
 def _text(value: str) -> str:

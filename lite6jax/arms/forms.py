@@ -12,7 +12,8 @@ from lite6jax import storage
 from lite6jax.arms import convert, frames
 from lite6jax.arms.arm import JOINT_TERMS, Arm, sample_joints
 from lite6jax.arms.factory import FactoryCalibration, read_factory, write_factory
-from lite6jax.arms.files import calibrated_arm, read_arm, write_arm, write_mjcf, write_table, write_urdf
+from lite6jax.arms.files import calibrated_arm, read_arm, read_urdf, write_arm, write_mjcf, write_table, write_urdf
+from lite6jax.arms.urdf_edit import write_into_urdf
 from lite6jax.errors import InputError
 
 Array = NDArray[np.floating]
@@ -142,6 +143,36 @@ def export_file(
     return Conversion(path, form, arm, (*left_out, *left_out_of(arm, form)), _distance(arm, again))
 
 
+def export_into(
+    arm: Arm,
+    robot: str | Path,
+    target: str | Path,
+    overwrite: bool = False,
+    left_out: tuple[str, ...] = (),
+    with_flange: bool = True,
+) -> Conversion:
+    """As `write_into_urdf`, read back.
+
+    Args:
+        arm: what it does not know stays as the file has it.
+        robot: an existing URDF; `robot.urdf#tool0` names the tip link where it has several.
+        target: the file to write.
+        overwrite: whether the target may be replaced.
+        left_out: what the arm itself has no place for, a phrase each.
+        with_flange: whether what follows the last joint changes.
+
+    Raises:
+        InputError: as `write_into_urdf`; a target of another suffix.
+    """
+    if Path(target).suffix.lower() not in SUFFIXES["urdf"]:
+        raise InputError(f"{target}: what is written into a URDF is one; let the name end in .urdf")
+    file, _, tip = str(robot).partition("#")
+    path, further = write_into_urdf(arm, file, target, tip or None, overwrite, with_flange)
+    again = read_urdf(path, tip=tip or None)
+    written = arm if with_flange else replace(arm, T_joint_flange=again.T_joint_flange)
+    return Conversion(path, "urdf", arm, (*left_out, *further), _distance(written, again))
+
+
 def left_out_of(arm: Arm, form: FileForm, calibrated: bool = False) -> list[str]:
     """What of an arm a form has no place for, a phrase each; of a calibrated arm its chain alone is its own."""
     phrases = []
@@ -151,6 +182,8 @@ def left_out_of(arm: Arm, form: FileForm, calibrated: bool = False) -> list[str]
         phrases += [f"joint limits{bodies}", *drives]
     if form == "urdf" and arm.rotor_inertia is not None:
         phrases.append("rotor inertia")
+    if form == "urdf" and arm.spring_stiffness is not None:
+        phrases.append("springs, but for SDFormat's attributes in <dynamics>")
     if arm.dh is not None and form in ("vendor", "ur", "urdf", "mjcf"):
         phrases.append("the published DH table")
     return phrases

@@ -21,8 +21,14 @@ from lite6jax.errors import InputError, InputWarning
 
 Array = NDArray[np.floating]
 
-DRIVES = {"viscous_friction": "damping", "coulomb_friction": "frictionloss", "rotor_inertia": "armature"}
-"""Where a joint has the fields of `Arm`, N·m·s/rad, N·m and kg·m²."""
+DRIVES = {
+    "viscous_friction": "damping",
+    "coulomb_friction": "frictionloss",
+    "rotor_inertia": "armature",
+    "spring_stiffness": "stiffness",
+    "spring_rest": "springref",
+}
+"""Where a joint has the fields of `Arm`, N·m·s/rad, N·m, kg·m², N·m/rad and rad."""
 _NOT_A_NUMBER = re.compile(r"""["'\s](nan|inf)["'\s]""", re.IGNORECASE)
 
 
@@ -30,7 +36,8 @@ def read_mjcf(path: str | Path, base: str | None = None, tip: str | None = None)
     """The arm that an MJCF file describes.
 
     As `read_urdf`: bodies without joints are lumped with the body that carries them, mass and inertia, and those on
-    moving joints beside the chain are omitted. Damping, friction loss or armature that is zero throughout is unknown.
+    moving joints beside the chain are omitted. Damping, friction loss, armature or stiffness that is zero throughout is
+    unknown.
 
     Args:
         path: the file.
@@ -42,7 +49,7 @@ def read_mjcf(path: str | Path, base: str | None = None, tip: str | None = None)
             is ambiguous.
 
     Warns:
-        InputWarning: springs or compensated gravity, for which an arm has no place.
+        InputWarning: springs that are not linear, or compensated gravity, for which an arm has no place.
     """
     model = _compiled(path)
     tree = _Bodies(model)
@@ -76,6 +83,9 @@ def read_mjcf(path: str | Path, base: str | None = None, tip: str | None = None)
     dofs = model.jnt_dofadr[joints]
     drives = {"viscous_friction": model.dof_damping, "coulomb_friction": model.dof_frictionloss}
     drives["rotor_inertia"] = model.dof_armature
+    springs = {}
+    if np.any(stiffness := np.array([np.ravel(model.jnt_stiffness[joint])[0] for joint in joints])):
+        springs = {"spring_stiffness": stiffness, "spring_rest": model.qpos_spring[model.jnt_qposadr[joints]]}
     turns = np.tile([-2 * np.pi, 2 * np.pi], (len(joints), 1))
     try:
         return Arm(
@@ -88,6 +98,7 @@ def read_mjcf(path: str | Path, base: str | None = None, tip: str | None = None)
             inertia=np.array([link.inertia for link in links]),
             source=f"MJCF {Path(path).name}, {tree.name(start)} to {tip or tree.name(end)}",
             **{field: values[dofs] for field, values in drives.items() if values[dofs].any()},
+            **springs,
         )
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
@@ -189,9 +200,12 @@ def _model_name(model: Any) -> str:
 
 
 def _warn_of_forces(path: str | Path, model: Any, joints: list[int], bodies: list[int]) -> None:
-    sprung = [model.joint(joint).name for joint in joints if np.any(model.jnt_stiffness[joint])]
+    sprung = [model.joint(joint).name for joint in joints if np.any(np.ravel(model.jnt_stiffness[joint])[1:])]
     floating = [model.body(body).name for body in bodies if model.body_gravcomp[body]]
-    for names, what in ((sprung, "the springs of joints"), (floating, "the compensated gravity of bodies")):
+    for names, what in (
+        (sprung, "what is not linear of the springs of joints"),
+        (floating, "the compensated gravity of bodies"),
+    ):
         if names:
             warnings.warn(
                 f"{path}: {what} {', '.join(names)} are left out, an arm has no place for them",

@@ -26,8 +26,14 @@ from lite6jax.errors import InputError, InputWarning
 
 Array = NDArray[np.floating]
 
-FRICTION = {"viscous_friction": "damping", "coulomb_friction": "friction"}
-"""Where a joint's element `dynamics` has the fields of `Arm`, N·m·s/rad and N·m."""
+DRIVES = {
+    "viscous_friction": "damping",
+    "coulomb_friction": "friction",
+    "spring_stiffness": "spring_stiffness",
+    "spring_rest": "spring_reference",
+}
+"""Where a joint's element `dynamics` has the fields of `Arm`, N·m·s/rad, N·m, N·m/rad and rad. URDF has no springs: the
+names are those of SDFormat, and other readers of URDF ignore them."""
 
 
 def read_urdf(path: str | Path, base: str | None = None, tip: str | None = None) -> Arm:
@@ -74,7 +80,7 @@ def read_urdf(path: str | Path, base: str | None = None, tip: str | None = None)
         before = R.T
     if not rows:
         raise InputError(f"{path}: no joint turns between {tree.base!r} and {tree.tip!r}; name another base or tip")
-    fields = _inertial(path, [joint.child for joint in turning], axes, tree) | _friction(path, turning)
+    fields = _inertial(path, [joint.child for joint in turning], axes, tree) | _drives(path, turning)
     try:
         return Arm(
             name=tree.robot.get("name") or Path(path).stem,
@@ -111,9 +117,9 @@ def carried_links(
 def write_urdf(arm: Arm, path: str | Path, overwrite: bool = False) -> Path:
     """Writes the arm as a URDF from `base_link` to `flange`.
 
-    `read_urdf` returns chain, limits, inertia and friction exactly, and the flange's rotation to rounding. A DH table,
-    rotor inertia and the source are omitted. Efforts and velocities, which an `Arm` does not contain, and unknown
-    inertia are written as zero.
+    `read_urdf` returns chain, limits, inertia, friction and springs exactly, and the flange's rotation to rounding. A
+    DH table, rotor inertia and the source are omitted. Efforts and velocities, which an `Arm` does not contain, and
+    unknown inertia are written as zero.
 
     Raises:
         InputError: as `storage.write_atomically`.
@@ -132,7 +138,7 @@ def write_urdf(arm: Arm, path: str | Path, overwrite: bool = False) -> Path:
         joint = _add_joint(robot, f"joint{i + 1}", "revolute", f"link{i}" if i else "base_link", f"link{i + 1}", row)
         ET.SubElement(joint, "axis", xyz="0 0 1")
         ET.SubElement(joint, "limit", lower=lower, upper=upper, effort="0.0", velocity="0.0")
-        known = {key: values for field, key in FRICTION.items() if (values := getattr(arm, field)) is not None}
+        known = {key: values for field, key in DRIVES.items() if (values := getattr(arm, field)) is not None}
         if known:
             ET.SubElement(joint, "dynamics", {key: repr(float(values[i])) for key, values in known.items()})
     ET.SubElement(robot, "link", name="flange")
@@ -192,12 +198,16 @@ def _body(element: ET.Element, where: str) -> inertia.Body:
     return inertia.moved(body, frames.transform_from_row(origin(element, where)))
 
 
-def _friction(path: str | Path, turning: list[Joint]) -> dict[str, Array]:
+def _drives(path: str | Path, turning: list[Joint]) -> dict[str, Array]:
     """The fields of `Arm` that the joints' dynamics elements give; a joint without one has none."""
     fields: dict[str, Array] = {}
-    for field, key in FRICTION.items():
+    for field, key in DRIVES.items():
         given = [joint.dynamics.get(key) for joint in turning]
         if any(text is not None for text in given):
             where = [f"{path}: joint {joint.name!r}: dynamics: {key}" for joint in turning]
             fields[field] = np.array([scalar(text or "0", at) for text, at in zip(given, where, strict=True)])
+    if "spring_stiffness" in fields:
+        fields.setdefault("spring_rest", np.zeros(len(turning)))
+    else:
+        fields.pop("spring_rest", None)
     return fields

@@ -32,7 +32,8 @@ class Diagnose:
     """Write findings and model here (JSON), for predict, compensate and report. Nothing is written without."""
     reference: Annotated[Path | None, arg(metavar="OTHER")] = None
     """Compare with this recording instead of the model: another simulator at the same joint positions, or the same arm
-    earlier. The report first states whether the model reproduces it, and the differences if not."""
+    earlier. The report first states whether the model reproduces it, and the differences if not. Of torques in another
+    motion, what each recording shows is compared."""
     arm: ArmName = None
     """The nominal arm; from the sidecar where not given."""
     geometry: Literal["declared", "exact", "prior", "free"] = "declared"
@@ -40,7 +41,9 @@ class Diagnose:
     effects: Annotated[Path | None, arg(metavar="FILE.py")] = None
     """Effects of your own, tested for like the catalogue's. Runs the file."""
     torques: bool = False
-    """Of a recording that has poses and torques, diagnose the torques."""
+    """Of a recording that has poses and torques, diagnose the torques only."""
+    poses: bool = False
+    """Of such a recording, diagnose the poses only."""
     quick: bool = False
     """Hold out two blocks instead of five, and design no separating poses: in about 60 % of the time. The search of all
     rows is the same; the errors after are rather too large."""
@@ -72,6 +75,7 @@ class Diagnose:
 
             canvas.check_names(self.figures, [f"{self.source.stem}_{name}" for name in NAMES], self.force)
         from lite6jax.arms.arm import Arm
+        from lite6jax.diagnosis.combined import by_domain
         from lite6jax.diagnosis.diagnose import diagnose
         from lite6jax.diagnosis.document import document_text, to_document, write_document
         from lite6jax.diagnosis.options import QUICK
@@ -92,15 +96,23 @@ class Diagnose:
                 raise InputError(f"{path}: is a calibration; diagnose takes a recording (.csv, .parquet, .mcap)")
             return source
 
+        if self.poses and self.torques:
+            raise InputError("--poses and --torques: give one of them, or none to diagnose both")
         nominal = load_nominal(self.arm)
         recording = read(self.source, nominal)
+        effects = load_effects(self.effects) if self.effects else ()
         if self.torques or (recording.position is None and recording.has_torques):
             from lite6jax.cli.diagnose_torques import diagnose_motors
 
-            return diagnose_motors(self, recording, nominal)
+            other = read(self.reference, nominal) if self.reference else None
+            return diagnose_motors(self, recording, nominal, other, effects)
         arm = nominal or arm_of(recording)
         other = read(self.reference, arm) if self.reference else None
-        effects = load_effects(self.effects) if self.effects else ()
+        if recording.has_torques and recording.position is not None and not self.poses:
+            from lite6jax.cli.diagnose_torques import diagnose_both
+
+            return diagnose_both(self, recording, arm, other, effects)
+        effects, _ = by_domain(effects)
         options, seen = QUICK if self.quick else None, None
         with stages.shown() as entered:
             if other is None:
@@ -141,7 +153,8 @@ class Diagnose:
 class Predict:
     """Predict what the sensor of a diagnosed recording would measure in another motion of the same arm.
 
-    Of a diagnosis of torques these are tau1_Nm …, the torques of the motors.
+    Of a diagnosis of torques these are tau1_Nm …, the torques of the motors, and tau1_std_Nm …, which contain the
+    sensor's noise as well. Of one of poses and torques both are written, if the motion is a trajectory.
 
     Beside each pose stand its standard deviations, x_std_m … and where orientation was recorded rx_std_rad … about the
     axes of the tool. They contain what the diagnosis left uncertain, and not the sensor's noise. Where `outside` is 1
@@ -180,7 +193,7 @@ class Predict:
         import pyarrow as pa
 
         from lite6jax.diagnosis.document import parsed_document, read_model
-        from lite6jax.diagnosis.torque_document import is_of_torques
+        from lite6jax.diagnosis.torque_document import is_of_torques, of_torques
         from lite6jax.domains.pose.files import prediction_columns, read_motion
         from lite6jax.domains.pose.predict import predicted
         from lite6jax.domains.pose.registration import register_model
@@ -189,17 +202,24 @@ class Predict:
         from lite6jax.report import bars, diagnosis_tables, screen
         from lite6jax.report.reference import origin_statement
 
-        if is_of_torques(parsed_document(self.diagnosis)):
+        document, effects = parsed_document(self.diagnosis), load_effects(self.effects) if self.effects else ()
+        if is_of_torques(document):
             from lite6jax.cli.diagnose_torques import predict_motors
 
-            return predict_motors(self)
-        model = read_model(self.diagnosis, load_effects(self.effects) if self.effects else ())
+            return predict_motors(self, effects)
+        model = read_model(self.diagnosis, effects)
         recording = read_motion(self.motion, model)
         found = None
         if self.register:
             model, found = register_model(model, recording)
         shown = predicted(model, recording)
-        columns = pa.table(prediction_columns(shown, model.orientation))
+        written = prediction_columns(shown, model.orientation)
+        said: list[str] = []
+        if of_torques(document) is not None:
+            from lite6jax.cli.diagnose_torques import torques_beside
+
+            written, said = torques_beside(self, written, recording, effects)
+        columns = pa.table(written)
         path = write_atomically(self.out, lambda target: write_table(columns, target), self.force)
         if self.json:
             from lite6jax.report import documents
@@ -218,5 +238,7 @@ class Predict:
             print(f"{self.diagnosis}: {bars.NO_BARS}", file=sys.stderr)
         else:
             print(bars.outside_sentence(int(shown.outside.sum()), len(shown.outside), "row"))
+        for line in said:
+            print(line)
         screen.written([path])
         return DONE

@@ -1,9 +1,10 @@
-"""The commands `diagnose` and `predict` where torques are measured instead of poses."""
+"""The commands `diagnose` and `predict` where torques are measured, instead of poses or beside them."""
 
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
 
 from lite6jax.cli.drawing import draw
-from lite6jax.cli.exit_codes import DONE
+from lite6jax.cli.exit_codes import BAD_FIT, DONE
 from lite6jax.cli.inputs import inputs
 from lite6jax.errors import InputError
 from lite6jax.storage import write_atomically
@@ -11,43 +12,62 @@ from lite6jax.storage import write_atomically
 if TYPE_CHECKING:
     from lite6jax.arms.arm import Arm
     from lite6jax.cli.diagnose import Diagnose, Predict
+    from lite6jax.domains.torque.predict import TorquePrediction
+    from lite6jax.effects.effect import Effect
     from lite6jax.recordings import Recording
 
 
-def diagnose_motors(command: "Diagnose", recording: "Recording", arm: "Arm | None") -> int:
-    """Searches a recording of torques, writes and prints what was found.
+def diagnose_motors(
+    command: "Diagnose",
+    recording: "Recording",
+    arm: "Arm | None",
+    other: "Recording | None",
+    effects: "Sequence[Effect]",
+) -> int:
+    """Searches the torques of a recording, writes and prints what was found.
 
     Args:
         command: as it was given; its paths have been checked.
-        recording: without poses.
+        recording: with torques; poses that it has are not used.
         arm: the nominal arm; from the sidecar where not given.
+        other: the reference, if any.
+        effects: a user's own; those on torques are used.
     """
+    from lite6jax.diagnosis.combined import by_domain
     from lite6jax.diagnosis.document import document_text, write_document
     from lite6jax.diagnosis.options import QUICK
     from lite6jax.diagnosis.torque_diagnosis import diagnose_torques
     from lite6jax.diagnosis.torque_document import to_torque_document
-    from lite6jax.report import canvas, screen, stages, torque_figures, torque_page, torque_tables, worth
+    from lite6jax.diagnosis.torque_reference import diagnose_torques_against
+    from lite6jax.report import screen, stages, torque_figures, torque_page, torque_tables, worth
     from lite6jax.report.next_steps import Files
     from lite6jax.report.torque_statements import with_statements
 
-    for given, name in ((command.reference, "--reference"), (command.effects, "--effects")):
-        if given is not None:
-            raise InputError(f"{name}: {command.source} has torques and no poses; {name} needs poses")
-    if command.figures:
-        names = [f"{command.source.stem}_{name}" for name in torque_figures.NAMES]
-        canvas.check_names(command.figures, names, command.force)
+    _check_figures(command, torque_figures.NAMES)
+    _, dynamic = by_domain(effects)
     with stages.shown() as entered:
-        found = diagnose_torques(recording, arm, options=QUICK if command.quick else None, progress=entered)
-    document = with_statements({**to_torque_document(found), "inputs": inputs(command.source, command.arm)})
+        options = QUICK if command.quick else None
+        if other is None:
+            found, seen = diagnose_torques(recording, arm, effects=dynamic, options=options, progress=entered), None
+        else:
+            found, seen = diagnose_torques_against(
+                recording, other, arm, effects=dynamic, options=options, progress=entered
+            )
+    read = inputs(command.source, command.arm, command.reference, command.effects)
+    document = {**to_torque_document(found), "inputs": read}
+    if seen is not None:
+        document["against"] = seen.to_dict()
+    document = with_statements(document)
     files = Files(command.source, command.out)
     written = [write_document(document, command.out, command.force)] if command.out else []
     if command.report or command.figures:
+        sides = str(command.source) if seen is None else f"{command.source} against {seen.file}"
         drawings = torque_figures.drawings(found, command.source.name, worth.order(document))
         written += draw(
             command,
             drawings,
             len(torque_figures.NAMES),
-            lambda drawn: torque_page.torque_page(found, document, str(command.source), drawn, files),
+            lambda drawn: torque_page.torque_page(found, document, sides, drawn, files),
         )
     if command.json:
         print(document_text(document))
@@ -58,30 +78,139 @@ def diagnose_motors(command: "Diagnose", recording: "Recording", arm: "Arm | Non
     return DONE
 
 
-def predict_motors(command: "Predict") -> int:
-    """Writes the torques of a motion."""
+def diagnose_both(
+    command: "Diagnose",
+    recording: "Recording",
+    arm: "Arm",
+    other: "Recording | None",
+    effects: "Sequence[Effect]",
+) -> int:
+    """Searches the poses and the torques of a recording, writes and prints what was found; arguments as above."""
+    from lite6jax.diagnosis.combined import diagnose_combined
+    from lite6jax.diagnosis.document import document_text, write_document
+    from lite6jax.diagnosis.options import QUICK
+    from lite6jax.report import combined, diagnosis_figures, page, screen, stages, torque_figures
+    from lite6jax.report.next_steps import Files
+
+    names = [*diagnosis_figures.NAMES, *(combined.PREFIX + name for name in torque_figures.NAMES)]
+    _check_figures(command, names)
+    with stages.shown() as entered:
+        found = diagnose_combined(
+            recording,
+            arm,
+            reference=other,
+            geometry=command.geometry,
+            options=QUICK if command.quick else None,
+            effects=effects,
+            progress=entered,
+        )
+    read = inputs(command.source, command.arm, command.reference, command.effects)
+    document = combined.with_statements({**found.to_dict(), "inputs": read})
+    files = Files(command.source, command.out)
+    written = [write_document(document, command.out, command.force)] if command.out else []
+    if command.report or command.figures:
+        sides = str(command.source) if other is None else f"{command.source} against {other.source}"
+        drawings = combined.drawings(found, command.source.name, document)
+        written += draw(
+            command,
+            drawings,
+            len(names),
+            lambda drawn: (
+                page.diagnosis_page(found.poses, document, sides, drawn, files)
+                if found.torques is None
+                else combined.combined_page(found, document, sides, drawn, files)
+            ),
+        )
+    code = BAD_FIT if found.poses.quality.verdict == "bad" else DONE
+    if command.json:
+        print(document_text(document))
+        return code
+    screen.show(combined.combined_report(document, str(command.source), files, command.details))
+    screen.show(screen.notes(recording.notes))
+    screen.written(written)
+    return code
+
+
+def _check_figures(command: "Diagnose", names: Sequence[str]) -> None:
+    if command.figures:
+        from lite6jax.report import canvas
+
+        canvas.check_names(command.figures, [f"{command.source.stem}_{name}" for name in names], command.force)
+
+
+def predict_motors(command: "Predict", effects: "Sequence[Effect]") -> int:
+    """Writes the torques of a motion, with their standard deviations.
+
+    Args:
+        command: as it was given.
+        effects: a user's own, where the model has them.
+    """
     import pyarrow as pa
 
     from lite6jax.diagnosis.torque_document import read_torque_model
     from lite6jax.domains.pose.files import read_motion
-    from lite6jax.domains.torque.predict import predict_torques
+    from lite6jax.domains.torque.predict import predicted_torques, torque_columns
     from lite6jax.recordings.writing import write_table
     from lite6jax.report import screen
+    from lite6jax.report.torque_reference import model_statement
 
-    if command.register or command.effects is not None:
-        raise InputError(
-            "--register, --effects: a diagnosis of torques has neither a sensor frame nor effects of yours"
-        )
-    model = read_torque_model(command.diagnosis)
+    if command.register:
+        raise InputError("--register: a diagnosis of torques has no sensor frame")
+    model = read_torque_model(command.diagnosis, effects)
     recording = read_motion(command.motion, model)
-    torque = predict_torques(model, recording)
-    columns = pa.table({f"tau{joint}_Nm": row for joint, row in enumerate(torque.T, 1)})
+    shown = predicted_torques(model, recording)
+    columns = pa.table(torque_columns(shown))
     path = write_atomically(command.out, lambda target: write_table(columns, target), command.force)
     if command.json:
         from lite6jax.report import documents
 
-        print(documents.text({"schema": "lite6jax/prediction/1", "rows": len(torque)}, [path]))
+        print(documents.text({"schema": "lite6jax/prediction/1", "rows": recording.samples}, [path]))
         return DONE
+    if model.relative_to is not None:
+        screen.show([model_statement(model.relative_to, "rows")])
     screen.show(screen.notes(recording.notes))
+    _say_outside(command, shown)
     screen.written([path])
     return DONE
+
+
+def _say_outside(command: "Predict", shown: "TorquePrediction") -> None:
+    import sys
+
+    from lite6jax.report import bars
+
+    if shown.outside is None:
+        print(f"{command.diagnosis}: {bars.NO_BARS}", file=sys.stderr)
+    else:
+        print(bars.outside_sentence(int(shown.outside.sum()), len(shown.outside), "row"))
+
+
+def torques_beside(
+    command: "Predict", poses: "dict[str, Any]", recording: "Recording", effects: "Sequence[Effect]"
+) -> "tuple[dict[str, Any], list[str]]":
+    """The columns of poses with those of torques beside them, and what is to be said of these.
+
+    A row is outside where it is of poses or of torques. Torques of static poses are left out.
+
+    Args:
+        command: as it was given.
+        poses: columns.
+        recording: the motion.
+        effects: a user's own, where the model has them.
+    """
+    from lite6jax.diagnosis.document import parsed_document
+    from lite6jax.diagnosis.torque_document import torque_model_from_document
+    from lite6jax.domains.torque.predict import predicted_torques, torque_columns
+
+    model = torque_model_from_document(parsed_document(command.diagnosis), effects, str(command.diagnosis))
+    try:
+        found = predicted_torques(model, recording)
+    except InputError as error:
+        return poses, [f"Torques are not predicted: {error}."]
+    columns = poses | torque_columns(found)
+    if found.outside is None:
+        return columns, []
+    columns["outside"] = (found.outside | (poses["outside"] > 0 if "outside" in poses else False)).astype(int)
+    count, rows = int(found.outside.sum()), len(found.outside)
+    return columns, [f"Of the torques: {count} of {rows} rows are outside what was recorded." if count else
+                     "Of the torques no row is outside what was recorded."]  # fmt: skip

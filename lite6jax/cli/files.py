@@ -23,18 +23,25 @@ class Convert:
         lite6jax convert lite6 arm.xml
         lite6jax convert model.json arm.yaml --to ur
         lite6jax convert diagnosis.json arm.urdf
+        lite6jax convert diagnosis.json new.urdf --into robot.urdf
     """
 
     source: Annotated[Positional[str], arg(metavar="FILE|ARM")]
     """A calibration (.yaml, .json), a description, a URDF or MJCF (robot.urdf#tip), a bundled arm's name, or what
-    `diagnose` wrote of torques (.json): the arm with the friction, rotors and links that were found."""
+    `diagnose` wrote (.json): of poses the arm's chain as identified, of torques its friction, rotors, springs and
+    links."""
     target: Annotated[Positional[Path], arg(metavar="FILE")]
     """The file to write."""
     to: Annotated[Literal["vendor", "ur", "table", "urdf", "mjcf", "description"] | None, arg(metavar="FORM")] = None
     """vendor or ur (.yaml), table (.json), urdf, mjcf (.xml), or description (.yaml). By the suffix where not given: a
     calibration becomes vendor .yaml, everything else a description."""
+    into: Annotated[str | None, arg(metavar="ROBOT.urdf")] = None
+    """Write this URDF (robot.urdf#tip) with the numbers of FILE: names, meshes, limits, efforts and velocities stay."""
     arm: ArmName = None
-    """The nominal arm of a calibration; recognised where not given."""
+    """The nominal arm of a calibration, recognised where not given; of a diagnosis, where the inertia is from that it
+    does not say."""
+    effects: Annotated[Path | None, arg(metavar="FILE.py")] = None
+    """Effects of your own that a diagnosis has. Runs the file."""
     json: bool = False
     """Print JSON instead of the report."""
     force: bool = False
@@ -43,17 +50,28 @@ class Convert:
     def run(self) -> int:
         """Converts and reads back."""
         check_writable(self.target, self.force)
-        refuse_inputs([self.target], [self.source, self.arm])
-        from lite6jax.arms.forms import convert_file, export_file
+        into = self.into.partition("#")[0] if self.into else None
+        refuse_inputs([self.target], [self.source, self.arm, into, self.effects])
+        from lite6jax.arms.files import read_arm
+        from lite6jax.arms.forms import convert_file, export_file, export_into
         from lite6jax.diagnosis.export import is_diagnosis, read_diagnosed_arm
+        from lite6jax.effects.user_effects import load_effects
         from lite6jax.fitting.source import load_nominal
         from lite6jax.report import fleet_tables, screen
 
+        nominal, arm, left_out = load_nominal(self.arm), None, ()
+        if self.into is not None and self.to not in (None, "urdf"):
+            raise InputError(f"--into writes a URDF, and --to asks for {self.to}; give one of them")
         if is_diagnosis(self.source):
-            arm, left_out = read_diagnosed_arm(self.source)
+            effects = load_effects(self.effects) if self.effects else ()
+            arm, left_out = read_diagnosed_arm(self.source, nominal, effects, alone=self.into is None)
+        if self.into is not None:
+            whole = arm or read_arm(self.source)
+            done = export_into(whole, self.into, self.target, self.force, left_out, with_flange=arm is None)
+        elif arm is not None:
             done = export_file(arm, self.target, self.to, self.force, left_out)
         else:
-            done = convert_file(self.source, self.target, self.to, load_nominal(self.arm), self.force)
+            done = convert_file(self.source, self.target, self.to, nominal, self.force)
         if self.json:
             from lite6jax.report import documents
 

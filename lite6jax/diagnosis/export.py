@@ -1,21 +1,31 @@
-"""A diagnosed arm as an arm: what its motors were found to have goes where simulators look for it."""
+"""A diagnosed arm as an arm: what was found of its chain and its motors goes where simulators look for it."""
 
 from dataclasses import replace
 from pathlib import Path
 
+import jax.numpy as jnp
 import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
+from lite6jax.arms import frames
 from lite6jax.arms.arm import Arm
+from lite6jax.arms.bundled import bundled_arms, load_bundled
 from lite6jax.arms.consistency import bodies_near, consistent_links, is_consistent, with_link_parameters
 from lite6jax.arms.dynamics import base_parameters
-from lite6jax.diagnosis.document import SCHEMAS, parsed_document
-from lite6jax.diagnosis.torque_document import is_of_torques, read_torque_model
+from lite6jax.diagnosis.document import SCHEMAS, model_from_document, parsed_document
+from lite6jax.diagnosis.torque_document import is_of_torques, of_torques, torque_model_from_document
+from lite6jax.domains.pose.predict import DiagnosedArm
 from lite6jax.domains.torque.predict import DiagnosedMotors
+from lite6jax.effects.deflection import Deflection, dense
 from lite6jax.effects.dynamic.bodies import LinkCom, LinkMass
 from lite6jax.effects.dynamic.friction import CoulombFriction, ViscousFriction
-from lite6jax.effects.dynamic.motors import RotorInertia
+from lite6jax.effects.dynamic.motors import JointSpring, RotorInertia
 from lite6jax.effects.dynamic.torque_effect import TorqueEffect
-from lite6jax.errors import InputError
+from lite6jax.effects.effect import Bending, Effect
+from lite6jax.effects.motion import motion_of
+
+Array = NDArray[np.floating]
 
 _FIELDS = {
     ViscousFriction: "viscous_friction",
@@ -23,6 +33,8 @@ _FIELDS = {
     RotorInertia: "rotor_inertia",
 }
 """The effects that an `Arm` has a place for."""
+_SAME = 1e-9
+"""m and rad by which a measured point is the flange."""
 
 
 def is_diagnosis(path: str | Path) -> bool:
@@ -37,27 +49,113 @@ def is_diagnosis(path: str | Path) -> bool:
     return isinstance(document, dict) and document.get("schema") in SCHEMAS
 
 
-def read_diagnosed_arm(path: str | Path) -> tuple[Arm, tuple[str, ...]]:
-    """The arm of a diagnosis of torques, with the friction, rotors and links that were found.
+def read_diagnosed_arm(
+    path: str | Path, nominal: Arm | None = None, effects: tuple[Effect, ...] = (), alone: bool = True
+) -> tuple[Arm, tuple[str, ...]]:
+    """The arm of a diagnosis: of poses its chain, of torques its friction, rotors, springs and links, of both all.
 
-    Its links are bodies: of all that have the base parameters found, those nearest to what was estimated (see
+    Links are bodies: of all that have the base parameters found, those nearest to what was estimated (see
     `arms.consistency`).
+
+    Args:
+        path: what `diagnose` wrote.
+        nominal: from which limits and inertia are taken that the diagnosis does not say; the bundled arm of its name
+            where not given.
+        effects: a user's own, where the diagnosis has them.
+        alone: whether the arm is written on its own: then it ends at the point that was measured and has the inertia of
+            the nominal arm. Otherwise it goes into a file that has a flange and inertia.
 
     Returns:
         the arm, and what was found and has no place in it, a phrase each.
 
     Raises:
-        InputError: a diagnosis of poses, or as `read_torque_model`.
+        InputError: as `read_model` and `read_torque_model`.
     """
-    if not is_of_torques(parsed_document(path)):
-        raise InputError(f"{path}: is a diagnosis of poses; an arm is written from a diagnosis of torques")
-    return diagnosed_arm(read_torque_model(path))
+    document = parsed_document(path)
+    torques = of_torques(document)
+    motors = None if torques is None else torque_model_from_document(torques, effects, str(path))
+    if motors is not None and is_of_torques(document):
+        return diagnosed_arm(motors)
+    model = model_from_document(document, effects, str(path))
+    chain, left_out = diagnosed_chain(model, nominal, alone)
+    if motors is None:
+        return chain, left_out
+    arm, further = diagnosed_arm(motors)
+    arm = replace(arm, kinematics=chain.kinematics, T_joint_flange=chain.T_joint_flange, dh=None)
+    return arm, (*left_out, *further)
+
+
+def diagnosed_chain(model: DiagnosedArm, nominal: Arm | None = None, alone: bool = True) -> tuple[Arm, tuple[str, ...]]:
+    """The arm of a diagnosed model of poses, with every displacement that does not depend on the motion in its chain.
+
+    It ends at the point that was measured. Where the base stands in the sensor's frame is no part of it.
+
+    Args:
+        model: as diagnosed.
+        nominal: as of `read_diagnosed_arm`.
+        alone: likewise.
+
+    Returns:
+        the arm, and what it has no place for, a phrase each.
+    """
+    if nominal is None and model.arm in bundled_arms():
+        nominal = load_bundled(model.arm)
+    rows, left_out, total = np.array(model.model.geometry).reshape(-1, 6), [], dense(Deflection(), model.dof, 1)
+    still = motion_of(np.zeros((1, model.dof)))
+    for effect, part in zip(model.physics.effects, model.physics.slices, strict=True):
+        found = None
+        if isinstance(effect, Bending) and not effect.drivers:
+            found = dense(effect.deflect(jnp.asarray(model.values)[part], still, None), model.dof, 1)
+            if any(np.any(np.asarray(field)) for field in (found.stretch, found.scale, found.sensor)):
+                found = None
+        if found is None:
+            left_out.append(f"{effect.name.replace('_', ' ')} at {effect.site}")
+        else:
+            total = total + found
+    joint, link, base, tool = (np.array(field)[..., 0] for field in (total.joint, total.link, total.base, total.tool))
+    before = _displaced(base)
+    for i, row in enumerate(rows):
+        turned = frames.transform_from_row([0, 0, 0, 0, 0, joint[i]])
+        T = before @ frames.transform_from_row(row) @ turned
+        exact = np.array_equal(before, np.eye(4)) and not joint[i]
+        rows[i] = row if exact else frames.row_from_transform(T)
+        before = _displaced(link[i])
+    tip = before @ _displaced(tool) @ np.asarray(model.model.T_flange_tool)
+    if not np.allclose(np.asarray(model.model.T_sensor_base), np.eye(4), rtol=0, atol=_SAME):
+        left_out.append("where the base stands in the frame of the sensor")
+    if nominal is not None and not np.allclose(tip, nominal.T_joint_flange, rtol=0, atol=_SAME):
+        left_out.append(
+            "the nominal flange (the chain ends at the point that was measured)"
+            if alone
+            else "the point that was measured (what follows the last joint stays as it is)"
+        )
+    limits = model.joint_limits if nominal is None else nominal.joint_limits
+    arm = Arm(model.arm, rows, joint_limits=limits, T_joint_flange=_rigid(tip))
+    if alone and nominal is not None and nominal.dof == arm.dof:
+        bodies = {field: getattr(nominal, field) for field in ("mass", "center_of_mass", "inertia")}
+        arm = replace(arm, **bodies)
+    return arm, tuple(left_out)
+
+
+def _displaced(twist: Array) -> Array:
+    """(4, 4) of a translation and then a rotation vector."""
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = Rotation.from_rotvec(twist[3:]).as_matrix(), twist[:3]
+    return T
+
+
+def _rigid(T: Array) -> Array:
+    """A transform with an exact last row."""
+    out = np.array(T, float)
+    out[3] = [0.0, 0.0, 0.0, 1.0]
+    return out
 
 
 def diagnosed_arm(model: DiagnosedMotors) -> tuple[Arm, tuple[str, ...]]:
-    """The arm of a diagnosed model, and what of it an `Arm` has no place for; see `read_diagnosed_arm`."""
+    """The arm of a diagnosed model of torques, and what of it an `Arm` has no place for; see `read_diagnosed_arm`."""
     arm, links, left_out = model.arm, model.links.copy(), []
     joints: dict[str, np.ndarray] = {}
+    springs = np.zeros((2, arm.dof))  # of each joint its stiffness, and its torque at zero
     for effect, part in zip(model.terms.terms, model.terms.slices, strict=True):
         values = model.values[part]
         field = _FIELDS.get(type(effect))  # type: ignore[arg-type]
@@ -65,11 +163,17 @@ def diagnosed_arm(model: DiagnosedMotors) -> tuple[Arm, tuple[str, ...]]:
             assert isinstance(effect, ViscousFriction | CoulombFriction | RotorInertia)
             # an estimate may scatter below nothing, which no simulator takes
             joints.setdefault(field, np.zeros(arm.dof))[effect.joint - 1] += max(float(values[0]), 0.0)
+        elif isinstance(effect, JointSpring) and values[0] > 0:
+            springs[:, effect.joint - 1] += values
         elif isinstance(effect, LinkMass | LinkCom):
             links[effect.link - 1] += effect.numbers(values, links)
         else:
             assert isinstance(effect, TorqueEffect)
             left_out.append(f"{effect.name.replace('_', ' ')} at {effect.site}")
+    if springs.any():
+        stiff = springs[0] > 0
+        joints |= {"spring_stiffness": springs[0], "spring_rest": np.where(stiff, -springs[1], 0.0)}
+        joints["spring_rest"][stiff] /= springs[0, stiff]
     arm = replace(arm, **joints)
     if links.any():
         arm, kept = _with_bodies(arm, links, model.gravity)

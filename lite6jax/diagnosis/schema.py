@@ -126,6 +126,20 @@ _PARTS: Mapping[str, Check] = {
             "statement": text,
         },
     ),
+    "torques": plain,  # whose own schema is that of a diagnosis of torques
+    "torques_refused": text,
+    "shared": items(
+        record(
+            {
+                "quantity": one_of("payload_mass", "gravity_direction", "clock_offset", "load"),
+                "poses": optional(record({"found": flag, "parameters": mapping(_ESTIMATE)})),
+                "torques": optional(record({"found": flag, "parameters": mapping(_ESTIMATE)})),
+                "p_value": optional(number(0.0, 1.0)),
+                "agree": optional(flag),
+            },
+            {"joint": whole(1), "statement": text},
+        )
+    ),
     checksum.KEY: text,
 }
 _READ = ("before", "after")

@@ -109,7 +109,7 @@ def finding_curve(found: TorqueDiagnosis, k: int) -> FindingCurve:
     left = problem.measured - problem.torque(fit.nuisance, fit.terms, fit.values)
     partial = (left + moved)[j, used]
     if not isinstance(effect, JointTorque) or isinstance(effect, Scaling):
-        columns = problem.columns([effect], finding.values, (fit.terms, fit.values))[:, j] * problem.noise[j]
+        columns = problem.columns([effect], finding.values, (fit.terms, fit.values))[:, j] * problem.sigma[j]
         at, std = moved[j, used], _deviation(columns[:, used], finding.covariance)
         order = np.argsort(at, kind="stable")
         x = at[order]

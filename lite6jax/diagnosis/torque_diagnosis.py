@@ -1,6 +1,6 @@
 """The pipeline of a diagnosis of torques: screen, filter, search, estimate finally, cross-validate."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -14,6 +14,7 @@ from lite6jax.diagnosis.options import Options
 from lite6jax.diagnosis.torque_result import TorqueDiagnosis
 from lite6jax.domains.torque.problem import TorqueProblem, linearised, torque_problem
 from lite6jax.domains.torque.screening import contacts, screen_torques
+from lite6jax.effects.dynamic.torque_effect import TorqueEffect
 from lite6jax.estimation.least_squares import Fit
 from lite6jax.estimation.problem import Mask
 from lite6jax.fitting.recognition import declared_arm_of, with_calibration
@@ -30,6 +31,7 @@ def diagnose_torques(
     recording: Recording,
     arm: Arm | None = None,
     *,
+    effects: Sequence[TorqueEffect] = (),
     options: Options | None = None,
     progress: Callable[[Stage], object] | None = None,
 ) -> TorqueDiagnosis:
@@ -39,6 +41,7 @@ def diagnose_torques(
         recording: a trajectory with times and torques, or currents with their torque constants; SI units.
         arm: the declared arm; from the sidecar where not given. Its chain is that of the factory calibration, where the
             sidecar declares one.
+        effects: a user's own candidates, tested like the catalogue's.
         options: thresholds; the documented ones where not given.
         progress: called as each stage begins.
 
@@ -53,15 +56,15 @@ def diagnose_torques(
         with part(0, 1 + options.folds):
             entered("screening")
             screened = screen_torques(recording, arm)
-            problem = torque_problem(screened.data)
-            problem = linearised(problem, options.engine)
+            whole = torque_problem(screened.data, effects)
+            problem = linearised(whole, options.engine)
             pushed, events = contacts(problem, options.engine)
             problem = replace(problem, valid=~pushed)
             problem = linearised(problem, options.engine, ~pushed) if pushed.any() else problem
             selection = search(problem, options.engine)
             entered("estimating")
             selection = replace(selection, state=final_estimates(problem, selection.state, options.engine))
-        before, after = _held_out(torque_problem(screened.data), problem.valid, selection.saturated, options)
+        before, after = _held_out(whole, problem.valid, selection.saturated, options)
         findings = findings_of(selection)
         withdrawn = ()
         if findings and _raised(before, after, problem, options):
@@ -108,15 +111,15 @@ def _raised(before: Array, after: Array, problem: TorqueProblem, options: Option
     which a curve meets what it was never fitted to does not decide alone.
     """
     block = np.arange(problem.samples) * (count := fold_count(problem.samples, options)) // problem.samples
-    size = problem.noise[:, None]
+    size = problem.sigma
     ratios = []
     for number in range(count):
         held = (block == number) & problem.valid
         if held.any():
-            squares = [float(np.sum((errors[:, held] / size) ** 2)) for errors in (before, after)]
+            squares = [float(np.sum((errors[:, held] / size[:, held]) ** 2)) for errors in (before, after)]
             ratios.append(0.5 * np.log(max(squares[1], 1e-300) / max(squares[0], 1e-300)))
     return bool(np.mean(ratios) > np.log(options.heldout_rise))
 
 
 def _errors(problem: TorqueProblem, fit: Fit) -> Array:
-    return problem.residual(fit.nuisance, fit.terms, fit.values) * problem.noise[:, None]
+    return problem.residual(fit.nuisance, fit.terms, fit.values) * problem.sigma

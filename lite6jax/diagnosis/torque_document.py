@@ -1,6 +1,6 @@
 """The JSON of a diagnosis of torques: codes and plain numbers in SI units. Only this module writes and reads it."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,14 +11,16 @@ from lite6jax import checksum
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.description import LARGEST_MASS
 from lite6jax.arms.entries import ANGLE_LIMIT, LENGTH_LIMIT
-from lite6jax.diagnosis.document import DAMAGED, SCHEMA, check_sum, located, parsed_document
+from lite6jax.diagnosis.document import DAMAGED, ROUNDING, SCHEMA, check_sum, located, parsed_document
 from lite6jax.diagnosis.heldout import fold_count
 from lite6jax.diagnosis.result import Finding, Rival
 from lite6jax.diagnosis.schema import FARTHEST, INPUTS, check_effect
 from lite6jax.diagnosis.torque_result import TorqueDiagnosis
 from lite6jax.domains.torque.predict import DiagnosedMotors
-from lite6jax.effects.dynamic.catalogue import BUILT_IN
+from lite6jax.domains.torque.uncertainty import RecordedMotion, TorqueUncertainty, with_free_numbers
+from lite6jax.effects.dynamic.catalogue import torque_kinds_of
 from lite6jax.effects.dynamic.unnamed import UnnamedTorque
+from lite6jax.effects.effect import Effect
 from lite6jax.effects.serialization import effect_as_dict, effect_from_dict
 from lite6jax.errors import InputError
 from lite6jax.estimation.terms import Terms, join
@@ -83,8 +85,38 @@ PARTS = {
     "untestable": items(record(_PLACE, {"reason": text})),
     "confounded": items(record(_PLACE)),
     "nuisance": record({"numbers": whole(0), "relative_std": optional(_POSITIVE)}),
+    "against": record(
+        {"file": text, "by": one_of("rows", "effects")},
+        {
+            "rows": whole(0),
+            "matched_rows": whole(0),
+            "apart_rms_by_joint_Nm": _BY_JOINT,
+            "reference_rms_by_joint_Nm": _BY_JOINT,
+            "differences": items(plain),
+            "statement": text,
+        },
+    ),
     checksum.KEY: text,
 }
+_RANGES = ("joint_range_rad", "velocity_range_rad_per_s", "acceleration_range_rad_per_s2")
+_UNCERTAINTY = record(
+    {
+        "inertial": flag,
+        "covariance": array(None),
+        "left_Nm": _BY_JOINT,
+        "unseen_Nm": _BY_JOINT,
+        "noise_Nm": _BY_JOINT,
+        "curves_Nm": items(optional(_POSITIVE)),
+        "recorded": record(
+            {
+                **dict.fromkeys(_RANGES, array(None, 2)),
+                "joint_position_rad": array(None, None),
+                "spacing_rad": _POSITIVE,
+                "drivers": mapping(array(2)),
+            }
+        ),
+    }
+)
 _MODEL = record(
     {
         "domain": one_of("torque"),
@@ -97,7 +129,8 @@ _MODEL = record(
         "joint_limits": array(None, 2, lower=-FARTHEST, upper=FARTHEST),
         "reference_temperature_degC": number(-273.15, HIGHEST_TEMPERATURE),
         "effects": items(plain),
-    }
+    },
+    {"uncertainty": optional(_UNCERTAINTY)},
 )
 
 
@@ -164,7 +197,7 @@ def _summary(errors: Array) -> dict[str, Any]:
 def _finding(found: TorqueDiagnosis, k: int) -> dict[str, Any]:
     finding, part = found.findings[k], found.fit.terms.slices[k]
     columns = found.problem.columns([finding.effect], finding.values, (found.fit.terms, found.fit.values))
-    moved = np.tensordot(found.fit.values[part], columns, 1) * found.problem.noise[:, None]
+    moved = np.tensordot(found.fit.values[part], columns, 1) * found.problem.sigma
     acts = np.abs(moved).max(1) > 0
     size: dict[str, Any] = {}
     if isinstance(finding.effect, UnnamedTorque):
@@ -210,11 +243,35 @@ def _model(found: TorqueDiagnosis) -> dict[str, Any]:
         "joint_limits": model.arm.joint_limits.tolist(),
         "reference_temperature_degC": model.reference_temperature,
         "effects": [effect_as_dict(f.effect, f.values, f.covariance) for f in found.findings],
+        "uncertainty": None if model.uncertainty is None else _uncertainty(model.uncertainty),
     }
 
 
-def read_torque_model(path: str | Path) -> DiagnosedMotors:
-    """The model in a file of a diagnosis of torques.
+def _uncertainty(known: TorqueUncertainty) -> dict[str, Any]:
+    """Of the covariance the lower triangle, row by row."""
+    recorded = known.recorded
+    return {
+        "inertial": known.inertial,
+        "covariance": known.covariance[np.tril_indices(len(known.covariance))].tolist(),
+        "left_Nm": known.left.tolist(),
+        "unseen_Nm": known.unseen.tolist(),
+        "noise_Nm": known.noise.tolist(),
+        "curves_Nm": list(known.curves),
+        "recorded": {
+            **{name: part.tolist() for name, part in zip(_RANGES, recorded.ranges, strict=True)},
+            "joint_position_rad": recorded.positions.tolist(),
+            "spacing_rad": recorded.spacing,
+            "drivers": {phrase: list(bounds) for phrase, bounds in recorded.drivers.items()},
+        },
+    }
+
+
+def read_torque_model(path: str | Path, effects: Sequence[Effect] = ()) -> DiagnosedMotors:
+    """The model of the torques in a diagnosis file.
+
+    Args:
+        path: what `diagnose` wrote of torques, or of poses and torques.
+        effects: a user's own, where the model has them.
 
     Raises:
         InputError: no such file, not a diagnosis of torques, or something in it is missing or not possible.
@@ -223,12 +280,12 @@ def read_torque_model(path: str | Path) -> DiagnosedMotors:
         InputWarning: the file was changed after it was written.
     """
     document = parsed_document(path)
-    model = torque_model_from_document(document, str(path))
+    model = torque_model_from_document(document, effects, str(path))
     check_sum(document, path)
     return model
 
 
-def read_torque_document(path: str | Path) -> dict[str, Any]:
+def read_torque_document(path: str | Path, effects: Sequence[Effect] = ()) -> dict[str, Any]:
     """A whole diagnosis of torques, for a report.
 
     Raises:
@@ -238,18 +295,26 @@ def read_torque_document(path: str | Path) -> dict[str, Any]:
         InputWarning: as `read_torque_model`.
     """
     document = parsed_document(path)
-    torque_model_from_document(document, str(path))
+    torque_model_from_document(document, effects, str(path))
     check_sum(document, path)
     return document
 
 
-def torque_model_from_document(document: Any, source: str = "diagnosis") -> DiagnosedMotors:
-    """The model in a diagnosis of torques, as JSON holds it.
+def torque_model_from_document(
+    document: Any, effects: Sequence[Effect] = (), source: str = "diagnosis"
+) -> DiagnosedMotors:
+    """The model in a diagnosis of torques, or of poses and torques, as JSON holds it.
+
+    Args:
+        document: all of it.
+        effects: a user's own, where the model has them.
+        source: what messages begin with.
 
     Raises:
         InputError: not a diagnosis of torques, or something in it is missing or not possible.
     """
-    if not is_of_torques(document):
+    document = of_torques(document)
+    if document is None:
         raise InputError(f"{source}: is no diagnosis of torques; give what `lite6jax diagnose --out` wrote of one")
     model: Mapping[str, Any] = document["model"]
     try:
@@ -268,9 +333,11 @@ def torque_model_from_document(document: Any, source: str = "diagnosis") -> Diag
         links = np.asarray(model["links"], float)
         if links.shape != (arm.dof, 10):
             raise InputError(f"it has {arm.dof} joints, but links of the shape {links.shape}")
-        pairs = [effect_from_dict(entry, BUILT_IN) for entry in model["effects"]]
+        pairs = [effect_from_dict(entry, torque_kinds_of(effects)) for entry in model["effects"]]
         for effect, values in pairs:
             check_effect(effect, values, arm.dof)
+        terms, values = Terms(tuple(effect for effect, _ in pairs)), join(values for _, values in pairs)
+        uncertainty = _uncertainty_from(model.get("uncertainty"), terms, values, arm.dof)
         rms = [document[part]["heldout_torque_rms_Nm"] for part in ("before", "after")]
     except (InputError, KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
         raise InputError(f"{source}: its model is damaged ({error}); {DAMAGED}") from error
@@ -279,18 +346,61 @@ def torque_model_from_document(document: Any, source: str = "diagnosis") -> Diag
         links=links,
         payload_center=np.asarray(model["payload_center"], float),
         gravity=np.asarray(model["gravity"], float),
-        terms=Terms(tuple(effect for effect, _ in pairs)),
-        values=join(values for _, values in pairs),
+        terms=terms,
+        values=values,
         reference_temperature=float(model["reference_temperature_degC"]),
         heldout_rms=(float(rms[0]), float(rms[1])),
+        relative_to=_relative_to(document),
+        uncertainty=uncertainty,
     )
 
 
+def _relative_to(document: Mapping[str, Any]) -> str | None:
+    against = document.get("against", {})
+    return against["file"] if against.get("by") == "rows" else None
+
+
+def _uncertainty_from(entry: Any, terms: Terms, values: Array, joints: int) -> TorqueUncertainty | None:
+    """The inverse of `_uncertainty`, checked; None of a document without it."""
+    if entry is None:
+        return None
+    size = 10 * joints * entry["inertial"] + with_free_numbers(terms, values)[0].size
+    triangle = np.asarray(entry["covariance"], float)
+    if triangle.shape != (size * (size + 1) // 2,):
+        raise ValueError(f"its covariance is not one of {size} numbers")
+    C = np.zeros((size, size))
+    C[np.tril_indices(size)] = triangle
+    if (np.diagonal(C) < -ROUNDING * np.abs(triangle).max(initial=0.0)).any():
+        raise ValueError("a variance of its uncertainty is negative")
+    left, unseen, noise = (np.asarray(entry[f"{name}_Nm"], float) for name in ("left", "unseen", "noise"))
+    recorded, curves = entry["recorded"], tuple(entry["curves_Nm"])
+    ranges = np.asarray([recorded[name] for name in _RANGES], float)
+    positions = np.asarray(recorded["joint_position_rad"], float)
+    drivers = {str(phrase): (float(lower), float(upper)) for phrase, (lower, upper) in recorded["drivers"].items()}
+    whole = ranges.shape == (3, joints, 2) and positions.ndim == 2 and positions.shape[1] == joints and len(positions)
+    if not whole or any(part.shape != (joints,) for part in (left, unseen, noise)):
+        raise ValueError("its uncertainty is not one of this arm")
+    if len(curves) != len(terms.terms):
+        raise ValueError("its curves are not one for each effect")
+    if (ranges[..., 0] > ranges[..., 1]).any() or any(lower > upper for lower, upper in drivers.values()):
+        raise ValueError("a recorded range of its uncertainty ends before it begins")
+    motion = RecordedMotion(ranges, positions, float(recorded["spacing_rad"]), drivers)
+    return TorqueUncertainty(entry["inertial"], C + np.tril(C, -1).T, left, unseen, noise, curves, motion)
+
+
 def is_of_torques(document: Any) -> bool:
-    """Whether a document is a diagnosis of torques."""
+    """Whether a document is a diagnosis of torques alone."""
     return (
         isinstance(document, dict)
         and document.get("schema") == SCHEMA
         and document.get("domain") == "torque"
         and isinstance(document.get("model"), dict)
     )
+
+
+def of_torques(document: Any) -> dict[str, Any] | None:
+    """The diagnosis of torques that a document is, or that stands in one of poses; None where there is none."""
+    if is_of_torques(document):
+        return document
+    inside = document.get("torques") if isinstance(document, dict) else None
+    return inside if is_of_torques(inside) else None

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from lite6jax.checksum import with_checksum
 from lite6jax.diagnosis.options import Options
 from lite6jax.diagnosis.result import Finding
+from lite6jax.diagnosis.torque_uncertainty import torque_uncertainty_of
 from lite6jax.diagnosis.verdict import Verdict
 from lite6jax.domains.torque.predict import DiagnosedMotors
 from lite6jax.domains.torque.problem import FITTED, TorqueProblem
@@ -88,10 +89,10 @@ class TorqueDiagnosis(Summarised, Plotted):
         """`(joint,)`, held-out errors, winsorised, over the declared noise as the filter leaves it."""
         if not self.problem.declared:
             return None
-        errors = self.after[:, self.problem.valid]
+        errors = (self.after / self.problem.sigma)[:, self.problem.valid]
         # spikes that pass the filter are outliers of the sensor and nothing that the model leaves
         limit = self.options.engine.winsor * _NORMAL * np.median(np.abs(errors), 1, keepdims=True)
-        return np.sqrt(np.mean(np.clip(errors, -limit, limit) ** 2, 1)) / self.problem.noise
+        return np.sqrt(np.mean(np.clip(errors, -limit, limit) ** 2, 1))
 
     @cached_property
     def verdict(self) -> Verdict:
@@ -117,6 +118,7 @@ class TorqueDiagnosis(Summarised, Plotted):
             terms=self.fit.terms,
             values=self.fit.values,
             reference_temperature=self.problem.data.recording.settings.reference_temperature_degC,
+            uncertainty=torque_uncertainty_of(self),
         )
 
     def to_dict(self) -> dict[str, Any]:

@@ -25,7 +25,7 @@ ROWS = 200
 """Recorded rows that are kept to measure the distance from."""
 _MOST = 2000
 """Rows of which the distance from the others is measured."""
-_LEVEL, _SQUARE = 0.95, 7.8147
+LEVEL, _SQUARE = 0.95, 7.8147
 """The share of rows within so many squared standard deviations per axis, of a normal distribution in three axes."""
 
 
@@ -91,16 +91,16 @@ def _left(found: "Diagnosis", estimated: Array) -> tuple[PerAxis, PerAxis, PerAx
     folds = len(_folds(found))
     fewer = folds / (folds - 1)  # numbers that were estimated without a block
     squares = found.after[kept] ** 2 / _SQUARE
-    position = _excess(squares - fewer * estimated[:3, kept].mean(0), noise[0])
+    position = excess(squares - fewer * estimated[:3, kept].mean(0), noise[0], 3 * count)
     orientation = 0.0
     if problem.rows == 6 and problem.noise[1]:
         lost = max(1 - fit.parameters / max(problem.rows * count, 1), 0.1)
         turned = problem.noise[1] ** 2 * np.sum(fit.residuals.rows[3:, kept] ** 2, 0) / lost
         lever = np.sqrt(np.mean(np.sum((problem.rigid.tool[:, :3, 3] - problem.rigid.frames[0, :, :3, 3]) ** 2, 1)))
         # an angle inside the arm that displaces the tool by what is left of positions turns it too
-        orientation = max(_excess(turned / _SQUARE, noise[1]), position / max(lever, 1e-3))
+        orientation = max(excess(turned / _SQUARE, noise[1], 3 * count), position / max(lever, 1e-3))
     left = position, orientation
-    unseen = [float(np.sqrt(_error(count) * (n**2 + s**2))) for n, s in zip(noise, left, strict=True)]
+    unseen = [float(np.sqrt(relative_error(3 * count) * (n**2 + s**2))) for n, s in zip(noise, left, strict=True)]
     return left, (unseen[0], unseen[1]), noise
 
 
@@ -109,21 +109,26 @@ def _folds(found: "Diagnosis") -> list[Mask]:
     return held_out_folds(found.problem.recording, found.options, len(found.problem.frames) + 1)
 
 
-def _error(count: int) -> float:
-    """The standard error of a variance per axis, over the variance, from so many rows."""
-    return float(np.sqrt(2 / (3 * count)))
+def relative_error(numbers: float) -> float:
+    """The standard error of a variance, over the variance, from so many independent numbers."""
+    return float(np.sqrt(2 / max(numbers, 1.0)))
 
 
-def _excess(variance: Array, noise: float) -> float:
+def excess(variance: Array, noise: float, numbers: float) -> float:
     """The standard deviation that, beside the noise, is enough for 95 % of rows that each ask for a variance.
 
     What the rows ask for is uncertain, and an excess is not negative: its mean given both (of a truncated normal
     distribution; N. Johnson, S. Kotz and N. Balakrishnan, Continuous Univariate Distributions, 1994, 13.10).
+
+    Args:
+        variance: `(row,)`.
+        noise: one standard deviation.
+        numbers: that the rows are worth, if they were independent.
     """
     if not variance.size:
         return 0.0
-    asked = float(np.quantile(variance, _LEVEL)) - noise**2
-    error = max(_error(variance.size) * (noise**2 + max(asked, 0.0)), np.finfo(float).tiny)
+    asked = float(np.quantile(variance, LEVEL)) - noise**2
+    error = max(relative_error(numbers) * (noise**2 + max(asked, 0.0)), np.finfo(float).tiny)
     z = asked / error
     return float(np.sqrt(error * max(z + np.exp(-0.5 * z**2 - log_ndtr(z)) / np.sqrt(2 * np.pi), 0.0)))
 
@@ -142,7 +147,7 @@ def _recorded(found: "Diagnosis", change: Derivatives) -> RecordedRange:
     return RecordedRange(
         joints=np.stack([q[kept].min(0), q[kept].max(0)], 1),
         positions=np.round(q[rows], 5),
-        spacing=float(np.quantile(np.concatenate(distances), _LEVEL)) if distances else 0.0,
+        spacing=float(np.quantile(np.concatenate(distances), LEVEL)) if distances else 0.0,
         drivers={
             phrase: (float(values[kept].min()), float(values[kept].max()))
             for phrase, values in change.driver_values().items()

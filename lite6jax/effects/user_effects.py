@@ -1,6 +1,7 @@
 """Effects that a user defines: reading and checking the Python file that holds them.
 
-The file defines final subclasses of `JointEffect` or `Bending` and a list `EFFECTS` of the candidates to test:
+The file defines final subclasses of `JointEffect` or `Bending`, or of `JointTorque` or `TorqueEffect` where torques are
+diagnosed, and a list `EFFECTS` of the candidates to test:
 
 ```python
 from dataclasses import dataclass
@@ -33,6 +34,30 @@ class CableDrag(JointEffect):
 
 EFFECTS = [CableDrag(joint) for joint in range(1, 7)]
 ```
+
+An effect on torques is evaluated in NumPy; `dynamics` has the motion, the joints' velocities and the rigid arm's
+torques (`lite6jax.effects.dynamic.torque_effect.Dynamics`):
+
+```python
+@final
+@dataclass(frozen=True)
+class AirDrag(JointTorque):
+    \"\"\"τ += d·q̇·abs(q̇).\"\"\"
+
+    name: ClassVar[str] = "air_drag"
+
+    @property
+    def coordinates(self):
+        return (Coordinate("drag_Nm_s2_per_rad2", "Nm·s²/rad²", 0.01),)
+
+    @property
+    def drivers(self):
+        return (Driver("velocity", self.joint),)
+
+    def at_joint(self, values, dynamics):
+        speed = dynamics.velocity(self.joint)
+        return values[0] * speed * abs(speed)
+```
 """
 
 import sys
@@ -46,6 +71,8 @@ import numpy as np
 
 from lite6jax.effects.catalogue import BUILT_IN
 from lite6jax.effects.deflection import Deflection, dense
+from lite6jax.effects.dynamic.catalogue import BUILT_IN as TORQUES
+from lite6jax.effects.dynamic.torque_effect import Dynamics, TorqueEffect
 from lite6jax.effects.effect import Altering, Bending, Effect, Loading
 from lite6jax.effects.motion import Motion, motion_of
 from lite6jax.effects.statics import Loads, inertia_of
@@ -61,8 +88,8 @@ def load_effects(path: str | Path) -> tuple[Effect, ...]:
 
     Raises:
         InputError: the file raises (the message gives the line) or has no list, or an entry is not an instance of a
-            final and frozen effect, has the name of a built-in effect, or gives a deflection of wrong shape or one that
-            does not vanish at zero.
+            final and frozen effect, has the name of a built-in effect, or gives a deflection or torques of wrong shape
+            or that do not vanish at zero.
     """
     path = Path(path)
     text = read_text(path, SIZE_LIMIT)
@@ -97,23 +124,68 @@ def _fault(effect: Any) -> str | None:
     if isinstance(effect, type):
         return f"is the class {effect.__name__}; give an instance, such as {effect.__name__}(joint=1)"
     kind = type(effect)
-    if not isinstance(effect, Bending | Altering):
-        return f"{effect!r} is not an effect; derive its class from JointEffect or Bending"
+    if not isinstance(effect, Bending | Altering | TorqueEffect):
+        return f"{effect!r} is not an effect; derive its class from JointEffect or Bending, or JointTorque of torques"
     if not getattr(kind, "__final__", False):
         return f"{kind.__name__} is not final; write @final above the class"
     if kind.__hash__ is None or "__eq__" not in kind.__dict__ or not kind.__dataclass_params__.frozen:  # type: ignore[attr-defined]
         return f"{kind.__name__} is not frozen; write @dataclass(frozen=True) above the class"
     if not isinstance(getattr(kind, "name", None), str):
         return f'{kind.__name__} has no name; write name: ClassVar[str] = "…" in the class'
-    if kind.name in BUILT_IN:
+    if kind.name in (TORQUES if isinstance(effect, TorqueEffect) else BUILT_IN):
         return f"{kind.__name__} has the name of a built-in effect, {kind.name}; choose another"
     try:
-        _check_at_zero(effect)
+        _check_names(effect)
+        if isinstance(effect, TorqueEffect):
+            _check_torque(effect)
+        else:
+            _check_at_zero(effect)
     except InputError as error:
         return str(error)
     except Exception as error:
         return f"{effect!r} fails on a trial motion ({type(error).__name__}: {_one_line(error)}); correct it"
     return None
+
+
+def _check_names(effect: Effect) -> None:
+    names = [coordinate.name for coordinate in effect.coordinates]
+    if not names or len(set(names)) != len(names):
+        raise InputError(f"{effect.label} has the coordinates {names}; give at least one, with distinct names")
+
+
+def _check_torque(effect: TorqueEffect) -> None:
+    """Evaluates an effect on torques on a small motion that has every driver, at zero and for proportionality."""
+    dof, samples = max(effect.joints_needed, 2), 3
+    row = np.arange(1.0, samples + 1)
+    q = np.linspace(0.1, 1.0, samples * dof).reshape(dof, samples)
+    motion = motion_of(q.T, joint_velocity=q.T, time=row, ambient_temperature=row, payload=row)
+    plain = {name: None if value is None else np.asarray(value) for name, value in motion._asdict().items()}
+    moved = Motion(**plain)._replace(joint_acceleration=q, direction=np.sign(q))  # type: ignore[arg-type]
+    dynamics = Dynamics(
+        motion=moved,
+        torque=q,
+        links=np.ones((dof, 10)),
+        payload_center=np.zeros(3),
+        of_inertia=lambda numbers: np.asarray(numbers).sum(1, keepdims=True) * row,
+        of_gravity=lambda gravity: np.sum(gravity) * q,
+        gravity=np.array([0.0, 0.0, -9.81]),
+    )
+    one, other = 1e-3 * np.random.default_rng(0).standard_normal((2, effect.size))
+    zero, *parts = [effect.torque(values, dynamics) for values in (np.zeros(effect.size), one, other, one + other)]
+    if np.shape(zero) != (dof, samples):
+        raise InputError(f"{effect.label} gives torques of shape {np.shape(zero)}; give {(dof, samples)}")
+    if not np.allclose(zero, 0.0, rtol=0, atol=1e-12):
+        raise InputError(f"{effect.label} gives torques at zero; choose coordinates that change nothing at zero")
+    scale = max(float(np.abs(parts[2]).max()), 1e-300)
+    if effect.linear and not np.allclose(parts[0] + parts[1], parts[2], rtol=0, atol=1e-9 * scale):
+        raise InputError(_not_linear(effect))
+
+
+def _not_linear(effect: Effect) -> str:
+    return (
+        f"{effect.label} is not proportional to its coordinates; write linear=False in the Coordinate that it is not "
+        "proportional to"
+    )
 
 
 def _check_at_zero(effect: Bending | Altering) -> None:
@@ -131,9 +203,6 @@ def _check_at_zero(effect: Bending | Altering) -> None:
         measured_position=q[:, :1].repeat(3, 1),
     )
     loads = Loads(jnp.ones((dof, 3, samples)), jnp.ones((3, samples)), jnp.ones((3, samples)))
-    names = [coordinate.name for coordinate in effect.coordinates]
-    if not names or len(set(names)) != len(names):
-        raise InputError(f"{effect.label} has the coordinates {names}; give at least one, with distinct names")
     zero = jnp.zeros(effect.size)
     if isinstance(effect, Altering):
         expected, found = motion, effect.alter(zero, motion)
@@ -160,7 +229,4 @@ def _check_linear(effect: Bending, motion: Motion, loads: Loads) -> None:
     parts = [effect.deflect(jnp.asarray(values), motion, loads) for values in (one, other, one + other)]
     for first, second, both in zip(*(dense(part, motion.dof, motion.samples) for part in parts), strict=True):
         if not np.allclose(first + second, both, rtol=0, atol=1e-9 * max(float(jnp.abs(both).max()), 1e-300)):
-            raise InputError(
-                f"{effect.label} is not proportional to its coordinates; write linear=False in the Coordinate that it "
-                "is not proportional to"
-            )
+            raise InputError(_not_linear(effect))

@@ -159,6 +159,7 @@ def _autocorrelation(
         y = model.whitened(rows, starts).ravel()
         measured, target, scale = X @ X.T, X @ y, float(y @ y) / rows.size
         filtered = len(rows) * model.log_volume(rows.shape[1], len(starts))
+        found = -np.inf
         for _ in range(_SCALINGS):
             # a prior is in absolute units: beside noise of another variance it weighs otherwise
             G = measured + scale * np.diag(prior**2)
@@ -167,11 +168,11 @@ def _autocorrelation(
             determined = eigenvalues > options.rounding * eigenvalues.max(initial=0.0)
             T = V[:, determined] / (np.sqrt(eigenvalues[determined]) * root[:, None])
             left = max(float(y @ y - np.sum((T.T @ target) ** 2)), 1e-300)
-            used = scale, int(determined.sum()), eigenvalues[determined], root
+            volume = float(np.sum(np.log(eigenvalues[determined])) + 2 * np.sum(np.log(root)))
+            freedom = rows.size - int(determined.sum())
+            found = -0.5 * freedom * np.log(scale) - 0.5 * volume - 0.5 * left / scale + filtered
             scale = left / max(rows.size - float(np.sum((measured @ T) * T)), 1.0)
-        scale, size, kept, root = used
-        volume = float(np.sum(np.log(kept)) + 2 * np.sum(np.log(root)))
-        return -0.5 * (rows.size - size) * np.log(scale) - 0.5 * volume - 0.5 * left / scale + filtered
+        return found
 
     coarse = [Autocorrelation(*pair) for pair in product(_COEFFICIENTS[1::3], _SHARES[1::3])]
     best = max(coarse, key=likelihood)

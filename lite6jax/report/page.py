@@ -41,32 +41,39 @@ def diagnosis_page(
         figures: those of `diagnosis_figures.drawings`.
         files: for commands to copy; without them there are none.
     """
+    return template("diagnosis.html").render(page_values(found, document, source, figures, files), anchor="")
+
+
+def page_values(
+    found: Diagnosis, document: Document, source: str, figures: Mapping[str, Figure], files: Files | None = None
+) -> dict[str, Any]:
+    """What the templates of the page are filled with; arguments as of `diagnosis_page`."""
     order = worth.order(document)
     findings = [_finding(found, entry, order) for entry in statements.findings_of(document)]
     checked = [fault_row(entry) for entry in document["ruled_out"]]
-    return template("diagnosis.html").render(
-        source=source,
-        against=_against(document),
-        headline=worth.headline(document),
-        cautions=[statements.verdict_statement(document), *statements.cautions(document)],
-        verdict_word=document["verdict"],
-        setting=_setting(document),
-        errors=_errors(document),
-        held=statements.held_out_statement(document, f"{document['heldout_rows']} rows"),
-        noise=noise_statement(document),
-        figures={name: picture(figures[name], caption) for name, caption in _CAPTIONS.items()},
-        faults=[fault_row(entry) for entry in document["data_faults"]],
-        notes=statements.assumptions(document),
-        findings=findings,
-        ranking=ranking(document, findings),
-        steps=[] if files is None else next_steps.steps(document, files),
-        checked=checked,
-        folded=folded(checked, document),
-        untested=[untested_row(group) for group in statements.untested(document)],
-        to_record=statements.what_to_record(document),
-        separating=[_poses(item) for item in document["separating_poses"]],
-        not_checked=statements.NOT_CHECKED,
-    )
+    return {
+        "source": source,
+        "against": _against(document),
+        "headline": worth.headline(document),
+        "cautions": [statements.verdict_statement(document), *statements.cautions(document)],
+        "verdict_word": document["verdict"],
+        "setting": _setting(document),
+        "errors": _errors(document),
+        "held": statements.held_out_statement(document, f"{document['heldout_rows']} rows"),
+        "noise": noise_statement(document),
+        "figures": {name: picture(figures[name], caption) for name, caption in _CAPTIONS.items()},
+        "faults": [fault_row(entry) for entry in document["data_faults"]],
+        "notes": statements.assumptions(document),
+        "findings": findings,
+        "ranking": ranking(document, findings),
+        "steps": [] if files is None else next_steps.steps(document, files),
+        "checked": checked,
+        "folded": folded(checked, document),
+        "untested": [untested_row(group) for group in statements.untested(document)],
+        "to_record": statements.what_to_record(document),
+        "separating": [_poses(item) for item in document["separating_poses"]],
+        "not_checked": statements.NOT_CHECKED,
+    }
 
 
 def _setting(document: Document) -> str:

@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from lite6jax.diagnosis.combined import CombinedDiagnosis
 from lite6jax.diagnosis.document import to_document
 from lite6jax.diagnosis.result import Diagnosis
 from lite6jax.diagnosis.torque_document import to_torque_document
@@ -19,7 +20,7 @@ from lite6jax.identifiability.discrimination import DiscriminationPlan
 from lite6jax.identifiability.identify import Identification
 from lite6jax.identifiability.planning import Plan
 from lite6jax.recordings import Recording
-from lite6jax.report import statements, torque_statements, worth
+from lite6jax.report import shared, statements, torque_statements, worth
 from lite6jax.report.cells import number
 from lite6jax.report.data_faults import fault_name
 from lite6jax.report.quality import quality_statement
@@ -313,6 +314,20 @@ def _torque_diagnosis(found: TorqueDiagnosis) -> Description:
     return Description(
         f"Diagnosis of the torques of a {document['model']['arm']}", tuple(sentences), tuple(rows), notes
     )
+
+
+@described.register
+def _combined(found: CombinedDiagnosis) -> Description:
+    document = found.to_dict()
+    poses = described(found.poses)
+    title = f"Diagnosis of the poses and torques of a {found.poses.problem.arm.name}"
+    if found.torques is None:
+        return Description(title, (*poses.sentences, shared.refusal(document)), poses.rows, poses.notes)
+    torques = described(found.torques)
+    both = tuple(shared.statement(entry) for entry in document["shared"])
+    rows = (*((f"poses: {name}", value) for name, value in poses.rows),
+            *((f"torques: {name}", value) for name, value in torques.rows))  # fmt: skip
+    return Description(title, (*poses.sentences, *torques.sentences, *both), rows, (*poses.notes, *torques.notes))
 
 
 def _counted(count: int, noun: str) -> str:

@@ -3,12 +3,17 @@
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
+import numpy as np
+
 Numbers = Mapping[str, Any]
 
 NAMES = {
     "torque_spikes": "Single torques far from their neighbours",
     "swapped_torques": "Swapped torque columns",
     "reversed_torque": "Torque of reversed sign",
+    "wrong_gravity": "Gravity in another direction",
+    "wrong_torque_constant": "Wrong torque constant or gear ratio",
+    "held_by_friction": "Joints held at rest by friction",
     "contact": "Contact",
     "estimated_torque": "Torques without noise",
 }
@@ -55,15 +60,54 @@ def _estimated(rows: Sequence[int], n: Numbers) -> str:
     )
 
 
+def _gravity(rows: Sequence[int], n: Numbers) -> str:
+    declared, found = (", ".join(f"{value:g}" for value in n[f"{name}_m_per_s2"]) for name in ("declared", "found"))
+    return (
+        f"Gravity is declared as ({declared}) m/s² in the base frame, and acts as ({found}) m/s²: the base is turned "
+        f"by {np.rad2deg(n['tilt_rad']):.0f}° from what is declared, like that of an arm on a wall or a ceiling. The "
+        f"gravity found was used. Declare gravity_m_per_s2: [{found}] in the sidecar."
+    )
+
+
+def _constant(rows: Sequence[int], n: Numbers) -> str:
+    pairs = zip(n["joints"], n["factors"], strict=True)
+    said = " and ".join(f"that of joint {joint} {factor:g} times" for joint, factor in pairs)
+    remedy = "Check the gear ratio and the torque constant from which the torques were computed."
+    if n["constants_Nm_per_A"] is not None:
+        constants = zip(n["joints"], n["constants_Nm_per_A"], strict=True)
+        declared = " and ".join(f"{constant:.3g} for joint {joint}" for joint, constant in constants)
+        remedy = f"Declare torque_constant_Nm_per_A {declared}, or check the gear ratio in it."
+    return (
+        f"A torque is not what the weight and the motion of the arm require, but {said} as much. It was divided by "
+        f"this. {remedy}"
+    )
+
+
+def _held(rows: Sequence[int], n: Numbers) -> str:
+    pairs = zip(n["joints"], n["std_Nm"], strict=True)
+    bands = ", ".join(f"{std:.2g} Nm at joint {joint}" for joint, std in pairs)
+    return (
+        "At rest, friction holds a joint wherever it stands, and the torque is indeterminate within a band (one sigma: "
+        f"{bands}). These rows have little weight for {_joints(n['joints'])}. Record more motion."
+    )
+
+
 FOUND: dict[str, Callable[[Sequence[int], Numbers], str]] = {
     "torque_spikes": _spikes,
     "swapped_torques": _swapped,
     "reversed_torque": _reversed,
+    "wrong_gravity": _gravity,
+    "wrong_torque_constant": _constant,
+    "held_by_friction": _held,
     "contact": _contact,
     "estimated_torque": _estimated,
 }
 """What is wrong and how it was corrected, of rows and numbers."""
 RULED_OUT: dict[str, Callable[[Numbers], str]] = {
     "swapped_torques": lambda n: "No torque columns are swapped, and none has its sign reversed.",
+    "wrong_gravity": lambda n: "Gravity acts along the declared direction, but for a tilt of the base.",
+    "wrong_torque_constant": lambda n: (
+        "No torque differs by a factor, as another torque constant or gear ratio causes."
+    ),
 }
 """Why a fault is not there."""

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from typing import Any
 
-from lite6jax.report import data_faults, statements, worth
+from lite6jax.report import data_faults, statements, torque_reference, worth
 from lite6jax.report.quantities import OF_TORQUES, Quantity, quantity
 from lite6jax.report.statements import Untested, capital, effect_title
 
@@ -32,6 +32,8 @@ def with_statements(document: Document) -> dict[str, Any]:
         {**finding, "statement": finding_statement(finding, effect["where"])}
         for finding, effect in zip(document["findings"], effects, strict=True)
     ]
+    if "against" in document:
+        stated["against"] = torque_reference.with_statements(document["against"])
     return stated
 
 

@@ -437,7 +437,7 @@ name_text = st.text(st.characters(codec="utf-8"), min_size=1, max_size=12).filte
     source=name_text | st.just(""),
     flange=st.lists(number, min_size=3, max_size=3),
     mass=st.none() | st.floats(0, 1e3),
-    drives=st.lists(st.none() | st.floats(0, 1e3), min_size=3, max_size=3),
+    drives=st.lists(st.none() | st.floats(0, 1e3), min_size=4, max_size=4),
 )
 def test_description_round_trip_is_exact(tmp_path_factory, rows, name, source, flange, mass, drives):
     angle = flange[0]
@@ -454,10 +454,20 @@ def test_description_round_trip_is_exact(tmp_path_factory, rows, name, source, f
         center_of_mass=None if mass is None else np.array(rows)[:, :3],
         inertia=None if mass is None or mass < 1 else np.tile(np.diag([1 / 3, 1e-5, 1 / 3]), (len(rows), 1, 1)),
         **{k: None if v is None else np.full(len(rows), v) for k, v in zip(JOINT_TERMS, drives, strict=True)},
+        spring_rest=None if drives[3] is None else np.array(rows)[:, 0],
     )
     back = read_description(write_arm(arm, tmp_path_factory.mktemp("arm") / "arm.yaml"))
     assert (back.name, back.source) == (name, source)
-    for field in ("kinematics", "joint_limits", "T_joint_flange", "mass", "center_of_mass", "inertia", *JOINT_TERMS):
+    for field in (
+        "kinematics",
+        "joint_limits",
+        "T_joint_flange",
+        "mass",
+        "center_of_mass",
+        "inertia",
+        "spring_rest",
+        *JOINT_TERMS,
+    ):
         np.testing.assert_equal(getattr(back, field), getattr(arm, field))
 
 

@@ -1,6 +1,7 @@
 """MJCF against MuJoCo: torques of random chains and of bodies, sites and defaults as MuJoCo compiles them; refusals."""
 
 import sys
+from dataclasses import replace
 
 import mujoco
 import numpy as np
@@ -12,7 +13,7 @@ from lite6jax.arms.dynamics import inverse_dynamics, link_parameters
 from lite6jax.arms.files import read_arm
 from lite6jax.arms.forms import convert_file, export_arm, left_out_of
 from lite6jax.arms.mjcf import read_mjcf, write_mjcf
-from lite6jax.errors import InputError, InputWarning
+from lite6jax.errors import InputError
 from tests.oracles.arms import random_kinematics
 from tests.oracles.chains import six_parameter_poses
 from tests.oracles.pinocchio_dynamics import random_bodies
@@ -194,11 +195,26 @@ def test_a_tip_must_be_below_its_base(tmp_path):
         read_mjcf(path, base="b", tip="a")
 
 
-def test_springs_are_left_out_with_a_warning(tmp_path):
-    path = write(tmp_path, f"{ARM}</body>".replace("<joint", '<joint stiffness="3"'))
-    with pytest.warns(InputWarning) as warned:
-        read_mjcf(path)
-    assert str(warned[0].message) == f"{path}: the springs of joints j are left out, an arm has no place for them"
+def test_springs_are_read(tmp_path):
+    path = write(tmp_path, f"{ARM}</body>".replace("<joint", '<joint stiffness="3" springref="20"'))
+    arm = read_mjcf(path)
+    np.testing.assert_allclose(arm.spring_stiffness, [3.0])
+    np.testing.assert_allclose(arm.spring_rest, [np.deg2rad(20)])
+
+
+def test_a_written_spring_pulls_as_that_of_the_arm(tmp_path):
+    rng = np.random.default_rng(5)
+    stiffness, rest = rng.uniform(1, 9, 4), rng.uniform(-1, 1, 4)
+    arm = replace(random_arm(rng, 4), spring_stiffness=stiffness, spring_rest=rest)
+    path = write_mjcf(arm, tmp_path / "arm.xml")
+    again = read_mjcf(path)
+    np.testing.assert_allclose(again.spring_stiffness, stiffness, rtol=1e-12)
+    np.testing.assert_allclose(again.spring_rest, rest, rtol=1e-12)
+    model = mujoco.MjModel.from_xml_path(str(path))
+    data = mujoco.MjData(model)
+    data.qpos[:] = rng.uniform(-1, 1, 4)
+    mujoco.mj_forward(model, data)
+    np.testing.assert_allclose(data.qfrc_spring, -stiffness * (data.qpos - rest), rtol=1e-9)
 
 
 def test_without_the_package_the_line_names_the_extra(tmp_path, monkeypatch):

@@ -10,11 +10,10 @@ from lite6jax.arms.consistency import is_consistent
 from lite6jax.arms.dynamics import base_parameters, inverse_dynamics, link_parameters
 from lite6jax.arms.files import read_arm
 from lite6jax.arms.forms import export_file
-from lite6jax.diagnosis.export import diagnosed_arm, read_diagnosed_arm
+from lite6jax.diagnosis.export import diagnosed_arm
 from lite6jax.domains.torque.predict import DiagnosedMotors
 from lite6jax.effects.dynamic.catalogue import BUILT_IN
 from lite6jax.effects.serialization import parse_effect
-from lite6jax.errors import InputError
 from lite6jax.estimation.terms import Terms, join
 
 
@@ -71,8 +70,19 @@ def test_links_that_are_no_bodies_become_such_with_the_same_torques():
     np.testing.assert_allclose(has, asked, rtol=0, atol=1e-6 * np.abs(asked).max())
 
 
-def test_a_diagnosis_of_poses_is_refused(tmp_path):
-    path = tmp_path / "d.json"
-    path.write_text('{"schema": "lite6jax/diagnosis/2", "model": {}}')
-    with pytest.raises(InputError, match="is a diagnosis of poses; an arm is written from a diagnosis of torques"):
-        read_diagnosed_arm(path)
+@pytest.mark.parametrize("suffix", [".urdf", ".xml", ".yaml"])
+def test_a_spring_stands_in_the_file(tmp_path, suffix):
+    if suffix == ".xml":
+        pytest.importorskip("mujoco")
+    _, model = model_with(
+        "joint_spring:joint=2,stiffness_Nm_per_rad=4.0,rest_rad=0.3",
+        "joint_spring:joint=4,stiffness_Nm_per_rad=-0.5,rest_rad=0",
+    )
+    arm, left_out = diagnosed_arm(model)
+    assert left_out == ("joint spring at joint4",)  # one that pushes away is none
+    done = export_file(arm, tmp_path / f"arm{suffix}", left_out=left_out)
+    again = read_arm(str(done.path))
+    np.testing.assert_allclose(again.spring_stiffness, [0, 4.0, 0, 0, 0, 0], rtol=1e-12)
+    np.testing.assert_allclose(again.spring_rest, [0, 0.3, 0, 0, 0, 0], rtol=1e-12)
+    phrase = "springs, but for SDFormat's attributes in <dynamics>"
+    assert (phrase in done.left_out) == (suffix == ".urdf")

@@ -287,11 +287,11 @@ def _departures(change: Derivatives, known: Uncertainty) -> tuple[Array, list[Ar
     """
     recorded, q = known.recorded, np.asarray(change.motion.joint_position).T
     further = (np.maximum(distance_to(recorded.positions, q) - recorded.spacing, 0.0) / LENGTH) ** 2
-    outside: Flags = np.asarray((_excess(q, *recorded.joints.T) > MARGIN).any(1))
+    outside: Flags = np.asarray((beyond_range(q, *recorded.joints.T) > MARGIN).any(1))
     beyond: dict[str, Array] = {}
     for phrase, values in change.driver_values().items():
         if phrase in recorded.drivers:
-            beyond[phrase] = _excess(values, *recorded.drivers[phrase]) / DRIVEN
+            beyond[phrase] = beyond_range(values, *recorded.drivers[phrase]) / DRIVEN
             outside = outside | (beyond[phrase] > MARGIN / DRIVEN)
             if not phrase.startswith("position of "):  # which the distance contains
                 further += beyond[phrase] ** 2
@@ -303,8 +303,15 @@ def _departures(change: Derivatives, known: Uncertainty) -> tuple[Array, list[Ar
     return further, curved, outside
 
 
-def _excess(values: Array, lower: Array | float, upper: Array | float) -> Array:
-    """By how much values are beyond a range, over its length; over the size of its values where it has none."""
+def beyond_range(values: Array, lower: Array | float, upper: Array | float, least: float = 1e-6) -> Array:
+    """By how much values are beyond a range, over its length; over the size of its values where it has none.
+
+    Args:
+        values: in the unit of the range.
+        lower: of the range.
+        upper: of the range.
+        least: the shortest length.
+    """
     size = 0.1 * np.maximum(np.abs(lower), np.abs(upper))
-    length = np.maximum(np.maximum(np.asarray(upper) - lower, size), 1e-6)
+    length = np.maximum(np.maximum(np.asarray(upper) - lower, size), least)
     return np.maximum(np.maximum(lower - values, values - upper), 0.0) / length

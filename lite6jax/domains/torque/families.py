@@ -31,7 +31,7 @@ def periodic(data: TorqueRows, chosen: NDArray[np.integer], noise: Array) -> tup
     for j, q in enumerate(positions):
         angle = q[data.filter.kept][chosen]
         filtered = partial(_waves, data, q, chosen)
-        site, column = f"joint{j + 1}", _column(j, noise, len(chosen))
+        site, column = f"joint{j + 1}", _column(j, noise)
         found.append(
             PeriodicFamily(
                 site, column, angle, partial(_ripple, j + 1), _order, partial(_curve, j + 1, angle), filtered
@@ -53,7 +53,7 @@ def curves(dynamics: Dynamics, data: TorqueRows, chosen: NDArray[np.integer], no
             values = values[data.filter.kept][chosen]
             spline = partial(_spline, j + 1, driver.phrase, signed, float(sizes(data)[j]))
             drivers.append(CurveDriver(values, pieces, quantity == "position" and not signed, spline))
-        column = _column(j, noise, len(chosen))
+        column = _column(j, noise)
         if signed:
             column = column * dynamics.direction(j + 1)[data.filter.kept][chosen]
         found.append(CurveFamily(f"joint{j + 1}", column, tuple(drivers)))
@@ -139,9 +139,9 @@ def _range(driver: Driver, dynamics: Dynamics) -> tuple[float, float] | None:
     return None if values is None or np.ptp(values) < _LEAST_VARIED else (float(values.min()), float(values.max()))
 
 
-def _column(j: int, noise: Array, samples: int) -> Array:
-    """How residuals change with a torque at a joint, `(joint, sample)`."""
-    return np.where(np.arange(len(noise))[:, None] == j, 1 / noise[:, None], 0.0) * np.ones(samples)
+def _column(j: int, noise: Array) -> Array:
+    """How residuals change with a torque at a joint, `(joint, sample)`; `noise` likewise."""
+    return np.where(np.arange(len(noise))[:, None] == j, 1 / noise, 0.0)
 
 
 def _waves(data: TorqueRows, q: Array, chosen: NDArray[np.integer], orders: Array) -> Array:

@@ -1,7 +1,7 @@
 """The torques of a diagnosed arm's motors in any motion."""
 
 from dataclasses import dataclass
-from typing import final
+from typing import NamedTuple, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,7 +10,8 @@ from lite6jax.arms.arm import Arm
 from lite6jax.domains.torque.filtering import interpolant
 from lite6jax.domains.torque.problem import composed
 from lite6jax.domains.torque.rows import RigidBodies, bodies_of
-from lite6jax.effects.dynamic.torque_effect import Delaying
+from lite6jax.domains.torque.uncertainty import TorqueUncertainty, bars_of
+from lite6jax.effects.dynamic.torque_effect import Delaying, Dynamics
 from lite6jax.errors import InputError
 from lite6jax.estimation.terms import Terms
 from lite6jax.recordings import Recording
@@ -35,6 +36,8 @@ class DiagnosedMotors:
         values: `(terms.size,)`.
         reference_temperature: °C.
         heldout_rms: Nm, of held-out torques without and with the effects; None where not known.
+        uncertainty: from which standard deviations of predictions follow; None where the diagnosis does not say.
+        relative_to: the recording beyond which the effects were found; None where they are all that there is.
     """
 
     arm: Arm
@@ -45,6 +48,8 @@ class DiagnosedMotors:
     values: Array
     reference_temperature: float
     heldout_rms: tuple[float, float] | None = None
+    uncertainty: TorqueUncertainty | None = None
+    relative_to: str | None = None
 
     @property
     def dof(self) -> int:
@@ -57,6 +62,22 @@ class DiagnosedMotors:
         return "trajectory"
 
 
+class TorquePrediction(NamedTuple):
+    """Predicted torques with standard deviations.
+
+    Attributes:
+        torque: `(sample, joint)` Nm.
+        std: `(sample, joint)` Nm, of what a sensor shows from what is predicted: what was estimated is uncertain, not
+            all is explained, and the sensor has noise; None where the diagnosis says nothing of it.
+        outside: `(sample,)` bool, rows in which a joint's position, velocity or acceleration, or a quantity on which an
+            effect depends, is beyond what was recorded; None where the diagnosis does not say what was.
+    """
+
+    torque: Array
+    std: Array | None
+    outside: NDArray[np.bool_] | None
+
+
 def predict_torques(model: DiagnosedMotors, recording: Recording) -> Array:
     """The torques `(sample, joint)` Nm that the sensors of a diagnosed recording would show in a motion.
 
@@ -67,29 +88,75 @@ def predict_torques(model: DiagnosedMotors, recording: Recording) -> Array:
     Raises:
         InputError: no times, steps that vary, or a driver that the model needs and the motion lacks.
     """
+    return _torques(model, *_along(model, recording))
+
+
+def predicted_torques(model: DiagnosedMotors, recording: Recording) -> TorquePrediction:
+    """The torques of a motion as `predict_torques`, with their standard deviations.
+
+    Rows outside what was recorded are marked, and their standard deviations grow as those of `predicted` do.
+
+    Raises:
+        InputError: as `predict_torques`.
+    """
+    bodies, runs = _along(model, recording)
+    torque, bars = _torques(model, bodies, runs), bars_of(model, bodies, runs)
+    return TorquePrediction(torque, *((None, None) if bars is None else (bars.std.T, bars.outside)))
+
+
+def torque_columns(found: TorquePrediction) -> dict[str, Array | NDArray[np.integer]]:
+    """Column name to values: `tau1_Nm` …, and `tau1_std_Nm` … and `outside`, 0 or 1, where these are known."""
+    columns: dict[str, Array | NDArray[np.integer]] = {
+        f"tau{joint}_Nm": row for joint, row in enumerate(found.torque.T, 1)
+    }
+    if found.std is not None and found.outside is not None:
+        columns |= {f"tau{joint}_std_Nm": row for joint, row in enumerate(found.std.T, 1)}
+        columns["outside"] = found.outside.astype(int)
+    return columns
+
+
+def _along(model: DiagnosedMotors, recording: Recording) -> tuple[RigidBodies, NDArray[np.integer]]:
+    """The dynamics of the model's links along a motion, and the run of each sample."""
     if recording.dof != model.dof:
         raise InputError(f"{recording.source}: has {recording.dof} joints, the diagnosed arm {model.dof}")
     if recording.motion != "trajectory":
         raise InputError(f"{recording.source}: is declared as static poses; torques are predicted for a trajectory")
     bodies, chosen, _ = bodies_of(recording, model.arm)
-    declared = RigidBodies(bodies.motion, model.links, model.payload_center, model.gravity, bodies.kinematics)
     for effect in model.terms.terms:
         for driver in getattr(effect, "drivers", ()):
             if not driver.loaded and not driver.known(bodies.motion, None):
                 raise InputError(f"{recording.source}: has no {driver.phrase}; give {driver.remedy}")
-    torque = composed(model.terms, model.values, declared.dynamics(model.links))
-    pairs = zip(model.terms.terms, model.terms.slices, strict=True)
-    delay = sum(float(model.values[part][0]) for effect, part in pairs if isinstance(effect, Delaying))
+    moved = RigidBodies(bodies.motion, model.links, model.payload_center, model.gravity, bodies.kinematics)
+    return moved, chosen.runs
+
+
+def _torques(model: DiagnosedMotors, bodies: RigidBodies, runs: NDArray[np.integer]) -> Array:
+    dynamics, time = bodies.dynamics(model.links), np.asarray(bodies.motion.time)
+    return shown_torques(model.terms, model.values, dynamics, time, runs).T
+
+
+def shown_torques(terms: Terms, values: Array, dynamics: Dynamics, time: Array, runs: NDArray[np.integer]) -> Array:
+    """`(joint, sample)` Nm that the sensors show in a motion, as their stamps say.
+
+    Args:
+        terms: effects.
+        values: `(terms.size,)`.
+        dynamics: of the arm without them.
+        time: `(sample,)` s.
+        runs: `(sample,)`, the run of each sample.
+    """
+    torque = composed(terms, values, dynamics)
+    pairs = zip(terms.terms, terms.slices, strict=True)
+    delay = sum(float(values[part][0]) for effect, part in pairs if isinstance(effect, Delaying))
     if not delay:
-        return torque.T
-    assert recording.time is not None
+        return torque
     later = torque.copy()
-    for rows, spline in interpolant(torque, recording.time, chosen.runs):
-        t, part = recording.time[rows], torque[:, rows]
+    for rows, spline in interpolant(torque, time, runs):
+        t, part = time[rows], torque[:, rows]
         at = np.clip(t + delay, t[0], t[-1])
         # beyond the ends along the line through some samples: a cubic would follow their noise
         near, far = ((0, _LINE), (-1 - _LINE, -1))[delay > 0], (0, -1)[delay > 0]
         slope = (part[:, near[1]] - part[:, near[0]]) / (t[near[1]] - t[near[0]])
         beyond = t + delay - at
         later[:, rows] = np.where(beyond != 0, part[:, [far]] + slope[:, None] * beyond, spline(at))
-    return later.T
+    return later

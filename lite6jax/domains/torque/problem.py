@@ -17,6 +17,7 @@ from lite6jax.effects.dynamic.friction import CoulombFriction, ViscousFriction
 from lite6jax.effects.dynamic.motors import RotorInertia, TorqueOffset
 from lite6jax.effects.dynamic.torque_effect import Delaying, Dynamics, Scaling, TorqueEffect, point_mass
 from lite6jax.effects.dynamic.unnamed import UnnamedTorque
+from lite6jax.errors import InputError
 from lite6jax.estimation.least_squares import Fit, fit
 from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.problem import CurveFamily, Mask, PeriodicFamily
@@ -88,6 +89,14 @@ class TorqueProblem:
         """Of those that are kept."""
         return len(self.chosen)
 
+    @cached_property
+    def sigma(self) -> Array:
+        """`(joint, sample)` Nm: the noise, and at rest the band within which friction holds a joint."""
+        noise = self.noise[:, None] * np.ones(self.samples)
+        if self.data.slack is None:
+            return noise
+        return np.hypot(noise, self.data.slack[:, self.data.filter.kept][:, self.chosen])
+
     @lazy
     def groups(self) -> NDArray[np.integer]:
         """Each joint has a noise of its own."""
@@ -129,12 +138,12 @@ class TorqueProblem:
     @lazy
     def periodic(self) -> tuple[PeriodicFamily, ...]:
         """Ripple of each joint."""
-        return families.periodic(self.data, self.chosen, self.noise)
+        return families.periodic(self.data, self.chosen, self.sigma)
 
     @lazy
     def curves(self) -> tuple[CurveFamily, ...]:
         """Curves of each joint."""
-        return families.curves(self.dynamics, self.data, self.chosen, self.noise)
+        return families.curves(self.dynamics, self.data, self.chosen, self.sigma)
 
     @lazy
     def shaped(self) -> tuple[TorqueEffect, ...]:
@@ -152,8 +161,8 @@ class TorqueProblem:
         return families.flexible(self.dynamics, families.sizes(self.data))
 
     def residual(self, nuisance: Array, terms: Terms, values: Array) -> Array:
-        """Residuals `(joint, sample)` over the declared noise, predicted minus measured."""
-        return (self.torque(nuisance, terms, values) - self.measured) / self.noise[:, None]
+        """Residuals `(joint, sample)` over `sigma`, predicted minus measured."""
+        return (self.torque(nuisance, terms, values) - self.measured) / self.sigma
 
     @property
     def measured(self) -> Array:
@@ -171,7 +180,7 @@ class TorqueProblem:
         for effect, part in _pairs(terms):
             if not isinstance(effect, Scaling | Delaying):
                 total = total + self._added(effect, np.asarray(values[part], float), nuisance)
-        return _scale(terms, values, self.rows) * total
+        return scales_of(terms, values, self.rows) * total
 
     def _delayed(self, nuisance: Array, terms: Terms, values: Array, delay: float) -> tuple[Array, Array]:
         """Predicted torques that belong to the motion `delay` s later, and their derivative by that."""
@@ -196,21 +205,21 @@ class TorqueProblem:
                 kept = [not isinstance(one, Scaling | Delaying) for one, _ in _pairs(others)]
                 whole = self.torque(np.zeros(len(self.precision)), *others.part(numbers, kept))
                 only = np.arange(self.rows) == effect.joint - 1
-                parts.append((whole * only[:, None] / self.noise[:, None])[None])
+                parts.append((whole * only[:, None] / self.sigma)[None])
             elif isinstance(effect, Delaying):
                 others, numbers = beside or (own, at)
                 none = np.zeros(len(self.precision))
                 slope = self._delayed(none, others, numbers, float(at[part][0]))[1]
-                parts.append((slope / self.noise[:, None])[None])
+                parts.append((slope / self.sigma)[None])
             elif effect.linear:
-                parts.append(self._units(effect) / self.noise[:, None])
+                parts.append(self._units(effect) / self.sigma)
             else:
-                parts.append(self._slopes(effect, at[part]) / self.noise[:, None])
+                parts.append(self._slopes(effect, at[part]) / self.sigma)
         return np.concatenate(parts)
 
     def nuisance_columns(self, terms: Terms, values: Array) -> Array:
         """How residuals change with the inertial numbers, `(number, joint, sample)`."""
-        return self._inertial / self.noise[:, None]
+        return self._inertial / self.sigma
 
     def relinearised(self, nuisance: Array) -> "TorqueProblem":
         """The same problem at other inertial numbers: nuisance zero is then there."""
@@ -298,14 +307,20 @@ def _pairs(terms: Terms) -> list[tuple[TorqueEffect, slice]]:
 
 def composed(terms: Terms, values: Array, dynamics: Dynamics) -> Array:
     """`(joint, sample)` Nm that a motor's sensor shows at each instant of a motion; delays are left out."""
+    total = without_sensors(terms, values, dynamics)
+    return scales_of(terms, values, len(total)) * total
+
+
+def without_sensors(terms: Terms, values: Array, dynamics: Dynamics) -> Array:
+    """`(joint, sample)` Nm that the motors exert: without the scales and delays of what shows it."""
     total = dynamics.torque
     for effect, part in _pairs(terms):
         if not isinstance(effect, Scaling | Delaying):
             total = total + effect.torque(np.asarray(values[part], float), dynamics)
-    return _scale(terms, values, len(total)) * total
+    return total
 
 
-def _scale(terms: Terms, values: Array, joints: int) -> Array:
+def scales_of(terms: Terms, values: Array, joints: int) -> Array:
     """`(joint, 1)`, the measured torque over the true one."""
     scale = np.ones((joints, 1))
     for effect, part in _pairs(terms):
@@ -314,19 +329,30 @@ def _scale(terms: Terms, values: Array, joints: int) -> Array:
     return scale
 
 
-def torque_problem(data: TorqueRows) -> TorqueProblem:
+def torque_problem(data: TorqueRows, effects: Sequence[TorqueEffect] = ()) -> TorqueProblem:
     """The problem of a filtered recording and its sidecar, at the declared inertial numbers.
+
+    A user's own `effects` are candidates beside the catalogue's.
 
     With `inertial: unknown` the combinations of inertial numbers that torques of this motion determine are fitted;
     with a relative uncertainty all of them, with that as their prior's standard deviation.
+
+    Raises:
+        InputError: an effect of a joint that the arm does not have.
     """
+    for effect in effects:
+        if effect.joints_needed > data.arm.dof:
+            raise InputError(
+                f"{effect.label}: acts at joint {effect.joints_needed}, but the arm has {data.arm.dof} joints; remove "
+                "it from EFFECTS"
+            )
     settings, links = data.recording.settings, data.bodies.links
     inertial = settings.inertial
     if inertial == "declared":
         directions, deviations = np.zeros((0, *links.shape)), np.zeros(0)
     else:
         directions, deviations = uncertain(links, 1.0 if inertial == "unknown" else float(inertial))
-    candidates = torque_catalogue(data.arm.dof)
+    candidates = (*torque_catalogue(data.arm.dof), *effects)
     if len(directions):  # what is fitted is no effect, however far it is from what was declared
         candidates = tuple(effect for effect in candidates if not isinstance(effect, FITTED))
     missing = tuple(untestable(candidates, data.motion, bool(links.any()) or inertial == "unknown"))

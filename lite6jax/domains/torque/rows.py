@@ -127,6 +127,7 @@ class TorqueRows:
         torque: `(joint, sample)` Nm, measured, without spikes.
         filter: which torques, measured and modelled, pass.
         motion_cutoff: Hz, of the low pass of the motion.
+        slack: `(joint, sample)` Nm, one sigma of what friction holds at rest; None where that is not known.
     """
 
     recording: Recording
@@ -135,6 +136,7 @@ class TorqueRows:
     torque: Array
     filter: LowPass
     motion_cutoff: float
+    slack: Array | None = None
 
     @property
     def motion(self) -> Motion:

@@ -1,17 +1,18 @@
 """Data faults of torque recordings: what cannot be diagnosed at all, and what is located, said and corrected."""
 
 import itertools
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import linear_sum_assignment
 
 from lite6jax.arms.arm import Arm
+from lite6jax.domains.torque.declarations import as_declared
 from lite6jax.domains.torque.filtering import runs_of, sample_rate, spikes, without_spikes
 from lite6jax.domains.torque.problem import TorqueProblem
+from lite6jax.domains.torque.rest import held_by_friction
 from lite6jax.domains.torque.rows import TorqueRows, torque_rows
-from lite6jax.effects.dynamic.torque_effect import direction
 from lite6jax.errors import InputError
 from lite6jax.estimation.least_squares import fit
 from lite6jax.estimation.options import EngineOptions
@@ -25,8 +26,6 @@ Array = NDArray[np.floating]
 
 _LEAST_MOTION = 0.02
 """rad over which one joint moves at least; noise of encoders is far below."""
-_CLEARLY = 9.0
-"""Times by which another column or sign leaves less of the squares of a torque."""
 _EVENT = 60.0
 """Squared residual over its robust scale, summed over joints, from which a sample may belong to a contact."""
 _JOINED = 0.3
@@ -53,7 +52,7 @@ class ScreenedTorques(NamedTuple):
 
 
 def screen_torques(recording: Recording, arm: Arm) -> ScreenedTorques:
-    """Refuses what cannot be diagnosed, and corrects swapped and reversed columns, spikes and the gravity declared.
+    """Refuses what cannot be diagnosed, and corrects spikes and what is declared wrongly.
 
     Args:
         recording: with torques or currents.
@@ -82,10 +81,13 @@ def screen_torques(recording: Recording, arm: Arm) -> ScreenedTorques:
     data = torque_rows(recording, arm, without_spikes(torque, spiked))
     ruled_out: list[DataFault] = []
     if recording.settings.inertial != "unknown":
-        data, columns = _in_order(data)
-        found += columns
-        if not columns:
-            ruled_out.append(DataFault("swapped_torques", (), {}))
+        declared = as_declared(data)
+        data = declared.data
+        found += declared.found
+        ruled_out += declared.ruled_out
+    held = held_by_friction(data)
+    data = replace(data, slack=held.slack) if held.found else data
+    found += held.found
     return ScreenedTorques(data, tuple(found), tuple(ruled_out))
 
 
@@ -111,43 +113,6 @@ def _require_motion(recording: Recording) -> None:
             f"{recording.source}: the arm is at rest (no joint moves by {_LEAST_MOTION:g} rad); record a motion in "
             "which every joint turns both ways"
         )
-
-
-def _in_order(data: TorqueRows) -> tuple[TorqueRows, list[DataFault]]:
-    """With each torque in the column of its joint and of its sign, as far as the rigid arm shows.
-
-    Each column is compared with the torque of each joint, of either sign, beside an offset and friction. Another
-    assignment than the declared one must leave far less of every torque that it moves.
-    """
-    rigid = data.filter(data.bodies.dynamics(data.bodies.links).torque)
-    measured, joints = data.measured, len(rigid)
-    velocity = np.asarray(data.motion.joint_velocity)[:, data.filter.kept]
-    left = np.empty((2, joints, joints))
-    for joint in range(joints):
-        beside = np.stack([np.ones(rigid.shape[1]), velocity[joint], direction(velocity[joint])])
-        basis = np.linalg.qr(beside.T)[0]
-        for k, sign in enumerate((1.0, -1.0)):
-            rest = measured - sign * rigid[joint]
-            left[k, :, joint] = np.mean((rest - (rest @ basis) @ basis.T) ** 2, 1)
-    log_left = np.log(np.maximum(left, 1e-300))
-    columns, place = linear_sum_assignment(log_left.min(0))
-    order = np.empty(joints, int)
-    order[place] = columns
-    sign = np.where(np.argmin(left[:, order, np.arange(joints)], 0) == 1, -1.0, 1.0)
-    own = log_left[0, np.arange(joints), np.arange(joints)]
-    better = own - log_left.min(0)[order, np.arange(joints)]
-    changed = (order != np.arange(joints)) | (sign < 0)
-    if not changed.any() or (better[changed] < np.log(_CLEARLY)).any():
-        return data, []
-    found = []
-    swapped = [int(j) + 1 for j in np.flatnonzero(order != np.arange(joints))]
-    if swapped:
-        sources = [int(order[j - 1]) + 1 for j in swapped]
-        found.append(DataFault("swapped_torques", (), {"joints": swapped, "columns": sources}))
-    turned = [int(j) + 1 for j in np.flatnonzero(sign < 0)]
-    if turned:
-        found.append(DataFault("reversed_torque", (), {"joints": turned}))
-    return torque_rows(data.recording, data.arm, sign[:, None] * data.torque[order]), found
 
 
 def contacts(problem: TorqueProblem, options: EngineOptions) -> tuple[NDArray[np.bool_], list[DataFault]]:
@@ -182,7 +147,7 @@ def contacts(problem: TorqueProblem, options: EngineOptions) -> tuple[NDArray[np
         rows = (recorded.time >= time[event.start] - step) & (recorded.time <= time[event.stop - 1] + step)
         rows &= problem.data.filter.runs == runs[event.start]
         numbers = {"joints": joints, "from_s": float(time[event.start]), "to_s": float(time[event.stop - 1])}
-        worst = float(np.abs(found.residuals.rows[:, event] * problem.noise[:, None]).max())
+        worst = float(np.abs(found.residuals.rows[:, event] * problem.sigma[:, event]).max())
         faults.append(DataFault("contact", row_numbers(recorded.row[rows]), numbers | {"largest_Nm": worst}))
     return inside, faults
 

@@ -1,7 +1,7 @@
 """The catalogue of effects on torques: the named ones of an arm at every site, and those tried at a few values."""
 
 import types
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 
 import numpy as np
 
@@ -80,3 +80,8 @@ def torque_shaped(motion: Motion) -> tuple[TorqueEffect, ...]:
     tried = [(joint, float(f"{share * v:.3g}")) for joint, v in enumerate(fastest, 1) for share in _SPEEDS]
     low, high = bounds.STRIBECK
     return tuple(StribeckFriction(joint, speed) for joint, speed in tried if low <= speed <= high)
+
+
+def torque_kinds_of(effects: Iterable[Effect] = ()) -> dict[str, type[Effect]]:
+    """The classes of the catalogue and of a user's `effects`, by name."""
+    return {**BUILT_IN, **{effect.name: type(effect) for effect in effects}}

@@ -1,0 +1,119 @@
+"""A torque recording less a reference recording of the same motion: a simulator, or the same arm at an earlier time."""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lite6jax.arms.arm import Arm
+from lite6jax.domains.torque.rows import bodies_of
+from lite6jax.errors import InputError
+from lite6jax.recordings import Recording
+from lite6jax.recordings.sequence import run_segments
+
+Array = NDArray[np.floating]
+
+SAME_STATE = (5e-3, 5e-2)
+"""rad and rad/s by which the states of two recordings of one motion differ at most, in nearly all rows: controllers
+track a motion that well, and gravity's torque changes little over it."""
+_NEARLY = 0.9
+"""Of the rows, that are to be in the same state."""
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class RowComparison:
+    """A recording and a reference in the same motion.
+
+    Attributes:
+        file: the reference's name.
+        rows: of the recording.
+        matched: of these, in the same state as the reference at the same time.
+        apart: `(joint,)` Nm RMS between the torques of both.
+        from_model: `(joint,)` Nm RMS between the reference and the declared rigid arm.
+        recording: the matched rows, with the torques of the declared rigid arm plus the difference of both recordings:
+            what both have cancels, whatever it is.
+    """
+
+    file: str
+    rows: int
+    matched: int
+    apart: Array
+    from_model: Array
+    recording: Recording
+
+
+def compare_rows(recording: Recording, reference: Recording, arm: Arm) -> RowComparison | None:
+    """The comparison row by row; None where the two do not hold the same motion.
+
+    The reference is interpolated in time, run by run, at the times of the recording since the beginning of each run.
+
+    Args:
+        recording: with torques and times.
+        reference: likewise, of as many joints.
+        arm: the declared arm.
+
+    Raises:
+        InputError: another number of joints, no torques or times, or as `bodies_of`.
+    """
+    if reference.dof != recording.dof:
+        raise InputError(
+            f"{reference.source}: has {reference.dof} joints, but {recording.source} {recording.dof}; give that arm's"
+        )
+    recording = recording.sorted_by_time()
+    found = _at_times_of(recording, reference.sorted_by_time())
+    if found is None:
+        return None
+    same, torque = found
+    bodies, _, _ = bodies_of(recording, arm)
+    rigid = bodies.dynamics(bodies.links).torque.T
+    own = recording.torques()
+    settings = recording.settings
+    noise = [side.settings.torque_noise_Nm for side in (recording, reference)]
+    if noise[0] is not None:
+        settings = replace(settings, torque_noise_Nm=tuple(np.hypot(noise[0], noise[1] or 0.0).tolist()))
+    if arm.mass is not None and arm.inertia is not None:
+        settings = replace(settings, inertial="declared")  # it is in what was put in place of what both have
+    corrected = replace(recording, joint_torque=rigid + own - torque, motor_current=None, settings=settings)
+    return RowComparison(
+        file=Path(reference.source).name,
+        rows=recording.samples,
+        matched=int(same.sum()),
+        apart=np.sqrt(np.mean((own - torque)[same] ** 2, 0)),
+        from_model=np.sqrt(np.mean((torque - rigid)[same] ** 2, 0)),
+        recording=corrected.select(same),
+    )
+
+
+def _at_times_of(recording: Recording, reference: Recording) -> tuple[NDArray[np.bool_], Array] | None:
+    """Which rows are in the reference's state, and its torques `(sample, joint)` then; None where it is another motion.
+
+    Rows of another state would be gaps in time: the ends of runs may be cut, but within a run nearly all rows match.
+    """
+    torque = reference.torques()
+    if recording.time is None or reference.time is None:
+        return None
+    own, other = run_segments(recording.run), run_segments(reference.run)
+    if own[-1] != other[-1]:
+        return None
+    same, at = np.zeros(recording.samples, bool), np.zeros_like(recording.joint_position)
+    states = [(side.joint_position, side.velocities()) for side in (recording, reference)]
+    for run in np.unique(own):
+        here, there = np.flatnonzero(own == run), np.flatnonzero(other == run)
+        since, known = (side[part] - side[part[0]] for side, part in ((recording.time, here), (reference.time, there)))
+        at[here] = _interpolated(since, known, torque[there])
+        near = (since >= known[0]) & (since <= known[-1])
+        for mine, its, most in zip(*states, SAME_STATE, strict=True):
+            near &= np.abs(mine[here] - _interpolated(since, known, its[there])).max(1) <= most
+        if near.mean() < _NEARLY:
+            return None
+        first, last = np.flatnonzero(near)[[0, -1]]
+        same[here[first : last + 1]] = True
+    return same, at
+
+
+def _interpolated(time: Array, known: Array, rows: Array) -> Array:
+    """`(sample, joint)` at times, of rows at known times; beyond the ends the last ones."""
+    return np.stack([np.interp(time, known, column) for column in rows.T], 1)

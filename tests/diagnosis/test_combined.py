@@ -1,0 +1,244 @@
+"""Poses and torques of one recording: one command, one document, one page; what both depend on is compared."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pinocchio as pin
+import pyarrow.csv
+import pytest
+from diagnosis.recorded import LITE6, Made, moving_motion, static_motion
+from matplotlib.figure import Figure
+from report import diagnosed, torque_diagnosed
+from typed import flat, run
+
+from lite6jax.arms.consistency import is_consistent
+from lite6jax.arms.dynamics import link_parameters
+from lite6jax.arms.files import read_arm
+from lite6jax.diagnosis.combined import CombinedDiagnosis, diagnose_combined
+from lite6jax.diagnosis.document import read_model, write_document
+from lite6jax.diagnosis.shared import shared_by
+from lite6jax.diagnosis.torque_document import read_torque_model
+from lite6jax.diagnosis.torque_reference import TorqueComparison
+from lite6jax.effects.dynamic.bodies import BaseTilt, PayloadTorque
+from lite6jax.effects.dynamic.friction import ViscousFriction
+from lite6jax.effects.kinematic.joints import JointCompliance
+from lite6jax.effects.kinematic.weights import GravityDirection, PayloadError
+from lite6jax.errors import InputError
+from lite6jax.recordings import Recording, write_recording
+from lite6jax.report import combined
+from tests.oracles.pinocchio_dynamics import pinocchio_model, pinocchio_torques
+
+COMPLIANCE = "joint_compliance:joint=2,compliance_rad_per_Nm=2e-4"
+SIGMA = np.array([0.06, 0.08, 0.05, 0.02, 0.02, 0.015])
+DECLARED, HELD = 0.4, 0.9
+"""kg: what the column says, and what the arm really carries."""
+VISCOUS = 0.8
+
+
+def accelerations(motion):
+    """Of `moving_motion`, analytically: the sum of two sines a joint."""
+    rng = np.random.default_rng(3)
+    rate, phase = rng.uniform(0.6, 2.4, (2, 6)), rng.uniform(-np.pi, np.pi, (2, 6))
+    angle = np.multiply.outer(motion["time"], rate) + phase
+    return -np.sum(np.array([[0.9], [0.4]]) * rate**2 * np.sin(angle), 1)
+
+
+def both(made, held=HELD, seed=0):
+    """A recording of poses and torques of an arm that carries more than is declared, with friction at joint 2."""
+    motion = {**moving_motion(3, 800)}
+    motion["payload"] = np.full(800, held)
+    recording = made.recording(motion, seed=seed)
+    center = np.array(recording.settings.payload_com_m)
+    model = pinocchio_model(LITE6.kinematics, LITE6.mass, LITE6.center_of_mass, LITE6.inertia, (0, 0, -9.81))
+    model.appendBodyToJoint(6, pin.Inertia(held, center, np.zeros((3, 3))), pin.SE3.Identity())
+    q, dq = motion["joint_position"], motion["joint_velocity"]
+    tau = pinocchio_torques(model, q.T, dq.T, accelerations(motion).T).T
+    tau[:, 1] += VISCOUS * dq[:, 1]
+    tau += np.random.default_rng(seed + 9).normal(0, 1, tau.shape) * SIGMA
+    settings = replace(recording.settings, torque_noise_Nm=tuple(SIGMA.tolist()))
+    return replace(recording, joint_torque=tau, payload=np.full(800, DECLARED), settings=settings)
+
+
+def torques_of(recording):
+    """The diagnosis of its torques that finds just the truth; no search is run."""
+    return torque_diagnosed.diagnosed(recording, (ViscousFriction(2), PayloadTorque()))
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    return Made(tmp_path_factory.mktemp("arm"), (COMPLIANCE,), seed=1)
+
+
+@pytest.fixture(scope="module")
+def recording(made):
+    return both(made)
+
+
+@pytest.fixture(scope="module")
+def found(recording):
+    """Both, the payload found by the torques alone: the poses have it beside their finding."""
+    poses, torques = diagnosed.diagnosed(recording, (JointCompliance(2),)), torques_of(recording)
+    return CombinedDiagnosis(poses, torques, shared_by(poses, torques))
+
+
+def test_the_payload_is_compared(recording, found):
+    shared = {each.quantity: each for each in found.shared}
+    payload = shared["payload_mass"]
+    assert payload.torques.found
+    assert not payload.poses.found
+    assert payload.agree
+    assert set(shared) == {"payload_mass", "load"}
+    for known in (payload.poses, payload.torques):
+        estimate = known.parameters["mass_kg"]
+        assert abs(estimate.value - (HELD - DECLARED)) < 4 * estimate.std < 1.0
+    poses = diagnosed.diagnosed(recording, (JointCompliance(2), PayloadError()))
+    (both_found,) = shared_by(poses, found.torques)  # the compliance rests on the payload that was found
+    assert both_found.poses.found
+    assert both_found.agree
+
+
+def test_a_tilt_has_one_sign_in_both(recording, found):
+    """Poses state by what gravity is turned, torques by what the base is."""
+    declared = recording.settings
+    tilted = 9.81 * np.array([np.sin(0.05), 0.0, -np.cos(0.05)])
+    turned = replace(recording, settings=replace(declared, gravity_m_per_s2=tuple(tilted)))
+    poses = diagnosed.diagnosed(turned, (JointCompliance(2), PayloadError(), GravityDirection()))
+    torques = torque_diagnosed.diagnosed(turned, (ViscousFriction(2), PayloadTorque(), BaseTilt()))
+    tilt = next(each for each in shared_by(poses, torques) if each.quantity == "gravity_direction")
+    assert abs(tilt.torques.values[1]) == pytest.approx(0.05, abs=0.02)
+    assert tilt.agree
+    assert np.sign(tilt.poses.values[1]) == -np.sign(tilt.torques.values[1])
+
+
+def test_the_load_by_the_torques_stands_beside_the_compliance(found):
+    load = next(each for each in found.shared if each.quantity == "load")
+    assert load.joint == 2
+    ratio = load.torques.parameters["load_ratio"]
+    assert 1.0 < ratio.value < 2.0
+    assert 0 < ratio.std < 0.1
+
+
+def test_what_disagrees_is_said(made, found):
+    heavier = torques_of(both(made, held=2.4))
+    payload = next(each for each in shared_by(found.poses, heavier) if each.quantity == "payload_mass")
+    assert payload.agree is False
+    document = combined.with_statements(
+        CombinedDiagnosis(found.poses, heavier, shared_by(found.poses, heavier)).to_dict()
+    )
+    said = next(entry["statement"] for entry in document["shared"] if entry["quantity"] == "payload_mass")
+    assert "they disagree" in said
+    assert "payload_com_m" in said
+
+
+def test_one_document_is_read_as_each_of_both(found, recording, tmp_path):
+    path = write_document(combined.with_statements(found.to_dict()), tmp_path / "d.json")
+    document = json.loads(path.read_text())
+    assert document["before"]["heldout_position_rms_m"] > document["after"]["heldout_position_rms_m"]
+    assert document["torques"]["domain"] == "torque"
+    poses, torques = read_model(path), read_torque_model(path)
+    assert [e.label for e in poses.physics.effects] == [f.effect.label for f in found.poses.findings]
+    assert [e.label for e in torques.terms.terms] == [f.effect.label for f in found.torques.findings]
+    del document["torques"]["model"]["links"]
+    write_document(document, path, overwrite=True)
+    with pytest.raises(InputError, match="links"):
+        read_torque_model(path)
+
+
+def test_a_summary_names_both(found):
+    text = found.summary()
+    assert "The held-out position error is" in text
+    assert "The main cause is" in text
+    assert "Of the payload's mass" in text
+
+
+def test_the_commands_take_it(made, found, recording, tmp_path, capsys, monkeypatch):
+    run_file = write_recording(recording, tmp_path / "run.csv")
+    out = tmp_path / "d.json"
+    monkeypatch.setattr("lite6jax.diagnosis.combined.diagnose_combined", lambda *_, **__: found)
+    named = ["error_by_joint", "where", "orders", "remaining"]
+    named += [f"torque_{name}" for name in ("error_by_joint", "over_time", "friction")]
+    monkeypatch.setattr("lite6jax.report.combined.drawings", lambda *_: ((name, Figure((1, 1))) for name in named))
+    code, said, _ = run(capsys, "diagnose", run_file, "--out", out, "--report", tmp_path / "r.html", width=60)
+    assert code == 0
+    text = flat(said)
+    assert text.index("Joint compliance at joint2") < text.index("held-out error (Nm RMS)")
+    assert "What poses and torques both depend on:" in text
+    assert "they agree" in text
+    html = (tmp_path / "r.html").read_text()
+    document, page = json.loads(out.read_text()), diagnosed.Reader(html)
+    assert page.open == []
+    shown = flat(page.text)
+    for finding in (*document["findings"], *document["torques"]["findings"]):
+        assert finding["statement"] in shown
+    assert "they agree, and it is one finding that both sensors see" in shown
+    cause = "The main cause is payload error"
+    assert shown.index("Poses") < shown.index(cause) < shown.index("What poses and torques both depend on")
+    anchors = [attributes.get("id") for tag, attributes in page.tags if tag == "article"]
+    assert len(set(anchors)) == len(anchors) == len(document["findings"]) + len(document["torques"]["findings"])
+    code, said, _ = run(capsys, "predict", out, run_file, "--out", tmp_path / "p.csv")
+    assert code == 0
+    names = pyarrow.csv.read_csv(tmp_path / "p.csv").column_names
+    assert {"x_m", "x_std_m", "tau1_Nm", "tau1_std_Nm", "outside"} <= set(names)
+    still = write_recording(
+        Recording.from_arrays(static_motion(1, 20)["joint_position"], motion="static"), tmp_path / "still.csv"
+    )
+    code, said, _ = run(capsys, "predict", out, still, "--out", tmp_path / "q.csv")
+    assert code == 0
+    assert "Torques are not predicted: " in flat(said)
+    code, said, _ = run(capsys, "convert", out, tmp_path / "arm.yaml")
+    assert code == 0
+    arm = read_arm(tmp_path / "arm.yaml")
+    np.testing.assert_allclose(arm.kinematics, made.kinematics, atol=1e-9)
+    assert arm.viscous_friction[1] == pytest.approx(VISCOUS, abs=0.1)
+    assert is_consistent(link_parameters(arm))
+    assert "joint compliance at joint2" in flat(said)
+
+
+def test_both_are_diagnosed_with_their_effects_and_references(recording, found, monkeypatch):
+    asked = {}
+
+    def poses(*given, **options):
+        asked["poses"] = options["effects"]
+        return found.poses
+
+    def torques(_, reference, *given, **options):
+        asked["torques"] = options["effects"]
+        asked["reference"] = reference
+        return found.torques, TorqueComparison("earlier.csv", None)
+
+    monkeypatch.setattr("lite6jax.diagnosis.combined.diagnose", poses)
+    monkeypatch.setattr("lite6jax.diagnosis.combined.diagnose_torques_against", torques)
+    reference = replace(recording, position=None, quaternion=None)
+    effects = (JointCompliance(1), ViscousFriction(1))
+    again = diagnose_combined(recording, LITE6, reference=reference, effects=effects)
+    assert asked == {"poses": effects[:1], "torques": effects[1:], "reference": reference}
+    assert [each.quantity for each in again.shared] == [each.quantity for each in found.shared]
+    document = combined.with_statements(again.to_dict())
+    assert document["torques"]["against"]["statement"].startswith("Findings and model are those of this recording")
+    assert "against" not in document
+
+
+def test_torques_that_cannot_be_diagnosed_do_not_stop_the_poses(recording, found, tmp_path, monkeypatch):
+    monkeypatch.setattr("lite6jax.diagnosis.combined.diagnose", lambda *_, **__: found.poses)
+    alone = diagnose_combined(replace(recording, motion="static"), LITE6)
+    assert alone.torques is None
+    assert "holds static poses" in alone.refused
+    document = combined.with_statements(alone.to_dict())
+    path = write_document(document, tmp_path / "d.json")
+    assert read_model(path).dof == 6
+    with pytest.raises(InputError, match="is no diagnosis of torques"):
+        read_torque_model(path)
+    assert "are not diagnosed: " in alone.summary()
+    assert any("holds static poses" in str(part) for part in combined.combined_report(document, "run.csv"))
+
+
+def test_what_is_not_both_is_refused(recording, tmp_path, capsys):
+    with pytest.raises(InputError, match=r"has poses and no torques; call lite6jax\.diagnose$"):
+        diagnose_combined(replace(recording, joint_torque=None))
+    with pytest.raises(InputError, match=r"has torques and no poses; call lite6jax\.diagnose_torques$"):
+        diagnose_combined(replace(recording, position=None, quaternion=None))
+    run_file = write_recording(recording, tmp_path / "run.csv")
+    code, _, err = run(capsys, "diagnose", run_file, "--out", tmp_path / "d.json", "--poses", "--torques")
+    assert code == 2
+    assert "give one of them, or none to diagnose both" in err

@@ -1,0 +1,174 @@
+"""Standard deviations of predicted torques: of numbers, noise and what is left, and outside what was recorded."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pyarrow.csv
+import pytest
+from domains.torque.moved import GRAVITY, hidden, motion_of, recorded, setup_of
+from typed import flat, run
+
+from benchmarks.torque_trials.physics import torques
+from lite6jax.arms.dynamics import link_parameters
+from lite6jax.diagnosis.document import write_document
+from lite6jax.diagnosis.options import Options
+from lite6jax.diagnosis.torque_diagnosis import diagnose_torques
+from lite6jax.diagnosis.torque_document import to_torque_document, torque_model_from_document
+from lite6jax.domains.torque.predict import DiagnosedMotors, predict_torques, predicted_torques
+from lite6jax.domains.torque.uncertainty import RecordedMotion, TorqueUncertainty, with_free_numbers
+from lite6jax.effects.dynamic.catalogue import BUILT_IN
+from lite6jax.effects.serialization import parse_effect
+from lite6jax.errors import InputError
+from lite6jax.estimation.terms import Terms, join
+from lite6jax.recordings import Recording, write_recording
+from lite6jax.report.bars import NO_BARS
+
+FRICTION = (
+    hidden("viscous_friction", "joint2", viscous_Nm_s_per_rad=0.6),
+    hidden("coulomb_friction", "joint2", coulomb_Nm=0.4),
+)
+
+
+@pytest.fixture(scope="module")
+def diagnosed():
+    """Friction beside a wave that no effect of the search is allowed to explain, so that something is left."""
+    wave = 0.06 * np.sin(np.arange(600) / 7.0)
+    recording, arm = recorded(
+        FRICTION, seed=1, change=lambda tau: tau + np.stack([wave * (j == 4) for j in range(6)], 1)
+    )
+    return diagnose_torques(recording, arm, options=Options(folds=2))
+
+
+@pytest.fixture(scope="module")
+def model(diagnosed):
+    return torque_model_from_document(json.loads(json.dumps(to_torque_document(diagnosed))))
+
+
+def unseen(seed, factor=1.0):
+    """Another motion of the arm of `diagnosed`, and what its motors exert."""
+    setup, _ = setup_of(1)
+    motion = motion_of(setup, seed)
+    if factor != 1.0:
+        motion = replace(motion, time=motion.time / factor, dq=motion.dq * factor, ddq=motion.ddq * factor**2)
+    recording = Recording.from_arrays(motion.q, time=motion.time, joint_velocity=motion.dq, motion="trajectory")
+    return setup, motion, recording
+
+
+def test_bars_hold_the_share_of_rows_that_they_claim(diagnosed, model):
+    """Of motions that were not recorded, of each joint and of all, with the sensor's noise."""
+    rng, within = np.random.default_rng(0), []
+    wave = np.sin(np.arange(600) / 7.0 + 1.0)
+    for seed in (7, 9, 10):
+        setup, motion, recording = unseen(seed)
+        shown = torques(setup, FRICTION, motion) + rng.normal(0, 1, motion.q.shape) * 0.5 * setup.arm.noise
+        shown[:, 4] += 0.06 * wave[: len(shown)]
+        found = predicted_torques(model, recording)
+        inside = ~found.outside
+        inside[:15] = inside[-15:] = False  # accelerations at the ends of a run are not known as well
+        within.append((np.abs(found.torque - shown) <= 1.96 * found.std)[inside])
+    share = np.concatenate(within)
+    assert len(share) > 500
+    assert 0.93 <= share.mean() <= 0.97
+    assert share.mean(0).min() > 0.9
+
+
+def test_without_what_is_left_the_bars_would_be_too_narrow(model):
+    narrow = replace(model, uncertainty=replace(model.uncertainty, left=np.zeros(6), unseen=np.zeros(6)))
+    _, _, recording = unseen(7)
+    ratio = predicted_torques(narrow, recording).std[:, 4] / predicted_torques(model, recording).std[:, 4]
+    assert ratio.max() < 0.9
+
+
+def test_rows_outside_are_marked_and_their_bars_grow(model):
+    _, _, usual = unseen(10)
+    _, _, fast = unseen(10, factor=3.0)
+    inside, beyond = (predicted_torques(model, motion) for motion in (usual, fast))
+    assert beyond.outside.mean() > 0.5 > inside.outside.mean()
+    assert np.median(beyond.std[beyond.outside]) > 1.5 * np.median(inside.std[~inside.outside])
+
+
+def with_uncertainty(texts, inertial, rng):
+    """A Lite 6 with these effects and a covariance of all its numbers."""
+    setup, arm = setup_of(2)
+    pairs = [parse_effect(text, BUILT_IN) for text in texts]
+    terms, values = Terms(tuple(e for e, _ in pairs)), join(v for _, v in pairs)
+    links = np.asarray(link_parameters(arm))
+    size = 60 * inertial + with_free_numbers(terms, values)[0].size
+    root = 1e-5 * rng.normal(size=(size, size))
+    recorded_range = RecordedMotion(np.tile([-1e3, 1e3], (3, 6, 1)), np.zeros((1, 6)), 1e3, {})
+    nothing = np.zeros(6)
+    known = TorqueUncertainty(inertial, root @ root.T, nothing, nothing, nothing, (None,) * len(pairs), recorded_range)
+    return setup, DiagnosedMotors(arm, links, np.zeros(3), GRAVITY, terms, values, 25.0, uncertainty=known)
+
+
+@pytest.mark.parametrize(
+    ("texts", "inertial"),
+    [
+        (("viscous_friction:joint=2,viscous_Nm_s_per_rad=0.8", "torque_scale:joint=2,scale=0.2"), True),
+        (("stribeck_friction:joint=3,stribeck_Nm=0.5,velocity_rad_per_s=0.15", "payload_error:mass_kg=0.4"), False),
+        (
+            ("torque_ripple:joint=1,order=7.5,amplitude_Nm=0.2,phase_rad=1", "link_com:link=2,x_m=0.01,y_m=0,z_m=0.02"),
+            False,
+        ),
+        (("time_offset:offset_s=0", "coulomb_friction:joint=4,coulomb_Nm=0.3"), False),
+    ],
+)
+def test_variances_are_those_of_the_prediction(texts, inertial):
+    """By differences of the prediction itself, along each direction of the covariance."""
+    setup, model = with_uncertainty(texts, inertial, np.random.default_rng(5))
+    motion = motion_of(setup, 3, seconds=2.0)
+    recording = Recording.from_arrays(motion.q, time=motion.time, joint_velocity=motion.dq, motion="trajectory")
+    free, values = with_free_numbers(model.terms, model.values)
+    eigenvalues, V = np.linalg.eigh(model.uncertainty.covariance)
+    variance = np.zeros_like(motion.q)
+    for direction in (V * np.sqrt(np.maximum(eigenvalues, 0.0))).T:
+        links = direction[:60].reshape(6, 10) if inertial else np.zeros((6, 10))
+        numbers = direction[60:] if inertial else direction
+        sides = [
+            predict_torques(
+                replace(model, links=model.links + s * links, terms=free, values=values + s * numbers), recording
+            )
+            for s in (1.0, -1.0)
+        ]
+        variance += ((sides[0] - sides[1]) / 2) ** 2
+    inside = slice(20, -20)  # a delay goes on beyond the ends of a run in its own way
+    found = predicted_torques(model, recording).std
+    np.testing.assert_allclose(found[inside], np.sqrt(variance)[inside], rtol=2e-2, atol=1e-4 * found.max())
+
+
+@pytest.mark.parametrize(
+    ("damage", "message"),
+    [
+        (lambda u: u["covariance"].pop(), "covariance is not one of"),
+        (lambda u: u.update(left_Nm=[0.1]), "not one of this arm"),
+        (lambda u: u["curves_Nm"].append(None), "curves are not one for each effect"),
+        (lambda u: u["recorded"].update(joint_range_rad=[[1, 0]] * 6), "ends before it begins"),
+        (lambda u: u.update(noise_Nm=[-1.0] * 6), "0 or more"),
+    ],
+)
+def test_damaged_bars_are_refused(diagnosed, damage, message):
+    document = json.loads(json.dumps(to_torque_document(diagnosed)))
+    damage(document["model"]["uncertainty"])
+    with pytest.raises(InputError, match=message):
+        torque_model_from_document(document)
+
+
+def test_the_command_writes_bars_beside_torques(diagnosed, tmp_path, capsys):
+    document = to_torque_document(diagnosed)
+    path = write_document(document, tmp_path / "d.json")
+    motion = write_recording(unseen(7)[2], tmp_path / "motion.csv")
+    code, said, _ = run(capsys, "predict", path, motion, "--out", tmp_path / "p.csv")
+    assert code == 0
+    table = pyarrow.csv.read_csv(tmp_path / "p.csv")
+    names = [f"tau{j}{std}_Nm" for std in ("", "_std") for j in range(1, 7)]
+    assert table.column_names == [*names, "outside"]
+    count = sum(table.column("outside").to_pylist())
+    assert f"{count} of {table.num_rows} rows are outside what was recorded" in flat(said)
+    assert min(table.column("tau1_std_Nm").to_pylist()) > 0
+    del document["model"]["uncertainty"]
+    write_document(document, path, overwrite=True)
+    code, _, warned = run(capsys, "predict", path, motion, "--out", tmp_path / "old.csv")
+    assert code == 0
+    assert NO_BARS in flat(warned)
+    assert pyarrow.csv.read_csv(tmp_path / "old.csv").column_names == names[:6]

@@ -1,0 +1,194 @@
+"""What is declared wrongly of torques, and joints held at rest: located, corrected, weighed down, and nothing else."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from domains.torque.moved import GRAVITY, at_flange, hidden, motion_of, recorded, setup_of
+
+from benchmarks.torque_trials.physics import torques
+from lite6jax.diagnosis.options import Options
+from lite6jax.diagnosis.torque_diagnosis import diagnose_torques
+from lite6jax.domains.torque.screening import screen_torques
+from lite6jax.recordings import Recording
+from lite6jax.recordings.fault import DataFault
+from lite6jax.report.data_faults import fault_statement
+
+FRICTION = (
+    hidden("viscous_friction", "joint2", viscous_Nm_s_per_rad=0.6),
+    hidden("coulomb_friction", "joint2", coulomb_Nm=0.8),
+)
+
+
+def mounted(gravity, change=None, seed=7, **declared):
+    """A recording of an arm in this gravity, that declares it upright."""
+    setup, arm = setup_of(seed)
+    motion = motion_of(setup, seed + 100)
+    setup = replace(setup, gravity=np.asarray(gravity, float))
+    tau = torques(setup, FRICTION, motion)
+    tau += np.random.default_rng(seed).normal(0, 1, tau.shape) * 0.5 * setup.arm.noise
+    return Recording.from_arrays(
+        motion.q,
+        time=motion.time,
+        joint_velocity=motion.dq,
+        joint_torque=tau if change is None else change(tau),
+        motion="trajectory",
+        payload_com_m=tuple(at_flange(arm)),
+        torque_noise_Nm=tuple(setup.arm.noise),
+        **declared,
+    ), arm
+
+
+def faults_of(recording, arm):
+    return [(fault.code, fault.numbers) for fault in screen_torques(recording, arm).found]
+
+
+@pytest.mark.parametrize("gravity", [(0, 0, 9.81), (9.81, 0, 0), (0, -9.81, 0)])
+def test_an_arm_on_a_wall_or_a_ceiling_is_no_upright_one(gravity):
+    screened = screen_torques(*mounted(gravity))
+    ((code, numbers),) = [(fault.code, fault.numbers) for fault in screened.found]
+    assert code == "wrong_gravity"
+    assert numbers["found_m_per_s2"] == list(gravity)
+    assert numbers["declared_m_per_s2"] == GRAVITY.tolist()
+    assert numbers["tilt_rad"] == pytest.approx(np.pi if gravity[2] else np.pi / 2, abs=0.1)
+    np.testing.assert_array_equal(screened.data.bodies.gravity, gravity)
+    said = fault_statement(screened.found[0])
+    assert f"Declare gravity_m_per_s2: [{', '.join(f'{g:g}' for g in gravity)}] in the sidecar." in said
+
+
+def test_a_slanted_mount_is_found_as_it_is():
+    tilt = 1.1
+    gravity = 9.81 * np.array([np.sin(tilt), 0.0, -np.cos(tilt)])
+    ((code, numbers),) = faults_of(*mounted(gravity))
+    assert code == "wrong_gravity"
+    np.testing.assert_allclose(numbers["found_m_per_s2"], gravity, atol=0.4)
+    assert np.linalg.norm(numbers["found_m_per_s2"]) == pytest.approx(9.81, abs=1e-2)
+
+
+@pytest.mark.parametrize("tilt", [0.0, 0.3])
+def test_a_small_tilt_is_an_effect_and_no_fault(tilt):
+    gravity = 9.81 * np.array([np.sin(tilt), 0.0, -np.cos(tilt)])
+    screened = screen_torques(*mounted(gravity))
+    assert screened.found == ()
+    assert "wrong_gravity" in {fault.code for fault in screened.ruled_out}
+
+
+def test_all_signs_reversed_is_not_taken_for_a_ceiling():
+    ((code, numbers),) = faults_of(*mounted(GRAVITY, change=lambda tau: -tau))
+    assert code == "reversed_torque"
+    assert {1, 2, 3} <= set(numbers["joints"])
+
+
+def test_gravity_and_columns_are_both_corrected():
+    found = faults_of(*mounted((0, 0, 9.81), change=lambda tau: tau[:, [0, 2, 1, 3, 4, 5]]))
+    assert [code for code, _ in found] == ["wrong_gravity", "swapped_torques"]
+
+
+def test_a_wrong_constant_of_a_joint_is_said_and_divided_out():
+    recording, arm = recorded(FRICTION, seed=7, change=lambda tau: tau * [1, 1, 2.2, 1, 1, 1])
+    screened = screen_torques(recording, arm)
+    ((code, numbers),) = [(fault.code, fault.numbers) for fault in screened.found]
+    assert (code, numbers["joints"]) == ("wrong_torque_constant", [3])
+    assert numbers["factors"] == [pytest.approx(2.2, abs=0.1)]
+    assert numbers["constants_Nm_per_A"] is None
+    straight = recorded(FRICTION, seed=7)[0].torques().T
+    np.testing.assert_allclose(screened.data.torque[2], 2.2 / numbers["factors"][0] * straight[2])
+    declared, noise = (side.settings.torque_noise_Nm for side in (recording, screened.data.recording))
+    assert noise[2] == pytest.approx(declared[2] / numbers["factors"][0])
+    assert "that of joint 3 2.2 times as much" in fault_statement(screened.found[0])
+
+
+def test_of_currents_the_constant_to_declare_is_said():
+    recording, arm = recorded(FRICTION, seed=7)
+    constants = np.array([8.0, 8.0, 4.0, 4.0, 4.0, 4.0])
+    currents = recording.torques() / constants
+    settings = replace(recording.settings, torque_constant_Nm_per_A=tuple(constants * [1, 0.4, 1, 1, 1, 1]))
+    wrong = replace(recording, joint_torque=None, motor_current=currents, settings=settings)
+    ((code, numbers),) = faults_of(wrong, arm)
+    assert (code, numbers["joints"]) == ("wrong_torque_constant", [2])
+    assert numbers["constants_Nm_per_A"] == [pytest.approx(8.0, rel=0.03)]
+    assert "Declare torque_constant_Nm_per_A 8" in fault_statement(DataFault(code, (), numbers))
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda tau: tau * [1, 1, 1.5, 1, 1, 1],  # an error of calibration: an effect
+        lambda tau: tau * 2.2,  # of all joints: rather other masses
+    ],
+)
+def test_what_is_no_wrong_constant(change):
+    assert faults_of(*recorded(FRICTION, seed=7, change=change)) == []
+
+
+@pytest.mark.parametrize(
+    "effect",
+    [
+        hidden("payload_error", "payload", mass_kg=0.9),
+        hidden("link_com", "link5", x_m=0.03, y_m=0.04, z_m=0.0),
+        hidden("link_mass", "link3", mass_kg=1.5),
+    ],
+)
+def test_other_masses_are_no_wrong_constant(effect):
+    """Though the torque of a joint may be a multiple of what it should be."""
+    assert faults_of(*recorded([effect], seed=7)) == []
+
+
+# ------------------------------------------------------------------ rest
+
+
+def dwelling(held, seed=7, seconds=24.0, rate=50.0):
+    """A motion that stops now and then, of which friction holds joint 2 anywhere within `held` Nm at each stop."""
+    setup, arm = setup_of(seed)
+    rng = np.random.default_rng(seed)
+    t = np.arange(round(seconds * rate)) / rate
+    w = 2 * np.pi / 4.0  # s between two stops
+    k = 12.0
+    gate = 0.5 * (1 + np.tanh(k * (np.cos(w * t) + 0.5)))
+    slope = -0.5 * k * w * np.sin(w * t) / np.cosh(k * (np.cos(w * t) + 0.5)) ** 2
+    phase = np.cumsum(gate) / rate
+    pulse, size = rng.uniform(1.2, 2.4, (2, 6)), rng.uniform(0.2, 0.4, (2, 6))
+    angle = pulse[:, None] * phase[:, None] + rng.uniform(0, 6, (2, 1, 6))
+    middle = np.clip(arm.joint_limits.mean(1), -1, 2)
+    q = middle + np.sum(size[:, None] * np.sin(angle), 0)
+    along = np.sum(size[:, None] * pulse[:, None] * np.cos(angle), 0)
+    bent = -np.sum(size[:, None] * pulse[:, None] ** 2 * np.sin(angle), 0)
+    dq = along * gate[:, None]
+    ddq = bent * gate[:, None] ** 2 + along * slope[:, None]
+    motion = replace(motion_of(setup, seed, seconds=seconds, rate=rate), time=t, q=q, dq=dq, ddq=ddq)
+    tau = torques(setup, FRICTION, motion) + rng.normal(0, 1, q.shape) * 0.5 * setup.arm.noise
+    stop = np.cumsum(np.diff(gate > 0.01, prepend=False)) // 2
+    still = np.abs(dq[:, 1]) < 1e-3
+    level = held * rng.choice([-1.0, 1.0], stop.max() + 1) * rng.uniform(0.5, 1.0, stop.max() + 1)
+    tau[still, 1] += level[stop[still]]
+    recording = Recording.from_arrays(
+        q, time=t, joint_velocity=dq, joint_torque=tau, motion="trajectory", payload_com_m=tuple(at_flange(arm)),
+        torque_noise_Nm=tuple(setup.arm.noise),
+    )  # fmt: skip
+    return recording, arm, still
+
+
+def test_torques_that_friction_holds_at_rest_have_little_weight():
+    recording, arm, still = dwelling(0.6)
+    found = diagnose_torques(recording, arm, options=Options(folds=2))
+    (fault,) = found.faults
+    assert (fault.code, fault.numbers["joints"]) == ("held_by_friction", [2])
+    assert 0.3 < fault.numbers["std_Nm"][0] < 0.6
+    rows = set(1 + np.flatnonzero(still))
+    assert len(rows & set(fault.rows)) > 0.8 * len(rows | set(fault.rows))
+    assert "friction holds a joint wherever it stands" in fault_statement(fault)
+    sigma = found.problem.sigma
+    at = found.problem.data.filter.kept
+    assert np.mean(sigma[1, still[at]] > 5 * found.problem.noise[1]) > 0.9
+    np.testing.assert_array_equal(sigma[0], found.problem.noise[0])
+    estimates = {f.effect.label: next(iter(f.parameters.values())) for f in found.findings}
+    assert set(estimates) == {"viscous_friction:joint2", "coulomb_friction:joint2"}
+    for label, truth in (("viscous_friction:joint2", 0.6), ("coulomb_friction:joint2", 0.8)):
+        assert abs(estimates[label].value - truth) < 4 * estimates[label].std
+
+
+def test_rest_that_the_model_explains_keeps_its_weight():
+    recording, arm, _ = dwelling(0.0)
+    screened = screen_torques(recording, arm)
+    assert screened.found == ()
+    assert screened.data.slack is None

@@ -1,0 +1,110 @@
+"""Torques relative to a reference recording: of the same motion row by row, of another one effect by effect."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from domains.torque.moved import hidden, motion_of, recorded, setup_of
+from typed import flat, run
+
+from benchmarks.torque_trials.physics import torques
+from lite6jax.arms.description import write_arm
+from lite6jax.diagnosis.options import Options
+from lite6jax.diagnosis.torque_reference import diagnose_torques_against
+from lite6jax.domains.torque.reference import compare_rows
+from lite6jax.errors import InputError
+from lite6jax.recordings import Recording, write_recording
+
+FEW = Options(folds=2)
+EARLIER = (
+    hidden("viscous_friction", "joint2", viscous_Nm_s_per_rad=0.6),
+    hidden("coulomb_friction", "joint3", coulomb_Nm=0.5),
+)
+WORN = (*EARLIER[:1], hidden("coulomb_friction", "joint3", coulomb_Nm=0.9))
+
+
+def simulated(effects, seed=1):
+    """The same motion as `recorded(seed=…)`, of a simulator: other sampling, no noise."""
+    setup, _ = setup_of(seed)
+    motion = motion_of(setup, seed + 100, rate=80.0)
+    return Recording.from_arrays(
+        motion.q,
+        time=motion.time + 3.0,
+        joint_velocity=motion.dq,
+        joint_torque=torques(setup, effects, motion),
+        motion="trajectory",
+    )
+
+
+def test_of_the_same_motion_only_the_difference_is_found():
+    recording, arm = recorded(WORN, seed=1)
+    found, seen = diagnose_torques_against(recording, simulated(EARLIER), arm, options=FEW)
+    (finding,) = found.findings
+    assert finding.effect.label == "coulomb_friction:joint3"
+    (estimate,) = finding.parameters.values()
+    assert abs(estimate.value - 0.4) < 4 * estimate.std < 0.2
+    assert seen.rows is not None
+    assert seen.rows.matched > 0.95 * recording.samples
+    assert seen.rows.apart[2] == pytest.approx(0.4, abs=0.1)
+    assert seen.rows.from_model[1] > 0.2
+    assert seen.rows.from_model[0] < 0.02
+
+
+def test_noise_of_both_counts():
+    recording, arm = recorded(seed=1)
+    reference = recorded(seed=1, noise=1.5)[0]
+    seen = compare_rows(recording, reference, arm)
+    noise = (side.settings.torque_noise_Nm for side in (recording, reference))
+    np.testing.assert_allclose(seen.recording.settings.torque_noise_Nm, np.hypot(*noise))
+
+
+def test_of_another_motion_what_each_shows_is_compared():
+    recording, arm = recorded(WORN, seed=1)
+    setup, _ = setup_of(1)
+    motion = motion_of(setup, 500)
+    rng = np.random.default_rng(3)
+    tau = torques(setup, EARLIER, motion) + rng.normal(0, 0.5, motion.q.shape) * setup.arm.noise
+    reference = Recording.from_arrays(
+        motion.q, time=motion.time, joint_velocity=motion.dq, joint_torque=tau, settings=recording.settings,
+        source="folder/earlier.csv",
+    )  # fmt: skip
+    found, seen = diagnose_torques_against(recording, reference, arm, options=FEW)
+    assert seen.rows is None
+    assert seen.file == "earlier.csv"
+    assert {f.effect.label for f in found.findings} == {"viscous_friction:joint2", "coulomb_friction:joint3"}
+    said = {(each.effect.label): each for each in seen.effects}
+    assert said["coulomb_friction:joint3"].p_value < 1e-4
+    assert said["viscous_friction:joint2"].p_value > 0.0027
+    document = seen.to_dict()
+    assert [entry["differs"] for entry in document["differences"]] == [
+        entry["effect"] == "coulomb_friction" for entry in document["differences"]
+    ]
+
+
+def test_another_number_of_joints_is_refused():
+    recording, arm = recorded(seed=1)
+    five = Recording.from_arrays(
+        recording.joint_position[:, :5], time=recording.time, joint_torque=recording.torques()[:, :5],
+        motion="trajectory",
+    )  # fmt: skip
+    with pytest.raises(InputError, match=r"has 5 joints, but .* 6; give that arm's"):
+        compare_rows(recording, five, arm)
+
+
+def test_the_command_says_what_was_compared(tmp_path, capsys):
+    recording, arm = recorded(WORN, seed=1)
+    write_arm(arm, tmp_path / "arm.yaml")
+    settings = replace(recording.settings, arm="arm.yaml")
+    run_file = write_recording(replace(recording, settings=settings), tmp_path / "run.csv")
+    reference = write_recording(simulated(EARLIER), tmp_path / "gazebo.csv")
+    out = tmp_path / "d.json"
+    code, said, _ = run(capsys, "diagnose", run_file, "--reference", reference, "--out", out)
+    assert code == 0
+    assert "Reference gazebo.csv, " in flat(said)
+    assert "Findings and model are the difference from gazebo.csv" in flat(said)
+    against = json.loads(out.read_text())["against"]
+    assert (against["by"], against["file"]) == ("rows", "gazebo.csv")
+    code, said, _ = run(capsys, "predict", out, run_file, "--out", tmp_path / "p.csv")
+    assert code == 0
+    assert "the difference from gazebo.csv" in flat(said)

@@ -1,0 +1,95 @@
+"""Effects on torques that a user defines: checked when read, found, written, and read again with their file."""
+
+import json
+
+import numpy as np
+import pytest
+from domains.torque.moved import recorded
+
+from lite6jax.diagnosis.options import Options
+from lite6jax.diagnosis.torque_diagnosis import diagnose_torques
+from lite6jax.diagnosis.torque_document import to_torque_document, torque_model_from_document
+from lite6jax.domains.torque.predict import predict_torques
+from lite6jax.effects.user_effects import load_effects
+from lite6jax.errors import InputError
+
+OWN = '''
+from dataclasses import dataclass
+from typing import ClassVar, final
+
+from lite6jax.effects.drivers import Driver
+from lite6jax.effects.dynamic.torque_effect import JointTorque
+from lite6jax.effects.effect import Coordinate
+
+
+@final
+@dataclass(frozen=True)
+class AirDrag(JointTorque):
+    """τ += d·q̇·abs(q̇)."""
+
+    name: ClassVar[str] = "air_drag"
+
+    @property
+    def coordinates(self):
+        return (Coordinate("drag_Nm_s2_per_rad2", "Nm·s²/rad²", 0.01),)
+
+    @property
+    def drivers(self):
+        return (Driver("velocity", self.joint),)
+
+    def at_joint(self, values, dynamics):
+        speed = dynamics.velocity(self.joint)
+        return values[0] * speed * abs(speed)
+
+
+EFFECTS = [AirDrag(joint) for joint in range(1, 7)]
+'''
+
+
+def written(tmp_path, text=OWN):
+    path = tmp_path / "mine.py"
+    path.write_text(text)
+    return path
+
+
+def test_an_effect_of_ones_own_is_found_and_predicted(tmp_path):
+    effects = load_effects(written(tmp_path))
+    recording, arm = recorded(seed=1)
+    speed = recording.velocities()[:, 1]
+    torque = recording.torques().copy()
+    torque[:, 1] += 0.5 * speed * np.abs(speed)
+    dragged = recorded(seed=1, change=lambda _: torque)[0]
+    found = diagnose_torques(dragged, arm, effects=effects, options=Options(folds=2))
+    (finding,) = found.findings
+    assert finding.effect == effects[1]
+    (estimate,) = finding.parameters.values()
+    assert abs(estimate.value - 0.5) < 4 * estimate.std < 0.2
+    document = json.loads(json.dumps(to_torque_document(found)))
+    with pytest.raises(InputError, match="effect 'air_drag': unknown"):
+        torque_model_from_document(document)
+    model = torque_model_from_document(document, effects)
+    np.testing.assert_allclose(
+        predict_torques(model, dragged), predict_torques(found.model, dragged), rtol=0, atol=1e-12
+    )
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (("speed * abs(speed)", "speed[:2]"), "AirDrag.* fails on a trial motion|could not"),
+        (("return values[0]", "return 1.0 + values[0]"), "gives torques at zero"),
+        (("return values[0]", "return values[0] ** 2"), "is not proportional to its coordinates"),
+        (('"air_drag"', '"viscous_friction"'), "has the name of a built-in effect"),
+        (("abs(speed)", "nothing"), "fails on a trial motion"),
+        (("@final\n", ""), "is not final"),
+    ],
+)
+def test_what_is_no_effect_on_torques(tmp_path, change, message):
+    with pytest.raises(InputError, match=message):
+        load_effects(written(tmp_path, OWN.replace(*change)))
+
+
+def test_an_effect_of_a_joint_that_the_arm_lacks_is_refused(tmp_path):
+    effects = load_effects(written(tmp_path, OWN.replace("range(1, 7)", "range(1, 8)")))
+    with pytest.raises(InputError, match="acts at joint 7, but the arm has 6 joints; remove it from EFFECTS"):
+        diagnose_torques(*recorded(seed=1), effects=effects)
