@@ -6,6 +6,7 @@ here ends the build, so that no table of the reference can lag behind the code.
 
 import contextlib
 import io
+import itertools
 import os
 import re
 import tempfile
@@ -27,6 +28,7 @@ from lite6jax.effects.dynamic import catalogue as torque_catalogue
 from lite6jax.effects.effect import Effect
 from lite6jax.fitting.folder_rows import write_rows
 from lite6jax.recordings import RecordingSettings, columns, settings
+from lite6jax.report import remedies
 
 HERE = Path(__file__).parent
 MARK = re.compile(r"^<!-- made: (\w+) -->$", re.MULTILINE)
@@ -50,6 +52,13 @@ COLUMNS = {
     "time": "time of the sample; without it the order of the rows is the sequence",
     **dict.fromkeys("xyz", "measured position of the tool point"),
     **dict.fromkeys(("qw", "qx", "qy", "qz"), "measured orientation as a unit quaternion, scalar first"),
+    **dict.fromkeys(("rx", "ry", "rz"), "the same as a rotation vector, axis times angle (Universal Robots)"),
+    **dict.fromkeys(
+        ("roll", "pitch", "yaw"),
+        "the same as Rz(yaw) Ry(pitch) Rx(roll) (UFACTORY, URDF; the C, B, A of KUKA and W, P, R of Fanuc)",
+    ),
+    **dict.fromkeys(("rotx", "roty", "rotz"), "the same as Rx(rotx) Ry(roty) Rz(rotz) (Stäubli, Mecademic)"),
+    **dict.fromkeys(("alpha", "beta", "gamma"), "the same as Rz(alpha) Ry(beta) Rz(gamma) (Kawasaki, Doosan)"),
     "ambient": "temperature of the surroundings",
     "payload": "mass at the flange; 0 where the column is missing",
     "run": "an integer that changes where a new run starts",
@@ -122,11 +131,20 @@ def column_table() -> str:
     accepted = {**columns._PER_JOINT, **columns._SCALAR, **{name: {"": 1.0} for name in columns._TEXTS}}
     _check("columns", COLUMNS, accepted)
     lines = []
-    for quantity, units in accepted.items():
-        numbers = ("1", "N") if quantity in columns._PER_JOINT else ("",)
-        spelled = [" … ".join(f"`{quantity}{number}{unit and '_'}{unit}`" for number in numbers) for unit in units]
-        lines.append((" or ".join(spelled), COLUMNS[quantity]))
-    return _table(("column", "meaning"), lines)
+    for meaning, group in itertools.groupby(accepted, COLUMNS.__getitem__):
+        quantities = list(group)
+        spelled = [_spelled(quantities, unit) for unit in accepted[quantities[0]]]
+        lines.append((" or ".join(spelled), meaning))
+    return _table(("columns", "meaning"), lines)
+
+
+def _spelled(quantities: Iterable[str], unit: str) -> str:
+    """The columns of quantities in a unit; of those of every joint the first and the last."""
+    end = unit and f"_{unit}"
+    names = [
+        f"`{name}1{end}` … `{name}N{end}`" if name in columns._PER_JOINT else f"`{name}{end}`" for name in quantities
+    ]
+    return ", ".join(names)
 
 
 def sidecar_table() -> str:
@@ -173,12 +191,12 @@ def fleet_table() -> str:
 
 def pose_effects() -> str:
     """The catalogue of effects on poses."""
-    return _effects(catalogue.BUILT_IN, _texts("poses"))
+    return _effects(catalogue.BUILT_IN, _looks("poses"), remedies.OF_POSES)
 
 
 def torque_effects() -> str:
     """The catalogue of effects on torques."""
-    return _effects(torque_catalogue.BUILT_IN, _texts("torques"))
+    return _effects(torque_catalogue.BUILT_IN, _looks("torques"), remedies.OF_TORQUES)
 
 
 def own_effect() -> str:
@@ -204,12 +222,13 @@ def python_pages() -> str:
     return "\n\n".join(sections)
 
 
-def _effects(kinds: Mapping[str, type[Effect]], texts: Mapping[str, Mapping[str, str]]) -> str:
-    _check("effects.yaml", texts, kinds)
-    return "\n\n".join(_effect(kind, texts[name]) for name, kind in kinds.items())
+def _effects(kinds: Mapping[str, type[Effect]], looks: Mapping[str, str], known: Mapping[str, remedies.Remedy]) -> str:
+    _check("effects.yaml", looks, kinds)
+    _check("remedies", known, kinds)
+    return "\n\n".join(_effect(kind, looks[name], known[name].action) for name, kind in kinds.items())
 
 
-def _effect(kind: type[Effect], text: Mapping[str, str]) -> str:
+def _effect(kind: type[Effect], looks: str, remedy: str) -> str:
     told = [f"### {kind.name}", _formula(kind)]
     if not kind.nonparametric:
         made = _examples(kind)
@@ -218,7 +237,7 @@ def _effect(kind: type[Effect], text: Mapping[str, str]) -> str:
         driven = ", ".join(_driver(whole, driver.phrase) for driver in whole.drivers) or "nothing: it is constant"
         told.append(f"**Where:** {sites}. **Depends on:** {driven}.")
         told.append(_table(("parameter", "physically possible"), list(_parameters(whole))))
-    told += [f"**What it looks like.** {text['looks']}", f"**What to do.** {text['remedy']}"]
+    told += [f"**What it looks like.** {looks}", f"**What to do.** {remedy}"]
     return "\n\n".join(told)
 
 
@@ -259,7 +278,7 @@ def _general(place: str) -> str:
     return re.sub(r"(?<=[a-z])2$|(?<=[a-z] )2\b", "N", re.sub(r"(?<=joint )1\b", "M", place))
 
 
-def _texts(part: str) -> Mapping[str, Mapping[str, str]]:
+def _looks(part: str) -> Mapping[str, str]:
     return yaml.safe_load((HERE / "effects.yaml").read_text(encoding="utf-8"))[part]
 
 

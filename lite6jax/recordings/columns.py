@@ -21,7 +21,7 @@ _PER_JOINT = {
 QUATERNION = ("qw", "qx", "qy", "qz")
 ANGLES = (("rx", "ry", "rz"), ("roll", "pitch", "yaw"), ("rotx", "roty", "rotz"), ("alpha", "beta", "gamma"))
 """The other forms of an orientation (`orientations.py`). Without their unit they are any column of the user's own."""
-_OF_ANGLES = {part for form in ANGLES for part in form}
+_OF_ANGLES = tuple(part for form in ANGLES for part in form)
 _SCALAR = {
     "time": {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9},
     **{axis: {"m": 1.0, "mm": 1e3} for axis in "xyz"},

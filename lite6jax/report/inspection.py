@@ -216,7 +216,7 @@ def sidecar_text(found: Inspection, settings: Mapping[str, Any], table: str) -> 
     """
     lines = [
         f"# How lite6jax reads {' '.join(table.split())}. Written by `lite6jax init`, to be corrected by hand;",
-        "# docs/recordings.md has all columns and keys. A line that begins with # is not in force.",
+        "# docs/reference/recordings.md has all columns and keys. A line that begins with # is not in force.",
         "",
     ]
     if found.columns:
