@@ -5,8 +5,9 @@ BIN := $(VENV)/bin
 # A worker that is done takes over the last half of what another has left: each module stays on one worker but where it
 # is cut, which keeps its fixtures and compiled functions, and no worker waits for the longest module.
 PYTEST := $(BIN)/python -m pytest --numprocesses=auto --maxprocesses=4 --dist=worksteal --durations=25
-# The parts that take arrays from outside, of which the types and shapes are checked as they run; pyright checks the rest.
-TYPED := $(addprefix tests/,arms recordings)
+# Tests of the parts that take arrays from outside, whose types and shapes are checked as they run (pyright checks the rest),
+# and of what documents show.
+SECOND := $(addprefix tests/,arms recordings test_notebooks.py test_screens.py)
 
 .PHONY: demo test test-slow docs screens benchmark installed-locked lock clean
 
@@ -14,11 +15,11 @@ demo: $(VENV)/installed
 	$(BIN)/lite6jax demo
 
 test: $(VENV)/installed-test
-	$(PYTEST) --ignore=tests/test_notebooks.py --ignore=tests/test_screens.py
+	$(PYTEST) $(addprefix --ignore=,$(SECOND))
 
-# The second stage of .ci/run: annotated types and shapes checked in each call, the notebooks, and what documents show.
+# The second stage of .ci/run: arms and recordings with types and shapes checked in each call, and what documents show.
 test-slow: $(VENV)/installed-test
-	CHECK_TYPES=1 $(PYTEST) $(TYPED) tests/test_notebooks.py tests/test_screens.py
+	CHECK_TYPES=1 $(PYTEST) $(SECOND)
 
 # The documentation, in the folder site: built strictly, and looked through for links that lead nowhere.
 docs: $(VENV)/installed-test

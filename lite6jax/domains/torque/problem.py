@@ -9,13 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lite6jax.domains.torque import families
+from lite6jax.domains.torque.links import uncertain
 from lite6jax.domains.torque.rows import TorqueRows
 from lite6jax.effects.catalogue import Untestable, untestable
 from lite6jax.effects.dynamic.bodies import LinkCom, LinkMass, PayloadTorque
 from lite6jax.effects.dynamic.catalogue import torque_catalogue, torque_ladder, torque_shaped
 from lite6jax.effects.dynamic.friction import CoulombFriction, ViscousFriction
 from lite6jax.effects.dynamic.motors import RotorInertia, TorqueOffset
-from lite6jax.effects.dynamic.torque_effect import Delaying, Dynamics, Scaling, TorqueEffect, point_mass
+from lite6jax.effects.dynamic.torque_effect import Delaying, Dynamics, Scaling, TorqueEffect
 from lite6jax.effects.dynamic.unnamed import UnnamedTorque
 from lite6jax.errors import InputError
 from lite6jax.estimation.least_squares import Fit, fit
@@ -35,8 +36,6 @@ _WIDTHS = (0.1, 0.3, 1.0, 3.0)
 """Relative standard deviations of inertial numbers that are unknown: from another series of the arm to another arm."""
 FITTED = (LinkMass, LinkCom)
 """Effects that are confounded with inertial numbers that are fitted."""
-_UNKNOWN_MASS, _UNKNOWN_LEVER = 3.0, 0.1
-"""kg and m, of links about which nothing is declared."""
 _ASSUMED = 0.02
 """Of a joint's torque: the noise that is assumed where none is declared; its scale is estimated in any case."""
 
@@ -411,27 +410,3 @@ def _evidence(problem: TorqueProblem, found: Fit) -> float:
     )
     volume = float(np.linalg.slogdet(np.eye(k) + S)[1])
     return found.log_likelihood(found.scale) - 0.5 * volume
-
-
-def uncertain(links: Array, relative: float) -> tuple[Array, Array]:
-    """Changes `(number, joint, 10)` of inertial numbers, and the standard deviation `(number,)` of each's prior.
-
-    They are those of each link's mass with its centre in place, of its centre of mass with its mass and tensor as they
-    are, and of its tensor: what is uncertain by itself. A heavier link has larger first moments as well. The prior of a
-    mass is relative to it, that of a centre to its distance from the joint, or to the mean such distance of the arm
-    where that is larger, that of a tensor to it and to the mass at that distance. Links of unknown mass are taken as
-    ones of `_UNKNOWN_MASS` at `_UNKNOWN_LEVER`.
-    """
-    mass = np.maximum(links[:, 0], _UNKNOWN_MASS * (not links.any()) + 0.05 * links[:, 0].mean())
-    lever = np.linalg.norm(links[:, 1:4], axis=1) / mass
-    lever = np.maximum(lever, lever.mean() if lever.any() else _UNKNOWN_LEVER)
-    directions, deviations = np.zeros((len(links), 10, *links.shape)), np.zeros((len(links), 10))
-    for j, (m, length) in enumerate(zip(mass, lever, strict=True)):
-        center = links[j, 1:4] / m
-        own = links[j, 4:7].sum() / 2 - point_mass(m, center)[4:7].sum() / 2
-        directions[j, 0, j] = point_mass(1.0, center)
-        for axis, step in enumerate(np.eye(3)):  # exact: a point's tensor is quadratic in its place
-            directions[j, 1 + axis, j] = m * 0.5 * (point_mass(1.0, center + step) - point_mass(1.0, center - step))
-        directions[j, 4:, j, 4:] = np.eye(6)
-        deviations[j] = [m, *(3 * [length]), *(6 * [m * length**2 + max(own, 0.0)])]
-    return directions.reshape(-1, *links.shape), relative * deviations.ravel()
