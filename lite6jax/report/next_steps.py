@@ -85,7 +85,7 @@ def _of_poses(document: Document, recording: Path, diagnosis: Path, own: Sequenc
 def _of_torques(document: Document, recording: Path, diagnosis: Path) -> list[Step]:
     found = []
     if document["findings"] and recording.suffix.lower() in _TARGETS:
-        out = diagnosis.with_name(f"{recording.stem}_torques.csv")
+        out = diagnosis.with_name(f"{recording.stem}_predicted.csv")
         purpose = "torques of this motion, for a feed-forward; give a motion of your own in its place"
         found.append(_step(purpose, "predict", diagnosis, recording, "--out", out))
     if document["findings"]:
