@@ -9,17 +9,21 @@ PYTEST := $(BIN)/python -m pytest --numprocesses=auto --maxprocesses=4 --dist=wo
 # and of what documents show.
 SECOND := $(addprefix tests/,arms recordings test_notebooks.py test_screens.py)
 
-.PHONY: demo test test-slow docs screens benchmark installed-locked lock clean
+.PHONY: demo test test-slow test-long docs screens benchmark installed-locked lock clean
 
 demo: $(VENV)/installed
 	$(BIN)/lite6jax demo
 
 test: $(VENV)/installed-test
-	$(PYTEST) $(addprefix --ignore=,$(SECOND))
+	$(PYTEST) -m "not long" $(addprefix --ignore=,$(SECOND))
 
 # The second stage of .ci/run: arms and recordings with types and shapes checked in each call, and what documents show.
 test-slow: $(VENV)/installed-test
 	CHECK_TYPES=1 $(PYTEST) $(SECOND)
+
+# Statistics over many draws, and whole commands on large files: after each change on the forge, and before a release.
+test-long: $(VENV)/installed-test
+	$(PYTEST) -m long
 
 # The documentation, in the folder site: built strictly, and looked through for links that lead nowhere.
 docs: $(VENV)/installed-test

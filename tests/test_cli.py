@@ -604,6 +604,7 @@ def test_the_vendors_files(capsys, name, arm, worst):
     assert max(float(v) for group in checked.groups() for v in group.split()) <= 1e-10
 
 
+@pytest.mark.long
 @needs(REAL / "ur_factory")
 def test_every_factory_file_of_universal_robots(capsys, tmp_path):
     out = tmp_path / "fleet.parquet"
@@ -622,6 +623,7 @@ def test_every_factory_file_of_universal_robots(capsys, tmp_path):
     assert "2 of 49 files have no usable fit:" in said
 
 
+@pytest.mark.long
 @needs(REAL / "ur10")
 def test_the_ur10_recording(capsys):
     code, said, err = run(capsys, "fit", REAL / "ur10" / "ur10_series_b.csv")

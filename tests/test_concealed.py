@@ -312,6 +312,7 @@ def test_a_test_that_is_told_where_to_look_finds_the_threshold_half_the_time(nam
     assert np.mean(explained > limit) == pytest.approx(0.5, abs=0.03)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("prior", [None, (5e-5, 5e-5)], ids=["geometry known", "geometry uncertain"])
 def test_the_oracle_is_as_good_as_the_bound(prior):
     rng = np.random.default_rng(23)
@@ -344,6 +345,7 @@ def test_what_frames_can_do_as_well_is_not_seen():
     assert rival.apart < 1e-3
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("index", [5, 8, 11])
 def test_a_seed_gives_the_same_trial_and_the_library_reads_it(index, tmp_path):
     first, second = trials.draw(0, index), trials.draw(0, index)
@@ -535,6 +537,7 @@ def test_a_campaign_goes_on_where_it_stopped(tmp_path, monkeypatch):
         poses.run(1, [5], out, 1, said.append, lambda *_: None)
 
 
+@pytest.mark.long
 def test_one_trial_is_told_from_end_to_end(capsys):
     index = plans.indices(0, 1, "faulty")[0]
     assert harness.main(["concealed", "--seed", "0", "--trial", str(index)]) == DONE

@@ -53,6 +53,7 @@ def test_a_command_takes_no_old_spelling_as_its_own():
         assert renamed.new in options
 
 
+@pytest.mark.long
 def test_design_with_the_old_spelling_writes_the_same_poses(capsys, tmp_path):
     written = []
     for option in ("--rivals", "--discriminate"):

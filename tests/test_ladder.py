@@ -12,6 +12,7 @@ def halves(recording, low):
     return [half_of(recording.select(rows), low.rate, low) for rows in (early, ~early)]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("effect", "joint", "step"),
     [

@@ -57,6 +57,7 @@ def moved(arm, motion, text, size):
     return shift, turn
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("text", "group", "place"),
     [
@@ -85,6 +86,7 @@ def test_a_wave_is_a_joints_sine(motion, view):
     np.testing.assert_allclose(J[:, :, 1], lever * np.cos(angle)[:, None], atol=1e-9)
 
 
+@pytest.mark.long
 def test_folds_stay_unseen_and_the_stepwise_search_names_what_is_hidden(soft, monkeypatch):
     seen = []
 
@@ -108,6 +110,7 @@ def test_folds_stay_unseen_and_the_stepwise_search_names_what_is_hidden(soft, mo
     assert spied.errors.shape == (SAMPLES,)
 
 
+@pytest.mark.long
 def test_black_boxes_and_a_ridge_learn_what_they_can(arm, monkeypatch):
     monkeypatch.setattr(black_boxes, "_GP_TUNED", 100)
     many = with_effects(arm, COMPLIANCE).recording(static_motion(2, 300))
@@ -143,6 +146,7 @@ def few(monkeypatch):
     monkeypatch.setenv("COLUMNS", "140")
 
 
+@pytest.mark.long
 def test_real_series_are_compared_and_carried_over(few, capsys, soft, tmp_path):
     for name in "ab":
         write_recording(soft, tmp_path / f"series_{name}.csv")

@@ -82,6 +82,7 @@ def test_identify_a_recording(capsys, measured):
     assert "These poses determine 24 of 34 unknown parameters." in text
 
 
+@pytest.mark.long
 def test_identify_a_recording_with_physics(capsys, measured):
     text = flat(run(capsys, "identify", measured, "--effect", "joint_compliance:joint=2")[1])
     assert "These poses determine 25 of 35 unknown parameters." in text
@@ -269,6 +270,7 @@ def test_design_with_what_is_recorded(capsys, tmp_path, measured):
     assert "5 poses of 300 candidates" in text
 
 
+@pytest.mark.long
 def test_design_discriminates_between_two_effects(capsys, tmp_path):
     effects = (
         "--discriminate",

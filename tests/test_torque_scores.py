@@ -58,6 +58,7 @@ ZONE = a_hidden(
 )
 
 
+@pytest.mark.long
 def test_an_oracle_is_right_in_every_trial(truths):
     rows = rows_of(truths, the_oracle)
     for row, truth in zip(rows, truths, strict=True):

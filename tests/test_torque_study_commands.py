@@ -70,6 +70,7 @@ def test_a_recording_that_shows_little(capsys, tmp_path, arm):
     assert "0.05 Nm is assumed" in text
 
 
+@pytest.mark.long
 def test_design_a_motion(capsys, tmp_path, arm):
     out = tmp_path / "motion.csv"
     limits = ("--velocity", "90", "--acceleration", "400", "200")

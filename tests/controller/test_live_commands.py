@@ -173,6 +173,7 @@ def test_fit_wants_a_file_or_an_address(capsys, tmp_path):
 # ------------------------------------------------------------------ record
 
 
+@pytest.mark.long
 def test_record_says_of_every_column_where_it_is_from(capsys, tmp_path):
     out = tmp_path / "run.parquet"
     with emulated(path=draw_sines(ARM.joint_limits), speed=10.0) as (controller, address):

@@ -181,6 +181,7 @@ def test_a_payload_that_is_not_what_it_is_said_to_be(arm, still):
     check_values(selection, "payload_error:mass_kg=0.5")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("offset", [3.9, -1.26])
 def test_clocks_that_are_seconds_apart(arm, offset):
     motion = moving_motion(1, samples=1000)

@@ -119,6 +119,7 @@ def test_a_jump_is_said_beside_physics(arm, still):
     assert fault.numbers["log_likelihood_gap"] > 0
 
 
+@pytest.mark.long
 def test_physics_that_looks_like_a_jump_is_physics(arm):
     """A step of a joint's transmission that the arm crosses: the poses after it are elsewhere, as if moved."""
     motion = moving_motion(21, 160)
@@ -221,6 +222,7 @@ def test_a_sequence_whose_arm_is_not_known(arm, still):
         pose_problem(Made(arm.folder, seed=1, geometry="free").recording(still), geometry="exact")
 
 
+@pytest.mark.long
 def test_a_calibration_that_is_a_little_off_everywhere_is_a_fault_of_the_file(tmp_path):
     """Fifteen micrometres in each number, declared as exact: said with its size, and no physics is made of it."""
     made = Made(tmp_path, seed=5)
@@ -236,6 +238,7 @@ def test_a_calibration_that_is_a_little_off_everywhere_is_a_fault_of_the_file(tm
     assert seen.faults[0].numbers["sigma_m"] == uncertainty.position_m
 
 
+@pytest.mark.long
 def test_physics_is_found_beside_a_calibration_that_is_off(tmp_path):
     made = Made(tmp_path, (COMPLIANCE,), seed=5)
     recording = made.recording(static_motion(5, SAMPLES))
@@ -298,6 +301,7 @@ class TestPublishedTables:
         assert screen(captured("lite6", "lite6", setup="free")).found == ()
 
 
+@pytest.mark.long
 def test_one_frame_that_is_off_is_physics(tmp_path):
     text = "frame_offset:link=3,x_m=1e-4,y_m=-1e-4,z_m=0,rx_rad=2e-4,ry_rad=0,rz_rad=0"
     seen = diagnose(Made(tmp_path, (text,), seed=5).recording(static_motion(5, SAMPLES)))

@@ -35,6 +35,7 @@ def swept(tmp_path_factory):
     return selection.problem, held, selection
 
 
+@pytest.mark.long
 def test_the_load_keeps_its_name_beside_the_curves(swept):
     _, _, selection = swept
     named = [one.term.label for one in selection.state.tested if not isinstance(one.term, Unnamed)]

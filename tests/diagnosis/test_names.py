@@ -56,6 +56,7 @@ def test_a_compliance_of_the_wrong_sign_is_none(arm, still):
     assert not [term for term in found if term.name == "joint_compliance"]
 
 
+@pytest.mark.long
 def test_a_lens_moves_no_joint_and_weighs_nothing(arm, still):
     """Positions grow with the square of their distance from a point: no scale, no payload, no compliance."""
     recording = arm.recording(still)
@@ -84,6 +85,7 @@ def test_too_few_rows_are_undetermined_and_say_how_many_would_do(arm):
     assert to_document(diagnosis)["rows_needed"] == diagnosis.rows_needed >= OPTIONS.fewest_rows
 
 
+@pytest.mark.long
 def test_what_is_left_beyond_the_noise_is_not_called_consistent(arm, still):
     """White noise of twice the declared size: nothing is found, and nothing is explained either."""
     recording = arm.recording(still)

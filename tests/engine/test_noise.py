@@ -122,6 +122,7 @@ def test_held_out_rows_are_not_remembered(tmp_path):
     assert 60 in model.starts
 
 
+@pytest.mark.long
 def test_an_effect_under_noise_that_remembers_is_as_sure_as_it_is_said_to_be(tmp_path):
     """Over some recordings the errors are what the standard deviations say; white noise's would be a third of them."""
     motion, off = moving_motion(1), []
@@ -137,6 +138,7 @@ def test_an_effect_under_noise_that_remembers_is_as_sure_as_it_is_said_to_be(tmp
     assert selection.state.fit.covariance[0, 0] > 4 * white.covariance[0, 0]
 
 
+@pytest.mark.long
 def test_nothing_is_found_in_noise_that_remembers(tmp_path):
     for seed in range(2):
         for motion in (static_motion(seed), moving_motion(seed)):

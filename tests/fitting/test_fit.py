@@ -88,6 +88,7 @@ def test_truth_is_recovered_at_the_cramer_rao_bound():
     assert np.ptp(ratios) < 0.2
 
 
+@pytest.mark.long
 def test_the_robust_loss_states_its_own_uncertainty_and_costs_three_percent():
     squares, ratios = [], []
     for seed in range(12):
@@ -120,6 +121,7 @@ def test_five_percent_wild_samples_change_nothing_that_matters():
     assert found.noise.position == pytest.approx(POSITION_NOISE, rel=0.25)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("orientation", [True, False])
 def test_a_sensor_frame_and_a_tool_anywhere_are_found(orientation):
     squares = []
@@ -172,6 +174,7 @@ def test_what_positions_alone_do_not_determine_is_held_and_said():
     assert found.checked.orientation is None
 
 
+@pytest.mark.long
 def test_read_out_noise_of_the_joints_is_weighed_in():
     squares, ratio = [], []
     for seed in range(4):
@@ -272,6 +275,7 @@ def test_missing_rows_and_unknown_noise():
     assert np.mean(z**2) < z_bounds(28)[1]
 
 
+@pytest.mark.long
 def test_noise_that_is_not_declared_is_taken_from_the_residuals_in_both_parts():
     squares = []
     for seed in range(4):
@@ -286,6 +290,7 @@ def test_noise_that_is_not_declared_is_taken_from_the_residuals_in_both_parts():
     assert found.noise.orientation == pytest.approx(1e-4, rel=0.1)
 
 
+@pytest.mark.long
 def test_a_held_out_block_that_alone_moves_a_joint_is_said():
     rng = np.random.default_rng(13)
     x = perturbed_parameters(rng)

@@ -89,6 +89,7 @@ def test_without_noise_the_covariance_comes_from_the_residuals():
     assert 0.4 < np.mean(z**2) < 2.5
 
 
+@pytest.mark.long
 def test_calibrations_many_and_seven_joints():
     rng = np.random.default_rng(6)
     for name in ("lite6", "ur10e", "xarm7"):
@@ -109,6 +110,7 @@ def test_a_calibration_that_is_not_finite_is_said_to_be_so():
     assert [lite6jax.Result(code).name for code in found.result] == ["CONVERGED", "NOT_FINITE", "CONVERGED"]
 
 
+@pytest.mark.long
 def test_more_samples_than_a_block_give_the_same_answer():
     _, q, T = fleet(1, 2500, seed=7)
     blocks = lite6jax.fit_fleet(q, T, nominal="lite6", noise=NOISE)

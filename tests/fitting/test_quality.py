@@ -152,6 +152,7 @@ def test_joints_without_poses_do_not_show_the_arm(capsys, tmp_path, recording):
 # ------------------------------------------------------------------ cores
 
 
+@pytest.mark.long
 @pytest.mark.skipif(
     not hasattr(os, "sched_setaffinity") or len(os.sched_getaffinity(0)) < 2, reason="one core, or no choice of them"
 )

@@ -241,6 +241,7 @@ PLANAR = {
 }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", PLANAR)
 def test_refinement_gains_inside_the_limits_and_where_it_is_feasible(name):
     rng = np.random.default_rng(1)

@@ -79,6 +79,7 @@ def test_a_joint_that_stands_still_tells_less():
     assert study.narrow() == [(1, 0.0)]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("dof", "quantity"), [(4, "pose"), (7, "position"), (4, "axis"), (7, "distance"), (6, "position")]
 )

@@ -15,6 +15,7 @@ LOWER, UPPER = load_bundled("lite6").joint_limits.T
 CANDIDATES = np.random.default_rng(0).uniform(LOWER, UPPER, (400, 6))
 
 
+@pytest.mark.long
 def test_the_poses_discriminate_better_than_random_ones():
     setup = plan_experiment("lite6", "tracker", frame=False, tool_at=(0.06, 0.0, 0.04))
     compliance, harmonic = JointCompliance(2), JointHarmonic(2, 1.0)

@@ -37,6 +37,7 @@ def check_spread(refits, low=1e-4):
     assert (refits.errors[:, ~free] == 0).all()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "setup",
     [

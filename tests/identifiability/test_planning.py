@@ -96,6 +96,7 @@ def test_too_few_poses():
         plan_poses(SETUP, CANDIDATES, 2)
 
 
+@pytest.mark.long
 def test_how_many_poses_reach_an_accuracy(monkeypatch):
     """By designs of more poses, not by a square root: where the first are hardly enough that would be far off."""
     monkeypatch.setattr("lite6jax.identifiability.planning.MOST_POSES", 24)

@@ -120,6 +120,7 @@ def test_the_plain_arm_shows_the_targets_on_the_branch_of_the_joints_given(arm, 
     assert found.orientation_error.max() < 1e-9
 
 
+@pytest.mark.long
 def test_without_joints_a_way_through_solutions_inside_the_limits_is_found(arm, diagnosis, motion, poses):
     found = solved(diagnosis, wanted(motion, poses))
     q, reached = found.joint_position, found.reached
@@ -257,6 +258,7 @@ def test_what_is_out_of_reach_is_reported_row_by_row(arm, diagnosis, motion, pos
     assert any(line.startswith("out of reach: row 6, with errors up to ") and line.endswith(" deg") for line in said)
 
 
+@pytest.mark.long
 def test_a_joint_at_its_limit_is_named(arm, diagnosis, motion, poses, tmp_path):
     content = json.loads(diagnosis.read_text())
     row = int(np.argmax(motion["joint_position"][:, 2]))
@@ -472,6 +474,7 @@ def test_refused_in_one_line(capsys, diagnosis, targets, tmp_path, monkeypatch, 
 # ------------------------------------------------------------------ another physics
 
 
+@pytest.mark.long
 def test_a_soft_arm_in_mujoco_hits_its_targets(monkeypatch):
     monkeypatch.setattr(benchmark, "diagnose", partial(diagnose, options=Options(folds=2)))
     values = {

@@ -49,6 +49,7 @@ FAULTS = {
 }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("code", FAULTS)
 def test_fit_check_and_diagnose_name_the_same_fault(good, code):
     wrong = FAULTS[code](good)
@@ -107,6 +108,7 @@ def test_the_command_prints_the_fault_and_fits_without_it(capsys, tmp_path, good
         assert "Correct the columns in the file." in said
 
 
+@pytest.mark.long
 def test_a_folder_of_recordings_is_screened_too(tmp_path, good):
     import pyarrow.parquet
 

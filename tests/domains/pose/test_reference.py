@@ -461,6 +461,7 @@ def files(arm, tmp_path_factory):
     return ours, theirs
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("unpainted")
 def test_a_diagnosis_with_a_reference_as_it_is_typed(capsys, files, tmp_path):
     ours, theirs = files
