@@ -164,11 +164,16 @@ def test_the_document(soft, wild):
     assert document["schema"] == "lite6jax/diagnosis/2"
     assert document["verdict"] == "explained"
     kept = ~soft.outliers
-    for name, errors in (("before", soft.before[kept]), ("after", soft.after[kept])):
+    for name, errors, turned in zip(("before", "after"), (soft.before, soft.after), soft.turned, strict=True):
         assert document[name] == {
-            "heldout_position_rms_m": pytest.approx(rms(errors)),
-            "heldout_position_p95_m": pytest.approx(np.percentile(errors, 95)),
-            "heldout_position_max_m": pytest.approx(errors.max()),
+            f"heldout_{quantity}_{statistic}_{unit}": pytest.approx(of(values[kept]))
+            for quantity, unit, values in (("position", "m", errors), ("orientation", "rad", turned))
+            for statistic, of in (
+                ("rms", rms),
+                ("mean", np.mean),
+                ("max", np.max),
+                ("p95", lambda v: np.percentile(v, 95)),
+            )
         }
     assert document["heldout_rows"] == SAMPLES - len(wild)
     assert document["noise"]["declared_position_m"] == NOISE[0]
