@@ -61,8 +61,8 @@ class _Wrapping:
         return len(text)
 
     def _wrapped(self, line: str) -> str:
-        if len(line) <= self._width or line[0] in "╭│╰":
-            return line
+        if len(line) <= self._width or line[0] in "╭│╰" or line.startswith("    lite6jax "):
+            return line  # a command to copy is one line
         line = line.replace(",", ", ") if line.startswith("usage: ") else line  # the commands are one word there
         indent = " " * (len(line) - len(line.lstrip()))
         return textwrap.fill(
