@@ -135,12 +135,12 @@ def test_control_characters_of_a_file_do_not_reach_the_terminal(capsys, tmp_path
 def test_the_cache_stands_in_the_users_folder(monkeypatch, tmp_path):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     monkeypatch.setattr(sys, "platform", "linux")
-    assert compiled.cache_folder() == tmp_path / "lite6jax" / "jax"
+    assert code_folder.cache_folder() == tmp_path / "lite6jax" / "jax"
     monkeypatch.setattr(sys, "platform", "darwin")
-    assert compiled.cache_folder() == Path.home() / "Library" / "Caches" / "lite6jax" / "jax"
+    assert code_folder.cache_folder() == Path.home() / "Library" / "Caches" / "lite6jax" / "jax"
     monkeypatch.setattr(sys, "platform", "win32")
     monkeypatch.setenv("LOCALAPPDATA", str(tmp_path / "local"))
-    assert compiled.cache_folder() == tmp_path / "local" / "lite6jax" / "jax"
+    assert code_folder.cache_folder() == tmp_path / "local" / "lite6jax" / "jax"
 
 
 def test_a_cache_that_cannot_be_written_is_passed_over_in_silence(tmp_path):
@@ -148,7 +148,7 @@ def test_a_cache_that_cannot_be_written_is_passed_over_in_silence(tmp_path):
     environment = {key: value for key, value in os.environ.items() if key != "JAX_COMPILATION_CACHE_DIR"}
     environment["XDG_CACHE_HOME"] = str(tmp_path)
     code = (
-        "import jax; from lite6jax.fitting.compiled import keep_compiled_code; keep_compiled_code();"
+        "import jax; from lite6jax.fitting.code_folder import keep_compiled_code; keep_compiled_code();"
         "assert jax.config.jax_compilation_cache_dir is None; print(jax.jit(lambda x: x + 1)(1))"
     )
     done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, env=environment, capture_output=True, text=True)

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations, product
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -25,7 +26,7 @@ RECOGNISED_WITHIN = 0.05
 JOINTS = (5, 6, 7)
 
 # m; points at this distance along the flange's x and y are compared as well, so that its orientation matters too.
-_PROBE = 0.1
+PROBE = 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,15 +59,34 @@ def read_factory(path: str | Path, arm: Arm | None = None) -> FactoryCalibration
             radians, millimetres for metres; a joint rotated by 180 deg; no `arm` given and no bundled arm near. The
             line names the file, the joint and the remedy.
     """
-    if Path(path).suffix.lower() == ".json":
-        table = read_table(path)
-        chain = convert.hayati_to_six_parameter(table.form, table.parameters)
-        kinematics, T_joint_flange = (np.array(part, np.float64) for part in chain)
-        names = tuple(f"joint{i + 1}" for i in range(len(kinematics)))
-    else:
-        content = entries.mapping(storage.read_yaml(path), f"{path}:", ("kinematics",))
-        kinematics, names = entries.kinematics(content["kinematics"], str(path))
-        T_joint_flange = np.eye(4)
+    if Path(path).suffix.lower() != ".json":
+        return factory_from(storage.read_yaml(path), path, arm)
+    table = read_table(path)
+    chain = convert.hayati_to_six_parameter(table.form, table.parameters)
+    kinematics, T_joint_flange = (np.array(part, np.float64) for part in chain)
+    names = tuple(f"joint{i + 1}" for i in range(len(kinematics)))
+    return _recognised(kinematics, names, T_joint_flange, path, arm)
+
+
+def factory_from(content: Any, path: str | Path, arm: Arm | None = None) -> FactoryCalibration:
+    """The factory calibration that a YAML file holds.
+
+    Args:
+        content: as `storage.read_yaml` gives it.
+        path: the file, for messages.
+        arm: as of `read_factory`.
+
+    Raises:
+        InputError: as `read_factory`.
+    """
+    content = entries.mapping(content, f"{path}:", ("kinematics",))
+    kinematics, names = entries.kinematics(content["kinematics"], str(path))
+    return _recognised(kinematics, names, np.eye(4), path, arm)
+
+
+def _recognised(
+    kinematics: Array, names: Sequence[str], T_joint_flange: Array, path: str | Path, arm: Arm | None
+) -> FactoryCalibration:
     if arm is None and len(kinematics) not in JOINTS:
         raise InputError(
             f"{path}: has {len(kinematics)} joints; a factory calibration has 5, 6 or 7, one row for each, unless the "
@@ -156,7 +176,7 @@ def _flange_points(links: Array, after: Array, q: Array) -> Array:
     """(sample, 3, 3) the flange's origin and the points beside it, in the base frame."""
     T = frames.chain(links, q) @ after
     origin = T[:, :3, 3]
-    return np.stack([origin, origin + _PROBE * T[:, :3, 0], origin + _PROBE * T[:, :3, 1]], axis=1)
+    return np.stack([origin, origin + PROBE * T[:, :3, 0], origin + PROBE * T[:, :3, 1]], axis=1)
 
 
 def _distances(points: Array, candidates: Array) -> Array:

@@ -1,0 +1,56 @@
+"""What is printed of the files of a folder: errors by type of arm, findings, and the files that need a look."""
+
+from collections.abc import Iterable, Iterator
+from statistics import median
+
+from rich.console import RenderableType
+from rich.padding import Padding
+from rich.text import Text
+
+from lite6jax.fitting.status import Result
+from lite6jax.folders.rows import Row
+from lite6jax.report.cells import listing, number
+
+
+def folder_report(rows: Iterable[Row], kept: int = 0) -> Iterator[RenderableType]:
+    """Position errors by type of arm, and a line for each file without a usable fit.
+
+    Args:
+        rows: of the files, looked at once.
+        kept: how many of them are of an earlier run that was ended.
+    """
+    groups: dict[tuple[str, str], list[tuple[bool, float | None, float | None]]] = {}
+    bad: list[str] = []
+    count = 0
+    for row in rows:
+        count += 1
+        if row.arm:
+            errors = (part and 1e3 * part.position_max for part in (row.nominal, row.checked))
+            groups.setdefault((row.kind, row.arm), []).append((row.result == Result.CONVERGED, *errors))
+        if row.failed:
+            bad.append(row.message if row.file in row.message else f"{row.file}: {row.message}")
+    if kept:
+        yield Text(
+            f"{kept} of {count} files had been fitted by a run that was ended; their rows are those of that run."
+        )
+    table = listing("arm", "files", "ok", "nominal", "worst", "check")
+    for (kind, arm), group in sorted(groups.items()):
+        nominal = [error for _, error, _ in group if error is not None]
+        checked = [error for _, _, error in group if error is not None]
+        good = sum(converged for converged, _, _ in group)
+        name = arm if kind == "calibration" else f"{arm} (recorded)"
+        table.add_row(
+            name, str(len(group)), str(good), f"{median(nominal):.3f}", f"{max(nominal):.3f}", number(max(checked))
+        )
+    if groups:
+        yield Text("By type of arm; position errors in mm")
+        yield table
+        yield Text(
+            "nominal, worst: median and largest, over the arms, of the maximum error before the fit;"
+            " check: largest after it."
+        )
+    if bad:
+        yield ""
+        yield Text(f"{len(bad)} of {count} files have no usable fit:")
+        for message in bad:
+            yield Padding(Text(message), (0, 0, 0, 2))
