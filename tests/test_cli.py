@@ -20,8 +20,9 @@ from lite6jax.arms.bundled import load_bundled
 from lite6jax.arms.factory import read_factory, write_factory
 from lite6jax.cli import program
 from lite6jax.cli.fit import DEMO
-from lite6jax.fitting import compiled, folder, folder_fit
+from lite6jax.fitting import code_folder
 from lite6jax.fitting.solution import Result
+from lite6jax.folders import fit
 from tests.oracles.arms import LITE6_DH, perturbed, random_positions
 from tests.oracles.chains import hayati_poses, six_parameter_poses
 from tests.oracles.transforms import perturb_poses
@@ -104,8 +105,8 @@ def test_an_interrupt_is_one_line_and_130(capsys, monkeypatch, calibration):
 def test_ctrl_c_leaves_nothing_behind(tmp_path, calibration):
     before = set(tmp_path.iterdir())
     slow = (
-        "import sys, time; from lite6jax.cli import main; from lite6jax.fitting import folder;"
-        "folder.fit_folder = lambda *given, **named: (print('fitting', flush=True), time.sleep(60));"
+        "import sys, time; from lite6jax.cli import main; from lite6jax.folders import fleet;"
+        "fleet.fit_folder = lambda *given, **named: (print('fitting', flush=True), time.sleep(60));"
         "sys.exit(main(sys.argv[1:]))"
     )
     command = [sys.executable, "-c", slow, "fleet", str(tmp_path), "--out", str(tmp_path / "fleet.parquet")]
@@ -484,8 +485,8 @@ def test_a_defect_met_on_one_file_does_not_lose_the_others(monkeypatch, tmp_path
     def stumble(path, nominal):
         raise ZeroDivisionError("division\nby zero")
 
-    monkeypatch.setattr(folder_fit, "_read_calibration", stumble)
-    (row,) = folder.fit_folder([calibration])
+    monkeypatch.setattr(fit, "_read", stumble)
+    (row,) = fit.fit_files([calibration], None)
     assert row.result == Result.UNREADABLE
     assert row.message == (
         f"{calibration}: unexpected ZeroDivisionError: division by zero; please report it with this file"

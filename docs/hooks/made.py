@@ -26,7 +26,7 @@ from lite6jax.controller import rows
 from lite6jax.effects import catalogue, user_effects
 from lite6jax.effects.dynamic import catalogue as torque_catalogue
 from lite6jax.effects.effect import Effect
-from lite6jax.fitting.folder_rows import write_rows
+from lite6jax.folders.rows import write_rows
 from lite6jax.recordings import RecordingSettings, columns, settings
 from lite6jax.report import remedies
 
