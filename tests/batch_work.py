@@ -31,3 +31,29 @@ def dead(value):
 
 def content(inputs):
     return "\0".join(map(str, inputs)).encode()
+
+
+def diagnosed(names, place, folder):
+    """Rows of diagnoses that are none, of files whose content is the verdict; of an empty file a refusal."""
+    from lite6jax.distribution.batches import concatenated
+    from lite6jax.folders.diagnoses import refusal, row_of
+
+    rows = []
+    for name in names:
+        with place.at_hand([name]) as here:
+            verdict = (here / name).read_text()
+        with open(Path(folder, "done"), "a") as file:
+            file.write(f"{name}\n")
+        errors = {"heldout_position_rms_m": 0.5}
+        document = {
+            "schema": "lite6jax/diagnosis/2",
+            "verdict": verdict,
+            "quality": {"verdict": "good"},
+            "before": errors,
+            "after": errors,
+            "samples": 7,
+            "data_faults": [{"fault": "outliers"}],
+            "findings": [{"effect": "joint_lag", "site": "joint1", "p_value": 0.5}],
+        }
+        rows.append(row_of(name, document, f"document of {name}") if verdict else refusal(name, f"{here / name}: no"))
+    return concatenated(rows)

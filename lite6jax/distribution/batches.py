@@ -2,7 +2,7 @@
 
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import ExitStack, closing
+from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -127,16 +127,15 @@ def outcomes(
         for number, inputs in batches:
             yield number, function(inputs, *given)
         return
-    with ExitStack() as stack:
-        workers: Processes | Cluster
-        if scheduler is None:
-            count = processes or threads.available()
-            workers = Processes(count if most is None else max(1, min(count, most)), function, given)
-        else:
-            from lite6jax.distribution.cluster import Cluster
+    if scheduler is None:
+        count = processes or threads.available()
+        with Processes(count if most is None else max(1, min(count, most)), function, given) as here:
+            yield from _worked(here, batches, died)
+        return
+    from lite6jax.distribution.cluster import Cluster
 
-            workers = Cluster(scheduler, function, given)
-        yield from _worked(stack.enter_context(workers), batches, died)
+    with Cluster(scheduler, function, given) as there:
+        yield from _worked(there, batches, died)
 
 
 class _Task:

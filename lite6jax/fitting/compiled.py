@@ -20,9 +20,9 @@ from lite6jax.fitting.version import source_digest
 class Exported:
     """A jitted function whose StableHLO is kept by `jax.export`: a later process neither traces nor lowers it.
 
-    It is called as the function is. Where no folder is kept (`code_folder.keep_compiled_code` was not called), or the package
-    `flatbuffers` is not installed, it is the jitted function. Named tuples among its arguments and results must be
-    registered with `jax.export.register_namedtuple_serialization`.
+    It is called as the function is. Where no folder is kept (`code_folder.keep_compiled_code` was not called), or the
+    package `flatbuffers` is not installed, it is the jitted function. Named tuples among its arguments and results must
+    be registered with `jax.export.register_namedtuple_serialization`.
     """
 
     def __init__(self, name: str, function: Callable[..., Any], static: tuple[int, ...], options: dict | None = None):

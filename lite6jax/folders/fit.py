@@ -3,6 +3,7 @@
 import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
@@ -47,7 +48,7 @@ def fit_files(
     read: dict[Path, tuple[_Content, str]] = {}
     for path in files:
         work = _fit_recording if kind_of(path) == "recording" else _read
-        done, said = _attempt(path, lambda path=path, work=work: work(path, nominal), as_shown)
+        done, said = _attempt(path, partial(work, path, nominal), as_shown)
         if isinstance(done, Row):
             rows[path] = replace(done, message=f"{done.message}; {said}") if said else done
         else:
@@ -55,7 +56,8 @@ def fit_files(
     types: dict[str, list[tuple[Path, FactoryCalibration, str]]] = {}
     for path, near in _recognised({path: content for path, (content, _) in read.items()}, nominal).items():
         content, said = read[path]
-        done, more = _attempt(path, lambda path=path, near=near: _calibration(path, content, near, nominal), as_shown)
+        work = partial(_calibration, path, content, near, nominal)
+        done, more = _attempt(path, work, as_shown)
         if isinstance(done, Row):
             rows[path] = done
         else:

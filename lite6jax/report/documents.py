@@ -114,6 +114,11 @@ def of_folder(rows: Sequence[Row]) -> dict[str, Any]:
     }
 
 
+def of_diagnoses(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """The document of the diagnoses of a folder's recordings."""
+    return {"schema": "lite6jax/diagnoses/1", "recordings": list(rows)}
+
+
 def of_sensitivity(found: Sensitivity, over_arms: GlobalSensitivity | None) -> dict[str, Any]:
     """The document of a study of sensitivity, with Sobol's indices where these were computed."""
     turned = np.sqrt(np.mean(found.orientation**2, 0))

@@ -1,13 +1,16 @@
 """What is printed of the files of a folder: errors by type of arm, findings, and the files that need a look."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path
 from statistics import median
+from typing import Any
 
 from rich.console import RenderableType
 from rich.padding import Padding
 from rich.text import Text
 
 from lite6jax.fitting.status import Result
+from lite6jax.folders.diagnoses import DIAGNOSED
 from lite6jax.folders.rows import Row
 from lite6jax.report.cells import listing, number
 
@@ -54,3 +57,56 @@ def folder_report(rows: Iterable[Row], kept: int = 0) -> Iterator[RenderableType
         yield Text(f"{len(bad)} of {count} files have no usable fit:")
         for message in bad:
             yield Padding(Text(message), (0, 0, 0, 2))
+
+
+def read_diagnoses(path: Path) -> list[dict[str, Any]]:
+    """The rows of a table of diagnoses."""
+    import pyarrow.parquet as pq
+
+    return pq.read_table(path).to_pylist()
+
+
+def diagnoses_report(rows: Sequence[dict[str, Any]], kept: int = 0) -> Iterator[RenderableType]:
+    """A line for each recording with its verdict, its errors and its findings, and for each that was not diagnosed.
+
+    Args:
+        rows: of `folders.diagnoses.SCHEMA`.
+        kept: how many of them are of an earlier run that was ended.
+    """
+    yield from _of_earlier_run(kept, len(rows), "diagnosed")
+    done = [row for row in rows if row["result"] == DIAGNOSED]
+    table = listing("recording", "verdict", "before", "after", "findings")
+    for column, name in zip(table.columns, ("recording", "verdict", "", "", "findings"), strict=True):
+        if name:
+            column.justify, column.no_wrap, column.overflow = "left", False, "fold"
+    for row in done:
+        for domain, verdict, unit, scale in (
+            ("poses", "verdict", "position_rms_m", 1e3),
+            ("torques", "torque_verdict", "torque_rms_Nm", 1.0),
+        ):
+            if row[verdict] is None:
+                continue
+            errors = (row[f"{when}_{unit}"] for when in ("before", "after"))
+            cells = ("–" if error is None else f"{number(scale * error)}" for error in errors)
+            found = [f"{each['effect']} {each['site']}" for each in row["findings"] if each["domain"] == domain]
+            name = row["file"] if domain == "poses" or row["verdict"] is None else ""
+            table.add_row(Text(name), row[verdict].replace("_", " "), *cells, Text("; ".join(found) or "–"))
+    if done:
+        yield table
+        yield Text(
+            "before, after: root mean square of the errors of held-out rows without and with the findings; of poses in"
+            " mm, of torques in N·m."
+        )
+    left = [row for row in rows if row["result"] != DIAGNOSED]
+    if left:
+        yield ""
+        yield Text(f"{len(left)} of {len(rows)} recordings were not diagnosed:")
+        for row in left:
+            yield Padding(Text(row["message"]), (0, 0, 0, 2))
+
+
+def _of_earlier_run(kept: int, count: int, done: str) -> Iterator[RenderableType]:
+    if kept:
+        yield Text(
+            f"{kept} of {count} files had been {done} by a run that was ended; their rows are those of that run."
+        )
