@@ -45,6 +45,8 @@ def run_batches(
     died: Callable[[Any], "pa.Table"],
     arrived: "Callable[[int, pa.Table], pa.Table]" = lambda number, rows: rows,
     intact: "Callable[[pa.Table], bool]" = lambda rows: True,
+    known: "Callable[[Sequence[Any]], pa.Table | None]" = lambda inputs: None,
+    loaded: Callable[[Sequence[Any]], Sequence[Any]] = lambda inputs: inputs,
     scheduler: str | None = None,
     processes: int | None = None,
     progress: Callable[[int], object] = lambda done: None,
@@ -65,6 +67,8 @@ def run_batches(
         died: the row of an input at which workers die.
         arrived: called with the number of a batch and its rows before they are kept; returns what is to be kept.
         intact: of rows that were kept, whether what `arrived` made of them still stands.
+        known: the rows of a batch that need no work, as a table has them that is to be replaced; None of the others.
+        loaded: what is sent of the inputs of a batch, where it is too large to be held of all.
         scheduler: the address of the scheduler of a Dask cluster; processes of this machine where not given.
         processes: so many; one a core where not given, and none but this one for 0.
         progress: called with the number of inputs done since the last call.
@@ -81,10 +85,14 @@ def run_batches(
     def left() -> Iterator[tuple[int, Sequence[Any]]]:
         nonlocal found
         for number, inputs in enumerate(batches):
+            if (had := known(inputs)) is not None:
+                keys[number] = f"known {number}"
+                kept.keep(keys[number], _written(had))
+                continue
             keys[number] = kept.key(content(inputs))
             rows = kept.find(keys[number])
             if rows is None or not intact(_read(rows)):
-                yield number, inputs
+                yield number, loaded(inputs)
             else:
                 found += len(inputs)
                 progress(len(inputs))
