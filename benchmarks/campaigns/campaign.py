@@ -150,10 +150,10 @@ class Campaign:
             [[_Given(index, given_in(folder, index))] for index in every],
             (self,),
             out=out,
-            content=lambda given: f"{seed} {given[0].index} {digests[given[0].index]} {_source()}".encode(),
-            known=lambda given: self._table([rows[given[0].index]]) if given[0].index in rows else None,
-            loaded=lambda given: [_Given(one.index, _read_files(one.files)) for one in given],
-            died=lambda given: _answer(given.index, {}, 0.0, "WorkerDiedError: the process died"),
+            content=lambda given: f"{seed} {given[0].trial} {digests[given[0].trial]} {_source()}".encode(),
+            known=lambda given: self._table([rows[given[0].trial]]) if given[0].trial in rows else None,
+            loaded=lambda given: [_Given(one.trial, _read_files(one.files)) for one in given],
+            died=lambda given: _answer(given.trial, {}, 0.0, "WorkerDiedError: the process died"),
             arrived=arrived,
             processes=processes,
             scheduler=scheduler,
@@ -257,7 +257,7 @@ def sealed_text(truth: Row) -> str:
 class _Given(NamedTuple):
     """A trial's files by name, or the folder that has them, as these are read when they are sent."""
 
-    index: int
+    trial: int
     files: Any
 
 
@@ -292,7 +292,7 @@ def _answered(trial: _Given, campaign: Campaign) -> pa.Table:
             error = f"{type(problem).__name__}: {problem}"[:300]
         seconds = time.perf_counter() - start
         files = {file: text for file, text in _read_files(folder).items() if file not in trial.files}
-        return _answer(trial.index, files, seconds, error)
+        return _answer(trial.trial, files, seconds, error)
 
 
 def _answer(index: int, files: dict[str, str], seconds: float, error: str) -> pa.Table:

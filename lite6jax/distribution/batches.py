@@ -1,7 +1,7 @@
 """A function over many inputs, batch by batch: kept as they come, retried where a worker dies, written in order."""
 
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -120,7 +120,7 @@ def outcomes(
     scheduler: str | None = None,
     processes: int | None = None,
     most: int | None = None,
-) -> Iterator[tuple[int, "pa.Table"]]:
+) -> Generator[tuple[int, "pa.Table"]]:
     """Batches by their numbers with their rows, as they come; nothing is kept.
 
     A batch whose worker dies is tried again as a whole, as the reason may be another. Where that dies as well, its

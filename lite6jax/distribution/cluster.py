@@ -69,7 +69,8 @@ class Cluster:
     def has_room(self) -> bool:
         """Whether the workers are soon through with what they have."""
         if time.monotonic() - self._counted > _COUNTED_EVERY:
-            self._threads = sum(self._client.nthreads().values())
+            threads: Any = self._client.nthreads()
+            self._threads = sum(threads.values())
             self._counted = time.monotonic()
         return len(self._numbers) < _IN_HAND * max(self._threads, 1)
 

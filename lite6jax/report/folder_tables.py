@@ -28,8 +28,8 @@ def folder_report(rows: Iterable[Row], kept: int = 0) -> Iterator[RenderableType
     for row in rows:
         count += 1
         if row.arm:
-            errors = (part and 1e3 * part.position_max for part in (row.nominal, row.checked))
-            groups.setdefault((row.kind, row.arm), []).append((row.result == Result.CONVERGED, *errors))
+            nominal, checked = (part and 1e3 * part.position_max for part in (row.nominal, row.checked))
+            groups.setdefault((row.kind, row.arm), []).append((row.result == Result.CONVERGED, nominal, checked))
         if row.failed:
             bad.append(row.message if row.file in row.message else f"{row.file}: {row.message}")
     if kept:
