@@ -81,10 +81,10 @@ def test_arguments_are_refused_in_tyros_style(capsys):
     assert "FILE" in run(capsys, "fit")[2]
 
 
-def test_help_needs_neither_matplotlib_nor_optimistix():
+def test_help_needs_no_library_that_computes():
     code = (
         "import sys; from lite6jax import cli; cli.main(['fit', '--help']);"
-        "sys.exit(sum(name in sys.modules for name in ('matplotlib', 'optimistix', 'scipy', 'rich.table')))"
+        "sys.exit(sum(name in sys.modules for name in ('jax', 'matplotlib', 'optimistix', 'scipy', 'rich.table')))"
     )
     done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True)
     assert (done.returncode, done.stderr) == (0, "")
@@ -466,6 +466,17 @@ def test_a_fleet_has_a_row_a_file(capsys, tmp_path):
     assert "exists already" in refused(capsys, "fleet", inputs, "--out", out)
     assert run(capsys, "fleet", inputs, "--out", out, "--force")[0] == 0
     assert pyarrow.parquet.read_table(out).to_pylist() == table
+
+
+def test_a_fleet_is_fitted_by_workers_alone(tmp_path, calibration):
+    code = (
+        "import sys; from lite6jax import cli\n"
+        "if __name__ == '__main__':\n"
+        "    cli.main(sys.argv[1:]); sys.exit(sum(name in sys.modules for name in ('jax', 'scipy', 'matplotlib')))"
+    )
+    command = [sys.executable, "-c", code, "fleet", calibration.parent, "--out", tmp_path / "f.parquet"]
+    done = subprocess.run(list(map(str, command)), cwd=ROOT, capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (0, "")
 
 
 def test_fleet_refuses_what_is_no_folder(capsys, tmp_path, calibration):
