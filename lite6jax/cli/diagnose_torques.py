@@ -58,7 +58,7 @@ def diagnose_motors(
     if seen is not None:
         document["against"] = seen.to_dict()
     document = with_statements(document)
-    files = Files(command.source, command.out)
+    files = Files(command.source, command.out, command.effects)
     written = [write_document(document, command.out, command.force)] if command.out else []
     if command.report or command.figures:
         sides = str(command.source) if seen is None else f"{command.source} against {seen.file}"
@@ -106,7 +106,7 @@ def diagnose_both(
         )
     read = inputs(command.source, command.arm, command.reference, command.effects)
     document = combined.with_statements({**found.to_dict(), "inputs": read})
-    files = Files(command.source, command.out)
+    files = Files(command.source, command.out, command.effects)
     written = [write_document(document, command.out, command.force)] if command.out else []
     if command.report or command.figures:
         sides = str(command.source) if other is None else f"{command.source} against {other.source}"
