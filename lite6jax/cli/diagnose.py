@@ -65,6 +65,8 @@ class Diagnose:
 
     def run(self) -> int:
         """Reads, searches, writes, prints."""
+        if self.poses and self.torques:
+            raise InputError("--poses and --torques: give one of them, or none to diagnose both")
         if self.out:
             check_out(self.out, ".json", self.force)
         if self.report:
@@ -96,8 +98,6 @@ class Diagnose:
                 raise InputError(f"{path}: is a calibration; diagnose takes a recording (.csv, .parquet, .mcap)")
             return source
 
-        if self.poses and self.torques:
-            raise InputError("--poses and --torques: give one of them, or none to diagnose both")
         nominal = load_nominal(self.arm)
         recording = read(self.source, nominal)
         effects = load_effects(self.effects) if self.effects else ()
