@@ -181,7 +181,7 @@ class Predict:
         import numpy as np
         import pyarrow as pa
 
-        from lite6jax.diagnosis.document import parsed_document, read_model
+        from lite6jax.diagnosis.document import check_sum, model_from_document, parsed_document
         from lite6jax.diagnosis.torque_document import is_of_torques, of_torques
         from lite6jax.domains.pose.files import prediction_columns, read_motion
         from lite6jax.domains.pose.predict import predicted
@@ -195,8 +195,9 @@ class Predict:
         if is_of_torques(document):
             from lite6jax.cli.diagnose_torques import predict_motors
 
-            return predict_motors(self, effects)
-        model = read_model(self.diagnosis, effects)
+            return predict_motors(self, document, effects)
+        model = model_from_document(document, effects, str(self.diagnosis))
+        check_sum(document, self.diagnosis)
         recording = read_motion(self.motion, model)
         found = None
         if self.register:
@@ -207,7 +208,7 @@ class Predict:
         if of_torques(document) is not None:
             from lite6jax.cli.diagnose_torques import torques_beside
 
-            written, said = torques_beside(self, written, recording, effects)
+            written, said = torques_beside(self, document, written, recording, effects)
         columns = pa.table(written)
         path = write_atomically(self.out, lambda target: write_table(columns, target), self.force)
         if self.json:

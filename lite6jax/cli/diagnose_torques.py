@@ -108,16 +108,18 @@ def diagnose_both(
     return BAD_FIT if found.poses.quality.verdict == "bad" else DONE
 
 
-def predict_motors(command: "Predict", effects: "Sequence[Effect]") -> int:
+def predict_motors(command: "Predict", document: "dict[str, Any]", effects: "Sequence[Effect]") -> int:
     """Writes the torques of a motion, with their standard deviations.
 
     Args:
         command: as it was given.
+        document: of the diagnosis that it names.
         effects: a user's own, where the model has them.
     """
     import pyarrow as pa
 
-    from lite6jax.diagnosis.torque_document import read_torque_model
+    from lite6jax.diagnosis.document import check_sum
+    from lite6jax.diagnosis.torque_document import torque_model_from_document
     from lite6jax.domains.pose.files import read_motion
     from lite6jax.domains.torque.predict import predicted_torques, torque_columns
     from lite6jax.recordings.writing import write_table
@@ -126,7 +128,8 @@ def predict_motors(command: "Predict", effects: "Sequence[Effect]") -> int:
 
     if command.register:
         raise InputError("--register: a diagnosis of torques has no sensor frame")
-    model = read_torque_model(command.diagnosis, effects)
+    model = torque_model_from_document(document, effects, str(command.diagnosis))
+    check_sum(document, command.diagnosis)
     recording = read_motion(command.motion, model)
     shown = predicted_torques(model, recording)
     columns = pa.table(torque_columns(shown))
@@ -156,7 +159,11 @@ def _say_outside(command: "Predict", shown: "TorquePrediction") -> None:
 
 
 def torques_beside(
-    command: "Predict", poses: "dict[str, Any]", recording: "Recording", effects: "Sequence[Effect]"
+    command: "Predict",
+    document: "dict[str, Any]",
+    poses: "dict[str, Any]",
+    recording: "Recording",
+    effects: "Sequence[Effect]",
 ) -> "tuple[dict[str, Any], list[str]]":
     """The columns of poses with those of torques beside them, and what is to be said of these.
 
@@ -164,15 +171,15 @@ def torques_beside(
 
     Args:
         command: as it was given.
+        document: of the diagnosis that it names.
         poses: columns.
         recording: the motion.
         effects: a user's own, where the model has them.
     """
-    from lite6jax.diagnosis.document import parsed_document
     from lite6jax.diagnosis.torque_document import torque_model_from_document
     from lite6jax.domains.torque.predict import predicted_torques, torque_columns
 
-    model = torque_model_from_document(parsed_document(command.diagnosis), effects, str(command.diagnosis))
+    model = torque_model_from_document(document, effects, str(command.diagnosis))
     try:
         found = predicted_torques(model, recording)
     except InputError as error:

@@ -46,13 +46,18 @@ class Report:
         elif self.date is not None or self.instrument is not None:
             raise InputError("--date, --instrument: stand on a certificate; add --certificate FILE.pdf")
         measured = _date(self.date)
-        from lite6jax.diagnosis.document import DAMAGED, document_text, parsed_document, read_document
-        from lite6jax.diagnosis.torque_document import is_of_torques, read_torque_document
+        from lite6jax.diagnosis.document import DAMAGED, check_document, check_sum, document_text, parsed_document
+        from lite6jax.diagnosis.torque_document import is_of_torques, torque_model_from_document
         from lite6jax.report import diagnosis_tables, screen, statements, torque_statements, torque_tables
         from lite6jax.report.next_steps import Files
 
-        torques = is_of_torques(parsed_document(self.diagnosis))
-        document = read_torque_document(self.diagnosis) if torques else read_document(self.diagnosis)
+        document = parsed_document(self.diagnosis)
+        torques = is_of_torques(document)
+        if torques:
+            torque_model_from_document(document, (), str(self.diagnosis))
+        else:
+            check_document(document, self.diagnosis)
+        check_sum(document, self.diagnosis)
         written = []
         try:
             said = torque_statements.with_statements(document) if torques else statements.with_statements(document)

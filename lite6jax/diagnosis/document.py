@@ -247,16 +247,16 @@ def document_text(document: Mapping[str, Any]) -> str:
     return json.dumps(with_checksum(document), indent=1, allow_nan=False)
 
 
-def read_document(path: str | Path) -> dict[str, Any]:
-    """A whole diagnosis of poses, for a report; effects of a user's own are not needed.
+def check_document(document: Any, path: str | Path) -> None:
+    """Refuses what is no whole diagnosis of poses, for a report; effects of a user's own are not needed.
+
+    Args:
+        document: all of it, as JSON holds it.
+        path: what messages begin with.
 
     Raises:
-        InputError: no such file, not a diagnosis of this version, or something in it is missing or not possible.
-
-    Warns:
-        InputWarning: the file was changed after it was written.
+        InputError: not a diagnosis of this version, or something in it is missing or not possible.
     """
-    document = parsed_document(path)
     if (
         not isinstance(document, dict)
         or document.get("schema") != SCHEMA
@@ -268,8 +268,6 @@ def read_document(path: str | Path) -> dict[str, Any]:
         check_model(document["model"])
     except InputError as error:
         raise InputError(f"{path}: is damaged ({error}); {DAMAGED}") from error
-    check_sum(document, path)
-    return document
 
 
 def read_model(path: str | Path, effects: tuple[Effect, ...] = ()) -> DiagnosedArm:

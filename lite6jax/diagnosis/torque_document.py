@@ -285,21 +285,6 @@ def read_torque_model(path: str | Path, effects: Sequence[Effect] = ()) -> Diagn
     return model
 
 
-def read_torque_document(path: str | Path, effects: Sequence[Effect] = ()) -> dict[str, Any]:
-    """A whole diagnosis of torques, for a report.
-
-    Raises:
-        InputError: as `read_torque_model`.
-
-    Warns:
-        InputWarning: as `read_torque_model`.
-    """
-    document = parsed_document(path)
-    torque_model_from_document(document, effects, str(path))
-    check_sum(document, path)
-    return document
-
-
 def torque_model_from_document(
     document: Any, effects: Sequence[Effect] = (), source: str = "diagnosis"
 ) -> DiagnosedMotors:
