@@ -11,10 +11,11 @@ from lite6jax import checksum
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.description import LARGEST_MASS
 from lite6jax.arms.entries import ANGLE_LIMIT, LENGTH_LIMIT
-from lite6jax.diagnosis.document import DAMAGED, ROUNDING, SCHEMA, check_sum, located, parsed_document
+from lite6jax.diagnosis.document import DAMAGED, SCHEMA, check_sum, located, parsed_document
 from lite6jax.diagnosis.heldout import fold_count
 from lite6jax.diagnosis.result import Finding, Rival
 from lite6jax.diagnosis.schema import FARTHEST, INPUTS, check_effect
+from lite6jax.diagnosis.stored_uncertainty import covariance_from, drivers_from, lower_triangle
 from lite6jax.diagnosis.torque_result import TorqueDiagnosis
 from lite6jax.domains.torque.predict import DiagnosedMotors
 from lite6jax.domains.torque.uncertainty import RecordedMotion, TorqueUncertainty, with_free_numbers
@@ -248,11 +249,10 @@ def _model(found: TorqueDiagnosis) -> dict[str, Any]:
 
 
 def _uncertainty(known: TorqueUncertainty) -> dict[str, Any]:
-    """Of the covariance the lower triangle, row by row."""
     recorded = known.recorded
     return {
         "inertial": known.inertial,
-        "covariance": known.covariance[np.tril_indices(len(known.covariance))].tolist(),
+        "covariance": lower_triangle(known.covariance),
         "left_Nm": known.left.tolist(),
         "unseen_Nm": known.unseen.tolist(),
         "noise_Nm": known.noise.tolist(),
@@ -349,28 +349,18 @@ def _uncertainty_from(entry: Any, terms: Terms, values: Array, joints: int) -> T
     """The inverse of `_uncertainty`, checked; None of a document without it."""
     if entry is None:
         return None
-    size = 10 * joints * entry["inertial"] + with_free_numbers(terms, values)[0].size
-    triangle = np.asarray(entry["covariance"], float)
-    if triangle.shape != (size * (size + 1) // 2,):
-        raise ValueError(f"its covariance is not one of {size} numbers")
-    C = np.zeros((size, size))
-    C[np.tril_indices(size)] = triangle
-    if (np.diagonal(C) < -ROUNDING * np.abs(triangle).max(initial=0.0)).any():
-        raise ValueError("a variance of its uncertainty is negative")
+    C = covariance_from(entry["covariance"], 10 * joints * entry["inertial"] + with_free_numbers(terms, values)[0].size)
     left, unseen, noise = (np.asarray(entry[f"{name}_Nm"], float) for name in ("left", "unseen", "noise"))
     recorded, curves = entry["recorded"], tuple(entry["curves_Nm"])
     ranges = np.asarray([recorded[name] for name in _RANGES], float)
     positions = np.asarray(recorded["joint_position_rad"], float)
-    drivers = {str(phrase): (float(lower), float(upper)) for phrase, (lower, upper) in recorded["drivers"].items()}
     whole = ranges.shape == (3, joints, 2) and positions.ndim == 2 and positions.shape[1] == joints and len(positions)
     if not whole or any(part.shape != (joints,) for part in (left, unseen, noise)):
         raise ValueError("its uncertainty is not one of this arm")
     if len(curves) != len(terms.terms):
         raise ValueError("its curves are not one for each effect")
-    if (ranges[..., 0] > ranges[..., 1]).any() or any(lower > upper for lower, upper in drivers.values()):
-        raise ValueError("a recorded range of its uncertainty ends before it begins")
-    motion = RecordedMotion(ranges, positions, float(recorded["spacing_rad"]), drivers)
-    return TorqueUncertainty(entry["inertial"], C + np.tril(C, -1).T, left, unseen, noise, curves, motion)
+    motion = RecordedMotion(ranges, positions, float(recorded["spacing_rad"]), drivers_from(recorded, ranges))
+    return TorqueUncertainty(entry["inertial"], C, left, unseen, noise, curves, motion)
 
 
 def is_of_torques(document: Any) -> bool:
