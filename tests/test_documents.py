@@ -123,7 +123,7 @@ def test_the_screens_are_documented_in_their_order():
 
 
 def test_the_effects_faults_and_keys_of_torques_are_documented():
-    from lite6jax.diagnosis import torque_document
+    from lite6jax.diagnosis.torque_schema import PARTS
     from lite6jax.effects.dynamic.catalogue import BUILT_IN
     from lite6jax.report.torque_faults import NAMES
 
@@ -132,7 +132,7 @@ def test_the_effects_faults_and_keys_of_torques_are_documented():
     assert [row[0] for row in sections["Effects"]] == list(BUILT_IN)
     assert {row[0] for row in sections["Data faults"]} == set(NAMES)
     documented = {key for row in sections["The JSON file"] for key in row[0].replace("`", "").split(", ")}
-    assert documented | {"schema", "domain", "checksum"} == set(torque_document.PARTS) | {"model"}
+    assert documented | {"schema", "domain", "checksum"} == set(PARTS) | {"model"}
     for effect, (_, _, _, parameters, *_) in zip(BUILT_IN.values(), sections["Effects"], strict=True):
         if effect.nonparametric:
             continue
