@@ -47,16 +47,13 @@ class Report:
             raise InputError("--date, --instrument: stand on a certificate; add --certificate FILE.pdf")
         measured = _date(self.date)
         from lite6jax.diagnosis.document import DAMAGED, check_document, check_sum, document_text, parsed_document
-        from lite6jax.diagnosis.torque_document import is_of_torques, torque_model_from_document
+        from lite6jax.diagnosis.torque_document import check_torque_document, is_of_torques
         from lite6jax.report import diagnosis_tables, screen, statements, torque_statements, torque_tables
         from lite6jax.report.next_steps import Files
 
         document = parsed_document(self.diagnosis)
         torques = is_of_torques(document)
-        if torques:
-            torque_model_from_document(document, (), str(self.diagnosis))
-        else:
-            check_document(document, self.diagnosis)
+        (check_torque_document if torques else check_document)(document, self.diagnosis)
         check_sum(document, self.diagnosis)
         written = []
         try:

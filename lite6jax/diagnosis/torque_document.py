@@ -177,6 +177,23 @@ def read_torque_model(path: str | Path, effects: Sequence[Effect] = ()) -> Diagn
     return model
 
 
+def check_torque_document(document: Any, path: str | Path) -> None:
+    """Refuses what holds no whole diagnosis of torques, for a report; effects of a user's own are not needed.
+
+    Args:
+        document: of torques, or of poses and torques, as JSON holds it.
+        path: what messages begin with.
+
+    Raises:
+        InputError: not a diagnosis of torques, or something in it is missing or not possible.
+    """
+    torques = _required(document, str(path))
+    try:
+        check_torques(torques)
+    except InputError as error:
+        raise InputError(f"{path}: is damaged ({error}); {DAMAGED}") from error
+
+
 def torque_model_from_document(
     document: Any, effects: Sequence[Effect] = (), source: str = "diagnosis"
 ) -> DiagnosedMotors:
@@ -190,9 +207,7 @@ def torque_model_from_document(
     Raises:
         InputError: not a diagnosis of torques, or something in it is missing or not possible.
     """
-    document = of_torques(document)
-    if document is None:
-        raise InputError(f"{source}: is no diagnosis of torques; give what `lite6jax diagnose --out` wrote of one")
+    document = _required(document, source)
     model: Mapping[str, Any] = document["model"]
     try:
         check_torques(document)
@@ -225,6 +240,13 @@ def torque_model_from_document(
         relative_to=_relative_to(document),
         uncertainty=uncertainty,
     )
+
+
+def _required(document: Any, source: str) -> dict[str, Any]:
+    torques = of_torques(document)
+    if torques is None:
+        raise InputError(f"{source}: is no diagnosis of torques; give what `lite6jax diagnose --out` wrote of one")
+    return torques
 
 
 def _relative_to(document: Mapping[str, Any]) -> str | None:
