@@ -7,11 +7,13 @@ from typing import Any, TypeVar
 
 from matplotlib.figure import Figure
 
+from lite6jax.diagnosis.combined import CombinedDiagnosis
 from lite6jax.diagnosis.document import to_document
 from lite6jax.diagnosis.result import Diagnosis
 from lite6jax.diagnosis.torque_document import to_torque_document
 from lite6jax.diagnosis.torque_result import TorqueDiagnosis
 from lite6jax.report import diagnosis_figures, torque_figures, worth
+from lite6jax.report.combined import PREFIX
 from lite6jax.report.ranking_figure import ranking_figure
 
 _Found = TypeVar("_Found")
@@ -37,6 +39,12 @@ def _diagnosis(found: Diagnosis, title: str) -> dict[str, Figure]:
 def _torque_diagnosis(found: TorqueDiagnosis, title: str) -> dict[str, Figure]:
     title = title or Path(found.problem.data.recording.source).name
     return _drawn(found, to_torque_document(found), torque_figures.drawings, title)
+
+
+@plotted.register
+def _combined(found: CombinedDiagnosis, title: str) -> dict[str, Figure]:
+    torques = {} if found.torques is None else plotted(found.torques, title)
+    return plotted(found.poses, title) | {PREFIX + name: figure for name, figure in torques.items()}
 
 
 def _drawn(

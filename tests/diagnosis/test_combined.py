@@ -154,6 +154,15 @@ def test_a_summary_names_both(found):
     assert "Of the payload's mass" in text
 
 
+def test_a_plot_has_the_figures_of_both(found, monkeypatch):
+    for part, name in (("diagnosis_figures", "where"), ("torque_figures", "friction")):
+        drawn = {name: Figure()}
+        monkeypatch.setattr(f"lite6jax.report.{part}.drawings", lambda *_, drawn=drawn: iter(drawn.items()))
+    assert list(found.plot()) == ["ranking", "where", "torque_ranking", "torque_friction"]
+    assert found.plot("mine")["torque_ranking"].get_suptitle().startswith("mine")
+    assert list(replace(found, torques=None).plot()) == ["ranking", "where"]
+
+
 def test_the_commands_take_it(made, found, recording, tmp_path, capsys, monkeypatch):
     run_file = write_recording(recording, tmp_path / "run.csv")
     out = tmp_path / "d.json"
