@@ -78,8 +78,6 @@ def finding_row(
         "statement": entry["statement"],
         "remedy": remedy_of(entry, torques).action,
         "parameters": quantities,
-        "sizes": [each for each in quantities if each.std],
-        "gain": f"{gain:+.0f}",
         "significance": f"{statements.p_value_statement(entry)} It increases the log-likelihood by {gain:.1f}.",
         "rivals": rivals,
         "rejected": ", ".join(rejected),

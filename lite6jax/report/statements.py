@@ -120,7 +120,8 @@ def finding_statement(finding: Entry) -> str:
     """A finding in one sentence, with its numbers; `finding` has the fields of its effect as `where`."""
     where, name = finding["where"], finding["effect"].replace("_", " ")
     driver = "" if finding["driver"] == "none" else f", a function of the {_worded(finding['driver'])}"
-    moves = f"; {worth.moves_phrase(finding)}" if worth.moves_phrase(finding) else ""
+    moved = worth.moves_phrase(finding)
+    moves = f"; {moved}" if moved else ""
     if "peak_to_peak" in finding:
         return (
             f"No effect of the catalogue explains an effect at {finding['site']}{_component(where)}{driver}: "
