@@ -6,7 +6,6 @@ from typing import Any
 from markupsafe import Markup
 from matplotlib.figure import Figure
 from rich.console import RenderableType
-from rich.padding import Padding
 from rich.text import Text
 
 from lite6jax.diagnosis.combined import CombinedDiagnosis
@@ -24,6 +23,7 @@ from lite6jax.report import (
 )
 from lite6jax.report.next_steps import Files
 from lite6jax.report.rendering import template
+from lite6jax.report.sections import indented
 
 Document = Mapping[str, Any]
 
@@ -60,8 +60,7 @@ def combined_report(
     yield Text("Torques", style="bold")
     yield from torque_tables.torque_report(document["torques"], source, None, details)
     yield Text(f"{shared.HEADING}:")
-    for line in [entry["statement"] for entry in document["shared"]] or [shared.NOTHING]:
-        yield Padding(Text(line), (0, 0, 0, 2))
+    yield from map(indented, [entry["statement"] for entry in document["shared"]] or [shared.NOTHING])
     yield ""
 
 

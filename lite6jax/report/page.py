@@ -53,7 +53,7 @@ def page_values(
     checked = [fault_row(entry) for entry in document["ruled_out"]]
     return {
         "source": source,
-        "against": _against(document),
+        "against": reference.compared(document),
         "headline": worth.headline(document),
         "cautions": [statements.verdict_statement(document), *statements.cautions(document)],
         "verdict_word": document["verdict"],
@@ -113,16 +113,4 @@ def _poses(item: Mapping[str, Any]) -> dict[str, Any]:
         "title": statements.separating_title(item),
         "joints": [f"joint {joint + 1}" for joint in range(angles.shape[1])],
         "rows": [[fixed(float(angle), 1) for angle in row] for row in angles],
-    }
-
-
-def _against(document: Document) -> dict[str, Any] | None:
-    if "against" not in document:
-        return None
-    comparison = document["against"]
-    return {
-        "headline": reference.headline(comparison),
-        "differences": [entry["statement"] for entry in comparison["differences"]],
-        "notes": [entry["statement"] for entry in comparison["notes"]],
-        "statement": comparison["statement"],
     }

@@ -6,7 +6,7 @@ from typing import Any
 from matplotlib.figure import Figure
 
 from lite6jax.diagnosis.torque_result import TorqueDiagnosis
-from lite6jax.report import next_steps, statements, torque_reference, torque_statements, worth
+from lite6jax.report import next_steps, reference, statements, torque_reference, torque_statements, worth
 from lite6jax.report.finding_figures import torque_finding_figure
 from lite6jax.report.next_steps import Files
 from lite6jax.report.rendering import fault_row, finding_row, folded, picture, ranking, template, untested_row
@@ -53,7 +53,7 @@ def page_values(
     checked = [fault_row(entry) for entry in document["ruled_out"]]
     return {
         "source": source,
-        "against": _against(document),
+        "against": reference.compared(document, torque_reference.headline),
         "headline": worth.headline(document),
         "cautions": [torque_statements.verdict_statement(document), *torque_statements.cautions(document)],
         "verdict_word": document["verdict"],
@@ -71,18 +71,6 @@ def page_values(
         "folded": folded(checked, document),
         "untested": [untested_row(group) for group in torque_statements.untested(document)],
         "to_record": torque_statements.what_to_record(document),
-    }
-
-
-def _against(document: Document) -> dict[str, Any] | None:
-    if "against" not in document:
-        return None
-    comparison = document["against"]
-    return {
-        "headline": torque_reference.headline(comparison),
-        "differences": [entry["statement"] for entry in comparison.get("differences", ())],
-        "notes": [],
-        "statement": comparison["statement"],
     }
 
 
