@@ -7,13 +7,13 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from lite6jax.diagnosis.result import Diagnosis
-from lite6jax.report import next_steps, reference, statements, worth
+from lite6jax.report import reference, statements, worth
 from lite6jax.report.cells import fixed, number
 from lite6jax.report.diagnosis_tables import ERRORS, noise_statement
 from lite6jax.report.finding_figures import finding_figure
 from lite6jax.report.next_steps import Files
 from lite6jax.report.quantities import quantity
-from lite6jax.report.rendering import fault_row, finding_row, folded, picture, ranking, template, untested_row
+from lite6jax.report.rendering import finding_row, picture, shared_values, template
 
 Document = Mapping[str, Any]
 
@@ -50,27 +50,14 @@ def page_values(
     """What the templates of the page are filled with; arguments as of `diagnosis_page`."""
     order = worth.order(document)
     findings = [_finding(found, entry, order) for entry in statements.findings_of(document)]
-    checked = [fault_row(entry) for entry in document["ruled_out"]]
     return {
-        "source": source,
+        **shared_values(document, statements, source, findings, figures, _CAPTIONS, files),
         "against": reference.compared(document),
-        "headline": worth.headline(document),
-        "cautions": [statements.verdict_statement(document), *statements.cautions(document)],
-        "verdict_word": document["verdict"],
         "setting": _setting(document),
         "errors": _errors(document),
         "held": statements.held_out_statement(document, f"{document['heldout_rows']} rows"),
         "noise": noise_statement(document),
-        "figures": {name: picture(figures[name], caption) for name, caption in _CAPTIONS.items()},
-        "faults": [fault_row(entry) for entry in document["data_faults"]],
         "notes": statements.assumptions(document),
-        "findings": findings,
-        "ranking": ranking(document, findings),
-        "steps": [] if files is None else next_steps.steps(document, files),
-        "checked": checked,
-        "folded": folded(checked, document),
-        "untested": [untested_row(group) for group in statements.untested(document)],
-        "to_record": statements.what_to_record(document),
         "separating": [_poses(item) for item in document["separating_poses"]],
         "not_checked": statements.NOT_CHECKED,
     }
