@@ -92,10 +92,14 @@ def combined_page(
     torques = {name.removeprefix(PREFIX): each for name, each in figures.items() if name.startswith(PREFIX)}
     poses = {name: each for name, each in figures.items() if not name.startswith(PREFIX)}
     parts = [
-        ("Poses", "diagnosis", page.page_values(found.poses, document, source, poses, files), ""),
-        ("Torques", "torque_diagnosis", torque_page.page_values(found.torques, document["torques"], source, torques),
-         "torque-"),
-    ]  # fmt: skip
+        ("Poses", "diagnosis_content.html", page.page_values(found.poses, document, source, poses, files), ""),
+        (
+            "Torques",
+            "torque_diagnosis_content.html",
+            torque_page.page_values(found.torques, document["torques"], source, torques),
+            "torque-",
+        ),
+    ]
     return template("combined.html").render(
         source=source,
         verdict_word=document["verdict"],
@@ -104,8 +108,8 @@ def combined_page(
         parts=[
             {
                 "title": title,
-                "header": Markup(template(f"{name}_header.html").render(**values, anchor=anchor)),
-                "content": Markup(template(f"{name}_content.html").render(**values, anchor=anchor)),
+                "header": Markup(template("diagnosis_header.html").render(**values, anchor=anchor)),
+                "content": Markup(template(name).render(**values, anchor=anchor)),
             }
             for title, name, values, anchor in parts
         ],

@@ -13,7 +13,7 @@ from lite6jax.report.diagnosis_tables import ERRORS, noise_statement
 from lite6jax.report.finding_figures import finding_figure
 from lite6jax.report.next_steps import Files
 from lite6jax.report.quantities import quantity
-from lite6jax.report.rendering import finding_row, picture, shared_values, template
+from lite6jax.report.rendering import finding_row, picture, shared_values, whole_page
 
 Document = Mapping[str, Any]
 
@@ -41,7 +41,7 @@ def diagnosis_page(
         figures: those of `diagnosis_figures.drawings`.
         files: for commands to copy; without them there are none.
     """
-    return template("diagnosis.html").render(page_values(found, document, source, figures, files), anchor="")
+    return whole_page("diagnosis_content.html", page_values(found, document, source, figures, files))
 
 
 def page_values(

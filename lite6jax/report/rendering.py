@@ -51,6 +51,16 @@ def template(name: str) -> jinja2.Template:
     return environment.get_template(name)
 
 
+def whole_page(content: str, values: Mapping[str, Any]) -> str:
+    """The page of one domain, HTML.
+
+    Args:
+        content: the template of what follows the header.
+        values: that it and the header are filled with.
+    """
+    return template("diagnosis.html").render(values, content=content, anchor="")
+
+
 def shared_values(
     document: Mapping[str, Any],
     words: ModuleType,

@@ -9,7 +9,7 @@ from lite6jax.diagnosis.torque_result import TorqueDiagnosis
 from lite6jax.report import reference, statements, torque_reference, torque_statements, worth
 from lite6jax.report.finding_figures import torque_finding_figure
 from lite6jax.report.next_steps import Files
-from lite6jax.report.rendering import finding_row, picture, shared_values, template
+from lite6jax.report.rendering import finding_row, picture, shared_values, whole_page
 
 Document = Mapping[str, Any]
 
@@ -41,7 +41,7 @@ def torque_page(
         figures: those of `torque_figures.drawings`.
         files: for commands to copy; without them there are none.
     """
-    return template("torque_diagnosis.html").render(page_values(found, document, source, figures, files), anchor="")
+    return whole_page("torque_diagnosis_content.html", page_values(found, document, source, figures, files))
 
 
 def page_values(
