@@ -63,12 +63,12 @@ def test_the_reference_describes_all_that_the_code_has(name):
 
 def test_the_faults_of_poses_are_documented_in_their_order():
     from lite6jax.domains.pose.screening.registry import SCREENS
-    from lite6jax.report import data_faults, torque_faults
+    from lite6jax.report.pose_faults import NAMES
 
     documented = [row[0] for row in table_rows((ROOT / "docs/reference/faults.md").read_text())[2:]]
     screened = list(dict.fromkeys(code for screen in SCREENS for code in screen.codes))
     assert documented[: len(screened)] == screened
-    assert set(documented) == set(data_faults._NAMES) - set(torque_faults.NAMES)
+    assert set(documented) == set(NAMES)
 
 
 def test_the_keys_and_verdicts_of_a_diagnosis_are_documented():

@@ -1,4 +1,4 @@
-"""The sidecar: the YAML file beside a recording, with its settings, names of columns and checksums, read and written."""
+"""The sidecar, the YAML file beside a recording: its settings, names of columns and checksums, read and written."""
 
 import os
 from collections.abc import Mapping
