@@ -2,7 +2,7 @@
 
 import os
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, as_completed
 from contextvars import copy_context
 from typing import TypeVar
 
@@ -55,17 +55,16 @@ def side_by_side(work: Callable[[Fold], Result], folds: Sequence[Fold]) -> list[
     """What `work` makes of each fold, in their order; as many at once as there are cores.
 
     They share compiled functions and what is known of all rows, so that threads are used: most of their time goes into
-    operations on arrays, which release the interpreter's lock. Their stages are parts 1, 2, … of the diagnosis.
+    operations on arrays, which release the interpreter's lock. Their stages belong to part 1 + the folds completed.
     """
-
-    def one(number: int, fold: Fold) -> Result:
-        with part(number, 1 + len(folds)):
-            return work(fold)
-
     pool = ThreadPoolExecutor(min(len(folds), _cores()))
     try:
-        # each in a copy of this context, which says who follows the progress
-        begun = [pool.submit(copy_context().run, one, number, fold) for number, fold in enumerate(folds, 1)]
+        with part(1, 1 + len(folds)) as going:
+            # each in a copy of this context, which says who follows the progress
+            begun = [pool.submit(copy_context().run, work, fold) for fold in folds]
+            for each in as_completed(begun):
+                each.result()
+                going.number += 1
         return [each.result() for each in begun]
     finally:
         pool.shutdown(wait=False, cancel_futures=True)  # after an interrupt, nobody waits for the others

@@ -136,7 +136,7 @@ class ScoreTest:
         for part in _of_bounded_size(terms, self.problem.rows * self.problem.samples):
             columns = self.problem.columns([terms[k] for k in part], beside=(self.fit.terms, self.fit.values))
             ends = np.cumsum([0, *(terms[k].size for k in part)])
-            acts = columns.any(2)
+            acts = np.any(columns, axis=2)
             alike: dict[tuple[int, bytes], list[tuple[int, int]]] = {}
             for k, (a, b) in zip(part, pairwise(ends), strict=True):
                 alike.setdefault((int(b - a), acts[a:b].any(0).tobytes()), []).append((k, int(a)))

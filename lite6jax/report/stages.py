@@ -38,9 +38,8 @@ class Clock:
         self._began = [now]
 
     def entered(self, stage: Stage, now: float) -> None:
-        """A stage begins; of several parts at once the last one is shown."""
-        if self.stage is None or stage.part >= self.stage.part:
-            self.stage = stage
+        """A stage begins."""
+        self.stage = stage
         while len(self._began) <= stage.part:
             self._began.append(now)
 
