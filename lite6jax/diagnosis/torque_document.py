@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from lite6jax.arms.arm import Arm
 from lite6jax.diagnosis.document import DAMAGED, SCHEMA, check_sum, located, parsed_document
-from lite6jax.diagnosis.heldout import fold_count
+from lite6jax.diagnosis.folds import fold_count
 from lite6jax.diagnosis.result import Finding, Rival
 from lite6jax.diagnosis.schema import check_effect
 from lite6jax.diagnosis.stored_uncertainty import covariance_from, drivers_from, lower_triangle

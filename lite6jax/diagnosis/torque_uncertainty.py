@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from lite6jax.diagnosis.heldout import fold_count
+from lite6jax.diagnosis.folds import fold_count
 from lite6jax.diagnosis.uncertainty import covariance_of, excess, relative_error, rows_kept, spacing_of
 from lite6jax.domains.torque.predict import shown_torques
 from lite6jax.domains.torque.uncertainty import (
