@@ -171,7 +171,10 @@ def _kept(runs: NDArray[np.integer], every: int, margin: int) -> NDArray[np.inte
 
 
 def spikes(torque: Array, runs: NDArray[np.integer]) -> NDArray[np.bool_]:
-    """`(joint, sample)` bool, single torques far from the median of their neighbours and from their middle."""
+    """`(joint, sample)` bool, single torques, or two in a row, far from their neighbours, which agree.
+
+    Of outliers at one sample in a hundred, some follow each other; a push lasts longer.
+    """
     found = np.zeros(torque.shape, bool)
     for rows in _each(runs):
         part = torque[:, rows]
@@ -185,7 +188,16 @@ def spikes(torque: Array, runs: NDArray[np.integer]) -> NDArray[np.bool_]:
         away = np.abs(part - median_filter(part, (1, 5), mode="nearest"))
         # the neighbours of a spike are off from their middle by half as much
         alone = off >= np.maximum(np.roll(off, 1, 1), np.roll(off, -1, 1))
-        found[:, rows] = alone & (step < 0.5 * off) & (np.minimum(off, away) > _SPIKE * np.maximum(typical, 1e-12))
+        least = _SPIKE * np.maximum(typical, 1e-12)
+        found[:, rows] = alone & (step < 0.5 * off) & (np.minimum(off, away) > least)
+        before, first, second, after = (part[:, k : part.shape[1] - 3 + k] for k in range(4))
+        middle = 0.5 * (before + after)
+        lower = np.minimum(np.abs(first - middle), np.abs(second - middle))
+        pair = (np.abs(after - before) < 0.5 * lower) & (lower > least)
+        pair &= np.minimum(away[:, 1:-2], away[:, 2:-1]) > least
+        at = found[:, rows]
+        at[:, 1:-2] |= pair
+        at[:, 2:-1] |= pair
     return found
 
 

@@ -94,6 +94,20 @@ def test_spikes_are_found_and_nothing_else():
     assert abs(clean[2, 100] - recording.torques()[100, 2]) < 1.0
 
 
+def test_two_spikes_in_a_row_are_found_and_a_push_is_none():
+    recording, _ = recorded(seed=6)
+    tau = recording.torques().T.copy()
+    runs = np.zeros(tau.shape[1], int)
+    tau[2, 100:102] += (15.0, 12.0)
+    tau[4, 300:302] += (-4.0, 5.0)
+    tau[1, 200:205] += 15.0  # a push of a tenth of a second
+    tau[3, 400:] += 15.0  # and one that stays
+    found = spikes(tau, runs)
+    assert sorted(map(tuple, np.argwhere(found))) == [(2, 100), (2, 101), (4, 300), (4, 301)]
+    clean = without_spikes(tau, found)
+    assert np.abs(clean[2, 100:102] - recording.torques()[100:102, 2]).max() < 1.0
+
+
 @pytest.mark.parametrize("inertial", ["declared", 0.1])
 def test_columns_are_the_derivatives_of_residuals(inertial):
     recording, arm = recorded([hidden("viscous_friction", "joint2", viscous_Nm_s_per_rad=0.5)], inertial=inertial)
