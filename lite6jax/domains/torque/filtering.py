@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.ndimage import median_filter
-from scipy.signal import butter, sosfiltfilt, welch
+from scipy.signal import butter, savgol_filter, sosfiltfilt, welch
 
 from lite6jax.errors import InputError
 from lite6jax.recordings import Recording
@@ -37,6 +37,8 @@ _LEAST_CUTOFF = 10.0
 _MOST_ROWS = 1500
 _FEWEST = 32
 """Samples of a run; shorter ones have no spectrum."""
+_CUBIC = 5
+"""Fewest samples from which a cubic is estimated."""
 _UNEVEN = 0.2
 """Deviation of time steps from their median, over it, from which sampling is not uniform."""
 _GAP = 1.8
@@ -140,7 +142,20 @@ def smoothed(recording: Recording, chosen: LowPass) -> Smoothed:
             # central differences of fifty samples a second lose half a per cent of a motion of 1.5 Hz
             t = np.arange(rows.stop - rows.start) / rate
             acceleration[:, rows] = CubicSpline(t, velocity[:, rows], axis=1)(t, 1)
+            _mend_ends(acceleration[:, rows], v[:, rows], cutoff, rate)
     return Smoothed(position, velocity, acceleration, cutoff)
+
+
+def _mend_ends(acceleration: Array, velocity: Array, cutoff: float, rate: float) -> None:
+    """Puts the slope of a local cubic of the recorded velocities at both ends of a run.
+
+    The low pass follows the noise of the first and the last velocity, and its slope there is several times too large.
+    """
+    period = int(np.ceil(rate / cutoff))
+    near, window = 2 * period, max(period | 1, _CUBIC)  # farther inside, the low pass is as exact
+    if velocity.shape[1] >= max(2 * near, window):
+        slope = savgol_filter(velocity, window, 3, deriv=1, delta=1 / rate)
+        acceleration[:, :near], acceleration[:, -near:] = slope[:, :near], slope[:, -near:]
 
 
 def low_pass(velocity: Array, rate: float, runs: NDArray[np.integer]) -> LowPass:

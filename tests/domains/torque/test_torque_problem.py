@@ -81,6 +81,14 @@ def test_accelerations_follow_those_of_the_motion():
     assert cutoff <= 2 * chosen.cutoff
 
 
+def test_accelerations_at_the_ends_of_a_run_do_not_follow_its_first_and_last_velocity():
+    bodies, *_ = bodies_of(*recorded(seed=5, velocity_noise=1e-4))
+    motion = motion_of(setup_of(5)[0], 105)
+    ends = np.r_[0:10, -10:0]
+    error = np.asarray(bodies.motion.joint_acceleration).T[ends] - motion.ddq[ends]
+    assert np.sqrt(np.mean(error**2)) < 0.005 * np.sqrt(np.mean(motion.ddq**2))
+
+
 def test_spikes_are_found_and_nothing_else():
     recording, _ = recorded(seed=6)
     tau = recording.torques().T.copy()
