@@ -1,10 +1,10 @@
 """The command of a kind of trials: runs them, or one of them, and says what came of it."""
 
 import argparse
-import sys
 import tempfile
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 from rich.console import Console
@@ -13,10 +13,9 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from benchmarks.campaigns.campaign import Campaign, Row, opened
 from benchmarks.campaigns.shares import Goal
 from benchmarks.campaigns.tables import Section, markdown, tables
+from benchmarks.ending import DONE, MISSED, ended
 from lite6jax.errors import InputError
 from lite6jax.storage import check_writable
-
-DONE, MISSED, UNUSABLE, INTERRUPTED = 0, 1, 2, 130
 
 
 @dataclass(frozen=True)
@@ -61,22 +60,19 @@ def main(trials: Trials, arguments: Sequence[str] | None = None) -> int:
         parser.error(f"--trial: runs one and keeps nothing; leave {also} out")
     if options.out and options.out.suffix != ".parquet":
         parser.error(f"--out: {options.out} is to be a Parquet file; end its name in .parquet")
+    kept = f"; what was done is kept beside {options.out}, the same command goes on" if options.out else ""
+    return ended(partial(_run, trials, options), (InputError, ValueError, OSError), kept)
+
+
+def _run(trials: Trials, options: argparse.Namespace) -> int:
     console = Console(highlight=False)
-    try:
-        if options.out:
-            check_writable(options.out, overwrite=True)
-        if getattr(options, "export", None):
-            return _export(trials, options, console)
-        if options.trial is not None:
-            return _one(trials, options.seed, options.trial, options.sealed, console)
-        return _many(trials, options, console)
-    except (InputError, ValueError, OSError) as problem:
-        print(f"benchmarks: {problem}", file=sys.stderr)
-        return UNUSABLE
-    except KeyboardInterrupt:
-        kept = f"; what was done is kept beside {options.out}, the same command goes on" if options.out else ""
-        print(f"benchmarks: interrupted{kept}", file=sys.stderr)
-        return INTERRUPTED
+    if options.out:
+        check_writable(options.out, overwrite=True)
+    if getattr(options, "export", None):
+        return _export(trials, options, console)
+    if options.trial is not None:
+        return _one(trials, options.seed, options.trial, options.sealed, console)
+    return _many(trials, options, console)
 
 
 def _parser(trials: Trials) -> argparse.ArgumentParser:

@@ -2,6 +2,7 @@
 
 import contextlib
 import io
+import os
 import warnings
 from collections.abc import Sequence
 from dataclasses import replace
@@ -24,7 +25,7 @@ def is_folder(source: Path) -> bool:
     """Whether a source is a folder of recordings, and not a recording that is a folder."""
     if url_of(source) is not None:
         return True
-    if not source.is_dir():
+    if not os.path.isdir(source):
         return False
     from lite6jax.recordings import recording_file
 
