@@ -14,6 +14,8 @@ if TYPE_CHECKING:
     from lite6jax.distribution.worker import Function
 
 _MOST_FAILED_STARTS = 3
+_ENDS_WITHIN = 1.0
+"""s, in which a process is gone whose connection is."""
 
 
 class Died:
@@ -45,9 +47,10 @@ class _Worker:
         theirs.close()
         self.connection.send((function, given))
 
-    def end(self) -> int | None:
-        """Ends the process, if it has not; returns its exit code."""
+    def end(self, within: float = 0.0) -> int | None:
+        """Ends the process, if it does not end within so many seconds; returns its exit code."""
         self.connection.close()
+        self.process.join(within)
         self.process.kill()
         self.process.join()
         code = self.process.exitcode
@@ -146,7 +149,7 @@ class Processes:
             InputError: no process gets as far as to ask for its first batch.
         """
         worker = self._workers.pop(place)
-        code = worker.end()
+        code = worker.end(_ENDS_WITHIN)
         self._failed_starts += not worker.ready
         if self._failed_starts >= _MOST_FAILED_STARTS:
             how = signal.Signals(-code).name if code is not None and code < 0 else f"exit code {code}"

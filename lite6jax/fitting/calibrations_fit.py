@@ -13,12 +13,10 @@ from lite6jax.arms.chains import HayatiForm, SixParameterForm
 from lite6jax.arms.convert import closed_form
 from lite6jax.arms.forward_kinematics import six_parameter_fk
 from lite6jax.arms.moves import Frame, turn
-from lite6jax.fitting.calibration_fit import CHECK_SAMPLES, SAMPLES
 from lite6jax.fitting.chunks import CHUNK
 from lite6jax.fitting.compiled import Exported
-from lite6jax.fitting.fleet import fit_fleet
-from lite6jax.fitting.problem import sample_within_limits
 from lite6jax.fitting.residual import predict_frames
+from lite6jax.fitting.sampling import CHECK_SAMPLES, SAMPLES, sample_within_limits
 from lite6jax.fitting.status import Result
 from lite6jax.model import ArmModel, ModelForm
 
@@ -84,6 +82,8 @@ def fit_calibrations(kinematics: NDArray, T_joint_flange: NDArray, arm: Arm) -> 
     result, steps = np.full(len(filled), Result.CONVERGED, np.int32), np.zeros(len(filled), np.int32)
     left = ~(np.max(found[:, :2, [1, 3]], (1, 2)) <= EXACT)
     if left.any():
+        from lite6jax.fitting.fleet import fit_fleet  # it knows recordings, which takes as long to import as all else
+
         poses = jax.vmap(six_parameter_fk, in_axes=(0, None))(kinematics, q[:SAMPLES]) @ T_joint_flange[:, None]
         solution = fit_fleet(q[:SAMPLES], poses, nominal=arm)
         parameters = np.where(left[:, None], solution.parameters, parameters)

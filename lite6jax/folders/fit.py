@@ -16,16 +16,14 @@ from lite6jax.arms.arm import Arm
 from lite6jax.arms.bundled import bundled_of
 from lite6jax.arms.factory import FactoryCalibration, factory_from, read_factory
 from lite6jax.arms.nearest import nearest_arms
-from lite6jax.domains.pose.fit_recording import fit_recording
 from lite6jax.errors import InputError, InputWarning
-from lite6jax.fitting.calibrations_fit import SAMPLES, fit_calibrations
+from lite6jax.fitting.calibrations_fit import fit_calibrations
 from lite6jax.fitting.quality import Quality, quality_of_calibration
-from lite6jax.fitting.solution import Result
-from lite6jax.fitting.source import read_source
+from lite6jax.fitting.sampling import SAMPLES
+from lite6jax.fitting.status import Result
 from lite6jax.folders.place import kind_of
 from lite6jax.folders.rows import Row, Statistics
 from lite6jax.model import ModelForm
-from lite6jax.recordings import Recording
 
 Array = NDArray[np.floating]
 T = TypeVar("T")
@@ -159,6 +157,11 @@ def _fit_calibrations(alike: Sequence[tuple[Path, FactoryCalibration, str]]) -> 
 
 
 def _fit_recording(path: Path, nominal: Arm | None) -> Row:
+    # a folder of calibrations does not import what recordings take
+    from lite6jax.domains.pose.fit_recording import fit_recording
+    from lite6jax.fitting.source import read_source
+    from lite6jax.recordings import Recording
+
     recording = read_source(path, nominal)
     assert isinstance(recording, Recording)
     solution = fit_recording(recording, nominal)

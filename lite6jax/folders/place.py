@@ -23,7 +23,7 @@ _URL = re.compile(r"([A-Za-z][A-Za-z0-9+.-]+):/+(.*)", re.DOTALL)
 
 def kind_of(name: str | Path) -> Literal["calibration", "recording"]:
     """What a file should be, by its name."""
-    return "calibration" if Path(name).suffix.lower() in CALIBRATIONS else "recording"
+    return "calibration" if os.path.splitext(name)[1].lower() in CALIBRATIONS else "recording"
 
 
 def url_of(path: str | Path) -> str | None:
@@ -93,6 +93,9 @@ class Place:
             return "\0".join((*names, *(_stated(store, path) for path in stated))).encode(errors="surrogateescape")
         found = []
         for name in names:
+            if kind_of(name) == "calibration":
+                found += [os.fsencode(name), b"\0", sha256_of([os.path.join(self.root, name)])]
+                continue
             path = Path(self.root, name)
             files = [path] if path.is_file() else sorted(part for part in path.rglob("*") if part.is_file())
             found += [os.fsencode(name), b"\0", sha256_of([*files, *named_by(path)])]
@@ -126,7 +129,7 @@ class Place:
 
 def named_by(path: Path) -> list[Path]:
     """The files on which what a recording says depends besides its own: the sidecar, and those that this names."""
-    if path.suffix.lower() in CALIBRATIONS:
+    if kind_of(path) == "calibration":
         return []
     from lite6jax.recordings import read_settings, sidecar_path
 

@@ -12,8 +12,8 @@ from numpy.typing import ArrayLike, NDArray
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.moves import Turn, turn
 from lite6jax.errors import InputError
-from lite6jax.fitting.problem import sample_within_limits
 from lite6jax.fitting.residual import predict_frames
+from lite6jax.fitting.sampling import sample_within_limits
 from lite6jax.identifiability.information import TOLERANCE, Chain, Experiment, plan_experiment
 from lite6jax.identifiability.sensor import BARE
 from lite6jax.model import ArmModel, ModelForm
