@@ -14,6 +14,9 @@ from lite6jax.folders.diagnoses import DIAGNOSED
 from lite6jax.folders.rows import Row
 from lite6jax.report.cells import listing, number
 
+_DOMAINS = (("poses", "verdict", "position_rms_m", 1e3), ("torques", "torque_verdict", "torque_rms_Nm", 1.0))
+"""With the columns of the verdict and the errors, and the factor to the unit on the screen."""
+
 
 def folder_report(rows: Iterable[Row], kept: int = 0) -> Iterator[RenderableType]:
     """Position errors by type of arm, and a line for each file without a usable fit.
@@ -75,28 +78,33 @@ def diagnoses_report(rows: Sequence[dict[str, Any]], kept: int = 0) -> Iterator[
     """
     yield from _of_earlier_run(kept, len(rows), "diagnosed")
     done = [row for row in rows if row["result"] == DIAGNOSED]
-    table = listing("recording", "verdict", "before", "after", "findings")
-    for column, name in zip(table.columns, ("recording", "verdict", "", "", "findings"), strict=True):
-        if name:
-            column.justify, column.no_wrap, column.overflow = "left", False, "fold"
+    table = listing("recording", "verdict", "before", "after")
+    for column in table.columns[:2]:
+        column.justify, column.no_wrap, column.overflow = "left", False, "fold"
+    table.columns[1].min_width = len("unexplained")
+    found: list[str] = []
     for row in done:
-        for domain, verdict, unit, scale in (
-            ("poses", "verdict", "position_rms_m", 1e3),
-            ("torques", "torque_verdict", "torque_rms_Nm", 1.0),
-        ):
+        for domain, verdict, unit, scale in _DOMAINS:
             if row[verdict] is None:
                 continue
             errors = (row[f"{when}_{unit}"] for when in ("before", "after"))
-            cells = ("–" if error is None else f"{number(scale * error)}" for error in errors)
-            found = [f"{each['effect']} {each['site']}" for each in row["findings"] if each["domain"] == domain]
+            cells = ("–" if error is None else number(scale * error) for error in errors)
             name = row["file"] if domain == "poses" or row["verdict"] is None else ""
-            table.add_row(Text(name), row[verdict].replace("_", " "), *cells, Text("; ".join(found) or "–"))
+            table.add_row(Text(name), row[verdict].replace("_", " "), *cells)
+        names = [f"{each['effect']} {each['site']}" for each in row["findings"]]
+        if names:
+            found.append(f"{row['file']}: {'; '.join(names)}")
     if done:
         yield table
         yield Text(
             "before, after: root mean square of the errors of held-out rows without and with the findings; of poses in"
             " mm, of torques in N·m."
         )
+    if found:
+        yield ""
+        yield Text("Findings:")
+        for line in found:
+            yield Padding(Text(line), (0, 0, 0, 2))
     left = [row for row in rows if row["result"] != DIAGNOSED]
     if left:
         yield ""
