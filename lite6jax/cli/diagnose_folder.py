@@ -43,6 +43,10 @@ def diagnose_recordings(command: "Diagnose") -> int:
             raise InputError(f"--{option}: is of one recording, and {command.source} is a folder; leave it out")
     if command.out is None:
         raise InputError(f"{command.source}: is a folder; add --out DIR for the documents of its recordings")
+    if command.out.suffix.lower() == ".json":
+        raise InputError(
+            f"{command.source}: is a folder; name a file in it, or a folder with --out for the documents of all recordings"
+        )
     check_processes(command.processes, command.scheduler)
     from lite6jax.distribution.kept import sha256_of
     from lite6jax.folders.diagnoses import diagnose_folder
