@@ -87,6 +87,8 @@ KEYS = {
     "torque_noise_Nm": "noise of the torque of each joint",
     "inertial": "for torques: what is known of the masses and inertias of the links",
     "torque_constant_Nm_per_A": "torque per current of each joint, at the joint, gear included",
+    "date": "the day of the measurement, which a certificate shows",
+    "instrument": "with what it was measured, such as type and serial number, which a certificate shows",
 }
 PYTHON = {
     "Fit": (

@@ -28,9 +28,10 @@ class Report:
     certificate: OutFile = None
     """Write one A4 page here (.pdf)."""
     date: Annotated[str | None, arg(metavar="YYYY-MM-DD")] = None
-    """When it was measured, for the certificate."""
+    """When it was measured, for the certificate; the sidecar's date where not given."""
     instrument: Annotated[str | None, arg(metavar="TEXT")] = None
-    """With what it was measured, for the certificate; the kind of sensor that is declared where not given."""
+    """With what it was measured, for the certificate; where not given what the sidecar declares, or else the kind of
+    sensor."""
     details: bool = False
     """Print also what was ruled out and what was not tested."""
     json: bool = False

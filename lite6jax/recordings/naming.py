@@ -35,7 +35,7 @@ _PLACE = {"position", "positions", "pos", "translation"}
 _POSE = {"pose", "tcp", "tool", "ee", "eef", "effector", "flange", "cartesian", "cart", "tracker", "marker", "point"}
 _TURNED = {"orientation", "quaternion", "quat", "rotation", "rot", "rotvec", "euler", "rpy", "attitude", "ori"}
 _SCALARS = {
-    "time": {"time", "timestamp", "t", "stamp", "elapsed", "clock"},
+    "time": {"time", "timestamp", "datetime", "t", "stamp", "elapsed", "clock"},
     "payload": {"payload"},
     "ambient": {"ambient"},
     "run": {"run", "episode", "trial", "segment"},
