@@ -31,6 +31,7 @@ from lite6jax.cli.live import Read, Record
 from lite6jax.cli.report import Report
 from lite6jax.cli.simulate import Simulate
 from lite6jax.cli.study import Identify, Sensitivity
+from lite6jax.cli.view import View
 from lite6jax.errors import InputError, InputWarning
 
 COMMANDS = {
@@ -43,6 +44,7 @@ COMMANDS = {
     "design": Design,
     "diagnose": Diagnose,
     "report": Report,
+    "view": View,
     "predict": Predict,
     "compensate": Compensate,
     "simulate": Simulate,

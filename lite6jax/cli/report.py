@@ -3,12 +3,13 @@
 from dataclasses import dataclass
 from datetime import date as Date  # noqa: N812 (a field is called date)
 from pathlib import Path
-from typing import Annotated, Any, final
+from typing import Annotated, final
 
 from tyro.conf import Positional, arg
 
 from lite6jax.cli.arguments import OutFile, check_out, refuse_inputs
 from lite6jax.cli.exit_codes import DONE
+from lite6jax.cli.inputs import found_recording
 from lite6jax.errors import InputError
 
 
@@ -57,7 +58,7 @@ class Report:
         written = []
         try:
             said = torque_statements.with_statements(document) if torques else statements.with_statements(document)
-            recording = _recording(document, self.diagnosis)
+            recording = found_recording(document, self.diagnosis)
             files = None if recording is None else Files(recording, self.diagnosis)
             tables = torque_tables.torque_report if torques else diagnosis_tables.diagnosis_report
             page = list(tables(said, str(self.diagnosis), files, self.details))
@@ -85,8 +86,3 @@ def _date(text: str | None) -> Date | None:
         raise InputError(f"--date {text}: give a day as YYYY-MM-DD, such as 2026-11-21") from error
 
 
-def _recording(document: Any, diagnosis: Path) -> Path | None:
-    """The recording that was diagnosed, where it is beside the diagnosis or here."""
-    names = [entry["file"] for entry in document.get("inputs", ()) if entry["role"] == "recording"]
-    places = [place for name in names for place in (diagnosis.with_name(name), Path(name))]
-    return next((place for place in places if place.is_file()), None)
