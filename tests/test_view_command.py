@@ -19,7 +19,6 @@ from typed import flat, refused, run
 from lite6jax.cli.inputs import inputs
 from lite6jax.diagnosis.document import model_from_document, write_document
 from lite6jax.recordings import read_recording, write_recording
-from lite6jax.report.canvas import BEFORE
 from lite6jax.report.scene import WITHOUT, pose_scene
 from lite6jax.report.viewer import ARM, FOUND, _from_z, _listening, _rgb, served
 
@@ -88,7 +87,9 @@ def test_the_row_moves_the_arm(shown, scene):
         for link, T in enumerate(scene.frames[sample]):
             node = handle(f"/arm/{link}")
             np.testing.assert_allclose(node.position, T[:3, 3], atol=1e-6)
-            np.testing.assert_allclose(Rotation.from_quat(node.wxyz, scalar_first=True).as_matrix(), T[:3, :3], atol=1e-6)
+            np.testing.assert_allclose(
+                Rotation.from_quat(node.wxyz, scalar_first=True).as_matrix(), T[:3, :3], atol=1e-6
+            )
         np.testing.assert_allclose(handle("/predicted").position, scene.poses[0].predicted[sample, :3, 3], atol=1e-6)
         arrow = scene.poses[0].arrows(scene.poses[0].scale, [sample])
         np.testing.assert_allclose(handle("/error").points, arrow, atol=1e-6)
@@ -111,25 +112,15 @@ def test_scale_prediction_and_highlight_are_chosen(shown, scene):
     np.testing.assert_allclose(arrows.points, found.arrows(10.0), atol=1e-6)
     shown.prediction.value = WITHOUT
     np.testing.assert_allclose(arrows.points, rigid.arrows(10.0), atol=1e-6)
-    assert f"the median error of {1e3 * rigid.median:.4f} mm is {1e4 * rigid.median:.0f} mm long" in shown._caption.content
+    assert (
+        f"the median error of {1e3 * rigid.median:.4f} mm is {1e4 * rigid.median:.0f} mm long" in shown._caption.content
+    )
     assert tuple(handle("/arm/2/joint2").color) == tuple(handle("/arm/1/joint1").color) == _rgb(FOUND)
     assert tuple(handle("/arm/3/joint3").color) == _rgb(ARM)
     shown.highlight.value = f"2. {scene.findings[1].title}"
     assert tuple(handle("/arm/2/joint2").color) == _rgb(ARM)
     assert handle("/arm/2/joint2/label") is None
     assert handle("/arm/1/joint1/label").text == "2"
-
-
-def test_found_places_differ_from_the_arm_without_colours_too():
-    """Relative luminance (IEC 61966-2-1) of what may overlap differs by a ratio that WCAG asks of graphics, or nearly."""
-
-    def luminance(colour):
-        part = np.array(_rgb(colour)) / 255
-        return np.where(part <= 0.04045, part / 12.92, ((part + 0.055) / 1.055) ** 2.4) @ [0.2126, 0.7152, 0.0722]
-
-    assert luminance(FOUND) - luminance(BEFORE) > 0.2
-    blue = [_rgb(colour)[2] for colour in (FOUND, ARM)]
-    assert blue[1] - blue[0] > 150  # no colour blindness but the rarest confuses yellow with grey
 
 
 @pytest.mark.parametrize("axis", [[0, 0, 1], [0, 0, -2], [1, 0, 0], [0.3, -0.2, -0.9]])
@@ -178,7 +169,9 @@ def test_what_is_refused(made, capsys, monkeypatch):
         said = refused(capsys, "view", document, "--port", str(port))
         assert said.startswith(f"--host 127.0.0.1 --port {port}: nothing can listen there (")
         assert said.endswith("give another address or port")
-    assert refused(capsys, "view", document, "--host", "203.0.113.7").startswith("--host 203.0.113.7: nothing can listen")
+    assert refused(capsys, "view", document, "--host", "203.0.113.7").startswith(
+        "--host 203.0.113.7: nothing can listen"
+    )
     monkeypatch.setitem(sys.modules, "viser", None)
     assert refused(capsys, "view", document) == "view takes the package viser; pip install 'lite6jax[view]'"
 

@@ -32,7 +32,9 @@ def inputs(
 
 def found_recording(document: Mapping[str, Any], diagnosis: Path) -> Path | None:
     """The recording that was diagnosed, where it is beside the diagnosis or here."""
-    places = [place for entry in _recordings(document) for place in (diagnosis.with_name(entry["file"]), Path(entry["file"]))]
+    places = [
+        place for entry in _recordings(document) for place in (diagnosis.with_name(entry["file"]), Path(entry["file"]))
+    ]
     return next((place for place in places if place.is_file()), None)
 
 

@@ -84,5 +84,3 @@ def _date(text: str | None) -> Date | None:
         return None if text is None else Date.fromisoformat(text)
     except ValueError as error:
         raise InputError(f"--date {text}: give a day as YYYY-MM-DD, such as 2026-11-21") from error
-
-

@@ -108,7 +108,10 @@ KEYS: Mapping[str, tuple[str, str]] = {
         "[12.0, 12.0, 9.0, 4.0, 4.0, 4.0]",
     ),
     "date": ("The day of the measurement, for a certificate.", "2026-11-21"),
-    "instrument": ("With what it was measured, such as type and serial number, for a certificate.", "Leica AT960, 750012"),
+    "instrument": (
+        "With what it was measured, such as type and serial number, for a certificate.",
+        "Leica AT960, 750012",
+    ),
 }
 """The keys of `recording` in a sidecar: what each means, and an example."""
 _OF_TORQUES = ("torque_source", "torque_noise_Nm", "inertial", "torque_constant_Nm_per_A")

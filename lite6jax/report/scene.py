@@ -284,7 +284,9 @@ def _frames(arm: Arm, recording: Recording) -> Array:
     return frames
 
 
-def _places(document: Document, findings: Sequence[Mapping[str, Any]], capsules: Sequence[Capsule]) -> tuple[Place, ...]:
+def _places(
+    document: Document, findings: Sequence[Mapping[str, Any]], capsules: Sequence[Capsule]
+) -> tuple[Place, ...]:
     measure, links = worth.measure_of(document), [capsule.link for capsule in capsules]
     places = []
     for number, finding in enumerate(findings, 1):

@@ -22,10 +22,9 @@ if TYPE_CHECKING:
 
 PORT = 8080
 """Where none is asked for: this one, or the next that is free."""
-ARROWS, PREDICTED = BEFORE, AFTER
-FOUND = "#E69F00"
-"""Okabe and Ito's orange: differs from the arm's grey and from the arrows with colour blindness too."""
-ARM, TOOL = "#B4B8BD", "#6B7077"
+FOUND, ARROWS = BEFORE, AFTER
+"""Vermillion and blue of Okabe and Ito: with colour blindness too they differ from each other and from grey."""
+ARM, TOOL, PREDICTED = "#B4B8BD", "#6B7077", "#000000"
 ALL = "all findings"
 
 _Colour = tuple[int, int, int]

@@ -93,7 +93,7 @@ def test_timestamps_of_tables_are_read_alike(tmp_path, unit, zone):
     np.testing.assert_allclose(read_recording(path).time, SECONDS, rtol=1e-15)
     frame = Recording.from_dataframe(pa.table(table), motion="static")
     np.testing.assert_allclose(frame.time, SECONDS, rtol=1e-15)
-    assert frame.notes[0].endswith("counted from the first, 2026-11-21T23:59:59.500" + "000" * "m un".index(unit[0]))
+    assert "counted from the first, 2026-11-21T23:59:59.500" in frame.notes[0]
 
 
 def test_text_of_tables_is_read_alike(tmp_path):

@@ -36,7 +36,9 @@ def scene(poses):
 @pytest.fixture(scope="module")
 def motors():
     recording = torques_recorded()
-    document = with_statements(to_torque_document(torques_diagnosed(recording, (ViscousFriction(2), CoulombFriction(2)))))
+    document = with_statements(
+        to_torque_document(torques_diagnosed(recording, (ViscousFriction(2), CoulombFriction(2))))
+    )
     return document, torque_model_from_document(document), recording
 
 
@@ -73,7 +75,9 @@ def test_arrows_lead_from_predicted_to_measured_points(scene, poses):
 def test_a_sensor_elsewhere_shows_the_same_scene(scene, poses):
     document, model, recording = poses
     T = origin_transform([1.0, -2.0, 0.5, 0.3, -1.0, 2.0])
-    moved = replace(model, model=ArmModel(model.model.geometry, T @ model.model.T_sensor_base, model.model.T_flange_tool))
+    moved = replace(
+        model, model=ArmModel(model.model.geometry, T @ model.model.T_sensor_base, model.model.T_flange_tool)
+    )
     seen = recording.made_anew(position=recording.position @ T[:3, :3].T + T[:3, 3], quaternion=None)
     other = pose_scene(document, moved, seen)
     for one, two in zip(scene.poses, other.poses, strict=True):
