@@ -13,13 +13,18 @@ import urllib.request
 import numpy as np
 import pytest
 from report.diagnosed import COMPLIANCE, HARMONIC, diagnosed, documented, recording_maker
+from report.torque_diagnosed import diagnosed as torques_diagnosed
+from report.torque_diagnosed import recorded as torques_recorded
 from scipy.spatial.transform import Rotation
 from typed import flat, refused, run
 
 from lite6jax.cli.inputs import inputs
 from lite6jax.diagnosis.document import model_from_document, write_document
+from lite6jax.diagnosis.torque_document import read_torque_model, to_torque_document
+from lite6jax.effects.dynamic.friction import CoulombFriction, ViscousFriction
 from lite6jax.recordings import read_recording, write_recording
-from lite6jax.report.scene import WITHOUT, pose_scene
+from lite6jax.report import torque_statements
+from lite6jax.report.scene import WITH, WITHOUT, pose_scene, torque_scene
 from lite6jax.report.viewer import ARM, FOUND, _from_z, _listening, _rgb, served
 
 HOST = "127.0.0.1"
@@ -76,7 +81,8 @@ def test_a_browser_gets_the_page_and_the_scene(shown, scene):
     html = " ".join(message["props"]["content"] for message in sent if message["type"] == "GuiHtmlMessage")
     assert "Joint 2 gives way to gravity" in html
     assert "Joint compliance at joint2 is significant" in html or "Joint compliance at joint2, a function" in html
-    assert f"({1e3 * 0.05:.0f} mm at {scene.poses[0].scale:.3g} times)" in html
+    median, scale = 1e3 * scene.poses[-1].median, scene.poses[-1].scale
+    assert f"enlarged {scale:.0f} times: the median error of {median:.4f} mm is {scale * median:.0f} mm long" in html
     assert not any(message["type"] == "ThemeConfigurationMessage" and message["show_share_button"] for message in sent)
 
 
@@ -90,8 +96,9 @@ def test_the_row_moves_the_arm(shown, scene):
             np.testing.assert_allclose(
                 Rotation.from_quat(node.wxyz, scalar_first=True).as_matrix(), T[:3, :3], atol=1e-6
             )
-        np.testing.assert_allclose(handle("/predicted").position, scene.poses[0].predicted[sample, :3, 3], atol=1e-6)
-        arrow = scene.poses[0].arrows(scene.poses[0].scale, [sample])
+        rigid = scene.poses[-1]
+        np.testing.assert_allclose(handle("/predicted").position, rigid.predicted[sample, :3, 3], atol=1e-6)
+        arrow = rigid.arrows(rigid.scale, [sample])
         np.testing.assert_allclose(handle("/error").points, arrow, atol=1e-6)
         assert f"Row {sample + 1}" in shown._status.content
     shown.playing.value, shown.speed.value = True, 20.0
@@ -107,10 +114,10 @@ def test_the_row_moves_the_arm(shown, scene):
 def test_scale_prediction_and_highlight_are_chosen(shown, scene):
     arrows, handle = shown.server.scene.get_handle_by_name("/errors"), shown.server.scene.get_handle_by_name
     found, rigid = scene.poses
-    np.testing.assert_allclose(arrows.points, found.arrows(found.scale), atol=1e-6)
-    shown.scale.value = 10.0
-    np.testing.assert_allclose(arrows.points, found.arrows(10.0), atol=1e-6)
-    shown.prediction.value = WITHOUT
+    np.testing.assert_allclose(arrows.points, rigid.arrows(rigid.scale), atol=1e-6)
+    shown.prediction.value = WITH
+    np.testing.assert_allclose(arrows.points, found.arrows(rigid.scale), atol=1e-6)
+    shown.prediction.value, shown.scale.value = WITHOUT, 10.0
     np.testing.assert_allclose(arrows.points, rigid.arrows(10.0), atol=1e-6)
     assert (
         f"the median error of {1e3 * rigid.median:.4f} mm is {1e4 * rigid.median:.0f} mm long" in shown._caption.content
@@ -137,6 +144,30 @@ def test_it_says_where_it_is_shown_and_ends(made, capsys):
     assert f"lite6, 200 rows of {path}." in flat(out)
     assert "Joint 2 gives way to gravity" in flat(out)
     assert re.search(r"^Open http://127\.0\.0\.1:\d+ in a browser\. Stop with Ctrl-C\.$", out, re.MULTILINE)
+
+
+def test_torques_are_shown_too(capsys, tmp_path):
+    pytest.importorskip("viser", reason="viser (extra view) is not installed")
+    recording = torques_recorded()
+    path = write_recording(recording, tmp_path / "torques.csv")
+    found = to_torque_document(torques_diagnosed(recording, (ViscousFriction(2), CoulombFriction(2))))
+    document = {**torque_statements.with_statements(found), "inputs": inputs(path)}
+    file = write_document(document, tmp_path / "torques.json")
+    code, out, err = run(capsys, "view", file, "--port", "0", "--duration", "0.1")
+    assert (code, err) == (0, "")
+    assert f"lite6, 1600 rows of {path}." in flat(out)
+    scene = torque_scene(document, read_torque_model(file), read_recording(path))
+    with served(scene, HOST, 0) as shown:
+        handle = shown.server.scene.get_handle_by_name
+        sample = 100 + int(scene.torques[1].over_noise[100:-100, 1].argmax())
+        shown.row.value = sample + 1
+        limit = max(errors.limit for errors in scene.torques)
+        for joint, colour in enumerate(scene.torques[1].colours(sample, limit), 1):
+            assert tuple(handle(f"/arm/{joint}/joint{joint}").color) == tuple(colour)
+        assert f"Row {sample + 1}, {recording.time[sample]:.2f} s: joint 2 is off most, by" in shown._status.content
+        assert handle("/arm/2/joint2/label").text == "1, 2"
+        assert tuple(handle("/arm/2/joint2/ring").color) == _rgb(FOUND)
+        assert handle("/errors") is None
 
 
 def test_another_file_under_its_name_is_noticed(made, capsys, tmp_path):

@@ -72,18 +72,19 @@ class View:
         from lite6jax.diagnosis.torque_document import is_of_torques, of_torques, read_torque_model
         from lite6jax.domains.pose.files import read_motion
         from lite6jax.effects.user_effects import load_effects
+        from lite6jax.recordings import read_recording
         from lite6jax.report import scene
 
         document: Any = parsed_document(self.diagnosis)
         effects = load_effects(self.effects) if self.effects else ()
-        motors = is_of_torques(document) or self.torques
-        model = (read_torque_model if motors else read_model)(self.diagnosis, effects)
+        motors = read_torque_model(self.diagnosis, effects) if self.torques or is_of_torques(document) else None
+        arm = read_model(self.diagnosis, effects) if motors is None else None
         file = self.recording or diagnosed_recording(document, self.diagnosis)
-        recording = read_motion(file, model)
         try:
-            if motors:
-                return scene.torque_scene(of_torques(document), model, recording), file  # type: ignore[arg-type]
-            return scene.pose_scene(document, model, recording), file  # type: ignore[arg-type]
+            if arm is not None:
+                return scene.pose_scene(document, arm, read_motion(file, arm)), file
+            assert motors is not None
+            return scene.torque_scene(of_torques(document) or {}, motors, read_recording(file, dof=motors.dof)), file
         except InputError:
             raise
         except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from lite6jax.errors import InputError
 from lite6jax.report.canvas import AFTER, BEFORE
 from lite6jax.report.cells import number
-from lite6jax.report.scene import MEDIAN_ARROW, PoseErrors, Scene, TorqueErrors, shades
+from lite6jax.report.scene import PoseErrors, Scene, TorqueErrors, shades
 
 if TYPE_CHECKING:
     from viser import ViserServer
@@ -91,7 +91,7 @@ class Shown:
         server.scene.add_grid("/floor", width=40 * self._size, height=40 * self._size, cell_size=2 * self._size)
         middle = np.array([0.0, 0.0, 8 * self._size])
         server.initial_camera.look_at = middle
-        server.initial_camera.position = middle + self._size * np.array([22.0, -22.0, 12.0])
+        server.initial_camera.position = middle + self._size * np.array([15.0, -15.0, 9.0])
         self._draw_arm()
         self._draw_errors()
         self._add_controls()
@@ -113,7 +113,7 @@ class Shown:
             self.row.value = int(self._at) + 1
 
     def _draw_arm(self) -> None:
-        scene, add, r = self.scene, self.server.scene, 0.6 * self._size
+        scene, add, r = self.scene, self.server.scene, 0.75 * self._size
         self._links = [
             add.add_frame(f"/arm/{k}", show_axes=not k, axes_length=3 * r, axes_radius=0.1 * r)
             for k in range(scene.frames.shape[1])
@@ -139,10 +139,10 @@ class Shown:
         if not self.scene.poses:
             return
         add, r, none = self.server.scene, self._size, np.zeros((0, 2, 3))
-        style = {"shaft_radius": 0.05 * r, "head_radius": 0.15 * r, "head_length": 0.35 * r}
+        style: dict[str, Any] = {"shaft_radius": 0.05 * r, "head_radius": 0.15 * r, "head_length": 0.35 * r}
         self._arrows = add.add_arrows("/errors", none, _rgb(ARROWS), **style)
         self._arrow = add.add_arrows("/error", none, _rgb(ARROWS), **{key: 2 * size for key, size in style.items()})
-        axes = {"axes_length": 2 * r, "axes_radius": 0.06 * r, "origin_radius": 0.3 * r}
+        axes: dict[str, Any] = {"axes_length": 2 * r, "axes_radius": 0.06 * r, "origin_radius": 0.3 * r}
         self._predicted = add.add_frame("/predicted", origin_color=_rgb(PREDICTED), **axes)
         oriented = self.scene.orientation is not None
         self._measured = add.add_frame("/measured", origin_color=_rgb(ARROWS), **axes) if oriented else None
@@ -163,10 +163,11 @@ class Shown:
         if errors:
             with gui.add_folder("Errors"):
                 captions = [each.caption for each in errors]
-                self.prediction = gui.add_dropdown("prediction", captions, initial_value=captions[0])
+                # first what was found, which then shrinks to what is left
+                self.prediction = gui.add_dropdown("prediction", captions, initial_value=captions[-1])
                 self.prediction.on_update(lambda _: self._choose())
                 if scene.poses:
-                    self._add_scale(scene.poses[0])
+                    self._add_scale(scene.poses)
                 else:
                     self._limit = max(each.limit for each in scene.torques)
                     gui.add_html(_torque_legend(self._limit))
@@ -178,9 +179,9 @@ class Shown:
             gui.add_html(_finding_list(scene))
         self.row.on_update(lambda _: self._to(self.row.value - 1))
 
-    def _add_scale(self, errors: PoseErrors) -> None:
-        gui, usual = self.server.gui, errors.scale
-        self.scale = gui.add_slider("enlarged", 0.0, 5 * usual, usual / 20, usual)
+    def _add_scale(self, errors: Sequence[PoseErrors]) -> None:
+        gui, usual = self.server.gui, errors[-1].scale
+        self.scale = gui.add_slider("enlarged", 0.0, 2 * max(each.scale for each in errors), usual / 20, usual)
         self._caption = gui.add_html("")
         self.scale.on_update(lambda _: self._choose())
 
@@ -208,6 +209,8 @@ class Shown:
             elif isinstance(errors, TorqueErrors):
                 for joint, colour in enumerate(errors.colours(sample, self._limit), 1):
                     self._parts[f"joint{joint}"].color = tuple(map(int, colour))
+                worst = int(errors.over_noise[sample].argmax())
+                said += f": joint {worst + 1} is off most, by {errors.over_noise[sample, worst]:.2g} times its noise"
             self._status.content = _paragraphs([said])
 
     def _row_statement(self, sample: int) -> str:
@@ -220,15 +223,7 @@ class Shown:
         if shown != self._drawn:
             self._drawn = shown
             self._arrows.points = errors.arrows(self.scale.value).astype(np.float32)
-            self._caption.content = _paragraphs(
-                [
-                    f"Arrows lead from where the tool is predicted to where it was measured, enlarged "
-                    f"{self.scale.value:.3g} times: the median error of {number(1e3 * errors.median)} mm is "
-                    f"{1e3 * self.scale.value * errors.median:.0f} mm long "
-                    f"({1e3 * MEDIAN_ARROW:.0f} mm at {errors.scale:.3g} times). "
-                    f"{len(errors.shown)} of {self.scene.samples} rows have one."
-                ]
-            )
+            self._caption.content = _paragraphs([self._caption_of(errors)])
         there = bool(np.isfinite(errors.length[sample]))
         for node in (self._arrow, self._predicted, self._measured):
             if node is not None:
@@ -243,6 +238,15 @@ class Shown:
             self._measured.position = T[:3, 3] + self.scale.value * errors.error[sample]
         return f": error {number(1e3 * errors.length[sample])} mm"
 
+    def _caption_of(self, errors: PoseErrors) -> str:
+        few = len(errors.shown) < self.scene.samples
+        some = f" {len(errors.shown)} of {self.scene.samples} rows have one." if few else ""
+        return (
+            "Arrows lead from where the tool is predicted to where it was measured. They are enlarged "
+            f"{_times(self.scale.value)} times: the median error of {number(1e3 * errors.median)} mm is "
+            f"{1e3 * self.scale.value * errors.median:.0f} mm long.{some}"
+        )
+
     def _mark(self) -> None:
         """Colours and labels the places of the findings that are chosen."""
         with self._lock, self.server.atomic():
@@ -256,10 +260,14 @@ class Shown:
                 if not (self.scene.torques and part.startswith("joint")):  # whose colours are those of errors
                     node.color = _rgb(FOUND if part in marked else TOOL if part == "tool" else ARM)
                 elif part in marked:
-                    ring = 0.6 * self._size
+                    ring = 0.75 * self._size
                     self._marks.append(add.add_cylinder(f"{node.name}/ring", 1.3 * ring, 0.5 * ring, _rgb(FOUND)))
                 if part in marked:
                     self._marks.append(add.add_label(f"{node.name}/label", ", ".join(map(str, marked[part]))))
+
+
+def _times(scale: float) -> str:
+    return f"{scale:.0f}" if scale >= 100 else f"{scale:.3g}"
 
 
 def _from_z(axis: np.ndarray) -> np.ndarray:
