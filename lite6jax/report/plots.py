@@ -4,18 +4,17 @@ from functools import singledispatch
 from pathlib import Path
 from typing import Any
 
-from matplotlib.figure import Figure
-
 from lite6jax.diagnosis.document import to_document
 from lite6jax.diagnosis.result import Diagnosis
 from lite6jax.diagnosis.torque_document import to_torque_document
 from lite6jax.diagnosis.torque_result import TorqueDiagnosis
 from lite6jax.report import diagnosis_figures, torque_figures, worth
 from lite6jax.report.ranking_figure import ranking_figure
+from lite6jax.summary import Figures
 
 
 @singledispatch
-def plotted(result: Any, title: str) -> dict[str, Figure]:
+def plotted(result: Any, title: str) -> Figures:
     """The figures of a result by name.
 
     Raises:
@@ -25,14 +24,14 @@ def plotted(result: Any, title: str) -> dict[str, Figure]:
 
 
 @plotted.register
-def _diagnosis(found: Diagnosis, title: str) -> dict[str, Figure]:
+def _diagnosis(found: Diagnosis, title: str) -> Figures:
     document, title = to_document(found), title or Path(found.problem.recording.source).name
-    figures = dict(diagnosis_figures.drawings(found, title, worth.order(document)))
-    return {"ranking": ranking_figure(document, title), **figures} if found.findings else figures
+    ranking = {"ranking": ranking_figure(document, title)} if found.findings else {}
+    return Figures({**ranking, **dict(diagnosis_figures.drawings(found, title, worth.order(document)))})
 
 
 @plotted.register
-def _torque_diagnosis(found: TorqueDiagnosis, title: str) -> dict[str, Figure]:
+def _torque_diagnosis(found: TorqueDiagnosis, title: str) -> Figures:
     document, title = to_torque_document(found), title or Path(found.problem.data.recording.source).name
-    figures = dict(torque_figures.drawings(found, title, worth.order(document)))
-    return {"ranking": ranking_figure(document, title), **figures} if found.findings else figures
+    ranking = {"ranking": ranking_figure(document, title)} if found.findings else {}
+    return Figures({**ranking, **dict(torque_figures.drawings(found, title, worth.order(document)))})
