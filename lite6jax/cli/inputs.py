@@ -48,12 +48,13 @@ def diagnosed_recording(document: Mapping[str, Any], diagnosis: Path) -> Path:
         InputWarning: the file is another one than was diagnosed.
     """
     from lite6jax.recordings.checksums import table_checksum
+    from lite6jax.report.next_steps import command_line
 
     named = _recordings(document)
     found = found_recording(document, diagnosis)
     if found is None:
         which = f"the recording {named[0]['file']} that it names is not beside it" if named else "it names no recording"
-        raise InputError(f"{diagnosis}: {which}; give one: lite6jax view {diagnosis} RECORDING")
+        raise InputError(f"{diagnosis}: {which}; give one: {command_line('view', diagnosis, 'RECORDING')}")
     if table_checksum(found) != named[0]["sha256"]:
         warnings.warn(
             f"{found}: is not as it was when {diagnosis.name} was made from it (their SHA-256 differ)",

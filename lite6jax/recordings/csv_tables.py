@@ -141,7 +141,17 @@ def _layout(path: Path) -> _Layout:
         raise InputError(f"{path}: line 1 is no list of column names ({error}); check the file") from error
     if all(_NUMBER.fullmatch(name.replace(",", ".") if delimiter != "," else name) for name in names):
         raise InputError(f"{path}: line 1 holds numbers; it must name the columns, q1_rad, q2_rad, ...")
-    return _Layout(names, delimiter, "," if delimiter in ";\t" and "," in row and "." not in row else ".")
+    return _Layout(names, delimiter, _decimal(row, delimiter))
+
+
+def _decimal(row: str, delimiter: str) -> str:
+    """A comma where numbers of the first row have it, whatever stands in its texts and dates."""
+    fields = [field.strip().strip('"') for field in row.split(delimiter)] if delimiter in ";\t" else []
+    commas, points = (
+        sum(re.fullmatch(rf"[-+]?\d*{mark}\d+(e[-+]?\d+)?", field, re.IGNORECASE) is not None for field in fields)
+        for mark in (",", r"\.")
+    )
+    return "," if commas > points else "."
 
 
 def _delimiter(header: str, row: str) -> str:

@@ -11,6 +11,7 @@ from rich.text import Text
 from lite6jax.domains.pose.inspection import Inspection, Meaning
 from lite6jax.recordings.columns import IGNORED
 from lite6jax.recordings.sizes import Decision
+from lite6jax.report.next_steps import command_line
 
 _KINDS = {
     "q": "Joint positions",
@@ -303,4 +304,4 @@ def next_steps(found: Inspection, settings: Mapping[str, Any], source: str) -> I
         return
     if "arm" not in settings:
         yield Text("Name the arm in the sidecar, then:")
-    yield Text(f"lite6jax diagnose {source} --out diagnosis.json", no_wrap=True, overflow="ignore")
+    yield Text(command_line("diagnose", source, "--out", "diagnosis.json"), no_wrap=True, overflow="ignore")

@@ -116,3 +116,10 @@ def test_init_recognises_a_clock(tmp_path, capsys):
     np.testing.assert_allclose(read_recording(path).time, SECONDS, rtol=1e-15)
     code, out, _ = run(capsys, "init", path, "--json", "--force")
     assert json.loads(out)["columns"]["timestamp"] == "time_s"
+
+
+def test_dates_with_points_leave_decimal_commas(tmp_path):
+    path = tmp_path / "run7.csv"
+    path.write_text("Datum;time_s;q1_rad;note\n21.11.2026 10:00:00;0,5;-1,25;v1.2\n21.11.2026 10:00:01;1,5;2;v1.2\n")
+    recording = read_recording(path)
+    assert (recording.time.tolist(), recording.joint_position.ravel().tolist()) == ([0.5, 1.5], [-1.25, 2.0])
