@@ -57,7 +57,8 @@ COMMANDS = {
     "arms": Arms,
     "demo": Demo,
 }
-DESCRIPTION = f"""Fit a UFACTORY Lite 6, or any serial arm, to its calibration or to measured poses.
+DESCRIPTION = f"""Find what the model of a robot arm lacks, in measured poses or joint torques, and correct it; fit calibrations. Of a
+UFACTORY Lite 6, or of any serial arm.
 
 Exit codes: {"; ".join(f"{code} {meaning}" for code, meaning in MEANINGS.items())}."""
 
