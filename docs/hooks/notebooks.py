@@ -23,7 +23,7 @@ NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
 REAL = "LITE6JAX_REAL"
 COLOURS = 48
 """Of a stored picture: enough for smooth edges of a few colours."""
-_TIMEOUT_S = 600
+_TIMEOUT_S = 1800
 _KEPT = {"text/plain", "text/html", "image/png"}
 
 

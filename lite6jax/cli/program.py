@@ -57,8 +57,8 @@ COMMANDS = {
     "arms": Arms,
     "demo": Demo,
 }
-DESCRIPTION = f"""Find what the model of a robot arm lacks, in measured poses or joint torques, and correct it; fit calibrations. Of a
-UFACTORY Lite 6, or of any serial arm.
+DESCRIPTION = f"""Find what the model of a robot arm lacks, from measured poses or joint torques, correct it, and fit
+calibrations: of a UFACTORY Lite 6, or of any serial arm.
 
 Exit codes: {"; ".join(f"{code} {meaning}" for code, meaning in MEANINGS.items())}."""
 
