@@ -24,6 +24,7 @@ REAL = "LITE6JAX_REAL"
 COLOURS = 48
 """Of a stored picture: enough for smooth edges of a few colours."""
 _TIMEOUT_S = 1800
+_LONGEST = 2000
 _KEPT = {"text/plain", "text/html", "image/png"}
 
 
@@ -39,6 +40,8 @@ def renewed(path: Path) -> nbformat.NotebookNode:
             output.get("metadata", {}).clear()
             if "data" in output:
                 output.data = {kind: _small(kind, content) for kind, content in output.data.items() if kind in _KEPT}
+                if len(output.data) > 1 and len(output.data.get("text/plain", "")) > _LONGEST:
+                    del output.data["text/plain"]  # arrays that nobody reads, beside what is shown
     notebook.metadata = nbformat.NotebookNode(
         kernelspec={"display_name": "Python 3", "language": "python", "name": "python3"},
         language_info={"name": "python"},

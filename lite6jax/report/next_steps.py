@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from lite6jax.effects.catalogue import BUILT_IN
-from lite6jax.effects.dynamic.catalogue import BUILT_IN as BUILT_IN_TORQUE
+from lite6jax.effects.dynamic.catalogue import BUILT_IN as OF_TORQUES
 from lite6jax.recordings.sources import SUFFIXES
 from lite6jax.report import worth
 from lite6jax.report.remedies import remedy_of
@@ -62,7 +62,7 @@ def steps(document: Document, files: Files) -> list[Step]:
     if files.diagnosis is None:
         found.append(_step("keep this diagnosis", "diagnose", recording, *own, "--out", named))
     if worth.of_torques(document):
-        found += _of_torques(document, recording, named)
+        found += _of_torques(document, recording, named, own)
     else:
         found += _of_poses(document, recording, named, own)
     if _known(document, own) and recording.suffix.lower() in SUFFIXES:
@@ -75,7 +75,7 @@ def steps(document: Document, files: Files) -> list[Step]:
 
 def _known(document: Document, own: Sequence[str]) -> bool:
     """Whether the model can be read, which effects of the user's own take their file for."""
-    known = BUILT_IN_TORQUE if worth.of_torques(document) else BUILT_IN
+    known = OF_TORQUES if worth.of_torques(document) else BUILT_IN
     return bool(own) or all(finding["effect"] in known for finding in document["findings"])
 
 
@@ -97,15 +97,16 @@ def _of_poses(document: Document, recording: Path, diagnosis: Path, own: Sequenc
     return found
 
 
-def _of_torques(document: Document, recording: Path, diagnosis: Path) -> list[Step]:
-    found = []
-    if document["findings"] and recording.suffix.lower() in _TARGETS:
+def _of_torques(document: Document, recording: Path, diagnosis: Path, own: Sequence[str]) -> list[Step]:
+    found, findings = [], document["findings"]
+    if not findings or not _known(document, own):
+        return []
+    if recording.suffix.lower() in _TARGETS:
         out = diagnosis.with_name(f"{recording.stem}_predicted.csv")
         purpose = "torques of this motion, for a feed-forward; give a motion of your own in its place"
-        found.append(_step(purpose, "predict", diagnosis, recording, "--out", out))
-    if document["findings"]:
-        out = diagnosis.with_name(f"{recording.stem}_arm.urdf")
-        found.append(_step("the arm with what was found, for a simulator", "convert", diagnosis, out))
+        found.append(_step(purpose, "predict", diagnosis, recording, *own, "--out", out))
+    out = diagnosis.with_name(f"{recording.stem}_arm.urdf")
+    found.append(_step("the arm with what was found, for a simulator", "convert", diagnosis, out, *own))
     return found
 
 

@@ -81,6 +81,14 @@ def test_accelerations_follow_those_of_the_motion():
     assert cutoff <= 2 * chosen.cutoff
 
 
+def test_accelerations_at_the_ends_of_a_run_do_not_follow_its_first_and_last_velocity():
+    bodies, *_ = bodies_of(*recorded(seed=5, velocity_noise=1e-4))
+    motion = motion_of(setup_of(5)[0], 105)
+    ends = np.r_[0:10, -10:0]
+    error = np.asarray(bodies.motion.joint_acceleration).T[ends] - motion.ddq[ends]
+    assert np.sqrt(np.mean(error**2)) < 0.005 * np.sqrt(np.mean(motion.ddq**2))
+
+
 def test_spikes_are_found_and_nothing_else():
     recording, _ = recorded(seed=6)
     tau = recording.torques().T.copy()
@@ -92,6 +100,20 @@ def test_spikes_are_found_and_nothing_else():
     assert sorted(map(tuple, np.argwhere(found))) == [(2, 100), (4, 300)]
     clean = without_spikes(tau, found)
     assert abs(clean[2, 100] - recording.torques()[100, 2]) < 1.0
+
+
+def test_two_spikes_in_a_row_are_found_and_a_push_is_none():
+    recording, _ = recorded(seed=6)
+    tau = recording.torques().T.copy()
+    runs = np.zeros(tau.shape[1], int)
+    tau[2, 100:102] += (15.0, 12.0)
+    tau[4, 300:302] += (-4.0, 5.0)
+    tau[1, 200:205] += 15.0  # a push of a tenth of a second
+    tau[3, 400:] += 15.0  # and one that stays
+    found = spikes(tau, runs)
+    assert sorted(map(tuple, np.argwhere(found))) == [(2, 100), (2, 101), (4, 300), (4, 301)]
+    clean = without_spikes(tau, found)
+    assert np.abs(clean[2, 100:102] - recording.torques()[100:102, 2]).max() < 1.0
 
 
 @pytest.mark.parametrize("inertial", ["declared", 0.1])
