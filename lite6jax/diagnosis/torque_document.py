@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lite6jax.arms.arm import Arm
+from lite6jax.arms.arm import DRIVE_FIELDS, Arm
 from lite6jax.diagnosis.document import DAMAGED, SCHEMA, check_sum, located, parsed_document
 from lite6jax.diagnosis.folds import fold_count
 from lite6jax.diagnosis.result import Finding, Rival
@@ -127,12 +127,15 @@ def _rival(found: TorqueDiagnosis, rival: Rival) -> dict[str, Any]:
 
 def _model(found: TorqueDiagnosis) -> dict[str, Any]:
     model = found.model
+    declared = {field: getattr(model.arm, field) for field in DRIVE_FIELDS}
+    drives = {field: values.tolist() for field, values in declared.items() if values is not None}
     return {
         "domain": "torque",
         "arm": model.arm.name,
         "kinematics": model.arm.kinematics.tolist(),
         "T_joint_flange": model.arm.T_joint_flange.tolist(),
         "links": model.links.tolist(),
+        **({"drives": drives} if drives else {}),
         "payload_center": model.payload_center.tolist(),
         "gravity": model.gravity.tolist(),
         "joint_limits": model.arm.joint_limits.tolist(),
@@ -213,11 +216,13 @@ def torque_model_from_document(
     model: Mapping[str, Any] = document["model"]
     try:
         check_torques(document)
+        drives: dict[str, Any] = {field: np.asarray(row, float) for field, row in model.get("drives", {}).items()}
         arm = Arm(
             model["arm"],
             np.asarray(model["kinematics"], float),
             joint_limits=np.asarray(model["joint_limits"], float),
             T_joint_flange=np.asarray(model["T_joint_flange"], float),
+            **drives,
         )
         links = np.asarray(model["links"], float)
         if links.shape != (arm.dof, 10):

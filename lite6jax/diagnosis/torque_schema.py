@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from lite6jax import checksum
+from lite6jax.arms.arm import DRIVE_FIELDS
 from lite6jax.arms.description import LARGEST_MASS
 from lite6jax.arms.entries import ANGLE_LIMIT, LENGTH_LIMIT
 from lite6jax.diagnosis.schema import FARTHEST, INPUTS
@@ -116,7 +117,7 @@ _MODEL = record(
         "reference_temperature_degC": number(-273.15, HIGHEST_TEMPERATURE),
         "effects": items(plain),
     },
-    {"uncertainty": optional(_UNCERTAINTY)},
+    {"uncertainty": optional(_UNCERTAINTY), "drives": record({}, dict.fromkeys(DRIVE_FIELDS, array(None)))},
 )
 
 

@@ -1,5 +1,7 @@
 """The filter, and torques as an estimation problem."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from domains.torque.moved import hidden, motion_of, recorded, setup_of
@@ -10,7 +12,7 @@ from lite6jax.domains.torque.filtering import low_pass, runs_of, sample_rate, sp
 from lite6jax.domains.torque.links import uncertain
 from lite6jax.domains.torque.problem import linearised, torque_problem
 from lite6jax.domains.torque.rows import bodies_of, torque_rows
-from lite6jax.effects.dynamic.friction import StribeckFriction
+from lite6jax.effects.dynamic.friction import StribeckFriction, ViscousFriction
 from lite6jax.effects.dynamic.motors import TorqueRipple, TorqueScale, TorqueTimeOffset
 from lite6jax.errors import InputError
 from lite6jax.estimation.least_squares import fit
@@ -158,6 +160,19 @@ def test_the_gain_alone_is_that_of_the_score(inertial, noise):
     some = fit(case, Terms((TorqueScale(3), TorqueRipple(1, 3.0))), EngineOptions(), noise=model)
     terms = [*case.candidates, *case.shaped[::5], *case.flexible[::9]]
     assert_same_gains(score_test(case, some, EngineOptions()), terms)
+
+
+def test_what_the_description_declares_of_drives_is_part_of_the_model():
+    recording, arm = recorded([hidden("viscous_friction", "joint2", viscous_Nm_s_per_rad=0.5)])
+    friction = np.array([0.0, 0.5, 0.0, 0.0, 0.0, 0.0])
+    term = Terms((ViscousFriction(2),))
+    for declared, wanted in ((None, 0.5), (friction, 0.0), (4 * friction, -1.5)):
+        case = torque_problem(torque_rows(recording, replace(arm, viscous_friction=declared), recording.torques().T))
+        found = fit(case, term, EngineOptions())
+        assert found.values[0] == pytest.approx(wanted, abs=4 * np.sqrt(found.covariance[0, 0]))
+        lowest = 0.0 if declared is None else -declared[1]
+        assert case.limits(term.terms[0])[0][0] == lowest
+    assert case.limits(ViscousFriction(1))[0][0] == 0.0
 
 
 @pytest.mark.parametrize(("offset", "within"), [(0.02, 5e-4), (-0.06, 5e-4)])
