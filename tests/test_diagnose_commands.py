@@ -291,7 +291,9 @@ def test_a_quick_diagnosis_holds_out_fewer_blocks_and_says_so(capsys, recorded, 
 def test_the_commands_to_copy_work(capsys, recorded, diagnosed):
     lines = [line.strip() for line in diagnosed[1].splitlines() if line.startswith("    lite6jax ")]
     commands = [shlex.split(line)[1:] for line in lines]
-    assert [command[0] for command in commands] == ["compensate", "report"]
+    assert [command[0] for command in commands] == ["compensate", "view", "report"]
+    served = commands.pop(1)
+    assert run(capsys, *served, "--port", "0", "--duration", "0.1")[::2] == (0, "")
     for command in commands:
         code, _, err = run(capsys, *command)
         assert err == ""

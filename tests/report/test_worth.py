@@ -192,7 +192,7 @@ def test_commands_on_torques_name_the_effects_of_ones_own(motors, tmp_path):
     # without the file of the effect, no command reads the model
     assert [shlex.split(step.command)[1] for step in next_steps.steps(own, Files(recording, diagnosis))] == ["report"]
     lines = [shlex.split(step.command)[1:] for step in next_steps.steps(own, Files(recording, None, mine))]
-    assert [line[0] for line in lines] == ["diagnose", "predict", "convert", "report"]
-    for line in lines[:3]:
+    assert [line[0] for line in lines] == ["diagnose", "predict", "convert", "view", "report"]
+    for line in lines[:4]:
         assert line[line.index("--effects") + 1] == str(mine)
-    assert "--effects" not in lines[3]
+    assert "--effects" not in lines[4]
