@@ -9,6 +9,7 @@ import struct
 import subprocess
 import sys
 import urllib.request
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -23,7 +24,7 @@ from lite6jax.diagnosis.document import model_from_document, write_document
 from lite6jax.diagnosis.torque_document import read_torque_model, to_torque_document
 from lite6jax.effects.dynamic.friction import CoulombFriction, ViscousFriction
 from lite6jax.recordings import read_recording, write_recording
-from lite6jax.report import torque_statements
+from lite6jax.report import torque_statements, viewer
 from lite6jax.report.scene import WITH, WITHOUT, pose_scene, torque_scene
 from lite6jax.report.viewer import ARM, FOUND, _from_z, _listening, _rgb, served
 
@@ -130,6 +131,14 @@ def test_scale_prediction_and_highlight_are_chosen(shown, scene):
     assert handle("/arm/1/joint1/label").text == "2"
 
 
+def test_nothing_of_a_document_is_markup(scene):
+    place = scene.findings[0]._replace(title="<img src=x onerror=alert(1)>", statement="a < b & c")
+    shown = viewer._finding_list(replace(scene, findings=(place,)))
+    assert "&lt;img src=x onerror=alert(1)&gt;" in shown
+    assert "a &lt; b &amp; c" in shown
+    assert "<img" not in shown + viewer._paragraphs(["<img>"])
+
+
 @pytest.mark.parametrize("axis", [[0, 0, 1], [0, 0, -2], [1, 0, 0], [0.3, -0.2, -0.9]])
 def test_a_cylinder_is_turned_from_z(axis):
     R = Rotation.from_quat(_from_z(np.array(axis, float)), scalar_first=True).as_matrix()
@@ -146,7 +155,7 @@ def test_it_says_where_it_is_shown_and_ends(made, capsys):
     assert re.search(r"^Open http://127\.0\.0\.1:\d+ in a browser\. Stop with Ctrl-C\.$", out, re.MULTILINE)
 
 
-def test_torques_are_shown_too(capsys, tmp_path):
+def test_torques_are_shown_too(capsys, tmp_path, made):
     pytest.importorskip("viser", reason="viser (extra view) is not installed")
     recording = torques_recorded()
     path = write_recording(recording, tmp_path / "torques.csv")
@@ -156,6 +165,11 @@ def test_torques_are_shown_too(capsys, tmp_path):
     code, out, err = run(capsys, "view", file, "--port", "0", "--duration", "0.1")
     assert (code, err) == (0, "")
     assert f"lite6, 1600 rows of {path}." in flat(out)
+    both = write_document({**made[2], "torques": document}, tmp_path / "both.json")
+    code, out, err = run(capsys, "view", both, path, "--torques", "--port", "0", "--duration", "0.1")
+    assert (code, err) == (0, "")
+    assert "Joint 2 rubs" in out
+    assert "is no diagnosis of torques" in refused(capsys, "view", made[0], "--torques")
     scene = torque_scene(document, read_torque_model(file), read_recording(path))
     with served(scene, HOST, 0) as shown:
         handle = shown.server.scene.get_handle_by_name
