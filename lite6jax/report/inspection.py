@@ -302,6 +302,5 @@ def next_steps(found: Inspection, settings: Mapping[str, Any], source: str) -> I
     if found.of("position") is None and found.of("tau") is None and found.of("current") is None and not found.given:
         yield Text("There are neither poses nor torques: this is a motion, to predict or to compute with.")
         return
-    if "arm" not in settings:
-        yield Text("Name the arm in the sidecar, then:")
+    yield Text("Next:" if "arm" in settings else "Name the arm in the sidecar, then:")
     yield Text(command_line("diagnose", source, "--out", "diagnosis.json"), no_wrap=True, overflow="ignore")
