@@ -53,7 +53,7 @@ class Figures(dict[str, "Figure"]):
         width = max(image.shape[1] for image in drawn)
         wide = [np.pad(i, ((0, 0), (0, width - i.shape[1]), (0, 0)), constant_values=1.0) for i in drawn]
         held = BytesIO()
-        imsave(held, np.ascontiguousarray(np.vstack(wide)), format="png", metadata={"Software": None})
+        imsave(held, np.ascontiguousarray(np.vstack(wide)), format="png")
         return held.getvalue()
 
 
