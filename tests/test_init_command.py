@@ -199,7 +199,7 @@ def test_the_report_is_readable_on_any_terminal(recorded, capsys, width):
         (
             "diagnose",
             "tables",
-            "is a folder; name a file in it, or a folder with --out for the documents of all recordings",
+            "is a folder; name a file in it, or a folder with --out for the documents of all",
         ),
         ("init", "tables", "is a folder; name a file in it, such as run7.csv, or fit all of them with `lite6jax"),
     ],

@@ -45,7 +45,7 @@ def diagnose_recordings(command: "Diagnose") -> int:
         raise InputError(f"{command.source}: is a folder; add --out DIR for the documents of its recordings")
     if command.out.suffix.lower() == ".json":
         raise InputError(
-            f"{command.source}: is a folder; name a file in it, or a folder with --out for the documents of all recordings"
+            f"{command.source}: is a folder; name a file in it, or a folder with --out for the documents of all"
         )
     check_processes(command.processes, command.scheduler)
     from lite6jax.distribution.kept import sha256_of
