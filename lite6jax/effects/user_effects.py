@@ -159,8 +159,7 @@ def _check_torque(effect: TorqueEffect) -> None:
     row = np.arange(1.0, samples + 1)
     q = np.linspace(0.1, 1.0, samples * dof).reshape(dof, samples)
     motion = motion_of(q.T, joint_velocity=q.T, time=row, ambient_temperature=row, payload=row)
-    plain = {name: None if value is None else np.asarray(value) for name, value in motion._asdict().items()}
-    moved = Motion(**plain)._replace(joint_acceleration=q, direction=np.sign(q))  # type: ignore[arg-type]
+    moved = jax.tree.map(np.asarray, motion)._replace(joint_acceleration=q, direction=np.sign(q))
     dynamics = Dynamics(
         motion=moved,
         torque=q,

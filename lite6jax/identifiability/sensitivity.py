@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lite6jax.arms.arm import Arm
-from lite6jax.arms.moves import Turn, turn
+from lite6jax.arms.chains import joint_motion
+from lite6jax.arms.moves import Turn
 from lite6jax.errors import InputError
 from lite6jax.fitting.problem import sample_within_limits
 from lite6jax.fitting.residual import predict_frames
@@ -116,7 +117,7 @@ def sensitivity(
         raise InputError(f"{experiment.arm.name}: no tolerance given moves its flange; give one of lengths too")
     rows = rows * size
     model = ArmModel(*(jnp.asarray(leaf) for leaf in experiment.model))
-    _, tool = predict_frames(experiment.form, model, turn(jnp.asarray(q).T))
+    _, tool = predict_frames(experiment.form, model, joint_motion(experiment.form.chain, jnp.asarray(q).T))
     return Sensitivity(
         names=experiment.names,
         units=experiment.units,
@@ -218,7 +219,7 @@ def arm_errors(experiment: Experiment, steps: Array, joint_position: Array, meas
     count = -(-len(steps) // _TOGETHER) * _TOGETHER
     padded = np.concatenate([steps, np.zeros((count - len(steps), steps.shape[1]))])
     model = ArmModel(*(jnp.asarray(leaf) for leaf in experiment.model))
-    joint = turn(jnp.asarray(joint_position).T)
+    joint = joint_motion(experiment.form.chain, jnp.asarray(joint_position).T)
     errors = _errors(experiment.form, measure, model, joint, padded.reshape(-1, _TOGETHER, steps.shape[1]))
     return np.asarray(errors).reshape(-1)[: len(steps)]
 

@@ -110,6 +110,11 @@ def compensate(
         InputError: the targets lack what an effect needs, by name; arrays of another shape; degrees; `approach` of
             another length; or a model without joint limits.
     """
+    if model.sliding:
+        raise InputError(
+            "compensate: the arm has prismatic joints, for which no joint positions are sought; correct the commanded "
+            "poses by what `lite6jax predict` shows"
+        )
     if approach is not None and (len(approach) != model.dof or not set(approach) <= {-1, 0, 1}):
         raise InputError(f"approach: give -1, 0 or 1 for each of the {model.dof} joints")
     if model.joint_limits is None:

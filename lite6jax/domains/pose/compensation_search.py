@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from lite6jax.arms.chains import SixParameterForm
 from lite6jax.arms.se3 import rotation_from_quaternion
 from lite6jax.domains.pose import inverse
 from lite6jax.domains.pose.inverse import Solved, Target
@@ -137,7 +136,7 @@ class CompensationSearch:
         solved = self.solve(motion, np.arange(len(q)), q, steps=0)
         if not any(has_memory(effect) for effect in m.physics.effects):
             return solved
-        poses = np.asarray(predict_poses(SixParameterForm(m.dof), m.physics, m.model, m.values, motion, m.inertia))
+        poses = np.asarray(predict_poses(motion.chain, m.physics, m.model, m.values, motion, m.inertia))
         position, rotation = self._target(np.arange(len(q)))
         errors = np.linalg.norm(poses[:, :3, 3] - np.asarray(position).T, axis=1)
         turned = np.zeros(len(q))

@@ -189,8 +189,7 @@ def bodies_of(recording: Recording, arm: Arm) -> tuple[RigidBodies, LowPass, flo
     chosen = low_pass(recording.velocities().T, rate, runs_of(recording, rate))
     smooth = smoothed(recording, chosen)
     motion = motion_of_recording(recording)
-    host = {name: None if value is None else np.asarray(value) for name, value in motion._asdict().items()}
-    moved = Motion(**host)._replace(  # type: ignore[arg-type]
+    moved = jax.tree.map(np.asarray, motion)._replace(
         joint_position=smooth.position,
         joint_velocity=smooth.velocity,
         direction=direction(smooth.velocity),
