@@ -3,6 +3,8 @@
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
+from dataclasses import dataclass
+from threading import RLock
 from typing import Literal, NamedTuple
 
 Code = Literal["screening", "linearising", "selecting", "naming", "shrinking", "noise", "estimating", "planning"]
@@ -22,10 +24,20 @@ class Stage(NamedTuple):
     parts: int = 1
 
 
+@dataclass
+class Part:
+    """Which of the large parts of a computation is going on, and how many there are."""
+
+    number: int
+    of: int
+
+
 _Follower = Callable[[Stage], object]
 
 _follower: ContextVar[_Follower | None] = ContextVar("follower", default=None)
-_part: ContextVar[tuple[int, int]] = ContextVar("part", default=(0, 1))
+_one_at_a_time = RLock()
+"""Computations may go on side by side; a follower hears of one stage after the other."""
+_part: ContextVar[Part | None] = ContextVar("part", default=None)
 
 
 @contextmanager
@@ -42,11 +54,12 @@ def followed(follower: _Follower | None) -> Iterator[None]:
 
 
 @contextmanager
-def part(number: int, of: int) -> Iterator[None]:
-    """All stages within belong to this part."""
-    before = _part.set((number, of))
+def part(number: int, of: int) -> Iterator[Part]:
+    """All stages within belong to this part, whose number may be raised as what goes on side by side is completed."""
+    current = Part(number, of)
+    before = _part.set(current)
     try:
-        yield
+        yield current
     finally:
         _part.reset(before)
 
@@ -55,4 +68,6 @@ def entered(code: Code) -> None:
     """Says that a stage begins."""
     follower = _follower.get()
     if follower is not None:
-        follower(Stage(code, *_part.get()))
+        with _one_at_a_time:
+            current = _part.get() or Part(0, 1)
+            follower(Stage(code, current.number, current.of))

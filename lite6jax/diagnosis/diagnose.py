@@ -11,7 +11,8 @@ from lite6jax.arms.arm import Arm
 from lite6jax.arms.factory import FactoryCalibration
 from lite6jax.diagnosis.discrimination import separating_poses
 from lite6jax.diagnosis.explanation import explain
-from lite6jax.diagnosis.heldout import HeldOut, fold_count, held_out_errors, held_out_folds
+from lite6jax.diagnosis.folds import fold_count, held_out_folds
+from lite6jax.diagnosis.heldout import HeldOut, held_out_errors
 from lite6jax.diagnosis.options import Options
 from lite6jax.diagnosis.result import Diagnosis, Finding, Rival, Withdrawn
 from lite6jax.domains.pose.problem import PoseProblem

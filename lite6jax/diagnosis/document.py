@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from lite6jax.checksum import KEY, verify, with_checksum
 from lite6jax.diagnosis.discrimination import differ
 from lite6jax.diagnosis.evidence_map import peak_to_peak
-from lite6jax.diagnosis.heldout import held_out_folds
+from lite6jax.diagnosis.folds import held_out_folds
 from lite6jax.diagnosis.result import Diagnosis, Rival
 from lite6jax.diagnosis.schema import check_effect, check_model, check_parts
 from lite6jax.diagnosis.uncertainty import uncertainty_of

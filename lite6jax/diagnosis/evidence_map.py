@@ -232,7 +232,7 @@ def _spectrum(test: ScoreTest, family: PeriodicFamily, exact_below: float) -> Sp
     low = int(np.searchsorted(orders, exact_below, side="right"))
     for start in range(0, low, _AT_ONCE):
         part = slice(start, min(start + _AT_ONCE, low))
-        gains[part] = test.gains(family.columns(orders[part]))
+        gains[part] = test.gains(family.column, family.waves_of(orders[part]))
     return Spectrum(orders, 2 * gains / _left(test))
 
 

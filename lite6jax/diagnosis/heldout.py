@@ -13,16 +13,15 @@ from numpy.typing import NDArray
 
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.factory import FactoryCalibration
-from lite6jax.diagnosis.explanation import Decisions, explain
+from lite6jax.diagnosis.explanation import Decisions, Explanation, explain
+from lite6jax.diagnosis.folds import side_by_side
 from lite6jax.diagnosis.options import Options
 from lite6jax.domains.pose.kinematics import unwhitened
 from lite6jax.domains.pose.problem import PoseProblem
 from lite6jax.effects.effect import Effect
-from lite6jax.errors import InputError
 from lite6jax.estimation.least_squares import Fit
 from lite6jax.estimation.problem import Mask
 from lite6jax.fitting.problem import Geometry
-from lite6jax.progress import part
 from lite6jax.recordings import Recording
 
 Array = NDArray[np.floating]
@@ -77,9 +76,11 @@ def held_out_errors(
         folds: those of `held_out_folds`.
     """
     before, after, turned_before, turned_after, angle_before, angle_after = np.zeros((6, recording.samples))
-    for number, held in enumerate(folds, 1):
-        with part(number, 1 + len(folds)):
-            found = explain(recording, arm, geometry, options, effects, factory, ~held, False, decisions)
+
+    def explained(held: Mask) -> Explanation:
+        return explain(recording, arm, geometry, options, effects, factory, ~held, False, decisions)
+
+    for held, found in zip(folds, side_by_side(explained, folds), strict=True):
         state, reference = found.selection.state, found.selection.reference
         assert isinstance(reference, PoseProblem)
         before[held] = _distance(reference, state.baseline)[held]
@@ -87,41 +88,6 @@ def held_out_errors(
         turned_before[held], angle_before[held] = (size[held] for size in _turns(reference, state.baseline))
         turned_after[held], angle_after[held] = (size[held] for size in _turns(found.problem, state.fit))
     return HeldOut(before, after, turned_before, turned_after, angle_before, angle_after)
-
-
-def held_out_folds(recording: Recording, options: Options, unknowns: int) -> list[Mask]:
-    """The blocks `(sample,)` that are held out, one after the other.
-
-    Args:
-        recording: as of `held_out_errors`.
-        options: thresholds.
-        unknowns: numbers that the rows of each fold must determine.
-
-    Raises:
-        InputError: no row can be held back, because the others would be too few for the unknowns.
-    """
-    return recording.contiguous_folds(fold_count(recording.samples, options, _rows_needed(recording, unknowns)))
-
-
-def fold_count(samples: int, options: Options, needed: int = 0) -> int:
-    """How many blocks of so many rows are held out: fewer where these would be short, and more where the other rows
-    would be fewer than `needed`.
-    """
-    count = min(options.folds, max(2, samples // options.least_in_fold))
-    while count < samples and samples - -(-samples // count) < needed:
-        count += 1
-    return count
-
-
-def _rows_needed(recording: Recording, unknowns: int) -> int:
-    """The fewest rows that determine so many numbers, of which the recording must have one more."""
-    needed = -(-unknowns // recording.numbers_per_sample)
-    if recording.samples <= needed:
-        raise InputError(
-            f"{recording.source}: {recording.samples} samples are what {unknowns} numbers to determine need, so that "
-            f"none can be held back; record at least {needed + 1}"
-        )
-    return needed
 
 
 def _distance(problem: PoseProblem, fit: Fit) -> Array:

@@ -9,7 +9,7 @@ from threadpoolctl import threadpool_limits
 
 from lite6jax.arms.arm import Arm
 from lite6jax.diagnosis.diagnose import findings_of, without_effects
-from lite6jax.diagnosis.heldout import fold_count
+from lite6jax.diagnosis.folds import fold_count, side_by_side
 from lite6jax.diagnosis.options import Options
 from lite6jax.diagnosis.torque_result import TorqueDiagnosis
 from lite6jax.domains.torque.problem import TorqueProblem, linearised, torque_problem
@@ -92,15 +92,17 @@ def _held_out(problem: TorqueProblem, valid: Mask, saturated: bool, options: Opt
     count = fold_count(problem.samples, options)
     block = np.arange(problem.samples) * count // problem.samples
     problem = replace(problem, valid=valid)
-    for number in range(count):
-        held = block == number
+    folds = [block == number for number in range(count)]
+
+    def errors(held: Mask) -> tuple[Array, Array]:
         near = np.convolve(held, np.ones(3), "same") > 0
         training = ~near & valid
-        with part(number + 1, 1 + count):
-            there = linearised(problem, options.engine, training)
-            state = search(there, options.engine, training, thorough=False, saturated=saturated).state
-        before[:, held] = _errors(there, state.baseline)[:, held]
-        after[:, held] = _errors(there, state.fit)[:, held]
+        there = linearised(problem, options.engine, training)
+        state = search(there, options.engine, training, thorough=False, saturated=saturated).state
+        return _errors(there, state.baseline)[:, held], _errors(there, state.fit)[:, held]
+
+    for held, (without, with_effects) in zip(folds, side_by_side(errors, folds), strict=True):
+        before[:, held], after[:, held] = without, with_effects
     return before, after
 
 

@@ -12,7 +12,7 @@ from lite6jax.arms.arm import Arm
 from lite6jax.arms.description import LARGEST_MASS
 from lite6jax.arms.entries import ANGLE_LIMIT, LENGTH_LIMIT
 from lite6jax.diagnosis.document import DAMAGED, ROUNDING, SCHEMA, check_sum, located, parsed_document
-from lite6jax.diagnosis.heldout import fold_count
+from lite6jax.diagnosis.folds import fold_count
 from lite6jax.diagnosis.result import Finding, Rival
 from lite6jax.diagnosis.schema import FARTHEST, INPUTS, check_effect
 from lite6jax.diagnosis.torque_result import TorqueDiagnosis

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from lite6jax.diagnosis.heldout import fold_count
+from lite6jax.diagnosis.folds import fold_count
 from lite6jax.diagnosis.uncertainty import LEVEL, ROWS, excess, relative_error
 from lite6jax.domains.pose.uncertainty import distance_to
 from lite6jax.domains.torque.predict import shown_torques

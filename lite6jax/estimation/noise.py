@@ -143,7 +143,9 @@ def noise_model(
     for group in range(int(groups.max(initial=0)) + 1):
         there = groups == group
         few = slice(None, options.most_for_noise)
-        models.append(_autocorrelation(rows[there, few], columns[:, there, few], prior, run[few], options))
+        own = columns[:, there, few]
+        acting = own.any((1, 2))  # numbers that do not act on this group change all likelihoods alike
+        models.append(_autocorrelation(rows[there, few], own[acting], prior[acting], run[few], options))
     return NoiseModel(tuple(models), groups, run_starts(run))
 
 

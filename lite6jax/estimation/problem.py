@@ -44,11 +44,15 @@ class PeriodicFamily:
     waves: Callable[[Array], Array] | None = None
 
     def columns(self, orders: Array) -> Array:
-        """Sine and cosine of each order, `(order, 2, row, sample)`."""
+        """How residuals change with sine and cosine of each order, `(order, 2, row, sample)`."""
+        return self.column * self.waves_of(orders)[:, :, None]
+
+    def waves_of(self, orders: Array) -> Array:
+        """Sine and cosine of each order, `(order, 2, sample)`."""
         if self.waves is not None:
-            return self.column * self.waves(np.asarray(orders))[:, :, None]
+            return self.waves(np.asarray(orders))
         turned = np.multiply.outer(orders, self.angle)
-        return self.column * np.stack([np.sin(turned), np.cos(turned)], 1)[:, :, None]
+        return np.stack([np.sin(turned), np.cos(turned)], 1)
 
 
 @final

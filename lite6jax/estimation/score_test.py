@@ -7,6 +7,7 @@ is far from zero. Either becomes family-wise by a factor of `searched_size`.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import pairwise
 from typing import NamedTuple, final
 
@@ -23,9 +24,33 @@ from lite6jax.estimation.terms import Term
 
 Array = NDArray[np.floating]
 
+_NUMBERS = 1 << 22
+"""Of columns that are scored at once: 32 MB."""
+
+
+class Explained(NamedTuple):
+    """What a candidate would explain, as the test alone that costs little.
+
+    Attributes:
+        gain: in log-likelihood, by its quadratic approximation.
+        size: how many of its numbers are identifiable beside the model.
+    """
+
+    gain: float
+    size: int
+
+    @property
+    def confounded(self) -> bool:
+        """Whether its columns lie in the span of nuisance and model."""
+        return not self.size
+
+    def familywise(self, searched: float) -> float:
+        """The p-value of the best of `searched` independent candidates in white noise; that of a score is no less."""
+        return min(float(chdtrc(self.size, 2 * self.gain)) * searched, 1.0) if self.size else 1.0
+
 
 class Score(NamedTuple):
-    """What a candidate would explain.
+    """What a candidate would explain, with its test.
 
     Attributes:
         gain: in log-likelihood, by its quadratic approximation.
@@ -90,6 +115,8 @@ class ScoreTest:
 
     def score(self, terms: Sequence[Term]) -> list[Score]:
         """A score for each term."""
+        if not terms:
+            return []
         columns = self.problem.columns(terms, beside=(self.fit.terms, self.fit.values))
         ends = np.cumsum([0, *(term.size for term in terms)])
         return self.score_columns([columns[a:b] for a, b in pairwise(ends)])
@@ -103,16 +130,42 @@ class ScoreTest:
         ends = np.cumsum([0, *map(len, groups)])
         return [self._scored(projected[a:b], norms[a:b], per_block[a:b]) for a, b in pairwise(ends)]
 
-    def gains(self, groups: Array) -> Array:
-        """The gain alone, `(group,)`, of many groups of columns `(group, number, row, sample)`."""
-        return self.gains_and_sizes(groups)[0]
+    def explained(self, terms: Sequence[Term]) -> list[Explained]:
+        """The gain of each term, without its test."""
+        found = [Explained(0.0, 0)] * len(terms)
+        for part in _of_bounded_size(terms, self.problem.rows * self.problem.samples):
+            columns = self.problem.columns([terms[k] for k in part], beside=(self.fit.terms, self.fit.values))
+            ends = np.cumsum([0, *(terms[k].size for k in part)])
+            acts = np.any(columns, axis=2)
+            alike: dict[tuple[int, bytes], list[tuple[int, int]]] = {}
+            for k, (a, b) in zip(part, pairwise(ends), strict=True):
+                alike.setdefault((int(b - a), acts[a:b].any(0).tobytes()), []).append((k, int(a)))
+            for (size, where), members in alike.items():
+                rows = np.flatnonzero(np.frombuffer(where, bool))
+                groups = np.stack([columns[a : a + size, rows] for _, a in members])
+                for (k, _), gain, identifiable in zip(members, *self._gains(groups, rows), strict=True):
+                    found[k] = Explained(float(gain), int(identifiable))
+        return found
 
-    def gains_and_sizes(self, groups: Array) -> tuple[Array, NDArray[np.integer]]:
-        """The gain of many groups of columns, and how many numbers of each are identifiable, `(group,)` each."""
+    def gains(self, column: Array, functions: Array) -> Array:
+        """The gains `(group,)` of many groups of functions at one site.
+
+        Args:
+            column: `(row, sample)`, how residuals change with the site's deflection.
+            functions: `(group, number, sample)`, deflections.
+        """
+        rows = np.flatnonzero(column.any(1))
+        return self._gains(functions[:, :, None] * column[rows], rows)[0]
+
+    def _gains(self, groups: Array, rows: NDArray[np.integer]) -> tuple[Array, NDArray[np.integer]]:
+        """The gain of groups of columns `(group, number, row, sample)` that act on some rows, and how many numbers of
+        each are identifiable, `(group,)` each.
+        """
         shape = groups.shape[:2]
-        flat = self._flat(groups.reshape(-1, *groups.shape[2:]))
-        inside = (flat @ self.basis.T).reshape(*shape, -1)
-        score = (flat @ self.residual).reshape(shape) - inside @ (self.basis @ self.residual)
+        flat = _white(self.fit, groups, self.scale, rows).reshape(shape[0] * shape[1], -1)
+        basis, residual = self._on(rows)
+        inside = (flat @ basis.T).reshape(*shape, -1)
+        score = (flat @ residual).reshape(shape) - inside @ self._inside
         flat = flat.reshape(*shape, -1)
         gram = flat @ flat.swapaxes(1, 2)
         norms = np.sqrt(np.maximum(np.diagonal(gram, axis1=1, axis2=2), 1e-300))
@@ -122,6 +175,27 @@ class ScoreTest:
         inverse = np.where(eigenvalues > least, 1 / np.maximum(eigenvalues, least), 0.0)
         gains = 0.5 * np.sum(inverse * np.einsum("gji,gj->gi", V, score / norms) ** 2, 1)
         return gains, np.sum(eigenvalues > least, 1)
+
+    def _on(self, rows: NDArray[np.integer]) -> tuple[Array, Array]:
+        """The basis `(k, reading)` and the residual `(reading,)` of some rows of the measurements."""
+        measured = self.problem.rows * self.problem.samples
+        if len(rows) == self.problem.rows:
+            return self.basis[:, :measured], self.residual[:measured]
+        key = rows.tobytes()
+        if key not in self._parts:
+            basis = self.basis[:, :measured].reshape(-1, self.problem.rows, self.problem.samples)[:, rows]
+            residual = self.residual[:measured].reshape(self.problem.rows, self.problem.samples)[rows]
+            self._parts[key] = basis.reshape(len(basis), residual.size), residual.ravel()
+        return self._parts[key]
+
+    @cached_property
+    def _parts(self) -> dict[bytes, tuple[Array, Array]]:
+        return {}
+
+    @cached_property
+    def _inside(self) -> Array:
+        """`(k,)`, the residual in the basis."""
+        return self.basis @ self.residual
 
     def given(self, columns: Array) -> "ScoreTest":
         """The test with columns `(number, row, sample)` added to the model, to first order."""
@@ -233,10 +307,28 @@ def remaining_noise_model(problem: Problem, fit: Fit, options: EngineOptions) ->
     return found if found.white else replace(found, starts=run_starts(run))
 
 
-def _white(fit: Fit, columns: Array, scale: Array) -> Array:
-    """Columns `(number, row, sample)` whitened, of the training samples, in units of the first group's noise."""
-    relative = (scale[0] / scale)[fit.residuals.groups, None]
-    return fit.noise.whitened(columns) * (relative * fit.training)
+def _white(fit: Fit, columns: Array, scale: Array, rows: NDArray[np.integer] | None = None) -> Array:
+    """Columns `(…, row, sample)` whitened, of the training samples, in units of the first group's noise.
+
+    Of all rows where `rows` does not name those that the columns have.
+    """
+    groups, noise = fit.residuals.groups, fit.noise
+    if rows is not None:
+        groups, noise = groups[rows], replace(noise, groups=groups[rows])
+    return noise.whitened(columns) * ((scale[0] / scale)[groups, None] * fit.training)
+
+
+def _of_bounded_size(terms: Sequence[Term], length: int) -> list[list[int]]:
+    """Which terms are scored at once, so that their columns of this length do not take too much memory."""
+    parts: list[list[int]] = []
+    numbers = _NUMBERS
+    for k, term in enumerate(terms):
+        numbers += term.size * length
+        if numbers > _NUMBERS:
+            parts.append([])
+            numbers = term.size * length
+        parts[-1].append(k)
+    return parts
 
 
 def _winsorised(rows: Array, fit: Fit, limit: float) -> Array:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from lite6jax.estimation.least_squares import Fit
 from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.problem import CurveDriver, CurveFamily, Problem
-from lite6jax.estimation.score_test import Score, ScoreTest, gain_p_value, score_test, searched_size
+from lite6jax.estimation.score_test import Explained, ScoreTest, gain_p_value, score_test, searched_size
 from lite6jax.estimation.terms import Term
 from lite6jax.search.backward import eliminate
 from lite6jax.search.forward import forward
@@ -29,10 +29,10 @@ _BUMP = ((2, 2.0), (4, 2.5))
 
 
 class Curve(NamedTuple):
-    """A nonparametric term and its score."""
+    """A nonparametric term and what it would explain."""
 
     term: Term
-    score: Score
+    explained: Explained
 
 
 def best_curves(test: ScoreTest, family: CurveFamily, local: bool) -> list[Curve]:
@@ -53,7 +53,7 @@ def best_curves(test: ScoreTest, family: CurveFamily, local: bool) -> list[Curve
             curves += _local(test, family, driver)
         if driver.play is not None:
             curves += _hysteretic(test, family, driver)
-    return list(map(Curve, curves, test.score(curves)))
+    return list(map(Curve, curves, test.explained(curves)))
 
 
 def replace_by_curves(problem: Problem, state: State, options: EngineOptions) -> State:
@@ -89,7 +89,9 @@ def _replaced(problem: Problem, state: State, options: EngineOptions) -> State |
         kept = [tested for tested in state.tested if tested.term.site != family.site]
         if len(kept) == len(state.tested):
             curves = best_curves(test, family, local=False)
-            worth = [curve.term for curve in curves if curve.score.familywise(searched) < options.level]
+            likely = [curve.term for curve in curves if curve.explained.familywise(searched) < options.level]
+            scores = zip(likely, test.score(likely), strict=True)
+            worth = [term for term, score in scores if score.familywise(searched) < options.level]
             further = [with_curve(problem, state, term, options) for term in worth]
         else:
             beside = refitted(problem, state, kept, options)
@@ -119,7 +121,7 @@ def _more_likely(
     now -= description_length(terms.terms, test.freedom, options)
 
     def likely(curve: Curve) -> float:
-        return curve.score.gain - description_length([curve.term], test.freedom, options)
+        return curve.explained.gain - description_length([curve.term], test.freedom, options)
 
     best = max(best_curves(test, family, local=True), key=likely)
     return best.term if likely(best) > now else None
@@ -133,9 +135,9 @@ def with_curve(problem: Problem, beside: State, curve: Term, options: EngineOpti
     gain = fit.gain_over(beside.fit)
     time = score_test(problem, fit, options).time
     p_value = min(gain_p_value(gain, curve.size, time) * searched_size(problem, options), 1.0)
-    named = zip(problem.candidates, test.score(problem.candidates), strict=True)
+    named = zip(problem.candidates, test.explained(problem.candidates), strict=True)
     near = sorted((pair for pair in named if not pair[1].confounded), key=lambda pair: -pair[1].gain)
-    alternatives = tuple(Alternative(term, float(gain - s.gain)) for term, s in near[: options.nearest])
+    alternatives = tuple(Alternative(term, gain - one.gain) for term, one in near[: options.nearest])
     tested = SelectedTerm(curve, p_value, score._replace(gain=gain), alternatives)
     return State(beside.baseline, fit, (*beside.tested, tested))
 
@@ -159,7 +161,7 @@ def _placed(test: ScoreTest, column: Array, values: Array, form: Callable[[Array
         at, width = (grid.ravel() for grid in np.meshgrid(centres, widths))
         drawn = form((values - at[:, None]) / width[:, None])
         lifted = np.stack([drawn, np.ones_like(drawn)], 1)  # a step may start from any level
-        best = int(np.argmax(test.gains(column * lifted[:, :, None])))
+        best = int(np.argmax(test.gains(column, lifted)))
         found = (float(at[best]), float(width[best]))
         centres = np.clip(found[0] + apart * np.linspace(-1, 1, 7), lower, upper)
         widths, apart = found[1] * np.array(_REFINED_WIDTHS), apart / 3
@@ -183,6 +185,6 @@ def _hysteretic(test: ScoreTest, family: CurveFamily, driver: CurveDriver) -> li
     widths = most * np.array(_PLAYS)
     followers = driver.play(widths)
     pairs = np.stack([np.broadcast_to(driver.values, followers.shape), followers], 1)
-    best = float(widths[int(np.argmax(test.gains(family.column * pairs[:, :, None])))])
+    best = float(widths[int(np.argmax(test.gains(family.column, pairs)))])
     several = tuple(most * share for share in _SEVERAL_PLAYS)
     return [driver.hysteresis((0.0, best)), driver.hysteresis((0.0, *several))]

@@ -4,27 +4,26 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import chdtrc
 
 from lite6jax.estimation.least_squares import Fit, fit
 from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.problem import Problem
-from lite6jax.estimation.score_test import Score, score_test, searched_size
+from lite6jax.estimation.score_test import Explained, Score, score_test, searched_size
 from lite6jax.estimation.terms import Term, Terms
 from lite6jax.search.spectrum import lines
 from lite6jax.search.state import Alternative, SelectedTerm, State, added, extended, most_specific, refitted
 
 
-class _Scored(NamedTuple):
-    """A candidate, its score, and the log-likelihood that its choice among orders costs."""
+class _Ranked(NamedTuple):
+    """A candidate, what it would explain, and the log-likelihood that its choice among orders costs."""
 
     term: Term
-    score: Score
+    explained: Explained
     searched: float
 
     def penalised(self, n: float) -> float:
         """The gain less what its numbers and its choice cost, of n degrees of freedom."""
-        return self.score.gain - 0.5 * self.score.size * np.log(n) - self.searched
+        return self.explained.gain - 0.5 * self.explained.size * np.log(n) - self.searched
 
 
 def forward(problem: Problem, state: State, options: EngineOptions, shaped: bool = False) -> State:
@@ -50,34 +49,33 @@ def _with_next(problem: Problem, state: State, options: EngineOptions, shaped: b
     """The state with the best single addition, or None where none is significant."""
     test, searched = score_test(problem, state.fit, options), searched_size(problem, options)
     named = [term for term in problem.candidates if not term.periodic]
-    scored = [_Scored(*pair, 0.0) for pair in zip(named, test.score(named), strict=True)]
+    candidates = [_Ranked(*pair, 0.0) for pair in zip(named, test.explained(named), strict=True)]
     if shaped and problem.shaped:
-        searched_shapes = float(np.log(len(problem.shaped)))
-        scored += [
-            _Scored(*pair, searched_shapes) for pair in zip(problem.shaped, test.score(problem.shaped), strict=True)
-        ]
-    scored += [_Scored(line.term, line.score, np.log(line.searched)) for line in lines(test)]
+        pairs = zip(problem.shaped, test.explained(problem.shaped), strict=True)
+        candidates += [_Ranked(*pair, float(np.log(len(problem.shaped)))) for pair in pairs]
+    candidates += [_Ranked(line.term, line.explained, np.log(line.searched)) for line in lines(test)]
     n = test.freedom
     ranked = sorted(
-        (one for one in scored if not one.score.confounded and one.score.gain > 0), key=lambda one: -one.penalised(n)
+        (one for one in candidates if not one.explained.confounded and one.explained.gain > 0),
+        key=lambda one: -one.penalised(n),
     )
-    first = ranked[: 3 * options.refitted]
-    significant = [one for one in first if one.score.familywise(searched) < options.level] or [
-        one for one in first if float(chdtrc(one.score.size, 2 * one.score.gain)) * searched < options.level
-    ]
+    likely = [one for one in ranked[: 3 * options.refitted] if one.explained.familywise(searched) < options.level]
+    scores = dict(zip(likely, test.score([one.term for one in likely]), strict=True))
+    # where correlated noise leaves none significant, the most likely one in white noise is tried
+    significant = [one for one in likely if scores[one].familywise(searched) < options.level] or likely
     if not significant or significant[0].penalised(n) < 0:
         return None
-    best, enough = significant[0], options.refitted_share * significant[0].score.gain
-    close = [one for one in ranked if one.score.gain > enough][: options.refitted]
-    refits = [
-        (one, added(problem, state.fit, one.term, one.score.values, options))
-        for one in (best, *(one for one in close if one is not best))
-    ]
+    best, enough = significant[0], options.refitted_share * significant[0].explained.gain
+    close = [one for one in ranked if one.explained.gain > enough][: options.refitted]
+    tried = (best, *(one for one in close if one is not best))
+    more = [one for one in tried if one not in scores]
+    scores |= zip(more, test.score([one.term for one in more]), strict=True)
+    refits = [(one, added(problem, state.fit, one.term, scores[one].values, options)) for one in tried]
     scale = np.min([fit.scale for _, fit in refits], axis=0)
 
-    def judged(pair: tuple[_Scored, Fit]) -> float:
+    def judged(pair: tuple[_Ranked, Fit]) -> float:
         one, fit = pair
-        return fit.log_likelihood(scale) - 0.5 * one.score.size * np.log(n) - one.searched
+        return fit.log_likelihood(scale) - 0.5 * one.explained.size * np.log(n) - one.searched
 
     chosen = most_specific(refits, judged, lambda pair: pair[0].term, options.close)
     likely = chosen[1].log_likelihood(scale)
@@ -86,10 +84,10 @@ def _with_next(problem: Problem, state: State, options: EngineOptions, shaped: b
         for one, fit in sorted(refits, key=lambda pair: -judged(pair))
         if one is not chosen[0]
     )
-    term, score, _ = chosen[0]
+    term, score = chosen[0].term, scores[chosen[0]]
     tested = SelectedTerm(term, score.familywise(searched), score, alternatives)
-    more = State(state.baseline, chosen[1], (*state.tested, tested))
-    return _refined(problem, _without_included(problem, more, options), options)
+    further = State(state.baseline, chosen[1], (*state.tested, tested))
+    return _refined(problem, _without_included(problem, further, options), options)
 
 
 def with_term(problem: Problem, state: State, term: Term, score: Score, options: EngineOptions) -> State:

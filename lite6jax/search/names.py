@@ -30,9 +30,6 @@ from lite6jax.search.state import (
     retested,
 )
 
-_NUMBERS = 1 << 22
-"""Of columns that are scored at once: 32 MB."""
-
 
 class _Likely(NamedTuple):
     """A function without a name, and the log-likelihood that it gains beyond the cost of its numbers."""
@@ -63,13 +60,13 @@ def _shaped_instead(problem: Problem, state: State, options: EngineOptions) -> S
             continue
         rest = reduced(problem, state, state.fit.terms.terms.index(tested.term), options)
         test = score_test(problem, rest.fit, options, within=state.fit)
-        scores = test.score(rivals)
-        best = max(range(len(rivals)), key=lambda k: scores[k].gain)
+        gains = [one.gain for one in test.explained(rivals)]
+        best = int(np.argmax(gains))
         # correlated samples count as fewer
         needed, time = options.close * test.time, test.time
-        if scores[best].gain < test.score([tested.term])[0].gain + needed:
+        if gains[best] < test.explained([tested.term])[0].gain + needed:
             continue
-        choice = with_term(problem, rest, rivals[best], scores[best], options)
+        choice = with_term(problem, rest, rivals[best], test.score([rivals[best]])[0], options)
         n = choice.fit.freedom
         longer = description_length([rivals[best]], n, options) - description_length([tested.term], n, options)
         if choice.fit.gain_over(state.fit) > needed + time * longer:
@@ -225,28 +222,13 @@ def _likely(problem: Problem, fit: Fit, within: Fit, options: EngineOptions, sit
     test, found = score_test(problem, fit, options, within=None if within is fit else within), {}
     searched, log_n = searched_size(problem, options), np.log(test.freedom)
     flexible = [term for term in problem.flexible if site in (None, term.site)]
-    for part in _of_equal_size(flexible, problem.rows * problem.samples):
-        columns = problem.columns(part).reshape(len(part), part[0].size, problem.rows, problem.samples)
-        gains, sizes = test.gains_and_sizes(columns)
-        for term, gain, size in zip(part, gains, sizes, strict=True):
-            # what the names and the nuisance explain already costs nothing
-            gain = gain - description_length([term], test.freedom, options) + 0.5 * (term.size - size) * log_n
-            key = term.site if site is None else term
-            if gain > max(options.close, found.get(key, _Likely(term, 0.0)).gain):
-                found[key] = _Likely(term, gain)
+    for term, one in zip(flexible, test.explained(flexible), strict=True):
+        # what the names and the nuisance explain already costs nothing
+        gain = one.gain - description_length([term], test.freedom, options) + 0.5 * (term.size - one.size) * log_n
+        key = term.site if site is None else term
+        if gain > max(options.close, found.get(key, _Likely(term, 0.0)).gain):
+            found[key] = _Likely(term, gain)
     likely = sorted(found.values(), key=lambda one: -one.gain)[: 2 * options.functions]
-    scored = zip(likely, test.score([one.term for one in likely]), strict=True) if likely else ()
+    scored = zip(likely, test.score([one.term for one in likely]), strict=True)
     sure = [one for one, s in scored if gain_p_value(s.gain, s.size, test.time) * searched < options.level]
     return sure[: options.functions]
-
-
-def _of_equal_size(terms: Sequence[Term], length: int) -> list[list[Term]]:
-    """The terms in groups of one size each, whose columns of this length do not take too much memory."""
-    sizes: dict[int, list[Term]] = {}
-    for term in terms:
-        sizes.setdefault(term.size, []).append(term)
-    groups = []
-    for size, same in sizes.items():
-        most = max(_NUMBERS // (size * length), 1)
-        groups += [same[k : k + most] for k in range(0, len(same), most)]
-    return groups

@@ -27,7 +27,9 @@ def retest(problem: Problem, state: State, options: EngineOptions) -> State:
     state, searched = _in_noise_model(problem, state, options), searched_size(problem, options)
     while not state.fit.noise.white and len(state.tested) < options.most_terms:
         test = score_test(problem, state.fit, options)
-        scores = zip(problem.candidates, test.score(problem.candidates), strict=True)
+        explained = zip(problem.candidates, test.explained(problem.candidates), strict=True)
+        likely = [term for term, one in explained if one.familywise(searched) < options.level]
+        scores = zip(likely, test.score(likely), strict=True)
         clear = [(term, s) for term, s in scores if not s.confounded and s.p_value * searched < options.level]
         if not clear:
             break

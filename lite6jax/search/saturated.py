@@ -36,8 +36,8 @@ def from_saturated(problem: Problem, training: Mask, options: EngineOptions) -> 
     if not problem.ladder:
         return None
     baseline = fit(problem, Terms(), options, training=training)
-    scores = zip(problem.ladder, score_test(problem, baseline, options).score(problem.ladder), strict=True)
-    terms = Terms(tuple(term for term, score in scores if not score.confounded))
+    explained = zip(problem.ladder, score_test(problem, baseline, options).explained(problem.ladder), strict=True)
+    terms = Terms(tuple(term for term, one in explained if not one.confounded))
     rough = replace(options, steps=_STEPS)
     found = fit(problem, terms, rough, training=baseline.training)
     time = score_test(problem, found, options).time

@@ -138,8 +138,8 @@ def _reviewed(selection: Selection, options: EngineOptions) -> Selection:
     """With the candidates that are confounded with the nuisance, and the most significant one that was not selected."""
     problem, state = selection.problem, selection.state
     candidates, searched = problem.candidates, searched_size(problem, options)
-    scores = score_test(problem, state.baseline, options).score(candidates)
-    confounded = tuple(term for term, score in zip(candidates, scores, strict=True) if score.confounded)
+    explained = score_test(problem, state.baseline, options).explained(candidates)
+    confounded = tuple(term for term, one in zip(candidates, explained, strict=True) if one.confounded)
     if any(term.shrunk for term in state.fit.terms.terms):
         return replace(selection, confounded=confounded)
     left = [term for term in candidates if term not in state.fit.terms.terms]

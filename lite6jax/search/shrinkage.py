@@ -264,7 +264,7 @@ def _named(
 ) -> list[SelectedTerm]:
     """Named terms that are significant beside the model, each tested after those before it."""
     test, searched = score_test(problem, current, options), searched_size(problem, options)
-    pairs = [pair for pair in zip(candidates, test.score(candidates), strict=True) if not pair[1].confounded]
+    pairs = [pair for pair in zip(candidates, test.explained(candidates), strict=True) if not pair[1].confounded]
     found: list[SelectedTerm] = []
     for term, _ in sorted(pairs, key=lambda pair: -pair[1].gain)[: options.named_numbers]:
         columns = problem.columns([term])

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lite6jax.estimation.problem import PeriodicFamily
-from lite6jax.estimation.score_test import Score, ScoreTest
+from lite6jax.estimation.score_test import Explained, ScoreTest
 from lite6jax.estimation.terms import Term
 
 Array = NDArray[np.floating]
@@ -21,13 +21,13 @@ class Line(NamedTuple):
     Attributes:
         family: which.
         order: of its angle.
-        score: exact, at that order.
+        explained: exactly, at that order.
         searched: how many independent orders it is the best of.
     """
 
     family: PeriodicFamily
     order: float
-    score: Score
+    explained: Explained
     searched: float
 
     @property
@@ -72,11 +72,10 @@ def lines(test: ScoreTest) -> list[Line]:
             order = _best(test, family, near[near >= options.lowest_order / 2])
         whole = round(order)
         if whole >= 1:
-            exact, free = test.gains(family.columns(np.array([float(whole), order])))
+            exact, free = test.gains(family.column, family.waves_of(np.array([float(whole), order])))
             order = float(whole) if exact > free - options.whole_preferred else order
-        score = test.score_columns(list(family.columns(np.array([order]))))[0]
-        found.append(Line(family, order, score, len(orders) / 2))
-    return sorted(found, key=lambda line: -line.score.gain)
+        found.append(Line(family, order, test.explained([family.term(order)])[0], len(orders) / 2))
+    return sorted(found, key=lambda line: -line.explained.gain)
 
 
 def _transform(place: NDArray[np.integer], values: Array, length: int) -> NDArray[np.complexfloating]:
@@ -84,7 +83,7 @@ def _transform(place: NDArray[np.integer], values: Array, length: int) -> NDArra
 
 
 def _best(test: ScoreTest, family: PeriodicFamily, orders: Array) -> float:
-    return float(orders[int(np.argmax(test.gains(family.columns(orders))))])
+    return float(orders[int(np.argmax(test.gains(family.column, family.waves_of(orders))))])
 
 
 def _pair_gain(s: Array, c: Array, ss: Array, cc: Array, sc: Array) -> Array:

@@ -97,5 +97,5 @@ def test_nothing_is_likely_where_nothing_is(arm, still):
         selection = searched(pose_problem(arm.recording(still, seed=seed)))
         test = score_test(selection.problem, selection.state.baseline, OPTIONS)
         for family in selection.problem.curves:
-            for curve in best_curves(test, family, local=False):
-                assert curve.score.familywise(searched_size(selection.problem, OPTIONS)) > OPTIONS.level
+            for score in test.score([curve.term for curve in best_curves(test, family, local=False)]):
+                assert score.familywise(searched_size(selection.problem, OPTIONS)) > OPTIONS.level

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Sequence
 from functools import partial
 from itertools import combinations, product
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,18 +20,22 @@ Array = NDArray[np.floating]
 
 _PIECES = {"position": (4, 8, 16), "velocity": (4, 8), "gravity torque": (4, 8)}
 """Numbers of intervals of the splines that are tried."""
+Waves = dict[tuple[int, float], Array]
+"""Filtered sine and cosine `(2, sample)` by joint, from 1, and order."""
+
+_MOST_WAVES = 1 << 22
+"""Numbers of waves that are kept: 32 MB."""
 _EVERYWHERE = ("time",)
 _LEAST_VARIED = 1e-3
 """Range of a driver, in its unit, below which it did not vary."""
 
 
-def periodic(data: TorqueRows, chosen: NDArray[np.integer], noise: Array) -> tuple[PeriodicFamily, ...]:
-    """Ripple of each joint, whose waves pass the filter as torques do."""
+def periodic(data: TorqueRows, chosen: NDArray[np.integer], noise: Array, known: Waves) -> tuple[PeriodicFamily, ...]:
+    """Ripple of each joint, whose waves pass the filter as torques do; `known` are those of the chosen samples."""
     found = []
-    positions = np.asarray(data.motion.joint_position)
-    for j, q in enumerate(positions):
+    for j, q in enumerate(np.asarray(data.motion.joint_position)):
         angle = q[data.filter.kept][chosen]
-        filtered = partial(_waves, data, q, chosen)
+        filtered = partial(_waves, data, j + 1, chosen, known)
         site, column = f"joint{j + 1}", _column(j, noise)
         found.append(
             PeriodicFamily(
@@ -109,18 +114,27 @@ def flexible(dynamics: Dynamics, sizes: Array) -> tuple[UnnamedTorque, ...]:
     return tuple(found)
 
 
-def unit_torques(effect: TorqueEffect, dynamics: Dynamics, kept: Callable[[Array], Array]) -> Array:
-    """Torques `(number, joint, sample)` by each number of a linear effect, filtered by `kept`."""
-    if isinstance(effect, JointTorque):
-        j = effect.joint - 1
-        if isinstance(effect, UnnamedTorque):
-            rows = kept(effect.basis(dynamics))
-        else:
-            rows = kept(np.stack([effect.at_joint(unit, dynamics) for unit in np.eye(effect.size)]))
-        found = np.zeros((effect.size, dynamics.torque.shape[0], rows.shape[-1]))
-        found[:, j] = rows
-        return found
-    return kept(np.stack([effect.torque(unit, dynamics) for unit in np.eye(effect.size)]))
+class UnitTorques(NamedTuple):
+    """Torques by each number of a linear effect, of the joints that it acts on: most effects act on one.
+
+    Attributes:
+        joints: a slice of all joints.
+        torque: Nm by unit of each number, `(number, joint, sample)`.
+    """
+
+    joints: slice
+    torque: Array
+
+
+def unit_torques(effect: TorqueEffect, dynamics: Dynamics, kept: Callable[[Array], Array]) -> UnitTorques:
+    """Torques by each number of a linear effect, filtered by `kept`."""
+    if not isinstance(effect, JointTorque):
+        return UnitTorques(slice(None), kept(np.stack([effect.torque(unit, dynamics) for unit in np.eye(effect.size)])))
+    if isinstance(effect, UnnamedTorque):
+        rows = effect.basis(dynamics)
+    else:
+        rows = np.stack([effect.at_joint(unit, dynamics) for unit in np.eye(effect.size)])
+    return UnitTorques(slice(effect.joint - 1, effect.joint), kept(rows)[:, None])
 
 
 def _own(j: int) -> tuple[Driver, Driver, Driver, Driver]:
@@ -144,9 +158,19 @@ def _column(j: int, noise: Array) -> Array:
     return np.where(np.arange(len(noise))[:, None] == j, 1 / noise, 0.0)
 
 
-def _waves(data: TorqueRows, q: Array, chosen: NDArray[np.integer], orders: Array) -> Array:
-    turned = np.multiply.outer(orders, q)
-    return data.filter(np.stack([np.sin(turned), np.cos(turned)], 1))[..., chosen]
+def _waves(data: TorqueRows, joint: int, chosen: NDArray[np.integer], known: Waves, orders: Array) -> Array:
+    """Sine and cosine `(order, 2, sample)`. Most of a search's time would go into filtering the same orders again."""
+    keys = [(joint, float(order)) for order in orders]
+    found = {key: waves for key in keys if (waves := known.get(key)) is not None}
+    new = sorted(set(keys) - set(found))
+    if new:
+        turned = np.multiply.outer([order for _, order in new], np.asarray(data.motion.joint_position)[joint - 1])
+        filtered = data.filter(np.stack([np.sin(turned), np.cos(turned)], 1))[..., chosen]
+        if 2 * len(chosen) * (len(known) + len(new)) > _MOST_WAVES:
+            known.clear()
+        known.update(zip(new, filtered, strict=True))
+        found.update(zip(new, filtered, strict=True))
+    return np.stack([found[key] for key in keys])
 
 
 def _ripple(joint: int, order: float) -> TorqueRipple:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lite6jax.domains.torque import families
+from lite6jax.domains.torque.families import UnitTorques
 from lite6jax.domains.torque.links import uncertain
 from lite6jax.domains.torque.rows import TorqueRows
 from lite6jax.effects.catalogue import Untestable, untestable
@@ -16,7 +17,7 @@ from lite6jax.effects.dynamic.bodies import LinkCom, LinkMass, PayloadTorque
 from lite6jax.effects.dynamic.catalogue import torque_catalogue, torque_ladder, torque_shaped
 from lite6jax.effects.dynamic.friction import CoulombFriction, ViscousFriction
 from lite6jax.effects.dynamic.motors import RotorInertia, TorqueOffset
-from lite6jax.effects.dynamic.torque_effect import Delaying, Dynamics, Scaling, TorqueEffect
+from lite6jax.effects.dynamic.torque_effect import Delaying, Dynamics, JointTorque, Scaling, TorqueEffect
 from lite6jax.effects.dynamic.unnamed import UnnamedTorque
 from lite6jax.errors import InputError
 from lite6jax.estimation.least_squares import Fit, fit
@@ -42,6 +43,30 @@ _ASSUMED = 0.02
 
 @final
 @dataclass(frozen=True, eq=False)
+class Known:
+    """What has been computed of some samples: folds of a cross-validation differ in the training mask alone.
+
+    Attributes:
+        units: torques by each number of linear effects, at some inertial numbers.
+        waves: filtered waves of each joint.
+        thinned: of one in so many of the samples.
+    """
+
+    units: dict[TorqueEffect, UnitTorques] = field(default_factory=dict)
+    waves: families.Waves = field(default_factory=dict)
+    thinned: dict[int, "Known"] = field(default_factory=dict)
+
+    def of_every(self, every: int) -> "Known":
+        """Of one in `every` samples."""
+        return self.thinned.setdefault(every, Known())
+
+    def at_other_links(self) -> "Known":
+        """What does not depend on inertial numbers."""
+        return Known(waves=self.waves, thinned={n: known.at_other_links() for n, known in self.thinned.items()})
+
+
+@final
+@dataclass(frozen=True, eq=False)
 class TorqueProblem:
     """A torque recording; `estimation.problem.Problem` describes the members it shares. A sample is one that is kept.
 
@@ -61,7 +86,7 @@ class TorqueProblem:
         untestable: those that are not, and why.
         valid: `(sample,)`, those that may be used at all.
         refused: labels of shaped effects that are no candidates.
-        units: torques by each number of linear effects, shared between problems of the same samples and links.
+        known: what has been computed of these samples, shared between the problems that have them.
     """
 
     data: TorqueRows
@@ -76,7 +101,7 @@ class TorqueProblem:
     untestable: tuple[Untestable, ...]
     valid: Mask
     refused: frozenset[str] = frozenset()
-    units: dict[TorqueEffect, Array] = field(default_factory=dict)
+    known: Known = field(default_factory=Known)
 
     @property
     def rows(self) -> int:
@@ -137,7 +162,7 @@ class TorqueProblem:
     @lazy
     def periodic(self) -> tuple[PeriodicFamily, ...]:
         """Ripple of each joint."""
-        return families.periodic(self.data, self.chosen, self.sigma)
+        return families.periodic(self.data, self.chosen, self.sigma, self.known.waves)
 
     @lazy
     def curves(self) -> tuple[CurveFamily, ...]:
@@ -197,24 +222,23 @@ class TorqueProblem:
         """
         own = Terms(tuple(terms))
         at = np.zeros(own.size) if values is None else np.asarray(values, float)
-        parts: list[Array] = [np.zeros((0, self.rows, self.samples))]
+        others, numbers = beside or (own, at)
+        found = np.zeros((own.size, self.rows, self.samples))
         for effect, part in _pairs(own):
             if isinstance(effect, Scaling):
-                others, numbers = beside or (own, at)
                 kept = [not isinstance(one, Scaling | Delaying) for one, _ in _pairs(others)]
                 whole = self.torque(np.zeros(len(self.precision)), *others.part(numbers, kept))
-                only = np.arange(self.rows) == effect.joint - 1
-                parts.append((whole * only[:, None] / self.sigma)[None])
+                found[part, effect.joint - 1] = whole[effect.joint - 1]
             elif isinstance(effect, Delaying):
-                others, numbers = beside or (own, at)
-                none = np.zeros(len(self.precision))
-                slope = self._delayed(none, others, numbers, float(at[part][0]))[1]
-                parts.append((slope / self.sigma)[None])
+                found[part] = self._delayed(np.zeros(len(self.precision)), others, numbers, float(at[part][0]))[1]
             elif effect.linear:
-                parts.append(self._units(effect) / self.sigma)
+                joints, torque = self._units(effect)
+                found[part, joints] = torque
             else:
-                parts.append(self._slopes(effect, at[part]) / self.sigma)
-        return np.concatenate(parts)
+                found[part] = self._slopes(effect, at[part])
+            joints = slice(effect.joint - 1, effect.joint) if isinstance(effect, JointTorque) else slice(None)
+            found[part, joints] /= self.sigma[joints]
+        return found
 
     def nuisance_columns(self, terms: Terms, values: Array) -> Array:
         """How residuals change with the inertial numbers, `(number, joint, sample)`."""
@@ -222,7 +246,9 @@ class TorqueProblem:
 
     def relinearised(self, nuisance: Array) -> "TorqueProblem":
         """The same problem at other inertial numbers: nuisance zero is then there."""
-        return replace(self, links=self.links_at(nuisance), offset=self.offset + nuisance, units={})
+        return replace(
+            self, links=self.links_at(nuisance), offset=self.offset + nuisance, known=self.known.at_other_links()
+        )
 
     def links_at(self, nuisance: Array) -> Array:
         """Inertial numbers `(joint, 10)` at a nuisance `(number,)`."""
@@ -244,11 +270,13 @@ class TorqueProblem:
 
     def selected(self, rows: NDArray[np.integer]) -> "TorqueProblem":
         """Some of the samples."""
-        return replace(self, chosen=self.chosen[rows], valid=self.valid[rows], units={})
+        return replace(self, chosen=self.chosen[rows], valid=self.valid[rows], known=Known())
 
     def thinned(self, every: int) -> "TorqueProblem":
         """One in `every` samples."""
-        return self if every == 1 else self.selected(np.arange(self.samples)[::every])
+        if every == 1:
+            return self
+        return replace(self.selected(np.arange(self.samples)[::every]), known=self.known.of_every(every))
 
     def without_preset(self) -> "TorqueProblem":
         """Itself: it has none."""
@@ -275,15 +303,19 @@ class TorqueProblem:
 
     def _added(self, effect: TorqueEffect, values: Array, nuisance: Array) -> Array:
         if effect.linear and not (nuisance.any() and any(driver.loaded for driver in effect.drivers)):
-            return np.tensordot(values, self._units(effect), 1)
+            joints, torque = self._units(effect)
+            added = np.zeros((self.rows, self.samples))
+            added[joints] = np.tensordot(values, torque, 1)
+            return added
         dynamics = self.dynamics if not nuisance.any() else self.data.bodies.dynamics(self.links_at(nuisance))
         return self._kept(effect.torque(values, dynamics))
 
-    def _units(self, effect: TorqueEffect) -> Array:
-        """Torques `(number, joint, sample)` by each number of a linear effect."""
-        if effect not in self.units:
-            self.units[effect] = families.unit_torques(effect, self.dynamics, self._kept)
-        return self.units[effect]
+    def _units(self, effect: TorqueEffect) -> UnitTorques:
+        """Torques by each number of a linear effect."""
+        units = self.known.units
+        if effect not in units:
+            units[effect] = families.unit_torques(effect, self.dynamics, self._kept)
+        return units[effect]
 
     def _slopes(self, effect: TorqueEffect, values: Array) -> Array:
         """Derivatives of an effect's torque by its numbers, `(number, joint, sample)`, by central differences."""

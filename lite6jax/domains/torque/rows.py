@@ -89,7 +89,8 @@ class RigidBodies:
     def _per_axis(self, links: Array) -> Array:
         """Torques `(axis, joint, sample)` at rest by a gravity of 1 m/s² along each axis of the base."""
         key = links.tobytes()
-        if key not in self._known:
+        known = self._known.get(key)
+        if known is None:
             q = self._moved[0]
             still = np.zeros_like(q)
             numbers = links.copy()
@@ -100,9 +101,10 @@ class RigidBodies:
                 at_rest = np.asarray(regressor(self.kinematics, q, still, still, axis))
                 torque = np.einsum("jps,p->js", at_rest, numbers.ravel())
                 found.append(torque + np.einsum("jps,p->js", at_rest[:, -10:], unit) * payload)
+            known = np.stack(found)
             self._known.clear()
-            self._known[key] = np.stack(found)
-        return self._known[key]
+            self._known[key] = known
+        return known
 
     @cached_property
     def _known(self) -> dict[bytes, Array]:

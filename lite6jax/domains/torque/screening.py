@@ -122,8 +122,8 @@ def contacts(problem: TorqueProblem, options: EngineOptions) -> tuple[NDArray[np
     """
     none = np.zeros(problem.samples, bool)
     baseline = fit(problem, Terms(), options)
-    scores = zip(problem.ladder, score_test(problem, baseline, options).score(problem.ladder), strict=True)
-    terms = Terms(tuple(term for term, score in scores if not score.confounded))
+    explained = zip(problem.ladder, score_test(problem, baseline, options).explained(problem.ladder), strict=True)
+    terms = Terms(tuple(term for term, one in explained if not one.confounded))
     found = fit(problem, terms, options)
     scaled = found.residuals.rows / np.maximum(_robust(found.residuals.rows), 1e-300)[:, None]
     away = np.sum(scaled**2, 0)

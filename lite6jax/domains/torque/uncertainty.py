@@ -144,15 +144,16 @@ def _estimated(
             moved[:, effect.joint - 1] += own * whole[effect.joint - 1]
         elif isinstance(effect, Delaying):
             moved += own[:, :, None] * _slope_in_time(composed(model.terms, model.values, dynamics), dynamics, runs)
+        elif effect.linear:
+            joints, torque = unit_torques(effect, dynamics, lambda rows: rows)
+            moved[:, joints] += np.tensordot(own, torque, 1) * scale[joints]
         else:
             moved += np.tensordot(own, _derivatives(effect, values[part], dynamics), 1) * scale
     return np.sum(moved**2, 0)
 
 
 def _derivatives(effect: TorqueEffect, values: Array, dynamics: Dynamics) -> Array:
-    """`(number, joint, sample)` Nm by each number of an effect, central differences where it is not linear."""
-    if effect.linear:
-        return unit_torques(effect, dynamics, lambda rows: rows)
+    """`(number, joint, sample)` Nm by each number of an effect that is not linear, by central differences."""
     found = []
     for k, number in enumerate(effect.coordinates):
         step = np.eye(effect.size)[k] * _STEP * number.typical

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from domains.torque.moved import hidden, motion_of, recorded, setup_of
+from engine.explained import assert_same_gains
 
 from lite6jax.arms.dynamics import link_parameters
 from lite6jax.domains.torque.filtering import low_pass, runs_of, sample_rate, spikes, without_spikes
@@ -13,7 +14,9 @@ from lite6jax.effects.dynamic.friction import StribeckFriction
 from lite6jax.effects.dynamic.motors import TorqueRipple, TorqueScale, TorqueTimeOffset
 from lite6jax.errors import InputError
 from lite6jax.estimation.least_squares import fit
+from lite6jax.estimation.noise import Autocorrelation, NoiseModel
 from lite6jax.estimation.options import EngineOptions
+from lite6jax.estimation.score_test import score_test
 from lite6jax.estimation.terms import Terms
 from lite6jax.recordings import Recording
 
@@ -122,6 +125,17 @@ def test_columns_are_the_derivatives_of_residuals(inertial):
                  np.zeros(0))) / 1e-4  # fmt: skip
         np.testing.assert_allclose(slope, column, rtol=0, atol=1e-6 * max(np.abs(column).max(), 1.0))
     assert at.shape == (6, problem.samples)
+
+
+@pytest.mark.parametrize(("inertial", "noise"), [("declared", None), (0.1, 0.7)])
+def test_the_gain_alone_is_that_of_the_score(inertial, noise):
+    """Where most columns act on one joint, and readings of the others are left out."""
+    recording, arm = recorded([hidden("viscous_friction", "joint2", viscous_Nm_s_per_rad=0.5)], inertial=inertial)
+    case = torque_problem(torque_rows(recording, arm, recording.torques().T))
+    model = None if noise is None else NoiseModel((Autocorrelation(noise, 0.8),) * case.rows, case.groups)
+    some = fit(case, Terms((TorqueScale(3), TorqueRipple(1, 3.0))), EngineOptions(), noise=model)
+    terms = [*case.candidates, *case.shaped[::5], *case.flexible[::9]]
+    assert_same_gains(score_test(case, some, EngineOptions()), terms)
 
 
 @pytest.mark.parametrize(("offset", "within"), [(0.02, 5e-4), (-0.06, 5e-4)])

@@ -1,0 +1,74 @@
+"""Contiguous blocks of rows that are held out one after the other, and work on several of them at once."""
+
+import os
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor, as_completed
+from contextvars import copy_context
+from typing import TypeVar
+
+from lite6jax.diagnosis.options import Options
+from lite6jax.errors import InputError
+from lite6jax.estimation.problem import Mask
+from lite6jax.progress import part
+from lite6jax.recordings import Recording
+
+Fold = TypeVar("Fold")
+Result = TypeVar("Result")
+
+
+def held_out_folds(recording: Recording, options: Options, unknowns: int) -> list[Mask]:
+    """The blocks `(sample,)` that are held out, one after the other.
+
+    Args:
+        recording: as of `held_out_errors`.
+        options: thresholds.
+        unknowns: numbers that the rows of each fold must determine.
+
+    Raises:
+        InputError: no row can be held back, because the others would be too few for the unknowns.
+    """
+    return recording.contiguous_folds(fold_count(recording.samples, options, _rows_needed(recording, unknowns)))
+
+
+def fold_count(samples: int, options: Options, needed: int = 0) -> int:
+    """How many blocks of so many rows are held out: fewer where these would be short, and more where the other rows
+    would be fewer than `needed`.
+    """
+    count = min(options.folds, max(2, samples // options.least_in_fold))
+    while count < samples and samples - -(-samples // count) < needed:
+        count += 1
+    return count
+
+
+def _rows_needed(recording: Recording, unknowns: int) -> int:
+    """The fewest rows that determine so many numbers, of which the recording must have one more."""
+    needed = -(-unknowns // recording.numbers_per_sample)
+    if recording.samples <= needed:
+        raise InputError(
+            f"{recording.source}: {recording.samples} samples are what {unknowns} numbers to determine need, so that "
+            f"none can be held back; record at least {needed + 1}"
+        )
+    return needed
+
+
+def side_by_side(work: Callable[[Fold], Result], folds: Sequence[Fold]) -> list[Result]:
+    """What `work` makes of each fold, in their order; as many at once as there are cores.
+
+    They share compiled functions and what is known of all rows, so that threads are used: most of their time goes into
+    operations on arrays, which release the interpreter's lock. Their stages belong to part 1 + the folds completed.
+    """
+    pool = ThreadPoolExecutor(min(len(folds), _cores()))
+    try:
+        with part(1, 1 + len(folds)) as going:
+            # each in a copy of this context, which says who follows the progress
+            begun = [pool.submit(copy_context().run, work, fold) for fold in folds]
+            for each in as_completed(begun):
+                each.result()
+                going.number += 1
+        return [each.result() for each in begun]
+    finally:
+        pool.shutdown(wait=False, cancel_futures=True)  # after an interrupt, nobody waits for the others
+
+
+def _cores() -> int:
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
