@@ -41,7 +41,7 @@ def _of_chain(form: HayatiForm, chain: Array, branch: tuple[Array, Array] | None
     base, H = _base(form, joints[0], dict(zip(BASE, near[0], strict=True)))
     links = []
     for i in range(form.dof):
-        guess = dict(zip(LINK, near[1][i], strict=True))
+        guess: dict[str, float] = dict(zip(LINK, near[1][i].tolist(), strict=True))
         relative = np.linalg.inv(H) @ joints[min(i + 1, form.dof - 1)]
         if branch is None and i in form.parallel and relative[2, 2] < 0:
             guess["alpha"] = np.pi

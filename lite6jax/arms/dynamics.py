@@ -105,9 +105,11 @@ def _steps(kinematics: Array, q: Array, dq: Array, ddq: Array, sliding: tuple[in
     if shift is None:
         return _Step(R, p, cos, sin, dq, ddq)
     slides = np.isin(np.arange(len(q)), sliding)
-    turning, moving = (tuple(jnp.where(of[:, None], rate, 0.0) for rate in (dq, ddq)) for of in (~slides, slides))
     at = p[:, :, None] + R[:, :, 2, None] * shift[:, None]
-    return _Step(R, at, cos, sin, *turning, (jnp.asarray(slides), *moving))
+    (turning, sliding_rate), (change, sliding_change) = (
+        tuple(jnp.where(own[:, None], rate, 0.0) for own in (~slides, slides)) for rate in (dq, ddq)
+    )
+    return _Step(R, at, cos, sin, turning, change, (jnp.asarray(slides), sliding_rate, sliding_change))
 
 
 def _product(M: Array, v: _Vector) -> _Vector:
@@ -181,7 +183,7 @@ def regressor(
     def fill(k: ArrayLike, filled: Array) -> Array:
         start = jnp.minimum(k * size, samples - size)  # the last chunk overlaps the one before
         chunk = lax.dynamic_slice_in_dim(motion, start, size, 2)
-        columns = _columns(*_link_motions(_steps(kinematics, *chunk, sliding), gravity))
+        columns = _columns(*_link_motions(_steps(kinematics, chunk[0], chunk[1], chunk[2], sliding), gravity))
         for c, column in enumerate(columns):
             filled = lax.dynamic_update_slice(filled, column[:, :, None], (0, 0, c, start))
         return filled

@@ -39,6 +39,7 @@ class Sensitivity:
         per_unit: `(parameter,)` root-mean-square m of the flange per m or rad of each.
         position: `(sample, parameter)` m that the flange moves per tolerance.
         orientation: `(sample, parameter)` rad that it turns.
+        sliding: the prismatic joints, counted from 0.
     """
 
     names: tuple[str, ...]
@@ -49,6 +50,7 @@ class Sensitivity:
     per_unit: Array
     position: Array
     orientation: Array
+    sliding: tuple[int, ...] = ()
 
     @property
     def share(self) -> Array:
@@ -123,6 +125,7 @@ def sensitivity(
         units=experiment.units,
         tolerance=size,
         joint_position=q,
+        sliding=experiment.arm.sliding,
         flange_position=np.asarray(tool.origin).T,
         per_unit=per_unit,
         position=np.linalg.norm(rows[:, :3], axis=1),

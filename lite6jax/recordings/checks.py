@@ -208,7 +208,7 @@ def repeated_rows(recording: Recording) -> RepeatedRows:
 
 @dataclass(frozen=True)
 class OutsideLimits:
-    """Samples of one joint (1-based) outside its limits, and by how much at most, in rad."""
+    """Samples of one joint (1-based) outside its limits, and by how much at most, in rad, m of a prismatic joint."""
 
     joint: int
     samples: Int[np.ndarray, " found"]

@@ -126,7 +126,10 @@ def _joint_limits(recording: Recording, arm: Arm) -> list[Cause]:
             "joint_limits",
             True,
             row_numbers(outside.rows),
-            {"joint": outside.joint, "largest_excess_rad": outside.largest_excess_rad},
+            {
+                "joint": outside.joint,
+                f"largest_excess_{arm.joint_units[outside.joint - 1]}": outside.largest_excess_rad,
+            },
         )
         for outside in outside_limits(recording, arm.joint_limits)
     ]

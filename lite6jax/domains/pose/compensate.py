@@ -110,11 +110,6 @@ def compensate(
         InputError: the targets lack what an effect needs, by name; arrays of another shape; degrees; `approach` of
             another length; or a model without joint limits.
     """
-    if model.sliding:
-        raise InputError(
-            "compensate: the arm has prismatic joints, for which no joint positions are sought; correct the commanded "
-            "poses by what `lite6jax predict` shows"
-        )
     if approach is not None and (len(approach) != model.dof or not set(approach) <= {-1, 0, 1}):
         raise InputError(f"approach: give -1, 0 or 1 for each of the {model.dof} joints")
     if model.joint_limits is None:
@@ -123,6 +118,8 @@ def compensate(
         targets = _targets_of(model, targets, start, circumstances)
     elif start is not None or circumstances:
         raise InputError("compensate: these targets have their own joint positions; give the poses as an array")
+    if targets.start is None:
+        targets = targets._replace(recording=replace(targets.recording, sliding=model.sliding))
     model, omitted = _without_sensor(model, frame)
     recording = targets.recording
     complete = _complete(recording)
