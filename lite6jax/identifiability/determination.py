@@ -207,9 +207,9 @@ def count(form: ModelForm, quantity: Quantity, on_last_axis: bool = False) -> in
     By the product of exponentials a chain is its joints' axes, 4 numbers each, and the flange's pose, 6 (R. Brockett,
     1984; B. Mooring, Z. Roth, M. Driels, Fundamentals of Manipulator Calibration, 1991): 4 n + 6, all observable in
     full poses. A chain without a free tool has a flange that its last axis carries in a set way: 4 n + 4 of Hayati's,
-    4 n + 2 of six parameters. A prismatic joint has a direction only, 2 numbers less, and in six parameters also a
-    position of its own where it is the last. Positions depend on the flange's pose through the point (3) only, and one axis or one
-    distance leaves three motions of the whole arm unobservable.
+    4 n + 2 of six parameters. A prismatic joint has a direction only, 2 numbers less; where it is the last, six
+    parameters determine the whole flange: 4 n + 4. Positions depend on the flange's pose through the point (3) only,
+    and one axis or one distance leaves three motions of the whole arm unobservable.
 
     Args:
         form: the parameters.

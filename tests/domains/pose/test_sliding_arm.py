@@ -138,5 +138,7 @@ def test_a_slide_is_diagnosed_predicted_and_compensated(scara, tmp_path, capsys)
     found = compensate(model, poses, start=fresh + 1e-3)
     assert found.reached.all()
     np.testing.assert_allclose(found.joint_position, fresh, rtol=0, atol=1e-8)
+    assert main(["init", str(path), "--arm", str(scara / "scara.urdf"), "--force"]) == 2
+    assert "joint 3 of arm is prismatic, and columns are recognised for revolute joints only" in capsys.readouterr().err
     assert main(["identify", str(scara / "scara.urdf"), "--torque"]) == 2
     assert "a study of torques takes arms of revolute joints, and joint 3 is prismatic" in capsys.readouterr().err
