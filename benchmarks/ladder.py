@@ -19,6 +19,7 @@ from rich.console import Console
 from rich.table import Table
 from scipy.signal import butter, sosfiltfilt
 
+from benchmarks.ending import DONE, ended
 from lite6jax.arms.arm import Arm
 from lite6jax.diagnosis.torque_diagnosis import diagnose_torques
 from lite6jax.domains.torque.filtering import sample_rate
@@ -32,7 +33,6 @@ from tests.oracles.pinocchio_dynamics import pinocchio_model, pinocchio_regresso
 pin: Any = pinocchio  # a compiled module, which a type checker cannot look into
 Array = NDArray[np.floating]
 
-DONE, UNUSABLE, INTERRUPTED = 0, 2, 130
 STEPS = ("rigid body alone", "+ viscous, Coulomb, offset", "+ all other terms")
 OURS = "diagnosis"
 _SMOOTH = 2e-3
@@ -201,16 +201,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if not options.cut > 0:
         parser.error("--cut: give a frequency above zero")
     keep_compiled_code()
-    try:
+
+    def shown() -> int:
         for table in tables(read_recording(options.recording), options.cut, not options.rivals_only):
             Console(highlight=False).print(table)
-    except InputError as problem:
-        print(f"benchmarks: {problem}", file=sys.stderr)
-        return UNUSABLE
-    except KeyboardInterrupt:
-        print("benchmarks: interrupted", file=sys.stderr)
-        return INTERRUPTED
-    return DONE
+        return DONE
+
+    return ended(shown)
 
 
 if __name__ == "__main__":

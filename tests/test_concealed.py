@@ -17,7 +17,6 @@ from scipy.stats import chi2
 from benchmarks import __main__ as harness
 from benchmarks.campaigns import campaign, shares, tables, threshold, workers
 from benchmarks.campaigns.campaign import given_in, opened, sealed_in, sealed_text, write_files
-from benchmarks.campaigns.command import DONE, UNUSABLE
 from benchmarks.concealed import (
     chain,
     command,
@@ -46,6 +45,7 @@ from benchmarks.concealed.plain_physics import (
     yielding,
 )
 from benchmarks.concealed.view import Open, View
+from benchmarks.ending import DONE, UNUSABLE
 from lite6jax.arms.arm import Arm as LibraryArm
 from lite6jax.arms.bundled import load_bundled
 from lite6jax.arms.chains import SixParameterForm

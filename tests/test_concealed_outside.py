@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.campaigns.command import UNUSABLE
 from benchmarks.concealed import campaign, command, hiding, information, outside, plans, recorded, trials
 from benchmarks.concealed.chain import MADE, description_text, lite6, rotation_from_vector
 from benchmarks.concealed.mujoco_physics import Arm
 from benchmarks.concealed.outside import FAMILIES, OPEN, SEALED
 from benchmarks.concealed.plain_physics import Hidden, Setup, hardening, moments, poses, yielding
 from benchmarks.concealed.view import Open, View, turned
+from benchmarks.ending import UNUSABLE
 
 PAYLOAD_CENTER = np.array([0.01, 0.0, 0.05])
 

@@ -63,12 +63,12 @@ def test_the_reference_describes_all_that_the_code_has(name):
 
 def test_the_faults_of_poses_are_documented_in_their_order():
     from lite6jax.domains.pose.screening.registry import SCREENS
-    from lite6jax.report import data_faults, torque_faults
+    from lite6jax.report.pose_faults import NAMES
 
     documented = [row[0] for row in table_rows((ROOT / "docs/reference/faults.md").read_text())[2:]]
     screened = list(dict.fromkeys(code for screen in SCREENS for code in screen.codes))
     assert documented[: len(screened)] == screened
-    assert set(documented) == set(data_faults._NAMES) - set(torque_faults.NAMES)
+    assert set(documented) == set(NAMES)
 
 
 def test_the_keys_and_verdicts_of_a_diagnosis_are_documented():
@@ -123,7 +123,7 @@ def test_the_screens_are_documented_in_their_order():
 
 
 def test_the_effects_faults_and_keys_of_torques_are_documented():
-    from lite6jax.diagnosis import torque_document
+    from lite6jax.diagnosis.torque_schema import PARTS
     from lite6jax.effects.dynamic.catalogue import BUILT_IN
     from lite6jax.report.torque_faults import NAMES
 
@@ -132,7 +132,7 @@ def test_the_effects_faults_and_keys_of_torques_are_documented():
     assert [row[0] for row in sections["Effects"]] == list(BUILT_IN)
     assert {row[0] for row in sections["Data faults"]} == set(NAMES)
     documented = {key for row in sections["The JSON file"] for key in row[0].replace("`", "").split(", ")}
-    assert documented | {"schema", "domain", "checksum"} == set(torque_document.PARTS) | {"model"}
+    assert documented | {"schema", "domain", "checksum"} == set(PARTS) | {"model"}
     for effect, (_, _, _, parameters, *_) in zip(BUILT_IN.values(), sections["Effects"], strict=True):
         if effect.nonparametric:
             continue

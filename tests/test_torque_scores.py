@@ -12,7 +12,7 @@ from benchmarks import __main__ as harness
 from benchmarks.campaigns import campaign, tables
 from benchmarks.campaigns.campaign import given_in, opened, sealed_in
 from benchmarks.campaigns.columns import csv_text
-from benchmarks.campaigns.command import DONE, UNUSABLE
+from benchmarks.ending import DONE, UNUSABLE
 from benchmarks.torque_trials import command, plans, report, scores, trials
 from benchmarks.torque_trials.campaign import SCHEMA, TORQUES
 

@@ -2,10 +2,10 @@
 
 import argparse
 import os
-import sys
 import tempfile
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 from rich.console import Console
@@ -15,10 +15,9 @@ from benchmarks.campaigns.campaign import Campaign, Row, opened
 from benchmarks.campaigns.shares import Goal
 from benchmarks.campaigns.tables import Section, markdown, tables
 from benchmarks.campaigns.workers import worked
+from benchmarks.ending import DONE, MISSED, ended
 from lite6jax.errors import InputError
 from lite6jax.storage import check_writable
-
-DONE, MISSED, UNUSABLE, INTERRUPTED = 0, 1, 2, 130
 
 
 @dataclass(frozen=True)
@@ -63,22 +62,19 @@ def main(trials: Trials, arguments: Sequence[str] | None = None) -> int:
         parser.error(f"--trial: runs one and keeps nothing; leave {also} out")
     if options.out and options.out.suffix != ".parquet":
         parser.error(f"--out: {options.out} is to be a Parquet file; end its name in .parquet")
+    kept = f"; {options.out} has what was done, the same command goes on" if options.out else ""
+    return ended(partial(_run, trials, options), (InputError, ValueError, OSError), kept)
+
+
+def _run(trials: Trials, options: argparse.Namespace) -> int:
     console = Console(highlight=False)
-    try:
-        if options.out:
-            check_writable(options.out, overwrite=True)
-        if getattr(options, "export", None):
-            return _export(trials, options, console)
-        if options.trial is not None:
-            return _one(trials, options.seed, options.trial, options.sealed, console)
-        return _many(trials, options, console)
-    except (InputError, ValueError, OSError) as problem:
-        print(f"benchmarks: {problem}", file=sys.stderr)
-        return UNUSABLE
-    except KeyboardInterrupt:
-        kept = f"; {options.out} has what was done, the same command goes on" if options.out else ""
-        print(f"benchmarks: interrupted{kept}", file=sys.stderr)
-        return INTERRUPTED
+    if options.out:
+        check_writable(options.out, overwrite=True)
+    if getattr(options, "export", None):
+        return _export(trials, options, console)
+    if options.trial is not None:
+        return _one(trials, options.seed, options.trial, options.sealed, console)
+    return _many(trials, options, console)
 
 
 def _parser(trials: Trials) -> argparse.ArgumentParser:

@@ -4,10 +4,10 @@ import argparse
 import csv
 import json
 import os
-import sys
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 from itertools import count as indices
 from itertools import islice
 from pathlib import Path
@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
+from benchmarks.ending import DONE, ended
 from benchmarks.measure import Record
 from benchmarks.residual.score import OURS, Outcome, compare, diagnosed, diagnosed_elsewhere, transfer, unseen
 from lite6jax.diagnosis.document import read_model, write_document
@@ -28,7 +29,6 @@ from lite6jax.fitting.compiled import keep_compiled_code
 from lite6jax.recordings import Recording, read_recording, sidecar_path
 from lite6jax.storage import check_writable, write_atomically
 
-DONE, UNUSABLE, INTERRUPTED = 0, 2, 130
 REAL = "LITE6JAX_REAL"
 """The variable that names the folder of real series."""
 _NAMED = 8
@@ -68,36 +68,33 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if real is None and options.trials is None and not options.concealed:
         parser.error(f"name what to compare on: --real DIR (or the variable {REAL}), --concealed N or --trials DIR")
     keep_compiled_code()
+    return ended(partial(_compare, options, real))
+
+
+def _compare(options: argparse.Namespace, real: Path | None) -> int:
     console, records = Console(highlight=False), []
-    try:
-        if options.json:
-            check_writable(options.json, overwrite=True)
-        with console.status("…") as status:
-            if real is not None:
-                for title, outcomes in on_real(series_in(real), options.every, not options.rivals_only, status.update):
-                    console.print(table(title, outcomes))
-                    records += [record for outcome in outcomes for record in records_of(title, outcome)]
-            with tempfile.TemporaryDirectory() as folder:
-                drawn = concealed(options.concealed, options.seed, Path(folder))
-                for where in (drawn, trials_in(options.trials) if options.trials else []):
-                    if where:
-                        results = [on_trial(each, not options.rivals_only, status.update) for each in where]
-                        console.print(summary(results))
-                        records += [
-                            record
-                            for each, (outcomes, _) in zip(where, results, strict=True)
-                            for outcome in outcomes
-                            for record in records_of(f"trial {each.name}", outcome)
-                        ]
-        if options.json:
-            text = json.dumps([record.as_json() for record in records], indent=1, allow_nan=False)
-            write_atomically(options.json, text, overwrite=True)
-    except InputError as problem:
-        print(f"benchmarks: {problem}", file=sys.stderr)
-        return UNUSABLE
-    except KeyboardInterrupt:
-        print("benchmarks: interrupted", file=sys.stderr)
-        return INTERRUPTED
+    if options.json:
+        check_writable(options.json, overwrite=True)
+    with console.status("…") as status:
+        if real is not None:
+            for title, outcomes in on_real(series_in(real), options.every, not options.rivals_only, status.update):
+                console.print(table(title, outcomes))
+                records += [record for outcome in outcomes for record in records_of(title, outcome)]
+        with tempfile.TemporaryDirectory() as folder:
+            drawn = concealed(options.concealed, options.seed, Path(folder))
+            for where in (drawn, trials_in(options.trials) if options.trials else []):
+                if where:
+                    results = [on_trial(each, not options.rivals_only, status.update) for each in where]
+                    console.print(summary(results))
+                    records += [
+                        record
+                        for each, (outcomes, _) in zip(where, results, strict=True)
+                        for outcome in outcomes
+                        for record in records_of(f"trial {each.name}", outcome)
+                    ]
+    if options.json:
+        text = json.dumps([record.as_json() for record in records], indent=1, allow_nan=False)
+        write_atomically(options.json, text, overwrite=True)
     return DONE
 
 

@@ -15,7 +15,7 @@ import re
 import shlex
 import sys
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -146,16 +146,29 @@ def _shortened(screen: Screen, printed: str) -> str:
         if line == LEFT_OUT:
             kept.append(line)
             continue
-        shape = _NUMBER.sub("#", "".join(line.split()))
-        same = [k for k in range(at, len(lines)) if _NUMBER.sub("#", "".join(lines[k].split())) == shape]
-        if not same:
+        same = _found(line, lines, at)
+        if same is None:
             print(
                 f"$ {screen.typed}\n  {line!r} is no longer printed: all is shown; shorten it by hand", file=sys.stderr
             )
             return printed
-        kept.append(lines[same[0]])
-        at = same[0] + 1
+        kept.append(lines[same])
+        at = same + 1
     return "\n".join(kept) + "\n"
+
+
+def _found(line: str, lines: Sequence[str], at: int) -> int | None:
+    """The first line from a place on that is this one: unchanged, else with near numbers, else with any."""
+    tests: tuple[Callable[[str], bool], ...] = (
+        lambda other: other.split() == line.split(),
+        lambda other: _alike(_tokens(line), _tokens(other)),
+        lambda other: _shape(other) == _shape(line),
+    )
+    return next((k for test in tests for k in range(at, len(lines)) if test(lines[k])), None)
+
+
+def _shape(line: str) -> str:
+    return _NUMBER.sub("#", "".join(line.split()))
 
 
 def main(chosen: Sequence[str]) -> None:

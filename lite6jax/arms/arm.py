@@ -23,6 +23,8 @@ JOINT_TERMS = {
     "spring_stiffness": "spring stiffness",
 }
 """What an arm may know of each joint's drive, in words."""
+DRIVE_FIELDS = (*JOINT_TERMS, "spring_rest")
+"""The fields of an arm's drives, `(joint,)` each."""
 
 
 @dataclass(frozen=True, eq=False)

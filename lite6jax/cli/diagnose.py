@@ -1,15 +1,16 @@
 """Commands on what an arm has beyond its model: find it in a recording, predict with it."""
 
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Literal
 
 from tyro.conf import Positional, arg
 
 from lite6jax.cli.arguments import ArmName, Folder, OutFile, check_out, refuse_inputs
-from lite6jax.cli.drawing import draw
 from lite6jax.cli.exit_codes import BAD_FIT, DONE
 from lite6jax.cli.inputs import inputs
+from lite6jax.cli.outputs import Drawings, check_figures, present
 from lite6jax.errors import InputError
 from lite6jax.storage import check_writable, write_atomically
 
@@ -64,28 +65,29 @@ class Diagnose:
 
     def run(self) -> int:
         """Reads, searches, writes, prints."""
+        if self.poses and self.torques:
+            raise InputError("--poses and --torques: give one of them, or none to diagnose both")
         if self.out:
             check_out(self.out, ".json", self.force)
         if self.report:
             check_out(self.report, ".html", self.force)
         refuse_inputs([self.out, self.report], [self.source, self.reference, self.arm, self.effects])
         if self.figures:
-            from lite6jax.report import canvas
             from lite6jax.report.diagnosis_figures import NAMES
 
-            canvas.check_names(self.figures, [f"{self.source.stem}_{name}" for name in NAMES], self.force)
+            check_figures(self, NAMES)
         from lite6jax.arms.arm import Arm
         from lite6jax.diagnosis.combined import by_domain
         from lite6jax.diagnosis.diagnose import diagnose
-        from lite6jax.diagnosis.document import document_text, to_document, write_document
+        from lite6jax.diagnosis.document import to_document
         from lite6jax.diagnosis.options import QUICK
         from lite6jax.diagnosis.reference_diagnosis import diagnose_against
         from lite6jax.effects.user_effects import load_effects
         from lite6jax.fitting.recognition import arm_of
         from lite6jax.fitting.source import load_nominal, read_source
         from lite6jax.recordings import Recording
-        from lite6jax.report import diagnosis_tables, screen, stages, worth
-        from lite6jax.report.next_steps import Files
+        from lite6jax.report import stages, worth
+        from lite6jax.report.diagnosis_tables import diagnosis_report
         from lite6jax.report.statements import with_statements
 
         def read(path: Path, of: Arm | None) -> Recording:
@@ -96,8 +98,6 @@ class Diagnose:
                 raise InputError(f"{path}: is a calibration; diagnose takes a recording (.csv, .parquet, .mcap)")
             return source
 
-        if self.poses and self.torques:
-            raise InputError("--poses and --torques: give one of them, or none to diagnose both")
         nominal = load_nominal(self.arm)
         recording = read(self.source, nominal)
         effects = load_effects(self.effects) if self.effects else ()
@@ -127,25 +127,14 @@ class Diagnose:
         if seen is not None:
             document["against"] = seen.to_dict()
         document = with_statements(document)
-        files = Files(self.source, self.out, self.effects)
-        written = [write_document(document, self.out, self.force)] if self.out else []
-        if self.report or self.figures:
+
+        def drawings() -> Drawings:
             from lite6jax.report import diagnosis_figures, page
 
-            sides = str(self.source) if seen is None else f"{self.source} against {seen.file}"
-            drawings = diagnosis_figures.drawings(found, self.source.name, worth.order(document))
-            written += draw(
-                self,
-                drawings,
-                len(diagnosis_figures.NAMES),
-                lambda drawn: page.diagnosis_page(found, document, sides, drawn, files),
-            )
-        if self.json:
-            print(document_text(document))
-        else:
-            screen.show(diagnosis_tables.diagnosis_report(document, str(self.source), files, self.details))
-            screen.show(screen.notes(recording.notes))
-            screen.written(written)
+            figures = diagnosis_figures.drawings(found, self.source.name, worth.order(document))
+            return Drawings(figures, len(diagnosis_figures.NAMES), partial(page.diagnosis_page, found, document))
+
+        present(self, recording, document, diagnosis_report, drawings, None if seen is None else seen.file)
         return BAD_FIT if found.quality.verdict == "bad" else DONE
 
 
@@ -192,7 +181,7 @@ class Predict:
         import numpy as np
         import pyarrow as pa
 
-        from lite6jax.diagnosis.document import parsed_document, read_model
+        from lite6jax.diagnosis.document import check_sum, model_from_document, parsed_document
         from lite6jax.diagnosis.torque_document import is_of_torques, of_torques
         from lite6jax.domains.pose.files import prediction_columns, read_motion
         from lite6jax.domains.pose.predict import predicted
@@ -206,8 +195,9 @@ class Predict:
         if is_of_torques(document):
             from lite6jax.cli.diagnose_torques import predict_motors
 
-            return predict_motors(self, effects)
-        model = read_model(self.diagnosis, effects)
+            return predict_motors(self, document, effects)
+        model = model_from_document(document, effects, str(self.diagnosis))
+        check_sum(document, self.diagnosis)
         recording = read_motion(self.motion, model)
         found = None
         if self.register:
@@ -218,7 +208,7 @@ class Predict:
         if of_torques(document) is not None:
             from lite6jax.cli.diagnose_torques import torques_beside
 
-            written, said = torques_beside(self, written, recording, effects)
+            written, said = torques_beside(self, document, written, recording, effects)
         columns = pa.table(written)
         path = write_atomically(self.out, lambda target: write_table(columns, target), self.force)
         if self.json:

@@ -1,11 +1,12 @@
 """The commands `diagnose` and `predict` where torques are measured, instead of poses or beside them."""
 
 from collections.abc import Sequence
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
-from lite6jax.cli.drawing import draw
 from lite6jax.cli.exit_codes import BAD_FIT, DONE
 from lite6jax.cli.inputs import inputs
+from lite6jax.cli.outputs import Drawings, check_figures, present
 from lite6jax.errors import InputError
 from lite6jax.storage import write_atomically
 
@@ -34,16 +35,18 @@ def diagnose_motors(
         effects: a user's own; those on torques are used.
     """
     from lite6jax.diagnosis.combined import by_domain
-    from lite6jax.diagnosis.document import document_text, write_document
     from lite6jax.diagnosis.options import QUICK
     from lite6jax.diagnosis.torque_diagnosis import diagnose_torques
     from lite6jax.diagnosis.torque_document import to_torque_document
     from lite6jax.diagnosis.torque_reference import diagnose_torques_against
-    from lite6jax.report import screen, stages, torque_figures, torque_page, torque_tables, worth
-    from lite6jax.report.next_steps import Files
+    from lite6jax.report import stages, worth
     from lite6jax.report.torque_statements import with_statements
+    from lite6jax.report.torque_tables import torque_report
 
-    _check_figures(command, torque_figures.NAMES)
+    if command.figures:
+        from lite6jax.report.torque_figures import NAMES
+
+        check_figures(command, NAMES)
     _, dynamic = by_domain(effects)
     with stages.shown() as entered:
         options = QUICK if command.quick else None
@@ -58,23 +61,14 @@ def diagnose_motors(
     if seen is not None:
         document["against"] = seen.to_dict()
     document = with_statements(document)
-    files = Files(command.source, command.out)
-    written = [write_document(document, command.out, command.force)] if command.out else []
-    if command.report or command.figures:
-        sides = str(command.source) if seen is None else f"{command.source} against {seen.file}"
-        drawings = torque_figures.drawings(found, command.source.name, worth.order(document))
-        written += draw(
-            command,
-            drawings,
-            len(torque_figures.NAMES),
-            lambda drawn: torque_page.torque_page(found, document, sides, drawn, files),
-        )
-    if command.json:
-        print(document_text(document))
-        return DONE
-    screen.show(torque_tables.torque_report(document, str(command.source), files, command.details))
-    screen.show(screen.notes(recording.notes))
-    screen.written(written)
+
+    def drawings() -> Drawings:
+        from lite6jax.report import torque_figures, torque_page
+
+        figures = torque_figures.drawings(found, command.source.name, worth.order(document))
+        return Drawings(figures, len(torque_figures.NAMES), partial(torque_page.torque_page, found, document))
+
+    present(command, recording, document, torque_report, drawings, None if seen is None else seen.file)
     return DONE
 
 
@@ -87,13 +81,11 @@ def diagnose_both(
 ) -> int:
     """Searches the poses and the torques of a recording, writes and prints what was found; arguments as above."""
     from lite6jax.diagnosis.combined import diagnose_combined
-    from lite6jax.diagnosis.document import document_text, write_document
     from lite6jax.diagnosis.options import QUICK
-    from lite6jax.report import combined, diagnosis_figures, page, screen, stages, torque_figures
-    from lite6jax.report.next_steps import Files
+    from lite6jax.report import combined, diagnosis_figures, page, stages, torque_figures
 
     names = [*diagnosis_figures.NAMES, *(combined.PREFIX + name for name in torque_figures.NAMES)]
-    _check_figures(command, names)
+    check_figures(command, names)
     with stages.shown() as entered:
         found = diagnose_combined(
             recording,
@@ -106,48 +98,28 @@ def diagnose_both(
         )
     read = inputs(command.source, command.arm, command.reference, command.effects)
     document = combined.with_statements({**found.to_dict(), "inputs": read})
-    files = Files(command.source, command.out)
-    written = [write_document(document, command.out, command.force)] if command.out else []
-    if command.report or command.figures:
-        sides = str(command.source) if other is None else f"{command.source} against {other.source}"
-        drawings = combined.drawings(found, command.source.name, document)
-        written += draw(
-            command,
-            drawings,
-            len(names),
-            lambda drawn: (
-                page.diagnosis_page(found.poses, document, sides, drawn, files)
-                if found.torques is None
-                else combined.combined_page(found, document, sides, drawn, files)
-            ),
-        )
-    code = BAD_FIT if found.poses.quality.verdict == "bad" else DONE
-    if command.json:
-        print(document_text(document))
-        return code
-    screen.show(combined.combined_report(document, str(command.source), files, command.details))
-    screen.show(screen.notes(recording.notes))
-    screen.written(written)
-    return code
+
+    def drawings() -> Drawings:
+        alone = found.torques is None
+        made = partial(page.diagnosis_page, found.poses) if alone else partial(combined.combined_page, found)
+        return Drawings(combined.drawings(found, command.source.name, document), len(names), partial(made, document))
+
+    present(command, recording, document, combined.combined_report, drawings, None if other is None else other.source)
+    return BAD_FIT if found.poses.quality.verdict == "bad" else DONE
 
 
-def _check_figures(command: "Diagnose", names: Sequence[str]) -> None:
-    if command.figures:
-        from lite6jax.report import canvas
-
-        canvas.check_names(command.figures, [f"{command.source.stem}_{name}" for name in names], command.force)
-
-
-def predict_motors(command: "Predict", effects: "Sequence[Effect]") -> int:
+def predict_motors(command: "Predict", document: "dict[str, Any]", effects: "Sequence[Effect]") -> int:
     """Writes the torques of a motion, with their standard deviations.
 
     Args:
         command: as it was given.
+        document: of the diagnosis that it names.
         effects: a user's own, where the model has them.
     """
     import pyarrow as pa
 
-    from lite6jax.diagnosis.torque_document import read_torque_model
+    from lite6jax.diagnosis.document import check_sum
+    from lite6jax.diagnosis.torque_document import torque_model_from_document
     from lite6jax.domains.pose.files import read_motion
     from lite6jax.domains.torque.predict import predicted_torques, torque_columns
     from lite6jax.recordings.writing import write_table
@@ -156,7 +128,8 @@ def predict_motors(command: "Predict", effects: "Sequence[Effect]") -> int:
 
     if command.register:
         raise InputError("--register: a diagnosis of torques has no sensor frame")
-    model = read_torque_model(command.diagnosis, effects)
+    model = torque_model_from_document(document, effects, str(command.diagnosis))
+    check_sum(document, command.diagnosis)
     recording = read_motion(command.motion, model)
     shown = predicted_torques(model, recording)
     columns = pa.table(torque_columns(shown))
@@ -186,7 +159,11 @@ def _say_outside(command: "Predict", shown: "TorquePrediction") -> None:
 
 
 def torques_beside(
-    command: "Predict", poses: "dict[str, Any]", recording: "Recording", effects: "Sequence[Effect]"
+    command: "Predict",
+    document: "dict[str, Any]",
+    poses: "dict[str, Any]",
+    recording: "Recording",
+    effects: "Sequence[Effect]",
 ) -> "tuple[dict[str, Any], list[str]]":
     """The columns of poses with those of torques beside them, and what is to be said of these.
 
@@ -194,15 +171,15 @@ def torques_beside(
 
     Args:
         command: as it was given.
+        document: of the diagnosis that it names.
         poses: columns.
         recording: the motion.
         effects: a user's own, where the model has them.
     """
-    from lite6jax.diagnosis.document import parsed_document
     from lite6jax.diagnosis.torque_document import torque_model_from_document
     from lite6jax.domains.torque.predict import predicted_torques, torque_columns
 
-    model = torque_model_from_document(parsed_document(command.diagnosis), effects, str(command.diagnosis))
+    model = torque_model_from_document(document, effects, str(command.diagnosis))
     try:
         found = predicted_torques(model, recording)
     except InputError as error:

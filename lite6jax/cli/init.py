@@ -65,7 +65,7 @@ class Init:
         """Looks, asks, writes, prints."""
         from lite6jax.domains.pose.inspection import inspect
         from lite6jax.fitting.source import load_nominal
-        from lite6jax.recordings.settings import sidecar_path
+        from lite6jax.recordings.sidecar import sidecar_path
         from lite6jax.recordings.sources import open_table, split_topics
         from lite6jax.report import inspection, screen
 

@@ -1,15 +1,24 @@
 """The command that shows a diagnosis again from its file, and writes its certificate."""
 
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from datetime import date as Date  # noqa: N812 (a field is called date)
 from pathlib import Path
-from typing import Annotated, Any, final
+from typing import TYPE_CHECKING, Annotated, Any, final
 
 from tyro.conf import Positional, arg
 
 from lite6jax.cli.arguments import OutFile, check_out, refuse_inputs
 from lite6jax.cli.exit_codes import DONE
 from lite6jax.errors import InputError
+
+if TYPE_CHECKING:
+    from rich.console import RenderableType
+
+    from lite6jax.report.next_steps import Files
+
+    Worded = Callable[[Mapping[str, Any]], dict[str, Any]]
+    Reported = Callable[[Mapping[str, Any], str, Files | None, bool], Iterator[RenderableType]]
 
 
 @final
@@ -46,20 +55,19 @@ class Report:
         elif self.date is not None or self.instrument is not None:
             raise InputError("--date, --instrument: stand on a certificate; add --certificate FILE.pdf")
         measured = _date(self.date)
-        from lite6jax.diagnosis.document import DAMAGED, document_text, parsed_document, read_document
-        from lite6jax.diagnosis.torque_document import is_of_torques, read_torque_document
-        from lite6jax.report import diagnosis_tables, screen, statements, torque_statements, torque_tables
+        from lite6jax.diagnosis.document import DAMAGED, check_sum, document_text, parsed_document
+        from lite6jax.report import screen
         from lite6jax.report.next_steps import Files
 
-        torques = is_of_torques(parsed_document(self.diagnosis))
-        document = read_torque_document(self.diagnosis) if torques else read_document(self.diagnosis)
+        document = parsed_document(self.diagnosis)
+        with_statements, report = _checked(document, self.diagnosis)
+        check_sum(document, self.diagnosis)
         written = []
         try:
-            said = torque_statements.with_statements(document) if torques else statements.with_statements(document)
+            said = with_statements(document)
             recording = _recording(document, self.diagnosis)
             files = None if recording is None else Files(recording, self.diagnosis)
-            tables = torque_tables.torque_report if torques else diagnosis_tables.diagnosis_report
-            page = list(tables(said, str(self.diagnosis), files, self.details))
+            page = list(report(said, str(self.diagnosis), files, self.details))
             if self.certificate:
                 from lite6jax.report.certificate import Stated, write_certificate
 
@@ -75,6 +83,28 @@ class Report:
         screen.show(page)
         screen.written(written)
         return DONE
+
+
+def _checked(document: Any, diagnosis: Path) -> "tuple[Worded, Reported]":
+    """What adds the sentences to a document, and what makes the screen report of it then; refuses a damaged one."""
+    from lite6jax.diagnosis.document import check_document
+    from lite6jax.diagnosis.torque_document import check_torque_document, is_of_torques
+
+    if is_of_torques(document):
+        from lite6jax.report import torque_statements, torque_tables
+
+        check_torque_document(document, diagnosis)
+        return torque_statements.with_statements, torque_tables.torque_report
+    check_document(document, diagnosis)
+    if "torques" in document:
+        check_torque_document(document, diagnosis)
+    elif "torques_refused" not in document:
+        from lite6jax.report import diagnosis_tables, statements
+
+        return statements.with_statements, diagnosis_tables.diagnosis_report
+    from lite6jax.report import combined
+
+    return combined.with_statements, combined.combined_report
 
 
 def _date(text: str | None) -> Date | None:

@@ -1,4 +1,4 @@
-"""The JSON of a diagnosis: codes and plain numbers in SI units. Only this module writes and reads it.
+"""The JSON of a diagnosis: codes and plain numbers in SI units. Nothing but this and `stored_uncertainty` writes it.
 
 `lite6jax/diagnosis/2` is written; of version 1 the model is still read. Sentences are added by the report where a file
 is written.
@@ -19,9 +19,9 @@ from lite6jax.diagnosis.evidence_map import peak_to_peak
 from lite6jax.diagnosis.folds import held_out_folds
 from lite6jax.diagnosis.result import Diagnosis, Rival
 from lite6jax.diagnosis.schema import check_effect, check_model, check_parts
+from lite6jax.diagnosis.stored_uncertainty import uncertainty_as_dict, uncertainty_from_dict
 from lite6jax.diagnosis.uncertainty import uncertainty_of
 from lite6jax.domains.pose.predict import DiagnosedArm, ReferenceOrigin
-from lite6jax.domains.pose.uncertainty import PerAxis, RecordedRange, Uncertainty, freed
 from lite6jax.effects.catalogue import kinds_of
 from lite6jax.effects.composition import Physics
 from lite6jax.effects.effect import Effect, require_kind
@@ -39,8 +39,6 @@ SCHEMA = "lite6jax/diagnosis/2"
 SCHEMAS = (SCHEMA, "lite6jax/diagnosis/1")
 """Those that are read."""
 _SIZE_LIMIT = 1 << 26
-ROUNDING = 1e-9
-"""Of the largest covariance, by which rounding may make a variance of zero negative."""
 DAMAGED = "run `lite6jax diagnose` again"
 
 
@@ -196,31 +194,8 @@ def _model(found: Diagnosis) -> dict[str, Any]:
         "motion": problem.recording.motion,
         "accelerated": found.inertial_loads,
         "effects": [effect_as_dict(f.effect, f.values, f.covariance) for f in found.findings],
-        "uncertainty": _uncertainty(uncertainty_of(found, model)),
+        "uncertainty": uncertainty_as_dict(uncertainty_of(found, model)),
     }
-
-
-def _uncertainty(known: Uncertainty) -> dict[str, Any]:
-    """Of the covariance the lower triangle, row by row."""
-    recorded = known.recorded
-    return {
-        "sites": [list(site) for site in known.sites],
-        "covariance": known.covariance[np.tril_indices(len(known.covariance))].tolist(),
-        "left": _per_axis(known.left),
-        "unseen": _per_axis(known.unseen),
-        "noise": _per_axis(known.noise),
-        "curves": [None if curve is None else _per_axis(curve) for curve in known.curves],
-        "recorded": {
-            "joint_range_rad": recorded.joints.tolist(),
-            "joint_position_rad": recorded.positions.tolist(),
-            "spacing_rad": recorded.spacing,
-            "drivers": {phrase: list(bounds) for phrase, bounds in recorded.drivers.items()},
-        },
-    }
-
-
-def _per_axis(std: PerAxis) -> dict[str, float]:
-    return dict(zip(("position_m", "orientation_rad"), std, strict=True))
 
 
 def _summary(errors: Array, turned: Array | None) -> dict[str, float]:
@@ -250,16 +225,16 @@ def document_text(document: Mapping[str, Any]) -> str:
     return json.dumps(with_checksum(document), indent=1, allow_nan=False)
 
 
-def read_document(path: str | Path) -> dict[str, Any]:
-    """A whole diagnosis of poses, for a report; effects of a user's own are not needed.
+def check_document(document: Any, path: str | Path) -> None:
+    """Refuses what is no whole diagnosis of poses, for a report; effects of a user's own are not needed.
+
+    Args:
+        document: all of it, as JSON holds it.
+        path: what messages begin with.
 
     Raises:
-        InputError: no such file, not a diagnosis of this version, or something in it is missing or not possible.
-
-    Warns:
-        InputWarning: the file was changed after it was written.
+        InputError: not a diagnosis of this version, or something in it is missing or not possible.
     """
-    document = parsed_document(path)
     if (
         not isinstance(document, dict)
         or document.get("schema") != SCHEMA
@@ -271,8 +246,6 @@ def read_document(path: str | Path) -> dict[str, Any]:
         check_model(document["model"])
     except InputError as error:
         raise InputError(f"{path}: is damaged ({error}); {DAMAGED}") from error
-    check_sum(document, path)
-    return document
 
 
 def read_model(path: str | Path, effects: tuple[Effect, ...] = ()) -> DiagnosedArm:
@@ -372,7 +345,7 @@ def model_from_document(document: Any, effects: tuple[Effect, ...] = (), source:
             accelerated=model.get("accelerated", False),
             heldout_rms=_heldout(document),
             reference=_origin(document.get("against")),
-            uncertainty=_uncertainty_from(model.get("uncertainty"), physics, len(kinematics)),
+            uncertainty=uncertainty_from_dict(model.get("uncertainty"), physics, len(kinematics)),
             sliding=sliding,
         )
     except InputError as error:
@@ -388,50 +361,6 @@ def _limits(limits: Any, joints: int) -> Array | None:
     if array.shape != (joints, 2) or not (array[:, 0] < array[:, 1]).all():
         raise ValueError("joint_limits are not the lower and the upper one of each joint")
     return array
-
-
-def _uncertainty_from(entry: Any, physics: Physics, joints: int) -> Uncertainty | None:
-    """The inverse of `_uncertainty`, checked; None of a document without it."""
-    if entry is None:
-        return None
-    sites = tuple((name, j, k) for name, j, k in entry["sites"])
-    sizes = {"base": (1, 6), "link": (joints, 6), "tool": (1, 6), "mass": (joints, 4), "payload": (1, 1)}
-    if any(name not in sizes or not (0 <= j < sizes[name][0] and 0 <= k < sizes[name][1]) for name, j, k in sites):
-        raise ValueError("a site of its uncertainty is none of this arm")
-    size = len(sites) + sum(freed(effect).size for effect in physics.effects)
-    triangle = np.asarray(entry["covariance"], float)
-    if triangle.shape != (size * (size + 1) // 2,):
-        raise ValueError(f"its covariance is not one of {size} numbers")
-    C = np.zeros((size, size))
-    C[np.tril_indices(size)] = triangle
-    stds = [_per_axis_from(entry[name]) for name in ("left", "unseen", "noise")]
-    curves = tuple(None if curve is None else _per_axis_from(curve) for curve in entry["curves"])
-    recorded = entry["recorded"]
-    ranges, positions = (np.asarray(recorded[f"joint_{name}_rad"], float) for name in ("range", "position"))
-    spacing = float(recorded["spacing_rad"])
-    drivers = {str(phrase): (float(lower), float(upper)) for phrase, (lower, upper) in recorded["drivers"].items()}
-    if ranges.shape != (joints, 2) or positions.ndim != 2 or positions.shape[1] != joints or not len(positions):
-        raise ValueError("its recorded range is not one of this arm")
-    if len(curves) != len(physics.effects):
-        raise ValueError("its curves are not one for each effect")
-    variances = np.diagonal(C)
-    if (variances < -ROUNDING * np.abs(triangle).max(initial=0.0)).any():
-        raise ValueError("a variance of its uncertainty is negative")
-    if (ranges[:, 0] > ranges[:, 1]).any() or any(lower > upper for lower, upper in drivers.values()):
-        raise ValueError("a recorded range of its uncertainty ends before it begins")
-    return Uncertainty(
-        sites=sites,
-        covariance=C + np.tril(C, -1).T,
-        left=stds[0],
-        unseen=stds[1],
-        noise=stds[2],
-        curves=curves,
-        recorded=RecordedRange(ranges, positions, spacing, drivers),
-    )
-
-
-def _per_axis_from(entry: Mapping[str, Any]) -> PerAxis:
-    return float(entry["position_m"]), float(entry["orientation_rad"])
 
 
 def _heldout(document: Mapping[str, Any]) -> tuple[float, float] | None:

@@ -19,6 +19,7 @@ from lite6jax.domains.pose.predict import DiagnosedArm
 from lite6jax.domains.torque.predict import DiagnosedMotors
 from lite6jax.effects.deflection import Deflection, dense
 from lite6jax.effects.dynamic.bodies import LinkCom, LinkMass
+from lite6jax.effects.dynamic.drives import FIELDS
 from lite6jax.effects.dynamic.friction import CoulombFriction, ViscousFriction
 from lite6jax.effects.dynamic.motors import JointSpring, RotorInertia
 from lite6jax.effects.dynamic.torque_effect import TorqueEffect
@@ -27,12 +28,6 @@ from lite6jax.effects.motion import motion_of
 
 Array = NDArray[np.floating]
 
-_FIELDS = {
-    ViscousFriction: "viscous_friction",
-    CoulombFriction: "coulomb_friction",
-    RotorInertia: "rotor_inertia",
-}
-"""The effects that an `Arm` has a place for."""
 _SAME = 1e-9
 """m and rad by which a measured point is the flange."""
 
@@ -156,14 +151,17 @@ def diagnosed_arm(model: DiagnosedMotors) -> tuple[Arm, tuple[str, ...]]:
     arm, links, left_out = model.arm, model.links.copy(), []
     joints: dict[str, np.ndarray] = {}
     springs = np.zeros((2, arm.dof))  # of each joint its stiffness, and its torque at zero
+    if arm.spring_stiffness is not None and arm.spring_rest is not None:
+        springs = np.stack([arm.spring_stiffness, -arm.spring_stiffness * arm.spring_rest])
     for effect, part in zip(model.terms.terms, model.terms.slices, strict=True):
         values = model.values[part]
-        field = _FIELDS.get(type(effect))  # type: ignore[arg-type]
-        if field is not None:
-            assert isinstance(effect, ViscousFriction | CoulombFriction | RotorInertia)
+        if isinstance(effect, ViscousFriction | CoulombFriction | RotorInertia):
+            field, at = FIELDS[type(effect)], effect.joint - 1
+            before = getattr(arm, field)
+            known = joints.setdefault(field, np.zeros(arm.dof) if before is None else np.array(before))
             # an estimate may scatter below nothing, which no simulator takes
-            joints.setdefault(field, np.zeros(arm.dof))[effect.joint - 1] += max(float(values[0]), 0.0)
-        elif isinstance(effect, JointSpring) and values[0] > 0:
+            known[at] = max(known[at] + float(values[0]), 0.0)
+        elif isinstance(effect, JointSpring) and springs[0, effect.joint - 1] + values[0] > 0:
             springs[:, effect.joint - 1] += values
         elif isinstance(effect, LinkMass | LinkCom):
             links[effect.link - 1] += effect.numbers(values, links)

@@ -7,15 +7,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lite6jax import checksum
-from lite6jax.arms.arm import Arm
-from lite6jax.arms.description import LARGEST_MASS
-from lite6jax.arms.entries import ANGLE_LIMIT, LENGTH_LIMIT
-from lite6jax.diagnosis.document import DAMAGED, ROUNDING, SCHEMA, check_sum, located, parsed_document
+from lite6jax.arms.arm import DRIVE_FIELDS, Arm
+from lite6jax.diagnosis.document import DAMAGED, SCHEMA, check_sum, located, parsed_document
 from lite6jax.diagnosis.folds import fold_count
 from lite6jax.diagnosis.result import Finding, Rival
-from lite6jax.diagnosis.schema import FARTHEST, INPUTS, check_effect
+from lite6jax.diagnosis.schema import check_effect
+from lite6jax.diagnosis.stored_uncertainty import covariance_from, drivers_from, lower_triangle
 from lite6jax.diagnosis.torque_result import TorqueDiagnosis
+from lite6jax.diagnosis.torque_schema import RANGES, check_torques
 from lite6jax.domains.torque.predict import DiagnosedMotors
 from lite6jax.domains.torque.uncertainty import RecordedMotion, TorqueUncertainty, with_free_numbers
 from lite6jax.effects.dynamic.catalogue import torque_kinds_of
@@ -24,114 +23,8 @@ from lite6jax.effects.effect import Effect
 from lite6jax.effects.serialization import effect_as_dict, effect_from_dict
 from lite6jax.errors import InputError
 from lite6jax.estimation.terms import Terms, join
-from lite6jax.recordings.settings import HIGHEST_TEMPERATURE, LARGEST_GRAVITY
-from lite6jax.schema import array, flag, items, mapping, number, one_of, optional, plain, record, text, whole
 
 Array = NDArray[np.floating]
-
-_LARGEST_MOMENT = LARGEST_MASS * LENGTH_LIMIT
-_POSITIVE = number(0.0)
-_BY_JOINT = array(None, lower=0.0)
-_ERRORS = record(
-    {
-        "heldout_torque_rms_Nm": _POSITIVE,
-        "heldout_torque_p95_Nm": _POSITIVE,
-        "heldout_torque_max_Nm": _POSITIVE,
-        "heldout_torque_rms_by_joint_Nm": _BY_JOINT,
-    },
-    {"heldout_torque_mean_Nm": _POSITIVE},
-)
-_PLACE = {"effect": text, "site": text, "driver": text}
-_RIVAL = record(
-    {**_PLACE, "log_likelihood_gap": number(), "status": text}, {"source_joint": whole(1), "order": number()}
-)
-_FINDING = record(
-    {
-        **_PLACE,
-        "parameters": mapping(record({"value": number(), "std": _POSITIVE})),
-        "p_value": number(0.0, 1.0),
-        "log_likelihood_gain": number(),
-        "moves_rms_Nm": _POSITIVE,
-        "confusable_with": items(_RIVAL),
-    },
-    {
-        "nearest": record({**_PLACE, "share": number(0.0, 1.0)}),
-        "statement": text,
-        "peak_to_peak_Nm": _POSITIVE,
-        "joints": items(whole(1)),
-    },
-)
-_FAULT = record({"fault": text, "rows": items(whole(1)), "numbers": plain}, {"statement": text})
-PARTS = {
-    "schema": text,
-    "domain": one_of("torque"),
-    "verdict": one_of("consistent", "explained", "partly_explained", "unnamed", "unexplained", "undetermined"),
-    "before": _ERRORS,
-    "after": _ERRORS,
-    "left": record({"torque_over_noise": optional(_BY_JOINT), "white": flag}),
-    "withdrawn": items(record(_PLACE)),
-    "samples": whole(1),
-    "kept_samples": whole(1),
-    "heldout_blocks": whole(1),
-    "quick": flag,
-    "inputs": INPUTS,
-    "filter": record({"rate_Hz": _POSITIVE, "cutoff_Hz": _POSITIVE, "motion_cutoff_Hz": _POSITIVE, "every": whole(1)}),
-    "noise": record({"declared_torque_Nm": optional(_BY_JOINT), "estimated_torque_Nm": _BY_JOINT}),
-    "torque_source": text,
-    "data_faults": items(_FAULT),
-    "ruled_out": items(_FAULT),
-    "findings": items(_FINDING),
-    "nearest": optional(record({"effect": text, "site": text, "p_value": number(0.0, 1.0)})),
-    "untestable": items(record(_PLACE, {"reason": text})),
-    "confounded": items(record(_PLACE)),
-    "nuisance": record({"numbers": whole(0), "relative_std": optional(_POSITIVE)}),
-    "against": record(
-        {"file": text, "by": one_of("rows", "effects")},
-        {
-            "rows": whole(0),
-            "matched_rows": whole(0),
-            "apart_rms_by_joint_Nm": _BY_JOINT,
-            "reference_rms_by_joint_Nm": _BY_JOINT,
-            "differences": items(plain),
-            "statement": text,
-        },
-    ),
-    checksum.KEY: text,
-}
-_RANGES = ("joint_range_rad", "velocity_range_rad_per_s", "acceleration_range_rad_per_s2")
-_UNCERTAINTY = record(
-    {
-        "inertial": flag,
-        "covariance": array(None),
-        "left_Nm": _BY_JOINT,
-        "unseen_Nm": _BY_JOINT,
-        "noise_Nm": _BY_JOINT,
-        "curves_Nm": items(optional(_POSITIVE)),
-        "recorded": record(
-            {
-                **dict.fromkeys(_RANGES, array(None, 2)),
-                "joint_position_rad": array(None, None),
-                "spacing_rad": _POSITIVE,
-                "drivers": mapping(array(2)),
-            }
-        ),
-    }
-)
-_MODEL = record(
-    {
-        "domain": one_of("torque"),
-        "arm": text,
-        "kinematics": array(None, 6, lower=-max(LENGTH_LIMIT, ANGLE_LIMIT), upper=max(LENGTH_LIMIT, ANGLE_LIMIT)),
-        "T_joint_flange": array(4, 4, lower=-FARTHEST, upper=FARTHEST),
-        "links": array(None, 10, lower=-_LARGEST_MOMENT, upper=_LARGEST_MOMENT),
-        "payload_center": array(3, lower=-LENGTH_LIMIT, upper=LENGTH_LIMIT),
-        "gravity": array(3, lower=-LARGEST_GRAVITY, upper=LARGEST_GRAVITY),
-        "joint_limits": array(None, 2, lower=-FARTHEST, upper=FARTHEST),
-        "reference_temperature_degC": number(-273.15, HIGHEST_TEMPERATURE),
-        "effects": items(plain),
-    },
-    {"uncertainty": optional(_UNCERTAINTY)},
-)
 
 
 def to_torque_document(found: TorqueDiagnosis) -> dict[str, Any]:
@@ -232,12 +125,15 @@ def _rival(found: TorqueDiagnosis, rival: Rival) -> dict[str, Any]:
 
 def _model(found: TorqueDiagnosis) -> dict[str, Any]:
     model = found.model
+    declared = {field: getattr(model.arm, field) for field in DRIVE_FIELDS}
+    drives = {field: values.tolist() for field, values in declared.items() if values is not None}
     return {
         "domain": "torque",
         "arm": model.arm.name,
         "kinematics": model.arm.kinematics.tolist(),
         "T_joint_flange": model.arm.T_joint_flange.tolist(),
         "links": model.links.tolist(),
+        **({"drives": drives} if drives else {}),
         "payload_center": model.payload_center.tolist(),
         "gravity": model.gravity.tolist(),
         "joint_limits": model.arm.joint_limits.tolist(),
@@ -248,17 +144,16 @@ def _model(found: TorqueDiagnosis) -> dict[str, Any]:
 
 
 def _uncertainty(known: TorqueUncertainty) -> dict[str, Any]:
-    """Of the covariance the lower triangle, row by row."""
     recorded = known.recorded
     return {
         "inertial": known.inertial,
-        "covariance": known.covariance[np.tril_indices(len(known.covariance))].tolist(),
+        "covariance": lower_triangle(known.covariance),
         "left_Nm": known.left.tolist(),
         "unseen_Nm": known.unseen.tolist(),
         "noise_Nm": known.noise.tolist(),
         "curves_Nm": list(known.curves),
         "recorded": {
-            **{name: part.tolist() for name, part in zip(_RANGES, recorded.ranges, strict=True)},
+            **{name: part.tolist() for name, part in zip(RANGES, recorded.ranges, strict=True)},
             "joint_position_rad": recorded.positions.tolist(),
             "spacing_rad": recorded.spacing,
             "drivers": {phrase: list(bounds) for phrase, bounds in recorded.drivers.items()},
@@ -285,19 +180,21 @@ def read_torque_model(path: str | Path, effects: Sequence[Effect] = ()) -> Diagn
     return model
 
 
-def read_torque_document(path: str | Path, effects: Sequence[Effect] = ()) -> dict[str, Any]:
-    """A whole diagnosis of torques, for a report.
+def check_torque_document(document: Any, path: str | Path) -> None:
+    """Refuses what holds no whole diagnosis of torques, for a report; effects of a user's own are not needed.
+
+    Args:
+        document: of torques, or of poses and torques, as JSON holds it.
+        path: what messages begin with.
 
     Raises:
-        InputError: as `read_torque_model`.
-
-    Warns:
-        InputWarning: as `read_torque_model`.
+        InputError: not a diagnosis of torques, or something in it is missing or not possible.
     """
-    document = parsed_document(path)
-    torque_model_from_document(document, effects, str(path))
-    check_sum(document, path)
-    return document
+    torques = _required(document, str(path))
+    try:
+        check_torques(torques)
+    except InputError as error:
+        raise InputError(f"{path}: is damaged ({error}); {DAMAGED}") from error
 
 
 def torque_model_from_document(
@@ -313,22 +210,17 @@ def torque_model_from_document(
     Raises:
         InputError: not a diagnosis of torques, or something in it is missing or not possible.
     """
-    document = of_torques(document)
-    if document is None:
-        raise InputError(f"{source}: is no diagnosis of torques; give what `lite6jax diagnose --out` wrote of one")
+    document = _required(document, source)
     model: Mapping[str, Any] = document["model"]
     try:
-        for key, value in document.items():
-            if key != "model":
-                if key not in PARTS:
-                    raise InputError(f"the key {key!r} is unknown")
-                PARTS[key](value, key)
-        _MODEL(model, "model")
+        check_torques(document)
+        drives: dict[str, Any] = {field: np.asarray(row, float) for field, row in model.get("drives", {}).items()}
         arm = Arm(
             model["arm"],
             np.asarray(model["kinematics"], float),
             joint_limits=np.asarray(model["joint_limits"], float),
             T_joint_flange=np.asarray(model["T_joint_flange"], float),
+            **drives,
         )
         links = np.asarray(model["links"], float)
         if links.shape != (arm.dof, 10):
@@ -355,6 +247,13 @@ def torque_model_from_document(
     )
 
 
+def _required(document: Any, source: str) -> dict[str, Any]:
+    torques = of_torques(document)
+    if torques is None:
+        raise InputError(f"{source}: is no diagnosis of torques; give what `lite6jax diagnose --out` wrote of one")
+    return torques
+
+
 def _relative_to(document: Mapping[str, Any]) -> str | None:
     against = document.get("against", {})
     return against["file"] if against.get("by") == "rows" else None
@@ -364,28 +263,18 @@ def _uncertainty_from(entry: Any, terms: Terms, values: Array, joints: int) -> T
     """The inverse of `_uncertainty`, checked; None of a document without it."""
     if entry is None:
         return None
-    size = 10 * joints * entry["inertial"] + with_free_numbers(terms, values)[0].size
-    triangle = np.asarray(entry["covariance"], float)
-    if triangle.shape != (size * (size + 1) // 2,):
-        raise ValueError(f"its covariance is not one of {size} numbers")
-    C = np.zeros((size, size))
-    C[np.tril_indices(size)] = triangle
-    if (np.diagonal(C) < -ROUNDING * np.abs(triangle).max(initial=0.0)).any():
-        raise ValueError("a variance of its uncertainty is negative")
+    C = covariance_from(entry["covariance"], 10 * joints * entry["inertial"] + with_free_numbers(terms, values)[0].size)
     left, unseen, noise = (np.asarray(entry[f"{name}_Nm"], float) for name in ("left", "unseen", "noise"))
     recorded, curves = entry["recorded"], tuple(entry["curves_Nm"])
-    ranges = np.asarray([recorded[name] for name in _RANGES], float)
+    ranges = np.asarray([recorded[name] for name in RANGES], float)
     positions = np.asarray(recorded["joint_position_rad"], float)
-    drivers = {str(phrase): (float(lower), float(upper)) for phrase, (lower, upper) in recorded["drivers"].items()}
     whole = ranges.shape == (3, joints, 2) and positions.ndim == 2 and positions.shape[1] == joints and len(positions)
     if not whole or any(part.shape != (joints,) for part in (left, unseen, noise)):
         raise ValueError("its uncertainty is not one of this arm")
     if len(curves) != len(terms.terms):
         raise ValueError("its curves are not one for each effect")
-    if (ranges[..., 0] > ranges[..., 1]).any() or any(lower > upper for lower, upper in drivers.values()):
-        raise ValueError("a recorded range of its uncertainty ends before it begins")
-    motion = RecordedMotion(ranges, positions, float(recorded["spacing_rad"]), drivers)
-    return TorqueUncertainty(entry["inertial"], C + np.tril(C, -1).T, left, unseen, noise, curves, motion)
+    motion = RecordedMotion(ranges, positions, float(recorded["spacing_rad"]), drivers_from(recorded, ranges))
+    return TorqueUncertainty(entry["inertial"], C, left, unseen, noise, curves, motion)
 
 
 def is_of_torques(document: Any) -> bool:

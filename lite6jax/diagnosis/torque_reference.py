@@ -15,11 +15,19 @@ from lite6jax.diagnosis.torque_diagnosis import diagnose_torques
 from lite6jax.diagnosis.torque_result import TorqueDiagnosis
 from lite6jax.domains.torque.reference import RowComparison, compare_rows
 from lite6jax.effects.dynamic.torque_effect import TorqueEffect
+from lite6jax.effects.dynamic.unnamed import UnnamedTorque
+from lite6jax.effects.effect import Effect, Estimate
+from lite6jax.estimation.least_squares import fit
+from lite6jax.estimation.terms import Terms
 from lite6jax.fitting.recognition import declared_arm_of, with_calibration
 from lite6jax.progress import Stage
 from lite6jax.recordings import Recording
 
 Array = NDArray[np.floating]
+
+_VISIBLE = 1e-3
+"""Size of a torque over that of the most visible one, by unit of a direction of a function's numbers, from which rows
+show it."""
 
 
 @final
@@ -48,8 +56,10 @@ class EffectDifference:
             for name, known in (("recording", self.here), ("reference", self.there))
         }
         differs = None if self.p_value is None else self.p_value < DISAGREE
-        return {"effect": self.effect.name, "site": self.effect.site, **sides, "p_value": self.p_value,
-                "differs": differs}  # fmt: skip
+        place = {"effect": self.effect.name, "site": self.effect.site}
+        if isinstance(self.effect, UnnamedTorque):
+            place["driver"] = " times ".join(driver.phrase for driver in self.effect.drivers)
+        return {**place, **sides, "p_value": self.p_value, "differs": differs}
 
 
 @final
@@ -118,20 +128,81 @@ def diagnose_torques_against(
     if by_rows is not None:
         return diagnosed(by_rows.recording), TorqueComparison(by_rows.file, by_rows)
     found, other = diagnosed(recording), diagnosed(reference)
-    named: list[TorqueEffect] = []
+    shown: dict[tuple[object, ...], TorqueEffect] = {}
     for finding in (*found.findings, *other.findings):
         assert isinstance(finding.effect, TorqueEffect)
-        if not finding.effect.nonparametric and finding.effect.label not in [effect.label for effect in named]:
-            named.append(finding.effect)
-    differences = [_difference(effect, found, other, len(named)) for effect in named]
+        shown.setdefault(_function(finding.effect), finding.effect)
+    differences = [_difference(effect, found, other, len(shown)) for effect in shown.values()]
     return found, TorqueComparison(Path(reference.source).name, None, tuple(differences))
+
+
+def _function(effect: Effect) -> tuple[object, ...]:
+    """What two findings have in common that are compared: the name, or the driver of a function without one."""
+    return (effect.site, effect.drivers) if effect.nonparametric else (effect.label,)
 
 
 def _difference(
     effect: TorqueEffect, found: TorqueDiagnosis, other: TorqueDiagnosis, compared: int
 ) -> EffectDifference:
-    here, there = known_of(found, effect), known_of(other, effect)
+    if isinstance(effect, UnnamedTorque):
+        here, there = _curves(effect, found, other)
+    else:
+        here, there = known_of(found, effect), known_of(other, effect)
     p = None
     if here is not None and there is not None:
         p = min(1.0, compared * difference_p_value(here, there))
     return EffectDifference(effect, here, there, p)
+
+
+def _curves(effect: UnnamedTorque, found: TorqueDiagnosis, other: TorqueDiagnosis) -> tuple[Known | None, Known | None]:
+    """A function without a name as both results show it: its values on the rows whose drivers both have in range.
+
+    A result that has another function of the same drivers is fitted with this one in its place.
+    """
+    problem, own, its = found.problem, _driven(found, effect), _driven(other, effect)
+    common = np.zeros(problem.samples, bool)
+    if own is not None and its is not None:
+        low, high = its.min(1, keepdims=True), its.max(1, keepdims=True)
+        common = np.all((own >= low) & (own <= high), 0)
+    functions = (problem.columns([effect]) * problem.sigma)[:, effect.joint - 1, common].T if common.any() else None
+    if functions is None or not functions.any():
+        whole = np.eye(effect.size)
+        here, there = (_fitted_curve(each, effect, whole) if _has(each, effect) else None for each in (found, other))
+        return here, there
+    # the directions that these rows show, each a root mean square of the torque along it
+    _, sizes, V = np.linalg.svd(functions / np.sqrt(common.sum()), full_matrices=False)
+    seen = sizes > _VISIBLE * sizes[0]
+    along = sizes[seen, None] * V[seen]
+    return _fitted_curve(found, effect, along), _fitted_curve(other, effect, along)
+
+
+def _has(result: TorqueDiagnosis, effect: UnnamedTorque) -> bool:
+    return any(finding.effect == effect for finding in result.findings)
+
+
+def _driven(result: TorqueDiagnosis, effect: UnnamedTorque) -> Array | None:
+    """`(driver, sample)` of the rows of a result; None where it does not have all drivers of an effect."""
+    data, dynamics = result.problem.data, result.problem.dynamics
+    values = []
+    for driver in effect.of:
+        loads = dynamics.loads if driver.loaded else None
+        if not driver.known(dynamics.motion, loads):
+            return None
+        values.append(np.asarray(driver.values(dynamics.motion, loads)))
+    return np.stack(values)[:, data.filter.kept][:, result.problem.chosen]
+
+
+def _fitted_curve(result: TorqueDiagnosis, effect: UnnamedTorque, along: Array) -> Known:
+    """A function's numbers in a result along some directions `(direction, number)`, with the size of the function."""
+    at = result.fit
+    if not _has(result, effect):
+        kept = [_function(term) != _function(effect) for term in at.terms.terms if isinstance(term, Effect)]
+        terms, values = at.terms.part(at.values, kept)
+        more, start = Terms((*terms.terms, effect)), np.append(values, np.zeros(effect.size))
+        problem = result.problem
+        at = fit(problem, more, result.options.engine, start, at.nuisance, at.training, at.noise)
+    part = at.terms.slices[at.terms.terms.index(effect)]
+    values, covariance = along @ at.values[part], along @ at.covariance[part, part] @ along.T
+    size = float(np.sqrt(values @ values))
+    std = float(np.sqrt(values @ covariance @ values)) / max(size, 1e-300)
+    return Known(_has(result, effect), values, covariance, {"rms_Nm": Estimate(size, std)})

@@ -6,8 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lite6jax.diagnosis.folds import fold_count
-from lite6jax.diagnosis.uncertainty import LEVEL, ROWS, excess, relative_error
-from lite6jax.domains.pose.uncertainty import distance_to
+from lite6jax.diagnosis.uncertainty import covariance_of, excess, relative_error, rows_kept, spacing_of
 from lite6jax.domains.torque.predict import shown_torques
 from lite6jax.domains.torque.uncertainty import (
     RecordedMotion,
@@ -17,8 +16,6 @@ from lite6jax.domains.torque.uncertainty import (
     with_free_numbers,
 )
 from lite6jax.effects.dynamic.unnamed import UnnamedTorque
-from lite6jax.estimation.projection import scaled_inverse
-from lite6jax.estimation.robust import FREEDOM, variance_factor
 
 if TYPE_CHECKING:
     from lite6jax.diagnosis.torque_result import TorqueDiagnosis
@@ -26,7 +23,7 @@ if TYPE_CHECKING:
 Array = NDArray[np.floating]
 
 _SQUARE = 3.8415
-"""Squared standard deviations within which a share of `LEVEL` of a normal distribution lies."""
+"""Squared standard deviations within which a share of `uncertainty.LEVEL` of a normal distribution lies."""
 
 
 def torque_uncertainty_of(found: "TorqueDiagnosis") -> TorqueUncertainty:
@@ -40,7 +37,7 @@ def torque_uncertainty_of(found: "TorqueDiagnosis") -> TorqueUncertainty:
     columns = problem.nuisance_columns(fit.terms, fit.values)
     if terms.size:
         columns = np.concatenate([columns, problem.columns(terms.terms, values, (fit.terms, fit.values))])
-    C = _covariance(found, columns, np.concatenate([problem.precision, terms.precision]))
+    C = covariance_of(fit, problem.valid, columns, np.concatenate([problem.precision, terms.precision]))
     moved = columns * problem.sigma
     estimated = np.einsum("ias,ij,jas->as", moved, C, moved, optimize=True)
     left, unseen, noise = _left(found, estimated)
@@ -48,19 +45,6 @@ def torque_uncertainty_of(found: "TorqueDiagnosis") -> TorqueUncertainty:
         _size(found, k) if isinstance(effect, UnnamedTorque) else None for k, effect in enumerate(fit.terms.terms)
     )
     return TorqueUncertainty(len(problem.directions) > 0, C, left, unseen, noise, curves, _recorded(found))
-
-
-def _covariance(found: "TorqueDiagnosis", columns: Array, precision: Array) -> Array:
-    """`(number, number)`, of the information of the fit: its weights, its noise model and its priors."""
-    if not len(columns):
-        return np.zeros((0, 0))
-    problem, fit = found.problem, found.fit
-    used = fit.training & problem.valid
-    innovations = fit.noise.whitened(np.where(used, columns, 0.0))
-    flat = (innovations * np.where(used, fit.residuals.row_weight, 0.0)).reshape(len(columns), -1)
-    H = flat @ innovations.reshape(len(columns), -1).T
-    H[np.diag_indices_from(H)] += precision
-    return scaled_inverse(H) * variance_factor(fit.residuals.squares[used], problem.rows, FREEDOM, 0)
 
 
 def _left(found: "TorqueDiagnosis", estimated: Array) -> tuple[Array, Array, Array]:
@@ -106,18 +90,13 @@ def _recorded(found: "TorqueDiagnosis") -> RecordedMotion:
     dynamics = problem.data.bodies.dynamics(problem.links_at(found.fit.nuisance))
     states = states_of(dynamics)[..., at]
     q = states[0].T
-    rows = np.unique(kept[np.linspace(0, len(kept) - 1, min(ROWS, len(kept))).astype(int)])
+    rows = rows_kept(kept)
     folds = fold_count(problem.samples, found.options)
     block = np.arange(problem.samples) * folds // problem.samples
-    distances = []
-    for number in range(folds):
-        held, others = kept[block[kept] == number], rows[block[rows] != number]
-        if held.size and others.size:
-            distances.append(distance_to(q[others], q[held]))
     return RecordedMotion(
         ranges=np.stack([states[..., kept].min(-1), states[..., kept].max(-1)], -1),
         positions=np.round(q[rows], 5),
-        spacing=float(np.quantile(np.concatenate(distances), LEVEL)) if distances else 0.0,
+        spacing=spacing_of(q, kept, rows, (block == number for number in range(folds))),
         drivers={
             phrase: (float(values[at][kept].min()), float(values[at][kept].max()))
             for phrase, values in driver_values(found.fit.terms, dynamics).items()

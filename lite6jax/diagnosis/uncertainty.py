@@ -1,5 +1,6 @@
 """How uncertain the model of a diagnosis is: the covariance of all its numbers, and what is left of it."""
 
+from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -10,6 +11,7 @@ from lite6jax.diagnosis.folds import held_out_folds
 from lite6jax.domains.pose.kinematics import whitened
 from lite6jax.domains.pose.uncertainty import Derivatives, PerAxis, RecordedRange, Uncertainty, distance_to, freed
 from lite6jax.effects.nonparametric import Unnamed
+from lite6jax.estimation.least_squares import Fit
 from lite6jax.estimation.problem import Mask
 from lite6jax.estimation.projection import scaled_inverse
 from lite6jax.estimation.robust import FREEDOM, variance_factor
@@ -20,8 +22,9 @@ if TYPE_CHECKING:
     from lite6jax.domains.pose.predict import DiagnosedArm
 
 Array = NDArray[np.floating]
+Rows = NDArray[np.integer]
 
-ROWS = 200
+_ROWS = 200
 """Recorded rows that are kept to measure the distance from."""
 _MOST = 2000
 """Rows of which the distance from the others is measured."""
@@ -62,21 +65,33 @@ def _covariance(found: "Diagnosis", model: "DiagnosedArm", J: Array) -> Array:
     """`(number, number)`, of the nuisance and of the effects' numbers, by derivatives `(number, 6, sample)`."""
     if not len(J):
         return np.zeros((0, 0))
-    problem, fit = found.problem, found.fit
-    used, weight = fit.training & problem.valid, fit.residuals.row_weight
+    problem = found.problem
     frames, masses = len(problem.frames), len(problem.masses)
     moved = problem.frame_columns[frames:]  # by frame jumps: no prediction has them, but they are fitted beside
     columns = np.concatenate([whitened(J[:, : problem.rows], problem.measured.whitener), moved])
-    columns = fit.noise.whitened(np.where(used, columns, 0.0))
-    flat = (columns * np.where(used, weight, 0.0)).reshape(len(columns), -1)
-    H = flat @ columns.reshape(len(columns), -1).T
     prior = Terms(tuple(freed(effect) for effect in model.physics.effects)).precision
     known = problem.precision
-    H[np.diag_indices_from(H)] += np.concatenate(
-        [known[:frames], known[len(known) - masses :], prior, 0 * moved[:, 0, 0]]
-    )
-    factor = variance_factor(fit.residuals.squares[used], problem.rows, FREEDOM, 0)
-    return scaled_inverse(H)[: len(J), : len(J)] * factor
+    precision = np.concatenate([known[:frames], known[len(known) - masses :], prior, 0 * moved[:, 0, 0]])
+    return covariance_of(found.fit, problem.valid, columns, precision)[: len(J), : len(J)]
+
+
+def covariance_of(fit: Fit, valid: Mask, columns: Array, precision: Array) -> Array:
+    """The covariance `(number, number)` of fitted numbers: of the weights of a fit, its noise model and its priors.
+
+    Args:
+        fit: all of it.
+        valid: `(sample,)`, the samples that are not left out.
+        columns: `(number, row, sample)`, the derivative of each row over its noise by each number.
+        precision: `(number,)`, one over the variance of the prior.
+    """
+    if not len(columns):
+        return np.zeros((0, 0))
+    used = fit.training & valid
+    innovations = fit.noise.whitened(np.where(used, columns, 0.0))
+    flat = (innovations * np.where(used, fit.residuals.row_weight, 0.0)).reshape(len(columns), -1)
+    H = flat @ innovations.reshape(len(columns), -1).T
+    H[np.diag_indices_from(H)] += precision
+    return scaled_inverse(H) * variance_factor(fit.residuals.squares[used], columns.shape[1], FREEDOM, 0)
 
 
 def _left(found: "Diagnosis", estimated: Array) -> tuple[PerAxis, PerAxis, PerAxis]:
@@ -133,21 +148,38 @@ def excess(variance: Array, noise: float, numbers: float) -> float:
     return float(np.sqrt(error * max(z + np.exp(-0.5 * z**2 - log_ndtr(z)) / np.sqrt(2 * np.pi), 0.0)))
 
 
+def rows_kept(rows: Rows) -> Rows:
+    """Those of the indices of rows that a model keeps, from which the distance is measured."""
+    return np.unique(rows[np.linspace(0, len(rows) - 1, min(_ROWS, len(rows))).astype(int)])
+
+
+def spacing_of(q: Array, rows: Rows, kept: Rows, folds: Iterable[Mask]) -> float:
+    """The distance from a row to the nearest kept one of other blocks that 95 % of rows do not exceed, rad.
+
+    Args:
+        q: `(sample, joint)` rad.
+        rows: indices.
+        kept: indices of those that the model keeps.
+        folds: the blocks, `(sample,)` each.
+    """
+    distances = []
+    for fold in folds:
+        held, others = rows[fold[rows]], kept[~fold[kept]]
+        if held.size and others.size:
+            distances.append(distance_to(q[others], q[held]))
+    return float(np.quantile(np.concatenate(distances), LEVEL)) if distances else 0.0
+
+
 def _recorded(found: "Diagnosis", change: Derivatives) -> RecordedRange:
     problem, kept = found.problem, np.flatnonzero(~found.outliers)
     kept = kept if kept.size else np.arange(problem.samples)
     q = problem.recording.joint_position
-    rows = np.unique(kept[np.linspace(0, len(kept) - 1, min(ROWS, len(kept))).astype(int)])
+    rows = rows_kept(kept)
     some = kept[np.linspace(0, len(kept) - 1, min(_MOST, len(kept))).astype(int)]
-    distances = []
-    for fold in _folds(found):
-        held, others = some[fold[some]], rows[~fold[rows]]
-        if held.size and others.size:
-            distances.append(distance_to(q[others], q[held]))
     return RecordedRange(
         joints=np.stack([q[kept].min(0), q[kept].max(0)], 1),
         positions=np.round(q[rows], 5),
-        spacing=float(np.quantile(np.concatenate(distances), LEVEL)) if distances else 0.0,
+        spacing=spacing_of(q, some, rows, _folds(found)),
         drivers={
             phrase: (float(values[kept].min()), float(values[kept].max()))
             for phrase, values in change.driver_values().items()

@@ -14,7 +14,8 @@ from lite6jax.recordings.checks import check_joint_scale, check_position_scale
 from lite6jax.recordings.columns import is_per_joint
 from lite6jax.recordings.plausible import without_implausible
 from lite6jax.recordings.recording import Recording, drop_missing
-from lite6jax.recordings.settings import RecordingSettings, Sidecar, read_sidecar, sidecar_path
+from lite6jax.recordings.settings import RecordingSettings
+from lite6jax.recordings.sidecar import Sidecar, read_sidecar, sidecar_path
 from lite6jax.recordings.sources import SUFFIXES, TABLES, open_table, split_topics
 from lite6jax.recordings.table import Table, arrays_of, tabulated
 from lite6jax.recordings.writing import write_with_settings

@@ -1,4 +1,4 @@
-"""The sidecar of a recording: what its columns cannot say about the arm, the sensor and the motion."""
+"""What a recording's columns cannot say about the arm, the sensor and the motion: the settings, and their values."""
 
 import math
 import os
@@ -7,14 +7,9 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict, dataclass, fields, replace
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Any, Literal, NamedTuple, get_args
-
-import yaml
+from typing import Any, Literal, get_args
 
 from lite6jax.errors import InputError
-from lite6jax.recordings.checksums import KEY, RECORDING, Checksums, read_checksums, settings_checksum
-from lite6jax.recordings.columns import IGNORED
-from lite6jax.storage import exists, read_yaml, write_atomically
 
 JointSource = Literal["measured", "commanded", "unknown"]
 PoseSource = Literal["laser_tracker", "motion_capture", "camera", "controller_fk", "unknown"]
@@ -83,7 +78,7 @@ class RecordingSettings:
             value = getattr(self, field.name)
             if value is None and field.default is None:
                 continue
-            object.__setattr__(self, field.name, _parsed(field.name, value))
+            object.__setattr__(self, field.name, parse_setting(field.name, value))
         if self.factory_uncertainty and not self.factory_calibration:
             raise InputError(
                 "factory_uncertainty: belongs to a factory_calibration; add that key or leave this one out"
@@ -152,122 +147,12 @@ def declared_settings(settings: RecordingSettings | None, arm: Any, declared: Ma
     Raises:
         InputError: an unknown key (with the nearest accepted one) or an unusable value.
     """
-    _reject_unknown("", declared, _KINDS)
+    reject_unknown("", declared, _KINDS)
     keys = {key: value.tolist() if hasattr(value, "tolist") else value for key, value in declared.items()}
     if arm is not None:
         keys["arm"] = str(getattr(arm, "name", arm))
-    parsed = {key: None if value is None else _parsed(key, value) for key, value in keys.items()}
+    parsed = {key: None if value is None else parse_setting(key, value) for key, value in keys.items()}
     return replace(settings or RecordingSettings(), **parsed)
-
-
-class Sidecar(NamedTuple):
-    """What stands beside a recording.
-
-    Attributes:
-        settings: of the arm, the sensor and the motion.
-        columns: of columns with names of their own, the names in `columns.py`, or `ignore`.
-        checksums: of the table and of the settings.
-    """
-
-    settings: RecordingSettings
-    columns: Mapping[str, str]
-    checksums: Checksums
-
-
-def sidecar_path(recording: str | Path) -> Path:
-    """Where the sidecar of a recording stands: the same stem, `.yaml`; of a folder, beside it."""
-    path = Path(recording)
-    return path.with_name(f"{path.name}.yaml") if os.path.isdir(path) else path.with_suffix(".yaml")
-
-
-def read_settings(path: str | Path) -> RecordingSettings:
-    """The settings in a sidecar; the defaults where the file does not exist.
-
-    Raises:
-        InputError: as `read_sidecar`.
-    """
-    return read_sidecar(path).settings
-
-
-def read_sidecar(path: str | Path) -> Sidecar:
-    """What a sidecar says; the defaults where the file does not exist.
-
-    Raises:
-        InputError: not YAML, tags, alias bombs, an unknown key (with the nearest accepted one) or an unusable value.
-    """
-    path = Path(path)
-    if not exists(path):
-        if exists(path.with_suffix(".yml")):
-            raise InputError(f"{path.with_suffix('.yml')}: a sidecar ends in .yaml; rename it to {path.name}")
-        return Sidecar(RecordingSettings(), {}, Checksums(path, {}, False))
-    content = read_yaml(path)
-    if not isinstance(content, dict) or not {"recording", "columns"} & set(content):
-        raise InputError(f"{path}: is not a sidecar; its one top key must be `recording:`, with the settings below it")
-    _reject_unknown(f"{path}: ", content, ["recording", "columns", "account", KEY])
-    columns = _columns(content.get("columns"), path)
-    content.setdefault("recording", None)
-    settings = content["recording"]
-    if settings is None:
-        return Sidecar(RecordingSettings(), columns, read_checksums(content, path))
-    if not isinstance(settings, dict):
-        raise InputError(f"{path}: recording: {_shown(settings)} is not a mapping; write `key: value` lines below it")
-    _reject_unknown(f"{path}: recording.", settings, _KINDS)
-    for key, value in settings.items():
-        if value is None:
-            raise InputError(f"{path}: recording.{key}: has no value; give {_KINDS[key].form}, or leave the key out")
-    try:
-        declared = RecordingSettings(**{key: _parsed(key, value) for key, value in settings.items()})
-    except InputError as error:
-        raise InputError(f"{path}: recording.{error}") from error
-    return Sidecar(declared, columns, read_checksums(content, path))
-
-
-def _columns(given: Any, path: Path) -> dict[str, str]:
-    if given is None:
-        return {}
-    if not isinstance(given, dict):
-        raise InputError(f"{path}: columns: {_shown(given)} is not a mapping; write lines `name in the table: q1_rad`")
-    for name, meaning in given.items():
-        if not isinstance(meaning, str):
-            raise InputError(
-                f"{path}: columns.{str(name)[:60]}: {_shown(meaning)} is no name of a column; write one such as q1_rad,"
-                f" or {IGNORED}"
-            )
-    return {str(name): meaning.strip() for name, meaning in given.items()}
-
-
-def write_settings(
-    settings: RecordingSettings,
-    path: str | Path,
-    overwrite: bool = False,
-    tables: Mapping[str, str] | None = None,
-    account: Mapping[str, Any] | None = None,
-) -> Path:
-    """Writes a sidecar that `read_settings` reads back exactly; every declared key is written, defaults too.
-
-    Args:
-        settings: what it declares.
-        path: the file.
-        overwrite: whether it may be replaced.
-        tables: the checksum of the table beside it, by the key of `checksums.TABLES`; none where it is not known.
-        account: what the recording of an arm says about itself: plain numbers and phrases, which nothing reads back.
-
-    Raises:
-        InputError: the file exists and `overwrite` is false, or it cannot be written.
-    """
-    declared = {
-        key: list(value) if isinstance(value, tuple) else value
-        for key, value in asdict(settings).items()
-        if value is not None
-    }
-    # first: a file that is cut off keeps them, and lacks what they are of
-    content = {KEY: {RECORDING: settings_checksum(declared), **(tables or {})}, "recording": declared}
-    content |= {} if account is None else {"account": dict(account)}
-    return write_atomically(
-        path,
-        yaml.safe_dump(content, sort_keys=False, default_flow_style=None, width=120, allow_unicode=True),
-        overwrite,
-    )
 
 
 @dataclass(frozen=True)
@@ -278,26 +163,42 @@ class _Kind:
     form: str
 
 
-def _parsed(key: str, value: Any) -> Any:
+def parse_setting(key: str, value: Any) -> Any:
+    """The value of a key of `RecordingSettings`, as a sidecar or an argument gives it.
+
+    Raises:
+        InputError: it is not accepted; the message begins with the key.
+    """
     kind = _KINDS[key]
     try:
         return kind.parse(value)
     except InputError:  # says its own place
         raise
     except ValueError as error:
-        raise InputError(f"{key}: {_shown(value)} is not accepted{error}; give {kind.form}") from error
+        raise InputError(f"{key}: {shown(value)} is not accepted{error}; give {kind.form}") from error
 
 
-def _reject_unknown(place: str, given: Mapping[Any, Any], accepted: Iterable[str], end: str = "") -> None:
+def form_of(key: str) -> str:
+    """The accepted forms of a key of `RecordingSettings`, in words."""
+    return _KINDS[key].form
+
+
+def reject_unknown(place: str, given: Mapping[Any, Any], accepted: Iterable[str]) -> None:
+    """Refuses a key that is not accepted, with the nearest one that is.
+
+    Raises:
+        InputError: as said; the message begins with `place` and the key.
+    """
     accepted = list(accepted)
     for key in given:
         if key not in accepted:
             nearest = get_close_matches(str(key), accepted, n=1)
             remedy = f"did you mean {nearest[0]}?" if nearest else f"accepted: {', '.join(accepted)}"
-            raise InputError(f"{place}{str(key)[:60]}{end}: unknown key; {remedy}")
+            raise InputError(f"{place}{str(key)[:60]}: unknown key; {remedy}")
 
 
-def _shown(value: Any) -> str:
+def shown(value: Any) -> str:
+    """A value in a message, shortened."""
     text = repr(value)
     return text if len(text) <= 60 else f"{text[:57]}..."
 
@@ -443,7 +344,7 @@ def _uncertainty(value: Any) -> FactoryUncertainty:
     keys = [field.name for field in fields(FactoryUncertainty)]
     if not isinstance(value, Mapping) or not set(keys) <= set(value):
         raise ValueError
-    _reject_unknown("factory_uncertainty.", value, keys)
+    reject_unknown("factory_uncertainty.", value, keys)
     return FactoryUncertainty(**{key: _sigma(value[key]) for key in keys})
 
 

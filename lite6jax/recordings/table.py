@@ -84,7 +84,7 @@ def tabulated(
     else:
         empty = [_empty(found.columns[name].name, column) for name, column in values.items()]
         empty = [said for said in empty if said]
-        # a single one is told with the rows that it costs; targets keep their rows
+        # one alone is reported with the rows that are left out for it; targets keep their rows
         problems += empty if problems or (len(empty) > 1 and not joints_optional) else []
     if problems:
         raise InputError(one_line(source, problems, _remedy(source, found)))

@@ -7,7 +7,8 @@ import pyarrow.csv as pa_csv
 import pyarrow.parquet as pa_parquet
 
 from lite6jax.recordings.checksums import TABLES, table_checksum
-from lite6jax.recordings.settings import RecordingSettings, sidecar_path, write_settings
+from lite6jax.recordings.settings import RecordingSettings
+from lite6jax.recordings.sidecar import sidecar_path, write_settings
 from lite6jax.storage import check_writable, exists, write_atomically
 
 

@@ -6,7 +6,6 @@ from typing import Any
 from markupsafe import Markup
 from matplotlib.figure import Figure
 from rich.console import RenderableType
-from rich.padding import Padding
 from rich.text import Text
 
 from lite6jax.diagnosis.combined import CombinedDiagnosis
@@ -24,6 +23,7 @@ from lite6jax.report import (
 )
 from lite6jax.report.next_steps import Files
 from lite6jax.report.rendering import template
+from lite6jax.report.sections import indented
 
 Document = Mapping[str, Any]
 
@@ -60,8 +60,7 @@ def combined_report(
     yield Text("Torques", style="bold")
     yield from torque_tables.torque_report(document["torques"], source, None, details)
     yield Text(f"{shared.HEADING}:")
-    for line in [entry["statement"] for entry in document["shared"]] or [shared.NOTHING]:
-        yield Padding(Text(line), (0, 0, 0, 2))
+    yield from map(indented, [entry["statement"] for entry in document["shared"]] or [shared.NOTHING])
     yield ""
 
 
@@ -93,10 +92,14 @@ def combined_page(
     torques = {name.removeprefix(PREFIX): each for name, each in figures.items() if name.startswith(PREFIX)}
     poses = {name: each for name, each in figures.items() if not name.startswith(PREFIX)}
     parts = [
-        ("Poses", "diagnosis", page.page_values(found.poses, document, source, poses, files), ""),
-        ("Torques", "torque_diagnosis", torque_page.page_values(found.torques, document["torques"], source, torques),
-         "torque-"),
-    ]  # fmt: skip
+        ("Poses", "diagnosis_content.html", page.page_values(found.poses, document, source, poses, files), ""),
+        (
+            "Torques",
+            "torque_diagnosis_content.html",
+            torque_page.page_values(found.torques, document["torques"], source, torques),
+            "torque-",
+        ),
+    ]
     return template("combined.html").render(
         source=source,
         verdict_word=document["verdict"],
@@ -105,8 +108,8 @@ def combined_page(
         parts=[
             {
                 "title": title,
-                "header": Markup(template(f"{name}_header.html").render(**values, anchor=anchor)),
-                "content": Markup(template(f"{name}_content.html").render(**values, anchor=anchor)),
+                "header": Markup(template("diagnosis_header.html").render(**values, anchor=anchor)),
+                "content": Markup(template(name).render(**values, anchor=anchor)),
             }
             for title, name, values, anchor in parts
         ],

@@ -13,15 +13,7 @@ from lite6jax.domains.pose.registration import Registration
 from lite6jax.report import reference, statements, worth
 from lite6jax.report.cells import SCREEN, fixed, joint_units, listing, number
 from lite6jax.report.next_steps import Files
-from lite6jax.report.sections import (
-    chart,
-    fault_line,
-    finding_list,
-    headed,
-    indented,
-    ruled_out,
-    what_to_do,
-)
+from lite6jax.report.sections import against, chart, fault_line, finding_list, headed, ruled_out, what_to_do
 
 ERRORS = ("heldout_position_rms_m", "heldout_position_p95_m", "heldout_position_max_m")
 """The keys of errors in the JSON file: root mean square, 95th percentile and largest."""
@@ -42,9 +34,7 @@ def diagnosis_report(
     yield Text(source, no_wrap=True, overflow="ignore")
     yield Text(f"{model['arm']}, {document['samples']} samples ({model['motion']}).")
     yield ""
-    if "against" in document:
-        yield from _reference(document["against"])
-        yield ""
+    yield from against(reference.compared(document))
     yield Text(worth.headline(document))
     yield ""
     yield Text(statements.verdict_statement(document))
@@ -79,12 +69,6 @@ def noise_statement(document: Mapping[str, Any]) -> str:
     estimated, declared = (document["noise"][f"{name}_position_m"] for name in ("estimated", "declared"))
     beside = "none is declared" if declared is None else f"{number(1e3 * declared)} mm is declared"
     return f"Noise per axis of position: the residuals have {number(1e3 * estimated)} mm, {beside}."
-
-
-def _reference(comparison: Mapping[str, Any]) -> Iterator[RenderableType]:
-    yield Text(reference.headline(comparison))
-    yield from (indented(entry["statement"]) for entry in (*comparison["differences"], *comparison["notes"]))
-    yield indented(comparison["statement"])
 
 
 def _poses(joint_position: list[list[float]], scales: np.ndarray) -> Table:

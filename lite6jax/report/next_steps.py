@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from lite6jax.effects.catalogue import BUILT_IN
+from lite6jax.effects.dynamic.catalogue import BUILT_IN as OF_TORQUES
 from lite6jax.report import worth
 from lite6jax.report.remedies import remedy_of
 
@@ -60,7 +61,7 @@ def steps(document: Document, files: Files) -> list[Step]:
     if files.diagnosis is None:
         found.append(_step("keep this diagnosis", "diagnose", recording, *own, "--out", named))
     if worth.of_torques(document):
-        found += _of_torques(document, recording, named)
+        found += _of_torques(document, recording, named, own)
     else:
         found += _of_poses(document, recording, named, own)
     found.append(_step("a certificate, one page", "report", named, "--certificate", named.with_suffix(".pdf")))
@@ -82,15 +83,16 @@ def _of_poses(document: Document, recording: Path, diagnosis: Path, own: Sequenc
     return found
 
 
-def _of_torques(document: Document, recording: Path, diagnosis: Path) -> list[Step]:
-    found = []
-    if document["findings"] and recording.suffix.lower() in _TARGETS:
+def _of_torques(document: Document, recording: Path, diagnosis: Path, own: Sequence[str]) -> list[Step]:
+    found, findings = [], document["findings"]
+    if not findings or not (own or all(finding["effect"] in OF_TORQUES for finding in findings)):
+        return []
+    if recording.suffix.lower() in _TARGETS:
         out = diagnosis.with_name(f"{recording.stem}_predicted.csv")
         purpose = "torques of this motion, for a feed-forward; give a motion of your own in its place"
-        found.append(_step(purpose, "predict", diagnosis, recording, "--out", out))
-    if document["findings"]:
-        out = diagnosis.with_name(f"{recording.stem}_arm.urdf")
-        found.append(_step("the arm with what was found, for a simulator", "convert", diagnosis, out))
+        found.append(_step(purpose, "predict", diagnosis, recording, *own, "--out", out))
+    out = diagnosis.with_name(f"{recording.stem}_arm.urdf")
+    found.append(_step("the arm with what was found, for a simulator", "convert", diagnosis, out, *own))
     return found
 
 

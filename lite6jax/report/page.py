@@ -7,13 +7,13 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from lite6jax.diagnosis.result import Diagnosis
-from lite6jax.report import next_steps, reference, statements, worth
+from lite6jax.report import reference, statements, worth
 from lite6jax.report.cells import fixed, joint_units, number
 from lite6jax.report.diagnosis_tables import ERRORS, noise_statement
 from lite6jax.report.finding_figures import finding_figure
 from lite6jax.report.next_steps import Files
 from lite6jax.report.quantities import quantity
-from lite6jax.report.rendering import fault_row, finding_row, folded, picture, ranking, template, untested_row
+from lite6jax.report.rendering import finding_row, picture, shared_values, whole_page
 
 Document = Mapping[str, Any]
 
@@ -41,7 +41,7 @@ def diagnosis_page(
         figures: those of `diagnosis_figures.drawings`.
         files: for commands to copy; without them there are none.
     """
-    return template("diagnosis.html").render(page_values(found, document, source, figures, files), anchor="")
+    return whole_page("diagnosis_content.html", page_values(found, document, source, figures, files))
 
 
 def page_values(
@@ -50,27 +50,14 @@ def page_values(
     """What the templates of the page are filled with; arguments as of `diagnosis_page`."""
     order = worth.order(document)
     findings = [_finding(found, entry, order) for entry in statements.findings_of(document)]
-    checked = [fault_row(entry) for entry in document["ruled_out"]]
     return {
-        "source": source,
-        "against": _against(document),
-        "headline": worth.headline(document),
-        "cautions": [statements.verdict_statement(document), *statements.cautions(document)],
-        "verdict_word": document["verdict"],
+        **shared_values(document, statements, source, findings, figures, _CAPTIONS, files),
+        "against": reference.compared(document),
         "setting": _setting(document),
         "errors": _errors(document),
         "held": statements.held_out_statement(document, f"{document['heldout_rows']} rows"),
         "noise": noise_statement(document),
-        "figures": {name: picture(figures[name], caption) for name, caption in _CAPTIONS.items()},
-        "faults": [fault_row(entry) for entry in document["data_faults"]],
         "notes": statements.assumptions(document),
-        "findings": findings,
-        "ranking": ranking(document, findings),
-        "steps": [] if files is None else next_steps.steps(document, files),
-        "checked": checked,
-        "folded": folded(checked, document),
-        "untested": [untested_row(group) for group in statements.untested(document)],
-        "to_record": statements.what_to_record(document),
         "separating": [_poses(item, document) for item in document["separating_poses"]],
         "not_checked": statements.NOT_CHECKED,
     }
@@ -114,16 +101,4 @@ def _poses(item: Mapping[str, Any], document: Document) -> dict[str, Any]:
         "title": statements.separating_title(item, units),
         "joints": [f"joint {joint + 1}" for joint in range(angles.shape[1])],
         "rows": [[fixed(float(angle), 1) for angle in row] for row in angles],
-    }
-
-
-def _against(document: Document) -> dict[str, Any] | None:
-    if "against" not in document:
-        return None
-    comparison = document["against"]
-    return {
-        "headline": reference.headline(comparison),
-        "differences": [entry["statement"] for entry in comparison["differences"]],
-        "notes": [entry["statement"] for entry in comparison["notes"]],
-        "statement": comparison["statement"],
     }

@@ -1,17 +1,22 @@
 """`plot()` of each kind of diagnosis: its figures by name. `lite6jax.summary.Plotted` loads this module by its name."""
 
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import singledispatch
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from matplotlib.figure import Figure
 
+from lite6jax.diagnosis.combined import CombinedDiagnosis
 from lite6jax.diagnosis.document import to_document
 from lite6jax.diagnosis.result import Diagnosis
 from lite6jax.diagnosis.torque_document import to_torque_document
 from lite6jax.diagnosis.torque_result import TorqueDiagnosis
 from lite6jax.report import diagnosis_figures, torque_figures, worth
+from lite6jax.report.combined import PREFIX
 from lite6jax.report.ranking_figure import ranking_figure
+
+_Found = TypeVar("_Found")
 
 
 @singledispatch
@@ -26,13 +31,27 @@ def plotted(result: Any, title: str) -> dict[str, Figure]:
 
 @plotted.register
 def _diagnosis(found: Diagnosis, title: str) -> dict[str, Figure]:
-    document, title = to_document(found), title or Path(found.problem.recording.source).name
-    figures = dict(diagnosis_figures.drawings(found, title, worth.order(document)))
-    return {"ranking": ranking_figure(document, title), **figures} if found.findings else figures
+    title = title or Path(found.problem.recording.source).name
+    return _drawn(found, to_document(found), diagnosis_figures.drawings, title)
 
 
 @plotted.register
 def _torque_diagnosis(found: TorqueDiagnosis, title: str) -> dict[str, Figure]:
-    document, title = to_torque_document(found), title or Path(found.problem.data.recording.source).name
-    figures = dict(torque_figures.drawings(found, title, worth.order(document)))
-    return {"ranking": ranking_figure(document, title), **figures} if found.findings else figures
+    title = title or Path(found.problem.data.recording.source).name
+    return _drawn(found, to_torque_document(found), torque_figures.drawings, title)
+
+
+@plotted.register
+def _combined(found: CombinedDiagnosis, title: str) -> dict[str, Figure]:
+    torques = {} if found.torques is None else plotted(found.torques, title)
+    return plotted(found.poses, title) | {PREFIX + name: figure for name, figure in torques.items()}
+
+
+def _drawn(
+    found: _Found,
+    document: Mapping[str, Any],
+    drawings: Callable[[_Found, str, Sequence[int]], Iterable[tuple[str, Figure]]],
+    title: str,
+) -> dict[str, Figure]:
+    figures = dict(drawings(found, title, worth.order(document)))
+    return {"ranking": ranking_figure(document, title), **figures} if document["findings"] else figures

@@ -1,8 +1,8 @@
 """What a person reads of a comparison with a reference recording: sentences made from its codes and numbers."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from itertools import pairwise
-from typing import Any
+from typing import Any, NamedTuple
 
 from lite6jax.domains.pose.predict import ReferenceOrigin
 from lite6jax.report.cells import number
@@ -30,6 +30,36 @@ def headline(comparison: Mapping[str, Any]) -> str:
         f"Reference {comparison['file']}, {of}: the model {verb} it, with position errors of {rms} mm RMS and {most} "
         f"mm at most.{after}"
     )
+
+
+class Compared(NamedTuple):
+    """What a person reads of a comparison with a reference.
+
+    Attributes:
+        headline: what was compared, and how far apart it is.
+        differences: a sentence each.
+        notes: a sentence each.
+        statement: what the findings and the model are.
+    """
+
+    headline: str
+    differences: list[str]
+    notes: list[str]
+    statement: str
+
+
+def compared(document: Mapping[str, Any], headline: Callable[[Mapping[str, Any]], str] = headline) -> Compared | None:
+    """The comparison in a document of poses or of torques; None where nothing was compared.
+
+    Args:
+        document: with statements.
+        headline: makes that of a comparison.
+    """
+    if "against" not in document:
+        return None
+    comparison = document["against"]
+    differences, notes = ([entry["statement"] for entry in comparison.get(key, ())] for key in ("differences", "notes"))
+    return Compared(headline(comparison), differences, notes, comparison["statement"])
 
 
 def model_statement(file: str, rigid: bool) -> str:

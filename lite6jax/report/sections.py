@@ -15,6 +15,7 @@ from lite6jax.report import next_steps, statements, worth
 from lite6jax.report.cells import listed
 from lite6jax.report.data_faults import ruled_out_statements
 from lite6jax.report.next_steps import Files
+from lite6jax.report.reference import Compared
 
 _NARROW, _WIDE = 8, 40
 """Characters of the longest bar, on a narrow and on a wide terminal."""
@@ -34,6 +35,14 @@ class TextBar:
 
     def __rich_measure__(self, console: Console, options: ConsoleOptions) -> Measurement:
         return Measurement(min(_NARROW, options.max_width), min(_WIDE, options.max_width))
+
+
+def against(seen: Compared | None) -> Iterator[RenderableType]:
+    """A comparison with a reference; nothing where there is none."""
+    if seen is not None:
+        yield Text(seen.headline)
+        yield from map(indented, (*seen.differences, *seen.notes, seen.statement))
+        yield ""
 
 
 def chart(document: Mapping[str, Any], findings: Sequence[Mapping[str, Any]]) -> Iterator[RenderableType]:

@@ -1,7 +1,7 @@
 """The sentences of a diagnosis, made from the codes and numbers of its JSON document alone."""
 
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 from lite6jax.effects.drivers import driver_of
@@ -49,9 +49,7 @@ def with_statements(document: Document) -> dict[str, Any]:
     Untestable effects get a `reason`.
     """
     stated = data_faults.with_statements(document)
-    stated["findings"] = [{**finding, "statement": finding_statement(finding)} for finding in _detailed(document)]
-    for finding in stated["findings"]:
-        del finding["where"]
+    stated["findings"] = stated_findings(document, finding_statement)
     stated["untestable"] = [{**entry, "reason": _requirement(entry)} for entry in document["untestable"]]
     if "against" in document:
         stated["against"] = reference.with_statements(document["against"])
@@ -120,7 +118,8 @@ def finding_statement(finding: Entry) -> str:
     """A finding in one sentence, with its numbers; `finding` has the fields of its effect as `where`."""
     where, name = finding["where"], finding["effect"].replace("_", " ")
     driver = "" if finding["driver"] == "none" else f", a function of the {_worded(finding['driver'])}"
-    moves = f"; {worth.moves_phrase(finding)}" if worth.moves_phrase(finding) else ""
+    moved = worth.moves_phrase(finding)
+    moves = f"; {moved}" if moved else ""
     if "peak_to_peak" in finding:
         return (
             f"No effect of the catalogue explains an effect at {finding['site']}{_component(where)}{driver}: "
@@ -136,19 +135,29 @@ def sizes(finding: Entry) -> str:
     return ", ".join(str(number) for number in (quantity(*item) for item in numbers.items()) if number.std)
 
 
-def findings_of(document: Document) -> list[dict[str, Any]]:
+def stated_findings(document: Document, said: Callable[[Entry], str]) -> list[dict[str, Any]]:
+    """The findings as in the JSON file, with a `statement` each.
+
+    Args:
+        document: of poses or of torques.
+        said: makes it from a finding that has the fields of its effect as `where`.
+    """
+    pairs = zip(document["findings"], _detailed(document), strict=True)
+    return [{**finding, "statement": said(detailed)} for finding, detailed in pairs]
+
+
+def findings_of(document: Document, said: Callable[[Entry], str] = finding_statement) -> list[dict[str, Any]]:
     """The findings, those that move most first, each with `title`, `statement`, `where` and `place`.
 
     `where` has the fields of its effect, and `place` is that in the document, from 0.
+
+    Args:
+        document: of poses or of torques.
+        said: as of `stated_findings`.
     """
     detailed = _detailed(document)
     return [
-        {
-            **detailed[k],
-            "title": capital(effect_title(detailed[k])),
-            "statement": finding_statement(detailed[k]),
-            "place": k,
-        }
+        {**detailed[k], "title": capital(effect_title(detailed[k])), "statement": said(detailed[k]), "place": k}
         for k in worth.order(document)
     ]
 

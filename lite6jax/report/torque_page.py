@@ -6,10 +6,10 @@ from typing import Any
 from matplotlib.figure import Figure
 
 from lite6jax.diagnosis.torque_result import TorqueDiagnosis
-from lite6jax.report import next_steps, statements, torque_reference, torque_statements, worth
+from lite6jax.report import reference, statements, torque_reference, torque_statements, worth
 from lite6jax.report.finding_figures import torque_finding_figure
 from lite6jax.report.next_steps import Files
-from lite6jax.report.rendering import fault_row, finding_row, folded, picture, ranking, template, untested_row
+from lite6jax.report.rendering import finding_row, picture, shared_values, whole_page
 
 Document = Mapping[str, Any]
 
@@ -41,7 +41,7 @@ def torque_page(
         figures: those of `torque_figures.drawings`.
         files: for commands to copy; without them there are none.
     """
-    return template("torque_diagnosis.html").render(page_values(found, document, source, figures, files), anchor="")
+    return whole_page("torque_diagnosis_content.html", page_values(found, document, source, figures, files))
 
 
 def page_values(
@@ -50,39 +50,14 @@ def page_values(
     """What the templates of the page are filled with; arguments as of `torque_page`."""
     order = worth.order(document)
     findings = [_finding(found, entry, order) for entry in torque_statements.findings_of(document)]
-    checked = [fault_row(entry) for entry in document["ruled_out"]]
     return {
-        "source": source,
-        "against": _against(document),
-        "headline": worth.headline(document),
-        "cautions": [torque_statements.verdict_statement(document), *torque_statements.cautions(document)],
-        "verdict_word": document["verdict"],
+        **shared_values(document, torque_statements, source, findings, figures, _CAPTIONS, files),
+        "against": reference.compared(document, torque_reference.headline),
         "setting": torque_statements.setting_statement(document),
         "errors": _errors(document),
         "held": statements.held_out_statement(document, f"{document['kept_samples']} filtered samples"),
         "noise": torque_statements.noise_statement(document),
-        "figures": {name: picture(figures[name], caption) for name, caption in _CAPTIONS.items()},
-        "faults": [fault_row(entry) for entry in document["data_faults"]],
         "notes": [torque_statements.filter_statement(document), torque_statements.inertial_statement(document)],
-        "findings": findings,
-        "ranking": ranking(document, findings),
-        "steps": [] if files is None else next_steps.steps(document, files),
-        "checked": checked,
-        "folded": folded(checked, document),
-        "untested": [untested_row(group) for group in torque_statements.untested(document)],
-        "to_record": torque_statements.what_to_record(document),
-    }
-
-
-def _against(document: Document) -> dict[str, Any] | None:
-    if "against" not in document:
-        return None
-    comparison = document["against"]
-    return {
-        "headline": torque_reference.headline(comparison),
-        "differences": [entry["statement"] for entry in comparison.get("differences", ())],
-        "notes": [],
-        "statement": comparison["statement"],
     }
 
 

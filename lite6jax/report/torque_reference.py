@@ -44,6 +44,8 @@ def model_statement(file: str, by: str) -> str:
 def difference(entry: Document) -> str:
     """An effect that one of two recordings shows, as each shows it."""
     title = capital(effect_title({"effect": entry["effect"], "site": entry["site"]}))
+    if "driver" in entry:
+        title = f"Unnamed effect at {entry['site']} over {entry['driver']}"
     here, there = (_numbers(entry[side]) for side in ("recording", "reference"))
     if entry["differs"] is None:
         silent = "the reference" if entry["reference"] is None else "this recording"

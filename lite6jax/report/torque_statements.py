@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from typing import Any
 
-from lite6jax.report import data_faults, statements, torque_reference, worth
+from lite6jax.report import data_faults, statements, torque_reference
 from lite6jax.report.quantities import OF_TORQUES, Quantity, quantity
 from lite6jax.report.statements import Untested, capital, effect_title
 
@@ -27,11 +27,7 @@ _VERDICTS = {
 def with_statements(document: Document) -> dict[str, Any]:
     """A diagnosis as in its JSON file: with a `statement` for each finding and data fault."""
     stated = data_faults.with_statements(document)
-    effects = document["model"]["effects"]
-    stated["findings"] = [
-        {**finding, "statement": finding_statement(finding, effect["where"])}
-        for finding, effect in zip(document["findings"], effects, strict=True)
-    ]
+    stated["findings"] = statements.stated_findings(document, finding_statement)
     if "against" in document:
         stated["against"] = torque_reference.with_statements(document["against"])
     return stated
@@ -76,22 +72,11 @@ def noise_statement(document: Document) -> str:
 
 def findings_of(document: Document) -> list[dict[str, Any]]:
     """As `statements.findings_of`."""
-    effects = document["model"]["effects"]
-    found = []
-    for k in worth.order(document):
-        finding, where = document["findings"][k], effects[k]["where"]
-        title, statement = capital(effect_title({**finding, "where": where})), finding_statement(finding, where)
-        found.append({**finding, "title": title, "statement": statement, "where": where, "place": k})
-    return found
+    return statements.findings_of(document, finding_statement)
 
 
-def finding_statement(finding: Entry, where: Entry) -> str:
-    """A finding in one sentence, with its numbers and the torque that it contributes.
-
-    Args:
-        finding: of the document.
-        where: the fields of its effect.
-    """
+def finding_statement(finding: Entry) -> str:
+    """A finding in one sentence, with its numbers and the torque; `finding` has the fields of its effect as `where`."""
     moved = f"it contributes {finding['moves_rms_Nm']:.3g} Nm RMS to the torque"
     if finding["effect"] == "unnamed":
         near = ""
@@ -100,7 +85,7 @@ def finding_statement(finding: Entry, where: Entry) -> str:
             near = f" The nearest named effect, {effect_title(finding['nearest'])}, explains {share:.0f} % of it."
         return (
             f"No effect of the catalogue explains a torque at {finding['site']} that is a function of "
-            f"{_of_what(finding, where)}: {moved}.{near}"
+            f"{_of_what(finding)}: {moved}.{near}"
         )
     shown = ", ".join(str(size) for size in sizes(finding) if size.std)
     return f"{capital(effect_title(finding))} is significant: {shown}; {moved}."
@@ -113,8 +98,9 @@ def sizes(finding: Entry) -> list[Quantity]:
     return [quantity(name, estimate, OF_TORQUES) for name, estimate in finding["parameters"].items()]
 
 
-def _of_what(finding: Entry, where: Entry) -> str:
+def _of_what(finding: Entry) -> str:
     """The drivers of a curve."""
+    where = finding["where"]
     driver = finding["driver"].removesuffix(f" and direction of motion of joint {where['joint']}")
     times = ", multiplied by the direction of motion" if where.get("signed") else ""
     return f"the {driver.replace(' and ', ' and the ')}{times}"

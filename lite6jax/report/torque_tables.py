@@ -4,14 +4,13 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from rich.console import RenderableType
-from rich.padding import Padding
 from rich.table import Table
 from rich.text import Text
 
-from lite6jax.report import statements, torque_reference, torque_statements, worth
+from lite6jax.report import reference, statements, torque_reference, torque_statements, worth
 from lite6jax.report.cells import listing
 from lite6jax.report.next_steps import Files
-from lite6jax.report.sections import chart, fault_line, finding_list, headed, ruled_out, what_to_do
+from lite6jax.report.sections import against, chart, fault_line, finding_list, headed, ruled_out, what_to_do
 
 
 def torque_report(
@@ -22,12 +21,7 @@ def torque_report(
     yield Text(source, no_wrap=True, overflow="ignore")
     yield Text(torque_statements.setting_statement(document))
     yield ""
-    if "against" in document:
-        comparison = document["against"]
-        yield Text(torque_reference.headline(comparison))
-        lines = [*(entry["statement"] for entry in comparison.get("differences", ())), comparison["statement"]]
-        yield from (Padding(Text(line), (0, 0, 0, 2)) for line in lines)
-        yield ""
+    yield from against(reference.compared(document, torque_reference.headline))
     yield Text(worth.headline(document))
     yield ""
     yield Text(torque_statements.verdict_statement(document))

@@ -154,6 +154,15 @@ def test_a_summary_names_both(found):
     assert "Of the payload's mass" in text
 
 
+def test_a_plot_has_the_figures_of_both(found, monkeypatch):
+    for part, name in (("diagnosis_figures", "where"), ("torque_figures", "friction")):
+        drawn = {name: Figure()}
+        monkeypatch.setattr(f"lite6jax.report.{part}.drawings", lambda *_, drawn=drawn: iter(drawn.items()))
+    assert list(found.plot()) == ["ranking", "where", "torque_ranking", "torque_friction"]
+    assert found.plot("mine")["torque_ranking"].get_suptitle().startswith("mine")
+    assert list(replace(found, torques=None).plot()) == ["ranking", "where"]
+
+
 def test_the_commands_take_it(made, found, recording, tmp_path, capsys, monkeypatch):
     run_file = write_recording(recording, tmp_path / "run.csv")
     out = tmp_path / "d.json"
@@ -195,6 +204,27 @@ def test_the_commands_take_it(made, found, recording, tmp_path, capsys, monkeypa
     assert arm.viscous_friction[1] == pytest.approx(VISCOUS, abs=0.1)
     assert is_consistent(link_parameters(arm))
     assert "joint compliance at joint2" in flat(said)
+
+
+def test_the_report_of_its_file_is_that_of_the_command(found, recording, tmp_path, capsys, monkeypatch):
+    run_file, out = write_recording(recording, tmp_path / "run.csv"), tmp_path / "d.json"
+    monkeypatch.setattr("lite6jax.diagnosis.combined.diagnose_combined", lambda *_, **__: found)
+    _, printed, _ = run(capsys, "diagnose", run_file, "--out", out)
+    code, said, err = run(capsys, "report", out)
+    assert (code, err) == (0, "")
+    shown = [line for line in printed.splitlines() if line not in (str(run_file), f"Wrote {out}")]
+    assert [line for line in said.splitlines() if line != str(out)] == shown
+    assert "held-out error (Nm RMS)" in said
+    assert "they agree" in flat(said)
+    refused = replace(found, torques=None, shared=(), refused="it holds static poses")
+    write_document(combined.with_statements(refused.to_dict()), out, overwrite=True)
+    assert "not diagnosed: it holds static poses." in flat(run(capsys, "report", out)[1])
+    document = found.to_dict()
+    document["torques"]["model"]["links"] = "none"
+    write_document(document, out, overwrite=True)
+    code, said, err = run(capsys, "report", out)
+    assert (code, said) == (2, "")
+    assert "is damaged (model.links is" in err
 
 
 def test_both_are_diagnosed_with_their_effects_and_references(recording, found, monkeypatch):

@@ -11,10 +11,11 @@ from lite6jax.arms.dynamics import base_parameters, inverse_dynamics, link_param
 from lite6jax.arms.files import read_arm
 from lite6jax.arms.forms import export_file
 from lite6jax.diagnosis.export import diagnosed_arm
-from lite6jax.domains.torque.predict import DiagnosedMotors
+from lite6jax.domains.torque.predict import DiagnosedMotors, predict_torques
 from lite6jax.effects.dynamic.catalogue import BUILT_IN
 from lite6jax.effects.serialization import parse_effect
 from lite6jax.estimation.terms import Terms, join
+from lite6jax.recordings import Recording
 
 
 def model_with(*texts):
@@ -49,6 +50,34 @@ def test_what_was_found_stands_in_the_file(tmp_path, suffix):
     else:
         assert again.rotor_inertia[4] == pytest.approx(0.02)
     assert done.difference < 1e-9
+
+
+def test_the_arm_that_is_written_declares_what_was_found(tmp_path):
+    """The torques of a model with effects are those of its arm, which declares them; and a second diagnosis adds up."""
+    effects = (
+        "viscous_friction:joint=2,viscous_Nm_s_per_rad=0.8",
+        "coulomb_friction:joint=3,coulomb_Nm=0.5",
+        "rotor_inertia:joint=5,inertia_kg_m2=0.02",
+        "joint_spring:joint=4,stiffness_Nm_per_rad=2,rest_rad=0.3",
+    )
+    _, model = model_with(*effects)
+    arm, left_out = diagnosed_arm(model)
+    assert left_out == ()
+    motion = motion_of(setup_of(2)[0], 1, rate=50.0, seconds=5.0)
+    recording = Recording.from_arrays(motion.q, time=motion.time, joint_velocity=motion.dq, motion="trajectory")
+    nothing = replace(model, arm=arm, terms=Terms(), values=np.zeros(0))
+    declared = predict_torques(nothing, recording)
+    np.testing.assert_allclose(declared, predict_torques(model, recording), rtol=0, atol=1e-9)
+    assert np.abs(declared - predict_torques(replace(nothing, arm=model.arm), recording)).max() > 0.5
+    export_file(arm, tmp_path / "arm.yaml")
+    again = predict_torques(replace(nothing, arm=read_arm(str(tmp_path / "arm.yaml"))), recording)
+    np.testing.assert_allclose(again, declared, rtol=0, atol=1e-9)
+    twice, _ = diagnosed_arm(replace(model, arm=arm))
+    assert twice.viscous_friction[1] == pytest.approx(1.6)
+    assert twice.coulomb_friction[2] == pytest.approx(1.0)
+    assert (twice.spring_stiffness[3], twice.spring_rest[3]) == pytest.approx((4.0, 0.3))
+    less, _ = diagnosed_arm(replace(model, arm=arm, values=-2 * model.values))
+    assert less.viscous_friction[1] == 0.0  # no simulator takes less
 
 
 def test_links_that_are_no_bodies_become_such_with_the_same_torques():

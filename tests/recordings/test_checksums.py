@@ -12,7 +12,7 @@ import pytest
 from benchmarks.fuzzed import flip_bit, recording
 from lite6jax.errors import InputError
 from lite6jax.recordings import RecordingSettings, read_recording, read_settings, write_recording, write_settings
-from lite6jax.recordings import settings as sidecars
+from lite6jax.recordings import sidecar as sidecars
 
 SUFFIXES = pytest.mark.parametrize("suffix", [".csv", ".parquet"])
 

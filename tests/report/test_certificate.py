@@ -1,5 +1,6 @@
 """A certificate is one page, the same bytes for the same document, and holds the document's figures."""
 
+import copy
 import re
 from datetime import date
 
@@ -8,7 +9,9 @@ import pytest
 from diagnosed import COMPLIANCE, HARMONIC, diagnosed, documented, recording_maker
 from torque_diagnosed import diagnosed as torques_diagnosed
 from torque_diagnosed import recorded as torques_recorded
+from typed import flat, run
 
+from lite6jax.diagnosis.document import write_document
 from lite6jax.diagnosis.torque_document import to_torque_document
 from lite6jax.effects.dynamic.friction import CoulombFriction, ViscousFriction
 from lite6jax.report.certificate import Stated, certificate, write_certificate
@@ -98,3 +101,18 @@ def test_everything_stays_inside_the_page(document, motors):
             box = text.get_window_extent()
             assert 0 < box.x0 < box.x1 < figure.bbox.x1, text.get_text()
             assert box.y0 > 0, text.get_text()
+
+
+def test_an_effect_on_torques_of_ones_own_is_reported_without_its_file(motors, tmp_path, capsys):
+    document = copy.deepcopy(motors)
+    for entries in (document["findings"], document["model"]["effects"]):
+        entries[0]["effect"] = "air_drag"
+    path, pdf = write_document(document, tmp_path / "d.json"), tmp_path / "c.pdf"
+    code, said, err = run(capsys, "report", path, "--certificate", pdf)
+    assert (code, err) == (0, "")
+    assert "Air drag at joint2 is significant: " in flat(said)
+    assert pdf.read_bytes().startswith(b"%PDF-")
+    document["model"]["links"] = "none"
+    code, said, err = run(capsys, "report", write_document(document, path, overwrite=True))
+    assert (code, said) == (2, "")
+    assert f"{path}: is damaged (model.links" in err

@@ -180,3 +180,16 @@ def test_commands_name_the_files_at_hand(found, motors, tmp_path):
     assert [shlex.split(step.command)[1] for step in next_steps.steps(own, Files(recording, diagnosis))] == ["report"]
     given = next_steps.steps(own, Files(recording, diagnosis, tmp_path / "mine.py"))[0].command
     assert shlex.split(given)[-4:-2] == ["--effects", str(tmp_path / "mine.py")]
+
+
+def test_commands_on_torques_name_the_effects_of_ones_own(motors, tmp_path):
+    recording, diagnosis, mine = (tmp_path / name for name in ("run.csv", "d.json", "mine.py"))
+    document = to_torque_document(motors)
+    own = {**document, "findings": [{**document["findings"][0], "effect": "air_drag"}, *document["findings"][1:]]}
+    # without the file of the effect, no command reads the model
+    assert [shlex.split(step.command)[1] for step in next_steps.steps(own, Files(recording, diagnosis))] == ["report"]
+    lines = [shlex.split(step.command)[1:] for step in next_steps.steps(own, Files(recording, None, mine))]
+    assert [line[0] for line in lines] == ["diagnose", "predict", "convert", "report"]
+    for line in lines[:3]:
+        assert line[line.index("--effects") + 1] == str(mine)
+    assert "--effects" not in lines[3]

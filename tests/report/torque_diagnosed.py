@@ -54,10 +54,10 @@ def recorded(declared=True, friction=True, extra=None):
     return Recording.from_arrays(q.T, time=t, joint_velocity=dq.T, joint_torque=torque.T, settings=settings)
 
 
-def diagnosed(recording, effects=(), faults=()):
+def diagnosed(recording, effects=(), faults=(), arm=LITE6):
     """The result of a search that adds just these effects: no search is run, and nothing is held out."""
     options = Options()
-    problem = torque_problem(screen_torques(recording, LITE6).data)
+    problem = torque_problem(screen_torques(recording, arm).data)
     baseline = fit(problem, Terms(), options.engine)
     fitted = fit(problem, Terms(effects), options.engine) if effects else baseline
     scores = score_test(problem, baseline, options.engine).score(effects) if effects else []

@@ -35,7 +35,7 @@ SLIGHTLY = 1.3
 
 
 class Pose(NamedTuple):
-    """Numbers as they stand in a table, rows without gaps.
+    """Columns of a table in its own units and conventions, rows without gaps.
 
     Attributes:
         joint: `(sample, joint)`, rad or deg.
@@ -49,7 +49,7 @@ class Pose(NamedTuple):
 
 
 class Agreement(NamedTuple):
-    """The readings that agree with an arm; None where they are not told apart.
+    """The readings that agree with an arm; None where they are not distinguished.
 
     Attributes:
         angle: `rad` or `deg` of the joints.

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.ndimage import median_filter
-from scipy.signal import butter, sosfiltfilt, welch
+from scipy.signal import butter, savgol_filter, sosfiltfilt, welch
 
 from lite6jax.errors import InputError
 from lite6jax.recordings import Recording
@@ -37,6 +37,8 @@ _LEAST_CUTOFF = 10.0
 _MOST_ROWS = 1500
 _FEWEST = 32
 """Samples of a run; shorter ones have no spectrum."""
+_CUBIC = 5
+"""Fewest samples from which a cubic is estimated."""
 _UNEVEN = 0.2
 """Deviation of time steps from their median, over it, from which sampling is not uniform."""
 _GAP = 1.8
@@ -140,7 +142,20 @@ def smoothed(recording: Recording, chosen: LowPass) -> Smoothed:
             # central differences of fifty samples a second lose half a per cent of a motion of 1.5 Hz
             t = np.arange(rows.stop - rows.start) / rate
             acceleration[:, rows] = CubicSpline(t, velocity[:, rows], axis=1)(t, 1)
+            _mend_ends(acceleration[:, rows], v[:, rows], cutoff, rate)
     return Smoothed(position, velocity, acceleration, cutoff)
+
+
+def _mend_ends(acceleration: Array, velocity: Array, cutoff: float, rate: float) -> None:
+    """Puts the slope of a local cubic of the recorded velocities at both ends of a run.
+
+    The low pass follows the noise of the first and the last velocity, and its slope there is several times too large.
+    """
+    period = int(np.ceil(rate / cutoff))
+    near, window = 2 * period, max(period | 1, _CUBIC)  # farther inside, the low pass is as exact
+    if velocity.shape[1] >= max(2 * near, window):
+        slope = savgol_filter(velocity, window, 3, deriv=1, delta=1 / rate)
+        acceleration[:, :near], acceleration[:, -near:] = slope[:, :near], slope[:, -near:]
 
 
 def low_pass(velocity: Array, rate: float, runs: NDArray[np.integer]) -> LowPass:
@@ -171,7 +186,10 @@ def _kept(runs: NDArray[np.integer], every: int, margin: int) -> NDArray[np.inte
 
 
 def spikes(torque: Array, runs: NDArray[np.integer]) -> NDArray[np.bool_]:
-    """`(joint, sample)` bool, single torques far from the median of their neighbours and from their middle."""
+    """`(joint, sample)` bool, single torques, or two in a row, far from their neighbours, which agree.
+
+    Of outliers at one sample in a hundred, some follow each other; a push lasts longer.
+    """
     found = np.zeros(torque.shape, bool)
     for rows in _each(runs):
         part = torque[:, rows]
@@ -185,7 +203,16 @@ def spikes(torque: Array, runs: NDArray[np.integer]) -> NDArray[np.bool_]:
         away = np.abs(part - median_filter(part, (1, 5), mode="nearest"))
         # the neighbours of a spike are off from their middle by half as much
         alone = off >= np.maximum(np.roll(off, 1, 1), np.roll(off, -1, 1))
-        found[:, rows] = alone & (step < 0.5 * off) & (np.minimum(off, away) > _SPIKE * np.maximum(typical, 1e-12))
+        least = _SPIKE * np.maximum(typical, 1e-12)
+        found[:, rows] = alone & (step < 0.5 * off) & (np.minimum(off, away) > least)
+        before, first, second, after = (part[:, k : part.shape[1] - 3 + k] for k in range(4))
+        middle = 0.5 * (before + after)
+        lower = np.minimum(np.abs(first - middle), np.abs(second - middle))
+        pair = (np.abs(after - before) < 0.5 * lower) & (lower > least)
+        pair &= np.minimum(away[:, 1:-2], away[:, 2:-1]) > least
+        at = found[:, rows]
+        at[:, 1:-2] |= pair
+        at[:, 2:-1] |= pair
     return found
 
 

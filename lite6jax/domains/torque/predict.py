@@ -1,6 +1,6 @@
 """The torques of a diagnosed arm's motors in any motion."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple, final
 
 import numpy as np
@@ -126,7 +126,7 @@ def _along(model: DiagnosedMotors, recording: Recording) -> tuple[RigidBodies, N
         for driver in getattr(effect, "drivers", ()):
             if not driver.loaded and not driver.known(bodies.motion, None):
                 raise InputError(f"{recording.source}: has no {driver.phrase}; give {driver.remedy}")
-    moved = RigidBodies(bodies.motion, model.links, model.payload_center, model.gravity, bodies.kinematics)
+    moved = replace(bodies, links=model.links, payload_center=model.payload_center, gravity=model.gravity)
     return moved, chosen.runs
 
 

@@ -15,6 +15,7 @@ from lite6jax.domains.torque.rows import TorqueRows
 from lite6jax.effects.catalogue import Untestable, untestable
 from lite6jax.effects.dynamic.bodies import LinkCom, LinkMass, PayloadTorque
 from lite6jax.effects.dynamic.catalogue import torque_catalogue, torque_ladder, torque_shaped
+from lite6jax.effects.dynamic.drives import declared
 from lite6jax.effects.dynamic.friction import CoulombFriction, ViscousFriction
 from lite6jax.effects.dynamic.motors import RotorInertia, TorqueOffset
 from lite6jax.effects.dynamic.torque_effect import Delaying, Dynamics, JointTorque, Scaling, TorqueEffect
@@ -156,8 +157,8 @@ class TorqueProblem:
 
     @cached_property
     def rigid(self) -> Array:
-        """`(joint, sample)` Nm, filtered."""
-        return self._kept(self.dynamics.torque)
+        """`(joint, sample)` Nm of the arm as it is declared, filtered."""
+        return self._kept(self.dynamics.torque + self.dynamics.drives)
 
     @lazy
     def periodic(self) -> tuple[PeriodicFamily, ...]:
@@ -255,12 +256,13 @@ class TorqueProblem:
         return self.links + np.tensordot(nuisance, self.directions, 1)
 
     def limits(self, term: Term) -> list[tuple[float, float]]:
-        """Those of the effect; neither a payload nor a link is lighter than nothing."""
+        """Those of the effect; no payload, link, friction, rotor or spring is less than nothing."""
         if isinstance(term, PayloadTorque):
             return [(-float(np.min(np.asarray(self.data.motion.payload))), term.coordinates[0].upper)]
         if isinstance(term, LinkMass):
             return [(-float(self.links[term.link - 1, 0]), term.coordinates[0].upper)]
-        return [(number.lower, number.upper) for number in term.coordinates]
+        less, *others = [(number.lower, number.upper) for number in term.coordinates]
+        return [(less[0] - declared(self.data.arm, term), less[1]), *others]
 
     def without_candidates(self, terms: Sequence[Term]) -> "TorqueProblem":
         """The same problem in which these effects are no candidates."""
@@ -344,7 +346,7 @@ def composed(terms: Terms, values: Array, dynamics: Dynamics) -> Array:
 
 def without_sensors(terms: Terms, values: Array, dynamics: Dynamics) -> Array:
     """`(joint, sample)` Nm that the motors exert: without the scales and delays of what shows it."""
-    total = dynamics.torque
+    total = dynamics.torque + dynamics.drives
     for effect, part in _pairs(terms):
         if not isinstance(effect, Scaling | Delaying):
             total = total + effect.torque(np.asarray(values[part], float), dynamics)

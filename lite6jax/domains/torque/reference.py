@@ -68,7 +68,8 @@ def compare_rows(recording: Recording, reference: Recording, arm: Arm) -> RowCom
         return None
     same, torque = found
     bodies, _, _ = bodies_of(recording, arm)
-    rigid = bodies.dynamics(bodies.links).torque.T
+    dynamics = bodies.dynamics(bodies.links)
+    rigid = (dynamics.torque + dynamics.drives).T  # as it is declared
     own = recording.torques()
     settings = recording.settings
     noise = [side.settings.torque_noise_Nm for side in (recording, reference)]

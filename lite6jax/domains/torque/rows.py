@@ -20,6 +20,7 @@ from lite6jax.domains.torque.filtering import (
     smoothed,
     without_ends,
 )
+from lite6jax.effects.dynamic.drives import declared_torque
 from lite6jax.effects.dynamic.torque_effect import Dynamics, direction, point_mass
 from lite6jax.effects.motion import Motion
 from lite6jax.errors import InputError
@@ -40,6 +41,7 @@ class RigidBodies:
         payload_center: `(3,)` m in the frame after the last joint.
         gravity: `(3,)` m/s² in the base frame.
         kinematics: `(joint, 6)`.
+        drives: `(joint, sample)` Nm of the friction, rotors and springs that the arm's description declares.
     """
 
     motion: Motion
@@ -47,6 +49,7 @@ class RigidBodies:
     payload_center: Array
     gravity: Array
     kinematics: Array
+    drives: Array | float = 0.0
 
     @cached_property
     def regressor(self) -> Array:
@@ -78,6 +81,7 @@ class RigidBodies:
             of_inertia=self.of_inertia,
             of_gravity=self._of_gravity(links),
             gravity=self.gravity,
+            drives=self.drives,
         )
 
     def _of_gravity(self, links: Array) -> Callable[[Array], Array]:
@@ -203,7 +207,7 @@ def bodies_of(recording: Recording, arm: Arm) -> tuple[RigidBodies, LowPass, flo
     center = arm.T_joint_flange[:3, :3] @ np.array(settings.payload_com_m) + arm.T_joint_flange[:3, 3]
     links = np.zeros((arm.dof, 10)) if arm.mass is None else np.asarray(link_parameters(arm))
     gravity = np.array(settings.gravity_m_per_s2)
-    bodies = RigidBodies(moved, links, center, gravity, np.asarray(arm.kinematics))
+    bodies = RigidBodies(moved, links, center, gravity, np.asarray(arm.kinematics), declared_torque(arm, moved))
     return bodies, without_ends(chosen, smooth.cutoff), smooth.cutoff
 
 

@@ -36,6 +36,8 @@ class Dynamics(NamedTuple):
         of_inertia: torques `(joint, sample)` by inertial numbers `(joint, 10)` in this motion.
         of_gravity: torques `(joint, sample)` of this arm by a gravity `(3,)` m/s² in the base frame, at rest.
         gravity: `(3,)` m/s², as declared.
+        drives: `(joint, sample)` Nm that motors exert beside `torque` for the friction, rotors and springs that the
+            arm's description declares; 0 where it declares none.
     """
 
     motion: Motion
@@ -45,6 +47,7 @@ class Dynamics(NamedTuple):
     of_inertia: Callable[[Array], Array]
     of_gravity: Callable[[Array], Array]
     gravity: Array
+    drives: Array | float = 0.0
 
     @property
     def loads(self) -> Loads:

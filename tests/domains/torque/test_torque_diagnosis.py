@@ -29,12 +29,15 @@ FRICTION = (
     hidden("viscous_friction", "joint2", viscous_Nm_s_per_rad=0.6),
     hidden("coulomb_friction", "joint2", coulomb_Nm=0.4),
 )
+DECLARED = hidden("coulomb_friction", "joint5", coulomb_Nm=0.2)
+"""Friction that the arm's description declares."""
 
 
 @pytest.fixture(scope="module")
 def diagnosed():
-    recording, arm = recorded(FRICTION, seed=1)
-    return diagnose_torques(recording, arm, options=FEW)
+    recording, arm = recorded((*FRICTION, DECLARED), seed=1)
+    friction = np.array([0.0, 0.0, 0.0, 0.0, 0.2, 0.0])
+    return diagnose_torques(recording, replace(arm, coulomb_friction=friction), options=FEW)
 
 
 def test_nothing_is_found_where_nothing_is_hidden():
@@ -63,7 +66,7 @@ def test_the_model_predicts_another_motion(diagnosed, tmp_path):
     unseen = Recording.from_arrays(motion.q, time=motion.time, joint_velocity=motion.dq, motion="trajectory")
     predicted = predict_torques(model, unseen)
     np.testing.assert_allclose(predicted, predict_torques(diagnosed.model, unseen), rtol=0, atol=1e-12)
-    truth = torques(setup, FRICTION, motion)
+    truth = torques(setup, (*FRICTION, DECLARED), motion)
     assert np.sqrt(np.mean((predicted - truth)[10:-10] ** 2)) < 0.02
     assert np.sqrt(np.mean((torques(setup, (), motion) - truth) ** 2)) > 0.1
     document = json.loads(path.read_text())
@@ -77,6 +80,8 @@ def test_the_model_predicts_another_motion(diagnosed, tmp_path):
     [
         (lambda d: d["model"]["links"].pop(), "links of the shape"),
         (lambda d: d["model"].update(gravity=[0, 0, 1e6]), "gravity"),
+        (lambda d: d["model"]["drives"].update(coulomb_friction=[0.1]), "coulomb_friction has the shape"),
+        (lambda d: d["model"]["drives"].update(damping=[0.1]), "damping"),
         (lambda d: d["model"]["effects"][0].update(effect="viscous_frictio"), "unknown"),
         (lambda d: d.update(verdict="fine"), "verdict"),
         (lambda d: d.update(more=1), "'more' is unknown"),

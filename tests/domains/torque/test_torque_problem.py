@@ -1,5 +1,7 @@
 """The filter, and torques as an estimation problem."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from domains.torque.moved import hidden, motion_of, recorded, setup_of
@@ -10,7 +12,7 @@ from lite6jax.domains.torque.filtering import low_pass, runs_of, sample_rate, sp
 from lite6jax.domains.torque.links import uncertain
 from lite6jax.domains.torque.problem import linearised, torque_problem
 from lite6jax.domains.torque.rows import bodies_of, torque_rows
-from lite6jax.effects.dynamic.friction import StribeckFriction
+from lite6jax.effects.dynamic.friction import StribeckFriction, ViscousFriction
 from lite6jax.effects.dynamic.motors import TorqueRipple, TorqueScale, TorqueTimeOffset
 from lite6jax.errors import InputError
 from lite6jax.estimation.least_squares import fit
@@ -81,6 +83,14 @@ def test_accelerations_follow_those_of_the_motion():
     assert cutoff <= 2 * chosen.cutoff
 
 
+def test_accelerations_at_the_ends_of_a_run_do_not_follow_its_first_and_last_velocity():
+    bodies, *_ = bodies_of(*recorded(seed=5, velocity_noise=1e-4))
+    motion = motion_of(setup_of(5)[0], 105)
+    ends = np.r_[0:10, -10:0]
+    error = np.asarray(bodies.motion.joint_acceleration).T[ends] - motion.ddq[ends]
+    assert np.sqrt(np.mean(error**2)) < 0.005 * np.sqrt(np.mean(motion.ddq**2))
+
+
 def test_spikes_are_found_and_nothing_else():
     recording, _ = recorded(seed=6)
     tau = recording.torques().T.copy()
@@ -92,6 +102,20 @@ def test_spikes_are_found_and_nothing_else():
     assert sorted(map(tuple, np.argwhere(found))) == [(2, 100), (4, 300)]
     clean = without_spikes(tau, found)
     assert abs(clean[2, 100] - recording.torques()[100, 2]) < 1.0
+
+
+def test_two_spikes_in_a_row_are_found_and_a_push_is_none():
+    recording, _ = recorded(seed=6)
+    tau = recording.torques().T.copy()
+    runs = np.zeros(tau.shape[1], int)
+    tau[2, 100:102] += (15.0, 12.0)
+    tau[4, 300:302] += (-4.0, 5.0)
+    tau[1, 200:205] += 15.0  # a push of a tenth of a second
+    tau[3, 400:] += 15.0  # and one that stays
+    found = spikes(tau, runs)
+    assert sorted(map(tuple, np.argwhere(found))) == [(2, 100), (2, 101), (4, 300), (4, 301)]
+    clean = without_spikes(tau, found)
+    assert np.abs(clean[2, 100:102] - recording.torques()[100:102, 2]).max() < 1.0
 
 
 @pytest.mark.parametrize("inertial", ["declared", 0.1])
@@ -136,6 +160,19 @@ def test_the_gain_alone_is_that_of_the_score(inertial, noise):
     some = fit(case, Terms((TorqueScale(3), TorqueRipple(1, 3.0))), EngineOptions(), noise=model)
     terms = [*case.candidates, *case.shaped[::5], *case.flexible[::9]]
     assert_same_gains(score_test(case, some, EngineOptions()), terms)
+
+
+def test_what_the_description_declares_of_drives_is_part_of_the_model():
+    recording, arm = recorded([hidden("viscous_friction", "joint2", viscous_Nm_s_per_rad=0.5)])
+    friction = np.array([0.0, 0.5, 0.0, 0.0, 0.0, 0.0])
+    term = Terms((ViscousFriction(2),))
+    for declared, wanted in ((None, 0.5), (friction, 0.0), (4 * friction, -1.5)):
+        case = torque_problem(torque_rows(recording, replace(arm, viscous_friction=declared), recording.torques().T))
+        found = fit(case, term, EngineOptions())
+        assert found.values[0] == pytest.approx(wanted, abs=4 * np.sqrt(found.covariance[0, 0]))
+        lowest = 0.0 if declared is None else -declared[1]
+        assert case.limits(term.terms[0])[0][0] == lowest
+    assert case.limits(ViscousFriction(1))[0][0] == 0.0
 
 
 @pytest.mark.parametrize(("offset", "within"), [(0.02, 5e-4), (-0.06, 5e-4)])

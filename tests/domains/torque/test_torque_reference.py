@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from domains.torque.moved import hidden, motion_of, recorded, setup_of
+from report.torque_diagnosed import diagnosed
 from typed import flat, run
 
 from benchmarks.torque_trials.physics import torques
@@ -13,8 +14,10 @@ from lite6jax.arms.description import write_arm
 from lite6jax.diagnosis.options import Options
 from lite6jax.diagnosis.torque_reference import diagnose_torques_against
 from lite6jax.domains.torque.reference import compare_rows
+from lite6jax.effects.dynamic.unnamed import UnnamedTorque
 from lite6jax.errors import InputError
 from lite6jax.recordings import Recording, write_recording
+from lite6jax.report.torque_reference import with_statements
 
 FEW = Options(folds=2)
 EARLIER = (
@@ -38,7 +41,9 @@ def simulated(effects, seed=1):
 
 
 def test_of_the_same_motion_only_the_difference_is_found():
+    """Nor what the description declares of drives and neither of them has."""
     recording, arm = recorded(WORN, seed=1)
+    arm = replace(arm, viscous_friction=np.array([0.0, 0.0, 0.0, 0.0, 0.3, 0.0]))
     found, seen = diagnose_torques_against(recording, simulated(EARLIER), arm, options=FEW)
     (finding,) = found.findings
     assert finding.effect.label == "coulomb_friction:joint3"
@@ -80,6 +85,59 @@ def test_of_another_motion_what_each_shows_is_compared():
     assert [entry["differs"] for entry in document["differences"]] == [
         entry["effect"] == "coulomb_friction" for entry in document["differences"]
     ]
+
+
+def sticky(q, v, size):
+    """Torques of a zone of joint 2 in which it sticks."""
+    zone = size * np.exp(-(((q[:, 1] - 0.2) / 0.25) ** 2)) * np.tanh(v[:, 1] / 0.002)
+    return zone[:, None] * (np.arange(6) == 1)
+
+
+@pytest.mark.parametrize(("before", "differs"), [(0.8, False), (0.4, True)])
+def test_functions_without_a_name_are_compared_where_both_recordings_have_them(monkeypatch, before, differs):
+    """Of splines with other knots over other ranges, as two searches find them; only the searches are left out."""
+    setup, _ = setup_of(1)
+    settings, sides = recorded(seed=1)[0].settings, []
+    for seed, size, pieces in ((500, 0.8, 10), (501, before, 9)):
+        motion, rng = motion_of(setup, seed), np.random.default_rng(seed)
+        noise = 0.5 * rng.normal(0, 1, motion.q.shape) * setup.arm.noise
+        tau = torques(setup, [], motion) + sticky(motion.q, motion.dq, size) + noise
+        q = motion.q[:, 1]
+        curve = UnnamedTorque(2, "position of joint 2", q.min(), q.max(), pieces, signed=True, spread=5.0)
+        side = Recording.from_arrays(
+            motion.q, time=motion.time, joint_velocity=motion.dq, joint_torque=tau, settings=settings
+        )
+        sides.append((side, curve))
+
+    def searched(recording, arm, **given):
+        curve = next(curve for side, curve in sides if side is recording)
+        return diagnosed(recording, (curve,), arm=arm)
+
+    monkeypatch.setattr("lite6jax.diagnosis.torque_reference.diagnose_torques", searched)
+    _, seen = diagnose_torques_against(sides[0][0], sides[1][0], setup_of(1)[1])
+    (difference,) = seen.effects
+    assert difference.p_value < 1e-6 if differs else difference.p_value > 0.0027
+    document = with_statements(seen.to_dict())["differences"][0]
+    assert document["driver"] == "position of joint 2 times direction of motion of joint 2"
+    assert document["statement"].startswith("Unnamed effect at joint2 over position of joint 2 times direction")
+    assert ("differs (p = " in document["statement"]) == differs
+    here, there = (document[side]["parameters"]["rms_Nm"] for side in ("recording", "reference"))
+    assert there["value"] / here["value"] == pytest.approx(before / 0.8, abs=0.1)
+
+
+def test_a_function_of_a_driver_that_the_reference_lacks_is_said(monkeypatch):
+    (warm, arm), (cold, _) = (recorded(seed=1, warming=True), recorded(seed=1))
+    cold = cold.select(np.arange(cold.samples) > 200)  # another motion
+    curve = UnnamedTorque(2, "temperature of joint 2", 20.0, 60.0, 3, spread=5.0)
+    monkeypatch.setattr(
+        "lite6jax.diagnosis.torque_reference.diagnose_torques",
+        lambda recording, arm, **given: diagnosed(recording, (curve,) if recording is warm else (), arm=arm),
+    )
+    _, seen = diagnose_torques_against(warm, cold, arm)
+    (difference,) = seen.effects
+    assert difference.p_value is None
+    assert difference.there is None
+    assert "the reference does not show it" in with_statements(seen.to_dict())["differences"][0]["statement"]
 
 
 def test_another_number_of_joints_is_refused():

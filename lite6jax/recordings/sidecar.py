@@ -1,0 +1,125 @@
+"""The sidecar, the YAML file beside a recording: its settings, names of columns and checksums, read and written."""
+
+import os
+from collections.abc import Mapping
+from dataclasses import asdict, fields
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import yaml
+
+from lite6jax.errors import InputError
+from lite6jax.recordings.checksums import KEY, RECORDING, Checksums, read_checksums, settings_checksum
+from lite6jax.recordings.columns import IGNORED
+from lite6jax.recordings.settings import RecordingSettings, form_of, parse_setting, reject_unknown, shown
+from lite6jax.storage import exists, read_yaml, write_atomically
+
+
+class Sidecar(NamedTuple):
+    """What stands beside a recording.
+
+    Attributes:
+        settings: of the arm, the sensor and the motion.
+        columns: of columns with names of their own, the names in `columns.py`, or `ignore`.
+        checksums: of the table and of the settings.
+    """
+
+    settings: RecordingSettings
+    columns: Mapping[str, str]
+    checksums: Checksums
+
+
+def sidecar_path(recording: str | Path) -> Path:
+    """Where the sidecar of a recording stands: the same stem, `.yaml`; of a folder, beside it."""
+    path = Path(recording)
+    return path.with_name(f"{path.name}.yaml") if os.path.isdir(path) else path.with_suffix(".yaml")
+
+
+def read_settings(path: str | Path) -> RecordingSettings:
+    """The settings in a sidecar; the defaults where the file does not exist.
+
+    Raises:
+        InputError: as `read_sidecar`.
+    """
+    return read_sidecar(path).settings
+
+
+def read_sidecar(path: str | Path) -> Sidecar:
+    """What a sidecar says; the defaults where the file does not exist.
+
+    Raises:
+        InputError: not YAML, tags, alias bombs, an unknown key (with the nearest accepted one) or an unusable value.
+    """
+    path = Path(path)
+    if not exists(path):
+        if exists(path.with_suffix(".yml")):
+            raise InputError(f"{path.with_suffix('.yml')}: a sidecar ends in .yaml; rename it to {path.name}")
+        return Sidecar(RecordingSettings(), {}, Checksums(path, {}, False))
+    content = read_yaml(path)
+    if not isinstance(content, dict) or not {"recording", "columns"} & set(content):
+        raise InputError(f"{path}: is not a sidecar; its one top key must be `recording:`, with the settings below it")
+    reject_unknown(f"{path}: ", content, ["recording", "columns", "account", KEY])
+    columns = _columns(content.get("columns"), path)
+    content.setdefault("recording", None)
+    settings = content["recording"]
+    if settings is None:
+        return Sidecar(RecordingSettings(), columns, read_checksums(content, path))
+    if not isinstance(settings, dict):
+        raise InputError(f"{path}: recording: {shown(settings)} is not a mapping; write `key: value` lines below it")
+    reject_unknown(f"{path}: recording.", settings, [field.name for field in fields(RecordingSettings)])
+    for key, value in settings.items():
+        if value is None:
+            raise InputError(f"{path}: recording.{key}: has no value; give {form_of(key)}, or leave the key out")
+    try:
+        declared = RecordingSettings(**{key: parse_setting(key, value) for key, value in settings.items()})
+    except InputError as error:
+        raise InputError(f"{path}: recording.{error}") from error
+    return Sidecar(declared, columns, read_checksums(content, path))
+
+
+def _columns(given: Any, path: Path) -> dict[str, str]:
+    if given is None:
+        return {}
+    if not isinstance(given, dict):
+        raise InputError(f"{path}: columns: {shown(given)} is not a mapping; write lines `name in the table: q1_rad`")
+    for name, meaning in given.items():
+        if not isinstance(meaning, str):
+            raise InputError(
+                f"{path}: columns.{str(name)[:60]}: {shown(meaning)} is no name of a column; write one such as q1_rad,"
+                f" or {IGNORED}"
+            )
+    return {str(name): meaning.strip() for name, meaning in given.items()}
+
+
+def write_settings(
+    settings: RecordingSettings,
+    path: str | Path,
+    overwrite: bool = False,
+    tables: Mapping[str, str] | None = None,
+    account: Mapping[str, Any] | None = None,
+) -> Path:
+    """Writes a sidecar that `read_settings` reads back exactly; every declared key is written, defaults too.
+
+    Args:
+        settings: what it declares.
+        path: the file.
+        overwrite: whether it may be replaced.
+        tables: the checksum of the table beside it, by the key of `checksums.TABLES`; none where it is not known.
+        account: what the recording of an arm says about itself: plain numbers and phrases, which nothing reads back.
+
+    Raises:
+        InputError: the file exists and `overwrite` is false, or it cannot be written.
+    """
+    declared = {
+        key: list(value) if isinstance(value, tuple) else value
+        for key, value in asdict(settings).items()
+        if value is not None
+    }
+    # first: a file that is cut off keeps them, and lacks what they are of
+    content = {KEY: {RECORDING: settings_checksum(declared), **(tables or {})}, "recording": declared}
+    content |= {} if account is None else {"account": dict(account)}
+    return write_atomically(
+        path,
+        yaml.safe_dump(content, sort_keys=False, default_flow_style=None, width=120, allow_unicode=True),
+        overwrite,
+    )

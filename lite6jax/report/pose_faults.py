@@ -1,0 +1,390 @@
+"""The sentences about data faults of recordings of poses, one for each code, found or not."""
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+Numbers = Mapping[str, Any]
+
+NAMES = {
+    "time_order": "Rows out of time order",
+    "repeated_rows": "Repeated rows",
+    "position_unit": "Positions in another unit",
+    "commanded_joints": "Commanded joint positions",
+    "swapped_joints": "Swapped joints",
+    "mirrored_joint": "Joint with reversed sign",
+    "joint_unit": "Joint in another unit",
+    "joint_turns": "Joint off by turns",
+    "orientation_convention": "Orientation convention",
+    "frame_jump": "Frame jump",
+    "unsettled_readouts": "Unsettled joint read-outs",
+    "nominal_table": "Nominal table",
+    "calibration_off": "Calibration off everywhere",
+    "no_joints": "Rows without joint positions",
+    "outliers": "Outliers",
+}
+"""Each fault in a few words."""
+
+_CONVENTIONS = {
+    "inverted": "inverted orientations (those of the sensor's frame in the tool's)",
+    "scalar_last": "quaternions with the scalar last (x, y, z, w)",
+    "inverted_scalar_last": "inverted orientations with the scalar last (x, y, z, w)",
+}
+_COMMANDED = "the servo error and the compliance of the gears are then part of the estimated physics"
+
+
+# ------------------------------------------------------------------ rows
+
+
+def _time_order(rows: Sequence[int], n: Numbers) -> str:
+    return (
+        f"{_counted(rows)} out of time order within {_their(rows)} run, by {n['largest_step_back_s']:.4g} s at most. "
+        "The rows of each run were sorted by time. Check how the file was put together."
+    )
+
+
+def _no_time_order(n: Numbers) -> str:
+    if n["timed"]:
+        return f"All {n['samples']} rows are in time order within each run."
+    return f"The {n['samples']} rows have no times: their order is taken as the sequence."
+
+
+def _repeated_rows(rows: Sequence[int], n: Numbers) -> str:
+    verb = "repeats" if len(rows) == 1 else "repeat"
+    return (
+        f"{_number_of(rows)} exactly {verb} joints and pose of an earlier row (row {rows[0]} those of row "
+        f"{n['first_rows'][0]}), which sensor noise makes impossible. Each was used once. Check whether the logger "
+        "wrote rows twice or the sensor had stopped."
+    )
+
+
+def _position_unit(rows: Sequence[int], n: Numbers) -> str:
+    size = "large" if n["factor"] > 1 else "small"
+    return (
+        f"The positions in {_number_of(rows)} are a factor of 1000 too {size}: they are in another unit than the rest. "
+        "They were converted. Check what wrote these rows."
+    )
+
+
+def _no_position_unit(n: Numbers) -> str:
+    return (
+        f"All positions are in one unit: none is further than {n['largest_distance_m']:.3g} m from their middle, half "
+        f"are within {n['median_distance_m']:.3g} m."
+    )
+
+
+def _commanded(rows: Sequence[int], n: Numbers) -> str:
+    if n["reason"] == "grid":
+        reason = (
+            f"all {n['distinct_positions']} joint positions are multiples of {_grid(n)}, which encoders do not read"
+        )
+    else:
+        reason = (
+            f"all {n['returns']} returns to an earlier pose have the same joint positions to the last digit, although "
+            f"the sidecar declares a read-out noise of {n['joint_noise_rad']:.2g} rad"
+        )
+    return (
+        f"The joint positions are commanded or rounded, not measured: {reason}. They were used unchanged; {_COMMANDED}"
+        ". Record the encoders, or declare joint_source: commanded."
+    )
+
+
+def _not_commanded(n: Numbers) -> str:
+    if n["reason"] == "declared":
+        return f"The sidecar declares commanded joint positions; {_COMMANDED}."
+    return f"The joint positions are measured, not commanded: {n['share']:.0%} of them are multiples of {_grid(n)}."
+
+
+def _grid(n: Numbers) -> str:
+    return "0.01 deg" if n["grid_unit"] == "deg" else f"{n['grid_rad']:g} rad"
+
+
+# ------------------------------------------------------------------ columns
+
+NO_COLUMN_FAULT = {
+    "swapped_joints": "no joints are swapped",
+    "mirrored_joint": "no joint has its sign reversed",
+    "joint_unit": "no joint is in another unit",
+    "orientation_convention": "the orientations are unit quaternions of the tool, scalar first",
+}
+"""Faults of columns, each as a clause that rules it out."""
+
+
+def _column(rows: Sequence[int], n: Numbers, code: str) -> str:
+    sentence = f"{_capital(_column_fault(code, n))}. "
+    sentence += (
+        f"The correction reduces the median error from {_mm(n['median_error_m'], 4)} mm to "
+        f"{_mm(n['corrected_error_m'])} mm and was applied. "
+    )
+    if n["alternatives"]:
+        others = " or ".join(
+            " and ".join(_column_fault(part["fault"], part) for part in parts) for parts in n["alternatives"]
+        )
+        sentence += f"It is indistinguishable from another correction: {others}. "
+    return sentence + "Correct the columns in the file."
+
+
+def _column_fault(code: str, n: Numbers) -> str:
+    if code == "swapped_joints":
+        return f"joints {_joined(map(str, n['joints']))} are swapped"
+    if code == "mirrored_joint":
+        return f"joint {n['joint']} has its sign reversed"
+    if code == "joint_unit":
+        other = "degrees" if n["unit"] == "deg" else "radians though the others are in degrees"
+        return f"joint {n['joint']} is in {other}"
+    if code == "orientation_convention":
+        return f"the orientations are {_CONVENTIONS[n['convention']]}"
+    turned = abs(n["added_rad"])
+    away = "half a turn" if np.isclose(turned, np.pi) else f"{np.rad2deg(-n['added_rad']):+.0f} deg"
+    return f"the zero of joint {n['joint']} is off by {away}"
+
+
+def _column_reason(n: Numbers) -> str:
+    error, limit = _mm(n["median_error_m"]), _mm(n["suspected_above_m"])
+    if "best_alternative_m" in n:
+        return (
+            f"the median error is {error} mm, but no correction of columns reduces it below "
+            f"{_mm(n['best_alternative_m'])} mm. Check the arm, the frame and the tool that the sidecar declares."
+        )
+    return f"the median error is {error} mm; column errors are suspected above {limit} mm."
+
+
+def columns_ruled_out(codes: Iterable[str], n: Numbers) -> str:
+    """Why faults of columns that the same numbers rule out are not there.
+
+    Args:
+        codes: of `NO_COLUMN_FAULT`.
+        n: of each.
+    """
+    return f"{_capital(_joined(NO_COLUMN_FAULT[code] for code in codes))}: {_column_reason(n)}"
+
+
+def _joint_turns(rows: Sequence[int], n: Numbers) -> str:
+    if "added_rad" in n:
+        return _column(rows, n, "joint_turns")
+    joints = f"Joint{'s' if len(n['joints']) > 1 else ''} {_joined(map(str, n['joints']))}"
+    verb = "are" if len(n["joints"]) > 1 else "is"
+    return (
+        f"{joints} {verb} off by whole turns in {_number_of(rows)}. The turns were removed, since gears and limits "
+        "depend on them. Check where the encoder wraps."
+    )
+
+
+def _no_joint_turns(n: Numbers) -> str:
+    if n["outside_limits_rad"]:
+        return f"No joint is off by whole turns; the limits are exceeded by {n['outside_limits_rad']:.3g} rad at most."
+    return "No joint is off by whole turns: all are within their limits."
+
+
+# ------------------------------------------------------------------ frames and joints beside physics
+
+
+def _frame_jump(rows: Sequence[int], n: Numbers) -> str:
+    what = "the sensor or the base" if n["part"] == "base" else "the target or the tool on the flange"
+    run = f", where run {n['run']} begins" if "run" in n else ""
+    return (
+        f"At row {n['row']}{run}, {what} moved by {_mm(n['translation_m'])} mm and {_mm(n['rotation_rad'])} mrad "
+        f"({_mm(n['displacement_rms_m'])} mm RMS in the poses from there on, {_chance(n['p_value'], 1)}). "
+        f"{_compared(n, 'Without a jump')}This constant displacement was removed from the poses from that row on. "
+        "Check the mount, and record again where it matters."
+    )
+
+
+def _no_frame_jump(n: Numbers) -> str:
+    if n["reason"] == "physics":
+        rows = _joined(map(str, n["candidate_rows"]))
+        return (
+            f"There is no frame jump at row {rows}: without one, the poses are more likely by "
+            f"{n['log_likelihood_gap']:.3g} of log-likelihood, with {_terms(n)}."
+        )
+    if n["reason"] == "gradual":
+        return "There is no frame jump: what changes does so over many rows, as physics does."
+    if n["reason"] == "too_few_rows":
+        return f"{n['samples']} rows are too few to test for a frame jump."
+    return f"There is no frame jump ({_chance(n['p_value'])})."
+
+
+_SHAPES = {
+    "move": ("a share of each move remained", "of the move"),
+    "velocity": ("the poses show the joints later, at the recorded velocities", "s"),
+    "constant": ("the same angle remained after each move, against the sign of backlash", "rad"),
+}
+
+
+def _unsettled(rows: Sequence[int], n: Numbers) -> str:
+    remedy = "Wait longer before reading, or read the joints when the pose is measured."
+    if n["shape"] == "rows":
+        return (
+            f"The joints were read before the arm had settled in {_number_of(rows)}: {n['rest']:.2g} of the move "
+            f"remained. These rows have little weight. {remedy}"
+        )
+    shape, unit = _SHAPES[n["shape"]]
+    joints = "all joints" if n["all_joints"] else ", ".join(f"joint {joint}" for joint in n["joints"])
+    return (
+        f"The joints were read before the arm had settled: {shape} ({joints}; {n['rest']:.3g} ± {n['rest_std']:.1g} "
+        f"{unit}, up to {_mm(n['largest_rms_rad'], 2)} mrad RMS). The remainder was added to the joint positions. "
+        f"{remedy}"
+    )
+
+
+def _settled(n: Numbers) -> str:
+    if n["reason"] == "moving":
+        return "Unsettled read-outs were not tested for: the arm moved while it was recorded."
+    if n["reason"] == "too_few_rows":
+        return f"{n['samples']} rows are too few to test for unsettled read-outs. Record more."
+    if n["reason"] == "ordered_poses":
+        return (
+            f"Unsettled read-outs cannot be tested for: the moves before explain the poses ({_chance(n['p_value'])}), "
+            "but the moves after explain them too, as the poses are in an orderly sequence. Record some in random "
+            "order."
+        )
+    return f"The joints were read at rest: the moves before explain nothing ({_chance(n['p_value'])})."
+
+
+# ------------------------------------------------------------------ what the sidecar declares
+
+
+def _nominal_table(rows: Sequence[int], n: Numbers) -> str:
+    reason = _tables(n)
+    if not n["decided"]:
+        reason = f"{n['table']} leaves smaller residuals, and no physics with the declared table compensates for that"
+    used = {
+        "table": f"{n['table']} was used. Name it in the sidecar.",
+        "instead_of_file": f"{n['table']} was used in place of the calibration file. Name it in the sidecar.",
+        "none": f"The declared chain was used as requested. Use --geometry free, or the file of {n['table']}.",
+    }[n["used"]]
+    chain = {
+        "fitted": "The chain was fitted from this table. ",
+        "as_published": "The chain was not fitted: "
+        f"a fit gains too little for {n.get('numbers_more', 'its')} more parameters. ",
+    }.get(n.get("chain", ""), "")
+    return (
+        f"The declared table is not that of this arm: {reason}. {_compared(n, 'With the declared table')}{chain}{used}"
+    )
+
+
+def _declared_table(n: Numbers) -> str:
+    if n["reason"] == "own_chain":
+        return "No other nominal table was tested: the calibration file is the arm's own."
+    if n["reason"] == "single_table":
+        return f"No other nominal table was tested: {n['declared']} has only one."
+    if n["reason"] == "indistinguishable":
+        return f"The data do not distinguish the declared table from {n['table']}."
+    fitted = " The chain is fitted, so that the table matters little." if n["fitted"] else ""
+    return f"The data do not support the table {n['table']}: {_tables(n)}.{fitted}"
+
+
+def _tables(n: Numbers) -> str:
+    if "share" in n:
+        return (
+            f"between the declared table (0) and {n['table']} (1), the data are at {n['share']:.2f} ± "
+            f"{n['share_std']:.1g}"
+        )
+    if "table_ratio" not in n:
+        return "the data do not distinguish the two"
+    return (
+        f"residuals are {n['declared_ratio']:.3g} times those of a fitted chain with {n['declared']}, and "
+        f"{n['table_ratio']:.3g} times with {n['table']}"
+    )
+
+
+def _calibration_off(rows: Sequence[int], n: Numbers) -> str:
+    return (
+        f"All numbers of the calibration file are off by {_mm(n['sigma_m'], 2)} mm and {_mm(n['sigma_rad'], 2)} mrad "
+        f"(one standard deviation), as those of a rounded or outdated file. "
+        f"{_compared(n, 'With an exact file')}The chain was fitted within that. Declare factory_uncertainty in the "
+        "sidecar."
+    )
+
+
+def _no_joints(rows: Sequence[int], n: Numbers) -> str:
+    return (
+        f"{_number_of(rows)} {'was' if len(rows) == 1 else 'were'} left out: the clocks differ by "
+        f"{n['clock_offset_s']:.4g} s, and the joint positions at that time were not recorded. Start the recording of "
+        "the joints earlier and end it later."
+    )
+
+
+def _outliers(rows: Sequence[int], n: Numbers) -> str:
+    verb = "is an outlier and has" if len(rows) == 1 else "are outliers and have"
+    return f"{_number_of(rows)} {verb} little weight. Check them."
+
+
+FOUND: dict[str, Callable[[Sequence[int], Numbers], str]] = {
+    "time_order": _time_order,
+    "repeated_rows": _repeated_rows,
+    "position_unit": _position_unit,
+    "commanded_joints": _commanded,
+    "swapped_joints": lambda rows, n: _column(rows, n, "swapped_joints"),
+    "mirrored_joint": lambda rows, n: _column(rows, n, "mirrored_joint"),
+    "joint_unit": lambda rows, n: _column(rows, n, "joint_unit"),
+    "joint_turns": _joint_turns,
+    "orientation_convention": lambda rows, n: _column(rows, n, "orientation_convention"),
+    "frame_jump": _frame_jump,
+    "unsettled_readouts": _unsettled,
+    "nominal_table": _nominal_table,
+    "calibration_off": _calibration_off,
+    "no_joints": _no_joints,
+    "outliers": _outliers,
+}
+"""What is wrong and how it was corrected, of rows and numbers."""
+RULED_OUT: dict[str, Callable[[Numbers], str]] = {
+    "time_order": _no_time_order,
+    "repeated_rows": lambda n: f"None of the {n['samples']} rows repeats joints and pose of another.",
+    "position_unit": _no_position_unit,
+    "commanded_joints": _not_commanded,
+    "swapped_joints": lambda n: columns_ruled_out(["swapped_joints"], n),
+    "mirrored_joint": lambda n: columns_ruled_out(["mirrored_joint"], n),
+    "joint_unit": lambda n: columns_ruled_out(["joint_unit"], n),
+    "orientation_convention": lambda n: columns_ruled_out(["orientation_convention"], n),
+    "joint_turns": _no_joint_turns,
+    "frame_jump": _no_frame_jump,
+    "unsettled_readouts": _settled,
+    "nominal_table": _declared_table,
+}
+"""Why a fault is not there."""
+
+
+def _compared(n: Numbers, otherwise: str) -> str:
+    """How much less likely the poses are without a fault, where that was compared; "" where not."""
+    if "log_likelihood_gap" not in n:
+        return ""
+    return (
+        f"{otherwise}, the best explanation ({_terms(n)}) is less likely by {n['log_likelihood_gap']:.3g} of "
+        "log-likelihood. "
+    )
+
+
+def _terms(n: Numbers) -> str:
+    return ", ".join(n["rival_terms"]) or "no effect"
+
+
+def _chance(p: float, digits: int = 2) -> str:
+    return f"p = {p:.{digits}g}" if p > 0 else "p < 1e-300"
+
+
+def _number_of(rows: Sequence[int]) -> str:
+    return f"{len(rows)} row{'' if len(rows) == 1 else 's'}"
+
+
+def _counted(rows: Sequence[int]) -> str:
+    return f"{_number_of(rows)} {'is' if len(rows) == 1 else 'are'}"
+
+
+def _their(rows: Sequence[int]) -> str:
+    return "its" if len(rows) == 1 else "their"
+
+
+def _mm(metres: float, digits: int = 3) -> str:
+    """Metres in mm, or radians in mrad."""
+    return f"{1e3 * metres:.{digits}g}"
+
+
+def _capital(text: str) -> str:
+    return text[:1].upper() + text[1:]
+
+
+def _joined(words: Iterable[str]) -> str:
+    *first, last = words
+    return f"{', '.join(first)} and {last}" if first else last
