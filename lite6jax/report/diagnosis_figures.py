@@ -117,9 +117,12 @@ def order_spectrum(found: Diagnosis, title: str) -> Figure:
     """What a harmonic of each order of each joint explains, before and after."""
     spectra = evidence_map.joint_spectra(found)
     with rc_context(STYLE):
-        figure, panels = panels_in_rows(len(spectra), shared=True)
-        for panel, joint in zip(panels, spectra, strict=True):
+        figure, panels = panels_in_rows(max(len(spectra), 1), shared=True)
+        for panel, joint in zip(panels, spectra, strict=False):
             _draw_spectrum(panel, joint)
+        if not spectra:
+            panels[0].text(0.5, 0.5, "no joint turns", ha="center", color=GREY)
+            return figure
         panels[0].set_ylim(max(3.0 * max(joint.noise for joint in spectra), 1e-3), 150)
         panels[0].yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
         for name, colour in _STAGES[: 2 if found.findings else 1]:
