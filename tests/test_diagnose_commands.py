@@ -5,6 +5,7 @@ import json
 import re
 import shlex
 from dataclasses import replace
+from io import BytesIO
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ import pyarrow.csv
 import pytest
 from diagnosis.recorded import LITE6, Made, quaternions, static_motion, with_effects
 from domains.pose.documents import OWN, document
+from matplotlib.image import imread
 from typed import flat, refused, run
 
 from lite6jax.arms.factory import write_factory
@@ -289,7 +291,9 @@ def test_a_quick_diagnosis_holds_out_fewer_blocks_and_says_so(capsys, recorded, 
 def test_the_commands_to_copy_work(capsys, recorded, diagnosed):
     lines = [line.strip() for line in diagnosed[1].splitlines() if line.startswith("    lite6jax ")]
     commands = [shlex.split(line)[1:] for line in lines]
-    assert [command[0] for command in commands] == ["compensate", "report"]
+    assert [command[0] for command in commands] == ["compensate", "view", "report"]
+    served = commands.pop(1)
+    assert run(capsys, *served, "--port", "0", "--duration", "0.1")[::2] == (0, "")
     for command in commands:
         code, _, err = run(capsys, *command)
         assert err == ""
@@ -387,3 +391,9 @@ def test_a_diagnosis_plots_its_figures(corpus):
     assert [bar.get_width() for bar in panel.patches] == [1e3 * f["moves_rms_m"] for f in document["findings"]]
     assert panel.get_xlabel() == "moves the measured point (mm RMS)"
     assert figures["where"].get_suptitle().startswith("run.csv: ")
+    some = figures.only(["where", "ranking"])  # as a notebook shows them: below each other, in this order
+    whole, one, other = (imread(BytesIO(f._repr_png_())) for f in (some, *(some.only([name]) for name in some)))
+    assert whole.shape[:2] == (one.shape[0] + other.shape[0], max(one.shape[1], other.shape[1]))
+    for part, alone in ((whole[: one.shape[0], : one.shape[1]], one), (whole[one.shape[0] :, : other.shape[1]], other)):
+        assert np.abs(part - alone).mean() < 0.02 < np.std(alone)  # the layout moves a little when drawn again
+    assert figures.only([])._repr_png_() is None

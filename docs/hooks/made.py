@@ -19,6 +19,7 @@ import numpy as np
 import yaml
 
 import lite6jax
+from docs.hooks import screens
 from lite6jax.arms.bundled import bundled_arms, load_bundled
 from lite6jax.cli import main
 from lite6jax.cli.program import COMMANDS
@@ -87,7 +88,16 @@ KEYS = {
     "torque_noise_Nm": "noise of the torque of each joint",
     "inertial": "for torques: what is known of the masses and inertias of the links",
     "torque_constant_Nm_per_A": "torque per current of each joint, at the joint, gear included",
+    "date": "the day of the measurement, which a certificate shows",
+    "instrument": "with what it was measured, such as type and serial number, which a certificate shows",
 }
+EXAMPLES = {
+    "check": ("check", str(Path(lite6jax.__file__).parent / "demo" / "lite6_simulated.yaml")),
+    "convert": ("convert", "lite6", "lite6.xml"),
+    "emulate": ("emulate", "--faults"),
+    "arms": ("arms",),
+}
+"""Commands that are run where no page shows them."""
 PYTHON = {
     "Fit": (
         "fit", "Solution", "Result", "fit_fleet", "fit_fleet_calibrations", "FleetSolution",
@@ -123,7 +133,27 @@ def on_page_markdown(markdown: str, **_: object) -> str:
 def command_help() -> str:
     """What `--help` of the program and of each command prints."""
     sections = ["## lite6jax\n\n" + _screen("--help")]
-    return "\n\n".join(sections + [f"## {name}\n\n{_screen(name, '--help')}" for name in COMMANDS])
+    shown = _shown_in()
+    for name in COMMANDS:
+        sections.append(f"## {name}\n\n{_screen(name, '--help')}")
+        if name in EXAMPLES:
+            with tempfile.TemporaryDirectory() as folder, contextlib.chdir(folder):
+                sections.append(f"For example:\n\n{_screen(*EXAMPLES[name])}")
+        elif name in shown:
+            sections.append(f"What it prints: {', '.join(shown[name])}.")
+    return "\n\n".join(sections)
+
+
+def _shown_in() -> dict[str, list[str]]:
+    """For each command links to the pages that show what it prints, which tests compare with what it does print."""
+    found: dict[str, list[str]] = {}
+    for page in screens.pages():
+        text = page.read_text()
+        title = text.partition("\n")[0].removeprefix("# ")
+        link = f"[{title}](../{page.relative_to(HERE.parent).as_posix()})"
+        for name in dict.fromkeys(screen.words[1] for screen in screens.screens(text)):
+            found.setdefault(name, []).append(link)
+    return found
 
 
 def column_table() -> str:
@@ -298,7 +328,8 @@ def _screen(*arguments: str) -> str:
     os.environ["COLUMNS"] = str(WIDTH)
     with contextlib.redirect_stdout(said):
         main(list(arguments))
-    return f"```text\n$ lite6jax {' '.join(arguments)}\n{said.getvalue().strip()}\n```"
+    whole = f"$ lite6jax {' '.join(arguments)}\n{said.getvalue().strip()}"
+    return f"```text\n{whole.replace(f'{HERE.parents[1]}{os.sep}', '')}\n```"  # a file is named by its place
 
 
 MADE: Mapping[str, Callable[[], str]] = {

@@ -136,17 +136,24 @@ def export_file(
     form: FileForm | None = None,
     overwrite: bool = False,
     left_out: tuple[str, ...] = (),
+    nominal: Arm | None = None,
 ) -> Conversion:
-    """As `export_arm`, read back.
+    """As `export_arm`, read back; as a table of its chain where the nominal arm is known.
 
     Args:
         arm, target, form, overwrite: as of `export_arm`.
         left_out: what the arm itself has no place for, a phrase each.
+        nominal: by whose axes a table is parameterised.
 
     Raises:
-        InputError: as `export_arm`.
+        InputError: as `export_arm`; a table without a nominal arm.
     """
     form = form or _form_of(Path(target), calibrated=False)
+    if form == "table" and nominal is not None:
+        calibration = FactoryCalibration(arm.kinematics, nominal, arm.T_joint_flange, arm.name)
+        table = write_table(nominal.form, hayati_of(calibration), target, overwrite)
+        again = _read(table, nominal, True)[0]
+        return Conversion(table, form, arm, (*left_out, *left_out_of(arm, form)), _distance(arm, again))
     path = export_arm(arm, target, form, overwrite)
     again = read_arm(str(target))
     return Conversion(path, form, arm, (*left_out, *left_out_of(arm, form)), _distance(arm, again))

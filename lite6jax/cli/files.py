@@ -58,6 +58,7 @@ class Convert:
         check_writable(self.target, self.force)
         into = self.into.partition("#")[0] if self.into else None
         refuse_inputs([self.target], [self.source.partition("#")[0], self.arm, into, self.effects])
+        from lite6jax.arms.bundled import bundled_arms, load_bundled
         from lite6jax.arms.files import read_arm, with_chain
         from lite6jax.arms.forms import convert_file, export_file, export_into
         from lite6jax.diagnosis.export import is_diagnosis, read_diagnosed_arm
@@ -76,7 +77,8 @@ class Convert:
             whole = arm or read_arm(source)
             done = export_into(whole, self.into, self.target, self.force, left_out, with_flange=arm is None)
         elif arm is not None:
-            done = export_file(arm, self.target, self.to, self.force, left_out)
+            known = nominal or (load_bundled(arm.name) if arm.name in bundled_arms() else None)
+            done = export_file(arm, self.target, self.to, self.force, left_out, known)
         else:
             done = convert_file(source, self.target, self.to, nominal, self.force)
         if self.json:

@@ -1,8 +1,11 @@
-"""The files that a diagnosis was made from, with their checksums, for its document."""
+"""The files that a diagnosis was made from, with their checksums: for its document, and found again by it."""
 
-from collections.abc import Iterator
+import warnings
+from collections.abc import Iterator, Mapping
 from pathlib import Path
+from typing import Any
 
+from lite6jax.errors import InputError, InputWarning
 from lite6jax.storage import exists
 
 
@@ -25,6 +28,44 @@ def inputs(
     named = {(role, file) for role, file in files if file.is_file()}
     ordered = [pair for pair in dict.fromkeys(files) if pair in named]
     return [{"role": role, "file": file.name, "sha256": table_checksum(file)} for role, file in ordered]
+
+
+def found_recording(document: Mapping[str, Any], diagnosis: Path) -> Path | None:
+    """The recording that was diagnosed, where it is beside the diagnosis or here."""
+    places = [
+        place for entry in _recordings(document) for place in (diagnosis.with_name(entry["file"]), Path(entry["file"]))
+    ]
+    return next((place for place in places if place.is_file()), None)
+
+
+def diagnosed_recording(document: Mapping[str, Any], diagnosis: Path) -> Path:
+    """The recording that was diagnosed.
+
+    Raises:
+        InputError: it is not there, or the document does not say which it was.
+
+    Warns:
+        InputWarning: the file is another one than was diagnosed.
+    """
+    from lite6jax.recordings.checksums import table_checksum
+    from lite6jax.report.next_steps import command_line
+
+    named = _recordings(document)
+    found = found_recording(document, diagnosis)
+    if found is None:
+        which = f"the recording {named[0]['file']} that it names is not beside it" if named else "it names no recording"
+        raise InputError(f"{diagnosis}: {which}; give one: {command_line('view', diagnosis, 'RECORDING')}")
+    if table_checksum(found) != named[0]["sha256"]:
+        warnings.warn(
+            f"{found}: is not as it was when {diagnosis.name} was made from it (their SHA-256 differ)",
+            InputWarning,
+            stacklevel=2,
+        )
+    return found
+
+
+def _recordings(document: Mapping[str, Any]) -> list[Mapping[str, str]]:
+    return [entry for entry in document.get("inputs", ()) if entry["role"] == "recording"]
 
 
 def _of_recording(file: Path, role: str) -> Iterator[tuple[str, Path]]:

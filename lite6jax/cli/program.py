@@ -31,6 +31,7 @@ from lite6jax.cli.live import Read, Record
 from lite6jax.cli.report import Report
 from lite6jax.cli.simulate import Simulate
 from lite6jax.cli.study import Identify, Sensitivity
+from lite6jax.cli.view import View
 from lite6jax.errors import InputError, InputWarning
 
 COMMANDS = {
@@ -43,6 +44,7 @@ COMMANDS = {
     "design": Design,
     "diagnose": Diagnose,
     "report": Report,
+    "view": View,
     "predict": Predict,
     "compensate": Compensate,
     "simulate": Simulate,
@@ -55,7 +57,8 @@ COMMANDS = {
     "arms": Arms,
     "demo": Demo,
 }
-DESCRIPTION = f"""Fit a UFACTORY Lite 6, or any serial arm, to its calibration or to measured poses.
+DESCRIPTION = f"""Find what the model of a robot arm lacks, from measured poses or joint torques, correct it, and fit
+calibrations: of a UFACTORY Lite 6, or of any serial arm.
 
 Exit codes: {"; ".join(f"{code} {meaning}" for code, meaning in MEANINGS.items())}."""
 

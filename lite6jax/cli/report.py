@@ -10,6 +10,7 @@ from tyro.conf import Positional, arg
 
 from lite6jax.cli.arguments import OutFile, check_out, refuse_inputs
 from lite6jax.cli.exit_codes import DONE
+from lite6jax.cli.inputs import found_recording
 from lite6jax.errors import InputError
 
 if TYPE_CHECKING:
@@ -37,9 +38,10 @@ class Report:
     certificate: OutFile = None
     """Write one A4 page here (.pdf)."""
     date: Annotated[str | None, arg(metavar="YYYY-MM-DD")] = None
-    """When it was measured, for the certificate."""
+    """When it was measured, for the certificate; the sidecar's date where not given."""
     instrument: Annotated[str | None, arg(metavar="TEXT")] = None
-    """With what it was measured, for the certificate; the kind of sensor that is declared where not given."""
+    """With what it was measured, for the certificate; where not given what the sidecar declares, or else the kind of
+    sensor."""
     details: bool = False
     """Print also what was ruled out and what was not tested."""
     json: bool = False
@@ -65,7 +67,7 @@ class Report:
         written = []
         try:
             said = with_statements(document)
-            recording = _recording(document, self.diagnosis)
+            recording = found_recording(document, self.diagnosis)
             files = None if recording is None else Files(recording, self.diagnosis)
             page = list(report(said, str(self.diagnosis), files, self.details))
             if self.certificate:
@@ -112,10 +114,3 @@ def _date(text: str | None) -> Date | None:
         return None if text is None else Date.fromisoformat(text)
     except ValueError as error:
         raise InputError(f"--date {text}: give a day as YYYY-MM-DD, such as 2026-11-21") from error
-
-
-def _recording(document: Any, diagnosis: Path) -> Path | None:
-    """The recording that was diagnosed, where it is beside the diagnosis or here."""
-    names = [entry["file"] for entry in document.get("inputs", ()) if entry["role"] == "recording"]
-    places = [place for name in names for place in (diagnosis.with_name(name), Path(name))]
-    return next((place for place in places if place.is_file()), None)

@@ -71,6 +71,8 @@ def to_document(found: Diagnosis) -> dict[str, Any]:
         "heldout_blocks": len(held_out_folds(problem.recording, found.options, len(problem.frames) + 1)),
         "quick": found.options.quick,
         "pose_source": problem.recording.settings.pose_source,
+        "date": problem.recording.settings.date,
+        "instrument": problem.recording.settings.instrument,
         "noise": {
             "declared_position_m": problem.noise[0] if problem.declared else None,
             "estimated_position_m": found.estimated_noise,

@@ -104,6 +104,8 @@ _PARTS: Mapping[str, Check] = {
     "heldout_blocks": whole(1),
     "quick": flag,
     "pose_source": text,
+    "date": optional(text),
+    "instrument": optional(text),
     "inputs": INPUTS,
     "noise": record({"declared_position_m": optional(_POSITIVE), "estimated_position_m": _POSITIVE}),
     "data_faults": items(_FAULT),

@@ -59,6 +59,8 @@ def to_torque_document(found: TorqueDiagnosis) -> dict[str, Any]:
             "estimated_torque_Nm": (raw * found.fit.scale).tolist(),
         },
         "torque_source": data.recording.settings.torque_source,
+        "date": data.recording.settings.date,
+        "instrument": data.recording.settings.instrument,
         "data_faults": [fault.to_dict() for fault in found.faults],
         "ruled_out": [fault.to_dict() for fault in found.ruled_out],
         "findings": [_finding(found, k) for k in range(len(found.findings))],

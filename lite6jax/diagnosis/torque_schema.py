@@ -61,6 +61,8 @@ PARTS: Mapping[str, Check] = {
     "filter": record({"rate_Hz": _POSITIVE, "cutoff_Hz": _POSITIVE, "motion_cutoff_Hz": _POSITIVE, "every": whole(1)}),
     "noise": record({"declared_torque_Nm": optional(_BY_JOINT), "estimated_torque_Nm": _BY_JOINT}),
     "torque_source": text,
+    "date": optional(text),
+    "instrument": optional(text),
     "data_faults": items(_FAULT),
     "ruled_out": items(_FAULT),
     "findings": items(_FINDING),

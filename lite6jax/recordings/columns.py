@@ -41,6 +41,8 @@ _SCALAR = {
 }
 _TEXTS = ("gap",)
 """Columns of words, for people."""
+_STD = re.compile(r"[a-z]+\d*_std_[a-zA-Z]+")
+"""Standard deviations, as `predict` and `compensate` write them beside what can be read again."""
 IGNORED = "ignore"
 """What a sidecar says of a column that is not to be read."""
 _NAME = re.compile(r"(?P<quantity>[a-z]+?)(?P<joint>\d*)(?:_(?P<unit>.*))?", re.IGNORECASE | re.DOTALL | re.ASCII)
@@ -116,7 +118,7 @@ def recognise(
             problems.say(f"column {name[:60]!r} of the sidecar is not in the table; it has {_listed(names)}")
     for index, raw in enumerate(names):
         name = own.get(raw, own.get(raw.strip(), raw.strip()))
-        if name == IGNORED or name in _TEXTS:
+        if name == IGNORED or name in _TEXTS or _STD.fullmatch(name):
             continue
         column = _column(name, raw.strip(), index, problems)
         if column is None:
@@ -317,11 +319,13 @@ def is_per_joint(quantity: str) -> bool:
 
 def is_standard(name: str) -> bool:
     """Whether a table's column of this name is read, or passed over, without a sidecar's help."""
-    return name in _TEXTS or _column(name, name, 0, _Problems()) is not None
+    return name in _TEXTS or _STD.fullmatch(name) is not None or _column(name, name, 0, _Problems()) is not None
 
 
 def is_refused(name: str) -> bool:
     """Whether a table's column of this name has to be named or ignored by a sidecar."""
+    if _STD.fullmatch(name):
+        return False
     _column(name, name, 0, problems := _Problems())
     return bool(problems.listed())
 

@@ -2,7 +2,7 @@
 
 import csv
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Set
 from pathlib import Path
 from typing import NamedTuple
 
@@ -10,6 +10,7 @@ import pyarrow as pa
 import pyarrow.csv as pa_csv
 
 from lite6jax.errors import InputError
+from lite6jax.recordings.clock_times import like_a_clock
 from lite6jax.recordings.columns import Column
 from lite6jax.recordings.raw import RawTable, one_line
 from lite6jax.recordings.table import Loaded
@@ -27,11 +28,11 @@ class _Layout(NamedTuple):
 
 
 class _NoNumberError(InputError):
-    """A field that holds no number, in the column of this index."""
+    """A field that holds no number but a text, in the column of this index."""
 
-    def __init__(self, message: str, index: int) -> None:
+    def __init__(self, message: str, index: int, text: str) -> None:
         super().__init__(message)
-        self.index = index
+        self.index, self.text = index, text
 
 
 def of_csv(path: Path, notes: list[str]) -> RawTable:
@@ -50,21 +51,29 @@ def of_csv(path: Path, notes: list[str]) -> RawTable:
 
     def load(columns: Mapping[str, Column]) -> Loaded:
         wanted, wrong = [column.index for column in columns.values()], {}
+        times = {column.index for column in columns.values() if column.quantity == "time"}
+        texts: set[int] = set()
         while True:
             try:
-                table = _read(path, layout, wanted, tail) if wanted else pa.table({})
+                table = _read(path, layout, wanted, tail, texts) if wanted else pa.table({})
                 break
-            except _NoNumberError as error:  # the others may hold numbers
-                wrong[error.index] = str(error)
+            except _NoNumberError as error:
+                if error.index in times and like_a_clock(error.text):
+                    texts.add(error.index)
+                    continue
+                wrong[error.index] = str(error)  # the others may hold numbers
                 wanted.remove(error.index)
         return {key: wrong.get(column.index) or table[str(column.index)] for key, column in columns.items()}
 
     return RawTable(layout.names, load)
 
 
-def _read(path: Path, layout: _Layout, indices: Sequence[int], tail: bytes, threads: bool = True) -> pa.Table:
-    """The columns wanted, named by their index: two ignored columns may share a name."""
+def _read(
+    path: Path, layout: _Layout, indices: Sequence[int], tail: bytes, texts: Set[int], threads: bool = True
+) -> pa.Table:
+    """The columns wanted, named by their index: two ignored columns may share a name. Those of `texts` are of text."""
     wanted = [str(index) for index in indices]
+    kinds = {str(index): pa.string() if index in texts else pa.float64() for index in indices}
     numbers = [str(index) for index in range(len(layout.names))]
     try:
         return pa_csv.read_csv(
@@ -73,7 +82,7 @@ def _read(path: Path, layout: _Layout, indices: Sequence[int], tail: bytes, thre
             pa_csv.ParseOptions(delimiter=layout.delimiter),
             pa_csv.ConvertOptions(
                 include_columns=wanted,
-                column_types=dict.fromkeys(wanted, pa.float64()),
+                column_types=kinds,
                 decimal_point=layout.decimal,
             ),
         )
@@ -81,7 +90,7 @@ def _read(path: Path, layout: _Layout, indices: Sequence[int], tail: bytes, thre
         if "Could not skip" in str(error):  # Arrow's word for a header and nothing after it
             raise InputError(f"{path}: has column names but no rows; record again") from error
         if threads:  # rows are numbered only when they are read in order
-            return _read(path, layout, indices, tail, threads=False)
+            return _read(path, layout, indices, tail, texts, threads=False)
         if match := re.search(r"Row #(\d+): Expected \d+ columns, got (\d+)", str(error)):
             raise InputError(_ragged(path, int(match[1]) - 1, int(match[2]), layout, tail)) from error
         if match := re.match(r"In CSV column #(\d+): Row #(\d+): .*?invalid value '(.*)'$", str(error), re.DOTALL):
@@ -91,6 +100,7 @@ def _read(path: Path, layout: _Layout, indices: Sequence[int], tail: bytes, thre
                 f"row {int(match[2]) - 1} holds {value}, which is no number; give numbers with a decimal {point}, and "
                 "leave missing ones empty",
                 int(match[1]),
+                match[3],
             ) from error
         raise InputError(f"{path}: is not a table of numbers ({one_line(error)}); check the file") from error
 
@@ -131,7 +141,17 @@ def _layout(path: Path) -> _Layout:
         raise InputError(f"{path}: line 1 is no list of column names ({error}); check the file") from error
     if all(_NUMBER.fullmatch(name.replace(",", ".") if delimiter != "," else name) for name in names):
         raise InputError(f"{path}: line 1 holds numbers; it must name the columns, q1_rad, q2_rad, ...")
-    return _Layout(names, delimiter, "," if delimiter in ";\t" and "," in row and "." not in row else ".")
+    return _Layout(names, delimiter, _decimal(row, delimiter))
+
+
+def _decimal(row: str, delimiter: str) -> str:
+    """A comma where numbers of the first row have it, whatever stands in its texts and dates."""
+    fields = [field.strip().strip('"') for field in row.split(delimiter)] if delimiter in ";\t" else []
+    commas, points = (
+        sum(re.fullmatch(rf"[-+]?\d*{mark}\d+(e[-+]?\d+)?", field, re.IGNORECASE) is not None for field in fields)
+        for mark in (",", r"\.")
+    )
+    return "," if commas > points else "."
 
 
 def _delimiter(header: str, row: str) -> str:

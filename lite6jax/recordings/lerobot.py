@@ -59,7 +59,7 @@ def _read(path: Path, names: Sequence[str]) -> pa.Table:
 def _part(column: pa.ChunkedArray, index: int | None) -> pa.ChunkedArray | str:
     """One number of a list, or the column itself."""
     if index is None:
-        return no_numbers(column.type) or column
+        return no_numbers(column.type, "") or column
     try:
         parts = [pa_compute.call_function("list_element", [chunk, index]).cast(pa.float64()) for chunk in column.chunks]
     except pa.ArrowException as error:

@@ -30,12 +30,12 @@ _QUANTITIES = {
     "ddq": {"ddq", "qdd", "qddot", "acc", "accel", "acceleration", "accelerations", "ddot"},
     "dq": {"dq", "qd", "qdot", "vel", "velocity", "velocities", "speed", "speeds", "dot"},
 }
-_JOINT = {"q", "joint", "joints", "jnt", "axis", "theta", "th", "angle", "angles", "servo", "motor"}
+_JOINT = {"q", "joint", "joints", "jnt", "axis", "achse", "gelenk", "theta", "th", "angle", "angles", "servo", "motor"}
 _PLACE = {"position", "positions", "pos", "translation"}
 _POSE = {"pose", "tcp", "tool", "ee", "eef", "effector", "flange", "cartesian", "cart", "tracker", "marker", "point"}
 _TURNED = {"orientation", "quaternion", "quat", "rotation", "rot", "rotvec", "euler", "rpy", "attitude", "ori"}
 _SCALARS = {
-    "time": {"time", "timestamp", "t", "stamp", "elapsed", "clock"},
+    "time": {"time", "timestamp", "datetime", "t", "stamp", "elapsed", "clock"},
     "payload": {"payload"},
     "ambient": {"ambient"},
     "run": {"run", "episode", "trial", "segment"},

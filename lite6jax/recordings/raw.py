@@ -10,6 +10,7 @@ import pyarrow.parquet as pa_parquet
 
 from lite6jax.errors import InputError
 from lite6jax.recordings import stream
+from lite6jax.recordings.clock_times import clock_times, holds_clock_times
 from lite6jax.recordings.columns import Column
 from lite6jax.recordings.table import Loaded, no_numbers
 
@@ -28,11 +29,18 @@ class RawTable(NamedTuple):
     load: Load
 
     def numbers(self) -> Iterator[tuple[str, np.ndarray | None]]:
-        """Every column with `(sample,)` float64, NaN where empty; None where it does not hold numbers."""
-        every = {str(k): Column(name.strip(), k, "", 0, "", 1.0) for k, name in enumerate(self.names)}
+        """Every column with `(sample,)` float64, NaN where empty; None where it does not hold numbers.
+
+        Of clock times the numbers are seconds since 1970.
+        """
+        every = {str(k): Column(name.strip(), k, "time", 0, "s", 1.0) for k, name in enumerate(self.names)}
         loaded = self.load(every)
         for key, column in every.items():
             values = loaded[key]
+            if not isinstance(values, str) and holds_clock_times(values.type):
+                times = clock_times(values)
+                yield column.name, None if isinstance(times, str) else times.start + times.seconds
+                continue
             array = None if isinstance(values, str) else values.cast(pa.float64(), safe=False)
             yield column.name, None if array is None else array.to_numpy(zero_copy_only=False)
 
@@ -55,7 +63,7 @@ def of_stream(path: Path, notes: list[str]) -> RawTable:
 
     def load(columns: Mapping[str, Column]) -> Loaded:
         return {
-            key: no_numbers(table.schema.field(column.index).type) or table.column(column.index)
+            key: no_numbers(table.schema.field(column.index).type, column.quantity) or table.column(column.index)
             for key, column in columns.items()
         }
 
@@ -71,7 +79,7 @@ def of_parquet(path: Path) -> RawTable:
     schema = parquet_schema(path)
 
     def load(columns: Mapping[str, Column]) -> Loaded:
-        wrong = {key: no_numbers(schema.field(column.index).type) for key, column in columns.items()}
+        wrong = {key: no_numbers(schema.field(column.index).type, column.quantity) for key, column in columns.items()}
         wanted = [schema.names[column.index] for key, column in columns.items() if not wrong[key]]
         table = read_parquet(path, wanted)
         return {

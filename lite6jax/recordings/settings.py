@@ -5,6 +5,7 @@ import os
 import re
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict, dataclass, fields, replace
+from datetime import date, datetime
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, Literal, get_args
@@ -25,6 +26,7 @@ SMALLEST_SIGMA, LARGEST_SIGMA = 1e-12, 1.0  # m or rad; beyond, squares of resid
 LARGEST_GRAVITY = 100.0  # m/s²; that of no planet on which an arm stands
 HIGHEST_TEMPERATURE = 1000.0
 SMALLEST_TORQUE_SIGMA, LARGEST_TORQUE_SIGMA = 1e-9, 1e4  # Nm; the motors of the largest arms exert 1e5
+LONGEST_LINE = 120  # of text that a certificate has room for
 LARGEST_TORQUE_CONSTANT = 1e5  # Nm/A at the joint, gear included
 
 
@@ -44,7 +46,8 @@ class RecordingSettings:
     `inertial_uncertainty` is one sigma of masses, and of the lever arms of their centres, relative to them, where poses
     are explained. `inertial` is what holds where torques are: the numbers of the arm's description ("declared"), those
     of no description ("unknown"), or its numbers with a relative standard deviation. `torque_noise_Nm` and
-    `torque_constant_Nm_per_A` have a number per joint. Of the latter, of `arm`, `motion` and of each noise of a sensor,
+    `torque_constant_Nm_per_A` have a number per joint. `date`, of the measurement (YYYY-MM-DD), and `instrument`, a
+    line, stand on a certificate. Of these two, of torque constants, of `arm`, `motion` and of each noise of a sensor,
     None is what is not declared.
     `arm` and `factory_calibration` are kept as written: `arm_reference` and `factory_path` resolve them.
 
@@ -72,6 +75,8 @@ class RecordingSettings:
     torque_noise_Nm: tuple[float, ...] | None = None  # noqa: N815 (the sidecar's key)
     inertial: Inertial = "declared"
     torque_constant_Nm_per_A: tuple[float, ...] | None = None  # noqa: N815 (the sidecar's key)
+    date: str | None = None
+    instrument: str | None = None
 
     def __post_init__(self) -> None:
         for field in fields(self):
@@ -211,6 +216,25 @@ def _text(value: Any) -> str:
     if not isinstance(value, str) or not value.strip() or not value.isprintable():
         raise ValueError
     return value
+
+
+def _line(value: Any) -> str:
+    if len(_text(value)) > LONGEST_LINE:
+        raise ValueError(f" (over {LONGEST_LINE} characters)")
+    return value.strip()
+
+
+def _day(value: Any) -> str:
+    if isinstance(value, datetime):
+        raise ValueError(" (a time of day)")
+    if isinstance(value, date):  # as YAML reads a day without quotes
+        return value.isoformat()
+    if not re.fullmatch(r"\d{4}-\d\d-\d\d", _text(value), re.ASCII):
+        raise ValueError
+    try:
+        return date.fromisoformat(value).isoformat()
+    except ValueError:
+        raise ValueError(" (no such day)") from None
 
 
 def _path(value: Any) -> str:
@@ -390,4 +414,6 @@ _KINDS: dict[str, _Kind] = {
     "torque_constant_Nm_per_A": _Kind(
         _per_joint(_torque_constant), "a list with one number in N m per A for each joint, none zero"
     ),
+    "date": _Kind(_day, "a day as YYYY-MM-DD, such as 2026-11-21"),
+    "instrument": _Kind(_line, f"one line of at most {LONGEST_LINE} characters"),
 }

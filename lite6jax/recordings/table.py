@@ -9,6 +9,7 @@ import pyarrow.interchange as pa_interchange
 
 from lite6jax.errors import InputError
 from lite6jax.recordings.arguments import LARGEST_MISSING_SHARE
+from lite6jax.recordings.clock_times import clock_times, holds_clock_times
 from lite6jax.recordings.columns import Column, Recognised, nearest_known, one_line, recognise, sliding_of
 from lite6jax.recordings.orientations import with_quaternions
 from lite6jax.recordings.plausible import implausible
@@ -67,10 +68,12 @@ def tabulated(
     problems, arrays = list(found.problems), {}
     try:
         for name, array in (load(found.columns) if found.columns else {}).items():
-            if isinstance(array, str):
-                problems.append(f"column {found.columns[name].name}: {array}")
+            column = found.columns[name]
+            read = array if isinstance(array, str) else _numbers(array, column, notes)
+            if isinstance(read, str):
+                problems.append(f"column {column.name}: {read}")
             else:
-                arrays[name] = array
+                arrays[name] = read
     except InputError as error:  # of the table as a whole
         if not problems:
             raise
@@ -95,6 +98,17 @@ def tabulated(
         rest = f" and {len(found.ignored) - 6} more" if len(found.ignored) > 6 else ""
         notes.append(f"ignored columns that mean nothing here: {shown}{rest}")
     return Table(found.columns, found.joints, values)
+
+
+def _numbers(array: pa.Array | pa.ChunkedArray, column: Column, notes: list[str]) -> pa.Array | pa.ChunkedArray | str:
+    """The column as numbers in its unit: of clock times since the first of them; or what is wrong with it."""
+    if not holds_clock_times(array.type):
+        return array
+    times = clock_times(array)
+    if isinstance(times, str):
+        return times
+    notes.append(f"{column.name} holds clock times: they are counted from the first, {times.first}")
+    return pa.array(times.seconds * column.divisor)
 
 
 def _remedy(source: str, found: Recognised) -> str:
@@ -132,7 +146,7 @@ def read_frame(frame: Any, source: str, notes: list[str], renamed: Mapping[str, 
     return tabulated(
         names,
         source,
-        lambda columns: {name: _arrow(frame[column.name]) for name, column in columns.items()},
+        lambda columns: {name: _arrow(frame[column.name], column.quantity) for name, column in columns.items()},
         notes,
         renamed=renamed,
     )
@@ -156,9 +170,14 @@ def _named(frame: Any) -> tuple[Any, list[Any]]:
     return (frame, frame.column_names) if isinstance(frame, pa.Table) else (frame, [])
 
 
-def no_numbers(kind: pa.DataType) -> str:
-    """What is wrong with a column of text, truth values, times or complex numbers; empty where it holds numbers."""
+def no_numbers(kind: pa.DataType, quantity: str) -> str:
+    """What is wrong with a column of text, truth values, dates or complex numbers; empty where it may be read.
+
+    A time may be given by a clock.
+    """
     if pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_null(kind):
+        return ""
+    if quantity == "time" and holds_clock_times(kind):
         return ""
     return f"holds {kind}, not numbers; write it as float64"
 
@@ -226,7 +245,7 @@ def arrays_of(table: Table, source: str, notes: list[str]) -> dict[str, Any]:
     }
 
 
-def _arrow(values: Any) -> pa.Array | pa.ChunkedArray | str:
+def _arrow(values: Any, quantity: str) -> pa.Array | pa.ChunkedArray | str:
     """One column of any data frame as Arrow's, or what is wrong with it."""
     try:
         if isinstance(values, pa.Array | pa.ChunkedArray):
@@ -238,4 +257,4 @@ def _arrow(values: Any) -> pa.Array | pa.ChunkedArray | str:
     except (pa.ArrowException, TypeError, ValueError):
         kind = getattr(values, "dtype", type(values).__name__)
         return f"holds {kind}, not numbers; give it as float64"
-    return no_numbers(array.type) or array
+    return no_numbers(array.type, quantity) or array

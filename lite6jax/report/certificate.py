@@ -45,7 +45,7 @@ _INSTRUMENTS = {
 
 
 class Stated(NamedTuple):
-    """What a person states on a certificate and no file holds.
+    """What a person states on a certificate; what is None is as the recording's sidecar declared it.
 
     Attributes:
         day: of the measurement.
@@ -57,17 +57,17 @@ class Stated(NamedTuple):
 
 
 def write_certificate(document: Document, path: str | Path, stated: Stated, overwrite: bool = False) -> Path:
-    """Writes the page as PDF, atomically; its date is the stated one.
+    """Writes the page as PDF, atomically; its date is that of the measurement.
 
     Raises:
         InputError: as `storage.write_atomically`.
     """
     figure = certificate(document, stated)
-    return storage.write_atomically(path, partial(_print, figure, stated.day), overwrite)
+    return storage.write_atomically(path, partial(_print, figure, _day(document, stated)), overwrite)
 
 
-def _print(figure: Figure, stated: date | None, target: Path) -> None:
-    made = None if stated is None else datetime(stated.year, stated.month, stated.day)
+def _print(figure: Figure, day: str | None, target: Path) -> None:
+    made = None if day is None else datetime.fromisoformat(day)
     metadata = {"Creator": "lite6jax", "Producer": "lite6jax", "CreationDate": made}
     with rc_context({"pdf.fonttype": 42}):
         figure.savefig(target, format="pdf", metadata=metadata)
@@ -165,6 +165,10 @@ class _Page:
             self.figure.text(x / _WIDTH, self._y / _HEIGHT, text, va="top", parse_math=False, **style)
 
 
+def _day(document: Document, stated: Stated) -> str | None:
+    return document.get("date") if stated.day is None else stated.day.isoformat()
+
+
 def _rows(document: Document) -> str:
     if worth.of_torques(document):
         return f"{document['kept_samples']} filtered samples"
@@ -175,7 +179,7 @@ def _subject(document: Document, stated: Stated) -> list[tuple[str, str]]:
     torques = worth.of_torques(document)
     recording = next((entry["file"] for entry in document.get("inputs", ()) if entry["role"] == "recording"), "")
     source = document.get("torque_source" if torques else "pose_source", "unknown")
-    instrument = stated.instrument or _INSTRUMENTS.get(source, "not stated")
+    instrument = stated.instrument or document.get("instrument") or _INSTRUMENTS.get(source, "not stated")
     noise = document["noise"]["declared_torque_Nm" if torques else "declared_position_m"]
     if noise is not None:
         shown = (
@@ -186,7 +190,7 @@ def _subject(document: Document, stated: Stated) -> list[tuple[str, str]]:
     return [
         ("Arm", document["model"]["arm"]),
         ("Recording", f"{recording}, {samples}" if recording else samples),
-        ("Date", "not stated" if stated.day is None else stated.day.isoformat()),
+        ("Date", _day(document, stated) or "not stated"),
         ("Instrument", instrument),
     ]
 

@@ -11,6 +11,7 @@ from rich.text import Text
 from lite6jax.domains.pose.inspection import Inspection, Meaning
 from lite6jax.recordings.columns import IGNORED
 from lite6jax.recordings.sizes import Decision
+from lite6jax.report.next_steps import command_line
 
 _KINDS = {
     "q": "Joint positions",
@@ -106,6 +107,11 @@ KEYS: Mapping[str, tuple[str, str]] = {
     "torque_constant_Nm_per_A": (
         "Of currents: one number for each joint in N m per A, gear included.",
         "[12.0, 12.0, 9.0, 4.0, 4.0, 4.0]",
+    ),
+    "date": ("The day of the measurement, for a certificate.", "2026-11-21"),
+    "instrument": (
+        "With what it was measured, such as type and serial number, for a certificate.",
+        "Leica AT960, 750012",
     ),
 }
 """The keys of `recording` in a sidecar: what each means, and an example."""
@@ -296,6 +302,5 @@ def next_steps(found: Inspection, settings: Mapping[str, Any], source: str) -> I
     if found.of("position") is None and found.of("tau") is None and found.of("current") is None and not found.given:
         yield Text("There are neither poses nor torques: this is a motion, to predict or to compute with.")
         return
-    if "arm" not in settings:
-        yield Text("Name the arm in the sidecar, then:")
-    yield Text(f"lite6jax diagnose {source} --out diagnosis.json", no_wrap=True, overflow="ignore")
+    yield Text("Next:" if "arm" in settings else "Name the arm in the sidecar, then:")
+    yield Text(command_line("diagnose", source, "--out", "diagnosis.json"), no_wrap=True, overflow="ignore")

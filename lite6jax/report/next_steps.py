@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 from lite6jax.effects.catalogue import BUILT_IN
 from lite6jax.effects.dynamic.catalogue import BUILT_IN as OF_TORQUES
+from lite6jax.recordings.sources import SUFFIXES
 from lite6jax.report import worth
 from lite6jax.report.remedies import remedy_of
 
@@ -64,14 +65,27 @@ def steps(document: Document, files: Files) -> list[Step]:
         found += _of_torques(document, recording, named, own)
     else:
         found += _of_poses(document, recording, named, own)
+    if _known(document, own) and recording.suffix.lower() in SUFFIXES:
+        beside = recording.parent in (named.parent, Path())  # where `view` finds it
+        shown = [] if beside else [recording]
+        found.append(_step("the arm and its errors in the browser", "view", named, *shown, *own))
     found.append(_step("a certificate, one page", "report", named, "--certificate", named.with_suffix(".pdf")))
     return found
 
 
+def _known(document: Document, own: Sequence[str]) -> bool:
+    """Whether the model can be read, which effects of the user's own take their file for."""
+    known = OF_TORQUES if worth.of_torques(document) else BUILT_IN
+    return bool(own) or all(finding["effect"] in known for finding in document["findings"])
+
+
 def _of_poses(document: Document, recording: Path, diagnosis: Path, own: Sequence[str]) -> list[Step]:
     found, findings = [], document["findings"]
-    known = own or all(finding["effect"] in BUILT_IN for finding in findings)
-    if known and recording.suffix.lower() in _TARGETS and any(remedy_of(finding).of_arm for finding in findings):
+    if (
+        _known(document, own)
+        and recording.suffix.lower() in _TARGETS
+        and any(remedy_of(finding).of_arm for finding in findings)
+    ):
         play = any(finding["effect"] in ("joint_backlash", "slide_backlash") for finding in findings)
         side = ["--approach", "1"] if play else []
         out = diagnosis.with_name(f"{recording.stem}_compensated.csv")
@@ -85,7 +99,7 @@ def _of_poses(document: Document, recording: Path, diagnosis: Path, own: Sequenc
 
 def _of_torques(document: Document, recording: Path, diagnosis: Path, own: Sequence[str]) -> list[Step]:
     found, findings = [], document["findings"]
-    if not findings or not (own or all(finding["effect"] in OF_TORQUES for finding in findings)):
+    if not findings or not _known(document, own):
         return []
     if recording.suffix.lower() in _TARGETS:
         out = diagnosis.with_name(f"{recording.stem}_predicted.csv")
@@ -96,6 +110,11 @@ def _of_torques(document: Document, recording: Path, diagnosis: Path, own: Seque
     return found
 
 
-def _step(purpose: str, *arguments: object) -> Step:
+def command_line(*arguments: object) -> str:
+    """A command as the shell takes it, names with spaces quoted."""
     words = ["lite6jax", *map(str, arguments)]
-    return Step(purpose, subprocess.list2cmdline(words) if os.name == "nt" else shlex.join(words))
+    return subprocess.list2cmdline(words) if os.name == "nt" else shlex.join(words)
+
+
+def _step(purpose: str, *arguments: object) -> Step:
+    return Step(purpose, command_line(*arguments))

@@ -15,12 +15,13 @@ from lite6jax.diagnosis.torque_result import TorqueDiagnosis
 from lite6jax.report import diagnosis_figures, torque_figures, worth
 from lite6jax.report.combined import PREFIX
 from lite6jax.report.ranking_figure import ranking_figure
+from lite6jax.summary import Figures
 
 _Found = TypeVar("_Found")
 
 
 @singledispatch
-def plotted(result: Any, title: str) -> dict[str, Figure]:
+def plotted(result: Any, title: str) -> Figures:
     """The figures of a result by name.
 
     Raises:
@@ -30,21 +31,22 @@ def plotted(result: Any, title: str) -> dict[str, Figure]:
 
 
 @plotted.register
-def _diagnosis(found: Diagnosis, title: str) -> dict[str, Figure]:
+def _diagnosis(found: Diagnosis, title: str) -> Figures:
     title = title or Path(found.problem.recording.source).name
     return _drawn(found, to_document(found), diagnosis_figures.drawings, title)
 
 
 @plotted.register
-def _torque_diagnosis(found: TorqueDiagnosis, title: str) -> dict[str, Figure]:
+def _torque_diagnosis(found: TorqueDiagnosis, title: str) -> Figures:
     title = title or Path(found.problem.data.recording.source).name
     return _drawn(found, to_torque_document(found), torque_figures.drawings, title)
 
 
 @plotted.register
-def _combined(found: CombinedDiagnosis, title: str) -> dict[str, Figure]:
+def _combined(found: CombinedDiagnosis, title: str) -> Figures:
     torques = {} if found.torques is None else plotted(found.torques, title)
-    return plotted(found.poses, title) | {PREFIX + name: figure for name, figure in torques.items()}
+    named = {PREFIX + name: figure for name, figure in torques.items()}
+    return Figures({**plotted(found.poses, title), **named})
 
 
 def _drawn(
@@ -52,6 +54,6 @@ def _drawn(
     document: Mapping[str, Any],
     drawings: Callable[[_Found, str, Sequence[int]], Iterable[tuple[str, Figure]]],
     title: str,
-) -> dict[str, Figure]:
-    figures = dict(drawings(found, title, worth.order(document)))
-    return {"ranking": ranking_figure(document, title), **figures} if document["findings"] else figures
+) -> Figures:
+    ranking = {"ranking": ranking_figure(document, title)} if document["findings"] else {}
+    return Figures({**ranking, **dict(drawings(found, title, worth.order(document)))})

@@ -15,7 +15,6 @@ Entry = Mapping[str, Any]
 
 NOT_CHECKED = "They are inside the arm's limits, in an order of short moves, and not checked for collisions."
 INERTIAL = "The loads include the inertial forces of the moving arm, which the recording supports."
-NO_NOISE = "The sidecar declares no position_noise_m: tests use the noise estimated from the residuals."
 
 _VERDICTS = {
     "consistent": "Consistent: the model of the arm and the sensor's noise explain the recording.",
@@ -77,7 +76,7 @@ def verdict_statement(document: Document) -> str:
     if verdict == "partly_explained" and not declared:
         return (
             "Partly explained: the effects below are significant. Whether more remains cannot be tested, because the "
-            "sidecar declares no position_noise_m."
+            f"sidecar declares {_undeclared_noise(document)}."
         )
     if verdict == "partly_explained":
         return f"Partly explained: the effects below are significant. {_what_is_left(left)}"
@@ -273,7 +272,14 @@ def assumptions(document: Document) -> list[str]:
     loaded = any(driver_of(driver).loaded for finding in document["findings"] for driver in _drivers(finding))
     inertial = document["model"]["accelerated"] and loaded
     undeclared = document["noise"]["declared_position_m"] is None
-    return [*([INERTIAL] if inertial else []), *([NO_NOISE] if undeclared else [])]
+    missing = f"The sidecar declares {_undeclared_noise(document)}: tests use the noise estimated from the residuals."
+    return [*([INERTIAL] if inertial else []), *([missing] if undeclared else [])]
+
+
+def _undeclared_noise(document: Document) -> str:
+    """What a sidecar without declared noise lacks: where orientations were measured, it takes both keys."""
+    both = document["model"]["orientation"]
+    return "not both position_noise_m and orientation_noise_rad" if both else "no position_noise_m"
 
 
 def separating_title(item: Entry, units: Iterable[str] = ("deg",)) -> str:

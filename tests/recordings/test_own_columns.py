@@ -86,10 +86,11 @@ def test_orientations_in_other_forms_become_quaternions(form, angles, unit):
 
 
 def test_without_their_unit_angles_are_any_columns():
-    table = {"q1_rad": Q[:, 0], "alpha": Q[:, 0], "rx_std_rad": Q[:, 0], "roll": Q[:, 0]}
-    assert Recording.from_dataframe(table).notes[0] == (
-        "ignored columns that mean nothing here: 'alpha' (meant alpha_rad?), 'rx_std_rad', 'roll' (meant roll_rad?)"
-    )
+    table = {"q1_rad": Q[:, 0], "alpha": Q[:, 0], "roll": Q[:, 0]}
+    said = "ignored columns that mean nothing here: 'alpha' (meant alpha_rad?), 'roll' (meant roll_rad?)"
+    assert Recording.from_dataframe(table).notes[0] == said
+    written = dict.fromkeys(("rx_std_rad", "x_std_m", "tau1_std_Nm"), Q[:, 0])  # beside what `predict` predicts
+    assert Recording.from_dataframe(table | written).notes[0] == said
 
 
 def test_one_line_says_all_that_is_wrong_with_the_columns(tmp_path):

@@ -27,6 +27,8 @@ recording:
   torque_noise_Nm: [0.06, 8e-2]
   inertial: 0.1
   torque_constant_Nm_per_A: [-10, 0.5]
+  date: 2026-11-21
+  instrument: Leica AT960, 750012
 """
 
 
@@ -65,6 +67,8 @@ def test_every_key_is_read(tmp_path):
         torque_noise_Nm=(0.06, 0.08),
         inertial=0.1,
         torque_constant_Nm_per_A=(-10.0, 0.5),
+        date="2026-11-21",
+        instrument="Leica AT960, 750012",
     )
 
 
@@ -90,6 +94,8 @@ def test_the_defaults_are_those_of_the_document(tmp_path):
         "torque_noise_Nm": None,
         "inertial": "declared",
         "torque_constant_Nm_per_A": None,
+        "date": None,
+        "instrument": None,
     }
     for settings in (
         read_settings(tmp_path / "absent.yaml"),
@@ -138,6 +144,13 @@ def test_writing_needs_permission_to_replace(tmp_path):
         (
             "recording: {pose_source: tracker}",
             "'tracker' is not accepted; give laser_tracker, motion_capture, camera, controller_fk or unknown",
+        ),
+        ("recording: {date: 21.11.2026}", "recording.date: '21.11.2026' is not accepted; give a day as YYYY-MM-DD"),
+        ("recording: {date: 2026-11-21T10:00:00}", "is not accepted (a time of day); give a day as YYYY-MM-DD"),
+        ("recording: {date: '2026-02-30'}", "recording.date: '2026-02-30' is not accepted (no such day); give a day"),
+        (
+            f"recording: {{instrument: {'x' * 121}}}",
+            "is not accepted (over 120 characters); give one line of at most 120",
         ),
         ("recording: {pose_frame: world}", "recording.pose_frame: 'world' is not accepted; give base or unknown"),
         ("recording: {motion: }", "recording.motion: has no value; give static or trajectory, or leave the key out"),

@@ -2,6 +2,7 @@
 
 import copy
 import re
+from dataclasses import replace
 from datetime import date
 
 import numpy as np
@@ -46,6 +47,23 @@ def test_the_figures_are_those_of_the_document(document):
         before, after = (1e3 * document[stage][f"heldout_position_{key}_m"] for stage in ("before", "after"))
         assert [float(cell) for cell in said[at + 1 : at + 3]] == pytest.approx([before, after], abs=6e-5)
         assert said[at + 3] == f"{100 * after / before:.0f} %"
+
+
+def test_the_sidecar_says_when_and_with_what(tmp_path):
+    found = diagnosed(*recording_maker(tmp_path)(COMPLIANCE))
+    recording = found.problem.recording
+    settings = replace(recording.settings, date="2026-11-20", instrument="tracker 9")
+    declared = replace(found, problem=replace(found.problem, recording=replace(recording, settings=settings)))
+    document = documented(declared)
+    for stated, day, instrument in (
+        (Stated(), "2026-11-20", "tracker 9"),
+        (Stated(date(2026, 1, 2), "a ruler"), "2026-01-02", "a ruler"),
+    ):
+        said = texts(certificate(document, stated))
+        assert said[said.index("Date") + 1] == day
+        assert said[said.index("Instrument") + 1].startswith(f"{instrument}; declared noise")
+    assert b"CreationDate (D:20261120000000" in write_certificate(document, tmp_path / "c.pdf", Stated()).read_bytes()
+    assert texts(certificate(documented(found), Stated())).count("not stated") == 1
 
 
 def test_intervals_are_95_percent(document):

@@ -397,7 +397,12 @@ def test_the_verdict_says_what_the_numbers_say(compliant):
         "Partly explained: the effects below are significant. Held-out position errors are 1.1 times the declared "
         "noise and orientation errors are 8 times the declared noise."
     )
-    assert "declares no position_noise_m" in verdict("partly_explained", declared=None)
+    for turned, said in (
+        (False, "no position_noise_m."),
+        (True, "not both position_noise_m and orientation_noise_rad."),
+    ):
+        document = {**document, "model": {**document["model"], "orientation": turned}}
+        assert verdict("partly_explained", declared=None).endswith(f"because the sidecar declares {said}")
     assert verdict("undetermined", rows=document["samples"] + 30) == (
         "Undetermined: there are too few rows to tell whether something is missing. Record about 30 more poses."
     )

@@ -170,12 +170,15 @@ def test_each_remedy_is_said_once_with_the_findings_that_it_is_for(motors, found
 def test_commands_name_the_files_at_hand(found, motors, tmp_path):
     recording, diagnosis = tmp_path / "my run.csv", tmp_path / "d.json"
     lines = [step.command for step in next_steps.steps(documented(found), Files(recording, diagnosis))]
-    assert [shlex.split(line)[1] for line in lines] == ["compensate", "report"]
+    assert [shlex.split(line)[1] for line in lines] == ["compensate", "view", "report"]
     assert shlex.split(lines[0])[2:4] == [str(diagnosis), str(recording)]
+    assert shlex.split(lines[1])[2:] == [str(diagnosis)]  # it is beside
+    apart = next_steps.steps(documented(found), Files(recording, tmp_path / "other" / "d.json"))[1].command
+    assert shlex.split(apart)[2:] == [str(tmp_path / "other" / "d.json"), str(recording)]
     first = next_steps.steps(documented(found), Files(recording))[0].command
     assert shlex.split(first)[1:] == ["diagnose", str(recording), "--out", "my run_diagnosis.json"]
     lines = [step.command for step in next_steps.steps(to_torque_document(motors), Files(recording, diagnosis))]
-    assert [shlex.split(line)[1] for line in lines] == ["predict", "convert", "report"]
+    assert [shlex.split(line)[1] for line in lines] == ["predict", "convert", "view", "report"]
     own = {**documented(found), "findings": [{**documented(found)["findings"][0], "effect": "cable_drag"}]}
     assert [shlex.split(step.command)[1] for step in next_steps.steps(own, Files(recording, diagnosis))] == ["report"]
     given = next_steps.steps(own, Files(recording, diagnosis, tmp_path / "mine.py"))[0].command
@@ -189,7 +192,7 @@ def test_commands_on_torques_name_the_effects_of_ones_own(motors, tmp_path):
     # without the file of the effect, no command reads the model
     assert [shlex.split(step.command)[1] for step in next_steps.steps(own, Files(recording, diagnosis))] == ["report"]
     lines = [shlex.split(step.command)[1:] for step in next_steps.steps(own, Files(recording, None, mine))]
-    assert [line[0] for line in lines] == ["diagnose", "predict", "convert", "report"]
-    for line in lines[:3]:
+    assert [line[0] for line in lines] == ["diagnose", "predict", "convert", "view", "report"]
+    for line in lines[:4]:
         assert line[line.index("--effects") + 1] == str(mine)
-    assert "--effects" not in lines[3]
+    assert "--effects" not in lines[4]

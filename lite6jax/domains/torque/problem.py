@@ -25,6 +25,7 @@ from lite6jax.estimation.least_squares import Fit, fit
 from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.problem import CurveFamily, Mask, PeriodicFamily
 from lite6jax.estimation.projection import schur_complement
+from lite6jax.estimation.score_test import score_test
 from lite6jax.estimation.terms import Term, Terms
 
 Array = NDArray[np.floating]
@@ -34,7 +35,7 @@ lazy = property if TYPE_CHECKING else cached_property
 
 _EVERYWHERE = (ViscousFriction, CoulombFriction, TorqueOffset, RotorInertia)
 """What every joint has, to some degree."""
-_WIDTHS = (0.1, 0.3, 1.0, 3.0)
+_WIDTHS = (0.03, 0.1, 0.3, 1.0, 3.0)
 """Relative standard deviations of inertial numbers that are unknown: from another series of the arm to another arm."""
 FITTED = (LinkMass, LinkCom)
 """Effects that are confounded with inertial numbers that are fitted."""
@@ -202,9 +203,12 @@ class TorqueProblem:
         total = self.rigid
         if nuisance.any():
             total = total + np.tensordot(nuisance, self._inertial, 1)
+        there = self.dynamics
+        if nuisance.any() and any(_loaded(effect) or not effect.linear for effect, _ in _pairs(terms)):
+            there = self.data.bodies.dynamics(self.links_at(nuisance))
         for effect, part in _pairs(terms):
             if not isinstance(effect, Scaling | Delaying):
-                total = total + self._added(effect, np.asarray(values[part], float), nuisance)
+                total = total + self._added(effect, np.asarray(values[part], float), there)
         return scales_of(terms, values, self.rows) * total
 
     def _delayed(self, nuisance: Array, terms: Terms, values: Array, delay: float) -> tuple[Array, Array]:
@@ -303,14 +307,14 @@ class TorqueProblem:
         """Torques `(…, joint, every sample)` filtered, of the samples of this problem."""
         return self.data.filter(torque)[..., self.chosen]
 
-    def _added(self, effect: TorqueEffect, values: Array, nuisance: Array) -> Array:
-        if effect.linear and not (nuisance.any() and any(driver.loaded for driver in effect.drivers)):
-            joints, torque = self._units(effect)
-            added = np.zeros((self.rows, self.samples))
-            added[joints] = np.tensordot(values, torque, 1)
-            return added
-        dynamics = self.dynamics if not nuisance.any() else self.data.bodies.dynamics(self.links_at(nuisance))
-        return self._kept(effect.torque(values, dynamics))
+    def _added(self, effect: TorqueEffect, values: Array, dynamics: Dynamics) -> Array:
+        """`(joint, sample)` Nm by an effect on an arm of these dynamics, filtered."""
+        if not effect.linear or (_loaded(effect) and dynamics is not self.dynamics):
+            return self._kept(effect.torque(values, dynamics))
+        joints, torque = self._units(effect)
+        added = np.zeros((self.rows, self.samples))
+        added[joints] = np.tensordot(values, torque, 1)
+        return added
 
     def _units(self, effect: TorqueEffect) -> UnitTorques:
         """Torques by each number of a linear effect."""
@@ -327,6 +331,11 @@ class TorqueProblem:
             up, down = (effect.torque(values + sign * step, self.dynamics) for sign in (1, -1))
             found.append(self._kept((up - down) / (2 * step[k])))
         return np.stack(found)
+
+
+def _loaded(effect: TorqueEffect) -> bool:
+    """Whether an effect depends on what the links weigh."""
+    return any(driver.loaded for driver in effect.drivers)
 
 
 def _pairs(terms: Terms) -> list[tuple[TorqueEffect, slice]]:
@@ -424,18 +433,21 @@ def linearised(problem: TorqueProblem, options: EngineOptions, training: Mask | 
     joints = range(1, problem.rows + 1)
     terms = Terms(tuple(kind(joint) for kind in _EVERYWHERE for joint in joints))
     widths = _WIDTHS if problem.data.recording.settings.inertial == "unknown" else (1.0,)
-    choices = []
-    for width in widths:
-        wider = replace(problem, precision=problem.precision / width**2)
-        found = fit(wider, terms, options, training=training)
-        choices.append((_evidence(wider, found), wider, found))
-    _, wider, found = max(choices, key=lambda choice: choice[0])
-    return wider.relinearised(found.nuisance)
+    wider = [replace(problem, precision=problem.precision / width**2) for width in widths]
+    fits = [fit(each, terms, options, training=training) for each in wider]
+    time = max(score_test(wider[-1], fits[-1], options).time, 1.0)
+    best = max(range(len(widths)), key=lambda k: _evidence(wider[k], fits[k], time))
+    return wider[best].relinearised(fits[best].nuisance)
 
 
-def _evidence(problem: TorqueProblem, found: Fit) -> float:
-    """The logarithm of the marginal likelihood of a prior's width, in noise of the fit."""
-    root = np.sqrt(np.where(found.training, found.residuals.row_weight, 0.0))
+def _evidence(problem: TorqueProblem, found: Fit, time: float) -> float:
+    """The logarithm of the marginal likelihood of a prior's width, in noise of the fit.
+
+    What no effect explains yet is not independent from sample to sample: so many of them as their autocorrelation
+    `time` says count as one. If each counted, inertial numbers would be taken as less certain for what is missing
+    beside them, and would follow it.
+    """
+    root = np.sqrt(np.where(found.training, found.residuals.row_weight / time, 0.0))
     columns = np.concatenate([problem.nuisance_columns(found.terms, found.values), problem.columns(found.terms.terms)])
     flat = (columns * root).reshape(len(columns), -1)
     k = len(problem.precision)
@@ -443,4 +455,4 @@ def _evidence(problem: TorqueProblem, found: Fit) -> float:
         np.outer(problem.precision, problem.precision)
     )
     volume = float(np.linalg.slogdet(np.eye(k) + S)[1])
-    return found.log_likelihood(found.scale) - 0.5 * volume
+    return found.log_likelihood(found.scale) / time - 0.5 * volume

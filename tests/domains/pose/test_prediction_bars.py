@@ -34,7 +34,7 @@ from lite6jax.effects.kinematic.surroundings import ToolOffset
 from lite6jax.effects.nonparametric import Unnamed
 from lite6jax.effects.serialization import effect_as_dict
 from lite6jax.model import predict_poses
-from lite6jax.recordings import Recording, write_recording
+from lite6jax.recordings import Recording, read_recording, write_recording
 from lite6jax.report.bars import NO_BARS
 
 COMPLIANCE = "joint_compliance:joint=2,compliance_rad_per_Nm=9e-5"
@@ -420,6 +420,7 @@ def test_the_columns_that_compensate_writes(capsys, arm, content, tmp_path):
     names = pyarrow.csv.read_csv(out).column_names
     bars = [*(f"{axis}_std_m" for axis in "xyz"), *(f"r{axis}_std_rad" for axis in "xyz"), "outside"]
     assert names[-len(bars) - 1 :] == [*bars, "reason"]
+    assert read_recording(out).position is None  # a motion, to be predicted, whose deviations are passed over
 
 
 def test_it_is_a_public_name():
