@@ -12,6 +12,7 @@ import numpy as np
 import pyarrow.parquet
 import pytest
 
+from lite6jax.arms.arm import Arm
 from lite6jax.arms.bundled import load_bundled
 from lite6jax.arms.factory import write_factory
 from lite6jax.cli import main
@@ -183,6 +184,14 @@ def test_a_fleet_that_was_killed_goes_on(capsys, tmp_path, monkeypatch):
     assert main(["fleet", str(inputs), "--out", str(tmp_path / "whole.parquet")]) == 0
     assert out.read_bytes() == (tmp_path / "whole.parquet").read_bytes()
     assert pyarrow.parquet.read_table(out).num_rows == 6
+
+
+def test_a_fleet_may_have_arms_of_any_number_of_joints(tmp_path):
+    rng, nominal = np.random.default_rng(3), LITE6.kinematics[[0, 1, 3]]
+    for i in range(2):
+        write_factory(perturbed(rng, nominal), tmp_path / f"arm{i}.yaml")
+    rows = folder.fit_folder(sorted(tmp_path.glob("*.yaml")), Arm("three", nominal))
+    assert [(row.result, row.arm, row.joints) for row in rows] == [(Result.CONVERGED, "three", 3)] * 2
 
 
 def test_a_death_while_many_are_fitted_together_is_looked_for_one_by_one(monkeypatch, tmp_path):
