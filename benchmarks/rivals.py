@@ -110,7 +110,7 @@ _jacobian = jax.jit(jax.jacfwd(_residuals))
 def jax_jacobian(joint_position: np.ndarray, pose: np.ndarray) -> np.ndarray:
     """SciPy with the forward-mode Jacobian of the library's residual."""
     weight = jnp.ones(len(pose))
-    blocks = observe(jnp.asarray(joint_position), jnp.asarray(pose), weight, jnp.array(SCALE), len(pose))
+    blocks = observe(FORM, jnp.asarray(joint_position), jnp.asarray(pose), weight, jnp.array(SCALE), len(pose))
     observed = jax.tree.map(lambda leaf: leaf[0], blocks)
     return minimise(lambda x: np.asarray(_residuals(x, observed)), lambda x: np.asarray(_jacobian(x, observed)))
 

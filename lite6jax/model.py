@@ -9,9 +9,9 @@ import jax.numpy as jnp
 from jax import Array
 from jax.typing import ArrayLike
 
-from lite6jax.arms.chains import Form
+from lite6jax.arms.chains import Form, joint_motion
 from lite6jax.arms.forward_kinematics import Bend, fk, sweep
-from lite6jax.arms.moves import Frame, base_frame, displace, turn
+from lite6jax.arms.moves import Frame, base_frame, displace
 from lite6jax.arms.se3 import rotation_exp, transform
 from lite6jax.effects.composition import Physics
 from lite6jax.effects.deflection import Deflection
@@ -141,7 +141,7 @@ def predict_frames_with(
     motion = physics.alter(values, motion)
     if isinstance(statics, Inertia):
         statics = physics.alter_inertia(values, statics)
-        joint = turn(motion.joint_position)
+        joint = joint_motion(chain, motion.joint_position)
         statics = (
             loads(
                 chain,
@@ -163,12 +163,12 @@ def predict_bent(chain: Form, model: ArmModel, joint_position: Array, deflection
 
     In this order: (1 + scale) · sensor twist · T_sensor_base · base twist · ∏ [origin (1 + stretch), Rz(q + δq), link
     twist] · tool twist · T_flange_tool, where the scale is one of positions and a twist is a translation and then a
-    rotation. The flange is the last joint's frame before the tool twist.
+    rotation; a prismatic joint has Tz(q + δq). The flange is the last joint's frame before the tool twist.
 
     Args:
         chain: which chain; `stretch` and `link` need the six-parameter chain.
         model: the rigid arm.
-        joint_position: `(joint, sample)` rad.
+        joint_position: `(joint, sample)` rad, and m of prismatic joints.
         deflection: None in it costs nothing.
 
     Raises:
@@ -182,7 +182,7 @@ def predict_bent(chain: Form, model: ArmModel, joint_position: Array, deflection
         start = displace(start, deflection.base)
     bent = deflection.stretch is not None or deflection.link is not None
     bend = Bend(deflection.stretch, deflection.link) if bent else None
-    flange, _ = sweep(chain, model.geometry, turn(angle), start, bend=bend)
+    flange, _ = sweep(chain, model.geometry, joint_motion(chain, angle), start, bend=bend)
     end = flange if deflection.tool is None else displace(flange, deflection.tool)
     tool = _mounted(end, model.T_flange_tool)
     if deflection.scale is None:

@@ -29,19 +29,20 @@ DRIVE_FIELDS = (*JOINT_TERMS, "spring_rest")
 
 @dataclass(frozen=True, eq=False)
 class Arm:
-    """A serial arm of revolute joints, in SI units; every array is float64 and read-only.
+    """A serial arm of revolute and prismatic joints, in SI units; every array is float64 and read-only.
 
-    Flange: `T_base_flange = prod_i Trans(x, y, z) Rz(yaw) Ry(pitch) Rx(roll) Rz(q_i) @ T_joint_flange`.
+    Flange: `T_base_flange = prod_i Trans(x, y, z) Rz(yaw) Ry(pitch) Rx(roll) Rz(q_i) @ T_joint_flange`, with `Tz(q_i)`
+    for a prismatic joint. Its units are m for rad, N for N·m and kg for kg·m².
 
     Attributes:
         name: one printable line.
         kinematics: (joint, 6) nominal x y z roll pitch yaw of each joint's frame in the previous one, m and rad.
-        joint_limits: (joint, 2) lower and upper, rad; None for +-2 pi.
+        joint_limits: (joint, 2) lower and upper, rad; None for +-2 pi, and +-1 m of a prismatic joint.
         T_joint_flange: (4, 4) from the frame after the last joint to the flange; None for the identity.
         mass: (joint,) kg, of the link after joint i; None if unknown.
-        center_of_mass: (joint, 3) m, in the frame after joint i's rotation; given together with `mass`.
+        center_of_mass: (joint, 3) m, in the frame after joint i's motion; given together with `mass`.
         inertia: (joint, 3, 3) kg·m², of the link after joint i about its centre of mass, in the axes of the frame after
-            the joint's rotation; None if unknown.
+            the joint's motion; None if unknown.
         viscous_friction: (joint,) N·m·s/rad, of the joint; None if unknown.
         coulomb_friction: (joint,) N·m; None if unknown.
         rotor_inertia: (joint,) kg·m², of the motor's rotor and gear, reflected to the joint; None if unknown.
@@ -50,11 +51,13 @@ class Arm:
         dh: (joint, 4) the published standard DH table, theta_off d a alpha in rad and m, or None. It describes the same
             chain without `T_joint_flange`, and determines the branch (theta, sign of alpha) of the Hayati parameters.
         source: the origin of the numbers.
+        sliding: the prismatic joints, counted from 0, in order.
 
     Raises:
         InputError: an array of the wrong shape, a number that is not finite, limits in the wrong order, a negative
             mass, friction, rotor inertia or stiffness, an inertia tensor that no body has or that has no mass beside
-            it, a flange that is not a rigid transform, or a DH table of another chain than `kinematics`.
+            it, a flange that is not a rigid transform, a DH table of another chain than `kinematics` or of an arm with
+            prismatic joints, or a prismatic joint that is not there.
     """
 
     name: str
@@ -71,6 +74,7 @@ class Arm:
     rotor_inertia: Array | None = None
     spring_stiffness: Array | None = None
     spring_rest: Array | None = None
+    sliding: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:
         if not self.name or not self.name.isprintable():
@@ -81,8 +85,14 @@ class Arm:
         if joints == 0:
             raise InputError(f"arm {self.name!r}: has no joint; give one row x y z roll pitch yaw per joint")
         self._store("kinematics", (joints, 6))
+        if list(self.sliding) != [i for i in range(joints) if i in self.sliding]:
+            raise InputError(
+                f"arm {self.name!r}: sliding is {self.sliding}; give prismatic joints in order, from 0 to {joints - 1}"
+            )
+        object.__setattr__(self, "sliding", tuple(self.sliding))
         if self.joint_limits is None:
-            object.__setattr__(self, "joint_limits", np.tile([-2 * np.pi, 2 * np.pi], (joints, 1)))
+            widest = np.where(self.slides, 1.0, 2 * np.pi)
+            object.__setattr__(self, "joint_limits", np.column_stack([-widest, widest]))
         self._store("joint_limits", (joints, 2))
         if self.T_joint_flange is None:
             object.__setattr__(self, "T_joint_flange", np.eye(4))
@@ -122,8 +132,10 @@ class Arm:
     def _check(self) -> None:
         for i, (lower, upper) in enumerate(self.joint_limits):
             if not lower < upper:
+                unit = self.joint_units[i]
                 raise InputError(
-                    f"arm {self.name!r}: joint{i + 1}'s limits {lower:g} … {upper:g} rad are empty; write lower, upper"
+                    f"arm {self.name!r}: joint{i + 1}'s limits {lower:g} … {upper:g} {unit} are empty; write lower,"
+                    " upper"
                 )
         T = self.T_joint_flange
         if not frames.is_rotation(T[:3, :3]):
@@ -146,6 +158,8 @@ class Arm:
                 raise InputError(
                     f"arm {self.name!r}: joint{int(np.argmax(values < 0)) + 1}'s {what} is negative; correct it"
                 )
+        if self.dh is not None and self.sliding:
+            raise InputError(f"arm {self.name!r}: a DH table is of revolute joints, and it has others; leave dh out")
         if self._dh_distance > DH_AGREES:
             raise InputError(
                 f"arm {self.name!r}: its DH table is another chain than its kinematics (they differ by"
@@ -157,21 +171,33 @@ class Arm:
         """The number of joints."""
         return len(self.kinematics)
 
+    @cached_property
+    def slides(self) -> NDArray[np.bool_]:
+        """(joint,) which joints are prismatic."""
+        return np.isin(np.arange(self.dof), self.sliding)
+
+    @property
+    def joint_units(self) -> tuple[str, ...]:
+        """`rad`, or `m` of a prismatic joint, for each."""
+        return tuple("m" if slides else "rad" for slides in self.slides)
+
     @property
     def reach(self) -> float:
         """m; an upper bound of the distance of the flange from the origin of the base."""
         offsets = np.vstack([self.kinematics[:, :3], self.T_joint_flange[:3, 3]])
-        return float(np.linalg.norm(offsets, axis=1).sum())
+        return float(
+            np.linalg.norm(offsets, axis=1).sum() + np.abs(self.joint_limits[self.slides]).max(1, initial=0.0).sum()
+        )
 
     @cached_property
     def links(self) -> Array:
-        """(joint, 4, 4) the fixed transform before each joint's rotation."""
+        """(joint, 4, 4) the fixed transform before each joint's motion."""
         return np.stack([frames.transform_from_row(row) for row in self.kinematics])
 
     @cached_property
     def form(self) -> chains.HayatiForm:
         """The Hayati form of this arm, by its nominally parallel axes."""
-        return chains.hayati_form_of(self.kinematics)
+        return chains.hayati_form_of(self.kinematics, self.sliding)
 
     @cached_property
     def hayati(self) -> Array:
@@ -197,8 +223,22 @@ class Arm:
         return float(np.abs(frames.chain(links, q) @ after - frames.chain(self.links, q)).max())
 
 
+def require_revolute(arm: Arm, what: str) -> None:
+    """Refuses an arm with prismatic joints for `what` takes none, such as "a diagnosis of torques".
+
+    Raises:
+        InputError: as said.
+    """
+    if arm.sliding:
+        joint = arm.sliding[0] + 1
+        raise InputError(
+            f"{arm.name}: {what} takes arms of revolute joints, and joint {joint} is prismatic: hold it still, and "
+            "give the arm without it, such as robot.urdf#base:tip"
+        )
+
+
 def sample_joints(dof: int, count: int = 64) -> Array:
-    """(count, dof) rad: joint positions that fill +-pi evenly and do not depend on random numbers.
+    """(count, dof) rad, or m: joint positions that fill +-pi evenly and do not depend on random numbers.
 
     The additive recurrence of the generalised golden ratio (M. Roberts, 2018).
     """

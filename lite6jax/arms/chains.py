@@ -1,6 +1,7 @@
 """Serial chains as forms of their parameters: the six-parameter chain of factory files and URDF, and the Hayati chain.
 
-`forward_kinematics` evaluates a form. The sample is the last axis of every array.
+`forward_kinematics` evaluates a form. The sample is the last axis of every array. Joints are revolute, or prismatic
+where `sliding` counts them from 0; which are is part of the form, so that it is known when a chain is compiled.
 """
 
 from dataclasses import dataclass
@@ -11,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 from jax import Array
 
-from lite6jax.arms.moves import Frame, Turn, Twist, X, Y, Z, rotate, rotation_twist, translate, turn
+from lite6jax.arms.moves import Frame, Turn, Twist, X, Y, Z, joint_turn, rotate, rotation_twist, translate, turn
 from lite6jax.errors import InputError
 
 PARALLEL_WITHIN = np.deg2rad(5.0)
@@ -21,17 +22,26 @@ smaller."""
 
 @dataclass(frozen=True)
 class SixParameterForm:
-    """The chain of factory files and URDF: x y z roll pitch yaw, then the joint's rotation.
+    """The chain of factory files and URDF: x y z roll pitch yaw, then the joint's rotation, or its shift along z.
 
-    T = ∏ Trans(xᵢ, yᵢ, zᵢ) Rz(yawᵢ) Ry(pitchᵢ) Rx(rollᵢ) Rz(qᵢ). Flange poses identify 4 n + 2 of its 6 n parameters
-    (26 for six joints): 4 for each joint's axis, a line, and the flange's height and angle on the last one. The other
-    2 (n − 1) directions are unidentifiable: a joint's frame can be shifted along and rotated about its own axis, and
-    the next joint's origin compensates it.
+    T = ∏ Trans(xᵢ, yᵢ, zᵢ) Rz(yawᵢ) Ry(pitchᵢ) Rx(rollᵢ) Rz(qᵢ), with Tz(qᵢ) for a prismatic joint. Flange poses
+    identify 4 n + 2 of its 6 n parameters for revolute joints (26 for six): 4 for each joint's axis, a line, and the
+    flange's height and angle on the last one. The other 2 (n − 1) directions are unidentifiable: a joint's frame can be
+    shifted along and rotated about its own axis, and the next joint's origin compensates it. The frame of a prismatic
+    joint can be shifted in every direction.
+
+    Attributes:
+        dof: number of joints.
+        sliding: the prismatic joints, counted from 0.
     """
 
     dof: int
+    sliding: tuple[int, ...] = ()
 
     base_size = 0
+
+    def __post_init__(self) -> None:
+        _require_joints(self.sliding, "sliding", 0, self.dof - 1)
 
     @property
     def size(self) -> int:
@@ -75,6 +85,8 @@ class SixParameterForm:
         frame = rotate(frame, Y, turn(pitch))
         about_x = rotation_twist(frame, X)
         frame = rotate(rotate(frame, X, turn(roll)), Z, joint)
+        if joint.shift is not None:
+            frame = translate(frame, Z, joint.shift)
         return frame, (*shifts, about_z, about_y, about_x)
 
 
@@ -87,51 +99,97 @@ class HayatiForm:
     all 4 n + 4 parameters (28 for six joints): 4 for each joint's axis and 4 for the flange on the last one. A flange
     frame that is free in all six coordinates, a general tool, adds two: 4 n + 6 = 30, the full model.
 
+    Of a prismatic joint the direction matters and the position does not, so that R revolute and P prismatic joints have
+    4 R + 2 P + 4 parameters (L. Everett, M. Driels, B. Mooring, ICRA 1987). Its axis is drawn through the origin of the
+    frame before it (S. Hayati, M. Mirmirani, J. Robotic Systems 2(4), 1985). In all generality
+    Base = Trans(x, y, 0) Rz(yaw) Ry(pitch) Rx(roll) and
+    Aᵢ = Rz(qᵢ + theta_offᵢ) Tz(dᵢ) Tx(aᵢ) Ty(bᵢ) Rx(alphaᵢ) Ry(betaᵢ), with Rz(theta_offᵢ) Tz(dᵢ + qᵢ) for a prismatic
+    joint i, and zero what is not in `names`:
+
+    | the link after joint i leads to | axes not parallel | axes parallel |
+    |---|---|---|
+    | a revolute joint, i revolute | theta_off d a alpha | theta_off a alpha beta |
+    | a revolute joint, i prismatic | theta_off d a alpha | a b alpha beta |
+    | a prismatic joint | theta_off alpha | alpha beta |
+    | the flange, i revolute | theta_off d a alpha | |
+    | the flange, i prismatic | theta_off d a b | |
+
+    The base leads to joint 1: x y roll pitch to a revolute one, yaw roll to a prismatic one, and roll pitch where that
+    is parallel to the base's z.
+
     Attributes:
         dof: number of joints.
-        parallel: the joints, counted from 0, whose axis is nominally parallel to the next one's.
+        parallel: the joints, counted from 0, whose axis is nominally parallel to the next one's; -1 where the axis of
+            a prismatic first joint is to the base's z.
+        sliding: the prismatic joints, counted from 0.
     """
 
     dof: int
     parallel: tuple[int, ...] = ()
-
-    base_size = 4
+    sliding: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:
-        if any(not 0 <= i < self.dof - 1 for i in self.parallel) or list(self.parallel) != sorted(set(self.parallel)):
-            raise InputError(f"parallel joints {self.parallel}: give each once, in order, from 0 to {self.dof - 2}")
+        _require_joints(self.sliding, "sliding", 0, self.dof - 1)
+        _require_joints(self.parallel, "parallel", -1 if 0 in self.sliding else 0, self.dof - 2)
 
     @property
     def size(self) -> int:
-        """4 n + 4."""
-        return 4 * self.dof + 4
+        """4 R + 2 P + 4."""
+        return 4 * self.dof + 4 - 2 * len(self.sliding)
+
+    @property
+    def base_size(self) -> int:
+        """How many parameters `apply_base` takes."""
+        return 5 if self.sliding else 4
+
+    def of_link(self, joint: int) -> tuple[str, ...]:
+        """The parameters of the link after a joint counted from 0, in order of application; of -1, of the base."""
+        last, slides, parallel = joint == self.dof - 1, joint in self.sliding, joint in self.parallel
+        if joint == -1:
+            if 0 not in self.sliding:
+                return "x", "y", "pitch", "roll"
+            return ("pitch", "roll") if parallel else ("yaw", "roll")
+        if joint + 1 in self.sliding:
+            return ("alpha", "beta") if parallel else ("theta_off", "alpha")
+        if last and slides:
+            return "theta_off", "d", "a", "b"
+        if parallel:
+            return ("a", "b", "alpha", "beta") if slides else ("theta_off", "beta", "a", "alpha")
+        return "theta_off", "d", "a", "alpha"
 
     @cached_property
     def names(self) -> tuple[str, ...]:
         """`base_x base_y base_roll base_pitch`, `theta_off1 d1 a1 alpha1` …, `beta2` …; beta replaces its joint's d."""
-        joints = [
+        base = self.of_link(-1)
+        links = [
             f"{name}{i + 1}"
             for i in range(self.dof)
-            for name in ("theta_off", "d", "a", "alpha")
-            if not (name == "d" and i in self.parallel)
+            for name in ("theta_off", "d", "a", "b", "alpha")
+            if name in self.of_link(i)
         ]
-        betas = [f"beta{i + 1}" for i in self.parallel]
-        return ("base_x", "base_y", "base_roll", "base_pitch", *joints, *betas)
+        betas = [f"beta{i + 1}" for i in self.parallel if i >= 0]
+        return (*(f"base_{name}" for name in ("x", "y", "yaw", "roll", "pitch") if name in base), *links, *betas)
 
     @cached_property
     def units(self) -> tuple[str, ...]:
         """`m` or `rad` for each."""
         return tuple(
-            "m" if name.rstrip("0123456789") in ("base_x", "base_y", "d", "a") else "rad" for name in self.names
+            "m" if name.rstrip("0123456789") in ("base_x", "base_y", "d", "a", "b") else "rad" for name in self.names
         )
 
     @cached_property
     def walking_order(self) -> np.ndarray:
-        """The places in `names` in order of application: base x, y, pitch, roll; each theta, d or beta, a, alpha."""
-        order = ["base_x", "base_y", "base_pitch", "base_roll"]
-        for i in range(self.dof):
-            order += [f"{name}{i + 1}" for name in ("theta_off", "beta" if i in self.parallel else "d", "a", "alpha")]
-        return np.array([self.names.index(name) for name in order])
+        """The places in `names` in order of application: base x, y, pitch, roll; each theta, d or beta, a, alpha.
+
+        With prismatic joints: base x, y, yaw, pitch, roll; each theta, d, a, b, alpha, beta; `size` for what is zero.
+        """
+        if not self.sliding:
+            base, links = self.of_link(-1), [self.of_link(i) for i in range(self.dof)]
+        else:
+            base, links = BASE, [LINK] * self.dof
+        order = [f"base_{name}" for name in base]
+        order += [f"{name}{i + 1}" for i, link in enumerate(links) for name in link]
+        return np.array([self.names.index(name) if name in self.names else self.size for name in order])
 
     @cached_property
     def flags(self) -> np.ndarray:
@@ -140,20 +198,20 @@ class HayatiForm:
 
     def apply_base(self, frame: Frame, values: Array) -> tuple[Frame, tuple[Twist, ...]]:
         """The frame after the base transformation, and the twists of the base parameters."""
-        x, y, pitch, roll = values
-        shifts = (Twist(frame.x, None), Twist(frame.y, None))
+        x, y, *yaw, pitch, roll = values
+        twists = [Twist(frame.x, None), Twist(frame.y, None)]
         frame = translate(translate(frame, X, x), Y, y)
-        about_y = rotation_twist(frame, Y)
-        frame = rotate(frame, Y, turn(pitch))
-        about_x = rotation_twist(frame, X)
-        return rotate(frame, X, turn(roll)), (*shifts, about_y, about_x)
+        for axis, angle in ((Z, yaw), (Y, [pitch]), (X, [roll])):
+            for by in angle:
+                twists.append(rotation_twist(frame, axis))
+                frame = rotate(frame, axis, turn(by))
+        return frame, tuple(twists)
 
     def step(
         self, frame: Frame, values: Array | tuple[Array, ...], flag: Array, joint: Turn
     ) -> tuple[Frame, tuple[Twist, ...]]:
-        """The frame after the rotation and the link of one joint, and the twists of the joint's parameters."""
-        theta, second, a, alpha = values
-        d, beta = jnp.where(flag, 0.0, second), jnp.where(flag, second, 0.0)
+        """The frame after the motion and the link of one joint, and the twists of the joint's parameters."""
+        theta = values[0]
         offset = turn(theta)
         about_z, along_z = rotation_twist(frame, Z), frame.z
         frame = rotate(
@@ -162,6 +220,17 @@ class HayatiForm:
             Turn(joint.cos * offset.cos - joint.sin * offset.sin, joint.sin * offset.cos + joint.cos * offset.sin),
         )
         along_x = Twist(frame.x, None)
+        if joint.shift is not None:
+            _, d, a, b, alpha, beta = values
+            along_y = Twist(frame.y, None)
+            frame = translate(translate(translate(frame, Z, d + joint.shift), X, a), Y, b)
+            about_x = rotation_twist(frame, X)
+            frame = rotate(frame, X, turn(alpha))
+            about_y = rotation_twist(frame, Y)
+            frame = rotate(frame, Y, turn(beta))
+            return frame, (about_z, Twist(along_z, None), along_x, along_y, about_x, about_y)
+        _, second, a, alpha = values
+        d, beta = jnp.where(flag, 0.0, second), jnp.where(flag, second, 0.0)
         frame = translate(translate(frame, Z, d), X, a)
         about_x = rotation_twist(frame, X)
         frame = rotate(frame, X, turn(alpha))
@@ -174,8 +243,9 @@ class HayatiForm:
         """Parameters `(size,)` from base (x, y, roll, pitch), DH table `(joint, 4)` and one beta per parallel joint.
 
         Raises:
-            InputError: a wrong shape, or a non-zero d at a parallel joint.
+            InputError: a wrong shape, a non-zero d at a parallel joint, or a form with prismatic joints.
         """
+        self._require_table()
         base, dh, beta = np.asarray(base, float), np.asarray(dh, float), np.asarray(beta, float)
         if base.shape != (4,) or dh.shape != (self.dof, 4) or beta.shape != (len(self.parallel),):
             raise InputError(
@@ -191,9 +261,8 @@ class HayatiForm:
 
     def unpack(self, parameters: npt.ArrayLike) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """The inverse of `pack`."""
-        parameters = np.asarray(parameters, float)
-        if parameters.shape != (self.size,):
-            raise InputError(f"parameters of shape {parameters.shape}: this form takes ({self.size},)")
+        self._require_table()
+        parameters = self._checked(parameters)
         keep = np.ones((self.dof, 4), bool)
         keep[list(self.parallel), 1] = False
         dh = np.zeros((self.dof, 4))
@@ -201,13 +270,62 @@ class HayatiForm:
         dh[keep] = parameters[4:end]
         return parameters[:4], dh, parameters[end:]
 
+    def gather(self, base: npt.ArrayLike, links: npt.ArrayLike) -> np.ndarray:
+        """Parameters `(size,)` from those of the base `(5,)`, `BASE`, and of the links `(joint, 6)`, `LINK`.
+
+        Raises:
+            InputError: a wrong shape, or a number that is not zero where the form has no parameter.
+        """
+        base, links = np.asarray(base, float), np.asarray(links, float)
+        if base.shape != (5,) or links.shape != (self.dof, 6):
+            raise InputError(f"base {base.shape}, links {links.shape}: this form takes (5,) and ({self.dof}, 6)")
+        given = dict(zip((f"base_{name}" for name in BASE), base, strict=True))
+        given |= {f"{name}{i + 1}": link[k] for i, link in enumerate(links) for k, name in enumerate(LINK)}
+        for name, value in given.items():
+            if value != 0 and name not in self.names:
+                raise InputError(f"{name} is {value:g}, and this form has no such parameter; its are {self.names}")
+        return np.array([given[name] for name in self.names])
+
+    def spread(self, parameters: npt.ArrayLike) -> tuple[np.ndarray, np.ndarray]:
+        """The inverse of `gather`: base `(5,)` and links `(joint, 6)`, zero where the form has no parameter."""
+        given = dict(zip(self.names, self._checked(parameters), strict=True))
+        links = [[given.get(f"{name}{i + 1}", 0.0) for name in LINK] for i in range(self.dof)]
+        return np.array([given.get(f"base_{name}", 0.0) for name in BASE]), np.array(links)
+
+    def _checked(self, parameters: npt.ArrayLike) -> np.ndarray:
+        parameters = np.asarray(parameters, float)
+        if parameters.shape != (self.size,):
+            raise InputError(f"parameters of shape {parameters.shape}: this form takes ({self.size},)")
+        return parameters
+
+    def _require_table(self) -> None:
+        if self.sliding:
+            raise InputError("a DH table has no place for the link after a prismatic joint; use gather and spread")
+
+
+BASE = ("x", "y", "yaw", "pitch", "roll")
+"""The parameters of any base, in order of application."""
+LINK = ("theta_off", "d", "a", "b", "alpha", "beta")
+"""The parameters of any link, in order of application."""
+
+
+def _require_joints(joints: tuple[int, ...], what: str, first: int, last: int) -> None:
+    if any(not first <= i <= last for i in joints) or list(joints) != sorted(set(joints)):
+        raise InputError(f"{what} joints {joints}: give each once, in order, from {first} to {last}")
+
 
 Form = HayatiForm | SixParameterForm
 """The parameterisation of a chain. It is hashable, so that it can be a static argument of a jitted function.
 
 `apply_base` applies the first `base_size` parameters, then `step` an equal number at each joint, which its entry of
-`flags` interprets; `walking_order[k]` is the place in `names` of the k-th parameter applied.
+`flags` interprets; `walking_order[k]` is the place in `names` of the k-th parameter applied, and `size` where that is
+always zero.
 """
+
+
+def joint_motion(form: Form, position: npt.ArrayLike) -> Turn:
+    """The motions of a chain's joints at positions `(..., joint, sample)`, rad and for prismatic joints m."""
+    return joint_turn(jnp.asarray(position, float), form.sliding)
 
 
 def joint_axes(kinematics: npt.ArrayLike) -> tuple[np.ndarray, np.ndarray]:
@@ -233,8 +351,11 @@ def joint_axes(kinematics: npt.ArrayLike) -> tuple[np.ndarray, np.ndarray]:
     return points, directions
 
 
-def hayati_form_of(kinematics: npt.ArrayLike) -> HayatiForm:
+def hayati_form_of(kinematics: npt.ArrayLike, sliding: tuple[int, ...] = ()) -> HayatiForm:
     """The Hayati form for a nominal six-parameter chain `(joint, 6)`, by the angles between neighbouring axes."""
     _, directions = joint_axes(kinematics)
     sines = np.linalg.norm(np.cross(directions[:-1], directions[1:]), axis=1)
-    return HayatiForm(len(directions), tuple(int(i) for i in np.flatnonzero(sines < np.sin(PARALLEL_WITHIN))))
+    parallel = tuple(int(i) for i in np.flatnonzero(sines < np.sin(PARALLEL_WITHIN)))
+    if 0 in sliding and np.hypot(*directions[0, :2]) < np.sin(PARALLEL_WITHIN):
+        parallel = (-1, *parallel)
+    return HayatiForm(len(directions), parallel, sliding)

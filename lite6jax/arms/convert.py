@@ -11,6 +11,7 @@ import numpy as np
 from jax import Array, lax
 from numpy.typing import ArrayLike
 
+from lite6jax.arms import convert_sliding
 from lite6jax.arms.chains import HayatiForm, joint_axes
 from lite6jax.arms.moves import Frame, X, Y, Z, base_frame, rotate, translate, turn
 from lite6jax.arms.se3 import rotation_from_rpy, rpy_from_rotation, transform
@@ -35,7 +36,8 @@ def six_parameter_to_hayati(form: HayatiForm, kinematics: ArrayLike, nominal: Ar
         `(size,)` or `(arm, size)`, in the order of `form.names`.
 
     Raises:
-        InputError: joint 1's axis is nearly horizontal in the base frame, so that it does not intersect its x-y plane;
+        InputError: joint 1 is revolute and its axis nearly horizontal in the base frame, so that it does not intersect
+            its x-y plane;
             axes that are parallel in the form are not in the chain, or the reverse; or parallel axes coincide.
     """
     kinematics = np.asarray(kinematics, float)
@@ -44,6 +46,9 @@ def six_parameter_to_hayati(form: HayatiForm, kinematics: ArrayLike, nominal: Ar
     if not np.isfinite(kinematics).all():
         raise InputError("kinematics: every number must be finite")
     arms = kinematics.reshape(-1, form.dof, 6)
+    if form.sliding:
+        found = convert_sliding.parameters(form, arms, None if nominal is None else np.asarray(nominal, float))
+        return found.reshape(*kinematics.shape[:-2], form.size)
     if nominal is None:
         _, directions = joint_axes(arms[0])
         branch = np.zeros((form.dof, 2))
@@ -105,10 +110,10 @@ def closed_form(form: HayatiForm, kinematics: Array, branch: Array) -> tuple[Arr
         ]
         # where they are not: u = (sin θ sin α, −cos θ sin α, cos α); the sign of sin α is free, and turns θ by 180°
         along_x, along_y = jnp.where(parallel, foot[0], -u[1]), jnp.where(parallel, foot[1], u[0])
-        c, s = turn(near[0])
+        c, s, _ = turn(near[0])
         side = jnp.where(c * along_x + s * along_y < 0, -1.0, 1.0)
         theta = jnp.arctan2(side * along_y, side * along_x)
-        c, s = turn(theta)
+        c, s, _ = turn(theta)
         sine = s * u[0] - c * u[1]
         alpha = jnp.arctan2(sine, u[2])
         a = jnp.where(parallel, c * foot[0] + s * foot[1], c * p[0] + s * p[1])
@@ -167,16 +172,14 @@ def hayati_to_six_parameter(form: HayatiForm, parameters: ArrayLike) -> tuple[np
         parameters: `(size,)` m and rad, in the order of `form.names`.
 
     Returns:
-        kinematics `(joint, 6)` m and rad, and `T_joint_flange` `(4, 4)`, the last joint's a and alpha: a six-parameter
-        chain ends at the last joint and does not contain them.
+        kinematics `(joint, 6)` m and rad, and `T_joint_flange` `(4, 4)`, the last joint's a and alpha, or a and b: a
+        six-parameter chain ends at the last joint and does not contain them.
     """
-    base, dh, beta = form.unpack(parameters)
-    betas = np.zeros(form.dof)
-    betas[list(form.parallel)] = beta
-    origin = transform(rotation_from_rpy(np.array([base[2], base[3], 0.0])), np.array([base[0], base[1], 0.0]))
+    (x, y, yaw, pitch, roll), links = form.spread(parameters)
+    origin = transform(rotation_from_rpy(np.array([roll, pitch, yaw])), np.array([x, y, 0.0]))
     rows = []
-    for (theta, d, a, alpha), tilt in zip(dh, betas, strict=True):
+    for theta, d, a, b, alpha, tilt in links:
         origin = origin @ _link(*map(jnp.asarray, (theta, d, 0.0, 0.0, 0.0)))
         rows.append(np.concatenate([np.asarray(origin[:3, 3]), np.asarray(rpy_from_rotation(origin[:3, :3]))]))
-        origin = _link(*map(jnp.asarray, (0.0, 0.0, a, alpha, tilt)))
+        origin = _link(*map(jnp.asarray, (0.0, 0.0, a, alpha, tilt))).at[1, 3].set(b)
     return np.array(rows), np.asarray(origin)

@@ -3,7 +3,7 @@
 import json
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,14 +15,33 @@ from lite6jax.checksum import with_comment
 from lite6jax.errors import InputError
 
 DH = ("theta_off_rad", "d_m", "a_m", "alpha_rad")
-OPTIONAL = ("joint_limits_rad", "inertial", "dynamics", "dh", "flange", "source")
+OPTIONAL = ("joint_limits_rad", "joint_limits", "inertial", "dynamics", "dh", "flange", "source")
 
-FRICTION = {"viscous_Nm_s_per_rad": "viscous_friction", "coulomb_Nm": "coulomb_friction"}
-ROTOR = "rotor_inertia_kg_m2"
-SPRING = {"stiffness_Nm_per_rad": "spring_stiffness", "rest_rad": "spring_rest"}
+
+class Drive(NamedTuple):
+    """How a description names what an arm knows of one joint's drive: keys and the fields of `Arm`."""
+
+    friction: Mapping[str, str]
+    rotor: str
+    spring: Mapping[str, str]
+
+
+REVOLUTE = Drive(
+    {"viscous_Nm_s_per_rad": "viscous_friction", "coulomb_Nm": "coulomb_friction"},
+    "rotor_inertia_kg_m2",
+    {"stiffness_Nm_per_rad": "spring_stiffness", "rest_rad": "spring_rest"},
+)
+PRISMATIC = Drive(
+    {"viscous_N_s_per_m": "viscous_friction", "coulomb_N": "coulomb_friction"},
+    "rotor_mass_kg",
+    {"stiffness_N_per_m": "spring_stiffness", "rest_m": "spring_rest"},
+)
 
 # rad, four turns: a larger limit is an angle in degrees.
 LARGEST_LIMIT = 8 * np.pi
+
+# m; a larger limit of a prismatic joint is in millimetres.
+LARGEST_SHIFT = 100.0
 
 # kg; a heavier link is in grams.
 LARGEST_MASS = 1000.0
@@ -47,7 +66,11 @@ def read_description(path: str | Path) -> Arm:
     source: where the numbers are from
     ```
 
-    `name` and `kinematics` are required. A link's centre of mass is in the frame after its joint's rotation; its
+    `name` and `kinematics` are required. A joint with `type: prismatic` beside its x … yaw moves along its z; the
+    limits are then `joint_limits`, in m for prismatic joints and rad for others, and in `dynamics` its keys are
+    `viscous_N_s_per_m`, `coulomb_N`, `rotor_mass_kg`, `stiffness_N_per_m` and `rest_m`, the rotor's mass being its
+    inertia times the square of its turns per metre, rad²/m². A link's centre of mass is in the frame after its joint's
+    motion; its
     inertia (ixx iyy izz ixy ixz iyz, the products with the tensor's sign) is about the centre of mass in that frame's
     axes, and given for all links or none. Friction, rotor inertia, reflected to the joint, and springs are zero where
     only another joint has them. `flange` may also be three rows of four numbers.
@@ -65,15 +88,17 @@ def arm_from_description(content: Any, where: str) -> Arm:
     for key in ("name", "source"):
         if not isinstance(content.get(key, ""), str):
             raise InputError(f"{where}: {key} is {content[key]!r}, which is not text; put it in quotes")
-    kinematics, _ = entries.kinematics(content["kinematics"], where)
+    table, sliding = entries.sliding(content["kinematics"], where)
+    kinematics, _ = entries.kinematics(table, where)
     joints = len(kinematics)
-    fields: dict[str, Any] = {}
-    if "joint_limits_rad" in content:
-        fields["joint_limits"] = _limits(content["joint_limits_rad"], where, joints)
+    fields: dict[str, Any] = {"sliding": sliding}
+    for key in ("joint_limits_rad", "joint_limits"):
+        if key in content:
+            fields["joint_limits"] = _limits(content, key, where, joints, sliding)
     if "inertial" in content:
         fields["mass"], fields["center_of_mass"], fields["inertia"] = _inertial(content["inertial"], where, joints)
     if "dynamics" in content:
-        fields |= _dynamics(content["dynamics"], where, joints)
+        fields |= _dynamics(content["dynamics"], where, joints, sliding)
     if "dh" in content:
         fields["dh"] = _dh(content["dh"], where, joints)
     if "flange" in content:
@@ -84,12 +109,27 @@ def arm_from_description(content: Any, where: str) -> Arm:
         raise InputError(f"{where}: {error}") from error
 
 
-def _limits(value: Any, where: str, joints: int) -> NDArray[np.float64]:
+def _limits(
+    content: Mapping[str, Any], key: str, where: str, joints: int, sliding: tuple[int, ...]
+) -> NDArray[np.float64]:
+    value = content[key]
+    if "joint_limits" in content and "joint_limits_rad" in content:
+        raise InputError(f"{where}: has joint_limits and joint_limits_rad; keep one")
+    if sliding and key == "joint_limits_rad":
+        raise InputError(
+            f"{where}: joint_limits_rad, but joint{sliding[0] + 1} is prismatic; name the list joint_limits, in m for"
+            " prismatic joints and rad for others"
+        )
     if not isinstance(value, list) or len(value) != joints:
-        raise InputError(f"{where}: joint_limits_rad must list one [lower, upper] for each of the {joints} joints")
+        raise InputError(f"{where}: {key} must list one [lower, upper] for each of the {joints} joints")
     limits = np.array([entries.numbers(row, f"{where}: joint{i + 1}'s limits", 2) for i, row in enumerate(value)])
     for i, row in enumerate(limits):
-        if np.abs(row).max() > LARGEST_LIMIT:
+        if i in sliding and np.abs(row).max() > LARGEST_SHIFT:
+            raise InputError(
+                f"{where}: joint{i + 1}'s limits {row[0]:g} … {row[1]:g} are beyond any arm, so they seem to be in"
+                " millimetres; write metres"
+            )
+        if i not in sliding and np.abs(row).max() > LARGEST_LIMIT:
             raise InputError(
                 f"{where}: joint{i + 1}'s limits {row[0]:g} … {row[1]:g} are many turns, so they seem to be in degrees;"
                 " write radians"
@@ -126,20 +166,20 @@ def _inertial(
     return np.array(masses), np.array(centers), inertia.tensor(tensors) if tensors else None
 
 
-def _dynamics(value: Any, where: str, joints: int) -> dict[str, NDArray[np.floating]]:
+def _dynamics(value: Any, where: str, joints: int, sliding: tuple[int, ...]) -> dict[str, NDArray[np.floating]]:
     """The joints' drives by the field of `Arm`: those that any joint has."""
     names = [f"joint{i + 1}" for i in range(joints)]
     table = entries.mapping(value, f"{where}: dynamics", (), names)
     fields: dict[str, NDArray[np.floating]] = {}
     for i, name in enumerate(names):
-        place = f"{where}: dynamics: {name}"
-        drive = entries.mapping(table.get(name, {}), place, (), ("friction", ROTOR, "spring"))
-        friction = entries.mapping(drive.get("friction", {}), f"{place}: friction", (), tuple(FRICTION))
-        given = [(FRICTION[key], number, f"{place}: friction: {key}") for key, number in friction.items()]
-        given += [("rotor_inertia", drive[ROTOR], f"{place}: {ROTOR}")] if ROTOR in drive else []
+        place, keys = f"{where}: dynamics: {name}", PRISMATIC if i in sliding else REVOLUTE
+        drive = entries.mapping(table.get(name, {}), place, (), ("friction", keys.rotor, "spring"))
+        friction = entries.mapping(drive.get("friction", {}), f"{place}: friction", (), tuple(keys.friction))
+        given = [(keys.friction[key], number, f"{place}: friction: {key}") for key, number in friction.items()]
+        given += [("rotor_inertia", drive[keys.rotor], f"{place}: {keys.rotor}")] if keys.rotor in drive else []
         if "spring" in drive:
-            spring = entries.mapping(drive["spring"], f"{place}: spring", tuple(SPRING))
-            given += [(SPRING[key], number, f"{place}: spring: {key}") for key, number in spring.items()]
+            spring = entries.mapping(drive["spring"], f"{place}: spring", tuple(keys.spring))
+            given += [(keys.spring[key], number, f"{place}: spring: {key}") for key, number in spring.items()]
         for field, number, at in given:
             fields.setdefault(field, np.zeros(joints))[i] = entries.number(number, at)
     return fields
@@ -178,8 +218,11 @@ def write_arm(arm: Arm, path: str | Path, overwrite: bool = False) -> Path:
     if arm.source:
         lines.append(f"source: {_text(arm.source)}")
     lines += ["kinematics:"]
-    lines += [f"  joint{i + 1}: {entries.yaml_row(entries.SIX, row)}" for i, row in enumerate(arm.kinematics)]
-    lines += ["joint_limits_rad:"] + [f"  - {entries.yaml_list(row)}" for row in arm.joint_limits]
+    for i, row in enumerate(arm.kinematics):
+        entry = entries.yaml_row(entries.SIX, row)
+        lines.append(f"  joint{i + 1}: {entry.replace('{', '{type: prismatic, ', 1) if arm.slides[i] else entry}")
+    lines.append("joint_limits:  # m for prismatic joints, rad for others" if arm.sliding else "joint_limits_rad:")
+    lines += [f"  - {entries.yaml_list(row)}" for row in arm.joint_limits]
     if arm.mass is not None and arm.center_of_mass is not None:
         lines += ["inertial:"]
         for i, (mass, center) in enumerate(zip(arm.mass, arm.center_of_mass, strict=True)):
@@ -200,17 +243,17 @@ def write_arm(arm: Arm, path: str | Path, overwrite: bool = False) -> Path:
 
 
 def _drive_lines(arm: Arm) -> list[str]:
-    friction = {key: values for key, field in FRICTION.items() if (values := getattr(arm, field)) is not None}
-    spring = {key: values for key, field in SPRING.items() if (values := getattr(arm, field)) is not None}
-    if not friction and not spring and arm.rotor_inertia is None:
-        return []
-    lines = ["dynamics:"]
+    lines = []
     for i in range(arm.dof):
+        keys = PRISMATIC if arm.slides[i] else REVOLUTE
+        friction = {key: values for key, field in keys.friction.items() if (values := getattr(arm, field)) is not None}
+        spring = {key: values for key, field in keys.spring.items() if (values := getattr(arm, field)) is not None}
         drive = [f"friction: {_mapping(friction, i)}"] if friction else []
-        drive += [] if arm.rotor_inertia is None else [f"{ROTOR}: {entries.yaml_number(arm.rotor_inertia[i])}"]
+        drive += [] if arm.rotor_inertia is None else [f"{keys.rotor}: {entries.yaml_number(arm.rotor_inertia[i])}"]
         drive += [f"spring: {_mapping(spring, i)}"] if spring else []
-        lines.append(f"  joint{i + 1}: {{{', '.join(drive)}}}")
-    return lines
+        if drive:
+            lines.append(f"  joint{i + 1}: {{{', '.join(drive)}}}")
+    return ["dynamics:", *lines] if lines else []
 
 
 def _mapping(table: Mapping[str, NDArray[np.floating]], i: int) -> str:

@@ -1,11 +1,14 @@
 """Rigid-body dynamics of a serial arm: the motors' torques, linear in ten parameters a link, and what they determine.
 
+Of a prismatic joint the position is in m, its derivatives likewise, and what the motor exerts is a force in N.
+
 The sample is the last axis of every array, so that an operation is one vector instruction over samples. Equations:
 R. Featherstone, Rigid Body Dynamics Algorithms (2008), section 5.3; the regressor: C. Atkeson, C. An and J. Hollerbach,
 Int. J. Robotics Research 5(3), 1986.
 """
 
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -18,6 +21,7 @@ from numpy.typing import NDArray
 
 from lite6jax.arms import inertia, se3
 from lite6jax.arms.arm import Arm
+from lite6jax.arms.moves import joint_turn
 from lite6jax.errors import InputError
 
 PARAMETERS = ("m", "mx", "my", "mz", "Ixx", "Iyy", "Izz", "Ixy", "Ixz", "Iyz")
@@ -41,7 +45,7 @@ _Vector = tuple[Array, Array, Array]
 
 
 def link_parameters(arm: Arm) -> NDArray[np.floating]:
-    """(joint, 10) `PARAMETERS` of each link, about the origin and in the axes of the frame after its joint's rotation.
+    """(joint, 10) `PARAMETERS` of each link, about the origin and in the axes of the frame after its joint's motion.
 
     Torques are linear in them: the inertia about the origin is that about the centre of mass plus the parallel-axis
     term.
@@ -71,14 +75,18 @@ _Carry = tuple[Array, _Vector, _Vector, _Motion]
 
 
 class _Step(NamedTuple):
-    """From the previous link's frame to this one's: a fixed shift and rotation, then the joint's rotation about z."""
+    """From the previous link's frame to this one's: a fixed shift and rotation, then the joint's rotation about z.
+
+    Where the chain has prismatic joints, p contains the shift along z, which changes at the rates of `slide`.
+    """
 
     R: Array  # (3, 3)
-    p: Array  # (3,)
+    p: Array  # (3,), or (3, sample) with prismatic joints
     cos: Array  # (sample,)
     sin: Array
     rate: Array
     rate_change: Array
+    slide: tuple[Array, Array, Array] | None = None  # (), whether it is prismatic; (sample,) m/s and m/s²
 
     def into(self, v: _Vector) -> _Vector:
         """A vector of the previous frame, in the axes of this one."""
@@ -90,10 +98,18 @@ class _Step(NamedTuple):
         return _product(self.R, (self.cos * v[0] - self.sin * v[1], self.sin * v[0] + self.cos * v[1], v[2]))
 
 
-def _steps(kinematics: Array, q: Array, dq: Array, ddq: Array) -> _Step:
+def _steps(kinematics: Array, q: Array, dq: Array, ddq: Array, sliding: tuple[int, ...]) -> _Step:
     """All steps, joint first. Loops over the joints are compiled as loops, for two reasons: unrolled, XLA would fuse
     every step into each of its uses, compute it anew there, and compile for a minute."""
-    return _Step(se3.rotation_from_rpy(kinematics[:, 3:]), kinematics[:, :3], jnp.cos(q), jnp.sin(q), dq, ddq)
+    R, p, (cos, sin, shift) = se3.rotation_from_rpy(kinematics[:, 3:]), kinematics[:, :3], joint_turn(q, sliding)
+    if shift is None:
+        return _Step(R, p, cos, sin, dq, ddq)
+    slides = np.isin(np.arange(len(q)), sliding)
+    at = p[:, :, None] + R[:, :, 2, None] * shift[:, None]
+    (turning, sliding_rate), (change, sliding_change) = (
+        tuple(jnp.where(own[:, None], rate, 0.0) for own in (~slides, slides)) for rate in (dq, ddq)
+    )
+    return _Step(R, at, cos, sin, turning, change, (jnp.asarray(slides), sliding_rate, sliding_change))
 
 
 def _product(M: Array, v: _Vector) -> _Vector:
@@ -122,7 +138,11 @@ def _next(motion: _Motion, step: _Step) -> _Motion:
     x, y, z = step.into(motion.spin)
     ax, ay, az = step.into(motion.spin_rate)
     rate = (ax + y * step.rate, ay - x * step.rate, az + step.rate_change)
-    return _Motion((x, y, z + step.rate), rate, step.into(at_origin))
+    acceleration = step.into(at_origin)
+    if step.slide is not None:  # Coriolis' and its own
+        _, v, a = step.slide
+        acceleration = _sum(acceleration, (2 * y * v, -2 * x * v, a))
+    return _Motion((x, y, z + step.rate), rate, acceleration)
 
 
 def _rotation_rate(motion: _Motion) -> tuple[_Vector, _Vector, _Vector]:
@@ -135,14 +155,22 @@ def _rotation_rate(motion: _Motion) -> tuple[_Vector, _Vector, _Vector]:
     )
 
 
-@jax.jit
-def regressor(kinematics: ArrayLike, q: ArrayLike, dq: ArrayLike, ddq: ArrayLike, gravity: ArrayLike) -> Array:
+@partial(jax.jit, static_argnames="sliding")
+def regressor(
+    kinematics: ArrayLike,
+    q: ArrayLike,
+    dq: ArrayLike,
+    ddq: ArrayLike,
+    gravity: ArrayLike,
+    sliding: tuple[int, ...] = (),
+) -> Array:
     """The matrix that takes all links' inertial parameters to the joints' torques.
 
     Args:
         kinematics: (joint, 6) x y z roll pitch yaw of each joint's frame in the previous one, m and rad.
         q: (joint, sample) rad; `dq` rad/s and `ddq` rad/s² likewise.
         gravity: (3,) m/s² in the base frame.
+        sliding: the prismatic joints, counted from 0.
 
     Returns:
         (joint, 10 × joint, sample) such that `inverse_dynamics` is its product with the parameters, link after link.
@@ -155,7 +183,7 @@ def regressor(kinematics: ArrayLike, q: ArrayLike, dq: ArrayLike, ddq: ArrayLike
     def fill(k: ArrayLike, filled: Array) -> Array:
         start = jnp.minimum(k * size, samples - size)  # the last chunk overlaps the one before
         chunk = lax.dynamic_slice_in_dim(motion, start, size, 2)
-        columns = _columns(*_link_motions(_steps(kinematics, *chunk), gravity))
+        columns = _columns(*_link_motions(_steps(kinematics, chunk[0], chunk[1], chunk[2], sliding), gravity))
         for c, column in enumerate(columns):
             filled = lax.dynamic_update_slice(filled, column[:, :, None], (0, 0, c, start))
         return filled
@@ -176,7 +204,13 @@ def _link_motions(steps: _Step, gravity: Array) -> tuple[_Vector, _Vector, _Moti
         shifted = step.into(_sum(velocity, _cross(axis, step.p)))
         own = (jnp.arange(joints) == number)[:, None]
         x, y, z = step.into(axis)
-        carry = (number + 1, (x, y, jnp.where(own, 1.0, z)), shifted, _next(motion, step))
+        if step.slide is None:
+            turned = (x, y, jnp.where(own, 1.0, z))
+        else:
+            slides, _, _ = step.slide
+            turned = (x, y, jnp.where(own & ~slides, 1.0, z))
+            shifted = (*shifted[:2], jnp.where(own & slides, 1.0, shifted[2]))
+        carry = (number + 1, turned, shifted, _next(motion, step))
         return carry, carry
 
     start = (jnp.zeros((), int), nothing, nothing, _resting(gravity, samples))
@@ -202,9 +236,15 @@ def _columns(axis: _Vector, velocity: _Vector, motion: _Motion) -> list[Array]:
     return [mass, *first, *moments, *products]
 
 
-@jax.jit
+@partial(jax.jit, static_argnames="sliding")
 def inverse_dynamics(
-    kinematics: ArrayLike, parameters: ArrayLike, q: ArrayLike, dq: ArrayLike, ddq: ArrayLike, gravity: ArrayLike
+    kinematics: ArrayLike,
+    parameters: ArrayLike,
+    q: ArrayLike,
+    dq: ArrayLike,
+    ddq: ArrayLike,
+    gravity: ArrayLike,
+    sliding: tuple[int, ...] = (),
 ) -> Array:
     """The torques that the motors exert about +z of the joints, without friction, rotor inertia or payload.
 
@@ -217,12 +257,13 @@ def inverse_dynamics(
         dq: `(joint, sample)` rad/s.
         ddq: `(joint, sample)` rad/s².
         gravity: `(3,)` m/s² in the base frame, such as (0, 0, -9.81).
+        sliding: the prismatic joints, counted from 0.
 
     Returns:
-        `(joint, sample)` N·m.
+        `(joint, sample)` N·m, and N along +z of prismatic joints.
     """
     kinematics, q, dq, ddq, gravity = (jnp.asarray(value, float) for value in (kinematics, q, dq, ddq, gravity))
-    steps = _steps(kinematics, q, dq, ddq)
+    steps = _steps(kinematics, q, dq, ddq, sliding)
 
     def outwards(motion: _Motion, step: _Step) -> tuple[_Motion, _Motion]:
         motion = _next(motion, step)
@@ -237,7 +278,8 @@ def inverse_dynamics(
         own = _sum(_product(M, motion.spin_rate), _cross(motion.spin, _product(M, motion.spin)))
         moment = _sum(moment, _sum(own, _cross(first, a)))
         before = step.out_of(force)
-        return (before, _sum(step.out_of(moment), _cross(step.p, before))), moment[2]
+        effort = moment[2] if step.slide is None else jnp.where(step.slide[0], force[2], moment[2])
+        return (before, _sum(step.out_of(moment), _cross(step.p, before))), effort
 
     resting = _resting(gravity, q.shape[1])
     motions = lax.scan(outwards, resting, steps)[1]
@@ -297,7 +339,7 @@ def parameter_name(place: int) -> str:
     return f"{PARAMETERS[place % 10]}{place // 10 + 1}"
 
 
-def base_parameters(kinematics: npt.ArrayLike, gravity: npt.ArrayLike) -> BaseParameters:
+def base_parameters(kinematics: npt.ArrayLike, gravity: npt.ArrayLike, sliding: tuple[int, ...] = ()) -> BaseParameters:
     """The base parameters of a chain, by the regressor of random motion.
 
     The columns that are independent of those before them, links from the base outwards, are found by orthogonalisation;
@@ -307,6 +349,7 @@ def base_parameters(kinematics: npt.ArrayLike, gravity: npt.ArrayLike) -> BasePa
     Args:
         kinematics: (joint, 6) x y z roll pitch yaw of each joint's frame in the previous one, m and rad.
         gravity: (3,) m/s² in the base frame; it decides what the first joints' links show at rest.
+        sliding: the prismatic joints, counted from 0.
     """
     kinematics = np.asarray(kinematics, float)
     joints = len(kinematics)
@@ -314,9 +357,8 @@ def base_parameters(kinematics: npt.ArrayLike, gravity: npt.ArrayLike) -> BasePa
     samples = 16 * joints + 32
     q = rng.uniform(-np.pi, np.pi, (joints, samples))
     dq, ddq = 2 * rng.standard_normal((2, joints, samples))
-    W = np.moveaxis(np.asarray(regressor(kinematics, q, dq, ddq, np.asarray(gravity, float))), 2, 0).reshape(
-        -1, 10 * joints
-    )
+    W = np.asarray(regressor(kinematics, q, dq, ddq, np.asarray(gravity, float), sliding))
+    W = np.moveaxis(W, 2, 0).reshape(-1, 10 * joints)
 
     order = (10 * np.arange(joints)[:, None] + _PREFERENCE).ravel()
     independent = np.sort(order[_independent(W[:, order])])

@@ -16,6 +16,9 @@ Array = NDArray[np.floating]
 SIX = ("x", "y", "z", "roll", "pitch", "yaw")
 UR_JOINTS = ("shoulder", "upper_arm", "forearm", "wrist_1", "wrist_2", "wrist_3")
 
+TYPES = ("revolute", "prismatic")
+"""What the joints of a description can be; the first where nothing is said."""
+
 # m and rad; larger values are in millimetres or degrees.
 LENGTH_LIMIT = 10.0
 ANGLE_LIMIT = 2 * math.pi + 1e-6
@@ -102,6 +105,28 @@ def six_numbers(value: Any, where: str) -> list[float]:
                 f" write metres ({length / 1000:.6g})"
             )
     return row
+
+
+def sliding(value: Any, where: str) -> tuple[Any, tuple[int, ...]]:
+    """A description's table `kinematics` without the joints' types, and its prismatic joints, counted from 0.
+
+    Raises:
+        InputError: a type that is none of `TYPES`, or a prismatic joint of another name than joint1, joint2, ….
+    """
+    if not isinstance(value, Mapping) or not any(isinstance(row, Mapping) and "type" in row for row in value.values()):
+        return value, ()
+    rest, found = {}, []
+    for joint, row in value.items():
+        kind = row.get("type", TYPES[0]) if isinstance(row, Mapping) else TYPES[0]
+        if kind not in TYPES:
+            raise InputError(f"{where}: {joint}: type is {str(kind)[:40]!r}; write {' or '.join(TYPES)}")
+        if kind == TYPES[1]:
+            found.append(str(joint))
+        rest[joint] = {key: n for key, n in row.items() if key != "type"} if isinstance(row, Mapping) else row
+    for joint in found:
+        if not re.fullmatch(r"joint[1-9][0-9]?", joint):
+            raise InputError(f"{where}: {joint} is prismatic; name the joints of such an arm joint1, joint2, …")
+    return rest, tuple(sorted(int(joint[5:]) - 1 for joint in found))
 
 
 def kinematics(value: Any, where: str) -> tuple[Array, tuple[str, ...]]:

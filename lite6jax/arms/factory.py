@@ -1,5 +1,6 @@
 """Factory calibrations: the six-parameter file of an individual arm, and the recognition of its model."""
 
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations, product
@@ -15,7 +16,7 @@ from lite6jax.arms.arm import Arm, sample_joints
 from lite6jax.arms.bundled import bundled_of
 from lite6jax.arms.table import read_table
 from lite6jax.checksum import with_comment
-from lite6jax.errors import InputError
+from lite6jax.errors import InputError, InputWarning
 
 Array = NDArray[np.floating]
 
@@ -23,7 +24,8 @@ Array = NDArray[np.floating]
 # xArm 7 is 8.5 mm from its nominal, and the two most similar models (UR3, UR3e) differ by 21 mm.
 RECOGNISED_WITHIN = 0.05
 
-JOINTS = (5, 6, 7)
+MOST_JOINTS = 99
+"""The names of more have another form."""
 
 # m; points at this distance along the flange's x and y are compared as well, so that its orientation matters too.
 PROBE = 0.1
@@ -52,7 +54,11 @@ def read_factory(path: str | Path, arm: Arm | None = None) -> FactoryCalibration
 
     Args:
         path: the file.
-        arm: its nominal arm; None for the nearest bundled arm.
+        arm: its nominal arm; None for the nearest bundled arm, or for the chain itself where no bundled arm has as many
+            joints, or prismatic ones.
+
+    Warns:
+        InputWarning: the chain is taken as its own nominal arm.
 
     Raises:
         InputError: not such a file; joints or keys missing or unknown; a value that is not a number; degrees for
@@ -65,7 +71,7 @@ def read_factory(path: str | Path, arm: Arm | None = None) -> FactoryCalibration
     chain = convert.hayati_to_six_parameter(table.form, table.parameters)
     kinematics, T_joint_flange = (np.array(part, np.float64) for part in chain)
     names = tuple(f"joint{i + 1}" for i in range(len(kinematics)))
-    return _recognised(kinematics, names, T_joint_flange, path, arm)
+    return _recognised(kinematics, names, T_joint_flange, table.form.sliding, path, arm)
 
 
 def factory_from(content: Any, path: str | Path, arm: Arm | None = None) -> FactoryCalibration:
@@ -81,17 +87,29 @@ def factory_from(content: Any, path: str | Path, arm: Arm | None = None) -> Fact
     """
     content = entries.mapping(content, f"{path}:", ("kinematics",))
     kinematics, names = entries.kinematics(content["kinematics"], str(path))
-    return _recognised(kinematics, names, np.eye(4), path, arm)
+    return _recognised(kinematics, names, np.eye(4), () if arm is None else arm.sliding, path, arm)
 
 
 def _recognised(
-    kinematics: Array, names: Sequence[str], T_joint_flange: Array, path: str | Path, arm: Arm | None
+    kinematics: Array,
+    names: Sequence[str],
+    T_joint_flange: Array,
+    sliding: tuple[int, ...],
+    path: str | Path,
+    arm: Arm | None,
 ) -> FactoryCalibration:
-    if arm is None and len(kinematics) not in JOINTS:
-        raise InputError(
-            f"{path}: has {len(kinematics)} joints; a factory calibration has 5, 6 or 7, one row for each, unless the "
-            "arm is named with --arm"
+    if arm is None and (sliding or not bundled_of(len(kinematics))):
+        arm = Arm(Path(path).stem, kinematics, sliding=sliding, source=f"factory calibration {Path(path).name}")
+        what = f"prismatic joints, as joint {sliding[0] + 1} is" if sliding else f"{len(kinematics)} joints"
+        warnings.warn(
+            f"{path}: no bundled arm has {what}, so this chain is its own nominal arm; name another with --arm to see"
+            " how it deviates",
+            InputWarning,
+            stacklevel=3,
         )
+        return FactoryCalibration(kinematics, arm, T_joint_flange, str(path))
+    if arm is not None and arm.sliding != sliding:
+        raise InputError(f"{path}: has other prismatic joints than {arm.name}; name another arm with --arm")
     if arm is not None and arm.dof != len(kinematics):
         raise InputError(f"{path}: has {len(kinematics)} joints, but {arm.name} has {arm.dof}; name another with --arm")
     recognised = recognise(kinematics, names, str(path), arm, T_joint_flange)
@@ -104,7 +122,8 @@ def write_factory(kinematics: ArrayLike, path: str | Path, form: str = "vendor",
     Args:
         kinematics: `(joint, 6)` x y z roll pitch yaw, m and rad.
         path: the file to write.
-        form: `vendor` (`joint1`, …; 5, 6 or 7 joints) or `ur` (`shoulder`, …; 6 joints).
+        form: `vendor` (`joint1`, …; any number of joints, of whose types it says nothing) or `ur` (`shoulder`, …; 6
+            joints).
         overwrite: whether the file may be replaced.
 
     Raises:
@@ -113,8 +132,9 @@ def write_factory(kinematics: ArrayLike, path: str | Path, form: str = "vendor",
     rows = np.asarray(kinematics, np.float64)
     if form not in ("vendor", "ur"):
         raise InputError(f"{path}: no form {form!r} of factory files; write 'vendor' or 'ur'")
-    if rows.ndim != 2 or rows.shape[1] != 6 or len(rows) not in JOINTS or (form == "ur" and len(rows) != 6):
-        wanted = "(6, 6)" if form == "ur" else "(5, 6), (6, 6) or (7, 6)"
+    fitting = len(rows) == 6 if form == "ur" else 0 < len(rows) <= MOST_JOINTS
+    if rows.ndim != 2 or rows.shape[1] != 6 or not fitting:
+        wanted = "(6, 6)" if form == "ur" else "(joint, 6)"
         raise InputError(f"{path}: the {form} form holds an array {wanted}, not {rows.shape}; choose another form")
     if not np.isfinite(rows).all():
         joint = int(np.argmax(~np.isfinite(rows).all(axis=1))) + 1
@@ -147,13 +167,14 @@ def recognise(
     links = np.stack([frames.transform_from_row(row) for row in kinematics])
     after = np.eye(4) if T_joint_flange is None else np.asarray(T_joint_flange, float)
     candidates = bundled_of(len(kinematics)) if arm is None else [arm]
-    points = np.stack([_flange_points(candidate.links, candidate.T_joint_flange, q) for candidate in candidates])
+    sliding = candidates[0].sliding
+    points = np.stack([_flange_points(near.links, near.T_joint_flange, q, sliding) for near in candidates])
 
-    distances = _distances(_flange_points(links, after @ candidates[0].T_joint_flange, q), points)
+    distances = _distances(_flange_points(links, after @ candidates[0].T_joint_flange, q, sliding), points)
     nearest = int(np.argmin(distances))
     if distances[nearest] <= RECOGNISED_WITHIN:
         return candidates[nearest]
-    turn = _half_turn(links, after @ candidates[0].T_joint_flange, q, points)
+    turn = _half_turn(links, after @ candidates[0].T_joint_flange, q, points, sliding)
     if turn is not None:
         joints, axes, model, distance = turn
         places = " and ".join(
@@ -172,9 +193,9 @@ def recognise(
     )
 
 
-def _flange_points(links: Array, after: Array, q: Array) -> Array:
+def _flange_points(links: Array, after: Array, q: Array, sliding: tuple[int, ...]) -> Array:
     """(sample, 3, 3) the flange's origin and the points beside it, in the base frame."""
-    T = frames.chain(links, q) @ after
+    T = frames.chain(links, q, sliding) @ after
     origin = T[:, :3, 3]
     return np.stack([origin, origin + PROBE * T[:, :3, 0], origin + PROBE * T[:, :3, 1]], axis=1)
 
@@ -188,7 +209,7 @@ _HALF_TURNS = {"x": np.diag([1.0, -1, -1, 1]), "y": np.diag([-1.0, 1, -1, 1]), "
 
 
 def _half_turn(
-    links: Array, after: Array, q: Array, candidates: Array
+    links: Array, after: Array, q: Array, candidates: Array, sliding: tuple[int, ...]
 ) -> tuple[tuple[int, ...], tuple[str, ...], int, float] | None:
     """The one or two joints whose rotation by 180 deg brings the flange near a candidate: joints, axes, index, m."""
     for count in (1, 2):
@@ -198,7 +219,7 @@ def _half_turn(
                 turned = links.copy()
                 for joint, axis in zip(joints, axes, strict=True):
                     turned[joint] = turned[joint] @ _HALF_TURNS[axis]
-                distances = _distances(_flange_points(turned, after, q), candidates)
+                distances = _distances(_flange_points(turned, after, q, sliding), candidates)
                 model = int(np.argmin(distances))
                 found.append((float(distances[model]), joints, axes, model))
         distance, joints, axes, model = min(found)

@@ -45,7 +45,7 @@ def read_arm(path_or_name: str | Path) -> Arm:
     - a factory calibration, in YAML or as a JSON table: the calibrated chain as the nominal one, with the limits and
       masses of the recognised bundled arm;
     - a URDF or an MJCF file, by its root element; `robot.urdf#tool0` names the tip link, body or site where it has
-      several.
+      several, and `robot.urdf#torso:tool0` the base link or body too.
 
     Raises:
         InputError: neither the name of a bundled arm nor a file, or as the reader of that file.
@@ -53,10 +53,10 @@ def read_arm(path_or_name: str | Path) -> Arm:
     name = str(path_or_name)
     if name in bundled_arms():
         return load_bundled(name)
-    file, _, tip = name.partition("#")
+    file, base, tip = base_and_tip(name)
     if Path(file).suffix.lower() in _XML:
         read = read_mjcf if is_mjcf(file) else read_urdf
-        return read(file, tip=tip or None)
+        return read(file, base, tip)
     path = Path(name)
     if not storage.exists(path) and not path.suffix:
         raise InputError(f"{name}: neither a bundled arm nor a file; {entries.suggestion(name, bundled_arms())}")
@@ -66,6 +66,29 @@ def read_arm(path_or_name: str | Path) -> Arm:
     if isinstance(content, dict) and set(content) == {"kinematics"}:
         return calibrated_arm(read_factory(path))
     return arm_from_description(content, str(path))
+
+
+def base_and_tip(name: str) -> tuple[str, str | None, str | None]:
+    """The file, the base and the tip of `robot.urdf`, `robot.urdf#tip`, `robot.urdf#base:` or `robot.urdf#base:tip`."""
+    file, _, chain = name.partition("#")
+    base, _, tip = chain.rpartition(":")
+    return file, base or None, tip or None
+
+
+def with_chain(name: str, base: str | None, tip: str | None) -> str:
+    """The name of an arm's file with the base and the tip in it, as `base_and_tip` takes it apart.
+
+    Raises:
+        InputError: of a file that is no tree, or that names them already.
+    """
+    if base is None and tip is None:
+        return name
+    file, *named = base_and_tip(name)
+    if Path(file).suffix.lower() not in _XML:
+        raise InputError(f"{name}: --base and --tip choose a chain of a URDF or MJCF; leave them out")
+    if any(named):
+        raise InputError(f"{name}: names base or tip already; leave out --base and --tip, or what follows #")
+    return f"{file}#{base}:{tip or ''}" if base else f"{file}#{tip}"
 
 
 def is_mjcf(path: str | Path) -> bool:

@@ -12,7 +12,16 @@ from lite6jax import storage
 from lite6jax.arms import convert, frames
 from lite6jax.arms.arm import JOINT_TERMS, Arm, sample_joints
 from lite6jax.arms.factory import FactoryCalibration, read_factory, write_factory
-from lite6jax.arms.files import calibrated_arm, read_arm, read_urdf, write_arm, write_mjcf, write_table, write_urdf
+from lite6jax.arms.files import (
+    base_and_tip,
+    calibrated_arm,
+    read_arm,
+    read_urdf,
+    write_arm,
+    write_mjcf,
+    write_table,
+    write_urdf,
+)
 from lite6jax.arms.urdf_edit import write_into_urdf
 from lite6jax.errors import InputError
 
@@ -162,7 +171,8 @@ def export_into(
 
     Args:
         arm: what it does not know stays as the file has it.
-        robot: an existing URDF; `robot.urdf#tool0` names the tip link where it has several.
+        robot: an existing URDF; `robot.urdf#tool0` names the tip link where it has several, `robot.urdf#torso:tool0`
+            the base link too.
         target: the file to write.
         overwrite: whether the target may be replaced.
         left_out: what the arm itself has no place for, a phrase each.
@@ -173,9 +183,9 @@ def export_into(
     """
     if Path(target).suffix.lower() not in SUFFIXES["urdf"]:
         raise InputError(f"{target}: what is written into a URDF is one; let the name end in .urdf")
-    file, _, tip = str(robot).partition("#")
-    path, further = write_into_urdf(arm, file, target, tip or None, overwrite, with_flange)
-    again = read_urdf(path, tip=tip or None)
+    file, base, tip = base_and_tip(str(robot))
+    path, further = write_into_urdf(arm, file, target, base, tip, overwrite, with_flange)
+    again = read_urdf(path, base, tip)
     written = arm if with_flange else replace(arm, T_joint_flange=again.T_joint_flange)
     return Conversion(path, "urdf", arm, (*left_out, *further), _distance(written, again))
 
@@ -187,6 +197,8 @@ def left_out_of(arm: Arm, form: FileForm, calibrated: bool = False) -> list[str]
     if form not in WHOLE_ARM and not calibrated:
         bodies = "" if arm.mass is None else " and masses" if arm.inertia is None else ", masses and inertia"
         phrases += [f"joint limits{bodies}", *drives]
+    if form in ("vendor", "ur") and arm.sliding:
+        phrases.append("which joints are prismatic (name the arm with --arm where the file is read)")
     if form == "urdf" and arm.rotor_inertia is not None:
         phrases.append("rotor inertia")
     if form == "urdf" and arm.spring_stiffness is not None:
@@ -225,6 +237,11 @@ def hayati_of(calibration: FactoryCalibration) -> Array:
     beyond = calibration.T_joint_flange @ np.linalg.inv(arm.T_joint_flange)
     if _is_identity(beyond):
         return parameters
+    if arm.sliding:
+        raise InputError(
+            f"{calibration.source}: a table cannot hold what follows joint {arm.dof} of an arm with prismatic joints"
+            f" ({_described(beyond)}); write a .urdf or --to description"
+        )
     a, alpha = beyond[0, 3], np.arctan2(beyond[2, 1], beyond[2, 2])
     if not _is_identity(np.linalg.inv(frames.transform_from_row([a, 0, 0, alpha, 0, 0])) @ beyond):
         raise InputError(
@@ -263,7 +280,7 @@ def _read(source: str | Path, nominal: Arm | None, calibrated: bool) -> tuple[Ar
 
 def _distance(one: Arm, other: Arm) -> float:
     q = sample_joints(one.dof)
-    flanges = [frames.chain(arm.links, q) @ arm.T_joint_flange for arm in (one, other)]
+    flanges = [frames.chain(arm.links, q, arm.sliding) @ arm.T_joint_flange for arm in (one, other)]
     return float(np.linalg.norm(flanges[0][:, :3, 3] - flanges[1][:, :3, 3], axis=1).max())
 
 

@@ -14,8 +14,8 @@ import jax.numpy as jnp
 from jax import Array, lax
 from jax.typing import ArrayLike
 
-from lite6jax.arms.chains import Form, HayatiForm, SixParameterForm
-from lite6jax.arms.moves import Frame, Turn, Twist, Z, base_frame, displace, rotation_twist, turn
+from lite6jax.arms.chains import Form, HayatiForm, SixParameterForm, joint_motion
+from lite6jax.arms.moves import Frame, Turn, Twist, Z, base_frame, displace, rotation_twist
 from lite6jax.arms.se3 import transform
 from lite6jax.errors import InputError
 
@@ -45,13 +45,13 @@ def sweep(
     Args:
         form: the parameterisation.
         parameters: `(size,)`.
-        joint: cosine and sine of the joint angles, each `(joint, sample)`.
+        joint: the joints' motions, as `joint_motion` gives them, each `(joint, sample)`.
         start: the base frame in fixed coordinates.
         emit: maps the twist of a parameter to an array, of the same shape for all.
         bend: displacements of the frames of a six-parameter chain.
 
     Returns:
-        the flange frame, and the results of `emit`, `(size, …)` in `walking_order`, empty without `emit`.
+        the flange frame, and the results of `emit` in `walking_order`, empty without `emit`.
 
     Raises:
         InputError: a bend of a Hayati chain, whose frames are not those of the links.
@@ -75,7 +75,7 @@ def sweep(
         collected = jnp.zeros((0,))
     else:
         emitted = jax.eval_shape(lambda: emit(rotation_twist(start, Z)))
-        collected = jnp.zeros((form.size, *emitted.shape), emitted.dtype)
+        collected = jnp.zeros((form.walking_order.size, *emitted.shape), emitted.dtype)
     collected = record(collected, 0, twists)
 
     def body(i: Array, state: tuple[Frame, Array]) -> tuple[Frame, Array]:
@@ -85,7 +85,7 @@ def sweep(
         if bend is not None and bend.stretch is not None:
             stretch = 1 + pick(bend.stretch)
             values = (*(stretch * value for value in values[:3]), *values[3:])
-        frame, twists = form.step(frame, values, pick(flags), Turn(pick(joint.cos), pick(joint.sin)))
+        frame, twists = form.step(frame, values, pick(flags), jax.tree.map(pick, joint))
         if stretch is not None:
             twists = (*(Twist(stretch * twist.linear, None) for twist in twists[:3]), *twists[3:])
         if bend is not None and bend.twist is not None:
@@ -96,7 +96,7 @@ def sweep(
 
 
 def link_frames(form: Form, parameters: Array, joint: Turn, start: Frame) -> Frame:
-    """The frame after each joint's rotation, in the coordinates of `start`; its leaves are `(joint, 3, sample)`."""
+    """The frame after each joint's motion, in the coordinates of `start`; its leaves are `(joint, 3, sample)`."""
     of_base, steps = _in_order(form, parameters)
 
     def walk(frame: Frame, at: tuple[Array, Array, Turn]) -> tuple[Frame, Frame]:
@@ -108,6 +108,8 @@ def link_frames(form: Form, parameters: Array, joint: Turn, start: Frame) -> Fra
 
 def _in_order(form: Form, parameters: Array) -> tuple[Array, Array]:
     """The parameters of the base `(base_size,)`, and those of the joints `(joint, …)`, in order of application."""
+    if form.walking_order.max() == form.size:  # a parameter that is always zero
+        parameters = jnp.append(parameters, 0.0)
     values = parameters[form.walking_order]
     return values[: form.base_size], values[form.base_size :].reshape(form.dof, -1)
 
@@ -119,7 +121,7 @@ def fk(form: Form, parameters: ArrayLike, joint_position: ArrayLike) -> Array:
     Args:
         form: the parameterisation.
         parameters: `(size,)` in the order of `form.names`; m and rad.
-        joint_position: `(..., joint)` rad.
+        joint_position: `(..., joint)` rad, and m of prismatic joints.
 
     Raises:
         InputError: shapes that do not fit the chain.
@@ -130,24 +132,25 @@ def fk(form: Form, parameters: ArrayLike, joint_position: ArrayLike) -> Array:
             f"parameters {jnp.shape(parameters)} and joint_position {q.shape}: this chain takes ({form.size},) and "
             f"(..., {form.dof})"
         )
-    joint = turn(q.reshape(-1, form.dof).T)
+    joint = joint_motion(form, q.reshape(-1, form.dof).T)
     frame, _ = sweep(form, jnp.asarray(parameters, float), joint, base_frame(jnp.eye(4), joint.cos.shape[1]))
     R = jnp.stack([frame.x, frame.y, frame.z], 1)
     T = transform(jnp.moveaxis(R, -1, 0), frame.origin.T)
     return T.reshape(*q.shape[:-1], 4, 4)
 
 
-def six_parameter_fk(kinematics: ArrayLike, joint_position: ArrayLike) -> Array:
+def six_parameter_fk(kinematics: ArrayLike, joint_position: ArrayLike, sliding: tuple[int, ...] = ()) -> Array:
     """Flange poses `(..., 4, 4)` of a six-parameter chain.
 
     Args:
         kinematics: `(joint, 6)`, rows x y z (m) roll pitch yaw (rad).
-        joint_position: `(..., joint)` rad.
+        joint_position: `(..., joint)` rad, and m of prismatic joints.
+        sliding: the prismatic joints, counted from 0.
     """
     kinematics = jnp.asarray(kinematics, float)
     if kinematics.ndim != 2 or kinematics.shape[1] != 6:
         raise InputError(f"kinematics of shape {kinematics.shape}: give (joint, 6), and use jax.vmap for many arms")
-    return fk(SixParameterForm(kinematics.shape[0]), kinematics.reshape(-1), joint_position)
+    return fk(SixParameterForm(kinematics.shape[0], sliding), kinematics.reshape(-1), joint_position)
 
 
 def hayati_fk(form: HayatiForm, parameters: ArrayLike, joint_position: ArrayLike) -> Array:
@@ -156,7 +159,7 @@ def hayati_fk(form: HayatiForm, parameters: ArrayLike, joint_position: ArrayLike
     Args:
         form: the Hayati form.
         parameters: `(size,)` m and rad, in the order of `form.names`.
-        joint_position: `(..., joint)` rad.
+        joint_position: `(..., joint)` rad, and m of prismatic joints.
 
     Returns:
         `(..., 4, 4)` T_base_flange, m.

@@ -73,31 +73,35 @@ def is_rotation(matrix: ArrayLike) -> bool:
     return bool(np.abs(R @ R.T - np.eye(3)).max() <= 1e-9 and np.linalg.det(R) > 0)
 
 
-def joint_rotations(angle: ArrayLike) -> Array:
-    """`Rz(angle)` as transforms: (...,) rad to (..., 4, 4)."""
-    angle = np.asarray(angle, float)
+def joint_motions(position: ArrayLike, sliding: tuple[int, ...] = ()) -> Array:
+    """`Rz(q)`, or `Tz(q)` for the prismatic joints in `sliding`, as transforms: (..., joint) rad, m to (..., 4, 4)."""
+    position = np.asarray(position, float)
+    slides = np.isin(np.arange(position.shape[-1]), sliding)
+    angle = np.where(slides, 0.0, position)
     T = np.zeros((*angle.shape, 4, 4))
     T[..., 0, 0] = T[..., 1, 1] = np.cos(angle)
     T[..., 1, 0] = np.sin(angle)
     T[..., 0, 1] = -T[..., 1, 0]
     T[..., 2, 2] = T[..., 3, 3] = 1.0
+    T[..., 2, 3] = np.where(slides, position, 0.0)
     return T
 
 
-def chain(links: Array, joint_position: ArrayLike) -> Array:
+def chain(links: Array, joint_position: ArrayLike, sliding: tuple[int, ...] = ()) -> Array:
     """The flange of a chain of fixed links, each followed by a joint about its z: `T = prod_i links_i Rz(q_i)`.
 
     Args:
         links: (joint, 4, 4).
-        joint_position: (..., joint) rad.
+        joint_position: (..., joint) rad, and m of prismatic joints.
+        sliding: the prismatic joints, counted from 0, which move along their z.
 
     Returns:
         `T_base_flange` (..., 4, 4).
     """
-    turns = joint_rotations(joint_position)
+    motions = joint_motions(joint_position, sliding)
     T = np.eye(4)
     for i, link in enumerate(links):
-        T = T @ link @ turns[..., i, :, :]
+        T = T @ link @ motions[..., i, :, :]
     return T
 
 

@@ -1,4 +1,4 @@
-"""MJCF, MuJoCo's files: any chain of hinge joints as a six-parameter arm with the same joint angles, and the reverse.
+"""MJCF, MuJoCo's files: any chain of hinges and slides as a six-parameter arm with the same positions, and back.
 
 MuJoCo compiles what is read, so that defaults, degrees, inertia of geometry and included files have their meaning.
 """
@@ -28,7 +28,7 @@ DRIVES = {
     "spring_stiffness": "stiffness",
     "spring_rest": "springref",
 }
-"""Where a joint has the fields of `Arm`, N·m·s/rad, N·m, kg·m², N·m/rad and rad."""
+"""Where a joint has the fields of `Arm`, in the same units."""
 _NOT_A_NUMBER = re.compile(r"""["'\s](nan|inf)["'\s]""", re.IGNORECASE)
 
 
@@ -45,8 +45,8 @@ def read_mjcf(path: str | Path, base: str | None = None, tip: str | None = None)
         tip: the body or site whose frame is the flange; None for the end of the only chain.
 
     Raises:
-        InputError: the package mujoco is missing, MuJoCo refuses the file, a joint in the chain is no hinge, or the tip
-            is ambiguous.
+        InputError: the package mujoco is missing, MuJoCo refuses the file, a joint in the chain is neither hinge nor
+            slide, or the tip is ambiguous.
 
     Warns:
         InputWarning: springs that are not linear, or compensated gravity, for which an arm has no place.
@@ -57,28 +57,32 @@ def read_mjcf(path: str | Path, base: str | None = None, tip: str | None = None)
     end, T_body_flange = tree.tip(path, start, tip)
     bodies = tree.chain(start, end)
     if bodies is None:
-        raise InputError(f"{path}: {tip!r} is not below {base or 'the world'!r}; name another base or tip")
+        raise InputError(f"{path}: {tip!r} is not below {base or 'the world'!r}; name another --base or --tip")
     rows, links, joints = [], [], []
     before = np.eye(4)
     for body in bodies:
         before = before @ tree.T_parent[body]
         for joint in tree.joints[body]:
             name = model.joint(joint).name
-            if model.jnt_type[joint] != _HINGE:
+            if model.jnt_type[joint] not in (_HINGE, _SLIDE):
                 raise InputError(
-                    f"{path}: joint {name!r} is no hinge; an arm here has revolute joints only, name a chain without it"
-                    " with base and tip"
+                    f"{path}: joint {name!r} is neither hinge nor slide, which an arm here is made of; name a chain"
+                    " without it with --base and --tip"
                 )
+            slides = model.jnt_type[joint] == _SLIDE
+            zero = -model.qpos0[model.jnt_qposadr[joint]]
             anchor, R = np.eye(4), axis_frame(model.jnt_axis[joint])
             anchor[:3, 3] = model.jnt_pos[joint]
-            reference = frames.transform_from_row([0, 0, 0, 0, 0, -model.qpos0[model.jnt_qposadr[joint]]])
+            reference = frames.transform_from_row([0, 0, zero, 0, 0, 0] if slides else [0, 0, 0, 0, 0, zero])
             rows.append(frames.row_from_transform(before @ anchor @ R @ reference))
             before = R.T @ np.linalg.inv(anchor)
             joints.append(joint)
             last = joint == tree.joints[body][-1]
             links.append(inertia.lumped(tree.fixed_to(body, before)) if last else _NOTHING)
     if not rows:
-        raise InputError(f"{path}: no joint turns between the base and {tree.name(end)!r}; name another base or tip")
+        raise InputError(
+            f"{path}: no joint moves between the base and {tree.name(end)!r}; name another --base or --tip"
+        )
     _warn_of_forces(path, model, joints, bodies)
     dofs = model.jnt_dofadr[joints]
     drives = {"viscous_friction": model.dof_damping, "coulomb_friction": model.dof_frictionloss}
@@ -86,17 +90,19 @@ def read_mjcf(path: str | Path, base: str | None = None, tip: str | None = None)
     springs = {}
     if np.any(stiffness := np.array([np.ravel(model.jnt_stiffness[joint])[0] for joint in joints])):
         springs = {"spring_stiffness": stiffness, "spring_rest": model.qpos_spring[model.jnt_qposadr[joints]]}
-    turns = np.tile([-2 * np.pi, 2 * np.pi], (len(joints), 1))
+    sliding = tuple(i for i, joint in enumerate(joints) if model.jnt_type[joint] == _SLIDE)
+    widest = np.where(model.jnt_type[joints] == _SLIDE, 1.0, 2 * np.pi)[:, None] * [-1, 1]
     try:
         return Arm(
             name=_model_name(model) or Path(path).stem,
             kinematics=np.array(rows),
-            joint_limits=np.where(model.jnt_limited[joints, None].astype(bool), model.jnt_range[joints], turns),
+            joint_limits=np.where(model.jnt_limited[joints, None].astype(bool), model.jnt_range[joints], widest),
             T_joint_flange=before @ T_body_flange,
             mass=np.array([link.mass for link in links]),
             center_of_mass=np.array([link.center for link in links]),
             inertia=np.array([link.inertia for link in links]),
             source=f"MJCF {Path(path).name}, {tree.name(start)} to {tip or tree.name(end)}",
+            sliding=sliding,
             **{field: values[dofs] for field, values in drives.items() if values[dofs].any()},
             **springs,
         )
@@ -135,7 +141,7 @@ def write_mjcf(arm: Arm, path: str | Path, overwrite: bool = False) -> Path:
         ET.SubElement(parent, "inertial", body, fullinertia=_floats(six))
         drive = {key: values for field, key in DRIVES.items() if (values := getattr(arm, field)) is not None}
         given = {key: _floats(values[i : i + 1]) for key, values in drive.items()}
-        joint = {"type": "hinge", "axis": "0 0 1", "range": _floats(arm.joint_limits[i])}
+        joint = {"type": "slide" if arm.slides[i] else "hinge", "axis": "0 0 1", "range": _floats(arm.joint_limits[i])}
         ET.SubElement(parent, "joint", joint | given, name=f"joint{i + 1}")
     _add_body(parent, "flange", frames.row_from_transform(arm.T_joint_flange))
     ET.indent(root)
@@ -143,8 +149,8 @@ def write_mjcf(arm: Arm, path: str | Path, overwrite: bool = False) -> Path:
 
 
 _NOTHING = inertia.Body(0.0, np.zeros(3), np.zeros((3, 3)))
-_HINGE = 3
-"""mjJNT_HINGE."""
+_SLIDE, _HINGE = 2, 3
+"""mjJNT_SLIDE and mjJNT_HINGE."""
 _LEAST = 1e-15
 """mjMINVAL."""
 
@@ -262,13 +268,13 @@ class _Bodies:
         ends = {body: self.moving(base, body) for body in below if not self.children[body]}
         longest = max(ends.values(), key=len, default=[])
         if not longest:
-            raise InputError(f"{path}: no joint moves below {self.name(base)!r}; name another base")
+            raise InputError(f"{path}: no joint moves below {self.name(base)!r}; name another --base")
         candidates = [body for body, joints in ends.items() if joints == longest or joints != longest[: len(joints)]]
         if len(candidates) > 1:
             names = [self.name(body) for body in candidates] + list(sites)
             raise InputError(
-                f"{path}: the chain could end at {', '.join(filter(None, names))}; name one with tip"
-                f" (in a file name: {Path(path).name}#{next(filter(None, names), '')})"
+                f"{path}: the chain could end at {', '.join(filter(None, names))}; name one with --tip"
+                f" {(first := next(filter(None, names), ''))}, or as {Path(path).name}#{first} where a file is named"
             )
         return candidates[0], np.eye(4)
 

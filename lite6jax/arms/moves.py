@@ -6,6 +6,7 @@ The sample is the last axis of every array, so that a transformation is one vect
 from typing import NamedTuple
 
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
 
@@ -29,15 +30,43 @@ class Twist(NamedTuple):
 
 
 class Turn(NamedTuple):
-    """The cosine and sine of a rotation angle."""
+    """The cosine and sine of a rotation angle.
+
+    Of a joint's motion also its shift along its axis in m; None where no joint of the chain is prismatic, so that a
+    chain of revolute joints pays nothing for the others.
+    """
 
     cos: Array
     sin: Array
+    shift: Array | None = None
 
 
 def turn(angle: ArrayLike) -> Turn:
     """The cosine and sine of `angle` rad."""
     return Turn(jnp.cos(angle), jnp.sin(angle))
+
+
+def joint_turn(position: Array, sliding: tuple[int, ...]) -> Turn:
+    """The motions of joints about and along their axes.
+
+    Args:
+        position: `(..., joint, sample)` rad, or m of a prismatic joint.
+        sliding: the prismatic joints, counted from 0.
+    """
+    if not sliding:
+        return turn(position)
+    slides = np.isin(np.arange(position.shape[-2]), sliding)[:, None]
+    return turn(jnp.where(slides, 0.0, position))._replace(shift=jnp.where(slides, position, 0.0))
+
+
+def joint_rate(joint: Turn, direction: Array, sliding: tuple[int, ...]) -> Turn:
+    """The derivative of `joint_turn` along `direction` `(joint,)`, of joints at `joint` `(joint, sample)`."""
+    d = direction[:, None]
+    if joint.shift is None:
+        return Turn(-d * joint.sin, d * joint.cos)
+    slides = np.isin(np.arange(len(direction)), sliding)[:, None]
+    turning = Turn(jnp.where(slides, 0.0, -d * joint.sin), jnp.where(slides, 0.0, d * joint.cos))
+    return turning._replace(shift=jnp.where(slides, d, jnp.zeros_like(joint.shift)))
 
 
 def rotate(frame: Frame, axis: int, by: Turn) -> Frame:

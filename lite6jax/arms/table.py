@@ -19,11 +19,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from lite6jax import checksum, storage
 from lite6jax.arms import entries
-from lite6jax.arms.chains import HayatiForm
+from lite6jax.arms.chains import PARALLEL_WITHIN, HayatiForm
 from lite6jax.errors import InputError, InputWarning
 from lite6jax.schema import RepeatedKeyError, unique_keys
 
 UNITS = "mm and deg"
+PRISMATIC = entries.TYPES[1]
 SIZE_LIMIT = 1 << 20
 
 FIT = ("result", "quality", "checked_position_rms_m")
@@ -63,7 +64,9 @@ def read_table(path: str | Path) -> HayatiTable:
 
     with one row of `dh` per joint, in order, and one `beta_jointK` for each joint K that is nominally parallel to the
     next (Hayati's form, with d zero). The base's z and yaw are zero, because d and theta_off of joint 1 represent them.
-    A table that is from a fit may have `fit` with the keys `FIT`, and one that was written here has a `checksum`.
+    A row with `"type": "prismatic"` is of a prismatic joint; then rows have `b` where `HayatiForm` has, and the base's
+    yaw is not zero where such a joint is the first. A table that is from a fit may have `fit` with the keys `FIT`, and
+    one that was written here has a `checksum`.
 
     Raises:
         InputError: not such a table; the line names the file, the place and the remedy.
@@ -77,25 +80,31 @@ def read_table(path: str | Path) -> HayatiTable:
     if content["units"] != UNITS:
         raise InputError(f"{path}: units is {content['units']!r}; this table is in {UNITS!r} only, convert it")
     base = entries.mapping(content["base"], f"{path}: base", entries.SIX)
-    for key in ("z", "yaw"):
-        if _decimal(base[key], f"{path}: base: {key}") != 0:
-            remedy = "add it to d of joint 1" if key == "z" else "add it to theta_off of joint 1"
-            raise InputError(f"{path}: base: {key} is not zero, which this form has no place for; {remedy}")
     rows = content["dh"]
     if not isinstance(rows, list) or not rows:
         raise InputError(f"{path}: dh must be a list with one row per joint: joint, theta_off, d, a, alpha")
-    dh = np.array([_dh_row(row, f"{path}: dh row {i + 1}", i + 1) for i, row in enumerate(rows)])
+    sliding = tuple(i for i, row in enumerate(rows) if isinstance(row, dict) and row.get("type") == PRISMATIC)
+    for key in ("z", *(() if 0 in sliding else ("yaw",))):
+        if _decimal(base[key], f"{path}: base: {key}") != 0:
+            remedy = "add it to d of joint 1" if key == "z" else "add it to theta_off of joint 1"
+            raise InputError(f"{path}: base: {key} is not zero, which this form has no place for; {remedy}")
+    links = np.array([_dh_row(row, f"{path}: dh row {i + 1}", i + 1, bool(sliding)) for i, row in enumerate(rows)])
     for key, joint in betas.items():
         if joint >= len(rows):
             raise InputError(f"{path}: {key} is for a joint that no other follows (there are {len(rows)}); remove it")
-        if dh[joint - 1, 1] != 0:
+        if links[joint - 1, 1] != 0:
             raise InputError(f"{path}: dh row {joint}: d is not zero beside {key}; the form has either, set d to 0")
     parallel = tuple(sorted(joint - 1 for joint in betas.values()))
-    form = HayatiForm(len(rows), parallel)
     position = [_metres(base[key], f"{path}: base: {key}") for key in ("x", "y")]
-    tilt = [_radians(base[key], f"{path}: base: {key}") for key in ("roll", "pitch")]
-    beta = [_radians(content[f"beta_joint{i + 1}"], f"{path}: beta_joint{i + 1}") for i in parallel]
-    parameters = form.pack(np.array(position + tilt), dh, np.array(beta))
+    yaw, pitch, roll = (_radians(base[key], f"{path}: base: {key}") for key in ("yaw", "pitch", "roll"))
+    links[list(parallel), 5] = [_radians(content[f"beta_joint{i + 1}"], f"{path}: beta_joint{i + 1}") for i in parallel]
+    if 0 in sliding and np.cos(roll) * np.cos(pitch) > np.cos(PARALLEL_WITHIN):
+        parallel = (-1, *parallel)
+    form = HayatiForm(len(rows), parallel, sliding)
+    try:
+        parameters = form.gather([*position, yaw, pitch, roll], links)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from error
     _check_fit(content.get("fit"), f"{path}: fit")
     checksum.verify(content, path)
     return HayatiTable(form, np.asarray(parameters, np.float64))
@@ -123,20 +132,22 @@ def write_table(
     values = np.asarray(parameters, np.float64)
     if values.shape != (form.size,) or not np.isfinite(values).all():
         raise InputError(f"{path}: a table of this form needs {form.size} finite numbers, not an array {values.shape}")
-    base, dh, beta = (np.asarray(part, np.float64) for part in form.unpack(values))
+    (x, y, yaw, pitch, roll), links = form.spread(values)
     rows = [
-        f'    {{"joint": {i + 1}, "theta_off": {degrees(theta)}, "d": {millimetres(d)}, "a": {millimetres(a)},'
-        f' "alpha": {degrees(alpha)}}}'
-        for i, (theta, d, a, alpha) in enumerate(dh)
+        f'    {{"joint": {i + 1}, {kind}"theta_off": {degrees(theta)}, "d": {millimetres(d)}, "a": {millimetres(a)},'
+        f'{across} "alpha": {degrees(alpha)}}}'
+        for i, (theta, d, a, b, alpha, _) in enumerate(links)
+        for kind in (f'"type": "{PRISMATIC}", ' if i in form.sliding else "",)
+        for across in (f' "b": {millimetres(b)},' if form.sliding else "",)
     ]
     lines = [
         "{",
         f'  "units": "{UNITS}",',
-        f'  "base": {{"x": {millimetres(base[0])}, "y": {millimetres(base[1])}, "z": 0.0,'
-        f' "roll": {degrees(base[2])}, "pitch": {degrees(base[3])}, "yaw": 0.0}},',
+        f'  "base": {{"x": {millimetres(x)}, "y": {millimetres(y)}, "z": 0.0,'
+        f' "roll": {degrees(roll)}, "pitch": {degrees(pitch)}, "yaw": {degrees(yaw)}}},',
         '  "dh": [',
         ",\n".join(rows),
-        "  ]" + "".join(f',\n  "beta_joint{i + 1}": {degrees(b)}' for i, b in zip(form.parallel, beta, strict=True)),
+        "  ]" + "".join(f',\n  "beta_joint{i + 1}": {degrees(links[i, 5])}' for i in form.parallel if i >= 0),
     ]
     if fit is not None:
         lines[-1] += f',\n  "fit": {json.dumps(dict(fit), allow_nan=False)}'
@@ -184,15 +195,21 @@ def _parse(text: str, path: str | Path) -> dict[str, Any]:
     return content
 
 
-def _dh_row(value: Any, where: str, joint: int) -> list[float]:
-    row = entries.mapping(value, where, ("joint", "theta_off", "d", "a", "alpha"))
+def _dh_row(value: Any, where: str, joint: int, slides: bool) -> list[float]:
+    """`chains.LINK`, beta zero; `slides` says whether the chain has a prismatic joint."""
+    optional = ("type", "b") if slides else ("type",)
+    row = entries.mapping(value, where, ("joint", "theta_off", "d", "a", "alpha"), optional)
+    if (kind := row.get("type", entries.TYPES[0])) not in entries.TYPES:
+        raise InputError(f"{where}: type is {str(kind)[:40]!r}; write {' or '.join(entries.TYPES)}")
     if _decimal(row["joint"], f"{where}: joint") != joint:
         raise InputError(f"{where}: is for joint {row['joint']}; list the joints in order, 1, 2, …")
     return [
         _radians(row["theta_off"], f"{where}: theta_off"),
         _metres(row["d"], f"{where}: d"),
         _metres(row["a"], f"{where}: a"),
+        _metres(row.get("b", Decimal(0)), f"{where}: b"),
         _radians(row["alpha"], f"{where}: alpha"),
+        0.0,
     ]
 
 

@@ -1,4 +1,4 @@
-"""URDF files: any chain of revolute joints as a six-parameter arm with the same joint angles, and the reverse."""
+"""URDF files: any chain of revolute and prismatic joints as a six-parameter arm with the same positions, and back."""
 
 import warnings
 import xml.etree.ElementTree as ET
@@ -12,7 +12,7 @@ from lite6jax.arms import frames, inertia
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.urdf_tree import (
     IDENTITY,
-    TURNING,
+    MOVING,
     Joint,
     Tree,
     attribute,
@@ -32,7 +32,7 @@ DRIVES = {
     "spring_stiffness": "spring_stiffness",
     "spring_rest": "spring_reference",
 }
-"""Where a joint's element `dynamics` has the fields of `Arm`, N·m·s/rad, N·m, N·m/rad and rad. URDF has no springs: the
+"""Where a joint's element `dynamics` has the fields of `Arm`, in the same units. URDF has no springs: the
 names are those of SDFormat, and other readers of URDF ignore them."""
 
 
@@ -40,9 +40,9 @@ def read_urdf(path: str | Path, base: str | None = None, tip: str | None = None)
     """The arm that a URDF describes between two of its links.
 
     Fixed joints are merged into the chain: those before the first joint into its frame, those after the last into
-    `T_joint_flange`. A joint whose axis is not its z axis gets a frame whose z is that axis, so that every joint angle
-    keeps its value and sign. Fixed links are lumped with the link that carries them, mass and inertia; links on moving
-    joints beside the chain are omitted. Inertia that is zero throughout is unknown.
+    `T_joint_flange`. A joint whose axis is not its z axis gets a frame whose z is that axis, so that every position of
+    a joint keeps its value and sign. Fixed links are lumped with the link that carries them, mass and inertia; links on
+    moving joints beside the chain are omitted. Inertia that is zero throughout is unknown.
 
     Args:
         path: the file.
@@ -50,37 +50,39 @@ def read_urdf(path: str | Path, base: str | None = None, tip: str | None = None)
         tip: the link whose frame is the flange; None for the end of the only chain of the tree.
 
     Raises:
-        InputError: not a URDF, a document type or entities in it, unexpanded xacro, a joint in the chain that is not
-            revolute or that mimics another, or an ambiguous tip. The line names the file, the joint or link, and the
-            remedy.
+        InputError: not a URDF, a document type or entities in it, unexpanded xacro, a joint in the chain that is
+            neither revolute nor prismatic or that mimics another, or an ambiguous tip. The line names the file, the
+            joint or link, and the remedy.
 
     Warns:
         InputWarning: a tensor that no rigid body has, as published files have some; all inertia is then left out.
     """
     tree = read_tree(path, base, tip)
-    rows, limits, turning, axes = [], [], [], []
+    rows, limits, moving, axes = [], [], [], []
     before = IDENTITY
-    for joint in tree.chain:
+    for place, joint in enumerate(tree.chain):
         T_before_joint = frames.transform_from_row(joint.row)
         if joint.kind == "fixed":
             before = before @ T_before_joint
             continue
-        if joint.kind not in TURNING or joint.mimics:
+        if joint.kind not in MOVING or joint.mimics:
             what = "mimics another" if joint.mimics else f"is {joint.kind}"
+            later = [after.kind for after in tree.chain[place + 1 :] if after.kind != "fixed"]
+            flag, other = ("--base", joint.child) if len(later) > len(rows) else ("--tip", joint.parent)
             raise InputError(
-                f"{path}: joint {joint.name!r} {what}; an arm here has revolute joints only, name a chain without it"
-                " with base and tip"
+                f"{path}: joint {joint.name!r} {what}; an arm here has revolute and prismatic joints of its own, name a"
+                f" chain without it with {flag} {other}"
             )
         R = axis_frame(joint.axis)
         exact = np.array_equal(before, IDENTITY) and np.array_equal(R, IDENTITY)
         rows.append(joint.row if exact else frames.row_from_transform(before @ T_before_joint @ R))
         limits.append(joint.limits)
-        turning.append(joint)
+        moving.append(joint)
         axes.append(R)
         before = R.T
     if not rows:
-        raise InputError(f"{path}: no joint turns between {tree.base!r} and {tree.tip!r}; name another base or tip")
-    fields = _inertial(path, [joint.child for joint in turning], axes, tree) | _drives(path, turning)
+        raise InputError(f"{path}: no joint moves between {tree.base!r} and {tree.tip!r}; name another --base or --tip")
+    fields = _inertial(path, [joint.child for joint in moving], axes, tree) | _drives(path, moving)
     try:
         return Arm(
             name=tree.robot.get("name") or Path(path).stem,
@@ -88,6 +90,7 @@ def read_urdf(path: str | Path, base: str | None = None, tip: str | None = None)
             joint_limits=np.array(limits),
             T_joint_flange=before,
             source=f"URDF {Path(path).name}, {tree.base} to {tree.tip}",
+            sliding=tuple(i for i, joint in enumerate(moving) if joint.kind == "prismatic"),
             **fields,
         )
     except InputError as error:
@@ -101,16 +104,16 @@ def carried_links(
 
     Returns:
         for each link the joint that moves it, counted from 1, or 0 if it is fixed to the base; its element; and
-        `T_frame_link` (4, 4) in the arm's frame after that joint's rotation, or in the base frame.
+        `T_frame_link` (4, 4) in the arm's frame after that joint's motion, or in the base frame.
 
     Raises:
         InputError: as `read_urdf`.
     """
     read_urdf(path, base, tip)
     tree = read_tree(path, base, tip)
-    turning = [joint for joint in tree.chain if joint.kind != "fixed"]
+    moving = [joint for joint in tree.chain if joint.kind != "fixed"]
     roots = [(0, tree.base, IDENTITY)]
-    roots += [(i + 1, joint.child, axis_frame(joint.axis).T) for i, joint in enumerate(turning)]
+    roots += [(i + 1, joint.child, axis_frame(joint.axis).T) for i, joint in enumerate(moving)]
     return [(number, tree.links[name], R @ T) for number, root, R in roots for name, T in fixed_to(root, tree.joints)]
 
 
@@ -135,7 +138,8 @@ def write_urdf(arm: Arm, path: str | Path, overwrite: bool = False) -> Path:
             six = np.zeros(6) if arm.inertia is None else inertia.six_entries(arm.inertia[i])
             ET.SubElement(element, "inertia", {k: repr(float(v)) for k, v in zip(inertia.SIX, six, strict=True)})
         lower, upper = (repr(float(limit)) for limit in arm.joint_limits[i])
-        joint = _add_joint(robot, f"joint{i + 1}", "revolute", f"link{i}" if i else "base_link", f"link{i + 1}", row)
+        kind = "prismatic" if arm.slides[i] else "revolute"
+        joint = _add_joint(robot, f"joint{i + 1}", kind, f"link{i}" if i else "base_link", f"link{i + 1}", row)
         ET.SubElement(joint, "axis", xyz="0 0 1")
         ET.SubElement(joint, "limit", lower=lower, upper=upper, effort="0.0", velocity="0.0")
         known = {key: values for field, key in DRIVES.items() if (values := getattr(arm, field)) is not None}
@@ -198,16 +202,16 @@ def _body(element: ET.Element, where: str) -> inertia.Body:
     return inertia.moved(body, frames.transform_from_row(origin(element, where)))
 
 
-def _drives(path: str | Path, turning: list[Joint]) -> dict[str, Array]:
+def _drives(path: str | Path, moving: list[Joint]) -> dict[str, Array]:
     """The fields of `Arm` that the joints' dynamics elements give; a joint without one has none."""
     fields: dict[str, Array] = {}
     for field, key in DRIVES.items():
-        given = [joint.dynamics.get(key) for joint in turning]
+        given = [joint.dynamics.get(key) for joint in moving]
         if any(text is not None for text in given):
-            where = [f"{path}: joint {joint.name!r}: dynamics: {key}" for joint in turning]
+            where = [f"{path}: joint {joint.name!r}: dynamics: {key}" for joint in moving]
             fields[field] = np.array([scalar(text or "0", at) for text, at in zip(given, where, strict=True)])
     if "spring_stiffness" in fields:
-        fields.setdefault("spring_rest", np.zeros(len(turning)))
+        fields.setdefault("spring_rest", np.zeros(len(moving)))
     else:
         fields.pop("spring_rest", None)
     return fields

@@ -25,6 +25,7 @@ def write_into_urdf(
     arm: Arm,
     robot: str | Path,
     path: str | Path,
+    base: str | None = None,
     tip: str | None = None,
     overwrite: bool = False,
     with_flange: bool = True,
@@ -39,6 +40,7 @@ def write_into_urdf(
         arm: the arm; what it does not know stays as the file has it.
         robot: the file to read.
         path: the file to write.
+        base: the link whose frame is the base; None for the root.
         tip: the link whose frame is the flange; None for the end of the only chain.
         overwrite: whether the target may be replaced.
         with_flange: whether what follows the last joint changes.
@@ -50,9 +52,13 @@ def write_into_urdf(
         InputError: as `read_urdf`; another number of joints; joint frames that stand elsewhere by design, to which the
             meshes would not fit; or as `storage.write_atomically`.
     """
-    old, tree = read_urdf(robot, tip=tip), read_tree(robot, None, tip)
-    if old.dof != arm.dof:
-        raise InputError(f"{robot}: has {old.dof} joints from {tree.base} to {tree.tip}, but {arm.name} has {arm.dof}")
+    old, tree = read_urdf(robot, base, tip), read_tree(robot, base, tip)
+    if (old.dof, old.sliding) != (arm.dof, arm.sliding):
+        slides = [", prismatic " + ", ".join(str(i + 1) for i in of.sliding) if of.sliding else "" for of in (old, arm)]
+        raise InputError(
+            f"{robot}: has {old.dof} joints from {tree.base} to {tree.tip}{slides[0]}, but {arm.name} has"
+            f" {arm.dof}{slides[1]}"
+        )
     text = storage.read_text(robot, SIZE_LIMIT)
     root = ET.fromstring(text, ET.XMLParser(target=ET.TreeBuilder(insert_comments=True)))
     joints = {element.get("name"): element for element in root.findall("joint")}

@@ -20,6 +20,7 @@ SIZE_LIMIT = 1 << 23
 LARGEST = 1e9
 """m, rad, kg; the squares of numbers far beyond are not finite."""
 TURNING = ("revolute", "continuous")
+MOVING = (*TURNING, "prismatic")
 IDENTITY = np.eye(4)
 
 
@@ -113,10 +114,10 @@ def _joint(element: ET.Element, path: str | Path) -> Joint:
     if (entry := element.find("axis")) is not None:
         axis = vector(entry.get("xyz", "1 0 0"), f"{where}: axis")
     length = math.sqrt(float(axis @ axis))
-    if kind in TURNING and length < 1e-9:
+    if kind in MOVING and length < 1e-9:
         raise InputError(f"{where}: its axis has no direction; write a unit vector")
     limits = (-2 * math.pi, 2 * math.pi)
-    if kind == "revolute":
+    if kind in ("revolute", "prismatic"):
         lower, upper = (
             scalar(attribute(element, "limit", key, where), f"{where}: {key}") for key in ("lower", "upper")
         )
@@ -189,7 +190,7 @@ def _base(path: str | Path, base: str | None, links: dict[str, ET.Element], abov
     roots = [link for link in links if link not in above]
     if len(roots) != 1:
         found = ", ".join(roots) or "none: the joints form a loop"
-        raise InputError(f"{path}: has not one root link ({found}); name one with base")
+        raise InputError(f"{path}: has not one root link ({found}); name one with --base")
     return roots[0]
 
 
@@ -206,14 +207,48 @@ def _tip(path: str | Path, base: str, tip: str | None, links: dict[str, ET.Eleme
     candidates = [leaf for leaf, names in moving.items() if names == longest or names != longest[: len(names)]]
     poses = [_fixed_tail(chains[leaf]) for leaf in candidates]
     if not candidates or not longest:
-        raise InputError(f"{path}: no joint moves below {base!r}; name another base")
+        raise InputError(f"{path}: no joint moves below {base!r}; name another --base")
     same_chain = all(moving[leaf] == longest for leaf in candidates)
     if same_chain and all(np.allclose(pose, poses[0], rtol=0, atol=1e-12) for pose in poses):
         return candidates[0]
-    raise InputError(
-        f"{path}: the chain could end at {', '.join(candidates)}; name one with tip"
-        f" (in a file name: {Path(path).name}#{candidates[0]})"
-    )
+    raise InputError(f"{path}: {_ends(path, base, {leaf: chains[leaf] for leaf in candidates}, above)}")
+
+
+def _ends(path: str | Path, base: str, chains: Mapping[str, list[Joint]], above: dict[str, Joint]) -> str:
+    """Where the chain could end, and what to write for the likeliest: an arm before its gripper, or the longest."""
+    moving = {leaf: [joint for joint in chain if joint.kind != "fixed"] for leaf, chain in chains.items()}
+    # for each joint, "" for the base, the joints that move next, and how many move from each of them on
+    onwards: dict[str, dict[str, int]] = {}
+    for joints in moving.values():
+        for i, joint in enumerate(joints):
+            following = onwards.setdefault(joints[i - 1].name if i else "", {})
+            following[joint.name] = max(following.get(joint.name, 0), len(joints) - i)
+    ends = {leaf: len(joints) for leaf, joints in moving.items()}
+    hands: dict[str, int] = {}
+    for joints in moving.values():
+        for i, joint in enumerate(joints[1:], 1):
+            fingers = onwards[joints[i - 1].name].values()
+            if len(fingers) > 1 and max(fingers) <= min(_LONGEST_FINGER, i - 1):
+                hands.setdefault(joint.parent, i)
+    last = max(moving, key=lambda leaf: len(moving[leaf]))
+    through = [joint.parent for joint in chains[last] if joint.parent in hands]
+    best = through[0] if through else last
+    order = {best: (hands | ends)[best]} | hands | ends
+    listed = ", ".join(f"{end} ({count} joint{'s' * (count != 1)})" for end, count in list(order.items())[:_SHOWN])
+    file = Path(path).name
+    text = f"the chain could end at {listed}; name one with --tip {best}, or as {file}#{best} where a file is named"
+    chain = [joint for joint in _path(path, base, best, above) if joint.kind != "fixed"]
+    starts = [i for i, joint in enumerate(chain) if i and len(onwards[chain[i - 1].name]) > 1]
+    if not starts:
+        return text
+    without = ", ".join(joint.name for joint in chain[: starts[-1]])
+    start = chain[starts[-1]].parent
+    return f"{text}; without {without}: --base {start} --tip {best}, or {file}#{start}:{best}"
+
+
+_LONGEST_FINGER = 4
+"""Joints: longer branches are arms."""
+_SHOWN = 6
 
 
 def _fixed_tail(chain: list[Joint]) -> Array:
@@ -231,7 +266,7 @@ def _path(path: str | Path, base: str, tip: str, above: dict[str, Joint], missin
         if link not in above or len(found) > len(above):
             if missing_ok:
                 return []
-            raise InputError(f"{path}: {tip!r} is not below {base!r}; name another base or tip")
+            raise InputError(f"{path}: {tip!r} is not below {base!r}; name another --base or --tip")
         found.append(above[link])
         link = above[link].parent
     return found[::-1]

@@ -140,7 +140,8 @@ class Design:
             found = plan_discrimination(experiment, rivals, drawn.joint_position, self.poses, **options)
         q = found.joint_position[shortest_round(found.joint_position)]
         settings = RecordingSettings(arm=arm_reference(self.source, self.out), motion="static")
-        written = [write_recording(Recording.assembled(q, settings=settings), self.out, self.force)]
+        planned = Recording.assembled(q, settings=settings, sliding=experiment.arm.sliding)
+        written = [write_recording(planned, self.out, self.force)]
         written.append(sidecar_path(self.out))
         if self.figures:
             from lite6jax.report import canvas, study_figures

@@ -21,13 +21,14 @@ class Convert:
 
         lite6jax convert arm.yaml arm.urdf
         lite6jax convert lite6 arm.xml
+        lite6jax convert robot.urdf arm.yaml --base torso_link --tip tool0
         lite6jax convert model.json arm.yaml --to ur
         lite6jax convert diagnosis.json arm.urdf
         lite6jax convert diagnosis.json new.urdf --into robot.urdf
     """
 
     source: Annotated[Positional[str], arg(metavar="FILE|ARM")]
-    """A calibration (.yaml, .json), a description, a URDF or MJCF (robot.urdf#tip), a bundled arm's name, or what
+    """A calibration (.yaml, .json), a description, a URDF or MJCF, a bundled arm's name, or what
     `diagnose` wrote (.json): of poses the arm's chain as identified, of torques its friction, rotors, springs and
     links."""
     target: Annotated[Positional[Path], arg(metavar="FILE")]
@@ -36,7 +37,12 @@ class Convert:
     """vendor or ur (.yaml), table (.json), urdf, mjcf (.xml), or description (.yaml). By the suffix where not given: a
     calibration becomes vendor .yaml, everything else a description."""
     into: Annotated[str | None, arg(metavar="ROBOT.urdf")] = None
-    """Write this URDF (robot.urdf#tip) with the numbers of FILE: names, meshes, limits, efforts and velocities stay."""
+    """Write this URDF (robot.urdf#tip or #base:tip) with the numbers of FILE: names, meshes, limits, efforts and
+    velocities stay."""
+    base: str | None = None
+    """Of a URDF or MJCF, the link or body that is the arm's base; the root where not given."""
+    tip: str | None = None
+    """Likewise the one that is the flange; the end of the only chain where not given."""
     arm: ArmName = None
     """The nominal arm of a calibration, recognised where not given; of a diagnosis, where the inertia is from that it
     does not say."""
@@ -51,29 +57,30 @@ class Convert:
         """Converts and reads back."""
         check_writable(self.target, self.force)
         into = self.into.partition("#")[0] if self.into else None
-        refuse_inputs([self.target], [self.source, self.arm, into, self.effects])
+        refuse_inputs([self.target], [self.source.partition("#")[0], self.arm, into, self.effects])
         from lite6jax.arms.bundled import bundled_arms, load_bundled
-        from lite6jax.arms.files import read_arm
+        from lite6jax.arms.files import read_arm, with_chain
         from lite6jax.arms.forms import convert_file, export_file, export_into
         from lite6jax.diagnosis.export import is_diagnosis, read_diagnosed_arm
         from lite6jax.effects.user_effects import load_effects
         from lite6jax.fitting.source import load_nominal
         from lite6jax.report import fleet_tables, screen
 
+        source = with_chain(self.source, self.base, self.tip)
         nominal, arm, left_out = load_nominal(self.arm), None, ()
         if self.into is not None and self.to not in (None, "urdf"):
             raise InputError(f"--into writes a URDF, and --to asks for {self.to}; give one of them")
-        if is_diagnosis(self.source):
+        if is_diagnosis(source):
             effects = load_effects(self.effects) if self.effects else ()
-            arm, left_out = read_diagnosed_arm(self.source, nominal, effects, alone=self.into is None)
+            arm, left_out = read_diagnosed_arm(source, nominal, effects, alone=self.into is None)
         if self.into is not None:
-            whole = arm or read_arm(self.source)
+            whole = arm or read_arm(source)
             done = export_into(whole, self.into, self.target, self.force, left_out, with_flange=arm is None)
         elif arm is not None:
             known = nominal or (load_bundled(arm.name) if arm.name in bundled_arms() else None)
             done = export_file(arm, self.target, self.to, self.force, left_out, known)
         else:
-            done = convert_file(self.source, self.target, self.to, nominal, self.force)
+            done = convert_file(source, self.target, self.to, nominal, self.force)
         if self.json:
             from lite6jax.report import documents
 

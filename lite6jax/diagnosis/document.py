@@ -24,7 +24,7 @@ from lite6jax.diagnosis.uncertainty import uncertainty_of
 from lite6jax.domains.pose.predict import DiagnosedArm, ReferenceOrigin
 from lite6jax.effects.catalogue import kinds_of
 from lite6jax.effects.composition import Physics
-from lite6jax.effects.effect import Effect
+from lite6jax.effects.effect import Effect, require_kind
 from lite6jax.effects.nonparametric import Unnamed
 from lite6jax.effects.serialization import effect_as_dict, effect_from_dict
 from lite6jax.effects.statics import inertia_of, with_mass_errors
@@ -178,10 +178,13 @@ def _model(found: Diagnosis) -> dict[str, Any]:
         joint_limits=None,
         arm=problem.arm.name,
         physics=physics,
+        sliding=problem.arm.sliding,
     )
+    prismatic = {"prismatic_joints": [joint + 1 for joint in model.sliding]} if model.sliding else {}
     return {
         "arm": problem.arm.name,
         "kinematics": np.asarray(arm.geometry).reshape(-1, 6).tolist(),
+        **prismatic,
         "T_sensor_base": np.asarray(arm.T_sensor_base).tolist(),
         "T_flange_tool": np.asarray(arm.T_flange_tool).tolist(),
         "joint_limits": problem.arm.joint_limits.tolist(),
@@ -321,9 +324,11 @@ def model_from_document(document: Any, effects: tuple[Effect, ...] = (), source:
     except (InputError, KeyError, TypeError, ValueError, AttributeError, OverflowError, RecursionError) as error:
         raise InputError(f"{source}: its model is damaged ({error}); {DAMAGED}") from error
     try:
+        sliding = tuple(joint - 1 for joint in model.get("prismatic_joints", ()))
         pairs = [effect_from_dict(entry, kinds_of(effects)) for entry in model["effects"]]
         for effect, values in pairs:
             check_effect(effect, values, len(kinematics))
+            require_kind(effect, sliding)
         physics = Physics(tuple(effect for effect, _ in pairs))
         masses = model["inertia"]
         inertia = None if masses is None else inertia_of(**{k: np.asarray(v, float) for k, v in masses.items()})
@@ -343,6 +348,7 @@ def model_from_document(document: Any, effects: tuple[Effect, ...] = (), source:
             heldout_rms=_heldout(document),
             reference=_origin(document.get("against")),
             uncertainty=uncertainty_from_dict(model.get("uncertainty"), physics, len(kinematics)),
+            sliding=sliding,
         )
     except InputError as error:
         raise InputError(f"{source}: {error}") from error

@@ -146,17 +146,17 @@ def explained_shares(found: Diagnosis) -> ExplainedShares:
 
 
 def joint_spectra(found: Diagnosis) -> list[JointSpectra]:
-    """The spectra of orders of each joint, before and after."""
+    """The spectra of orders of each revolute joint, before and after."""
     engine = found.options.engine
     tests = [score_test(problem, fit, engine) for problem, fit in stages(found)]
     effects = [finding.effect for finding in found.findings]
     curves = [effect for effect in effects if isinstance(effect, Unnamed) and effect.orders]
     exact_below = max([engine.exact_below, *(order for curve in curves for order in curve.orders)])
     spectra = []
-    for j in range(found.problem.motion.dof):
-        site = f"joint{j + 1}"
-        each = [_spectrum(test, test.problem.periodic[j], exact_below) for test in tests]
-        searched = found.problem.motion.dof * len(each[-1].orders) / 2
+    for k, family in enumerate(found.problem.periodic):
+        site = family.site
+        each = [_spectrum(test, test.problem.periodic[k], exact_below) for test in tests]
+        searched = len(found.problem.periodic) * len(each[-1].orders) / 2
         highest = float(chdtri(2, engine.level / searched))
         spectra.append(
             JointSpectra(
@@ -168,7 +168,7 @@ def joint_spectra(found: Diagnosis) -> list[JointSpectra]:
                     e.order for e in effects if isinstance(e, JointHarmonic) and e.site == site and e.order
                 ),
                 curve=tuple(order for curve in curves if curve.site == site for order in curve.orders),
-                observed=bool(found.problem.sites["joint", j, 0].any()),
+                observed=bool(found.problem.sites["joint", int(site.removeprefix("joint")) - 1, 0].any()),
             )
         )
     return spectra

@@ -96,7 +96,7 @@ def diagnosed_chain(model: DiagnosedArm, nominal: Arm | None = None, alone: bool
     if nominal is None and model.arm in bundled_arms():
         nominal = load_bundled(model.arm)
     rows, left_out, total = np.array(model.model.geometry).reshape(-1, 6), [], dense(Deflection(), model.dof, 1)
-    still = motion_of(np.zeros((1, model.dof)))
+    still = motion_of(np.zeros((1, model.dof)), sliding=model.sliding)
     for effect, part in zip(model.physics.effects, model.physics.slices, strict=True):
         found = None
         if isinstance(effect, Bending) and not effect.drivers:
@@ -110,8 +110,8 @@ def diagnosed_chain(model: DiagnosedArm, nominal: Arm | None = None, alone: bool
     joint, link, base, tool = (np.array(field)[..., 0] for field in (total.joint, total.link, total.base, total.tool))
     before = _displaced(base)
     for i, row in enumerate(rows):
-        turned = frames.transform_from_row([0, 0, 0, 0, 0, joint[i]])
-        T = before @ frames.transform_from_row(row) @ turned
+        moved = frames.joint_motions(joint, model.sliding)[i]
+        T = before @ frames.transform_from_row(row) @ moved
         exact = np.array_equal(before, np.eye(4)) and not joint[i]
         rows[i] = row if exact else frames.row_from_transform(T)
         before = _displaced(link[i])
@@ -125,7 +125,7 @@ def diagnosed_chain(model: DiagnosedArm, nominal: Arm | None = None, alone: bool
             else "the point that was measured (what follows the last joint stays as it is)"
         )
     limits = model.joint_limits if nominal is None else nominal.joint_limits
-    arm = Arm(model.arm, rows, joint_limits=limits, T_joint_flange=_rigid(tip))
+    arm = Arm(model.arm, rows, joint_limits=limits, T_joint_flange=_rigid(tip), sliding=model.sliding)
     if alone and nominal is not None and nominal.dof == arm.dof:
         bodies = {field: getattr(nominal, field) for field in ("mass", "center_of_mass", "inertia")}
         arm = replace(arm, **bodies)

@@ -17,7 +17,7 @@ from lite6jax.effects.deflection import Deflection
 from lite6jax.effects.drivers import Driver
 from lite6jax.effects.effect import Bending, Effect
 from lite6jax.effects.kinematic.joints import JointHarmonic
-from lite6jax.effects.motion import motion_of
+from lite6jax.effects.motion import Motion, motion_of
 from lite6jax.effects.nonparametric import COMPONENTS, Unnamed
 
 Array = NDArray[np.floating]
@@ -149,24 +149,27 @@ def _over_driver(found: Diagnosis, k: int, movement: _Movement, used: Mask) -> F
             at = np.linspace(x.min(), x.max(), max(_POINTS // 2, int(_POINTS_PER_WAVE * periods)))
             slope = np.asarray(effect.basis(jnp.asarray(at)))
             curve = finding.values[own] @ slope
-    elif driver.quantity == "position" and at_joint and len(effect.drivers) <= 1:
+    elif driver.quantity in ("position", "slide position") and at_joint and len(effect.drivers) <= 1:
         at = np.linspace(x.min(), x.max(), _POINTS)
-        curve, slope = _along_joint(effect, finding.values, driver.place, key[1], problem.motion.dof, at)
+        curve, slope = _along_joint(effect, finding.values, driver.place, key[1], problem.motion, at)
     if isinstance(effect, JointHarmonic) and effect.order and effect.order * np.ptp(x) > 2 * np.pi * _MANY_PERIODS:
         x, at, over = np.mod(effect.order * x, 2 * np.pi), np.mod(effect.order * at, 2 * np.pi), "phase"
     std = np.sqrt(np.maximum(np.einsum("is,ij,js->s", slope, covariance, slope), 0.0))
     order = np.argsort(at, kind="stable")
-    unit = "1" if key[0] in ("stretch", "scale") else "rad" if at_joint or key[2] > 2 else "m"
+    turns = at_joint and key[1] not in problem.motion.sliding.joints
+    unit = "1" if key[0] in ("stretch", "scale") else "rad" if turns or key[2] > 2 else "m"
     return FindingCurve(
         k, over, driver, key, unit, x[good], partial[good], at[order], curve[order], std[order], periods, hysteresis
     )  # fmt: skip
 
 
-def _along_joint(effect: Bending, values: Array, moved: int, joint: int, dof: int, at: Array) -> tuple[Array, Array]:
-    """The angle of a joint over the position `at` of joint `moved`, counted from 1, and its derivatives by numbers."""
-    q = np.zeros((len(at), dof))
+def _along_joint(
+    effect: Bending, values: Array, moved: int, joint: int, whole: Motion, at: Array
+) -> tuple[Array, Array]:
+    """What adds at a joint over the position `at` of joint `moved`, counted from 1, and its derivatives by numbers."""
+    q = np.zeros((len(at), whole.dof))
     q[:, moved - 1] = at
-    motion = motion_of(q)
+    motion = motion_of(q, sliding=whole.sliding.joints)
 
     def angle(numbers: Array) -> Array:
         bent = effect.deflect(jnp.asarray(numbers), motion, None).joint

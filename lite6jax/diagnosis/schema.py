@@ -195,6 +195,7 @@ _MODEL = record(
         "effects": items(plain),
     },
     {
+        "prismatic_joints": items(whole(1)),
         "joint_limits": optional(array(None, 2, lower=-FARTHEST, upper=FARTHEST)),
         "accelerated": flag,
         "uncertainty": optional(_UNCERTAINTY),
@@ -236,6 +237,9 @@ def check_model(model: Mapping[str, Any]) -> None:
         T = np.array(model[name], float)
         if not (frames.is_rotation(T[:3, :3]) and np.allclose(T[3], [0.0, 0.0, 0.0, 1.0], rtol=0, atol=1e-12)):
             raise InputError(f"model.{name} is no rigid transform")
+    prismatic = model.get("prismatic_joints", [])
+    if prismatic != sorted(set(prismatic)) or any(joint > len(model["kinematics"]) for joint in prismatic):
+        raise InputError("model.prismatic_joints are not joints of its chain in order")
     if model["inertia"] is not None:
         _check_masses(model)
 

@@ -22,6 +22,7 @@ from lite6jax.effects.kinematic.joints import (
     JointWarmUp,
 )
 from lite6jax.effects.kinematic.links import AxisWobble, FrameOffset, LinkCompliance, LinkThermalExpansion
+from lite6jax.effects.kinematic.slides import SlideBacklash, SlideCompliance, SlideOffset, SlideScale
 from lite6jax.effects.kinematic.surroundings import (
     BaseCompliance,
     BaseDrift,
@@ -41,6 +42,7 @@ _ALL: tuple[type[Effect], ...] = (
     *(LinkCompliance, LinkThermalExpansion, FrameOffset, BaseCompliance, BaseDrift, ToolOffset),
     *(MeasurementScale, TimeOffset, PayloadError, JointThermalOffset, JointWarmUp, JointWindup, AxisWobble),
     *(ToolCompliance, GravityDirection, PayloadCom, SensorDrift, Unnamed),
+    *(SlideOffset, SlideScale, SlideCompliance, SlideBacklash),
 )
 BUILT_IN: Mapping[str, type[Effect]] = types.MappingProxyType({kind.name: kind for kind in _ALL})
 """The classes of the catalogue by name."""
@@ -60,23 +62,28 @@ class Untestable(NamedTuple):
     driver: Driver
 
 
-def catalogue(dof: int, *, orders: Sequence[float] = (1.0, 2.0), turned_tool: bool = False) -> tuple[Effect, ...]:
+def catalogue(
+    dof: int, *, orders: Sequence[float] = (1.0, 2.0), turned_tool: bool = False, sliding: Sequence[int] = ()
+) -> tuple[Effect, ...]:
     """Every named effect of an arm at every site, without those of `shaped`.
 
     Args:
         dof: number of joints.
         orders: of the harmonics of each joint, per turn; other orders, as of gears, follow from the spectrum.
         turned_tool: whether the tool's orientation is measured.
+        sliding: the prismatic joints, counted from 0.
     """
-    joints = range(1, dof + 1)
+    links, slides = range(1, dof + 1), [joint + 1 for joint in sliding]
+    joints = [joint for joint in links if joint not in slides]
     simple = (JointOffset, JointScale, JointCompliance, JointBacklash, JointLag, JointThermalOffset, AxisWobble)
     return (
         *(kind(joint) for kind in simple for joint in joints),
         *(JointHarmonic(joint, order) for joint in joints for order in orders),
         *(JointCoupling(joint, source) for joint in joints for source in joints if source != joint),
-        *(LinkCompliance(link) for link in joints),
+        *(kind(joint) for kind in (SlideOffset, SlideScale, SlideCompliance, SlideBacklash) for joint in slides),
+        *(LinkCompliance(link) for link in links),
         *(LinkThermalExpansion(link) for link in (None, *range(1, dof))),
-        *(FrameOffset(link) for link in (None, *joints)),
+        *(FrameOffset(link) for link in (None, *links)),
         *(BaseCompliance(), BaseCompliance(cross=True), BaseCompliance(cross=True, shift=True), BaseDrift()),
         *(ToolOffset(turned_tool), ToolCompliance(), MeasurementScale(), SensorDrift(), TimeOffset()),
         *(PayloadError(), PayloadCom(), GravityDirection()),
@@ -95,9 +102,10 @@ def shaped(motion: Motion, loads: Loads | None, dof: int) -> tuple[Effect, ...]:
         dof: number of joints.
     """
     found: list[Effect] = []
-    largest = np.zeros(dof) if loads is None else np.abs(np.asarray(loads.torque)).max(1)
+    slides = motion.sliding.mask(dof)
+    largest = np.zeros(dof) if loads is None else np.where(slides, 0.0, np.abs(np.asarray(loads.torque)).max(1))
     for joint, torque in enumerate(largest, 1):
-        if torque <= _LEAST_TORQUE * largest.max():
+        if slides[joint - 1] or torque <= _LEAST_TORQUE * largest.max():
             continue
         frictions = [_short(share * torque) for share in _FRICTIONS]
         found.append(JointBacklash(joint, 0.0))
@@ -108,7 +116,8 @@ def shaped(motion: Motion, loads: Loads | None, dof: int) -> tuple[Effect, ...]:
         duration = float(np.ptp(np.asarray(motion.time)))
         constants = [_short(share * duration) for share in _TIME_CONSTANTS]
         possible = [constant for constant in constants if constant >= bounds.WARM_UP[0]]
-        found += [JointWarmUp(joint, constant) for joint in range(1, dof + 1) for constant in possible]
+        turning = np.flatnonzero(~slides) + 1
+        found += [JointWarmUp(int(joint), constant) for joint in turning for constant in possible]
     return tuple(found)
 
 

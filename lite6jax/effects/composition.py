@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from lite6jax.effects.deflection import Deflection
 from lite6jax.effects.drivers import Driver
-from lite6jax.effects.effect import Altering, Bending, Effect, Estimate, Loading
+from lite6jax.effects.effect import Altering, Bending, Effect, Estimate, Loading, require_kind
 from lite6jax.effects.motion import Motion
 from lite6jax.effects.statics import Inertia, Loads
 from lite6jax.errors import InputError
@@ -116,6 +116,7 @@ class Physics:
                     f"{effect.label}: acts at joint {effect.joints_needed}, but the arm has {motion.dof} joints; "
                     "choose one of them"
                 )
+            require_kind(effect, motion.sliding.joints)
             driver = missing(effect, motion, loads_known)
             if driver is not None:
                 raise InputError(f"{effect.label}: needs the {driver.phrase}: give {driver.remedy}")

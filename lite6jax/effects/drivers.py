@@ -44,6 +44,9 @@ def _payload_moment(k: int) -> Callable[[Motion, Loads | None], Array | None]:
 _MASSES = "the masses of the links; add `inertial` to the arm's description"
 _SOURCES = {
     "position": _Source(lambda m, _: m.joint_position, "rad", "joint", "the joint positions; add q1_rad …"),
+    "slide position": _Source(
+        lambda m, _: m.joint_position, "m", "joint", "the positions of prismatic joints; add q1_m …"
+    ),
     "direction of motion": _Source(
         lambda m, _: m.direction, "1", "joint", "the directions of motion; keep the rows in the order of recording"
     ),
@@ -60,6 +63,7 @@ _SOURCES = {
         "the accelerations of a moving arm; record a trajectory with time_s, or ddq1_rad_per_s2 …",
     ),
     "gravity torque": _Source(lambda _, l: None if l is None else l.torque, "Nm", "joint", _MASSES, True),
+    "gravity force": _Source(lambda _, l: None if l is None else l.torque, "N", "joint", _MASSES, True),
     "gravity moment x": _Source(lambda _, l: None if l is None else l.moment[:, 0], "Nm", "link", _MASSES, True),
     "gravity moment y": _Source(lambda _, l: None if l is None else l.moment[:, 1], "Nm", "link", _MASSES, True),
     "base moment x": _Source(lambda _, l: None if l is None else l.base_moment[0], "Nm", "", _MASSES, True),

@@ -300,7 +300,7 @@ class Loading(Altering, ABC):
 
 @dataclass(frozen=True)
 class JointEffect(Bending, ABC):
-    """An effect that adds to one joint's angle.
+    """An effect that adds to one joint's position.
 
     Attributes:
         joint: counted from 1.
@@ -308,9 +308,12 @@ class JointEffect(Bending, ABC):
 
     joint: int
 
+    of_slide: ClassVar[bool | None] = False
+    """Whether the joint is prismatic; None for either."""
+
     @abstractmethod
     def angle(self, values: Array, motion: Motion, loads: Loads | None) -> Array:
-        """`(sample,)` rad that add to what the encoder says."""
+        """`(sample,)` rad, m of a prismatic joint, that add to what the encoder says."""
 
     @property
     @final
@@ -320,5 +323,23 @@ class JointEffect(Bending, ABC):
 
     @final
     def deflect(self, values: Array, motion: Motion, loads: Loads | None) -> Deflection:
-        """The angle at its joint."""
+        """What adds at its joint."""
         return Deflection(joint=at_joint(motion.dof, self.joint, self.angle(values, motion, loads)))
+
+
+def require_kind(effect: Effect, sliding: tuple[int, ...]) -> None:
+    """Refuses an effect of a revolute joint at one of the prismatic joints `sliding`, counted from 0, or the reverse.
+
+    Raises:
+        InputError: as said.
+    """
+    if not isinstance(effect, JointEffect) or effect.of_slide is None:
+        return
+    if (effect.joint - 1 in sliding) != effect.of_slide:
+        own, other, prefix = (
+            ("prismatic", "revolute", "joint_") if effect.of_slide else ("revolute", "prismatic", "slide_")
+        )
+        raise InputError(
+            f"{effect.label}: is of a {own} joint, and joint {effect.joint} is {other}; give an effect whose name"
+            f" begins with {prefix} (`lite6jax effects` lists them)"
+        )

@@ -8,6 +8,8 @@ import numpy as np
 from jax import Array, lax
 from numpy.typing import ArrayLike
 
+from lite6jax.arms.chains import SixParameterForm
+from lite6jax.effects.sliding import Sliding
 from lite6jax.errors import InputError
 
 _HALF_WINDOW = 0.05
@@ -18,7 +20,7 @@ class Motion(NamedTuple):
     """A sequence of samples with the sample as the last axis; `motion_of` builds it. A pytree; None is unknown.
 
     Attributes:
-        joint_position: `(joint, sample)` rad.
+        joint_position: `(joint, sample)` rad, and m of prismatic joints, as in all derivatives.
         joint_velocity: `(joint, sample)` rad/s.
         direction: `(joint, sample)`, the direction in which each joint moves or last moved: -1, 0 or 1.
         time: `(sample,)` s, non-decreasing within a run.
@@ -30,6 +32,7 @@ class Motion(NamedTuple):
         joint_temperature_rise: `(joint, sample)` K above that temperature at each joint; of the surroundings where no
             joint's temperature is known.
         measured_position: `(3, sample)` m, where the sensor shows the tool of the rigid arm, in its own frame.
+        sliding: the prismatic joints.
     """
 
     joint_position: Array
@@ -42,6 +45,7 @@ class Motion(NamedTuple):
     joint_acceleration: Array | None = None
     joint_temperature_rise: Array | None = None
     measured_position: Array | None = None
+    sliding: Sliding = Sliding()
 
     @property
     def dof(self) -> int:
@@ -52,6 +56,11 @@ class Motion(NamedTuple):
     def samples(self) -> int:
         """The number of samples."""
         return self.joint_position.shape[1]
+
+    @property
+    def chain(self) -> SixParameterForm:
+        """The six-parameter form of the chain that moves so."""
+        return SixParameterForm(self.dof, self.sliding.joints)
 
 
 def motion_of(
@@ -66,11 +75,12 @@ def motion_of(
     reference_temperature: float = 25.0,
     payload: ArrayLike | None = None,
     measured_position: ArrayLike | None = None,
+    sliding: tuple[int, ...] = (),
 ) -> Motion:
     """A `Motion` from arrays whose first axis is the sample, as in a recording.
 
     Args:
-        joint_position: `(sample, joint)` rad.
+        joint_position: `(sample, joint)` rad, and m of prismatic joints.
         joint_velocity: `(sample, joint)` rad/s; None where the arm was at standstill at each sample.
         direction: `(sample, joint)`, -1, 0 or 1.
         time: `(sample,)` s.
@@ -80,6 +90,7 @@ def motion_of(
         reference_temperature: °C, at which the geometry is valid.
         payload: `(sample,)` kg; None for 0.
         measured_position: `(sample, 3)` m in the sensor's frame, of the rigid arm.
+        sliding: the prismatic joints, counted from 0.
 
     Raises:
         InputError: inconsistent shapes, a number that is not finite, or times that decrease within a run.
@@ -138,6 +149,7 @@ def motion_of(
         payload=jnp.asarray(np.zeros(samples) if mass is None else mass),
         joint_temperature_rise=stored(rise),
         measured_position=stored(None if measured_position is None else np.asarray(measured_position, float)),
+        sliding=Sliding(sliding),
     )
 
 

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from lite6jax.arms.chains import Form, HayatiForm
 from lite6jax.arms.forward_kinematics import link_frames
 from lite6jax.arms.moves import Turn, base_frame, cross
+from lite6jax.effects.sliding import Sliding
 from lite6jax.errors import InputError
 
 STANDARD_GRAVITY = (0.0, 0.0, -9.81)
@@ -45,16 +46,23 @@ class Loads(NamedTuple):
         base_moment: `(3, sample)` about the origin of the base frame, in its axes.
         payload_moment: `(3, sample)` of the payload alone about the flange's origin, in the flange's axes; None where
             not given.
+        axial: `(joint, sample)` N, the force along the axis of each joint; None where no joint is prismatic.
+        sliding: the prismatic joints.
     """
 
     moment: Array
     base_moment: Array
     payload_moment: Array | None = None
+    axial: Array | None = None
+    sliding: Sliding = Sliding()
 
     @property
     def torque(self) -> Array:
-        """`(joint, sample)` N·m about the +z axis of each joint; the motor exerts the opposite torque."""
-        return self.moment[:, 2]
+        """`(joint, sample)` N·m about the +z axis of each joint, N along it of a prismatic one; the motor exerts the
+        opposite."""
+        if self.axial is None:
+            return self.moment[:, 2]
+        return jnp.where(self.sliding.mask(len(self.axial))[:, None], self.axial, self.moment[:, 2])
 
 
 def inertia_of(
@@ -124,7 +132,7 @@ def loads(
     Args:
         form: a six-parameter chain.
         kinematics: `(size,)`, its parameters.
-        joint: cosine and sine of the joint angles, each `(joint, sample)`.
+        joint: the joints' motions, each `(joint, sample)`.
         payload: `(sample,)` kg.
         inertia: masses and gravity.
         velocity: `(joint, sample)` rad/s.
@@ -155,7 +163,7 @@ def loads(
 
     links, end = slice(None), slice(-1, None)
     to_link, to_payload = arm_to(inertia.center_of_mass, links), arm_to(inertia.payload_center[None], end)
-    specific_force = _specific_force(z, origin, velocity, acceleration, inertia.gravity)
+    specific_force = _specific_force(form, z, origin, velocity, acceleration, inertia.gravity)
     force, weight = inertia.mass[:, None] * specific_force(to_link, links), payload * specific_force(to_payload, end)
     moment = cross(origin + to_link, force).at[:, -1:].add(cross(origin[:, end] + to_payload, weight))
     outboard = partial(lax.cumsum, axis=1, reverse=True)
@@ -163,11 +171,19 @@ def loads(
     about = about_base - cross(origin, outboard_force)
     about_flange = cross(to_payload, weight)[:, 0]
     of_payload = jnp.stack([jnp.sum(axis[:, -1] * about_flange, 0) for axis in (x, y, z)])
-    return Loads(jnp.stack([jnp.sum(axis * about, 0) for axis in (x, y, z)], 1), about_base[:, 0], of_payload)
+    found = Loads(jnp.stack([jnp.sum(axis * about, 0) for axis in (x, y, z)], 1), about_base[:, 0], of_payload)
+    if not form.sliding:
+        return found
+    return found._replace(axial=jnp.sum(z * outboard_force, 0), sliding=Sliding(form.sliding))
 
 
 def _specific_force(
-    axis: Array, origin: Array, velocity: Array | None, acceleration: Array | None, gravity: Array
+    form: Form,
+    axis: Array,
+    origin: Array,
+    velocity: Array | None,
+    acceleration: Array | None,
+    gravity: Array,
 ) -> Callable[[Array, slice], Array]:
     """The specific force g − a at points of the links, as a function.
 
@@ -185,6 +201,9 @@ def _specific_force(
     if velocity is None or acceleration is None:
         return lambda arm, _: jnp.broadcast_to(g, arm.shape)
     outwards = partial(lax.cumsum, axis=1)
+    slides, shifting = Sliding(form.sliding).mask(form.dof)[:, None], (velocity, acceleration)
+    if form.sliding:
+        velocity, acceleration = (jnp.where(slides, 0.0, rate) for rate in shifting)
     rates = axis * velocity
     omega = outwards(rates)
     alpha = outwards(axis * acceleration + cross(omega, rates))  # a joint's own rotation leaves its axis unchanged
@@ -194,4 +213,7 @@ def _specific_force(
 
     steps = relative(jnp.diff(origin, axis=1), slice(-1))
     of_origin = jnp.concatenate([jnp.zeros_like(origin[:, :1]), outwards(steps)], 1)
+    if form.sliding:  # what a slide adds in the frame before it, which turns
+        along, along_rate = (jnp.where(slides, rate, 0.0) for rate in shifting)
+        of_origin = of_origin + outwards(axis * along_rate + 2 * cross(omega, axis * along))
     return lambda arm, at: g - of_origin[:, at] - relative(arm, at)

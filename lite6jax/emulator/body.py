@@ -168,7 +168,7 @@ class Body:
 
     def joint_frames(self, q: Array) -> Array:
         """`(joint, ..., 4, 4)` the frame after each joint's rotation, in the base frame."""
-        turns = frames.joint_rotations(q)
+        turns = frames.joint_motions(q)
         T, found = np.eye(4), []
         for i, link in enumerate(self._links):
             T = T @ link @ turns[..., i, :, :]

@@ -5,7 +5,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lite6jax.arms.arm import Arm
-from lite6jax.arms.factory import JOINTS, FactoryCalibration, recognise
+from lite6jax.arms.bundled import bundled_of
+from lite6jax.arms.factory import FactoryCalibration, recognise
 from lite6jax.errors import InputError
 from lite6jax.fitting.chunks import MAX_STEPS
 from lite6jax.fitting.problem import calibration_poses, calibration_problem, whitener_of
@@ -68,7 +69,7 @@ def calibration_of_array(kinematics: ArrayLike, arm: Arm | None = None) -> Facto
         raise InputError(f"calibration of shape {kinematics.shape}: give (joint, 6) finite numbers, m and rad")
     if arm is not None and arm.dof != len(kinematics):
         raise InputError(f"calibration: has {len(kinematics)} joints, but {arm.name} has {arm.dof}; name another arm")
-    if arm is None and len(kinematics) not in JOINTS:
+    if arm is None and not bundled_of(len(kinematics)):
         raise InputError(f"calibration: has {len(kinematics)} joints, as no bundled arm has; give `nominal`")
     known = recognise(kinematics, [f"joint{i + 1}" for i in range(len(kinematics))], "calibration", arm)
     return FactoryCalibration(kinematics, known, known.T_joint_flange, "array")

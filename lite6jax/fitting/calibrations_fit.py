@@ -9,10 +9,10 @@ from jax import Array
 from numpy.typing import NDArray
 
 from lite6jax.arms.arm import Arm
-from lite6jax.arms.chains import HayatiForm, SixParameterForm
+from lite6jax.arms.chains import HayatiForm, SixParameterForm, joint_motion
 from lite6jax.arms.convert import closed_form
 from lite6jax.arms.forward_kinematics import six_parameter_fk
-from lite6jax.arms.moves import Frame, turn
+from lite6jax.arms.moves import Frame
 from lite6jax.fitting.chunks import CHUNK
 from lite6jax.fitting.compiled import Exported
 from lite6jax.fitting.residual import predict_frames
@@ -59,6 +59,8 @@ def fit_calibrations(kinematics: NDArray, T_joint_flange: NDArray, arm: Arm) -> 
         T_joint_flange: `(arm, 4, 4)` from the frame after the last joint to the flange.
         arm: the type of all.
     """
+    if arm.sliding:
+        return _one_by_one(kinematics, T_joint_flange, arm)
     count = len(kinematics)
     # filled up to whole chunks, so that batches of any size share compiled code
     filled = np.minimum(np.arange(-(-count // CHUNK) * CHUNK), count - 1)
@@ -93,6 +95,31 @@ def fit_calibrations(kinematics: NDArray, T_joint_flange: NDArray, arm: Arm) -> 
     return FittedCalibrations(result[:count], steps[:count], parameters[:count], fitted, checked, nominal)
 
 
+def _one_by_one(kinematics: NDArray, T_joint_flange: NDArray, arm: Arm) -> FittedCalibrations:
+    """As `fit_calibrations`, of arms with prismatic joints, which are few and have no closed form here."""
+    from lite6jax.arms.factory import FactoryCalibration
+    from lite6jax.fitting.calibration_fit import fit_calibration
+
+    calibrations = zip(kinematics, T_joint_flange, strict=True)
+    found = [fit_calibration(FactoryCalibration(rows, arm, T, "")) for rows, T in calibrations]
+    errors = [
+        [
+            [f(part) for part in (each.position, each.orientation) for f in (_root_mean_square, np.max)]
+            for each in (solution.errors, solution.checked, solution.nominal_errors)
+        ]
+        for solution in found
+    ]
+    fitted, checked, nominal = np.moveaxis(np.array(errors), 1, 0)
+    results = np.array([int(solution.result) for solution in found], np.int32)
+    steps = np.array([solution.steps for solution in found])
+    parameters = np.stack([solution.parameters for solution in found])
+    return FittedCalibrations(results, steps, parameters, fitted, checked, nominal)
+
+
+def _root_mean_square(values: NDArray) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
 def _by_closed_form(form: HayatiForm, kinematics: Array, branch: Array) -> Array:
     """Parameters `(arm, size)`, without a check that the chain has them."""
     return closed_form(form, jnp.moveaxis(kinematics, 0, -1), branch)[0].T
@@ -108,7 +135,7 @@ def _all_errors(
     joint_position: Array,
 ) -> Array:
     """`(arm, 3, 4)`: those of `FittedCalibrations`."""
-    chain, joint = ModelForm(SixParameterForm(form.chain.dof)), turn(joint_position.T)
+    chain, joint = ModelForm(SixParameterForm(form.chain.dof)), joint_motion(form.chain, joint_position.T)
 
     def flange(of: ModelForm, geometry: Array, T: Array) -> Frame:
         return predict_frames(of, ArmModel(geometry, jnp.eye(4), T), joint)[1]

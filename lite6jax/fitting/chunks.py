@@ -12,7 +12,7 @@ from jax import Array, export
 from jax.typing import ArrayLike
 
 from lite6jax import threads
-from lite6jax.arms.moves import turn
+from lite6jax.arms.chains import joint_motion
 from lite6jax.fitting import gauss_newton
 from lite6jax.fitting.compiled import Exported
 from lite6jax.fitting.gauss_newton import Prior, Solved, solve_chunk
@@ -43,11 +43,14 @@ class Summary(NamedTuple):
     orientation_rms: Array
 
 
-def observe(joint_position: Array, pose: Array, weight: Array, whitener: Array, block: int) -> Observations:
+def observe(
+    form: ModelForm, joint_position: Array, pose: Array, weight: Array, whitener: Array, block: int
+) -> Observations:
     """One arm's data as the residual wants it, cut into blocks.
 
     Args:
-        joint_position: `(sample, joint)` rad.
+        form: whose chain says which joints are prismatic.
+        joint_position: `(sample, joint)` rad, and m of prismatic joints.
         pose: `(sample, 4, 4)`, or `(sample, 3)` where only positions were measured; missing where not finite.
         weight: `(sample,)`.
         whitener: `(2,)` or `(sample, row, row)`.
@@ -66,7 +69,7 @@ def observe(joint_position: Array, pose: Array, weight: Array, whitener: Array, 
     count = weight.shape[0] // block
     rotation = blocked(rotation) if pose.ndim == 3 else jnp.zeros((count, 3, 3, 0))
     whitener = jnp.broadcast_to(whitener, (count, 2)) if whitener.ndim == 1 else blocked(whitener)
-    joint = turn(blocked(q))
+    joint = joint_motion(form.chain, blocked(q))
     return Observations(joint, blocked(position), rotation, blocked(jnp.where(used, weight, 0.0)), whitener)
 
 
@@ -84,7 +87,7 @@ def _solve_and_measure(
     keep_curvature: bool = True,
 ) -> Summary:
     shared = joint_position.ndim == 2
-    prepare = jax.vmap(partial(observe, block=block), in_axes=(None if shared else 0, 0, 0, 0))
+    prepare = jax.vmap(partial(observe, form, block=block), in_axes=(None if shared else 0, 0, 0, 0))
     observed = prepare(joint_position, pose, weight, whitener)
     solved = solve_chunk(form, start, observed, robust, prior, max_steps, keep_curvature)
     covariance = jax.vmap(gauss_newton.inverse)(solved.curvature) * (prior.free[:, :, None] * prior.free[:, None, :])

@@ -134,7 +134,7 @@ def fit_fleet_calibrations(
     if kinematics.ndim != 3 or kinematics.shape[1:] != (arm.dof, 6):
         raise InputError(f"factory of shape {kinematics.shape}: {arm.name} takes (arm, {arm.dof}, 6)")
     q = sample_within_limits(arm, samples, seed)
-    poses = jax.vmap(six_parameter_fk, in_axes=(0, None))(jnp.asarray(kinematics), q) @ arm.T_joint_flange
+    poses = jax.vmap(lambda rows: six_parameter_fk(rows, q, arm.sliding))(jnp.asarray(kinematics)) @ arm.T_joint_flange
     solution = fit_fleet(q, poses, nominal=arm, progress=progress)
     broken = ~np.isfinite(kinematics).all((1, 2))
     return replace(solution, result=np.where(broken, Result.NOT_FINITE, solution.result).astype(np.int32))

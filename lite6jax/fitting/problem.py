@@ -16,7 +16,7 @@ from lite6jax.arms.chains import SixParameterForm
 from lite6jax.arms.factory import FactoryCalibration, read_factory
 from lite6jax.arms.forms import hayati_of
 from lite6jax.arms.forward_kinematics import fk
-from lite6jax.arms.moves import Turn
+from lite6jax.arms.moves import joint_rate
 from lite6jax.arms.se3 import rotation_from_quaternion, rotation_from_rpy, transform
 from lite6jax.errors import InputError
 from lite6jax.fitting.chunks import observe, pad, padded_size
@@ -25,6 +25,7 @@ from lite6jax.fitting.residual import POSE, POSITION, Observations, differences,
 from lite6jax.fitting.start import frames_from_poses
 from lite6jax.model import LEVER, ArmModel, ModelForm
 from lite6jax.recordings import Recording, require_samples
+from lite6jax.recordings.units import other_joints
 
 Array = NDArray[np.floating]
 Geometry = Literal["declared", "exact", "prior", "free"]
@@ -76,7 +77,7 @@ class Problem:
         """Of a sample's residual, as declared: `(row, row)`, or `(sample, row, row)` with read-out noise of the joints.
 
         It is Σ + σ_q² J Jᵀ with J the residual's derivative by the joint positions, the manipulator Jacobian in the
-        residual's axes.
+        residual's axes. Prismatic joints are read without noise.
         """
         position, orientation = self.noise
         sensor = np.diag(np.repeat(np.square((position, orientation or position)), 3)[: self.rows])
@@ -86,7 +87,7 @@ class Problem:
         J = _residual_by_joints(
             self.form, self.start, pad(self.joint_position, 0, size), pad(self.pose, 0, size), block
         )
-        J = np.asarray(J)[: len(self.pose)]
+        J = np.asarray(J)[: len(self.pose)][..., ~self.arm.slides]
         return sensor + self.joint_noise**2 * J @ np.swapaxes(J, 1, 2)
 
 
@@ -119,7 +120,7 @@ def calibration_problem(calibration: FactoryCalibration, joint_position: Array, 
 def calibration_poses(calibration: FactoryCalibration, joint_position: Array) -> Array:
     """The calibrated chain's flange poses `(sample, 4, 4)`."""
     links = np.array([frames.transform_from_row(row) for row in calibration.kinematics])
-    return frames.chain(links, joint_position) @ calibration.T_joint_flange
+    return frames.chain(links, joint_position, calibration.arm.sliding) @ calibration.T_joint_flange
 
 
 def recording_problem(
@@ -142,6 +143,8 @@ def recording_problem(
         raise InputError(
             f"{recording.source}: has {recording.dof} joints, but {arm.name} has {arm.dof}; name the arm with --arm"
         )
+    if recording.sliding != arm.sliding:
+        raise InputError(f"{recording.source}: {other_joints(recording.sliding, arm.sliding, arm.name)}")
     require_samples(recording, 1)
     notes: list[str] = []
     factory_path, uncertainty = settings.factory_path(folder), settings.factory_uncertainty
@@ -167,7 +170,7 @@ def recording_problem(
         form = ModelForm(arm.form, frame, tool)
         values = arm.hayati if factory is None else hayati_of(factory)
     else:
-        form = ModelForm(SixParameterForm(arm.dof), frame, tool)
+        form = ModelForm(SixParameterForm(arm.dof, arm.sliding), frame, tool)
         assert factory is not None
         values = factory.kinematics.ravel()
     movable = np.ones(form.size, bool)
@@ -216,12 +219,11 @@ def recording_problem(
 def _residual_by_joints(
     form: ModelForm, model: ArmModel, joint_position: jax.Array, pose: jax.Array, block: int
 ) -> jax.Array:
-    observed = observe(joint_position, pose, jnp.ones(len(pose)), jnp.ones(2), block)
+    observed = observe(form, joint_position, pose, jnp.ones(len(pose)), jnp.ones(2), block)
 
     def one(part: Observations) -> jax.Array:
         def by_joint(direction: jax.Array) -> jax.Array:
-            d = direction[:, None]
-            turning = Turn(-d * part.joint.sin, d * part.joint.cos)
+            turning = joint_rate(part.joint, direction, form.chain.sliding)
             return jax.jvp(
                 lambda joint: differences(part, predict_frames(form, model, joint)[1]), (part.joint,), (turning,)
             )[1]

@@ -135,7 +135,7 @@ def matches(recording: Recording) -> list[Match]:
         tool = np.asarray(transform(rotation_from_rpy(np.array(settings.tool[3:])), np.array(settings.tool[:3])))
     found = []
     for arm in known:
-        flange = frames.chain(arm.links, recording.joint_position) @ arm.T_joint_flange
+        flange = frames.chain(arm.links, recording.joint_position, arm.sliding) @ arm.T_joint_flange
         T_sensor_base, T_flange_tool = frames_from_poses(flange, position, rotation, frame, tool)
         point = (flange @ T_flange_tool)[:, :3, 3] @ T_sensor_base[:3, :3].T + T_sensor_base[:3, 3]
         found.append(Match(arm, upper_quartile(np.linalg.norm(point - position, axis=1))))

@@ -26,7 +26,7 @@ class Observations(NamedTuple):
     """What a sensor saw. A pytree; blocks of samples and arms are leading axes.
 
     Attributes:
-        joint: cosines and sines of the joint positions, `(joint, sample)` each.
+        joint: the joints' motions, `(joint, sample)` each.
         position: `(3, sample)` m in the sensor's frame.
         rotation: `(3, 3, sample)`, component by axis; `(3, 3, 0)` where no orientation was measured.
         weight: `(sample,)`; zero for a sample that is missing.
@@ -155,7 +155,8 @@ def linearise(
 ) -> tuple[Array, Array, Array]:
     """The cost of one block, its gradient `(size,)` and Gauss–Newton's curvature JᵀWJ `(size, size)`."""
     sight = _look(form, model, observed, robust)
-    J = _walked_jacobian(form, model, observed, sight).reshape(form.size, -1)
+    J = _walked_jacobian(form, model, observed, sight)
+    J = J.reshape(len(J), -1)
     residual = sight.whitened
     if len(residual) == POSE and observed.whitener.ndim == 1:
         residual = jnp.concatenate([residual[:3], _to_sensor(observed, residual[3:])])
@@ -219,12 +220,12 @@ def _columns(
 def twist_columns(
     form: ModelForm, model: ArmModel, joint: Turn, flange: Frame, tool: Frame, emit: Callable[[Twist], Array]
 ) -> Array:
-    """What `emit` makes of the twist of each entry of a step, `(size, …)`, the geometry's in *walking* order.
+    """What `emit` makes of the twist of each entry of a step, the geometry's in *walking* order.
 
     Args:
         form: which entries.
         model: where.
-        joint: the joints' angles.
+        joint: the joints' motions.
         flange: its frame in sensor coordinates, as `predict_frames` gives it.
         tool: the tool's.
         emit: maps a twist, in sensor coordinates, to an array; all of one shape.
@@ -242,8 +243,9 @@ def twist_columns(
 
 def step_order(form: ModelForm) -> np.ndarray:
     """Where among `twist_columns` each entry of a step stands."""
-    geometry = np.argsort(form.chain.walking_order)
-    return np.concatenate([geometry, np.arange(geometry.size, form.size)])
+    walked = form.chain.walking_order
+    geometry = np.argsort(walked, kind="stable")[: form.chain.size]
+    return np.concatenate([geometry, walked.size + np.arange(form.size - form.chain.size)])
 
 
 def _frame_twists(shifting: Frame, turning: Frame) -> list[Twist]:

@@ -112,7 +112,7 @@ def _solve_one_by_one(
     parts = []
     for k, row in enumerate(weight):
         observed = observe(
-            jnp.asarray(q), jnp.asarray(pose), jnp.asarray(pad(row, 0, size)), jnp.asarray(padded), block
+            problem.form, jnp.asarray(q), jnp.asarray(pose), jnp.asarray(pad(row, 0, size)), jnp.asarray(padded), block
         )
         own_start = ArmModel(
             *(leaf[k] if np.ndim(leaf) > ndim else leaf for leaf, ndim in zip(start, (1, 2, 2), strict=True))

@@ -114,7 +114,7 @@ def _recognised(read: Mapping[Path, _Content], nominal: Arm | None) -> dict[Path
         if kinematics is not None:
             by_joints.setdefault(len(kinematics), []).append((path, kinematics))
     for joints, chains in by_joints.items():
-        arms = bundled_of(joints) if nominal is None else [nominal] * (nominal.dof == joints)
+        arms = bundled_of(joints) if nominal is None else [nominal] * (nominal.dof == joints and not nominal.sliding)
         if arms:
             near = nearest_arms(np.stack([kinematics for _, kinematics in chains]), arms)
             found |= zip((path for path, _ in chains), near, strict=True)

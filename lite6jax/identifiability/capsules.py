@@ -89,7 +89,8 @@ def urdf_capsules(
     if arm is not None:
         own = urdf.read_urdf(path, base, tip)
         q = sample_joints(arm.dof) if own.dof == arm.dof else None
-        if q is None or np.abs(frames.chain(own.links, q) - frames.chain(arm.links, q))[:, :3, 3].max() > _SAME_ARM:
+        chains = [frames.chain(of.links, q, of.sliding)[:, :3, 3] for of in (own, arm) if q is not None]
+        if not chains or np.abs(chains[0] - chains[1]).max() > _SAME_ARM:
             raise InputError(f"{path}: is of another arm than {arm.name}; give its own URDF, or name the tip")
     capsules: list[Capsule] = []
     for link, element, T in urdf.carried_links(path, base, tip):

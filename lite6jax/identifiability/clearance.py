@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import final
 
 import jax
@@ -12,7 +13,7 @@ from jax.typing import ArrayLike
 from numpy import typing as npt
 
 from lite6jax.arms.arm import Arm, sample_joints
-from lite6jax.arms.moves import cross
+from lite6jax.arms.moves import cross, joint_turn
 from lite6jax.identifiability.capsules import Capsule, chain_capsules
 from lite6jax.recordings import require_radians
 
@@ -86,7 +87,7 @@ def link_frames(arm: Arm, joint_position: npt.ArrayLike) -> npt.NDArray[np.float
         InputError: joint positions in degrees.
     """
     require_radians(joint_position, arm.joint_limits)
-    F = _in_blocks(lambda q: _frames(arm.links, q), joint_position)[1:]
+    F = _in_blocks(lambda q: _frames(arm.links, q, arm.sliding), joint_position)[1:]
     T = arm.T_joint_flange
     flange = np.einsum("ijs,jk->iks", F[-1][:, :3], T[:3])
     flange[:, 3] += F[-1][:, 3]
@@ -116,17 +117,18 @@ def segment_distance(p1: ArrayLike, q1: ArrayLike, p2: ArrayLike, q2: ArrayLike)
     return jnp.sqrt(jnp.min(jnp.stack(squares), 0))
 
 
-@jax.jit
-def _frames(links: ArrayLike, q: ArrayLike) -> Array:
-    """The base's frame and those after each joint, `(joint + 1, 3, 4, sample)`, of `(joint, sample)` rad."""
+@partial(jax.jit, static_argnums=2)
+def _frames(links: ArrayLike, q: ArrayLike, sliding: tuple[int, ...]) -> Array:
+    """The base's frame and those after each joint, `(joint + 1, 3, 4, sample)`, of `(joint, sample)` rad or m."""
     links, q = jnp.asarray(links), jnp.asarray(q)
     count, samples = q.shape
-    cos, sin = jnp.cos(q), jnp.sin(q)
+    cos, sin, shift = joint_turn(q, sliding)
     first = jnp.broadcast_to(jnp.eye(3, 4)[:, :, None], (3, 4, samples))
 
     def body(i: Array, collected: Array) -> Array:
         F, L = collected[i], links[i]
         x, y, z, origin = (sum(F[:, j] * L[j, k] for j in range(3)) for k in range(4))
+        origin = origin if shift is None else origin + shift[i] * z
         turned = jnp.stack([cos[i] * x + sin[i] * y, cos[i] * y - sin[i] * x, z, F[:, 3] + origin], 1)
         return collected.at[i + 1].set(turned)
 
@@ -152,16 +154,22 @@ def _pair_clearances(
     carriers = np.array([capsule.link for capsule in capsules])
     segments = np.array([[capsule.start, capsule.end] for capsule in capsules], float)
     radii = np.array([capsule.radius for capsule in capsules], float)[pairs].sum(1)
-    return _in_blocks(lambda block: _clearances(arm.links, carriers, segments, radii, pairs, block), q)
+    return _in_blocks(lambda block: _clearances(arm.sliding, arm.links, carriers, segments, radii, pairs, block), q)
 
 
-@jax.jit
+@partial(jax.jit, static_argnums=0)
 def _clearances(
-    links: ArrayLike, carriers: ArrayLike, segments: ArrayLike, radii: ArrayLike, pairs: ArrayLike, q: ArrayLike
+    sliding: tuple[int, ...],
+    links: ArrayLike,
+    carriers: ArrayLike,
+    segments: ArrayLike,
+    radii: ArrayLike,
+    pairs: ArrayLike,
+    q: ArrayLike,
 ) -> Array:
-    """The distance of each pair's surfaces, `(pair, sample)`, of `(joint, sample)` rad."""
+    """The distance of each pair's surfaces, `(pair, sample)`, of `(joint, sample)` rad or m."""
     segments = jnp.asarray(segments)
-    F = _frames(links, q)[carriers]
+    F = _frames(links, q, sliding)[carriers]
     ends = jnp.sum(F[:, None, :, :3] * segments[:, :, None, :, None], 3) + F[:, None, :, 3]
 
     def of_pair(both: tuple[Array, Array]) -> Array:

@@ -202,13 +202,14 @@ def determination_of(experiment: Experiment, root: Array, samples: int) -> Deter
 
 
 def count(form: ModelForm, quantity: Quantity, on_last_axis: bool = False) -> int | None:
-    """How many parameters the best poses determine of a generic arm with revolute joints, by counting.
+    """How many parameters the best poses determine of a generic arm, by counting.
 
     By the product of exponentials a chain is its joints' axes, 4 numbers each, and the flange's pose, 6 (R. Brockett,
     1984; B. Mooring, Z. Roth, M. Driels, Fundamentals of Manipulator Calibration, 1991): 4 n + 6, all observable in
     full poses. A chain without a free tool has a flange that its last axis carries in a set way: 4 n + 4 of Hayati's,
-    4 n + 2 of six parameters. Positions depend on the flange's pose through the point (3) only, and one axis or one
-    distance leaves three motions of the whole arm unobservable.
+    4 n + 2 of six parameters. A prismatic joint has a direction only, 2 numbers less; where it is the last, six
+    parameters determine the whole flange: 4 n + 4. Positions depend on the flange's pose through the point (3) only,
+    and one axis or one distance leaves three motions of the whole arm unobservable.
 
     Args:
         form: the parameters.
@@ -218,15 +219,17 @@ def count(form: ModelForm, quantity: Quantity, on_last_axis: bool = False) -> in
             axis, is counted as off it.
 
     Returns:
-        None where an arm of one joint moves too little for the count to hold.
+        None where an arm of one joint, or of prismatic joints and less than three others, moves too little for the
+        count to hold.
     """
-    n = form.chain.dof
-    hayati = isinstance(form.chain, HayatiForm)
+    n, sliding = form.chain.dof, form.chain.sliding
+    hayati, last_slides = isinstance(form.chain, HayatiForm), n - 1 in sliding
+    axes = 4 * n - 2 * len(sliding)
     if quantity == "pose":
-        return 4 * n + (6 if form.tool else 4 if hayati else 2)
-    if n == 1 and quantity != "position":
+        return axes + (6 if form.tool else 4 if hayati or last_slides else 2)
+    if (n == 1 and quantity != "position") or (sliding and (n - len(sliding) < 3 or last_slides)):
         return None
-    observable = 4 * n + 3 if form.tool or hayati else 4 * n - 1 if on_last_axis else 4 * n + 2
+    observable = axes + 3 if form.tool or hayati else axes - 1 if on_last_axis else axes + 2
     return observable if quantity == "position" else observable - 3
 
 

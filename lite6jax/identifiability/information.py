@@ -246,7 +246,7 @@ def plan_experiment(
     """
     arm = bundled.load_bundled(arm) if isinstance(arm, str) else arm
     sensor = sensor_named(sensor) if isinstance(sensor, str) else sensor
-    geometry = arm.form if chain == "hayati" else SixParameterForm(arm.dof)
+    geometry = arm.form if chain == "hayati" else SixParameterForm(arm.dof, arm.sliding)
     values = arm.hayati if chain == "hayati" else arm.kinematics.ravel()
     form = ModelForm(geometry, frame, tool)
     T_joint_tool = np.array(arm.T_joint_flange)

@@ -9,7 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lite6jax.arms.moves import Frame, turn
+from lite6jax.arms.chains import joint_motion
+from lite6jax.arms.moves import Frame
 from lite6jax.arms.se3 import rotation_exp, rotation_log_components
 from lite6jax.effects.composition import Physics
 from lite6jax.errors import InputError
@@ -120,7 +121,7 @@ def _refit(
     true_tool = predict(joint_position, direction, jnp.zeros(form.size + physics.size))
     whitener = None
     if sensor.joint_noise:
-        changes = joint_changes(form, sensor, numbers.model, turn(joint_position.T))
+        changes = joint_changes(form, sensor, numbers.model, joint_motion(form.chain, joint_position.T))
         whitener = jnp.moveaxis(joint_whitener(changes, sensor.joint_noise), 0, -1)
 
     def one(noise: jax.Array, read_out: jax.Array, center: jax.Array) -> tuple[jax.Array, jax.Array]:

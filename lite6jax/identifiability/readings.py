@@ -5,11 +5,13 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
-from lite6jax.arms.chains import SixParameterForm
-from lite6jax.arms.moves import Frame, Turn, Twist, cross, turn
+from lite6jax.arms.chains import SixParameterForm, joint_motion
+from lite6jax.arms.moves import Frame, Turn, Twist, cross, joint_rate
 from lite6jax.effects.composition import Physics
 from lite6jax.effects.motion import Motion
+from lite6jax.effects.sliding import Sliding
 from lite6jax.effects.statics import Inertia, Loads, loads
 from lite6jax.fitting.residual import predict_frames, step_order, twist_columns
 from lite6jax.identifiability.sensor import Sensor, joint_whitener
@@ -51,7 +53,7 @@ def reading_columns(
         joint_position: `(sample, joint)` rad.
         direction: `(sample, joint)`, in which each pose was approached.
     """
-    model, joint = numbers.model, turn(joint_position.T)
+    model, joint = numbers.model, joint_motion(form.chain, joint_position.T)
     if physics.effects:
         columns = _columns_with(form, physics, sensor, numbers, joint_position, direction)
     else:
@@ -105,7 +107,7 @@ def tool_frame(
     """
     model, values = form.retract(numbers.model, step[: form.size]), numbers.values + step[form.size :]
     if not physics.effects:
-        return predict_frames(form, model, turn(joint_position.T))[1]
+        return predict_frames(form, model, joint_motion(form.chain, joint_position.T))[1]
     samples = joint_position.shape[0]
     motion = Motion(
         joint_position=joint_position.T,
@@ -115,24 +117,30 @@ def tool_frame(
         run=jnp.stack([jnp.zeros(samples, int), jnp.full(samples, samples - 1)]),
         temperature_rise=None,
         payload=jnp.full(samples, numbers.payload),
+        sliding=Sliding(form.chain.sliding),
     )
     statics: Inertia | Loads | None = numbers.inertia
     if statics is not None and not isinstance(form.chain, SixParameterForm):  # its frames are not those of the masses
-        nominal = SixParameterForm(form.chain.dof)
-        statics = loads(nominal, numbers.kinematics, turn(joint_position.T), motion.payload, statics)
+        nominal = SixParameterForm(form.chain.dof, form.chain.sliding)
+        joint = joint_motion(nominal, joint_position.T)
+        statics = loads(nominal, numbers.kinematics, joint, motion.payload, statics)
     return predict_frames_with(form.chain, physics, model, values, motion, statics)[1]
 
 
 def joint_changes(form: ModelForm, sensor: Sensor, model: ArmModel, joint: Turn) -> jax.Array:
-    """How whitened readings change with the joints, `(row, joint, sample)` per rad: the manipulator Jacobian."""
+    """How whitened readings change with the revolute joints, `(row, joint, sample)` per rad: the manipulator Jacobian.
+
+    Prismatic joints are read without noise.
+    """
     _, tool = predict_frames(form, model, joint)
 
     def by(direction: jax.Array) -> jax.Array:
-        turning = Turn(-direction[:, None] * joint.sin, direction[:, None] * joint.cos)
+        turning = joint_rate(joint, direction, form.chain.sliding)
         moved = jax.jvp(lambda j: predict_frames(form, model, j)[1], (joint,), (turning,))[1]
         return sensor.change(tool, _twist(tool, moved))
 
-    return jnp.moveaxis(jax.vmap(by)(jnp.eye(form.chain.dof)), 0, 1)
+    turning = [joint for joint in range(form.chain.dof) if joint not in form.chain.sliding]
+    return jnp.moveaxis(jax.vmap(by)(jnp.eye(form.chain.dof)[np.array(turning)]), 0, 1)
 
 
 def _twist(frame: Frame, moved: Frame) -> Twist:

@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lite6jax.arms.arm import Arm
-from lite6jax.arms.moves import Turn, turn
+from lite6jax.arms.chains import joint_motion
+from lite6jax.arms.moves import Turn
 from lite6jax.errors import InputError
 from lite6jax.fitting.residual import predict_frames
 from lite6jax.fitting.sampling import sample_within_limits
@@ -38,6 +39,7 @@ class Sensitivity:
         per_unit: `(parameter,)` root-mean-square m of the flange per m or rad of each.
         position: `(sample, parameter)` m that the flange moves per tolerance.
         orientation: `(sample, parameter)` rad that it turns.
+        sliding: the prismatic joints, counted from 0.
     """
 
     names: tuple[str, ...]
@@ -48,6 +50,7 @@ class Sensitivity:
     per_unit: Array
     position: Array
     orientation: Array
+    sliding: tuple[int, ...] = ()
 
     @property
     def share(self) -> Array:
@@ -116,12 +119,13 @@ def sensitivity(
         raise InputError(f"{experiment.arm.name}: no tolerance given moves its flange; give one of lengths too")
     rows = rows * size
     model = ArmModel(*(jnp.asarray(leaf) for leaf in experiment.model))
-    _, tool = predict_frames(experiment.form, model, turn(jnp.asarray(q).T))
+    _, tool = predict_frames(experiment.form, model, joint_motion(experiment.form.chain, jnp.asarray(q).T))
     return Sensitivity(
         names=experiment.names,
         units=experiment.units,
         tolerance=size,
         joint_position=q,
+        sliding=experiment.arm.sliding,
         flange_position=np.asarray(tool.origin).T,
         per_unit=per_unit,
         position=np.linalg.norm(rows[:, :3], axis=1),
@@ -218,7 +222,7 @@ def arm_errors(experiment: Experiment, steps: Array, joint_position: Array, meas
     count = -(-len(steps) // _TOGETHER) * _TOGETHER
     padded = np.concatenate([steps, np.zeros((count - len(steps), steps.shape[1]))])
     model = ArmModel(*(jnp.asarray(leaf) for leaf in experiment.model))
-    joint = turn(jnp.asarray(joint_position).T)
+    joint = joint_motion(experiment.form.chain, jnp.asarray(joint_position).T)
     errors = _errors(experiment.form, measure, model, joint, padded.reshape(-1, _TOGETHER, steps.shape[1]))
     return np.asarray(errors).reshape(-1)[: len(steps)]
 

@@ -12,7 +12,7 @@ from lite6jax.arms.bundled import bundled_of
 from lite6jax.arms.files import read_arm
 from lite6jax.errors import InputError
 from lite6jax.recordings.settings import RecordingSettings
-from lite6jax.recordings.units import far_joint, limits_of, real_array, require_metres, unlikely_joint
+from lite6jax.recordings.units import far_joint, limits_of, other_joints, real_array, require_metres, unlikely_joint
 
 LARGEST_MISSING_SHARE = 0.5
 QUATERNION_TOLERANCE = 0.01
@@ -39,19 +39,24 @@ def checked_arrays(
         InputError: numbers that are not real, an arm of another number of joints, degrees, or millimetres.
     """
     real: dict[str, Any] = {
-        name: value if value is None or name == "run" else real_array(f"{source}: {name}", value)
+        name: value if value is None or name in ("run", "sliding") else real_array(f"{source}: {name}", value)
         for name, value in arrays.items()
     }
     q, position = real["joint_position"], real["position"]
     if q.ndim != 2:
         return real  # of a wrong shape, which `assembled` refuses
-    known = arm if isinstance(arm, Arm) else _declared_arm(settings, source, q.shape[1])
+    given = real.get("sliding")
+    known = arm if isinstance(arm, Arm) else _declared_arm(settings, source, 0 if given else q.shape[1])
     if known is None:
         return real
     if q.shape[1] != known.dof:
         raise InputError(
             f"{source}: has {q.shape[1]} joints, but {known.name} has {known.dof}; give the arm that it is of"
         )
+    if given is None:
+        real["sliding"] = known.sliding
+    elif given != known.sliding:
+        raise InputError(f"{source}: {other_joints(given, known.sliding, known.name)}")
     found = far_joint(q, known.joint_limits)
     if found is not None:
         sample, joint = found

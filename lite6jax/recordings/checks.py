@@ -37,13 +37,16 @@ def check_joint_scale(
         return
     sample, joint = found
     name = (spelling or {}).get(f"q{joint + 1}_rad", f"q{joint + 1}_rad")
-    if not name.endswith("_rad") or assumed:
+    if joint in recording.sliding:
+        remedy = f"are these millimetres? name the column q{joint + 1}_mm"
+    elif not name.endswith("_rad") or assumed:
         remedy = "check the unit"
     else:
         remedy = "are these degrees? name the columns q1_deg ... or add --assume-degrees"
     place, row = f"{recording.source}: column {name}", f"row {recording.row[sample]}"
     value, limits = recording.joint_position[found], limits_of(recording.dof, given)
-    raise InputError(unlikely_joint(place, row, value, joint, limits, remedy))
+    unit = "m" if joint in recording.sliding else "rad"
+    raise InputError(unlikely_joint(place, row, value, joint, limits, remedy, unit))
 
 
 def check_position_scale(
@@ -205,7 +208,7 @@ def repeated_rows(recording: Recording) -> RepeatedRows:
 
 @dataclass(frozen=True)
 class OutsideLimits:
-    """Samples of one joint (1-based) outside its limits, and by how much at most, in rad."""
+    """Samples of one joint (1-based) outside its limits, and by how much at most, in rad, m of a prismatic joint."""
 
     joint: int
     samples: Int[np.ndarray, " found"]

@@ -18,6 +18,13 @@ _PER_JOINT = {
     "current": {"A": 1.0, "mA": 1e3},
     "temp": {"degC": 1.0},
 }
+_SLIDE = {
+    "q": {"m": 1.0, "mm": 1e3},
+    "dq": {"m_per_s": 1.0, "mm_per_s": 1e3},
+    "ddq": {"m_per_s2": 1.0, "mm_per_s2": 1e3},
+    "tau": {"N": 1.0, "kN": 1e-3},
+}
+"""The units of the same quantities of a prismatic joint."""
 QUATERNION = ("qw", "qx", "qy", "qz")
 ANGLES = (("rx", "ry", "rz"), ("roll", "pitch", "yaw"), ("rotx", "roty", "rotz"), ("alpha", "beta", "gamma"))
 """The other forms of an orientation (`orientations.py`). Without their unit they are any column of the user's own."""
@@ -55,7 +62,13 @@ class Column:
 
     @property
     def si_name(self) -> str:
+        """Its name in SI units; of a prismatic joint the name that a revolute one would have."""
         return spelled(self.quantity, self.joint)
+
+    @property
+    def slides(self) -> bool:
+        """Whether its unit is one of a prismatic joint."""
+        return self.unit in _SLIDE.get(self.quantity, ())
 
 
 class Recognised(NamedTuple):
@@ -72,6 +85,11 @@ class Recognised(NamedTuple):
     joints: int
     ignored: list[str]
     problems: list[str]
+
+    @property
+    def sliding(self) -> tuple[int, ...]:
+        """The joints, counted from 0, whose positions are lengths."""
+        return sliding_of(self.columns)
 
 
 def recognise(
@@ -116,6 +134,7 @@ def recognise(
     if joints and dof is not None and joints != dof:
         problems.say(f"has {joints} joints (q1 ... q{joints}), the arm has {dof}; choose the arm it is of")
     _check_joints(found, joints, problems)
+    _check_kinds(found, problems)
     _check_groups(found, problems)
     return Recognised(found, joints, ignored, problems.listed())
 
@@ -126,6 +145,11 @@ def one_line(source: str, problems: Sequence[str], remedy: str = "") -> str:
         return f"{source}: {problems[0]}{remedy}"
     numbered = " ".join(f"({number}) {problem}." for number, problem in enumerate(problems, 1))
     return f"{source}: {len(problems)} problems of its columns: {numbered.removesuffix('.')}{remedy}"
+
+
+def sliding_of(columns: Mapping[str, Column]) -> tuple[int, ...]:
+    """The joints, counted from 0, whose positions are lengths."""
+    return tuple(sorted(column.joint - 1 for column in columns.values() if column.quantity == "q" and column.slides))
 
 
 class _Problems:
@@ -177,6 +201,9 @@ def _column(name: str, own: str, index: int, problems: _Problems) -> Column | No
         joint = int(match["joint"][:9] or 0)
         for number, (accepted, divisor) in enumerate(units_of(quantity).items()):
             if name == spelled(quantity, joint, number) and (joint or not per_joint):
+                return Column(own, index, quantity, joint, accepted, divisor)
+        for accepted, divisor in _SLIDE.get(quantity, {}).items():
+            if joint and name == f"{quantity}{joint}_{accepted}":
                 return Column(own, index, quantity, joint, accepted, divisor)
     if known and quantity not in _OF_ANGLES:
         assert match is not None
@@ -233,6 +260,17 @@ def _check_joints(found: Mapping[str, Column], joints: int, problems: _Problems)
             )
         if quantity != "q" and present and (missing := set(range(1, joints + 1)) - present):
             problems.say(f"{_forms(quantity, min(missing))} is missing beside its like; give it for all joints")
+
+
+def _check_kinds(found: Mapping[str, Column], problems: _Problems) -> None:
+    """What is of a prismatic joint beside what is of a revolute one."""
+    slides = {column.joint: column for column in found.values() if column.quantity == "q"}
+    for column in found.values():
+        position = slides.get(column.joint)
+        if column.quantity in _SLIDE and position is not None and column.slides != position.slides:
+            units = _SLIDE[column.quantity] if position.slides else _PER_JOINT[column.quantity]
+            forms = " or ".join(f"{column.quantity}{column.joint}_{unit}" for unit in units)
+            problems.say(f"column {column.name} does not fit {position.name}; write {forms}")
 
 
 def _check_groups(found: Mapping[str, Column], problems: _Problems) -> None:

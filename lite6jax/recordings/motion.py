@@ -22,6 +22,7 @@ def motion_of_recording(recording: Recording) -> Motion:
         ambient_temperature=recording.ambient_temperature,
         reference_temperature=recording.settings.reference_temperature_degC,
         payload=recording.payload,
+        sliding=recording.sliding,
     )
 
 

@@ -22,7 +22,7 @@ from lite6jax.summary import Summarised
 @final
 @dataclass(frozen=True, eq=False)
 class Recording(Summarised):
-    """One row per sample, float64, SI: m, rad, s, N·m, A, °C, kg.
+    """One row per sample, float64, SI: m, rad, s, N·m, A, °C, kg; of prismatic joints m for rad and N for N·m.
 
     Build it with `Recording.from_arrays`, `Recording.from_dataframe` or `read_recording`.
 
@@ -45,6 +45,7 @@ class Recording(Summarised):
         settings: what the sidecar declares.
         source: the file's name, or what made the recording; messages begin with it.
         notes: what was dropped, assumed or normalised, one sentence each.
+        sliding: the prismatic joints, counted from 0.
     """
 
     joint_position: Float[np.ndarray, "sample joint"]
@@ -66,6 +67,7 @@ class Recording(Summarised):
     settings: RecordingSettings
     source: str
     notes: tuple[str, ...]
+    sliding: tuple[int, ...] = ()
 
     @classmethod
     def from_arrays(
@@ -75,6 +77,7 @@ class Recording(Summarised):
         quaternion: ArrayLike | None = None,
         *,
         arm: Arm | str | None = None,
+        sliding: tuple[int, ...] | None = None,
         time: ArrayLike | None = None,
         joint_velocity: ArrayLike | None = None,
         joint_acceleration: ArrayLike | None = None,
@@ -95,6 +98,7 @@ class Recording(Summarised):
             position: `(sample, 3)` m, the measured tool point in the sensor's frame.
             quaternion: `(sample, 4)`, the measured orientation of the tool in the sensor's frame, unit, scalar first.
             arm: the arm's type, an `Arm` or what `read_arm` takes; its limits and reach reveal a wrong unit.
+            sliding: the prismatic joints, counted from 0, whose positions are in m; the arm's where not given.
             joint_velocity, joint_acceleration: `(sample, joint)` rad/s, rad/s².
             joint_torque, motor_current, joint_temperature: `(sample, joint)` N·m, A, °C.
             time, ambient_temperature, payload: `(sample,)` s, °C, kg at the flange (zero where not given).
@@ -113,6 +117,7 @@ class Recording(Summarised):
                 an unknown key of the sidecar.
         """
         arrays = {
+            "sliding": sliding,
             "joint_position": joint_position,
             "position": position,
             "quaternion": quaternion,
@@ -182,6 +187,7 @@ class Recording(Summarised):
         settings: RecordingSettings | None = None,
         source: str = "recording",
         notes: tuple[str, ...] = (),
+        sliding: tuple[int, ...] | None = None,
     ) -> "Recording":
         """As `from_arrays`, of numbers whose units are known: rows with NaN stay, and units are not checked.
 
@@ -251,6 +257,7 @@ class Recording(Summarised):
             settings=settings,
             source=source,
             notes=notes,
+            sliding=sliding or (),
         )
 
     @property
@@ -347,7 +354,7 @@ class Recording(Summarised):
             InputError: as `assembled`.
         """
         kept = ("joint_position", "position", "quaternion", "time", "joint_temperature", "ambient_temperature")
-        kept = (*kept, "payload", "run", "row", "settings", "source")
+        kept = (*kept, "payload", "run", "row", "settings", "source", "sliding")
         velocity = None if self.velocity_differentiated else self.joint_velocity
         arguments: dict[str, Any] = {name: getattr(self, name) for name in kept} | {"joint_velocity": velocity}
         return Recording.assembled(**(arguments | changes))
@@ -359,15 +366,16 @@ class Recording(Summarised):
         """
         velocity = None if self.velocity_differentiated else self.joint_velocity
         table: dict[str, np.ndarray | None] = {"time_s": self.time}
-        for pattern, joints in (
-            ("q{}_rad", self.joint_position),
-            ("dq{}_rad_per_s", velocity),
-            ("ddq{}_rad_per_s2", self.joint_acceleration),
-            ("tau{}_Nm", self.joint_torque),
-            ("current{}_A", self.motor_current),
-            ("temp{}_degC", self.joint_temperature),
+        for quantity, unit, of_slide, joints in (
+            ("q", "rad", "m", self.joint_position),
+            ("dq", "rad_per_s", "m_per_s", velocity),
+            ("ddq", "rad_per_s2", "m_per_s2", self.joint_acceleration),
+            ("tau", "Nm", "N", self.joint_torque),
+            ("current", "A", "A", self.motor_current),
+            ("temp", "degC", "degC", self.joint_temperature),
         ):
-            table |= {pattern.format(i + 1): column for i, column in enumerate(() if joints is None else joints.T)}
+            for i, column in enumerate(() if joints is None else joints.T):
+                table[f"{quantity}{i + 1}_{of_slide if i in self.sliding else unit}"] = column
         table["ambient_degC"] = self.ambient_temperature
         table["payload_kg"] = self.payload if self.payload.any() else None
         table["run"] = self.run if self.run.any() else None

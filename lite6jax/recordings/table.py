@@ -10,7 +10,7 @@ import pyarrow.interchange as pa_interchange
 from lite6jax.errors import InputError
 from lite6jax.recordings.arguments import LARGEST_MISSING_SHARE
 from lite6jax.recordings.clock_times import clock_times, holds_clock_times
-from lite6jax.recordings.columns import Column, Recognised, nearest_known, one_line, recognise
+from lite6jax.recordings.columns import Column, Recognised, nearest_known, one_line, recognise, sliding_of
 from lite6jax.recordings.orientations import with_quaternions
 from lite6jax.recordings.plausible import implausible
 from lite6jax.storage import exists
@@ -229,6 +229,7 @@ def arrays_of(table: Table, source: str, notes: list[str]) -> dict[str, Any]:
             time = time - start
             notes.append(f"{columns['time_s'].name} is a clock's: times are counted from the first, {start:.0f} s")
     return {
+        "sliding": sliding_of(columns),
         "joint_position": joint_position,
         "position": block("x_m", "y_m", "z_m"),
         "quaternion": block("qw", "qx", "qy", "qz"),

@@ -76,12 +76,24 @@ def far_joint(joint_position: NDArray[np.float64], joint_limits: ArrayLike | Non
     return (*map(int, first[: q.ndim - 1]), joint)
 
 
-def unlikely_joint(place: str, row: str, value: float, joint: int, limits: NDArray[np.float64], remedy: str) -> str:
+def unlikely_joint(
+    place: str, row: str, value: float, joint: int, limits: NDArray[np.float64], remedy: str, unit: str = "rad"
+) -> str:
     """The line that refuses a joint position; `joint` counts from 0."""
     return (
-        f"{place}: {row} is at {value:.5g} rad while the arm's joint {joint + 1} goes from {limits[joint, 0]:.4g} to "
-        f"{limits[joint, 1]:.4g} rad; {remedy}"
+        f"{place}: {row} is at {value:.5g} {unit} while the arm's joint {joint + 1} goes from {limits[joint, 0]:.4g} "
+        f"to {limits[joint, 1]:.4g} {unit}; {remedy}"
     )
+
+
+def other_joints(given: tuple[int, ...], wanted: tuple[int, ...], arm: str) -> str:
+    """What is wrong where the prismatic joints `given`, counted from 0, are not those of an arm, with the remedy."""
+    joint = min(set(given) ^ set(wanted)) + 1
+    if joint - 1 in wanted:
+        return (
+            f"q{joint} is an angle, but joint {joint} of {arm} is prismatic; name the column q{joint}_m or q{joint}_mm"
+        )
+    return f"q{joint} is a length, but joint {joint} of {arm} is revolute; name the column q{joint}_rad or q{joint}_deg"
 
 
 def limits_of(joints: int, joint_limits: ArrayLike | None) -> NDArray[np.float64]:

@@ -4,7 +4,7 @@ import numpy as np
 
 from lite6jax.domains.pose.compensate import Compensation
 from lite6jax.domains.pose.predict import DiagnosedArm
-from lite6jax.report.cells import rows_named
+from lite6jax.report.cells import joint_units, rows_named
 
 NO_BARS = (
     "the diagnosis does not say how uncertain its model is, so there are no standard deviations; run `lite6jax "
@@ -27,7 +27,7 @@ def outside_sentence(outside: int, rows: int, noun: str) -> str:
 
 
 _SHOWN = 0.05
-"""deg, that a joint is beyond its recorded range at least to be named."""
+"""deg or mm, that a joint is beyond its recorded range at least to be named."""
 
 
 def outside_warning(found: Compensation, model: DiagnosedArm) -> str:
@@ -42,8 +42,13 @@ def outside_warning(found: Compensation, model: DiagnosedArm) -> str:
     rows = found.recording.row[found.outside].tolist()
     lower, upper = model.uncertainty.recorded.joints.T
     q = found.joint_position[found.outside]
-    beyond = np.rad2deg(np.nanmax(np.maximum(lower - q, q - upper), axis=0))
-    joints = [f"joint {joint} by up to {excess:.3g} deg" for joint, excess in enumerate(beyond, 1) if excess > _SHOWN]
+    scales, units = joint_units(model.sliding, model.dof)
+    beyond = scales * np.nanmax(np.maximum(lower - q, q - upper), axis=0)
+    joints = [
+        f"joint {joint} by up to {excess:.3g} {unit}"
+        for joint, (excess, unit) in enumerate(zip(beyond, units, strict=True), 1)
+        if excess > _SHOWN
+    ]
     where = f" ({', '.join(joints)})" if joints else ""
     verb = "leaves" if len(rows) == 1 else "leave"
     return (

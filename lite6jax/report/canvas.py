@@ -90,6 +90,12 @@ def degree_ticks(panel: Axes) -> MultipleLocator | MaxNLocator:
     return MultipleLocator(180) if high - low < 1000 else MaxNLocator(5)
 
 
+def label_joint(panel: Axes, joint: int, unit: str) -> None:
+    """Names the horizontal axis after a joint counted from 0, in deg with round angles or in mm."""
+    panel.set_xlabel(f"joint {joint + 1} ({unit})")
+    panel.xaxis.set_major_locator(degree_ticks(panel) if unit == "deg" else MaxNLocator(5))
+
+
 def thinned(count: int) -> NDArray[np.int64]:
     """Indices of the points to draw of `count`: evenly spaced, at most `_MOST_POINTS`."""
     return np.unique(np.linspace(0, max(count - 1, 0), min(count, _MOST_POINTS)).astype(int))

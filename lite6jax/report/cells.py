@@ -16,6 +16,12 @@ MOST_ROWS = 12
 """The largest number of row numbers that are listed."""
 
 
+def joint_units(sliding: Sequence[int], joints: int) -> tuple[np.ndarray, tuple[str, ...]]:
+    """For each joint the factor from rad, or from m of the prismatic joints counted from 0, and the printed unit."""
+    shown = [SCREEN["m" if joint in sliding else "rad"] for joint in range(joints)]
+    return np.array([scale for scale, _ in shown]), tuple(unit for _, unit in shown)
+
+
 def number(value: float, digits: int = 4) -> str:
     """A number in fixed point, or in scientific notation where fixed point would show only zeros."""
     if value != 0 and abs(value) < SHOWS_AS_ZERO * 10 ** (4 - digits):

@@ -3,14 +3,13 @@
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-import numpy as np
 from rich.console import RenderableType
 from rich.padding import Padding
 from rich.text import Text
 
 from lite6jax.arms.bundled import VARIANTS, bundled_arms
 from lite6jax.domains.pose.check import Cause, RecordingCheck
-from lite6jax.report.cells import rows_named
+from lite6jax.report.cells import SCREEN, rows_named
 from lite6jax.report.data_faults import fault_name, fault_statement, ruled_out_statements
 
 _NAMES = {
@@ -56,8 +55,10 @@ def statement(cause: Cause) -> str:
             return f"A tool offset is possible: {share}. Check that the tool offset (TCP) is zero."
         return f"No tool offset: {share}."
     if cause.code == "joint_limits":
-        beyond = np.rad2deg(n["largest_excess_rad"])
-        return f"Joint {n['joint']} is beyond its limits by up to {beyond:.3g} deg in {rows_named(cause.rows)}."
+        unit = "m" if "largest_excess_m" in n else "rad"
+        scale, shown = SCREEN[unit]
+        beyond = scale * n[f"largest_excess_{unit}"]
+        return f"Joint {n['joint']} is beyond its limits by up to {beyond:.3g} {shown} in {rows_named(cause.rows)}."
     if cause.code == "outliers":
         if not cause.rows:
             return "There are no outliers."

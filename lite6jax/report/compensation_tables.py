@@ -1,7 +1,7 @@
 """What a person reads of a compensation: which targets are reached, which are not and why, and how accurately."""
 
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +15,7 @@ from lite6jax.domains.pose.files import bar_columns
 from lite6jax.domains.pose.predict import DiagnosedArm
 from lite6jax.report import screen
 from lite6jax.report.bars import NO_BARS, outside_sentence
-from lite6jax.report.cells import fixed, listing, number
+from lite6jax.report.cells import fixed, joint_units, listing, number
 
 _ROWS_NAMED = 8
 
@@ -28,29 +28,32 @@ def compensation_columns(found: Compensation) -> dict[str, NDArray]:
     if found.orientation_error is not None:
         columns["orientation_error_deg"] = np.rad2deg(found.orientation_error)
     columns |= bar_columns(found.position_std, found.orientation_std, found.outside)
-    columns["reason"] = np.array([reason_text(reason) for reason in found.reason], object)
+    sliding = found.recording.sliding
+    columns["reason"] = np.array([reason_text(reason, sliding) for reason in found.reason], object)
     return columns
 
 
-def reason_text(reason: Reason | None) -> str:
+def reason_text(reason: Reason | None, sliding: Sequence[int] = ()) -> str:
     """A phrase; empty where there is nothing to report."""
     if reason is None:
         return ""
-    degrees = np.rad2deg(reason.angles)
+    scales, units = joint_units(sliding, max(reason.joints, default=0))
+    there = [joint - 1 for joint in reason.joints]
+    shown = [(value * scales[j], units[j]) for j, value in zip(there, reason.angles, strict=True)]
     match reason.code:
         case "empty_field":
             return "an empty field"
         case "reverses":
             return "the direction of approach reverses; approach it from one side"
         case "at_limit":
-            sides = zip(reason.joints, degrees, strict=True)
-            return " and ".join(f"joint {joint} at its limit of {angle:.4g} deg" for joint, angle in sides)
+            sides = zip(reason.joints, shown, strict=True)
+            return " and ".join(f"joint {joint} at its limit of {at:.4g} {unit}" for joint, (at, unit) in sides)
         case "near_singular":
             return "next to a singular position"
         case "out_of_reach":
             return "out of reach"
         case "far_from_start":
-            return f"joint {reason.joints[0]} is {degrees[0]:.0f} deg from where it was given"
+            return f"joint {reason.joints[0]} is {shown[0][0]:.0f} {shown[0][1]} from where it was given"
 
 
 def compensation_report(
@@ -75,14 +78,14 @@ def compensation_report(
     )
     yield ""
     yield Text(f"{_rows(hit)} reached" + (f", {_rows(count - hit)} not:" if hit < count else "."))
-    texts = np.array([reason_text(reason) for reason in found.reason], object)
+    texts = np.array([reason_text(reason, model.sliding) for reason in found.reason], object)
     yield from _groups(found, texts, ~found.reached)
     if texts[found.reached].any():
         yield Text("Reached, but to be noted:")
         yield from _groups(found, texts, found.reached)
     if found.correction is not None and hit:
         yield ""
-        yield from _corrections(np.abs(np.rad2deg(found.correction[found.reached])))
+        yield from _corrections(np.abs(found.correction[found.reached]), model.sliding)
     yield from screen.notes(found.notes)
     if found.omitted:
         verb = "concerns" if len(found.omitted) == 1 else "concern"
@@ -146,8 +149,10 @@ def _missed(found: Compensation, rows: NDArray) -> str:
     return f", with errors up to {' and '.join(largest)}" if largest else ""
 
 
-def _corrections(degrees: NDArray) -> Iterator[RenderableType]:
-    table = listing("correction of the joints (deg)", *(f"q{joint}" for joint in range(1, degrees.shape[1] + 1)))
+def _corrections(corrections: NDArray, sliding: Sequence[int]) -> Iterator[RenderableType]:
+    scales, units = joint_units(sliding, corrections.shape[1])
+    degrees, named = scales * corrections, ", ".join(dict.fromkeys(units))
+    table = listing(f"correction of the joints ({named})", *(f"q{joint}" for joint in range(1, degrees.shape[1] + 1)))
     table.columns[0].no_wrap = False  # rather than cut numbers short
     for name, values in (("median", np.median(degrees, 0)), ("max", degrees.max(0))):
         table.add_row(name, *(fixed(float(value)) for value in values))

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from lite6jax.diagnosis import evidence_map
 from lite6jax.diagnosis.evidence_map import JointSpectra
 from lite6jax.diagnosis.result import Diagnosis
-from lite6jax.report.canvas import AFTER, BEFORE, FRAMED, STYLE, blank, degree_ticks, thinned
+from lite6jax.report.canvas import AFTER, BEFORE, FRAMED, STYLE, blank, label_joint, thinned
+from lite6jax.report.cells import joint_units
 from lite6jax.report.finding_figures import finding_figure
 from lite6jax.report.panels import GREY, legend_below, medians, panels_in_rows
 
@@ -52,7 +53,8 @@ def drawings(found: Diagnosis, title: str, order: Sequence[int] | None = None) -
 def error_by_joint(found: Diagnosis, title: str) -> Figure:
     """Held-out position error against each joint, before and after; lines are medians."""
     kept = ~found.outliers & np.isfinite(found.before) & np.isfinite(found.after)
-    q = np.rad2deg(np.asarray(found.problem.motion.joint_position)[:, kept])
+    scales, units = joint_units(found.problem.arm.sliding, found.problem.motion.dof)
+    q = scales[:, None] * np.asarray(found.problem.motion.joint_position)[:, kept]
     errors = [1e3 * found.before[kept], 1e3 * found.after[kept]]
     with rc_context(STYLE):
         figure, panels = panels_in_rows(len(q), shared=True)
@@ -65,8 +67,7 @@ def error_by_joint(found: Diagnosis, title: str) -> Figure:
                 )  # fmt: skip
                 at, middle, _ = medians(q[joint], error, share=_THIN)
                 panel.plot(at, middle, color=colour, linewidth=2.5, zorder=5)
-            panel.set_xlabel(f"joint {joint + 1} (deg)")
-            panel.xaxis.set_major_locator(degree_ticks(panel))
+            label_joint(panel, joint, units[joint])
             _label_first(panel, "position error (mm)")
         top = max((float(np.percentile(error, 99.5)) for error in errors if len(error)), default=1.0)
         panels[0].set_ylim(0, 1.1 * top or 1.0)
@@ -116,9 +117,12 @@ def order_spectrum(found: Diagnosis, title: str) -> Figure:
     """What a harmonic of each order of each joint explains, before and after."""
     spectra = evidence_map.joint_spectra(found)
     with rc_context(STYLE):
-        figure, panels = panels_in_rows(len(spectra), shared=True)
-        for panel, joint in zip(panels, spectra, strict=True):
+        figure, panels = panels_in_rows(max(len(spectra), 1), shared=True)
+        for panel, joint in zip(panels, spectra, strict=False):
             _draw_spectrum(panel, joint)
+        if not spectra:
+            panels[0].text(0.5, 0.5, "no joint turns", ha="center", color=GREY)
+            return figure
         panels[0].set_ylim(max(3.0 * max(joint.noise for joint in spectra), 1e-3), 150)
         panels[0].yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
         for name, colour in _STAGES[: 2 if found.findings else 1]:

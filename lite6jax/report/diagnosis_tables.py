@@ -11,7 +11,7 @@ from rich.text import Text
 from lite6jax.arms import frames
 from lite6jax.domains.pose.registration import Registration
 from lite6jax.report import reference, statements, worth
-from lite6jax.report.cells import SCREEN, fixed, listing, number
+from lite6jax.report.cells import SCREEN, fixed, joint_units, listing, number
 from lite6jax.report.next_steps import Files
 from lite6jax.report.sections import against, chart, fault_line, finding_list, headed, ruled_out, what_to_do
 
@@ -55,8 +55,9 @@ def diagnosis_report(
     yield from headed("What to record next:", statements.what_to_record(document))
     for item in document["separating_poses"]:
         yield ""
-        yield Text(f"{statements.separating_title(item)}:")
-        yield _poses(item["joint_position_rad"])
+        scales, units = joint_units(statements.sliding(document), len(item["joint_position_rad"][0]))
+        yield Text(f"{statements.separating_title(item, units)}:")
+        yield _poses(item["joint_position_rad"], scales)
     if document["separating_poses"]:
         yield Text(statements.NOT_CHECKED)
     yield from ruled_out(document, statements.untested(document), details)
@@ -70,9 +71,9 @@ def noise_statement(document: Mapping[str, Any]) -> str:
     return f"Noise per axis of position: the residuals have {number(1e3 * estimated)} mm, {beside}."
 
 
-def _poses(joint_position: list[list[float]]) -> Table:
+def _poses(joint_position: list[list[float]], scales: np.ndarray) -> Table:
     table = listing("", *(f"q{joint}" for joint in range(1, len(joint_position[0]) + 1)))
-    for k, row in enumerate(np.rad2deg(joint_position), 1):
+    for k, row in enumerate(scales * np.array(joint_position), 1):
         table.add_row(str(k), *(fixed(float(angle), 1) for angle in row))
     return table
 

@@ -219,7 +219,7 @@ def _compensation(found: Compensation) -> dict[str, Any]:
         "outside": None if found.outside is None else int(found.outside.sum()),
         "omitted": found.omitted,
         "not_reached": [
-            {"row": row, "reason": reason_text(reason), "position_error_m": error}
+            {"row": row, "reason": reason_text(reason, found.recording.sliding), "position_error_m": error}
             for row, reason, error, hit in zip(
                 found.recording.row, found.reason, found.position_error, found.reached, strict=True
             )

@@ -8,7 +8,8 @@ from numpy.typing import NDArray
 from lite6jax.fitting.compare import Comparison
 from lite6jax.fitting.solution import Errors, Solution
 from lite6jax.recordings import Recording
-from lite6jax.report.canvas import AFTER, BEFORE, FRAMED, MARKERS, OKABE_ITO, STYLE, blank, degree_ticks, thinned
+from lite6jax.report.canvas import AFTER, BEFORE, FRAMED, MARKERS, OKABE_ITO, STYLE, blank, label_joint, thinned
+from lite6jax.report.cells import joint_units
 
 Array = NDArray[np.floating]
 
@@ -21,6 +22,7 @@ def error_by_joint(solution: Solution, title: str) -> Figure:
     """Position error against each joint, with medians: of the nominal arm, and of the fitted one on other samples."""
     before, after = solution.nominal_errors, solution.checked
     joints = after.joint_position.shape[1]
+    scales, units = joint_units(solution.arm.sliding, joints)
     columns = 4 if joints > 6 else 3
     rows = -(-joints // columns)
     with rc_context(STYLE):
@@ -29,7 +31,7 @@ def error_by_joint(solution: Solution, title: str) -> Figure:
         for joint, panel in enumerate(panels[:joints]):
             for errors, colour, zorder in ((before, BEFORE, 2), (after, AFTER, 3)):
                 shown = thinned(len(errors.position))
-                degrees = np.rad2deg(errors.joint_position[:, joint])
+                degrees = scales[joint] * errors.joint_position[:, joint]
                 panel.plot(
                     degrees[shown], 1e3 * errors.position[shown], ".", color=colour, markersize=5, alpha=0.35,
                     markeredgewidth=0, rasterized=True, zorder=zorder,
@@ -41,8 +43,7 @@ def error_by_joint(solution: Solution, title: str) -> Figure:
                     zorder=5,
                     clip_on=False,
                 )
-            panel.set_xlabel(f"joint {joint + 1} (deg)")
-            panel.xaxis.set_major_locator(degree_ticks(panel))
+            label_joint(panel, joint, units[joint])
             if joint % columns == 0:
                 panel.set_ylabel("position error (mm)")
         panels[0].set_ylim(0, _upper(before, after))

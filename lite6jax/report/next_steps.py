@@ -86,7 +86,7 @@ def _of_poses(document: Document, recording: Path, diagnosis: Path, own: Sequenc
         and recording.suffix.lower() in _TARGETS
         and any(remedy_of(finding).of_arm for finding in findings)
     ):
-        play = any(finding["effect"] == "joint_backlash" for finding in findings)
+        play = any(finding["effect"] in ("joint_backlash", "slide_backlash") for finding in findings)
         side = ["--approach", "1"] if play else []
         out = diagnosis.with_name(f"{recording.stem}_compensated.csv")
         purpose = "joint positions that reach these poses; give a table of your own targets in their place"

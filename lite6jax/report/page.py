@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 
 from lite6jax.diagnosis.result import Diagnosis
 from lite6jax.report import reference, statements, worth
-from lite6jax.report.cells import fixed, number
+from lite6jax.report.cells import fixed, joint_units, number
 from lite6jax.report.diagnosis_tables import ERRORS, noise_statement
 from lite6jax.report.finding_figures import finding_figure
 from lite6jax.report.next_steps import Files
@@ -58,7 +58,7 @@ def page_values(
         "held": statements.held_out_statement(document, f"{document['heldout_rows']} rows"),
         "noise": noise_statement(document),
         "notes": statements.assumptions(document),
-        "separating": [_poses(item) for item in document["separating_poses"]],
+        "separating": [_poses(item, document) for item in document["separating_poses"]],
         "not_checked": statements.NOT_CHECKED,
     }
 
@@ -94,10 +94,11 @@ def _finding(found: Diagnosis, entry: Mapping[str, Any], order: Sequence[int]) -
     return finding_row(entry, quantities, statements.undistinguished(entry), statements.rejected(entry), shown)
 
 
-def _poses(item: Mapping[str, Any]) -> dict[str, Any]:
-    angles = np.rad2deg(item["joint_position_rad"])
+def _poses(item: Mapping[str, Any], document: Document) -> dict[str, Any]:
+    scales, units = joint_units(statements.sliding(document), len(item["joint_position_rad"][0]))
+    angles = scales * np.array(item["joint_position_rad"])
     return {
-        "title": statements.separating_title(item),
+        "title": statements.separating_title(item, units),
         "joints": [f"joint {joint + 1}" for joint in range(angles.shape[1])],
         "rows": [[fixed(float(angle), 1) for angle in row] for row in angles],
     }

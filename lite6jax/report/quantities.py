@@ -10,6 +10,7 @@ from lite6jax.report.cells import plus_minus
 _UNITS = (
     ("_rad_per_Nm", 1e6, "µrad/Nm"),
     ("_m_per_Nm", 1e6, "µm/Nm"),
+    ("_m_per_N", 1e6, "µm/N"),
     ("_Nm", 1.0, "Nm"),
     ("_Nm_s_per_rad_K", 1.0, "Nm·s/rad/K"),
     ("_Nm_s_per_rad", 1.0, "Nm·s/rad"),
@@ -90,6 +91,8 @@ def _otherwise(end: str, estimate: Mapping[str, float]) -> str:
     value, std = estimate["value"], estimate["std"]
     if end == "_rad_per_Nm" and value > _STIFF * std:
         return f"stiffness {' ± '.join(rounded(1 / value, std / value**2))} Nm/rad"
+    if end == "_m_per_N" and value > _STIFF * std:
+        return f"stiffness {' ± '.join(rounded(1e-6 / value, 1e-6 * std / value**2))} N/µm"
     if end in ("_m_per_s", "_rad_per_s"):
         scale, unit = (1e3, "mm") if end == "_m_per_s" else (180 / np.pi, "deg")
         return f"{' ± '.join(rounded(scale * _DAY * value, scale * _DAY * std))} {unit} a day"

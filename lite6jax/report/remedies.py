@@ -112,6 +112,20 @@ OF_POSES: Mapping[str, Remedy] = {
         "Let the sensor warm up, tighten its stand, and measure reference points during the recording.",
         of_arm=False,
     ),
+    "slide_offset": Remedy(
+        "the zero of {place} is off", "Set the slide's zero anew, or recalibrate.", of_geometry=True
+    ),
+    "slide_scale": Remedy(
+        "{place} moves by another length than its encoder says",
+        "Check the lead or the scale in the controller, and the scale's temperature; until then compensate.",
+    ),
+    "slide_compliance": Remedy(
+        "{place} gives way to gravity along its axis", "Set the payload, check the screw's preload, and compensate."
+    ),
+    "slide_backlash": Remedy(
+        "{place} has play in its screw, belt or rack",
+        "Service the drive. Until then compensate, and approach poses from one side.",
+    ),
     "unnamed": Remedy(
         "{place} has an error that no effect of the catalogue names",
         "Compensate: the curve is part of the model. Inspect what moves with its driver there.",

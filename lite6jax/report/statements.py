@@ -282,10 +282,15 @@ def _undeclared_noise(document: Document) -> str:
     return "not both position_noise_m and orientation_noise_rad" if both else "no position_noise_m"
 
 
-def separating_title(item: Entry) -> str:
-    """What the poses of a table are for."""
+def separating_title(item: Entry, units: Iterable[str] = ("deg",)) -> str:
+    """What the poses of a table are for, and the units of the joints."""
     one, other = (label.replace("_", " ").replace(":", " at ") for label in item["effects"])
-    return f"Poses that separate {one} from {other} (deg)"
+    return f"Poses that separate {one} from {other} ({', '.join(dict.fromkeys(units))})"
+
+
+def sliding(document: Document) -> tuple[int, ...]:
+    """The prismatic joints of the diagnosed arm, counted from 0."""
+    return tuple(joint - 1 for joint in document["model"].get("prismatic_joints", ()))
 
 
 def capital(text: str) -> str:

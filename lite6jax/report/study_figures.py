@@ -11,8 +11,8 @@ from lite6jax.identifiability.discrimination import DiscriminationPlan
 from lite6jax.identifiability.identify import Identification
 from lite6jax.identifiability.planning import Plan
 from lite6jax.identifiability.sensitivity import Sensitivity
-from lite6jax.report.canvas import AFTER, BEFORE, FRAMED, MARKERS, OKABE_ITO, STYLE, blank, degree_ticks
-from lite6jax.report.cells import SCREEN
+from lite6jax.report.canvas import AFTER, BEFORE, FRAMED, MARKERS, OKABE_ITO, STYLE, blank, label_joint
+from lite6jax.report.cells import SCREEN, joint_units
 
 Array = NDArray[np.floating]
 
@@ -157,6 +157,7 @@ def sensitivity_by_joint(found: Sensitivity, title: str) -> Figure:
     """How far the flange moves per tolerance of the parameters that matter most, over each joint."""
     middles, means = found.by_joint()
     joints = len(middles)
+    scales, units = joint_units(found.sliding, joints)
     # those whose share depends on where the arm is: what moves the flange alike everywhere is a straight line
     varies = np.nanmax(means, (0, 1))
     order = np.argsort(-varies, kind="stable")[:_MOST_CURVES]
@@ -168,11 +169,10 @@ def sensitivity_by_joint(found: Sensitivity, title: str) -> Figure:
         for j, panel in enumerate(panels[:joints]):
             for k, (i, colour, marker) in enumerate(zip(order, OKABE_ITO, MARKERS, strict=False)):
                 panel.plot(
-                    np.rad2deg(middles[j]), 1e3 * means[j, :, i], color=colour, linewidth=2.2, marker=marker,
+                    scales[j] * middles[j], 1e3 * means[j, :, i], color=colour, linewidth=2.2, marker=marker,
                     markevery=(k, 6), markersize=6, label=found.names[i],
                 )  # fmt: skip
-            panel.set_xlabel(f"joint {j + 1} (deg)")
-            panel.xaxis.set_major_locator(degree_ticks(panel))
+            label_joint(panel, j, units[j])
             if j % columns == 0:
                 panel.set_ylabel("flange moves (mm)\nper tolerance")
         panels[0].set_ylim(bottom=0)

@@ -16,7 +16,8 @@ from lite6jax.identifiability.sensitivity import GlobalSensitivity, Sensitivity
 from lite6jax.identifiability.sensor import Sensor
 from lite6jax.model import TWIST_NAMES
 from lite6jax.report import screen
-from lite6jax.report.cells import SCREEN, listing, number, plus_minus
+from lite6jax.report.cells import SCREEN, joint_units, listing, number, plus_minus
+from lite6jax.report.tables import hayati_columns, joint_name
 
 Array = NDArray[np.floating]
 
@@ -84,7 +85,8 @@ def _reasons(found: Identification) -> Iterator[str]:
     d = found.determination
     if found.missed:
         narrow = found.narrow()
-        which = " and ".join(f"joint {j + 1} moves over {np.rad2deg(span):.2g} deg" for j, span in narrow)
+        scales, units = joint_units(found.experiment.arm.sliding, found.experiment.arm.dof)
+        which = " and ".join(f"joint {j + 1} moves over {scales[j] * span:.2g} {units[j]}" for j, span in narrow)
         some = 0 < len(narrow) < found.experiment.arm.dof
         remedy = f"{which} only; move it further" if some else "record more poses, or others (lite6jax design)"
         yield f"Other poses of this arm determine {found.possible.rank}: {remedy}."
@@ -133,14 +135,14 @@ def deviation_tables(experiment: Experiment, determination: Determination) -> It
     chain = experiment.form.chain
     if experiment.movable[: chain.size].any():
         if isinstance(chain, HayatiForm):
-            base = listing("base", "x", "y", "roll", "pitch")
-            base.add_row("", *cells([f"base_{name}" for name in ("x", "y", "roll", "pitch")]))
+            in_base, columns = hayati_columns(chain)
+            base = listing("base", *in_base)
+            base.add_row("", *cells([f"base_{name}" for name in in_base]))
             yield base
             yield ""
-            columns = ("theta_off", "d", "a", "alpha", *(["beta"] if chain.parallel else []))
             table = listing("joint", *columns)
             for i in range(chain.dof):
-                table.add_row(f"J{i + 1}", *cells([f"{name}{i + 1}" for name in columns]))
+                table.add_row(joint_name(chain, i), *cells([f"{name}{i + 1}" for name in columns]))
         else:
             columns = ("x", "y", "z", "roll", "pitch", "yaw")
             table = listing("joint", *columns)

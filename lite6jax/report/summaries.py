@@ -21,7 +21,7 @@ from lite6jax.identifiability.identify import Identification
 from lite6jax.identifiability.planning import Plan
 from lite6jax.recordings import Recording
 from lite6jax.report import shared, statements, torque_statements, worth
-from lite6jax.report.cells import number
+from lite6jax.report.cells import joint_units, number
 from lite6jax.report.data_faults import fault_name
 from lite6jax.report.quality import quality_statement
 
@@ -78,11 +78,13 @@ def _recording(recording: Recording) -> Description:
     poses = {0: "no poses", 3: "positions", 6: "positions and orientations"}[recording.numbers_per_sample]
     by = "" if settings.pose_source == "unknown" else f" by {settings.pose_source.replace('_', ' ')}"
     runs = 1 + int(np.count_nonzero(np.diff(recording.run)))
-    span = np.ptp(recording.joint_position, axis=0)
+    scales, units = joint_units(recording.sliding, recording.dof)
+    span = scales * np.ptp(recording.joint_position, axis=0)
+    least, most = (f"{span[joint]:.0f} {units[joint]}" for joint in (np.argmin(span), np.argmax(span)))
     sentences = [
         f"{recording.source} has {_counted(recording.samples, 'sample')} of {recording.dof} joints in "
         f"{_counted(runs, 'run')} ({recording.motion}), with {poses}{by}.",
-        f"The joints move over ranges of {np.rad2deg(span.min()):.0f} deg to {np.rad2deg(span.max()):.0f} deg.",
+        f"The joints move over ranges of {least} to {most}.",
     ]
     rows = [
         ("samples", str(recording.samples)),
@@ -90,7 +92,7 @@ def _recording(recording: Recording) -> Description:
         ("runs", str(runs)),
         ("motion", recording.motion),
         ("measured", f"{poses}{by}"),
-        ("range of the joints (deg)", ", ".join(f"{np.rad2deg(value):.0f}" for value in span)),
+        (f"range of the joints ({', '.join(dict.fromkeys(units))})", ", ".join(f"{value:.0f}" for value in span)),
     ]
     if recording.position is not None:
         extent = np.ptp(recording.position, axis=0)

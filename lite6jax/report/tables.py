@@ -117,6 +117,23 @@ def errors_table(rows: Sequence[tuple[str, Errors]]) -> Table:
     return table
 
 
+def hayati_columns(form: HayatiForm) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """The parameters that the base of a form has, and those that any of its links has, in the order of tables."""
+    given = set(form.names)
+    base = [name for name in ("x", "y", "roll", "pitch", "yaw") if f"base_{name}" in given]
+    rows = [
+        name
+        for name in ("theta_off", "d", "a", "b", "alpha", "beta")
+        if any(f"{name}{i + 1}" in given for i in range(form.dof))
+    ]
+    return tuple(base), tuple(rows)
+
+
+def joint_name(form: HayatiForm, joint: int) -> str:
+    """`J1`, or `J1 P` of a prismatic joint counted from 0."""
+    return f"J{joint + 1}" + (" P" if joint in form.sliding else "")
+
+
 def hayati_tables(solution: Solution) -> Iterator[RenderableType]:
     """The base and one row per joint; below each value its standard deviation or its difference from nominal."""
     form = solution.form.chain
@@ -140,18 +157,24 @@ def hayati_tables(solution: Solution) -> Iterator[RenderableType]:
     under = "its standard deviation" if measured else "its difference from nominal"
     yield Text(f"Effective model (mm, deg); below each number {under}")
     yield ""
-    base = listing("base", "x", "y", "roll", "pitch")
-    base.add_row("", *(cell(f"base_{name}") for name in ("x", "y", "roll", "pitch")))
+    in_base, in_rows = hayati_columns(form)
+    base = listing("base", *in_base)
+    base.add_row("", *(cell(f"base_{name}") for name in in_base))
     yield base
     yield ""
-    table = listing("joint", "theta_off", "d", "a", "alpha", *(["beta"] if form.parallel else []))
+    table = listing("joint", *in_rows)
     for i in range(form.dof):
-        names = [f"{name}{i + 1}" for name in ("theta_off", "d", "a", "alpha")]
-        cells = [cell(name, "0\nfixed") for name in names]
-        table.add_row(f"J{i + 1}", *cells, *([cell(f"beta{i + 1}")] if form.parallel else []))
+        empty = ["" if name in ("b", "beta") else "0\nfixed" for name in in_rows]
+        cells = [cell(f"{name}{i + 1}", otherwise) for name, otherwise in zip(in_rows, empty, strict=True)]
+        table.add_row(joint_name(form, i), *cells)
     yield table
-    if form.parallel:
-        pairs = " and ".join(f"{i + 1}-{i + 2}" for i in form.parallel)
+    if form.sliding:
+        yield Text(
+            "P: a prismatic joint, whose axis is drawn through the origin of the frame before it; b is a shift along y "
+            "after a."
+        )
+    if parallel := [i for i in form.parallel if i >= 0]:
+        pairs = " and ".join(f"{i + 1}-{i + 2}" for i in parallel)
         yield Text(
             f"Joints {pairs} are nominally parallel: d is fixed at zero, beta (Hayati) is a turn about y after alpha."
         )

@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 
 from lite6jax.arms import frames
 from lite6jax.arms.arm import Arm
-from lite6jax.arms.chains import SixParameterForm
 from lite6jax.arms.se3 import quaternion_from_rotation
 from lite6jax.effects.composition import Physics
 from lite6jax.errors import InputError
 from lite6jax.model import arm_model, predict_poses
 from lite6jax.recordings import Recording
 from lite6jax.recordings.motion import inertia_of_arm, motion_of_recording
+from lite6jax.recordings.units import other_joints
 from lite6jax.simulation.draws import generator
 from lite6jax.simulation.instruments import AS_DECLARED, Instrument, UndeclaredNoise, correlated, instrument
 
@@ -103,6 +103,8 @@ def measure(
         )
     if motion.dof != arm.dof:
         raise InputError(f"{motion.source}: has {motion.dof} joints, but {arm.name} has {arm.dof}; give a motion of it")
+    if motion.sliding != arm.sliding:
+        raise InputError(f"{motion.source}: {other_joints(motion.sliding, arm.sliding, arm.name)}")
     chain = np.asarray(arm.kinematics if kinematics is None else kinematics, float)
     if chain.shape != (arm.dof, 6):
         raise InputError(f"simulation: kinematics has the shape {chain.shape}; give {(arm.dof, 6)}")
@@ -110,13 +112,13 @@ def measure(
     T_sensor = np.eye(4) if T_sensor_base is None else np.asarray(T_sensor_base, float)
     T_tool = arm.T_joint_flange @ (np.eye(4) if tool is None else frames.transform_from_row(tool))
     links = np.stack([frames.transform_from_row(row) for row in chain])
-    rigid = T_sensor @ frames.chain(links, motion.joint_position) @ T_tool
+    rigid = T_sensor @ frames.chain(links, motion.joint_position, arm.sliding) @ T_tool
     poses, beyond = rigid.copy(), np.zeros(motion.samples, bool)
     if physics.effects:
         moved = motion_of_recording(motion)
         model = arm_model(chain.ravel(), T_sensor, T_tool)
         statics = inertia_of_arm(arm, settings)
-        poses = np.array(predict_poses(SixParameterForm(arm.dof), physics, model, values, moved, statics))
+        poses = np.array(predict_poses(moved.chain, physics, model, values, moved, statics))
         beyond = np.asarray(_beyond(physics, values, moved))
     if beyond.all():
         raise InputError(
@@ -146,6 +148,7 @@ def measure(
         quaternion = np.asarray(_quaternions(poses[:, :3, :3] @ _rotations(turned)))
     joint_noise = np.hypot(probe.joint_noise, undeclared.joint_noise)
     read_out = joint_noise * generator(seed, "joints").standard_normal(motion.joint_position.shape)
+    read_out[:, arm.slides] = 0.0
 
     declared = replace(
         settings,

@@ -25,6 +25,8 @@ MARGIN = 0.05
 """Share of each joint's range that is left out at either end."""
 SPEED = float(np.deg2rad(120.0))
 """rad/s that no joint exceeds in a trajectory; the Lite 6 reaches 180 deg/s."""
+SLIDE_SPEED = 0.5
+"""m/s that no prismatic joint exceeds."""
 PERIODS_S = (3.0, 15.0)
 """Range of the periods of the sines that a trajectory is the sum of."""
 SINES = 5
@@ -91,7 +93,8 @@ def draw_motion(
         starts = np.searchsorted(run, np.arange(runs))
         within = step * (np.arange(samples) - starts[run])
         time = step * (np.arange(samples) - run) + PAUSE_S * run
-        parts = [_multi_sine(rng, centre, half, within[run == number], speed) for number in range(runs)]
+        fastest = np.where(arm.slides, SLIDE_SPEED, speed)
+        parts = [_multi_sine(rng, centre, half, within[run == number], fastest) for number in range(runs)]
         position, velocity = (np.concatenate(part) for part in zip(*parts, strict=True))
     return _motion(arm, kind, position, velocity, time, run, payload, warm_up, settings)
 
@@ -110,7 +113,7 @@ def given_motion(
 
     Args:
         arm: its limits reveal degrees.
-        joint_position: `(sample, joint)` rad.
+        joint_position: `(sample, joint)` rad, and m of prismatic joints.
         kind, payload, warm_up, settings: as in `draw_motion`.
         time: `(sample,)` s; equal steps as in `draw_motion` where not given.
 
@@ -163,16 +166,18 @@ def _motion(
         run=run,
         settings=replace(settings, motion=kind),
         source="simulation",
+        sliding=arm.sliding,
     )
 
 
 def _ranges(arm: Arm) -> tuple[Array, Array]:
-    """`(joint,)` each: the middle of a joint's range and half its width, rad."""
+    """`(joint,)` each: the middle of a joint's range and half its width, rad, and m of prismatic joints."""
     lower, upper = np.where(np.isfinite(arm.joint_limits), arm.joint_limits, [-np.pi, np.pi]).T
-    return (lower + upper) / 2, np.minimum((upper - lower) / 2, np.pi) * (1 - 2 * MARGIN)
+    widest = np.where(arm.slides, np.inf, np.pi)
+    return (lower + upper) / 2, np.minimum((upper - lower) / 2, widest) * (1 - 2 * MARGIN)
 
 
-def _multi_sine(rng: np.random.Generator, centre: Array, half: Array, time: Array, speed: float) -> tuple[Array, Array]:
+def _multi_sine(rng: np.random.Generator, centre: Array, half: Array, time: Array, speed: Array) -> tuple[Array, Array]:
     """Positions (rad) and velocities (rad/s), `(sample, joint)`: sums of sines within range and speed, from rest."""
     shape = (SINES, len(centre))
     amplitude = rng.uniform(0.2, 1.0, shape)

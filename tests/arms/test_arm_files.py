@@ -22,7 +22,8 @@ from lite6jax.arms.files import (
     write_table,
 )
 from lite6jax.arms.forward_kinematics import hayati_fk, six_parameter_fk
-from lite6jax.errors import InputError
+from lite6jax.errors import InputError, InputWarning
+from tests.oracles.arms import random_kinematics
 
 REAL = Path(__file__).resolve().parents[2] / "../shared/real"
 SIX = ("x", "y", "z", "roll", "pitch", "yaw")
@@ -197,11 +198,22 @@ def test_the_number_of_joints_is_checked(save):
     assert refusal(read_factory, path, load_bundled("lite6")) == (
         f"{path}: has 7 joints, but lite6 has 6; name another with --arm"
     )
-    path = save({"kinematics": {f"joint{i}": rows[f"joint{i}"] for i in range(1, 5)}})
-    assert refusal(read_factory, path) == (
-        f"{path}: has 4 joints; a factory calibration has 5, 6 or 7, one row for each, unless the arm is named with "
-        "--arm"
+
+
+@pytest.mark.parametrize("joints", [1, 3, 4, 8, 10])
+def test_a_chain_of_any_number_of_joints_is_its_own_nominal_arm(joints, tmp_path):
+    rows = random_kinematics(np.random.default_rng(joints), joints)
+    path = write_factory(rows, tmp_path / "crane.yaml")
+    with pytest.warns(InputWarning) as warned:
+        calibration = read_factory(path)
+    assert str(warned[0].message) == (
+        f"{path}: no bundled arm has {joints} joints, so this chain is its own nominal arm; name another with --arm to "
+        "see how it deviates"
     )
+    np.testing.assert_array_equal(calibration.kinematics, rows)
+    assert (calibration.arm.name, calibration.arm.dof) == ("crane", joints)
+    own = Arm("own", rows + 1e-4)
+    assert read_factory(path, own).arm is own
 
 
 def test_no_model_fits_unless_it_is_given(save):
@@ -240,8 +252,8 @@ def test_write_factory_refuses(tmp_path):
     assert refusal(write_factory, np.zeros((5, 6)), path, "ur") == (
         f"{path}: the ur form holds an array (6, 6), not (5, 6); choose another form"
     )
-    assert refusal(write_factory, np.zeros((4, 6)), path) == (
-        f"{path}: the vendor form holds an array (5, 6), (6, 6) or (7, 6), not (4, 6); choose another form"
+    assert refusal(write_factory, np.zeros((4, 5)), path) == (
+        f"{path}: the vendor form holds an array (joint, 6), not (4, 5); choose another form"
     )
     assert refusal(write_factory, np.zeros((6, 6)), path, "abb") == (
         f"{path}: no form 'abb' of factory files; write 'vendor' or 'ur'"
@@ -345,9 +357,9 @@ ONE = {"name": "one", "kinematics": vendor([[0, 0, 0.3, 0, 0, 0]])}
     ("extra", "message"),
     [
         (
-            {"limits": []},
-            ": has the unknown key 'limits'; accepted are name, kinematics, joint_limits_rad, inertial, dynamics,"
-            " dh, flange, source",
+            {"bounds": []},
+            ": has the unknown key 'bounds'; accepted are name, kinematics, joint_limits_rad, joint_limits, inertial,"
+            " dynamics, dh, flange, source",
         ),
         ({"name": 7}, ": name is 7, which is not text; put it in quotes"),
         ({"source": ["a"]}, ": source is ['a'], which is not text; put it in quotes"),

@@ -12,6 +12,7 @@ from lite6jax.arms.bundled import bundled_arms, load_bundled
 from lite6jax.arms.dynamics import inverse_dynamics, link_parameters
 from lite6jax.arms.files import read_arm
 from lite6jax.arms.urdf import read_urdf, write_urdf
+from lite6jax.cli import main
 from lite6jax.errors import InputError, InputWarning
 from tests.oracles.chains import six_parameter_poses
 from tests.oracles.pinocchio_arm import urdf_link_pose
@@ -151,7 +152,10 @@ def test_frames_at_one_place_are_one_tip(tmp_path):
 
 def test_the_tip_can_be_named_in_the_path(tmp_path):
     path = branched(tmp_path, "3.14159 0 0")
-    message = f"{path}: the chain could end at ft_frame, tool0; name one with tip (in a file name: arm.urdf#ft_frame)"
+    message = (
+        f"{path}: the chain could end at ft_frame (1 joint), tool0 (1 joint); name one with --tip ft_frame, or as "
+        "arm.urdf#ft_frame where a file is named"
+    )
     with pytest.raises(InputError) as error:
         read_urdf(path)
     assert str(error.value) == message
@@ -164,24 +168,113 @@ def test_a_gripper_is_a_branch_until_the_tip_is_named(tmp_path):
     parts += [joint("j1", "base", "a"), joint("j2", "a", "hand"), joint("l", "hand", "left", "prismatic")]
     parts += [joint("r", "hand", "right", "prismatic", extra='<mimic joint="l"/>')]
     path = write(tmp_path, *parts)
-    with pytest.raises(InputError, match="the chain could end at left, right; name one with tip"):
+    with pytest.raises(InputError, match=r"end at hand \(2 joints\), left \(3 joints\), right \(3 joints\); name one"):
         read_urdf(path)
     assert read_urdf(path, tip="hand").dof == 2
+    assert read_urdf(path, tip="left").sliding == (2,)
     assert read_urdf(path, base="a", tip="hand").dof == 1
-    with pytest.raises(InputError, match="joint 'l' is prismatic; an arm here has revolute joints only"):
-        read_urdf(path, tip="left")
-    with pytest.raises(InputError, match="joint 'r' mimics another; an arm here has revolute joints only"):
+    with pytest.raises(InputError, match=r"joint 'r' mimics another; .*, name a chain without it with --tip hand"):
         read_urdf(path, tip="right")
-    with pytest.raises(InputError, match="'hand' is not below 'left'; name another base or tip"):
+    with pytest.raises(InputError, match="'hand' is not below 'left'; name another --base or --tip"):
         read_urdf(path, base="left", tip="hand")
     with pytest.raises(InputError, match="has no link 'nose'; the links are base, a, hand, left, right"):
         read_urdf(path, tip="nose")
     with pytest.raises(InputError, match="has no link 'nose'; the links are base, a, hand, left, right"):
         read_urdf(path, base="nose")
-    with pytest.raises(InputError, match="no joint moves below 'left'; name another base"):
+    with pytest.raises(InputError, match="no joint moves below 'left'; name another --base"):
         read_urdf(path, base="left")
-    with pytest.raises(InputError, match="no joint turns between 'a' and 'a'; name another base or tip"):
+    with pytest.raises(InputError, match="no joint moves between 'a' and 'a'; name another --base or --tip"):
         read_urdf(path, base="a", tip="a")
+
+
+def panda():
+    """Seven joints, a flange, a hand, and two fingers of which one mimics the other."""
+    parts = [link(f"panda_link{i}") for i in range(9)] + [link(f"panda_{part}") for part in ("hand", "hand_tcp")]
+    parts += [joint(f"panda_joint{i}", f"panda_link{i - 1}", f"panda_link{i}", xyz="0 0 0.1") for i in range(1, 8)]
+    parts += [joint("panda_joint8", "panda_link7", "panda_link8", "fixed", xyz="0 0 0.107")]
+    parts += [joint("panda_hand_joint", "panda_link8", "panda_hand", "fixed", rpy="0 0 -0.785")]
+    parts += [joint("panda_hand_tcp_joint", "panda_hand", "panda_hand_tcp", "fixed", xyz="0 0 0.1034")]
+    for i, finger in enumerate(("left", "right"), 1):
+        mimic = '<mimic joint="panda_finger_joint1"/>' if i == 2 else ""
+        parts += [link(f"panda_{finger}finger")]
+        parts += [
+            joint(
+                f"panda_finger_joint{i}", "panda_hand", f"panda_{finger}finger", "prismatic", "0 0 0.0584", extra=mimic
+            )
+        ]
+    return parts
+
+
+def tiago():
+    """Two wheels, a torso that rises, on it a head of two joints and an arm of seven with a gripper."""
+    names = (
+        "base_footprint",
+        "base_link",
+        "wheel_left_link",
+        "wheel_right_link",
+        "torso_fixed_link",
+        "torso_lift_link",
+    )
+    names += ("head_1_link", "head_2_link", "xtion_link", "arm_tool_link", "gripper_link")
+    parts = [link(name) for name in (*names, *(f"arm_{i}_link" for i in range(1, 8)))]
+    parts += [joint("base", "base_footprint", "base_link", "fixed")]
+    for side in ("left", "right"):
+        parts += [joint(f"wheel_{side}_joint", "base_link", f"wheel_{side}_link", "continuous")]
+    parts += [joint("torso_fixed", "base_link", "torso_fixed_link", "fixed", xyz="-0.06 0 0.2")]
+    parts += [joint("torso_lift_joint", "torso_fixed_link", "torso_lift_link", "prismatic", xyz="0 0 0.6")]
+    parts += [
+        joint("head_1_joint", "torso_lift_link", "head_1_link"),
+        joint("head_2_joint", "head_1_link", "head_2_link"),
+    ]
+    parts += [joint("xtion", "head_2_link", "xtion_link", "fixed")]
+    for i in range(1, 8):
+        parent = f"arm_{i - 1}_link" if i > 1 else "torso_lift_link"
+        parts += [joint(f"arm_{i}_joint", parent, f"arm_{i}_link", xyz="0.1 0 0", rpy="1.5 0 0")]
+    parts += [joint("arm_tool_joint", "arm_7_link", "arm_tool_link", "fixed", rpy="-1.57 0 0")]
+    parts += [joint("gripper_joint", "arm_tool_link", "gripper_link", "fixed")]
+    for finger in ("left", "right"):
+        name = f"gripper_{finger}_finger"
+        parts += [link(f"{name}_link"), joint(f"{name}_joint", "gripper_link", f"{name}_link", "prismatic")]
+    return parts
+
+
+def test_a_tree_with_a_hand_names_what_to_copy(tmp_path, capsys):
+    path = write(tmp_path, *panda(), name="panda.urdf")
+    with pytest.raises(InputError) as error:
+        read_urdf(path)
+    assert str(error.value) == (
+        f"{path}: the chain could end at panda_hand (7 joints), panda_leftfinger (8 joints), panda_rightfinger (8 "
+        "joints); name one with --tip panda_hand, or as panda.urdf#panda_hand where a file is named"
+    )
+    assert read_arm(f"{path}#panda_hand").dof == 7
+    assert main(["convert", str(path), str(tmp_path / "panda.yaml"), "--tip", "panda_hand"]) == 0
+    assert read_arm(tmp_path / "panda.yaml").dof == 7
+    capsys.readouterr()
+    assert main(["convert", f"{path}#panda_hand", str(tmp_path / "p.yaml"), "--tip", "panda_hand"]) == 2
+    assert "names base or tip already; leave out --base and --tip, or what follows #" in capsys.readouterr().err
+    assert main(["convert", "lite6", str(tmp_path / "p.yaml"), "--base", "torso"]) == 2
+    assert "lite6: --base and --tip choose a chain of a URDF or MJCF; leave them out" in capsys.readouterr().err
+
+
+def test_a_tree_with_a_torso_names_the_arm_with_and_without_it(tmp_path):
+    path = write(tmp_path, *tiago(), name="tiago.urdf")
+    with pytest.raises(InputError) as error:
+        read_urdf(path)
+    assert str(error.value) == (
+        f"{path}: the chain could end at gripper_link (8 joints), wheel_left_link (1 joint), wheel_right_link (1 "
+        "joint), xtion_link (3 joints), gripper_left_finger_link (9 joints), gripper_right_finger_link (9 joints); "
+        "name one with --tip gripper_link, or as tiago.urdf#gripper_link where a file is named; without "
+        "torso_lift_joint: --base torso_lift_link --tip gripper_link, or tiago.urdf#torso_lift_link:gripper_link"
+    )
+    whole, arm = read_arm(f"{path}#gripper_link"), read_arm(f"{path}#torso_lift_link:gripper_link")
+    assert (whole.dof, whole.sliding, arm.dof, arm.sliding) == (8, (0,), 7, ())
+    pose = urdf_link_pose(path, "gripper_link")
+    q = np.random.default_rng(1).uniform(-0.5, 0.5, 8)
+    poses = frames.chain(whole.links, q, whole.sliding) @ whole.T_joint_flange
+    at = pin.buildModelFromUrdf(str(path))
+    ours = [f"arm_{i}_joint" for i in range(1, 8)]
+    order = {"torso_lift_joint": q[0]} | dict(zip(ours, q[1:], strict=True))
+    np.testing.assert_allclose(poses, pose([order.get(name, 0.0) for name in list(at.names)[1:]]), rtol=0, atol=1e-12)
 
 
 TWO = [link("base"), link("a")]
@@ -194,10 +287,10 @@ TWO = [link("base"), link("a")]
         ([*TWO, joint("j", "base", "a", xyz="0 0")], "joint 'j': origin xyz is '0 0'; write three numbers"),
         ([*TWO, joint("j", "base", "a", rpy="0 0 pi")], "joint 'j': origin rpy has 'pi', which is not a number"),
         ([*TWO, joint("j", "base", "a", xyz="0 0 nan")], "joint 'j': origin xyz has 'nan', which is not finite"),
-        ([*TWO, joint("j", "base", "a", "floating")], "joint 'j' is floating; an arm here has revolute joints only"),
+        ([*TWO, joint("j", "base", "a", "floating")], "joint 'j' is floating; an arm here has revolute and"),
         ([*TWO, joint("j", "base", "gone")], "joint 'j' names the link 'gone', which is not there; add it"),
         ([*TWO, joint("j", "base", "a"), joint("k", "base", "a")], "the link 'a' has two parents; a URDF is a tree"),
-        ([*TWO, link("b"), joint("j", "base", "a")], "has not one root link (base, b); name one with base"),
+        ([*TWO, link("b"), joint("j", "base", "a")], "has not one root link (base, b); name one with --base"),
         ([*TWO, joint("j", "base", "a"), joint("k", "a", "base")], "(none: the joints form a loop)"),
         ([link("base"), link("a"), joint("j", "base", "a", "fixed")], "no joint moves below 'base'"),
         ([*TWO, joint("j", "base", "a").replace('lower="-2"', "")], "joint 'j': lacks <limit lower=\"…\">; add it"),

@@ -355,6 +355,8 @@ def test_drivers_are_read_and_said():
     motion, loads = everything()
     for driver, values, unit in [
         (Driver("position", 2), motion.joint_position[1], "rad"),
+        (Driver("slide position", 2), motion.joint_position[1], "m"),
+        (Driver("gravity force", 2), loads.moment[1, 2], "N"),
         (Driver("direction of motion", 1), motion.direction[0], "1"),
         (Driver("velocity", 2), motion.joint_velocity[1], "rad/s"),
         (Driver("gravity torque", 2), loads.moment[1, 2], "Nm"),
@@ -378,7 +380,7 @@ def test_drivers_are_read_and_said():
     assert Driver("gravity moment x", 2).phrase == "gravity moment x of link 2"
     assert Driver("temperature", 2).phrase == "temperature of joint 2"
     assert not Driver("tool moment x").known(motion, loads._replace(payload_moment=None))
-    assert len(QUANTITIES) == 18
+    assert len(QUANTITIES) == 20
 
 
 @pytest.mark.parametrize(

@@ -280,5 +280,8 @@ def test_phases_lie_above_minus_pi_and_at_most_at_pi():
 
 def test_the_catalogue_has_every_site_once():
     assert len(set(catalogue(6))) == len(catalogue(6)) == 7 * 6 + 12 + 30 + 6 + 6 + 7 + 12
-    assert {e.name for e in catalogue(6)} == set(BUILT_IN) - {"unnamed", "joint_windup", "joint_warm_up"}
+    own = {"slide_offset", "slide_scale", "slide_compliance", "slide_backlash"}
+    assert {e.name for e in catalogue(6)} == set(BUILT_IN) - {"unnamed", "joint_windup", "joint_warm_up"} - own
+    assert {e.label for e in catalogue(3, sliding=(1,)) if e.name in own} == {f"{name}:joint2" for name in own}
+    assert not any(e.site == "joint2" and e.name not in own for e in catalogue(3, sliding=(1,)))
     assert max(e.joints_needed for e in catalogue(4)) == 4

@@ -4,6 +4,7 @@ import fsspec
 import numpy as np
 import pytest
 
+from lite6jax.arms.arm import Arm
 from lite6jax.arms.bundled import load_bundled
 from lite6jax.arms.factory import write_factory
 from lite6jax.arms.files import write_table
@@ -126,6 +127,20 @@ def test_what_the_closed_form_does_not_reproduce_is_fitted(arms):
     assert (row.result, row.quality) == (Result.CONVERGED, "good")
     assert row.steps > 0
     np.testing.assert_allclose([value for _, value in row.parameters], parameters, atol=1e-9)
+
+
+def test_a_fleet_may_have_arms_of_any_number_and_kind_of_joints(tmp_path):
+    rng, nominal = np.random.default_rng(3), LITE6.kinematics[[0, 1, 3]]
+    for i in range(2):
+        write_factory(perturbed(rng, nominal), tmp_path / f"arm{i}.yaml")
+    files = sorted(tmp_path.glob("*.yaml"))
+    for arm in (Arm("three", nominal), Arm("gantry", nominal, sliding=(0,))):
+        rows = fit.fit_files(files, arm)
+        assert [(row.result, row.arm, row.joints) for row in rows] == [(Result.CONVERGED, arm.name, 3)] * 2
+        assert all(row.checked.position_max < 1e-9 for row in rows)
+    own = fit.fit_files(files, None)
+    assert [row.arm for row in own] == ["arm0", "arm1"]
+    assert all("this chain is its own nominal arm" in row.message for row in own)
 
 
 def test_many_are_recognised_as_each_of_them_is():

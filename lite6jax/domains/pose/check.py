@@ -75,9 +75,9 @@ def check_calibration(calibration: FactoryCalibration, options: ScreeningOptions
     options, arm = options or ScreeningOptions(), calibration.arm
     q = sample_joints(arm.dof, _SAMPLES)
     links = np.stack([frames.transform_from_row(row) for row in calibration.kinematics])
-    pose = frames.chain(links, q) @ calibration.T_joint_flange
+    pose = frames.chain(links, q, arm.sliding) @ calibration.T_joint_flange
     tables = _tables(arm)
-    nominal = [frames.chain(table.links, q) @ table.T_joint_flange for table in tables]
+    nominal = [frames.chain(table.links, q, table.sliding) @ table.T_joint_flange for table in tables]
     distances = [np.linalg.norm(pose[:, :3, 3] - T[:, :3, 3], axis=1) for T in nominal]
     nearest = int(np.argmin([distance.max() for distance in distances]))
     compared = [
@@ -126,7 +126,10 @@ def _joint_limits(recording: Recording, arm: Arm) -> list[Cause]:
             "joint_limits",
             True,
             row_numbers(outside.rows),
-            {"joint": outside.joint, "largest_excess_rad": outside.largest_excess_rad},
+            {
+                "joint": outside.joint,
+                f"largest_excess_{arm.joint_units[outside.joint - 1]}": outside.largest_excess_rad,
+            },
         )
         for outside in outside_limits(recording, arm.joint_limits)
     ]
@@ -143,7 +146,7 @@ def _recorded_tool_offset(recording: Recording, arm: Arm, options: ScreeningOpti
         factory = read_factory(path, arm)
         links = np.stack([frames.transform_from_row(row) for row in factory.kinematics])
         after = factory.T_joint_flange
-    flange = frames.chain(links, recording.joint_position) @ after
+    flange = frames.chain(links, recording.joint_position, recording.sliding) @ after
     known = np.eye(4)
     if isinstance(settings.tool, tuple):
         known = np.asarray(transform(rotation_from_rpy(np.array(settings.tool[3:])), np.array(settings.tool[:3])))

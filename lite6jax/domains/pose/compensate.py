@@ -118,6 +118,8 @@ def compensate(
         targets = _targets_of(model, targets, start, circumstances)
     elif start is not None or circumstances:
         raise InputError("compensate: these targets have their own joint positions; give the poses as an array")
+    if targets.start is None:
+        targets = targets._replace(recording=replace(targets.recording, sliding=model.sliding))
     model, omitted = _without_sensor(model, frame)
     recording = targets.recording
     complete = _complete(recording)

@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from lite6jax.arms.chains import SixParameterForm
 from lite6jax.arms.se3 import rotation_from_quaternion
 from lite6jax.domains.pose import inverse
 from lite6jax.domains.pose.inverse import Solved, Target
@@ -107,7 +106,7 @@ class CompensationSearch:
             unsolved[tried[reached(solved)]] = False
             if not unsolved.any():
                 break
-        middle = np.clip(self.limits, -np.pi, np.pi).mean(1)
+        middle = self._middle_turn().mean(1)
         return _least_motion(np.concatenate(where), np.concatenate(q), np.concatenate(cost), at, given, middle)
 
     def settled(self, q: Array) -> tuple[Solved, Flags]:
@@ -137,7 +136,7 @@ class CompensationSearch:
         solved = self.solve(motion, np.arange(len(q)), q, steps=0)
         if not any(has_memory(effect) for effect in m.physics.effects):
             return solved
-        poses = np.asarray(predict_poses(SixParameterForm(m.dof), m.physics, m.model, m.values, motion, m.inertia))
+        poses = np.asarray(predict_poses(motion.chain, m.physics, m.model, m.values, motion, m.inertia))
         position, rotation = self._target(np.arange(len(q)))
         errors = np.linalg.norm(poses[:, :3, 3] - np.asarray(position).T, axis=1)
         turned = np.zeros(len(q))
@@ -159,11 +158,13 @@ class CompensationSearch:
 
         Without limits it does not stop at one of them; its joints are then returned by whole turns.
         """
-        limits = np.tile([-1e3, 1e3], (self.model.dof, 1)) if unlimited else self.limits
+        turns = ~np.isin(np.arange(self.model.dof), self.model.sliding)
+        limits = np.where(turns[:, None] & unlimited, [-1e3, 1e3], self.limits)
         bare = (Physics(), self.model.model, np.zeros(0), _at(motion, rows, q), None, self._target(rows), limits)
         solved = inverse.solve(*bare, steps=_RIGID_STEPS)
         q = solved.joint_position.T
-        q = q - 2 * np.pi * np.round((q - self.limits.mean(1)) / (2 * np.pi)) if unlimited else q
+        whole = 2 * np.pi * np.round((q - self.limits.mean(1)) / (2 * np.pi))
+        q = np.where(turns & unlimited, q - whole, q)
         inside = ((q >= self.limits[:, 0]) & (q <= self.limits[:, 1])).all(1)
         return np.clip(q, *self.limits.T), np.where(inside, solved.cost, 1.0 + solved.cost)
 
@@ -178,9 +179,14 @@ class CompensationSearch:
         return differ
 
     def _random(self, count: int, seed: int) -> Array:
-        lower, upper = np.clip(self.limits, -np.pi, np.pi).T
+        lower, upper = self._middle_turn().T
         lower, upper = np.where(lower < upper, (lower, upper), self.limits.T)  # limits beyond half a turn
         return np.random.default_rng(seed).uniform(lower, upper, (count, len(lower)))
+
+    def _middle_turn(self) -> Array:
+        """`(joint, 2)`, the limits within half a turn of zero; of prismatic joints all of them."""
+        slides = np.isin(np.arange(self.model.dof), self.model.sliding)[:, None]
+        return np.where(slides, self.limits, np.clip(self.limits, -np.pi, np.pi))
 
 
 _rotations = jax.jit(rotation_from_quaternion)

@@ -10,8 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
-from lite6jax.arms.chains import Form, SixParameterForm
-from lite6jax.arms.moves import turn
+from lite6jax.arms.chains import Form, joint_motion
 from lite6jax.domains.pose.kinematics import Site
 from lite6jax.effects.composition import Physics
 from lite6jax.effects.deflection import Deflection
@@ -97,7 +96,7 @@ class Deflections:
             motion = motion._replace(payload=np.asarray(motion.payload) + errors.payload)  # type: ignore[arg-type]
         if physics is not None:
             inertia = physics.alter_inertia(np.asarray(values, float), inertia)  # type: ignore[arg-type]
-        form = SixParameterForm(len(self.kinematics))
+        form = motion.chain
         return jax.tree.map(np.asarray, _loads(form, jnp.asarray(self.kinematics.ravel()), motion, inertia))
 
     def altered_motion(self, physics: Physics, values: Array) -> Motion:
@@ -278,4 +277,4 @@ def _host(deflection: Deflection) -> Deflection:
 @partial(jax.jit, static_argnums=0)
 def _loads(form: Form, kinematics: jax.Array, motion: Motion, inertia: Inertia) -> Loads:
     position, velocity, acceleration = motion.joint_position, motion.joint_velocity, motion.joint_acceleration
-    return loads(form, kinematics, turn(position), motion.payload, inertia, velocity, acceleration)
+    return loads(form, kinematics, joint_motion(form, position), motion.payload, inertia, velocity, acceleration)

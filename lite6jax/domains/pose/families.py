@@ -37,23 +37,24 @@ _NEIGHBOURS = 8
 
 
 def periodic(motion: Motion, sites: dict[Site, Array]) -> tuple[PeriodicFamily, ...]:
-    """The harmonics of each joint.
+    """The harmonics of each revolute joint.
 
     Args:
         motion: time-shifted.
         sites: columns of each site.
     """
     found = []
-    for j, q in enumerate(np.asarray(motion.joint_position)):
+    for j in map(int, np.flatnonzero(~motion.sliding.mask(motion.dof))):
+        q = np.asarray(motion.joint_position)[j]
         term, curve = partial(_harmonic, j + 1), partial(waves, j + 1, q)
         found.append(PeriodicFamily(f"joint{j + 1}", sites["joint", j, 0], q, term, _order, curve))
     return tuple(found)
 
 
 def curves(motion: Motion, deflections: Deflections, sites: dict[Site, Array]) -> tuple[CurveFamily, ...]:
-    """The curves of each joint over its position, its gravity torque and its velocity, as far as these are known."""
+    """The curves of each revolute joint over its position, its gravity torque and its velocity, as far as known."""
     found = []
-    for j in range(motion.dof):
+    for j in map(int, np.flatnonzero(~motion.sliding.mask(motion.dof))):
         site, drivers = f"joint{j + 1}", []
         for quantity, pieces in _PIECES.items():
             driver = Driver(quantity, j + 1)
@@ -72,8 +73,8 @@ def curves(motion: Motion, deflections: Deflections, sites: dict[Site, Array]) -
 def flexible(motion: Motion, loads: Loads | None, rows: int, sites: dict[Site, Array]) -> tuple[Unnamed, ...]:
     """Functions of every driver at every site, as far as drivers are known and vary, and the sensor sees the site.
 
-    At joints they are of the position of any joint or two, of the joint's own loads and motion, and of time and
-    temperature; at links, base and tool the tilts, or all components, by positions, moments, time and temperature.
+    At revolute joints they are of the position of any joint or two, of the joint's own loads and motion, and of time
+    and temperature; at links, base and tool the tilts, or all components, by positions, moments, time and temperature.
 
     Args:
         motion: time-shifted.
@@ -82,7 +83,10 @@ def flexible(motion: Motion, loads: Loads | None, rows: int, sites: dict[Site, A
         sites: columns of each site.
     """
     dof, ranges = motion.dof, _Ranges(motion, loads)
-    positions, everywhere = [Driver("position", k + 1) for k in range(dof)], [Driver(q) for q in _EVERYWHERE]
+    slides = motion.sliding.mask(dof)
+    positions = [Driver("slide position" if slides[k] else "position", k + 1) for k in range(dof)]
+    turning = [driver for driver, slide in zip(positions, slides, strict=True) if not slide]
+    everywhere = [Driver(q) for q in _EVERYWHERE]
     found: list[Unnamed] = []
 
     def add(site: str, drivers: Sequence[Driver], degree: int = 0, component: str = "rz", pieces: int = 0) -> None:
@@ -100,6 +104,8 @@ def flexible(motion: Motion, loads: Loads | None, rows: int, sites: dict[Site, A
         found.append(Unnamed(site, phrase, lower, upper, pieces or 8, component, degree=degree, further=bounds))
 
     for j in range(1, dof + 1):
+        if slides[j - 1]:
+            continue
         for driver in positions:
             add(f"joint{j}", [driver], pieces=5)
             add(f"joint{j}", [driver], 2)
@@ -117,8 +123,8 @@ def flexible(motion: Motion, loads: Loads | None, rows: int, sites: dict[Site, A
     moments = [Driver(f"base moment {axis}") for axis in "xy"]
     at_flange = [Driver("gravity moment x", dof), Driver("gravity moment y", dof), Driver("gravity torque", dof)]
     for site, component, angles, loaded in (
-        ("base", base, positions[:3], moments),
-        ("tool", tool, positions, at_flange),
+        ("base", base, turning[:3], moments),
+        ("tool", tool, turning, at_flange),
     ):
         for driver in angles:
             add(site, [driver], 0, component)

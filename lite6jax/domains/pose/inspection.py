@@ -158,8 +158,14 @@ def inspect(
         source: what messages begin with.
 
     Raises:
-        InputError: a column that is given is not there, or there are no rows.
+        InputError: a column that is given is not there, there are no rows, or the arm has prismatic joints.
     """
+    if arm is not None and arm.sliding:
+        joint = arm.sliding[0] + 1
+        raise InputError(
+            f"{source}: joint {joint} of {arm.name} is prismatic, and columns are recognised for revolute joints only; "
+            f"write a sidecar with `arm:`, and `columns:` with a line such as `name in the table: q{joint}_m`"
+        )
     given = dict(given or {})
     samples = max((len(values) for _, values in columns if values is not None), default=1)
     if not samples:

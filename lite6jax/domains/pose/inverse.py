@@ -124,7 +124,7 @@ def _in_chunks(
         chunk = rows[np.minimum(np.arange(first, first + size), len(rows) - 1)]  # the last again and again fills it
         picked, wanted = jax.tree.map(lambda leaf, chunk=chunk: np.asarray(leaf)[..., chunk], (motion, target))
         alone = picked._replace(run=np.tile(np.arange(size), (2, 1)))
-        chain = SixParameterForm(motion.dof)
+        chain = motion.chain
         parts.append(_solve(chain, physics, model, values, alone, inertia, wanted, limits, steps))
     return Solved(*(np.concatenate(leaves, -1)[..., : len(rows)] for leaves in zip(*parts, strict=True)))  # type: ignore[arg-type]
 

@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from lite6jax.arms import frames
-from lite6jax.arms.chains import Form
-from lite6jax.arms.moves import turn
+from lite6jax.arms.chains import Form, joint_motion
 from lite6jax.effects.deflection import Deflection
 from lite6jax.fitting.residual import Observations, differences, whiten
 from lite6jax.model import ArmModel, predict_bent
@@ -55,7 +54,7 @@ class RigidFrames(NamedTuple):
     """The frames of a rigid arm in the sensor's frame.
 
     Attributes:
-        frames: `(joint + 1, sample, 4, 4)`, the base and the frame after each joint's rotation.
+        frames: `(joint + 1, sample, 4, 4)`, the base and the frame after each joint's motion.
         tool: `(sample, 4, 4)`.
     """
 
@@ -63,10 +62,10 @@ class RigidFrames(NamedTuple):
     tool: Array
 
 
-def rigid_frames(model: ArmModel, joint_position: Array) -> RigidFrames:
-    """The frames of a six-parameter chain at `joint_position` `(joint, sample)` rad."""
+def rigid_frames(model: ArmModel, joint_position: Array, sliding: tuple[int, ...]) -> RigidFrames:
+    """The frames of a six-parameter chain with the prismatic joints `sliding` at `(joint, sample)` rad or m."""
     links = [frames.transform_from_row(row) for row in np.asarray(model.geometry).reshape(-1, 6)]
-    turns = frames.joint_rotations(joint_position)
+    turns = np.moveaxis(frames.joint_motions(joint_position.T, sliding), 1, 0)
     T = np.broadcast_to(np.asarray(model.T_sensor_base), (joint_position.shape[1], 4, 4))
     found = [T]
     for link, turned in zip(links, turns, strict=True):
@@ -98,9 +97,11 @@ def unwhitened(rows: Array, whitener: Array) -> Array:
     return np.linalg.solve(np.moveaxis(whitener, -1, 0), rows.T[..., None])[..., 0].T
 
 
-def site_columns(model: ArmModel, joint_position: Array, measured: Measured) -> dict[Site, Array]:
+def site_columns(
+    model: ArmModel, joint_position: Array, measured: Measured, sliding: tuple[int, ...]
+) -> dict[Site, Array]:
     """How whitened residuals `(row, sample)` change with a unit deflection at each site of a rigid arm."""
-    rigid = rigid_frames(model, joint_position)
+    rigid = rigid_frames(model, joint_position, sliding)
     dof = len(joint_position)
     sensor = np.broadcast_to(np.eye(4), rigid.frames[:1].shape)
     twists, stretches, scale = frame_columns(rigid._replace(frames=np.concatenate([sensor, rigid.frames])), measured)
@@ -114,7 +115,7 @@ def site_columns(model: ArmModel, joint_position: Array, measured: Measured) -> 
     sites: dict[Site, Array] = {("base", 0, k): twisted[1, k] for k in range(6)}
     for j in range(dof):
         sites |= {("link", j, k): twisted[j + 2, k] for k in range(6)}
-        sites["joint", j, 0] = twisted[j + 2, 5]  # a joint's angle is about its frame's z
+        sites["joint", j, 0] = twisted[j + 2, 2 if j in sliding else 5]  # along its frame's z, or about it
         sites["stretch", j, 0] = stretched[j]
     sites |= {("tool", 0, k): twisted[dof + 1, k] for k in range(6)}
     sites |= {("sensor", 0, k): twisted[0, k] for k in range(6)}
@@ -122,9 +123,10 @@ def site_columns(model: ArmModel, joint_position: Array, measured: Measured) -> 
     return sites
 
 
-def joint_columns(rigid: RigidFrames, measured: Measured) -> Array:
+def joint_columns(rigid: RigidFrames, measured: Measured, sliding: tuple[int, ...]) -> Array:
     """How differences change with each joint's position, `(joint, row, sample)`, m and rad."""
-    return frame_columns(rigid, measured)[0][1:, 5]
+    twists = frame_columns(rigid, measured)[0][1:]
+    return np.stack([twist[2 if j in sliding else 5] for j, twist in enumerate(twists)])
 
 
 def displaced(model: ArmModel, unknown: Sequence[Site], nuisance: Array) -> ArmModel:
@@ -203,7 +205,7 @@ def bent_residual(
 ) -> jax.Array:
     """Whitened residuals `(row, sample)` of a deflected arm."""
     _, tool = predict_bent(form, model, joint_position, deflection)
-    joint, weight = turn(joint_position), jnp.ones(joint_position.shape[1])
+    joint, weight = joint_motion(form, joint_position), jnp.ones(joint_position.shape[1])
     position, rotation, whitener = map(jnp.asarray, measured)
     observed = Observations(joint, position, rotation, weight, whitener)
     return whiten(whitener, differences(observed, tool))

@@ -11,17 +11,18 @@ from jax.core import Tracer
 from jax.typing import ArrayLike
 from numpy.typing import NDArray
 
-from lite6jax.arms.chains import SixParameterForm
 from lite6jax.domains.pose.uncertainty import Uncertainty, bars_of
 from lite6jax.effects.composition import Physics
 from lite6jax.effects.effect import Effect
 from lite6jax.effects.kinematic.surroundings import TimeOffset
 from lite6jax.effects.motion import Motion, accelerated
+from lite6jax.effects.sliding import Sliding
 from lite6jax.effects.statics import Inertia
 from lite6jax.errors import InputError
 from lite6jax.model import ArmModel, predict_poses
 from lite6jax.recordings import Recording, RecordingSettings, require_radians
 from lite6jax.recordings.motion import motion_of_recording
+from lite6jax.recordings.units import other_joints
 
 Array = NDArray[np.floating]
 
@@ -52,7 +53,7 @@ class ReferenceOrigin(NamedTuple):
 _LEAVES = ("model", "values", "inertia", "joint_limits")
 _STATIC = (
     *("arm", "physics", "orientation", "reference_temperature", "motion", "accelerated", "heldout_rms", "reference"),
-    "uncertainty",
+    *("uncertainty", "sliding"),
 )
 
 
@@ -66,7 +67,7 @@ class DiagnosedArm:
         model: the rigid part.
         values: `(physics.size,)`, the numbers of the effects.
         inertia: masses, or None where none are known.
-        joint_limits: `(joint, 2)` rad, or None where the diagnosis has none.
+        joint_limits: `(joint, 2)` rad, m of prismatic joints, or None where the diagnosis has none.
         arm: the nominal arm's name.
         physics: the effects.
         orientation: whether the sensor measured orientations.
@@ -76,6 +77,7 @@ class DiagnosedArm:
         heldout_rms: cross-validated position errors in m RMS, without and with the effects; None where not known.
         reference: the recording relative to which the effects were estimated; None where absolute.
         uncertainty: from which error bars of predictions follow; None where the diagnosis does not say.
+        sliding: the prismatic joints, counted from 0.
     """
 
     model: ArmModel
@@ -91,6 +93,7 @@ class DiagnosedArm:
     heldout_rms: tuple[float, float] | None = None
     reference: ReferenceOrigin | None = None
     uncertainty: Uncertainty | None = None
+    sliding: tuple[int, ...] = ()
 
     @property
     def dof(self) -> int:
@@ -115,7 +118,7 @@ class DiagnosedArm:
             jax.grad(lambda model: jnp.sum(model.pose(q) ** 2))(model)
 
         Args:
-            joint_position: `(..., joint)` rad.
+            joint_position: `(..., joint)` rad, and m of prismatic joints.
             payload: `(...)` kg at the flange.
             temperature_rise: `(...)` K above the temperature at which the geometry holds.
             direction: `(..., joint)` -1, 0 or 1, from which side each joint was approached.
@@ -156,10 +159,10 @@ class DiagnosedArm:
             temperature_rise=rise,
             joint_temperature_rise=None if rise is None else jnp.broadcast_to(rise, (self.dof, samples)),
             payload=row("payload", payload, each),  # type: ignore[arg-type]
+            sliding=Sliding(self.sliding),
         )
         self._require(motion)
-        chain = SixParameterForm(self.dof)
-        poses = predict_poses(chain, self.physics, self.model, self.values, motion, self.inertia)
+        poses = predict_poses(motion.chain, self.physics, self.model, self.values, motion, self.inertia)
         return poses.reshape(*each, 4, 4)
 
     def without(self, *effects: str) -> "DiagnosedArm":
@@ -183,6 +186,8 @@ class DiagnosedArm:
 
     def motion_of(self, recording: Recording) -> Motion:
         """The motion of a recording, with accelerations where loads include them."""
+        if recording.sliding != self.sliding:
+            raise InputError(f"{recording.source}: {other_joints(recording.sliding, self.sliding, self.arm)}")
         motion = motion_of_recording(recording)
         return accelerated(motion) if self.accelerated else motion
 
@@ -278,8 +283,7 @@ def _sequence(model: DiagnosedArm, motion: Recording | ArrayLike, circumstances:
 
 
 def _poses(model: DiagnosedArm, sequence: Motion) -> Array:
-    chain = SixParameterForm(model.dof)
-    poses = np.array(predict_poses(chain, model.physics, model.model, model.values, sequence, model.inertia))
+    poses = np.array(predict_poses(sequence.chain, model.physics, model.model, model.values, sequence, model.inertia))
     poses[np.asarray(_beyond(model.physics, model.values, sequence))] = np.nan
     return poses
 
@@ -294,7 +298,7 @@ def recording_of(model: DiagnosedArm, joint_position: ArrayLike, **arrays: Any) 
         motion=model.motion,  # type: ignore[arg-type]
         reference_temperature_degC=model.reference_temperature,
     )
-    recording = Recording.assembled(joint_position, settings=settings, source="motion", **arrays)
+    recording = Recording.assembled(joint_position, settings=settings, source="motion", sliding=model.sliding, **arrays)
     if recording.dof != model.dof:
         raise InputError(f"motion: has {recording.dof} joints, and the arm {model.dof}; give that arm's motion")
     require_radians(recording.joint_position, model.joint_limits)

@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lite6jax.arms.arm import Arm
-from lite6jax.arms.chains import SixParameterForm
 from lite6jax.arms.factory import FactoryCalibration
 from lite6jax.domains.pose import families
 from lite6jax.domains.pose.deflections import Deflections, MassErrors, columns_of, mass_errors, scaled
@@ -169,12 +168,13 @@ class PoseProblem:
     @cached_property
     def rigid(self) -> RigidFrames:
         """The rigid arm's frames, on the host."""
-        return rigid_frames(self.start, np.asarray(self.time_shifted.joint_position))
+        return rigid_frames(self.start, np.asarray(self.time_shifted.joint_position), self.motion.sliding.joints)
 
     @cached_property
     def sites(self) -> dict[Site, Array]:
         """How residuals change with a deflection at each site, `(row, sample)`."""
-        return site_columns(self.start, np.asarray(self.time_shifted.joint_position), self.measured)
+        q = np.asarray(self.time_shifted.joint_position)
+        return site_columns(self.start, q, self.measured, self.motion.sliding.joints)
 
     @lazy
     def frame_columns(self) -> Array:
@@ -218,14 +218,14 @@ class PoseProblem:
         if not terms.terms and not nuisance.any() and not self.clock_offset and not self._moved(nuisance):
             return whitened(rigid_differences(self.rigid.tool, self.measured), self.measured.whitener)
         motion, deflection = self._deflection(nuisance, terms, values)
-        form = SixParameterForm(self.motion.dof)
+        form = self.motion.chain
         start, measured = self._on_device
         return np.asarray(bent_residual(form, start, motion.joint_position, deflection, measured))
 
     def position_errors(self, nuisance: Array, terms: Terms, values: Array) -> Array:
         """Predicted minus measured positions `(3, sample)` m."""
         motion, deflection = self._deflection(nuisance, terms, values)
-        form = SixParameterForm(self.motion.dof)
+        form = self.motion.chain
         return np.asarray(bent_positions(form, self.start, motion.joint_position, deflection)) - self.measured.position
 
     def columns(
@@ -424,7 +424,7 @@ def pose_problem(
     """
     rigid = rigid_arm(recording, arm, geometry, factory)
     # where the sensor shows the tool by the rigid arm: a function of noise itself would fit that noise
-    shown = rigid_frames(rigid.start, recording.joint_position.T).tool[:, :3, 3].T
+    shown = rigid_frames(rigid.start, recording.joint_position.T, recording.sliding).tool[:, :3, 3].T
     motion = motion_of_recording(recording)._replace(measured_position=shown)  # type: ignore[arg-type]
     inertia = inertia_of_arm(rigid.arm, recording.settings)
     masses, deviations = _uncertain_masses(inertia, recording.settings)
@@ -432,7 +432,7 @@ def pose_problem(
         (f"moved {part}", j, k) for j, (_, part) in enumerate(jumps) for k in range(_moving(part, rigid.rows))
     )
     frames, free, none = len(rigid.unknown), np.zeros(len(moved)), np.zeros(len(masses))
-    every = (*catalogue(rigid.arm.dof, turned_tool=rigid.rows == 6), *effects)
+    every = (*catalogue(rigid.arm.dof, turned_tool=rigid.rows == 6, sliding=rigid.arm.sliding), *effects)
     missing = tuple(untestable(every, motion, inertia is not None))
     lacking = {item.effect for item in missing}
     return PoseProblem(

@@ -115,7 +115,7 @@ class _Tried(NamedTuple):
 
 
 def _positions(arm: Arm, joint: Array, position: Array) -> _Tried:
-    flange = frames.chain(arm.links, joint) @ arm.T_joint_flange
+    flange = frames.chain(arm.links, joint, arm.sliding) @ arm.T_joint_flange
     T_sensor_base, T_flange_tool = frames_from_poses(flange, position, None, None, None)
     point = (flange @ T_flange_tool)[:, :3, 3] @ T_sensor_base[:3, :3].T + T_sensor_base[:3, 3]
     error = float(np.median(np.linalg.norm(point - position, axis=1)))

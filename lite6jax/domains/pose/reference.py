@@ -30,6 +30,7 @@ from lite6jax.errors import InputError
 from lite6jax.fitting.problem import Geometry
 from lite6jax.fitting.recognition import arm_of
 from lite6jax.recordings import Recording, RecordingSettings, require_samples
+from lite6jax.recordings.units import other_joints
 
 Array = NDArray[np.floating]
 
@@ -120,6 +121,8 @@ def compare(
     for side in (recording, reference):
         if side.dof != arm.dof:
             raise InputError(f"{side.source}: has {side.dof} joints, but {arm.name} has {arm.dof}; give that arm's")
+        if side.sliding != arm.sliding:
+            raise InputError(f"{side.source}: {other_joints(side.sliding, arm.sliding, arm.name)}")
         require_samples(side, 1)
     file, rows = Path(reference.source).name, recording.samples
     recording, reference = matched(recording, reference)

@@ -117,7 +117,7 @@ def explained_by(reference: Recording, arm: Arm, chain: Chain, fitted: tuple[boo
 def flange_of(kinematics: Array, recording: Recording, arm: Arm) -> Array:
     """`(sample, 4, 4)` T_base_flange of a chain `(joint, 6)` at a recording's joint positions."""
     links = np.stack([frames.transform_from_row(row) for row in kinematics])
-    return frames.chain(links, recording.joint_position) @ arm.T_joint_flange
+    return frames.chain(links, recording.joint_position, arm.sliding) @ arm.T_joint_flange
 
 
 def declared_tool(settings: RecordingSettings) -> Array | None:

@@ -118,7 +118,7 @@ class RigidArm:
     @cached_property
     def rigid(self) -> RigidFrames:
         """The arm's frames in the sensor's."""
-        return rigid_frames(self.start, self.recording.joint_position.T)
+        return rigid_frames(self.start, self.recording.joint_position.T, self.recording.sliding)
 
     @property
     def frames(self) -> Array:
@@ -276,6 +276,6 @@ def rigid_arm(
     if not problem.joint_noise:
         return rigid
     # read-out noise of the joints: the covariance of a sample is Σ + σ_q² J Jᵀ
-    J = joint_columns(rigid.rigid, rigid.measured)
+    J = joint_columns(rigid.rigid, rigid.measured, arm.sliding)[~arm.slides]
     covariance = np.diag(noise**2) + problem.joint_noise**2 * np.einsum("jas,jbs->sab", J, J, optimize=True)
     return replace(rigid, whitener=np.moveaxis(whitener_of(covariance), 0, -1))

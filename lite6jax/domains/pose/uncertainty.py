@@ -177,12 +177,13 @@ class Derivatives:
         The six are positions in the sensor's axes (m) and rotations about the predicted tool's axes (rad).
         """
         units = self._units()
-        q = np.asarray(self._altered.joint_position)
+        q, sliding = np.asarray(self._altered.joint_position), self.model.sliding
         for first in range(0, q.shape[1], _ROWS_AT_ONCE):
             rows = slice(first, min(first + _ROWS_AT_ONCE, q.shape[1]))
-            tool = rigid_frames(self.model.model, q[:, rows]).tool
+            tool = rigid_frames(self.model.model, q[:, rows], sliding).tool
             rotation = np.moveaxis(tool[:, :3, :3], 0, -1)
-            sites = site_columns(self.model.model, q[:, rows], Measured(tool[:, :3, 3].T, rotation, np.ones(2)))
+            shown = Measured(tool[:, :3, 3].T, rotation, np.ones(2))
+            sites = site_columns(self.model.model, q[:, rows], shown, sliding)
             frames = [sites[site][None] for site in self.sites if site[0] in FRAMES]
             parts = [np.zeros((0, 6, tool.shape[0])), *frames]
             for unit in units:
@@ -232,7 +233,7 @@ class Derivatives:
         drivers = (driver for effect in self.model.physics.effects for driver in effect.drivers)
         if not any(driver.quantity.startswith("measured position") for driver in drivers):
             return self.motion
-        tool = rigid_frames(self.model.model, np.asarray(self.motion.joint_position)).tool
+        tool = rigid_frames(self.model.model, np.asarray(self.motion.joint_position), self.model.sliding).tool
         return self.motion._replace(measured_position=tool[:, :3, 3].T)  # type: ignore[arg-type]
 
     @cached_property

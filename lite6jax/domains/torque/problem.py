@@ -203,9 +203,12 @@ class TorqueProblem:
         total = self.rigid
         if nuisance.any():
             total = total + np.tensordot(nuisance, self._inertial, 1)
+        there = self.dynamics
+        if nuisance.any() and any(_loaded(effect) or not effect.linear for effect, _ in _pairs(terms)):
+            there = self.data.bodies.dynamics(self.links_at(nuisance))
         for effect, part in _pairs(terms):
             if not isinstance(effect, Scaling | Delaying):
-                total = total + self._added(effect, np.asarray(values[part], float), nuisance)
+                total = total + self._added(effect, np.asarray(values[part], float), there)
         return scales_of(terms, values, self.rows) * total
 
     def _delayed(self, nuisance: Array, terms: Terms, values: Array, delay: float) -> tuple[Array, Array]:
@@ -304,14 +307,14 @@ class TorqueProblem:
         """Torques `(…, joint, every sample)` filtered, of the samples of this problem."""
         return self.data.filter(torque)[..., self.chosen]
 
-    def _added(self, effect: TorqueEffect, values: Array, nuisance: Array) -> Array:
-        if effect.linear and not (nuisance.any() and any(driver.loaded for driver in effect.drivers)):
-            joints, torque = self._units(effect)
-            added = np.zeros((self.rows, self.samples))
-            added[joints] = np.tensordot(values, torque, 1)
-            return added
-        dynamics = self.dynamics if not nuisance.any() else self.data.bodies.dynamics(self.links_at(nuisance))
-        return self._kept(effect.torque(values, dynamics))
+    def _added(self, effect: TorqueEffect, values: Array, dynamics: Dynamics) -> Array:
+        """`(joint, sample)` Nm by an effect on an arm of these dynamics, filtered."""
+        if not effect.linear or (_loaded(effect) and dynamics is not self.dynamics):
+            return self._kept(effect.torque(values, dynamics))
+        joints, torque = self._units(effect)
+        added = np.zeros((self.rows, self.samples))
+        added[joints] = np.tensordot(values, torque, 1)
+        return added
 
     def _units(self, effect: TorqueEffect) -> UnitTorques:
         """Torques by each number of a linear effect."""
@@ -328,6 +331,11 @@ class TorqueProblem:
             up, down = (effect.torque(values + sign * step, self.dynamics) for sign in (1, -1))
             found.append(self._kept((up - down) / (2 * step[k])))
         return np.stack(found)
+
+
+def _loaded(effect: TorqueEffect) -> bool:
+    """Whether an effect depends on what the links weigh."""
+    return any(driver.loaded for driver in effect.drivers)
 
 
 def _pairs(terms: Terms) -> list[tuple[TorqueEffect, slice]]:

@@ -5,10 +5,11 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import final
 
+import jax
 import numpy as np
 from numpy.typing import NDArray
 
-from lite6jax.arms.arm import Arm
+from lite6jax.arms.arm import Arm, require_revolute
 from lite6jax.arms.dynamics import link_parameters, regressor
 from lite6jax.domains.torque.filtering import (
     LowPass,
@@ -189,14 +190,14 @@ def bodies_of(recording: Recording, arm: Arm) -> tuple[RigidBodies, LowPass, flo
     """The rigid-body dynamics along a recording's motion, the filter for its torques, and the motion's cutoff in Hz.
 
     Raises:
-        InputError: no times, steps that vary, or an arm at rest.
+        InputError: no times, steps that vary, an arm at rest, or one with prismatic joints.
     """
+    require_revolute(arm, "a diagnosis of torques")
     rate = sample_rate(recording)
     chosen = low_pass(recording.velocities().T, rate, runs_of(recording, rate))
     smooth = smoothed(recording, chosen)
     motion = motion_of_recording(recording)
-    host = {name: None if value is None else np.asarray(value) for name, value in motion._asdict().items()}
-    moved = Motion(**host)._replace(  # type: ignore[arg-type]
+    moved = jax.tree.map(np.asarray, motion)._replace(
         joint_position=smooth.position,
         joint_velocity=smooth.velocity,
         direction=direction(smooth.velocity),

@@ -13,6 +13,12 @@ GAP = 0.02
 """rad, of a gear: more than a degree of play is a broken one."""
 FRICTION = 1e3
 """Nm, of a joint: no motor of such an arm would turn it."""
+SLIDE_OFFSET = 0.1
+"""m, from the zero of a prismatic joint: more is another way to count."""
+SLIDE_COMPLIANCE = 1e-4
+"""m/N: a slide as soft as this sags by a centimetre under 100 N; those of machines are near 1e-8."""
+SLIDE_GAP = 5e-3
+"""m, of a screw, belt or rack: more play is a broken one."""
 RATIO = 0.02
 """Of a scale: a radian or a metre that is wrong by more is another unit."""
 COUPLING = 0.05

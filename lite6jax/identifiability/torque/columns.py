@@ -7,7 +7,7 @@ from typing import final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lite6jax.arms.arm import Arm
+from lite6jax.arms.arm import Arm, require_revolute
 from lite6jax.arms.dynamics import regressor
 from lite6jax.effects.dynamic.torque_effect import direction
 from lite6jax.errors import InputError
@@ -152,8 +152,10 @@ def torque_model(
         inertial: whether the links' parameters are unknown.
 
     Raises:
-        InputError: noise that is not positive or is of another number of joints, gravity that is not three numbers.
+        InputError: noise that is not positive or is of another number of joints, gravity that is not three numbers, or
+            an arm with prismatic joints.
     """
+    require_revolute(arm, "a study of torques")
     values = np.atleast_1d(np.asarray(NOISE if noise is None else noise, float))
     if values.shape not in ((1,), (arm.dof,)) or not (np.isfinite(values).all() and (values > 0).all()):
         raise InputError(

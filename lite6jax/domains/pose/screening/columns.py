@@ -241,7 +241,7 @@ def _spread_rows(arm: RigidArm, count: int) -> RigidArm:
 def _corrected(arm: RigidArm, correction: ColumnCorrection) -> RigidArm:
     """With the columns corrected, and frames in closed form."""
     recording = correction.applied(arm.recording)
-    flange = frames.chain(arm.links, recording.joint_position) @ arm.arm.T_joint_flange
+    flange = frames.chain(arm.links, recording.joint_position, recording.sliding) @ arm.arm.T_joint_flange
     assert recording.position is not None
     rotation = None if recording.quaternion is None else Rotation.from_quat(np.roll(recording.quaternion, -1, 1))
     free_frame = recording.settings.pose_frame != "base"
