@@ -1,6 +1,6 @@
 """The Hayati models of many calibrations of one type of arm: in closed form where that is exact, by a fit elsewhere."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -102,9 +102,9 @@ def _one_by_one(kinematics: NDArray, T_joint_flange: NDArray, arm: Arm) -> Fitte
 
     calibrations = zip(kinematics, T_joint_flange, strict=True)
     found = [fit_calibration(FactoryCalibration(rows, arm, T, "")) for rows, T in calibrations]
-    errors = [
+    errors: list[Any] = [
         [
-            [f(part) for part in (each.position, each.orientation) for f in (_root_mean_square, np.max)]
+            [f(part) for part in (each.position, each.orientation) for f in (_root_mean_square, np.max)]  # type: ignore[arg-type]
             for each in (solution.errors, solution.checked, solution.nominal_errors)
         ]
         for solution in found
@@ -116,7 +116,7 @@ def _one_by_one(kinematics: NDArray, T_joint_flange: NDArray, arm: Arm) -> Fitte
     return FittedCalibrations(results, steps, parameters, fitted, checked, nominal)
 
 
-def _root_mean_square(values: NDArray) -> float:
+def _root_mean_square(values: Any) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
