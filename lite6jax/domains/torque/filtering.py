@@ -45,6 +45,8 @@ _GAP = 1.8
 """Time steps over their median from which samples are missing, so that a new run begins."""
 _SPIKE = 8.0
 """Standard deviations from the median of neighbouring samples from which a torque is a spike."""
+_TURNING = 0.01
+"""rad/s below which noise of the velocity hides the direction of motion."""
 
 
 class Smoothed(NamedTuple):
@@ -185,10 +187,11 @@ def _kept(runs: NDArray[np.integer], every: int, margin: int) -> NDArray[np.inte
     return np.concatenate([np.zeros(0, int), *parts])
 
 
-def spikes(torque: Array, runs: NDArray[np.integer]) -> NDArray[np.bool_]:
+def spikes(torque: Array, velocity: Array, runs: NDArray[np.integer]) -> NDArray[np.bool_]:
     """`(joint, sample)` bool, single torques, or two in a row, far from their neighbours, which agree.
 
-    Of outliers at one sample in a hundred, some follow each other; a push lasts longer.
+    Of outliers at one sample in a hundred, some follow each other; a push lasts longer. Two in a row are none where the
+    joint turns back: friction may do the same there.
     """
     found = np.zeros(torque.shape, bool)
     for rows in _each(runs):
@@ -210,6 +213,8 @@ def spikes(torque: Array, runs: NDArray[np.integer]) -> NDArray[np.bool_]:
         lower = np.minimum(np.abs(first - middle), np.abs(second - middle))
         pair = (np.abs(after - before) < 0.5 * lower) & (lower > least)
         pair &= np.minimum(away[:, 1:-2], away[:, 2:-1]) > least
+        speeds = [velocity[:, rows][:, k : part.shape[1] - 3 + k] for k in range(4)]
+        pair &= (np.min(speeds, 0) > _TURNING) | (np.max(speeds, 0) < -_TURNING)
         at = found[:, rows]
         at[:, 1:-2] |= pair
         at[:, 2:-1] |= pair

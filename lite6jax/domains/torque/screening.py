@@ -70,7 +70,7 @@ def screen_torques(recording: Recording, arm: Arm) -> ScreenedTorques:
     _require_motion(recording)
     check_velocity_scale(recording)
     check_torque_scale(recording, arm)
-    spiked = spikes(torque, runs)
+    spiked = spikes(torque, recording.velocities().T, runs)
     found = []
     if spiked.any():
         rows = row_numbers(recording.row[spiked.any(0)])

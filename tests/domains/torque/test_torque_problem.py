@@ -95,10 +95,10 @@ def test_spikes_are_found_and_nothing_else():
     recording, _ = recorded(seed=6)
     tau = recording.torques().T.copy()
     runs = np.zeros(tau.shape[1], int)
-    assert not spikes(tau, runs).any()
+    assert not spikes(tau, recording.velocities().T, runs).any()
     tau[2, 100] += 15.0
     tau[4, 300] -= 4.0
-    found = spikes(tau, runs)
+    found = spikes(tau, recording.velocities().T, runs)
     assert sorted(map(tuple, np.argwhere(found))) == [(2, 100), (4, 300)]
     clean = without_spikes(tau, found)
     assert abs(clean[2, 100] - recording.torques()[100, 2]) < 1.0
@@ -112,7 +112,7 @@ def test_two_spikes_in_a_row_are_found_and_a_push_is_none():
     tau[4, 300:302] += (-4.0, 5.0)
     tau[1, 200:205] += 15.0  # a push of a tenth of a second
     tau[3, 400:] += 15.0  # and one that stays
-    found = spikes(tau, runs)
+    found = spikes(tau, recording.velocities().T, runs)
     assert sorted(map(tuple, np.argwhere(found))) == [(2, 100), (2, 101), (4, 300), (4, 301)]
     clean = without_spikes(tau, found)
     assert np.abs(clean[2, 100:102] - recording.torques()[100:102, 2]).max() < 1.0
