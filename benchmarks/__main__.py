@@ -26,6 +26,7 @@ def workloads() -> dict[str, Workload]:
     from benchmarks.compensation import compensation
     from benchmarks.diagnose import diagnose
     from benchmarks.fits import fleet, one
+    from benchmarks.folders import folders
     from benchmarks.interrupts import interrupts
     from benchmarks.models import models
     from benchmarks.profile import profile
@@ -42,6 +43,7 @@ def workloads() -> dict[str, Workload]:
             samples,
             study,
             command,
+            folders,
             diagnose,
             compensation,
             models,

@@ -1,12 +1,13 @@
-"""Work for processes of their own, in a module that takes no time to load there."""
-
-import os
+"""Answers to trials that take no time, in a module from which other processes could have them."""
 
 
-def work_of(number):
-    """3 dies, 4 fails, the rest is doubled."""
-    if number == 3:
-        os._exit(1)
-    if number == 4:
-        raise KeyError(number)
-    return 2 * number
+def refusing(given):
+    """No diagnosis."""
+    raise OSError("no diagnosis here")
+
+
+def dying(given):
+    """The end of the process."""
+    import os
+
+    os._exit(1)

@@ -10,7 +10,19 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from benchmarks import __main__ as harness
-from benchmarks import command, diagnose, fits, measure, one_by_one, problem, regressor, rivals, samples, seed_way
+from benchmarks import (
+    command,
+    diagnose,
+    fits,
+    folders,
+    measure,
+    one_by_one,
+    problem,
+    regressor,
+    rivals,
+    samples,
+    seed_way,
+)
 from benchmarks.measure import Record
 from lite6jax.arms import dynamics
 from lite6jax.diagnosis.result import Finding
@@ -124,6 +136,13 @@ def test_a_fleet_is_compared_with_the_closed_form():
     records = list(fits.fleet(sizes=(1,), samples=40, repeats=1, rivals=()))
     assert [record.failed for record in records] == [""] * len(records)
     assert {record.subject for record in records} == {fits.OURS, fits.CLOSED_FORM}
+
+
+@pytest.mark.long
+def test_a_folder_is_fitted_alike_by_one_process_and_two():
+    records = list(folders.folders(files=40, repeats=1))
+    assert [record.failed for record in records] == [""] * len(records)
+    assert {record.subject for record in records} >= {"PyYAML's C loader", "fleet, processes 2", "fleet, after a kill"}
 
 
 def test_a_regressor_that_is_not_pinocchios_is_marked(monkeypatch):

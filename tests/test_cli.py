@@ -20,8 +20,9 @@ from lite6jax.arms.bundled import load_bundled
 from lite6jax.arms.factory import read_factory, write_factory
 from lite6jax.cli import program
 from lite6jax.cli.fit import DEMO
-from lite6jax.fitting import compiled, folder, folder_fit
+from lite6jax.fitting import code_folder
 from lite6jax.fitting.solution import Result
+from lite6jax.folders import fit
 from tests.oracles.arms import LITE6_DH, perturbed, random_positions
 from tests.oracles.chains import hayati_poses, six_parameter_poses
 from tests.oracles.transforms import perturb_poses
@@ -80,10 +81,10 @@ def test_arguments_are_refused_in_tyros_style(capsys):
     assert "FILE" in run(capsys, "fit")[2]
 
 
-def test_help_needs_neither_matplotlib_nor_optimistix():
+def test_help_needs_no_library_that_computes():
     code = (
         "import sys; from lite6jax import cli; cli.main(['fit', '--help']);"
-        "sys.exit(sum(name in sys.modules for name in ('matplotlib', 'optimistix', 'scipy', 'rich.table')))"
+        "sys.exit(sum(name in sys.modules for name in ('jax', 'matplotlib', 'optimistix', 'scipy', 'rich.table')))"
     )
     done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True)
     assert (done.returncode, done.stderr) == (0, "")
@@ -104,8 +105,8 @@ def test_an_interrupt_is_one_line_and_130(capsys, monkeypatch, calibration):
 def test_ctrl_c_leaves_nothing_behind(tmp_path, calibration):
     before = set(tmp_path.iterdir())
     slow = (
-        "import sys, time; from lite6jax.cli import main; from lite6jax.fitting import folder;"
-        "folder.fit_folder = lambda *given, **named: (print('fitting', flush=True), time.sleep(60));"
+        "import sys, time; from lite6jax.cli import main; from lite6jax.folders import fleet;"
+        "fleet.fit_folder = lambda *given, **named: (print('fitting', flush=True), time.sleep(60));"
         "sys.exit(main(sys.argv[1:]))"
     )
     command = [sys.executable, "-c", slow, "fleet", str(tmp_path), "--out", str(tmp_path / "fleet.parquet")]
@@ -135,12 +136,12 @@ def test_control_characters_of_a_file_do_not_reach_the_terminal(capsys, tmp_path
 def test_the_cache_stands_in_the_users_folder(monkeypatch, tmp_path):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     monkeypatch.setattr(sys, "platform", "linux")
-    assert compiled.cache_folder() == tmp_path / "lite6jax" / "jax"
+    assert code_folder.cache_folder() == tmp_path / "lite6jax" / "jax"
     monkeypatch.setattr(sys, "platform", "darwin")
-    assert compiled.cache_folder() == Path.home() / "Library" / "Caches" / "lite6jax" / "jax"
+    assert code_folder.cache_folder() == Path.home() / "Library" / "Caches" / "lite6jax" / "jax"
     monkeypatch.setattr(sys, "platform", "win32")
     monkeypatch.setenv("LOCALAPPDATA", str(tmp_path / "local"))
-    assert compiled.cache_folder() == tmp_path / "local" / "lite6jax" / "jax"
+    assert code_folder.cache_folder() == tmp_path / "local" / "lite6jax" / "jax"
 
 
 def test_a_cache_that_cannot_be_written_is_passed_over_in_silence(tmp_path):
@@ -148,7 +149,7 @@ def test_a_cache_that_cannot_be_written_is_passed_over_in_silence(tmp_path):
     environment = {key: value for key, value in os.environ.items() if key != "JAX_COMPILATION_CACHE_DIR"}
     environment["XDG_CACHE_HOME"] = str(tmp_path)
     code = (
-        "import jax; from lite6jax.fitting.compiled import keep_compiled_code; keep_compiled_code();"
+        "import jax; from lite6jax.fitting.code_folder import keep_compiled_code; keep_compiled_code();"
         "assert jax.config.jax_compilation_cache_dir is None; print(jax.jit(lambda x: x + 1)(1))"
     )
     done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, env=environment, capture_output=True, text=True)
@@ -467,6 +468,17 @@ def test_a_fleet_has_a_row_a_file(capsys, tmp_path):
     assert pyarrow.parquet.read_table(out).to_pylist() == table
 
 
+def test_a_fleet_is_fitted_by_workers_alone(tmp_path, calibration):
+    code = (
+        "import sys; from lite6jax import cli\n"
+        "if __name__ == '__main__':\n"
+        "    cli.main(sys.argv[1:]); sys.exit(sum(name in sys.modules for name in ('jax', 'scipy', 'matplotlib')))"
+    )
+    command = [sys.executable, "-c", code, "fleet", calibration.parent, "--out", tmp_path / "f.parquet"]
+    done = subprocess.run(list(map(str, command)), cwd=ROOT, capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
 def test_fleet_refuses_what_is_no_folder(capsys, tmp_path, calibration):
     out = tmp_path / "fleet.parquet"
     assert refused(capsys, "fleet", calibration, "--out", out) == f"{calibration}: is not a folder; name one"
@@ -484,8 +496,8 @@ def test_a_defect_met_on_one_file_does_not_lose_the_others(monkeypatch, tmp_path
     def stumble(path, nominal):
         raise ZeroDivisionError("division\nby zero")
 
-    monkeypatch.setattr(folder_fit, "_read_calibration", stumble)
-    (row,) = folder.fit_folder([calibration])
+    monkeypatch.setattr(fit, "_read", stumble)
+    (row,) = fit.fit_files([calibration], None)
     assert row.result == Result.UNREADABLE
     assert row.message == (
         f"{calibration}: unexpected ZeroDivisionError: division by zero; please report it with this file"

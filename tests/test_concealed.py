@@ -11,11 +11,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from concealed_rows import TRUTH, WAVE, a_diagnosis, a_finding, a_hidden, a_row
-from concealed_work import work_of
+from concealed_work import dying, refusing
 from scipy.stats import chi2
 
 from benchmarks import __main__ as harness
-from benchmarks.campaigns import campaign, shares, tables, threshold, workers
+from benchmarks.campaigns import shares, tables, threshold
 from benchmarks.campaigns.campaign import given_in, opened, sealed_in, sealed_text, write_files
 from benchmarks.concealed import (
     chain,
@@ -512,29 +512,40 @@ def test_a_truth_that_was_touched_is_not_opened(tmp_path):
         opened(tmp_path, 5, digest)
 
 
-def test_a_worker_that_dies_costs_its_trial_only():
-    found = dict(workers.worked(work_of, [(k,) for k in range(6)], range(6), 2))
-    assert {k: found[k] for k in (0, 1, 2, 5)} == {0: 0, 1: 2, 2: 4, 5: 10}
-    assert isinstance(found[3], workers.WorkerDiedError)
-    assert isinstance(found[4], KeyError)
+def test_a_worker_that_dies_costs_its_trial_only(tmp_path):
+    poses = replace(POSES, answer=dying)
+    (row,) = poses.run(0, [5], tmp_path / "a.parquet", 1, lambda said: None, lambda *_: None)
+    assert (row["index"], row["error"]) == (5, "WorkerDiedError: the process died")
 
 
-def test_a_campaign_goes_on_where_it_stopped(tmp_path, monkeypatch):
+def test_a_campaign_goes_on_where_it_stopped(tmp_path):
     out = tmp_path / "a.parquet"
-    monkeypatch.setattr(
-        campaign, "worked", lambda work, args, names, _: ((n, work(*a)) for n, a in zip(names, args, strict=True))
-    )
-    said = []
-    poses = replace(POSES, answer=lambda given: (_ for _ in ()).throw(OSError("no diagnosis here")))
-    rows = poses.run(0, [5, 6], out, 1, said.append, lambda *_: None)
+    said, asked = [], []
+    poses = replace(POSES, answer=refusing)
+
+    def stop(what, done, total):
+        asked.append((what, done, total))
+        if (what, done) == ("diagnosed", 1):
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        poses.run(0, [5, 6], out, 0, said.append, stop)
+    rows = poses.run(0, [5, 6], out, 0, said.append, lambda *counts: asked.append(counts))
+    assert asked == [
+        *(("sealed", 1, 2), ("sealed", 2, 2), ("diagnosed", 1, 2)),
+        *(("diagnosed", 1, 2), ("diagnosed", 2, 2)),
+    ]
     assert [row["error"] for row in rows] == ["OSError: no diagnosis here"] * 2
     listed = out.with_suffix(".sha256").read_text().splitlines()
     assert [line.split("  ")[1] for line in listed] == ["a.trials/sealed/00005.json", "a.trials/sealed/00006.json"]
     assert subprocess.run(["sha256sum", "-c", "a.sha256"], cwd=tmp_path, capture_output=True).returncode == 0
     again = replace(POSES, answer=lambda given: pytest.fail("was done before"))
-    assert again.run(0, [5, 6], out, 1, said.append, lambda *_: None) == rows
+    assert again.run(0, [5, 6], out, 0, said.append, lambda *_: None) == rows
+    more = poses.run(0, [6, 7], out, 0, said.append, lambda *_: None)
+    assert more[0] == rows[1]
+    assert [row["index"] for row in POSES.read_rows(out)] == [5, 6, 7]
     with pytest.raises(ValueError, match="another seed"):
-        poses.run(1, [5], out, 1, said.append, lambda *_: None)
+        poses.run(1, [5], out, 0, said.append, lambda *_: None)
 
 
 @pytest.mark.long

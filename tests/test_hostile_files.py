@@ -14,8 +14,10 @@ from benchmarks.fuzzed import CSV, FACTORY, LITE6, recording
 from lite6jax.arms.files import write_arm, write_table
 from lite6jax.cli.arguments import refuse_inputs
 from lite6jax.errors import InputError
-from lite6jax.fitting.folder import fit_folder, folder_files
-from lite6jax.fitting.folder_rows import write_rows
+from lite6jax.folders.fleet import fit_folder
+from lite6jax.folders.listing import fleet_names
+from lite6jax.folders.place import Place
+from lite6jax.folders.rows import write_rows
 from lite6jax.recordings import Recording, RecordingSettings, write_recording, write_settings
 
 
@@ -78,7 +80,7 @@ def test_a_fleet_survives_a_name_that_is_not_utf8(tmp_path):
     folder.mkdir()
     shutil.copy(FACTORY.write(tmp_path), folder / os.fsdecode(b"\xff.yaml"))
     os.mkfifo(folder / "pipe.csv")
-    path = write_rows(fit_folder(folder_files(folder)), tmp_path / "fleet.parquet")
+    path = fit_folder(folder, tmp_path / "fleet.parquet", processes=0).path
     (row,) = pq.read_table(path).to_pylist()
     assert row["file"] == "\\udcff.yaml"
     assert row["message"].endswith("its name is not UTF-8; rename the file or its folder")
@@ -152,7 +154,7 @@ def test_inputs_of_a_log_and_of_a_growing_recording_are_those_of_its_sidecar(tmp
 def test_the_table_of_an_earlier_fleet_is_replaced(tmp_path):
     FACTORY.write(tmp_path)
     out = write_rows([], tmp_path / "fleet.parquet")
-    assert [path.name for path in folder_files(tmp_path, out)] == ["arm.yaml"]
+    assert fleet_names(Place.of(tmp_path), out) == ["arm.yaml"]
 
 
 # ------------------------------------------------------------------ what crashed on numbers

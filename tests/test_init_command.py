@@ -196,7 +196,11 @@ def test_the_report_is_readable_on_any_terminal(recorded, capsys, width):
         ("diagnose", "run7.xlsx", "is a workbook; save its sheet as CSV (UTF-8), and name its columns by `lite6jax"),
         ("check", "run7.npz", "is no recording; write it as run7.csv or .parquet with a name for each column"),
         ("fit", "empty", "is a folder without a recording: no rosbag2 (metadata.yaml and .db3 or .mcap), no LeRobot"),
-        ("diagnose", "tables", "is a folder; name a file in it, such as run7.csv, or fit all of them with `lite6jax"),
+        (
+            "diagnose",
+            "tables",
+            "is a folder; name a file in it, or a folder with --out for the documents of all",
+        ),
         ("init", "tables", "is a folder; name a file in it, such as run7.csv, or fit all of them with `lite6jax"),
     ],
 )

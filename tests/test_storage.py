@@ -4,7 +4,10 @@ import errno
 import os
 import signal
 
+import hypothesis
 import pytest
+import yaml
+from hypothesis import strategies as st
 
 from lite6jax import storage
 from lite6jax.errors import InputError
@@ -93,3 +96,56 @@ def test_yaml_may_be_as_deep_as_the_limit(tmp_path):
     path = tmp_path / "deep.yaml"
     path.write_text("[" * storage.YAML_DEPTH_LIMIT + "]" * storage.YAML_DEPTH_LIMIT)
     assert storage.read_yaml(path) == eval(path.read_text())
+
+
+_NAMES = st.sampled_from(["x", "y", "joint1", "no", "true", "Null", "1", "a b", "kinematics", "_z"])
+_NUMBERS = st.one_of(
+    st.floats().map(repr),
+    st.floats(allow_nan=False).map(lambda value: f"{value:+.3f}"),
+    st.integers().map(str),
+    st.sampled_from(
+        ["007", "0x1f", "1e5", "1.e+5", "1:30", ".5", "-0.0", "~", "text", "'1.0'", "[1]", "1_0.0", "2020-01-02"]
+    ),
+)
+_BLOCKS = st.recursive(
+    _NUMBERS, lambda inner: st.lists(st.tuples(_NAMES, inner), min_size=1, max_size=4), max_leaves=12
+)
+
+
+def _lines(block, depth, step):
+    for name, inner in block:
+        if isinstance(inner, str):
+            yield f"{' ' * depth}{name}: {inner}"
+        else:
+            yield f"{' ' * depth}{name}:"
+            yield from _lines(inner, depth + step, step)
+
+
+@hypothesis.given(_BLOCKS.filter(lambda block: not isinstance(block, str)), st.integers(0, 3), st.data())
+@hypothesis.settings(max_examples=200)
+def test_mappings_of_numbers_are_read_as_yaml_reads_them(block, step, data):
+    lines = list(_lines(block, 0, step))
+    for _ in range(data.draw(st.integers(0, 2))):
+        at = data.draw(st.integers(0, len(lines)))
+        lines.insert(
+            at, data.draw(st.sampled_from(["# a comment", "", "   ", "  # another", "x: 1.0", "  y: 2.0", "---"]))
+        )
+    text = data.draw(st.sampled_from(["\n", "\r\n"])).join(lines) + data.draw(st.sampled_from(["", "\n", "  \n"]))
+    found = storage._mapping_of_numbers(text)
+    if found is not None:
+        assert repr(found) == repr(yaml.safe_load(text))
+
+
+def test_a_factory_file_is_read_without_a_parser_of_all_yaml():
+    text = "# c\nkinematics:\n  joint1:\n    x: 1.5e-05\n    y: -0.0\n    z: 3\n  joint2:\n    x: 0.1\n# c\n"
+    assert storage._mapping_of_numbers(text) == yaml.safe_load(text)
+    for other in (
+        "a: 1.0\na: 2.0\n",
+        "a:\n",
+        "a:\nb: 1.0\n",
+        "a:\n    b: 1.0\n  c: 1.0\n",
+        " a: 1.0\nb: 1.0\n",
+        "",
+        "# c\n",
+    ):
+        assert storage._mapping_of_numbers(other) is None

@@ -1,11 +1,14 @@
-"""The run of many trials: sealed first, diagnosed in processes of their own, opened last, kept as they come."""
+"""The run of many trials: sealed first, diagnosed by workers, opened last, kept as they come."""
 
 import contextlib
+import functools
 import hashlib
 import io
 import json
 import shutil
 import signal
+import tempfile
+import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -16,14 +19,12 @@ from typing import Any, NamedTuple
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from benchmarks.campaigns.workers import WorkerDiedError, worked
+from lite6jax.distribution.batches import outcomes, run_batches, write_tables
 
 Row = dict[str, Any]
 
 LONGEST = 600
 """s: a trial that takes longer has failed."""
-_SAVED_EVERY = 10.0
-_MOST_MAPPINGS = 40_000
 
 TEXT, NUMBER, FLAG = pa.string(), pa.float64(), pa.bool_()
 
@@ -63,56 +64,61 @@ class Campaign:
 
     def seal(self, seed: int, index: int, folder: Path, sealed_families: bool = False) -> str:
         """Draws a trial, writes what the diagnosis is given, puts the truth aside, and gives only its SHA-256."""
-        files, truth = self.draw(seed, index, sealed_families)
-        write_files(files, given_in(folder, index))
+        return self._put_aside(index, self.draw(seed, index, sealed_families), folder)
+
+    def sealed_by_process(self, seed: int, index: int, folder: Path, sealed_families: bool) -> str:
+        """As `seal`, drawn by a process as the trials of a run are: the truth is then the same to the last bit."""
+        given = (self, seed, sealed_families)
+        ((_, table),) = outcomes(drawn, [(0, [index])], given, died=_not_drawn, processes=1)
+        (row,) = table.to_pylist()
+        return self._put_aside(index, Drawn(dict(row["files"]), row["truth"]), folder)
+
+    def _put_aside(self, index: int, drawn: Drawn, folder: Path) -> str:
+        write_files(drawn.files, given_in(folder, index))
         sealed = sealed_in(folder, index)
         sealed.parent.mkdir(parents=True, exist_ok=True)
-        sealed.write_bytes(truth.encode())
-        return hashlib.sha256(truth.encode()).hexdigest()
+        sealed.write_bytes(drawn.truth.encode())
+        return hashlib.sha256(drawn.truth.encode()).hexdigest()
 
     def judge(self, folder: Path, index: int, digest: str) -> Row:
         """Diagnoses a trial, predicts the unseen motion, then opens the truth and scores."""
-        given = given_in(folder, index)
-        start = time.perf_counter()
-        error = ""
-        try:
-            with _limit(LONGEST), contextlib.redirect_stdout(io.StringIO()):
-                self.answer(given)
-        except ImportError:  # a library that is not whole is no trial's failure
-            raise
-        except Exception as problem:
-            error = f"{type(problem).__name__}: {problem}"[:300]
-        seconds = time.perf_counter() - start
-        row = self.score(opened(folder, index, digest), given, seconds, error) | {"sha256": digest}
-        _forget_compiled()
-        return row
+        (said,) = answered([_Given(index, _read_files(given_in(folder, index)))], self).to_pylist()
+        return self._scored(folder, digest, said)
+
+    def _scored(self, folder: Path, digest: str, said: Row) -> Row:
+        with tempfile.TemporaryDirectory() as name:
+            write_files(dict(said["files"]), Path(name))
+            truth = opened(folder, said["index"], digest)
+            return self.score(truth, Path(name), said["seconds"], said["error"]) | {"sha256": digest}
 
     def run(
         self,
         seed: int,
         wanted: Sequence[int],
         out: Path,
-        processes: int,
+        processes: int | None,
         say: Callable[[str], object],
         advance: Callable[[str, int, int], object],
         sealed_families: bool = False,
+        scheduler: str | None = None,
     ) -> list[Row]:
         """The rows of all wanted trials; those that the file already has are not run again.
 
         Beside the file of results comes a folder with what the diagnosis is given and, apart from it, the sealed
-        truths; and their hashes, in the form of `sha256sum`, before the first diagnosis begins.
+        truths; and their hashes, in the form of `sha256sum`, before the first diagnosis begins. Workers are given files
+        and answer with files: they never see a truth.
 
         Args:
             seed: of the campaign.
             wanted: indices of trials.
             out: the Parquet file.
-            processes: that work at a time.
+            processes: that work at a time; one a core for None, and this one alone for 0.
             say: called with a sentence on what happens.
             advance: called with the kind of work, how much of it is done, and how much there is.
             sealed_families: what is outside the catalogue is of the sealed families, and of no other.
+            scheduler: the address of the scheduler of a Dask cluster, in place of processes.
 
         Raises:
-            KeyboardInterrupt: after what is done has been kept.
             ValueError: the file has trials of another seed, or of families that are sealed where these are not.
         """
         folder = out.with_suffix(".trials")
@@ -124,24 +130,39 @@ class Campaign:
                 f"{out}: has trials of {'open' if sealed_families else 'sealed'} families; give another file"
             )
         left = [index for index in wanted if index not in rows]
-        kept = time.monotonic()
-        try:
-            digests = self._sealed(seed, left, folder, out, processes, say, advance, sealed_families)
-            for index, row in worked(self.judge, [(folder, i, digests[i]) for i in left], left, processes):
-                if isinstance(row, WorkerDiedError):
-                    truth, empty = opened(folder, index, digests[index]), folder / "died"
-                    row = self.score(truth, empty, 0.0, str(row)) | {"sha256": digests[index]}
-                elif isinstance(row, Exception):
-                    raise row
-                rows[index] = row
-                shutil.rmtree(given_in(folder, index), ignore_errors=True)
-                if time.monotonic() - kept > _SAVED_EVERY:
-                    self.write_rows(list(rows.values()), out)
-                    kept = time.monotonic()
-                advance("diagnosed", sum(i in rows for i in wanted), len(wanted))
-        finally:
-            if rows:
-                self.write_rows(list(rows.values()), out)
+        if not left:
+            return [rows[index] for index in wanted]
+        digests = self._sealed(seed, left, folder, out, processes, scheduler, say, advance, sealed_families)
+        every = sorted({*rows, *left})
+        done = [sum(index in rows for index in wanted)]
+
+        def arrived(number: int, answer: pa.Table) -> pa.Table:
+            (said,) = answer.to_pylist()
+            row = self._scored(folder, digests[every[number]], said)
+            return self._table([row])
+
+        def advanced(more: int) -> None:
+            done[0] += more
+            advance("diagnosed", min(done[0], len(wanted)), len(wanted))
+
+        run_batches(
+            answered,
+            [[_Given(index, given_in(folder, index))] for index in every],
+            (self,),
+            out=out,
+            content=lambda given: f"{seed} {given[0].trial} {digests[given[0].trial]} {_source()}".encode(),
+            known=lambda given: self._table([rows[given[0].trial]]) if given[0].trial in rows else None,
+            loaded=lambda given: [_Given(one.trial, _read_files(one.files)) for one in given],
+            died=lambda given: _answer(given.trial, {}, 0.0, "WorkerDiedError: the process died"),
+            arrived=arrived,
+            processes=processes,
+            scheduler=scheduler,
+            progress=advanced,
+            overwrite=True,
+        )
+        for index in left:
+            shutil.rmtree(given_in(folder, index), ignore_errors=True)
+        rows = {row["index"]: row for row in self.read_rows(out)}
         return [rows[index] for index in wanted]
 
     def _sealed(
@@ -150,7 +171,8 @@ class Campaign:
         left: Sequence[int],
         folder: Path,
         out: Path,
-        processes: int,
+        processes: int | None,
+        scheduler: str | None,
         say: Callable[[str], object],
         advance: Callable[[str, int, int], object],
         sealed_families: bool,
@@ -159,14 +181,24 @@ class Campaign:
         listed = out.with_suffix(".sha256")
         digests = _listed(listed)
         todo = [i for i in left if i not in digests or not (given_in(folder, i) / "unseen.csv").exists()]
-        drawn = [(seed, i, folder, sealed_families) for i in todo]
-        for done, (index, digest) in enumerate(worked(self.seal, drawn, todo, processes), 1):
-            if isinstance(digest, Exception):
-                raise digest
-            if digests.get(index, digest) != digest:
-                raise ValueError(f"{listed}: trial {index} was sealed as another; the generator has changed")
-            digests[index] = digest
-            advance("sealed", done, len(todo))
+        work = outcomes(
+            drawn,
+            enumerate([index] for index in todo),
+            (self, seed, sealed_families),
+            died=_not_drawn,
+            processes=processes,
+            scheduler=scheduler,
+            most=len(todo),
+        )
+        with contextlib.closing(work):
+            for done, (_, table) in enumerate(work, 1):
+                (row,) = table.to_pylist()
+                index = row["index"]
+                digest = self._put_aside(index, Drawn(dict(row["files"]), row["truth"]), folder)
+                if digests.get(index, digest) != digest:
+                    raise ValueError(f"{listed}: trial {index} was sealed as another; the generator has changed")
+                digests[index] = digest
+                advance("sealed", done, len(todo))
         lines = [f"{digests[i]}  {sealed_in(Path(folder.name), i).as_posix()}\n" for i in sorted(digests)]
         out.parent.mkdir(parents=True, exist_ok=True)
         listed.write_text("".join(lines))
@@ -177,9 +209,11 @@ class Campaign:
     def write_rows(self, rows: Sequence[Row], path: Path) -> None:
         """The rows by index, in one step: a reader never sees half a file."""
         path.parent.mkdir(parents=True, exist_ok=True)
-        part = path.with_name(f".{path.name}.part")
-        pq.write_table(pa.Table.from_pylist(sorted(rows, key=lambda row: row["index"]), self.schema), part)
-        part.replace(path)
+        table = self._table(sorted(rows, key=lambda row: row["index"]))
+        write_tables(lambda: iter([table]), path, overwrite=True)
+
+    def _table(self, rows: Sequence[Row]) -> pa.Table:
+        return pa.Table.from_pylist(list(rows), self.schema)
 
     def read_rows(self, path: Path) -> list[Row]:
         """The rows of a file of results."""
@@ -220,11 +254,79 @@ def sealed_text(truth: Row) -> str:
     return json.dumps(truth, indent=1, allow_nan=False, default=float) + "\n"
 
 
+class _Given(NamedTuple):
+    """A trial's files by name, or the folder that has them, as these are read when they are sent."""
+
+    trial: int
+    files: Any
+
+
+_FILES = pa.map_(TEXT, TEXT)
+_DRAWN = pa.schema({"index": pa.int64(), "files": _FILES, "truth": TEXT})
+_ANSWER = pa.schema({"index": pa.int64(), "files": _FILES, "seconds": NUMBER, "error": TEXT})
+
+
+def drawn(indices: Sequence[int], campaign: Campaign, seed: int, sealed_families: bool) -> pa.Table:
+    """The files and the truths of trials, by a worker."""
+    found = ((index, campaign.draw(seed, index, sealed_families)) for index in indices)
+    rows = [{"index": index, "files": list(trial.files.items()), "truth": trial.truth} for index, trial in found]
+    return pa.Table.from_pylist(rows, _DRAWN)
+
+
+def answered(given: Sequence[_Given], campaign: Campaign) -> pa.Table:
+    """What the diagnosis of trials wrote, by a worker, with its time and its error."""
+    return pa.concat_tables([_answered(trial, campaign) for trial in given])
+
+
+def _answered(trial: _Given, campaign: Campaign) -> pa.Table:
+    with tempfile.TemporaryDirectory() as name:
+        folder, error = Path(name), ""
+        write_files(trial.files, folder)
+        start = time.perf_counter()
+        try:
+            with _limit(LONGEST), contextlib.redirect_stdout(io.StringIO()):
+                campaign.answer(folder)
+        except ImportError:  # a library that is not whole is no trial's failure
+            raise
+        except Exception as problem:
+            error = f"{type(problem).__name__}: {problem}"[:300]
+        seconds = time.perf_counter() - start
+        files = {file: text for file, text in _read_files(folder).items() if file not in trial.files}
+        return _answer(trial.trial, files, seconds, error)
+
+
+def _answer(index: int, files: dict[str, str], seconds: float, error: str) -> pa.Table:
+    row = {"index": index, "files": list(files.items()), "seconds": seconds, "error": error}
+    return pa.Table.from_pylist([row], _ANSWER)
+
+
+def _not_drawn(index: int) -> pa.Table:
+    raise RuntimeError(f"trial {index}: the process that draws it was ended")
+
+
+def _read_files(folder: Path) -> dict[str, str]:
+    return {path.name: path.read_text() for path in sorted(folder.iterdir()) if path.is_file()}
+
+
+@functools.cache
+def _source() -> str:
+    """The SHA-256 of the benchmarks' source, on which results depend besides the library."""
+    digest = hashlib.sha256()
+    for path in sorted(Path(__file__).parents[1].rglob("*.py")):
+        digest.update(path.read_bytes())
+    return digest.hexdigest()
+
+
 @contextlib.contextmanager
 def _limit(seconds: int) -> Iterator[None]:
+    """Ends what takes longer; in the main thread only, where alone there are signals."""
+
     def stop(number: int, frame: FrameType | None) -> None:
         raise TimeoutError(f"took longer than {seconds} s")
 
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
     before = signal.signal(signal.SIGALRM, stop)
     signal.alarm(seconds)
     try:
@@ -232,18 +334,6 @@ def _limit(seconds: int) -> Iterator[None]:
     finally:
         signal.alarm(0)
         signal.signal(signal.SIGALRM, before)
-
-
-def _forget_compiled() -> None:
-    """Every compiled function holds mappings of memory, of which a process may have so many."""
-    try:
-        mappings = Path("/proc/self/maps").read_bytes().count(b"\n")
-    except OSError:
-        return
-    if mappings > _MOST_MAPPINGS:
-        import jax
-
-        jax.clear_caches()
 
 
 def _listed(path: Path) -> dict[int, str]:

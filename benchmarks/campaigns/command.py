@@ -1,7 +1,6 @@
 """The command of a kind of trials: runs them, or one of them, and says what came of it."""
 
 import argparse
-import os
 import tempfile
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
@@ -14,7 +13,6 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from benchmarks.campaigns.campaign import Campaign, Row, opened
 from benchmarks.campaigns.shares import Goal
 from benchmarks.campaigns.tables import Section, markdown, tables
-from benchmarks.campaigns.workers import worked
 from benchmarks.ending import DONE, MISSED, ended
 from lite6jax.errors import InputError
 from lite6jax.storage import check_writable
@@ -62,7 +60,7 @@ def main(trials: Trials, arguments: Sequence[str] | None = None) -> int:
         parser.error(f"--trial: runs one and keeps nothing; leave {also} out")
     if options.out and options.out.suffix != ".parquet":
         parser.error(f"--out: {options.out} is to be a Parquet file; end its name in .parquet")
-    kept = f"; {options.out} has what was done, the same command goes on" if options.out else ""
+    kept = f"; what was done is kept beside {options.out}, the same command goes on" if options.out else ""
     return ended(partial(_run, trials, options), (InputError, ValueError, OSError), kept)
 
 
@@ -113,12 +111,14 @@ def _parser(trials: Trials) -> argparse.ArgumentParser:
         )
     parser.add_argument("--markdown", action="store_true", help="print the tables as Markdown")
     parser.add_argument("--processes", type=_count, metavar="P", help="that work at a time; one a core if not given")
+    parser.add_argument(
+        "--scheduler", metavar="ADDRESS", help="of a Dask cluster that works in place of processes, as tcp://HOST:8786"
+    )
     return parser
 
 
 def _many(trials: Trials, options: argparse.Namespace, console: Console) -> int:
     wanted = trials.indices(options.seed, options.trials, *(options.kind or ()))
-    processes = options.processes or len(os.sched_getaffinity(0))
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     shown = Console(stderr=True)
     with (
@@ -131,7 +131,9 @@ def _many(trials: Trials, options: argparse.Namespace, console: Console) -> int:
         def advance(what: str, done: int, total: int) -> None:
             bar.update(task, description=what, completed=done, total=total)
 
-        rows = trials.campaign.run(options.seed, wanted, out, processes, console.print, advance, options.sealed)
+        rows = trials.campaign.run(
+            options.seed, wanted, out, options.processes, console.print, advance, options.sealed, options.scheduler
+        )
     if trials.differences and options.compare:
         for line in trials.differences(trials.campaign.read_rows(options.compare), rows):
             console.print(line, soft_wrap=True)
@@ -150,10 +152,7 @@ def _one(trials: Trials, seed: int, index: int, sealed: bool, console: Console) 
     """Runs a trial and prints what was hidden and what was said."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        # in a process as in a campaign: its truth is then the same to the last bit
-        ((_, digest),) = worked(trials.campaign.seal, [(seed, index, folder, sealed)], [index], 1)
-        if isinstance(digest, Exception):
-            raise digest
+        digest = trials.campaign.sealed_by_process(seed, index, folder, sealed)
         console.print(f"Trial {index} of seed {seed}: truth sealed, SHA-256 {digest}.", soft_wrap=True)
         row = trials.campaign.judge(folder, index, digest)
         for line in trials.story(opened(folder, index, digest), row):

@@ -27,7 +27,8 @@ from lite6jax.controller import rows
 from lite6jax.effects import catalogue, user_effects
 from lite6jax.effects.dynamic import catalogue as torque_catalogue
 from lite6jax.effects.effect import Effect
-from lite6jax.fitting.folder_rows import write_rows
+from lite6jax.folders import diagnoses
+from lite6jax.folders.rows import write_rows
 from lite6jax.recordings import RecordingSettings, columns, settings
 from lite6jax.report import remedies
 
@@ -219,6 +220,11 @@ def fleet_table() -> str:
     return ", ".join(f"`{name}`" for name in written.names)
 
 
+def diagnoses_table() -> str:
+    """The columns of the table of a folder's diagnoses."""
+    return ", ".join(f"`{name}`" for name in diagnoses.SCHEMA.names)
+
+
 def pose_effects() -> str:
     """The catalogue of effects on poses."""
     return _effects(catalogue.BUILT_IN, _looks("poses"), remedies.OF_POSES)
@@ -337,6 +343,7 @@ MADE: Mapping[str, Callable[[], str]] = {
     "columns": column_table,
     "commands": command_help,
     "fleet": fleet_table,
+    "diagnoses": diagnoses_table,
     "own_effect": own_effect,
     "pose_effects": pose_effects,
     "python": python_pages,

@@ -56,7 +56,7 @@ def six_parameter_to_hayati(form: HayatiForm, kinematics: ArrayLike, nominal: Ar
             branch[i, 1] = 0.0 if directions[i] @ directions[i + 1] > 0 else np.pi
     else:
         branch = form.unpack(nominal)[1][:, [0, 3]]
-    parameters, regularity = _convert(form, np.ascontiguousarray(np.moveaxis(arms, 0, -1)), branch)
+    parameters, regularity = closed_form(form, np.ascontiguousarray(np.moveaxis(arms, 0, -1)), branch)
     _require_regular(form, [np.asarray(measure) for measure in regularity], alone=kinematics.ndim == 2)
     return np.ascontiguousarray(np.asarray(parameters).T).reshape(*kinematics.shape[:-2], form.size)
 
@@ -82,7 +82,7 @@ def _require_regular(form: HayatiForm, regularity: list[np.ndarray], alone: bool
 
 
 @partial(jax.jit, static_argnums=0)
-def _convert(form: HayatiForm, kinematics: Array, branch: Array) -> tuple[Array, tuple[Array, Array, Array]]:
+def closed_form(form: HayatiForm, kinematics: Array, branch: Array) -> tuple[Array, tuple[Array, Array, Array]]:
     """Parameters `(size, arm)` of `kinematics` `(joint, 6, arm)`, closest to `branch` `(joint, 2)`, theta and alpha.
 
     Two frames advance joint by joint: that of the six-parameter chain, whose z is the next joint's axis, and the DH

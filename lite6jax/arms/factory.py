@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations, product
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -27,7 +28,7 @@ MOST_JOINTS = 99
 """The names of more have another form."""
 
 # m; points at this distance along the flange's x and y are compared as well, so that its orientation matters too.
-_PROBE = 0.1
+PROBE = 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,15 +65,39 @@ def read_factory(path: str | Path, arm: Arm | None = None) -> FactoryCalibration
             radians, millimetres for metres; a joint rotated by 180 deg; no `arm` given and no bundled arm near. The
             line names the file, the joint and the remedy.
     """
-    if Path(path).suffix.lower() == ".json":
-        table = read_table(path)
-        chain = convert.hayati_to_six_parameter(table.form, table.parameters)
-        kinematics, T_joint_flange = (np.array(part, np.float64) for part in chain)
-        names, sliding = tuple(f"joint{i + 1}" for i in range(len(kinematics))), table.form.sliding
-    else:
-        content = entries.mapping(storage.read_yaml(path), f"{path}:", ("kinematics",))
-        kinematics, names = entries.kinematics(content["kinematics"], str(path))
-        T_joint_flange, sliding = np.eye(4), () if arm is None else arm.sliding
+    if Path(path).suffix.lower() != ".json":
+        return factory_from(storage.read_yaml(path), path, arm)
+    table = read_table(path)
+    chain = convert.hayati_to_six_parameter(table.form, table.parameters)
+    kinematics, T_joint_flange = (np.array(part, np.float64) for part in chain)
+    names = tuple(f"joint{i + 1}" for i in range(len(kinematics)))
+    return _recognised(kinematics, names, T_joint_flange, table.form.sliding, path, arm)
+
+
+def factory_from(content: Any, path: str | Path, arm: Arm | None = None) -> FactoryCalibration:
+    """The factory calibration that a YAML file holds.
+
+    Args:
+        content: as `storage.read_yaml` gives it.
+        path: the file, for messages.
+        arm: as of `read_factory`.
+
+    Raises:
+        InputError: as `read_factory`.
+    """
+    content = entries.mapping(content, f"{path}:", ("kinematics",))
+    kinematics, names = entries.kinematics(content["kinematics"], str(path))
+    return _recognised(kinematics, names, np.eye(4), () if arm is None else arm.sliding, path, arm)
+
+
+def _recognised(
+    kinematics: Array,
+    names: Sequence[str],
+    T_joint_flange: Array,
+    sliding: tuple[int, ...],
+    path: str | Path,
+    arm: Arm | None,
+) -> FactoryCalibration:
     if arm is None and (sliding or not bundled_of(len(kinematics))):
         arm = Arm(Path(path).stem, kinematics, sliding=sliding, source=f"factory calibration {Path(path).name}")
         what = f"prismatic joints, as joint {sliding[0] + 1} is" if sliding else f"{len(kinematics)} joints"
@@ -80,7 +105,7 @@ def read_factory(path: str | Path, arm: Arm | None = None) -> FactoryCalibration
             f"{path}: no bundled arm has {what}, so this chain is its own nominal arm; name another with --arm to see"
             " how it deviates",
             InputWarning,
-            stacklevel=2,
+            stacklevel=3,
         )
         return FactoryCalibration(kinematics, arm, T_joint_flange, str(path))
     if arm is not None and arm.sliding != sliding:
@@ -172,7 +197,7 @@ def _flange_points(links: Array, after: Array, q: Array, sliding: tuple[int, ...
     """(sample, 3, 3) the flange's origin and the points beside it, in the base frame."""
     T = frames.chain(links, q, sliding) @ after
     origin = T[:, :3, 3]
-    return np.stack([origin, origin + _PROBE * T[:, :3, 0], origin + _PROBE * T[:, :3, 1]], axis=1)
+    return np.stack([origin, origin + PROBE * T[:, :3, 0], origin + PROBE * T[:, :3, 1]], axis=1)
 
 
 def _distances(points: Array, candidates: Array) -> Array:

@@ -13,6 +13,8 @@ from lite6jax.storage import check_writable
 ArmName = Annotated[str | None, arg(metavar="ARM")]
 OutFile = Annotated[Path | None, arg(metavar="FILE")]
 Folder = Annotated[Path | None, arg(metavar="DIR")]
+Processes = Annotated[int | None, arg(metavar="N")]
+Scheduler = Annotated[str | None, arg(metavar="ADDRESS")]
 
 
 def check_out(path: Path, suffix: str, overwrite: bool) -> None:
@@ -66,6 +68,18 @@ def check_seed(seed: int) -> None:
     """
     if seed < 0:
         raise InputError(f"--seed {seed}: give 0 or more")
+
+
+def check_processes(processes: int | None, scheduler: str | None) -> None:
+    """Refuses no processes, and processes of this machine beside a cluster.
+
+    Raises:
+        InputError: as said.
+    """
+    if processes is not None and processes < 1:
+        raise InputError(f"--processes {processes}: give 1 or more")
+    if processes is not None and scheduler is not None:
+        raise InputError("--processes and --scheduler: give one of them; a cluster has workers of its own")
 
 
 def arm_reference(arm: str, file: Path) -> str:

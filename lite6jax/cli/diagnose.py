@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 from tyro.conf import Positional, arg
 
-from lite6jax.cli.arguments import ArmName, Folder, OutFile, check_out, refuse_inputs
+from lite6jax.cli.arguments import ArmName, Folder, OutFile, Processes, Scheduler, check_out, refuse_inputs
 from lite6jax.cli.exit_codes import BAD_FIT, DONE
 from lite6jax.cli.inputs import inputs
 from lite6jax.cli.outputs import Drawings, check_figures, present
@@ -24,13 +24,16 @@ class Diagnose:
         lite6jax diagnose run7.csv
         lite6jax diagnose run7.csv --out diagnosis.json --report report.html
         lite6jax diagnose run7.csv --reference gazebo.csv --out diagnosis.json
+        lite6jax diagnose recordings --out results
     """
 
     source: Annotated[Positional[Path], arg(metavar="FILE")]
     """A recording of measured poses, or of motor torques or currents (.csv, .parquet, .mcap, .bag, or the folder of a
-    rosbag2 or of a LeRobot data set), with its sidecar .yaml beside it; `lite6jax init` writes one."""
+    rosbag2 or of a LeRobot data set), with its sidecar .yaml beside it; `lite6jax init` writes one. Or a folder of
+    recordings, or a URL that fsspec reads: each recording is diagnosed."""
     out: OutFile = None
-    """Write findings and model here (JSON), for predict, compensate and report. Nothing is written without."""
+    """Write findings and model here (JSON), for predict, compensate and report. Nothing is written without. Of a folder
+    of recordings: a folder, for a document of each and the table summary.parquet."""
     reference: Annotated[Path | None, arg(metavar="OTHER")] = None
     """Compare with this recording instead of the model: another simulator at the same joint positions, or the same arm
     earlier. The report first states whether the model reproduces it, and the differences if not. Of torques in another
@@ -62,11 +65,21 @@ class Diagnose:
     """Take joint columns that say rad as degrees."""
     assume_millimetres: bool = False
     """Take position columns that say m as millimetres."""
+    processes: Processes = None
+    """Of a folder: so many processes of this machine, each with one thread; one a core where not given."""
+    scheduler: Scheduler = None
+    """Of a folder: the Dask cluster of the scheduler at this address (tcp://HOST:8786), in place of processes here."""
 
     def run(self) -> int:
         """Reads, searches, writes, prints."""
         if self.poses and self.torques:
             raise InputError("--poses and --torques: give one of them, or none to diagnose both")
+        from lite6jax.cli.diagnose_folder import diagnose_recordings, is_folder
+
+        if is_folder(self.source):
+            return diagnose_recordings(self)
+        if self.processes is not None or self.scheduler is not None:
+            raise InputError(f"--processes, --scheduler: are for a folder of recordings; {self.source} is one file")
         if self.out:
             check_out(self.out, ".json", self.force)
         if self.report:

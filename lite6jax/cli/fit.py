@@ -14,7 +14,6 @@ if TYPE_CHECKING:
     from lite6jax.arms.arm import Arm
     from lite6jax.arms.factory import FactoryCalibration
     from lite6jax.controller.verification import Verification
-    from lite6jax.fitting.solution import Solution
     from lite6jax.recordings import Recording
 
 DEMO = Path(__file__).parents[1] / "demo" / "lite6_simulated.yaml"
@@ -243,60 +242,3 @@ class Compare:
         screen.show(fleet_tables.comparison_report(comparison, screen.console().width))
         screen.written(written)
         return DONE
-
-
-@dataclass(frozen=True)
-class Fleet:
-    """Fit every calibration and recording of a folder; a bad file becomes a row that says why. A run that was ended
-    goes on where it stopped.
-
-    For example:
-
-        lite6jax fleet calibrations --out fleet.parquet
-    """
-
-    folder: Annotated[Positional[Path], arg(metavar="DIR")]
-    """The folder; its subfolders are not read."""
-    out: Annotated[Path, arg(metavar="FILE")]
-    """Write a row a file here (Parquet; SI units in the column names)."""
-    arm: ArmName = None
-    """The nominal arm of all of them; recognised file by file where not given."""
-    json: bool = False
-    """Print JSON instead of the report."""
-    force: bool = False
-    """Replace the file if it exists."""
-
-    def run(self) -> int:
-        """Fits, writes, prints."""
-        check_out(self.out, ".parquet", self.force)
-        from lite6jax.fitting.contained import Contained
-
-        with Contained() as process:
-            from lite6jax.fitting.folder import fit_folder, folder_files
-            from lite6jax.fitting.folder_rows import write_rows
-            from lite6jax.fitting.kept_rows import KeptRows
-            from lite6jax.fitting.source import load_nominal
-            from lite6jax.report import fleet_tables, screen
-
-            nominal = load_nominal(self.arm)
-            files = folder_files(self.folder, self.out)
-            kept = KeptRows(self.out, nominal)
-            with screen.progress(len(files), "fitting") as advance:
-                rows = fit_folder(files, nominal, advance, _screened_fit, kept, process)
-        path = write_rows(rows, self.out, self.force)
-        kept.remove()
-        if self.json:
-            from lite6jax.report import documents
-
-            print(documents.text(documents.of_folder(rows), [path]))
-            return DONE
-        screen.show(fleet_tables.folder_report(rows, kept.used))
-        screen.written([path])
-        return DONE
-
-
-def _screened_fit(recording: "Recording", nominal: "Arm | None") -> "Solution":
-    """The fit of a recording; a folder of calibrations does not import what it takes."""
-    from lite6jax.domains.pose.fit_recording import fit_recording
-
-    return fit_recording(recording, nominal)

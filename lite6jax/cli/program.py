@@ -23,7 +23,8 @@ from lite6jax.cli.diagnose import Diagnose, Predict
 from lite6jax.cli.emulate import Emulate
 from lite6jax.cli.exit_codes import BAD_INPUT, DONE, INTERRUPTED, MEANINGS, READER_LEFT
 from lite6jax.cli.files import Check, Convert
-from lite6jax.cli.fit import Compare, Demo, Fit, Fleet
+from lite6jax.cli.fit import Compare, Demo, Fit
+from lite6jax.cli.fleet import Fleet
 from lite6jax.cli.help import is_help, with_readable_options, wrapped
 from lite6jax.cli.init import Init
 from lite6jax.cli.listing import Arms, Effects
@@ -78,7 +79,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 _subcommands(arguments), prog="lite6jax", description=DESCRIPTION, args=current_spelling(arguments),
                 config=(FlagCreatePairsOff, OmitArgPrefixes),
             )  # fmt: skip
-        from lite6jax.fitting.compiled import keep_compiled_code
+        from lite6jax.fitting.code_folder import keep_compiled_code
 
         keep_compiled_code()
         gc.set_threshold(200_000)  # tracing makes objects that stay; to look them through again and again takes a tenth

@@ -9,15 +9,11 @@ from lite6jax.arms.bundled import bundled_of
 from lite6jax.arms.factory import FactoryCalibration, recognise
 from lite6jax.errors import InputError
 from lite6jax.fitting.chunks import MAX_STEPS
-from lite6jax.fitting.problem import calibration_poses, calibration_problem, sample_within_limits, whitener_of
+from lite6jax.fitting.problem import calibration_poses, calibration_problem, whitener_of
 from lite6jax.fitting.residual import POSE
+from lite6jax.fitting.sampling import CHECK_SAMPLES, SAMPLES, sample_within_limits
 from lite6jax.fitting.solution import Result, Solution, prediction_errors
 from lite6jax.fitting.solve import Solver, solve
-
-SAMPLES = 300
-"""Joint positions that a calibration is fitted at."""
-CHECK_SAMPLES = 1000
-"""Other joint positions, at which the fitted model is compared with the calibration."""
 
 
 def fit_calibration(

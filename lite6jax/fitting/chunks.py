@@ -1,6 +1,5 @@
 """Many arms solved in chunks whose arrays stay in a core's cache, on every core: the batched solve below every fit."""
 
-import os
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
@@ -12,11 +11,13 @@ import numpy as np
 from jax import Array, export
 from jax.typing import ArrayLike
 
+from lite6jax import threads
 from lite6jax.arms.chains import joint_motion
 from lite6jax.fitting import gauss_newton
 from lite6jax.fitting.compiled import Exported
 from lite6jax.fitting.gauss_newton import Prior, Solved, solve_chunk
 from lite6jax.fitting.residual import Observations, Robust, differences, predict_frames, whiten
+from lite6jax.fitting.status import NOT_FINITE, SINGULAR
 from lite6jax.model import ArmModel, ModelForm
 
 CHUNK = 8
@@ -93,9 +94,9 @@ def _solve_and_measure(
     # how much its correlation with the others inflates a parameter's variance
     inflation = jnp.diagonal(covariance, axis1=1, axis2=2) * jnp.diagonal(solved.curvature, axis1=1, axis2=2)
     regular = jnp.all((prior.free == 0) | ((inflation > 0.5) & (inflation < SINGULAR_ABOVE)), 1)
-    doubtful = (solved.status != gauss_newton.NOT_FINITE) & ~regular
+    doubtful = (solved.status != NOT_FINITE) & ~regular
     covariance = jnp.where(regular[:, None, None], covariance, jnp.nan)
-    solved = solved._replace(status=jnp.where(doubtful, gauss_newton.SINGULAR, solved.status))
+    solved = solved._replace(status=jnp.where(doubtful, SINGULAR, solved.status))
     squares, shift, spin = jax.vmap(partial(_errors, form))(solved.model, observed)
     count = jnp.maximum(jnp.sum(observed.weight > 0, (1, 2)), 1)
     return Summary(solved, covariance, squares, jnp.sqrt(jnp.sum(shift, 1) / count), jnp.sqrt(jnp.sum(spin, 1) / count))
@@ -215,16 +216,14 @@ def fit_chunks(
 
     firsts = range(0, arms, chunk)
     compiled = (once, form, chunk, size, block, robust is None, joint_position.ndim, pose.ndim, whitener.ndim)
-    workers = min(
-        len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1, len(firsts)
-    )
+    workers = min(threads.available(), len(firsts))
     if workers == 1:
         parts = [*counted(map(solve, firsts))]
     else:
         head = (
             [] if compiled in _COMPILED else [*counted([solve(firsts[0])])]
         )  # once, before the threads could each begin to
-        with ThreadPoolExecutor(workers) as threads:
-            parts = [*head, *counted(threads.map(solve, firsts[len(head) :]))]
+        with ThreadPoolExecutor(workers) as pool:
+            parts = [*head, *counted(pool.map(solve, firsts[len(head) :]))]
     _COMPILED.add(compiled)
     return jax.tree.map(lambda *leaves: np.concatenate(leaves), *parts)

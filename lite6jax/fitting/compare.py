@@ -12,7 +12,8 @@ from lite6jax.arms.factory import FactoryCalibration
 from lite6jax.arms.forms import hayati_of
 from lite6jax.arms.forward_kinematics import hayati_fk
 from lite6jax.errors import InputError
-from lite6jax.fitting.problem import calibration_poses, sample_within_limits
+from lite6jax.fitting.problem import calibration_poses
+from lite6jax.fitting.sampling import sample_within_limits
 
 Array = NDArray[np.floating]
 SAMPLES = 1000

@@ -14,8 +14,8 @@ from lite6jax.arms.forward_kinematics import six_parameter_fk
 from lite6jax.errors import InputError
 from lite6jax.fitting.chunks import MAX_STEPS, fit_chunks
 from lite6jax.fitting.gauss_newton import Prior
-from lite6jax.fitting.problem import sample_within_limits
 from lite6jax.fitting.residual import POSE
+from lite6jax.fitting.sampling import sample_within_limits
 from lite6jax.fitting.solution import FleetSolution, Result
 from lite6jax.model import LEVER, ModelForm, arm_model
 from lite6jax.recordings import require_radians

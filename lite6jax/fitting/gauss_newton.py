@@ -15,10 +15,8 @@ from jax import Array, lax
 from jax.typing import ArrayLike
 
 from lite6jax.fitting.residual import Observations, Robust, evaluate, linearise, over_blocks
+from lite6jax.fitting.status import CONVERGED, NOT_FINITE, RUNNING, SINGULAR, STEPS_EXHAUSTED
 from lite6jax.model import ArmModel, ModelForm
-
-RUNNING, CONVERGED, STEPS_EXHAUSTED, NOT_FINITE, SINGULAR = range(5)
-"""How a fit stands."""
 
 _REFRESH_ABOVE = 1e-4
 """A step above this, in m or rad, or one that shrinks too slowly, calls for a new curvature."""

@@ -117,12 +117,6 @@ def calibration_problem(calibration: FactoryCalibration, joint_position: Array, 
     )
 
 
-def sample_within_limits(arm: Arm, samples: int, seed: int) -> np.ndarray:
-    """Joint positions `(sample, joint)`, uniform inside the arm's limits."""
-    lower, upper = arm.joint_limits.T
-    return np.random.default_rng(seed).uniform(lower, upper, (samples, arm.dof))
-
-
 def calibration_poses(calibration: FactoryCalibration, joint_position: Array) -> Array:
     """The calibrated chain's flange poses `(sample, 4, 4)`."""
     links = np.array([frames.transform_from_row(row) for row in calibration.kinematics])

@@ -1,7 +1,6 @@
 """What a fit returns: parameters, its result code, unidentifiable parameters, covariance and errors."""
 
 from dataclasses import dataclass, field
-from enum import IntEnum
 from functools import cached_property
 from typing import final
 
@@ -9,39 +8,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lite6jax.arms.arm import Arm
-from lite6jax.fitting import gauss_newton
 from lite6jax.fitting.chunks import pad, padded_size
 from lite6jax.fitting.compiled import Exported
 from lite6jax.fitting.quality import Quality, quality_of_calibration, quality_of_poses
+from lite6jax.fitting.status import Result
 from lite6jax.model import ArmModel, ModelForm, predict
 from lite6jax.recordings import Recording, require_radians
 from lite6jax.recordings.fault import DataFault
 from lite6jax.summary import Summarised
 
 Array = NDArray[np.floating]
-
-
-class Result(IntEnum):
-    """How the fit of one arm ended."""
-
-    CONVERGED = gauss_newton.CONVERGED
-    STEPS_EXHAUSTED = gauss_newton.STEPS_EXHAUSTED
-    NOT_FINITE = gauss_newton.NOT_FINITE
-    SINGULAR = gauss_newton.SINGULAR
-    TOO_FEW_SAMPLES = 5
-    UNREADABLE = 6
-
-    @property
-    def message(self) -> str:
-        """One line for a person."""
-        return {
-            Result.CONVERGED: "converged",
-            Result.STEPS_EXHAUSTED: "did not converge in the steps allowed; check the arm's model, or allow more steps",
-            Result.NOT_FINITE: "met a number that is not finite; check the input",
-            Result.SINGULAR: "does not determine every parameter; record poses that move every joint",
-            Result.TOO_FEW_SAMPLES: "has fewer measured numbers than parameters; record more poses",
-            Result.UNREADABLE: "could not be read",
-        }[self]
 
 
 @dataclass(frozen=True)

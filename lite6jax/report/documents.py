@@ -20,8 +20,8 @@ from lite6jax.domains.pose.compensate import Compensation
 from lite6jax.domains.pose.predict import Prediction
 from lite6jax.domains.pose.registration import Registration
 from lite6jax.fitting.compare import Comparison
-from lite6jax.fitting.folder_rows import Row
 from lite6jax.fitting.solution import Errors, Solution
+from lite6jax.folders.rows import Row
 from lite6jax.identifiability.discrimination import DiscriminationPlan
 from lite6jax.identifiability.planning import Plan
 from lite6jax.identifiability.sensitivity import GlobalSensitivity, Sensitivity
@@ -112,6 +112,11 @@ def of_folder(rows: Sequence[Row]) -> dict[str, Any]:
             {**asdict(row), "result": row.result.name.lower(), "parameters": dict(row.parameters)} for row in rows
         ],
     }
+
+
+def of_diagnoses(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """The document of the diagnoses of a folder's recordings."""
+    return {"schema": "lite6jax/diagnoses/1", "recordings": list(rows)}
 
 
 def of_sensitivity(found: Sensitivity, over_arms: GlobalSensitivity | None) -> dict[str, Any]:

@@ -1,18 +1,15 @@
-"""Tables on the screen for many arms: their comparison, the fits of a folder, and the conversion of a file."""
+"""Tables on the screen for many arms: their comparison, and the conversion of a file."""
 
 from collections.abc import Iterator, Sequence
 
 import numpy as np
 from rich.console import RenderableType
-from rich.padding import Padding
 from rich.table import Table
 from rich.text import Text
 
 from lite6jax.arms.forms import Conversion
 from lite6jax.fitting.compare import Comparison
-from lite6jax.fitting.folder_rows import Row, failed
-from lite6jax.fitting.solution import Result
-from lite6jax.report.cells import SCREEN, SHOWS_AS_ZERO, fixed, listing, number
+from lite6jax.report.cells import SCREEN, SHOWS_AS_ZERO, fixed, listing
 from lite6jax.report.tables import STATISTICS
 
 _MOST_ARMS = 12
@@ -87,47 +84,6 @@ def _pairwise_distances(comparison: Comparison) -> Iterator[RenderableType]:
         f" ({pairs[0][near] + 1} and {pairs[1][near] + 1}), {1e3 * distance[far]:.3f} mm for the furthest"
         f" ({pairs[0][far] + 1} and {pairs[1][far] + 1})."
     )
-
-
-def folder_report(rows: Sequence[Row], kept: int = 0) -> Iterator[RenderableType]:
-    """Position errors by type of arm, and a line for each file without a usable fit.
-
-    Args:
-        rows: of the files.
-        kept: how many of them are of an earlier run that was ended.
-    """
-    if kept:
-        yield Text(
-            f"{kept} of {len(rows)} files had been fitted by a run that was ended; their rows are those of that run."
-        )
-    table = listing("arm", "files", "ok", "nominal", "worst", "check")
-    groups: dict[tuple[str, str], list[Row]] = {}
-    for row in rows:
-        if row.arm:
-            groups.setdefault((row.kind, row.arm), []).append(row)
-    for (kind, arm), group in sorted(groups.items()):
-        nominal = [1e3 * row.nominal.position_max for row in group if row.nominal]
-        checked = [1e3 * row.checked.position_max for row in group if row.checked]
-        good = sum(row.result == Result.CONVERGED for row in group)
-        name = arm if kind == "calibration" else f"{arm} (recorded)"
-        table.add_row(
-            name, str(len(group)), str(good), f"{np.median(nominal):.3f}", f"{max(nominal):.3f}", number(max(checked))
-        )
-    if groups:
-        yield Text("By type of arm; position errors in mm")
-        yield table
-        yield Text(
-            "nominal, worst: median and largest, over the arms, of the maximum error before the fit;"
-            " check: largest after it."
-        )
-    bad = failed(rows)
-    if bad:
-        yield ""
-        yield Text(f"{len(bad)} of {len(rows)} files have no usable fit:")
-        for row in bad:
-            yield Padding(
-                Text(f"{row.message if row.file in row.message else f'{row.file}: {row.message}'}"), (0, 0, 0, 2)
-            )
 
 
 def conversion_report(done: Conversion) -> Iterator[RenderableType]:

@@ -3,7 +3,7 @@
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 from rich.console import Console, RenderableType
@@ -78,6 +78,25 @@ def progress(total: int, what: str) -> Iterator[Callable[[int], None]]:
     with Progress(*columns, console=screen, transient=True) as bar:
         task = bar.add_task("", total=total)
         yield lambda done: bar.advance(task, done)
+
+
+@contextmanager
+def progress_of_many(what: str) -> Iterator[Callable[[int, int], None]]:
+    """As `progress`, of work whose amount is known only once it has begun.
+
+    Yields:
+        a function that advances it by so many of so many.
+    """
+    with ExitStack() as stack:
+        advance: Callable[[int], None] | None = None
+
+        def first_or_next(done: int, total: int) -> None:
+            nonlocal advance
+            if advance is None:
+                advance = stack.enter_context(progress(total, what))
+            advance(done)
+
+        yield first_or_next
 
 
 @contextmanager

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from jax import export
 
-from lite6jax.fitting import compiled
+from lite6jax.fitting import code_folder, compiled
 from lite6jax.fitting.compiled import Exported
 
 
@@ -39,8 +39,8 @@ class Counted:
 
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
-    kept = compiled._private(tmp_path / "exported")
-    monkeypatch.setattr(compiled, "_exports", kept)
+    kept = code_folder._private(tmp_path / "exported")
+    monkeypatch.setattr(code_folder, "_exports", kept)
     return kept
 
 
@@ -95,7 +95,7 @@ def test_a_damaged_file_is_replaced(folder, damage):
 
 
 def test_without_a_folder_it_is_the_jitted_function(monkeypatch):
-    monkeypatch.setattr(compiled, "_exports", None)
+    monkeypatch.setattr(code_folder, "_exports", None)
     counted = Counted()
     function = kept(counted)
     check(function)
@@ -109,11 +109,11 @@ def test_a_folder_that_refuses_files_costs_time_only(folder):
 
 
 def test_the_folder_is_its_owners_only(tmp_path):
-    made = compiled._private(tmp_path / "made")
+    made = code_folder._private(tmp_path / "made")
     assert made.stat().st_mode & 0o777 == 0o700
     made.chmod(0o777)
-    assert compiled._private(made) is None
-    assert compiled._private(tmp_path / "missing" / "made") is None
+    assert code_folder._private(made) is None
+    assert code_folder._private(tmp_path / "missing" / "made") is None
 
 
 def test_without_flatbuffers_it_is_the_jitted_function(folder, monkeypatch):
@@ -134,8 +134,8 @@ def test_the_cache_is_made_for_its_owner_and_not_used_where_others_can_write(tmp
     environment = {key: value for key, value in os.environ.items() if key != "JAX_COMPILATION_CACHE_DIR"}
     environment["XDG_CACHE_HOME"] = str(tmp_path)
     code = (
-        "import jax; from lite6jax.fitting import compiled; compiled.keep_compiled_code();"
-        "print(jax.config.jax_compilation_cache_dir, compiled._exports)"
+        "import jax; from lite6jax.fitting import code_folder; code_folder.keep_compiled_code();"
+        "print(jax.config.jax_compilation_cache_dir, code_folder._exports)"
     )
     done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, env=environment, capture_output=True, text=True)
     assert done.stderr == ""

@@ -6,10 +6,11 @@ from numpy.typing import ArrayLike
 
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.factory import FactoryCalibration
-from lite6jax.fitting.calibration_fit import SAMPLES, calibration_of_array, fit_calibration
+from lite6jax.fitting.calibration_fit import calibration_of_array, fit_calibration
 from lite6jax.fitting.chunks import MAX_STEPS
 from lite6jax.fitting.problem import Geometry
 from lite6jax.fitting.recording_fit import Loss
+from lite6jax.fitting.sampling import SAMPLES
 from lite6jax.fitting.solution import Solution
 from lite6jax.fitting.solve import Solver
 from lite6jax.fitting.source import load_nominal, read_source

@@ -1,0 +1,83 @@
+"""A folder of factory files by the command, with one process and with two, against PyYAML's C loader on one core."""
+
+import os
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from functools import partial
+from pathlib import Path
+
+import yaml
+
+from benchmarks.command import ROOT
+from benchmarks.measure import Record, timed
+from benchmarks.problem import simulated_arms
+from lite6jax.arms.factory import write_factory
+
+
+def folders(files: int = 3000, repeats: int = 3) -> Iterator[Record]:
+    """Least wall seconds of the command, whose tables are to have the same bytes; then after a kill.
+
+    Args:
+        files: in the folder.
+        repeats: of each measurement, after one that compiles.
+    """
+    work = f"{files} factory files"
+    with tempfile.TemporaryDirectory() as name:
+        arms = Path(name, "arms")
+        arms.mkdir()
+        for i, kinematics in enumerate(simulated_arms(files, seed=6)):
+            write_factory(kinematics, arms / f"arm{i:06d}.yaml")
+        paths = sorted(arms.iterdir())
+        loader = min(timed(partial(_loaded, paths))[0] for _ in range(repeats))
+        yield Record(work, "PyYAML's C loader", "wall time", loader, "s", "lower")
+        fleet(arms, Path(name, "warm.parquet"), 2)
+        taken, tables = {}, []
+        for processes in (1, 2):
+            out = Path(name, f"{processes}.parquet")
+            taken[processes] = min(fleet(arms, out, processes) for _ in range(repeats))
+            tables.append(out.read_bytes())
+        wrong = "" if tables[0] == tables[1] else "two processes write other bytes than one"
+        for processes, seconds in taken.items():
+            yield Record(work, f"fleet, processes {processes}", "wall time", seconds, "s", "lower", wrong)
+        ratio = taken[2] / loader
+        yield Record(work, "fleet, processes 2", "of the C loader's time", ratio, "×", "lower")
+        yield Record(work, "fleet, processes 2", "faster than one", taken[1] / taken[2], "×", "higher")
+        peak = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 2**10
+        yield Record(work, "fleet", "largest process", peak, "MiB", "lower")
+        yield from _after_a_kill(work, arms, Path(name, "killed.parquet"), tables[0])
+
+
+def fleet(arms: Path, out: Path, processes: int) -> float:
+    """Wall seconds of the command."""
+    seconds, done = timed(partial(subprocess.run, _command(arms, out, processes), cwd=ROOT, capture_output=True))
+    if done.returncode:
+        raise RuntimeError(done.stderr.decode())
+    return seconds
+
+
+def _command(arms: Path, out: Path, processes: int) -> list[str]:
+    given = ["fleet", str(arms), "--out", str(out), "--force", "--processes", str(processes)]
+    return [sys.executable, "-m", "lite6jax.cli", *given]
+
+
+def _loaded(paths: list[Path]) -> None:
+    loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+    for path in paths:
+        yaml.load(path.read_bytes(), Loader=loader)
+
+
+def _after_a_kill(work: str, arms: Path, out: Path, table: bytes) -> Iterator[Record]:
+    """Whether a run that is killed half-way goes on with what it kept."""
+    kept = out.with_name(f"{out.name}.kept")
+    started = subprocess.Popen(_command(arms, out, 2), cwd=ROOT, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    while started.poll() is None and not (kept.exists() and os.stat(kept).st_size > len(table) // 3):
+        time.sleep(0.01)
+    started.kill()
+    started.wait()
+    seconds = fleet(arms, out, 2)
+    wrong = "" if out.read_bytes() == table else "a run that was killed goes on with other bytes"
+    yield Record(work, "fleet, after a kill", "wall time", seconds, "s", "lower", wrong)

@@ -1,0 +1,112 @@
+"""The command `diagnose` of a folder, or of what is behind a URL: a document for each recording, and a table."""
+
+import contextlib
+import io
+import os
+import warnings
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from lite6jax.cli.arguments import check_processes
+from lite6jax.cli.exit_codes import DONE
+from lite6jax.errors import InputError, InputWarning
+from lite6jax.folders.place import Place, url_of
+from lite6jax.temporaries import temporary_folder
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+    from lite6jax.cli.diagnose import Diagnose
+
+
+def is_folder(source: Path) -> bool:
+    """Whether a source is a folder of recordings, and not a recording that is a folder."""
+    if url_of(source) is not None:
+        return True
+    if not os.path.isdir(source):
+        return False
+    from lite6jax.recordings import recording_file
+
+    return recording_file(source) is None
+
+
+def diagnose_recordings(command: "Diagnose") -> int:
+    """Diagnoses every recording of the folder, writes the documents and the table, and prints the table.
+
+    Args:
+        command: as it was given; its source is a folder or a URL.
+    """
+    for option in ("reference", "report", "figures"):
+        if getattr(command, option) is not None:
+            raise InputError(f"--{option}: is of one recording, and {command.source} is a folder; leave it out")
+    if command.out is None:
+        raise InputError(f"{command.source}: is a folder; add --out DIR for the documents of its recordings")
+    if command.out.suffix.lower() == ".json":
+        raise InputError(
+            f"{command.source}: is a folder; name a file in it, or a folder with --out for the documents of all"
+        )
+    check_processes(command.processes, command.scheduler)
+    from lite6jax.distribution.kept import sha256_of
+    from lite6jax.folders.diagnoses import diagnose_folder
+    from lite6jax.report import folder_tables, screen
+
+    read = [Path(file.partition("#")[0]) for file in (command.arm, command.effects and str(command.effects)) if file]
+    # what of the command the diagnoses depend on
+    asked = replace(
+        command, source=Path(), out=None, json=False, details=False, force=True, processes=None, scheduler=None
+    )
+    with screen.progress_of_many("diagnosing") as advance:
+        run = diagnose_folder(
+            command.source,
+            command.out,
+            diagnose_names,
+            (asked,),
+            also_read=sha256_of(read),
+            scheduler=command.scheduler,
+            processes=command.processes,
+            progress=advance,
+            overwrite=command.force,
+        )
+    if command.json:
+        from lite6jax.report import documents
+
+        print(documents.text(documents.of_diagnoses(folder_tables.read_diagnoses(run.path)), [run.path]))
+        return DONE
+    screen.show(folder_tables.diagnoses_report(folder_tables.read_diagnoses(run.path), run.kept))
+    screen.written([run.path])
+    return DONE
+
+
+def diagnose_names(names: Sequence[str], place: Place, command: "Diagnose") -> "pa.Table":
+    """The rows of some recordings of a folder with their documents, which are those of the command on each file."""
+    from lite6jax.distribution.batches import concatenated
+
+    return concatenated([_diagnosed(name, place, command) for name in names])
+
+
+def _diagnosed(name: str, place: Place, command: "Diagnose") -> "pa.Table":
+    import json
+
+    from lite6jax.folders.diagnoses import refusal, row_of
+
+    with place.at_hand([name]) as folder, temporary_folder() as written:
+        out = written / "diagnosis.json"
+        try:
+            with (
+                warnings.catch_warnings(record=True) as remarks,
+                contextlib.redirect_stdout(io.StringIO()),
+                contextlib.redirect_stderr(io.StringIO()),
+            ):
+                warnings.simplefilter("always", InputWarning)
+                replace(command, source=folder / name, out=out).run()
+        except InputError as error:
+            return refusal(name, place.as_shown(str(error), folder))
+        except Exception as error:  # a defect of ours, met on one recording, is no reason to lose the others
+            found = " ".join(f"{type(error).__name__}: {error}".split())
+            said = f"{folder / name}: unexpected {found}; please report it with this recording"
+            return refusal(name, place.as_shown(said, folder))
+        text = out.read_text()
+        said = dict.fromkeys(str(remark.message) for remark in remarks if issubclass(remark.category, InputWarning))
+        return row_of(name, json.loads(text), text, place.as_shown("; ".join(said), folder))

@@ -1,0 +1,185 @@
+"""Workers that are processes of this machine; one that dies is replaced, and its batch is known."""
+
+import multiprocessing
+import signal
+from collections.abc import Sequence
+from multiprocessing.connection import Connection, wait
+from multiprocessing.context import SpawnProcess
+from typing import TYPE_CHECKING, Any, final
+
+from lite6jax import interruption
+from lite6jax.errors import InputError
+
+if TYPE_CHECKING:
+    from lite6jax.distribution.worker import Function
+
+_MOST_FAILED_STARTS = 3
+_ENDS_WITHIN = 1.0
+"""s, in which a process is gone whose connection is."""
+
+
+class Died:
+    """In the place of a batch's rows: the worker that had it came to its end."""
+
+
+Outcome = bytes | Died
+
+
+@final
+class _Worker:
+    """A process, the connection to it, and the batch that it has in hand."""
+
+    def __init__(self, function: "Function", given: tuple[Any, ...]) -> None:
+        self.batch: int | None = None
+        self.inputs: list[Any] = []
+        self.ready = False
+        context = multiprocessing.get_context("spawn")
+        self.connection, theirs = context.Pipe()
+        self.process: SpawnProcess = context.Process(target=_serve, args=(theirs,), daemon=True)
+        # it inherits a blocked Ctrl-C, which is this process's to answer
+        blocks = hasattr(signal, "pthread_sigmask")
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT]) if blocks else ()
+        try:
+            self.process.start()
+        finally:
+            if blocks:
+                signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        theirs.close()
+        self.connection.send((function, given))
+
+    def end(self, within: float = 0.0) -> int | None:
+        """Ends the process, if it does not end within so many seconds; returns its exit code."""
+        self.connection.close()
+        self.process.join(within)
+        self.process.kill()
+        self.process.join()
+        code = self.process.exitcode
+        self.process.close()
+        return code
+
+
+@final
+class Processes:
+    """So many processes, started by the `with` statement: they import what they need while the program reads.
+
+    This module imports little, for the same reason. Every process computes with one thread.
+    """
+
+    def __init__(self, count: int, function: "Function", given: tuple[Any, ...]) -> None:
+        """Starts nothing.
+
+        Args:
+            count: of the processes.
+            function: of a module, with what it is given besides a batch, as `worker.work` takes them.
+            given: likewise.
+        """
+        self._count, self._function, self._given = count, function, given
+        self._workers: list[_Worker] = []
+        self._failed_starts = 0
+
+    def __enter__(self) -> "Processes":
+        self._undone = interruption.undone(self._kill)
+        self._undone.__enter__()
+        self._workers = [self._started() for _ in range(self._count)]
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        for worker in self._workers:
+            worker.end()
+        self._workers = []
+        self._undone.__exit__(None, None, None)
+
+    def _kill(self) -> None:
+        for worker in self._workers:
+            worker.process.kill()
+
+    def _started(self) -> _Worker:
+        return _Worker(self._function, self._given)
+
+    @property
+    def has_room(self) -> bool:
+        """Whether a process has nothing to do."""
+        return any(worker.batch is None for worker in self._workers)
+
+    def submit(self, number: int, inputs: Sequence[Any]) -> None:
+        """Gives a batch to a process that has nothing to do."""
+        self._send(next(i for i, worker in enumerate(self._workers) if worker.batch is None), number, list(inputs))
+
+    def _send(self, place: int, number: int, inputs: list[Any]) -> None:
+        while True:
+            worker = self._workers[place]
+            try:
+                worker.connection.send(inputs)
+                break
+            except OSError:  # it was ended while it had nothing to do
+                self._replace(place)
+        worker.batch, worker.inputs = number, inputs
+
+    def next(self) -> tuple[int, Outcome]:
+        """Waits for the next batch: its number, and its rows or that its worker died.
+
+        Raises:
+            Exception: what the function raised.
+        """
+        while True:
+            wait([worker.connection for worker in self._workers if worker.batch is not None])
+            for place, worker in enumerate(self._workers):
+                if worker.batch is None or not worker.connection.poll():
+                    continue
+                number = worker.batch
+                try:
+                    said = worker.connection.recv()
+                except (EOFError, OSError):
+                    self._replace(place)
+                    if worker.ready:
+                        return number, Died()
+                    self._send(place, number, worker.inputs)  # it ended before it looked at the batch
+                    continue
+                worker.ready, self._failed_starts = True, 0
+                if isinstance(said, Exception):
+                    raise said
+                if said is not None:
+                    worker.batch = None
+                    return number, said
+
+    def _replace(self, place: int) -> None:
+        """Starts another process in the place of one that ended.
+
+        Raises:
+            InputError: no process gets as far as to ask for its first batch.
+        """
+        worker = self._workers.pop(place)
+        code = worker.end(_ENDS_WITHIN)
+        self._failed_starts += not worker.ready
+        if self._failed_starts >= _MOST_FAILED_STARTS:
+            how = signal.Signals(-code).name if code is not None and code < 0 else f"exit code {code}"
+            raise InputError(
+                f"the processes that are to do the work end as they start ({how}); free memory, or give --processes 1"
+            )
+        self._workers.insert(place, self._started())
+
+
+def _serve(connection: Connection) -> None:
+    """Works on the batches that come until the other process closes the connection, or ends."""
+    from lite6jax.distribution.worker import set_up, work
+
+    try:
+        set_up()
+        try:
+            function, given = connection.recv()
+        except (ImportError, AttributeError) as error:  # a module that is not whole, or not found from here
+            connection.send(error)
+            return
+        connection.send(None)
+        while True:
+            inputs = connection.recv()
+            try:
+                said = work(function, inputs, given)
+            except Exception as error:
+                said = error
+            try:
+                connection.send(said)
+            except (TypeError, AttributeError, ValueError):  # an exception that cannot be sent
+                connection.send(RuntimeError(f"{type(said).__name__}: {said}"))
+    except (EOFError, BrokenPipeError, ConnectionResetError):
+        return
