@@ -80,7 +80,7 @@ def test_progress_is_a_line_from_time_to_time_where_stderr_is_no_terminal(monkey
 
 def test_targets_outside_the_recorded_range_are_named():
     recorded = SimpleNamespace(joints=np.deg2rad([[-90.0, 90.0], [0.0, 45.0]]))
-    model = SimpleNamespace(uncertainty=SimpleNamespace(recorded=recorded))
+    model = SimpleNamespace(uncertainty=SimpleNamespace(recorded=recorded), sliding=(), dof=2)
     q = np.deg2rad([[0.0, 10.0], [100.0, 20.0], [-93.0, 20.0]])
     found = SimpleNamespace(
         outside=np.array([False, True, True]), joint_position=q, recording=SimpleNamespace(row=np.array([1, 2, 5]))

@@ -150,7 +150,7 @@ def test_it_says_where_it_is_shown_and_ends(made, capsys):
     document, path, _ = made
     code, out, err = run(capsys, "view", document, "--port", "0", "--duration", "0.1", width=60)
     assert (code, err) == (0, "")
-    assert f"lite6, 200 rows of {path}." in flat(out)
+    assert f"lite6, 200 rows of {path}" in flat(out)
     assert "Joint 2 gives way to gravity" in flat(out)
     assert re.search(r"^Open http://127\.0\.0\.1:\d+ in a browser\. Stop with Ctrl-C\.$", out, re.MULTILINE)
 
@@ -164,7 +164,7 @@ def test_torques_are_shown_too(capsys, tmp_path, made):
     file = write_document(document, tmp_path / "torques.json")
     code, out, err = run(capsys, "view", file, "--port", "0", "--duration", "0.1")
     assert (code, err) == (0, "")
-    assert f"lite6, 1600 rows of {path}." in flat(out)
+    assert f"lite6, 1600 rows of {path}" in flat(out)
     both = write_document({**made[2], "torques": document}, tmp_path / "both.json")
     code, out, err = run(capsys, "view", both, path, "--torques", "--port", "0", "--duration", "0.1")
     assert (code, err) == (0, "")

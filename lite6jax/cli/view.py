@@ -58,7 +58,7 @@ class View:
         scene, file = self._scene()
         end = math.inf if self.duration is None else time.monotonic() + self.duration
         with viewer.served(scene, self.host, self.port) as shown:
-            screen.show([Text(f"{scene.arm.name}, {scene.samples} rows of {file}."), Text(scene.headline)])
+            screen.show([Text(f"{scene.arm.name}, {scene.samples} rows of {file}"), Text(scene.headline)])
             screen.show(map(Text, scene.remarks))
             screen.show([Text(f"Open {shown.url} in a browser. Stop with Ctrl-C.", no_wrap=True, overflow="ignore")])
             screen.console().file.flush()  # another program may wait for these lines

@@ -1,11 +1,11 @@
 """Contiguous blocks of rows that are held out one after the other, and work on several of them at once."""
 
-import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from contextvars import copy_context
 from typing import TypeVar
 
+from lite6jax import threads
 from lite6jax.diagnosis.options import Options
 from lite6jax.errors import InputError
 from lite6jax.estimation.problem import Mask
@@ -52,12 +52,12 @@ def _rows_needed(recording: Recording, unknowns: int) -> int:
 
 
 def side_by_side(work: Callable[[Fold], Result], folds: Sequence[Fold]) -> list[Result]:
-    """What `work` makes of each fold, in their order; as many at once as there are cores.
+    """What `work` makes of each fold, in their order; as many at once as `threads.available` says.
 
     They share compiled functions and what is known of all rows, so that threads are used: most of their time goes into
     operations on arrays, which release the interpreter's lock. Their stages belong to part 1 + the folds completed.
     """
-    pool = ThreadPoolExecutor(min(len(folds), _cores()))
+    pool = ThreadPoolExecutor(min(len(folds), threads.available()))
     try:
         with part(1, 1 + len(folds)) as going:
             # each in a copy of this context, which says who follows the progress
@@ -68,7 +68,3 @@ def side_by_side(work: Callable[[Fold], Result], folds: Sequence[Fold]) -> list[
         return [each.result() for each in begun]
     finally:
         pool.shutdown(wait=False, cancel_futures=True)  # after an interrupt, nobody waits for the others
-
-
-def _cores() -> int:
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -198,14 +198,14 @@ def _worked(
                 rows = died(task.inputs[0])
         else:
             rows = _read(outcome)
-        fill()
         if rows is not None and task.place is not None:
             own = parts[task.number]
             own[task.place] = rows
             done = [part for part in own if part is not None]
             rows = concatenated(done) if len(done) == len(own) else None
         if rows is not None:
-            yield task.number, rows
+            yield task.number, rows  # kept before more is begun: a run that is killed loses what its workers have
+        fill()
 
 
 def concatenated(tables: "Sequence[pa.Table]") -> "pa.Table":

@@ -189,16 +189,24 @@ def test_a_run_that_was_killed_loses_a_batch_a_worker(tmp_path):
     started.wait()
     count = kept.read_bytes().count(b'"batch"')
     assert 3 <= count < 20
-    time.sleep(0.7)  # its workers end with the batch that they have
-    before = done(tmp_path)
+    before = done_in_the_end(tmp_path)
     assert len(before) <= 2 * (count + 2)
     inputs = [[f"{i}", "slow"] for i in range(20)]
     run = run_batches(
         spelled, inputs, (str(tmp_path),), out=tmp_path / "out.parquet", content=content, died=dead, processes=2
     )
-    assert run.kept == 2 * count
-    assert len(done(tmp_path)) == 2 * (20 - count)
+    assert run.kept in (2 * count, 2 * (count - 1))  # the last batch may have been cut as it was written
+    assert len(done(tmp_path)) == 2 * 20 - run.kept
     assert pq.read_table(run.path)["input"].to_pylist() == [value for one in inputs for value in one]
+
+
+def done_in_the_end(folder):
+    """What was done when the workers have ended, which they do with the batch that they have."""
+    size, file = -1, folder / "done"
+    while size != (now := file.stat().st_size):
+        size = now
+        time.sleep(0.9)  # an input takes a third of it
+    return done(folder)
 
 
 def test_processes_that_cannot_start_are_one_line(monkeypatch, tmp_path):
