@@ -143,8 +143,8 @@ class ScoreTest:
             for (size, where), members in alike.items():
                 rows = np.flatnonzero(np.frombuffer(where, bool))
                 groups = np.stack([columns[a : a + size, rows] for _, a in members])
-                for (k, _), gain, identifiable in zip(members, *self._gains(groups, rows), strict=True):
-                    found[k] = Explained(float(gain), int(identifiable))
+                for (k, _), one in zip(members, _paired(self._gains(groups, rows)), strict=True):
+                    found[k] = one
         return found
 
     def gains(self, column: Array, functions: Array) -> Array:
@@ -154,8 +154,15 @@ class ScoreTest:
             column: `(row, sample)`, how residuals change with the site's deflection.
             functions: `(group, number, sample)`, deflections.
         """
+        return self._at_site(column, functions)[0]
+
+    def explained_by(self, column: Array, functions: Array) -> list[Explained]:
+        """What each of such groups would explain; arguments as of `gains`."""
+        return _paired(self._at_site(column, functions))
+
+    def _at_site(self, column: Array, functions: Array) -> tuple[Array, NDArray[np.integer]]:
         rows = np.flatnonzero(column.any(1))
-        return self._gains(functions[:, :, None] * column[rows], rows)[0]
+        return self._gains(functions[:, :, None] * column[rows], rows)
 
     def _gains(self, groups: Array, rows: NDArray[np.integer]) -> tuple[Array, NDArray[np.integer]]:
         """The gain of groups of columns `(group, number, row, sample)` that act on some rows, and how many numbers of
@@ -316,6 +323,11 @@ def _white(fit: Fit, columns: Array, scale: Array, rows: NDArray[np.integer] | N
     if rows is not None:
         groups, noise = groups[rows], replace(noise, groups=groups[rows])
     return noise.whitened(columns) * ((scale[0] / scale)[groups, None] * fit.training)
+
+
+def _paired(found: tuple[Array, NDArray[np.integer]]) -> list[Explained]:
+    """Gains and identifiable numbers `(group,)`, group by group."""
+    return [Explained(float(gain), int(size)) for gain, size in zip(*found, strict=True)]
 
 
 def _of_bounded_size(terms: Sequence[Term], length: int) -> list[list[int]]:

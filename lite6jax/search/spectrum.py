@@ -74,7 +74,8 @@ def lines(test: ScoreTest) -> list[Line]:
         if whole >= 1:
             exact, free = test.gains(family.column, family.waves_of(np.array([float(whole), order])))
             order = float(whole) if exact > free - options.whole_preferred else order
-        found.append(Line(family, order, test.explained([family.term(order)])[0], len(orders) / 2))
+        explained = test.explained_by(family.column, family.waves_of(np.array([order])))[0]
+        found.append(Line(family, order, explained, len(orders) / 2))
     return sorted(found, key=lambda line: -line.explained.gain)
 
 
