@@ -1,5 +1,6 @@
 """What a diagnosis of poses and one of torques of the same recording both depend on, and whether they agree on it."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple, final
 
@@ -16,7 +17,7 @@ from lite6jax.effects.effect import Effect, Estimate
 from lite6jax.effects.kinematic.joints import JointCompliance
 from lite6jax.effects.kinematic.surroundings import TimeOffset
 from lite6jax.effects.kinematic.weights import GravityDirection, PayloadError
-from lite6jax.estimation.least_squares import fit
+from lite6jax.estimation.least_squares import Fit, fit
 from lite6jax.estimation.problem import LinearisedProblem
 from lite6jax.estimation.terms import Terms
 
@@ -126,17 +127,26 @@ def known_of(result: Diagnosis | TorqueDiagnosis, effect: Effect) -> Known | Non
     candidates: tuple[Effect, ...] = result.problem.candidates
     if (effect not in candidates and effect.choice is None) or effect in result.confounded:
         return None
-    at, terms = result.fit, Terms((*result.fit.terms.terms, effect))
-    values = np.append(at.values, np.zeros(effect.size))
-    problem: LinearisedProblem = result.problem
-    beside = fit(problem, terms, result.options.engine, values, at.nuisance, at.training, at.noise)
-    part = terms.slices[-1]
+    beside = fitted_beside(result, effect)
+    part = beside.terms.slices[-1]
     values, covariance = beside.values[part], beside.covariance[part, part]
     typical = np.array([number.typical for number in effect.coordinates])
     std = np.sqrt(np.diagonal(covariance))
     if not np.isfinite(std).all() or (std > _VAGUE * typical).any():
         return None
     return _of(False, effect, values, covariance)
+
+
+def fitted_beside(
+    result: Diagnosis | TorqueDiagnosis, effect: Effect, replaced: Callable[[Effect], bool] = lambda other: False
+) -> Fit:
+    """The fit of a result with an effect more, the last of its terms, and without those that this one replaces."""
+    at = result.fit
+    kept = [not (isinstance(term, Effect) and replaced(term)) for term in at.terms.terms]
+    rest, values = at.terms.part(at.values, kept)
+    terms, start = Terms((*rest.terms, effect)), np.append(values, np.zeros(effect.size))
+    problem: LinearisedProblem = result.problem
+    return fit(problem, terms, result.options.engine, start, at.nuisance, at.training, at.noise)
 
 
 def _of(found: bool, effect: Effect, values: Array, covariance: Array) -> Known:

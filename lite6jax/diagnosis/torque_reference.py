@@ -10,15 +10,14 @@ from numpy.typing import NDArray
 
 from lite6jax.arms.arm import Arm
 from lite6jax.diagnosis.options import Options
-from lite6jax.diagnosis.shared import DISAGREE, Known, difference_p_value, known_of
+from lite6jax.diagnosis.shared import DISAGREE, Known, difference_p_value, fitted_beside, known_of
 from lite6jax.diagnosis.torque_diagnosis import diagnose_torques
 from lite6jax.diagnosis.torque_result import TorqueDiagnosis
+from lite6jax.domains.torque.families import driver_values
 from lite6jax.domains.torque.reference import RowComparison, compare_rows
 from lite6jax.effects.dynamic.torque_effect import TorqueEffect
 from lite6jax.effects.dynamic.unnamed import UnnamedTorque
 from lite6jax.effects.effect import Effect, Estimate
-from lite6jax.estimation.least_squares import fit
-from lite6jax.estimation.terms import Terms
 from lite6jax.fitting.recognition import declared_arm_of, with_calibration
 from lite6jax.progress import Stage
 from lite6jax.recordings import Recording
@@ -183,12 +182,9 @@ def _has(result: TorqueDiagnosis, effect: UnnamedTorque) -> bool:
 def _driven(result: TorqueDiagnosis, effect: UnnamedTorque) -> Array | None:
     """`(driver, sample)` of the rows of a result; None where it does not have all drivers of an effect."""
     data, dynamics = result.problem.data, result.problem.dynamics
-    values = []
-    for driver in effect.of:
-        loads = dynamics.loads if driver.loaded else None
-        if not driver.known(dynamics.motion, loads):
-            return None
-        values.append(np.asarray(driver.values(dynamics.motion, loads)))
+    values = [row for driver in effect.of if (row := driver_values(driver, dynamics)) is not None]
+    if len(values) < len(effect.of):
+        return None
     return np.stack(values)[:, data.filter.kept][:, result.problem.chosen]
 
 
@@ -196,11 +192,7 @@ def _fitted_curve(result: TorqueDiagnosis, effect: UnnamedTorque, along: Array) 
     """A function's numbers in a result along some directions `(direction, number)`, with the size of the function."""
     at = result.fit
     if not _has(result, effect):
-        kept = [_function(term) != _function(effect) for term in at.terms.terms if isinstance(term, Effect)]
-        terms, values = at.terms.part(at.values, kept)
-        more, start = Terms((*terms.terms, effect)), np.append(values, np.zeros(effect.size))
-        problem = result.problem
-        at = fit(problem, more, result.options.engine, start, at.nuisance, at.training, at.noise)
+        at = fitted_beside(result, effect, lambda term: _function(term) == _function(effect))
     part = at.terms.slices[at.terms.terms.index(effect)]
     values, covariance = along @ at.values[part], along @ at.covariance[part, part] @ along.T
     size = float(np.sqrt(values @ values))

@@ -3,7 +3,6 @@
 from collections.abc import Callable, Sequence
 from functools import partial
 from itertools import combinations, product
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -52,7 +51,7 @@ def curves(dynamics: Dynamics, data: TorqueRows, chosen: NDArray[np.integer], no
         drivers = []
         for quantity, pieces in _PIECES.items():
             driver = Driver(quantity, j + 1)
-            values = _values(driver, dynamics)
+            values = driver_values(driver, dynamics)
             if values is None or (signed and quantity == "velocity"):
                 continue
             values = values[data.filter.kept][chosen]
@@ -114,27 +113,20 @@ def flexible(dynamics: Dynamics, sizes: Array) -> tuple[UnnamedTorque, ...]:
     return tuple(found)
 
 
-class UnitTorques(NamedTuple):
-    """Torques by each number of a linear effect, of the joints that it acts on: most effects act on one.
-
-    Attributes:
-        joints: a slice of all joints.
-        torque: Nm by unit of each number, `(number, joint, sample)`.
-    """
-
-    joints: slice
-    torque: Array
+def joints_of(effect: TorqueEffect) -> slice:
+    """The joints, of all, that an effect acts on: most effects act on one."""
+    return slice(effect.joint - 1, effect.joint) if isinstance(effect, JointTorque) else slice(None)
 
 
-def unit_torques(effect: TorqueEffect, dynamics: Dynamics, kept: Callable[[Array], Array]) -> UnitTorques:
-    """Torques by each number of a linear effect, filtered by `kept`."""
+def unit_torques(effect: TorqueEffect, dynamics: Dynamics, kept: Callable[[Array], Array]) -> Array:
+    """Torques `(number, joint, sample)` by each number of a linear effect, of `joints_of` it, filtered by `kept`."""
     if not isinstance(effect, JointTorque):
-        return UnitTorques(slice(None), kept(np.stack([effect.torque(unit, dynamics) for unit in np.eye(effect.size)])))
+        return kept(np.stack([effect.torque(unit, dynamics) for unit in np.eye(effect.size)]))
     if isinstance(effect, UnnamedTorque):
         rows = effect.basis(dynamics)
     else:
         rows = np.stack([effect.at_joint(unit, dynamics) for unit in np.eye(effect.size)])
-    return UnitTorques(slice(effect.joint - 1, effect.joint), kept(rows)[:, None])
+    return kept(rows)[:, None]
 
 
 def _own(j: int) -> tuple[Driver, Driver, Driver, Driver]:
@@ -142,14 +134,15 @@ def _own(j: int) -> tuple[Driver, Driver, Driver, Driver]:
     return Driver("position", j), Driver("velocity", j), Driver("gravity torque", j), Driver("temperature", j)
 
 
-def _values(driver: Driver, dynamics: Dynamics) -> Array | None:
+def driver_values(driver: Driver, dynamics: Dynamics) -> Array | None:
+    """`(sample,)` in the driver's unit; None where the motion or the loads do not contain it."""
     loads = dynamics.loads if driver.loaded else None
     return np.asarray(driver.values(dynamics.motion, loads)) if driver.known(dynamics.motion, loads) else None
 
 
 def _range(driver: Driver, dynamics: Dynamics) -> tuple[float, float] | None:
     """Lower and upper of a driver; None where it is not known or does not vary."""
-    values = _values(driver, dynamics)
+    values = driver_values(driver, dynamics)
     return None if values is None or np.ptp(values) < _LEAST_VARIED else (float(values.min()), float(values.max()))
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lite6jax.domains.torque import families
-from lite6jax.domains.torque.families import UnitTorques
+from lite6jax.domains.torque.families import joints_of
 from lite6jax.domains.torque.links import uncertain
 from lite6jax.domains.torque.rows import TorqueRows
 from lite6jax.effects.catalogue import Untestable, untestable
@@ -18,7 +18,7 @@ from lite6jax.effects.dynamic.catalogue import torque_catalogue, torque_ladder, 
 from lite6jax.effects.dynamic.drives import declared
 from lite6jax.effects.dynamic.friction import CoulombFriction, ViscousFriction
 from lite6jax.effects.dynamic.motors import RotorInertia, TorqueOffset
-from lite6jax.effects.dynamic.torque_effect import Delaying, Dynamics, JointTorque, Scaling, TorqueEffect
+from lite6jax.effects.dynamic.torque_effect import Delaying, Dynamics, Scaling, TorqueEffect
 from lite6jax.effects.dynamic.unnamed import UnnamedTorque
 from lite6jax.errors import InputError
 from lite6jax.estimation.least_squares import Fit, fit
@@ -49,12 +49,12 @@ class Known:
     """What has been computed of some samples: folds of a cross-validation differ in the training mask alone.
 
     Attributes:
-        units: torques by each number of linear effects, at some inertial numbers.
+        units: `families.unit_torques` of linear effects, at some inertial numbers.
         waves: filtered waves of each joint.
         thinned: of one in so many of the samples.
     """
 
-    units: dict[TorqueEffect, UnitTorques] = field(default_factory=dict)
+    units: dict[TorqueEffect, Array] = field(default_factory=dict)
     waves: families.Waves = field(default_factory=dict)
     thinned: dict[int, "Known"] = field(default_factory=dict)
 
@@ -159,7 +159,7 @@ class TorqueProblem:
     @cached_property
     def rigid(self) -> Array:
         """`(joint, sample)` Nm of the arm as it is declared, filtered."""
-        return self._kept(self.dynamics.torque + self.dynamics.drives)
+        return self._kept(self.dynamics.declared)
 
     @lazy
     def periodic(self) -> tuple[PeriodicFamily, ...]:
@@ -230,18 +230,17 @@ class TorqueProblem:
         others, numbers = beside or (own, at)
         found = np.zeros((own.size, self.rows, self.samples))
         for effect, part in _pairs(own):
+            joints = joints_of(effect)
             if isinstance(effect, Scaling):
                 kept = [not isinstance(one, Scaling | Delaying) for one, _ in _pairs(others)]
                 whole = self.torque(np.zeros(len(self.precision)), *others.part(numbers, kept))
-                found[part, effect.joint - 1] = whole[effect.joint - 1]
+                found[part, joints] = whole[joints]
             elif isinstance(effect, Delaying):
                 found[part] = self._delayed(np.zeros(len(self.precision)), others, numbers, float(at[part][0]))[1]
             elif effect.linear:
-                joints, torque = self._units(effect)
-                found[part, joints] = torque
+                found[part, joints] = self._units(effect)
             else:
                 found[part] = self._slopes(effect, at[part])
-            joints = slice(effect.joint - 1, effect.joint) if isinstance(effect, JointTorque) else slice(None)
             found[part, joints] /= self.sigma[joints]
         return found
 
@@ -311,13 +310,12 @@ class TorqueProblem:
         """`(joint, sample)` Nm by an effect on an arm of these dynamics, filtered."""
         if not effect.linear or (_loaded(effect) and dynamics is not self.dynamics):
             return self._kept(effect.torque(values, dynamics))
-        joints, torque = self._units(effect)
         added = np.zeros((self.rows, self.samples))
-        added[joints] = np.tensordot(values, torque, 1)
+        added[joints_of(effect)] = np.tensordot(values, self._units(effect), 1)
         return added
 
-    def _units(self, effect: TorqueEffect) -> UnitTorques:
-        """Torques by each number of a linear effect."""
+    def _units(self, effect: TorqueEffect) -> Array:
+        """Torques `(number, joint, sample)` by each number of a linear effect, of the joints that it acts on."""
         units = self.known.units
         if effect not in units:
             units[effect] = families.unit_torques(effect, self.dynamics, self._kept)
@@ -355,7 +353,7 @@ def composed(terms: Terms, values: Array, dynamics: Dynamics) -> Array:
 
 def without_sensors(terms: Terms, values: Array, dynamics: Dynamics) -> Array:
     """`(joint, sample)` Nm that the motors exert: without the scales and delays of what shows it."""
-    total = dynamics.torque + dynamics.drives
+    total = dynamics.declared
     for effect, part in _pairs(terms):
         if not isinstance(effect, Scaling | Delaying):
             total = total + effect.torque(np.asarray(values[part], float), dynamics)

@@ -68,8 +68,7 @@ def compare_rows(recording: Recording, reference: Recording, arm: Arm) -> RowCom
         return None
     same, torque = found
     bodies, _, _ = bodies_of(recording, arm)
-    dynamics = bodies.dynamics(bodies.links)
-    rigid = (dynamics.torque + dynamics.drives).T  # as it is declared
+    declared = bodies.dynamics(bodies.links).declared.T
     own = recording.torques()
     settings = recording.settings
     noise = [side.settings.torque_noise_Nm for side in (recording, reference)]
@@ -77,13 +76,13 @@ def compare_rows(recording: Recording, reference: Recording, arm: Arm) -> RowCom
         settings = replace(settings, torque_noise_Nm=tuple(np.hypot(noise[0], noise[1] or 0.0).tolist()))
     if arm.mass is not None and arm.inertia is not None:
         settings = replace(settings, inertial="declared")  # it is in what was put in place of what both have
-    corrected = replace(recording, joint_torque=rigid + own - torque, motor_current=None, settings=settings)
+    corrected = replace(recording, joint_torque=declared + own - torque, motor_current=None, settings=settings)
     return RowComparison(
         file=Path(reference.source).name,
         rows=recording.samples,
         matched=int(same.sum()),
         apart=np.sqrt(np.mean((own - torque)[same] ** 2, 0)),
-        from_model=np.sqrt(np.mean((torque - rigid)[same] ** 2, 0)),
+        from_model=np.sqrt(np.mean((torque - declared)[same] ** 2, 0)),
         recording=corrected.select(same),
     )
 

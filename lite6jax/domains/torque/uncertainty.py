@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lite6jax.domains.pose.uncertainty import DRIVEN, LENGTH, MARGIN, beyond_range, distance_to, freed
-from lite6jax.domains.torque.families import unit_torques
+from lite6jax.domains.torque.families import joints_of, unit_torques
 from lite6jax.domains.torque.filtering import interpolant
 from lite6jax.domains.torque.problem import composed, scales_of, without_sensors
 from lite6jax.domains.torque.rows import RigidBodies
@@ -145,8 +145,8 @@ def _estimated(
         elif isinstance(effect, Delaying):
             moved += own[:, :, None] * _slope_in_time(composed(model.terms, model.values, dynamics), dynamics, runs)
         elif effect.linear:
-            joints, torque = unit_torques(effect, dynamics, lambda rows: rows)
-            moved[:, joints] += np.tensordot(own, torque, 1) * scale[joints]
+            joints, units = joints_of(effect), unit_torques(effect, dynamics, lambda rows: rows)
+            moved[:, joints] += np.tensordot(own, units, 1) * scale[joints]
         else:
             moved += np.tensordot(own, _derivatives(effect, values[part], dynamics), 1) * scale
     return np.sum(moved**2, 0)

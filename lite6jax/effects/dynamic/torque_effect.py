@@ -50,6 +50,11 @@ class Dynamics(NamedTuple):
     drives: Array | float = 0.0
 
     @property
+    def declared(self) -> Array:
+        """`(joint, sample)` Nm that motors exert on the arm as its description declares it."""
+        return self.torque + self.drives
+
+    @property
     def loads(self) -> Loads:
         """The moments about the joints' axes that links and payload exert, the opposite of the motors' torques."""
         return loads_of(self.torque)
