@@ -45,7 +45,9 @@ class Shared:
         return dict(self.odd).get(arm, self.thresholds + self.drift * arm / max(arms - 1, 1))
 
 
-def write_fleet(folder: Path, seed: int, arms: int, rows: int, hidden: Sequence[Shared], over_time: bool = False) -> None:
+def write_fleet(
+    folder: Path, seed: int, arms: int, rows: int, hidden: Sequence[Shared], over_time: bool = False
+) -> None:
     """Writes the recordings of a fleet: `armNN.csv` with sidecar and factory calibration.
 
     A threshold is that of the effect in the recording of the first arm, so that all arms share a physical size.
@@ -64,7 +66,9 @@ def write_fleet(folder: Path, seed: int, arms: int, rows: int, hidden: Sequence[
     for arm in range(arms):
         rng = np.random.default_rng([seed, 2, arm])
         actual = made if over_time else chains.lite6().moved(rng, *chains.MADE)
-        plan = Plan(seed, arm, "single", "plain", "lite6", "tracker", False, "known", True, "as declared", "", (), (), rows)
+        plan = Plan(
+            seed, arm, "single", "plain", "lite6", "tracker", False, "known", True, "as declared", "", (), (), rows
+        )
         sensor = turned(rng.uniform(-np.pi, np.pi, 3), rng.uniform(-2, 2, 3))
         tool = turned(rng.uniform(-0.5, 0.5, 3), np.array([0.02, -0.01, 0.06]) + rng.uniform(-0.02, 0.02, 3))
         setup, noise = Setup(actual, sensor, tool, np.array(PAYLOAD_CENTER)), SENSORS[plan.sensor][:2]

@@ -95,11 +95,6 @@ class EngineOptions:
     # exchange
     several: int = option(3, "terms from which sets of terms are exchanged", "two are covered by forward and backward")
     exchanged: int = option(2, "alternatives of a term that are tried in its place", "those are nearly as likely")
-    # pooling over recordings
-    pooled_terms: int = option(16, "most effects that a type of arm is found to have", "twice those of one recording")
-    pooled_candidates: int = option(8, "candidates that are measured in every arm before one is added", "as `refitted`")
-    pooled_lines: int = option(3, "sites whose best order is measured in every arm before one is added", "as above")
-    fewest_arms: int = option(5, "arms below which none is said to differ from the others", "four give a variance")
     # curves
     curve_rounds: int = option(3, "rounds of replacing named terms by curves", "one curve a round")
     merged: int = option(3, "harmonics at one site that are merged into one curve", "gears have one or two orders")
@@ -120,9 +115,6 @@ class EngineOptions:
     highest_order: float = option(200.0, "highest order of a spectrum", "teeth of strain-wave gears to ratio 100")
     lowest_order: float = option(1.0, "lowest order of a spectrum", "less than a turn is an offset and a slope")
     exact_below: float = option(12.0, "order below which gains are exact", "the nuisance is confounded with low orders")
-    order_step: float = option(
-        0.125, "step of orders that are pooled over recordings", "a quarter of a line's width over two turns"
-    )
     kept_lines: int = option(4, "peaks of a spectrum that are scored exactly", "side lobes are lower than these")
     whole_preferred: float = option(
         2.0, "log-likelihood by which a whole order is preferred", "most gears have whole orders"

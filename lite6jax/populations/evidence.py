@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from lite6jax.distribution.batches import outcomes
-from lite6jax.estimation.options import EngineOptions
+from lite6jax.populations.options import PoolingOptions
 from lite6jax.populations.reduced import Evidence, PooledTerm, ReducedArm
 
 if TYPE_CHECKING:
@@ -39,7 +39,7 @@ class Reduced:
     """
 
     def __init__(
-        self, stored: Sequence[Any], options: EngineOptions, scheduler: str | None = None, processes: int | None = None
+        self, stored: Sequence[Any], options: PoolingOptions, scheduler: str | None = None, processes: int | None = None
     ) -> None:
         """Starts nothing.
 
@@ -98,7 +98,7 @@ def _died(stored: bytes) -> "pa.Table":
 
 
 @threadpool_limits.wrap(limits=1, user_api="blas")
-def scanned(stored: Sequence[bytes], beside: tuple[PooledTerm, ...], options: EngineOptions) -> "pa.Table":
+def scanned(stored: Sequence[bytes], beside: tuple[PooledTerm, ...], options: PoolingOptions) -> "pa.Table":
     """The scores of one recording beside some terms, as a table of one row of lists."""
     import pyarrow as pa
 
@@ -133,7 +133,7 @@ def _scan(row: dict[str, Any]) -> Scan:
 
 
 @threadpool_limits.wrap(limits=1, user_api="blas")
-def measured(stored: Sequence[bytes], asked: tuple[Asked, ...], options: EngineOptions) -> "pa.Table":
+def measured(stored: Sequence[bytes], asked: tuple[Asked, ...], options: PoolingOptions) -> "pa.Table":
     """What one recording says of each term that is asked for, as a table of one row."""
     import pyarrow as pa
 
@@ -147,7 +147,10 @@ def measured(stored: Sequence[bytes], asked: tuple[Asked, ...], options: EngineO
         rows.append(
             None
             if found is None
-            else {name: value.ravel() if isinstance(value, np.ndarray) else value for name, value in found._asdict().items()}
+            else {
+                name: value.ravel() if isinstance(value, np.ndarray) else value
+                for name, value in found._asdict().items()
+            }
         )
     numbers = pa.list_(pa.float64())
     kind = pa.struct(

@@ -1,11 +1,11 @@
 """Tests of one effect over all arms: whether it has a mean, whether any arm has it, whether it drifts.
 
-No effect in any arm is the hypothesis of all three. The first adds scores and information (fixed effect); the second
-adds the statistics of the arms, so that the numbers of an effect, as the phase of a gear, may be others in each arm; the
-third is the score of a slope over a covariate beside the mean. Each is computed twice, and the larger p-value counts: in
-the noise model of each recording, divided by the overdispersion over all that was searched (B. Devlin and K. Roeder,
-Biometrics 55, 1999), and from the scatter of scores between blocks of samples (Hotelling's T²; R. Fisher's combination
-of the p-values of arms).
+No effect in any arm is the hypothesis of all three. The first adds scores and information (fixed effect). The second
+adds the statistics of the arms, so that the numbers of an effect, as the phase of a gear, may be others in each arm.
+The third is the score of a slope over a covariate beside the mean. Each is computed twice, and the larger p-value
+counts: in the noise model of each recording, divided by the overdispersion over all that was searched (B. Devlin and
+K. Roeder, Biometrics 55, 1999), and from the scatter of scores between blocks of samples (Hotelling's T²; R. Fisher's
+combination of the p-values of arms).
 """
 
 from collections.abc import Iterable, Sequence
@@ -221,9 +221,7 @@ def _forms(score: Array, packed: Array) -> Array:
     (s, c), (ss, sc, cc) = score.T, packed.T
     determinant = ss * cc - sc**2
     regular = determinant > _ROUNDING * ss * cc
-    return np.where(
-        regular, (cc * s**2 - 2 * sc * s * c + ss * c**2) / np.where(regular, determinant, 1.0), 0.0
-    )
+    return np.where(regular, (cc * s**2 - 2 * sc * s * c + ss * c**2) / np.where(regular, determinant, 1.0), 0.0)
 
 
 def _whitening(G: Array) -> Array:

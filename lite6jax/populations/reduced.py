@@ -7,19 +7,22 @@ and compiled code.
 
 import io
 import json
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property
+from pathlib import Path
 from typing import Any, NamedTuple, final
+from zipfile import BadZipFile
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lite6jax.errors import InputError
 from lite6jax.estimation.noise import Autocorrelation, NoiseModel
-from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.projection import orthonormal, outside, unit_rows
 from lite6jax.estimation.score_test import Score, block_covariance, block_test, sums_by_block
+from lite6jax.populations.options import PoolingOptions
 
 Array = NDArray[np.floating]
 Integers = NDArray[np.integer]
@@ -59,7 +62,8 @@ class Candidate:
     @classmethod
     def of(cls, stored: Mapping[str, Any]) -> "Candidate":
         """From the JSON form of `asdict`."""
-        return cls(**{name: tuple(value) if isinstance(value, list) else value for name, value in stored.items()})
+        lists = {name: tuple(stored[name]) for name in ("names", "typical", "lower", "upper")}
+        return cls(**{**stored, **lists})
 
 
 class PooledTerm(NamedTuple):
@@ -167,31 +171,29 @@ class ReducedArm:
         found[..., : self.sites[family].size] = white.reshape(len(orders), 2, -1)
         return found
 
-    def beside(self, terms: Sequence[PooledTerm], options: EngineOptions) -> "ReducedArm":
+    def beside(self, terms: Sequence[PooledTerm], options: PoolingOptions) -> "ReducedArm":
         """The same with further terms in the model: they join the basis, and leave the residual."""
         columns = [self.columns_of(term) for term in terms]
         flat = unit_rows(np.concatenate([self.columns[:0], *columns]))
-        new = orthonormal(outside(flat, self.basis), options.confounded) if len(flat) else flat
+        new = orthonormal(outside(flat, self.basis), options.engine.confounded) if len(flat) else flat
         basis = np.concatenate([self.basis, new])
-        values = {name: getattr(self, name) for name in self.__dataclass_fields__}
-        return ReducedArm(**values | {"basis": basis, "residual": self.residual - (new @ self.residual) @ new})
+        return replace(self, basis=basis, residual=self.residual - (new @ self.residual) @ new)
 
-    def evidence(self, term: PooledTerm, options: EngineOptions) -> Evidence | None:
+    def evidence(self, term: PooledTerm, options: PoolingOptions) -> Evidence | None:
         """Of a term beside the model; None where the recording cannot show it, or it is confounded with the model."""
         columns = self.columns_of(term)
         if not len(columns):
             return None
         projected, norms = outside(columns, self.basis), np.linalg.norm(columns, axis=1)
-        # a wave that repeats what another number does is rounding, which is not information
         per_block = self._by_block(projected * self.residual)
-        score: Score = block_test(projected, norms, per_block, self._by_block, 1.0, options)
+        score: Score = block_test(projected, norms, per_block, self._by_block, 1.0, options.engine)
         if score.confounded:
             return None
         information = _determined(projected @ projected.T, norms, options)
         spread = block_covariance(projected, per_block, -score.values, self._by_block)
         return Evidence(-per_block.sum(1), information, spread, per_block.shape[1], score.p_value)
 
-    def scores(self, options: EngineOptions) -> tuple[list[tuple[Array, Array]], Array, Array]:
+    def scores(self, options: PoolingOptions) -> tuple[list[tuple[Array, Array]], Array, Array]:
         """Scores and information of all candidates, and of both waves of all orders of `order_grid`.
 
         Returns:
@@ -200,33 +202,33 @@ class ReducedArm:
         """
         projected = outside(self.columns, self.basis)
         total, norms = -(projected @ self.residual), np.linalg.norm(self.columns, axis=1)
-        named = [
+        named: list[tuple[Array, Array]] = [
             (total[part], _determined(projected[part] @ projected[part].T, norms[part], options))
             for part in self.parts.values()
         ]
         orders = order_grid(options)
-        score, information = np.zeros((len(self.families), orders.size, 2)), np.zeros((len(self.families), orders.size, 3))
+        shape = len(self.families), orders.size
+        score, information = np.zeros((*shape, 2)), np.zeros((*shape, 3))
         for family in range(len(self.families)):
             if self.sites[family].any():
                 score[family], information[family] = self._spectrum(family, orders, options)
         return named, score, information
 
-    def _spectrum(self, family: int, orders: Array, options: EngineOptions) -> tuple[Array, Array]:
+    def _spectrum(self, family: int, orders: Array, options: PoolingOptions) -> tuple[Array, Array]:
         """The part of `scores` of one family."""
         site = self.sites[family] * self.training
-        basis, residual = self.basis[:, : site.size], self.residual[: site.size]
-        inside, white = self.basis @ self.residual, self.noise.white
-        if white:  # then rows add up before waves are multiplied: their columns are not made
-            over_rows = site * np.concatenate([residual[None], basis]).reshape(-1, *site.shape)
-            residual, *rest = over_rows.sum(1)
-            basis, weight = np.array(rest).reshape(len(basis), -1), np.sum(site**2, 0)
+        basis, residual, inside = self.basis[:, : site.size], self.residual[: site.size], self.basis @ self.residual
+        weight = np.sum(site**2, 0) if self.noise.white else None
+        if weight is not None:  # then rows add up before waves are multiplied: their columns are not made
+            over_rows = np.sum(site * np.concatenate([residual[None], basis]).reshape(-1, *site.shape), 1)
+            residual, basis = over_rows[0], over_rows[1:]
         score, information = np.zeros((orders.size, 2)), np.zeros((orders.size, 3))
         step = max(1, _ORDERS_AT_ONCE // (2 * residual.size))
         for first in range(0, orders.size, step):
             part = slice(first, first + step)
             turned = np.multiply.outer(orders[part], self.angles[family])
             flat = np.stack([np.sin(turned), np.cos(turned)], 1)
-            if white:
+            if weight is not None:
                 weighted = flat * weight
             else:
                 flat = self.noise.whitened(flat[:, :, None] * self.sites[family]) * self.training
@@ -237,7 +239,7 @@ class ReducedArm:
             G = own - G
             found = np.stack([G[:, 0, 0], G[:, 0, 1], G[:, 1, 1]], 1)
             lengths = np.maximum(np.diagonal(own, axis1=1, axis2=2), np.finfo(float).tiny)
-            lost = (np.diagonal(G, axis1=1, axis2=2) < options.confounded * lengths).any(1)
+            lost = (np.diagonal(G, axis1=1, axis2=2) < options.engine.confounded * lengths).any(1)
             score[part][lost], found[lost] = 0.0, 0.0
             information[part] = found
         return score, information
@@ -280,35 +282,64 @@ class ReducedArm:
         Raises:
             InputError: the bytes are no such file; the message begins with `place`.
         """
-        try:
-            with np.load(io.BytesIO(stored), allow_pickle=False) as file:
-                arrays = {name: file[name] for name in file.files}
-            about = json.loads(arrays.pop("about").tobytes())
-            if about["version"] != _VERSION:
-                raise InputError(f"{place}: was written by another version of lite6jax; give the command with --force")
-            models = tuple(Autocorrelation(float(c), float(s)) for c, s in arrays.pop("noise"))
-            noise = NoiseModel(models, arrays.pop("groups"), tuple(map(int, arrays.pop("starts"))))
+        with _readable(place), np.load(io.BytesIO(stored), allow_pickle=False) as file:
+            heading = _heading(file["about"])
+            models = tuple(Autocorrelation(float(c), float(s)) for c, s in file["noise"])
             return cls(
-                about=about["about"],
-                found=tuple(
-                    Found(None if term is None else PooledTerm(*term), label, p_value)
-                    for term, label, p_value in ((f["term"], f["label"], f["p_value"]) for f in about["found"])
-                ),
-                candidates=tuple(map(Candidate.of, about["candidates"])),
-                families=tuple(map(Candidate.of, about["families"])),
-                noise=noise,
-                **{**arrays, "columns": arrays["columns"].astype(float)},
+                **heading._asdict(),
+                noise=NoiseModel(models, file["groups"], tuple(map(int, file["starts"]))),
+                columns=file["columns"].astype(float),
+                **{name: file[name] for name in ("sites", "angles", "training", "basis", "residual", "blocks")},
             )
-        except (ValueError, KeyError, TypeError, EOFError, OSError) as error:
-            raise InputError(f"{place}: is damaged; give the command again with --force") from error
 
 
-def order_grid(options: EngineOptions) -> Array:
+class Heading(NamedTuple):
+    """What a file says of its recording before the numbers; attributes as those of `ReducedArm`."""
+
+    about: Mapping[str, Any]
+    found: tuple[Found, ...]
+    candidates: tuple[Candidate, ...]
+    families: tuple[Candidate, ...]
+
+
+def read_heading(path: Path) -> Heading:
+    """The heading of a file, without its arrays.
+
+    Raises:
+        InputError: as `ReducedArm.from_bytes`.
+    """
+    with _readable(str(path)), np.load(path, allow_pickle=False) as file:
+        return _heading(file["about"])
+
+
+def _heading(stored: NDArray[np.uint8]) -> Heading:
+    said = json.loads(stored.tobytes())
+    if said["version"] != _VERSION:
+        raise ValueError("another version")
+    found = (
+        Found(None if one["term"] is None else PooledTerm(*one["term"]), one["label"], one["p_value"])
+        for one in said["found"]
+    )
+    candidates, families = (tuple(map(Candidate.of, said[name])) for name in ("candidates", "families"))
+    return Heading(said["about"], tuple(found), candidates, families)
+
+
+@contextmanager
+def _readable(place: str) -> Iterator[None]:
+    try:
+        yield
+    except (ValueError, KeyError, TypeError, EOFError, OSError, BadZipFile) as error:
+        raise InputError(
+            f"{place}: is no reduced recording of this version; give the command again with --force"
+        ) from error
+
+
+def order_grid(options: PoolingOptions) -> Array:
     """The orders at which families are scored, `(order,)`, the same for all recordings."""
-    return np.arange(options.lowest_order, options.highest_order + 1e-9, options.order_step)
+    return np.arange(options.engine.lowest_order, options.engine.highest_order + 1e-9, options.order_step)
 
 
-def _determined(G: Array, norms: Array, options: EngineOptions) -> Array:
+def _determined(G: Array, norms: Array, options: PoolingOptions) -> Array:
     """The information `(number, number)` without directions that are confounded with the model.
 
     Args:
@@ -318,5 +349,5 @@ def _determined(G: Array, norms: Array, options: EngineOptions) -> Array:
     """
     length = np.where(norms > 0, norms, 1.0)
     eigenvalues, V = np.linalg.eigh(G / np.outer(length, length))
-    kept = np.where(eigenvalues > options.confounded, eigenvalues, 0.0)
+    kept = np.where(eigenvalues > options.engine.confounded, eigenvalues, 0.0)
     return (V * kept) @ V.T * np.outer(length, length)

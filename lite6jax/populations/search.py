@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtrc, gammaln
 
-from lite6jax.estimation.options import EngineOptions
 from lite6jax.populations.evidence import Asked, Reduced
 from lite6jax.populations.hierarchy import Hierarchy, fitted
+from lite6jax.populations.options import PoolingOptions
 from lite6jax.populations.pooling import WAYS, Overdispersion, Pooled, Way, likelihoods, p_value, pooled
 from lite6jax.populations.reduced import Candidate, Evidence, Found, PooledTerm, order_grid
 
@@ -18,8 +18,6 @@ Array = NDArray[np.floating]
 Shown = Way | Literal["one"]
 """How an effect was found: in a way of pooling, or by one recording alone."""
 
-_SAME_LINE = 0.5
-"""Orders within which two waves are one line."""
 _FINER = np.linspace(-1.0, 1.0, 9)
 
 
@@ -90,7 +88,7 @@ def search(
     looked = _Search(reduced, candidates, covariate)
     chosen: list[Selected] = []
     scanned = looked.scan(())
-    while len(chosen) < looked.options.pooled_terms:
+    while len(chosen) < looked.options.most_effects:
         progress(len(chosen))
         more = looked.best(scanned, [one.term for one in chosen])
         if more is None:
@@ -108,7 +106,7 @@ class _Search:
 
     def __init__(self, reduced: Reduced, candidates: Mapping[str, Candidate], covariate: Array | None) -> None:
         self.reduced, self.candidates, self.covariate = reduced, candidates, covariate
-        self.options: EngineOptions = reduced.options
+        self.options: PoolingOptions = reduced.options
         self.ways = WAYS if covariate is not None else WAYS[:2]
         self.searched = 1.0
 
@@ -116,7 +114,7 @@ class _Search:
         """The statistics of all candidates beside some terms."""
         scanned = pooled(self.reduced.scans(beside), self.covariate)
         if not beside:
-            self.searched = len(scanned.named) + len(scanned.waves) * self.options.searched_orders
+            self.searched = len(scanned.named) + len(scanned.waves) * self.options.engine.searched_orders
         return scanned
 
     def familywise(self, p: float) -> float:
@@ -134,18 +132,18 @@ class _Search:
         significant = [
             one
             for one in (*(one for one in tried if one.term.order is None), *lines)
-            if tests[one.term][0] < self.options.level
+            if tests[one.term][0] < self.options.engine.level
         ]
         if not significant:
             return None
         most = max(one.penalised for one in significant)
-        near = [one for one in significant if most - one.penalised < self.options.close]
+        near = [one for one in significant if most - one.penalised < self.options.engine.close]
         chosen = min(near, key=lambda one: (one.candidate.specificity, -one.penalised))
         p, way = tests[chosen.term]
         rivals = sorted(
             ((one.term, chosen.penalised - one.penalised) for one in significant if one is not chosen),
             key=lambda pair: pair[1],
-        )[: self.options.nearest]
+        )[: self.options.engine.nearest]
         return Selected(chosen.term, chosen.candidate, way, p, tuple(rivals))
 
     def with_found_alone(
@@ -158,14 +156,14 @@ class _Search:
             key=lambda each: (each[0], each[1], each[2].key),
         )
         for p, arm, term in alone:
-            if p * arms >= self.options.level or len(chosen) >= self.options.pooled_terms:
+            if p * arms >= self.options.engine.level or len(chosen) >= self.options.most_effects:
                 break
-            if any(_same(term, one.term) for one in chosen) or term.key not in self.candidates:
+            if any(_same(term, one.term, self.options.same_line) for one in chosen) or term.key not in self.candidates:
                 continue
             beside = tuple(one.term for one in chosen)
             (evidence,) = zip(*self.reduced.evidence([(term, beside)]), strict=True)
             own = evidence[arm]
-            if own is not None and min(own.p_value * self.searched * arms, 1.0) < self.options.level:
+            if own is not None and min(own.p_value * self.searched * arms, 1.0) < self.options.engine.level:
                 p_value_ = min(own.p_value * self.searched * arms, 1.0)
                 chosen = [*chosen, Selected(term, self.candidates[term.key], "one", p_value_)]
         return chosen
@@ -187,14 +185,12 @@ class _Search:
                 if one.shown == "one" and p_one < p:
                     p, shown = p_one, "one"
                 again.append(Selected(one.term, one.candidate, shown, p, one.rivals))
-            if all(one.p_value < self.options.level for one in again):
+            if all(one.p_value < self.options.engine.level for one in again):
                 return again, columns
             worst = max(range(len(again)), key=lambda i: again[i].p_value)
             chosen = [one for i, one in enumerate(again) if i != worst]
 
-    def _tested(
-        self, term: PooledTerm, evidence: Sequence[Evidence | None], over: Overdispersion
-    ) -> tuple[float, Way]:
+    def _tested(self, term: PooledTerm, evidence: Sequence[Evidence | None], over: Overdispersion) -> tuple[float, Way]:
         """The least family-wise p-value of all ways, and the way."""
         shown = [one for one in evidence if one is not None]
         if not shown:
@@ -214,16 +210,19 @@ class _Search:
             logs = np.min([_log_tails(by_way[w][0] / over.waves[w], by_way[w][1]) for w in self.ways], axis=0)
             for one in beside:
                 if one.key == key and one.order is not None:
-                    logs[np.abs(grid - one.order) < _SAME_LINE] = 0.0
+                    logs[np.abs(grid - one.order) < self.options.same_line] = 0.0
             lines.append((float(logs.min()), key, float(grid[int(np.argmin(logs))])))
         lines.sort()
         least = min([log for log, *_ in (*ranked[:1], *lines[:1])], default=0.0)
-        if least + np.log(self.searched * len(self.ways)) >= np.log(self.options.level):
+        if least + np.log(self.searched * len(self.ways)) >= np.log(self.options.engine.level):
             return []
-        asked = [PooledTerm(key) for _, key in ranked[: self.options.pooled_candidates]]
-        for _, key, order in lines[: self.options.pooled_lines]:
+        asked = [PooledTerm(key) for _, key in ranked[: self.options.candidates]]
+        for _, key, order in lines[: self.options.lines]:
             near = order + self.options.order_step * _FINER
-            orders = {float(max(round(order), 1)), *(float(o) for o in near if o >= self.options.lowest_order / 2)}
+            orders = {
+                float(max(round(order), 1)),
+                *(float(o) for o in near if o >= self.options.engine.lowest_order / 2),
+            }
             asked += [PooledTerm(key, o) for o in sorted(orders)]
         return asked
 
@@ -237,7 +236,7 @@ class _Search:
                 continue
             # Schwarz's approximation, with the arms as the sample, and the choice of an order among many
             price = 0.5 * (hierarchy.coefficients.size + 1) * np.log(len(self.reduced))
-            price += np.log(self.options.searched_orders) if term.order is not None else 0.0
+            price += np.log(self.options.engine.searched_orders) if term.order is not None else 0.0
             found.append(_Tried(term, candidate, tuple(column), hierarchy, hierarchy.gain - price))
         return found
 
@@ -246,17 +245,17 @@ class _Search:
         mean, std = one.hierarchy.coefficients[0], one.hierarchy.std[0]
         spread = np.hypot(std, one.hierarchy.between)
         lower, upper = (np.array(bound) for bound in (one.candidate.lower, one.candidate.upper))
-        limit = self.options.impossible * spread
+        limit = self.options.engine.impossible * spread
         return bool(((mean > lower - limit) & (mean < upper + limit)).all())
 
 
-def _same(one: PooledTerm, other: PooledTerm) -> bool:
+def _same(one: PooledTerm, other: PooledTerm, width: float) -> bool:
     if one.key != other.key:
         return False
-    return one.order is None or other.order is None or abs(one.order - other.order) < _SAME_LINE
+    return one.order is None or other.order is None or abs(one.order - other.order) < width
 
 
-def _by_line(tried: Sequence[_Tried], options: EngineOptions) -> list[_Tried]:
+def _by_line(tried: Sequence[_Tried], options: PoolingOptions) -> list[_Tried]:
     """Of the waves of each site the most likely one; a whole order where that is nearly as likely."""
     found = []
     for key in dict.fromkeys(one.term.key for one in tried):
@@ -264,7 +263,7 @@ def _by_line(tried: Sequence[_Tried], options: EngineOptions) -> list[_Tried]:
         best = max(own, key=lambda one: one.penalised)
         whole = [one for one in own if one.term.order is not None and one.term.order % 1 == 0]
         nearest = max(whole, key=lambda one: one.penalised, default=best)
-        found.append(nearest if nearest.penalised > best.penalised - options.whole_preferred else best)
+        found.append(nearest if nearest.penalised > best.penalised - options.engine.whole_preferred else best)
     return found
 
 
