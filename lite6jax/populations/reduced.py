@@ -308,7 +308,7 @@ def read_heading(path: Path) -> Heading:
     Raises:
         InputError: as `ReducedArm.from_bytes`.
     """
-    with _readable(str(path)), np.load(path, allow_pickle=False) as file:
+    with _readable(str(path)), open(path, "rb") as opened, np.load(opened, allow_pickle=False) as file:
         return _heading(file["about"])
 
 

@@ -15,8 +15,10 @@ def reduced(found: Diagnosis) -> ReducedArm:
 
     The noise model is that of the diagnosis. Findings that are candidates for pooling are part of the residual again,
     so that each is tested in the same way in all recordings; the others, such as curves without a name, stay fitted.
+    Outlying rows are left out. Masses are those declared: their uncertainty matters beside effects of loads alone.
     """
-    problem, fit, engine = found.problem, found.fit, found.options.engine
+    problem, engine = found.problem, found.options.engine
+    fit = replace(found.fit, training=found.fit.training & ~found.outliers)
     pooled = [pooled_term(term, found) is not None for term in fit.terms.terms]
     terms, values = fit.terms.part(fit.values, [not one for one in pooled])
     beside = replace(fit, terms=terms, values=values)
