@@ -29,31 +29,29 @@ _GROWN = 2.0
 
 
 def fleet_diagnosis(
-    fleets: int = 6, clean: int = 20, arms: int = 30, clean_arms: int = 10, rows: int = 200, seed: int = 11
+    fleets: int = 6, clean: int = 20, arms: int = 30, fewer: int = 12, rows: int = 200, seed: int = 11
 ) -> Iterator[Record]:
     """Shares of fleets, with 95 % intervals.
 
     Args:
         fleets: of each kind with something hidden.
         clean: fleets with nothing hidden.
-        arms: of each of the former.
-        clean_arms: of each of the latter, of which there are more.
+        arms: that have an effect at half the threshold.
+        fewer: arms of the other fleets, and recordings of one arm over time.
         rows: of each recording.
         seed: of all draws.
     """
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        for kind in ("half", "odd", "drift"):
+        for kind, count in (("half", arms), ("odd", fewer), ("drift", fewer)):
             answers = []
             for number in range(fleets):
-                hidden = _hidden(kind, number, arms, seed)
-                over_time = kind == "drift"
-                count = arms if kind != "drift" else arms // 2
-                document = _answer(folder / f"{kind}{number}", seed + number, count, rows, (hidden,), over_time)
-                answers.append((hidden, document))
-            yield from _judged(kind, f"{arms if kind != 'drift' else arms // 2} recordings", answers)
-        documents = [_answer(folder / f"clean{i}", seed + 1000 + i, clean_arms, rows, ()) for i in range(clean)]
-        work = f"{clean_arms} clean arms"
+                hidden = _hidden(kind, number, count, seed)
+                place = folder / f"{kind}{number}"
+                answers.append((hidden, _answer(place, seed + number, count, rows, (hidden,), kind == "drift")))
+            yield from _judged(kind, f"{count} recordings", answers)
+        documents = [_answer(folder / f"clean{i}", seed + 1000 + i, fewer, rows, ()) for i in range(clean)]
+        work = f"{fewer} clean arms"
         alarms = share(bool(document["effects"]) for document in documents)
         yield _record(work, "fleets with an effect", alarms, "lower")
         said = share(

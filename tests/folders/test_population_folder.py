@@ -124,5 +124,15 @@ def test_the_command_pools_what_it_diagnosed(corpus, tmp_path, capsys, monkeypat
     assert (results / "a.json").read_bytes() != (results / "b.json").read_bytes()  # the names of their inputs
     rows = {row["file"]: row for row in pq.read_table(results / "summary.parquet").to_pylist()}
     assert (rows["a.csv"]["reduced"], rows["broken.csv"]["reduced"]) == ("a.npz", None)
+    assert main(["report", str(results / "fleet.json")]) == 0
+    assert flat(capsys.readouterr().out) in said
+    certificate = ["--certificate", str(tmp_path / "c.pdf")]
+    assert main(["report", str(results / "fleet.json"), *certificate]) == 2
+    assert "--certificate: is of one recording, and" in flat(capsys.readouterr().err)
+    (tmp_path / "damaged.json").write_text(json.dumps(document | {"effects": [{}]}))
+    assert main(["report", str(tmp_path / "damaged.json")]) == 2
+    assert "fleet.effects[0] lacks the key 'effect'; run `lite6jax diagnose --fleet` again" in flat(
+        capsys.readouterr().err
+    )
     assert main(["diagnose", "--fleet", str(folder), *options]) == 2
     assert "fleet.json: exists already" in flat(capsys.readouterr().err)

@@ -1,4 +1,4 @@
-"""Fleets of arms that are no robots: what all share is found, an odd arm is named, a drift has its slope, noise nothing."""
+"""Fleets of arms that are no robots: what all share, an odd arm and a drift are found, and of noise nothing."""
 
 import numpy as np
 import pytest
@@ -8,6 +8,7 @@ from lite6jax.checksum import verify
 from lite6jax.populations.evidence import Reduced
 from lite6jax.populations.population import Member, diagnose_population
 from lite6jax.populations.reduced import PooledTerm
+from lite6jax.populations.schema import check_fleet_document
 
 SOFT, OTHER = PooledTerm("soft"), PooledTerm("other3")
 HALF = 0.3
@@ -62,6 +63,7 @@ def test_an_odd_arm_is_named_and_the_type_is_that_of_the_others(tmp_path):
     assert effect.estimates()[4][0][0] == pytest.approx(3.0, abs=0.4)
     said = found.to_dict()
     assert [member["file"] for member in said["recordings"] if member["outlier_in"]] == ["arm4.csv"]
+    check_fleet_document(said, "fleet.json")
     verify(said, "fleet.json")  # warns, and so raises, where the checksum is another
 
 
@@ -91,6 +93,7 @@ def test_a_drift_over_dates_has_its_slope(tmp_path):
     drifting, steady = sorted(found.effects, key=lambda effect: effect.drift_p_value)
     assert (drifting.selected.term, drifting.drift_p_value < 1e-4) == (SOFT, True)
     assert steady.drift_p_value > 0.003
+    check_fleet_document(found.to_dict(), "fleet.json")
     said = next(effect for effect in found.to_dict()["effects"] if effect["effect"] == "soft")
     low, high = said["drift"]["per_day"]["compliance_rad_per_Nm"]["interval_95"]
     assert low < 0.003 < high
