@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from lite6jax.cli.arguments import check_processes
-from lite6jax.cli.diagnose_folder import diagnosed, run_on_folder
+from lite6jax.cli.diagnose_folder import asked_of, diagnosed, run_on_folder
 from lite6jax.cli.exit_codes import DONE
 from lite6jax.errors import InputError
 
@@ -13,6 +13,7 @@ if TYPE_CHECKING:
 
     from lite6jax.cli.diagnose import Diagnose
     from lite6jax.folders.place import Place
+    from lite6jax.populations.population import Population
 
 
 def diagnose_recorded_fleet(command: "Diagnose") -> int:
@@ -30,18 +31,47 @@ def diagnose_recorded_fleet(command: "Diagnose") -> int:
         raise InputError(f"{command.source}: is a folder; add --out DIR for the documents of its recordings")
     check_processes(command.processes, command.scheduler)
     from lite6jax.diagnosis.document import document_text
+    from lite6jax.distribution.kept import Kept
+    from lite6jax.folders.diagnoses import TABLE
     from lite6jax.folders.listing import recording_names
     from lite6jax.folders.place import Place
-    from lite6jax.folders.population import DOCUMENT, check_document, diagnose_recorded_population
-    from lite6jax.populations.options import DEFAULTS
+    from lite6jax.folders.population import DOCUMENT, check_document
     from lite6jax.report import population_tables, screen
     from lite6jax.storage import write_atomically
 
-    check_document(command.out, recording_names(Place.of(command.source)), command.force)
-    run_on_folder(command, command.out, diagnose_and_reduce)
+    place = Place.of(command.source)
+    names = recording_names(place)
+    check_document(command.out, names, command.force)
+    asked, also_read = asked_of(command)
+    kept = Kept(command.out / DOCUMENT, asked)
+    diagnoses = kept.key(place.content(names) + also_read)
+    try:
+        if kept.find(diagnoses) is None:  # a run that was ended while it pooled has them all
+            run_on_folder(command, command.out, diagnose_and_reduce)
+            kept.keep(diagnoses, b"")
+        document = _pooled(command).to_dict()
+    except BaseException:
+        kept.close()
+        raise
+    path = write_atomically(command.out / DOCUMENT, document_text(document), overwrite=command.force)
+    kept.close(remove=True)
+    if command.json:
+        print(document_text(document))
+        return DONE
+    screen.show(population_tables.population_report(document))
+    screen.written([command.out / TABLE, path])
+    return DONE
+
+
+def _pooled(command: "Diagnose") -> "Population":
+    from lite6jax.folders.population import diagnose_recorded_population
+    from lite6jax.populations.options import DEFAULTS
+    from lite6jax.report import screen
+
+    assert command.out is not None
     effects = [0]
     with screen.repeated(lambda: f"pooling the recordings: {effects[0]} effects so far"):
-        found = diagnose_recorded_population(
+        return diagnose_recorded_population(
             str(command.source),
             command.out,
             DEFAULTS,
@@ -50,14 +80,6 @@ def diagnose_recorded_fleet(command: "Diagnose") -> int:
             command.processes,
             lambda count: effects.__setitem__(0, count),
         )
-    document = found.to_dict()
-    path = write_atomically(command.out / DOCUMENT, document_text(document), overwrite=command.force)
-    if command.json:
-        print(document_text(document))
-        return DONE
-    screen.show(population_tables.population_report(document))
-    screen.written([command.out / "summary.parquet", path])
-    return DONE
 
 
 def diagnose_and_reduce(names: Sequence[str], place: "Place", command: "Diagnose") -> "pa.Table":

@@ -70,27 +70,32 @@ def run_on_folder(command: "Diagnose", out: Path, diagnose: "Callable[..., pa.Ta
         out: the folder of results.
         diagnose: of names, place and command, as `diagnose_names`.
     """
-    from lite6jax.distribution.kept import sha256_of
     from lite6jax.folders.diagnoses import diagnose_folder
     from lite6jax.report import screen
 
-    read = [Path(file.partition("#")[0]) for file in (command.arm, command.effects and str(command.effects)) if file]
-    # what of the command the diagnoses depend on
-    asked = replace(
-        command, source=Path(), out=None, json=False, details=False, force=True, processes=None, scheduler=None
-    )
+    asked, also_read = asked_of(command)
     with screen.progress_of_many("diagnosing") as advance:
         return diagnose_folder(
             command.source,
             out,
             diagnose,
-            (replace(asked, fleet=False, over=None),),
-            also_read=sha256_of(read),
+            (asked,),
+            also_read=also_read,
             scheduler=command.scheduler,
             processes=command.processes,
             progress=advance,
             overwrite=command.force,
         )
+
+
+def asked_of(command: "Diagnose") -> "tuple[Diagnose, bytes]":
+    """What of the command the diagnoses depend on, and the checksums of the files that they all read."""
+    from lite6jax.distribution.kept import sha256_of
+
+    read = [Path(file.partition("#")[0]) for file in (command.arm, command.effects and str(command.effects)) if file]
+    alike = {"source": Path(), "out": None, "force": True, "fleet": False}
+    alike |= dict.fromkeys(("json", "details"), False) | dict.fromkeys(("processes", "scheduler", "over"))
+    return replace(command, **alike), sha256_of(read)
 
 
 def diagnose_names(names: Sequence[str], place: Place, command: "Diagnose") -> "pa.Table":

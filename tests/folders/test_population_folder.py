@@ -110,7 +110,17 @@ def test_the_command_pools_what_it_diagnosed(corpus, tmp_path, capsys, monkeypat
     monkeypatch.setattr(folder_command, "check_processes", lambda processes, scheduler: None)
     monkeypatch.setattr("lite6jax.cli.diagnose_fleet.check_processes", lambda processes, scheduler: None)
     options = ["--out", str(results), "--quick", "--processes", "0"]
-    assert main(["diagnose", "--fleet", str(folder), *options]) == 0
+
+    def stopped(*arguments):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patched:
+        patched.setattr("lite6jax.folders.population.diagnose_recorded_population", stopped)
+        assert main(["diagnose", "--fleet", str(folder), *options]) == 130
+    capsys.readouterr()
+    with monkeypatch.context() as patched:  # a run that was ended while it pooled diagnoses nothing again
+        patched.setattr("lite6jax.cli.diagnose_fleet.run_on_folder", None)
+        assert main(["diagnose", "--fleet", str(folder), *options]) == 0
     said = flat(capsys.readouterr().out)
     document = json.loads((results / "fleet.json").read_text())
     (effect,) = document["effects"]
