@@ -1,6 +1,7 @@
 """What workers compute of reduced recordings: the scores of all candidates, and the evidence on chosen terms."""
 
 from collections.abc import Iterator, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, final
 
 import numpy as np
@@ -39,7 +40,11 @@ class Reduced:
     """
 
     def __init__(
-        self, stored: Sequence[Any], options: PoolingOptions, scheduler: str | None = None, processes: int | None = None
+        self,
+        stored: Sequence[Path],
+        options: PoolingOptions,
+        scheduler: str | None = None,
+        processes: int | None = None,
     ) -> None:
         """Starts nothing.
 

@@ -95,7 +95,7 @@ def search(
             break
         chosen.append(more)
         scanned = looked.scan([one.term for one in chosen])
-    chosen = looked.with_found_alone(chosen, found, scanned.overdispersion)
+    chosen = looked.with_found_alone(chosen, found)
     chosen, evidence = looked.retested(chosen, scanned.overdispersion)
     return Outcome(tuple(chosen), tuple(evidence), scanned.overdispersion, looked.searched)
 
@@ -146,27 +146,32 @@ class _Search:
         )[: self.options.engine.nearest]
         return Selected(chosen.term, chosen.candidate, way, p, tuple(rivals))
 
-    def with_found_alone(
-        self, chosen: list[Selected], found: Sequence[Sequence[Found]], over: Overdispersion
-    ) -> list[Selected]:
-        """With effects that one recording shows by itself, over all arms, beside those that all show."""
-        arms = len(self.reduced)
+    def with_found_alone(self, chosen: list[Selected], found: Sequence[Sequence[Found]]) -> list[Selected]:
+        """With effects that one recording shows by itself, over all arms, beside those that were chosen."""
+        arms, level = len(self.reduced), self.options.engine.level
         alone = sorted(
-            ((one.p_value, arm, one.term) for arm, each in enumerate(found) for one in each if one.term is not None),
-            key=lambda each: (each[0], each[1], each[2].key),
+            (
+                (one.p_value * arms, arm, one.term)
+                for arm, each in enumerate(found)
+                for one in each
+                if one.term is not None and one.p_value * arms < level
+            ),
+            key=lambda each: each[:2],
         )
-        for p, arm, term in alone:
-            if p * arms >= self.options.engine.level or len(chosen) >= self.options.most_effects:
-                break
-            if any(_same(term, one.term, self.options.same_line) for one in chosen) or term.key not in self.candidates:
+        for _, arm, term in alone:
+            known = term.key in self.candidates and len(chosen) < self.options.most_effects
+            if not known or any(_same(term, one.term, self.options.same_line) for one in chosen):
                 continue
-            beside = tuple(one.term for one in chosen)
-            (evidence,) = zip(*self.reduced.evidence([(term, beside)]), strict=True)
-            own = evidence[arm]
-            if own is not None and min(own.p_value * self.searched * arms, 1.0) < self.options.engine.level:
-                p_value_ = min(own.p_value * self.searched * arms, 1.0)
-                chosen = [*chosen, Selected(term, self.candidates[term.key], "one", p_value_)]
+            own = self.reduced.evidence([(term, tuple(one.term for one in chosen))])[arm][0]
+            p = 1.0 if own is None else self._of_one([own])
+            if p < level:
+                chosen = [*chosen, Selected(term, self.candidates[term.key], "one", p)]
         return chosen
+
+    def _of_one(self, evidence: Sequence[Evidence]) -> float:
+        """The least p-value of single arms, over the search and the arms."""
+        least = min((one.p_value for one in evidence), default=1.0)
+        return min(least * self.searched * len(self.reduced), 1.0)
 
     def retested(
         self, chosen: list[Selected], over: Overdispersion
@@ -179,8 +184,7 @@ class _Search:
             again = []
             for one, evidence in zip(chosen, columns, strict=True):
                 p, way = self._tested(one.term, evidence, over)
-                p_one = min((e.p_value for e in evidence if e is not None), default=1.0)
-                p_one = min(p_one * self.searched * len(self.reduced), 1.0)
+                p_one = self._of_one([each for each in evidence if each is not None])
                 shown: Shown = way
                 if one.shown == "one" and p_one < p:
                     p, shown = p_one, "one"

@@ -1,5 +1,7 @@
 """Fleets of arms that are no robots: what all share, an odd arm and a drift are found, and of noise nothing."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from populations.linear_arms import CANDIDATES, OPTIONS, arm, stored, wave
@@ -10,6 +12,7 @@ from lite6jax.populations.population import Member, diagnose_population
 from lite6jax.populations.reduced import PooledTerm
 from lite6jax.populations.schema import check_fleet_document
 
+ROOT = Path(__file__).resolve().parents[2]
 SOFT, OTHER = PooledTerm("soft"), PooledTerm("other3")
 HALF = 0.3
 """Of an effect, whose standard error in one recording is 0.11: a single search finds about twice as much."""
@@ -93,7 +96,16 @@ def test_a_drift_over_dates_has_its_slope(tmp_path):
     drifting, steady = sorted(found.effects, key=lambda effect: effect.drift_p_value)
     assert (drifting.selected.term, drifting.drift_p_value < 1e-4) == (SOFT, True)
     assert steady.drift_p_value > 0.003
-    check_fleet_document(found.to_dict(), "fleet.json")
+    whole = found.to_dict()
+    check_fleet_document(whole, "fleet.json")
+    described = (ROOT / "docs" / "reference" / "results.md").read_text().split("## The file of a fleet")[1]
+    keys = {
+        *whole,
+        *whole["recordings"][0],
+        *whole["effects"][0],
+        *next(iter(whole["effects"][0]["parameters"].values())),
+    }
+    assert [key for key in sorted(keys) if f"`{key}`" not in described] == []
     said = next(effect for effect in found.to_dict()["effects"] if effect["effect"] == "soft")
     low, high = said["drift"]["per_day"]["compliance_rad_per_Nm"]["interval_95"]
     assert low < 0.003 < high
