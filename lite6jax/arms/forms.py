@@ -22,7 +22,7 @@ from lite6jax.arms.files import (
     write_table,
     write_urdf,
 )
-from lite6jax.arms.urdf_edit import write_into_urdf
+from lite6jax.arms.urdf_edit import SPRINGS_LEFT_OUT, write_into_urdf
 from lite6jax.errors import InputError
 
 Array = NDArray[np.floating]
@@ -202,7 +202,7 @@ def left_out_of(arm: Arm, form: FileForm, calibrated: bool = False) -> list[str]
     if form == "urdf" and arm.rotor_inertia is not None:
         phrases.append("rotor inertia")
     if form == "urdf" and arm.spring_stiffness is not None:
-        phrases.append("springs, but for SDFormat's attributes in <dynamics>")
+        phrases.append(SPRINGS_LEFT_OUT)
     if arm.dh is not None and form in ("vendor", "ur", "urdf", "mjcf"):
         phrases.append("the published DH table")
     return phrases

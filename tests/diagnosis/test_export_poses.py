@@ -117,9 +117,9 @@ def robot(tmp_path):
     text = path.read_text()
     named = {
         'name="joint': 'name="lite6_joint',
-        'effort="0.0"': 'effort="50.0"',
-        'velocity="0.0"': 'velocity="3.14"',
-        '<link name="base_link" />': f'<!-- mine --><link name="base_link">{MESH}</link>',
+        'effort="1000.0"': 'effort="50.0"',
+        'velocity="1000.0"': 'velocity="3.14"',
+        '<link name="base_link">': f'<!-- mine --><link name="base_link">{MESH}',
     }
     for before, after in named.items():
         assert before in text
