@@ -93,6 +93,8 @@ _ALLOWED = {
 KINDS = tuple(_ALLOWED)
 _AXES = {axis: k for k, axis in enumerate("xyz")}
 _COMPONENTS = {"qw": "w", "qx": "x", "qy": "y", "qz": "z", "ow": "w", "ox": "x", "oy": "y", "oz": "z"}
+_NUMBERS = "abcdefgh"
+"""Letters that number joints."""
 _SEPARATE = {"rx": 0, "ry": 1, "rz": 2}
 _NAMED = {"roll": 0, "pitch": 1, "yaw": 2}
 
@@ -170,7 +172,10 @@ def _taken_apart(name: str) -> _Word:
     spaced = re.sub(r"(?<=[a-z])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])", " ", text)
     parts = re.findall(r"[a-z]+|\d+", spaced.lower())
     number, component = None, None
-    if parts and parts[-1] in {*_AXES, "w", *_COMPONENTS, *_SEPARATE, *_NAMED, "a", "b", "c", "p", "r"}:
+    letters = [k for k, part in enumerate(parts) if part in _NUMBERS] if _JOINT & set(parts) else []
+    if len(letters) == 1 and not any(map(str.isdecimal, parts)):  # axis_A … axis_F
+        number = _NUMBERS.index(parts.pop(letters[0])) + 1
+    elif parts and parts[-1] in {*_AXES, "w", *_COMPONENTS, *_SEPARATE, *_NAMED, "a", "b", "c", "p", "r"}:
         component = parts.pop()
     else:
         at = [k for k, part in enumerate(parts) if part.isdecimal()]

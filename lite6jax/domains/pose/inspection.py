@@ -162,6 +162,7 @@ def _near(name: str, names: Sequence[str]) -> str:
 
 def _fitting(blocks: Sequence[Block], given: Mapping[str, str], arm: Arm | None) -> list[Block]:
     """Without joints that the arm does not have, such as a gripper's, and with the units of names that are given."""
+    blocks = _with_given(blocks, given)
     q = next((block for block in blocks if block.kind == "q"), None)
     dof = arm.dof if arm is not None else len(q.columns) if q is not None else 0
     sliding = _sliding(q, given) if arm is None else arm.sliding
@@ -181,6 +182,18 @@ def _fitting(blocks: Sequence[Block], given: Mapping[str, str], arm: Arm | None)
             found.append(replace(part, form=form) if turned else part)
     placed = any(block.kind == "position" for block in found)
     return [block for block in found if placed or block.kind != "rotation"]
+
+
+def _with_given(blocks: Sequence[Block], given: Mapping[str, str]) -> list[Block]:
+    """With the joint positions and the place of the tool that are given throughout, in place of what names say."""
+    own = {without_unit(name): column for column, name in given.items()}
+    joints = sum(name.startswith("q") and name[1:].isdecimal() for name in own)
+    found = []
+    for kind, names in (("q", [f"q{joint}" for joint in range(1, joints + 1)]), ("position", list("xyz"))):
+        if names and own.keys() >= set(names):
+            found.append(Block(kind, tuple(own[name] for name in names)))
+    kinds = {block.kind for block in found}
+    return [*found, *(block for block in blocks if block.kind not in kinds)]
 
 
 def _sliding(q: Block | None, given: Mapping[str, str]) -> tuple[int, ...]:

@@ -267,3 +267,23 @@ def test_names_say_which_joints_are_slides(tmp_path):
         ]
         == "tau3_N"
     )
+
+
+def test_joints_that_are_numbered_by_letters():
+    frame = dict(zip((f"axis_{letter}_act" for letter in "ABCDEF"), Q.T, strict=True))
+    found = inspect(list((frame | dict(zip(("LT_X", "LT_Y", "LT_Z"), P.T, strict=True))).items()), LITE6)
+    assert [found.columns[name] for name in frame] == [f"q{k}_rad" for k in range(1, 7)]
+    assert found.error < 5e-3
+    assert inspect(list(dict(zip(("axis_a", "axis_b", "axis_c"), Q.T, strict=False)).items())).of("q") is not None
+
+
+def test_the_arm_judges_columns_that_are_given_too():
+    """Where no name says what the joints are, the kinematics still decide the unit of the positions."""
+    names = ["one", "two", "three", "four", "five", "six"]
+    frame = dict(zip(names, np.rad2deg(Q.T), strict=True)) | dict(zip("uvw", 1e3 * P.T, strict=True))
+    given = {name: f"q{k}_deg" for k, name in enumerate(names, 1)}
+    places = {"u": "x_mm", "v": "y_mm", "w": "z_mm"}
+    found = inspect(list(frame.items()), LITE6, given | places)
+    assert found.columns == given | places
+    assert found.error < 5e-3
+    assert found.of("q").block.columns == tuple(names)
