@@ -301,7 +301,7 @@ def _listed(names: Sequence[str], most: int = 8) -> str:
 
 
 def _counted(found: Inspection) -> str:
-    used = sum(len(meaning.block.columns) for meaning in found.meanings) + len(found.given)
+    used = len({column for meaning in found.meanings for column in meaning.block.columns} | set(found.given))
     rest = len(found.unused) + len(found.texts)
     return f"{used + rest} columns, of which {used} are used" if rest else f"{used} columns"
 
