@@ -8,6 +8,7 @@ from tyro.conf import Positional, arg
 
 from lite6jax.cli.arguments import ArmName, refuse_inputs
 from lite6jax.cli.exit_codes import DONE
+from lite6jax.cli.inputs import diagnosed_nominal
 from lite6jax.errors import InputError
 from lite6jax.storage import check_writable
 
@@ -45,7 +46,7 @@ class Convert:
     """Likewise the one that is the flange; the end of the only chain where not given."""
     arm: ArmName = None
     """The nominal arm of a calibration, recognised where not given; of a diagnosis, where the inertia is from that it
-    does not say."""
+    does not say: by default the bundled arm of its name, or the file that the recording's sidecar names."""
     effects: Annotated[Path | None, arg(metavar="FILE.py")] = None
     """Effects of your own that a diagnosis has. Runs the file."""
     json: bool = False
@@ -60,7 +61,8 @@ class Convert:
         refuse_inputs([self.target], [self.source.partition("#")[0], self.arm, into, self.effects])
         from lite6jax.arms.bundled import bundled_arms, load_bundled
         from lite6jax.arms.files import read_arm, with_chain
-        from lite6jax.arms.forms import convert_file, export_file, export_into
+        from lite6jax.arms.forms import convert_file, export_file, export_into, form_of
+        from lite6jax.diagnosis.document import parsed_document
         from lite6jax.diagnosis.export import is_diagnosis, read_diagnosed_arm
         from lite6jax.effects.user_effects import load_effects
         from lite6jax.fitting.source import load_nominal
@@ -72,7 +74,13 @@ class Convert:
             raise InputError(f"--into writes a URDF, and --to asks for {self.to}; give one of them")
         if is_diagnosis(source):
             effects = load_effects(self.effects) if self.effects else ()
+            nominal = nominal or load_nominal(diagnosed_nominal(parsed_document(source), Path(source)))
             arm, left_out = read_diagnosed_arm(source, nominal, effects, alone=self.into is None)
+            if arm.inertia is None and self.into is None and (self.to or form_of(self.target, False)) == "mjcf":
+                raise InputError(
+                    f"{source}: MuJoCo needs the mass and inertia of every link, which a diagnosis of poses lacks;"
+                    f" add --arm with the URDF, MJCF or description of {arm.name} that has them, or write a .urdf"
+                )
         if self.into is not None:
             whole = arm or read_arm(source)
             done = export_into(whole, self.into, self.target, self.force, left_out, with_flange=arm is None)
