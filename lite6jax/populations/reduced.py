@@ -189,9 +189,9 @@ class ReducedArm:
         score: Score = block_test(projected, norms, per_block, self._by_block, 1.0, options.engine)
         if score.confounded:
             return None
-        information = _determined(projected @ projected.T, norms, options)
+        determined, information = _determined(-per_block.sum(1), projected @ projected.T, norms, options)
         spread = block_covariance(projected, per_block, -score.values, self._by_block)
-        return Evidence(-per_block.sum(1), information, spread, per_block.shape[1], score.p_value)
+        return Evidence(determined, information, spread, per_block.shape[1], score.p_value)
 
     def scores(self, options: PoolingOptions) -> tuple[list[tuple[Array, Array]], Array, Array]:
         """Scores and information of all candidates, and of both waves of all orders of `order_grid`.
@@ -203,7 +203,7 @@ class ReducedArm:
         projected = outside(self.columns, self.basis)
         total, norms = -(projected @ self.residual), np.linalg.norm(self.columns, axis=1)
         named: list[tuple[Array, Array]] = [
-            (total[part], _determined(projected[part] @ projected[part].T, norms[part], options))
+            _determined(total[part], projected[part] @ projected[part].T, norms[part], options)
             for part in self.parts.values()
         ]
         orders = order_grid(options)
@@ -339,15 +339,20 @@ def order_grid(options: PoolingOptions) -> Array:
     return np.arange(options.engine.lowest_order, options.engine.highest_order + 1e-9, options.order_step)
 
 
-def _determined(G: Array, norms: Array, options: PoolingOptions) -> Array:
-    """The information `(number, number)` without directions that are confounded with the model.
+def _determined(score: Array, G: Array, norms: Array, options: PoolingOptions) -> tuple[Array, Array]:
+    """Score and information without what is confounded with the model: there both are rounding.
 
     Args:
-        G: of projected columns.
+        score: `(number,)`.
+        G: `(number, number)`, of projected columns.
         norms: `(number,)` of the columns before that.
         options: thresholds.
     """
-    length = np.where(norms > 0, norms, 1.0)
-    eigenvalues, V = np.linalg.eigh(G / np.outer(length, length))
-    kept = np.where(eigenvalues > options.engine.confounded, eigenvalues, 0.0)
-    return (V * kept) @ V.T * np.outer(length, length)
+    least, length = options.engine.confounded, np.where(norms > 0, norms, 1.0)
+    C = G / np.outer(length, length)
+    seen = np.diagonal(C) > least
+    C = np.where(np.outer(seen, seen), C, 0.0)
+    eigenvalues, V = np.linalg.eigh(C)
+    V = np.where(seen[:, None], V[:, eigenvalues > least], 0.0)
+    information = (V * eigenvalues[eigenvalues > least]) @ V.T * np.outer(length, length)
+    return V @ (V.T @ (score / length)) * length, information

@@ -64,6 +64,18 @@ def test_what_is_in_the_model_or_unknown_has_no_evidence(made):
     assert made.evidence(PooledTerm("waves:joint9", 3.0), OPTIONS) is None
 
 
+def test_a_number_that_the_nuisance_does_as_well_has_no_information_at_all(made):
+    """Rounding, divided by rounding, would be a number of any size."""
+    column = made.parts["bent"].start
+    made.columns[column] = 1e3 * made.basis[0] + 1e-7 * made.columns[column]
+    found = made.evidence(BENT, OPTIONS)
+    assert (found.score[0], *found.information[0], *found.information[:, 0]) == (0.0, 0.0, 0.0, 0.0, 0.0)
+    assert found.information[1, 1] > 1
+    named = made.scores(OPTIONS)[0][1]
+    np.testing.assert_allclose(named[0], found.score)
+    np.testing.assert_allclose(named[1], found.information)
+
+
 def test_a_file_holds_the_recording(made, tmp_path):
     made = replace(made, noise=NoiseModel((Autocorrelation(0.8, 0.6),), np.zeros(1, int), (0, 30)))
     path = tmp_path / "a.npz"
