@@ -1,6 +1,7 @@
 """The JSON of a diagnosis of torques: codes and plain numbers in SI units. Only this module writes and reads it."""
 
 from collections.abc import Mapping, Sequence
+from itertools import combinations
 from pathlib import Path
 from typing import Any
 
@@ -16,8 +17,10 @@ from lite6jax.diagnosis.stored_uncertainty import covariance_from, drivers_from,
 from lite6jax.diagnosis.torque_result import TorqueDiagnosis
 from lite6jax.diagnosis.torque_schema import RANGES, check_torques
 from lite6jax.domains.torque.predict import DiagnosedMotors
+from lite6jax.domains.torque.problem import TorqueProblem
 from lite6jax.domains.torque.uncertainty import RecordedMotion, TorqueUncertainty, with_free_numbers
 from lite6jax.effects.dynamic.catalogue import torque_kinds_of
+from lite6jax.effects.dynamic.torque_effect import TorqueEffect
 from lite6jax.effects.dynamic.unnamed import UnnamedTorque
 from lite6jax.effects.effect import Effect
 from lite6jax.effects.serialization import effect_as_dict, effect_from_dict
@@ -25,6 +28,9 @@ from lite6jax.errors import InputError
 from lite6jax.estimation.terms import Terms, join
 
 Array = NDArray[np.floating]
+
+_DESCRIBES, _WORTH_ANOTHER = 0.8, 0.01
+"""Share of a curve's mean square from which named effects are said to describe it, and that a second one must add."""
 
 
 def to_torque_document(found: TorqueDiagnosis) -> dict[str, Any]:
@@ -97,6 +103,8 @@ def _finding(found: TorqueDiagnosis, k: int) -> dict[str, Any]:
     size: dict[str, Any] = {}
     if isinstance(finding.effect, UnnamedTorque):
         size["peak_to_peak_Nm"] = float(np.ptp(moved, axis=1).max())
+        described = _described(found.problem, finding.effect.joint, moved)
+        size |= {} if described is None else {"described_by": described}
     if finding.nearest is not None:
         rival, share = finding.nearest
         size["nearest"] = {**located(rival.effect), "share": share}
@@ -110,6 +118,38 @@ def _finding(found: TorqueDiagnosis, k: int) -> dict[str, Any]:
         "joints": (1 + np.flatnonzero(acts)).tolist(),
         "confusable_with": [_rival(found, rival) for rival in _near(found, finding)],
     }
+
+
+def _described(problem: TorqueProblem, joint: int, moved: Array) -> dict[str, Any] | None:
+    """The one or two named effects of a joint that together come nearest to what a curve adds to it, by least squares.
+
+    A curve takes the place of names where these do not explain all of it. What they do explain is what a reader looks
+    for first: how much of it is viscous friction, and how much Coulomb friction.
+
+    Args:
+        problem: the data.
+        joint: from 1.
+        moved: `(joint, sample)` Nm, by the curve.
+    """
+    there = [effect for effect in problem.ladder if effect.site == f"joint{joint}" and effect.size == 1]
+    target = moved[joint - 1, problem.valid]
+    best: tuple[float, tuple[TorqueEffect, ...], Array] = (0.0, (), np.zeros(0))
+    for names in (*combinations(there, 1), *combinations(there, 2)):
+        columns = (problem.columns(names) * problem.sigma)[:, joint - 1, problem.valid]
+        values = np.linalg.lstsq(columns.T, target, rcond=1e-9)[0]
+        share = 1 - float(np.sum((target - values @ columns) ** 2) / max(np.sum(target**2), 1e-300))
+        limits = [problem.limits(effect)[0] for effect in names]
+        possible = all(lower <= value <= upper for (lower, upper), value in zip(limits, values, strict=True))
+        if possible and share > best[0] + (_WORTH_ANOTHER if len(names) > len(best[1]) else 0.0):
+            best = (share, names, values)
+    share, names, values = best
+    if share < _DESCRIBES:
+        return None
+    named = [
+        {**located(effect), "parameters": {effect.coordinates[0].name: float(value)}}
+        for effect, value in zip(names, values, strict=True)
+    ]
+    return {"share": share, "effects": named}
 
 
 def _near(found: TorqueDiagnosis, finding: Finding) -> list[Rival]:

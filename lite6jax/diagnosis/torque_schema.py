@@ -39,6 +39,9 @@ _FINDING = record(
     },
     {
         "nearest": record({**_PLACE, "share": number(0.0, 1.0)}),
+        "described_by": record(
+            {"share": number(0.0, 1.0), "effects": items(record({**_PLACE, "parameters": mapping(number())}))}
+        ),
         "statement": text,
         "peak_to_peak_Nm": _POSITIVE,
         "joints": items(whole(1)),

@@ -15,7 +15,7 @@ from lite6jax.diagnosis.torque_result import TorqueDiagnosis
 from lite6jax.effects.dynamic.unnamed import UnnamedTorque
 from lite6jax.report.canvas import AFTER, STYLE, degree_ticks, thinned
 from lite6jax.report.panels import BINS, GREY, legend_below, medians, panels_in_rows
-from lite6jax.report.statements import effect_name
+from lite6jax.report.remedies import effect_name
 
 _SAMPLES_PER_BIN = 12
 _BINS_PER_WAVE = 4

@@ -190,9 +190,17 @@ def remedy_of(entry: Entry, torques: bool = False) -> Remedy:
 
 def cause_of(entry: Entry, torques: bool = False) -> str:
     """The cause in the words of a workshop, a clause in small letters: joint 2 gives way to gravity."""
+    if "described_by" in entry:
+        described = entry["described_by"]
+        names = [effect_name(effect["effect"]) for effect in described["effects"]]
+        verb = "describe" if len(names) > 1 else "describes"
+        share = f"{100 * described['share']:.0f} %"
+        return f"{place_of(entry['site'])} has a torque that {' and '.join(names)} {verb} to {share}"
     source = entry.get("parameters", {}).get("source_joint", {"value": entry.get("source_joint") or 0})["value"]
     return remedy_of(entry, torques).cause.format(
-        place=place_of(entry["site"]), source=f"joint {source:.0f}" if source else "another joint", effect=_own(entry)
+        place=place_of(entry["site"]),
+        source=f"joint {source:.0f}" if source else "another joint",
+        effect=effect_name(entry["effect"]),
     )
 
 
@@ -201,5 +209,6 @@ def place_of(site: str) -> str:
     return _PLACES.get(site) or ("the payload" if site == "payload" else re.sub(r"(\D)(\d)", r"\1 \2", site))
 
 
-def _own(entry: Entry) -> str:
-    return entry["effect"].replace("_", " ")
+def effect_name(effect: str) -> str:
+    """The name of an effect in words; friction has those of its discoverers."""
+    return effect.replace("_", " ").replace("coulomb", "Coulomb").replace("stribeck", "Stribeck")

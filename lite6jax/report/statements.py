@@ -9,6 +9,7 @@ from lite6jax.report import data_faults, reference, worth
 from lite6jax.report.cells import fixed, number, ranges
 from lite6jax.report.quality import quality_statement
 from lite6jax.report.quantities import quantity
+from lite6jax.report.remedies import effect_name
 
 Document = Mapping[str, Any]
 Entry = Mapping[str, Any]
@@ -181,11 +182,6 @@ def effect_title(entry: Entry) -> str:
         over = f"its {driver}" if alone else entry["driver"]
         return f"unnamed effect at {entry['site']}{_component(where)}, {_shape(where)} over {over}"
     return f"{effect_name(entry['effect'])}{_detail(_order_and_source(entry))} at {entry['site']}"
-
-
-def effect_name(effect: str) -> str:
-    """The name of an effect in words; friction has those of its discoverers."""
-    return effect.replace("_", " ").replace("coulomb", "Coulomb").replace("stribeck", "Stribeck")
 
 
 def undistinguished(finding: Entry) -> list[str]:

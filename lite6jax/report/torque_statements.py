@@ -5,6 +5,7 @@ from typing import Any
 
 from lite6jax.report import data_faults, statements, torque_reference
 from lite6jax.report.quantities import OF_TORQUES, Quantity, quantity
+from lite6jax.report.remedies import effect_name
 from lite6jax.report.statements import Untested, capital, effect_title
 
 Document = Mapping[str, Any]
@@ -80,15 +81,28 @@ def finding_statement(finding: Entry) -> str:
     moved = f"it contributes {finding['moves_rms_Nm']:.3g} Nm RMS to the torque"
     if finding["effect"] == "unnamed":
         near = ""
-        if "nearest" in finding:
+        if "described_by" in finding:
+            near = f" {_described(finding['described_by'])}"
+        elif "nearest" in finding:
             share = 100 * finding["nearest"]["share"]
             near = f" The nearest named effect, {effect_title(finding['nearest'])}, explains {share:.0f} % of it."
+        said = "alone explains" if "described_by" in finding else "explains"
         return (
-            f"No effect of the catalogue explains a torque at {finding['site']} that is a function of "
+            f"No effect of the catalogue {said} a torque at {finding['site']} that is a function of "
             f"{_of_what(finding)}: {moved}.{near}"
         )
     shown = ", ".join(str(size) for size in sizes(finding) if size.std)
     return f"{capital(effect_title(finding))} is significant: {shown}; {moved}."
+
+
+def _described(entry: Entry) -> str:
+    """Which named effects come nearest to a curve."""
+    shown = []
+    for effect in entry["effects"]:
+        ((name, value),) = effect["parameters"].items()
+        size = quantity(name, {"value": float(f"{value:.3g}"), "std": 0.0}, OF_TORQUES)
+        shown.append(f"{effect_name(effect['effect'])} of {size.value} {size.unit}".strip())
+    return f"{capital(' and '.join(shown))} would give {100 * entry['share']:.0f} % of its mean square."
 
 
 def sizes(finding: Entry) -> list[Quantity]:

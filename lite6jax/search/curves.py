@@ -132,12 +132,13 @@ def with_curve(problem: Problem, beside: State, curve: Term, options: EngineOpti
     test = score_test(problem, beside.fit, options)
     score = test.score([curve])[0]
     fit = added(problem, beside.fit, curve, score.values, options)
-    gain = fit.gain_over(beside.fit)
-    time = score_test(problem, fit, options).time
-    p_value = min(gain_p_value(gain, curve.size, time) * searched_size(problem, options), 1.0)
-    named = zip(problem.candidates, test.explained(problem.candidates), strict=True)
-    near = sorted((pair for pair in named if not pair[1].confounded), key=lambda pair: -pair[1].gain)
-    alternatives = tuple(Alternative(term, gain - one.gain) for term, one in near[: options.nearest])
+    gain, after = fit.gain_over(beside.fit), score_test(problem, fit, options)
+    p_value = min(gain_p_value(gain, curve.size, after.time) * searched_size(problem, options), 1.0)
+    # what a name explains of the curve is what it would explain without it, less what it still explains beside it
+    explained = zip(test.explained(problem.candidates), after.explained(problem.candidates), strict=True)
+    shared = [min(one.gain - other.gain, gain) for one, other in explained]
+    near = sorted(zip(problem.candidates, shared, strict=True), key=lambda pair: -pair[1])[: options.nearest]
+    alternatives = tuple(Alternative(term, gain - part) for term, part in near if part > 0)
     tested = SelectedTerm(curve, p_value, score._replace(gain=gain), alternatives)
     return State(beside.baseline, fit, (*beside.tested, tested))
 

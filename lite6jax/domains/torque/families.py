@@ -20,8 +20,8 @@ Array = NDArray[np.floating]
 _PIECES = {"position": (4, 8, 16), "velocity": (4, 8), "gravity torque": (4, 8)}
 """Numbers of intervals of the splines that are tried."""
 _SIGNED_PIECES = {"position": (4, 8, 16), "speed": (2, 4), "gravity torque": (4, 8)}
-"""Likewise of those times the direction of motion: over the speed they are the odd functions of the velocity, which
-friction mostly is, so that one direction says what the other one is at speeds that only it reached."""
+"""Likewise of those times the direction of motion. Over the speed they are odd functions of the velocity, as friction
+mostly is, so that what one direction shows holds for the other at speeds that only the first reached."""
 Waves = dict[tuple[int, float], Array]
 """Filtered sine and cosine `(2, sample)` by joint, from 1, and order."""
 
@@ -70,8 +70,9 @@ def curves(dynamics: Dynamics, data: TorqueRows, chosen: NDArray[np.integer], no
 def flexible(dynamics: Dynamics, sizes: Array) -> tuple[UnnamedTorque, ...]:
     """Functions of every driver at every joint, as far as drivers are known and vary.
 
-    They are of the position of any joint, of the joint's own speed, load and temperature, and of time; those of
-    position, load and temperature also times the direction of motion or the speed, as friction is.
+    They are of the position of any joint, of the joint's own velocity, load and temperature, and of time; those of
+    position, load, temperature and speed also times the direction of motion, and the first three times the velocity, as
+    friction is.
 
     Args:
         dynamics: of every sample.
