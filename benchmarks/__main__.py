@@ -26,6 +26,7 @@ def workloads() -> dict[str, Workload]:
     from benchmarks.compensation import compensation
     from benchmarks.diagnose import diagnose
     from benchmarks.fits import fleet, one
+    from benchmarks.fleet_diagnosis import fleet_diagnosis
     from benchmarks.folders import folders
     from benchmarks.interrupts import interrupts
     from benchmarks.models import models
@@ -45,6 +46,7 @@ def workloads() -> dict[str, Workload]:
             command,
             folders,
             diagnose,
+            fleet_diagnosis,
             compensation,
             models,
             regressor,

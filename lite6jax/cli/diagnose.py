@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from tyro.conf import Positional, arg
 
@@ -13,6 +13,11 @@ from lite6jax.cli.inputs import inputs
 from lite6jax.cli.outputs import Drawings, check_figures, present
 from lite6jax.errors import InputError
 from lite6jax.storage import check_writable, write_atomically
+
+if TYPE_CHECKING:
+    from lite6jax.arms.arm import Arm
+    from lite6jax.diagnosis.result import Diagnosis
+    from lite6jax.recordings import Recording
 
 
 @dataclass(frozen=True)
@@ -25,6 +30,7 @@ class Diagnose:
         lite6jax diagnose run7.csv --out diagnosis.json --report report.html
         lite6jax diagnose run7.csv --reference gazebo.csv --out diagnosis.json
         lite6jax diagnose recordings --out results
+        lite6jax diagnose --fleet recordings --out results
     """
 
     source: Annotated[Positional[Path], arg(metavar="FILE")]
@@ -65,6 +71,11 @@ class Diagnose:
     """Take joint columns that say rad as degrees."""
     assume_millimetres: bool = False
     """Take position columns that say m as millimetres."""
+    fleet: bool = False
+    """Of a folder of recordings of many arms of one type: also pool them, to find what the type shares and no recording
+    shows alone, and which arms differ. Writes fleet.json beside the table."""
+    over: Literal["date"] | None = None
+    """With --fleet: the recordings are of one arm, and its effects may drift with the dates of their sidecars."""
     processes: Processes = None
     """Of a folder: so many processes of this machine, each with one thread; one a core where not given."""
     scheduler: Scheduler = None
@@ -76,8 +87,16 @@ class Diagnose:
             raise InputError("--poses and --torques: give one of them, or none to diagnose both")
         from lite6jax.cli.diagnose_folder import diagnose_recordings, is_folder
 
+        if self.over is not None and not self.fleet:
+            raise InputError("--over: is of recordings that are pooled; add --fleet")
         if is_folder(self.source):
+            if self.fleet:
+                from lite6jax.cli.diagnose_fleet import diagnose_recorded_fleet
+
+                return diagnose_recorded_fleet(self)
             return diagnose_recordings(self)
+        if self.fleet:
+            raise InputError(f"--fleet: is for a folder of recordings; {self.source} is one file")
         if self.processes is not None or self.scheduler is not None:
             raise InputError(f"--processes, --scheduler: are for a folder of recordings; {self.source} is one file")
         if self.out:
@@ -89,7 +108,6 @@ class Diagnose:
             from lite6jax.report.diagnosis_figures import NAMES
 
             check_figures(self, NAMES)
-        from lite6jax.arms.arm import Arm
         from lite6jax.diagnosis.combined import by_domain
         from lite6jax.diagnosis.diagnose import diagnose
         from lite6jax.diagnosis.document import to_document
@@ -97,30 +115,21 @@ class Diagnose:
         from lite6jax.diagnosis.reference_diagnosis import diagnose_against
         from lite6jax.effects.user_effects import load_effects
         from lite6jax.fitting.recognition import arm_of
-        from lite6jax.fitting.source import load_nominal, read_source
-        from lite6jax.recordings import Recording
+        from lite6jax.fitting.source import load_nominal
         from lite6jax.report import stages, worth
         from lite6jax.report.diagnosis_tables import diagnosis_report
         from lite6jax.report.statements import with_statements
 
-        def read(path: Path, of: Arm | None) -> Recording:
-            source = read_source(
-                path, of, assume_degrees=self.assume_degrees, assume_millimetres=self.assume_millimetres
-            )
-            if not isinstance(source, Recording):
-                raise InputError(f"{path}: is a calibration; diagnose takes a recording (.csv, .parquet, .mcap)")
-            return source
-
         nominal = load_nominal(self.arm)
-        recording = read(self.source, nominal)
+        recording = self._read(self.source, nominal)
         effects = load_effects(self.effects) if self.effects else ()
         if self.torques or (recording.position is None and recording.has_torques):
             from lite6jax.cli.diagnose_torques import diagnose_motors
 
-            other = read(self.reference, nominal) if self.reference else None
+            other = self._read(self.reference, nominal) if self.reference else None
             return diagnose_motors(self, recording, nominal, other, effects)
         arm = nominal or arm_of(recording)
-        other = read(self.reference, arm) if self.reference else None
+        other = self._read(self.reference, arm) if self.reference else None
         if recording.has_torques and recording.position is not None and not self.poses:
             from lite6jax.cli.diagnose_torques import diagnose_both
 
@@ -149,6 +158,40 @@ class Diagnose:
 
         present(self, recording, document, diagnosis_report, drawings, None if seen is None else seen.file)
         return BAD_FIT if found.quality.verdict == "bad" else DONE
+
+    def diagnosed_poses(self) -> "tuple[Diagnosis, dict[str, Any]]":
+        """The diagnosis of the recording's poses, and its document; nothing is written or printed.
+
+        Raises:
+            InputError: the recording has no poses, or as `diagnose`.
+        """
+        from lite6jax.diagnosis.combined import by_domain
+        from lite6jax.diagnosis.diagnose import diagnose
+        from lite6jax.diagnosis.document import to_document
+        from lite6jax.diagnosis.options import QUICK
+        from lite6jax.effects.user_effects import load_effects
+        from lite6jax.fitting.recognition import arm_of
+        from lite6jax.fitting.source import load_nominal
+        from lite6jax.report.statements import with_statements
+
+        nominal = load_nominal(self.arm)
+        recording = self._read(self.source, nominal)
+        if recording.position is None:
+            raise InputError(f"{self.source}: has no measured poses, which --fleet pools; diagnose it by itself")
+        effects, _ = by_domain(load_effects(self.effects) if self.effects else ())
+        arm, options = nominal or arm_of(recording), QUICK if self.quick else None
+        found = diagnose(recording, arm, geometry=self.geometry, effects=effects, options=options)
+        document = {**to_document(found), "inputs": inputs(self.source, self.arm, None, self.effects)}
+        return found, with_statements(document)
+
+    def _read(self, path: Path, of: "Arm | None") -> "Recording":
+        from lite6jax.fitting.source import read_source
+        from lite6jax.recordings import Recording
+
+        source = read_source(path, of, assume_degrees=self.assume_degrees, assume_millimetres=self.assume_millimetres)
+        if not isinstance(source, Recording):
+            raise InputError(f"{path}: is a calibration; diagnose takes a recording (.csv, .parquet, .mcap)")
+        return source
 
 
 @dataclass(frozen=True)

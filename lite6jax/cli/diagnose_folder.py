@@ -4,7 +4,7 @@ import contextlib
 import io
 import os
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
     from lite6jax.cli.diagnose import Diagnose
+    from lite6jax.distribution.batches import Run
 
 
 def is_folder(source: Path) -> bool:
@@ -48,27 +49,9 @@ def diagnose_recordings(command: "Diagnose") -> int:
             f"{command.source}: is a folder; name a file in it, or a folder with --out for the documents of all"
         )
     check_processes(command.processes, command.scheduler)
-    from lite6jax.distribution.kept import sha256_of
-    from lite6jax.folders.diagnoses import diagnose_folder
     from lite6jax.report import folder_tables, screen
 
-    read = [Path(file.partition("#")[0]) for file in (command.arm, command.effects and str(command.effects)) if file]
-    # what of the command the diagnoses depend on
-    asked = replace(
-        command, source=Path(), out=None, json=False, details=False, force=True, processes=None, scheduler=None
-    )
-    with screen.progress_of_many("diagnosing") as advance:
-        run = diagnose_folder(
-            command.source,
-            command.out,
-            diagnose_names,
-            (asked,),
-            also_read=sha256_of(read),
-            scheduler=command.scheduler,
-            processes=command.processes,
-            progress=advance,
-            overwrite=command.force,
-        )
+    run = run_on_folder(command, command.out, diagnose_names)
     if command.json:
         from lite6jax.report import documents
 
@@ -79,17 +62,66 @@ def diagnose_recordings(command: "Diagnose") -> int:
     return DONE
 
 
+def run_on_folder(command: "Diagnose", out: Path, diagnose: "Callable[..., pa.Table]") -> "Run":
+    """Diagnoses every recording of the folder by a function of a module, with progress.
+
+    Args:
+        command: as it was given.
+        out: the folder of results.
+        diagnose: of names, place and command, as `diagnose_names`.
+    """
+    from lite6jax.folders.diagnoses import diagnose_folder
+    from lite6jax.report import screen
+
+    asked, also_read = asked_of(command)
+    with screen.progress_of_many("diagnosing") as advance:
+        return diagnose_folder(
+            command.source,
+            out,
+            diagnose,
+            (asked,),
+            also_read=also_read,
+            scheduler=command.scheduler,
+            processes=command.processes,
+            progress=advance,
+            overwrite=command.force,
+        )
+
+
+def asked_of(command: "Diagnose") -> "tuple[Diagnose, bytes]":
+    """What of the command the diagnoses depend on, and the checksums of the files that they all read."""
+    from lite6jax.distribution.kept import sha256_of
+
+    read = [Path(file.partition("#")[0]) for file in (command.arm, command.effects and str(command.effects)) if file]
+    alike = {"source": Path(), "out": None, "force": True, "fleet": False}
+    alike |= dict.fromkeys(("json", "details"), False) | dict.fromkeys(("processes", "scheduler", "over"))
+    return replace(command, **alike), sha256_of(read)
+
+
 def diagnose_names(names: Sequence[str], place: Place, command: "Diagnose") -> "pa.Table":
     """The rows of some recordings of a folder with their documents, which are those of the command on each file."""
     from lite6jax.distribution.batches import concatenated
 
-    return concatenated([_diagnosed(name, place, command) for name in names])
+    return concatenated([diagnosed(name, place, command, _as_by_the_command) for name in names])
 
 
-def _diagnosed(name: str, place: Place, command: "Diagnose") -> "pa.Table":
+def diagnosed(
+    name: str,
+    place: Place,
+    command: "Diagnose",
+    work: "Callable[[Diagnose], tuple[str, bytes | None]]",
+) -> "pa.Table":
+    """The row of one recording.
+
+    Args:
+        name: of the recording.
+        place: its folder.
+        command: as it was given, but for its source and `out`.
+        work: of the command with source and `out`: the document, and the bytes of the reduced recording, if any.
+    """
     import json
 
-    from lite6jax.folders.diagnoses import refusal, row_of
+    from lite6jax.folders.diagnoses import refusal, row_of, with_reduced
 
     with place.at_hand([name]) as folder, temporary_folder() as written:
         out = written / "diagnosis.json"
@@ -100,13 +132,19 @@ def _diagnosed(name: str, place: Place, command: "Diagnose") -> "pa.Table":
                 contextlib.redirect_stderr(io.StringIO()),
             ):
                 warnings.simplefilter("always", InputWarning)
-                replace(command, source=folder / name, out=out).run()
+                text, reduced = work(replace(command, source=folder / name, out=out))
         except InputError as error:
             return refusal(name, place.as_shown(str(error), folder))
         except Exception as error:  # a defect of ours, met on one recording, is no reason to lose the others
             found = " ".join(f"{type(error).__name__}: {error}".split())
             said = f"{folder / name}: unexpected {found}; please report it with this recording"
             return refusal(name, place.as_shown(said, folder))
-        text = out.read_text()
         said = dict.fromkeys(str(remark.message) for remark in remarks if issubclass(remark.category, InputWarning))
-        return row_of(name, json.loads(text), text, place.as_shown("; ".join(said), folder))
+        row = row_of(name, json.loads(text), text, place.as_shown("; ".join(said), folder))
+        return row if reduced is None else with_reduced(row, reduced)
+
+
+def _as_by_the_command(command: "Diagnose") -> tuple[str, None]:
+    command.run()
+    assert command.out is not None
+    return command.out.read_text(), None

@@ -30,13 +30,14 @@ class Report:
     For example:
 
         lite6jax report diagnosis.json
+        lite6jax report results/fleet.json
         lite6jax report diagnosis.json --certificate certificate.pdf --date 2026-11-21 --instrument "Leica AT960"
     """
 
     diagnosis: Annotated[Positional[Path], arg(metavar="DIAGNOSIS")]
-    """What `diagnose` wrote (.json)."""
+    """What `diagnose` wrote (.json), of one recording or of a fleet."""
     certificate: OutFile = None
-    """Write one A4 page here (.pdf)."""
+    """Write one A4 page here (.pdf), of one recording."""
     date: Annotated[str | None, arg(metavar="YYYY-MM-DD")] = None
     """When it was measured, for the certificate; the sidecar's date where not given."""
     instrument: Annotated[str | None, arg(metavar="TEXT")] = None
@@ -58,10 +59,13 @@ class Report:
             raise InputError("--date, --instrument: stand on a certificate; add --certificate FILE.pdf")
         measured = _date(self.date)
         from lite6jax.diagnosis.document import DAMAGED, check_sum, document_text, parsed_document
+        from lite6jax.populations.schema import is_of_fleet
         from lite6jax.report import screen
         from lite6jax.report.next_steps import Files
 
         document = parsed_document(self.diagnosis)
+        if self.certificate and is_of_fleet(document):
+            raise InputError(f"--certificate: is of one recording, and {self.diagnosis} is of a fleet; leave it out")
         with_statements, report = _checked(document, self.diagnosis)
         check_sum(document, self.diagnosis)
         written = []
@@ -91,7 +95,13 @@ def _checked(document: Any, diagnosis: Path) -> "tuple[Worded, Reported]":
     """What adds the sentences to a document, and what makes the screen report of it then; refuses a damaged one."""
     from lite6jax.diagnosis.document import check_document
     from lite6jax.diagnosis.torque_document import check_torque_document, is_of_torques
+    from lite6jax.populations.schema import check_fleet_document, is_of_fleet
 
+    if is_of_fleet(document):
+        from lite6jax.report import population_tables
+
+        check_fleet_document(document, diagnosis)
+        return dict, lambda said, source, files, details: population_tables.population_report(said)
     if is_of_torques(document):
         from lite6jax.report import torque_statements, torque_tables
 

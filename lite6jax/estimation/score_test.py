@@ -5,7 +5,7 @@ terms are computed here: `Score.p_value` by the test, and `gain_p_value` from a 
 is far from zero. Either becomes family-wise by a factor of `searched_size`.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
@@ -213,30 +213,7 @@ class ScoreTest:
         return replace(self, basis=np.concatenate([self.basis, new]), residual=residual)
 
     def _scored(self, projected: Array, norms: Array, per_block: Array) -> Score:
-        size = len(projected)
-        length = np.where(norms > 0, norms, 1.0)
-        G = projected / length[:, None]
-        eigenvalues, V = np.linalg.eigh(G @ G.T)
-        identifiable = eigenvalues > self.options.confounded
-        if not identifiable.any():
-            return Score(0.0, 0, 1.0, True, np.zeros(size))
-        T = V[:, identifiable] / np.sqrt(eigenvalues[identifiable])  # of unit information
-        s = T.T @ (per_block / length[:, None])
-        total = s.sum(1)
-        k, B = int(identifiable.sum()), s.shape[1]
-        statistic = float(total @ total)
-        white = float(chdtrc(k, statistic))
-        Z = T.T @ G
-        # each block's score less its share of the candidate's whole effect, which is not noise
-        share = np.stack([self._by_block(z * Z) for z in Z])
-        centred = s - np.einsum("ijb,j->ib", share, total)
-        spread = centred @ centred.T * B / (B - 1)
-        robust = 1.0
-        if k + 2 < B:
-            t2 = float(total @ np.linalg.lstsq(spread, total, rcond=None)[0])
-            robust = float(fdtrc(k, B - k, t2 * (B - k) / (k * (B - 1))))
-        values = -(T @ total) / length * self.scale[0]
-        return Score(0.5 * statistic, k, max(white, robust), False, values)
+        return block_test(projected, norms, per_block, self._by_block, self.scale[0], self.options)
 
     def _flat(self, columns: Array) -> Array:
         """Columns `(number, row, sample)` as readings `(number, reading)`: whitened, zero for held-out samples."""
@@ -246,12 +223,78 @@ class ScoreTest:
         return flat
 
     def _by_block(self, products: Array) -> Array:
-        """Sums over blocks of samples, `(column, block)`, of products `(column, reading)`; the prior's come last."""
-        measured = self.problem.rows * self.problem.samples
-        per_sample = products[:, :measured].reshape(len(products), -1, self.problem.samples).sum(1)
-        sums = np.add.reduceat(per_sample, self.blocks, axis=1)
-        prior = products[:, measured:]
-        return np.concatenate([sums, prior.sum(1, keepdims=True)], 1) if prior.shape[1] else sums
+        return sums_by_block(products, self.problem.rows, self.problem.samples, self.blocks)
+
+
+def sums_by_block(products: Array, rows: int, samples: int, blocks: NDArray[np.integer]) -> Array:
+    """Sums over blocks of samples, `(column, block)`; those of the prior's readings come last, where there are any.
+
+    Args:
+        products: `(column, reading)`: the readings are those of all rows and samples, and then those of the prior.
+        rows: numbers that a sample has.
+        samples: how many.
+        blocks: the first sample of each block.
+    """
+    measured = rows * samples
+    per_sample = products[:, :measured].reshape(len(products), -1, samples).sum(1)
+    sums = np.add.reduceat(per_sample, blocks, axis=1)
+    prior = products[:, measured:]
+    return np.concatenate([sums, prior.sum(1, keepdims=True)], 1) if prior.shape[1] else sums
+
+
+def block_test(
+    projected: Array,
+    norms: Array,
+    per_block: Array,
+    by_block: Callable[[Array], Array],
+    unit: float,
+    options: EngineOptions,
+) -> Score:
+    """The score of one candidate, with the test by blocks of samples (Hotelling's T²).
+
+    Args:
+        projected: `(number, reading)`, its whitened columns outside the span of nuisance and model.
+        norms: `(number,)`, the lengths of these columns before that.
+        per_block: `(number, block)`, the sums over blocks of projected columns times residuals.
+        by_block: makes these sums of products `(number, reading)`.
+        unit: of the residuals, in units of the columns.
+        options: thresholds.
+    """
+    size = len(projected)
+    length = np.where(norms > 0, norms, 1.0)
+    G = projected / length[:, None]
+    eigenvalues, V = np.linalg.eigh(G @ G.T)
+    identifiable = eigenvalues > options.confounded
+    if not identifiable.any():
+        return Score(0.0, 0, 1.0, True, np.zeros(size))
+    T = V[:, identifiable] / np.sqrt(eigenvalues[identifiable])  # of unit information
+    s = T.T @ (per_block / length[:, None])
+    total = s.sum(1)
+    k, B = int(identifiable.sum()), s.shape[1]
+    statistic = float(total @ total)
+    white = float(chdtrc(k, statistic))
+    spread = block_covariance(T.T @ G, s, total, by_block)
+    robust = 1.0
+    if k + 2 < B:
+        t2 = float(total @ np.linalg.lstsq(spread, total, rcond=None)[0])
+        robust = float(fdtrc(k, B - k, t2 * (B - k) / (k * (B - 1))))
+    values = -(T @ total) / length * unit
+    return Score(0.5 * statistic, k, max(white, robust), False, values)
+
+
+def block_covariance(columns: Array, per_block: Array, values: Array, by_block: Callable[[Array], Array]) -> Array:
+    """The covariance `(k, k)` of scores from their scatter between blocks of samples.
+
+    Args:
+        columns: `(k, reading)`, outside the span of nuisance and model.
+        per_block: `(k, block)`, the sums over blocks of columns times residuals.
+        values: `(k,)`, what the scores estimate, in the sign of the residuals.
+        by_block: makes sums over blocks of products `(k, reading)`.
+    """
+    # each block's score less its share of the candidate's whole effect, which is not noise
+    share = np.stack([by_block(column * columns) for column in columns])
+    centred = per_block - np.einsum("ijb,j->ib", share, values)
+    return centred @ centred.T * per_block.shape[1] / (per_block.shape[1] - 1)
 
 
 def score_test(

@@ -40,8 +40,10 @@ SCHEMA = pa.schema(
     }
 )
 """A row a recording; errors are of rows that were held out, and what a diagnosis does not have is null."""
-_TEXT = "text"
-"""The column of the document itself, on its way from where it was made."""
+REDUCED = pa.schema({"reduced": pa.string(), "reduced_sha256": pa.string()})
+"""What the table of a fleet has besides: the file of each reduced recording."""
+_TEXT, _REDUCED = "text", "reduced_bytes"
+"""The columns of the document itself, and of the reduced recording, on their way from where they were made."""
 
 
 def diagnose_folder(
@@ -83,24 +85,30 @@ def diagnose_folder(
             storage.check_writable(out / name)
 
     def arrived(number: int, rows: pa.Table) -> pa.Table:
-        (text,), name = rows[_TEXT].to_pylist(), names[number]
-        kept = rows.drop_columns([_TEXT])
-        if text is None:
-            return kept
-        storage.write_atomically(out / documents[name], text, overwrite=True)
-        of_document = {"document": documents[name], "document_sha256": hashlib.sha256(text.encode()).hexdigest()}
-        for column, value in of_document.items():
-            kept = kept.set_column(kept.column_names.index(column), column, pa.array([value]))
-        return kept
+        (row,), document = rows.to_pylist(), documents[names[number]]
+        schema = SCHEMA
+        if _REDUCED in row:
+            schema = pa.schema([*SCHEMA, *REDUCED])
+            row |= written("reduced", Path(document).with_suffix(".npz").name, row[_REDUCED])
+        if row[_TEXT] is not None:
+            row |= written("document", document, row[_TEXT].encode())
+        return pa.Table.from_pylist([row], schema)
+
+    def written(what: str, name: str, content: bytes) -> dict[str, str]:
+        storage.write_atomically(out / name, content, overwrite=True)
+        return {what: name, f"{what}_sha256": hashlib.sha256(content).hexdigest()}
 
     def intact(rows: pa.Table) -> bool:
-        (row,) = rows.select(["document", "document_sha256"]).to_pylist()
-        if row["document"] is None:
-            return True
-        try:
-            return hashlib.sha256((out / row["document"]).read_bytes()).hexdigest() == row["document_sha256"]
-        except OSError:
-            return False
+        (row,) = rows.to_pylist()
+        for place in ("document", "reduced"):
+            if row.get(place) is None:
+                continue
+            try:
+                if hashlib.sha256((out / row[place]).read_bytes()).hexdigest() != row[f"{place}_sha256"]:
+                    return False
+            except OSError:
+                return False
+        return True
 
     return run_batches(
         diagnose,
@@ -154,6 +162,11 @@ def row_of(name: str, document: Mapping[str, Any], text: str, message: str = "")
 def refusal(name: str, message: str) -> pa.Table:
     """The row of a recording that was not diagnosed, and why."""
     return _table({"file": name, "result": UNREADABLE, "message": message}, None)
+
+
+def with_reduced(row: pa.Table, reduced: bytes) -> pa.Table:
+    """A row with the bytes of the file of its reduced recording."""
+    return row.append_column(_REDUCED, pa.array([reduced], pa.binary()))
 
 
 def _table(row: Mapping[str, Any], text: str | None) -> pa.Table:

@@ -1,0 +1,358 @@
+"""One recording reduced to what pooling needs: white residuals and the columns of all candidates, without a robot.
+
+A recording is diagnosed once, where its problem and its noise model are at hand. What is kept of it is linear: then any
+set of effects that the type is found to have is fitted to it by linear algebra alone, without the files, the kinematics
+and compiled code.
+"""
+
+import io
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any, NamedTuple, final
+from zipfile import BadZipFile
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lite6jax.errors import InputError
+from lite6jax.estimation.noise import Autocorrelation, NoiseModel
+from lite6jax.estimation.projection import orthonormal, outside, unit_rows
+from lite6jax.estimation.score_test import Score, block_covariance, block_test, sums_by_block
+from lite6jax.populations.options import PoolingOptions
+
+Array = NDArray[np.floating]
+Integers = NDArray[np.integer]
+
+_VERSION = 1
+_ORDERS_AT_ONCE = 1 << 21
+"""Numbers of columns that are in memory at once: 16 MB."""
+
+
+@final
+@dataclass(frozen=True)
+class Candidate:
+    """An effect that recordings are tested for, as a report names it; that of a family of waves has no order yet.
+
+    Attributes:
+        key: tells it from all others.
+        effect: its name.
+        site: where it acts.
+        driver: what it depends on.
+        names: of its numbers, with their units.
+        typical: their common sizes.
+        lower: the least that each can be; minus infinity where there is no bound.
+        upper: the most.
+        specificity: rank of its name among effects that the data do not distinguish; the least is reported.
+    """
+
+    key: str
+    effect: str
+    site: str
+    driver: str
+    names: tuple[str, ...]
+    typical: tuple[float, ...]
+    lower: tuple[float, ...]
+    upper: tuple[float, ...]
+    specificity: int
+
+    @classmethod
+    def of(cls, stored: Mapping[str, Any]) -> "Candidate":
+        """From the JSON form of `asdict`."""
+        lists = {name: tuple(stored[name]) for name in ("names", "typical", "lower", "upper")}
+        return cls(**{**stored, **lists})
+
+
+class PooledTerm(NamedTuple):
+    """An effect of the type: a candidate by its key, or a wave of a family.
+
+    Attributes:
+        key: of the candidate, or of the family.
+        order: of the wave; None of a candidate.
+    """
+
+    key: str
+    order: float | None = None
+
+
+@final
+@dataclass(frozen=True)
+class Found:
+    """What the diagnosis of the recording alone found.
+
+    Attributes:
+        term: as a term that can be pooled; None where it cannot, such as a curve without a name.
+        label: its name and site.
+        p_value: family-wise, over all that was searched in the recording.
+    """
+
+    term: PooledTerm | None
+    label: str
+    p_value: float
+
+
+class Evidence(NamedTuple):
+    """What a recording says of one effect beside others, as a likelihood that is normal in its numbers.
+
+    Attributes:
+        score: `(number,)`, the derivative of the log-likelihood at zero.
+        information: `(number, number)`, minus its second derivative.
+        covariance: `(number, number)` of the score, by the scatter between blocks of samples.
+        blocks: their number.
+        p_value: of the recording alone; the larger of the tests for white and for correlated noise.
+    """
+
+    score: Array
+    information: Array
+    covariance: Array
+    blocks: int
+    p_value: float
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class ReducedArm:
+    """The linear model of one recording; readings are all rows of all samples, and then those of the nuisance's prior.
+
+    Attributes:
+        about: of the recording: `arm`, `joints`, `date` and `verdict`.
+        found: by the recording alone.
+        candidates: that can be tested here.
+        columns: `(number, reading)`, white, of unit noise, of all candidates one after the other.
+        families: of waves.
+        sites: `(family, row, sample)`, how residuals change with a deflection at the site of each family, unit noise.
+        angles: `(family, sample)` rad.
+        noise: the filter that makes columns white.
+        training: `(sample,)` bool.
+        basis: `(k, reading)`, orthonormal, the span of the nuisance and of effects that are not pooled.
+        residual: `(reading,)` white, of unit noise, predicted less measured, with all pooled effects zero.
+        blocks: the first sample of each block of neighbouring samples.
+    """
+
+    about: Mapping[str, Any]
+    found: tuple[Found, ...]
+    candidates: tuple[Candidate, ...]
+    columns: Array
+    families: tuple[Candidate, ...]
+    sites: Array
+    angles: Array
+    noise: NoiseModel
+    training: NDArray[np.bool_]
+    basis: Array
+    residual: Array
+    blocks: Integers
+
+    @cached_property
+    def parts(self) -> dict[str, slice]:
+        """Where the columns of each candidate stand."""
+        ends = np.cumsum([0, *(len(candidate.names) for candidate in self.candidates)])
+        return {
+            candidate.key: slice(int(a), int(b))
+            for candidate, a, b in zip(self.candidates, ends[:-1], ends[1:], strict=True)
+        }
+
+    def columns_of(self, term: PooledTerm) -> Array:
+        """`(number, reading)`; none where the recording cannot show the term."""
+        if term.order is None:
+            part = self.parts.get(term.key)
+            return self.columns[:0] if part is None else self.columns[part]
+        place = next((i for i, family in enumerate(self.families) if family.key == term.key), None)
+        return self.columns[:0] if place is None else self.waves(place, np.array([term.order]))[0]
+
+    def waves(self, family: int, orders: Array) -> Array:
+        """Columns of sine and cosine of some orders, `(order, 2, reading)`."""
+        turned = np.multiply.outer(orders, self.angles[family])
+        waves = np.stack([np.sin(turned), np.cos(turned)], 1)[:, :, None]
+        white = self.noise.whitened(waves * self.sites[family]) * self.training
+        found = np.zeros((len(orders), 2, self.residual.size))
+        found[..., : self.sites[family].size] = white.reshape(len(orders), 2, -1)
+        return found
+
+    def beside(self, terms: Sequence[PooledTerm], options: PoolingOptions) -> "ReducedArm":
+        """The same with further terms in the model: they join the basis, and leave the residual."""
+        columns = [self.columns_of(term) for term in terms]
+        flat = unit_rows(np.concatenate([self.columns[:0], *columns]))
+        new = orthonormal(outside(flat, self.basis), options.engine.confounded) if len(flat) else flat
+        basis = np.concatenate([self.basis, new])
+        return replace(self, basis=basis, residual=self.residual - (new @ self.residual) @ new)
+
+    def evidence(self, term: PooledTerm, options: PoolingOptions) -> Evidence | None:
+        """Of a term beside the model; None where the recording cannot show it, or it is confounded with the model."""
+        columns = self.columns_of(term)
+        if not len(columns):
+            return None
+        projected, norms = outside(columns, self.basis), np.linalg.norm(columns, axis=1)
+        per_block = self._by_block(projected * self.residual)
+        score: Score = block_test(projected, norms, per_block, self._by_block, 1.0, options.engine)
+        if score.confounded:
+            return None
+        determined, information = _determined(-per_block.sum(1), projected @ projected.T, norms, options)
+        spread = block_covariance(projected, per_block, -score.values, self._by_block)
+        return Evidence(determined, information, spread, per_block.shape[1], score.p_value)
+
+    def scores(self, options: PoolingOptions) -> tuple[list[tuple[Array, Array]], Array, Array]:
+        """Scores and information of all candidates, and of both waves of all orders of `order_grid`.
+
+        Returns:
+            for each candidate `(number,)` and `(number, number)`; then `(family, order, 2)` and, as sine², sine·cosine
+            and cosine², `(family, order, 3)`.
+        """
+        projected = outside(self.columns, self.basis)
+        total, norms = -(projected @ self.residual), np.linalg.norm(self.columns, axis=1)
+        named: list[tuple[Array, Array]] = [
+            _determined(total[part], projected[part] @ projected[part].T, norms[part], options)
+            for part in self.parts.values()
+        ]
+        orders = order_grid(options)
+        shape = len(self.families), orders.size
+        score, information = np.zeros((*shape, 2)), np.zeros((*shape, 3))
+        for family in range(len(self.families)):
+            if self.sites[family].any():
+                score[family], information[family] = self._spectrum(family, orders, options)
+        return named, score, information
+
+    def _spectrum(self, family: int, orders: Array, options: PoolingOptions) -> tuple[Array, Array]:
+        """The part of `scores` of one family."""
+        site = self.sites[family] * self.training
+        basis, residual, inside = self.basis[:, : site.size], self.residual[: site.size], self.basis @ self.residual
+        weight = np.sum(site**2, 0) if self.noise.white else None
+        if weight is not None:  # then rows add up before waves are multiplied: their columns are not made
+            over_rows = np.sum(site * np.concatenate([residual[None], basis]).reshape(-1, *site.shape), 1)
+            residual, basis = over_rows[0], over_rows[1:]
+        score, information = np.zeros((orders.size, 2)), np.zeros((orders.size, 3))
+        step = max(1, _ORDERS_AT_ONCE // (2 * residual.size))
+        for first in range(0, orders.size, step):
+            part = slice(first, first + step)
+            turned = np.multiply.outer(orders[part], self.angles[family])
+            flat = np.stack([np.sin(turned), np.cos(turned)], 1)
+            if weight is not None:
+                weighted = flat * weight
+            else:
+                flat = self.noise.whitened(flat[:, :, None] * self.sites[family]) * self.training
+                flat = weighted = flat.reshape(len(turned), 2, -1)
+            known = flat @ basis.T
+            score[part] = -(flat @ residual - known @ inside)
+            own, G = weighted @ flat.swapaxes(1, 2), known @ known.swapaxes(1, 2)
+            G = own - G
+            found = np.stack([G[:, 0, 0], G[:, 0, 1], G[:, 1, 1]], 1)
+            lengths = np.maximum(np.diagonal(own, axis1=1, axis2=2), np.finfo(float).tiny)
+            lost = (np.diagonal(G, axis1=1, axis2=2) < options.engine.confounded * lengths).any(1)
+            score[part][lost], found[lost] = 0.0, 0.0
+            information[part] = found
+        return score, information
+
+    def _by_block(self, products: Array) -> Array:
+        rows, samples = self.sites.shape[1:]
+        return sums_by_block(products, rows, samples, self.blocks)
+
+    def to_bytes(self) -> bytes:
+        """As a file of NumPy (.npz); columns in single precision, which is a ten-millionth of each."""
+        about = {
+            "version": _VERSION,
+            "about": dict(self.about),
+            "found": [asdict(found) for found in self.found],
+            "candidates": [asdict(candidate) for candidate in self.candidates],
+            "families": [asdict(family) for family in self.families],
+        }
+        models = np.array([(model.coefficient, model.share) for model in self.noise.models])
+        sink = io.BytesIO()
+        np.savez(
+            sink,
+            about=np.frombuffer(json.dumps(about).encode(), np.uint8),
+            columns=self.columns.astype(np.float32),
+            sites=self.sites,
+            angles=self.angles,
+            noise=models,
+            groups=self.noise.groups,
+            starts=np.array(self.noise.starts),
+            training=self.training,
+            basis=self.basis,
+            residual=self.residual,
+            blocks=self.blocks,
+        )
+        return sink.getvalue()
+
+    @classmethod
+    def from_bytes(cls, stored: bytes, place: str = "a reduced recording") -> "ReducedArm":
+        """What `to_bytes` wrote.
+
+        Raises:
+            InputError: the bytes are no such file; the message begins with `place`.
+        """
+        with _readable(place), np.load(io.BytesIO(stored), allow_pickle=False) as file:
+            heading = _heading(file["about"])
+            models = tuple(Autocorrelation(float(c), float(s)) for c, s in file["noise"])
+            return cls(
+                **heading._asdict(),
+                noise=NoiseModel(models, file["groups"], tuple(map(int, file["starts"]))),
+                columns=file["columns"].astype(float),
+                **{name: file[name] for name in ("sites", "angles", "training", "basis", "residual", "blocks")},
+            )
+
+
+class Heading(NamedTuple):
+    """What a file says of its recording before the numbers; attributes as those of `ReducedArm`."""
+
+    about: Mapping[str, Any]
+    found: tuple[Found, ...]
+    candidates: tuple[Candidate, ...]
+    families: tuple[Candidate, ...]
+
+
+def read_heading(path: Path) -> Heading:
+    """The heading of a file, without its arrays.
+
+    Raises:
+        InputError: as `ReducedArm.from_bytes`.
+    """
+    with _readable(str(path)), open(path, "rb") as opened, np.load(opened, allow_pickle=False) as file:
+        return _heading(file["about"])
+
+
+def _heading(stored: NDArray[np.uint8]) -> Heading:
+    said = json.loads(stored.tobytes())
+    if said["version"] != _VERSION:
+        raise ValueError("another version")
+    found = (
+        Found(None if one["term"] is None else PooledTerm(*one["term"]), one["label"], one["p_value"])
+        for one in said["found"]
+    )
+    candidates, families = (tuple(map(Candidate.of, said[name])) for name in ("candidates", "families"))
+    return Heading(said["about"], tuple(found), candidates, families)
+
+
+@contextmanager
+def _readable(place: str) -> Iterator[None]:
+    try:
+        yield
+    except (ValueError, KeyError, TypeError, EOFError, OSError, BadZipFile) as error:
+        raise InputError(
+            f"{place}: is no reduced recording of this version; give the command again with --force"
+        ) from error
+
+
+def order_grid(options: PoolingOptions) -> Array:
+    """The orders at which families are scored, `(order,)`, the same for all recordings."""
+    return np.arange(options.engine.lowest_order, options.engine.highest_order + 1e-9, options.order_step)
+
+
+def _determined(score: Array, G: Array, norms: Array, options: PoolingOptions) -> tuple[Array, Array]:
+    """Score and information without what is confounded with the model: there both are rounding.
+
+    Args:
+        score: `(number,)`.
+        G: `(number, number)`, of projected columns.
+        norms: `(number,)` of the columns before that.
+        options: thresholds.
+    """
+    least, length = options.engine.confounded, np.where(norms > 0, norms, 1.0)
+    C = G / np.outer(length, length)
+    seen = np.diagonal(C) > least
+    C = np.where(np.outer(seen, seen), C, 0.0)
+    eigenvalues, V = np.linalg.eigh(C)
+    V = np.where(seen[:, None], V[:, eigenvalues > least], 0.0)
+    information = (V * eigenvalues[eigenvalues > least]) @ V.T * np.outer(length, length)
+    return V @ (V.T @ (score / length)) * length, information
