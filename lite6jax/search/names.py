@@ -131,12 +131,12 @@ def _restored(problem: Problem, state: State, names: Sequence[SelectedTerm], opt
 
 
 def believable(problem: Problem, state: State, options: EngineOptions) -> State:
-    """Named terms whose numbers are not possible leave; what else is most likely takes their place.
+    """Named terms that are not possible leave; what else is most likely takes their place.
 
     That is what forward selection finds without them, or a function without a name.
     """
     impossible: list[Term] = []
-    while (k := _least_possible(problem, state, options)) is not None:
+    while (k := _not_possible(problem, state, options)) is not None:
         impossible.append(state.tested[k].term)
         restricted, rest = problem.without_candidates(impossible), reduced(problem, state, k, options)
         choices = [eliminate(problem, forward(restricted, rest, options, shaped=True), options)]
@@ -167,6 +167,33 @@ def _tested_finally(problem: Problem, state: State, k: int, time: float, options
     gain = state.fit.gain_over(reduced(problem, state, k, options).fit)
     p_value = min(gain_p_value(gain, tested.term.size, time) * searched_size(problem, options), 1.0)
     return SelectedTerm(tested.term, p_value, tested.score._replace(gain=gain), tested.alternatives)
+
+
+def _not_possible(problem: Problem, state: State, options: EngineOptions) -> int | None:
+    """A named term whose numbers are outside their bounds, or that other groups of rows contradict."""
+    farthest = _least_possible(problem, state, options)
+    return _contradicted(problem, state, options) if farthest is None else farthest
+
+
+def _contradicted(problem: Problem, state: State, options: EngineOptions) -> int | None:
+    """The named term of which the part in one group of rows alone is clearly more likely than the whole.
+
+    A delay of the clock is one of the torques of all joints; where those of one joint alone are late, it is not the
+    clock's.
+    """
+    for k, tested in enumerate(state.tested):
+        if tested.term.nonparametric or tested.term in problem.preset[0].terms:
+            continue
+        columns = problem.columns([tested.term], beside=(state.fit.terms, state.fit.values))
+        groups = np.unique(problem.groups[np.any(columns, axis=(0, 2))])
+        if len(groups) < 2:
+            continue
+        test = score_test(problem, reduced(problem, state, k, options).fit, options, within=state.fit)
+        parts = [columns * (problem.groups == group)[:, None] for group in groups]
+        whole, *alone = (score.gain for score in test.score_columns([columns, *parts]))
+        if max(alone) > whole + options.close * test.time:
+            return k
+    return None
 
 
 def _least_possible(problem: Problem, state: State, options: EngineOptions) -> int | None:

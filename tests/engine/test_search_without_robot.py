@@ -1,10 +1,10 @@
 """The engine on a problem without any robot: planted terms are found, and nothing where nothing was planted."""
 
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
-from engine.linear_problem import Column, Hat, Number, Wave, linear_problem
+from engine.linear_problem import Column, Hat, LinearProblem, Number, Wave, linear_problem
 
 from lite6jax.estimation.least_squares import fit
 from lite6jax.estimation.noise import autocorrelation_time, noise_model
@@ -12,6 +12,7 @@ from lite6jax.estimation.options import EngineOptions, documented
 from lite6jax.estimation.score_test import score_test, searched_size
 from lite6jax.estimation.terms import Terms
 from lite6jax.search.final_estimates import final_estimates
+from lite6jax.search.forward import forward
 from lite6jax.search.search import search
 from lite6jax.search.state import SelectedTerm, State
 
@@ -72,6 +73,31 @@ def test_a_term_is_found_in_autocorrelated_noise_and_each_group_has_its_own_mode
     assert white.share == 0.0
     assert correlated.coefficient * correlated.share > 0.7
     assert state.fit.scale == pytest.approx([1.0, 3.0], rel=0.25)
+
+
+def test_a_name_that_one_group_alone_shows_does_not_stand():
+    problem = linear_problem(np.random.default_rng(8), planted=lambda d: 3.0 * d["u3"])
+    assert terms(found(problem)) == [Column("u3")]
+    contradicted = problem.measured - np.array([[0.0], [1.5]]) * problem.data["u3"]
+    assert Column("u3") not in terms(found(replace(problem, measured=contradicted)))
+
+
+class _Bent(LinearProblem):
+    """With a term u2 whose derivative at zero is another one than at its estimate, as that of a delay is."""
+
+    def columns(self, terms, values=None, beside=None):
+        found = super().columns(terms, values, beside)
+        if values is None and tuple(terms) == (Column("u2"),):
+            found = found + 0.5 * super().columns([Column("u4")])
+        return found
+
+
+def test_a_term_that_is_there_is_not_added_again():
+    plain = linear_problem(np.random.default_rng(9), planted=lambda d: 0.8 * d["u2"] + 0.4 * d["u4"])
+    bent = _Bent(**{field.name: getattr(plain, field.name) for field in fields(plain)})
+    bent = replace(bent, candidates=(Column("u2"),))
+    baseline = fit(bent, Terms(), OPTIONS)
+    assert terms(forward(bent, State(baseline, baseline), OPTIONS)) == [Column("u2")]
 
 
 def test_an_order_is_found_released_and_stated_with_its_numbers():
