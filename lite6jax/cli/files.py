@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal, final
+from typing import TYPE_CHECKING, Annotated, Literal, final
 
 from tyro.conf import Positional, arg
 
@@ -10,6 +10,9 @@ from lite6jax.cli.arguments import ArmName, refuse_inputs
 from lite6jax.cli.exit_codes import DONE
 from lite6jax.errors import InputError
 from lite6jax.storage import check_writable
+
+if TYPE_CHECKING:
+    from lite6jax.arms.arm import Arm
 
 
 @final
@@ -61,8 +64,6 @@ class Convert:
         from lite6jax.arms.bundled import bundled_arms, load_bundled
         from lite6jax.arms.files import read_arm, with_chain
         from lite6jax.arms.forms import convert_file, export_file, export_into
-        from lite6jax.diagnosis.export import is_diagnosis, read_diagnosed_arm
-        from lite6jax.effects.user_effects import load_effects
         from lite6jax.fitting.source import load_nominal
         from lite6jax.report import fleet_tables, screen
 
@@ -70,9 +71,8 @@ class Convert:
         nominal, arm, left_out = load_nominal(self.arm), None, ()
         if self.into is not None and self.to not in (None, "urdf"):
             raise InputError(f"--into writes a URDF, and --to asks for {self.to}; give one of them")
-        if is_diagnosis(source):
-            effects = load_effects(self.effects) if self.effects else ()
-            arm, left_out = read_diagnosed_arm(source, nominal, effects, alone=self.into is None)
+        if Path(source).suffix.lower() == ".json":  # a table of DH parameters, or what takes JAX
+            arm, left_out = self._diagnosed(source, nominal)
         if self.into is not None:
             whole = arm or read_arm(source)
             done = export_into(whole, self.into, self.target, self.force, left_out, with_flange=arm is None)
@@ -89,6 +89,16 @@ class Convert:
         screen.written([done.path])
         screen.show(fleet_tables.conversion_report(done))
         return DONE
+
+    def _diagnosed(self, source: str, nominal: "Arm | None") -> "tuple[Arm | None, tuple[str, ...]]":
+        """The arm of a diagnosis, and what it leaves out; None of another file."""
+        from lite6jax.diagnosis.export import is_diagnosis, read_diagnosed_arm
+        from lite6jax.effects.user_effects import load_effects
+
+        if not is_diagnosis(source):
+            return None, ()
+        effects = load_effects(self.effects) if self.effects else ()
+        return read_diagnosed_arm(source, nominal, effects, alone=self.into is None)
 
 
 @final
