@@ -9,8 +9,7 @@ from rich.table import Table
 from rich.text import Text
 
 from lite6jax.arms.forms import Conversion
-from lite6jax.report.cells import SCREEN, SHOWS_AS_ZERO, fixed, listing
-from lite6jax.report.tables import STATISTICS
+from lite6jax.report.cells import SCREEN, SHOWS_AS_ZERO, STATISTICS, fixed, listing
 
 if TYPE_CHECKING:
     from lite6jax.fitting.compare import Comparison  # which takes JAX, and conversions do not
