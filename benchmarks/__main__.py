@@ -15,7 +15,7 @@ from benchmarks.measure import Record, Workload
 from lite6jax.errors import InputError
 from lite6jax.storage import check_writable, write_atomically
 
-COMPARED = ("models",)
+COMPARED = ("models", "devices")
 NEEDS = {"scipy": "scipy", "pinocchio": "pin", "mujoco": "mujoco"}
 RIVALS = {"mujoco": "mujoco", "sklearn": "scikit-learn"}
 
@@ -24,9 +24,11 @@ def workloads() -> dict[str, Workload]:
     """The workloads by name, in the order in which they run."""
     from benchmarks.command import command
     from benchmarks.compensation import compensation
+    from benchmarks.devices import devices
     from benchmarks.diagnose import diagnose
     from benchmarks.fits import fleet, one
     from benchmarks.folders import folders
+    from benchmarks.growth import growth
     from benchmarks.interrupts import interrupts
     from benchmarks.models import models
     from benchmarks.profile import profile
@@ -44,6 +46,8 @@ def workloads() -> dict[str, Workload]:
             study,
             command,
             folders,
+            growth,
+            devices,
             diagnose,
             compensation,
             models,
@@ -76,6 +80,8 @@ def main(arguments: Sequence[str] | None = None, known: Mapping[str, Workload] |
     if missing:
         print(f"benchmarks: {' and '.join(missing)} missing; pip install 'lite6jax[benchmark]'", file=sys.stderr)
         return 2
+    from benchmarks.devices import DEVICES, absent
+
     known = dict(known or workloads())
     parser = argparse.ArgumentParser(
         prog="python -m benchmarks",
@@ -88,7 +94,16 @@ def main(arguments: Sequence[str] | None = None, known: Mapping[str, Workload] |
     parser.add_argument(
         "--recordings", type=int, metavar="N", help="of `diagnose`: so many with nothing missing, 300 where not given"
     )
+    parser.add_argument("--device", choices=DEVICES, help="compare this device with the processor: runs `devices` only")
     options = parser.parse_args(arguments)
+    if options.device is not None:
+        if options.name not in (None, "devices"):
+            parser.error("--device: is of `devices`; leave the name out")
+        if said := absent(options.device):
+            print(f"benchmarks: {said}", file=sys.stderr)
+            return 2
+        options.name = "devices"
+        known["devices"] = partial(known["devices"], device=options.device)
     if options.recordings is not None:
         if options.recordings < 1 or options.name not in (None, "diagnose"):
             parser.error("--recordings: give 1 or more, and none but `diagnose`")
