@@ -11,17 +11,20 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
-from benchmarks.measure import Record, Workload
+from benchmarks.measure import MissingError, Record, Workload
 from lite6jax.errors import InputError
 from lite6jax.storage import check_writable, write_atomically
 
 COMPARED = ("models", "devices")
+BY_NAME = ("growth", "devices", "ceres")
+"""Workloads that take minutes, a device or a compiler, and run only where they are named."""
 NEEDS = {"scipy": "scipy", "pinocchio": "pin", "mujoco": "mujoco"}
 RIVALS = {"mujoco": "mujoco", "sklearn": "scikit-learn"}
 
 
 def workloads() -> dict[str, Workload]:
     """The workloads by name, in the order in which they run."""
+    from benchmarks.ceres_rival import ceres
     from benchmarks.command import command
     from benchmarks.compensation import compensation
     from benchmarks.devices import devices
@@ -48,6 +51,7 @@ def workloads() -> dict[str, Workload]:
             folders,
             growth,
             devices,
+            ceres,
             diagnose,
             compensation,
             models,
@@ -89,7 +93,9 @@ def main(arguments: Sequence[str] | None = None, known: Mapping[str, Workload] |
         epilog="`concealed`, `torque`, `ladder`, `rivals`, `sensitivity` and `fuzz` have options of their own: "
         "concealed --help.",
     )
-    parser.add_argument("name", nargs="?", choices=list(known), help="one workload; all of them without it")
+    parser.add_argument(
+        "name", nargs="?", choices=list(known), help="one workload; without it all but growth, devices, ceres"
+    )
     parser.add_argument("--json", type=Path, metavar="OUT", help="write the records to this file, over an older one")
     parser.add_argument(
         "--recordings", type=int, metavar="N", help="of `diagnose`: so many with nothing missing, 300 where not given"
@@ -116,9 +122,13 @@ def main(arguments: Sequence[str] | None = None, known: Mapping[str, Workload] |
             return 2
 
     console, records = Console(), []
-    for name in [options.name] if options.name else known:
-        with console.status(f"{name} …"):
-            found = list(known[name]())
+    for name in [options.name] if options.name else [name for name in known if name not in BY_NAME]:
+        try:
+            with console.status(f"{name} …"):
+                found = list(known[name]())
+        except MissingError as error:
+            print(f"benchmarks: {name}: {error}", file=sys.stderr)
+            return 2
         console.print(table(name, found))
         records += found
     if options.json:
