@@ -54,6 +54,8 @@ def _of(quantity: str, joint: int) -> list[str]:
         return [f"temperature of joint {joint}", "temperature"]
     if quantity == "direction":
         return [f"{word} of joint {joint}" for word in ("direction of motion", "direction", "velocity")]
+    if quantity == "velocity":
+        return [f"{word} of joint {joint}" for word in ("velocity", "speed")]
     return [quantity] if quantity == "time" else [f"{quantity} of joint {joint}"]
 
 

@@ -141,7 +141,7 @@ def _is_friction(effect: object, joint: int) -> bool:
     if isinstance(effect, CoupledFriction):
         return joint in (effect.joint, effect.source_joint)
     if isinstance(effect, UnnamedTorque):
-        return effect.joint == joint and effect.of == (Driver("velocity", joint),)
+        return effect.of in ((Driver("velocity", joint),), (Driver("speed", joint),)) and effect.joint == joint
     return isinstance(effect, _FRICTION) and effect.joint == joint
 
 

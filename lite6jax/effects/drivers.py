@@ -54,6 +54,12 @@ _SOURCES = {
         "joint",
         "the velocities of a moving arm; record a trajectory with time_s or dq1_rad_per_s …",
     ),
+    "speed": _Source(
+        lambda m, _: None if m.joint_velocity is None else abs(m.joint_velocity),
+        "rad/s",
+        "joint",
+        "the velocities of a moving arm; record a trajectory with time_s or dq1_rad_per_s …",
+    ),
     "acceleration": _Source(
         lambda m, _: m.joint_acceleration,
         "rad/s²",

@@ -7,7 +7,7 @@ from scipy.linalg.lapack import get_lapack_funcs
 
 Array = NDArray[np.floating]
 
-_MANY, _REGULAR = 200, 1e-8
+_MANY, _REGULAR = 20, 1e-8
 """Numbers from which a Cholesky factor is tried before eigenvalues, and the least square on its diagonal."""
 (_potrf,) = get_lapack_funcs(("potrf",), dtype=float)
 
@@ -47,10 +47,9 @@ def scaled_solve(H: Array, b: Array, rounding: float = 1e-13) -> Array:
     """x of H x = b for a positive semidefinite H scaled to unit diagonal, of least norm where that is singular."""
     root = _root(H)
     C = H / np.outer(root, root)
-    if len(C) > _MANY:
-        factor, singular = _potrf(C, lower=True, clean=False)
-        if not singular and np.diagonal(factor).min() ** 2 > _REGULAR:
-            return cho_solve((factor, True), b / root) / root
+    factor = _cholesky(C)
+    if factor is not None:
+        return cho_solve((factor, True), b / root) / root
     eigenvalues, V = np.linalg.eigh(C)
     kept = eigenvalues > rounding * eigenvalues[-1]
     return V[:, kept] @ ((V[:, kept].T @ (b / root)) / eigenvalues[kept]) / root
@@ -59,7 +58,11 @@ def scaled_solve(H: Array, b: Array, rounding: float = 1e-13) -> Array:
 def scaled_inverse(H: Array, rounding: float = 1e-13) -> Array:
     """The pseudo-inverse of a positive semidefinite H, taken after scaling it to unit diagonal."""
     root = _root(H)
-    return np.linalg.pinv(H / np.outer(root, root), rcond=rounding, hermitian=True) / np.outer(root, root)
+    C, scale = H / np.outer(root, root), np.outer(root, root)
+    factor = _cholesky(C)
+    if factor is not None:
+        return cho_solve((factor, True), np.eye(len(C))) / scale
+    return np.linalg.pinv(C, rcond=rounding, hermitian=True) / scale
 
 
 def schur_complement(G: Array, known: NDArray[np.integer], rounding: float = 1e-12) -> Array:
@@ -68,6 +71,14 @@ def schur_complement(G: Array, known: NDArray[np.integer], rounding: float = 1e-
     C = G / np.outer(size, size)
     inverse = np.linalg.pinv(C[np.ix_(known, known)], rcond=rounding, hermitian=True)
     return (C - C[:, known] @ inverse @ C[known]) * np.outer(size, size)
+
+
+def _cholesky(C: Array) -> Array | None:
+    """The lower factor of a matrix of unit diagonal that is clearly regular; None of others, and of small ones."""
+    if len(C) <= _MANY:
+        return None
+    factor, singular = _potrf(C, lower=True, clean=False)
+    return factor if not singular and np.diagonal(factor).min() ** 2 > _REGULAR else None
 
 
 def _root(H: Array) -> Array:

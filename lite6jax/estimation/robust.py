@@ -16,17 +16,21 @@ DOWNWEIGHTED = 0.3
 def t_scale(squares: Array, rows: int, freedom: float | None) -> float:
     """The scale that best explains squared whitened residuals of `rows` numbers each.
 
-    Of Student's t with `freedom`, by the fixed point c² = mean(w s) / rows (K. Lange, R. Little, J. Taylor, J. Am.
-    Stat. Assoc. 84, 1989); the root mean square where that is None.
+    Of Student's t with `freedom` it solves mean(w s) = c² rows (K. Lange, R. Little, J. Taylor, J. Am. Stat. Assoc. 84,
+    1989), by Newton's method in log c², as a fixed point takes tens of rounds; the root mean square where that is None.
     """
     tiny = np.finfo(float).tiny
     if freedom is None:
         return float(np.sqrt(max(np.mean(squares) / rows, tiny)))
-    scale2 = max(float(np.median(squares)) / rows, tiny)
+    if not squares.any():
+        return float(np.sqrt(tiny))
+    scale2 = max(float(np.median(squares) or np.mean(squares)) / rows, tiny)
     for _ in range(200):
-        new = max(float(np.mean((freedom + rows) / (freedom + squares / scale2) * squares)) / rows, tiny)
-        done, scale2 = abs(new / scale2 - 1) < 1e-9, new
-        if done:
+        share = squares / (freedom * scale2 + squares)
+        slope = (freedom + rows) * float(np.mean(share * (1 - share)))
+        step = ((freedom + rows) * float(np.mean(share)) - rows) / max(slope, 1e-6)
+        scale2 = max(scale2 * float(np.exp(np.clip(step, -1.0, 1.0))), tiny)
+        if abs(step) < 1e-9:
             break
     return float(np.sqrt(scale2))
 

@@ -7,6 +7,9 @@ from lite6jax.estimation.problem import Problem
 from lite6jax.estimation.score_test import score_test, searched_size
 from lite6jax.search.state import State, reduced, retested
 
+_CLEARLY = 5.0
+"""Of the loss at which a term stays, from which a quadratic likelihood is believed that it stays."""
+
 
 def eliminate(problem: Problem, state: State, options: EngineOptions) -> State:
     """Removes the terms that are not significant beside the others, the least significant first.
@@ -27,20 +30,23 @@ def eliminate(problem: Problem, state: State, options: EngineOptions) -> State:
 def prune(problem: Problem, state: State, options: EngineOptions) -> State:
     """Removes the terms that the others make unnecessary, by penalised likelihood.
 
-    Of the terms, those are refitted without that a quadratic likelihood would miss least.
+    Of the terms, those are refitted without that a quadratic likelihood would miss least, unless it would miss them
+    clearly.
     """
-    n, searched = state.fit.freedom, searched_size(problem, options)
+    n, allowed = state.fit.freedom, np.log(searched_size(problem, options))
     while len(state.tested) > 1:
         losses = []
         missed = [state.fit.quadratic_gain(k) - 0.5 * t.term.size * np.log(n) for k, t in enumerate(state.tested)]
         for k in np.argsort(missed)[: options.refitted_without].tolist():
+            if missed[k] > _CLEARLY * allowed:
+                continue
             tested = state.tested[k]
             rest = reduced(problem, state, k, options)
             scale = state.fit.scale
             loss = state.fit.log_likelihood(scale) - rest.fit.log_likelihood(scale)
             losses.append((loss - 0.5 * tested.term.size * np.log(n), rest))
-        least, rest = min(losses, key=lambda item: item[0])
-        if least > np.log(searched):
+        least, rest = min(losses, key=lambda item: item[0], default=(np.inf, state))
+        if least > allowed:
             break
         state = rest
     return state

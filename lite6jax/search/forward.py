@@ -48,7 +48,9 @@ def forward(problem: Problem, state: State, options: EngineOptions, shaped: bool
 def _with_next(problem: Problem, state: State, options: EngineOptions, shaped: bool) -> State | None:
     """The state with the best single addition, or None where none is significant."""
     test, searched = score_test(problem, state.fit, options), searched_size(problem, options)
-    named = [term for term in problem.candidates if not term.periodic]
+    # a term that is there explains more beside a linearisation that is not at its estimate, as that of a delay
+    there = state.fit.terms.terms
+    named = [term for term in problem.candidates if not (term.periodic or term in there)]
     candidates = [_Ranked(*pair, 0.0) for pair in zip(named, test.explained(named), strict=True)]
     if shaped and problem.shaped:
         pairs = zip(problem.shaped, test.explained(problem.shaped), strict=True)

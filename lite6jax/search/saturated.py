@@ -54,17 +54,15 @@ def refined(problem: Problem, state: State, options: EngineOptions) -> State:
     """A state of many terms with what it still lacks, and without what that makes unnecessary.
 
     Each term is finally tested by what it explains, in as many independent samples as the autocorrelation time leaves:
-    blocks of samples are too few for a test of so many terms.
+    blocks of samples are too few for a test of so many terms. The time is that of the model with all of them, as what a
+    term leaves that should have stayed would mask the next one.
     """
     more = replace(options, most_terms=len(state.tested) + options.most_terms)
     state = prune(problem, eliminate(problem, forward(problem, state, more, shaped=True), more), more)
     entered("naming")
     state = challenge_names(problem, state, replace(more, name_rounds=2 * options.name_rounds))
-    while True:
-        time = score_test(problem, state.fit, options).time
-        leaving = _unnecessary(problem, state.fit, time, options)
-        if not leaving:
-            break
+    time = score_test(problem, state.fit, options).time
+    while leaving := _unnecessary(problem, state.fit, time, options):
         kept = [k not in leaving for k in range(len(state.tested))]
         rest, values = state.fit.terms.part(state.fit.values, kept)
         found = fit(problem, rest, options, values, state.fit.nuisance, state.fit.training)

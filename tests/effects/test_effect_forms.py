@@ -359,6 +359,7 @@ def test_drivers_are_read_and_said():
         (Driver("gravity force", 2), loads.moment[1, 2], "N"),
         (Driver("direction of motion", 1), motion.direction[0], "1"),
         (Driver("velocity", 2), motion.joint_velocity[1], "rad/s"),
+        (Driver("speed", 2), np.sqrt(motion.joint_velocity[1] ** 2), "rad/s"),
         (Driver("gravity torque", 2), loads.moment[1, 2], "Nm"),
         (Driver("gravity moment x", 1), loads.moment[0, 0], "Nm"),
         (Driver("gravity moment y", 1), loads.moment[0, 1], "Nm"),
@@ -380,7 +381,7 @@ def test_drivers_are_read_and_said():
     assert Driver("gravity moment x", 2).phrase == "gravity moment x of link 2"
     assert Driver("temperature", 2).phrase == "temperature of joint 2"
     assert not Driver("tool moment x").known(motion, loads._replace(payload_moment=None))
-    assert len(QUANTITIES) == 20
+    assert len(QUANTITIES) == 21
 
 
 @pytest.mark.parametrize(

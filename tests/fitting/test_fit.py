@@ -334,3 +334,16 @@ def test_scale_of_student_t_on_gaussian_noise():
         squares = rng.chisquare(rows, 200_000)
         assert 2.5 * gaussian_t_scale(rows, 15.0) == pytest.approx(t_scale(6.25 * squares, rows, 15.0), rel=5e-3)
         assert t_scale(6.25 * squares, rows, None) == pytest.approx(2.5, rel=5e-3)
+
+
+@pytest.mark.parametrize("shape", ["plain", "outliers", "half zero", "heavy", "one", "all zero"])
+def test_scale_of_student_t_solves_its_equation(shape):
+    squares = np.random.default_rng(13).chisquare(3, 1 if shape == "one" else 400) * 1e-12
+    squares[: {"outliers": 40, "half zero": 201, "all zero": 400}.get(shape, 0)] *= 1e8 if shape == "outliers" else 0.0
+    squares = squares**6 if shape == "heavy" else squares
+    scale2 = t_scale(squares, 3, 15.0) ** 2
+    if shape == "all zero":
+        assert 0 < scale2 < 1e-200
+    else:
+        weight = (15.0 + 3) / (15.0 + squares / scale2)
+        assert np.mean(weight * squares) / 3 == pytest.approx(scale2, rel=1e-8)

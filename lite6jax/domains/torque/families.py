@@ -19,6 +19,9 @@ Array = NDArray[np.floating]
 
 _PIECES = {"position": (4, 8, 16), "velocity": (4, 8), "gravity torque": (4, 8)}
 """Numbers of intervals of the splines that are tried."""
+_SIGNED_PIECES = {"position": (4, 8, 16), "speed": (2, 4), "gravity torque": (4, 8)}
+"""Likewise of those times the direction of motion: over the speed they are the odd functions of the velocity, which
+friction mostly is, so that one direction says what the other one is at speeds that only it reached."""
 Waves = dict[tuple[int, float], Array]
 """Filtered sine and cosine `(2, sample)` by joint, from 1, and order."""
 
@@ -49,10 +52,10 @@ def curves(dynamics: Dynamics, data: TorqueRows, chosen: NDArray[np.integer], no
     found = []
     for j, signed in product(range(len(noise)), (False, True)):
         drivers = []
-        for quantity, pieces in _PIECES.items():
+        for quantity, pieces in (_SIGNED_PIECES if signed else _PIECES).items():
             driver = Driver(quantity, j + 1)
             values = driver_values(driver, dynamics)
-            if values is None or (signed and quantity == "velocity"):
+            if values is None:
                 continue
             values = values[data.filter.kept][chosen]
             spline = partial(_spline, j + 1, driver.phrase, signed, float(sizes(data)[j]))
@@ -75,7 +78,7 @@ def flexible(dynamics: Dynamics, sizes: Array) -> tuple[UnnamedTorque, ...]:
         sizes: `(joint,)` Nm, of the torques that were measured, which no curve exceeds by much.
     """
     dof = dynamics.torque.shape[0]
-    ranges = {d: _range(d, dynamics) for j in range(1, dof + 1) for d in _own(j)}
+    ranges = {d: _range(d, dynamics) for j in range(1, dof + 1) for d in (*_own(j), Driver("speed", j))}
     ranges |= {Driver(quantity): _range(Driver(quantity), dynamics) for quantity in _EVERYWHERE}
     found: list[UnnamedTorque] = []
 
@@ -101,6 +104,8 @@ def flexible(dynamics: Dynamics, sizes: Array) -> tuple[UnnamedTorque, ...]:
                 add(j, [Driver(everywhere)], 4, signed)
         for pieces in (3, 8):
             add(j, [velocity], pieces)
+        for pieces in (2, 4):
+            add(j, [Driver("speed", j)], pieces, signed=True)
         for other in (position, load, temperature):
             add(j, [velocity, other], degree=3)
         for k in range(1, dof + 1):

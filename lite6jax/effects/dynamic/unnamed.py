@@ -18,20 +18,22 @@ from lite6jax.errors import InputError
 @final
 @dataclass(frozen=True)
 class UnnamedTorque(JointTorque):
-    """τ += Σ coefficient · B(driver), or that times the direction of motion of the joint.
+    """τ += Σ coefficient · f(driver), or that times the direction of motion of the joint.
 
-    B are cubic B-splines; with `orders`, the sine and cosine of each order of the driver, an angle; with `degree`,
-    products of one or several drivers.
+    The functions f of a spline are its level, 1, and its steps: the sums of all cubic B-splines from the second, the
+    third, … on, which rise from 0 to 1. A step that no sample determines is zero by its prior, so that the curve
+    continues there as a constant, as friction does at speeds that were not measured. With `orders`, the functions are
+    the sine and cosine of each order of the driver, an angle; with `degree`, products of one or several drivers.
 
     Attributes:
         driver: the phrase of a `Driver`; of several, joined by " and ".
         lower: of the first driver's range, in its unit; beyond it the curve is constant.
         upper: of the first driver's range.
-        pieces: the intervals of the spline; it has three more coefficients.
+        pieces: the intervals of the spline, which has a level and two steps more than intervals.
         signed: whether the curve is multiplied by the direction of motion, as friction is.
         orders: of the waves, that are there instead of a spline.
-        spread: one standard deviation of the coefficients in Nm, the size of the joint's torque: where nothing was
-            measured a curve returns to zero.
+        spread: one standard deviation in Nm of the coefficients, or of a spline's level and of the sum of all its
+            steps: the size of the joint's torque.
         degree: of polynomials, that are there instead of a spline; 0 for none.
         further: lower and upper of each further driver.
 
@@ -81,10 +83,18 @@ class UnnamedTorque(JointTorque):
     @property
     def coordinates(self) -> tuple[Coordinate, ...]:
         """The coefficients."""
-        names = [f"{wave}_{order:g}" for order in self.orders for wave in ("sine", "cosine")]
-        names = names or [f"coefficient{i + 1}" for i in range(self.functions)]
-        spread = np.inf if self.spread is None else self.spread
-        return tuple(Coordinate(f"{name}_Nm", "Nm", 0.1, spread) for name in names)
+        if self.orders:
+            names = [f"{wave}_{order:g}" for order in self.orders for wave in ("sine", "cosine")]
+        elif self.degree:
+            names = [f"coefficient{i + 1}" for i in range(self.functions)]
+        else:
+            names = ["level", *(f"step{i + 1}" for i in range(self.functions - 1))]
+        spreads = np.full(len(names), np.inf if self.spread is None else self.spread)
+        if names[0] == "level":
+            spreads[1:] /= np.sqrt(len(names) - 1)
+        return tuple(
+            Coordinate(f"{name}_Nm", "Nm", 0.1, float(spread)) for name, spread in zip(names, spreads, strict=True)
+        )
 
     @property
     def functions(self) -> int:
@@ -106,7 +116,8 @@ class UnnamedTorque(JointTorque):
             ranges = np.array((self.lower, self.upper, *self.further)).reshape(-1, 2)
             return np.asarray(polynomial_basis(values, ranges, self.degree))  # type: ignore[arg-type]
         if not self.orders:
-            return np.asarray(spline_basis(values[0], self.lower, self.upper, self.pieces))  # type: ignore[arg-type]
+            splines = np.asarray(spline_basis(values[0], self.lower, self.upper, self.pieces))  # type: ignore[arg-type]
+            return splines[::-1].cumsum(0)[::-1]
         turned = np.array(self.orders)[:, None] * values[0]
         return np.stack([np.sin(turned), np.cos(turned)], 1).reshape(self.functions, -1)
 

@@ -135,9 +135,29 @@ def test_a_curve_of_splines_follows_a_function_and_stays_constant_beyond():
     values = np.linalg.lstsq(curve.functions_of(q[None]).T, np.sin(2 * q), rcond=None)[0]
     assert np.abs(curve.curve(values, q) - np.sin(2 * q)).max() < 2e-4
     assert curve.curve(values, np.array([5.0]))[0] == pytest.approx(curve.curve(values, np.array([1.0]))[0])
+    assert [c.name for c in curve.coordinates][:2] == ["level_Nm", "step1_Nm"]
     assert curve.drivers[0].phrase == "position of joint 2"
     signed = UnnamedTorque(2, "position of joint 2", -1.0, 1.0, signed=True)
     assert [driver.quantity for driver in signed.drivers] == ["position", "direction of motion"]
+
+
+def test_a_curve_continues_as_a_constant_where_no_sample_determines_it():
+    curve = UnnamedTorque(2, "position of joint 2", -1.0, 1.0, 8, spread=20.0)
+    q = np.linspace(-1, 0, 200)
+    A = curve.functions_of(q[None]).T / 0.1
+    prior = np.diag([number.spread**-2 for number in curve.coordinates])
+    values = np.linalg.solve(A.T @ A + prior, A.T @ np.full(200, 7.0) / 0.1)
+    np.testing.assert_allclose(curve.curve(values, np.array([-1.0, 0.3, 1.0])), 7.0, atol=1e-3)
+
+
+def test_a_curve_over_the_speed_is_an_odd_function_of_the_velocity(scene):
+    dynamics = scene[2]
+    curve = UnnamedTorque(2, "speed of joint 2", 0.0, 2.0, 3, signed=True)
+    values = np.random.default_rng(5).normal(size=curve.size)
+    back = dynamics._replace(motion=dynamics.motion._replace(joint_velocity=-dynamics.motion.joint_velocity))
+    there = values @ curve.basis(dynamics)
+    np.testing.assert_allclose(there, -(values @ curve.basis(back)), atol=1e-12)
+    assert np.abs(there).max() > 0.1
 
 
 @pytest.mark.parametrize(
