@@ -1,7 +1,7 @@
 """How the cost grows with arms, samples, joints, candidates and files: exponents with their intervals, and a figure.
 
 Cost is processor time, because wall time on a machine with other work measures that as well. An exponent is the slope
-of log cost over log size; a constant part, such as the start of a program, is estimated beside it.
+of log cost over log size; of a program, the constant part that its start takes is estimated beside it.
 """
 
 import os
@@ -67,24 +67,31 @@ class Growth:
         return self.constant + self.factor * size**self.exponent
 
 
-def fitted(of: str, size: Sequence[float], seconds: Sequence[float]) -> Growth:
-    """The growth that relative errors of equal size make likeliest; the constant is not negative.
+def fitted(of: str, size: Sequence[float], seconds: Sequence[float], start: bool = False) -> Growth:
+    """The growth that relative errors of equal size make likeliest.
+
+    Args:
+        of: what grows.
+        size: of each run.
+        seconds: of each run.
+        start: whether there is a constant part, which is not negative.
 
     Raises:
-        ValueError: fewer than four sizes, which leave no residual.
+        ValueError: fewer than four sizes, which leave too few residuals.
     """
     x, y = np.asarray(size, float), np.asarray(seconds, float)
     if len(x) < 4:
         raise ValueError(f"{of}: {len(x)} sizes; give 4 or more")
 
-    def log_cost(x: np.ndarray, constant: float, factor: float, exponent: float) -> np.ndarray:
+    def log_cost(x: np.ndarray, factor: float, exponent: float, constant: float = 0.0) -> np.ndarray:
         return np.log(constant + np.exp(factor) * (x / x.max()) ** exponent)
 
-    start = (y.min() / 2, np.log(y.max()), 1.0)
-    bounds = ((0.0, -np.inf, 0.0), (y.min(), np.inf, 6.0))
-    found, covariance = curve_fit(log_cost, x, np.log(y), start, bounds=bounds)
-    spread = float(student.ppf(0.975, len(x) - 3) * np.sqrt(covariance[2, 2]))
-    return Growth(of, x, y, found[0], float(np.exp(found[1]) / x.max() ** found[2]), float(found[2]), spread)
+    first = (np.log(y.max()), 1.0, *((y.min() / 2,) if start else ()))
+    bounds = ((-np.inf, 0.0, 0.0)[: len(first)], (np.inf, 6.0, y.min())[: len(first)])
+    found, covariance = curve_fit(log_cost, x, np.log(y), first, bounds=bounds)
+    spread = float(student.ppf(0.975, len(x) - len(first)) * np.sqrt(covariance[1, 1]))
+    constant = float(found[2]) if start else 0.0
+    return Growth(of, x, y, constant, float(np.exp(found[0]) / x.max() ** found[1]), float(found[1]), spread)
 
 
 def growth(scale: float = 1.0, figure: Path | None = FIGURE) -> Iterator[Record]:
@@ -97,9 +104,9 @@ def growth(scale: float = 1.0, figure: Path | None = FIGURE) -> Iterator[Record]
     found: list[Growth] = []
     for of, sizes, prepared in (
         ("arms × 100 samples", (64, 128, 256, 512, 1024, 2048), _arms),
-        ("samples of one arm", (3000, 10_000, 30_000, 100_000, 200_000), _samples),
-        ("joints of 16 arms × 300 samples", (4, 6, 8, 10, 12, 14), _joints),
-        ("candidates of a D-optimal design", (3000, 10_000, 30_000, 100_000), _candidates),
+        ("samples of one arm", (6000, 12_000, 24_000, 48_000, 96_000), _samples),
+        ("joints of 16 arms × 300 samples", (4, 6, 8, 11, 14), _joints),
+        ("candidates of a D-optimal design", (4000, 8000, 16_000, 32_000), _candidates),
     ):
         unscaled = prepared is _joints
         sizes = [size if unscaled else max(int(scale * size), 16) for size in sizes]
@@ -123,7 +130,8 @@ def _records(grown: Growth, wrong: str) -> Iterator[Record]:
     work = grown.of
     yield Record(work, "lite6jax", "exponent", grown.exponent, "", "lower", wrong)
     yield Record(work, "lite6jax", "half the 95 % interval of it", grown.interval, "", "lower", wrong)
-    yield Record(work, "lite6jax", f"processor time of {grown.size[-1]:.0f}", grown.seconds[-1], "s", "lower", wrong)
+    for size, seconds in zip(grown.size, grown.seconds, strict=True):
+        yield Record(work, "lite6jax", f"processor time of {size:.0f}", seconds, "s", "lower", wrong)
     if "joints" not in work:
         yield Record(work, "lite6jax", "processor time of 10⁶, on paper", grown.at(MILLION), "s", "lower", wrong)
 
@@ -195,7 +203,7 @@ def _files(sizes: Sequence[int], folder: Path) -> tuple[Growth, list[Record]]:
         subprocess.run([*command, str(table)], cwd=ROOT, check=True, capture_output=True)
         after = resource.getrusage(resource.RUSAGE_CHILDREN)
         seconds.append(after.ru_utime - before.ru_utime + after.ru_stime - before.ru_stime)
-    grown = fitted("files of `fleet`", sizes, seconds)
+    grown = fitted("files of `fleet`", sizes, seconds, start=True)
     work = f"{sizes[-1]} files"
     peak = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 2**10
     row = os.stat(table).st_size / sizes[-1]
