@@ -81,7 +81,7 @@ def devices(
 @contextmanager
 def on(platform: str) -> Iterator[None]:
     """What is computed inside is computed on the first such device, by every thread."""
-    before = jax.config.jax_default_device
+    before = getattr(jax.config, "jax_default_device", None)
     jax.config.update("jax_default_device", jax.devices(platform)[0])
     try:
         yield

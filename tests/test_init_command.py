@@ -109,8 +109,9 @@ def test_what_is_given_and_what_is_refused(recorded, capsys, tmp_path):
     for name in ("other.csv", "empty.csv"):
         (tmp_path / name).write_text("load,depth\n" + "1,2\n" * (name == "other.csv"))
     assert refused(capsys, "init", tmp_path / "other.csv") == (
-        f"{tmp_path / 'other.csv'}: no columns look like joint positions; say which they are, --column NAME=q1_rad "
-        "--column NAME=q2_rad and so on; it has 'load', 'depth'"
+        f"{tmp_path / 'other.csv'}: no columns look like joint positions; say which they are, --column NAME=q1_deg "
+        "--column NAME=q2_deg and so on (q1_rad in radians, q1_mm of a prismatic "
+        f"joint); it has 'load', 'depth'"
     )
     assert refused(capsys, "init", tmp_path / "empty.csv").endswith("has column names but no rows; record again")
     declared = ["--set", "tool=[0, 0, 0.1, 0, 0, 0]", "--set", "inertial=unknown"]

@@ -8,7 +8,7 @@ import pytest
 import tyro
 from tyro.conf import FlagCreatePairsOff, OmitArgPrefixes
 
-from docs.hooks import screens
+from docs.hooks import made, screens
 from lite6jax.cli.program import COMMANDS
 
 DOCUMENTS = [screens.README, *sorted((screens.ROOT / "docs").rglob("*.md"))]
@@ -28,6 +28,28 @@ def named_commands():
 def test_a_page_shows_what_its_commands_print(page, tmp_path):
     for screen, printed in screens.run(page.read_text(), tmp_path):
         assert screens.difference(screen.shown, printed) == "", f"$ {screen.typed}\n{printed}\n(make screens)"
+
+
+def test_the_reference_shows_output_of_every_command(monkeypatch):
+    monkeypatch.setattr(made, "_screen", lambda *words: f"({' '.join(words)})")
+    sections = re.split(r"^## (\S+)$", made.command_help(), flags=re.MULTILINE)[1:]
+    of_command = dict(zip(sections[::2], sections[1::2], strict=True))
+    assert {*of_command} == {"lite6jax", *COMMANDS}
+    for name in COMMANDS:
+        assert "For example:" in of_command[name] or "What it prints: [" in of_command[name], name
+
+
+def test_a_command_that_no_page_shows_ends_the_build(monkeypatch):
+    monkeypatch.setattr(made, "_screen", lambda *words: "")
+    monkeypatch.setattr(made, "_shown_in", lambda: {name: ["[page](page.md)"] for name in COMMANDS if name != "record"})
+    with pytest.raises(SystemExit, match=r"no page shows what these commands print: \['record'\]"):
+        made.command_help()
+
+
+def test_a_command_that_should_stay_and_ends_is_an_error(tmp_path):
+    page = "```console\n$ lite6jax emulate --arms 0\n```\n"
+    with pytest.raises(RuntimeError, match="ended: error: --arms 0"):
+        list(screens.run(page, tmp_path))
 
 
 def test_the_readme_shows_commands_of_the_pages():

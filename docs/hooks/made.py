@@ -98,7 +98,7 @@ EXAMPLES = {
     "emulate": ("emulate", "--faults"),
     "arms": ("arms",),
 }
-"""Commands that are run where no page shows them."""
+"""Commands that are run for the reference, where no page shows them or shows less."""
 PYTHON = {
     "Fit": (
         "fit", "Solution", "Result", "fit_fleet", "fit_fleet_calibrations", "FleetSolution",
@@ -135,12 +135,14 @@ def command_help() -> str:
     """What `--help` of the program and of each command prints."""
     sections = ["## lite6jax\n\n" + _screen("--help")]
     shown = _shown_in()
+    if silent := set(COMMANDS) - set(EXAMPLES) - set(shown):
+        raise SystemExit(f"docs/hooks/made.py: no page shows what these commands print: {sorted(silent)}")
     for name in COMMANDS:
         sections.append(f"## {name}\n\n{_screen(name, '--help')}")
         if name in EXAMPLES:
             with tempfile.TemporaryDirectory() as folder, contextlib.chdir(folder):
                 sections.append(f"For example:\n\n{_screen(*EXAMPLES[name])}")
-        elif name in shown:
+        if name in shown:
             sections.append(f"What it prints: {', '.join(shown[name])}.")
     return "\n\n".join(sections)
 

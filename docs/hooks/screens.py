@@ -2,7 +2,8 @@
 
 In a page, a block with `title="FILE"` is that file, a `python` block is run, and of a `console` block each
 `$ lite6jax …` is run; all of a page in one folder, from its top to its end. A line `…` stands for lines that are left
-out. A `sh` block is not run. The README shows commands of the pages again; it is compared with these.
+out. A `sh` block is not run. The README shows commands of the pages again; it is compared with these. A command that
+runs until Ctrl-C, such as an emulated controller, runs beside the others to the end of its page.
 
 `python -m docs.hooks.screens` (`make screens`) writes what the commands print now into the pages and the README.
 """
@@ -13,6 +14,7 @@ import math
 import os
 import re
 import shlex
+import subprocess
 import sys
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
@@ -28,6 +30,9 @@ LEFT_OUT = "…"
 _BLOCK = re.compile(r"^```(?P<kind>\w+)(?P<info>[^\n]*)\n(?P<body>.*?)^```$", re.MULTILINE | re.DOTALL)
 _TITLE = re.compile(r'title="([^"]+)"')
 _ENTRY = re.compile(r"^\$ (?P<typed>(?:[^\n]*\\\n)*[^\n]*)\n(?P<shown>(?:(?!\$ )[^\n]*\n)*)", re.MULTILINE)
+_STAYING = {"emulate", "view"}
+"""Commands that run until Ctrl-C, and say so in the last line that they print at first."""
+_LOOPBACK = "127.0.0.1"
 _NUMBER = re.compile(r"[-+]?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
 
 
@@ -41,6 +46,11 @@ class Screen(NamedTuple):
     def words(self) -> tuple[str, ...]:
         """The command's words, without the comment."""
         return tuple(shlex.split(self.typed.replace("\\\n", " "), comments=True))
+
+    @property
+    def stays(self) -> bool:
+        """Whether it runs until Ctrl-C."""
+        return len(self.words) > 1 and self.words[1] in _STAYING
 
 
 def pages() -> list[Path]:
@@ -58,9 +68,10 @@ def run(text: str, folder: Path) -> Iterator[tuple[Screen, str]]:
     """Runs a page in a folder; yields each command with what it printed.
 
     Raises:
-        RuntimeError: a command refused its input.
+        RuntimeError: a command refused its input, or ended that should run until Ctrl-C.
     """
-    with contextlib.chdir(folder):
+    os.environ["COLUMNS"] = str(WIDTH)
+    with contextlib.chdir(folder), contextlib.ExitStack() as staying:
         for block in _BLOCK.finditer(text):
             title = _TITLE.search(block["info"])
             if title:
@@ -69,18 +80,49 @@ def run(text: str, folder: Path) -> Iterator[tuple[Screen, str]]:
                 exec(compile(block["body"], "page", "exec"), {"__name__": "page"})
             elif block["kind"] == "console":
                 for screen in screens(block[0]):
-                    yield screen, _printed(screen)
+                    yield screen, _as_shown(_started(screen, staying) if screen.stays else _printed(screen))
 
 
 def _printed(screen: Screen) -> str:
-    os.environ["COLUMNS"] = str(WIDTH)
     said, complained = io.StringIO(), io.StringIO()
+    words = [word.replace(_LOOPBACK, _own_loopback()) for word in screen.words[1:]]
     with contextlib.redirect_stdout(said), contextlib.redirect_stderr(complained):
-        code = cli.main(screen.words[1:])
+        code = cli.main(words)
     if screen.words[0] != "lite6jax" or code not in (0, 1):
         raise RuntimeError(f"$ {screen.typed}\nended with {code}: {complained.getvalue()}")
-    shown = said.getvalue().replace(f"{ROOT}{os.sep}", "")  # a file of the package is named by its place in it
-    return "\n".join(line.rstrip() for line in shown.splitlines()) + "\n"
+    return said.getvalue()
+
+
+def _started(screen: Screen, staying: contextlib.ExitStack) -> str:
+    """Starts a command that runs until Ctrl-C, which `staying` ends; what it prints until it says that."""
+    name, *words = screen.words[1:]
+    host = {"emulate": "--address", "view": "--host"}[name]
+    command = [sys.executable, "-m", "lite6jax.cli", name, *words, host, _own_loopback()]
+    path = os.pathsep.join(filter(None, (str(ROOT), os.environ.get("PYTHONPATH"))))
+    process = staying.enter_context(
+        subprocess.Popen(
+            command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, env={**os.environ, "PYTHONPATH": path}
+        )
+    )
+    staying.callback(process.terminate)
+    assert process.stdout is not None
+    said = ""
+    for line in process.stdout:
+        said += line
+        if "Stop with Ctrl-C." in line:
+            return said
+    raise RuntimeError(f"$ {screen.typed}\nended: {said}")
+
+
+def _own_loopback() -> str:
+    """An address of loopback for this process: another may emulate a controller on the usual one, at the same ports."""
+    return f"127.{96 + os.getpid() // 65025 % 32}.{os.getpid() // 255 % 255}.{os.getpid() % 255}"
+
+
+def _as_shown(printed: str) -> str:
+    """As a reader sees it: the usual address, and a file of the package by its place in it."""
+    text = printed.replace(_own_loopback(), _LOOPBACK).replace(f"{ROOT}{os.sep}", "")
+    return "\n".join(line.rstrip() for line in text.splitlines()) + "\n"
 
 
 def difference(shown: str, printed: str) -> str:

@@ -22,7 +22,7 @@ from lite6jax.arms.files import (
     write_table,
     write_urdf,
 )
-from lite6jax.arms.urdf_edit import write_into_urdf
+from lite6jax.arms.urdf_edit import SPRINGS_LEFT_OUT, write_into_urdf
 from lite6jax.errors import InputError
 
 Array = NDArray[np.floating]
@@ -87,7 +87,7 @@ def convert_file(
     """
     target = Path(target)
     calibrated = is_calibration(source)
-    form = form or _form_of(target, calibrated)
+    form = form or form_of(target, calibrated)
     if target.suffix.lower() not in SUFFIXES[form]:
         raise InputError(f"{target}: a file of the form {form} ends in {' or '.join(SUFFIXES[form])}; rename it")
     storage.check_writable(target, overwrite)
@@ -124,7 +124,7 @@ def export_arm(arm: Arm, path: str | Path, form: FileForm | None = None, overwri
     Raises:
         InputError: another form or suffix, or as the writers.
     """
-    form = form or _form_of(Path(path), calibrated=False)
+    form = form or form_of(Path(path), calibrated=False)
     if form not in WHOLE_ARM:
         raise InputError(f"{path}: the form {form} holds a chain only; write {', '.join(WHOLE_ARM)}")
     return WHOLE_ARM[form](arm, path, overwrite)
@@ -148,7 +148,7 @@ def export_file(
     Raises:
         InputError: as `export_arm`; a table without a nominal arm.
     """
-    form = form or _form_of(Path(target), calibrated=False)
+    form = form or form_of(Path(target), calibrated=False)
     if form == "table" and nominal is not None:
         calibration = FactoryCalibration(arm.kinematics, nominal, arm.T_joint_flange, arm.name)
         table = write_table(nominal.form, hayati_of(calibration), target, overwrite)
@@ -202,7 +202,7 @@ def left_out_of(arm: Arm, form: FileForm, calibrated: bool = False) -> list[str]
     if form == "urdf" and arm.rotor_inertia is not None:
         phrases.append("rotor inertia")
     if form == "urdf" and arm.spring_stiffness is not None:
-        phrases.append("springs, but for SDFormat's attributes in <dynamics>")
+        phrases.append(SPRINGS_LEFT_OUT)
     if arm.dh is not None and form in ("vendor", "ur", "urdf", "mjcf"):
         phrases.append("the published DH table")
     return phrases
@@ -253,7 +253,12 @@ def hayati_of(calibration: FactoryCalibration) -> Array:
     return np.asarray(arm.form.pack(base, dh, beta), float)
 
 
-def _form_of(target: Path, calibrated: bool) -> FileForm:
+def form_of(target: Path, calibrated: bool) -> FileForm:
+    """The form of a file by its suffix, of a calibration or of another arm.
+
+    Raises:
+        InputError: a suffix of no form.
+    """
     suffix = target.suffix.lower()
     if suffix in (".yaml", ".yml"):
         return "vendor" if calibrated else "description"

@@ -13,6 +13,7 @@ from lite6jax.arms.arm import Arm
 from lite6jax.arms.urdf_tree import (
     IDENTITY,
     MOVING,
+    SPRINGS,
     Joint,
     Tree,
     attribute,
@@ -32,8 +33,11 @@ DRIVES = {
     "spring_stiffness": "spring_stiffness",
     "spring_rest": "spring_reference",
 }
-"""Where a joint's element `dynamics` has the fields of `Arm`, in the same units. URDF has no springs: the
-names are those of SDFormat, and other readers of URDF ignore them."""
+"""What a `Joint` calls the fields of `Arm`; its element `dynamics` has those that URDF knows. URDF has no springs: they
+are written as Gazebo's extensions (`SPRINGS`), which other programs ignore."""
+UNLIMITED = 1000.0
+"""N·m or N, and rad/s or m/s, of limits that are not known. With 0 Gazebo would hold the joint, and with less MoveIt
+would take its magnitude as the limit."""
 
 
 def read_urdf(path: str | Path, base: str | None = None, tip: str | None = None) -> Arm:
@@ -121,14 +125,16 @@ def write_urdf(arm: Arm, path: str | Path, overwrite: bool = False) -> Path:
     """Writes the arm as a URDF from `base_link` to `flange`.
 
     `read_urdf` returns chain, limits, inertia, friction and springs exactly, and the flange's rotation to rounding. A
-    DH table, rotor inertia and the source are omitted. Efforts and velocities, which an `Arm` does not contain, and
-    unknown inertia are written as zero.
+    DH table, rotor inertia and the source are omitted. Unknown inertia is written as zero, and efforts and velocities,
+    which an `Arm` does not contain, as `UNLIMITED`. Where the arm has masses, `base_link` is fixed to a link `world`
+    and has a mass too: Gazebo drops a link without mass together with all links that it carries.
 
     Raises:
         InputError: as `storage.write_atomically`.
     """
     robot = ET.Element("robot", name=arm.name)
-    ET.SubElement(robot, "link", name="base_link")
+    robot.append(ET.Comment(f" An effort or a velocity of {UNLIMITED:g} says that its limit is not known. "))
+    _add_base(robot, arm)
     for i, row in enumerate(arm.kinematics):
         link = ET.SubElement(robot, "link", name=f"link{i + 1}")
         if arm.mass is not None and arm.center_of_mass is not None:
@@ -141,16 +147,50 @@ def write_urdf(arm: Arm, path: str | Path, overwrite: bool = False) -> Path:
         kind = "prismatic" if arm.slides[i] else "revolute"
         joint = _add_joint(robot, f"joint{i + 1}", kind, f"link{i}" if i else "base_link", f"link{i + 1}", row)
         ET.SubElement(joint, "axis", xyz="0 0 1")
-        ET.SubElement(joint, "limit", lower=lower, upper=upper, effort="0.0", velocity="0.0")
-        known = {key: values for field, key in DRIVES.items() if (values := getattr(arm, field)) is not None}
-        if known:
-            ET.SubElement(joint, "dynamics", {key: repr(float(values[i])) for key, values in known.items()})
+        ET.SubElement(joint, "limit", lower=lower, upper=upper, effort=repr(UNLIMITED), velocity=repr(UNLIMITED))
+        write_drives(arm, i, robot, joint)
     ET.SubElement(robot, "link", name="flange")
     flange = frames.row_from_transform(arm.T_joint_flange)
     _add_joint(robot, "flange_joint", "fixed", f"link{arm.dof}", "flange", flange)
     ET.indent(robot)
     text = '<?xml version="1.0"?>\n' + ET.tostring(robot, encoding="unicode") + "\n"
     return storage.write_atomically(path, text, overwrite)
+
+
+def write_drives(arm: Arm, i: int, robot: ET.Element, joint: ET.Element) -> None:
+    """Writes friction and spring of an arm's joint `i`, from 0, into a URDF; what the arm does not know stays."""
+    known = {key: values[i] for field, key in DRIVES.items() if (values := getattr(arm, field)) is not None}
+    entry = joint.find("dynamics")
+    for key, value in known.items():
+        if key in SPRINGS:
+            if entry is not None:
+                entry.attrib.pop(key, None)
+            _spring(robot, joint, SPRINGS[key]).text = repr(float(value))
+            continue
+        if entry is None:
+            entry = ET.SubElement(joint, "dynamics")
+        entry.set(key, repr(float(value)))
+
+
+def _spring(robot: ET.Element, joint: ET.Element, tag: str) -> ET.Element:
+    """The element of Gazebo's extension of a joint."""
+    own = [element for element in robot.findall("gazebo") if element.get("reference") == joint.get("name")]
+    found = next((entry for element in own if (entry := element.find(tag)) is not None), None)
+    if found is not None:
+        return found
+    return ET.SubElement(own[-1] if own else ET.SubElement(robot, "gazebo", reference=joint.get("name", "")), tag)
+
+
+def _add_base(robot: ET.Element, arm: Arm) -> None:
+    base = ET.Element("link", name="base_link")
+    if arm.mass is not None:
+        ET.SubElement(robot, "link", name="world")
+        _add_joint(robot, "world_joint", "fixed", "world", "base_link", np.zeros(6))
+        base.append(ET.Comment(" Stands still: any mass would do, and without one Gazebo drops the whole arm. "))
+        element = ET.SubElement(base, "inertial")
+        ET.SubElement(element, "mass", value="1.0")
+        ET.SubElement(element, "inertia", dict(zip(inertia.SIX, ("0.01", "0.01", "0.01", "0", "0", "0"), strict=True)))
+    robot.append(base)
 
 
 def _add_joint(robot: ET.Element, name: str, kind: str, parent: str, child: str, row: Array) -> ET.Element:
@@ -203,7 +243,7 @@ def _body(element: ET.Element, where: str) -> inertia.Body:
 
 
 def _drives(path: str | Path, moving: list[Joint]) -> dict[str, Array]:
-    """The fields of `Arm` that the joints' dynamics elements give; a joint without one has none."""
+    """The fields of `Arm` that the joints' dynamics elements and springs give; a joint without one has none."""
     fields: dict[str, Array] = {}
     for field, key in DRIVES.items():
         given = [joint.dynamics.get(key) for joint in moving]

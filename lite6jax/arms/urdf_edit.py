@@ -9,12 +9,14 @@ from numpy.typing import NDArray
 from lite6jax import storage
 from lite6jax.arms import frames, inertia
 from lite6jax.arms.arm import Arm
-from lite6jax.arms.urdf import DRIVES, read_urdf
+from lite6jax.arms.urdf import read_urdf, write_drives
 from lite6jax.arms.urdf_tree import IDENTITY, SIZE_LIMIT, Joint, Tree, axis_frame, fixed_to, read_tree
 from lite6jax.errors import InputError
 
 Array = NDArray[np.floating]
 
+SPRINGS_LEFT_OUT = "springs, but for Gazebo's extension <gazebo reference=…>"
+"""What a URDF has no place for, of an arm with springs."""
 _FAR = (0.02, 0.1)
 """m and rad, by which no joint of an arm deviates from its design."""
 _SAME = 1e-12
@@ -67,14 +69,14 @@ def write_into_urdf(
     left_out = _place(arm, old, tree, joints, with_flange)
     turning = [joint for joint in tree.chain if joint.kind != "fixed"]
     for i, joint in enumerate(turning):
-        _drive(arm, i, joints[joint.name])
+        write_drives(arm, i, root, joints[joint.name])
     if arm.mass is not None and arm.inertia is not None and not _same_bodies(arm, old):
         for i, joint in enumerate(turning):
             _weigh(arm, i, joint, tree, links)
     if arm.rotor_inertia is not None:
         left_out.append("rotor inertia")
     if arm.spring_stiffness is not None:
-        left_out.append("springs, but for SDFormat's attributes in <dynamics>")
+        left_out.append(SPRINGS_LEFT_OUT)
     content = '<?xml version="1.0"?>\n' + ET.tostring(root, encoding="unicode") + "\n"
     return storage.write_atomically(path, content, overwrite), tuple(left_out)
 
@@ -120,17 +122,6 @@ def _set_origin(element: ET.Element, T: Array) -> None:
     row = frames.row_from_transform(T)
     entry.set("xyz", _floats(row[:3]))
     entry.set("rpy", _floats(row[3:]))
-
-
-def _drive(arm: Arm, i: int, element: ET.Element) -> None:
-    known = {key: values[i] for field, key in DRIVES.items() if (values := getattr(arm, field)) is not None}
-    if not known:
-        return
-    entry = element.find("dynamics")
-    if entry is None:
-        entry = ET.SubElement(element, "dynamics")
-    for key, value in known.items():
-        entry.set(key, repr(float(value)))
 
 
 def _same_bodies(arm: Arm, old: Arm) -> bool:

@@ -22,6 +22,8 @@ LARGEST = 1e9
 TURNING = ("revolute", "continuous")
 MOVING = (*TURNING, "prismatic")
 IDENTITY = np.eye(4)
+SPRINGS = {"spring_stiffness": "springStiffness", "spring_reference": "springReference"}
+"""Springs of a joint: names as an attribute of `dynamics`, which older versions wrote, and as Gazebo's extension."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,7 +38,7 @@ class Joint:
     axis: Array  # (3,) unit vector
     limits: tuple[float, float]
     mimics: bool
-    dynamics: Mapping[str, str]  # the attributes of the element of this name, as written
+    dynamics: Mapping[str, str]  # the attributes of the element of this name, and `SPRINGS`, as written
 
 
 class Tree(NamedTuple):
@@ -66,7 +68,7 @@ def read_tree(path: str | Path, base: str | None, tip: str | None) -> Tree:
         InputError: as `urdf.read_urdf`, but for the joints' types.
     """
     robot = _parse(path)
-    joints = [_joint(element, path) for element in robot.findall("joint")]
+    joints = [_joint(element, path, _springs(robot, element)) for element in robot.findall("joint")]
     links = {_name(element, path): element for element in robot.findall("link")}
     above = {joint.child: joint for joint in joints}
     if len(above) != len(joints):
@@ -105,7 +107,13 @@ def _name(element: ET.Element, path: str | Path) -> str:
     return name
 
 
-def _joint(element: ET.Element, path: str | Path) -> Joint:
+def _springs(robot: ET.Element, joint: ET.Element) -> dict[str, str]:
+    """What Gazebo's extensions say of a joint's spring."""
+    own = [element for element in robot.findall("gazebo") if element.get("reference") == joint.get("name")]
+    return {key: entry.text or "" for element in own for key, tag in SPRINGS.items() for entry in element.findall(tag)}
+
+
+def _joint(element: ET.Element, path: str | Path, springs: Mapping[str, str]) -> Joint:
     name = _name(element, path)
     where = f"{path}: joint {name!r}"
     kind = element.get("type", "")
@@ -124,7 +132,7 @@ def _joint(element: ET.Element, path: str | Path) -> Joint:
         limits = (lower, upper)
     row = origin(element, where)
     mimics, dynamics = element.find("mimic") is not None, element.find("dynamics")
-    drive = {} if dynamics is None else dynamics.attrib
+    drive = {**({} if dynamics is None else dynamics.attrib), **springs}
     return Joint(name, kind, parent, child, row, axis / (length or 1.0), limits, mimics, drive)
 
 

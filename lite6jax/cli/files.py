@@ -8,6 +8,7 @@ from tyro.conf import Positional, arg
 
 from lite6jax.cli.arguments import ArmName, refuse_inputs
 from lite6jax.cli.exit_codes import DONE
+from lite6jax.cli.inputs import diagnosed_nominal
 from lite6jax.errors import InputError
 from lite6jax.storage import check_writable
 
@@ -48,7 +49,7 @@ class Convert:
     """Likewise the one that is the flange; the end of the only chain where not given."""
     arm: ArmName = None
     """The nominal arm of a calibration, recognised where not given; of a diagnosis, where the inertia is from that it
-    does not say."""
+    does not say: by default the bundled arm of its name, or the file that the recording's sidecar names."""
     effects: Annotated[Path | None, arg(metavar="FILE.py")] = None
     """Effects of your own that a diagnosis has. Runs the file."""
     json: bool = False
@@ -72,7 +73,7 @@ class Convert:
         if self.into is not None and self.to not in (None, "urdf"):
             raise InputError(f"--into writes a URDF, and --to asks for {self.to}; give one of them")
         if Path(source).suffix.lower() == ".json":  # a table of DH parameters, or what takes JAX
-            arm, left_out = self._diagnosed(source, nominal)
+            arm, left_out, nominal = self._diagnosed(source, nominal)
         if self.into is not None:
             whole = arm or read_arm(source)
             done = export_into(whole, self.into, self.target, self.force, left_out, with_flange=arm is None)
@@ -90,15 +91,25 @@ class Convert:
         screen.show(fleet_tables.conversion_report(done))
         return DONE
 
-    def _diagnosed(self, source: str, nominal: "Arm | None") -> "tuple[Arm | None, tuple[str, ...]]":
-        """The arm of a diagnosis, and what it leaves out; None of another file."""
+    def _diagnosed(self, source: str, nominal: "Arm | None") -> "tuple[Arm | None, tuple[str, ...], Arm | None]":
+        """The arm of a diagnosis, what it leaves out, and its nominal arm; None of another file."""
+        from lite6jax.arms.forms import form_of
+        from lite6jax.diagnosis.document import parsed_document
         from lite6jax.diagnosis.export import is_diagnosis, read_diagnosed_arm
         from lite6jax.effects.user_effects import load_effects
+        from lite6jax.fitting.source import load_nominal
 
         if not is_diagnosis(source):
-            return None, ()
+            return None, (), nominal
         effects = load_effects(self.effects) if self.effects else ()
-        return read_diagnosed_arm(source, nominal, effects, alone=self.into is None)
+        nominal = nominal or load_nominal(diagnosed_nominal(parsed_document(source), Path(source)))
+        arm, left_out = read_diagnosed_arm(source, nominal, effects, alone=self.into is None)
+        if arm.inertia is None and self.into is None and (self.to or form_of(self.target, False)) == "mjcf":
+            raise InputError(
+                f"{source}: MuJoCo needs the mass and inertia of every link, which a diagnosis of poses lacks;"
+                f" add --arm with the URDF, MJCF or description of {arm.name} that has them, or write a .urdf"
+            )
+        return arm, left_out, nominal
 
 
 @final

@@ -113,8 +113,8 @@ class Init:
         if found.of("q") is None and not any(name.startswith("q1_") for name in found.given.values()):
             listed = ", ".join(repr(name[:40]) for name in table.names[:8]) + (", ..." if len(table.names) > 8 else "")
             raise InputError(
-                f"{path}: no columns look like joint positions; say which they are, --column NAME=q1_rad --column "
-                f"NAME=q2_rad and so on; it has {listed}"
+                f"{path}: no columns look like joint positions; say which they are, --column NAME=q1_deg --column "
+                f"NAME=q2_deg and so on (q1_rad in radians, q1_mm of a prismatic joint); it has {listed}"
             )
         declared_settings(None, None, settings)
         dof = None if found.arm is None else found.arm.dof

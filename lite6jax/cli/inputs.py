@@ -64,6 +64,25 @@ def diagnosed_recording(document: Mapping[str, Any], diagnosis: Path) -> Path:
     return found
 
 
+def diagnosed_nominal(document: Mapping[str, Any], diagnosis: Path) -> str | None:
+    """The file of the nominal arm, with base and tip, that the sidecar of the diagnosed recording names.
+
+    None where the sidecar is not beside the diagnosis or here, names a bundled arm, or the file is not as it was.
+    """
+    from lite6jax.recordings import read_settings, sidecar_path
+    from lite6jax.recordings.checksums import table_checksum
+
+    sums = {entry["sha256"] for entry in document.get("inputs", ()) if entry["role"] == "arm"}
+    recording = found_recording(document, diagnosis)
+    sidecar = None if recording is None else sidecar_path(recording)
+    if sidecar is None or not sums or not exists(sidecar):
+        return None
+    settings = read_settings(sidecar)
+    reference = str(settings.arm_reference(sidecar.parent)) if settings.arm_is_file else ""
+    file = Path(reference.partition("#")[0])
+    return reference if reference and file.is_file() and table_checksum(file) in sums else None
+
+
 def _recordings(document: Mapping[str, Any]) -> list[Mapping[str, str]]:
     return [entry for entry in document.get("inputs", ()) if entry["role"] == "recording"]
 

@@ -38,13 +38,13 @@ def _plain(value: Any) -> Any:
         return {"bytes": value.hex()}
     if isinstance(value, PurePath):
         return {"path": str(value)}
+    if isinstance(value, pa.Schema):
+        return {"schema": value.serialize().to_pybytes().hex()}
     if isinstance(value, (np.ndarray, np.generic)) and value.dtype != object:
         digest = hashlib.sha256(np.ascontiguousarray(value).tobytes()).hexdigest()
         return {"array": [value.dtype.str, list(value.shape), digest]}
     if isinstance(value, (type, FunctionType, BuiltinFunctionType)) and "<" not in _name(value):
         return {"name": _name(value)}
-    if isinstance(value, pa.Schema):
-        return {"schema": value.serialize().to_pybytes().hex()}
     if dataclasses.is_dataclass(value):
         fields = {field.name: _plain(getattr(value, field.name)) for field in dataclasses.fields(value)}
         return {"object": [_name(type(value)), fields]}

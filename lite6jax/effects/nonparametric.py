@@ -231,7 +231,7 @@ class Unnamed(Bending):
 
         Args:
             driver: its values, one after another; `(driver, sample)` of several.
-            run: `(2, sample)`, where runs begin and end, which a memory asks for; all are one where not given.
+            run: `(2, sample)`, where runs begin and end, which a hysteresis requires; one run where not given.
         """
         if self.degree:
             ranges = np.array((self.lower, self.upper, *self.further)).reshape(-1, 2)

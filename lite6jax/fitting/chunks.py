@@ -147,7 +147,7 @@ def pad(array: np.ndarray, axis: int, size: int) -> np.ndarray:
 
 def _platform() -> str:
     """Of the device that computes where nothing else is said."""
-    device = jax.config.jax_default_device
+    device = getattr(jax.config, "jax_default_device", None)
     return jax.default_backend() if device is None else getattr(device, "platform", device)
 
 

@@ -99,7 +99,7 @@ class Average(NamedTuple):
         if lost > _SHARES:
             raise InputError(
                 f"criterion I: {100 * lost:.2g} % of the workspace's error lies in directions that no candidate"
-                " determines; give a prior for them, a sensor that sees them, or leave these errors out"
+                " determines; give a prior for them, a sensor that observes them, or leave these errors out"
             )
         return Average(jnp.asarray(T.T @ W @ T))
 

@@ -19,7 +19,7 @@ _DEPENDENT = 1e-8
 _ON_AXIS = 1e-6
 """m."""
 _UNOBSERVABLE = 1e-10
-"""Length of a column over the longest, below which readings do not feel the parameter."""
+"""Length of a column over the longest, below which readings do not depend on the parameter."""
 _TAKES_PART = 1e-6
 """Share of a parameter in a dependency, in tolerances, below which it is rounding."""
 

@@ -135,7 +135,11 @@ def _drawn(
 
 
 def _refitted(
-    drawn: Sequence[tuple[Array, Array, Array]], experiment: Experiment, q: Array, free: Array, covariance: Array
+    drawn: Sequence[tuple[Array, Array, Array]],
+    experiment: Experiment,
+    q: Array,
+    free: NDArray[np.bool_],
+    covariance: Array,
 ) -> pa.Table:
     """The errors and the length of the last step of each refit."""
     form, sensor = experiment.form, experiment.sensor

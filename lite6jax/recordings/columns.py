@@ -307,9 +307,21 @@ def _forms(quantity: str, joint: int) -> str:
     return " or ".join(spelled(quantity, joint, number) for number in range(len(units_of(quantity))))
 
 
-def units_of(quantity: str) -> dict[str, float]:
-    """The accepted units of a quantity, the SI one first, with what to divide by to get there."""
+def units_of(quantity: str, slides: bool = False) -> dict[str, float]:
+    """The accepted units of a quantity, the SI one first, with what to divide by to get there.
+
+    Args:
+        quantity: such as `q` or `x`.
+        slides: whether it is that of a prismatic joint.
+    """
+    if slides and quantity in _SLIDE:
+        return _SLIDE[quantity]
     return _PER_JOINT[quantity] if quantity in _PER_JOINT else _SCALAR[quantity]
+
+
+def differs_by_joint(quantity: str) -> bool:
+    """Whether a prismatic joint has other units of it than a revolute one."""
+    return quantity in _SLIDE
 
 
 def is_per_joint(quantity: str) -> bool:

@@ -9,7 +9,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple, final
 
-from lite6jax.recordings.columns import ANGLES, QUATERNION
+from lite6jax.recordings.columns import ANGLES, QUATERNION, units_of
 from lite6jax.recordings.ros import UR_JOINTS
 
 VECTOR, RPY, XYZ, ZYZ = ANGLES
@@ -47,10 +47,16 @@ _UNITS = {
     **dict.fromkeys(("deg_per_s", "deg/s", "dps", "degps"), "deg_per_s"),
     **dict.fromkeys(("rad_per_s2", "rad/s2", "rad/s^2", "rad/s²"), "rad_per_s2"),
     **dict.fromkeys(("deg_per_s2", "deg/s2", "deg/s^2", "deg/s²"), "deg_per_s2"),
+    **dict.fromkeys(("m_per_s", "m/s", "mps"), "m_per_s"),
+    **dict.fromkeys(("mm_per_s", "mm/s"), "mm_per_s"),
+    **dict.fromkeys(("m_per_s2", "m/s2", "m/s^2", "m/s²"), "m_per_s2"),
+    **dict.fromkeys(("mm_per_s2", "mm/s2", "mm/s^2", "mm/s²"), "mm_per_s2"),
     **dict.fromkeys(("m", "meter", "meters", "metre", "metres"), "m"),
     **dict.fromkeys(("mm", "millimeter", "millimeters", "millimetre", "millimetres"), "mm"),
     **dict.fromkeys(("nm", "n_m", "n.m", "n*m"), "Nm"),
     **dict.fromkeys(("mnm",), "mNm"),
+    **dict.fromkeys(("n", "newton", "newtons"), "N"),
+    **dict.fromkeys(("kn",), "kN"),
     **dict.fromkeys(("a", "amp", "amps", "ampere"), "A"),
     **dict.fromkeys(("ma",), "mA"),
     **dict.fromkeys(("s", "sec", "second", "seconds"), "s"),
@@ -64,7 +70,12 @@ _UNIT = re.compile(
     rf"[\s_.\[(/-]+({'|'.join(sorted(map(re.escape, _UNITS), key=len, reverse=True))})[\])]*\s*$", re.IGNORECASE
 )
 _SPLIT_STAMP = re.compile(r"stamp\W*_?n?(?:ano)?secs?\s*$", re.IGNORECASE)
-_OF_LETTERS = re.compile(r"curr|amp|temp|ambient", re.IGNORECASE)
+_LETTERS = {
+    "a": re.compile(r"curr|amp", re.IGNORECASE),
+    "c": re.compile(r"temp|ambient", re.IGNORECASE),
+    "n": re.compile(r"tau|torque|effort|trq|force", re.IGNORECASE),
+}
+"""Units that are letters by which columns are numbered too, with the words beside which they are units."""
 _ALLOWED = {
     "q": {"rad", "deg"},
     "dq": {"rad_per_s", "deg_per_s"},
@@ -82,6 +93,8 @@ _ALLOWED = {
 KINDS = tuple(_ALLOWED)
 _AXES = {axis: k for k, axis in enumerate("xyz")}
 _COMPONENTS = {"qw": "w", "qx": "x", "qy": "y", "qz": "z", "ow": "w", "ox": "x", "oy": "y", "oz": "z"}
+_NUMBERS = "abcdefgh"
+"""Letters that number joints."""
 _SEPARATE = {"rx": 0, "ry": 1, "rz": 2}
 _NAMED = {"roll": 0, "pitch": 1, "yaw": 2}
 
@@ -97,6 +110,8 @@ class Block:
         unit: that the names say; None where they do not.
         form: of a rotation, the names that it has in `columns.py`; None where names do not say it.
         rivals: the first columns of blocks that may be meant instead.
+        joints: whose the columns are, counted from 1; empty where they are of all joints in order, or of none.
+        slides: whether these joints are prismatic.
     """
 
     kind: str
@@ -104,6 +119,8 @@ class Block:
     unit: str | None = None
     form: tuple[str, ...] | None = None
     rivals: tuple[str, ...] = ()
+    joints: tuple[int, ...] = ()
+    slides: bool = False
 
 
 class _Word(NamedTuple):
@@ -134,9 +151,14 @@ _Ranked = tuple[int, int, Block]
 """How far from measured, how weak the name is, and the block."""
 
 
-def units_allowed(kind: str) -> set[str]:
+def units_allowed(kind: str, slides: bool = False) -> set[str]:
     """The units that a kind of block may have."""
-    return _ALLOWED[kind]
+    return set(units_of(kind, True)) if slides else _ALLOWED[kind]
+
+
+def unit_of(name: str) -> str | None:
+    """The unit that a column's name states; None where it states none."""
+    return _taken_apart(name).unit
 
 
 def _taken_apart(name: str) -> _Word:
@@ -144,12 +166,16 @@ def _taken_apart(name: str) -> _Word:
     match = _UNIT.search(name)
     if match and _SPLIT_STAMP.search(name):
         match = None  # whole seconds alone are no time
-    if match and (match[1] not in ("a", "c") or _OF_LETTERS.search(name)):  # pose_a, pose_b, pose_c are angles
+    letter = None if match is None else _LETTERS.get(match[1])  # pose_a, pose_b, pose_c are angles
+    if match and (letter is None or letter.search(name)):
         text, unit = name[: match.start()], _UNITS[match[1].lower()]
     spaced = re.sub(r"(?<=[a-z])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])", " ", text)
     parts = re.findall(r"[a-z]+|\d+", spaced.lower())
     number, component = None, None
-    if parts and parts[-1] in {*_AXES, "w", *_COMPONENTS, *_SEPARATE, *_NAMED, "a", "b", "c", "p", "r"}:
+    letters = [k for k, part in enumerate(parts) if part in _NUMBERS] if _JOINT & set(parts) else []
+    if len(letters) == 1 and not any(map(str.isdecimal, parts)):  # axis_A … axis_F
+        number = _NUMBERS.index(parts.pop(letters[0])) + 1
+    elif parts and parts[-1] in {*_AXES, "w", *_COMPONENTS, *_SEPARATE, *_NAMED, "a", "b", "c", "p", "r"}:
         component = parts.pop()
     else:
         at = [k for k, part in enumerate(parts) if part.isdecimal()]

@@ -3,6 +3,7 @@
 What an arm's forward kinematics says, where the arm is known, weighs more (`domains.pose.readings`).
 """
 
+from collections.abc import Mapping
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -68,32 +69,32 @@ def angle_unit(position: Array) -> Decision:
     return Decision("rad", "likely" if spread > MOVING_RAD else "assumed", "within_turns", said | {"spread": spread})
 
 
-def rate_unit(rate: Array, position: Array, angle: str, time: Array | None) -> Decision:
+def rate_unit(rate: Array, position: Array, usual: str, time: Array | None, units: Mapping[str, float]) -> Decision:
     """The unit of velocities or accelerations: that of the positions per second, unless their change says otherwise.
 
     Args:
         rate: velocities `(sample, joint)`, in an unknown unit.
-        position: joint positions `(sample, joint)` in rad.
-        angle: the unit in which they were given, `deg` or `rad`.
+        position: joint positions `(sample, joint)` in rad, or m of prismatic joints.
+        usual: the unit in which they were given, such as `deg`.
         time: `(sample,)` s, or None.
+        units: of positions, each with what to divide by to get to the first.
     """
     if time is None or len(time) < 3:
-        return Decision(angle, "assumed", "as_positions", {})
+        return Decision(usual, "assumed", "as_positions", {})
     step = np.diff(time)
     with np.errstate(all="ignore"):
         slope = (position[1:] - position[:-1]) / step[:, None]
         middle = 0.5 * (rate[1:] + rate[:-1])
         fast = np.abs(slope) > 0.3 * np.nanmax(np.abs(slope), initial=0.0)
         ratio = np.nanmedian(np.abs(middle[fast]) / np.abs(slope[fast])) if fast.any() else np.nan
-    if 0.5 < ratio < 2.0:
-        return Decision("rad", "certain", "slope", {"ratio": float(ratio)})
-    if 0.5 < ratio / np.rad2deg(1.0) < 2.0:
-        return Decision("deg", "certain", "slope", {"ratio": float(ratio)})
-    return Decision(angle, "assumed", "as_positions", {})
+    for unit, divisor in units.items():
+        if 0.5 < ratio / divisor < 2.0:
+            return Decision(unit, "certain", "slope", {"ratio": float(ratio), "unit": next(iter(units))})
+    return Decision(usual, "assumed", "as_positions", {})
 
 
 def length_unit(position: Array) -> Decision:
-    """`mm` or `m` of positions `(sample, 3)`."""
+    """`mm` or `m` of positions `(sample, 3)`, or of prismatic joints `(sample, joint)`."""
     there = position[np.isfinite(position).all(1)]
     spread = float(np.max(np.ptp(np.quantile(there, [0.02, 0.98], axis=0), axis=0))) if len(there) else 0.0
     said = {"spread": spread}
@@ -121,7 +122,7 @@ def time_unit(time: Array, position: Array | None) -> Decision:
 
     Args:
         time: `(sample,)`.
-        position: joint positions `(sample, joint)` in rad; None where unknown.
+        position: joint positions `(sample, joint)` in rad, or m; None where unknown.
     """
     there = time[np.isfinite(time)]
     start = float(np.min(there, initial=np.inf))

@@ -8,7 +8,8 @@ from rich.console import RenderableType
 from rich.padding import Padding
 from rich.text import Text
 
-from lite6jax.domains.pose.inspection import Inspection, Meaning
+from lite6jax.domains.pose.inspection import Inspection
+from lite6jax.domains.pose.meanings import Meaning
 from lite6jax.recordings.columns import IGNORED
 from lite6jax.recordings.sizes import Decision
 from lite6jax.report.next_steps import command_line
@@ -27,6 +28,13 @@ _KINDS = {
     "ambient": "Ambient temperature",
     "run": "Runs",
 }
+_SLIDES = {
+    "q": "Slide positions",
+    "dq": "Slide velocities",
+    "ddq": "Slide accelerations",
+    "tau": "Slide forces",
+}
+"""Of prismatic joints."""
 _UNITS = {
     "rad": "radians",
     "deg": "degrees",
@@ -34,6 +42,10 @@ _UNITS = {
     "deg_per_s": "deg/s",
     "rad_per_s2": "rad/s²",
     "deg_per_s2": "deg/s²",
+    "m_per_s": "m/s",
+    "mm_per_s": "mm/s",
+    "m_per_s2": "m/s²",
+    "mm_per_s2": "mm/s²",
     "m": "metres",
     "mm": "millimetres",
     "Nm": "N m",
@@ -146,7 +158,7 @@ def inspection_report(found: Inspection, path: str) -> Iterator[RenderableType]:
 def statement(meaning: Meaning) -> str:
     """A block in one or two sentences."""
     block = meaning.block
-    said = f"{_KINDS[block.kind]}: {_columns(block.columns)}"
+    said = f"{_kind(meaning)}: {_columns(block.columns)}"
     if meaning.form is not None:
         said += f", {_FORMS[meaning.form.choice]} ({_sure(meaning.form)})"
     if meaning.unit.choice:
@@ -156,6 +168,10 @@ def statement(meaning: Meaning) -> str:
     if block.rivals:
         said += f" {_listed(block.rivals)} may be meant instead: choose with --column."
     return said
+
+
+def _kind(meaning: Meaning) -> str:
+    return (_SLIDES if meaning.block.slides else _KINDS)[meaning.block.kind]
 
 
 def _sure(decision: Decision) -> str:
@@ -172,7 +188,7 @@ def _reason(decision: Decision) -> str:
         return f"the arm's kinematics agree {_times(other / max(least, 1e-12))} better than with the next reading"
     if decision.reason == "slope":
         times = "" if 0.5 < n["ratio"] < 2 else f"{n['ratio']:.3g} times "
-        return f"they are {times}what the positions change per second in rad"
+        return f"they are {times}what the positions change per second in {n['unit']}"
     return {
         "name": "by name",
         "beyond_turns": "they reach {largest:.4g}, beyond any joint's turns in rad",
@@ -285,7 +301,7 @@ def _listed(names: Sequence[str], most: int = 8) -> str:
 
 
 def _counted(found: Inspection) -> str:
-    used = sum(len(meaning.block.columns) for meaning in found.meanings) + len(found.given)
+    used = len({column for meaning in found.meanings for column in meaning.block.columns} | set(found.given))
     rest = len(found.unused) + len(found.texts)
     return f"{used + rest} columns, of which {used} are used" if rest else f"{used} columns"
 
@@ -293,7 +309,7 @@ def _counted(found: Inspection) -> str:
 def next_steps(found: Inspection, settings: Mapping[str, Any], source: str) -> Iterator[RenderableType]:
     """What is still unknown, and the command that follows."""
     doubtful = [
-        _KINDS[meaning.block.kind].lower()
+        _kind(meaning).lower()
         for meaning in found.meanings
         if "assumed" in (meaning.unit.sure, meaning.form.sure if meaning.form else "")
     ]

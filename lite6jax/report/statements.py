@@ -207,7 +207,7 @@ def untested(document: Document) -> list[Untested]:
     found = []
     for (kind, remedy), entries in groups.items():
         drivers = {entry["driver"] for entry in entries}
-        needed = entries[0]["driver"] if len(drivers) == 1 else f"{kind} of their joint"
+        needed = entries[0]["driver"] if len(drivers) == 1 else f"{kind} of these joints"
         found.append(Untested(f"The recording has no {needed}.", remedy, tuple(entries)))
     if document["confounded"]:
         reason = "The sensor does not observe them in these poses."

@@ -1,7 +1,7 @@
 """Whole orders: what turns with a shaft repeats a whole number of times in a turn.
 
-Two neighbouring orders in a range of less than two turns are seen by a search as one between them, and then as what is
-left beside it. So the orders of one site are also tried together at whole numbers.
+Over less than two turns a search finds one order between two neighbouring ones, and then the residuals beside it. The
+orders of one site are therefore also tried together at whole numbers.
 """
 
 from collections.abc import Sequence

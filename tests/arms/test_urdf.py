@@ -1,5 +1,8 @@
 """URDF against Pinocchio: odd axes, fixed joints, branches; and every refusal's message."""
 
+import xml.etree.ElementTree as ET
+from dataclasses import replace
+
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -12,6 +15,7 @@ from lite6jax.arms.bundled import bundled_arms, load_bundled
 from lite6jax.arms.dynamics import inverse_dynamics, link_parameters
 from lite6jax.arms.files import read_arm
 from lite6jax.arms.urdf import read_urdf, write_urdf
+from lite6jax.arms.urdf_edit import write_into_urdf
 from lite6jax.cli import main
 from lite6jax.errors import InputError, InputWarning
 from tests.oracles.chains import six_parameter_poses
@@ -456,4 +460,41 @@ def test_spoilt_friction_names_the_joint(tmp_path):
     assert str(error.value) == f"{path}: joint 'j': dynamics: damping has 'much', which is not a number; correct it"
     path = write(tmp_path, *TWO, joint("j", "base", "a", extra='<dynamics friction="-1"/>'))
     with pytest.raises(InputError, match="joint1's Coulomb friction is negative; correct it"):
+        read_urdf(path)
+
+
+def test_a_written_arm_is_whole_for_gazebo_and_moveit(tmp_path):
+    """Gazebo drops a link without mass with all that it carries, and holds a joint whose effort or velocity is 0."""
+    spring = {"spring_stiffness": np.array([0, 2.5, 0, 0, 0, 0]), "spring_rest": np.array([0, 0.1, 0, 0, 0, 0])}
+    robot = ET.parse(write_urdf(replace(load_bundled("lite6"), **spring), tmp_path / "arm.urdf")).getroot()
+    links = {link.get("name"): link for link in robot.findall("link")}
+    fixed = {
+        (j.find("parent").get("link"), j.find("child").get("link")) for j in robot.iterfind("joint[@type='fixed']")
+    }
+    assert fixed == {("world", "base_link"), ("link6", "flange")}
+    for name in links.keys() - {"world", "flange"}:  # a link fixed to another one is lumped with it
+        assert float(links[name].find("inertial/mass").get("value")) > 0
+    for joint in robot.iterfind("joint[@type='revolute']"):
+        assert min(float(joint.find("limit").get(key)) for key in ("effort", "velocity")) > 100
+    assert robot.find("gazebo[@reference='joint2']/springStiffness").text == "2.5"
+    assert robot.find("gazebo[@reference='joint2']/springReference").text == "0.1"
+    assert all({*entry.attrib} <= {"damping", "friction"} for entry in robot.iter("dynamics"))  # what URDF knows
+    chain = replace(load_bundled("lite6"), mass=None, center_of_mass=None, inertia=None)
+    assert "world" not in write_urdf(chain, tmp_path / "chain.urdf").read_text()
+
+
+def test_springs_are_read_as_gazebo_and_as_older_versions_write_them(tmp_path):
+    old = '<dynamics spring_stiffness="2.5" spring_reference="0.1"/>'
+    path = write(tmp_path, *TWO, joint("j", "base", "a", extra=old))
+    new = "<gazebo reference='j'><springStiffness>2.5</springStiffness><springReference>0.1</springReference></gazebo>"
+    for file in (path, write(tmp_path, *TWO, joint("j", "base", "a"), new)):
+        arm = read_urdf(file)
+        assert (arm.spring_stiffness.tolist(), arm.spring_rest.tolist()) == ([2.5], [0.1])
+    path = write(tmp_path, *TWO, joint("j", "base", "a", extra=old))
+    write_into_urdf(replace(arm, spring_rest=np.array([0.2])), path, tmp_path / "new.urdf")
+    again = (tmp_path / "new.urdf").read_text()
+    assert "spring_reference" not in again
+    assert read_urdf(tmp_path / "new.urdf").spring_rest.tolist() == [0.2]
+    path = write(tmp_path, *TWO, joint("j", "base", "a"), new.replace("2.5", "much"))
+    with pytest.raises(InputError, match="joint 'j': dynamics: spring_stiffness has 'much', which is not a number"):
         read_urdf(path)

@@ -113,5 +113,5 @@ def test_a_spring_stands_in_the_file(tmp_path, suffix):
     again = read_arm(str(done.path))
     np.testing.assert_allclose(again.spring_stiffness, [0, 4.0, 0, 0, 0, 0], rtol=1e-12)
     np.testing.assert_allclose(again.spring_rest, [0, 0.3, 0, 0, 0, 0], rtol=1e-12)
-    phrase = "springs, but for SDFormat's attributes in <dynamics>"
+    phrase = "springs, but for Gazebo's extension <gazebo reference=…>"
     assert (phrase in done.left_out) == (suffix == ".urdf")

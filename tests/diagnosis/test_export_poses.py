@@ -1,5 +1,7 @@
 """The chain of a diagnosis of poses as simulators read it: forward kinematics of Pinocchio and MuJoCo, to 1e-9."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from diagnosis.recorded import LITE6, Made, static_motion
@@ -7,10 +9,13 @@ from domains.pose.documents import document, stored
 from typed import flat, refused, run
 
 from lite6jax.arms.factory import read_factory
-from lite6jax.arms.files import read_arm, write_urdf
+from lite6jax.arms.files import read_arm, write_arm, write_urdf
+from lite6jax.cli.inputs import inputs
 from lite6jax.diagnosis.document import model_from_document
 from lite6jax.diagnosis.export import diagnosed_chain
 from lite6jax.domains.pose.predict import predict
+from lite6jax.recordings import write_recording
+from lite6jax.simulation.simulate import simulate
 from tests.oracles.chains import six_parameter_poses
 
 OFFSETS = (
@@ -117,9 +122,9 @@ def robot(tmp_path):
     text = path.read_text()
     named = {
         'name="joint': 'name="lite6_joint',
-        'effort="0.0"': 'effort="50.0"',
-        'velocity="0.0"': 'velocity="3.14"',
-        '<link name="base_link" />': f'<!-- mine --><link name="base_link">{MESH}</link>',
+        'effort="1000.0"': 'effort="50.0"',
+        'velocity="1000.0"': 'velocity="3.14"',
+        '<link name="base_link">': f'<!-- mine --><link name="base_link">{MESH}',
     }
     for before, after in named.items():
         assert before in text
@@ -181,3 +186,24 @@ def diagnosed_of_unknown(source, folder):
     path = folder / "unknown.json"
     path.write_text(text)
     return path
+
+
+def test_the_inertia_of_an_own_arm_is_that_of_its_file(tmp_path, capsys):
+    """A diagnosis of poses holds none: it is from the file that the recording's sidecar names, or from --arm."""
+    pytest.importorskip("mujoco")
+    made = Made(tmp_path, seed=2)
+    described = write_arm(replace(LITE6, name="mine", dh=None), tmp_path / "mine.yaml")
+    recording = simulate(LITE6, samples=10)
+    settings = replace(recording.settings, arm="mine.yaml")
+    run7 = write_recording(replace(recording, settings=settings), tmp_path / "run7.csv")
+    found = document(made, MOVING)
+    found = {**found, "model": {**found["model"], "arm": "mine"}, "inputs": inputs(run7)}
+    diagnosis = stored(tmp_path, found)
+    assert run(capsys, "convert", diagnosis, tmp_path / "arm.xml")[0] == 0
+    np.testing.assert_allclose(read_arm(str(tmp_path / "arm.xml")).mass, LITE6.mass, rtol=1e-12)
+    described.write_text(described.read_text() + "# another file now\n")
+    message = refused(capsys, "convert", diagnosis, tmp_path / "other.xml")
+    assert "a diagnosis of poses lacks; add --arm with the URDF, MJCF or description of mine that has them" in message
+    assert run(capsys, "convert", diagnosis, tmp_path / "other.xml", "--arm", described)[0] == 0
+    run7.unlink()
+    assert "add --arm" in refused(capsys, "convert", diagnosis, tmp_path / "third.xml")

@@ -179,16 +179,16 @@ def test_what_was_not_tested_is_grouped_alike_everywhere(compliant, drawn):
     groups = statements.untested(document)
     assert len({group.reason for group in groups}) == len(groups)
     velocity = groups[0]
-    assert velocity.reason == "The recording has no velocity of their joint."
+    assert velocity.reason == "The recording has no velocity of these joints."
     assert velocity.remedy.startswith("the velocities of a moving arm; record a trajectory")
     named = [(entry["effect"], entry["site"]) for group in groups for entry in group.entries]
     effects = [item.effect for item in compliant.untestable] + list(compliant.confounded)
     assert sorted(named) == sorted((effect.name, effect.site) for effect in effects)
     assert groups[-1].entries == tuple(document["confounded"])
     assert groups[-1].reason == "The sensor does not observe them in these poses."  # nothing of the arm is fitted
-    assert "The recording has no velocity of their joint. joint lag at joint1–6" in page(compliant, drawn)
+    assert "The recording has no velocity of these joints. joint lag at joint1–6" in page(compliant, drawn)
     said = screen(compliant)[1]
-    assert "Joint lag at joint1–6, time offset at clock. The recording has no velocity of their joint." in said
+    assert "Joint lag at joint1–6, time offset at clock. The recording has no velocity of these joints." in said
     reasons = {(entry["effect"], entry["site"]): entry["reason"] for entry in document["untestable"]}
     assert reasons["joint_lag", "joint2"].startswith("needs the velocity of joint 2: give the velocities of a moving")
 

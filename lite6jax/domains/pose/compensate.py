@@ -92,7 +92,8 @@ def compensate(
     """The joint positions at which the arm with its effects reaches the targets.
 
     With joint positions given for a target, the search starts from them and ends on their branch. Without, it starts
-    from many, and selects the solutions that move the joints least from row to row. Directions of approach, and
+    from many, and selects the solutions that move the joints least from row to row, of those inside what was recorded
+    where there are some. Directions of approach, and
     velocities that are not recorded, follow from the joint positions found, as `predict` takes them; the search is
     repeated until they no longer change.
 

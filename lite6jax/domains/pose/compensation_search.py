@@ -106,8 +106,8 @@ class CompensationSearch:
             unsolved[tried[reached(solved)]] = False
             if not unsolved.any():
                 break
-        middle = self._middle_turn().mean(1)
-        return _least_motion(np.concatenate(where), np.concatenate(q), np.concatenate(cost), at, given, middle)
+        usual = self._usual()
+        return _least_motion(np.concatenate(where), np.concatenate(q), np.concatenate(cost), at, given, usual)
 
     def settled(self, q: Array) -> tuple[Solved, Flags]:
         """Solved until directions and velocities are those of the joint positions found; errors are of that motion.
@@ -179,9 +179,17 @@ class CompensationSearch:
         return differ
 
     def _random(self, count: int, seed: int) -> Array:
-        lower, upper = self._middle_turn().T
+        lower, upper = (self._usual() if seed == 0 else self._middle_turn()).T
         lower, upper = np.where(lower < upper, (lower, upper), self.limits.T)  # limits beyond half a turn
         return np.random.default_rng(seed).uniform(lower, upper, (count, len(lower)))
+
+    def _usual(self) -> Array:
+        """`(joint, 2)`, the range that was recorded, where the model is known; without one `_middle_turn`."""
+        known = self.model.uncertainty
+        if known is None:
+            return self._middle_turn()
+        lower, upper = np.clip(known.recorded.joints.T, *self.limits.T)
+        return np.stack([lower, upper], 1)
 
     def _middle_turn(self) -> Array:
         """`(joint, 2)`, the limits within half a turn of zero; of prismatic joints all of them."""
@@ -208,11 +216,12 @@ def _distinct(rows: Rows, q: Array) -> tuple[Rows, Array]:
     return rows[first], q[first]
 
 
-def _least_motion(rows: Rows, q: Array, cost: Array, start: Array, given: Flags, middle: Array) -> Array:
+def _least_motion(rows: Rows, q: Array, cost: Array, start: Array, given: Flags, usual: Array) -> Array:
     """`(row, joint)`: of the solutions of each row the one on the path that moves the joints least, by squares.
 
-    The shortest path through the rows (R. Bellman, 1957). A row with joint positions given takes the solution nearest
-    to them, and one without a solution the joint positions nearest to its target.
+    The shortest path through the rows (R. Bellman, 1957). Where a row has solutions in the usual range, it takes one of
+    these. A row with joint positions given takes the solution nearest to them, and one without a solution the joint
+    positions nearest to its target.
 
     Args:
         rows: `(candidate,)`, the row of each.
@@ -220,19 +229,21 @@ def _least_motion(rows: Rows, q: Array, cost: Array, start: Array, given: Flags,
         cost: `(candidate,)` m², its squared error.
         start: `(row, joint)`, the joint positions given.
         given: `(row,)`, whether they were.
-        middle: `(joint,)`, from where the first row is approached.
+        usual: `(joint, 2)`, the usual range, from whose middle the first row is approached.
     """
     order = np.argsort(rows, kind="stable")
     groups = np.split(order, np.searchsorted(rows[order], np.arange(1, len(start))))
-    kept = []
+    kept, inside = [], np.all((q >= usual[:, 0]) & (q <= usual[:, 1]), axis=1)
     for row, group in enumerate(groups):
         solutions = group[cost[group] < REACHED[0] ** 2]
         if not solutions.size:
             solutions = group[[np.argmin(cost[group])]]
+        elif inside[solutions].any() and not given[row]:
+            solutions = solutions[inside[solutions]]
         if given[row]:
             solutions = solutions[[np.argmin(np.abs(q[solutions] - start[row]).max(1))]]
         kept.append(solutions)
-    length, before = np.sum((q[kept[0]] - middle) ** 2, 1), []
+    length, before = np.sum((q[kept[0]] - usual.mean(1)) ** 2, 1), []
     for previous, here in pairwise(kept):
         steps = length[:, None] + np.sum((q[previous][:, None] - q[here]) ** 2, 2)
         before.append(np.argmin(steps, 0))

@@ -6,7 +6,7 @@ recognised, and sizes decide elsewhere. Codes and numbers only: the words are th
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple, final
+from typing import Any, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,74 +14,26 @@ from numpy.typing import NDArray
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.bundled import bundled_of
 from lite6jax.arms.factory import RECOGNISED_WITHIN
+from lite6jax.domains.pose.meanings import Key, Meaning, key, meanings_of, motion_of, without_unit
 from lite6jax.domains.pose.readings import NO_AGREEMENT, Agreement, Pose, agreement
 from lite6jax.errors import InputError
-from lite6jax.recordings import naming, sizes
+from lite6jax.recordings import naming
 from lite6jax.recordings.columns import (
     ANGLES,
     IGNORED,
     QUATERNION,
+    differs_by_joint,
     is_per_joint,
     is_refused,
     is_standard,
     nearest_known,
-    spelled,
-    units_of,
 )
 from lite6jax.recordings.naming import Block
-from lite6jax.recordings.sequence import inferred_motion
-from lite6jax.recordings.sizes import Decision
 
 Array = NDArray[np.floating]
 
-_XYZ = ("x", "y", "z")
-_SCALAR_FIRST, _SCALAR_LAST = "scalar_first", "scalar_last"
-
 ALIKE = 2.0
 """Times the error of the best arm, within which another one is as likely, as in `fitting.recognition`."""
-
-
-class Meaning(NamedTuple):
-    """What one block of columns means.
-
-    Attributes:
-        block: the columns.
-        names: in a recording, one for each column.
-        unit: in which unit, and why; of quaternions nothing.
-        form: of a rotation, which form, and why.
-    """
-
-    block: Block
-    names: tuple[str, ...]
-    unit: Decision
-    form: Decision | None = None
-
-    def renamed(self, *, unit: str | None = None, form: str | None = None) -> dict[str, str]:
-        """The columns with the names that they have in another unit, or as another of `forms`; for `given`."""
-        if form in (_SCALAR_FIRST, _SCALAR_LAST):
-            return dict(zip(self.block.columns, _of_quaternion(form), strict=True))
-        parts = next((parts for parts in ANGLES if parts[0] == form), None)
-        quantities = parts or tuple(_without_unit(name) for name in self.names)
-        unit = unit or self.unit.choice
-        return {own: f"{part}_{unit}" for own, part in zip(self.block.columns, quantities, strict=True)}
-
-    @property
-    def units(self) -> tuple[str, ...]:
-        """The units in which the columns may be."""
-        return tuple(unit for unit in units_of(_letters(self.names[0])) if unit)
-
-    @property
-    def forms(self) -> tuple[str, ...]:
-        """The forms of which a rotation may be; none of anything else."""
-        if self.form is None:
-            return ()
-        return (_SCALAR_FIRST, _SCALAR_LAST) if len(self.names) == 4 else tuple(parts[0] for parts in ANGLES)
-
-    def to_dict(self) -> dict[str, Any]:
-        """As plain JSON values."""
-        form = None if self.form is None else self.form._asdict()
-        columns = dict(zip(self.block.columns, self.names, strict=True))
-        return {"kind": self.block.kind, "columns": columns, "unit": self.unit._asdict(), "form": form}
 
 
 @final
@@ -118,14 +70,14 @@ class Inspection:
             for meaning in self.meanings
             for own, name in zip(meaning.block.columns, meaning.names, strict=True)
         }
-        taken = {_without_unit(name) for name in self.given.values()}
-        told = {own: IGNORED if _without_unit(name) in taken else name for own, name in told.items()} | dict(self.given)
+        taken = {without_unit(name) for name in self.given.values()}
+        told = {own: IGNORED if without_unit(name) in taken else name for own, name in told.items()} | dict(self.given)
         unused = {name: IGNORED for name in (*self.unused, *self.texts) if not is_standard(name)}
         needed = any(own != name for own, name in told.items()) or any(map(is_refused, unused))
         return told | unused if needed else {}
 
     def of(self, kind: str) -> Meaning | None:
-        """The meaning of a kind of block."""
+        """The meaning of a kind of block: of revolute joints where there are some."""
         return next((meaning for meaning in self.meanings if meaning.block.kind == kind), None)
 
     def to_dict(self) -> dict[str, Any]:
@@ -158,14 +110,8 @@ def inspect(
         source: what messages begin with.
 
     Raises:
-        InputError: a column that is given is not there, there are no rows, or the arm has prismatic joints.
+        InputError: a column that is given is not there, or there are no rows.
     """
-    if arm is not None and arm.sliding:
-        joint = arm.sliding[0] + 1
-        raise InputError(
-            f"{source}: joint {joint} of {arm.name} is prismatic, and columns are recognised for revolute joints only; "
-            f"write a sidecar with `arm:`, and `columns:` with a line such as `name in the table: q{joint}_m`"
-        )
     given = dict(given or {})
     samples = max((len(values) for _, values in columns if values is not None), default=1)
     if not samples:
@@ -176,14 +122,15 @@ def inspect(
         if name not in dict(columns):
             raise InputError(f"{source}: has no column {name[:60]!r}; {_near(name, list(dict(columns)))}")
     named = _fitting(naming.blocks([name for name in numbers if given.get(name) != IGNORED]), given, arm)
-    blocks = {block.kind: block for block in named}
-    values = {kind: np.stack([numbers[name] for name in block.columns], 1) for kind, block in blocks.items()}
+    blocks = {key(block): block for block in named}
+    values = {of: np.stack([numbers[name] for name in block.columns], 1) for of, block in blocks.items()}
     pose = _pose(blocks, values)
     tried = _tried(arm, pose, blocks)
     arm, agreed = _chosen(arm, tried)
-    if "rotation" in blocks and all(name in given for name in blocks["rotation"].columns):
+    turned = blocks.get(("rotation", False))
+    if turned is not None and all(name in given for name in turned.columns):
         agreed = agreed._replace(form=None, turn=None)
-    meanings = _meanings(blocks, values, agreed)
+    meanings = meanings_of(blocks, values, agreed)
     used = {name for block in named for name in block.columns} | set(given)
     return Inspection(
         meanings=meanings,
@@ -194,7 +141,7 @@ def inspect(
         arm=arm,
         arms=tuple((one.name, found.error) for one, found in tried),
         error=agreed.error,
-        motion=_motion(meanings, values),
+        motion=motion_of(meanings, values),
     )
 
 
@@ -215,62 +162,100 @@ def _near(name: str, names: Sequence[str]) -> str:
 
 def _fitting(blocks: Sequence[Block], given: Mapping[str, str], arm: Arm | None) -> list[Block]:
     """Without joints that the arm does not have, such as a gripper's, and with the units of names that are given."""
+    blocks = _with_given(blocks, given)
     q = next((block for block in blocks if block.kind == "q"), None)
     dof = arm.dof if arm is not None else len(q.columns) if q is not None else 0
+    sliding = _sliding(q, given) if arm is None else arm.sliding
     found = []
     for block in blocks:
-        if is_per_joint(block.kind) and dof:
-            block = replace(block, columns=block.columns[:dof])
-            if len(block.columns) < dof and block.kind != "q":
+        if is_per_joint(block.kind):
+            columns = block.columns[: dof or None]
+            if len(columns) < dof and block.kind != "q":
                 continue
-        units = {_unit_of(block, given.get(name, "")) for name in block.columns}
-        block = replace(block, unit=units.pop()) if len(units) == 1 and None not in units else block
-        form = tuple(_without_unit(given.get(name, "")) for name in block.columns)
-        turned = block.kind == "rotation" and (form in ANGLES or {*form} == {*QUATERNION})
-        found.append(replace(block, form=form) if turned else block)
+            block = replace(block, columns=columns, joints=tuple(range(1, len(columns) + 1)))
+        for part in _by_joint(block, sliding):
+            units = {_unit_of(part, given.get(name, "")) for name in part.columns}
+            if len(units) == 1 and None not in units:
+                part = replace(part, unit=units.pop())
+            form = tuple(without_unit(given.get(name, "")) for name in part.columns)
+            turned = part.kind == "rotation" and (form in ANGLES or {*form} == {*QUATERNION})
+            found.append(replace(part, form=form) if turned else part)
     placed = any(block.kind == "position" for block in found)
     return [block for block in found if placed or block.kind != "rotation"]
+
+
+def _with_given(blocks: Sequence[Block], given: Mapping[str, str]) -> list[Block]:
+    """With the joint positions and the place of the tool that are given throughout, in place of what names say."""
+    own = {without_unit(name): column for column, name in given.items()}
+    joints = sum(name.startswith("q") and name[1:].isdecimal() for name in own)
+    found = []
+    for kind, names in (("q", [f"q{joint}" for joint in range(1, joints + 1)]), ("position", list("xyz"))):
+        if names and own.keys() >= set(names):
+            found.append(Block(kind, tuple(own[name] for name in names)))
+    kinds = {block.kind for block in found}
+    return [*found, *(block for block in blocks if block.kind not in kinds)]
+
+
+def _sliding(q: Block | None, given: Mapping[str, str]) -> tuple[int, ...]:
+    """The joints, counted from 0, whose columns are lengths by what is given or by their names."""
+    if q is None:
+        return ()
+    units = [given[name].partition("_")[2] if name in given else naming.unit_of(name) for name in q.columns]
+    return tuple(joint for joint, unit in enumerate(units) if unit in naming.units_allowed("q", True))
+
+
+def _by_joint(block: Block, sliding: Sequence[int]) -> list[Block]:
+    """A block whose units depend on the kind of a joint as one of the revolute and one of the prismatic joints."""
+    if not (sliding and differs_by_joint(block.kind)):
+        return [block]
+    parts = []
+    for slides in (False, True):
+        own = [place for place, joint in enumerate(block.joints) if (joint - 1 in sliding) == slides]
+        if own:
+            columns = tuple(block.columns[place] for place in own)
+            units = {naming.unit_of(name) for name in columns}
+            unit = units.pop() if len(units) == 1 else None
+            unit = unit if unit in naming.units_allowed(block.kind, slides) else None
+            joints = tuple(block.joints[place] for place in own)
+            parts.append(replace(block, columns=columns, joints=joints, slides=slides, unit=unit))
+    return parts
 
 
 def _unit_of(block: Block, name: str) -> str | None:
     """The unit in a name of a recording's column, where the block may have it."""
     unit = name.partition("_")[2]
-    return unit if unit and unit in naming.units_allowed(block.kind) else None
+    return unit if unit and unit in naming.units_allowed(block.kind, block.slides) else None
 
 
-def _without_unit(name: str) -> str:
-    return name.partition("_")[0]
-
-
-def _letters(name: str) -> str:
-    """The quantity in the name of a recording's column."""
-    return _without_unit(name).rstrip("0123456789")
-
-
-def _of_quaternion(form: str) -> tuple[str, ...]:
-    return QUATERNION if form == _SCALAR_FIRST else (*QUATERNION[1:], QUATERNION[0])
-
-
-def _pose(blocks: Mapping[str, Block], values: Mapping[str, Array]) -> Pose | None:
+def _pose(blocks: Mapping[Key, Block], values: Mapping[Key, Array]) -> Pose | None:
     """The rows without gaps of joints and poses."""
-    if "q" not in blocks or "position" not in blocks:
+    of_joints = [(joint, column) for of in (("q", False), ("q", True)) if of in blocks
+                 for joint, column in zip(blocks[of].joints, values[of].T, strict=True)]  # fmt: skip
+    if not of_joints or ("position", False) not in blocks:
         return None
-    parts = [values["q"], values["position"], *([values["rotation"]] if "rotation" in blocks else [])]
+    parts = [np.stack([column for _, column in sorted(of_joints, key=lambda pair: pair[0])], 1)]
+    parts += [values[of] for of in (("position", False), ("rotation", False)) if of in blocks]
     whole = np.logical_and.reduce([np.isfinite(part).all(axis=1) for part in parts])
     joint, position, *rotation = (part[whole] for part in parts)
     return Pose(joint, position, rotation[0] if rotation else None)
 
 
-def _tried(arm: Arm | None, pose: Pose | None, blocks: Mapping[str, Block]) -> list[tuple[Arm, Agreement]]:
+def _tried(arm: Arm | None, pose: Pose | None, blocks: Mapping[Key, Block]) -> list[tuple[Arm, Agreement]]:
     if pose is None:
         return []
+    slides = blocks.get(("q", True))
+    sliding = () if slides is None else tuple(joint - 1 for joint in slides.joints)
     arms = [arm] if arm is not None else bundled_of(pose.joint.shape[1])
-    rotation = blocks.get("rotation")
+    rotation = blocks.get(("rotation", False))
     turn = None if rotation is None or len(rotation.columns) == 4 else rotation.unit
+    angle, slide, length = (
+        None if (block := blocks.get(of)) is None else block.unit
+        for of in (("q", False), ("q", True), ("position", False))
+    )
     found = [
-        (one, agreement(one, pose, blocks["q"].unit, blocks["position"].unit, turn))
+        (one, agreement(one, pose, angle, slide, length, turn))
         for one in arms
-        if one.dof == pose.joint.shape[1]
+        if one.dof == pose.joint.shape[1] and one.sliding == sliding
     ]
     return sorted(found, key=lambda entry: entry[1].error)
 
@@ -281,90 +266,13 @@ def _chosen(arm: Arm | None, tried: Sequence[tuple[Arm, Agreement]]) -> tuple[Ar
         return arm, NO_AGREEMENT
     first, found = tried[0]
     if arm is not None:
-        return arm, found if found.close else found._replace(angle=None, length=None, form=None, turn=None)
+        return arm, found if found.close else _undecided(found)
     alone = len(tried) == 1 or tried[1][1].error > max(ALIKE * found.error, 1e-9)
     if not found.close or found.error > RECOGNISED_WITHIN:
-        return None, found._replace(angle=None, length=None, form=None, turn=None)
+        return None, _undecided(found)
     return (first if alone else None), found  # arms that are alike agree on the units
 
 
-def _meanings(blocks: Mapping[str, Block], values: Mapping[str, Array], agreed: Agreement) -> tuple[Meaning, ...]:
-    found: dict[str, Meaning] = {}
-    joint: Array | None = None
-    angle = "rad"
-    if "q" in blocks:
-        unit = _named(blocks["q"]) or agreed.angle or sizes.angle_unit(values["q"])
-        found["q"], angle = _per_joint(blocks["q"], unit), unit.choice
-        joint = values["q"] / units_of("q")[angle]
-    time: Array | None = None
-    if "time" in blocks:
-        unit = _named(blocks["time"]) or sizes.time_unit(values["time"][:, 0], joint)
-        found["time"] = Meaning(blocks["time"], (_with_unit("time", 0, unit.choice),), unit)
-        time = values["time"][:, 0] / units_of("time")[unit.choice]
-    for kind in ("dq", "ddq"):
-        if kind in blocks and joint is not None:
-            before = values["dq"] / units_of("dq")[found["dq"].unit.choice] if kind == "ddq" and "dq" in found else None
-            unit = _named(blocks[kind]) or _rate(kind, values[kind], joint if kind == "dq" else before, angle, time)
-            found[kind] = _per_joint(blocks[kind], unit)
-    for kind, decide in (("tau", sizes.torque_unit), ("current", sizes.current_unit)):
-        if kind in blocks:
-            found[kind] = _per_joint(blocks[kind], _named(blocks[kind]) or decide(values[kind]))
-    if "temp" in blocks:
-        found["temp"] = _per_joint(blocks["temp"], _named(blocks["temp"]) or Decision("degC", "assumed", "usual", {}))
-    if "position" in blocks:
-        unit = _named(blocks["position"]) or agreed.length or sizes.length_unit(values["position"])
-        names = tuple(_with_unit(axis, 0, unit.choice) for axis in _XYZ)
-        found["position"] = Meaning(blocks["position"], names, unit)
-    if "rotation" in blocks:
-        found["rotation"] = _rotation(blocks["rotation"], values["rotation"], agreed)
-    for kind, unit in (("payload", "kg"), ("ambient", "degC"), ("run", "")):
-        if kind in blocks:
-            names = (_with_unit(kind, 0, unit),)
-            found[kind] = Meaning(blocks[kind], names, _named(blocks[kind]) or Decision(unit, "assumed", "usual", {}))
-    return tuple(found[kind] for kind in naming.KINDS if kind in found)
-
-
-def _named(block: Block) -> Decision | None:
-    return None if block.unit is None else sizes.by_name(block.unit)
-
-
-def _rate(kind: str, rate: Array, position: Array | None, angle: str, time: Array | None) -> Decision:
-    suffix = "_per_s" if kind == "dq" else "_per_s2"
-    if position is None:
-        return Decision(f"{angle}{suffix}", "assumed", "as_positions", {})
-    decided = sizes.rate_unit(rate, position, angle, time)
-    return decided._replace(choice=f"{decided.choice}{suffix}")
-
-
-def _rotation(block: Block, values: Array, agreed: Agreement) -> Meaning:
-    form, unit = sizes.rotation_form(values, block.unit, block.form)
-    doubted = agreed.form is not None and agreed.form.choice != form.choice
-    if agreed.form is not None and not (block.form == QUATERNION and doubted):
-        form = form if form.sure == "certain" and not doubted else agreed.form
-    if agreed.turn is not None and block.unit is None:
-        unit = agreed.turn
-    if values.shape[1] == 4:
-        return Meaning(block, _of_quaternion(form.choice), sizes.by_name(""), form)
-    parts = next(parts for parts in ANGLES if parts[0] == form.choice)
-    return Meaning(block, tuple(_with_unit(part, 0, unit.choice) for part in parts), unit, form)
-
-
-def _per_joint(block: Block, unit: Decision) -> Meaning:
-    joints = range(1, len(block.columns) + 1)
-    return Meaning(block, tuple(_with_unit(block.kind, joint, unit.choice) for joint in joints), unit)
-
-
-def _with_unit(quantity: str, joint: int, unit: str) -> str:
-    return spelled(quantity, joint, list(units_of(quantity)).index(unit))
-
-
-def _motion(meanings: Sequence[Meaning], values: Mapping[str, Array]) -> tuple[str, str]:
-    found = {meaning.block.kind: meaning for meaning in meanings}
-
-    def si(kind: str) -> Array | None:
-        if kind not in found:
-            return None
-        return values[kind] / units_of(kind)[found[kind].unit.choice]
-
-    time = si("time")
-    return inferred_motion(None if time is None else time[:, 0], si("dq"))
+def _undecided(found: Agreement) -> Agreement:
+    """The same where an arm is not near enough to decide anything."""
+    return found._replace(angle=None, slide=None, length=None, form=None, turn=None)

@@ -3,6 +3,7 @@
 Each is compared with the nominal forward kinematics, with the sensor's frame and the tool fitted in closed form.
 """
 
+from collections.abc import Mapping
 from itertools import product
 from typing import NamedTuple
 
@@ -14,7 +15,7 @@ from lite6jax.arms.arm import Arm
 from lite6jax.fitting.start import frames_from_poses
 from lite6jax.recordings.columns import ANGLES, units_of
 from lite6jax.recordings.orientations import quaternions
-from lite6jax.recordings.sizes import Decision, Sureness
+from lite6jax.recordings.sizes import Decision, Sureness, length_unit
 
 Array = NDArray[np.floating]
 
@@ -37,7 +38,7 @@ class Pose(NamedTuple):
     """Columns of a table in its own units and conventions, rows without gaps.
 
     Attributes:
-        joint: `(sample, joint)`, rad or deg.
+        joint: `(sample, joint)`, rad or deg, and m or mm of prismatic joints.
         position: `(sample, 3)`, m or mm.
         rotation: `(sample, 3 | 4)`, or None.
     """
@@ -51,7 +52,8 @@ class Agreement(NamedTuple):
     """The readings that agree with an arm; None where they are not distinguished.
 
     Attributes:
-        angle: `rad` or `deg` of the joints.
+        angle: `rad` or `deg` of the revolute joints.
+        slide: `m` or `mm` of the prismatic joints.
         length: `m` or `mm` of the positions.
         form: of the rotation: the first name of one of `columns.ANGLES`, `scalar_first` or `scalar_last`.
         turn: `rad` or `deg` of three numbers of a rotation.
@@ -60,6 +62,7 @@ class Agreement(NamedTuple):
     """
 
     angle: Decision | None
+    slide: Decision | None
     length: Decision | None
     form: Decision | None
     turn: Decision | None
@@ -72,33 +75,48 @@ class Agreement(NamedTuple):
         return self.error <= CLOSE * self.spread
 
 
-NO_AGREEMENT = Agreement(None, None, None, None, np.inf, 0.0)
+NO_AGREEMENT = Agreement(None, None, None, None, None, np.inf, 0.0)
 
 
-def agreement(arm: Arm, pose: Pose, angle: str | None, length: str | None, turn: str | None) -> Agreement:
+def agreement(
+    arm: Arm, pose: Pose, angle: str | None, slide: str | None, length: str | None, turn: str | None
+) -> Agreement:
     """The readings of a table with which an arm agrees best.
 
     Args:
         arm: of as many joints.
         pose: the numbers.
-        angle, length, turn: units that are known already, or None.
+        angle, slide, length, turn: units that are known already, or None.
     """
     if len(pose.joint) < FEWEST:
         return NO_AGREEMENT
     rows = np.unique(np.linspace(0, len(pose.joint) - 1, ROWS).astype(int))
+    # a gantry that is a thousand times as large moves alike: the size decides the one unit, and that the other
+    by_size = length is None and bool(arm.slides.all())
+    length = length_unit(pose.position).choice if by_size else length
+    possible = (
+        _possible(angle, "q", False) if not arm.slides.all() else ("rad",),
+        _possible(slide, "q", True) if arm.sliding else ("m",),
+        _possible(length, "x", False),
+    )
     tried = {}
-    for joint_unit, unit in product((angle,) if angle else ("rad", "deg"), (length,) if length else ("m", "mm")):
-        tried[joint_unit, unit] = _positions(
-            arm, pose.joint[rows] / units_of("q")[joint_unit], pose.position[rows] / units_of("x")[unit]
-        )
+    for turning, sliding, unit in product(*possible):
+        divisor = np.where(arm.slides, units_of("q", True)[sliding], units_of("q")[turning])
+        position = pose.position[rows] / units_of("x")[unit]
+        tried[turning, sliding, unit] = _positions(arm, pose.joint[rows] / divisor, position)
     best = min(tried, key=lambda units: tried[units].score)
     found = tried[best]
-    joint = _decided(best[0], {units[0]: t.score for units, t in tried.items() if units[1] == best[1]}, CLOSE)
-    metres = _decided(best[1], {units[1]: t.score for units, t in tried.items() if units[0] == best[0]}, CLOSE)
+    of_turns, of_slides, of_places = (_decided(best[k], _scores(tried, k), CLOSE) for k in range(3))
     form, angle_of_turn = None, None
     if pose.rotation is not None and found.score <= CLOSE:
         form, angle_of_turn = _rotations(found.predicted, pose.rotation[rows], turn)
-    return Agreement(joint, metres, form, angle_of_turn, found.error, found.spread)
+    return Agreement(
+        of_turns, of_slides, None if by_size else of_places, form, angle_of_turn, found.error, found.spread
+    )
+
+
+def _possible(known: str | None, quantity: str, slides: bool) -> tuple[str, ...]:
+    return (known,) if known else tuple(units_of(quantity, slides))
 
 
 class _Tried(NamedTuple):
@@ -120,6 +138,14 @@ def _positions(arm: Arm, joint: Array, position: Array) -> _Tried:
     error = float(np.median(np.linalg.norm(point - position, axis=1)))
     moved = [np.median(np.linalg.norm(p - np.median(p, axis=0), axis=1)) for p in (position, flange[:, :3, 3])]
     return _Tried(error, float(max(moved)), T_sensor_base[:3, :3] @ flange[:, :3, :3])
+
+
+def _scores(tried: Mapping[tuple[str, ...], _Tried], place: int) -> dict[str, float]:
+    """Of each unit at a place the best score, whatever the others are."""
+    scores: dict[str, float] = {}
+    for units, found in tried.items():
+        scores[units[place]] = min(found.score, scores.get(units[place], np.inf))
+    return scores
 
 
 def _rotations(predicted: Array, rotation: Array, unit: str | None) -> tuple[Decision | None, Decision | None]:

@@ -229,7 +229,7 @@ class Derivatives:
 
     @cached_property
     def _seen(self) -> Motion:
-        """The motion, with positions where an effect asks for them: nothing is measured of what is predicted."""
+        """The motion, with predicted positions where an effect requires measured ones."""
         drivers = (driver for effect in self.model.physics.effects for driver in effect.drivers)
         if not any(driver.quantity.startswith("measured position") for driver in drivers):
             return self.motion

@@ -49,7 +49,7 @@ class Declared(NamedTuple):
 def as_declared(data: TorqueRows) -> Declared:
     """The rows with columns, signs, gravity and constants corrected as far as a rigid arm of known inertia shows.
 
-    Gravity that is reversed and torques that are all reversed are told apart by the torques of accelerations.
+    Reversed gravity is distinguished from reversed torques by the torques of accelerations.
     """
     ordered, columns = _in_order(data)
     turned = _with_gravity(data)

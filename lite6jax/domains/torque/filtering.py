@@ -37,6 +37,8 @@ _LEAST_CUTOFF = 10.0
 _MOST_ROWS = 1500
 _FEWEST = 32
 """Samples of a run; shorter ones have no spectrum."""
+_DISTINCT = 0.5
+"""Share of the rows that have a time of their own, below which the times were rounded."""
 _CUBIC = 5
 """Fewest samples from which a cubic is estimated."""
 _UNEVEN = 0.2
@@ -97,11 +99,17 @@ def sample_rate(recording: Recording) -> float:
     """Samples per second.
 
     Raises:
-        InputError: no times, or steps that vary.
+        InputError: no times, times that were rounded, or steps that vary.
     """
     if recording.time is None:
         raise InputError(f"{recording.source}: has torques without times; add time_s, one row per sample of a motion")
     steps = np.diff(recording.time)[np.diff(recording.run) == 0]
+    moments = 1 + int(np.count_nonzero(steps > 0))
+    if moments < _DISTINCT * recording.samples:
+        raise InputError(
+            f"{recording.source}: its {recording.samples} rows have only {moments} different times; write the times "
+            "with all their digits, or number the rows by the rate, such as time_s = row / 100"
+        )
     steps = steps[steps > 0]
     if steps.size < _FEWEST:
         raise InputError(f"{recording.source}: {recording.samples} rows are too few; record a motion of some seconds")

@@ -91,7 +91,10 @@ def _spring_values(effect: Effect, given: Mapping[str, float]) -> NDArray:
 @final
 @dataclass(frozen=True)
 class JointSpring(JointTorque):
-    """τ += k·(q − q₀): a cable, a hose, a balancer. Its coordinates are k and −k·q₀, in which it is linear."""
+    """τ += k·(q − q₀): a cable, a hose, a balancer.
+
+    Its coordinates are k and −k·q₀, in which it is linear.
+    """
 
     name: ClassVar[str] = "joint_spring"
     specificity: ClassVar[int] = 3
@@ -118,7 +121,9 @@ class JointSpring(JointTorque):
 @final
 @dataclass(frozen=True)
 class TorqueRipple(JointTorque):
-    """τ += A·sin(n·q + φ): cogging, gear mesh. Its coordinates are A cos φ and A sin φ, and n where it is not fixed.
+    """τ += A·sin(n·q + φ): cogging, gear mesh.
+
+    Its coordinates are A cos φ and A sin φ, and n where it is not fixed.
 
     Attributes:
         order: n ≥ 1, where it is fixed; not necessarily an integer.

@@ -19,6 +19,7 @@ from lite6jax.diagnosis.document import model_from_document, read_model
 from lite6jax.diagnosis.options import Options
 from lite6jax.domains.pose.compensate import Reason, compensate
 from lite6jax.domains.pose.predict import predict
+from lite6jax.domains.pose.uncertainty import RecordedRange, Uncertainty
 from lite6jax.effects.nonparametric import Unnamed
 from lite6jax.effects.serialization import effect_as_dict
 from lite6jax.recordings import Recording, RecordingSettings, Targets, read_targets, write_recording
@@ -483,3 +484,21 @@ def test_a_soft_arm_in_mujoco_hits_its_targets(monkeypatch):
     before, after = (values[name, "error, RMS"].value for name in ("fitted geometry", "compensated"))
     assert after < 0.1 * before
     assert [record.failed for record in values.values()] == [""] * len(values)
+
+
+def test_of_several_solutions_one_inside_what_was_recorded_is_taken(arm):
+    """Recorded with the arm stretched out to one side: it would reach the same poses turned round, too."""
+    model = model_from_document(document(arm, ()))
+    rng = np.random.default_rng(2)
+    middle = np.array([2.4, 0.6, 1.2, 2.2, -0.9, -2.0])
+    q = middle + rng.uniform(-0.3, 0.3, (4, 6))
+    box = np.stack([middle - 0.35, middle + 0.35], 1)
+    recorded = RecordedRange(box, q, 0.0, {})
+    known = Uncertainty((), np.zeros((0, 0)), (0.0, 0.0), (0.0, 0.0), (0.0, 0.0), (), recorded)
+    found = compensate(replace(model, uncertainty=known), predict(model, q))
+    assert found.reached.all()
+    np.testing.assert_allclose(found.joint_position, q, rtol=0, atol=1e-6)
+    assert not found.outside.any()
+    anywhere = compensate(model, predict(model, q))
+    assert anywhere.reached.all()
+    assert np.abs(anywhere.joint_position - q).max() > 1  # the range decides

@@ -5,11 +5,14 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from lite6jax.arms.bundled import load_bundled
+from lite6jax.arms.urdf import read_urdf
 from lite6jax.domains.pose.inspection import inspect
 from lite6jax.errors import InputError
 from lite6jax.recordings import Recording
 from tests.oracles.arms import lite6_positions, perturbed
 from tests.oracles.chains import six_parameter_poses
+from tests.oracles.pinocchio_arm import urdf_link_pose
+from tests.oracles.sliding_arms import ARMS
 from tests.oracles.transforms import random_transform, shift
 
 LITE6 = load_bundled("lite6")
@@ -182,3 +185,105 @@ def test_a_table_with_the_names_of_a_recording_needs_no_columns():
     assert inspect(list(frame.items())).columns == {}
     refused = inspect([*frame.items(), ("x", None)]).columns  # it would have to have a unit
     assert refused == {"q1_rad": "q1_rad", "q2_rad": "q2_rad", "note": "ignore", "x": "ignore"}
+
+
+def sliding_table(tmp_path, name, joints="axis_{}", units=("deg", "mm"), trajectory=False):
+    """An arm with prismatic joints, its joint positions in SI units, and a table in others of what Pinocchio says."""
+    path = tmp_path / f"{name}.urdf"
+    path.write_text(ARMS[name])
+    arm, rng = read_urdf(path), np.random.default_rng(5)
+    q = rng.uniform(*arm.joint_limits.T, (ROWS, arm.dof))
+    if trajectory:
+        time = 0.05 * np.arange(ROWS)
+        q = arm.joint_limits.mean(1) + 0.4 * np.sin(time[:, None] * np.arange(1, arm.dof + 1))
+    pose = urdf_link_pose(path, "tool")
+    position = (random_transform(rng, 2.0) @ np.array([pose(row) for row in q]))[:, :3, 3]
+    factor = np.where(arm.slides, {"mm": 1e3, "m": 1.0}[units[1]], {"deg": 180 / np.pi, "rad": 1.0}[units[0]])
+    frame = dict(zip((joints.format(k) for k in range(arm.dof)), (factor * q).T, strict=True))
+    if trajectory:
+        v = 0.4 * np.arange(1, arm.dof + 1) * np.cos(time[:, None] * np.arange(1, arm.dof + 1))
+        frame |= dict(zip((f"velocity_{k}" for k in range(arm.dof)), (factor * v).T, strict=True))
+        frame |= {f"torque_{k}": np.ones(ROWS) for k in range(arm.dof)} | {"time": time}
+    return arm, q, frame, dict(zip(("tcp_x", "tcp_y", "tcp_z"), position.T, strict=True))
+
+
+@pytest.mark.parametrize("units", [("deg", "mm"), ("rad", "mm"), ("deg", "m")])
+@pytest.mark.parametrize("name", ["rail", "scara"])
+def test_the_arm_shows_the_unit_of_its_slides(tmp_path, name, units):
+    arm, q, frame, position = sliding_table(tmp_path, name, units=units)
+    found = inspect(list((frame | position).items()), arm)
+    turning, slides = found.meanings[:2]
+    assert (turning.block.slides, slides.block.slides) == (False, True)
+    assert slides.block.columns == tuple(f"axis_{k}" for k in arm.sliding)
+    assert (turning.unit.choice, slides.unit.choice) == units
+    for meaning in found.meanings:
+        assert meaning.unit[1:3] == ("certain", "kinematics")
+    assert found.error < 1e-9
+    recording = Recording.from_dataframe(frame | position, columns=found.columns, arm=arm, motion="static")
+    assert recording.sliding == arm.sliding
+    np.testing.assert_allclose(recording.joint_position, q, atol=1e-12)
+
+
+@pytest.mark.parametrize("length", [1.0, 1e3])
+def test_the_size_of_a_gantry_decides_its_unit(tmp_path, length):
+    """Its kinematics are the same in millimetres throughout, but not with one of the two in metres."""
+    arm, _, frame, position = sliding_table(tmp_path, "gantry", units=("deg", "m" if length == 1 else "mm"))
+    found = inspect(list((frame | {axis: length * column for axis, column in position.items()}).items()), arm)
+    slides, tool = found.meanings
+    assert slides.unit.choice == tool.unit.choice == ("m" if length == 1 else "mm")
+    assert (slides.unit.reason, tool.unit.reason) == ("kinematics", "within_reach" if length == 1 else "beyond_reach")
+    assert found.error < 1e-9
+    alone = inspect(list(frame.items()), arm)
+    assert alone.of("q").unit.choice == slides.unit.choice
+    assert alone.of("q").unit.reason == tool.unit.reason
+
+
+def test_velocities_and_forces_of_slides(tmp_path):
+    arm, _, frame, position = sliding_table(tmp_path, "scara", trajectory=True)
+    found = inspect(list((frame | position).items()), arm)
+    names = dict(found.columns)
+    assert [names[f"velocity_{k}"] for k in (0, 2)] == ["dq1_deg_per_s", "dq3_mm_per_s"]
+    assert [names[f"torque_{k}"] for k in range(4)] == ["tau1_Nm", "tau2_Nm", "tau3_N", "tau4_Nm"]
+    assert names["time"] == "time_s"
+    assert found.motion[0] == "trajectory"
+    rate = next(m for m in found.meanings if m.block.kind == "dq" and m.block.slides)
+    assert rate.unit[1:3] == ("certain", "slope")
+    assert rate.unit.numbers["unit"] == "m"
+    recording = Recording.from_dataframe(frame | position, columns=found.columns, arm=arm)
+    np.testing.assert_allclose(recording.joint_velocity[:, 2], 1.2 * np.cos(3 * recording.time), atol=1e-12)
+
+
+def test_names_say_which_joints_are_slides(tmp_path):
+    _, q, frame, _ = sliding_table(tmp_path, "scara")
+    named = dict(zip(("J1_deg", "J2_deg", "J3_mm", "J4_deg"), frame.values(), strict=True))
+    found = inspect(list(named.items()))
+    assert found.columns == dict(zip(named, ("q1_deg", "q2_deg", "q3_mm", "q4_deg"), strict=True))
+    assert {meaning.unit.reason for meaning in found.meanings} == {"name"}
+    given = {name: f"q{k}_{'mm' if k == 3 else 'deg'}" for k, name in enumerate(frame, 1)}
+    assert inspect(list(frame.items()), None, given).columns == given
+    assert (
+        inspect(list((named | {f"tau{k}_{'N' if k == 3 else 'Nm'}": q[:, 0] for k in range(1, 5)}).items())).columns[
+            "tau3_N"
+        ]
+        == "tau3_N"
+    )
+
+
+def test_joints_that_are_numbered_by_letters():
+    frame = dict(zip((f"axis_{letter}_act" for letter in "ABCDEF"), Q.T, strict=True))
+    found = inspect(list((frame | dict(zip(("LT_X", "LT_Y", "LT_Z"), P.T, strict=True))).items()), LITE6)
+    assert [found.columns[name] for name in frame] == [f"q{k}_rad" for k in range(1, 7)]
+    assert found.error < 5e-3
+    assert inspect(list(dict(zip(("axis_a", "axis_b", "axis_c"), Q.T, strict=False)).items())).of("q") is not None
+
+
+def test_the_arm_judges_columns_that_are_given_too():
+    """Where no name says what the joints are, the kinematics still decide the unit of the positions."""
+    names = ["one", "two", "three", "four", "five", "six"]
+    frame = dict(zip(names, np.rad2deg(Q.T), strict=True)) | dict(zip("uvw", 1e3 * P.T, strict=True))
+    given = {name: f"q{k}_deg" for k, name in enumerate(names, 1)}
+    places = {"u": "x_mm", "v": "y_mm", "w": "z_mm"}
+    found = inspect(list(frame.items()), LITE6, given | places)
+    assert found.columns == given | places
+    assert found.error < 5e-3
+    assert found.of("q").block.columns == tuple(names)

@@ -138,7 +138,20 @@ def test_a_slide_is_diagnosed_predicted_and_compensated(scara, tmp_path, capsys)
     found = compensate(model, poses, start=fresh + 1e-3)
     assert found.reached.all()
     np.testing.assert_allclose(found.joint_position, fresh, rtol=0, atol=1e-8)
-    assert main(["init", str(path), "--arm", str(scara / "scara.urdf"), "--force"]) == 2
-    assert "joint 3 of arm is prismatic, and columns are recognised for revolute joints only" in capsys.readouterr().err
     assert main(["identify", str(scara / "scara.urdf"), "--torque"]) == 2
     assert "a study of torques takes arms of revolute joints, and joint 3 is prismatic" in capsys.readouterr().err
+
+
+def test_a_table_with_names_of_its_own_is_read_after_init(scara, tmp_path, capsys):
+    _, recording = simulated(scara)
+    names = [*(f"axis_{k}" for k in range(4)), "tcp_x", "tcp_y", "tcp_z"]
+    table = np.hstack([recording.joint_position * [180 / np.pi, 180 / np.pi, 1e3, 180 / np.pi], recording.position])
+    path = tmp_path / "mine.csv"
+    np.savetxt(path, table, "%.9f", ",", header=",".join(names), comments="")
+    assert main(["init", str(path), "--arm", str(scara / "scara.urdf")]) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert "Joint positions: axis_0, axis_1, axis_3, in degrees (certain: the arm's kinematics agree" in said
+    assert "Slide positions: axis_2, in millimetres (certain: the arm's kinematics agree" in said
+    back = read_recording(path, dof=4)
+    assert back.sliding == (2,)
+    np.testing.assert_allclose(back.joint_position, recording.joint_position, atol=1e-8)

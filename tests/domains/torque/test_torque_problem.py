@@ -40,6 +40,10 @@ def test_a_uniform_rate_passes_and_gaps_begin_runs():
     ("time", "message"),
     [
         (np.cumsum(np.random.default_rng(0).exponential(0.01, 300)), "its time steps vary.*record at a constant rate"),
+        (
+            np.repeat(np.arange(30.0), 10),
+            "its 300 rows have only 30 different times; write the times with all their digits",
+        ),
         (np.arange(20) / 100, "20 rows are too few; record a motion of some seconds"),
     ],
 )
