@@ -11,23 +11,28 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
-from benchmarks.measure import Record, Workload
+from benchmarks.measure import MissingError, Record, Workload
 from lite6jax.errors import InputError
 from lite6jax.storage import check_writable, write_atomically
 
-COMPARED = ("models",)
+COMPARED = ("models", "devices")
+BY_NAME = ("growth", "devices", "ceres")
+"""Workloads that take minutes, a device or a compiler, and run only where they are named."""
 NEEDS = {"scipy": "scipy", "pinocchio": "pin", "mujoco": "mujoco"}
 RIVALS = {"mujoco": "mujoco", "sklearn": "scikit-learn"}
 
 
 def workloads() -> dict[str, Workload]:
     """The workloads by name, in the order in which they run."""
+    from benchmarks.ceres_rival import ceres
     from benchmarks.command import command
     from benchmarks.compensation import compensation
+    from benchmarks.devices import devices
     from benchmarks.diagnose import diagnose
     from benchmarks.fits import fleet, one
     from benchmarks.fleet_diagnosis import fleet_diagnosis
     from benchmarks.folders import folders
+    from benchmarks.growth import growth
     from benchmarks.interrupts import interrupts
     from benchmarks.models import models
     from benchmarks.profile import profile
@@ -45,6 +50,9 @@ def workloads() -> dict[str, Workload]:
             study,
             command,
             folders,
+            growth,
+            devices,
+            ceres,
             diagnose,
             fleet_diagnosis,
             compensation,
@@ -78,6 +86,8 @@ def main(arguments: Sequence[str] | None = None, known: Mapping[str, Workload] |
     if missing:
         print(f"benchmarks: {' and '.join(missing)} missing; pip install 'lite6jax[benchmark]'", file=sys.stderr)
         return 2
+    from benchmarks.devices import DEVICES, absent
+
     known = dict(known or workloads())
     parser = argparse.ArgumentParser(
         prog="python -m benchmarks",
@@ -85,12 +95,23 @@ def main(arguments: Sequence[str] | None = None, known: Mapping[str, Workload] |
         epilog="`concealed`, `torque`, `ladder`, `rivals`, `sensitivity` and `fuzz` have options of their own: "
         "concealed --help.",
     )
-    parser.add_argument("name", nargs="?", choices=list(known), help="one workload; all of them without it")
+    parser.add_argument(
+        "name", nargs="?", choices=list(known), help="one workload; without it all but growth, devices, ceres"
+    )
     parser.add_argument("--json", type=Path, metavar="OUT", help="write the records to this file, over an older one")
     parser.add_argument(
         "--recordings", type=int, metavar="N", help="of `diagnose`: so many with nothing missing, 300 where not given"
     )
+    parser.add_argument("--device", choices=DEVICES, help="compare this device with the processor: runs `devices` only")
     options = parser.parse_args(arguments)
+    if options.device is not None:
+        if options.name not in (None, "devices"):
+            parser.error("--device: is of `devices`; leave the name out")
+        if said := absent(options.device):
+            print(f"benchmarks: {said}", file=sys.stderr)
+            return 2
+        options.name = "devices"
+        known["devices"] = partial(known["devices"], device=options.device)
     if options.recordings is not None:
         if options.recordings < 1 or options.name not in (None, "diagnose"):
             parser.error("--recordings: give 1 or more, and none but `diagnose`")
@@ -103,9 +124,13 @@ def main(arguments: Sequence[str] | None = None, known: Mapping[str, Workload] |
             return 2
 
     console, records = Console(), []
-    for name in [options.name] if options.name else known:
-        with console.status(f"{name} …"):
-            found = list(known[name]())
+    for name in [options.name] if options.name else [name for name in known if name not in BY_NAME]:
+        try:
+            with console.status(f"{name} …"):
+                found = list(known[name]())
+        except MissingError as error:
+            print(f"benchmarks: {name}: {error}", file=sys.stderr)
+            return 2
         console.print(table(name, found))
         records += found
     if options.json:

@@ -14,6 +14,10 @@ AGREES = 1e-9
 """m and rad: how near all solvers' parameters must be, a ten-thousandth of what the noise leaves open."""
 
 
+class MissingError(Exception):
+    """What a workload takes is not on this machine; the message says what to do."""
+
+
 @dataclass(frozen=True)
 class Record:
     """One number of a run.

@@ -7,12 +7,11 @@ where `sliding` counts them from 0; which are is part of the form, so that it is
 from dataclasses import dataclass
 from functools import cached_property
 
-import jax.numpy as jnp
 import numpy as np
 import numpy.typing as npt
-from jax import Array
 
 from lite6jax.arms.moves import Frame, Turn, Twist, X, Y, Z, joint_turn, rotate, rotation_twist, translate, turn
+from lite6jax.deferred import Array, jnp
 from lite6jax.errors import InputError
 
 PARALLEL_WITHIN = np.deg2rad(5.0)

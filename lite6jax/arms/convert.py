@@ -5,16 +5,14 @@ It involves no fit, so that it is an independent check of the fit and a fast pat
 
 from functools import partial
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jax import Array, lax
 from numpy.typing import ArrayLike
 
 from lite6jax.arms import convert_sliding
 from lite6jax.arms.chains import HayatiForm, joint_axes
 from lite6jax.arms.moves import Frame, X, Y, Z, base_frame, rotate, translate, turn
 from lite6jax.arms.se3 import rotation_from_rpy, rpy_from_rotation, transform
+from lite6jax.deferred import Array, jit, jnp, lax
 from lite6jax.errors import InputError
 
 _AXIS_1_UPRIGHT = np.cos(np.deg2rad(85.0))
@@ -81,7 +79,7 @@ def _require_regular(form: HayatiForm, regularity: list[np.ndarray], alone: bool
             refuse(sine[i] < 1e-6, f"{pair} are parallel, which this form does not expect; add {i} to `parallel`")
 
 
-@partial(jax.jit, static_argnums=0)
+@partial(jit, static_argnums=0)
 def closed_form(form: HayatiForm, kinematics: Array, branch: Array) -> tuple[Array, tuple[Array, Array, Array]]:
     """Parameters `(size, arm)` of `kinematics` `(joint, 6, arm)`, closest to `branch` `(joint, 2)`, theta and alpha.
 

@@ -9,14 +9,10 @@ from collections.abc import Callable
 from functools import partial
 from typing import NamedTuple
 
-import jax
-import jax.numpy as jnp
-from jax import Array, lax
-from jax.typing import ArrayLike
-
 from lite6jax.arms.chains import Form, HayatiForm, SixParameterForm, joint_motion
 from lite6jax.arms.moves import Frame, Turn, Twist, Z, base_frame, displace, rotation_twist
 from lite6jax.arms.se3 import transform
+from lite6jax.deferred import Array, ArrayLike, jax, jit, jnp, lax
 from lite6jax.errors import InputError
 
 
@@ -114,7 +110,7 @@ def _in_order(form: Form, parameters: Array) -> tuple[Array, Array]:
     return values[: form.base_size], values[form.base_size :].reshape(form.dof, -1)
 
 
-@partial(jax.jit, static_argnums=0)
+@partial(jit, static_argnums=0)
 def fk(form: Form, parameters: ArrayLike, joint_position: ArrayLike) -> Array:
     """Flange poses `T_base_flange` `(..., 4, 4)` of a chain.
 

@@ -5,10 +5,9 @@ The sample is the last axis of every array, so that a transformation is one vect
 
 from typing import NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
-from jax import Array
-from jax.typing import ArrayLike
+
+from lite6jax.deferred import Array, ArrayLike, jnp
 
 X, Y, Z = 0, 1, 2
 

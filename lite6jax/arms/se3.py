@@ -3,9 +3,7 @@
 Matrices occupy the last two axes, `(..., 3, 3)` and `(..., 4, 4)`, vectors the last one. Radians and metres.
 """
 
-import jax.numpy as jnp
-from jax import Array
-from jax.typing import ArrayLike
+from lite6jax.deferred import Array, ArrayLike, jnp
 
 _SERIES_BELOW = 1e-4
 """rad; for smaller angles a two-term series is exact to rounding."""

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal, final
+from typing import TYPE_CHECKING, Annotated, Literal, final
 
 from tyro.conf import Positional, arg
 
@@ -11,6 +11,9 @@ from lite6jax.cli.exit_codes import DONE
 from lite6jax.cli.inputs import diagnosed_nominal
 from lite6jax.errors import InputError
 from lite6jax.storage import check_writable
+
+if TYPE_CHECKING:
+    from lite6jax.arms.arm import Arm
 
 
 @final
@@ -61,10 +64,7 @@ class Convert:
         refuse_inputs([self.target], [self.source.partition("#")[0], self.arm, into, self.effects])
         from lite6jax.arms.bundled import bundled_arms, load_bundled
         from lite6jax.arms.files import read_arm, with_chain
-        from lite6jax.arms.forms import convert_file, export_file, export_into, form_of
-        from lite6jax.diagnosis.document import parsed_document
-        from lite6jax.diagnosis.export import is_diagnosis, read_diagnosed_arm
-        from lite6jax.effects.user_effects import load_effects
+        from lite6jax.arms.forms import convert_file, export_file, export_into
         from lite6jax.fitting.source import load_nominal
         from lite6jax.report import fleet_tables, screen
 
@@ -72,15 +72,8 @@ class Convert:
         nominal, arm, left_out = load_nominal(self.arm), None, ()
         if self.into is not None and self.to not in (None, "urdf"):
             raise InputError(f"--into writes a URDF, and --to asks for {self.to}; give one of them")
-        if is_diagnosis(source):
-            effects = load_effects(self.effects) if self.effects else ()
-            nominal = nominal or load_nominal(diagnosed_nominal(parsed_document(source), Path(source)))
-            arm, left_out = read_diagnosed_arm(source, nominal, effects, alone=self.into is None)
-            if arm.inertia is None and self.into is None and (self.to or form_of(self.target, False)) == "mjcf":
-                raise InputError(
-                    f"{source}: MuJoCo needs the mass and inertia of every link, which a diagnosis of poses lacks;"
-                    f" add --arm with the URDF, MJCF or description of {arm.name} that has them, or write a .urdf"
-                )
+        if Path(source).suffix.lower() == ".json":  # a table of DH parameters, or what takes JAX
+            arm, left_out, nominal = self._diagnosed(source, nominal)
         if self.into is not None:
             whole = arm or read_arm(source)
             done = export_into(whole, self.into, self.target, self.force, left_out, with_flange=arm is None)
@@ -97,6 +90,26 @@ class Convert:
         screen.written([done.path])
         screen.show(fleet_tables.conversion_report(done))
         return DONE
+
+    def _diagnosed(self, source: str, nominal: "Arm | None") -> "tuple[Arm | None, tuple[str, ...], Arm | None]":
+        """The arm of a diagnosis, what it leaves out, and its nominal arm; None of another file."""
+        from lite6jax.arms.forms import form_of
+        from lite6jax.diagnosis.document import parsed_document
+        from lite6jax.diagnosis.export import is_diagnosis, read_diagnosed_arm
+        from lite6jax.effects.user_effects import load_effects
+        from lite6jax.fitting.source import load_nominal
+
+        if not is_diagnosis(source):
+            return None, (), nominal
+        effects = load_effects(self.effects) if self.effects else ()
+        nominal = nominal or load_nominal(diagnosed_nominal(parsed_document(source), Path(source)))
+        arm, left_out = read_diagnosed_arm(source, nominal, effects, alone=self.into is None)
+        if arm.inertia is None and self.into is None and (self.to or form_of(self.target, False)) == "mjcf":
+            raise InputError(
+                f"{source}: MuJoCo needs the mass and inertia of every link, which a diagnosis of poses lacks;"
+                f" add --arm with the URDF, MJCF or description of {arm.name} that has them, or write a .urdf"
+            )
+        return arm, left_out, nominal
 
 
 @final

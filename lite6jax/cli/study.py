@@ -4,12 +4,12 @@ import json
 import math
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal, final
+from typing import TYPE_CHECKING, Annotated, Any, Literal, final
 
 from tyro.conf import Positional, UseAppendAction, arg
 
 from lite6jax.cli import torque_study
-from lite6jax.cli.arguments import ArmName, Folder, check_seed, stem
+from lite6jax.cli.arguments import ArmName, Folder, Processes, Scheduler, check_processes, check_seed, stem
 from lite6jax.cli.exit_codes import DONE
 from lite6jax.cli.torque_study import TorqueSetup
 from lite6jax.errors import InputError
@@ -124,6 +124,10 @@ class Identify:
     """Seed of the poses and of simulated readings."""
     refits: int = 0
     """Number of sets of simulated readings that are fitted to test the prediction."""
+    processes: Processes = None
+    """Processes of this machine that fit them, each with one thread; none but this one where not given."""
+    scheduler: Scheduler = None
+    """In place of processes of this machine: the Dask cluster of the scheduler at this address (tcp://HOST:8786)."""
     geometry: Literal["declared", "exact", "prior", "free"] = "declared"
     """The geometry of a recording's arm: as its sidecar states; the factory calibration exactly, or with a prior about
     it; or unknown."""
@@ -149,11 +153,20 @@ class Identify:
         from lite6jax.recordings import Recording, recording_file
 
         check_seed(self.seed)
+        check_processes(self.processes, self.scheduler)
+        if not self.refits and (self.processes is not None or self.scheduler is not None):
+            raise InputError("--processes and --scheduler are of --refits; add --refits N, or leave them out")
         names = [f"{stem(self.source)}_{what}" for what in ("singular_values", "correlation", "deviations")]
         if self.figures:
             from lite6jax.report import canvas
 
             canvas.check_names(self.figures, names, self.force)
+        refits: dict[str, Any] = {
+            "refits": self.refits,
+            "seed": self.seed,
+            "processes": self.processes,
+            "scheduler": self.scheduler,
+        }
         file = recording_file(self.source)
         drawn = file is None
         if self.torque.torque:
@@ -166,9 +179,7 @@ class Identify:
                 raise InputError(f"--poses {self.poses}: give at least 1")
             if self.geometry != "declared" or self.arm is not None:
                 raise InputError(f"{self.source}: is an arm; --geometry and --arm are for recordings, leave them out")
-            found = identify(
-                self.setup.experiment(read_arm(self.source)), poses=self.poses, refits=self.refits, seed=self.seed
-            )
+            found = identify(self.setup.experiment(read_arm(self.source)), poses=self.poses, **refits)
         else:
             nominal = load_nominal(self.arm)
             recording = read_source(
@@ -183,9 +194,7 @@ class Identify:
             torque_study.refuse_without_torque(self.torque)
             if recording.position is None:
                 arm = nominal or self._declared_arm(recording, file)
-                found = identify(
-                    self.setup.experiment(arm), recording.joint_position, refits=self.refits, seed=self.seed
-                )
+                found = identify(self.setup.experiment(arm), recording.joint_position, **refits)
             else:
                 if replace(self.setup, effect=()) != Setup():
                     raise InputError(
@@ -193,9 +202,7 @@ class Identify:
                         " set-up but --effect"
                     )
                 effects = [parse_effect(text, neutral=True)[0] for text in self.setup.effect]
-                found = identify_recording(
-                    recording, nominal, geometry=self.geometry, effects=effects, refits=self.refits, seed=self.seed
-                )
+                found = identify_recording(recording, nominal, geometry=self.geometry, effects=effects, **refits)
 
         from lite6jax.report import screen, study_tables
 

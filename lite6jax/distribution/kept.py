@@ -3,12 +3,12 @@
 import hashlib
 import json
 import os
-import pickle
 from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple, final
 
+from lite6jax.distribution.canonical import canonical
 from lite6jax.errors import InputError
 from lite6jax.fitting.version import versions
 
@@ -40,13 +40,13 @@ class Kept:
 
         Args:
             out: the table, beside which the file stands.
-            asked: what the rows depend on besides the inputs; to be pickled.
+            asked: what the rows depend on besides the inputs; of `canonical`.
 
         Raises:
             InputError: the file is there, and another program's.
         """
         self.path = out.with_name(f"{out.name}.kept")
-        self._asked = pickle.dumps((versions(), *asked), protocol=4)
+        self._asked = hashlib.sha256(canonical((versions(), asked))).digest()
         self._places: dict[str, _Place] = {}
         self._end = 0
         self._file: BinaryIO | None = None

@@ -7,11 +7,10 @@ from functools import cached_property
 from itertools import pairwise
 from typing import final
 
-import jax.numpy as jnp
 import numpy as np
-from jax import Array
 from numpy.typing import ArrayLike, NDArray
 
+from lite6jax.deferred import Array, jnp
 from lite6jax.effects.deflection import Deflection
 from lite6jax.effects.drivers import Driver
 from lite6jax.effects.effect import Altering, Bending, Effect, Estimate, Loading, require_kind

@@ -2,9 +2,9 @@
 
 from typing import NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
-from jax import Array
+
+from lite6jax.deferred import Array, jnp
 
 
 class Deflection(NamedTuple):

@@ -4,9 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple, final
 
-import jax.numpy as jnp
-from jax import Array
-
+from lite6jax.deferred import Array, jnp
 from lite6jax.effects.motion import Motion
 from lite6jax.effects.statics import Loads
 from lite6jax.errors import InputError

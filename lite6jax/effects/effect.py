@@ -5,11 +5,10 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar, NamedTuple, final
 
-import jax.numpy as jnp
 import numpy as np
-from jax import Array
 from numpy.typing import ArrayLike, NDArray
 
+from lite6jax.deferred import Array, jnp
 from lite6jax.effects.deflection import Deflection, at_joint
 from lite6jax.effects.drivers import Driver
 from lite6jax.effects.motion import Motion

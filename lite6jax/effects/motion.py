@@ -2,13 +2,11 @@
 
 from typing import NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jax import Array, lax
 from numpy.typing import ArrayLike
 
 from lite6jax.arms.chains import SixParameterForm
+from lite6jax.deferred import Array, jax, jit, jnp, lax
 from lite6jax.effects.sliding import Sliding
 from lite6jax.errors import InputError
 
@@ -153,7 +151,7 @@ def motion_of(
     )
 
 
-@jax.jit
+@jit
 def shifted(motion: Motion, offset: Array | float) -> Motion:
     """The motion at `time + offset`, with the time stamps `time`.
 

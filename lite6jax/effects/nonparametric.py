@@ -7,12 +7,10 @@ from itertools import combinations_with_replacement
 from math import comb
 from typing import Any, ClassVar, final
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jax import Array, lax
 from numpy.typing import NDArray
 
+from lite6jax.deferred import Array, jit, jnp, lax
 from lite6jax.effects.deflection import Deflection, at_joint, twist
 from lite6jax.effects.drivers import Driver, driver_of
 from lite6jax.effects.effect import Bending, Coordinate
@@ -68,7 +66,7 @@ def _library(values: Array) -> Any:
     return np if isinstance(values, np.ndarray) else jnp
 
 
-@jax.jit
+@jit
 def plays(values: Array, widths: Array, run: Array) -> Array:
     """What follows a driver with play, `(width, sample)`: pushed along, and left behind by `width` at most.
 

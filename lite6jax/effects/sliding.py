@@ -3,13 +3,14 @@
 from dataclasses import dataclass
 from typing import final
 
-import jax
 import numpy as np
 from numpy.typing import NDArray
 
+from lite6jax.deferred import register_static
+
 
 @final
-@jax.tree_util.register_static
+@register_static
 @dataclass(frozen=True)
 class Sliding:
     """The prismatic joints of a chain, counted from 0. A pytree without leaves.

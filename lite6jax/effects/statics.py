@@ -4,14 +4,13 @@ from collections.abc import Callable
 from functools import partial
 from typing import NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
-from jax import Array, lax
 from numpy.typing import ArrayLike
 
 from lite6jax.arms.chains import Form, HayatiForm
 from lite6jax.arms.forward_kinematics import link_frames
 from lite6jax.arms.moves import Turn, base_frame, cross
+from lite6jax.deferred import Array, jnp, lax
 from lite6jax.effects.sliding import Sliding
 from lite6jax.errors import InputError
 

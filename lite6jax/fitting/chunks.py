@@ -22,6 +22,8 @@ from lite6jax.model import ArmModel, ModelForm
 
 CHUNK = 8
 """Arms solved together: their Jacobians (8 × 28 × 1800 doubles, 3 MB) stay in a core's share of the cache."""
+ON_ACCELERATOR = 1024
+"""The same on an accelerator, which works on all at once; not tuned, as none was at hand."""
 BLOCK = 2400
 """Samples walked together, for the same reason; memory beyond the input does not grow with their number."""
 MAX_STEPS = 100
@@ -143,6 +145,12 @@ def pad(array: np.ndarray, axis: int, size: int) -> np.ndarray:
     return np.pad(array, [(0, missing if i == axis else 0) for i in range(array.ndim)])
 
 
+def _platform() -> str:
+    """Of the device that computes where nothing else is said."""
+    device = getattr(jax.config, "jax_default_device", None)
+    return jax.default_backend() if device is None else getattr(device, "platform", device)
+
+
 def fit_chunks(
     form: ModelForm,
     start: ArmModel,
@@ -152,7 +160,7 @@ def fit_chunks(
     whitener: np.ndarray,
     robust: Robust | None,
     prior: Prior,
-    chunk: int = CHUNK,
+    chunk: int | None = None,
     once: bool = False,
     max_steps: int = MAX_STEPS,
     progress: Callable[[int], object] | None = None,
@@ -168,7 +176,7 @@ def fit_chunks(
         whitener: `(2,)` one for all, or `(arm, sample, row, row)`.
         robust: the loss, one for all or with a leading arm axis; None is least squares.
         prior: one for all or with a leading arm axis.
-        chunk: arms in a chunk.
+        chunk: arms in a chunk; `CHUNK` or `ON_ACCELERATOR` where not given.
         once: whether this is all that will be solved of this kind, so that compiling fast matters more than running.
         max_steps: most steps an arm may take.
         progress: called with the number of arms done since the last call.
@@ -177,7 +185,7 @@ def fit_chunks(
         NumPy arrays, a row an arm.
     """
     arms, samples = weight.shape
-    chunk = min(chunk, arms)
+    chunk = min(chunk or (CHUNK if _platform() == "cpu" else ON_ACCELERATOR), arms)
     size, block = padded_size(samples)
 
     def part(array: np.ndarray, first: int) -> np.ndarray:

@@ -1,6 +1,6 @@
 """From a calibration or a recording to what is to be solved: data, noise, what is known and where to start."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Literal
@@ -72,6 +72,10 @@ class Problem:
     def rows(self) -> int:
         """Numbers a sample gives: 3 or 6."""
         return POSITION if self.pose.ndim == 2 else POSE
+
+    def select(self, samples: NDArray[np.integer]) -> "Problem":
+        """With some of the samples."""
+        return replace(self, joint_position=self.joint_position[samples], pose=self.pose[samples])
 
     def covariance(self) -> Array:
         """Of a sample's residual, as declared: `(row, row)`, or `(sample, row, row)` with read-out noise of the joints.

@@ -15,7 +15,8 @@ from lite6jax.fitting.gauge import determined
 from lite6jax.fitting.problem import Geometry, Problem, recording_problem, whitener_of
 from lite6jax.fitting.residual import POSITION
 from lite6jax.fitting.solution import Errors, Held, Noise, Result, Solution, prediction_errors
-from lite6jax.fitting.solve import RobustFits, Solver, solve, solve_robustly
+from lite6jax.fitting.solve import RobustFits, Solver, solve, solve_robustly, unweighted
+from lite6jax.model import ArmModel
 from lite6jax.recordings import Recording
 
 Array = NDArray[np.floating]
@@ -24,6 +25,9 @@ Loss = Literal["student_t", "least_squares"]
 ROUNDING = 1e-15
 """Rounding error of a residual, in m and rad: the smallest noise that can be estimated."""
 FOLDS = 5
+MOST_SPREAD = 50_000
+"""Samples, spread evenly, to which all fits are made but that of the result: 34 numbers estimated from so many of six
+numbers add less than 0.02 % to a held-out error, and the others are a start or have fewer numbers."""
 _EXCESS = 2.0
 """Ratio of the residual variance to the declared one above which the difference is attributed to the model."""
 
@@ -45,23 +49,25 @@ def fit_recording(
     problem = recording_problem(recording, nominal, geometry)
     covariance = problem.covariance()
     freedom = FREEDOM if loss == "student_t" else None
-    free, held = _identifiable(problem, covariance, recording.source)
+    few = np.unique(np.linspace(0, recording.samples - 1, min(MOST_SPREAD, recording.samples)).astype(int))
+    free, held = _identifiable(problem, covariance, freedom, few, recording.source)
     _require_samples(recording, problem.rows, int(free.sum()))
-    training = np.ones((FOLDS + 1, recording.samples))  # all samples, then all but one fold each
+    everything = np.ones((1, recording.samples))
+    training = np.ones((FOLDS, recording.samples))
     for k, fold in enumerate(recording.contiguous_folds(FOLDS)):
-        training[k + 1, fold] = 0.0
+        training[k, fold] = 0.0
 
-    estimate = partial(solve_robustly, problem, freedom=freedom, max_steps=max_steps)
-    first = estimate(free, covariance, training[:1], problem.start, "gauss_newton")
+    first = _estimate(problem, free, covariance, everything, problem.start, "gauss_newton", freedom, max_steps, few)
     residual = _errors_of(problem, first, 0)
     if not problem.declared:  # the first fit assumed a ratio of the noises; its residuals show both
         problem = replace(problem, noise=_noise_level(residual))
         covariance = problem.covariance()
-        estimate = partial(solve_robustly, problem, freedom=freedom, max_steps=max_steps)
     covariance = covariance + np.diag(np.repeat(_excess(problem, covariance, residual), 3)[: problem.rows])
-    fits = estimate(free, covariance, training, first.model(0), solver)
+    estimate = partial(_estimate, problem, freedom=freedom, max_steps=max_steps)
+    fits = estimate(free, covariance, everything, first.model(0), solver)
+    folds = estimate(free, covariance, training, first.model(0), solver, few=few)
     frames_only = free & (np.arange(free.size) >= problem.form.chain.size)
-    nominal_fit = estimate(frames_only, covariance, training[:1], problem.start, "gauss_newton")
+    nominal_fit = estimate(frames_only, covariance, everything, problem.start, "gauss_newton", few=few)
 
     fitted = _errors_of(problem, fits, 0)
     return Solution(
@@ -70,25 +76,54 @@ def fit_recording(
         model=fits.model(0),
         result=Result(int(fits.estimates.status[0])),
         steps=int(first.estimates.steps[0] + fits.estimates.steps[0]),
-        covariance=_covariance(problem, free, fits, training[0] > 0, freedom),
+        covariance=_covariance(problem, free, fits, freedom),
         free=free,
         held=held,
         errors=fitted,
         nominal_errors=_errors_of(problem, nominal_fit, 0),
-        checked=_held_out_errors(problem, fits, training[1:]),
+        checked=_held_out_errors(problem, folds, training),
         noise=Noise(problem.noise if problem.declared else None, *_noise_level(fitted)),
         weight=weights_left(fits.estimates.squares[0] / fits.scale[0] ** 2, freedom),
-        notes=(*problem.notes, *_unconverged_folds(fits)),
+        notes=(*problem.notes, *_unconverged_folds(folds)),
         recording=recording,
     )
 
 
-def _identifiable(problem: Problem, covariance: Array, source: str) -> tuple[NDArray[np.bool_], tuple[Held, ...]]:
+def _estimate(
+    problem: Problem,
+    free: NDArray[np.bool_],
+    covariance: Array,
+    training: Array,
+    start: ArmModel,
+    solver: Solver,
+    freedom: float | None,
+    max_steps: int,
+    few: NDArray[np.integer] | None = None,
+) -> RobustFits:
+    """As `solve_robustly`, of all samples or of `few`."""
+    if few is not None:
+        problem, covariance, training = _spread(problem, covariance, training, few)
+    return solve_robustly(problem, free, covariance, training, start, solver, freedom, max_steps)
+
+
+def _spread(
+    problem: Problem, covariance: Array, training: Array, few: NDArray[np.integer]
+) -> tuple[Problem, Array, Array]:
+    """The problem with those samples, their covariance and their training weights."""
+    if len(few) == len(problem.pose):
+        return problem, covariance, training
+    return problem.select(few), covariance if covariance.ndim == 2 else covariance[few], training[:, few]
+
+
+def _identifiable(
+    problem: Problem, covariance: Array, freedom: float | None, few: NDArray[np.integer], source: str
+) -> tuple[NDArray[np.bool_], tuple[Held, ...]]:
     """Which of the movable parameters the data and the prior identify at the start, and those held at nominal."""
     movable = problem.movable
-    everything = np.ones((1, len(problem.pose)))
+    problem, covariance, everything = _spread(problem, covariance, np.ones((1, len(problem.pose))), few)
     whitener = whitener_of(covariance)
-    curvature = solve(problem, movable, whitener, everything, None, problem.start, "gauss_newton", 0).curvature[0]
+    loss = unweighted(freedom, 1)
+    curvature = solve(problem, movable, whitener, everything, loss, problem.start, "gauss_newton", 0).curvature[0]
     if not np.isfinite(curvature).all():
         raise InputError(f"{source}: holds numbers too large to work with; check the units of its columns")
     if not movable.any():
@@ -113,18 +148,20 @@ def _errors_of(problem: Problem, fits: RobustFits, k: int) -> Errors:
 
 def _held_out_errors(problem: Problem, fits: RobustFits, training: Array) -> Errors:
     """Each sample's error under the fit that did not use it; `training` `(fold, sample)` is zero where held out."""
-    folds = [_errors_of(problem, fits, k + 1) for k in range(len(training))]
-    held_out = (np.argmin(training, 0), np.arange(training.shape[1]))
-    orientation = [fold.orientation for fold in folds if fold.orientation is not None]
-    return Errors(
-        np.stack([fold.position for fold in folds])[held_out],
-        np.stack(orientation)[held_out] if orientation else None,
-        problem.joint_position,
-    )
+    samples = len(problem.pose)
+    position, orientation = np.empty(samples), None if problem.pose.ndim == 2 else np.empty(samples)
+    for k, row in enumerate(training):
+        held_out = np.flatnonzero(row == 0)
+        part = problem.select(held_out)
+        errors = prediction_errors(part.form, fits.model(k), part.joint_position, part.pose, of=samples)
+        position[held_out] = errors.position
+        if orientation is not None:
+            orientation[held_out] = errors.orientation
+    return Errors(position, orientation, problem.joint_position)
 
 
 def _unconverged_folds(fits: RobustFits) -> list[str]:
-    count = int((fits.estimates.status[1:] != Result.CONVERGED).sum())
+    count = int((fits.estimates.status != Result.CONVERGED).sum())
     if not count:
         return []
     return [
@@ -150,16 +187,16 @@ def _excess(problem: Problem, covariance: Array, residual: Errors) -> Array:
     return np.where(observed > _EXCESS * expected, observed - expected, 0.0)
 
 
-def _covariance(problem: Problem, free: NDArray, fits: RobustFits, training: NDArray, freedom: float | None) -> Array:
+def _covariance(problem: Problem, free: NDArray, fits: RobustFits, freedom: float | None) -> Array:
     """The covariance of the entries of a step; the prior's precision is added to the data's information."""
     rows, scale = problem.rows, fits.scale[0]
     prior = np.diag(problem.precision * free)
     information = (np.asarray(fits.estimates.curvature[0]) - prior) * np.outer(free, free)
-    numbers, fitted = int(training.sum()) * rows, int(free.sum())
+    numbers, fitted = fits.estimates.squares.shape[1] * rows, int(free.sum())
     if freedom is None:
         factor = scale**2 * numbers / max(numbers - fitted, 1)
     else:
-        factor = variance_factor(fits.estimates.squares[0][training] / scale**2, rows, freedom, fitted)
+        factor = variance_factor(fits.estimates.squares[0] / scale**2, rows, freedom, fitted)
     covariance = np.zeros_like(prior)
     if free.any():
         covariance[np.ix_(free, free)] = np.linalg.inv((information / factor + prior)[np.ix_(free, free)])

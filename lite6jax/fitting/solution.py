@@ -46,18 +46,31 @@ class Errors:
 
 
 _predict = Exported("predict", predict, (0,))
+_AT_ONCE = 24_000
+"""Samples, whose predicted poses take 3 MB."""
 
 
-def prediction_errors(form: ModelForm, model: ArmModel, joint_position: Array, pose: Array) -> Errors:
-    """Distances (m) and angles (rad) of a model's prediction from poses `(sample, 4, 4)` or positions `(sample, 3)`."""
-    size = padded_size(len(pose))[0]
-    predicted = np.asarray(_predict(form.chain, model, pad(joint_position, 0, size)))[: len(pose)]
-    if pose.ndim == 2:
-        return Errors(np.linalg.norm(predicted[:, :3, 3] - pose, axis=1), None, joint_position)
-    # ‖R̂ − R‖ = 2 √2 sin(angle / 2), which small angles do not round away
-    chord = np.linalg.norm(predicted[:, :3, :3] - pose[:, :3, :3], axis=(1, 2))
-    angle = 2 * np.arcsin(np.minimum(chord / np.sqrt(8), 1.0))
-    return Errors(np.linalg.norm(predicted[:, :3, 3] - pose[:, :3, 3], axis=1), angle, joint_position)
+def prediction_errors(
+    form: ModelForm, model: ArmModel, joint_position: Array, pose: Array, of: int | None = None
+) -> Errors:
+    """Distances (m) and angles (rad) of a model's prediction from poses `(sample, 4, 4)` or positions `(sample, 3)`.
+
+    What is compiled for `of` samples serves a part of them as well.
+    """
+    size = padded_size(min(of or len(pose), _AT_ONCE))[0]
+    position, orientation = np.empty(len(pose)), None if pose.ndim == 2 else np.empty(len(pose))
+    for first in range(0, len(pose), _AT_ONCE):
+        some = slice(first, first + _AT_ONCE)
+        q, measured = joint_position[some], pose[some]
+        predicted = np.asarray(_predict(form.chain, model, pad(q, 0, size)))[: len(q)]
+        if orientation is None:
+            position[some] = np.linalg.norm(predicted[:, :3, 3] - measured, axis=1)
+            continue
+        position[some] = np.linalg.norm(predicted[:, :3, 3] - measured[:, :3, 3], axis=1)
+        # ‖R̂ − R‖ = 2 √2 sin(angle / 2), which small angles do not round away
+        chord = np.linalg.norm(predicted[:, :3, :3] - measured[:, :3, :3], axis=(1, 2))
+        orientation[some] = 2 * np.arcsin(np.minimum(chord / np.sqrt(8), 1.0))
+    return Errors(position, orientation, joint_position)
 
 
 @dataclass(frozen=True)

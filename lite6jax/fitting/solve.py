@@ -19,6 +19,10 @@ Array = NDArray[np.floating]
 Solver = Literal["gauss_newton", "levenberg_marquardt"]
 
 _MAX_SCALE_UPDATES = 30
+_FEW = 1500
+"""Samples up to which the compiler's optimisation takes longer than it saves, were it a hundred solves."""
+_GAUSSIAN = 1e15
+"""Degrees of freedom at which Student's t is Gaussian to rounding: another loss would be compiled for seconds."""
 _SCALE_TOLERANCE = 1e-3
 """Relative change of the noise scale below which its updates stop."""
 
@@ -88,11 +92,16 @@ def solve(
         robust,
         prior,
         chunk=1,
-        once=problem.exact,
+        once=problem.exact or len(problem.pose) <= _FEW,
         max_steps=max_steps,
     )
     solved = summary.solved
     return Estimates(solved.model, solved.curvature, summary.squares, solved.status, solved.steps)  # type: ignore[arg-type]
+
+
+def unweighted(freedom: float | None, sets: int) -> Robust | None:
+    """Least squares of so many sets of weights, compiled as what is solved with `freedom` degrees of freedom."""
+    return None if freedom is None else Robust(np.full(sets, _GAUSSIAN), np.ones(sets))  # type: ignore[arg-type]
 
 
 def _solve_one_by_one(
@@ -159,7 +168,9 @@ def solve_robustly(
     if freedom is None:
         estimates = solve(problem, free, whitener, training, None, start, solver, max_steps)
         return RobustFits(estimates, scales(estimates))
-    scale = scales(solve(problem, free, whitener, training, None, start, "gauss_newton", 0))
+    scale = scales(
+        solve(problem, free, whitener, training, unweighted(freedom, len(training)), start, "gauss_newton", 0)
+    )
     steps, updates = 0, 0
     while True:
         robust = Robust(np.full(len(scale), freedom), scale)  # type: ignore[arg-type]

@@ -8,8 +8,9 @@ from pathlib import Path
 from lite6jax.errors import InputError
 from lite6jax.folders.place import CALIBRATIONS, LOGS, RECORDINGS, Place, kind_of
 
-BATCH = 256
-"""Calibrations fitted together, as a whole: so their numbers do not depend on what was done before."""
+BATCH = 128
+"""Calibrations fitted together, as a whole: so their numbers do not depend on what was done before. A run that is
+killed loses so many for each of its workers."""
 
 
 def fleet_names(place: Place, out: Path) -> list[str]:

@@ -147,6 +147,8 @@ def identify(
     poses: int = 100,
     refits: int = 0,
     seed: int = 0,
+    processes: int | None = None,
+    scheduler: str | None = None,
 ) -> Identification:
     """What poses determine of an experiment's parameters, and how well.
 
@@ -156,6 +158,7 @@ def identify(
         poses: how many to draw.
         refits: of simulated readings, to test the prediction; 0 is none.
         seed: of the random numbers.
+        processes, scheduler: that refit, as `monte_carlo.refit` takes them.
 
     Raises:
         InputError: joints that the arm does not have, degrees for radians, or numbers that are not real or not finite.
@@ -172,7 +175,7 @@ def identify(
         possible=determine(experiment, workspace),
         observability=observability(determination.singular_values[:rank], len(q)) if rank else None,
         accuracy=predicted_accuracy(experiment, determination, workspace),
-        refits=refit(experiment, q, refits, seed) if refits else None,
+        refits=refit(experiment, q, refits, seed, processes=processes, scheduler=scheduler) if refits else None,
     )
 
 
@@ -184,6 +187,8 @@ def identify_recording(
     effects: Sequence[Effect] = (),
     refits: int = 0,
     seed: int = 0,
+    processes: int | None = None,
+    scheduler: str | None = None,
 ) -> Identification:
     """As `identify`, of the poses, the sensor and the unknowns of a recording, and of effects if given.
 
@@ -203,7 +208,9 @@ def identify_recording(
         notes.append("the sidecar does not declare the noise of all that is measured: it is that of a fit's residuals")
     if effects:
         experiment = experiment.with_physics(effects)
-    found = identify(experiment, recording.joint_position, refits=refits, seed=seed)
+    found = identify(
+        experiment, recording.joint_position, refits=refits, seed=seed, processes=processes, scheduler=scheduler
+    )
     return replace(found, notes=tuple(notes))
 
 

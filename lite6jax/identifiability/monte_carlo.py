@@ -1,5 +1,6 @@
-"""The predicted precision tested by Monte Carlo: many refits of simulated readings, all in one call."""
+"""The predicted precision tested by Monte Carlo: many refits of simulated readings, batch by batch."""
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import final
@@ -7,11 +8,13 @@ from typing import final
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pyarrow as pa
 from numpy.typing import ArrayLike, NDArray
 
 from lite6jax.arms.chains import joint_motion
 from lite6jax.arms.moves import Frame
 from lite6jax.arms.se3 import rotation_exp, rotation_log_components
+from lite6jax.distribution.batches import outcomes
 from lite6jax.effects.composition import Physics
 from lite6jax.errors import InputError
 from lite6jax.identifiability.determination import Determination, determine
@@ -23,7 +26,10 @@ from lite6jax.model import ModelForm
 Array = NDArray[np.floating]
 
 _TOGETHER = 200_000
-"""Readings simulated in one call: 1000 refits of 200 poses; more go batch by batch, so that memory is bounded."""
+"""Readings drawn at a time: those of 1000 refits of 200 poses. More are drawn as they are needed, so that memory is
+bounded."""
+BATCH = 250
+"""Refits of one call, whatever processes there are: so their bytes do not depend on these."""
 STEPS = 12
 """Most steps of a refit. The curvature stays that of the truth, from which noise leads away by 1e-4 of its size or so:
 each step leaves that share of the error, four leave rounding."""
@@ -59,8 +65,16 @@ class Refits:
         return self.standard_deviation[free] / self.determination.standard_deviation[free]
 
 
-def refit(experiment: Experiment, joint_position: ArrayLike, count: int = 1000, seed: int = 0) -> Refits:
-    """Simulates `count` sets of readings of the same poses and fits each, in one vmapped call.
+def refit(
+    experiment: Experiment,
+    joint_position: ArrayLike,
+    count: int = 1000,
+    seed: int = 0,
+    *,
+    processes: int | None = None,
+    scheduler: str | None = None,
+) -> Refits:
+    """Simulates `count` sets of readings of the same poses and fits each.
 
     The truth is the experiment's model; the means of the prior are drawn about it. Noise of the joints' read-outs is
     simulated as such: the fit is given other joint positions than the arm had.
@@ -70,36 +84,88 @@ def refit(experiment: Experiment, joint_position: ArrayLike, count: int = 1000, 
         joint_position: `(sample, joint)` rad.
         count: refits.
         seed: of the noise.
+        processes: of this machine that compute, each with one thread; none but this one where not given.
+        scheduler: the address of the scheduler of a Dask cluster that computes.
 
     Raises:
-        InputError: joints that the arm does not have; fewer than two refits.
+        InputError: joints that the arm does not have; fewer than two refits; or as `outcomes`.
     """
     if count < 2:
         raise InputError(f"{count} refits: a spread needs at least 2")
     q = np.asarray(joint_position, float)
     determination = determine(experiment, q)
-    form, sensor = experiment.form, experiment.sensor
-    active = np.flatnonzero(experiment.movable)[determination.free]
-    covariance = determination.covariance[np.ix_(determination.free, determination.free)]
-    precision = experiment.precision[active]
+    batches = -(-count // BATCH)
+    work = outcomes(
+        _refitted,
+        enumerate(_drawn(experiment, q, determination, count, seed)),
+        (experiment, q, determination.free, determination.covariance),
+        died=lambda one: _rows(np.full((1, determination.rank), np.nan), np.full(1, np.inf)),
+        processes=0 if processes is None and scheduler is None else processes,
+        scheduler=scheduler,
+        most=batches,
+    )
+    parts = dict(work)
+    found = pa.concat_tables([parts[k] for k in range(batches)])
+    errors = np.zeros((count, experiment.size))
+    errors[:, determination.free] = np.stack(found["errors"].to_pylist())
+    return Refits(determination, errors, found["length"].to_numpy() < _SETTLED)
 
-    random = np.random.default_rng(seed)
-    together = min(count, max(_TOGETHER // len(q), 1))
+
+def _drawn(
+    experiment: Experiment, q: Array, determination: Determination, count: int, seed: int
+) -> Iterator[list[tuple[Array, Array, Array]]]:
+    """For each refit of each batch its noise `(row, sample)`, that of the joints, and the means of the prior."""
+    random, sensor = np.random.default_rng(seed), experiment.sensor
+    precision = experiment.precision[np.flatnonzero(experiment.movable)[determination.free]]
     spread = 1 / np.sqrt(np.where(precision > 0, precision, np.inf))
-    select, static = np.eye(len(experiment.movable))[active], (form, experiment.physics, sensor)
-    shared = (experiment.numbers, q, direction(experiment, q), select, covariance, precision)
-    errors, lengths = np.zeros((count, experiment.size)), np.zeros(count)
+    together = min(count, max(_TOGETHER // len(q), 1))
+    waiting: list[tuple[Array, Array, Array]] = []
     for first in range(0, count, together):
         drawn = random.standard_normal((together, sensor.rows, len(q))) * sensor.noise[:, None]
-        read_out = np.zeros((1, *q.shape))
+        read_out = np.zeros((together, 0, q.shape[1]))
         if sensor.joint_noise:
             read_out = sensor.joint_noise * random.standard_normal((together, *q.shape))
-        center = spread * random.standard_normal((together, len(active)))
-        steps, ends = _refit(*static, *shared, drawn, read_out, center)
-        part = slice(first, min(first + together, count))
-        errors[part, determination.free] = np.asarray(steps)[: part.stop - part.start]
-        lengths[part] = np.asarray(ends)[: part.stop - part.start]
-    return Refits(determination, errors, lengths < _SETTLED)
+        center = spread * random.standard_normal((together, len(spread)))
+        waiting += list(zip(drawn, read_out, center, strict=True))[: count - first]
+        while len(waiting) >= BATCH:
+            yield waiting[:BATCH]
+            waiting = waiting[BATCH:]
+    if waiting:
+        yield waiting
+
+
+def _refitted(
+    drawn: Sequence[tuple[Array, Array, Array]],
+    experiment: Experiment,
+    q: Array,
+    free: NDArray[np.bool_],
+    covariance: Array,
+) -> pa.Table:
+    """The errors and the length of the last step of each refit."""
+    form, sensor = experiment.form, experiment.sensor
+    active = np.flatnonzero(experiment.movable)[free]
+    noise, read_out, center = (np.stack(part) for part in zip(*drawn, strict=True))
+    if not sensor.joint_noise:
+        read_out = np.zeros((1, *q.shape))
+    steps, lengths = _refit(
+        form,
+        experiment.physics,
+        sensor,
+        experiment.numbers,
+        q,
+        direction(experiment, q),
+        np.eye(len(experiment.movable))[active],
+        covariance[np.ix_(free, free)],
+        experiment.precision[active],
+        noise,
+        read_out,
+        center,
+    )
+    return _rows(np.asarray(steps), np.asarray(lengths))
+
+
+def _rows(steps: Array, lengths: Array) -> pa.Table:
+    return pa.table({"errors": pa.array(list(steps), pa.list_(pa.float64())), "length": lengths})
 
 
 @partial(jax.jit, static_argnums=(0, 1, 2))

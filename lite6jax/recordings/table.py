@@ -5,7 +5,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.interchange as pa_interchange
 
 from lite6jax.errors import InputError
 from lite6jax.recordings.arguments import LARGEST_MISSING_SHARE
@@ -164,7 +163,9 @@ def _named(frame: Any) -> tuple[Any, list[Any]]:
         if hasattr(frame, "__arrow_c_stream__"):
             frame = pa.table(frame)
         elif hasattr(frame, "__dataframe__"):
-            frame = pa_interchange.from_dataframe(frame)
+            from pyarrow.interchange import from_dataframe  # files do without it
+
+            frame = from_dataframe(frame)
     except (pa.ArrowException, TypeError, ValueError, NotImplementedError):
         return frame, []
     return (frame, frame.column_names) if isinstance(frame, pa.Table) else (frame, [])

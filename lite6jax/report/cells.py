@@ -12,6 +12,12 @@ SCREEN = {"m": (1e3, "mm"), "rad": (180 / np.pi, "deg")}
 """Factor and name of the printed unit, by SI unit."""
 SHOWS_AS_ZERO = 0.5e-4
 """The largest magnitude that four decimals round to zero."""
+STATISTICS = (
+    ("mean", np.mean),
+    ("median", np.median),
+    ("p95", lambda values: np.percentile(values, 95)),
+    ("max", np.max),
+)
 MOST_ROWS = 12
 """The largest number of row numbers that are listed."""
 

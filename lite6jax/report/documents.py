@@ -27,8 +27,8 @@ from lite6jax.identifiability.planning import Plan
 from lite6jax.identifiability.sensitivity import GlobalSensitivity, Sensitivity
 from lite6jax.identifiability.torque.discrimination import TorqueDiscrimination
 from lite6jax.identifiability.torque.planning import TorquePlan
+from lite6jax.report.cells import STATISTICS
 from lite6jax.report.compensation_tables import reason_text
-from lite6jax.report.tables import STATISTICS
 
 
 def text(found: Mapping[str, Any], written: Sequence[Path] = ()) -> str:

@@ -1,6 +1,7 @@
 """Tables on the screen for many arms: their comparison, and the conversion of a file."""
 
 from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 from rich.console import RenderableType
@@ -8,14 +9,15 @@ from rich.table import Table
 from rich.text import Text
 
 from lite6jax.arms.forms import Conversion
-from lite6jax.fitting.compare import Comparison
-from lite6jax.report.cells import SCREEN, SHOWS_AS_ZERO, fixed, listing
-from lite6jax.report.tables import STATISTICS
+from lite6jax.report.cells import SCREEN, SHOWS_AS_ZERO, STATISTICS, fixed, listing
+
+if TYPE_CHECKING:
+    from lite6jax.fitting.compare import Comparison  # which takes JAX, and conversions do not
 
 _MOST_ARMS = 12
 
 
-def comparison_report(comparison: Comparison, width: int) -> Iterator[RenderableType]:
+def comparison_report(comparison: "Comparison", width: int) -> Iterator[RenderableType]:
     """A comparison of arms of one model."""
     names, form = comparison.names, comparison.arm.form
     arms = len(names)
@@ -52,7 +54,7 @@ def comparison_report(comparison: Comparison, width: int) -> Iterator[Renderable
     yield from _pairwise_distances(comparison)
 
 
-def _differences_table(comparison: Comparison, arms: Sequence[int]) -> Table:
+def _differences_table(comparison: "Comparison", arms: Sequence[int]) -> Table:
     form = comparison.arm.form
     table = listing("", "", *(str(k + 1) for k in arms), "std", "largest")
     for i, (name, unit) in enumerate(zip(form.names, form.units, strict=True)):
@@ -64,7 +66,7 @@ def _differences_table(comparison: Comparison, arms: Sequence[int]) -> Table:
     return table
 
 
-def _pairwise_distances(comparison: Comparison) -> Iterator[RenderableType]:
+def _pairwise_distances(comparison: "Comparison") -> Iterator[RenderableType]:
     arms = len(comparison.names)
     if arms <= 8:
         table = listing("arm", *(str(k + 1) for k in range(arms)))

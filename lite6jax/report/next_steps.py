@@ -7,8 +7,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from lite6jax.effects.catalogue import BUILT_IN
-from lite6jax.effects.dynamic.catalogue import BUILT_IN as OF_TORQUES
 from lite6jax.recordings.sources import SUFFIXES
 from lite6jax.report import worth
 from lite6jax.report.remedies import remedy_of
@@ -75,6 +73,10 @@ def steps(document: Document, files: Files) -> list[Step]:
 
 def _known(document: Document, own: Sequence[str]) -> bool:
     """Whether the model can be read, which effects of the user's own take their file for."""
+    # a look at a table, which has next steps too, takes no effects
+    from lite6jax.effects.catalogue import BUILT_IN
+    from lite6jax.effects.dynamic.catalogue import BUILT_IN as OF_TORQUES
+
     known = OF_TORQUES if worth.of_torques(document) else BUILT_IN
     return bool(own) or all(finding["effect"] in known for finding in document["findings"])
 

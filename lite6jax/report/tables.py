@@ -16,18 +16,11 @@ from lite6jax.fitting.quality import ABOVE_NOISE
 from lite6jax.fitting.solution import Errors, Held, Noise, Result, Solution
 from lite6jax.recordings import Recording
 from lite6jax.report import screen
-from lite6jax.report.cells import SCREEN, fixed, listed, listing, number, plus_minus
+from lite6jax.report.cells import SCREEN, STATISTICS, fixed, listed, listing, number, plus_minus
 from lite6jax.report.data_faults import fault_statement
 from lite6jax.report.quality import quality_statement
 
 Array = NDArray[np.floating]
-
-STATISTICS = (
-    ("mean", np.mean),
-    ("median", np.median),
-    ("p95", lambda values: np.percentile(values, 95)),
-    ("max", np.max),
-)
 _MOST_ROWS = 5
 _SIX = ("x", "y", "z", "roll", "pitch", "yaw")
 

@@ -8,6 +8,7 @@ from lite6jax import fit_fleet
 from lite6jax.arms.bundled import load_bundled
 from lite6jax.arms.forward_kinematics import hayati_fk
 from lite6jax.errors import InputError
+from lite6jax.identifiability import monte_carlo
 from lite6jax.identifiability.determination import determine
 from lite6jax.identifiability.information import experiment, plan_experiment
 from lite6jax.identifiability.monte_carlo import refit
@@ -81,6 +82,17 @@ def test_seeds():
     once, again, other = (refit(setup, Q, 10, seed=s).errors for s in (0, 0, 1))
     np.testing.assert_array_equal(once, again)
     assert (once[:, :4] != other[:, :4]).all()
+
+
+def test_refits_have_the_same_bytes_for_any_number_of_processes(monkeypatch):
+    monkeypatch.setattr(monte_carlo, "BATCH", 4)
+    setup = plan_experiment("lite6", Sensor("pose", 2e-5, 1e-4, joint_noise=1e-5), frame=False)
+    here, one, two = (refit(setup, Q[:12], 10, seed=2, processes=count) for count in (None, 1, 2))
+    assert here.errors.shape == (10, 28)
+    assert one.errors.tobytes() == two.errors.tobytes()
+    assert here.settled.all()
+    assert one.settled.all()
+    np.testing.assert_allclose(here.errors, one.errors, rtol=0, atol=1e-6 * np.abs(here.errors).max())
 
 
 def test_a_spread_needs_two():

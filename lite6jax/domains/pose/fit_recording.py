@@ -40,7 +40,8 @@ def fit_recording(
         InputError: no measured poses, too few of them, or as `recording_problem`.
     """
     recording = recording if nominal is not None else with_arm(recording)
-    screened = screen(recording, nominal, geometry, options)
+    # without the rigid arm, whose residuals take as much memory as the recording
+    screened = replace(screen(recording, nominal, geometry, options), rigid=None)
     solution = recording_fit.fit_recording(
         screened.recording, screened.arm, geometry=geometry, loss=loss, solver=solver, max_steps=max_steps
     )

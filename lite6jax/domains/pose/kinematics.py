@@ -49,6 +49,11 @@ class Measured(NamedTuple):
         """Numbers that a sample has: 3 or 6."""
         return 6 if self.rotation.shape[-1] else 3
 
+    def select(self, samples: slice) -> "Measured":
+        """Some of the samples."""
+        whitener = self.whitener if self.whitener.ndim == 1 else self.whitener[..., samples]
+        return Measured(self.position[:, samples], self.rotation[..., samples], whitener)
+
 
 class RigidFrames(NamedTuple):
     """The frames of a rigid arm in the sensor's frame.
@@ -65,13 +70,9 @@ class RigidFrames(NamedTuple):
 def rigid_frames(model: ArmModel, joint_position: Array, sliding: tuple[int, ...]) -> RigidFrames:
     """The frames of a six-parameter chain with the prismatic joints `sliding` at `(joint, sample)` rad or m."""
     links = [frames.transform_from_row(row) for row in np.asarray(model.geometry).reshape(-1, 6)]
-    turns = np.moveaxis(frames.joint_motions(joint_position.T, sliding), 1, 0)
-    T = np.broadcast_to(np.asarray(model.T_sensor_base), (joint_position.shape[1], 4, 4))
-    found = [T]
-    for link, turned in zip(links, turns, strict=True):
-        T = T @ link @ turned
-        found.append(T)
-    return RigidFrames(np.stack(found), T @ np.asarray(model.T_flange_tool))
+    found = list(frames.walk(links, joint_position.T, sliding, np.asarray(model.T_sensor_base)))
+    tool = (found[-1].reshape(-1, 4) @ np.asarray(model.T_flange_tool)).reshape(-1, 4, 4)
+    return RigidFrames(np.stack(found), tool)
 
 
 def rigid_differences(tool: Array, measured: Measured) -> Array:
@@ -79,8 +80,31 @@ def rigid_differences(tool: Array, measured: Measured) -> Array:
     apart = tool[:, :3, 3].T - measured.position
     if measured.rows == 3:
         return apart
-    relative = np.einsum("abs,sac->sbc", measured.rotation, tool[:, :3, :3])
-    return np.concatenate([apart, Rotation.from_matrix(relative).as_rotvec().T])
+    return np.concatenate([apart, _rotation_vector(np.einsum("abs,sac->bcs", measured.rotation, tool[:, :3, :3]))])
+
+
+def _rotation_vector(R: Array) -> Array:
+    """Rotation vectors `(3, sample)` of rotations `(3, 3, sample)`: the axis times the angle by its sine and cosine.
+
+    Near half a turn, where the sine says nothing of the axis, they are SciPy's.
+    """
+    sines = 0.5 * np.stack([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
+    sine, cosine = np.linalg.norm(sines, axis=0), 0.5 * (R[0, 0] + R[1, 1] + R[2, 2] - 1)
+    vector = sines * np.where(sine > 0, np.arctan2(sine, cosine) / np.maximum(sine, np.finfo(float).tiny), 1.0)
+    half = cosine < -0.9
+    if half.any():
+        vector[:, half] = Rotation.from_matrix(np.moveaxis(R[..., half], -1, 0)).as_rotvec().T
+    return vector
+
+
+def rigid_residuals(model: ArmModel, joint_position: Array, sliding: tuple[int, ...], measured: Measured) -> Array:
+    """`rigid_differences` of a chain at `(joint, sample)` rad or m, block by block: not all frames are kept."""
+    found = np.empty((measured.rows, joint_position.shape[1]))
+    for first in range(0, found.shape[1], frames.BLOCK):
+        some = slice(first, first + frames.BLOCK)
+        tool = rigid_frames(model, joint_position[:, some], sliding).tool
+        found[:, some] = rigid_differences(tool, measured.select(some))
+    return found
 
 
 def whitened(columns: Array, whitener: Array) -> Array:

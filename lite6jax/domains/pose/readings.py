@@ -9,7 +9,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from lite6jax.arms import frames
 from lite6jax.arms.arm import Arm
@@ -169,6 +168,8 @@ def _rotations(predicted: Array, rotation: Array, unit: str | None) -> tuple[Dec
 
 def _wobble(predicted: Array, quaternion: Array) -> float:
     """rad, the median turn of the tool on the flange from its mean; `quaternion` scalar last."""
+    from scipy.spatial.transform import Rotation  # takes longer than a look at positions
+
     usable = np.linalg.norm(quaternion, axis=1) > 0.5
     if usable.sum() < FEWEST:
         return np.pi

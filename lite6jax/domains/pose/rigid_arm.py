@@ -23,8 +23,8 @@ from lite6jax.domains.pose.kinematics import (
     frame_columns,
     joint_columns,
     measured_poses,
-    rigid_differences,
     rigid_frames,
+    rigid_residuals,
     whitened,
 )
 from lite6jax.estimation.least_squares import relinearise
@@ -133,7 +133,7 @@ class RigidArm:
     @cached_property
     def differences(self) -> Array:
         """Predicted minus measured poses `(row, sample)`, m and rad."""
-        return rigid_differences(self.tool, self.measured)
+        return rigid_residuals(self.start, self.recording.joint_position.T, self.recording.sliding, self.measured)
 
     @cached_property
     def residuals(self) -> Array:
@@ -162,12 +162,12 @@ class RigidArm:
         first = {"base": 0, "link": 6, "tool": 6 * len(self.links)}
         return self.twists[[first[name] + 6 * j + k for name, j, k in self.unknown]]
 
-    @property
+    @cached_property
     def squares(self) -> Array:
         """`(sample,)`, of the residuals."""
         return np.sum(self.residuals**2, 0)
 
-    @property
+    @cached_property
     def scale(self) -> float:
         """Robust scale of the residuals over the declared noise; 1 where they are that noise and nothing else."""
         return t_scale(self.squares, self.rows, FREEDOM) / gaussian_t_scale(self.rows, FREEDOM)

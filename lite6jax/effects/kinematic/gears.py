@@ -3,10 +3,9 @@
 from dataclasses import dataclass
 from typing import ClassVar, final
 
-import jax.numpy as jnp
 import numpy as np
-from jax import Array, lax
 
+from lite6jax.deferred import Array, jnp, lax
 from lite6jax.effects.drivers import Driver
 from lite6jax.effects.effect import Choice, Coordinate, Effect, JointEffect, Reporting, tried, with_field
 from lite6jax.effects.kinematic import bounds

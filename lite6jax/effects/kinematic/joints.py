@@ -4,11 +4,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar, final
 
-import jax.numpy as jnp
 import numpy as np
-from jax import Array
 from numpy.typing import NDArray
 
+from lite6jax.deferred import Array, jnp
 from lite6jax.effects.drivers import Driver
 from lite6jax.effects.effect import Choice, Coordinate, Effect, JointEffect, Reporting, tried, with_field
 from lite6jax.effects.kinematic import bounds

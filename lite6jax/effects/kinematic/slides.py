@@ -3,9 +3,7 @@
 from dataclasses import dataclass
 from typing import ClassVar, final
 
-import jax.numpy as jnp
-from jax import Array
-
+from lite6jax.deferred import Array, jnp
 from lite6jax.effects.drivers import Driver
 from lite6jax.effects.effect import Coordinate, JointEffect
 from lite6jax.effects.kinematic import bounds

@@ -3,12 +3,10 @@
 from dataclasses import dataclass
 from typing import ClassVar, final
 
-import jax.numpy as jnp
 import numpy as np
-from jax import Array
-from scipy.spatial.transform import Rotation
 
 from lite6jax.arms.se3 import rotation_exp
+from lite6jax.deferred import Array, jnp
 from lite6jax.effects.drivers import Driver
 from lite6jax.effects.effect import Coordinate, Loading
 from lite6jax.effects.kinematic import bounds
@@ -101,6 +99,8 @@ class GravityDirection(Loading):
 
     def alter_inertia(self, values: Array, inertia: Inertia) -> Inertia:
         if isinstance(values, np.ndarray):  # on the host nothing is compiled, in the course of hundreds of fits
+            from scipy.spatial.transform import Rotation  # takes longer than a list of effects
+
             turned = Rotation.from_rotvec([*values, 0.0]).as_matrix() @ np.asarray(inertia.gravity)
             return inertia._replace(gravity=turned)  # type: ignore[arg-type]
         return inertia._replace(gravity=rotation_exp(jnp.append(values, 0.0)) @ inertia.gravity)

@@ -233,16 +233,18 @@ def _unsettled_rows(arm: RigidArm, options: ScreeningOptions) -> Unsettled | Non
     outlying = arm.squares > options.outlier_squares * arm.rows * scale**2
     if not options.outlier_rows <= outlying.sum() <= arm.samples // 3:
         return None
-    along = np.einsum("jrs,sj->rs", arm.joints, moves(recording))
+    rows = np.flatnonzero(outlying)
+    far = arm.select(rows)
+    along = np.einsum("jrs,sj->rs", far.joints, moves(recording)[rows])
     length = np.sum(along**2, 0)
-    product = np.sum(along * arm.residuals, 0)
+    product = np.sum(along * far.residuals, 0)
     share = -product / np.maximum(length, 1e-300)
-    cosine2 = product**2 / np.maximum(length * arm.squares, 1e-300)
-    hit = outlying & (cosine2 > options.along_move) & (share > 0)
+    cosine2 = product**2 / np.maximum(length * far.squares, 1e-300)
+    hit = (cosine2 > options.along_move) & (share > 0)
     by_chance = (1 - np.sqrt(options.along_move)) / 2
-    p = float(bdtrc(hit.sum() - 1, outlying.sum(), by_chance))
+    p = float(bdtrc(hit.sum() - 1, len(rows), by_chance))
     if p > options.settling_level or hit.sum() < options.outlier_rows:
         return None
     rest = np.full(recording.dof, float(np.median(share[hit])))
     none = np.zeros_like(recording.joint_position)
-    return Unsettled("rows", tuple(range(recording.dof)), rest, np.zeros_like(rest), none, np.flatnonzero(hit), p)
+    return Unsettled("rows", tuple(range(recording.dof)), rest, np.zeros_like(rest), none, rows[hit], p)

@@ -1,0 +1,80 @@
+"""JAX is imported where it is first used: not by commands that compute nothing, and with the same results by others."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+
+RECORDING = "q1_rad,q2_rad,q3_rad,q4_rad,q5_rad,q6_rad,x_m,y_m,z_m\n" + "0.1,0.2,0.3,0.4,0.5,0.6,0.2,0.1,0.3\n" * 12
+
+
+def in_a_new_process(code, *arguments):
+    """What a program prints that imports nothing beforehand."""
+    done = subprocess.run([sys.executable, "-c", code, *arguments], cwd=ROOT, capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (0, "")
+    return done.stdout.splitlines()
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        ["--help"],
+        ["--version"],
+        ["diagnose", "--help"],
+        ["arms"],
+        ["arms", "--json"],
+        ["effects"],
+        ["effects", "--json"],
+        ["init", "run.csv", "--yes"],
+        ["convert", "lite6", "arm.urdf"],
+        ["convert", "ur10", "arm.xml"],
+        ["fit", "no_such_file.yaml"],
+        ["fleet", "no_such_folder", "--out", "fleet.parquet"],
+    ],
+    ids=" ".join,
+)
+def test_a_command_that_computes_nothing_does_not_import_jax(tmp_path, command):
+    (tmp_path / "run.csv").write_text(RECORDING)
+    code = """
+import contextlib, io, os, sys
+from lite6jax.cli import program
+os.chdir(sys.argv[1])
+with contextlib.redirect_stdout(io.StringIO()) as out, contextlib.redirect_stderr(out):
+    code = program.main(sys.argv[2:])
+print(code, "jax" in sys.modules, len(out.getvalue()) > 10)
+"""
+    wrong = 2 if command[1:2] and command[1].startswith("no_such") else 0
+    assert in_a_new_process(code, str(tmp_path), *command) == [f"{wrong} False True"]
+
+
+def test_what_was_imported_before_jax_computes_as_what_was_imported_after_it():
+    code = """
+import sys
+if sys.argv[1] == "after":
+    import jax
+from lite6jax.arms.chains import SixParameterForm
+from lite6jax.arms.forward_kinematics import fk
+from lite6jax.deferred import Array, jnp
+from lite6jax.effects.motion import motion_of, shifted
+from lite6jax.effects.sliding import Sliding
+import numpy as np
+assert ("jax" in sys.modules) == (sys.argv[1] == "after")
+assert not isinstance(np.zeros(2), Array)
+q = np.linspace(0, 1, 12).reshape(6, 2) ** 2
+motion = motion_of(q, joint_velocity=q, time=np.arange(6.0), sliding=(1,))
+assert isinstance(motion.joint_position, Array) and isinstance(jnp.zeros(2), Array)
+import jax
+leaves, structure = jax.tree.flatten(motion)
+assert all(isinstance(leaf, jax.Array) for leaf in leaves) and Sliding((1,)) == motion.sliding
+moved = shifted(motion, 0.25)
+assert moved.sliding == Sliding((1,))
+print(shifted.__name__, np.asarray(moved.joint_position).tobytes().hex())
+pose = jax.vmap(lambda p: fk(SixParameterForm(2), p, q))(np.full((1, 12), 0.3))
+print(fk.lower(SixParameterForm(2), np.full(12, 0.3), q).as_text()[:6], np.asarray(pose).tobytes().hex())
+"""
+    before, after = (in_a_new_process(code, when) for when in ("before", "after"))
+    assert before == after
+    assert before[0].startswith("shifted ")
