@@ -16,7 +16,7 @@ from lite6jax.errors import InputError
 from lite6jax.storage import check_writable, write_atomically
 
 COMPARED = ("models", "devices")
-BY_NAME = ("growth", "devices", "ceres")
+BY_NAME = ("growth", "devices", "ceres", "fleet_diagnosis")
 """Workloads that take minutes, a device or a compiler, and run only where they are named."""
 NEEDS = {"scipy": "scipy", "pinocchio": "pin", "mujoco": "mujoco"}
 RIVALS = {"mujoco": "mujoco", "sklearn": "scikit-learn"}
@@ -96,7 +96,7 @@ def main(arguments: Sequence[str] | None = None, known: Mapping[str, Workload] |
         "concealed --help.",
     )
     parser.add_argument(
-        "name", nargs="?", choices=list(known), help="one workload; without it all but growth, devices, ceres"
+        "name", nargs="?", choices=list(known), help=f"one workload; without it all but {', '.join(BY_NAME)}"
     )
     parser.add_argument("--json", type=Path, metavar="OUT", help="write the records to this file, over an older one")
     parser.add_argument(
