@@ -18,8 +18,10 @@ _static: list[type] = []
 if TYPE_CHECKING or "jax" in sys.modules:
     import jax
     import jax.numpy as jnp
-    from jax import Array, jit, lax
+    from jax import Array, lax
     from jax.typing import ArrayLike
+
+    jit = jax.jit
 else:
 
     class _Module:

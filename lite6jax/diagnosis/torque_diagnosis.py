@@ -12,7 +12,8 @@ from lite6jax.diagnosis.diagnose import findings_of, without_effects
 from lite6jax.diagnosis.folds import fold_count, side_by_side
 from lite6jax.diagnosis.options import Options
 from lite6jax.diagnosis.torque_result import TorqueDiagnosis
-from lite6jax.domains.torque.problem import TorqueProblem, linearised, torque_problem
+from lite6jax.domains.torque.linearisation import linearised
+from lite6jax.domains.torque.problem import TorqueProblem, torque_problem
 from lite6jax.domains.torque.screening import contacts, screen_torques
 from lite6jax.effects.dynamic.torque_effect import TorqueEffect
 from lite6jax.estimation.least_squares import Fit

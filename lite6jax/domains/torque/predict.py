@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lite6jax.arms.arm import Arm
+from lite6jax.domains.torque.composition import composed
 from lite6jax.domains.torque.filtering import interpolant
-from lite6jax.domains.torque.problem import composed
 from lite6jax.domains.torque.rows import RigidBodies, bodies_of
 from lite6jax.domains.torque.uncertainty import TorqueUncertainty, bars_of
 from lite6jax.effects.dynamic.torque_effect import Delaying, Dynamics

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lite6jax.domains.torque import families
+from lite6jax.domains.torque.composition import composed, pairs, scales_of
 from lite6jax.domains.torque.families import joints_of
 from lite6jax.domains.torque.links import uncertain
 from lite6jax.domains.torque.rows import TorqueRows
@@ -16,16 +17,10 @@ from lite6jax.effects.catalogue import Untestable, untestable
 from lite6jax.effects.dynamic.bodies import LinkCom, LinkMass, PayloadTorque
 from lite6jax.effects.dynamic.catalogue import torque_catalogue, torque_ladder, torque_shaped
 from lite6jax.effects.dynamic.drives import declared
-from lite6jax.effects.dynamic.friction import CoulombFriction, ViscousFriction
-from lite6jax.effects.dynamic.motors import RotorInertia, TorqueOffset
 from lite6jax.effects.dynamic.torque_effect import Delaying, Dynamics, Scaling, TorqueEffect
 from lite6jax.effects.dynamic.unnamed import UnnamedTorque
 from lite6jax.errors import InputError
-from lite6jax.estimation.least_squares import Fit, fit
-from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.problem import CurveFamily, Mask, PeriodicFamily
-from lite6jax.estimation.projection import schur_complement
-from lite6jax.estimation.score_test import score_test
 from lite6jax.estimation.terms import Term, Terms
 
 Array = NDArray[np.floating]
@@ -33,10 +28,6 @@ Array = NDArray[np.floating]
 # type checkers do not accept a cached property where a protocol declares a property
 lazy = property if TYPE_CHECKING else cached_property
 
-_EVERYWHERE = (ViscousFriction, CoulombFriction, TorqueOffset, RotorInertia)
-"""What every joint has, to some degree."""
-_WIDTHS = (0.03, 0.1, 0.3, 1.0, 3.0)
-"""Relative standard deviations of inertial numbers that are unknown: from another series of the arm to another arm."""
 FITTED = (LinkMass, LinkCom)
 """Effects that are confounded with inertial numbers that are fitted."""
 _ASSUMED = 0.02
@@ -197,16 +188,16 @@ class TorqueProblem:
 
     def torque(self, nuisance: Array, terms: Terms, values: Array) -> Array:
         """Predicted torques `(joint, sample)` Nm, filtered, as their stamps say."""
-        delays = [float(values[part][0]) for effect, part in _pairs(terms) if isinstance(effect, Delaying)]
+        delays = [float(values[part][0]) for effect, part in pairs(terms) if isinstance(effect, Delaying)]
         if any(delays):
             return self._delayed(nuisance, terms, values, sum(delays))[0]
         total = self.rigid
         if nuisance.any():
             total = total + np.tensordot(nuisance, self._inertial, 1)
         there = self.dynamics
-        if nuisance.any() and any(_loaded(effect) or not effect.linear for effect, _ in _pairs(terms)):
+        if nuisance.any() and any(_loaded(effect) or not effect.linear for effect, _ in pairs(terms)):
             there = self.data.bodies.dynamics(self.links_at(nuisance))
-        for effect, part in _pairs(terms):
+        for effect, part in pairs(terms):
             if not isinstance(effect, Scaling | Delaying):
                 total = total + self._added(effect, np.asarray(values[part], float), there)
         return scales_of(terms, values, self.rows) * total
@@ -229,10 +220,10 @@ class TorqueProblem:
         at = np.zeros(own.size) if values is None else np.asarray(values, float)
         others, numbers = beside or (own, at)
         found = np.zeros((own.size, self.rows, self.samples))
-        for effect, part in _pairs(own):
+        for effect, part in pairs(own):
             joints = joints_of(effect)
             if isinstance(effect, Scaling):
-                kept = [not isinstance(one, Scaling | Delaying) for one, _ in _pairs(others)]
+                kept = [not isinstance(one, Scaling | Delaying) for one, _ in pairs(others)]
                 whole = self.torque(np.zeros(len(self.precision)), *others.part(numbers, kept))
                 found[part, joints] = whole[joints]
             elif isinstance(effect, Delaying):
@@ -331,44 +322,6 @@ class TorqueProblem:
         return np.stack(found)
 
 
-def _loaded(effect: TorqueEffect) -> bool:
-    """Whether an effect depends on what the links weigh."""
-    return any(driver.loaded for driver in effect.drivers)
-
-
-def _pairs(terms: Terms) -> list[tuple[TorqueEffect, slice]]:
-    """The effects that are the terms of a torque problem, each with the place of its numbers."""
-    pairs = []
-    for term, part in zip(terms.terms, terms.slices, strict=True):
-        assert isinstance(term, TorqueEffect)
-        pairs.append((term, part))
-    return pairs
-
-
-def composed(terms: Terms, values: Array, dynamics: Dynamics) -> Array:
-    """`(joint, sample)` Nm that a motor's sensor shows at each instant of a motion; delays are left out."""
-    total = without_sensors(terms, values, dynamics)
-    return scales_of(terms, values, len(total)) * total
-
-
-def without_sensors(terms: Terms, values: Array, dynamics: Dynamics) -> Array:
-    """`(joint, sample)` Nm that the motors exert: without the scales and delays of what shows it."""
-    total = dynamics.declared
-    for effect, part in _pairs(terms):
-        if not isinstance(effect, Scaling | Delaying):
-            total = total + effect.torque(np.asarray(values[part], float), dynamics)
-    return total
-
-
-def scales_of(terms: Terms, values: Array, joints: int) -> Array:
-    """`(joint, 1)`, the measured torque over the true one."""
-    scale = np.ones((joints, 1))
-    for effect, part in _pairs(terms):
-        if isinstance(effect, Scaling):
-            scale[effect.joint - 1] += values[part][0]
-    return scale
-
-
 def torque_problem(data: TorqueRows, effects: Sequence[TorqueEffect] = ()) -> TorqueProblem:
     """The problem of a filtered recording and its sidecar, at the declared inertial numbers.
 
@@ -414,43 +367,6 @@ def torque_problem(data: TorqueRows, effects: Sequence[TorqueEffect] = ()) -> To
     )
 
 
-def linearised(problem: TorqueProblem, options: EngineOptions, training: Mask | None = None) -> TorqueProblem:
-    """The problem at the inertial numbers that fit best beside the effects that every arm has.
-
-    Without these they would be those of an arm whose weight does what friction does, and so would its loads be. Where
-    the numbers are unknown, the width of their prior is the most likely one (D. MacKay, Bayesian Interpolation, Neural
-    Computation 4, 1992).
-
-    Args:
-        problem: at the declared numbers.
-        options: thresholds.
-        training: `(sample,)` bool; all where not given.
-    """
-    if not len(problem.directions):
-        return problem
-    joints = range(1, problem.rows + 1)
-    terms = Terms(tuple(kind(joint) for kind in _EVERYWHERE for joint in joints))
-    widths = _WIDTHS if problem.data.recording.settings.inertial == "unknown" else (1.0,)
-    wider = [replace(problem, precision=problem.precision / width**2) for width in widths]
-    fits = [fit(each, terms, options, training=training) for each in wider]
-    time = max(score_test(wider[-1], fits[-1], options).time, 1.0)
-    best = max(range(len(widths)), key=lambda k: _evidence(wider[k], fits[k], time))
-    return wider[best].relinearised(fits[best].nuisance)
-
-
-def _evidence(problem: TorqueProblem, found: Fit, time: float) -> float:
-    """The logarithm of the marginal likelihood of a prior's width, in noise of the fit.
-
-    What no effect explains yet is not independent from sample to sample: so many of them as their autocorrelation
-    `time` says count as one. If each counted, inertial numbers would be taken as less certain for what is missing
-    beside them, and would follow it.
-    """
-    root = np.sqrt(np.where(found.training, found.residuals.row_weight / time, 0.0))
-    columns = np.concatenate([problem.nuisance_columns(found.terms, found.values), problem.columns(found.terms.terms)])
-    flat = (columns * root).reshape(len(columns), -1)
-    k = len(problem.precision)
-    S = schur_complement(flat @ flat.T, np.arange(k, len(columns)))[:k, :k] / np.sqrt(
-        np.outer(problem.precision, problem.precision)
-    )
-    volume = float(np.linalg.slogdet(np.eye(k) + S)[1])
-    return found.log_likelihood(found.scale) / time - 0.5 * volume
+def _loaded(effect: TorqueEffect) -> bool:
+    """Whether an effect depends on what the links weigh."""
+    return any(driver.loaded for driver in effect.drivers)

@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lite6jax.domains.pose.uncertainty import DRIVEN, LENGTH, MARGIN, beyond_range, distance_to, freed
+from lite6jax.domains.torque.composition import composed, scales_of, without_sensors
 from lite6jax.domains.torque.families import joints_of, unit_torques
 from lite6jax.domains.torque.filtering import interpolant
-from lite6jax.domains.torque.problem import composed, scales_of, without_sensors
 from lite6jax.domains.torque.rows import RigidBodies
 from lite6jax.effects.drivers import Driver
 from lite6jax.effects.dynamic.torque_effect import Delaying, Dynamics, Scaling, TorqueEffect

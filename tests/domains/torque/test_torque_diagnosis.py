@@ -12,8 +12,9 @@ from lite6jax.diagnosis.document import write_document
 from lite6jax.diagnosis.options import Options
 from lite6jax.diagnosis.torque_diagnosis import diagnose_torques
 from lite6jax.diagnosis.torque_document import read_torque_model, torque_model_from_document
+from lite6jax.domains.torque.linearisation import linearised
 from lite6jax.domains.torque.predict import predict_torques
-from lite6jax.domains.torque.problem import linearised, torque_problem
+from lite6jax.domains.torque.problem import torque_problem
 from lite6jax.domains.torque.screening import screen_torques
 from lite6jax.effects.dynamic.friction import CoulombFriction, ViscousFriction
 from lite6jax.errors import InputError

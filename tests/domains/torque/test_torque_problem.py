@@ -9,8 +9,9 @@ from engine.explained import assert_same_gains
 
 from lite6jax.arms.dynamics import link_parameters
 from lite6jax.domains.torque.filtering import low_pass, runs_of, sample_rate, spikes, without_spikes
+from lite6jax.domains.torque.linearisation import linearised
 from lite6jax.domains.torque.links import uncertain
-from lite6jax.domains.torque.problem import linearised, torque_problem
+from lite6jax.domains.torque.problem import torque_problem
 from lite6jax.domains.torque.rows import bodies_of, torque_rows
 from lite6jax.effects.dynamic.friction import StribeckFriction, ViscousFriction
 from lite6jax.effects.dynamic.motors import TorqueRipple, TorqueScale, TorqueTimeOffset
