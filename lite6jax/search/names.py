@@ -178,8 +178,7 @@ def _not_possible(problem: Problem, state: State, options: EngineOptions) -> int
 def _contradicted(problem: Problem, state: State, options: EngineOptions) -> int | None:
     """The named term of which the part in one group of rows alone is clearly more likely than the whole.
 
-    A delay of the clock is one of the torques of all joints; where those of one joint alone are late, it is not the
-    clock's.
+    Such a term acts on all groups by its definition. What one group alone shows is something else, whatever it is.
     """
     now = score_test(problem, state.fit, options)
     for k, tested in enumerate(state.tested):
