@@ -79,7 +79,9 @@ sys.stdout.write(canonical((load_bundled("lite6"), {"x", "y", "z"}, Path("a"), 0
     assert bytes.fromhex(said) == canonical((load_bundled("lite6"), {"z", "y", "x"}, Path("a"), 0.1, Path))
 
 
-@pytest.mark.parametrize("value", [object(), lambda: 0, np.array([object()]), (1, iter([]))], ids=["object", "function", "array", "iterator"])
+@pytest.mark.parametrize(
+    "value", [object(), lambda: 0, np.array([object()]), (1, iter([]))], ids=["object", "function", "array", "iterator"]
+)
 def test_what_has_no_canonical_form_is_refused(value):
     with pytest.raises(TypeError, match="has no canonical form"):
         canonical(value)
