@@ -324,7 +324,7 @@ def score_test(
     )
     scale = rms * best.scale
     residual = (winsorised / rms[problem.groups, None]).ravel()
-    time = _longest_time(residual.reshape(problem.rows, -1), problem.groups) if time is None else time
+    time = float(_times(winsorised, problem.groups).max()) if time is None else time
     if within:
         more, values = within.terms.part(within.values, [term not in fit.terms.terms for term in within.terms.terms])
         added = np.tensordot(values, problem.columns(more.terms, values), 1)[None]
@@ -397,8 +397,13 @@ def _winsorised(rows: Array, fit: Fit, limit: float) -> Array:
     return out
 
 
-def _longest_time(residual: Array, groups: NDArray[np.integer]) -> float:
-    return max(autocorrelation_time(residual[groups == group]) for group in range(int(groups.max()) + 1))
+def autocorrelation_times(problem: Problem, fit: Fit, options: EngineOptions) -> Array:
+    """The autocorrelation time of the residuals of each group of noise, `(group,)` samples."""
+    return _times(_winsorised(fit.residuals.innovations, fit, options.winsor) * fit.training, problem.groups)
+
+
+def _times(residual: Array, groups: NDArray[np.integer]) -> Array:
+    return np.array([autocorrelation_time(residual[groups == group]) for group in range(int(groups.max()) + 1)])
 
 
 def _blocks(samples: int, time: float, options: EngineOptions) -> NDArray[np.integer]:

@@ -6,20 +6,24 @@ and terms are removed one by one as long as what they explain is not significant
 elimination, in generalised least squares).
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lite6jax.estimation.least_squares import Fit, fit
 from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.problem import Mask, Problem
-from lite6jax.estimation.score_test import Score, gain_p_value, score_test, searched_size
-from lite6jax.estimation.terms import Terms
+from lite6jax.estimation.score_test import Score, autocorrelation_times, gain_p_value, score_test, searched_size
+from lite6jax.estimation.terms import Term, Terms
 from lite6jax.progress import entered
 from lite6jax.search.backward import eliminate, prune
 from lite6jax.search.forward import forward
 from lite6jax.search.names import challenge_names
 from lite6jax.search.state import SelectedTerm, State
+
+Array = NDArray[np.floating]
 
 _STEPS = 6
 """Most steps of a fit whose terms are about to leave."""
@@ -40,37 +44,39 @@ def from_saturated(problem: Problem, training: Mask, options: EngineOptions) -> 
     terms = Terms(tuple(term for term, one in explained if not one.confounded))
     rough = replace(options, steps=_STEPS)
     found = fit(problem, terms, rough, training=baseline.training)
-    time = score_test(problem, found, options).time
-    while (leaving := _unnecessary(problem, found, time, options)) and len(found.terms.terms) > len(leaving):
+    times = autocorrelation_times(problem, found, options)
+    while (leaving := _unnecessary(problem, found, times, options)) and len(found.terms.terms) > len(leaving):
         kept = [k not in leaving for k in range(len(found.terms.terms))]
         rest, values = found.terms.part(found.values, kept)
         found = fit(problem, rest, rough, values, found.nuisance, found.training)
     if len(found.terms.terms) <= options.most_terms:
         return None
-    return _tested(problem, State(baseline, found, _untested(found)), time, options)
+    return _tested(problem, State(baseline, found, _untested(found)), times, options)
 
 
 def refined(problem: Problem, state: State, options: EngineOptions) -> State:
     """A state of many terms with what it still lacks, and without what that makes unnecessary.
 
-    Each term is finally tested by what it explains, in as many independent samples as the autocorrelation time leaves:
-    blocks of samples are too few for a test of so many terms. The time is that of the model with all of them, as what a
-    term leaves that should have stayed would mask the next one.
+    Each term is finally tested by what it explains, in as many independent samples as the autocorrelation time of the
+    groups that it acts on leaves: blocks of samples are too few for a test of so many terms. The times are those of
+    the model with all of them, as what a term leaves that should have stayed would mask the next one.
     """
     more = replace(options, most_terms=len(state.tested) + options.most_terms)
     state = prune(problem, eliminate(problem, forward(problem, state, more, shaped=True), more), more)
     entered("naming")
     state = challenge_names(problem, state, replace(more, name_rounds=2 * options.name_rounds))
-    time = score_test(problem, state.fit, options).time
-    while leaving := _unnecessary(problem, state.fit, time, options):
+    times = autocorrelation_times(problem, state.fit, options)
+    while leaving := _unnecessary(problem, state.fit, times, options):
         kept = [k not in leaving for k in range(len(state.tested))]
         rest, values = state.fit.terms.part(state.fit.values, kept)
         found = fit(problem, rest, options, values, state.fit.nuisance, state.fit.training)
         tested = tuple(test for test, stays in zip(state.tested, kept, strict=True) if stays)
         state = State(state.baseline, found, tested)
     # the noise of neighbouring samples is not independent: so many of them count as one
-    inflated = replace(state.fit, covariance=state.fit.covariance * max(time, 1.0))
-    return _tested(problem, replace(state, fit=inflated), 1.0, options)
+    terms = state.fit.terms.terms
+    wider = np.sqrt(np.repeat(_of_terms(problem, terms, times), [term.size for term in terms]))
+    inflated = replace(state.fit, covariance=state.fit.covariance * np.outer(wider, wider))
+    return _tested(problem, replace(state, fit=inflated), np.ones_like(times), options)
 
 
 def _untested(found: Fit) -> tuple[SelectedTerm, ...]:
@@ -80,21 +86,29 @@ def _untested(found: Fit) -> tuple[SelectedTerm, ...]:
     )
 
 
-def _tested(problem: Problem, state: State, time: float, options: EngineOptions) -> State:
-    """With each term tested by what it explains to second order, in noise of this autocorrelation time."""
+def _of_terms(problem: Problem, terms: Sequence[Term], times: Array) -> Array:
+    """The autocorrelation time for each term, at least 1 sample: the longest of the groups that it acts on."""
+    acts = [np.any(problem.columns([term]), axis=(0, 2)) for term in terms]
+    return np.array([max(1.0, float(times[problem.groups[rows]].max(initial=1.0))) for rows in acts])
+
+
+def _tested(problem: Problem, state: State, times: Array, options: EngineOptions) -> State:
+    """With each term tested by what it explains to second order, in noise of these autocorrelation times `(group,)`."""
     searched, tested = searched_size(problem, options), []
-    for k, test in enumerate(state.tested):
+    of_terms = _of_terms(problem, state.fit.terms.terms, times)
+    for k, (test, time) in enumerate(zip(state.tested, of_terms, strict=True)):
         gain = state.fit.quadratic_gain(k)
         p_value = min(gain_p_value(gain, test.term.size, time) * searched, 1.0)
         tested.append(replace(test, p_value=p_value, score=test.score._replace(gain=gain, p_value=p_value)))
     return replace(state, tested=tuple(tested))
 
 
-def _unnecessary(problem: Problem, found: Fit, time: float, options: EngineOptions) -> set[int]:
+def _unnecessary(problem: Problem, found: Fit, times: Array, options: EngineOptions) -> set[int]:
     """Of each site, the term that leaves, if there is one: the least possible, or else the least significant one."""
     searched, std = searched_size(problem, options), np.sqrt(np.maximum(np.diagonal(found.covariance), 1e-300))
     worst: dict[str, tuple[float, int]] = {}
-    for k, (term, part) in enumerate(zip(found.terms.terms, found.terms.slices, strict=True)):
+    of_terms = _of_terms(problem, found.terms.terms, times)
+    for k, (term, part, time) in enumerate(zip(found.terms.terms, found.terms.slices, of_terms, strict=True)):
         p_value = gain_p_value(found.quadratic_gain(k), term.size, time) * searched
         beyond = max(
             max(lower - value, value - upper) / s
