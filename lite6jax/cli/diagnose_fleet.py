@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from lite6jax.cli.arguments import check_processes
-from lite6jax.cli.diagnose_folder import asked_of, diagnosed, run_on_folder
+from lite6jax.cli.diagnose_folder import asked_of, diagnosed, refuse_options_of_one, run_on_folder
 from lite6jax.cli.exit_codes import DONE
 from lite6jax.errors import InputError
 
@@ -22,9 +22,7 @@ def diagnose_recorded_fleet(command: "Diagnose") -> int:
     Args:
         command: as it was given; its source is a folder or a URL.
     """
-    for option in ("reference", "report", "figures"):
-        if getattr(command, option) is not None:
-            raise InputError(f"--{option}: is of one recording, and --fleet pools many; leave it out")
+    refuse_options_of_one(command, "--fleet pools many")
     if command.torques:
         raise InputError("--torques: --fleet pools measured poses; leave one of them out")
     if command.out is None or command.out.suffix.lower() == ".json":

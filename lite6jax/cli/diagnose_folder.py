@@ -39,9 +39,7 @@ def diagnose_recordings(command: "Diagnose") -> int:
     Args:
         command: as it was given; its source is a folder or a URL.
     """
-    for option in ("reference", "report", "figures"):
-        if getattr(command, option) is not None:
-            raise InputError(f"--{option}: is of one recording, and {command.source} is a folder; leave it out")
+    refuse_options_of_one(command, f"{command.source} is a folder")
     if command.out is None:
         raise InputError(f"{command.source}: is a folder; add --out DIR for the documents of its recordings")
     if command.out.suffix.lower() == ".json":
@@ -60,6 +58,21 @@ def diagnose_recordings(command: "Diagnose") -> int:
     screen.show(folder_tables.diagnoses_report(folder_tables.read_diagnoses(run.path), run.kept))
     screen.written([run.path])
     return DONE
+
+
+def refuse_options_of_one(command: "Diagnose", many: str) -> None:
+    """Refuses what can only be made of one recording.
+
+    Args:
+        command: as it was given.
+        many: why there are several recordings, a clause.
+
+    Raises:
+        InputError: such an option was given.
+    """
+    for option in ("reference", "report", "figures"):
+        if getattr(command, option) is not None:
+            raise InputError(f"--{option}: is of one recording, and {many}; leave it out")
 
 
 def run_on_folder(command: "Diagnose", out: Path, diagnose: "Callable[..., pa.Table]") -> "Run":

@@ -133,9 +133,10 @@ def _described(problem: TorqueProblem, joint: int, moved: Array) -> dict[str, An
     """
     there = [effect for effect in problem.ladder if effect.site == f"joint{joint}" and effect.size == 1]
     target = moved[joint - 1, problem.valid]
+    units = (problem.columns(there) * problem.sigma)[:, joint - 1, problem.valid]
     best: tuple[float, tuple[TorqueEffect, ...], Array] = (0.0, (), np.zeros(0))
-    for names in (*combinations(there, 1), *combinations(there, 2)):
-        columns = (problem.columns(names) * problem.sigma)[:, joint - 1, problem.valid]
+    for which in (*combinations(range(len(there)), 1), *combinations(range(len(there)), 2)):
+        names, columns = tuple(there[k] for k in which), units[list(which)]
         values = np.linalg.lstsq(columns.T, target, rcond=1e-9)[0]
         share = 1 - float(np.sum((target - values @ columns) ** 2) / max(np.sum(target**2), 1e-300))
         limits = [problem.limits(effect)[0] for effect in names]

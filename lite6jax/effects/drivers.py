@@ -39,6 +39,7 @@ def _payload_moment(k: int) -> Callable[[Motion, Loads | None], Array | None]:
     return lambda _, loads: None if loads is None or loads.payload_moment is None else loads.payload_moment[k]
 
 
+_VELOCITIES = "the velocities of a moving arm; record a trajectory with time_s or dq1_rad_per_s …"
 _MASSES = "the masses of the links; add `inertial` to the arm's description"
 _SOURCES = {
     "position": _Source(lambda m, _: m.joint_position, "rad", "joint", "the joint positions; add q1_rad …"),
@@ -52,13 +53,13 @@ _SOURCES = {
         lambda m, _: m.joint_velocity,
         "rad/s",
         "joint",
-        "the velocities of a moving arm; record a trajectory with time_s or dq1_rad_per_s …",
+        _VELOCITIES,
     ),
     "speed": _Source(
         lambda m, _: None if m.joint_velocity is None else abs(m.joint_velocity),
         "rad/s",
         "joint",
-        "the velocities of a moving arm; record a trajectory with time_s or dq1_rad_per_s …",
+        _VELOCITIES,
     ),
     "acceleration": _Source(
         lambda m, _: m.joint_acceleration,

@@ -17,6 +17,8 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 from scipy.special import fdtrc, stdtrit
 
+from lite6jax.estimation.projection import scaled_inverse
+
 Array = NDArray[np.floating]
 
 _LEVEL = 0.95
@@ -185,9 +187,7 @@ def fitted(arms: ArmLikelihoods) -> Hierarchy | None:
     left = along - values * np.einsum("aji,aj->ai", U, prior)
     spread = np.sum(left[values > 0] ** 2 / (values + tau**2 * values**2)[values > 0])
     freedom = max(int(np.sum(values > 0)) - covariates * size, 1)
-    root = np.sqrt(np.maximum(np.diagonal(M), np.finfo(float).tiny))
-    inverse = np.linalg.pinv(M / np.outer(root, root), rcond=1e-10, hermitian=True) / np.outer(root, root)
-    covariance = inverse * max(1.0, float(spread) / freedom) * np.outer(D, D)
+    covariance = scaled_inverse(M, 1e-10) * max(1.0, float(spread) / freedom) * np.outer(D, D)
     return Hierarchy(
         arms, tau, coefficients.reshape(covariates, size) * arms.typical, covariance, float(shown - covariates), likely
     )

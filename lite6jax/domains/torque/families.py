@@ -79,7 +79,7 @@ def flexible(dynamics: Dynamics, sizes: Array) -> tuple[UnnamedTorque, ...]:
         sizes: `(joint,)` Nm, of the torques that were measured, which no curve exceeds by much.
     """
     dof = dynamics.torque.shape[0]
-    ranges = {d: _range(d, dynamics) for j in range(1, dof + 1) for d in (*_own(j), Driver("speed", j))}
+    ranges = {d: _range(d, dynamics) for j in range(1, dof + 1) for d in _own(j)}
     ranges |= {Driver(quantity): _range(Driver(quantity), dynamics) for quantity in _EVERYWHERE}
     found: list[UnnamedTorque] = []
 
@@ -95,7 +95,7 @@ def flexible(dynamics: Dynamics, sizes: Array) -> tuple[UnnamedTorque, ...]:
         found.append(curve)
 
     for j in range(1, dof + 1):
-        position, velocity, load, temperature = _own(j)
+        position, velocity, speed, load, temperature = _own(j)
         for signed in (False, True):
             for pieces in (3, 10):
                 add(j, [position], pieces, signed)
@@ -106,7 +106,7 @@ def flexible(dynamics: Dynamics, sizes: Array) -> tuple[UnnamedTorque, ...]:
         for pieces in (3, 8):
             add(j, [velocity], pieces)
         for pieces in (2, 4):
-            add(j, [Driver("speed", j)], pieces, signed=True)
+            add(j, [speed], pieces, signed=True)
         for other in (position, load, temperature):
             add(j, [velocity, other], degree=3)
         for k in range(1, dof + 1):
@@ -135,9 +135,10 @@ def unit_torques(effect: TorqueEffect, dynamics: Dynamics, kept: Callable[[Array
     return kept(rows)[:, None]
 
 
-def _own(j: int) -> tuple[Driver, Driver, Driver, Driver]:
-    """Position, speed, load and temperature of a joint."""
-    return Driver("position", j), Driver("velocity", j), Driver("gravity torque", j), Driver("temperature", j)
+def _own(j: int) -> tuple[Driver, Driver, Driver, Driver, Driver]:
+    """Position, velocity, speed, load and temperature of a joint."""
+    of_motion = Driver("position", j), Driver("velocity", j), Driver("speed", j)
+    return *of_motion, Driver("gravity torque", j), Driver("temperature", j)
 
 
 def driver_values(driver: Driver, dynamics: Dynamics) -> Array | None:

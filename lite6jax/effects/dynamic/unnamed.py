@@ -90,7 +90,7 @@ class UnnamedTorque(JointTorque):
         else:
             names = ["level", *(f"step{i + 1}" for i in range(self.functions - 1))]
         spreads = np.full(len(names), np.inf if self.spread is None else self.spread)
-        if names[0] == "level":
+        if not (self.orders or self.degree):
             spreads[1:] /= np.sqrt(len(names) - 1)
         return tuple(
             Coordinate(f"{name}_Nm", "Nm", 0.1, float(spread)) for name, spread in zip(names, spreads, strict=True)
