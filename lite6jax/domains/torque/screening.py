@@ -32,6 +32,8 @@ _JOINED = 0.3
 """s between samples that belong to one contact."""
 _LONGEST = 0.25
 """Share of a recording beyond which what is far from the model is no event."""
+_WRONG_IN_A_ROW = 3
+"""Samples that may be wrong without a contact."""
 _MOST_EVENTS = 3
 _PRESSED = 4.0
 """Standard deviations from which a joint takes part in a contact."""
@@ -135,10 +137,12 @@ def contacts(problem: TorqueProblem, options: EngineOptions) -> tuple[NDArray[np
     if len(events) > _MOST_EVENTS or inside.mean() > _LONGEST:
         return none, []
     faults = []
+    chosen = problem.data.filter
+    spread = 1 / chosen.cutoff + (_WRONG_IN_A_ROW - 1) / chosen.rate  # s, of a few wrong torques behind the low pass
     recorded = problem.data.recording
     assert recorded.time is not None
     for event in events:
-        if event.stop - event.start < 2:
+        if time[event.stop - 1] - time[event.start] <= spread:
             inside[event] = False
             continue
         size = np.sqrt(np.mean(scaled[:, event] ** 2, 1))

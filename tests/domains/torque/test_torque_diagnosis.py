@@ -15,7 +15,7 @@ from lite6jax.diagnosis.torque_document import read_torque_model, torque_model_f
 from lite6jax.domains.torque.linearisation import linearised
 from lite6jax.domains.torque.predict import predict_torques
 from lite6jax.domains.torque.problem import torque_problem
-from lite6jax.domains.torque.screening import screen_torques
+from lite6jax.domains.torque.screening import contacts, screen_torques
 from lite6jax.effects.dynamic.friction import CoulombFriction, ViscousFriction
 from lite6jax.errors import InputError
 from lite6jax.estimation.options import EngineOptions
@@ -158,6 +158,22 @@ def test_a_contact_is_an_event_and_no_physics():
     hidden_rows = set(range(301, 331))
     assert len(hidden_rows & set(fault.rows)) >= 0.5 * len(hidden_rows | set(fault.rows))
     assert found.findings == ()
+
+
+@pytest.mark.parametrize("wrong", [[1.0, 1.0], [1.0, 0.3, 1.0], [1.0, 0.6]])
+def test_two_or_three_wrong_torques_where_a_joint_turns_back_are_no_contact(wrong):
+    recording, arm = recorded(seed=8)
+    turning = 100 + int(np.argmin(np.abs(recording.velocities()[100:-100, 1])))
+    spread = recording.torques()[:, 1].std()
+
+    def wronged(tau):
+        tau[turning : turning + len(wrong), 1] += spread * np.array(wrong)
+        return tau
+
+    data = screen_torques(*recorded(seed=8, change=wronged)).data
+    pushed, events = contacts(linearised(torque_problem(data, ()), FEW.engine), FEW.engine)
+    assert events == []
+    assert not pushed.any()
 
 
 @pytest.mark.parametrize(
