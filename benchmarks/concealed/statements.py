@@ -8,7 +8,7 @@ Row = dict[str, Any]
 Grade = Literal["right", "partial", "misleading"]
 
 ORDER = 0.2
-"""By how much a harmonic's order may be off."""
+"""By how much a harmonic's order may be off, or by two of its standard deviations."""
 ADMITTED, GAP = 3, 6.0
 """A set declared inseparable holds at most so many rivals, each within this log-likelihood."""
 LEFT = 1.3
@@ -47,7 +47,10 @@ def same(effect: Row, finding: Row) -> bool:
         return False
     for key, slack in (("order", ORDER), ("source_joint", 0.5)):
         wanted = effect["parameters"].get(key)
-        if wanted is not None and abs(value_of(finding["parameters"][key]) - wanted) > slack:
+        if wanted is None:
+            continue
+        said = finding["parameters"][key]
+        if abs(value_of(said) - wanted) > max(slack, 2 * said["std"] if isinstance(said, dict) else 0.0):
             return False
     return True
 

@@ -52,7 +52,8 @@ def diagnose(
         options: thresholds; the documented ones where not given.
         progress: called as each stage begins: of all rows (part 0), and of those without each held-out block.
 
-    Effects that raise the error on rows that were not used are not kept: they are in `withdrawn` of the result.
+    Effects that raise the error on rows that were not used, or leave several times as much there as in those that they
+    were fitted to, are not kept: they are in `withdrawn` of the result.
 
     Raises:
         InputError: no measured poses, too few of them, or as `fit`.
@@ -73,7 +74,8 @@ def diagnose(
         held_out = held_out_errors(rows.recording, arm, geometry, options, decisions, folds, effects, factory)
         findings, withdrawn = findings_of(selection), None
         outliers = _outliers(selection, options)
-        if findings and held_out.raised(~outliers, options):
+        kept = ~outliers
+        if findings and (held_out.raised(kept, options) or held_out.overfitted(kept, selection, options)):
             withdrawn = Withdrawn(findings, *(_rms(errors[~outliers]) for errors in (held_out.before, held_out.after)))
             selection, findings = without_effects(selection), ()
             outliers = _outliers(selection, options)
@@ -126,7 +128,8 @@ def findings_of(selection: Selection) -> tuple[Finding, ...]:
         assert isinstance(tested.term, Effect)
         rivals = tuple(Rival(a.term, a.gap) for a in tested.alternatives if isinstance(a.term, Effect))
         values, covariance = state.fit.values[numbers], state.fit.covariance[numbers, numbers]
-        findings.append(Finding(tested.term, values, covariance, tested.p_value, tested.score.gain, rivals))
+        gain, std = tested.score.gain, tested.chosen_std
+        findings.append(Finding(tested.term, values, covariance, tested.p_value, gain, rivals, std))
     return tuple(findings)
 
 

@@ -23,6 +23,7 @@ from lite6jax.estimation.least_squares import Fit
 from lite6jax.estimation.problem import Mask
 from lite6jax.fitting.problem import Geometry
 from lite6jax.recordings import Recording
+from lite6jax.search.search import Selection
 
 Array = NDArray[np.floating]
 
@@ -56,6 +57,22 @@ class HeldOut(NamedTuple):
         position = _ratio(self.before[kept], self.after[kept])
         turned = _ratio(self.turned_before[kept], self.turned_after[kept])
         return position * turned > 1 or position > options.heldout_rise
+
+    def overfitted(self, kept: NDArray[np.bool_], selection: Selection, options: Options) -> bool:
+        """Whether a model with effects describes the rows that it was fitted to, and no others.
+
+        Rows that were not used are then off by `heldout_excess` times the errors of the fitted ones, and by a larger
+        ratio than without the effects, where the arm's geometry alone may not follow from fewer rows.
+        """
+        problem, state = selection.problem, selection.state
+        assert isinstance(problem, PoseProblem)
+
+        def times_fitted(errors: Array, fit: Fit) -> float:
+            return float(np.sqrt(np.mean(errors[kept] ** 2) / 3) / (problem.noise[0] * fit.scale[0]))
+
+        return times_fitted(self.after, state.fit) > max(
+            options.heldout_excess, times_fitted(self.before, state.baseline)
+        )
 
 
 def held_out_errors(

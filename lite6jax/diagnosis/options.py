@@ -38,6 +38,11 @@ class Options:
         "ratio of held-out position errors with and without effects, above which these are not kept",
         "what effects that only turn the tool cost in precision",
     )
+    heldout_excess: float = option(
+        3.0,
+        "ratio of held-out position errors to those of the fitted rows, above which effects are not kept",
+        "1 to 2 where a model is right; more, where functions follow the rows that they were fitted to",
+    )
     fewest_rows: int = option(15, "rows below which nothing is said where nothing is found", "five a fitted frame")
     within_reach: int = option(200, "rows that may be asked for where something near was not found", "a day's work")
     most_separated: int = option(3, "pairs of effects for which separating poses are designed", "each takes 0.1 s")

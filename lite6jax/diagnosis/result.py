@@ -6,6 +6,7 @@ from typing import Any, final
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import block_diag
 
 from lite6jax.checksum import with_checksum
 from lite6jax.diagnosis.discrimination import SeparatingPoses
@@ -51,6 +52,7 @@ class Finding:
         p_value: family-wise, over all that was searched.
         gain: log-likelihood that it explains.
         rivals: effects that it was preferred to, the nearest first.
+        chosen_std: standard deviation of the number that the search chose for it, an order; zero where it is exact.
     """
 
     effect: Effect
@@ -59,6 +61,7 @@ class Finding:
     p_value: float
     gain: float
     rivals: tuple[Rival, ...]
+    chosen_std: float = 0.0
 
     @property
     def nearest(self) -> tuple[Rival, float] | None:
@@ -78,13 +81,18 @@ class Finding:
     @property
     def parameters(self) -> dict[str, Estimate]:
         """Value and standard deviation of each parameter, by name with its unit."""
-        return self.effect.reported(self.values, self.covariance)
+        if not self.chosen_std:
+            return self.effect.reported(self.values, self.covariance)
+        covariance = block_diag(self.covariance, self.chosen_std**2)
+        return self.effect.released().reported(np.append(self.values, self.effect.chosen or 0.0), covariance)
 
 
 @final
 @dataclass(frozen=True, eq=False)
 class Withdrawn:
-    """Effects that were significant, and with which the errors on rows that were not used are larger than without.
+    """Effects that were significant, and do not hold on rows that were not used.
+
+    The errors there are larger than without them, or several times those on the rows that they were fitted to.
 
     Attributes:
         findings: the effects.
@@ -113,7 +121,7 @@ class Diagnosis(Summarised, Plotted):
         ruled_out: faults that were tested for and are not there.
         separating: poses that separate findings from their rivals.
         options: thresholds.
-        withdrawn: effects that were not kept, because they raise the held-out errors; None where there are none.
+        withdrawn: effects that were not kept, because they do not hold on held-out rows; None where there are none.
         turned: `(sample,)` rad each, held-out errors of orientations before and after; None where none were measured.
     """
 

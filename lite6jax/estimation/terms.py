@@ -1,6 +1,6 @@
 """Terms of a model: what a search adds, and several of them with their numbers in one vector."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Hashable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
@@ -47,6 +47,7 @@ class Term(Protocol):
             noise.
         chosen: the number that a search chose instead of fitting it (an order), or None.
         includes: terms that are this one with some of its numbers zero; it takes their place.
+        drivers: the quantities that it is a function of.
     """
 
     specificity: ClassVar[int]
@@ -68,6 +69,8 @@ class Term(Protocol):
     def chosen(self) -> float | None: ...
     @property
     def includes(self) -> "Sequence[Term]": ...
+    @property
+    def drivers(self) -> "Sequence[Hashable]": ...
 
     def released(self) -> "Term":
         """The same term with its chosen number as its last free coordinate."""

@@ -92,10 +92,13 @@ def cautions(document: Document) -> list[str]:
         names = _joined(_withdrawn_title(entry) for entry in withdrawn["effects"])
         before, after = (1e3 * withdrawn["heldout_position_rms_m"][stage] for stage in ("before", "after"))
         was, them = ("was", "it is") if len(withdrawn["effects"]) == 1 else ("were", "they are")
-        lines.append(
-            f"{capital(names)} {was} significant, but {them} not kept: the errors on held-out rows are larger "
-            f"({number(after, 3)} mm RMS of position) than without ({number(before, 3)} mm)."
-        )
+        if after > before:
+            why = f"the errors on held-out rows are larger ({number(after, 3)} mm RMS of position) than without"
+            why += f" ({number(before, 3)} mm)"
+        else:
+            why = "what is left on held-out rows is several times what is left of the fitted ones"
+            why += f" ({number(after, 3)} mm RMS of position; {number(before, 3)} mm without)"
+        lines.append(f"{capital(names)} {was} significant, but {them} not kept: {why}.")
     return lines
 
 

@@ -1,4 +1,4 @@
-"""Functions without a name that explain at another site as much as a term of the final model."""
+"""Functions without a name that explain as much as a term of the final model, at another site or of other drivers."""
 
 from dataclasses import replace
 
@@ -12,15 +12,15 @@ from lite6jax.search.state import Alternative, SelectedTerm, State, added, reduc
 def with_alternative_functions(problem: Problem, state: State, options: EngineOptions) -> State:
     """The state whose terms have such functions among their alternatives, where the data do not distinguish them.
 
-    A link that tilts about the next joint's axis moves the arm as an error of that joint does. Which of them it is, no
-    test of the one that was chosen can say.
+    What acts at one site may act at its neighbour in nearly the same way, and two drivers may vary alike. Which of them
+    it is, no test of the one that was chosen can say.
     """
     tested = tuple(_with_functions(problem, state, k, options) for k in range(len(state.tested)))
     return replace(state, tested=tested)
 
 
 def _with_functions(problem: Problem, state: State, k: int, options: EngineOptions) -> SelectedTerm:
-    """The k-th term with the alternatives that it has and the most likely function of each other site, by refits.
+    """The k-th term with the alternatives that it has and the most likely function of each site, by refits.
 
     Noise alone lets a number more gain half a unit of log-likelihood (H. Akaike, IEEE Transactions on Automatic Control
     19, 1974), which a function's gap accounts for.
@@ -30,7 +30,12 @@ def _with_functions(problem: Problem, state: State, k: int, options: EngineOptio
         return tested
     rest = reduced(problem, state, k, options)
     test = score_test(problem, rest.fit, options, within=state.fit)
-    functions = [term for term in problem.flexible if term.site != tested.term.site]
+    # beside a function those of its own site are alternatives too: of other drivers
+    functions = [
+        term
+        for term in problem.flexible
+        if term.site != tested.term.site or (tested.term.nonparametric and not set(term.drivers) & set(tested.term.drivers))
+    ]
     own = test.explained([tested.term])[0]
     least = own.gain - 0.5 * test.time * own.size - 2 * options.close  # the refit may say otherwise by `close`
     likely: dict[str, tuple[float, Term]] = {}

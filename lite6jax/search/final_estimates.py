@@ -21,16 +21,20 @@ def final_estimates(problem: Problem, state: State, options: EngineOptions) -> S
     """
     fitted, between = state.fit, _between_models(problem, state.fit, options)
     free = [term.chosen is not None for term in fitted.terms.terms]
+    stds = [0.0] * len(free)
     uncertain = _with_exact_derivatives(problem, fitted, options)
     if any(free) or uncertain:
         released = _released(problem, fitted, free, options)
         still = [f and not _is_whole(released, k, fitted, options) for k, f in enumerate(free)]
-        if still == free:
-            fitted = _held(released, fitted, free)
-        elif any(still) or uncertain:
-            fitted = _held(_released(problem, fitted, still, options), fitted, still)
+        if still != free:
+            released = _released(problem, fitted, still, options) if any(still) or uncertain else None
+        if released is not None:
+            fitted, stds = _held(released, fitted, still)
     fitted = replace(fitted, covariance=fitted.covariance + between)
-    tested = tuple(replace(test, term=term) for test, term in zip(state.tested, fitted.terms.terms, strict=True))
+    tested = tuple(
+        replace(test, term=term, chosen_std=std)
+        for test, term, std in zip(state.tested, fitted.terms.terms, stds, strict=True)
+    )
     return State(state.baseline, fitted, tested)
 
 
@@ -77,9 +81,9 @@ def _is_whole(released: Fit, k: int, fitted: Fit, options: EngineOptions) -> boo
     return bool((released.values[last] - chosen) ** 2 < options.whole_within**2 * released.covariance[last, last])
 
 
-def _held(released: Fit, fitted: Fit, free: list[bool]) -> Fit:
-    """The fit with the numbers that were free held at their estimates."""
-    terms, kept = [], np.ones(released.terms.size, bool)
+def _held(released: Fit, fitted: Fit, free: list[bool]) -> tuple[Fit, list[float]]:
+    """The fit with the numbers that were free held at their estimates, and the standard deviation of each of these."""
+    terms, kept, stds = [], np.ones(released.terms.size, bool), []
     for before, term, part, is_free in zip(
         fitted.terms.terms, released.terms.terms, released.terms.slices, free, strict=True
     ):
@@ -87,5 +91,6 @@ def _held(released: Fit, fitted: Fit, free: list[bool]) -> Fit:
         if is_free:
             term, kept[last] = before.held(float(released.values[last])), False
         terms.append(term)
+        stds.append(float(np.sqrt(released.covariance[last, last])) if is_free else 0.0)
     covariance = released.covariance[np.ix_(kept, kept)]
-    return replace(released, terms=Terms(tuple(terms)), values=released.values[kept], covariance=covariance)
+    return replace(released, terms=Terms(tuple(terms)), values=released.values[kept], covariance=covariance), stds

@@ -39,12 +39,14 @@ class SelectedTerm:
         p_value: family-wise.
         score: beside the other terms of the model at the time of the test.
         alternatives: terms that it was preferred to.
+        chosen_std: standard deviation of the number that was chosen for it; zero where that is exact, or not known yet.
     """
 
     term: Term
     p_value: float
     score: Score
     alternatives: tuple[Alternative, ...] = ()
+    chosen_std: float = 0.0
 
 
 @final

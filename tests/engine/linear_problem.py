@@ -33,6 +33,7 @@ class Column:
 
     size = property(lambda self: len(self.coordinates))
     label = property(lambda self: f"{self.name}:{self.site}")
+    drivers = property(lambda self: (self.name,))
 
     def basis(self, data):
         return data[self.name][None]
@@ -54,6 +55,7 @@ class Wave:
     coordinates = property(lambda self: (Number(),) * (2 if self.order else 3))
     size = property(lambda self: len(self.coordinates))
     label = property(lambda self: f"wave:{self.site}")
+    drivers = ("angle",)
 
     def released(self):
         return Wave(None)
@@ -91,6 +93,7 @@ class Hat:
     size = property(lambda self: 2 * len(self.orders) or self.pieces + 1)
     coordinates = property(lambda self: (Number(1.0, self.spread),) * self.size)
     label = property(lambda self: f"curve:{self.site}")
+    drivers = ("angle",)
 
     def basis(self, data):
         if self.orders:
@@ -115,6 +118,7 @@ class Curve:
 
     size = property(lambda self: 3)
     label = property(lambda self: f"curve:{self.over}")
+    drivers = property(lambda self: (self.over,))
 
     def basis(self, data):
         return np.stack([data[self.over] ** power for power in (1, 2, 3)])
