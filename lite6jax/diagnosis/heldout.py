@@ -20,7 +20,7 @@ from lite6jax.domains.pose.kinematics import unwhitened
 from lite6jax.domains.pose.problem import PoseProblem
 from lite6jax.effects.effect import Effect
 from lite6jax.estimation.least_squares import Fit
-from lite6jax.estimation.problem import Mask
+from lite6jax.estimation.problem import Mask, Problem
 from lite6jax.fitting.problem import Geometry
 from lite6jax.recordings import Recording
 from lite6jax.search.search import Selection
@@ -64,15 +64,10 @@ class HeldOut(NamedTuple):
         Rows that were not used are then off by `heldout_excess` times the errors of the fitted ones, and by a larger
         ratio than without the effects, where the arm's geometry alone may not follow from fewer rows.
         """
-        problem, state = selection.problem, selection.state
-        assert isinstance(problem, PoseProblem)
-
-        def times_fitted(errors: Array, fit: Fit) -> float:
-            return float(np.sqrt(np.mean(errors[kept] ** 2) / 3) / (problem.noise[0] * fit.scale[0]))
-
-        return times_fitted(self.after, state.fit) > max(
-            options.heldout_excess, times_fitted(self.before, state.baseline)
-        )
+        state = selection.state
+        after = _times_fitted(self.after, selection.problem, state.fit, kept)
+        before = _times_fitted(self.before, selection.reference, state.baseline, kept)
+        return after > max(options.heldout_excess, before)
 
 
 def held_out_errors(
@@ -110,6 +105,14 @@ def held_out_errors(
 def _distance(problem: PoseProblem, fit: Fit) -> Array:
     """`(sample,)` m between predicted and measured positions."""
     return np.linalg.norm(problem.position_errors(fit.nuisance, fit.terms, fit.values), axis=0)
+
+
+def _times_fitted(errors: Array, problem: Problem, fit: Fit, kept: Mask) -> float:
+    """Root mean square of position errors over that of the fitted rows, corrected for the degrees of freedom."""
+    assert isinstance(problem, PoseProblem)
+    share = fit.freedom / (problem.rows * fit.training.sum())
+    fitted = np.sum(_distance(problem, fit)[kept] ** 2) / share
+    return float(np.sqrt(np.sum(errors[kept] ** 2) / max(fitted, 1e-300)))
 
 
 def _turns(problem: PoseProblem, fit: Fit) -> tuple[Array, Array]:

@@ -69,7 +69,7 @@ def lines(test: ScoreTest) -> list[Line]:
         order = _best(test, family, np.unique(np.concatenate([low, orders[np.argsort(-gains)[: options.kept_lines]]])))
         for width in (step, step / 5):
             near = order + width * np.linspace(-1, 1, 9)
-            order = _best(test, family, near[near >= options.lowest_order / 2])
+            order = _best(test, family, near[near >= options.lowest_order])
         whole = round(order)
         if whole >= 1:
             exact, free = test.gains(family.column, family.waves_of(np.array([float(whole), order])))

@@ -1,10 +1,11 @@
 """Whole orders: what turns with a shaft repeats a whole number of times in a turn.
 
-Over less than two turns a search finds one order between two neighbouring ones, and then the residuals beside it. The
-orders of one site are therefore also tried together at whole numbers.
+Over less than two turns a search finds one order between two neighbouring ones, or beside one, and then the residuals
+beside it. The orders of one site are therefore also tried together at whole numbers.
 """
 
 from collections.abc import Sequence
+from itertools import combinations, product
 
 import numpy as np
 
@@ -12,6 +13,11 @@ from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.problem import PeriodicFamily, Problem
 from lite6jax.estimation.score_test import score_test, searched_size
 from lite6jax.search.state import SelectedTerm, State, extended, preferred, refitted
+
+_REACH = 2
+"""By how much a whole order may be off an order that was found: orders that are close pull each other."""
+_MOST = 3
+"""Orders of a site of which all neighbours are tried: 125 sets."""
 
 
 def with_whole_orders(problem: Problem, state: State, options: EngineOptions) -> State:
@@ -22,7 +28,7 @@ def with_whole_orders(problem: Problem, state: State, options: EngineOptions) ->
         if not any(order % 1 for order in orders) or len(orders) < len(waves):
             continue
         best = state
-        for whole in _whole(orders):
+        for whole in dict.fromkeys((*_whole(orders), *_near(problem, state, family, orders, options))):
             choice = _replaced(problem, state, family, whole, options)
             margin = options.whole_preferred * len(whole) if best is state else 0.0
             if preferred(choice, best, -margin, options):
@@ -39,12 +45,37 @@ def _whole(orders: Sequence[float]) -> list[tuple[float, ...]]:
     return list(dict.fromkeys((first, (*first, float(count + 1)), nearest)))
 
 
+def _near(
+    problem: Problem, state: State, family: PeriodicFamily, orders: Sequence[float], options: EngineOptions
+) -> list[tuple[float, ...]]:
+    """The most likely set of whole numbers near all of several orders, and of those near all but one."""
+    if not 2 <= len(orders) <= _MOST:
+        return []
+    test = score_test(problem, _without(problem, state, family, options).fit, options, within=state.fit)
+    found = []
+    for size in {len(orders) - 1, len(orders)} - {1}:
+        near = [
+            product(*(np.round(order) + np.arange(-_REACH, _REACH + 1) for order in some))
+            for some in combinations(orders, size)
+        ]
+        sets = sorted({tuple(sorted(map(float, one))) for some in near for one in some if min(one) >= 1})
+        sets = [one for one in sets if len(set(one)) == size]
+        waves = np.stack([np.concatenate(list(family.waves_of(np.array(one)))) for one in sets])
+        found.append(sets[int(np.argmax(test.gains(family.column, waves)))])
+    return found
+
+
+def _without(problem: Problem, state: State, family: PeriodicFamily, options: EngineOptions) -> State:
+    """The state without the orders of a family."""
+    kept = [tested for tested in state.tested if not (tested.term.periodic and tested.term.site == family.site)]
+    return refitted(problem, state, kept, options)
+
+
 def _replaced(
     problem: Problem, state: State, family: PeriodicFamily, orders: Sequence[float], options: EngineOptions
 ) -> State:
     """The state with these orders of a family alone."""
-    kept = [tested for tested in state.tested if not (tested.term.periodic and tested.term.site == family.site)]
-    choice, searched = refitted(problem, state, kept, options), searched_size(problem, options)
+    choice, searched = _without(problem, state, family, options), searched_size(problem, options)
     for order in orders:
         term = family.term(order)
         score = score_test(problem, choice.fit, options, within=state.fit).score([term])[0]

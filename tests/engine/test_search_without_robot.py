@@ -4,7 +4,7 @@ from dataclasses import fields, replace
 
 import numpy as np
 import pytest
-from engine.linear_problem import Column, Hat, LinearProblem, Number, Wave, linear_problem
+from engine.linear_problem import Column, Curve, Hat, LinearProblem, Number, Wave, linear_problem
 
 from lite6jax.estimation.least_squares import fit
 from lite6jax.estimation.noise import autocorrelation_time, noise_model
@@ -107,6 +107,22 @@ def test_an_order_is_found_released_and_stated_with_its_numbers():
     assert isinstance(wave, Wave)
     assert wave.order == pytest.approx(7.3, abs=0.02)
     assert np.hypot(*state.fit.values) == pytest.approx(0.9, abs=0.25)
+    (std,) = (test.chosen_std for test in state.tested)
+    # what an efficient estimate reaches: (A·std(angle))² times half the samples, of both rows, over the noise
+    spread = np.std(problem.data["angle"])
+    bound = 1 / (0.9 * spread * np.sqrt(0.5 * problem.samples * (1 + 0.25 / 9)))
+    assert std == pytest.approx(bound, rel=0.3)
+    assert abs(wave.order - 7.3) < 4 * std
+
+
+def test_orders_that_are_close_are_found_together():
+    """Over a third of a turn, 38 and 45 pull each other: one by one they are found elsewhere."""
+    whole = linear_problem(np.random.default_rng(3), 260)
+    angle = np.random.default_rng(4).uniform(-1.0, 1.0, 260)
+    signal = 3.0 * np.cos(38 * angle - 0.8) + 3.0 * np.cos(45 * angle - 0.5)
+    measured = whole.measured + signal * np.array([[1.0], [0.5]])
+    state = found(replace(whole, data=whole.data | {"angle": angle}, measured=measured))
+    assert sorted(wave.order for wave in terms(state)) == [38.0, 45.0]
 
 
 def test_a_whole_order_stays_whole():
@@ -243,3 +259,17 @@ def test_every_finding_is_significant_beside_the_others_in_the_end():
         )
         for tested in search(problem, options).state.tested:
             assert tested.p_value < options.level
+
+
+def test_a_function_that_explains_as_much_is_an_alternative():
+    """u3 is nearly u2: a function of u3 is not distinguished from u2, and one of u4 is."""
+    problem = linear_problem(np.random.default_rng(9), planted=lambda d: 0.8 * d["u2"])
+    data = problem.data | {"u3": problem.data["u2"] + 0.05 * problem.data["u3"]}
+    at_y = tuple(replace(curve, site="y") for curve in problem.flexible if isinstance(curve, Curve))
+    other = replace(problem, data=data, candidates=(Column("u2"),))
+    object.__setattr__(other, "flexible", at_y)
+    (test,) = search(other, OPTIONS).state.tested
+    assert test.term == Column("u2")
+    near = [one.term for one in test.alternatives]
+    assert near == [replace(at_y[2], site="y")] or near == [replace(at_y[1], site="y")]
+    assert test.alternatives[0].gap < OPTIONS.close
