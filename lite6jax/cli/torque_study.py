@@ -185,7 +185,10 @@ def design_motion(
         report = torque_study_tables.torque_plan_report(found, disabled, source)
     else:
         model = setup.model(arm, unknown=False)
-        parsed = (parse_effect(discriminate[0], BUILT_IN), parse_effect(discriminate[1], BUILT_IN, neutral=True))
+        parsed = [
+            parse_effect(text, BUILT_IN, neutral, arm.sliding)
+            for text, neutral in zip(discriminate, (False, True), strict=True)
+        ]
         rivals = [rival_of(effect, values, model) for effect, values in parsed if isinstance(effect, TorqueEffect)]
         found = plan_torque_discrimination(model, room, rivals, seed=seed)
         report = torque_study_tables.torque_discrimination_report(found, disabled, source)

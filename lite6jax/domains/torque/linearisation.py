@@ -37,8 +37,8 @@ def linearised(problem: TorqueProblem, options: EngineOptions, training: Mask | 
     """
     if not len(problem.directions):
         return problem
-    joints = range(1, problem.rows + 1)
-    terms = Terms(tuple(kind(joint) for kind in _EVERYWHERE for joint in joints))
+    slides = problem.data.arm.slides.tolist()
+    terms = Terms(tuple(kind(j, of_slide=own) for kind in _EVERYWHERE for j, own in enumerate(slides, 1)))
     widths = _WIDTHS if problem.data.recording.settings.inertial == "unknown" else (1.0,)
     wider = [replace(problem, precision=problem.precision / width**2) for width in widths]
     fits = [fit(each, terms, options, training=training) for each in wider]
