@@ -183,7 +183,7 @@ def _subject(document: Document, stated: Stated) -> list[tuple[str, str]]:
     noise = document["noise"]["declared_torque_Nm" if torques else "declared_position_m"]
     if noise is not None:
         shown = (
-            ", ".join(f"{value:.3g}" for value in noise) + " Nm" if torques else f"{number(1e3 * noise)} mm per axis"
+            torque_statements.by_joint(document, noise) if torques else f"{number(1e3 * noise)} mm per axis"
         )
         instrument += f"; declared noise {shown} (one standard deviation)"
     samples = f"{document['samples']} rows" + ("" if torques else f", {document['model']['motion']}")
@@ -199,14 +199,10 @@ def _accuracy(document: Document) -> tuple[list[str], list[list[str]]]:
     """The header and the rows of the table of errors before and after."""
     before, after = document["before"], document["after"]
     if worth.of_torques(document):
-        names = [(f"heldout_torque_{key}_Nm", name) for key, name in _STATISTICS]
         rows = [
-            _compared(f"torque error (Nm), {name}", before[key], after[key], 1.0)
-            for key, name in names
-            if key in before
+            _compared(f"torque error of {name} ({unit})", own, left, 1.0)
+            for name, unit, own, left in torque_statements.errors(document, _STATISTICS)
         ]
-        joints = zip(*(stage["heldout_torque_rms_by_joint_Nm"] for stage in (before, after)), strict=True)
-        rows += [_compared(f"joint {j} (Nm), RMS", own, left, 1.0) for j, (own, left) in enumerate(joints, 1)]
     else:
         rows = []
         for what, unit, scale, shown in (("position", "m", 1e3, "mm"), ("orientation", "rad", 180 / np.pi, "deg")):
@@ -226,14 +222,14 @@ def _findings(document: Document, findings: Sequence[Mapping[str, Any]], torques
     """A line for each finding: rank, name, interval of each number, and what it moves."""
     if not findings:
         return ["None."]
-    measure, lines = worth.measure_of(document), []
+    lines = []
     for rank, finding in enumerate(findings[:_MOST], 1):
         numbers = finding["parameters"] if torques else finding.get("peak_to_peak", finding["parameters"])
-        if torques and "peak_to_peak_Nm" in finding:
+        if torques and torque_statements.peak_to_peak(finding):
             numbers = {}
         sizes = [_interval(name, estimate, torques) for name, estimate in numbers.items()]
-        moved = finding.get(measure.moves)
-        moves = [] if moved is None else [f"moves {plus_minus(measure.scale * moved)} {measure.unit} RMS"]
+        moved = worth.moves_size(document, finding)
+        moves = [f"moves {moved} RMS"] if moved else []
         lines.append(f"{rank}. {finding['title']}: {'; '.join([*filter(None, sizes), *moves])}")
     if len(findings) > _MOST:
         lines.append(f"and {len(findings) - _MOST} more, which move less; the JSON file has all of them")

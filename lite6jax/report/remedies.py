@@ -134,8 +134,8 @@ OF_POSES: Mapping[str, Remedy] = {
 """By the name of an effect on poses."""
 
 OF_TORQUES: Mapping[str, Remedy] = {
-    "viscous_friction": Remedy("{place} rubs the more the faster it turns", _FRICTION),
-    "coulomb_friction": Remedy("{place} rubs whichever way it turns", _FRICTION),
+    "viscous_friction": Remedy("{place} rubs the more the faster it moves", _FRICTION),
+    "coulomb_friction": Remedy("{place} rubs whichever way it moves", _FRICTION),
     "stribeck_friction": Remedy("{place} sticks at low speed", _FRICTION),
     "load_friction": Remedy("{place} rubs in proportion to its load", _FRICTION),
     "friction_temperature": Remedy(

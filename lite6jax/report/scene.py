@@ -287,11 +287,10 @@ def _frames(arm: Arm, recording: Recording) -> Array:
 def _places(
     document: Document, findings: Sequence[Mapping[str, Any]], capsules: Sequence[Capsule]
 ) -> tuple[Place, ...]:
-    measure, links = worth.measure_of(document), [capsule.link for capsule in capsules]
+    links = [capsule.link for capsule in capsules]
     places = []
     for number, finding in enumerate(findings, 1):
-        moved = finding.get(measure.moves)
-        size = "" if moved is None else f"{plus_minus(measure.scale * moved)} {measure.unit}"
+        size = worth.moves_size(document, finding)
         places.append(Place(number, finding["title"], finding["statement"], size, _parts(finding["site"], links)))
     return tuple(places)
 
