@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 LEVER = 0.1
-"""m, the lever at which a prismatic joint's thresholds, typical sizes and bounds are those of a revolute joint. Pinions,
-pulleys and links of that length turn rotations into shifts in arms of the usual size: 0.02 rad is then 2 mm, and 1 Nm is
-10 N. These are sizes alone: no estimate depends on it by more than where a threshold lies."""
+"""m, the lever at which a prismatic joint's thresholds, typical sizes and bounds are those of a revolute joint: by a
+pinion, a pulley or a link of that length a rotation becomes a shift in arms of the usual size. 0.02 rad is then 2 mm,
+and 1 Nm is 10 N. Units do not depend on it, and estimates do only in so far as a threshold decides."""
 
 _OF_SLIDE = {"Nm": ("N", -1), "rad": ("m", 1), "kg·m²": ("kg", -2), "kg_m2": ("kg", -2)}
 """Of a revolute joint's unit, that of a prismatic joint and the power of the lever by which its sizes differ."""

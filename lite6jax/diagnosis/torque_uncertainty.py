@@ -97,7 +97,9 @@ def _recorded(found: "TorqueDiagnosis") -> RecordedMotion:
     return RecordedMotion(
         ranges=np.stack([states[..., kept].min(-1), states[..., kept].max(-1)], -1),
         positions=np.round(q[rows], 5),
-        spacing=spacing_of(as_revolute(q.T, "rad", problem.data.arm.slides).T, kept, rows, (block == number for number in range(folds))),
+        spacing=spacing_of(
+            as_revolute(q.T, "rad", problem.data.arm.slides).T, kept, rows, (block == number for number in range(folds))
+        ),
         drivers={
             phrase: (float(values[at][kept].min()), float(values[at][kept].max()))
             for phrase, values in driver_values(found.fit.terms, dynamics).items()

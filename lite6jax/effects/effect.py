@@ -121,9 +121,7 @@ class Choice(NamedTuple):
     periodic: bool = False
 
 
-def tried(
-    field: str, lower: float, released: "Callable[[Effect], Effect] | None" = None, unit: str = "1"
-) -> Choice:
+def tried(field: str, lower: float, released: "Callable[[Effect], Effect] | None" = None, unit: str = "1") -> Choice:
     """A number that is a field of the effect and is tried at a few values, while the rest is linear.
 
     Args:
@@ -356,7 +354,8 @@ def require_kind(effect: Effect, sliding: tuple[int, ...]) -> None:
         return
     own, other = ("prismatic", "revolute") if of_slide else ("revolute", "prismatic")
     if isinstance(effect, JointEffect):
-        remedy = f"an effect whose name begins with {'joint_' if of_slide else 'slide_'} (`lite6jax effects` lists them)"
+        prefix = "joint_" if of_slide else "slide_"
+        remedy = f"an effect whose name begins with {prefix} (`lite6jax effects` lists them)"
     else:
-        remedy = f"of_slide={not of_slide}, or another joint"
+        remedy = "joints of one kind" if len(others) < len(joints) else f"of_slide={not of_slide}"
     raise InputError(f"{effect.label}: is of a {own} joint, and joint {others[0]} is {other}; give {remedy}")

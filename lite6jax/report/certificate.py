@@ -18,7 +18,7 @@ from matplotlib.lines import Line2D
 from lite6jax import storage
 from lite6jax.checksum import checksum_of
 from lite6jax.report import statements, torque_statements, worth
-from lite6jax.report.cells import number, plus_minus
+from lite6jax.report.cells import number
 from lite6jax.report.data_faults import fault_name
 from lite6jax.report.quantities import OF_TORQUES, quantity
 
@@ -182,9 +182,7 @@ def _subject(document: Document, stated: Stated) -> list[tuple[str, str]]:
     instrument = stated.instrument or document.get("instrument") or _INSTRUMENTS.get(source, "not stated")
     noise = document["noise"]["declared_torque_Nm" if torques else "declared_position_m"]
     if noise is not None:
-        shown = (
-            torque_statements.by_joint(document, noise) if torques else f"{number(1e3 * noise)} mm per axis"
-        )
+        shown = torque_statements.by_joint(document, noise) if torques else f"{number(1e3 * noise)} mm per axis"
         instrument += f"; declared noise {shown} (one standard deviation)"
     samples = f"{document['samples']} rows" + ("" if torques else f", {document['model']['motion']}")
     return [

@@ -153,7 +153,7 @@ def _up(curve: FindingCurve) -> tuple[float, str]:
     scale, unit = _DEFLECTIONS[curve.unit]
     if curve.site is None:
         return scale, f"displacement along it ({unit})"
-    field, place, component = curve.site
+    field, _, component = curve.site
     if curve.unit in _EXERTED:
         return scale, f"{_exerted(curve)} ({unit})"
     movement = f"{'translation along' if component < 3 else 'rotation about'} {'xyz'[component % 3]}"

@@ -23,7 +23,6 @@ from lite6jax.identifiability.capsules import Capsule, chain_capsules
 from lite6jax.identifiability.clearance import link_frames
 from lite6jax.recordings import Recording
 from lite6jax.report import statements, torque_statements, worth
-from lite6jax.report.cells import plus_minus
 from lite6jax.report.data_faults import fault_name
 from lite6jax.report.reference import origin_statement
 

@@ -101,7 +101,9 @@ def friction(found: TorqueDiagnosis, title: str) -> Figure:
         for j, (panel, joint) in enumerate(zip(panels, joints, strict=True)):
             _draw_friction(panel, joint, scales[j])
             what, unit = exerted[j]
-            panel.set(xlabel=f"velocity of joint {j + 1} ({angles[j]}/s)", ylabel=f"{what} left at joint {j + 1} ({unit})")
+            panel.set(
+                xlabel=f"velocity of joint {j + 1} ({angles[j]}/s)", ylabel=f"{what} left at joint {j + 1} ({unit})"
+            )
             panel.xaxis.set_major_locator(MaxNLocator(5))
         panels[0].plot([], [], ".", color=GREY, markersize=8, label="measured, less the model without friction")
         panels[0].plot([], [], color=AFTER, linewidth=2.5, label="friction found, at the median load")

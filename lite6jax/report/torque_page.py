@@ -50,7 +50,10 @@ def page_values(
         "against": torque_statements.compared(document),
         "setting": torque_statements.setting_statement(document),
         "errors": _errors(document),
-        "columns": ["held-out torque error", *(f"{stage} ({unit})" if unit else stage for stage in ("before", "after"))],
+        "columns": [
+            "held-out torque error",
+            *(f"{stage} ({unit})" if unit else stage for stage in ("before", "after")),
+        ],
         "held": statements.held_out_statement(document, f"{document['kept_samples']} filtered samples"),
         "noise": torque_statements.noise_statement(document),
         "notes": [torque_statements.filter_statement(document), torque_statements.inertial_statement(document)],

@@ -25,10 +25,10 @@ def headline(comparison: Document, units: Sequence[str]) -> str:
         return f"Reference {file}: another motion, so that each recording was diagnosed on its own."
     count, rows = comparison["matched_rows"], comparison["rows"]
     of = f"{count} rows" if count == rows else f"{count} of {rows} rows"
+    apart, own = (each_with_unit(comparison[f"{key}_rms_by_joint_Nm"], units) for key in ("apart", "reference"))
     return (
-        f"Reference {file}, {of} of the same motion. Its torques differ from this recording by "
-        f"{each_with_unit(comparison['apart_rms_by_joint_Nm'], units)} RMS (each joint in turn), and from the declared rigid arm by "
-        f"{each_with_unit(comparison['reference_rms_by_joint_Nm'], units)}."
+        f"Reference {file}, {of} of the same motion. Its torques differ from this recording by {apart} RMS (each joint "
+        f"in turn), and from the declared rigid arm by {own}."
     )
 
 

@@ -1,7 +1,7 @@
 """Torques and forces of a serial arm of revolute and prismatic joints, in plain NumPy, by Kane's equations.
 
-τ_j = Σ over bodies of m (a − g) · ∂v/∂q̇_j + (I α + ω × I ω) · ∂ω/∂q̇_j, with everything in the axes of the base; the
-library uses recursive Newton–Euler in moving axes (T. Kane, D. Levinson, Dynamics: Theory and Applications, 1985, ch. 6).
+τ_j = Σ over bodies of m (a − g) · ∂v/∂q̇_j + (I α + ω × I ω) · ∂ω/∂q̇_j, in the axes of the base (T. Kane, D. Levinson,
+Dynamics: Theory and Applications, 1985, ch. 6); the library uses recursive Newton–Euler in moving axes.
 """
 
 import numpy as np

@@ -7,8 +7,8 @@ from itertools import combinations, product
 import numpy as np
 from numpy.typing import NDArray
 
-from lite6jax.domains.torque.rows import TorqueRows
 from lite6jax.arms.joint_units import as_revolute
+from lite6jax.domains.torque.rows import TorqueRows
 from lite6jax.effects.drivers import Driver, joint_driver
 from lite6jax.effects.dynamic.motors import TorqueRipple
 from lite6jax.effects.dynamic.torque_effect import Dynamics, JointTorque, TorqueEffect
@@ -34,7 +34,7 @@ _LEAST_VARIED = 1e-3
 
 
 def periodic(data: TorqueRows, chosen: NDArray[np.integer], noise: Array, known: Waves) -> tuple[PeriodicFamily, ...]:
-    """Ripple of each revolute joint, whose waves pass the filter as torques do; `known` are those of the chosen samples."""
+    """Ripple of each revolute joint, whose waves pass the filter as torques do; `known` are of the chosen samples."""
     found = []
     for j in np.flatnonzero(~data.arm.slides).tolist():
         q = np.asarray(data.motion.joint_position)[j]

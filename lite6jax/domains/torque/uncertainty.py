@@ -63,7 +63,8 @@ class TorqueUncertainty:
         inertial: whether the inertial numbers of the links were fitted.
         covariance: `(number, number)`, of the links' inertial numbers where these were fitted, and of the numbers of
             all effects, each as `freed`.
-        left: `(joint,)` Nm, N of prismatic joints as in all of these, what is left of the model on rows that were not fitted.
+        left: `(joint,)` Nm, what is left of the model on rows that were not fitted; as in all of these, N of prismatic
+            joints.
         unseen: `(joint,)` Nm, what may be left without showing there: one standard error of the noise and of `left`.
         noise: `(joint,)` Nm, of one row of the sensor.
         curves: for each effect the torque that it adds, Nm RMS, where it is a curve without a name; else None.

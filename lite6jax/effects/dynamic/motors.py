@@ -144,8 +144,8 @@ class TorqueRipple(JointTorque):
     def __post_init__(self) -> None:
         if self.of_slide:
             raise InputError(
-                f"{self.label}: has orders per turn, and joint {self.joint} is prismatic; leave it out: a diagnosis finds "
-                "what repeats along a slide as a function of its position, without a name"
+                f"{self.label}: has orders per turn, and joint {self.joint} is prismatic; leave it out: a diagnosis "
+                "finds what repeats along a slide as a function of its position, without a name"
             )
         if self.order is not None and not 0 < self.order < np.inf:
             raise InputError(f"{self.label}: order is {self.order:g}; give a positive number")

@@ -93,8 +93,7 @@ class UnnamedTorque(JointTorque):
         if not (self.orders or self.degree):
             spreads[1:] /= np.sqrt(len(names) - 1)
         return tuple(
-            self.number(f"{name}_Nm", "Nm", 0.1, float(spread))
-            for name, spread in zip(names, spreads, strict=True)
+            self.number(f"{name}_Nm", "Nm", 0.1, float(spread)) for name, spread in zip(names, spreads, strict=True)
         )
 
     @property
