@@ -16,9 +16,9 @@ LEVER = 0.1
 pinion, a pulley or a link of that length a rotation becomes a shift in arms of the usual size. 0.02 rad is then 2 mm,
 and 1 Nm is 10 N. Units do not depend on it, and estimates do only in so far as a threshold decides."""
 
-_OF_SLIDE = {"Nm": ("N", -1), "rad": ("m", 1), "kg·m²": ("kg", -2), "kg_m2": ("kg", -2)}
+_OF_SLIDE = {"Nm": ("N", -1), "rad": ("m", 1), "kg·m²": ("kg", -2), "inertia_kg_m2": ("mass_kg", -2)}
 """Of a revolute joint's unit, that of a prismatic joint and the power of the lever by which its sizes differ."""
-_WORD = re.compile(r"(?<![A-Za-z])(?:Nm|rad|kg·m²|kg_m2)(?![A-Za-z])")
+_WORD = re.compile(rf"(?<![A-Za-z])(?:{'|'.join(_OF_SLIDE)})(?![A-Za-z])")
 
 
 def joint_unit(text: str, slides: bool) -> str:

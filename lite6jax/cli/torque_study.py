@@ -73,11 +73,10 @@ class TorqueSetup:
         Raises:
             InputError: as `motion_limits` and `MotionRoom`.
         """
-
         from lite6jax.identifiability.torque.fourier import motion_limits
         from lite6jax.identifiability.torque.planning import MotionRoom
 
-        limits = motion_limits(arm, *(_in_si(arm, each) for each in (self.velocity, self.acceleration)), margin)
+        limits = motion_limits(arm, _in_si(arm, self.velocity), _in_si(arm, self.acceleration), margin)
         return MotionRoom(arm, limits, filters, self.duration, self.harmonics, self.rate)
 
 

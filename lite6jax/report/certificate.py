@@ -198,8 +198,8 @@ def _accuracy(document: Document) -> tuple[list[str], list[list[str]]]:
     before, after = document["before"], document["after"]
     if worth.of_torques(document):
         rows = [
-            _compared(f"torque error of {name} ({unit})", own, left, 1.0)
-            for name, unit, own, left in torque_statements.errors(document, _STATISTICS)
+            _compared(f"{joints} ({unit}), {statistic}", own, left, 1.0)
+            for joints, unit, statistic, own, left in torque_statements.errors(document, _STATISTICS)
         ]
     else:
         rows = []
@@ -208,7 +208,8 @@ def _accuracy(document: Document) -> tuple[list[str], list[list[str]]]:
                 at = f"heldout_{what}_{key}_{unit}"
                 if at in before and at in after:
                     rows.append(_compared(f"{what} error ({shown}), {name}", before[at], after[at], scale))
-    return ["", "before", "after", "after / before"], rows
+    what = "torque error" if worth.of_torques(document) else ""
+    return [what, "before", "after", "after / before"], rows
 
 
 def _compared(name: str, before: float, after: float, scale: float) -> list[str]:

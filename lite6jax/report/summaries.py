@@ -21,7 +21,7 @@ from lite6jax.identifiability.identify import Identification
 from lite6jax.identifiability.planning import Plan
 from lite6jax.recordings import Recording
 from lite6jax.report import shared, statements, torque_statements, worth
-from lite6jax.report.cells import joint_units, number
+from lite6jax.report.cells import each_with_unit, joint_units, number
 from lite6jax.report.data_faults import fault_name
 from lite6jax.report.quality import quality_statement
 

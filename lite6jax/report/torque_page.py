@@ -63,8 +63,11 @@ def page_values(
 def _errors(document: Document) -> list[dict[str, Any]]:
     common = torque_statements.common_unit(document)
     return [
-        {"name": name if common else f"{name} ({unit})", "numbers": [f"{value:.3g}" for value in pair]}
-        for name, unit, *pair in torque_statements.errors(document, _STATISTICS)
+        {
+            "name": f"{joints}, {statistic}{'' if common else f' ({unit})'}",
+            "numbers": [f"{value:.3g}" for value in pair],
+        }
+        for joints, unit, statistic, *pair in torque_statements.errors(document, _STATISTICS)
     ]
 
 

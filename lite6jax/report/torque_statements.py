@@ -94,10 +94,11 @@ def common_unit(document: Document) -> str:
 
 
 class JointError(NamedTuple):
-    """A held-out error: of which joints and which statistic, its unit, and its size before and after."""
+    """A held-out error: of which joints, its unit, which statistic, and its size before and after."""
 
-    name: str
+    joints: str
     unit: str
+    statistic: str
     before: float
     after: float
 
@@ -116,10 +117,10 @@ def errors(document: Document, statistics: Iterable[tuple[str, str]]) -> Iterato
             at = f"heldout_torque_{key}_{unit}"
             if at in before and at in after:
                 kind = "all" if len(whose) == 1 else "prismatic" if unit == "N" else "revolute"
-                yield JointError(f"{kind} joints, {words}", unit, before[at], after[at])
+                yield JointError(f"{kind} joints", unit, words, before[at], after[at])
     by_joint = (stage["heldout_torque_rms_by_joint_Nm"] for stage in (before, after))
     for joint, (unit, own, left) in enumerate(zip(units(document), *by_joint, strict=True), 1):
-        yield JointError(f"joint {joint}, RMS", unit, own, left)
+        yield JointError(f"joint {joint}", unit, "RMS", own, left)
 
 
 def findings_of(document: Document) -> list[dict[str, Any]]:

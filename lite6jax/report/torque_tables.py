@@ -44,7 +44,6 @@ def _errors(document: Mapping[str, Any]) -> Table:
     """Held-out errors by joint, one a line: seven joints side by side do not fit a narrow terminal."""
     common = torque_statements.common_unit(document)
     table = listing(f"held-out error ({f'{common} RMS'.strip()})", "before", "after")
-    for name, unit, *sizes in torque_statements.errors(document, [("rms", "RMS")]):
-        said = name.removesuffix(", RMS") + ("" if common else f" ({unit})")
-        table.add_row(said, *(f"{size:.3g}" for size in sizes))
+    for joints, unit, _, *sizes in torque_statements.errors(document, [("rms", "RMS")]):
+        table.add_row(joints if common else f"{joints} ({unit})", *(f"{size:.3g}" for size in sizes))
     return table

@@ -32,7 +32,8 @@ def test_a_prismatic_joint_has_the_unit_and_size_at_the_lever(revolute, prismati
     [
         ("viscous_Nm_s_per_rad", "viscous_N_s_per_m"),
         ("viscous_Nm_s_per_rad_K", "viscous_N_s_per_m_K"),
-        ("inertia_kg_m2", "inertia_kg"),
+        ("inertia_kg_m2", "mass_kg"),
+        ("rotor_inertia_kg_m2", "rotor_mass_kg"),
         ("rest_rad", "rest_m"),
         ("coefficient", "coefficient"),
         ("heldout_torque_rms_Nm", "heldout_torque_rms_N"),

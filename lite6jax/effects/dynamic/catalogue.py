@@ -5,7 +5,7 @@ from collections.abc import Iterable, Mapping
 
 import numpy as np
 
-from lite6jax.arms.joint_units import as_revolute
+from lite6jax.arms.joint_units import joint_size
 from lite6jax.effects.dynamic import bounds
 from lite6jax.effects.dynamic.bodies import BaseTilt, LinkCom, LinkMass, PayloadTorque
 from lite6jax.effects.dynamic.friction import (
@@ -90,11 +90,13 @@ def torque_shaped(motion: Motion) -> tuple[TorqueEffect, ...]:
     assert motion.joint_velocity is not None
     fastest = np.abs(np.asarray(motion.joint_velocity)).max(1)
     tried = [(joint, float(f"{share * v:.3g}")) for joint, v in enumerate(fastest, 1) for share in _SPEEDS]
-    every = (
-        StribeckFriction(joint, speed, of_slide=joint - 1 in motion.sliding.joints) for joint, speed in tried if speed
-    )
-    low, high = bounds.STRIBECK
-    return tuple(one for one in every if low <= as_revolute(one.velocity_rad_per_s, "rad/s", one.of_slide) <= high)
+    found = []
+    for joint, speed in tried:
+        slides = joint - 1 in motion.sliding.joints
+        low, high = (joint_size(bound, "rad/s", slides) for bound in bounds.STRIBECK)
+        if low <= speed <= high:
+            found.append(StribeckFriction(joint, speed, of_slide=slides))
+    return tuple(found)
 
 
 def torque_kinds_of(effects: Iterable[Effect] = ()) -> dict[str, type[Effect]]:
