@@ -12,7 +12,7 @@ from lite6jax.diagnosis.diagnose import findings_of, without_effects
 from lite6jax.diagnosis.folds import fold_count, side_by_side
 from lite6jax.diagnosis.options import Options
 from lite6jax.diagnosis.torque_result import TorqueDiagnosis
-from lite6jax.domains.torque.linearisation import linearised
+from lite6jax.domains.torque.linearisation import linearised, with_likely_prior
 from lite6jax.domains.torque.problem import TorqueProblem, torque_problem
 from lite6jax.domains.torque.screening import contacts, screen_torques
 from lite6jax.effects.dynamic.torque_effect import TorqueEffect
@@ -57,7 +57,7 @@ def diagnose_torques(
         with part(0, 1 + options.folds):
             entered("screening")
             screened = screen_torques(recording, arm)
-            whole = torque_problem(screened.data, effects)
+            whole = with_likely_prior(torque_problem(screened.data, effects), options.engine)
             problem = linearised(whole, options.engine)
             pushed, events = contacts(problem, options.engine)
             problem = replace(problem, valid=~pushed)

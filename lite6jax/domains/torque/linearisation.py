@@ -12,7 +12,7 @@ from lite6jax.estimation.least_squares import Fit, fit
 from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.problem import Mask
 from lite6jax.estimation.projection import schur_complement
-from lite6jax.estimation.score_test import score_test
+from lite6jax.estimation.score_test import remaining_noise_model, score_test
 from lite6jax.estimation.terms import Terms
 
 Array = NDArray[np.floating]
@@ -26,9 +26,7 @@ _WIDTHS = (0.03, 0.1, 0.3, 1.0, 3.0)
 def linearised(problem: TorqueProblem, options: EngineOptions, training: Mask | None = None) -> TorqueProblem:
     """The problem at the inertial numbers that fit best beside the effects that every arm has.
 
-    Without these they would be those of an arm whose weight does what friction does, and so would its loads be. Where
-    the numbers are unknown, the width of their prior is the most likely one (D. MacKay, Bayesian Interpolation, Neural
-    Computation 4, 1992).
+    Without these they would be those of an arm whose weight does what friction does, and so would its loads be.
 
     Args:
         problem: at the declared numbers.
@@ -37,26 +35,49 @@ def linearised(problem: TorqueProblem, options: EngineOptions, training: Mask | 
     """
     if not len(problem.directions):
         return problem
-    slides = problem.data.arm.slides.tolist()
-    terms = Terms(tuple(kind(j, of_slide=own) for kind in _EVERYWHERE for j, own in enumerate(slides, 1)))
-    widths = _WIDTHS if problem.data.recording.settings.inertial == "unknown" else (1.0,)
-    wider = [replace(problem, precision=problem.precision / width**2) for width in widths]
-    fits = [fit(each, terms, options, training=training) for each in wider]
+    return problem.relinearised(fit(problem, _everywhere(problem), options, training=training).nuisance)
+
+
+def with_likely_prior(problem: TorqueProblem, options: EngineOptions, training: Mask | None = None) -> TorqueProblem:
+    """The problem with a likely width of the prior of inertial numbers, where these are unknown.
+
+    Widths are compared by their marginal likelihood (D. MacKay, Bayesian Interpolation, Neural Computation 4, 1992) in
+    the noise model of what the widest leaves. Of those that the data do not distinguish from the most likely one it is
+    the widest: a prior that is too narrow leaves torques of the links, which then look like ripple or springs.
+
+    Args:
+        problem: with the prior as declared.
+        options: thresholds.
+        training: `(sample,)` bool; all where not given.
+    """
+    if not len(problem.directions) or problem.data.recording.settings.inertial != "unknown":
+        return problem
+    terms = _everywhere(problem)
+    wider = [replace(problem, precision=problem.precision / width**2) for width in _WIDTHS]
+    noise = remaining_noise_model(wider[-1], fit(wider[-1], terms, options, training=training), options)
+    fits = [fit(each, terms, options, training=training, noise=noise) for each in wider]
     time = max(score_test(wider[-1], fits[-1], options).time, 1.0)
-    best = max(range(len(widths)), key=lambda k: _evidence(wider[k], fits[k], time))
-    return wider[best].relinearised(fits[best].nuisance)
+    evidence = [_evidence(each, found, time) for each, found in zip(wider, fits, strict=True)]
+    return next(
+        each for each, one in zip(wider[::-1], evidence[::-1], strict=True) if one > max(evidence) - options.close
+    )
+
+
+def _everywhere(problem: TorqueProblem) -> Terms:
+    slides = problem.data.arm.slides.tolist()
+    return Terms(tuple(kind(j, of_slide=own) for kind in _EVERYWHERE for j, own in enumerate(slides, 1)))
 
 
 def _evidence(problem: TorqueProblem, found: Fit, time: float) -> float:
-    """The logarithm of the marginal likelihood of a prior's width, in noise of the fit.
+    """The logarithm of the marginal likelihood of a prior's width, in the noise model of the fit.
 
-    What no effect explains yet is not independent from sample to sample: so many of them as their autocorrelation
-    `time` says count as one. If each counted, inertial numbers would be taken as less certain for what is missing
-    beside them, and would follow it.
+    What no effect explains yet is not independent from sample to sample. What the noise model leaves of that is: so
+    many samples as its autocorrelation `time` says count as one. If each counted, inertial numbers would be taken as
+    less certain for what is missing beside them, and would follow it.
     """
     root = np.sqrt(np.where(found.training, found.residuals.row_weight / time, 0.0))
     columns = np.concatenate([problem.nuisance_columns(found.terms, found.values), problem.columns(found.terms.terms)])
-    flat = (columns * root).reshape(len(columns), -1)
+    flat = (found.noise.whitened(columns) * root).reshape(len(columns), -1)
     k = len(problem.precision)
     S = schur_complement(flat @ flat.T, np.arange(k, len(columns)))[:k, :k] / np.sqrt(
         np.outer(problem.precision, problem.precision)

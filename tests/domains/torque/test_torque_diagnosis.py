@@ -12,7 +12,7 @@ from lite6jax.diagnosis.document import write_document
 from lite6jax.diagnosis.options import Options
 from lite6jax.diagnosis.torque_diagnosis import diagnose_torques
 from lite6jax.diagnosis.torque_document import read_torque_model, torque_model_from_document
-from lite6jax.domains.torque.linearisation import linearised
+from lite6jax.domains.torque.linearisation import linearised, with_likely_prior
 from lite6jax.domains.torque.predict import predict_torques
 from lite6jax.domains.torque.problem import torque_problem
 from lite6jax.domains.torque.screening import contacts, screen_torques
@@ -114,7 +114,7 @@ def test_friction_of_every_joint_of_an_arm_of_unknown_links():
     effects += [hidden("coulomb_friction", f"joint{j}", coulomb_Nm=0.4) for j in range(1, 7)]
     recording, arm = recorded(effects, seed=4, inertial="unknown", declare=False)
     options = EngineOptions()
-    problem = linearised(torque_problem(screen_torques(recording, arm).data), options)
+    problem = linearised(with_likely_prior(torque_problem(screen_torques(recording, arm).data), options), options)
     found = search(problem, options)
     assert found.saturated
     labels = {term.label for term in found.state.fit.terms.terms}

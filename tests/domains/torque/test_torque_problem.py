@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 from domains.torque.moved import hidden, motion_of, recorded, setup_of
 from engine.explained import assert_same_gains
+from scipy.signal import lfilter
 
 from lite6jax.arms.dynamics import link_parameters
 from lite6jax.domains.torque.filtering import low_pass, runs_of, sample_rate, spikes, without_spikes
-from lite6jax.domains.torque.linearisation import linearised
+from lite6jax.domains.torque.linearisation import linearised, with_likely_prior
 from lite6jax.domains.torque.links import uncertain
 from lite6jax.domains.torque.problem import torque_problem
 from lite6jax.domains.torque.rows import bodies_of, torque_rows
@@ -195,7 +196,7 @@ def test_unknown_links_are_fitted_about_the_declared_ones():
     problem = torque_problem(torque_rows(recording, arm, recording.torques().T))
     assert problem.precision.shape == (60,)
     options = EngineOptions()
-    there = linearised(problem, options)
+    there = linearised(with_likely_prior(problem, options), options)
     before = np.sqrt(np.mean(problem.residual(np.zeros(60), Terms(), np.zeros(0)) ** 2))
     after = np.sqrt(np.mean(there.residual(np.zeros(60), Terms(), np.zeros(0)) ** 2))
     assert after < 1.3 < before
@@ -208,15 +209,29 @@ def test_what_is_missing_beside_the_links_does_not_make_them_less_certain(size, 
     q = recorded(seed=5)[0].joint_position[:, [1]]
     wave = size * np.sin(5 * q) * (np.arange(6) == 1)
     recording, arm = recorded(seed=5, inertial="unknown", change=lambda tau: tau + wave)
-    there = linearised(torque_problem(torque_rows(recording, arm, recording.torques().T)), EngineOptions())
+    there = with_likely_prior(torque_problem(torque_rows(recording, arm, recording.torques().T)), EngineOptions())
     assert there.relative_std == pytest.approx(width)
 
 
 def test_links_of_another_arm_are_uncertain():
     recording, arm = recorded(seed=5, inertial="unknown")
     other = replace(arm, mass=arm.mass * np.array([0.4, 2.0, 0.5, 2.5, 0.4, 2.0]), inertia=2 * arm.inertia)
-    there = linearised(torque_problem(torque_rows(recording, other, recording.torques().T)), EngineOptions())
+    there = with_likely_prior(torque_problem(torque_rows(recording, other, recording.torques().T)), EngineOptions())
     assert there.relative_std >= 0.1  # not 0.03, as where all but one are exact
+
+
+def test_autocorrelated_noise_does_not_make_links_more_certain():
+    """Links that are 20 % off, in noise with a coefficient of 0.9: a narrower prior would leave their weight."""
+
+    def noisy(tau):
+        e = np.random.default_rng(3).normal(size=tau.shape) * 2e-2
+        return tau + lfilter([np.sqrt(1 - 0.9**2)], [1, -0.9], e, axis=0)
+
+    recording, arm = recorded(seed=5, inertial="unknown", change=noisy)
+    off = 1 + 0.2 * np.random.default_rng(4).normal(size=6)
+    other = replace(arm, mass=arm.mass * off, inertia=arm.inertia * off[:, None, None])
+    there = with_likely_prior(torque_problem(torque_rows(recording, other, recording.torques().T)), EngineOptions())
+    assert there.relative_std >= 0.1
 
 
 def test_a_heavier_link_has_larger_moments():
