@@ -39,7 +39,10 @@ class SeparatingPoses(NamedTuple):
 def separating_poses(
     selection: Selection, geometry: Geometry, factory: FactoryCalibration | None, options: Options
 ) -> tuple[SeparatingPoses, ...]:
-    """Poses for each pair of effects that the recording does not distinguish, where poses at rest can."""
+    """Poses for each pair of effects that the recording does not distinguish, where poses at rest can.
+
+    Functions without a name are no rivals here: what their coefficients are elsewhere is not known.
+    """
     state, problem = selection.state, selection.problem
     assert isinstance(problem, PoseProblem)
     pairs = [
@@ -48,6 +51,7 @@ def separating_poses(
         for alternative in tested.alternatives
         if alternative.gap < options.engine.close
         and isinstance(alternative.term, Effect)
+        and not alternative.term.nonparametric
         and alternative.term not in state.fit.terms.terms
         and differ(selection, k, alternative.term, options)
     ]

@@ -63,9 +63,10 @@ class Finding:
     @property
     def nearest(self) -> tuple[Rival, float] | None:
         """Of an effect without a name, the named one that explains most, and its share of the explained; or None."""
-        if not self.effect.nonparametric or not self.rivals:
+        named = [rival for rival in self.rivals if not rival.effect.nonparametric]
+        if not self.effect.nonparametric or not named:
             return None
-        rival = min(self.rivals, key=lambda rival: rival.gap)
+        rival = min(named, key=lambda rival: rival.gap)
         return rival, float(np.clip(1 - rival.gap / max(self.gain, 1e-300), 0.0, 1.0))
 
     @property

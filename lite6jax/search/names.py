@@ -92,15 +92,17 @@ def _named_again(problem: Problem, state: State, options: EngineOptions) -> Stat
 def _one_for_names(problem: Problem, state: State, options: EngineOptions) -> State:
     """One function without a name in the place of several names, unless these are clearly more likely.
 
-    Several effects of the catalogue can add up to one that it does not have: a spring and a slow wave to an end stop.
-    That so many effects are there at once is itself unlikely, the more so the more they are.
+    Several effects of the catalogue can add up to one that it does not have: at one site a spring and a slow wave to an
+    end stop, at two a payload and a base that gives way to a sensor whose axes differ in scale. That so many effects
+    are there at once is itself unlikely, the more so the more they are.
     """
     preset = problem.preset[0].terms
     while True:
         names = [t for t in state.tested if not (t.term.nonparametric or t.term in preset)]
         best: State | None = None
-        for site in {tested.term.site for tested in names}:
-            there = [tested for tested in names if tested.term.site == site]
+        sites = {tested.term.site for tested in names}
+        for site in (*sorted(sites), None) if len(sites) > 1 else sorted(sites):
+            there = [tested for tested in names if site in (None, tested.term.site)]
             if len(there) < 2:
                 continue
             rest = refitted(problem, state, [t for t in state.tested if t not in there], options)

@@ -186,14 +186,7 @@ class Deflections:
         for effect, part in zip(effects.effects, effects.slices, strict=True):
             if not isinstance(effect, Bending) or not any(driver.loaded for driver in effect.drivers):
                 continue
-            if not effect.linear:
-                total = total + self._by_masses(masses, effect, values[part])
-                continue
-            key = (effect, tuple(masses))
-            if key not in self._per_mass:
-                self._per_mass[key] = [self._by_masses(masses, effect, one) for one in np.eye(effect.size)]
-            for unit, value in zip(self._per_mass[key], values[part], strict=True):
-                total = total + Deflection(*(None if field is None else value * field for field in unit))
+            total = total + self._by_masses(masses, effect, values[part])
         return total
 
     def _by_masses(self, masses: Sequence[Site], effect: Bending, values: Array) -> Deflection:
@@ -219,10 +212,6 @@ class Deflections:
 
     @cached_property
     def _with_errors(self) -> dict[tuple[Site, ...], list[tuple[Loads | None, Loads | None, float]]]:
-        return {}
-
-    @cached_property
-    def _per_mass(self) -> dict[tuple[Effect, tuple[Site, ...]], list[Deflection]]:
         return {}
 
     @cached_property

@@ -134,7 +134,8 @@ def flexible(motion: Motion, loads: Loads | None, rows: int, sites: dict[Site, A
             add(site, [driver], 3, component)
     for driver in everywhere:
         add("sensor", [driver], 3, base)
-    add("sensor", [Driver(f"measured position {axis}") for axis in "xyz"], 3, "x y z")
+    for degree in (1, 2, 3):
+        add("sensor", [Driver(f"measured position {axis}") for axis in "xyz"], degree, "x y z")
     return tuple(found)
 
 

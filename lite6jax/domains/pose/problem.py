@@ -264,8 +264,25 @@ class PoseProblem:
             return self.frame_columns
         if not physics.loaded:
             return np.concatenate([self.frame_columns, np.zeros((len(masses), self.rows, self.samples))])
-        through = self.deflections.through_masses(masses, physics, np.asarray(values, float))
-        return np.concatenate([self.frame_columns, columns_of(through, self.sites)])
+        values, through = np.asarray(values, float), np.zeros((len(masses), self.rows, self.samples))
+        for effect, part in zip(physics.effects, physics.slices, strict=True):
+            if effect.linear:
+                through += np.tensordot(values[part], self._by_masses(effect), 1)
+            else:
+                through += self._through_masses(effect, values[part])
+        return np.concatenate([self.frame_columns, through])
+
+    def _by_masses(self, effect: Effect) -> Array:
+        """`(number, mass, row, sample)`, for unit numbers of a linear effect."""
+        if effect not in self._mass_columns:
+            units = np.eye(effect.size) if Physics((effect,)).loaded else np.zeros((0, effect.size))
+            found = [self._through_masses(effect, one) for one in units]
+            zero = np.zeros((effect.size, len(self.masses), 1, 1))
+            self._mass_columns[effect] = np.stack(found) if found else zero
+        return self._mass_columns[effect]
+
+    def _through_masses(self, effect: Effect, values: Array) -> Array:
+        return columns_of(self.deflections.through_masses(self.masses, Physics((effect,)), values), self.sites)
 
     def mass_errors(self, nuisance: Array) -> MassErrors | None:
         """By how much the masses differ from those declared, by the nuisance `(unknown,)`; None where they do not."""
@@ -393,6 +410,10 @@ class PoseProblem:
 
     @cached_property
     def _columns(self) -> dict[Effect, Array]:
+        return {}
+
+    @cached_property
+    def _mass_columns(self) -> dict[Effect, Array]:
         return {}
 
 

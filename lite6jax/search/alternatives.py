@@ -1,0 +1,49 @@
+"""Functions without a name that explain at another site as much as a term of the final model."""
+
+from dataclasses import replace
+
+from lite6jax.estimation.options import EngineOptions
+from lite6jax.estimation.problem import Problem
+from lite6jax.estimation.score_test import score_test
+from lite6jax.estimation.terms import Term
+from lite6jax.search.state import Alternative, SelectedTerm, State, added, reduced
+
+
+def with_alternative_functions(problem: Problem, state: State, options: EngineOptions) -> State:
+    """The state whose terms have such functions among their alternatives, where the data do not distinguish them.
+
+    A link that tilts about the next joint's axis moves the arm as an error of that joint does. Which of them it is, no
+    test of the one that was chosen can say.
+    """
+    tested = tuple(_with_functions(problem, state, k, options) for k in range(len(state.tested)))
+    return replace(state, tested=tested)
+
+
+def _with_functions(problem: Problem, state: State, k: int, options: EngineOptions) -> SelectedTerm:
+    """The k-th term with the alternatives that it has and the most likely function of each other site, by refits.
+
+    Noise alone lets a number more gain half a unit of log-likelihood (H. Akaike, IEEE Transactions on Automatic Control
+    19, 1974), which a function's gap accounts for.
+    """
+    tested = state.tested[k]
+    if tested.term in problem.preset[0].terms:
+        return tested
+    rest = reduced(problem, state, k, options)
+    test = score_test(problem, rest.fit, options, within=state.fit)
+    functions = [term for term in problem.flexible if term.site != tested.term.site]
+    own = test.explained([tested.term])[0]
+    least = own.gain - 0.5 * test.time * own.size - 2 * options.close  # the refit may say otherwise by `close`
+    likely: dict[str, tuple[float, Term]] = {}
+    for term, one in zip(functions, test.explained(functions), strict=True):
+        gain = one.gain - 0.5 * test.time * one.size
+        if gain > likely.get(term.site, (least, term))[0]:
+            likely[term.site] = (gain, term)
+    best = [term for _, term in sorted(likely.values(), key=lambda pair: -pair[0])[: options.functions]]
+    found = []
+    for term, score in zip(best, test.score(best), strict=True):
+        fitted = added(problem, rest.fit, term, score.values, options)
+        gap = state.fit.gain_over(fitted) + 0.5 * test.time * (score.size - own.size)
+        if gap < options.close:
+            found.append(Alternative(term, max(gap, 0.0)))
+    return replace(tested, alternatives=tuple(sorted((*tested.alternatives, *found), key=lambda one: one.gap)))
+
