@@ -28,7 +28,7 @@ def ranking_figure(document: Mapping[str, Any], title: str) -> Figure:
         label = f"moves {measures[0].what} ({measures[0].unit} RMS)"
     else:
         sizes = [bar.share for bar in shown]
-        label = f"moves {' or '.join(measure.what for measure in measures)} (RMS over the error before; the largest is 1)"
+        label = f"moves {' or '.join(measure.what for measure in measures)} (RMS over the error before, largest: 1)"
     names = [f"{k}. {textwrap.fill(finding['title'], 44)}" for k, finding in enumerate(findings, 1)]
     with rc_context(STYLE):
         figure = blank(9.0, 1.7 + 0.42 * len(findings))

@@ -74,7 +74,7 @@ def test_what_moves_both_kinds_is_said_in_both_units():
     assert " Nm and " in moves_size(document, payload)
     assert moves_size(document, friction).endswith(" N")
     label = ranking_figure(document, "telescope").axes[0].get_xlabel()
-    assert label == "moves the torque or the force (RMS over the error before; the largest is 1)"
+    assert label == "moves the torque or the force (RMS over the error before, largest: 1)"
     assert remedy_of(friction, torques=True).action.startswith(
         "Check the lubrication of the screw, the belt or the guide"
     )
