@@ -86,9 +86,9 @@ KEYS = {
     "inertial_uncertainty": "one standard deviation of the masses and their lever arms, relative",
     "payload_uncertainty_kg": "one standard deviation of the payload's mass",
     "torque_source": "where torques come from; `estimated` is the controller's own model",
-    "torque_noise_Nm": "noise of the torque of each joint",
+    "torque_noise_Nm": "noise of the torque of each joint, in N of a prismatic one",
     "inertial": "for torques: what is known of the masses and inertias of the links",
-    "torque_constant_Nm_per_A": "torque per current of each joint, at the joint, gear included",
+    "torque_constant_Nm_per_A": "torque per current of each joint, at the joint, gear included; N/A of a prismatic one",
     "date": "the day of the measurement, which a certificate shows",
     "instrument": "with what it was measured, such as type and serial number, which a certificate shows",
 }

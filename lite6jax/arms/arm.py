@@ -223,20 +223,6 @@ class Arm:
         return float(np.abs(frames.chain(links, q) @ after - frames.chain(self.links, q)).max())
 
 
-def require_revolute(arm: Arm, what: str) -> None:
-    """Refuses an arm with prismatic joints for `what` takes none, such as "a diagnosis of torques".
-
-    Raises:
-        InputError: as said.
-    """
-    if arm.sliding:
-        joint = arm.sliding[0] + 1
-        raise InputError(
-            f"{arm.name}: {what} takes arms of revolute joints, and joint {joint} is prismatic: hold it still, and "
-            "give the arm without it, such as robot.urdf#base:tip"
-        )
-
-
 def sample_joints(dof: int, count: int = 64) -> Array:
     """(count, dof) rad, or m: joint positions that fill +-pi evenly and do not depend on random numbers.
 

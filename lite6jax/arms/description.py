@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from lite6jax import storage
 from lite6jax.arms import entries, frames, inertia
 from lite6jax.arms.arm import Arm
+from lite6jax.arms.joint_units import joint_unit
 from lite6jax.checksum import with_comment
 from lite6jax.errors import InputError
 
@@ -32,9 +33,9 @@ REVOLUTE = Drive(
     {"stiffness_Nm_per_rad": "spring_stiffness", "rest_rad": "spring_rest"},
 )
 PRISMATIC = Drive(
-    {"viscous_N_s_per_m": "viscous_friction", "coulomb_N": "coulomb_friction"},
-    "rotor_mass_kg",
-    {"stiffness_N_per_m": "spring_stiffness", "rest_m": "spring_rest"},
+    {joint_unit(key, True): field for key, field in REVOLUTE.friction.items()},
+    joint_unit(REVOLUTE.rotor, True),
+    {joint_unit(key, True): field for key, field in REVOLUTE.spring.items()},
 )
 
 # rad, four turns: a larger limit is an angle in degrees.

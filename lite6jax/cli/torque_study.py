@@ -13,6 +13,9 @@ from lite6jax.errors import InputError
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    import numpy as np
+    from numpy.typing import NDArray
+
     from lite6jax.arms.arm import Arm
     from lite6jax.identifiability.candidates import Filter
     from lite6jax.identifiability.torque.columns import TorqueModel
@@ -29,8 +32,8 @@ class TorqueSetup:
     torque: bool = False
     """Study the torques of a motion: base parameters of the links, friction and rotor inertia of the joints."""
     torque_noise: Annotated[tuple[float, ...], arg(metavar="NM…")] = ()
-    """One standard deviation of a torque, Nm, one number or one per joint; of a recording as its sidecar declares, else
-    0.05."""
+    """One standard deviation of a torque, Nm, one number or one per joint (N of a prismatic one); of a recording as its
+    sidecar declares, else 0.05, and 0.5 N."""
     inertial: Literal["declared", "unknown"] | None = None
     """Whether the links' masses and inertias are known as declared, or unknown; declared for --discriminate only."""
     gravity: Annotated[tuple[float, float, float] | None, arg(metavar="X Y Z")] = None
@@ -42,7 +45,8 @@ class TorqueSetup:
     rate: Annotated[float, arg(metavar="HZ")] = 100.0
     """Samples a second."""
     velocity: Annotated[tuple[float, ...], arg(metavar="DEG/S…")] = (180.0,)
-    """The greatest velocity, one number or one per joint; the default is that of a Lite 6."""
+    """The greatest velocity, one number or one per joint (mm/s of a prismatic one); the default is that of a Lite 6.
+    Of one number, a prismatic joint has what that is at 0.1 m: 180 deg/s is 314 mm/s."""
     acceleration: Annotated[tuple[float, ...], arg(metavar="DEG/S²…")] = (1146.0,)
     """The greatest acceleration, likewise."""
 
@@ -69,13 +73,21 @@ class TorqueSetup:
         Raises:
             InputError: as `motion_limits` and `MotionRoom`.
         """
-        import numpy as np
-
         from lite6jax.identifiability.torque.fourier import motion_limits
         from lite6jax.identifiability.torque.planning import MotionRoom
 
-        limits = motion_limits(arm, np.deg2rad(self.velocity), np.deg2rad(self.acceleration), margin)
+        limits = motion_limits(arm, _in_si(arm, self.velocity), _in_si(arm, self.acceleration), margin)
         return MotionRoom(arm, limits, filters, self.duration, self.harmonics, self.rate)
+
+
+def _in_si(arm: "Arm", limits: tuple[float, ...]) -> "NDArray[np.floating]":
+    """Limits as typed, of one number in degrees, or of one per joint in degrees and mm."""
+    import numpy as np
+
+    from lite6jax.report.cells import joint_units
+
+    scales, _ = joint_units(arm.sliding, arm.dof)
+    return np.array(limits) / scales if len(limits) == arm.dof > 1 else np.deg2rad(limits)
 
 
 def identify_arm(setup: TorqueSetup, source: str, seed: int, as_json: bool) -> int:
@@ -101,11 +113,15 @@ def identify_recording(setup: TorqueSetup, recording: "Recording", arm: "Arm", s
     Raises:
         InputError: a motion without times and accelerations, or as `identify_torques`.
     """
+    from lite6jax.report.cells import torque_units
+
     motion, notes = _recorded_motion(recording)
     phrase = f"{recording.samples} samples of a recording"
     model = setup.model(arm, recording.settings)
     if recording.settings.torque_noise_Nm is None and not setup.torque_noise:
-        notes.append("the sidecar declares no torque_noise_Nm: 0.05 Nm is assumed")
+        assumed = dict.fromkeys(zip(model.noise.tolist(), torque_units(arm.sliding, arm.dof), strict=True))
+        said = " and ".join(f"{noise:g} {unit}" for noise, unit in assumed)
+        notes.append(f"the sidecar declares no torque_noise_Nm: {said} {'are' if len(assumed) > 1 else 'is'} assumed")
     return _identified(model, motion, source, phrase, as_json, (*recording.notes, *notes))
 
 
@@ -185,7 +201,10 @@ def design_motion(
         report = torque_study_tables.torque_plan_report(found, disabled, source)
     else:
         model = setup.model(arm, unknown=False)
-        parsed = (parse_effect(discriminate[0], BUILT_IN), parse_effect(discriminate[1], BUILT_IN, neutral=True))
+        parsed = [
+            parse_effect(text, BUILT_IN, neutral, arm.sliding)
+            for text, neutral in zip(discriminate, (False, True), strict=True)
+        ]
         rivals = [rival_of(effect, values, model) for effect, values in parsed if isinstance(effect, TorqueEffect)]
         found = plan_torque_discrimination(model, room, rivals, seed=seed)
         report = torque_study_tables.torque_discrimination_report(found, disabled, source)
@@ -197,6 +216,7 @@ def design_motion(
         joint_velocity=made.motion.dq.T,
         joint_acceleration=made.motion.ddq.T,
         settings=settings,
+        sliding=arm.sliding,
     )
     written = [write_recording(recording, out, force), sidecar_path(out)]
     if figures is not None:

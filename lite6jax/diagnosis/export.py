@@ -182,7 +182,7 @@ def diagnosed_arm(model: DiagnosedMotors) -> tuple[Arm, tuple[str, ...]]:
 def _with_bodies(arm: Arm, links: np.ndarray, gravity: np.ndarray) -> tuple[Arm, list[str]]:
     if is_consistent(links):
         return with_link_parameters(arm, links), []
-    base = base_parameters(arm.kinematics, gravity)
+    base = base_parameters(arm.kinematics, gravity, arm.sliding)
     found = consistent_links(base, base.values(links), bodies_near(links))
     phrases = [] if found.exact else ["inertial numbers that no bodies have"]
     return with_link_parameters(arm, found.parameters), phrases

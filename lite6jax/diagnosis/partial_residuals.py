@@ -44,7 +44,8 @@ class FindingCurve(NamedTuple):
         quantity: the driver, where there is one; of a phase, the joint's position.
         site: what moves: a field of `Deflection`, the joint or link from 0, the component of a twist; None where it is
             the measured pose.
-        unit: of `partial`, `curve` and `std`: `m`, `rad`, `1`, `Nm`, or `sigma` for standard deviations of the sensor.
+        unit: of `partial`, `curve` and `std`: `m`, `rad`, `1`, `Nm`, `N`, or `sigma` for standard deviations of the
+            sensor.
         driver: `(sample,)`.
         partial: `(sample,)`, partial residuals.
         at: `(point,)`, ascending.
@@ -58,7 +59,7 @@ class FindingCurve(NamedTuple):
     over: Literal["driver", "phase", "displacement", "row"]
     quantity: Driver | None
     site: Site | None
-    unit: Literal["m", "rad", "1", "Nm", "sigma"]
+    unit: Literal["m", "rad", "1", "Nm", "N", "sigma"]
     driver: Array
     partial: Array
     at: Array

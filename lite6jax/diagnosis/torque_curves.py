@@ -4,11 +4,12 @@ Partial residuals are what was measured, less the whole model without what is sh
 """
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from lite6jax.arms.joint_units import as_revolute
 from lite6jax.diagnosis.partial_residuals import FindingCurve
 from lite6jax.diagnosis.torque_result import TorqueDiagnosis
 from lite6jax.effects.drivers import Driver
@@ -37,7 +38,7 @@ class TorquesOverTime(NamedTuple):
 
     Attributes:
         time: `(sample,)` s since the start of the recording.
-        measured: `(joint, sample)` Nm.
+        measured: `(joint, sample)` Nm, N of prismatic joints as in all of these.
         rigid: `(joint, sample)` Nm, of the rigid arm alone, its inertial numbers fitted where they are not declared.
         modelled: `(joint, sample)` Nm, with the findings.
     """
@@ -52,7 +53,7 @@ class JointFriction(NamedTuple):
     """The friction of one joint.
 
     Attributes:
-        velocity: `(sample,)` rad/s.
+        velocity: `(sample,)` rad/s, or m/s.
         partial: `(sample,)` Nm, what was measured, less the model without friction of this joint.
         at: `(point,)` rad/s, ascending; none where no friction was found.
         friction: `(point,)` Nm, as found, at the median of load and temperature, with the other joints at rest.
@@ -105,7 +106,8 @@ def finding_curve(found: TorqueDiagnosis, k: int) -> FindingCurve:
     effect, used = finding.effect, problem.valid
     assert isinstance(effect, TorqueEffect)
     moved = _part(found, [k])
-    j = int(np.argmax(np.sum(moved[:, used] ** 2, 1)))
+    j = int(np.argmax(np.sum(as_revolute(moved[:, used], "Nm", problem.data.arm.slides) ** 2, 1)))
+    unit: Literal["N", "Nm"] = "N" if problem.data.arm.slides[j] else "Nm"
     left = problem.measured - problem.torque(fit.nuisance, fit.terms, fit.values)
     partial = (left + moved)[j, used]
     if not isinstance(effect, JointTorque) or isinstance(effect, Scaling):
@@ -113,7 +115,7 @@ def finding_curve(found: TorqueDiagnosis, k: int) -> FindingCurve:
         at, std = moved[j, used], _deviation(columns[:, used], finding.covariance)
         order = np.argsort(at, kind="stable")
         x = at[order]
-        return FindingCurve(k, "displacement", None, ("joint", j, 0), "Nm", at, partial, x, x, std[order])
+        return FindingCurve(k, "displacement", None, ("joint", j, 0), unit, at, partial, x, x, std[order])
     dynamics = problem.dynamics
     choices = effect.of if isinstance(effect, UnnamedTorque) else effect.drivers or (Driver("time"),)
     driver, loads = choices[0], dynamics.loads
@@ -126,22 +128,23 @@ def finding_curve(found: TorqueDiagnosis, k: int) -> FindingCurve:
         at = np.linspace(x.min(), x.max(), _POINTS)
         slope = effect.functions_of(at[None])
         std = _deviation(slope, finding.covariance)
-        return FindingCurve(k, "driver", driver, key, "Nm", x, sign * partial, at, finding.values @ slope, std)
+        return FindingCurve(k, "driver", driver, key, unit, x, sign * partial, at, finding.values @ slope, std)
     if several:
         own = moved[j, used]
-        return FindingCurve(k, "driver", driver, key, "Nm", x, partial, x, own, np.zeros_like(own), hysteresis=True)
+        return FindingCurve(k, "driver", driver, key, unit, x, partial, x, own, np.zeros_like(own), hysteresis=True)
     # not filtered, so that it is a function of its driver
     order = np.argsort(values, kind="stable")
     curve, slope = effect.at_joint(finding.values, dynamics), _slopes(effect, finding.values, dynamics)
     std = _deviation(slope, finding.covariance)
-    return FindingCurve(k, "driver", driver, key, "Nm", x, partial, values[order], curve[order], std[order])
+    return FindingCurve(k, "driver", driver, key, unit, x, partial, values[order], curve[order], std[order])
 
 
 def _is_friction(effect: object, joint: int) -> bool:
     if isinstance(effect, CoupledFriction):
         return joint in (effect.joint, effect.source_joint)
     if isinstance(effect, UnnamedTorque):
-        return effect.of in ((Driver("velocity", joint),), (Driver("speed", joint),)) and effect.joint == joint
+        own = [(effect.own_driver(quantity),) for quantity in ("velocity", "speed")]
+        return effect.joint == joint and effect.of in own
     return isinstance(effect, _FRICTION) and effect.joint == joint
 
 
@@ -176,7 +179,7 @@ def _still(dynamics: Dynamics, j: int, velocity: Array) -> Dynamics:
     rise = dynamics.motion.joint_temperature_rise
     warm = None if rise is None else np.median(np.asarray(rise), axis=1, keepdims=True) * np.ones(shape)
     overall = dynamics.motion.temperature_rise
-    motion: Motion = motion_of(np.zeros(shape).T)._replace(
+    motion: Motion = motion_of(np.zeros(shape).T, sliding=dynamics.motion.sliding.joints)._replace(
         joint_velocity=moving,  # type: ignore[arg-type]
         joint_temperature_rise=warm,  # type: ignore[arg-type]
         temperature_rise=None if overall is None else np.full(shape[1], np.median(np.asarray(overall))),  # type: ignore[arg-type]

@@ -1,6 +1,6 @@
 """The JSON of a diagnosis of torques: codes and plain numbers in SI units. Only this module writes and reads it."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from itertools import combinations
 from pathlib import Path
 from typing import Any
@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lite6jax.arms.arm import DRIVE_FIELDS, Arm
+from lite6jax.arms.joint_units import by_kind
 from lite6jax.diagnosis.document import DAMAGED, SCHEMA, check_sum, located, parsed_document
 from lite6jax.diagnosis.folds import fold_count
 from lite6jax.diagnosis.result import Finding, Rival
@@ -22,7 +23,7 @@ from lite6jax.domains.torque.uncertainty import RecordedMotion, TorqueUncertaint
 from lite6jax.effects.dynamic.catalogue import torque_kinds_of
 from lite6jax.effects.dynamic.torque_effect import TorqueEffect
 from lite6jax.effects.dynamic.unnamed import UnnamedTorque
-from lite6jax.effects.effect import Effect
+from lite6jax.effects.effect import Effect, require_kind
 from lite6jax.effects.serialization import effect_as_dict, effect_from_dict
 from lite6jax.errors import InputError
 from lite6jax.estimation.terms import Terms, join
@@ -43,8 +44,8 @@ def to_torque_document(found: TorqueDiagnosis) -> dict[str, Any]:
         "schema": SCHEMA,
         "domain": "torque",
         "verdict": found.verdict,
-        "before": _summary(found.before[:, kept]),
-        "after": _summary(found.after[:, kept]),
+        "before": _summary(found.before[:, kept], data.arm.slides),
+        "after": _summary(found.after[:, kept], data.arm.slides),
         "left": {
             "torque_over_noise": None if found.over_noise is None else found.over_noise.tolist(),
             "white": found.fit.noise.white,
@@ -83,26 +84,33 @@ def to_torque_document(found: TorqueDiagnosis) -> dict[str, Any]:
     }
 
 
-def _summary(errors: Array) -> dict[str, Any]:
-    """Of errors `(joint, sample)` Nm."""
-    size = np.abs(errors)
-    return {
-        "heldout_torque_mean_Nm": float(size.mean()) if errors.size else 0.0,
-        "heldout_torque_rms_Nm": float(np.sqrt(np.mean(errors**2))) if errors.size else 0.0,
-        "heldout_torque_p95_Nm": float(np.percentile(size, 95)) if errors.size else 0.0,
-        "heldout_torque_max_Nm": float(size.max(initial=0.0)),
-        "heldout_torque_rms_by_joint_Nm": np.sqrt(np.mean(errors**2, 1)).tolist(),
-    }
+_STATISTICS: Mapping[str, Callable[[Array], Any]] = {
+    "mean": lambda size: size.mean() if size.size else 0.0,
+    "rms": lambda size: np.sqrt(np.mean(size**2)) if size.size else 0.0,
+    "p95": lambda size: np.percentile(size, 95) if size.size else 0.0,
+    "max": lambda size: size.max(initial=0.0),
+}
+
+
+def _summary(errors: Array, slides: NDArray[np.bool_]) -> dict[str, Any]:
+    """Of errors `(joint, sample)` Nm: over revolute joints, and in N over those that slide."""
+    each = [
+        by_kind(f"heldout_torque_{name}_Nm", np.abs(errors), slides, statistic)
+        for name, statistic in _STATISTICS.items()
+    ]
+    whole = {key: value for kinds in each for key, value in kinds.items()}
+    return {**whole, "heldout_torque_rms_by_joint_Nm": np.sqrt(np.mean(errors**2, 1)).tolist()}
 
 
 def _finding(found: TorqueDiagnosis, k: int) -> dict[str, Any]:
     finding, part = found.findings[k], found.fit.terms.slices[k]
     columns = found.problem.columns([finding.effect], finding.values, (found.fit.terms, found.fit.values))
     moved = np.tensordot(found.fit.values[part], columns, 1) * found.problem.sigma
-    acts = np.abs(moved).max(1) > 0
+    acts, slides = np.abs(moved).max(1) > 0, found.problem.data.arm.slides
+    where = acts if acts.any() else np.ones_like(acts)
     size: dict[str, Any] = {}
     if isinstance(finding.effect, UnnamedTorque):
-        size["peak_to_peak_Nm"] = float(np.ptp(moved, axis=1).max())
+        size[finding.effect.own("peak_to_peak_Nm")] = float(np.ptp(moved, axis=1).max())
         described = _described(found.problem, finding.effect.joint, moved)
         size |= {} if described is None else {"described_by": described}
     if finding.nearest is not None:
@@ -114,7 +122,7 @@ def _finding(found: TorqueDiagnosis, k: int) -> dict[str, Any]:
         **size,
         "p_value": finding.p_value,
         "log_likelihood_gain": finding.gain,
-        "moves_rms_Nm": float(np.sqrt(np.mean(moved[acts] ** 2))) if acts.any() else 0.0,
+        **by_kind("moves_rms_Nm", moved[where], slides[where], lambda torque: np.sqrt(np.mean(torque**2))),
         "joints": (1 + np.flatnonzero(acts)).tolist(),
         "confusable_with": [_rival(found, rival) for rival in _near(found, finding)],
     }
@@ -177,6 +185,7 @@ def _model(found: TorqueDiagnosis) -> dict[str, Any]:
         "T_joint_flange": model.arm.T_joint_flange.tolist(),
         "links": model.links.tolist(),
         **({"drives": drives} if drives else {}),
+        **({"prismatic_joints": [joint + 1 for joint in model.arm.sliding]} if model.arm.sliding else {}),
         "payload_center": model.payload_center.tolist(),
         "gravity": model.gravity.tolist(),
         "joint_limits": model.arm.joint_limits.tolist(),
@@ -263,6 +272,7 @@ def torque_model_from_document(
             np.asarray(model["kinematics"], float),
             joint_limits=np.asarray(model["joint_limits"], float),
             T_joint_flange=np.asarray(model["T_joint_flange"], float),
+            sliding=tuple(joint - 1 for joint in model.get("prismatic_joints", ())),
             **drives,
         )
         links = np.asarray(model["links"], float)
@@ -271,9 +281,9 @@ def torque_model_from_document(
         pairs = [effect_from_dict(entry, torque_kinds_of(effects)) for entry in model["effects"]]
         for effect, values in pairs:
             check_effect(effect, values, arm.dof)
+            require_kind(effect, arm.sliding)
         terms, values = Terms(tuple(effect for effect, _ in pairs)), join(values for _, values in pairs)
         uncertainty = _uncertainty_from(model.get("uncertainty"), terms, values, arm.dof)
-        rms = [document[part]["heldout_torque_rms_Nm"] for part in ("before", "after")]
     except (InputError, KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
         raise InputError(f"{source}: its model is damaged ({error}); {DAMAGED}") from error
     return DiagnosedMotors(
@@ -284,7 +294,6 @@ def torque_model_from_document(
         terms=terms,
         values=values,
         reference_temperature=float(model["reference_temperature_degC"]),
-        heldout_rms=(float(rms[0]), float(rms[1])),
         relative_to=_relative_to(document),
         uncertainty=uncertainty,
     )

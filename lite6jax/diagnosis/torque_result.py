@@ -69,7 +69,9 @@ class TorqueDiagnosis(Summarised, Plotted):
     @property
     def confounded(self) -> tuple[Effect, ...]:
         """Effects that are confounded with the inertial numbers that are fitted."""
-        fitted = torque_catalogue(self.problem.rows) if len(self.problem.precision) else ()
+        fitted = (
+            torque_catalogue(self.problem.rows, self.problem.data.arm.sliding) if len(self.problem.precision) else ()
+        )
         return (
             *(term for term in self.selection.confounded if isinstance(term, Effect)),
             *(effect for effect in fitted if isinstance(effect, FITTED)),

@@ -15,14 +15,12 @@ from lite6jax.schema import Check, array, flag, items, mapping, number, one_of, 
 _LARGEST_MOMENT = LARGEST_MASS * LENGTH_LIMIT
 _POSITIVE = number(0.0)
 _BY_JOINT = array(None, lower=0.0)
+_STATISTICS = ("mean", "rms", "p95", "max")
+_UNITS = ("Nm", "N")
+"""Of torques of revolute joints, and of forces of prismatic ones."""
 _ERRORS = record(
-    {
-        "heldout_torque_rms_Nm": _POSITIVE,
-        "heldout_torque_p95_Nm": _POSITIVE,
-        "heldout_torque_max_Nm": _POSITIVE,
-        "heldout_torque_rms_by_joint_Nm": _BY_JOINT,
-    },
-    {"heldout_torque_mean_Nm": _POSITIVE},
+    {"heldout_torque_rms_by_joint_Nm": _BY_JOINT},
+    {f"heldout_torque_{name}_{unit}": _POSITIVE for name in _STATISTICS for unit in _UNITS},
 )
 _PLACE = {"effect": text, "site": text, "driver": text}
 _RIVAL = record(
@@ -34,7 +32,6 @@ _FINDING = record(
         "parameters": mapping(record({"value": number(), "std": _POSITIVE})),
         "p_value": number(0.0, 1.0),
         "log_likelihood_gain": number(),
-        "moves_rms_Nm": _POSITIVE,
         "confusable_with": items(_RIVAL),
     },
     {
@@ -43,7 +40,7 @@ _FINDING = record(
             {"share": number(0.0, 1.0), "effects": items(record({**_PLACE, "parameters": mapping(number())}))}
         ),
         "statement": text,
-        "peak_to_peak_Nm": _POSITIVE,
+        **{f"{name}_{unit}": _POSITIVE for name in ("moves_rms", "peak_to_peak") for unit in _UNITS},
         "joints": items(whole(1)),
     },
 )
@@ -120,7 +117,11 @@ _MODEL = record(
         "reference_temperature_degC": number(-273.15, HIGHEST_TEMPERATURE),
         "effects": items(plain),
     },
-    {"uncertainty": optional(_UNCERTAINTY), "drives": record({}, dict.fromkeys(DRIVE_FIELDS, array(None)))},
+    {
+        "prismatic_joints": items(whole(1)),
+        "uncertainty": optional(_UNCERTAINTY),
+        "drives": record({}, dict.fromkeys(DRIVE_FIELDS, array(None))),
+    },
 )
 
 

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from lite6jax.arms.joint_units import as_revolute
 from lite6jax.diagnosis.folds import fold_count
 from lite6jax.diagnosis.uncertainty import covariance_of, excess, relative_error, rows_kept, spacing_of
 from lite6jax.domains.torque.predict import shown_torques
@@ -96,7 +97,9 @@ def _recorded(found: "TorqueDiagnosis") -> RecordedMotion:
     return RecordedMotion(
         ranges=np.stack([states[..., kept].min(-1), states[..., kept].max(-1)], -1),
         positions=np.round(q[rows], 5),
-        spacing=spacing_of(q, kept, rows, (block == number for number in range(folds))),
+        spacing=spacing_of(
+            as_revolute(q.T, "rad", problem.data.arm.slides).T, kept, rows, (block == number for number in range(folds))
+        ),
         drivers={
             phrase: (float(values[at][kept].min()), float(values[at][kept].max()))
             for phrase, values in driver_values(found.fit.terms, dynamics).items()

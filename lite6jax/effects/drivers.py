@@ -40,6 +40,7 @@ def _payload_moment(k: int) -> Callable[[Motion, Loads | None], Array | None]:
 
 
 _VELOCITIES = "the velocities of a moving arm; record a trajectory with time_s or dq1_rad_per_s …"
+_SLIDE_VELOCITIES = "the velocities of a moving arm; record a trajectory with time_s or dq1_m_per_s …"
 _MASSES = "the masses of the links; add `inertial` to the arm's description"
 _SOURCES = {
     "position": _Source(lambda m, _: m.joint_position, "rad", "joint", "the joint positions; add q1_rad …"),
@@ -61,11 +62,21 @@ _SOURCES = {
         "joint",
         _VELOCITIES,
     ),
+    "slide velocity": _Source(lambda m, _: m.joint_velocity, "m/s", "joint", _SLIDE_VELOCITIES),
+    "slide speed": _Source(
+        lambda m, _: None if m.joint_velocity is None else abs(m.joint_velocity), "m/s", "joint", _SLIDE_VELOCITIES
+    ),
     "acceleration": _Source(
         lambda m, _: m.joint_acceleration,
         "rad/s²",
         "joint",
         "the accelerations of a moving arm; record a trajectory with time_s, or ddq1_rad_per_s2 …",
+    ),
+    "slide acceleration": _Source(
+        lambda m, _: m.joint_acceleration,
+        "m/s²",
+        "joint",
+        "the accelerations of a moving arm; record a trajectory with time_s, or ddq1_m_per_s2 …",
     ),
     "gravity torque": _Source(lambda _, l: None if l is None else l.torque, "Nm", "joint", _MASSES, True),
     "gravity force": _Source(lambda _, l: None if l is None else l.torque, "N", "joint", _MASSES, True),
@@ -127,6 +138,16 @@ class Driver:
         return _SOURCES[self.quantity].unit
 
     @property
+    def of_slide(self) -> bool:
+        """Whether it is a quantity of a prismatic joint alone."""
+        return self.quantity in _GENERALISED
+
+    @property
+    def generalised(self) -> str:
+        """The quantity without the kind of its joint: `velocity` is that of a revolute and of a prismatic joint."""
+        return _GENERALISED.get(self.quantity, self.quantity)
+
+    @property
     def remedy(self) -> str:
         """What to record or to add where the quantity is missing."""
         return _SOURCES[self.quantity].remedy
@@ -156,6 +177,20 @@ class Driver:
 
 QUANTITIES = tuple(_SOURCES)
 """The quantities that a driver can be."""
+_OF_SLIDE = {
+    "position": "slide position",
+    "velocity": "slide velocity",
+    "speed": "slide speed",
+    "acceleration": "slide acceleration",
+    "gravity torque": "gravity force",
+}
+"""Of a quantity of a revolute joint, that of a prismatic one: in other units."""
+_GENERALISED = {own: quantity for quantity, own in _OF_SLIDE.items()}
+
+
+def joint_driver(quantity: str, joint: int, slides: bool) -> Driver:
+    """A generalised quantity of a joint, counted from 1, that is prismatic where it `slides`."""
+    return Driver(_OF_SLIDE.get(quantity, quantity) if slides else quantity, joint)
 
 
 def driver_of(phrase: str) -> Driver:

@@ -8,6 +8,7 @@ from typing import Any, ClassVar, NamedTuple, final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from lite6jax.arms.joint_units import joint_size, joint_unit
 from lite6jax.deferred import Array, jnp
 from lite6jax.effects.deflection import Deflection, at_joint
 from lite6jax.effects.drivers import Driver
@@ -80,21 +81,26 @@ def with_field(field: str) -> Reporting:
     """
 
     def names(effect: "Effect") -> tuple[str, ...]:
-        return (*_coordinate_names(effect), *(() if getattr(effect, field) is None else (field,)))
+        return (*_coordinate_names(effect), *(() if getattr(effect, field) is None else (effect.own(field),)))
 
     def parameters(effect: "Effect", values: NDArray) -> tuple[NDArray, NDArray]:
         fixed = [number for number in (getattr(effect, field),) if number is not None]
         return np.append(values, fixed), np.eye(len(values) + len(fixed), len(values))
 
     def values(effect: "Effect", given: Mapping[str, float]) -> NDArray:
-        fixed = getattr(effect, field)
-        if fixed is not None and given.get(field, fixed) != fixed:
+        fixed, name = getattr(effect, field), effect.own(field)
+        if fixed is not None and given.get(name, fixed) != fixed:
             raise InputError(
-                f"{effect.label}: {field} {given[field]:g} beside the fixed {field} {fixed:g}; give one of them"
+                f"{effect.label}: {name} {given[name]:g} beside the fixed {name} {fixed:g}; give one of them"
             )
         return DIRECT.values(effect, given)
 
     return Reporting(names, parameters, values)
+
+
+def _slides(effect: "Effect") -> bool:
+    """Whether an effect is one of a prismatic joint."""
+    return bool(getattr(effect, "of_slide", False))
 
 
 class Choice(NamedTuple):
@@ -115,7 +121,7 @@ class Choice(NamedTuple):
     periodic: bool = False
 
 
-def tried(field: str, lower: float, released: "Callable[[Effect], Effect] | None" = None) -> Choice:
+def tried(field: str, lower: float, released: "Callable[[Effect], Effect] | None" = None, unit: str = "1") -> Choice:
     """A number that is a field of the effect and is tried at a few values, while the rest is linear.
 
     Args:
@@ -123,12 +129,13 @@ def tried(field: str, lower: float, released: "Callable[[Effect], Effect] | None
         lower: the least that it can be when it is fixed.
         released: of an effect, the same with the number as its last coordinate; that with None in the field where not
             given.
+        unit: of `lower`, at a revolute joint.
     """
     return Choice(
         number=lambda effect: getattr(effect, field),
         searched=lambda effect: getattr(effect, field) is not None,
         released=released or (lambda effect: replace(effect, **{field: None})),
-        held=lambda effect, number: replace(effect, **{field: max(number, lower)}),
+        held=lambda effect, number: replace(effect, **{field: max(number, joint_size(lower, unit, _slides(effect)))}),
     )
 
 
@@ -172,6 +179,11 @@ class Effect(ABC):
     @abstractmethod
     def drivers(self) -> tuple[Driver, ...]:
         """What it depends on."""
+
+    @final
+    def own(self, name: str) -> str:
+        """A name or unit of a revolute joint, as it is for the joint of this effect."""
+        return joint_unit(name, _slides(self))
 
     @property
     def size(self) -> int:
@@ -332,13 +344,18 @@ def require_kind(effect: Effect, sliding: tuple[int, ...]) -> None:
     Raises:
         InputError: as said.
     """
-    if not isinstance(effect, JointEffect) or effect.of_slide is None:
+    of_slide = getattr(effect, "of_slide", None)
+    if of_slide is None:
         return
-    if (effect.joint - 1 in sliding) != effect.of_slide:
-        own, other, prefix = (
-            ("prismatic", "revolute", "joint_") if effect.of_slide else ("revolute", "prismatic", "slide_")
-        )
-        raise InputError(
-            f"{effect.label}: is of a {own} joint, and joint {effect.joint} is {other}; give an effect whose name"
-            f" begins with {prefix} (`lite6jax effects` lists them)"
-        )
+    acting = ("joint",) if isinstance(effect, JointEffect) else ("joint", "source_joint")
+    joints = [getattr(effect, name) for name in acting if hasattr(effect, name)]
+    others = [joint for joint in joints if (joint - 1 in sliding) != of_slide]
+    if not others:
+        return
+    own, other = ("prismatic", "revolute") if of_slide else ("revolute", "prismatic")
+    if isinstance(effect, JointEffect):
+        prefix = "joint_" if of_slide else "slide_"
+        remedy = f"an effect whose name begins with {prefix} (`lite6jax effects` lists them)"
+    else:
+        remedy = "joints of one kind" if len(others) < len(joints) else f"of_slide={not of_slide}"
+    raise InputError(f"{effect.label}: is of a {own} joint, and joint {others[0]} is {other}; give {remedy}")

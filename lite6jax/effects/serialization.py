@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from lite6jax.arms.joint_units import joint_unit
 from lite6jax.effects.catalogue import BUILT_IN
 from lite6jax.effects.effect import Effect
 from lite6jax.errors import InputError
@@ -25,11 +26,15 @@ _TYPES = {
 }
 
 
-def _field_types(kind: type[Effect]) -> dict[str, tuple[type, ...]]:
-    """The fields of an effect's class and the types that each accepts."""
+_OF_SLIDE = "of_slide"
+"""The field that says that the joint of an effect is prismatic; names of its other fields then have other units."""
+
+
+def _field_types(kind: type[Effect], of_slide: bool = False) -> dict[str, tuple[type, ...]]:
+    """The fields of an effect's class as they are written, and the types that each accepts."""
     hints = typing.get_type_hints(kind)
     return {
-        field.name: (tuple,)
+        joint_unit(field.name, of_slide): (tuple,)
         if typing.get_origin(hint := hints[field.name]) is tuple
         else typing.get_args(hint) or (hint,)
         for field in fields(kind)  # type: ignore[arg-type]
@@ -42,12 +47,14 @@ def _kind(name: Any, kinds: Mapping[str, type[Effect]]) -> type[Effect]:
     return kinds[name]
 
 
-def _keys(kind: type[Effect]) -> str:
+def _keys(kind: type[Effect], of_slide: bool = False) -> str:
     """The keys that the text form of an effect accepts, for messages."""
-    taken = _field_types(kind)
+    taken = [name for name in _field_types(kind, of_slide) if name != _OF_SLIDE]
     required = [f.name for f in fields(kind) if f.default is MISSING]  # type: ignore[arg-type]
     try:
-        example = kind(**{name: number for number, name in enumerate(required, 1)})
+        example = kind(
+            **{name: number for number, name in enumerate(required, 1)}, **({_OF_SLIDE: True} if of_slide else {})
+        )
         parameters = example.reporting.names(example)
     except (InputError, TypeError):  # fields that are not numbers and determine the parameters
         parameters = ("its parameters",)
@@ -56,10 +63,11 @@ def _keys(kind: type[Effect]) -> str:
 
 def _build(kind: type[Effect], given: Mapping[str, Any]) -> Effect:
     """An effect from its fields, whose types are checked because they come from a file or from the command line."""
-    taken, checked = _field_types(kind), {}
+    of_slide = given.get(_OF_SLIDE) is True
+    taken, checked = _field_types(kind, of_slide), {}
     for name, value in given.items():
         if name not in taken:
-            raise InputError(f"{kind.name}: the key {name!r} is unknown; the keys are {_keys(kind)}")
+            raise InputError(f"{kind.name}: the key {name!r} is unknown; the keys are {_keys(kind, of_slide)}")
         if float in taken[name] and type(value) is int:
             value = float(value)
         elif int in taken[name] and type(value) is float and value.is_integer():
@@ -74,12 +82,16 @@ def _build(kind: type[Effect], given: Mapping[str, Any]) -> Effect:
         checked[name] = value
     for field in fields(kind):  # type: ignore[arg-type]
         if field.default is MISSING and field.name not in checked:
-            raise InputError(f"{kind.name}: {field.name} is not given; the keys are {_keys(kind)}")
-    return kind(**checked)
+            raise InputError(f"{kind.name}: {field.name} is not given; the keys are {_keys(kind, of_slide)}")
+    of_field = {joint_unit(field.name, of_slide): field.name for field in fields(kind)}  # type: ignore[arg-type]
+    return kind(**{of_field[name]: value for name, value in checked.items()})
 
 
 def parse_effect(
-    text: str, kinds: Mapping[str, type[Effect]] = BUILT_IN, neutral: bool = False
+    text: str,
+    kinds: Mapping[str, type[Effect]] = BUILT_IN,
+    neutral: bool = False,
+    sliding: tuple[int, ...] = (),
 ) -> tuple[Effect, NDArray]:
     """An effect and its values from text such as `joint_compliance:joint=2,compliance_rad_per_Nm=9e-5`.
 
@@ -89,6 +101,8 @@ def parse_effect(
         text: name, colon, key=value separated by commas.
         kinds: the known effects by name.
         neutral: whether all parameters may be missing.
+        sliding: the prismatic joints of the arm, counted from 0: numbers of effects on their forces are in m and N,
+            such as `viscous_friction:joint=3,viscous_N_s_per_m=20`.
 
     Raises:
         InputError: an unknown name or key, with the accepted ones; a repeated key; a missing value.
@@ -103,14 +117,16 @@ def parse_effect(
         if key in written:
             raise InputError(f"{kind.name}: {key} is given twice; keep one")
         written[key] = value
-    taken = _field_types(kind)
-    effect = _build(kind, {key: _literal(value) for key, value in written.items() if key in taken})
+    of_slide = _OF_SLIDE in _field_types(kind) and written.get("joint") in {str(joint + 1) for joint in sliding}
+    taken = [name for name in _field_types(kind, of_slide) if name != _OF_SLIDE]
+    place: dict[str, Any] = {key: _literal(value) for key, value in written.items() if key in taken}
+    effect = _build(kind, place | ({_OF_SLIDE: True} if of_slide else {}))
     numbers = {}
     for key, value in written.items():
         if key in taken:
             continue
         if key not in effect.reporting.names(effect):
-            raise InputError(f"{kind.name}: the key {key!r} is unknown; the keys are {_keys(kind)}")
+            raise InputError(f"{kind.name}: the key {key!r} is unknown; the keys are {_keys(kind, of_slide)}")
         try:
             numbers[key] = float(value)
         except ValueError as error:
@@ -118,7 +134,7 @@ def parse_effect(
     if not numbers and neutral:
         return effect, np.zeros(effect.size)
     if not numbers:
-        raise InputError(f"{kind.name}: no parameter is given; the keys are {_keys(kind)}")
+        raise InputError(f"{kind.name}: no parameter is given; the keys are {_keys(kind, of_slide)}")
     return effect, effect.values_of(numbers)
 
 
@@ -138,10 +154,13 @@ def effect_as_dict(effect: Effect, values: ArrayLike, covariance: ArrayLike | No
         covariance: `(coordinate, coordinate)`; standard deviations are 0 without it.
     """
     where = {field.name: getattr(effect, field.name) for field in fields(effect)}  # type: ignore[arg-type]
+    if not where.get(_OF_SLIDE, True):
+        del where[_OF_SLIDE]
+    given = {effect.own(name): value for name, value in where.items() if value not in (None, ())}
     return {
         "effect": effect.name,
         "site": effect.site,
-        "where": {name: list(v) if isinstance(v, tuple) else v for name, v in where.items() if v not in (None, ())},
+        "where": {name: list(value) if isinstance(value, tuple) else value for name, value in given.items()},
         "parameters": {name: e._asdict() for name, e in effect.reported(values, covariance).items()},
     }
 

@@ -58,6 +58,9 @@ class AirDrag(JointTorque):
         speed = dynamics.velocity(self.joint)
         return values[0] * speed * abs(speed)
 ```
+
+At a prismatic joint it is `AirDrag(3, of_slide=True)`, and a force. `self.number(…)` in place of `Coordinate(…)` and
+`self.own_driver("velocity")` then take the units of the joint by themselves.
 """
 
 import sys

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lite6jax.arms.arm import Arm
+from lite6jax.arms.joint_units import joint_sizes
 from lite6jax.errors import InputError
 from lite6jax.identifiability.clearance import SelfCollision, link_frames
 
@@ -113,14 +114,14 @@ def candidates(
 
 
 def inside_limits(arm: Arm, margin: float = 0.0) -> NDArray[np.floating]:
-    """The joint limits drawn in by a margin, `(joint, 2)` rad.
+    """The joint limits drawn in by a margin in rad, of prismatic joints at `LEVER`; `(joint, 2)` rad, or m.
 
     Raises:
         InputError: a margin below zero, or one that leaves a joint no room.
     """
     if not 0 <= margin < np.inf:
         raise InputError(f"limit margin {margin:g} rad: give zero or more")
-    limits = arm.joint_limits + np.array([margin, -margin])
+    limits = arm.joint_limits + np.outer(joint_sizes(margin, "rad", arm.slides), [1, -1])
     for i, (lower, upper) in enumerate(limits):
         if not lower < upper:
             raise InputError(f"limit margin {np.rad2deg(margin):g}°: leaves joint{i + 1} no room; give a smaller one")

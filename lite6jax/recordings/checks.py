@@ -8,6 +8,7 @@ from jaxtyping import Int
 from numpy.typing import ArrayLike
 
 from lite6jax.arms.arm import Arm
+from lite6jax.arms.joint_units import joint_unit
 from lite6jax.errors import InputError
 from lite6jax.recordings.recording import Recording
 from lite6jax.recordings.sequence import differentiate, run_segments
@@ -97,15 +98,18 @@ def check_torque_scale(recording: Recording, arm: Arm) -> None:
     torque = np.median(np.abs(recording.torques()), axis=0)
     if arm.mass is None:
         return
-    weight = 9.81 * (float(np.sum(arm.mass)) + float(recording.payload.max())) * arm.reach
-    joint = int(np.argmax(torque))
-    if torque[joint] > HEAVIEST * weight:
-        computed = recording.joint_torque is None
-        column = f"current{joint + 1}_A" if computed else f"tau{joint + 1}_Nm"
-        unit = "check torque_constant_Nm_per_A" if computed else "are these mN m? name the columns tau1_mNm ..."
+    weight = 9.81 * (float(np.sum(arm.mass)) + float(recording.payload.max()))
+    most = weight * np.where(arm.slides, 1.0, arm.reach)
+    joint = int(np.argmax(torque / most))
+    if torque[joint] > HEAVIEST * most[joint]:
+        slides, computed = bool(arm.slides[joint]), recording.joint_torque is None
+        column = f"current{joint + 1}_A" if computed else joint_unit(f"tau{joint + 1}_Nm", slides)
+        what, unit = ("force", "N") if slides else ("torque", "N m")
+        remedy = "check the unit" if slides else "are these mN m? name the columns tau1_mNm ..."
+        remedy = "check torque_constant_Nm_per_A" if computed else remedy
         raise InputError(
-            f"{recording.source}: column {column}: the torque of joint {joint + 1} is {torque[joint]:.4g} N m (median) "
-            f"while the weight of the arm exerts {weight:.3g} N m at most; {unit}"
+            f"{recording.source}: column {column}: the {what} of joint {joint + 1} is {torque[joint]:.4g} {unit} "
+            f"(median) while the weight of the arm exerts {most[joint]:.3g} {unit} at most; {remedy}"
         )
 
 

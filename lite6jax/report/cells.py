@@ -8,6 +8,8 @@ from rich import box
 from rich.table import Table
 from rich.text import Text
 
+from lite6jax.arms.joint_units import joint_unit
+
 SCREEN = {"m": (1e3, "mm"), "rad": (180 / np.pi, "deg")}
 """Factor and name of the printed unit, by SI unit."""
 SHOWS_AS_ZERO = 0.5e-4
@@ -26,6 +28,19 @@ def joint_units(sliding: Sequence[int], joints: int) -> tuple[np.ndarray, tuple[
     """For each joint the factor from rad, or from m of the prismatic joints counted from 0, and the printed unit."""
     shown = [SCREEN["m" if joint in sliding else "rad"] for joint in range(joints)]
     return np.array([scale for scale, _ in shown]), tuple(unit for _, unit in shown)
+
+
+def torque_units(sliding: Sequence[int], joints: int) -> tuple[str, ...]:
+    """For each joint the unit of what its motor exerts; prismatic joints are counted from 0."""
+    return tuple(joint_unit("Nm", joint in sliding) for joint in range(joints))
+
+
+def each_with_unit(values: Sequence[float], units: Sequence[str]) -> str:
+    """Numbers one after the other, the unit behind the last where all have the same, else behind each."""
+    shown = [f"{value:.3g}" for value in values]
+    if len(set(units)) == 1:
+        return f"{', '.join(shown)} {units[0]}"
+    return ", ".join(f"{value} {unit}" for value, unit in zip(shown, units, strict=True))
 
 
 def number(value: float, digits: int = 4) -> str:

@@ -18,7 +18,7 @@ from matplotlib.lines import Line2D
 from lite6jax import storage
 from lite6jax.checksum import checksum_of
 from lite6jax.report import statements, torque_statements, worth
-from lite6jax.report.cells import number, plus_minus
+from lite6jax.report.cells import number
 from lite6jax.report.data_faults import fault_name
 from lite6jax.report.quantities import OF_TORQUES, quantity
 
@@ -182,9 +182,7 @@ def _subject(document: Document, stated: Stated) -> list[tuple[str, str]]:
     instrument = stated.instrument or document.get("instrument") or _INSTRUMENTS.get(source, "not stated")
     noise = document["noise"]["declared_torque_Nm" if torques else "declared_position_m"]
     if noise is not None:
-        shown = (
-            ", ".join(f"{value:.3g}" for value in noise) + " Nm" if torques else f"{number(1e3 * noise)} mm per axis"
-        )
+        shown = torque_statements.by_joint(document, noise) if torques else f"{number(1e3 * noise)} mm per axis"
         instrument += f"; declared noise {shown} (one standard deviation)"
     samples = f"{document['samples']} rows" + ("" if torques else f", {document['model']['motion']}")
     return [
@@ -199,14 +197,10 @@ def _accuracy(document: Document) -> tuple[list[str], list[list[str]]]:
     """The header and the rows of the table of errors before and after."""
     before, after = document["before"], document["after"]
     if worth.of_torques(document):
-        names = [(f"heldout_torque_{key}_Nm", name) for key, name in _STATISTICS]
         rows = [
-            _compared(f"torque error (Nm), {name}", before[key], after[key], 1.0)
-            for key, name in names
-            if key in before
+            _compared(f"{joints} ({unit}), {statistic}", own, left, 1.0)
+            for joints, unit, statistic, own, left in torque_statements.errors(document, _STATISTICS)
         ]
-        joints = zip(*(stage["heldout_torque_rms_by_joint_Nm"] for stage in (before, after)), strict=True)
-        rows += [_compared(f"joint {j} (Nm), RMS", own, left, 1.0) for j, (own, left) in enumerate(joints, 1)]
     else:
         rows = []
         for what, unit, scale, shown in (("position", "m", 1e3, "mm"), ("orientation", "rad", 180 / np.pi, "deg")):
@@ -214,7 +208,8 @@ def _accuracy(document: Document) -> tuple[list[str], list[list[str]]]:
                 at = f"heldout_{what}_{key}_{unit}"
                 if at in before and at in after:
                     rows.append(_compared(f"{what} error ({shown}), {name}", before[at], after[at], scale))
-    return ["", "before", "after", "after / before"], rows
+    what = "torque error" if worth.of_torques(document) else ""
+    return [what, "before", "after", "after / before"], rows
 
 
 def _compared(name: str, before: float, after: float, scale: float) -> list[str]:
@@ -226,14 +221,14 @@ def _findings(document: Document, findings: Sequence[Mapping[str, Any]], torques
     """A line for each finding: rank, name, interval of each number, and what it moves."""
     if not findings:
         return ["None."]
-    measure, lines = worth.measure_of(document), []
+    lines = []
     for rank, finding in enumerate(findings[:_MOST], 1):
         numbers = finding["parameters"] if torques else finding.get("peak_to_peak", finding["parameters"])
-        if torques and "peak_to_peak_Nm" in finding:
+        if torques and torque_statements.peak_to_peak(finding):
             numbers = {}
         sizes = [_interval(name, estimate, torques) for name, estimate in numbers.items()]
-        moved = finding.get(measure.moves)
-        moves = [] if moved is None else [f"moves {plus_minus(measure.scale * moved)} {measure.unit} RMS"]
+        moved = worth.moves_size(document, finding)
+        moves = [f"moves {moved} RMS"] if moved else []
         lines.append(f"{rank}. {finding['title']}: {'; '.join([*filter(None, sizes), *moves])}")
     if len(findings) > _MOST:
         lines.append(f"and {len(findings) - _MOST} more, which move less; the JSON file has all of them")

@@ -19,15 +19,24 @@ from lite6jax.report.remedies import effect_name
 
 _SAMPLES_PER_BIN = 12
 _BINS_PER_WAVE = 4
-_DRIVERS = {"rad": (180 / np.pi, "deg"), "rad/s": (180 / np.pi, "deg/s"), "1": (1.0, ""), "m": (1e3, "mm")}
+_DRIVERS = {
+    "rad": (180 / np.pi, "deg"),
+    "rad/s": (180 / np.pi, "deg/s"),
+    "1": (1.0, ""),
+    "m": (1e3, "mm"),
+    "m/s": (1e3, "mm/s"),
+}
 """Factor and unit in which drivers are read."""
 _DEFLECTIONS = {
     "m": (1e3, "mm"),
     "rad": (1e3, "mrad"),
     "1": (1e6, "ppm"),
     "Nm": (1.0, "Nm"),
+    "N": (1.0, "N"),
     "sigma": (1.0, "std. deviations"),
 }
+_EXERTED = {"Nm": "torque", "N": "force"}
+"""What a motor exerts, by its unit."""
 _MOVEMENTS = {"joint": "joint deflection", "stretch": "growth of the links", "scale": "growth of the readings"}
 
 
@@ -68,7 +77,7 @@ def _curves_figure(
             _draw(panel, curve)
             effect = found.findings[curve.finding].effect
             if isinstance(effect, UnnamedTorque) and effect.signed and not curve.hysteresis:
-                panel.set_ylabel("torque × direction of motion (Nm)")
+                panel.set_ylabel(f"{_EXERTED[curve.unit]} × direction of motion ({curve.unit})")
             number = order.index(curve.finding) + 1
             panel.set_title(f"{number}. {effect_name(effect.name)}, {effect.site}", fontsize=13)
         panels[0].plot([], [], color=AFTER, linewidth=2.5, label="fitted")
@@ -125,7 +134,7 @@ def _across(curve: FindingCurve) -> tuple[float, str, bool]:
         return 1.0, "row of the recording", False
     if curve.over == "displacement":
         scale, unit = _DEFLECTIONS[curve.unit]
-        moved = "displacement of the measured pose" if curve.site is None else f"torque at joint {curve.site[1] + 1}"
+        moved = "displacement of the measured pose" if curve.site is None else _exerted(curve)
         return scale, f"fitted {moved} ({unit})", False
     assert curve.quantity is not None
     if curve.over == "phase":
@@ -134,13 +143,18 @@ def _across(curve: FindingCurve) -> tuple[float, str, bool]:
     return scale, f"{curve.quantity.phrase} ({unit})" if unit else curve.quantity.phrase, unit == "deg"
 
 
+def _exerted(curve: FindingCurve) -> str:
+    assert curve.site is not None
+    return f"{_EXERTED[curve.unit]} at joint {curve.site[1] + 1}"
+
+
 def _up(curve: FindingCurve) -> tuple[float, str]:
     """Factor and label of the vertical axis."""
     scale, unit = _DEFLECTIONS[curve.unit]
     if curve.site is None:
         return scale, f"displacement along it ({unit})"
-    field, place, component = curve.site
-    if curve.unit == "Nm":
-        return scale, f"torque at joint {place + 1} ({unit})"
+    field, _, component = curve.site
+    if curve.unit in _EXERTED:
+        return scale, f"{_exerted(curve)} ({unit})"
     movement = f"{'translation along' if component < 3 else 'rotation about'} {'xyz'[component % 3]}"
     return scale, f"{_MOVEMENTS.get(field, movement)} ({unit})"

@@ -111,13 +111,16 @@ KEYS: Mapping[str, tuple[str, str]] = {
         "Of torques: measured, current (motor currents), estimated (by the controller's own model) or unknown.",
         "current",
     ),
-    "torque_noise_Nm": ("Of torques: one standard deviation for each joint in N m.", "[0.1, 0.1, 0.1, 0.1, 0.1, 0.1]"),
+    "torque_noise_Nm": (
+        "Of torques: one standard deviation for each joint in N m (N of a slide).",
+        "[0.1, 0.1, 0.1, 0.1, 0.1, 0.1]",
+    ),
     "inertial": (
         "Of torques: declared (the arm's inertial numbers are exact), their relative standard deviation, or unknown.",
         "unknown",
     ),
     "torque_constant_Nm_per_A": (
-        "Of currents: one number for each joint in N m per A, gear included.",
+        "Of currents: one number for each joint in N m per A (N per A of a slide), gear included.",
         "[12.0, 12.0, 9.0, 4.0, 4.0, 4.0]",
     ),
     "date": ("The day of the measurement, for a certificate.", "2026-11-21"),

@@ -36,6 +36,8 @@ def effects_report(effects: "Sequence[Listed]", width: int) -> Iterator[Renderab
             yield _table(chosen)
         yield ""
     yield Text("jointN and linkN stand for every joint and link of an arm; a unit of 1 is a ratio.")
+    if any(effect.domain == "dynamic" for effect in effects):
+        yield Text("At a prismatic joint, effects on torques act on its force: read N for Nm, m for rad, kg for kg·m².")
 
 
 def _paragraphs(effects: "Sequence[Listed]") -> Iterator[RenderableType]:

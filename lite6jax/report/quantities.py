@@ -12,9 +12,13 @@ _UNITS = (
     ("_m_per_Nm", 1e6, "µm/Nm"),
     ("_m_per_N", 1e6, "µm/N"),
     ("_Nm", 1.0, "Nm"),
+    ("_N", 1.0, "N"),
     ("_Nm_s_per_rad_K", 1.0, "Nm·s/rad/K"),
     ("_Nm_s_per_rad", 1.0, "Nm·s/rad"),
     ("_Nm_per_rad", 1.0, "Nm/rad"),
+    ("_N_s_per_m_K", 1.0, "N·s/m/K"),
+    ("_N_s_per_m", 1.0, "N·s/m"),
+    ("_N_per_m", 1.0, "N/m"),
     ("_kg_m2", 1.0, "kg·m²"),
     ("_rad_per_K", 1e6, "µrad/K"),
     ("_rad_per_s", 1e6, "µrad/s"),
@@ -32,6 +36,7 @@ _NAMED = {
     "coupling": (1e6, "ppm"),
     "time_constant_s": (1.0, "s"),
     "velocity_rad_per_s": (1.0, "rad/s"),
+    "velocity_m_per_s": (1e3, "mm/s"),
     "rest_rad": (180 / np.pi, "deg"),
 }
 """Whose names alone do not say how they are read."""

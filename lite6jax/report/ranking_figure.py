@@ -21,19 +21,24 @@ def ranking_figure(document: Mapping[str, Any], title: str) -> Figure:
         document: of poses or of torques, with findings.
         title: of the figure.
     """
-    measure, named = worth.measure_of(document), torque_statements if worth.of_torques(document) else statements
-    findings = named.findings_of(document)[:_MOST]
-    sizes = [measure.scale * finding[measure.moves] for finding in findings]
+    measures, named = worth.measures_of(document), torque_statements if worth.of_torques(document) else statements
+    findings, shown = named.findings_of(document)[:_MOST], worth.bars(document)[:_MOST]
+    if len(measures) == 1:
+        sizes = [measures[0].scale * finding[measures[0].moves] for finding in findings]
+        label = f"moves {measures[0].what} ({measures[0].unit} RMS)"
+    else:
+        sizes = [bar.share for bar in shown]
+        label = f"moves {' or '.join(measure.what for measure in measures)} (RMS over the error before, largest: 1)"
     names = [f"{k}. {textwrap.fill(finding['title'], 44)}" for k, finding in enumerate(findings, 1)]
     with rc_context(STYLE):
         figure = blank(9.0, 1.7 + 0.42 * len(findings))
         panel = figure.subplots()
         bars = panel.barh(range(len(findings)), sizes, color=AFTER, zorder=3)
-        panel.bar_label(bars, [bar.size for bar in worth.bars(document)[:_MOST]], padding=4)
+        panel.bar_label(bars, [bar.size for bar in shown], padding=4)
         panel.set_yticks(range(len(findings)), names)
         panel.invert_yaxis()
         panel.set_xlim(0, 1.15 * max(sizes) or 1.0)
-        panel.set_xlabel(f"moves {measure.what} ({measure.unit} RMS)")
+        panel.set_xlabel(label)
         panel.grid(visible=False, axis="y")
         figure.suptitle(f"{title}: what each finding moves", fontsize=15)
     return figure

@@ -14,7 +14,8 @@ class Remedy(NamedTuple):
     """An effect as a workshop sees it.
 
     Attributes:
-        cause: what is the matter, a clause with `{place}`, and `{source}` where another joint is its source.
+        cause: what is the matter, a clause with `{place}`, with `{source}` where another joint is its source, and with
+            `{exerted}` for what a motor exerts.
         action: what to do, in whole sentences.
         of_arm: whether it displaces the arm, so that other joint positions compensate it; else it is the sensor's or
             the clock's, and belongs in the model alone.
@@ -134,8 +135,8 @@ OF_POSES: Mapping[str, Remedy] = {
 """By the name of an effect on poses."""
 
 OF_TORQUES: Mapping[str, Remedy] = {
-    "viscous_friction": Remedy("{place} rubs the more the faster it turns", _FRICTION),
-    "coulomb_friction": Remedy("{place} rubs whichever way it turns", _FRICTION),
+    "viscous_friction": Remedy("{place} rubs the more the faster it moves", _FRICTION),
+    "coulomb_friction": Remedy("{place} rubs whichever way it moves", _FRICTION),
     "stribeck_friction": Remedy("{place} sticks at low speed", _FRICTION),
     "load_friction": Remedy("{place} rubs in proportion to its load", _FRICTION),
     "friction_temperature": Remedy(
@@ -143,10 +144,10 @@ OF_TORQUES: Mapping[str, Remedy] = {
     ),
     "coupled_friction": Remedy("the motor that turns {place} and {source} together rubs", _FRICTION),
     "torque_offset": Remedy(
-        "the torque reading of {place} is off by a constant", "Zero the torque sensor or the current at rest."
+        "the {exerted} reading of {place} is off by a constant", "Zero the {exerted} sensor or the current at rest."
     ),
     "torque_scale": Remedy(
-        "the torque reading of {place} has another scale",
+        "the {exerted} reading of {place} has another scale",
         "Check the torque constant and the gear ratio (torque_constant_Nm_per_A in the sidecar).",
     ),
     "rotor_inertia": Remedy(
@@ -170,7 +171,7 @@ OF_TORQUES: Mapping[str, Remedy] = {
     "time_offset": Remedy(
         "the torques are stamped late or early", "Synchronise the clocks, or correct the stamps by this offset."
     ),
-    "unnamed": Remedy("{place} has a torque that no effect of the catalogue names", _FEED),
+    "unnamed": Remedy("{place} has a {exerted} that no effect of the catalogue names", _FEED),
 }
 """By the name of an effect on torques."""
 
@@ -185,7 +186,13 @@ def remedy_of(entry: Entry, torques: bool = False) -> Remedy:
         entry: a finding of the document.
         torques: whether it acts on torques.
     """
-    return (OF_TORQUES if torques else OF_POSES).get(entry["effect"], _OWN)
+    found = (OF_TORQUES if torques else OF_POSES).get(entry["effect"], _OWN)
+    if not torques:
+        return found
+    exerted, drive = _exerted(entry), "the screw, the belt or the guide"
+    action = found.action.replace("the gear ratio", "the lead") if exerted == "force" else found.action
+    action = action.replace("the gear", drive) if exerted == "force" else action
+    return found._replace(action=action.replace("{exerted}", exerted))
 
 
 def cause_of(entry: Entry, torques: bool = False) -> str:
@@ -195,13 +202,19 @@ def cause_of(entry: Entry, torques: bool = False) -> str:
         names = [effect_name(effect["effect"]) for effect in described["effects"]]
         verb = "describe" if len(names) > 1 else "describes"
         share = f"{100 * described['share']:.0f} %"
-        return f"{place_of(entry['site'])} has a torque that {' and '.join(names)} {verb} to {share}"
+        return f"{place_of(entry['site'])} has a {_exerted(entry)} that {' and '.join(names)} {verb} to {share}"
     source = entry.get("parameters", {}).get("source_joint", {"value": entry.get("source_joint") or 0})["value"]
     return remedy_of(entry, torques).cause.format(
         place=place_of(entry["site"]),
         source=f"joint {source:.0f}" if source else "another joint",
         effect=effect_name(entry["effect"]),
+        exerted=_exerted(entry),
     )
+
+
+def _exerted(entry: Entry) -> str:
+    """What the motors exert that a finding acts on: forces of prismatic joints, or torques, which may be both."""
+    return "force" if "moves_rms_N" in entry and "moves_rms_Nm" not in entry else "torque"
 
 
 def place_of(site: str) -> str:

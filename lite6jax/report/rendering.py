@@ -140,7 +140,7 @@ def _ranking(document: Mapping[str, Any], findings: list[dict[str, Any]]) -> dic
     bars = worth.bars(document)
     for bar, finding in zip(bars, findings, strict=False):
         finding |= {"size": bar.size, "width": f"{100 * bar.share:.1f}"}
-    return {"unit": worth.measure_of(document).unit, "bars": bool(bars)}
+    return {"unit": worth.unit_of(document), "bars": bool(bars)}
 
 
 def _folded(checked: Sequence[object], document: Mapping[str, Any]) -> str:

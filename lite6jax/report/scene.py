@@ -23,7 +23,6 @@ from lite6jax.identifiability.capsules import Capsule, chain_capsules
 from lite6jax.identifiability.clearance import link_frames
 from lite6jax.recordings import Recording
 from lite6jax.report import statements, torque_statements, worth
-from lite6jax.report.cells import plus_minus
 from lite6jax.report.data_faults import fault_name
 from lite6jax.report.reference import origin_statement
 
@@ -287,11 +286,10 @@ def _frames(arm: Arm, recording: Recording) -> Array:
 def _places(
     document: Document, findings: Sequence[Mapping[str, Any]], capsules: Sequence[Capsule]
 ) -> tuple[Place, ...]:
-    measure, links = worth.measure_of(document), [capsule.link for capsule in capsules]
+    links = [capsule.link for capsule in capsules]
     places = []
     for number, finding in enumerate(findings, 1):
-        moved = finding.get(measure.moves)
-        size = "" if moved is None else f"{plus_minus(measure.scale * moved)} {measure.unit}"
+        size = worth.moves_size(document, finding)
         places.append(Place(number, finding["title"], finding["statement"], size, _parts(finding["site"], links)))
     return tuple(places)
 

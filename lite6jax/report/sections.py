@@ -52,11 +52,11 @@ def chart(document: Mapping[str, Any], findings: Sequence[Mapping[str, Any]]) ->
         document: of poses or of torques.
         findings: all of them, ranked, with titles.
     """
-    bars, measure = worth.bars(document), worth.measure_of(document)
+    bars = worth.bars(document)
     if not bars:
         return
     yield ""
-    yield Text(f"What each finding moves ({measure.unit} RMS):")
+    yield Text(f"What each finding moves ({f'{worth.unit_of(document)} RMS'.strip()}):")
     table = Table.grid(padding=(0, 1, 0, 0))
     table.add_column(justify="right", no_wrap=True)
     table.add_column(max_width=44)

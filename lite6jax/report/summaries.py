@@ -21,7 +21,7 @@ from lite6jax.identifiability.identify import Identification
 from lite6jax.identifiability.planning import Plan
 from lite6jax.recordings import Recording
 from lite6jax.report import shared, statements, torque_statements, worth
-from lite6jax.report.cells import joint_units, number
+from lite6jax.report.cells import each_with_unit, joint_units, number
 from lite6jax.report.data_faults import fault_name
 from lite6jax.report.quality import quality_statement
 
@@ -297,13 +297,17 @@ def _torque_diagnosis(found: TorqueDiagnosis) -> Description:
     faults = [fault_name(entry["fault"]).lower() for entry in document["data_faults"]]
     if faults:
         sentences.append(f"The data have {_counted(len(faults), 'fault')}: {', '.join(faults)}.")
-    stages = [(stage, document[stage]["heldout_torque_rms_by_joint_Nm"]) for stage in ("before", "after")]
+    units, common = torque_statements.units(document), torque_statements.common_unit(document)
+    stages = [
+        (stage, each_with_unit(document[stage]["heldout_torque_rms_by_joint_Nm"], units).removesuffix(f" {common}"))
+        for stage in ("before", "after")
+    ]
     rows = [
         ("verdict", found.verdict.replace("_", " ")),
         ("samples", str(document["samples"])),
         *(
-            (f"held-out torque error {stage}, of each joint (Nm RMS)", ", ".join(f"{value:.3g}" for value in by_joint))
-            for stage, by_joint in stages
+            (f"held-out torque error {stage}, of each joint ({f'{common} RMS'.strip()})", errors)
+            for stage, errors in stages
         ),
         *((finding["title"], ", ".join(map(str, torque_statements.sizes(finding)))) for finding in findings),
         ("data faults", ", ".join(faults) or "none"),

@@ -5,6 +5,8 @@ from typing import Any
 
 import numpy as np
 
+from lite6jax.arms.joint_units import joint_unit
+
 Numbers = Mapping[str, Any]
 
 NAMES = {
@@ -46,10 +48,11 @@ def _reversed(rows: Sequence[int], n: Numbers) -> str:
 
 
 def _contact(rows: Sequence[int], n: Numbers) -> str:
+    sizes = [f"{n[f'largest_{unit}']:.3g} {unit}" for unit in ("Nm", "N") if f"largest_{unit}" in n]
     return (
         f"From {n['from_s']:.2f} to {n['to_s']:.2f} s the arm was in contact with something: the torque of "
         f"{_joints(n['joints']) if n['joints'] else 'the arm'} differs by up to "
-        f"{n['largest_Nm']:.3g} Nm from the model, in these rows only. They were left out."
+        f"{' and '.join(sizes)} from the model, in these rows only. They were left out."
     )
 
 
@@ -85,7 +88,8 @@ def _constant(rows: Sequence[int], n: Numbers) -> str:
 
 def _held(rows: Sequence[int], n: Numbers) -> str:
     pairs = zip(n["joints"], n["std_Nm"], strict=True)
-    bands = ", ".join(f"{std:.2g} Nm at joint {joint}" for joint, std in pairs)
+    slides = n.get("prismatic_joints", ())
+    bands = ", ".join(f"{std:.2g} {joint_unit('Nm', joint in slides)} at joint {joint}" for joint, std in pairs)
     return (
         "At rest, friction holds a joint wherever it stands, and the torque is indeterminate within a band (one sigma: "
         f"{bands}). These rows have little weight for {_joints(n['joints'])}. Record more motion."

@@ -11,6 +11,7 @@ from matplotlib.ticker import MaxNLocator, StrMethodFormatter
 from lite6jax.diagnosis import torque_curves
 from lite6jax.diagnosis.torque_result import TorqueDiagnosis
 from lite6jax.report.canvas import AFTER, BEFORE, STYLE, blank, thinned
+from lite6jax.report.cells import joint_units, torque_units
 from lite6jax.report.finding_figures import torque_finding_figure
 from lite6jax.report.panels import GREY, legend_below, panels_in_rows
 
@@ -59,7 +60,11 @@ def error_by_joint(found: TorqueDiagnosis, title: str) -> Figure:
         panel.set_yscale("log")
         panel.set_ylim(0.4 * lowest, 2.5 * max(panel.get_ylim()[1] / 2.5, spread.max()))
         panel.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
-        panel.set(xlabel="joint", ylabel="torque error (Nm RMS)", xticks=at)
+        exerted = _exerted(found)
+        both = sorted({unit for _, unit in exerted}, reverse=True)  # Nm before N
+        panel.set(xlabel="joint", ylabel=f"torque error ({' or '.join(both)} RMS)", xticks=at)
+        if len(both) > 1:
+            panel.set_xticks(at, [f"{joint} ({unit})" for joint, (_, unit) in enumerate(exerted, 1)])
         panel.grid(visible=False, axis="x")
         legend_below(figure, panel, 3)
         figure.suptitle(f"{title}: held-out torque error of each joint", fontsize=15)
@@ -68,7 +73,7 @@ def error_by_joint(found: TorqueDiagnosis, title: str) -> Figure:
 
 def over_time(found: TorqueDiagnosis, title: str) -> Figure:
     """Measured, rigid-body and modelled torques of each joint over a part of the recording."""
-    shown = torque_curves.torques_over_time(found)
+    shown, exerted = torque_curves.torques_over_time(found), _exerted(found)
     lines = (
         ("measured", shown.measured, {"color": "black", "linewidth": 3.5, "alpha": 0.35}),
         ("rigid body", shown.rigid, {"color": BEFORE, "linewidth": 1.6, "linestyle": "--"}),
@@ -79,7 +84,8 @@ def over_time(found: TorqueDiagnosis, title: str) -> Figure:
         for j, panel in enumerate(panels):
             for name, torque, style in lines:
                 panel.plot(shown.time, torque[j], label=name, **style)  # type: ignore[arg-type]
-            panel.set(xlabel="time (s)", ylabel=f"torque of joint {j + 1} (Nm)")
+            what, unit = exerted[j]
+            panel.set(xlabel="time (s)", ylabel=f"{what} of joint {j + 1} ({unit})")
             panel.xaxis.set_major_locator(MaxNLocator(5))
         legend_below(figure, panels[0], 3)
         figure.suptitle(f"{title}: measured and modelled torques", fontsize=15)
@@ -88,12 +94,16 @@ def over_time(found: TorqueDiagnosis, title: str) -> Figure:
 
 def friction(found: TorqueDiagnosis, title: str) -> Figure:
     """The torque that the model without friction leaves at each joint over its velocity, and the friction found."""
-    joints = torque_curves.joint_frictions(found)
+    joints, exerted = torque_curves.joint_frictions(found), _exerted(found)
+    scales, angles = joint_units(found.problem.data.arm.sliding, len(joints))
     with rc_context(STYLE):
         figure, panels = panels_in_rows(len(joints), wide=True)
         for j, (panel, joint) in enumerate(zip(panels, joints, strict=True)):
-            _draw_friction(panel, joint)
-            panel.set(xlabel=f"velocity of joint {j + 1} (deg/s)", ylabel=f"torque left at joint {j + 1} (Nm)")
+            _draw_friction(panel, joint, scales[j])
+            what, unit = exerted[j]
+            panel.set(
+                xlabel=f"velocity of joint {j + 1} ({angles[j]}/s)", ylabel=f"{what} left at joint {j + 1} ({unit})"
+            )
             panel.xaxis.set_major_locator(MaxNLocator(5))
         panels[0].plot([], [], ".", color=GREY, markersize=8, label="measured, less the model without friction")
         panels[0].plot([], [], color=AFTER, linewidth=2.5, label="friction found, at the median load")
@@ -102,15 +112,21 @@ def friction(found: TorqueDiagnosis, title: str) -> Figure:
     return figure
 
 
-def _draw_friction(panel: Axes, joint: torque_curves.JointFriction) -> None:
+def _exerted(found: TorqueDiagnosis) -> list[tuple[str, str]]:
+    """Of each joint what its motor exerts, and the unit."""
+    units = torque_units(found.problem.data.arm.sliding, found.problem.rows)
+    return [("force" if unit == "N" else "torque", unit) for unit in units]
+
+
+def _draw_friction(panel: Axes, joint: torque_curves.JointFriction, scale: float) -> None:
     shown = thinned(len(joint.partial))
     panel.plot(
-        np.rad2deg(joint.velocity[shown]), joint.partial[shown], ".", color=GREY, markersize=5, alpha=0.45,
+        scale * joint.velocity[shown], joint.partial[shown], ".", color=GREY, markersize=5, alpha=0.45,
         markeredgewidth=0, rasterized=True,
     )  # fmt: skip
     panel.axhline(0, color="black", linewidth=1)
     if len(joint.at):
-        panel.plot(np.rad2deg(joint.at), joint.friction, color=AFTER, linewidth=2.5, zorder=4)
+        panel.plot(scale * joint.at, joint.friction, color=AFTER, linewidth=2.5, zorder=4)
     else:
         text = {"ha": "center", "va": "top", "color": "#5c5c5c", "transform": panel.transAxes}
         panel.margins(y=0.15)

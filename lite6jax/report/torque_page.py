@@ -6,7 +6,7 @@ from typing import Any
 from matplotlib.figure import Figure
 
 from lite6jax.diagnosis.torque_result import TorqueDiagnosis
-from lite6jax.report import reference, statements, torque_reference, torque_statements, worth
+from lite6jax.report import statements, torque_statements, worth
 from lite6jax.report.finding_figures import torque_finding_figure
 from lite6jax.report.next_steps import Files
 from lite6jax.report.rendering import finding_row, picture, shared_values, whole_page
@@ -21,12 +21,7 @@ _CAPTIONS = {
     "friction": "What the model without friction leaves of each joint's torque over the velocity of the joint, and the "
     "friction that was found, at the median load and temperature with the other joints at rest.",
 }
-_ERRORS = {
-    "heldout_torque_rms_Nm": "all joints, RMS",
-    "heldout_torque_p95_Nm": "all joints, 95th percentile",
-    "heldout_torque_max_Nm": "all joints, maximum",
-}
-_BY_JOINT = "heldout_torque_rms_by_joint_Nm"
+_STATISTICS = (("rms", "RMS"), ("p95", "95th percentile"), ("max", "maximum"))
 
 
 def torque_page(
@@ -48,13 +43,17 @@ def page_values(
     found: TorqueDiagnosis, document: Document, source: str, figures: Mapping[str, Figure], files: Files | None = None
 ) -> dict[str, Any]:
     """What the templates of the page are filled with; arguments as of `torque_page`."""
-    order = worth.order(document)
+    order, unit = worth.order(document), torque_statements.common_unit(document)
     findings = [_finding(found, entry, order) for entry in torque_statements.findings_of(document)]
     return {
         **shared_values(document, torque_statements, source, findings, figures, _CAPTIONS, files),
-        "against": reference.compared(document, torque_reference.headline),
+        "against": torque_statements.compared(document),
         "setting": torque_statements.setting_statement(document),
         "errors": _errors(document),
+        "columns": [
+            "held-out torque error",
+            *(f"{stage} ({unit})" if unit else stage for stage in ("before", "after")),
+        ],
         "held": statements.held_out_statement(document, f"{document['kept_samples']} filtered samples"),
         "noise": torque_statements.noise_statement(document),
         "notes": [torque_statements.filter_statement(document), torque_statements.inertial_statement(document)],
@@ -62,11 +61,14 @@ def page_values(
 
 
 def _errors(document: Document) -> list[dict[str, Any]]:
-    stages = [document[stage] for stage in ("before", "after")]
-    rows = [(name, [part[key] for part in stages]) for key, name in _ERRORS.items()]
-    by_joint = zip(*(part[_BY_JOINT] for part in stages), strict=True)
-    rows += [(f"joint {joint}, RMS", list(pair)) for joint, pair in enumerate(by_joint, 1)]
-    return [{"name": name, "numbers": [f"{value:.3g}" for value in pair]} for name, pair in rows]
+    common = torque_statements.common_unit(document)
+    return [
+        {
+            "name": f"{joints}, {statistic}{'' if common else f' ({unit})'}",
+            "numbers": [f"{value:.3g}" for value in pair],
+        }
+        for joints, unit, statistic, *pair in torque_statements.errors(document, _STATISTICS)
+    ]
 
 
 def _finding(found: TorqueDiagnosis, entry: Mapping[str, Any], order: Sequence[int]) -> dict[str, Any]:

@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from lite6jax.report.cells import each_with_unit
 from lite6jax.report.quantities import OF_TORQUES, quantity
 from lite6jax.report.statements import capital, effect_title
 
@@ -17,17 +18,17 @@ def with_statements(comparison: Document) -> dict[str, Any]:
     return stated
 
 
-def headline(comparison: Document) -> str:
-    """What was compared, and how far apart it is."""
+def headline(comparison: Document, units: Sequence[str]) -> str:
+    """What was compared, and how far apart it is, in the units of each joint."""
     file = comparison["file"]
     if comparison["by"] == "effects":
         return f"Reference {file}: another motion, so that each recording was diagnosed on its own."
     count, rows = comparison["matched_rows"], comparison["rows"]
     of = f"{count} rows" if count == rows else f"{count} of {rows} rows"
+    apart, own = (each_with_unit(comparison[f"{key}_rms_by_joint_Nm"], units) for key in ("apart", "reference"))
     return (
-        f"Reference {file}, {of} of the same motion. Its torques differ from this recording by "
-        f"{_each(comparison['apart_rms_by_joint_Nm'])} Nm RMS (each joint in turn), and from the declared rigid arm by "
-        f"{_each(comparison['reference_rms_by_joint_Nm'])} Nm."
+        f"Reference {file}, {of} of the same motion. Its torques differ from this recording by {apart} RMS (each joint "
+        f"in turn), and from the declared rigid arm by {own}."
     )
 
 
@@ -59,7 +60,3 @@ def _numbers(known: Document | None) -> str:
     if known is None:
         return ""
     return ", ".join(str(quantity(name, each, OF_TORQUES)) for name, each in known["parameters"].items() if each["std"])
-
-
-def _each(values: Sequence[float]) -> str:
-    return ", ".join(f"{value:.3g}" for value in values)

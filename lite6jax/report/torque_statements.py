@@ -1,9 +1,11 @@
 """The sentences of a diagnosis of torques, made from the codes and numbers of its JSON document alone."""
 
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from functools import partial
+from typing import Any, NamedTuple
 
-from lite6jax.report import data_faults, statements, torque_reference
+from lite6jax.report import data_faults, reference, statements, torque_reference
+from lite6jax.report.cells import each_with_unit, torque_units
 from lite6jax.report.quantities import OF_TORQUES, Quantity, quantity
 from lite6jax.report.remedies import effect_name
 from lite6jax.report.statements import Untested, capital, effect_title
@@ -62,13 +64,63 @@ def setting_statement(document: Document) -> str:
 def noise_statement(document: Document) -> str:
     """The noise of each joint's torque, declared and estimated."""
     noise = document["noise"]
-    estimated = f"the residuals have {_each(noise['estimated_torque_Nm'])} Nm"
+    estimated = f"the residuals have {by_joint(document, noise['estimated_torque_Nm'])}"
     if noise["declared_torque_Nm"] is None:
         return f"Noise of the torques, one sigma of each joint in turn: {estimated}; none is declared."
     return (
-        f"Noise of the torques, one sigma of each joint in turn: {estimated}; {_each(noise['declared_torque_Nm'])} Nm "
-        "are declared."
+        f"Noise of the torques, one sigma of each joint in turn: {estimated}; "
+        f"{by_joint(document, noise['declared_torque_Nm'])} are declared."
     )
+
+
+def compared(document: Document) -> reference.Compared | None:
+    """The comparison with a reference; None where nothing was compared."""
+    return reference.compared(document, partial(torque_reference.headline, units=units(document)))
+
+
+def units(document: Document) -> tuple[str, ...]:
+    """Of each joint: Nm, or N of a prismatic one."""
+    return torque_units(statements.sliding(document), len(document["model"]["kinematics"]))
+
+
+def by_joint(document: Document, values: Sequence[float]) -> str:
+    """A number of each joint in turn, with its unit."""
+    return each_with_unit(values, units(document))
+
+
+def common_unit(document: Document) -> str:
+    """The unit of what all motors exert; empty where revolute and prismatic joints have two."""
+    return "" if len(set(units(document))) > 1 else units(document)[0]
+
+
+class JointError(NamedTuple):
+    """A held-out error: of which joints, its unit, which statistic, and its size before and after."""
+
+    joints: str
+    unit: str
+    statistic: str
+    before: float
+    after: float
+
+
+def errors(document: Document, statistics: Iterable[tuple[str, str]]) -> Iterator[JointError]:
+    """The held-out errors of all joints of one kind, and the root mean square of each joint.
+
+    Args:
+        document: of torques.
+        statistics: of all joints: key, such as `rms`, and words.
+    """
+    before, after = document["before"], document["after"]
+    whose = dict.fromkeys(units(document))
+    for key, words in statistics:
+        for unit in whose:
+            at = f"heldout_torque_{key}_{unit}"
+            if at in before and at in after:
+                kind = "all" if len(whose) == 1 else "prismatic" if unit == "N" else "revolute"
+                yield JointError(f"{kind} joints", unit, words, before[at], after[at])
+    by_joint = (stage["heldout_torque_rms_by_joint_Nm"] for stage in (before, after))
+    for joint, (unit, own, left) in enumerate(zip(units(document), *by_joint, strict=True), 1):
+        yield JointError(f"joint {joint}", unit, "RMS", own, left)
 
 
 def findings_of(document: Document) -> list[dict[str, Any]]:
@@ -78,7 +130,8 @@ def findings_of(document: Document) -> list[dict[str, Any]]:
 
 def finding_statement(finding: Entry) -> str:
     """A finding in one sentence, with its numbers and the torque; `finding` has the fields of its effect as `where`."""
-    moved = f"it contributes {finding['moves_rms_Nm']:.3g} Nm RMS to the torque"
+    moved = f"it contributes {_moved(finding)}"
+    what = "force" if finding["where"].get("of_slide") else "torque"
     if finding["effect"] == "unnamed":
         near = ""
         if "described_by" in finding:
@@ -88,11 +141,17 @@ def finding_statement(finding: Entry) -> str:
             near = f" The nearest named effect, {effect_title(finding['nearest'])}, explains {share:.0f} % of it."
         said = "alone explains" if "described_by" in finding else "explains"
         return (
-            f"No effect of the catalogue {said} a torque at {finding['site']} that is a function of "
+            f"No effect of the catalogue {said} a {what} at {finding['site']} that is a function of "
             f"{_of_what(finding)}: {moved}.{near}"
         )
     shown = ", ".join(str(size) for size in sizes(finding) if size.std)
     return f"{capital(effect_title(finding))} is significant: {shown}; {moved}."
+
+
+def _moved(finding: Entry) -> str:
+    """What a finding adds to the torques of revolute joints, and to the forces of prismatic ones."""
+    pairs = (("moves_rms_Nm", "Nm RMS to the torque"), ("moves_rms_N", "N RMS to the force"))
+    return " and ".join(f"{finding[key]:.3g} {words}" for key, words in pairs if key in finding)
 
 
 def _described(entry: Entry) -> str:
@@ -107,9 +166,15 @@ def _described(entry: Entry) -> str:
 
 def sizes(finding: Entry) -> list[Quantity]:
     """The numbers of a finding as they are read; of a curve its peak to peak."""
-    if "peak_to_peak_Nm" in finding:
-        return [quantity("peak_to_peak_Nm", {"value": float(f"{finding['peak_to_peak_Nm']:.3g}"), "std": 0.0})]
+    key = peak_to_peak(finding)
+    if key:
+        return [quantity(key, {"value": float(f"{finding[key]:.3g}"), "std": 0.0})]
     return [quantity(name, estimate, OF_TORQUES) for name, estimate in finding["parameters"].items()]
+
+
+def peak_to_peak(finding: Entry) -> str:
+    """The key of a curve's peak to peak, which has its unit; empty of an effect with a name."""
+    return next((key for key in ("peak_to_peak_Nm", "peak_to_peak_N") if key in finding), "")
 
 
 def _of_what(finding: Entry) -> str:
@@ -118,10 +183,6 @@ def _of_what(finding: Entry) -> str:
     driver = finding["driver"].removesuffix(f" and direction of motion of joint {where['joint']}")
     times = ", multiplied by the direction of motion" if where.get("signed") else ""
     return f"the {driver.replace(' and ', ' and the ')}{times}"
-
-
-def _each(values: Any) -> str:
-    return ", ".join(f"{value:.3g}" for value in values)
 
 
 def filter_statement(document: Document) -> str:

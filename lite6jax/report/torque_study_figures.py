@@ -7,6 +7,7 @@ from matplotlib.figure import Figure
 from lite6jax.identifiability.torque.discrimination import TorqueDiscrimination
 from lite6jax.identifiability.torque.planning import TorquePlan
 from lite6jax.report.canvas import AFTER, BEFORE, OKABE_ITO, STYLE, blank
+from lite6jax.report.cells import joint_units
 
 
 def designed_motion(found: TorquePlan | TorqueDiscrimination, title: str) -> Figure:
@@ -15,9 +16,16 @@ def designed_motion(found: TorquePlan | TorqueDiscrimination, title: str) -> Fig
     with rc_context(STYLE):
         figure = blank(11.0, 8.4)
         upper, lower = figure.subplots(2, 1)
-        for joint, q in enumerate(np.rad2deg(made.motion.q)):
-            upper.plot(made.time, q, color=OKABE_ITO[joint % len(OKABE_ITO)], linewidth=2, label=f"joint {joint + 1}")
-        upper.set(xlabel="time (s)", ylabel="position (deg)")
+        scales, units = joint_units(found.room.arm.sliding, found.room.arm.dof)
+        for joint, q in enumerate(np.asarray(made.motion.q)):
+            upper.plot(
+                made.time,
+                scales[joint] * q,
+                color=OKABE_ITO[joint % len(OKABE_ITO)],
+                linewidth=2,
+                label=f"joint {joint + 1}",
+            )
+        upper.set(xlabel="time (s)", ylabel=f"position ({' or '.join(dict.fromkeys(units))})")
         upper.legend(frameon=False, ncols=2, loc="center left", bbox_to_anchor=(1.0, 0.5))
         if isinstance(found, TorquePlan):
             base = found.identification.structure.base

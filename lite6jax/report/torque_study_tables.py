@@ -3,14 +3,18 @@
 from collections.abc import Iterator, Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 from rich.console import RenderableType
 from rich.text import Text
 
-from lite6jax.identifiability.torque.columns import JOINT, TorqueModel
+from lite6jax.arms.arm import Arm
+from lite6jax.arms.joint_units import joint_sizes, joint_unit
+from lite6jax.identifiability.identify import NARROW
+from lite6jax.identifiability.torque.columns import JOINT, JOINT_UNITS, TorqueModel
 from lite6jax.identifiability.torque.discrimination import TorqueDiscrimination
 from lite6jax.identifiability.torque.identify import WELL, Structure, TorqueIdentification
 from lite6jax.identifiability.torque.planning import MotionRoom, TorquePlan
-from lite6jax.report.cells import listing, plus_minus, ranges
+from lite6jax.report.cells import each_with_unit, joint_units, listing, plus_minus, ranges, torque_units
 
 _MOST_GAINS = 8
 _CLEAR = 5.0
@@ -19,9 +23,10 @@ _CLEAR = 5.0
 
 def torque_noise(model: TorqueModel) -> str:
     """The noise of an arm's torques in a phrase."""
-    noise = model.noise
-    each = [f"{noise[0]:.3g}"] if np.ptp(noise) == 0 else [f"{value:.3g}" for value in noise]
-    return f"torques to ±{', '.join(each)} Nm (one standard deviation, white)"
+    noise, units = model.noise.tolist(), torque_units(model.arm.sliding, model.arm.dof)
+    alike = len(set(zip(noise, units, strict=True))) == 1
+    each = each_with_unit(*((noise[:1], units[:1]) if alike else (noise, units)))
+    return f"torques to ±{each} (one standard deviation, white)"
 
 
 def combination(terms: Sequence[tuple[str, float]]) -> str:
@@ -67,7 +72,11 @@ def torque_identification_report(found: TorqueIdentification, source: str, motio
                 table.add_row(combination(item.terms), shown, f"{item.scale:.2g}", item.unit)
         yield table
         yield ""
-    yield Text("Friction and rotors, standard deviations (Nm·s/rad, Nm, Nm, kg·m²)")
+    kinds = [
+        (own, label) for own, label in ((False, ""), (True, "of prismatic joints, P: ")) if own in model.arm.slides
+    ]
+    units = "; ".join(label + ", ".join(joint_unit(unit, own) for unit in JOINT_UNITS) for own, label in kinds)
+    yield Text(f"Friction and rotors, standard deviations ({units})")
     yield ""
     table = listing("joint", *JOINT)
     carried = dict(structure.confounded)
@@ -77,7 +86,7 @@ def torque_identification_report(found: TorqueIdentification, source: str, motio
             deviation = found.deviation_of(joint, kind)
             within = carried.get(f"joint{joint + 1} {kind}")
             cells.append(plus_minus(deviation) if deviation is not None else f"in {within[0]}" if within else "not")
-        table.add_row(f"J{joint + 1}", *cells)
+        table.add_row(f"J{joint + 1}{' P' * bool(model.arm.slides[joint])}", *cells)
     yield table
     yield Text(
         f"Condition number {found.condition:.4g} (regressor in standard deviations, parameters in typical sizes)."
@@ -103,11 +112,15 @@ def _undetermined(found: TorqueIdentification) -> Iterator[str]:
     if not missed:
         return
     yield f"Not determined apart from others: {', '.join(missed)}."
-    narrow = found.narrow()
+    narrow, arm = found.narrow(), found.model.arm
+    scales, units = joint_units(arm.sliding, arm.dof)
+    narrowest = joint_sizes(NARROW, "rad", arm.slides)
     if len(narrow) == found.model.arm.dof:
-        yield "No joint moves over more than 10 deg: record a motion of all joints (lite6jax design --torque)."
+        least = {units[j]: f"{scales[j] * size:.2g} {units[j]}" for j, size in enumerate(narrowest)}
+        most = " or ".join(least.values())
+        yield f"No joint moves over more than {most}: record a motion of all joints (lite6jax design --torque)."
     elif narrow:
-        which = " and ".join(f"joint {j + 1} moves over {np.rad2deg(span):.2g} deg" for j, span in narrow)
+        which = " and ".join(f"joint {j + 1} moves over {scales[j] * span:.2g} {units[j]}" for j, span in narrow)
         yield f"{which[0].upper()}{which[1:]} only; move it further."
     elif found.at_rest:
         yield "The arm stands still in all samples, which show gravity only: record it in motion."
@@ -203,14 +216,24 @@ def torque_discrimination_report(
         yield Text(f"A reliable decision takes {_CLEAR:g}: record the motion several times, or a longer one.")
 
 
+def _greatest(arm: Arm, limits: NDArray[np.floating]) -> list[str]:
+    """The greatest of the limits `(joint,)` of revolute joints, and that of prismatic ones, in deg and mm."""
+    scales, units = joint_units(arm.sliding, arm.dof)
+    of = {unit: max(scales[j] * limits[j] for j in range(arm.dof) if units[j] == unit) for unit in units}
+    return [f"{of[unit]:.4g} {unit}" for unit in ("deg", "mm") if unit in of]
+
+
 def _motion_report(
     room: MotionRoom, model: TorqueModel, disabled: Sequence[tuple[str, str]], source: str
 ) -> Iterator[RenderableType]:
     yield Text(source, no_wrap=True, overflow="ignore")
-    speed, acceleration = (np.rad2deg(np.max(limit)) for limit in (room.limits.velocity, room.limits.acceleration))
+    limits = [
+        " and ".join(f"{size}{per}" for size in _greatest(room.arm, limit))
+        for limit, per in ((room.limits.velocity, "/s"), (room.limits.acceleration, "/s²"))
+    ]
     yield Text(
         f"A motion of {room.duration:g} s from rest to rest, {room.harmonics} harmonics, {room.samples + 1} samples, up"
-        f" to {speed:.4g} deg/s and {acceleration:.4g} deg/s²; {torque_noise(model)}."
+        f" to {' and '.join(limits)}; {torque_noise(model)}."
     )
     if disabled:
         pairs = ", ".join(f"{a} with {b}" for a, b in disabled)

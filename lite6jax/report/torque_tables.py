@@ -7,7 +7,7 @@ from rich.console import RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from lite6jax.report import reference, statements, torque_reference, torque_statements, worth
+from lite6jax.report import statements, torque_statements, worth
 from lite6jax.report.cells import listing
 from lite6jax.report.next_steps import Files
 from lite6jax.report.sections import against, chart, fault_line, finding_list, headed, ruled_out, what_to_do
@@ -21,7 +21,7 @@ def torque_report(
     yield Text(source, no_wrap=True, overflow="ignore")
     yield Text(torque_statements.setting_statement(document))
     yield ""
-    yield from against(reference.compared(document, torque_reference.headline))
+    yield from against(torque_statements.compared(document))
     yield Text(worth.headline(document))
     yield ""
     yield Text(torque_statements.verdict_statement(document))
@@ -42,10 +42,8 @@ def torque_report(
 
 def _errors(document: Mapping[str, Any]) -> Table:
     """Held-out errors by joint, one a line: seven joints side by side do not fit a narrow terminal."""
-    stages = [document[stage] for stage in ("before", "after")]
-    table = listing("held-out error (Nm RMS)", "before", "after")
-    table.add_row("all joints", *(f"{stage['heldout_torque_rms_Nm']:.3g}" for stage in stages))
-    by_joint = zip(*(stage["heldout_torque_rms_by_joint_Nm"] for stage in stages), strict=True)
-    for joint, errors in enumerate(by_joint, 1):
-        table.add_row(f"joint {joint}", *(f"{error:.3g}" for error in errors))
+    common = torque_statements.common_unit(document)
+    table = listing(f"held-out error ({f'{common} RMS'.strip()})", "before", "after")
+    for joints, unit, _, *sizes in torque_statements.errors(document, [("rms", "RMS")]):
+        table.add_row(joints if common else f"{joints} ({unit})", *(f"{size:.3g}" for size in sizes))
     return table

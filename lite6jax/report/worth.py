@@ -1,4 +1,4 @@
-"""What a diagnosis is worth: its first sentence, and its findings ranked by what they move, in mm, degrees or Nm."""
+"""What a diagnosis is worth: its first sentence, and its findings ranked by what they move, in mm, degrees, Nm or N."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
@@ -37,6 +37,8 @@ class Measure(NamedTuple):
 POSITION = Measure("moves_rms_m", "heldout_position_rms_m", 1e3, "mm", "the measured point")
 ORIENTATION = Measure("moves_rms_rad", "heldout_orientation_rms_rad", 180 / np.pi, "deg", "the measured orientation")
 TORQUE = Measure("moves_rms_Nm", "heldout_torque_rms_Nm", 1.0, "Nm", "the torque")
+FORCE = Measure("moves_rms_N", "heldout_torque_rms_N", 1.0, "N", "the force")
+"""Of prismatic joints."""
 
 
 class Bar(NamedTuple):
@@ -58,26 +60,47 @@ def of_torques(document: Document) -> bool:
     return document.get("domain") == "torque"
 
 
-def measure_of(document: Document) -> Measure:
-    """Millimetres; degrees where no finding moves the measured point, but one turns it; newton metres of torques."""
+def measures_of(document: Document) -> tuple[Measure, ...]:
+    """Millimetres; degrees where no finding moves the measured point, but one turns it; newton metres of torques.
+
+    Of an arm that has prismatic joints also newtons, or these alone: what has no common unit is ranked by its share of
+    the error before.
+    """
     if of_torques(document):
-        return TORQUE
-    reach = [_share(document, POSITION), _share(document, ORIENTATION)]
-    return ORIENTATION if reach[0] < _SHARE < reach[1] else POSITION
+        return tuple(measure for measure in (TORQUE, FORCE) if measure.error in document["before"]) or (TORQUE,)
+    reach = [
+        max((_share(document, finding, measure) for finding in document["findings"]), default=0.0)
+        for measure in (POSITION, ORIENTATION)
+    ]
+    return (ORIENTATION,) if reach[0] < _SHARE < reach[1] else (POSITION,)
 
 
-def _share(document: Document, measure: Measure) -> float:
-    """The most that a finding moves, over the error before."""
+def _share(document: Document, finding: Entry, measure: Measure) -> float:
+    """What a finding moves, over the error before."""
     before = document["before"].get(measure.error)
-    moved = [finding.get(measure.moves) or 0.0 for finding in document["findings"]]
-    return max(moved, default=0.0) / before if before else 0.0
+    return (finding.get(measure.moves) or 0.0) / before if before else 0.0
+
+
+def _main(document: Document, finding: Entry) -> Measure:
+    """In what a finding moves most."""
+    return max(measures_of(document), key=lambda measure: _share(document, finding, measure))
+
+
+def _moved(document: Document, finding: Entry) -> float | None:
+    """By what a finding is ranked: what it moves, in shares of the errors where these have several units."""
+    measures = measures_of(document)
+    moved = [finding[measure.moves] for measure in measures if finding.get(measure.moves) is not None]
+    if not moved:
+        return None
+    return moved[0] if len(measures) == 1 else _share(document, finding, _main(document, finding))
 
 
 def order(document: Document) -> list[int]:
     """Places of the findings, from 0, those that move most first; by log-likelihood in a document without this."""
-    findings, key = document["findings"], measure_of(document).moves
-    known = all(finding.get(key) is not None for finding in findings)
-    sizes = [finding[key] if known else finding["log_likelihood_gain"] for finding in findings]
+    findings = document["findings"]
+    moved = [_moved(document, finding) for finding in findings]
+    gains = [finding["log_likelihood_gain"] for finding in findings] if None in moved else []
+    sizes = gains or [size or 0.0 for size in moved]
     return sorted(range(len(findings)), key=lambda k: -sizes[k])
 
 
@@ -88,12 +111,26 @@ def ranked(document: Document) -> list[Entry]:
 
 def bars(document: Document) -> list[Bar]:
     """What each finding moves, in the order of `ranked`; none in a document without this."""
-    measure, findings = measure_of(document), ranked(document)
-    if any(finding.get(measure.moves) is None for finding in findings):
+    findings = ranked(document)
+    moved = [_moved(document, finding) for finding in findings]
+    known = [size for size in moved if size is not None]
+    if len(known) < len(moved):
         return []
-    moved = [measure.scale * finding[measure.moves] for finding in findings]
-    most = max(moved, default=0.0) or 1.0
-    return [Bar(k, size / most, plus_minus(size)) for k, size in enumerate(moved, 1)]
+    most, alone = max(known, default=0.0) or 1.0, unit_of(document)
+    sizes = [moves_size(document, finding).removesuffix(f" {alone}") for finding in findings]
+    return [Bar(k, size / most, shown) for k, (size, shown) in enumerate(zip(known, sizes, strict=True), 1)]
+
+
+def unit_of(document: Document) -> str:
+    """The unit of all that findings move; empty where they have several, and each says its own."""
+    measures = measures_of(document)
+    return measures[0].unit if len(measures) == 1 else ""
+
+
+def moves_size(document: Document, finding: Entry) -> str:
+    """What a finding moves, with its unit: 0.21 mm, or 0.8 Nm and 12 N; empty in a document without this."""
+    pairs = [(finding.get(measure.moves), measure) for measure in measures_of(document)]
+    return " and ".join(_size(measure.scale * moved, measure) for moved, measure in pairs if moved is not None)
 
 
 def moves_phrase(finding: Entry) -> str:
@@ -109,9 +146,10 @@ def headline(document: Document) -> str:
     """The cause in the words of a workshop and its worth, in one sentence; what there is instead where none is."""
     if not document["findings"]:
         return _nothing_found(document)
-    measure, torques = measure_of(document), of_torques(document)
+    torques = of_torques(document)
     main, *others = ranked(document)
-    before, after = (error_at(document[stage], measure, main) for stage in ("before", "after"))
+    measure, slides = _main(document, main), document["model"].get("prismatic_joints", ())
+    before, after = (_error_at(document[stage], measure, main, slides) for stage in ("before", "after"))
     cause = cause_of(main, torques)
     cause = f"{cause[0].upper()}{cause[1:]}"
     whose = "sensors'" if torques else "sensor's"
@@ -125,10 +163,10 @@ def headline(document: Document) -> str:
     return f"{cause}: {plus_minus(measure.scale * moved)} of {_size(before, measure)}; {left}."
 
 
-def error_at(errors: Entry, measure: Measure, finding: Entry) -> float:
+def _error_at(errors: Entry, measure: Measure, finding: Entry, slides: Sequence[int]) -> float:
     """The root mean square of held-out errors in the unit shown; of torques at the joints that a finding acts on."""
-    joints = finding.get("joints")
-    if measure is not TORQUE or not joints:
+    joints = [joint for joint in finding.get("joints") or () if (joint in slides) == (measure is FORCE)]
+    if measure not in (TORQUE, FORCE) or not joints:
         return measure.scale * errors[measure.error]
     by_joint = np.array(errors["heldout_torque_rms_by_joint_Nm"])[np.array(joints) - 1]
     return float(np.sqrt(np.mean(by_joint**2)))
@@ -147,8 +185,9 @@ def _kept(document: Document, count: int, torques: bool) -> str:
 
 def _nothing_found(document: Document) -> str:
     torques = of_torques(document)
-    measure, whose = (TORQUE, "sensors'") if torques else (POSITION, "sensor's")
-    error = f"{_size(measure.scale * document['before'][measure.error], measure)} RMS"
+    measures, whose = (measures_of(document), "sensors'") if torques else ((POSITION,), "sensor's")
+    errors = [_size(measure.scale * document["before"][measure.error], measure) for measure in measures]
+    error = f"{' and '.join(errors)} RMS"
     faults = [fault for fault in document["data_faults"] if fault["fault"] != "outliers"]
     begin = (
         f"The data have {_faults(faults)}; with {'this' if len(faults) == 1 else 'these'} corrected, " if faults else ""

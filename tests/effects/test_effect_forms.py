@@ -381,7 +381,7 @@ def test_drivers_are_read_and_said():
     assert Driver("gravity moment x", 2).phrase == "gravity moment x of link 2"
     assert Driver("temperature", 2).phrase == "temperature of joint 2"
     assert not Driver("tool moment x").known(motion, loads._replace(payload_moment=None))
-    assert len(QUANTITIES) == 21
+    assert len(QUANTITIES) == 24
 
 
 @pytest.mark.parametrize(

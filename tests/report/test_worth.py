@@ -38,7 +38,7 @@ def motors():
 def test_every_effect_of_a_catalogue_has_a_remedy(known, remedies):
     assert set(remedies) == set(known)
     for name, remedy in remedies.items():
-        cause = remedy.cause.format(place="joint 2", source="joint 1")
+        cause = remedy.cause.format(place="joint 2", source="joint 1", exerted="torque")
         assert cause[0].islower(), name
         assert not cause.endswith("."), name
         assert remedy.action.endswith("."), name
@@ -108,7 +108,7 @@ def test_effects_that_only_turn_the_tool_are_ranked_in_degrees(found):
     ]
     errors = {stage: {**document[stage], "heldout_orientation_rms_rad": 2e-3} for stage in ("before", "after")}
     turned = {**document, "findings": turning, **errors}
-    assert worth.measure_of(turned).unit == "deg"
+    assert worth.unit_of(turned) == "deg"
     assert worth.ranked(turned)[0] == turning[1]
     assert "0.11 of 0.11 deg" in worth.headline(turned)
 

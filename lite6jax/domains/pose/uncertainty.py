@@ -304,7 +304,7 @@ def _departures(change: Derivatives, known: Uncertainty) -> tuple[Array, list[Ar
     return further, curved, outside
 
 
-def beyond_range(values: Array, lower: Array | float, upper: Array | float, least: float = 1e-6) -> Array:
+def beyond_range(values: Array, lower: Array | float, upper: Array | float, least: Array | float = 1e-6) -> Array:
     """By how much values are beyond a range, over its length; over the size of its values where it has none.
 
     Args:

@@ -81,7 +81,9 @@ def _beside(data: TorqueRows, joint: int) -> Array:
     """`(sample, number)`, an orthonormal basis of what any joint, from 0, may add: offset, friction and rotor."""
     velocity = np.asarray(data.motion.joint_velocity)[joint, data.filter.kept]
     acceleration = np.asarray(data.motion.joint_acceleration)[joint, data.filter.kept]
-    columns = np.stack([np.ones(len(velocity)), velocity, direction(velocity), acceleration])
+    columns = np.stack(
+        [np.ones(len(velocity)), velocity, direction(velocity, bool(data.arm.slides[joint])), acceleration]
+    )
     return np.linalg.qr(columns.T)[0]
 
 
@@ -107,7 +109,8 @@ def _in_order(data: TorqueRows) -> tuple[TorqueRows, list[DataFault]]:
     velocity = np.asarray(data.motion.joint_velocity)[:, data.filter.kept]
     left = np.empty((2, joints, joints))
     for joint in range(joints):
-        beside = np.stack([np.ones(rigid.shape[1]), velocity[joint], direction(velocity[joint])])
+        turned = direction(velocity[joint], data.arm.slides[joint])
+        beside = np.stack([np.ones(rigid.shape[1]), velocity[joint], turned])
         basis = np.linalg.qr(beside.T)[0]
         for k, sign in enumerate((1.0, -1.0)):
             left[k, :, joint] = np.mean(_without(measured - sign * rigid[joint], basis) ** 2, 1)

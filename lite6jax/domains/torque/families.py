@@ -7,8 +7,9 @@ from itertools import combinations, product
 import numpy as np
 from numpy.typing import NDArray
 
+from lite6jax.arms.joint_units import as_revolute
 from lite6jax.domains.torque.rows import TorqueRows
-from lite6jax.effects.drivers import Driver
+from lite6jax.effects.drivers import Driver, joint_driver
 from lite6jax.effects.dynamic.motors import TorqueRipple
 from lite6jax.effects.dynamic.torque_effect import Dynamics, JointTorque, TorqueEffect
 from lite6jax.effects.dynamic.unnamed import UnnamedTorque, waves
@@ -29,13 +30,14 @@ _MOST_WAVES = 1 << 22
 """Numbers of waves that are kept: 32 MB."""
 _EVERYWHERE = ("time",)
 _LEAST_VARIED = 1e-3
-"""Range of a driver, in its unit, below which it did not vary."""
+"""Range of a driver, in its unit, or that of a revolute joint, below which it did not vary."""
 
 
 def periodic(data: TorqueRows, chosen: NDArray[np.integer], noise: Array, known: Waves) -> tuple[PeriodicFamily, ...]:
-    """Ripple of each joint, whose waves pass the filter as torques do; `known` are those of the chosen samples."""
+    """Ripple of each revolute joint, whose waves pass the filter as torques do; `known` are of the chosen samples."""
     found = []
-    for j, q in enumerate(np.asarray(data.motion.joint_position)):
+    for j in np.flatnonzero(~data.arm.slides).tolist():
+        q = np.asarray(data.motion.joint_position)[j]
         angle = q[data.filter.kept][chosen]
         filtered = partial(_waves, data, j + 1, chosen, known)
         site, column = f"joint{j + 1}", _column(j, noise)
@@ -53,12 +55,13 @@ def curves(dynamics: Dynamics, data: TorqueRows, chosen: NDArray[np.integer], no
     for j, signed in product(range(len(noise)), (False, True)):
         drivers = []
         for quantity, pieces in (_SIGNED_PIECES if signed else _PIECES).items():
-            driver = Driver(quantity, j + 1)
+            of_slide = bool(data.arm.slides[j])
+            driver = joint_driver(quantity, j + 1, of_slide)
             values = driver_values(driver, dynamics)
             if values is None:
                 continue
             values = values[data.filter.kept][chosen]
-            spline = partial(_spline, j + 1, driver.phrase, signed, float(sizes(data)[j]))
+            spline = partial(_spline, j + 1, driver.phrase, signed, float(sizes(data)[j]), of_slide)
             drivers.append(CurveDriver(values, pieces, quantity == "position" and not signed, spline))
         column = _column(j, noise)
         if signed:
@@ -79,7 +82,8 @@ def flexible(dynamics: Dynamics, sizes: Array) -> tuple[UnnamedTorque, ...]:
         sizes: `(joint,)` Nm, of the torques that were measured, which no curve exceeds by much.
     """
     dof = dynamics.torque.shape[0]
-    ranges = {d: _range(d, dynamics) for j in range(1, dof + 1) for d in _own(j)}
+    slides = [False, *dynamics.motion.sliding.mask(dof).tolist()]  # joints count from 1
+    ranges = {d: _range(d, dynamics) for j in range(1, dof + 1) for d in _own(j, slides[j])}
     ranges |= {Driver(quantity): _range(Driver(quantity), dynamics) for quantity in _EVERYWHERE}
     found: list[UnnamedTorque] = []
 
@@ -91,11 +95,18 @@ def flexible(dynamics: Dynamics, sizes: Array) -> tuple[UnnamedTorque, ...]:
         phrase = " and ".join(driver.phrase for driver in drivers)
         bounds = tuple(bound for span in further for bound in span)
         spread = float(sizes[joint - 1])
-        curve = UnnamedTorque(joint, phrase, lower, upper, pieces, signed, spread=spread, degree=degree, further=bounds)
-        found.append(curve)
+        found.append(
+            UnnamedTorque(
+                *(joint, phrase, lower, upper, pieces, signed),
+                spread=spread,
+                degree=degree,
+                further=bounds,
+                of_slide=slides[joint],
+            )
+        )
 
     for j in range(1, dof + 1):
-        position, velocity, speed, load, temperature = _own(j)
+        position, velocity, speed, load, temperature = _own(j, slides[j])
         for signed in (False, True):
             for pieces in (3, 10):
                 add(j, [position], pieces, signed)
@@ -111,11 +122,11 @@ def flexible(dynamics: Dynamics, sizes: Array) -> tuple[UnnamedTorque, ...]:
             add(j, [velocity, other], degree=3)
         for k in range(1, dof + 1):
             if k != j:
-                add(j, [Driver("position", k)], 6)
-                add(j, [Driver("velocity", k)], 6)
+                for quantity in ("position", "velocity"):
+                    add(j, [joint_driver(quantity, k, slides[k])], 6)
         for a, b in combinations(range(1, dof + 1), 2):
             if j in (a, b):
-                add(j, [Driver("position", a), Driver("position", b)], degree=3)
+                add(j, [joint_driver("position", k, slides[k]) for k in (a, b)], degree=3)
     return tuple(found)
 
 
@@ -135,10 +146,10 @@ def unit_torques(effect: TorqueEffect, dynamics: Dynamics, kept: Callable[[Array
     return kept(rows)[:, None]
 
 
-def _own(j: int) -> tuple[Driver, Driver, Driver, Driver, Driver]:
+def _own(j: int, of_slide: bool) -> list[Driver]:
     """Position, velocity, speed, load and temperature of a joint."""
-    of_motion = Driver("position", j), Driver("velocity", j), Driver("speed", j)
-    return *of_motion, Driver("gravity torque", j), Driver("temperature", j)
+    quantities = ("position", "velocity", "speed", "gravity torque", "temperature")
+    return [joint_driver(quantity, j, of_slide) for quantity in quantities]
 
 
 def driver_values(driver: Driver, dynamics: Dynamics) -> Array | None:
@@ -150,7 +161,12 @@ def driver_values(driver: Driver, dynamics: Dynamics) -> Array | None:
 def _range(driver: Driver, dynamics: Dynamics) -> tuple[float, float] | None:
     """Lower and upper of a driver; None where it is not known or does not vary."""
     values = driver_values(driver, dynamics)
-    return None if values is None or np.ptp(values) < _LEAST_VARIED else (float(values.min()), float(values.max()))
+    if values is None:
+        return None
+    usual = Driver(driver.generalised, driver.place).unit
+    if np.ptp(as_revolute(values, usual, driver.of_slide)) < _LEAST_VARIED:
+        return None
+    return float(values.min()), float(values.max())
 
 
 def _column(j: int, noise: Array) -> Array:
@@ -200,6 +216,6 @@ def sizes(data: TorqueRows) -> Array:
 
 
 def _spline(
-    joint: int, driver: str, signed: bool, spread: float, lower: float, upper: float, pieces: int
+    joint: int, driver: str, signed: bool, spread: float, of_slide: bool, lower: float, upper: float, pieces: int
 ) -> UnnamedTorque:
-    return UnnamedTorque(joint, driver, lower, upper, pieces, signed, spread=spread)
+    return UnnamedTorque(joint, driver, lower, upper, pieces, signed, spread=spread, of_slide=of_slide)

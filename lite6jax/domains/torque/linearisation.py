@@ -64,8 +64,8 @@ def with_likely_prior(problem: TorqueProblem, options: EngineOptions, training: 
 
 
 def _everywhere(problem: TorqueProblem) -> Terms:
-    joints = range(1, problem.rows + 1)
-    return Terms(tuple(kind(joint) for kind in _EVERYWHERE for joint in joints))
+    slides = problem.data.arm.slides.tolist()
+    return Terms(tuple(kind(j, of_slide=own) for kind in _EVERYWHERE for j, own in enumerate(slides, 1)))
 
 
 def _evidence(problem: TorqueProblem, found: Fit, time: float) -> float:

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lite6jax.arms.arm import Arm
+from lite6jax.arms.joint_units import joint_unit
 from lite6jax.domains.torque.composition import composed
 from lite6jax.domains.torque.filtering import interpolant
 from lite6jax.domains.torque.rows import RigidBodies, bodies_of
@@ -35,7 +36,6 @@ class DiagnosedMotors:
         terms: the effects.
         values: `(terms.size,)`.
         reference_temperature: °C.
-        heldout_rms: Nm, of held-out torques without and with the effects; None where not known.
         uncertainty: from which standard deviations of predictions follow; None where the diagnosis does not say.
         relative_to: the recording beyond which the effects were found; None where they are all that there is.
     """
@@ -47,7 +47,6 @@ class DiagnosedMotors:
     terms: Terms
     values: Array
     reference_temperature: float
-    heldout_rms: tuple[float, float] | None = None
     uncertainty: TorqueUncertainty | None = None
     relative_to: str | None = None
 
@@ -66,7 +65,7 @@ class TorquePrediction(NamedTuple):
     """Predicted torques with standard deviations.
 
     Attributes:
-        torque: `(sample, joint)` Nm.
+        torque: `(sample, joint)` Nm, N of prismatic joints.
         std: `(sample, joint)` Nm, of what a sensor shows from what is predicted: what was estimated is uncertain, not
             all is explained, and the sensor has noise; None where the diagnosis says nothing of it.
         outside: `(sample,)` bool, rows in which a joint's position, velocity or acceleration, or a quantity on which an
@@ -104,13 +103,18 @@ def predicted_torques(model: DiagnosedMotors, recording: Recording) -> TorquePre
     return TorquePrediction(torque, *((None, None) if bars is None else (bars.std.T, bars.outside)))
 
 
-def torque_columns(found: TorquePrediction) -> dict[str, Array | NDArray[np.integer]]:
-    """Column name to values: `tau1_Nm` …, and `tau1_std_Nm` … and `outside`, 0 or 1, where these are known."""
+def torque_columns(model: DiagnosedMotors, found: TorquePrediction) -> dict[str, Array | NDArray[np.integer]]:
+    """Column name to values: `tau1_Nm` …, and `tau1_std_Nm` … and `outside`, 0 or 1, where these are known.
+
+    Those of prismatic joints are `tau3_N` and `tau3_std_N`.
+    """
+    units = [joint_unit("Nm", slides) for slides in model.arm.slides]
     columns: dict[str, Array | NDArray[np.integer]] = {
-        f"tau{joint}_Nm": row for joint, row in enumerate(found.torque.T, 1)
+        f"tau{joint}_{unit}": row for joint, (unit, row) in enumerate(zip(units, found.torque.T, strict=True), 1)
     }
     if found.std is not None and found.outside is not None:
-        columns |= {f"tau{joint}_std_Nm": row for joint, row in enumerate(found.std.T, 1)}
+        pairs = zip(units, found.std.T, strict=True)
+        columns |= {f"tau{joint}_std_{unit}": row for joint, (unit, row) in enumerate(pairs, 1)}
         columns["outside"] = found.outside.astype(int)
     return columns
 

@@ -19,6 +19,7 @@ from lite6jax.effects.dynamic.catalogue import torque_catalogue, torque_ladder, 
 from lite6jax.effects.dynamic.drives import declared
 from lite6jax.effects.dynamic.torque_effect import Delaying, Dynamics, Scaling, TorqueEffect
 from lite6jax.effects.dynamic.unnamed import UnnamedTorque
+from lite6jax.effects.effect import require_kind
 from lite6jax.errors import InputError
 from lite6jax.estimation.problem import CurveFamily, Mask, PeriodicFamily
 from lite6jax.estimation.terms import Term, Terms
@@ -170,7 +171,7 @@ class TorqueProblem:
     @lazy
     def ladder(self) -> tuple[TorqueEffect, ...]:
         """What the joints of most real arms have."""
-        return tuple(effect for effect in torque_ladder(self.rows) if effect in self.candidates)
+        return tuple(effect for effect in torque_ladder(self.rows, self.data.arm.sliding) if effect in self.candidates)
 
     @lazy
     def flexible(self) -> tuple[UnnamedTorque, ...]:
@@ -285,7 +286,7 @@ class TorqueProblem:
     def shrinkable(self, term: Term) -> bool:
         """Whether an effect has drivers, none of which is a joint position."""
         assert isinstance(term, TorqueEffect)
-        return bool(term.drivers) and not any(driver.quantity == "position" for driver in term.drivers)
+        return bool(term.drivers) and not any(driver.generalised == "position" for driver in term.drivers)
 
     @cached_property
     def _inertial(self) -> Array:
@@ -331,7 +332,7 @@ def torque_problem(data: TorqueRows, effects: Sequence[TorqueEffect] = ()) -> To
     with a relative uncertainty all of them, with that as their prior's standard deviation.
 
     Raises:
-        InputError: an effect of a joint that the arm does not have.
+        InputError: an effect of a joint that the arm does not have, or that is of the other kind.
     """
     for effect in effects:
         if effect.joints_needed > data.arm.dof:
@@ -339,13 +340,14 @@ def torque_problem(data: TorqueRows, effects: Sequence[TorqueEffect] = ()) -> To
                 f"{effect.label}: acts at joint {effect.joints_needed}, but the arm has {data.arm.dof} joints; remove "
                 "it from EFFECTS"
             )
+        require_kind(effect, data.arm.sliding)
     settings, links = data.recording.settings, data.bodies.links
     inertial = settings.inertial
     if inertial == "declared":
         directions, deviations = np.zeros((0, *links.shape)), np.zeros(0)
     else:
         directions, deviations = uncertain(links, 1.0 if inertial == "unknown" else float(inertial))
-    candidates = (*torque_catalogue(data.arm.dof), *effects)
+    candidates = (*torque_catalogue(data.arm.dof, data.arm.sliding), *effects)
     if len(directions):  # what is fitted is no effect, however far it is from what was declared
         candidates = tuple(effect for effect in candidates if not isinstance(effect, FITTED))
     missing = tuple(untestable(candidates, data.motion, bool(links.any()) or inertial == "unknown"))

@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lite6jax.arms.arm import Arm
-from lite6jax.domains.torque.rows import bodies_of
+from lite6jax.arms.joint_units import as_revolute
+from lite6jax.domains.torque.rows import bodies_of, require_joints
 from lite6jax.errors import InputError
 from lite6jax.recordings import Recording
 from lite6jax.recordings.sequence import run_segments
@@ -17,7 +18,7 @@ Array = NDArray[np.floating]
 
 SAME_STATE = (5e-3, 5e-2)
 """rad and rad/s by which the states of two recordings of one motion differ at most, in nearly all rows: controllers
-track a motion that well, and gravity's torque changes little over it."""
+track a motion that well, and gravity's torque changes little over it. Of prismatic joints 0.5 mm and 5 mm/s."""
 _NEARLY = 0.9
 """Of the rows, that are to be in the same state."""
 
@@ -62,8 +63,10 @@ def compare_rows(recording: Recording, reference: Recording, arm: Arm) -> RowCom
         raise InputError(
             f"{reference.source}: has {reference.dof} joints, but {recording.source} {recording.dof}; give that arm's"
         )
+    for side in (recording, reference):
+        require_joints(side, arm)
     recording = recording.sorted_by_time()
-    found = _at_times_of(recording, reference.sorted_by_time())
+    found = _at_times_of(recording, reference.sorted_by_time(), arm.slides)
     if found is None:
         return None
     same, torque = found
@@ -87,7 +90,9 @@ def compare_rows(recording: Recording, reference: Recording, arm: Arm) -> RowCom
     )
 
 
-def _at_times_of(recording: Recording, reference: Recording) -> tuple[NDArray[np.bool_], Array] | None:
+def _at_times_of(
+    recording: Recording, reference: Recording, slides: NDArray[np.bool_]
+) -> tuple[NDArray[np.bool_], Array] | None:
     """Which rows are in the reference's state, and its torques `(sample, joint)` then; None where it is another motion.
 
     Rows of another state would be gaps in time: the ends of runs may be cut, but within a run nearly all rows match.
@@ -105,8 +110,9 @@ def _at_times_of(recording: Recording, reference: Recording) -> tuple[NDArray[np
         since, known = (side[part] - side[part[0]] for side, part in ((recording.time, here), (reference.time, there)))
         at[here] = _interpolated(since, known, torque[there])
         near = (since >= known[0]) & (since <= known[-1])
-        for mine, its, most in zip(*states, SAME_STATE, strict=True):
-            near &= np.abs(mine[here] - _interpolated(since, known, its[there])).max(1) <= most
+        for mine, its, most, unit in zip(*states, SAME_STATE, ("rad", "rad/s"), strict=True):
+            away = np.abs(mine[here] - _interpolated(since, known, its[there]))
+            near &= as_revolute(away.T, unit, slides).max(0) <= most
         if near.mean() < _NEARLY:
             return None
         first, last = np.flatnonzero(near)[[0, -1]]

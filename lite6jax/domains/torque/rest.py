@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from lite6jax.arms.joint_units import as_revolute
 from lite6jax.domains.torque.rows import TorqueRows
 from lite6jax.effects.dynamic.torque_effect import DIRECTION_SPEED, direction
 from lite6jax.recordings.fault import DataFault, row_numbers
@@ -39,7 +40,8 @@ class Held(NamedTuple):
 
 def at_rest(data: TorqueRows) -> Flags:
     """`(joint, sample)`, whether a joint rests for a quarter of a second or more around each sample."""
-    slow = np.abs(np.asarray(data.motion.joint_velocity)) <= DIRECTION_SPEED
+    speed = np.abs(as_revolute(np.asarray(data.motion.joint_velocity), "rad/s", data.arm.slides))
+    slow = speed <= DIRECTION_SPEED
     least = max(int(np.ceil(_LONG * data.filter.rate)), 2)
     runs = data.filter.runs
     still = np.zeros_like(slow)
@@ -71,19 +73,23 @@ def held_by_friction(data: TorqueRows) -> Held:
         return Held(slack, ())
     recording = data.recording
     rows = row_numbers(recording.row[(slack > 0).any(0)])
-    return Held(slack, (DataFault("held_by_friction", rows, {"joints": joints, "std_Nm": bands}),))
+    numbers: dict[str, list] = {"joints": joints, "std_Nm": bands}
+    if data.arm.sliding:
+        numbers["prismatic_joints"] = [joint for joint in joints if data.arm.slides[joint - 1]]
+    return Held(slack, (DataFault("held_by_friction", rows, numbers),))
 
 
 def _left_at_rest(data: TorqueRows, j: int, rest: Flags) -> float:
     """Nm RMS that a model of a joint in motion leaves at rest; 0 where that is noise, or more than friction holds."""
     velocity = np.asarray(data.motion.joint_velocity)[:, data.filter.kept]
     acceleration = np.asarray(data.motion.joint_acceleration)[j, data.filter.kept]
-    near = [k for k in (j - 1, j + 1) if 0 <= k < len(velocity)]
+    slides = data.arm.slides
+    near = [k for k in (j - 1, j + 1) if 0 <= k < len(velocity) and slides[k] == slides[j]]
     X = np.concatenate(
         [
-            direction(velocity[j])[None],  # first: its number is Coulomb friction
+            direction(velocity[j], slides[j])[None],  # first: its number is Coulomb friction
             *(part[None] for part in (np.ones(len(acceleration)), velocity[j], acceleration)),
-            *(np.stack([velocity[k], direction(velocity[j] + velocity[k])]) for k in near),
+            *(np.stack([velocity[k], direction(velocity[j] + velocity[k], slides[j])]) for k in near),
             data.regressor[j],
         ]
     )

@@ -9,7 +9,7 @@ import jax
 import numpy as np
 from numpy.typing import NDArray
 
-from lite6jax.arms.arm import Arm, require_revolute
+from lite6jax.arms.arm import Arm
 from lite6jax.arms.dynamics import link_parameters, regressor
 from lite6jax.domains.torque.filtering import (
     LowPass,
@@ -26,6 +26,7 @@ from lite6jax.effects.motion import Motion
 from lite6jax.errors import InputError
 from lite6jax.recordings import Recording
 from lite6jax.recordings.motion import motion_of_recording
+from lite6jax.recordings.units import other_joints
 
 Array = NDArray[np.floating]
 
@@ -34,6 +35,8 @@ Array = NDArray[np.floating]
 @dataclass(frozen=True, eq=False)
 class RigidBodies:
     """The rigid-body dynamics of an arm along a motion: torques are linear in its links' inertial numbers.
+
+    Torques are in Nm, those of the prismatic joints of the motion are forces in N; so in all of this domain.
 
     Attributes:
         motion: smoothed, with accelerations; NumPy arrays.
@@ -55,7 +58,7 @@ class RigidBodies:
     def regressor(self) -> Array:
         """`(joint, 10 joint, sample)`, torques by each inertial number."""
         q, dq, ddq = self._moved
-        return np.asarray(regressor(self.kinematics, q, dq, ddq, self.gravity))
+        return np.asarray(regressor(self.kinematics, q, dq, ddq, self.gravity, self.motion.sliding.joints))
 
     def of_inertia(self, numbers: Array) -> Array:
         """Torques `(joint, sample)` by inertial numbers `(joint, 10)`."""
@@ -103,7 +106,7 @@ class RigidBodies:
             payload = np.asarray(self.motion.payload)
             unit = point_mass(1.0, self.payload_center)
             for axis in np.eye(3):
-                at_rest = np.asarray(regressor(self.kinematics, q, still, still, axis))
+                at_rest = np.asarray(regressor(self.kinematics, q, still, still, axis, self.motion.sliding.joints))
                 torque = np.einsum("jps,p->js", at_rest, numbers.ravel())
                 found.append(torque + np.einsum("jps,p->js", at_rest[:, -10:], unit) * payload)
             known = np.stack(found)
@@ -186,13 +189,27 @@ class TorqueRows:
         return value, slope
 
 
+def require_joints(recording: Recording, arm: Arm) -> None:
+    """Refuses a recording whose joints are others than the arm's.
+
+    Raises:
+        InputError: another number of joints, or angles of prismatic joints, or lengths of revolute ones.
+    """
+    if recording.dof != arm.dof:
+        raise InputError(
+            f"{recording.source}: has {recording.dof} joints, the arm {arm.name} {arm.dof}; choose the arm it is of"
+        )
+    if recording.sliding != arm.sliding:
+        raise InputError(f"{recording.source}: {other_joints(recording.sliding, arm.sliding, arm.name)}")
+
+
 def bodies_of(recording: Recording, arm: Arm) -> tuple[RigidBodies, LowPass, float]:
     """The rigid-body dynamics along a recording's motion, the filter for its torques, and the motion's cutoff in Hz.
 
     Raises:
-        InputError: no times, steps that vary, an arm at rest, or one with prismatic joints.
+        InputError: no times, steps that vary, an arm at rest, or one whose prismatic joints are others.
     """
-    require_revolute(arm, "a diagnosis of torques")
+    require_joints(recording, arm)
     rate = sample_rate(recording)
     chosen = low_pass(recording.velocities().T, rate, runs_of(recording, rate))
     smooth = smoothed(recording, chosen)
@@ -200,7 +217,7 @@ def bodies_of(recording: Recording, arm: Arm) -> tuple[RigidBodies, LowPass, flo
     moved = jax.tree.map(np.asarray, motion)._replace(
         joint_position=smooth.position,
         joint_velocity=smooth.velocity,
-        direction=direction(smooth.velocity),
+        direction=direction(smooth.velocity, arm.slides),
         joint_acceleration=smooth.acceleration,
     )
     settings = recording.settings

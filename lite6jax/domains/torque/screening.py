@@ -8,11 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lite6jax.arms.arm import Arm
+from lite6jax.arms.joint_units import as_revolute, by_kind, joint_size, joint_unit
 from lite6jax.domains.torque.declarations import as_declared
 from lite6jax.domains.torque.filtering import runs_of, sample_rate, spikes, without_spikes
 from lite6jax.domains.torque.problem import TorqueProblem
 from lite6jax.domains.torque.rest import held_by_friction
-from lite6jax.domains.torque.rows import TorqueRows, torque_rows
+from lite6jax.domains.torque.rows import TorqueRows, require_joints, torque_rows
 from lite6jax.errors import InputError
 from lite6jax.estimation.least_squares import fit
 from lite6jax.estimation.options import EngineOptions
@@ -25,7 +26,7 @@ from lite6jax.recordings.fault import DataFault, row_numbers
 Array = NDArray[np.floating]
 
 _LEAST_MOTION = 0.02
-"""rad over which one joint moves at least; noise of encoders is far below."""
+"""rad over which one joint moves at least, 2 mm of a prismatic one; noise of encoders is far below."""
 _EVENT = 60.0
 """Squared residual over its robust scale, summed over joints, from which a sample may belong to a contact."""
 _JOINED = 0.3
@@ -69,10 +70,11 @@ def screen_torques(recording: Recording, arm: Arm) -> ScreenedTorques:
     _require_inertia(recording, arm)
     rate = sample_rate(recording)
     runs = runs_of(recording, rate)
-    _require_motion(recording)
+    require_joints(recording, arm)
+    _require_motion(recording, arm)
     check_velocity_scale(recording)
     check_torque_scale(recording, arm)
-    spiked = spikes(torque, recording.velocities().T, runs)
+    spiked = spikes(torque, as_revolute(recording.velocities().T, "rad/s", arm.slides), runs)
     found = []
     if spiked.any():
         rows = row_numbers(recording.row[spiked.any(0)])
@@ -103,17 +105,18 @@ def _require_inertia(recording: Recording, arm: Arm) -> None:
         )
 
 
-def _require_motion(recording: Recording) -> None:
+def _require_motion(recording: Recording, arm: Arm) -> None:
     if recording.motion != "trajectory":
         raise InputError(
             f"{recording.source}: holds static poses; torques are diagnosed in a motion: record one, or declare "
             "motion: trajectory"
         )
-    q = recording.joint_position
-    if np.ptp(q, axis=0).max() < _LEAST_MOTION:
+    if as_revolute(np.ptp(recording.joint_position, axis=0), "rad", arm.slides).max() < _LEAST_MOTION:
+        each = {joint_unit("rad", slides): joint_size(_LEAST_MOTION, "rad", slides) for slides in arm.slides.tolist()}
+        least = " or ".join(f"{size:g} {unit}" for unit, size in each.items())
         raise InputError(
-            f"{recording.source}: the arm is at rest (no joint moves by {_LEAST_MOTION:g} rad); record a motion in "
-            "which every joint turns both ways"
+            f"{recording.source}: the arm is at rest (no joint moves by {least}); record a motion in which every joint "
+            f"{'moves' if arm.sliding else 'turns'} both ways"
         )
 
 
@@ -151,8 +154,9 @@ def contacts(problem: TorqueProblem, options: EngineOptions) -> tuple[NDArray[np
         rows = (recorded.time >= time[event.start] - step) & (recorded.time <= time[event.stop - 1] + step)
         rows &= problem.data.filter.runs == runs[event.start]
         numbers = {"joints": joints, "from_s": float(time[event.start]), "to_s": float(time[event.stop - 1])}
-        worst = float(np.abs(found.residuals.rows[:, event] * problem.sigma[:, event]).max())
-        faults.append(DataFault("contact", row_numbers(recorded.row[rows]), numbers | {"largest_Nm": worst}))
+        off = np.abs(found.residuals.rows[:, event] * problem.sigma[:, event]).max(1)
+        worst = by_kind("largest_Nm", off, problem.data.arm.slides, np.max)
+        faults.append(DataFault("contact", row_numbers(recorded.row[rows]), numbers | worst))
     return inside, faults
 
 

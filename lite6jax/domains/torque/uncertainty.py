@@ -10,12 +10,13 @@ from typing import TYPE_CHECKING, NamedTuple, final
 import numpy as np
 from numpy.typing import NDArray
 
+from lite6jax.arms.joint_units import as_revolute, joint_sizes
 from lite6jax.domains.pose.uncertainty import DRIVEN, LENGTH, MARGIN, beyond_range, distance_to, freed
 from lite6jax.domains.torque.composition import composed, scales_of, without_sensors
 from lite6jax.domains.torque.families import joints_of, unit_torques
 from lite6jax.domains.torque.filtering import interpolant
 from lite6jax.domains.torque.rows import RigidBodies
-from lite6jax.effects.drivers import Driver
+from lite6jax.effects.drivers import Driver, joint_driver
 from lite6jax.effects.dynamic.torque_effect import Delaying, Dynamics, Scaling, TorqueEffect
 from lite6jax.effects.dynamic.unnamed import UnnamedTorque
 from lite6jax.effects.effect import Effect
@@ -31,6 +32,7 @@ _STEP = 1e-4
 """Of a number's typical size, by which it is changed for a derivative."""
 _OF_STATE = {"position": 0.02, "velocity": 0.02, "acceleration": 0.2}
 """Quantities whose ranges are kept for every joint; the range of a joint that rests, rad, rad/s and rad/s²."""
+_UNITS = ("rad", "rad/s", "rad/s²")
 
 
 @final
@@ -39,9 +41,10 @@ class RecordedMotion:
     """Where a model of torques was recorded.
 
     Attributes:
-        ranges: `(3, joint, 2)`, the least and the greatest position (rad), velocity (rad/s) and acceleration (rad/s²).
-        positions: `(row, joint)` rad, of some recorded rows.
-        spacing: rad, as of `pose.uncertainty.RecordedRange`.
+        ranges: `(3, joint, 2)`, the least and the greatest position (rad), velocity (rad/s) and acceleration (rad/s²),
+            of prismatic joints in m.
+        positions: `(row, joint)` rad, or m, of some recorded rows.
+        spacing: rad, as of `pose.uncertainty.RecordedRange`; a prismatic joint counts by `arms.joint_units.LEVER`.
         drivers: the least and the greatest value of each further quantity on which an effect depends, by its phrase.
     """
 
@@ -60,7 +63,8 @@ class TorqueUncertainty:
         inertial: whether the inertial numbers of the links were fitted.
         covariance: `(number, number)`, of the links' inertial numbers where these were fitted, and of the numbers of
             all effects, each as `freed`.
-        left: `(joint,)` Nm, what is left of the model on rows that were not fitted.
+        left: `(joint,)` Nm, what is left of the model on rows that were not fitted; as in all of these, N of prismatic
+            joints.
         unseen: `(joint,)` Nm, what may be left without showing there: one standard error of the noise and of `left`.
         noise: `(joint,)` Nm, of one row of the sensor.
         curves: for each effect the torque that it adds, Nm RMS, where it is a curve without a name; else None.
@@ -184,7 +188,7 @@ def driver_values(terms: Terms, dynamics: Dynamics) -> dict[str, Array]:
     return {
         phrase: np.asarray(driver.values(dynamics.motion, loads))
         for phrase, driver in drivers.items()
-        if driver.quantity not in (*_OF_STATE, "direction of motion") and driver.known(dynamics.motion, loads)
+        if driver.generalised not in (*_OF_STATE, "direction of motion") and driver.known(dynamics.motion, loads)
     }
 
 
@@ -198,18 +202,18 @@ def _departures(
     model: "DiagnosedMotors", known: TorqueUncertainty, dynamics: Dynamics
 ) -> tuple[Array, list[Array], Flags]:
     """How far a motion departs from what was recorded; as `pose.uncertainty._departures`."""
-    recorded, states = known.recorded, states_of(dynamics)
-    q = states[0].T
-    further = (np.maximum(distance_to(recorded.positions, q) - recorded.spacing, 0.0) / LENGTH) ** 2
+    recorded, states, slides = known.recorded, states_of(dynamics), model.arm.slides
+    known_at, q = (as_revolute(joints.T, "rad", slides).T for joints in (recorded.positions, states[0].T))
+    further = (np.maximum(distance_to(known_at, q) - recorded.spacing, 0.0) / LENGTH) ** 2
     over = [  # (sample, joint) each
-        beyond_range(state.T, ranges[:, 0], ranges[:, 1], least) / DRIVEN
-        for state, ranges, least in zip(states, recorded.ranges, _OF_STATE.values(), strict=True)
+        beyond_range(state.T, ranges[:, 0], ranges[:, 1], joint_sizes(least, unit, slides)) / DRIVEN
+        for state, ranges, least, unit in zip(states, recorded.ranges, _OF_STATE.values(), _UNITS, strict=True)
     ]
     outside: Flags = np.asarray(np.max(over, axis=(0, 2)) > MARGIN / DRIVEN)
     for motion in over[1:]:  # the distance in joint space contains the positions
         further = further + np.sum(motion**2, 1)
     places = {
-        Driver(quantity, j + 1).phrase: part[:, j]
+        joint_driver(quantity, j + 1, bool(slides[j])).phrase: part[:, j]
         for quantity, part in zip(_OF_STATE, over, strict=True)
         for j in range(q.shape[1])
     }

@@ -5,6 +5,7 @@ from collections.abc import Iterable, Mapping
 
 import numpy as np
 
+from lite6jax.arms.joint_units import joint_size
 from lite6jax.effects.dynamic import bounds
 from lite6jax.effects.dynamic.bodies import BaseTilt, LinkCom, LinkMass, PayloadTorque
 from lite6jax.effects.dynamic.friction import (
@@ -40,36 +41,47 @@ _SPEEDS = (0.02, 0.05, 0.1, 0.2, 0.4)
 """Shares of a joint's largest speed that the speed of Stribeck friction is tried at."""
 
 
-def torque_catalogue(dof: int) -> tuple[TorqueEffect, ...]:
+def torque_catalogue(dof: int, sliding: tuple[int, ...] = ()) -> tuple[TorqueEffect, ...]:
     """Every named effect on torques of an arm at every site, without those of `torque_shaped` and ripple.
 
     Args:
         dof: number of joints.
+        sliding: the prismatic joints, counted from 0.
     """
     joints = range(1, dof + 1)
     simple = (ViscousFriction, CoulombFriction, LoadFriction, FrictionTemperature)
     motors = (TorqueOffset, TorqueScale, RotorInertia, JointSpring)
     return (
-        *(kind(joint) for kind in (*simple, *motors) for joint in joints),
-        *(CoupledFriction(joint, source) for joint in joints for source in range(1, joint)),
+        *(kind(joint, of_slide=joint - 1 in sliding) for kind in (*simple, *motors) for joint in joints),
+        *(_coupled(joint, source, sliding) for joint in joints for source in _alike(joint, sliding)),
         *(kind(link) for kind in (LinkMass, LinkCom) for link in joints),
         *(PayloadTorque(), BaseTilt(), TorqueTimeOffset()),
     )
 
 
-def torque_ladder(dof: int) -> tuple[TorqueEffect, ...]:
+def _alike(joint: int, sliding: tuple[int, ...]) -> list[int]:
+    """The joints before one that are of its kind: one motor drives two of these."""
+    return [source for source in range(1, joint) if (source - 1 in sliding) == (joint - 1 in sliding)]
+
+
+def _coupled(joint: int, source: int, sliding: tuple[int, ...]) -> CoupledFriction:
+    return CoupledFriction(joint, source, of_slide=joint - 1 in sliding)
+
+
+def torque_ladder(dof: int, sliding: tuple[int, ...] = ()) -> tuple[TorqueEffect, ...]:
     """What the joints of most real arms have: friction, offsets, rotors, and wrist motors that turn two joints.
 
     No two are the same function: a spring includes the offset.
 
     Args:
         dof: number of joints.
+        sliding: the prismatic joints, counted from 0.
     """
     joints = range(1, dof + 1)
     simple = (ViscousFriction, CoulombFriction, LoadFriction, FrictionTemperature, TorqueOffset, RotorInertia)
     return (
-        *(kind(joint) for kind in simple for joint in joints),
-        *(CoupledFriction(joint, joint - 1) for joint in joints if joint > 1),
+        *(kind(joint, of_slide=joint - 1 in sliding) for kind in simple for joint in joints),
+        *(_coupled(joint, joint - 1, sliding) for joint in joints if joint - 1 in _alike(joint, sliding)),
     )
 
 
@@ -78,8 +90,13 @@ def torque_shaped(motion: Motion) -> tuple[TorqueEffect, ...]:
     assert motion.joint_velocity is not None
     fastest = np.abs(np.asarray(motion.joint_velocity)).max(1)
     tried = [(joint, float(f"{share * v:.3g}")) for joint, v in enumerate(fastest, 1) for share in _SPEEDS]
-    low, high = bounds.STRIBECK
-    return tuple(StribeckFriction(joint, speed) for joint, speed in tried if low <= speed <= high)
+    found = []
+    for joint, speed in tried:
+        slides = joint - 1 in motion.sliding.joints
+        low, high = (joint_size(bound, "rad/s", slides) for bound in bounds.STRIBECK)
+        if low <= speed <= high:
+            found.append(StribeckFriction(joint, speed, of_slide=slides))
+    return tuple(found)
 
 
 def torque_kinds_of(effects: Iterable[Effect] = ()) -> dict[str, type[Effect]]:

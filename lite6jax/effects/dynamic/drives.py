@@ -28,7 +28,7 @@ def declared(arm: Arm, effect: object) -> float:
 
 
 def declared_torque(arm: Arm, motion: Motion) -> Array:
-    """`(joint, sample)` Nm that motors exert beside those of rigid bodies, by the description.
+    """`(joint, sample)` Nm, N of prismatic joints, that motors exert beside those of rigid bodies, by the description.
 
     Args:
         arm: with `viscous_friction`, `coulomb_friction`, `rotor_inertia` and springs, as far as they are declared.
@@ -39,7 +39,7 @@ def declared_torque(arm: Arm, motion: Motion) -> Array:
     if arm.viscous_friction is not None:
         total += arm.viscous_friction[:, None] * np.asarray(dq)
     if arm.coulomb_friction is not None:
-        total += arm.coulomb_friction[:, None] * direction(np.asarray(dq))
+        total += arm.coulomb_friction[:, None] * direction(np.asarray(dq), arm.slides)
     if arm.rotor_inertia is not None:
         total += arm.rotor_inertia[:, None] * np.asarray(ddq)
     if arm.spring_stiffness is not None:

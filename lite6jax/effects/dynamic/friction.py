@@ -9,9 +9,9 @@ from typing import ClassVar, final
 
 import numpy as np
 
-from lite6jax.effects.drivers import Driver
+from lite6jax.effects.drivers import Driver, joint_driver
 from lite6jax.effects.dynamic import bounds
-from lite6jax.effects.dynamic.torque_effect import Array, Dynamics, JointTorque, TorqueEffect, direction
+from lite6jax.effects.dynamic.torque_effect import Array, Dynamics, JointTorque, OfJoint, direction
 from lite6jax.effects.effect import Choice, Coordinate, Reporting, tried, with_field
 from lite6jax.errors import InputError
 
@@ -26,11 +26,11 @@ class ViscousFriction(JointTorque):
 
     @property
     def coordinates(self) -> tuple[Coordinate, ...]:
-        return (Coordinate("viscous_Nm_s_per_rad", "Nm·s/rad", 0.1, lower=0.0, upper=bounds.VISCOUS),)
+        return (self.number("viscous_Nm_s_per_rad", "Nm·s/rad", 0.1, lower=0.0, upper=bounds.VISCOUS),)
 
     @property
     def drivers(self) -> tuple[Driver, ...]:
-        return (Driver("velocity", self.joint),)
+        return (self.own_driver("velocity"),)
 
     def at_joint(self, values: Array, dynamics: Dynamics) -> Array:
         return values[0] * dynamics.velocity(self.joint)
@@ -46,11 +46,11 @@ class CoulombFriction(JointTorque):
 
     @property
     def coordinates(self) -> tuple[Coordinate, ...]:
-        return (Coordinate("coulomb_Nm", "Nm", 0.1, lower=0.0, upper=bounds.TORQUE),)
+        return (self.number("coulomb_Nm", "Nm", 0.1, lower=0.0, upper=bounds.TORQUE),)
 
     @property
     def drivers(self) -> tuple[Driver, ...]:
-        return (Driver("direction of motion", self.joint),)
+        return (self.own_driver("direction of motion"),)
 
     def at_joint(self, values: Array, dynamics: Dynamics) -> Array:
         return values[0] * dynamics.direction(self.joint)
@@ -64,36 +64,36 @@ class StribeckFriction(JointTorque):
     It is not linear in v: the search tries some values of v, and v without a fixed value is its second coordinate.
 
     Attributes:
-        velocity_rad_per_s: v, where it is fixed.
+        velocity_rad_per_s: v, where it is fixed; in m/s of a prismatic joint, in whose files it is `velocity_m_per_s`.
     """
 
     velocity_rad_per_s: float | None = None
 
     name: ClassVar[str] = "stribeck_friction"
     specificity: ClassVar[int] = 4
-    choice: ClassVar[Choice | None] = tried("velocity_rad_per_s", bounds.STRIBECK[0])
+    choice: ClassVar[Choice | None] = tried("velocity_rad_per_s", bounds.STRIBECK[0], unit="rad/s")
     reporting: ClassVar[Reporting] = with_field("velocity_rad_per_s")
 
     def __post_init__(self) -> None:
         v = self.velocity_rad_per_s
         if v is not None and not 0 < v < np.inf:
-            raise InputError(f"{self.label}: velocity_rad_per_s is {v:g}; give a positive number")
+            raise InputError(f"{self.label}: {self.own('velocity_rad_per_s')} is {v:g}; give a positive number")
 
     @property
     def coordinates(self) -> tuple[Coordinate, ...]:
-        torque = Coordinate("stribeck_Nm", "Nm", 0.1, lower=0.0, upper=bounds.TORQUE)
+        torque = self.number("stribeck_Nm", "Nm", 0.1, lower=0.0, upper=bounds.TORQUE)
         low, high = bounds.STRIBECK
-        speed = Coordinate("velocity_rad_per_s", "rad/s", 0.01, lower=low, upper=high, linear=False)
+        speed = self.number("velocity_rad_per_s", "rad/s", 0.01, lower=low, upper=high, linear=False)
         return (torque,) if self.velocity_rad_per_s is not None else (torque, speed)
 
     @property
     def drivers(self) -> tuple[Driver, ...]:
-        return (Driver("velocity", self.joint), Driver("direction of motion", self.joint))
+        return (self.own_driver("velocity"), self.own_driver("direction of motion"))
 
     def at_joint(self, values: Array, dynamics: Dynamics) -> Array:
         v = max(values[1], 1e-9) if self.velocity_rad_per_s is None else self.velocity_rad_per_s
         speed = dynamics.velocity(self.joint)
-        return values[0] * np.exp(-((speed / v) ** 2)) * direction(speed)
+        return values[0] * np.exp(-((speed / v) ** 2)) * dynamics.direction(self.joint)
 
 
 @final
@@ -106,11 +106,11 @@ class LoadFriction(JointTorque):
 
     @property
     def coordinates(self) -> tuple[Coordinate, ...]:
-        return (Coordinate("coefficient", "1", 0.01, lower=0.0, upper=bounds.COEFFICIENT),)
+        return (self.number("coefficient", "1", 0.01, lower=0.0, upper=bounds.COEFFICIENT),)
 
     @property
     def drivers(self) -> tuple[Driver, ...]:
-        return (Driver("gravity torque", self.joint), Driver("direction of motion", self.joint))
+        return (self.own_driver("gravity torque"), self.own_driver("direction of motion"))
 
     def at_joint(self, values: Array, dynamics: Dynamics) -> Array:
         return values[0] * np.abs(dynamics.torque[self.joint - 1]) * dynamics.direction(self.joint)
@@ -127,11 +127,11 @@ class FrictionTemperature(JointTorque):
     @property
     def coordinates(self) -> tuple[Coordinate, ...]:
         most = bounds.VISCOUS_PER_KELVIN
-        return (Coordinate("viscous_Nm_s_per_rad_K", "Nm·s/rad/K", 0.01, lower=-most, upper=most),)
+        return (self.number("viscous_Nm_s_per_rad_K", "Nm·s/rad/K", 0.01, lower=-most, upper=most),)
 
     @property
     def drivers(self) -> tuple[Driver, ...]:
-        return (Driver("temperature", self.joint), Driver("velocity", self.joint))
+        return (self.own_driver("temperature"), self.own_driver("velocity"))
 
     def at_joint(self, values: Array, dynamics: Dynamics) -> Array:
         rise = np.asarray(self.drivers[0].values(dynamics.motion, None))
@@ -140,15 +140,15 @@ class FrictionTemperature(JointTorque):
 
 @final
 @dataclass(frozen=True)
-class CoupledFriction(TorqueEffect):
+class CoupledFriction(OfJoint):
     """τ += b·(q̇_N + q̇_M) + c·sign(q̇_N + q̇_M) on both joints: a motor of the wrist that drives both.
 
+    Joint N is the outer one. Both are revolute, or both prismatic, as those of a gantry whose belt passes over both.
+
     Attributes:
-        joint: N, the outer one, counted from 1.
         source_joint: M.
     """
 
-    joint: int
     source_joint: int
 
     name: ClassVar[str] = "coupled_friction"
@@ -163,23 +163,19 @@ class CoupledFriction(TorqueEffect):
             )
 
     @property
-    def site(self) -> str:
-        """Of the outer joint."""
-        return f"joint{self.joint}"
-
-    @property
     def coordinates(self) -> tuple[Coordinate, ...]:
         return (
-            Coordinate("viscous_Nm_s_per_rad", "Nm·s/rad", 0.1, lower=0.0, upper=bounds.VISCOUS),
-            Coordinate("coulomb_Nm", "Nm", 0.1, lower=0.0, upper=bounds.TORQUE),
+            self.number("viscous_Nm_s_per_rad", "Nm·s/rad", 0.1, lower=0.0, upper=bounds.VISCOUS),
+            self.number("coulomb_Nm", "Nm", 0.1, lower=0.0, upper=bounds.TORQUE),
         )
 
     @property
     def drivers(self) -> tuple[Driver, ...]:
-        return (Driver("velocity", self.joint), Driver("velocity", self.source_joint))
+        return (self.own_driver("velocity"), joint_driver("velocity", self.source_joint, self.of_slide))
 
     def torque(self, values: Array, dynamics: Dynamics) -> Array:
         speed = dynamics.velocity(self.joint) + dynamics.velocity(self.source_joint)
         total = np.zeros_like(dynamics.torque)
-        total[[self.joint - 1, self.source_joint - 1]] = values[0] * speed + values[1] * direction(speed)
+        friction = values[0] * speed + values[1] * direction(speed, self.of_slide)
+        total[[self.joint - 1, self.source_joint - 1]] = friction
         return total

@@ -25,7 +25,7 @@ class TorqueOffset(JointTorque):
 
     @property
     def coordinates(self) -> tuple[Coordinate, ...]:
-        return (Coordinate("offset_Nm", "Nm", 0.1, lower=-bounds.TORQUE, upper=bounds.TORQUE),)
+        return (self.number("offset_Nm", "Nm", 0.1, lower=-bounds.TORQUE, upper=bounds.TORQUE),)
 
     @property
     def drivers(self) -> tuple[Driver, ...]:
@@ -45,11 +45,11 @@ class TorqueScale(Scaling):
 
     @property
     def coordinates(self) -> tuple[Coordinate, ...]:
-        return (Coordinate("scale", "1", 0.01, lower=-bounds.SCALE, upper=10 * bounds.SCALE),)
+        return (self.number("scale", "1", 0.01, lower=-bounds.SCALE, upper=10 * bounds.SCALE),)
 
     @property
     def drivers(self) -> tuple[Driver, ...]:
-        return (Driver("gravity torque", self.joint),)
+        return (self.own_driver("gravity torque"),)
 
     def at_joint(self, values: Array, dynamics: Dynamics) -> Array:
         return values[0] * dynamics.torque[self.joint - 1]
@@ -58,22 +58,26 @@ class TorqueScale(Scaling):
 @final
 @dataclass(frozen=True)
 class RotorInertia(JointTorque):
-    """τ += I·q̈, of the rotor, reflected to the joint."""
+    """τ += I·q̈, of the rotor, reflected to the joint; of a prismatic joint I is a mass."""
 
     name: ClassVar[str] = "rotor_inertia"
     specificity: ClassVar[int] = 1
 
     @property
     def coordinates(self) -> tuple[Coordinate, ...]:
-        return (Coordinate("inertia_kg_m2", "kg·m²", 0.01, lower=0.0, upper=bounds.ROTOR),)
+        return (self.number("inertia_kg_m2", "kg·m²", 0.01, lower=0.0, upper=bounds.ROTOR),)
 
     @property
     def drivers(self) -> tuple[Driver, ...]:
-        return (Driver("acceleration", self.joint),)
+        return (self.own_driver("acceleration"),)
 
     def at_joint(self, values: Array, dynamics: Dynamics) -> Array:
         assert dynamics.motion.joint_acceleration is not None
         return values[0] * np.asarray(dynamics.motion.joint_acceleration)[self.joint - 1]
+
+
+def _spring_names(effect: Effect) -> tuple[str, ...]:
+    return effect.own("stiffness_Nm_per_rad"), effect.own("rest_rad")
 
 
 def _spring_parameters(effect: Effect, values: NDArray) -> tuple[NDArray, NDArray]:
@@ -84,8 +88,9 @@ def _spring_parameters(effect: Effect, values: NDArray) -> tuple[NDArray, NDArra
 
 
 def _spring_values(effect: Effect, given: Mapping[str, float]) -> NDArray:
-    k = given.get("stiffness_Nm_per_rad", 0.0)
-    return np.array([k, -k * given.get("rest_rad", 0.0)])
+    stiffness, rest = _spring_names(effect)
+    k = given.get(stiffness, 0.0)
+    return np.array([k, -k * given.get(rest, 0.0)])
 
 
 @final
@@ -99,20 +104,20 @@ class JointSpring(JointTorque):
     name: ClassVar[str] = "joint_spring"
     specificity: ClassVar[int] = 3
     reporting: ClassVar[Reporting] = Reporting(
-        names=lambda effect: ("stiffness_Nm_per_rad", "rest_rad"), parameters=_spring_parameters, values=_spring_values
+        names=_spring_names, parameters=_spring_parameters, values=_spring_values
     )
-    special_cases = staticmethod(lambda effect: (TorqueOffset(effect.joint),))
+    special_cases = staticmethod(lambda effect: (TorqueOffset(effect.joint, of_slide=effect.of_slide),))
 
     @property
     def coordinates(self) -> tuple[Coordinate, ...]:
         return (
-            Coordinate("stiffness_Nm_per_rad", "Nm/rad", 0.1, lower=0.0, upper=bounds.STIFFNESS),
-            Coordinate("torque_at_zero_Nm", "Nm", 0.1, lower=-bounds.TORQUE, upper=bounds.TORQUE),
+            self.number("stiffness_Nm_per_rad", "Nm/rad", 0.1, lower=0.0, upper=bounds.STIFFNESS),
+            self.number("torque_at_zero_Nm", "Nm", 0.1, lower=-bounds.TORQUE, upper=bounds.TORQUE),
         )
 
     @property
     def drivers(self) -> tuple[Driver, ...]:
-        return (Driver("position", self.joint),)
+        return (self.own_driver("position"),)
 
     def at_joint(self, values: Array, dynamics: Dynamics) -> Array:
         return values[0] * np.asarray(dynamics.motion.joint_position)[self.joint - 1] + values[1]
@@ -137,6 +142,11 @@ class TorqueRipple(JointTorque):
     reporting: ClassVar[Reporting] = wave_reporting("amplitude_Nm")
 
     def __post_init__(self) -> None:
+        if self.of_slide:
+            raise InputError(
+                f"{self.label}: has orders per turn, and joint {self.joint} is prismatic; leave it out: a diagnosis "
+                "finds what repeats along a slide as a function of its position, without a name"
+            )
         if self.order is not None and not 0 < self.order < np.inf:
             raise InputError(f"{self.label}: order is {self.order:g}; give a positive number")
 

@@ -5,28 +5,30 @@ Everything is on the host: each column is evaluated once per recording, and near
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import ClassVar, NamedTuple, final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lite6jax.effects.drivers import Driver
-from lite6jax.effects.effect import Effect
+from lite6jax.arms.joint_units import as_revolute, joint_size
+from lite6jax.effects.drivers import Driver, joint_driver
+from lite6jax.effects.effect import Coordinate, Effect
 from lite6jax.effects.motion import Motion
 from lite6jax.effects.statics import Loads
 
 Array = NDArray[np.floating]
 
 DIRECTION_SPEED = 0.002
-"""rad/s, the speed v over which the direction of motion changes its sign, as tanh(q̇ / v)."""
+"""rad/s, the speed v over which the direction of motion changes its sign, as tanh(q̇ / v); of a prismatic joint it is
+0.2 mm/s (`arms.joint_units`)."""
 
 POINT_MASS = 10
 """Numbers of a link's inertia: m, m·c, and the tensor about the frame's origin (xx yy zz xy xz yz)."""
 
 
 class Dynamics(NamedTuple):
-    """An arm's motion and the rigid-body torques in it, on the host.
+    """An arm's motion and the rigid-body torques in it, on the host. Of prismatic joints torques are forces in N.
 
     Attributes:
         motion: with velocities and accelerations; NumPy arrays.
@@ -61,10 +63,10 @@ class Dynamics(NamedTuple):
 
     def direction(self, joint: int) -> Array:
         """`(sample,)`, from -1 to 1, of a joint counted from 1."""
-        return direction(self.velocity(joint))
+        return direction(self.velocity(joint), joint - 1 in self.motion.sliding.joints)
 
     def velocity(self, joint: int) -> Array:
-        """`(sample,)` rad/s, of a joint counted from 1."""
+        """`(sample,)` rad/s, or m/s, of a joint counted from 1."""
         assert self.motion.joint_velocity is not None
         return np.asarray(self.motion.joint_velocity)[joint - 1]
 
@@ -76,9 +78,14 @@ def loads_of(torque: Array) -> Loads:
     return Loads(moment, np.zeros((3, torque.shape[1])))  # type: ignore[arg-type]
 
 
-def direction(velocity: Array) -> Array:
-    """The direction of motion, -1 to 1, with a transition within a few mrad/s: encoders have no exact zero."""
-    return np.tanh(velocity / DIRECTION_SPEED)
+def direction(velocity: Array, slides: bool | NDArray[np.bool_] = False) -> Array:
+    """The direction of motion, -1 to 1, with a transition within a few mrad/s: encoders have no exact zero.
+
+    Args:
+        velocity: `(sample,)` or `(joint, sample)` rad/s, m/s of prismatic joints.
+        slides: whether the joint is prismatic, or `(joint,)`, which joints are.
+    """
+    return np.tanh(as_revolute(velocity, "rad/s", slides) / DIRECTION_SPEED)
 
 
 def point_mass(mass: float, center: Array) -> Array:
@@ -95,28 +102,58 @@ class TorqueEffect(Effect, ABC):
 
     @abstractmethod
     def torque(self, values: Array, dynamics: Dynamics) -> Array:
-        """`(joint, sample)` Nm that add to the rigid arm's torques, by `values` `(coordinate,)`."""
+        """`(joint, sample)` Nm, N of prismatic joints, that add to the rigid arm's, by `values` `(coordinate,)`."""
 
 
 @dataclass(frozen=True)
-class JointTorque(TorqueEffect, ABC):
-    """An effect on the torque of one joint.
+class OfJoint(TorqueEffect, ABC):
+    """An effect at a joint, in the units of that joint: those of a prismatic joint follow from a revolute one's.
 
     Attributes:
         joint: counted from 1.
+        of_slide: whether the joint is prismatic; a model, or the arm of a command, says it.
     """
 
     joint: int
-
-    @abstractmethod
-    def at_joint(self, values: Array, dynamics: Dynamics) -> Array:
-        """`(sample,)` Nm that add to this joint's torque."""
+    of_slide: bool = field(default=False, kw_only=True)
 
     @property
     @final
     def site(self) -> str:
         """`jointN`."""
         return f"joint{self.joint}"
+
+    @final
+    def own_driver(self, quantity: str) -> Driver:
+        """A quantity of this joint, such as `velocity`."""
+        return joint_driver(quantity, self.joint, self.of_slide)
+
+    @final
+    def number(
+        self,
+        name: str,
+        unit: str,
+        typical: float,
+        spread: float = np.inf,
+        lower: float = -np.inf,
+        upper: float = np.inf,
+        linear: bool = True,
+    ) -> Coordinate:
+        """A `Coordinate` given as that of a revolute joint, with the name, the unit and the sizes of this joint.
+
+        `spread` is a size that was measured here, and stays as it is.
+        """
+        typical, lower, upper = (joint_size(size, unit, self.of_slide) for size in (typical, lower, upper))
+        return Coordinate(self.own(name), self.own(unit), typical, spread, lower, upper, linear)
+
+
+@dataclass(frozen=True)
+class JointTorque(OfJoint, ABC):
+    """An effect on the torque of one joint, or on the force of a prismatic one."""
+
+    @abstractmethod
+    def at_joint(self, values: Array, dynamics: Dynamics) -> Array:
+        """`(sample,)` Nm, or N, that add to this joint's torque."""
 
     @final
     def torque(self, values: Array, dynamics: Dynamics) -> Array:

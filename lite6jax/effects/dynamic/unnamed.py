@@ -78,7 +78,7 @@ class UnnamedTorque(JointTorque):
     @property
     def drivers(self) -> tuple[Driver, ...]:
         """What the curve runs over, and the direction of motion where that multiplies it."""
-        return (*self.of, Driver("direction of motion", self.joint)) if self.signed else self.of
+        return (*self.of, self.own_driver("direction of motion")) if self.signed else self.of
 
     @property
     def coordinates(self) -> tuple[Coordinate, ...]:
@@ -93,7 +93,7 @@ class UnnamedTorque(JointTorque):
         if not (self.orders or self.degree):
             spreads[1:] /= np.sqrt(len(names) - 1)
         return tuple(
-            Coordinate(f"{name}_Nm", "Nm", 0.1, float(spread)) for name, spread in zip(names, spreads, strict=True)
+            self.number(f"{name}_Nm", "Nm", 0.1, float(spread)) for name, spread in zip(names, spreads, strict=True)
         )
 
     @property

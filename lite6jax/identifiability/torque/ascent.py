@@ -121,6 +121,8 @@ class Excitation(NamedTuple):
                 continue
             distance = condition.distance(around).reshape(dof + 1, count)
             into = np.maximum(1 - distance[0] / KEPT_CLEAR, 0.0)
+            if not into.any():  # an arm without two links that could meet is infinitely far from itself
+                continue
             total += _WEIGHT * float(np.sum(into**2)) / self.harmonics
             slope = (distance[1:] - distance[0]) / _STEP
             push += -2 * _WEIGHT / self.harmonics / KEPT_CLEAR * into * slope

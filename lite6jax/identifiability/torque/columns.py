@@ -7,8 +7,9 @@ from typing import final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lite6jax.arms.arm import Arm, require_revolute
+from lite6jax.arms.arm import Arm
 from lite6jax.arms.dynamics import regressor
+from lite6jax.arms.joint_units import joint_size, joint_sizes, joint_unit
 from lite6jax.effects.dynamic.torque_effect import direction
 from lite6jax.errors import InputError
 from lite6jax.identifiability.torque.fourier import Motion
@@ -20,7 +21,8 @@ LINK = ("m", "m·cx", "m·cy", "m·cz", "Ixx", "Iyy", "Izz", "Ixy", "Ixz", "Iyz"
 JOINT = ("viscous", "Coulomb", "offset", "rotor inertia")
 """The parameters of a joint's friction and drive."""
 NOISE = 0.05
-"""Nm, one standard deviation of a joint's torque where none is declared: an assumption to plan with."""
+"""Nm, one standard deviation of a joint's torque where none is declared, 0.5 N of a prismatic joint: an assumption to
+plan with."""
 GRAVITY = (0.0, 0.0, -9.81)
 """m/s² in the base's frame."""
 
@@ -28,7 +30,8 @@ BLOCK = 2048
 """Samples whose columns are computed at a time."""
 
 _UNITS = ("kg", *["kg·m"] * 3, *["kg·m²"] * 6)
-_JOINT_UNITS = ("Nm·s/rad", "Nm", "Nm", "kg·m²")
+JOINT_UNITS = ("Nm·s/rad", "Nm", "Nm", "kg·m²")
+"""Their units, of a revolute joint."""
 _KEPT_FIRST = (4, 7, 8, 9, 6, 1, 2, 3, 5, 0)
 """Of a link, those that stand for a base parameter come first (W. Khalil, E. Dombre, 2002, 9.4.2): Iyy, m·cz and m
 are carried by others."""
@@ -46,7 +49,7 @@ class TorqueModel:
 
     Attributes:
         arm: its geometry; masses, where it has them, only say which standard deviations are small.
-        noise: `(joint,)` Nm, one standard deviation of each joint's torque, white.
+        noise: `(joint,)` Nm, N of a prismatic joint, one standard deviation of each joint's torque, white.
         gravity: `(3,)` m/s² in the base's frame.
         inertial: whether the links' parameters are unknown; else only those of the joints are.
     """
@@ -66,12 +69,14 @@ class TorqueModel:
     @property
     def units(self) -> tuple[str, ...]:
         """SI units of the unknown parameters."""
-        return (*(_UNITS * self.arm.dof if self.inertial else ()), *_JOINT_UNITS * self.arm.dof)
+        joints = (joint_unit(unit, slides) for slides in self.arm.slides.tolist() for unit in JOINT_UNITS)
+        return (*(_UNITS * self.arm.dof if self.inertial else ()), *joints)
 
     @property
     def scale(self) -> Matrix:
         """`(column,)` typical sizes in SI units: of a link by its mass and the distance to the next joint."""
-        joints = np.tile(_JOINT_SCALE, self.arm.dof)
+        sizes = list(zip(_JOINT_SCALE, JOINT_UNITS, strict=True))
+        joints = np.array([joint_size(*size, slides) for slides in self.arm.slides.tolist() for size in sizes])
         if not self.inertial:
             return joints
         mass = np.full(self.arm.dof, _UNKNOWN_MASS) if self.arm.mass is None else self.arm.mass
@@ -96,7 +101,7 @@ class TorqueModel:
             chosen: indices of the parameters; all where not given.
             scale: SI, the unit of each chosen parameter; SI where not given.
         """
-        found = [joint_columns(Motion(*(np.asarray(part) for part in motion)))]
+        found = [joint_columns(self.arm, Motion(*(np.asarray(part) for part in motion)))]
         if self.inertial:
             found.insert(0, link_columns(self.arm, motion, self.gravity))
         chosen = np.arange(len(self.names)) if chosen is None else chosen
@@ -121,7 +126,7 @@ def link_columns(arm: Arm, motion: Motion, gravity: Matrix) -> Matrix:
     for some in in_blocks(motion):
         short = BLOCK - some.q.shape[1]
         padded = (np.pad(part, ((0, 0), (0, short))) for part in some)
-        found.append(np.asarray(regressor(arm.kinematics, *padded, gravity))[..., : BLOCK - short])
+        found.append(np.asarray(regressor(arm.kinematics, *padded, gravity, arm.sliding))[..., : BLOCK - short])
     return found[0] if len(found) == 1 else np.concatenate(found, -1)
 
 
@@ -131,10 +136,10 @@ def in_blocks(motion: Motion) -> Iterator[Motion]:
         yield Motion(*(np.asarray(part)[:, start : start + BLOCK] for part in motion))
 
 
-def joint_columns(motion: Motion) -> Matrix:
+def joint_columns(arm: Arm, motion: Motion) -> Matrix:
     """Torques per unit of each joint's parameters `JOINT`, `(joint, 4 joint, sample)`: on its own joint alone."""
     q, dq, ddq = (np.asarray(part) for part in motion)
-    own = np.stack([dq, direction(dq), np.ones_like(q), ddq], 1)
+    own = np.stack([dq, direction(dq, arm.slides), np.ones_like(q), ddq], 1)
     found = np.zeros((len(q), len(q), *own.shape[1:]))
     found[np.arange(len(q)), np.arange(len(q))] = own
     return found.reshape(len(q), -1, q.shape[1])
@@ -147,15 +152,14 @@ def torque_model(
 
     Args:
         arm: geometry suffices.
-        noise: Nm, one number or one per joint; `NOISE` where not given.
+        noise: Nm, one number, of prismatic joints at `arms.joint_units.LEVER`, or one per joint, Nm or N; `NOISE` where
+            not given.
         gravity: `(3,)` m/s² in the base's frame.
         inertial: whether the links' parameters are unknown.
 
     Raises:
-        InputError: noise that is not positive or is of another number of joints, gravity that is not three numbers, or
-            an arm with prismatic joints.
+        InputError: noise that is not positive or is of another number of joints, or gravity that is not three numbers.
     """
-    require_revolute(arm, "a study of torques")
     values = np.atleast_1d(np.asarray(NOISE if noise is None else noise, float))
     if values.shape not in ((1,), (arm.dof,)) or not (np.isfinite(values).all() and (values > 0).all()):
         raise InputError(
@@ -165,4 +169,5 @@ def torque_model(
     g = np.asarray(gravity, float)
     if g.shape != (3,) or not np.isfinite(g).all():
         raise InputError(f"gravity {np.asarray(gravity).tolist()}: give three finite numbers in m/s²")
-    return TorqueModel(arm, np.broadcast_to(values, arm.dof).copy(), g, inertial)
+    each = joint_sizes(float(values[0]), "Nm", arm.slides) if values.shape == (1,) else values.copy()
+    return TorqueModel(arm, each, g, inertial)

@@ -11,6 +11,7 @@ from lite6jax.effects.dynamic.bodies import BaseTilt, LinkCom
 from lite6jax.effects.dynamic.friction import LoadFriction
 from lite6jax.effects.dynamic.motors import TorqueScale
 from lite6jax.effects.dynamic.torque_effect import Delaying, Dynamics, TorqueEffect
+from lite6jax.effects.effect import require_kind
 from lite6jax.effects.motion import motion_of
 from lite6jax.errors import InputError
 from lite6jax.identifiability.torque.columns import TorqueModel, link_columns
@@ -30,13 +31,14 @@ def effect_columns(
         model: the arm, its gravity.
 
     Raises:
-        InputError: a joint or link that the arm does not have, an effect that needs inertia of an arm without,
-            temperatures, or a shift of time, which is no column.
+        InputError: a joint or link that the arm does not have, or a joint of the other kind; an effect that needs
+            inertia of an arm without; temperatures; or a shift of time, which is no column.
     """
     at = np.asarray(values, float)
     arm = model.arm
     if any(getattr(effect, name, 1) > arm.dof for name in ("joint", "link", "source_joint")):
         raise InputError(f"{effect.label}: {arm.name} has {arm.dof} joints; choose one of these")
+    require_kind(effect, arm.sliding)
     if isinstance(effect, Delaying) or any("temperature" in driver.quantity for driver in effect.drivers):
         raise InputError(f"{effect.label}: depends on more than the motion of the joints; choose another")
     linear = np.array([i for i, coordinate in enumerate(effect.coordinates) if coordinate.linear], int)
@@ -84,7 +86,7 @@ def _dynamics(model: TorqueModel, links: Array, motion: Motion) -> Dynamics:
         return of("motion", motion, model.gravity, numbers)
 
     q, dq, ddq = (np.asarray(part) for part in motion)
-    moving = motion_of(q.T, joint_velocity=dq.T, direction=np.sign(dq).T)
+    moving = motion_of(q.T, joint_velocity=dq.T, direction=np.sign(dq).T, sliding=arm.sliding)
     moving = moving._replace(joint_acceleration=jnp.asarray(ddq))
     center = arm.T_joint_flange[:3, 3]
     return Dynamics(

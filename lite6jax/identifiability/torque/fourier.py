@@ -19,6 +19,7 @@ from jax import Array
 from numpy.typing import ArrayLike, NDArray
 
 from lite6jax.arms.arm import Arm
+from lite6jax.arms.joint_units import joint_sizes
 from lite6jax.errors import InputError
 from lite6jax.identifiability.candidates import inside_limits
 
@@ -35,7 +36,7 @@ Numbers = Array | NDArray[np.floating]
 
 
 class Motion(NamedTuple):
-    """Joint positions, velocities and accelerations, `(joint, sample)` each; rad, rad/s, rad/s²."""
+    """Joint positions, velocities and accelerations, `(joint, sample)` each; rad, rad/s, rad/s², or with m for rad."""
 
     q: Numbers
     dq: Numbers
@@ -48,7 +49,7 @@ class MotionLimits:
     """What a motion keeps to.
 
     Attributes:
-        position: `(joint, 2)` lower and upper, rad.
+        position: `(joint, 2)` lower and upper, rad, m of prismatic joints as in all of these.
         velocity: `(joint,)` greatest magnitude, rad/s.
         acceleration: `(joint,)` greatest magnitude, rad/s².
     """
@@ -63,9 +64,11 @@ def motion_limits(
 ) -> MotionLimits:
     """An arm's limits of position, drawn in by a margin (rad), with limits of velocity and acceleration.
 
+    One number is of revolute joints, and of prismatic joints at `arms.joint_units.LEVER`: 180 deg/s is 0.31 m/s.
+
     Args:
         arm: whose limits of position; of a range of more than one turn its middle turn is used.
-        velocity: rad/s, one number or one per joint.
+        velocity: rad/s, one number or one per joint, m/s of prismatic joints.
         acceleration: rad/s², likewise.
         margin: rad.
 
@@ -80,10 +83,10 @@ def motion_limits(
                 f"{name} limit {np.array2string(values, precision=4)} {unit}: give one number above 0, or"
                 f" {arm.dof} of them"
             )
-        limits.append(np.broadcast_to(values, arm.dof).copy())
+        limits.append(joint_sizes(float(values[0]), unit, arm.slides) if values.shape == (1,) else values.copy())
     position = inside_limits(arm, margin)
-    middle = position.mean(1, keepdims=True)
-    return MotionLimits(np.clip(position, middle - np.pi, middle + np.pi), *limits)
+    middle, widest = position.mean(1, keepdims=True), np.where(arm.slides, np.inf, np.pi)[:, None]
+    return MotionLimits(np.clip(position, middle - widest, middle + widest), *limits)
 
 
 class Series(NamedTuple):

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lite6jax.arms.arm import Arm
+from lite6jax.arms.joint_units import as_revolute, joint_sizes
 from lite6jax.errors import InputError
 from lite6jax.identifiability.determination import independent_columns
 from lite6jax.identifiability.identify import NARROW
@@ -76,7 +77,7 @@ class TorqueIdentification:
     Attributes:
         structure: what any motion of the arm determines.
         samples: of the motion.
-        span: `(joint,)` rad, over which each joint moves.
+        span: `(joint,)` rad, m of prismatic joints, over which each joint moves.
         determined: `(base,)` bool, which base parameters this motion determines apart from the others.
         standard_deviation: `(base,)` SI; infinite where not determined.
         condition: of the whitened regressor of the base parameters determined, in their typical sizes.
@@ -108,8 +109,9 @@ class TorqueIdentification:
         return self.determined & (self.standard_deviation > WELL * scale)
 
     def narrow(self) -> list[tuple[int, float]]:
-        """Joints, counted from 0, that hardly move, and their range in rad."""
-        return [(int(j), float(self.span[j])) for j in np.flatnonzero(self.span < NARROW)]
+        """Joints, counted from 0, that hardly move, and their range in rad, or in m of prismatic joints."""
+        span = as_revolute(self.span, "rad", self.model.arm.slides)
+        return [(int(j), float(self.span[j])) for j in np.flatnonzero(span < NARROW)]
 
     def deviation_of(self, joint: int, kind: str) -> float | None:
         """One standard deviation of a joint's parameter, SI; None where it is only determined with others or not."""
@@ -159,8 +161,10 @@ def structure_of(model: TorqueModel, seed: int = 0) -> Structure:
     """
     dof = model.arm.dof
     rng = np.random.default_rng(seed)
-    q = rng.uniform(-np.pi, np.pi, (dof, _STATES))
-    dq, ddq = (rng.uniform(-size, size, q.shape) for size in (VELOCITY, ACCELERATION))
+    q, dq, ddq = (
+        rng.uniform(-size, size, (dof, _STATES)) * joint_sizes(1.0, unit, model.arm.slides)[:, None]
+        for size, unit in ((np.pi, "rad"), (VELOCITY, "rad/s"), (ACCELERATION, "rad/s²"))
+    )
     free, shares = independent_columns(model.root(Motion(q, dq, ddq)) * model.scale, model.order)
     names, units, scale = model.names, model.units, model.scale
     carried: dict[int, list[tuple[str, float, float]]] = {int(k): [] for k in np.flatnonzero(free)}

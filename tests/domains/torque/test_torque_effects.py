@@ -67,7 +67,7 @@ def scene():
         joint_temperature=motion.temperature,
         payload=motion.payload,
     )._replace(joint_acceleration=jnp.asarray(motion.ddq.T))
-    host = moved._replace(**{k: np.asarray(v) for k, v in moved._asdict().items() if v is not None})
+    host = moved._replace(**{k: np.asarray(v) for k, v in moved._asdict().items() if isinstance(v, jnp.ndarray)})
     bodies = RigidBodies(host, np.asarray(link_parameters(arm)), CENTER, GRAVITY, np.asarray(arm.kinematics))
     return setup, motion, bodies.dynamics(bodies.links)
 

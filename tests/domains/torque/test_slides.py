@@ -1,0 +1,329 @@
+"""An arm with a prismatic joint from the forces of its motors to findings, files and simulators: in N, m and kg."""
+
+import json
+from dataclasses import dataclass, replace
+from typing import ClassVar, final
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+import pyarrow.csv as pacsv
+import pytest
+from domains.torque import slid
+
+from lite6jax.arms.description import write_arm
+from lite6jax.arms.dynamics import inverse_dynamics, link_parameters
+from lite6jax.arms.files import read_arm
+from lite6jax.cli import main
+from lite6jax.diagnosis.options import Options
+from lite6jax.diagnosis.torque_diagnosis import diagnose_torques
+from lite6jax.diagnosis.torque_document import torque_model_from_document
+from lite6jax.domains.torque.composition import composed
+from lite6jax.domains.torque.predict import predict_torques
+from lite6jax.domains.torque.problem import torque_problem
+from lite6jax.domains.torque.reference import compare_rows
+from lite6jax.domains.torque.rows import RigidBodies
+from lite6jax.domains.torque.screening import contacts, screen_torques
+from lite6jax.effects.drivers import Driver
+from lite6jax.effects.dynamic.catalogue import BUILT_IN, torque_catalogue
+from lite6jax.effects.dynamic.friction import CoulombFriction, CoupledFriction, StribeckFriction, ViscousFriction
+from lite6jax.effects.dynamic.torque_effect import JointTorque
+from lite6jax.effects.effect import Coordinate
+from lite6jax.effects.motion import motion_of
+from lite6jax.effects.serialization import effect_as_dict, effect_from_dict, parse_effect
+from lite6jax.errors import InputError
+from lite6jax.estimation.options import EngineOptions
+from lite6jax.estimation.terms import Terms
+from lite6jax.recordings import write_recording
+from lite6jax.report.torque_faults import FOUND
+from lite6jax.report.torque_reference import headline
+from tests.oracles import kane
+
+FEW = Options(folds=2)
+TRUTH = {
+    ("viscous_friction", "joint2"): ("viscous_Nm_s_per_rad", slid.SHOULDER),
+    ("viscous_friction", "joint3"): ("viscous_N_s_per_m", slid.VISCOUS),
+    ("coulomb_friction", "joint3"): ("coulomb_N", slid.COULOMB),
+}
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    """A folder with the arm and its recording."""
+    folder = tmp_path_factory.mktemp("telescope")
+    write_arm(slid.arm(), folder / "telescope.yaml")
+    recording = slid.recorded(slid.friction)
+    settings = replace(recording.settings, arm="telescope.yaml")
+    write_recording(replace(recording, settings=settings), folder / "run.csv")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def diagnosed(run):
+    """Its document."""
+    files = ["--out", str(run / "d.json"), "--report", str(run / "d.html")]
+    assert main(["diagnose", str(run / "run.csv"), "--quick", *files]) == 0
+    return json.loads((run / "d.json").read_text())
+
+
+def test_forces_and_torques_are_those_of_an_oracle():
+    _, q, dq, ddq = slid.moved(3)
+    arm = slid.arm()
+    found = inverse_dynamics(arm.kinematics, link_parameters(arm), q.T, dq.T, ddq.T, kane.GRAVITY, arm.sliding)
+    wanted = kane.torques(slid.ROWS, slid.SLIDING, slid.BODIES, q, dq, ddq)
+    np.testing.assert_allclose(np.asarray(found).T, wanted, rtol=0, atol=1e-11)
+
+
+def test_friction_of_a_slide_is_found_beside_that_of_a_revolute_joint(diagnosed):
+    document = diagnosed
+    found = {(finding["effect"], finding["site"]): finding for finding in document["findings"]}
+    assert found.keys() == TRUTH.keys()
+    for place, (key, value) in TRUTH.items():
+        ((name, estimate),) = found[place]["parameters"].items()
+        assert name == key
+        assert abs(estimate["value"] - value) < 1.96 * estimate["std"]
+        assert estimate["std"] < 0.01 * value
+    assert document["verdict"] == "explained"
+    assert document["model"]["prismatic_joints"] == [3]
+    assert [effect["where"].get("of_slide") for effect in document["model"]["effects"]].count(True) == 2
+    assert {key for key in found["coulomb_friction", "joint3"] if key.startswith("moves")} == {"moves_rms_N"}
+    assert {key for key in found["viscous_friction", "joint2"] if key.startswith("moves")} == {"moves_rms_Nm"}
+    before, by_joint = document["before"], document["before"]["heldout_torque_rms_by_joint_Nm"]
+    assert before["heldout_torque_rms_N"] == pytest.approx(by_joint[2])
+    assert before["heldout_torque_rms_Nm"] == pytest.approx(np.sqrt(np.mean(np.square(by_joint[:2]))))
+    assert found["viscous_friction", "joint3"]["driver"] == "slide velocity of joint 3"
+
+
+def test_each_joint_is_said_in_its_own_unit(run, diagnosed):
+    said = {(finding["effect"], finding["site"]): finding["statement"] for finding in diagnosed["findings"]}
+    assert "N·s/m; it contributes" in said["viscous_friction", "joint3"]
+    assert " N RMS to the force." in said["coulomb_friction", "joint3"]
+    assert "Nm·s/rad; it contributes" in said["viscous_friction", "joint2"]
+    page = (run / "d.html").read_text()
+    assert "<td>prismatic joints, RMS (N)</td>" in page
+    assert "<td>joint 3, RMS (N)</td>" in page
+    assert "<td>revolute joints, maximum (Nm)</td>" in page
+    assert "0.05 Nm, 0.3 N are declared" in page
+    assert "6.0 N</td>" in page
+
+
+def test_the_screen_ranks_what_has_no_common_unit(run, diagnosed, capsys):
+    assert main(["report", str(run / "d.json")]) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert "What each finding moves (RMS):" in said
+    assert "Nm 2. Coulomb friction at joint3" in said  # a share of the error of its own kind each
+    assert "held-out error (RMS) before after" in said
+    assert "prismatic joints (N) 9" in said
+    assert "joint 2 (Nm) 0." in said
+
+
+def test_the_model_predicts_another_motion_in_the_columns_of_its_joints(run, diagnosed):
+    model = torque_model_from_document(diagnosed)
+    assert model.arm.sliding == (2,)
+    unseen = slid.recorded(seed=5)
+    _, q, dq, ddq = slid.moved(5)
+    truth = kane.torques(slid.ROWS, slid.SLIDING, slid.BODIES, q, dq, ddq) + slid.friction(dq)
+    away = (predict_torques(model, unseen) - truth)[20:-20]
+    # where the telescope turns back, smoothed velocities know the sign of friction some milliseconds late
+    assert (np.sqrt(np.mean(away**2, 0)) < [0.02, 0.03, 0.5]).all()
+    assert np.median(np.abs(away[:, 2])) < 0.1
+    write_recording(replace(unseen, joint_torque=None), run / "unseen.csv")
+    assert main(["predict", str(run / "d.json"), str(run / "unseen.csv"), "--out", str(run / "p.csv")]) == 0
+    names = pacsv.read_csv(run / "p.csv").column_names
+    assert names == ["tau1_Nm", "tau2_Nm", "tau3_N", "tau1_std_Nm", "tau2_std_Nm", "tau3_std_N", "outside"]
+
+
+def test_simulators_get_damping_and_friction_of_the_slide(run, diagnosed):
+    values = {(f["effect"], f["site"]): next(iter(f["parameters"].values()))["value"] for f in diagnosed["findings"]}
+    for name in ("arm.xml", "arm.urdf"):
+        assert main(["convert", str(run / "d.json"), str(run / name), "--force"]) == 0
+        back = read_arm(str(run / name))
+        assert back.sliding == (2,)
+        np.testing.assert_allclose(back.viscous_friction[1:], [values[place] for place in list(TRUTH)[:2]])
+        np.testing.assert_allclose(back.coulomb_friction, [0, 0, values["coulomb_friction", "joint3"]])
+    model = mujoco.MjModel.from_xml_path(str(run / "arm.xml"))
+    assert model.jnt_type[2] == mujoco.mjtJoint.mjJNT_SLIDE
+    assert model.dof_damping[2] == pytest.approx(slid.VISCOUS, rel=0.01)
+    assert model.dof_frictionloss[2] == pytest.approx(slid.COULOMB, rel=0.01)
+    assert model.dof_damping[1] == pytest.approx(slid.SHOULDER, rel=0.01)
+
+
+def test_nothing_is_found_where_nothing_is_hidden():
+    found = diagnose_torques(slid.recorded(seed=2), slid.arm(), options=FEW)
+    assert found.findings == ()
+    assert found.verdict == "consistent"
+    declared = slid.arm(
+        viscous_friction=[0, slid.SHOULDER, slid.VISCOUS], coulomb_friction=[0, 0, slid.COULOMB]
+    )  # what the description declares is no finding
+    found = diagnose_torques(slid.recorded(slid.friction, seed=2), declared, options=FEW)
+    assert found.findings == ()
+    assert found.verdict == "consistent"
+
+
+def dynamics_of(seed=7):
+    """The library's view of a motion, exact, with temperatures."""
+    arm, (t, q, dq, ddq) = slid.arm(), slid.moved(seed, 4.0, 40.0)
+    warm = 25 + np.outer(t, [1.0, 2.0, 3.0])
+    motion = motion_of(q, joint_velocity=dq, time=t, joint_temperature=warm, sliding=arm.sliding)
+    host = jax.tree.map(np.asarray, motion._replace(joint_acceleration=jnp.asarray(ddq.T)))
+    links = np.asarray(link_parameters(arm))
+    bodies = RigidBodies(host, links, np.zeros(3), kane.GRAVITY, np.asarray(arm.kinematics))
+    return bodies.dynamics(links), (t, q[:, 2], dq[:, 2], ddq[:, 2])
+
+
+FORMULAS = {
+    "viscous_friction:joint=3,viscous_N_s_per_m=20": lambda F, t, q, v, a: 20 * v,
+    "coulomb_friction:joint=3,coulomb_N=5": lambda F, t, q, v, a: 5 * np.tanh(v / 2e-4),
+    "stribeck_friction:joint=3,velocity_m_per_s=0.05,stribeck_N=4": lambda F, t, q, v, a: (
+        4 * np.exp(-((v / 0.05) ** 2)) * np.tanh(v / 2e-4)
+    ),
+    "load_friction:joint=3,coefficient=0.1": lambda F, t, q, v, a: 0.1 * abs(F) * np.tanh(v / 2e-4),
+    "friction_temperature:joint=3,viscous_N_s_per_m_K=-0.5": lambda F, t, q, v, a: -0.5 * 3 * t * v,
+    "torque_offset:joint=3,offset_N=2": lambda F, t, q, v, a: 2 + 0 * t,
+    "torque_scale:joint=3,scale=0.1": lambda F, t, q, v, a: 0.1 * F,
+    "rotor_inertia:joint=3,mass_kg=7": lambda F, t, q, v, a: 7 * a,
+    "joint_spring:joint=3,stiffness_N_per_m=90,rest_m=0.1": lambda F, t, q, v, a: 90 * (q - 0.1),
+}
+
+
+@pytest.mark.parametrize("text", FORMULAS)
+def test_what_an_effect_adds_to_a_force(text):
+    dynamics, moved = dynamics_of()
+    effect, values = parse_effect(text, BUILT_IN, sliding=slid.SLIDING)
+    added = composed(Terms((effect,)), values, dynamics) - dynamics.torque
+    np.testing.assert_allclose(added[:2], 0.0, rtol=0, atol=0)
+    np.testing.assert_allclose(added[2], FORMULAS[text](dynamics.torque[2], *moved), rtol=1e-12, atol=1e-12)
+    numbers = text.partition(":")[2].split(",")[1:]
+    assert {name: one["value"] for name, one in effect_as_dict(effect, values)["parameters"].items()} == pytest.approx(
+        {key: float(value) for key, value in (item.split("=") for item in numbers)}
+    )
+    again, same = effect_from_dict(json.loads(json.dumps(effect_as_dict(effect, values))), BUILT_IN)
+    assert again == effect
+    np.testing.assert_array_equal(same, values)
+
+
+def test_every_number_of_the_catalogue_is_in_the_unit_of_its_joint():
+    for effect in torque_catalogue(3, slid.SLIDING):
+        units = {unit for number in effect.coordinates for unit in number.unit.replace("·", "/").split("/")}
+        if getattr(effect, "of_slide", None):
+            assert effect.site == "joint3"
+            assert not units & {"Nm", "rad", "kg·m²", "m²"}
+            assert all("rad" not in name and "Nm" not in name for name in effect.reporting.names(effect))
+            assert not {driver.unit for driver in effect.drivers} & {"rad", "rad/s", "rad/s²", "Nm"}
+        elif hasattr(effect, "joint"):
+            assert not units & {"N", "m"}
+    pairs = [effect for effect in torque_catalogue(4, (1, 3)) if isinstance(effect, CoupledFriction)]
+    assert pairs == [CoupledFriction(3, 1), CoupledFriction(4, 2, of_slide=True)]
+
+
+def test_a_function_of_a_slide_without_a_name():
+    q = slid.moved(1)[1][:, 2]
+
+    def bump(dq):
+        return np.outer(8 * np.exp(-(((q - 0.2) / 0.03) ** 2)), [0, 0, 1])
+
+    found = diagnose_torques(slid.recorded(bump, seed=1), slid.arm(), options=FEW)
+    largest = max(found.findings, key=lambda finding: finding.gain)
+    assert (largest.effect.name, largest.effect.site) == ("unnamed", "joint3")
+    assert largest.effect.drivers == (Driver("slide position", 3),)
+    entry = next(entry for entry in found.to_dict()["findings"] if entry["effect"] == "unnamed")
+    assert entry["peak_to_peak_N"] == pytest.approx(8, rel=0.2)
+    assert {number.unit for number in largest.effect.coordinates} == {"N"}
+
+
+def test_a_push_along_the_slide_is_a_contact_in_newtons():
+    recording = slid.recorded(seed=4)
+    tau = recording.torques().copy()
+    tau[500:560, 2] += 30.0
+    screened = screen_torques(replace(recording, joint_torque=tau), slid.arm())
+    _, (fault,) = contacts(torque_problem(screened.data), EngineOptions())
+    assert fault.numbers["joints"] == [3]
+    assert fault.numbers["largest_N"] == pytest.approx(30, rel=0.1)
+    said = FOUND["contact"](fault.rows, fault.numbers)
+    assert " N from the model" in said
+    assert "Nm and " in said  # the revolute joints differ by less than their noise explains
+
+
+def test_two_recordings_of_one_motion_are_compared_in_each_unit():
+    one, other = slid.recorded(slid.friction), slid.recorded(lambda dq: slid.friction(dq, coulomb=16.0))
+    found = compare_rows(one, other, slid.arm())
+    np.testing.assert_allclose(found.apart, [0, 0, 10], atol=1e-9)
+    said = headline({"file": "b.csv", "by": "rows"} | {**_numbers(found)}, ("Nm", "Nm", "N"))
+    assert "by 0 Nm, 0 Nm, 10 N RMS" in said
+    late = replace(other, joint_position=other.joint_position + np.array([0, 0, 1e-3]))  # 1 mm is another state
+    assert compare_rows(one, late, slid.arm()) is None
+    late = replace(other, joint_position=other.joint_position + np.array([1e-3, 0, 0]))  # 1 mrad is none
+    assert compare_rows(one, late, slid.arm()) is not None
+
+
+def _numbers(found):
+    return {
+        "rows": found.rows,
+        "matched_rows": found.matched,
+        "apart_rms_by_joint_Nm": found.apart.tolist(),
+        "reference_rms_by_joint_Nm": found.from_model.tolist(),
+    }
+
+
+@final
+@dataclass(frozen=True)
+class Drag(JointTorque):
+    """A user's own effect."""
+
+    name: ClassVar[str] = "drag"
+
+    @property
+    def coordinates(self):
+        return (Coordinate("drag_N", "N", 1.0),)
+
+    @property
+    def drivers(self):
+        return (self.own_driver("velocity"),)
+
+    def at_joint(self, values, dynamics):
+        speed = dynamics.velocity(self.joint)
+        return values[0] * speed * abs(speed)
+
+
+def test_what_does_not_fit_the_joint_is_refused():
+    arm, recording = slid.arm(), slid.recorded(seed=4)
+    revolute = replace(recording, sliding=())
+    with pytest.raises(InputError, match="q3 is an angle, but joint 3 of telescope is prismatic; name the column q3_m"):
+        screen_torques(revolute, arm)
+    with pytest.raises(InputError, match="q3 is an angle, but joint 3 of telescope is prismatic"):
+        compare_rows(recording, revolute, arm)
+    still = replace(recording, joint_position=recording.joint_position[:1] + 1e-4 * (recording.joint_position * 0 + 1))
+    with pytest.raises(InputError, match=r"at rest \(no joint moves by 0.02 rad or 0.002 m\); record"):
+        screen_torques(still, arm)
+    large = replace(recording, joint_torque=recording.torques() * [1, 1, 1000])
+    with pytest.raises(InputError, match=r"column tau3_N: the force of joint 3 is .* N \(median\) while the weight"):
+        screen_torques(large, arm)
+    data = screen_torques(recording, arm).data
+    with pytest.raises(InputError, match=r"drag:joint3: is of a revolute joint, .* is prismatic; give of_slide=True"):
+        torque_problem(data, [Drag(3)])
+    assert Drag(3, of_slide=True) in torque_problem(data, [Drag(3, of_slide=True)]).candidates
+    with pytest.raises(InputError, match="is of a prismatic joint, and joint 2 is revolute; give joints of one kind"):
+        torque_problem(data, [CoupledFriction(3, 2, of_slide=True)])
+    with pytest.raises(InputError, match="orders per turn, and joint 3 is prismatic; leave it out: a diagnosis finds"):
+        parse_effect("torque_ripple:joint=3,order=2,amplitude_Nm=1", BUILT_IN, sliding=(2,))
+    with pytest.raises(InputError, match="'viscous_Nm_s_per_rad' is unknown; the keys are joint, viscous_N_s_per_m"):
+        parse_effect("viscous_friction:joint=3,viscous_Nm_s_per_rad=1", BUILT_IN, sliding=(2,))
+    with pytest.raises(InputError, match="velocity_m_per_s is -1; give a positive number"):
+        StribeckFriction(3, -1.0, of_slide=True)
+
+
+def test_a_document_with_an_effect_of_the_other_kind_is_refused(diagnosed):
+    document = json.loads(json.dumps(diagnosed))
+    document["model"]["prismatic_joints"] = [2]
+    with pytest.raises(InputError, match=r"is of a (revolute|prismatic) joint, and joint [23] is"):
+        torque_model_from_document(document)
+    document["model"]["prismatic_joints"] = [9]
+    with pytest.raises(InputError, match=r"its model is damaged .*sliding is \(8,\); give prismatic joints in order"):
+        torque_model_from_document(document)
+
+
+def test_effects_of_one_name_at_joints_of_two_kinds_are_two():
+    assert ViscousFriction(3) != ViscousFriction(3, of_slide=True)
+    assert "of_slide" not in effect_as_dict(CoulombFriction(3), [1.0])["where"]
+    assert effect_as_dict(CoulombFriction(3, of_slide=True), [1.0])["where"] == {"joint": 3, "of_slide": True}
