@@ -83,7 +83,7 @@ class Finding:
         """Value and standard deviation of each parameter, by name with its unit."""
         if not self.chosen_std:
             return self.effect.reported(self.values, self.covariance)
-        covariance = block_diag(self.covariance, self.chosen_std**2)
+        covariance = np.asarray(block_diag(self.covariance, self.chosen_std**2))
         return self.effect.released().reported(np.append(self.values, self.effect.chosen or 0.0), covariance)
 
 

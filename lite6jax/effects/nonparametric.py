@@ -216,9 +216,13 @@ class Unnamed(Bending):
         """Where the coefficients of a component stand, counted from 0."""
         return slice(component * self.functions, (component + 1) * self.functions)
 
-    @cached_property
-    def drivers(self) -> tuple[Driver, ...]:  # type: ignore[override]  # computed once
+    @property
+    def drivers(self) -> tuple[Driver, ...]:
         """The driver, or several."""
+        return self._drivers
+
+    @cached_property
+    def _drivers(self) -> tuple[Driver, ...]:
         return tuple(driver_of(phrase) for phrase in self.driver.split(" and "))
 
     def values_at(self, motion: Motion, loads: Loads | None) -> Array:

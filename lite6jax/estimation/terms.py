@@ -1,10 +1,10 @@
 """Terms of a model: what a search adds, and several of them with their numbers in one vector."""
 
-from collections.abc import Hashable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
-from typing import ClassVar, Protocol, final
+from typing import Any, ClassVar, Protocol, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -70,7 +70,7 @@ class Term(Protocol):
     @property
     def includes(self) -> "Sequence[Term]": ...
     @property
-    def drivers(self) -> "Sequence[Hashable]": ...
+    def drivers(self) -> "Sequence[Any]": ...
 
     def released(self) -> "Term":
         """The same term with its chosen number as its last free coordinate."""

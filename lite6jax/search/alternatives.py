@@ -34,7 +34,8 @@ def _with_functions(problem: Problem, state: State, k: int, options: EngineOptio
     functions = [
         term
         for term in problem.flexible
-        if term.site != tested.term.site or (tested.term.nonparametric and not set(term.drivers) & set(tested.term.drivers))
+        if term.site != tested.term.site
+        or (tested.term.nonparametric and not set(term.drivers) & set(tested.term.drivers))
     ]
     own = test.explained([tested.term])[0]
     least = own.gain - 0.5 * test.time * own.size - 2 * options.close  # the refit may say otherwise by `close`
@@ -51,4 +52,3 @@ def _with_functions(problem: Problem, state: State, k: int, options: EngineOptio
         if gap < options.close:
             found.append(Alternative(term, max(gap, 0.0)))
     return replace(tested, alternatives=tuple(sorted((*tested.alternatives, *found), key=lambda one: one.gap)))
-

@@ -271,5 +271,6 @@ def test_a_function_that_explains_as_much_is_an_alternative():
     (test,) = search(other, OPTIONS).state.tested
     assert test.term == Column("u2")
     near = [one.term for one in test.alternatives]
-    assert near == [replace(at_y[2], site="y")] or near == [replace(at_y[1], site="y")]
+    assert near[0] in at_y[1:3]
     assert test.alternatives[0].gap < OPTIONS.close
+    assert at_y[3] not in near

@@ -162,7 +162,7 @@ def test_a_contact_is_an_event_and_no_physics():
 
 @pytest.mark.parametrize("wrong", [[1.0, 1.0], [1.0, 0.3, 1.0], [1.0, 0.6]])
 def test_two_or_three_wrong_torques_where_a_joint_turns_back_are_no_contact(wrong):
-    recording, arm = recorded(seed=8)
+    recording, _ = recorded(seed=8)
     turning = 100 + int(np.argmin(np.abs(recording.velocities()[100:-100, 1])))
     spread = recording.torques()[:, 1].std()
 
