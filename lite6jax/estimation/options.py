@@ -105,6 +105,11 @@ class EngineOptions:
     name_rounds: int = option(3, "rounds in which functions without a name challenge the names", "one a round")
     functions: int = option(3, "functions without a name that are fitted in a round", "scores and fits rank alike")
     named_share: float = option(0.5, "share of its gain that a name must reach to replace a function", "saves time")
+    misfit: float = option(
+        0.1,
+        "share of what a function explains that a name at its site must explain beside it",
+        "a spline or a cubic describes what is missing to within that",
+    )
     together: float = option(
         12.0,
         "log-likelihood that each further name at a site must gain over one function",

@@ -7,6 +7,7 @@ joins the model, and the names that it makes unnecessary leave.
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -151,15 +152,24 @@ def believable(problem: Problem, state: State, options: EngineOptions) -> State:
 
 
 def significant(problem: Problem, state: State, options: EngineOptions) -> State:
-    """Each term tested beside all others of the final model; those that are not significant leave, the least first."""
+    """Each term tested beside all others of the final model; those that are not significant leave, the least first.
+
+    So does a name that explains little beside a function at its site: that may be what the function does not describe.
+    """
     while state.tested:
         time = score_test(problem, state.fit, options).time
         tests = [_tested_finally(problem, state, k, time, options) for k in range(len(state.tested))]
+        tests = [replace(one, p_value=1.0) if _misfit(one, tests, options) else one for one in tests]
         worst = max(range(len(tests)), key=lambda k: tests[k].p_value)
         if tests[worst].p_value < options.level:
             return State(state.baseline, state.fit, tuple(tests))
         state = reduced(problem, state, worst, options)
     return state
+
+
+def _misfit(name: SelectedTerm, tests: Sequence[SelectedTerm], options: EngineOptions) -> bool:
+    there = [one for one in tests if one.term.nonparametric and one.term.site == name.term.site]
+    return not name.term.nonparametric and any(name.score.gain < options.misfit * one.score.gain for one in there)
 
 
 def _tested_finally(problem: Problem, state: State, k: int, time: float, options: EngineOptions) -> SelectedTerm:
