@@ -1,7 +1,6 @@
 """The JSON of a diagnosis of torques: codes and plain numbers in SI units. Only this module writes and reads it."""
 
 from collections.abc import Callable, Mapping, Sequence
-from itertools import combinations
 from pathlib import Path
 from typing import Any
 
@@ -17,11 +16,10 @@ from lite6jax.diagnosis.schema import check_effect
 from lite6jax.diagnosis.stored_uncertainty import covariance_from, drivers_from, lower_triangle
 from lite6jax.diagnosis.torque_result import TorqueDiagnosis
 from lite6jax.diagnosis.torque_schema import RANGES, check_torques
+from lite6jax.domains.torque.description import Description, described
 from lite6jax.domains.torque.predict import DiagnosedMotors
-from lite6jax.domains.torque.problem import TorqueProblem
 from lite6jax.domains.torque.uncertainty import RecordedMotion, TorqueUncertainty, with_free_numbers
 from lite6jax.effects.dynamic.catalogue import torque_kinds_of
-from lite6jax.effects.dynamic.torque_effect import TorqueEffect
 from lite6jax.effects.dynamic.unnamed import UnnamedTorque
 from lite6jax.effects.effect import Effect, require_kind
 from lite6jax.effects.serialization import effect_as_dict, effect_from_dict
@@ -29,9 +27,6 @@ from lite6jax.errors import InputError
 from lite6jax.estimation.terms import Terms, join
 
 Array = NDArray[np.floating]
-
-_DESCRIBES, _WORTH_ANOTHER = 0.8, 0.01
-"""Share of a curve's mean square from which named effects are said to describe it, and that a second one must add."""
 
 
 def to_torque_document(found: TorqueDiagnosis) -> dict[str, Any]:
@@ -111,8 +106,8 @@ def _finding(found: TorqueDiagnosis, k: int) -> dict[str, Any]:
     size: dict[str, Any] = {}
     if isinstance(finding.effect, UnnamedTorque):
         size[finding.effect.own("peak_to_peak_Nm")] = float(np.ptp(moved, axis=1).max())
-        described = _described(found.problem, finding.effect.joint, moved)
-        size |= {} if described is None else {"described_by": described}
+        description = described(found.problem, finding.effect.joint, moved)
+        size |= {} if description is None else {"described_by": _description(description)}
     if finding.nearest is not None:
         rival, share = finding.nearest
         size["nearest"] = {**located(rival.effect), "share": share}
@@ -128,37 +123,12 @@ def _finding(found: TorqueDiagnosis, k: int) -> dict[str, Any]:
     }
 
 
-def _described(problem: TorqueProblem, joint: int, moved: Array) -> dict[str, Any] | None:
-    """The one or two named effects of a joint that together come nearest to what a curve adds to it, by least squares.
-
-    A curve takes the place of names where these do not explain all of it. What they do explain is what a reader looks
-    for first: how much of it is viscous friction, and how much Coulomb friction.
-
-    Args:
-        problem: the data.
-        joint: from 1.
-        moved: `(joint, sample)` Nm, by the curve.
-    """
-    there = [effect for effect in problem.ladder if effect.site == f"joint{joint}" and effect.size == 1]
-    target = moved[joint - 1, problem.valid]
-    units = (problem.columns(there) * problem.sigma)[:, joint - 1, problem.valid]
-    best: tuple[float, tuple[TorqueEffect, ...], Array] = (0.0, (), np.zeros(0))
-    for which in (*combinations(range(len(there)), 1), *combinations(range(len(there)), 2)):
-        names, columns = tuple(there[k] for k in which), units[list(which)]
-        values = np.linalg.lstsq(columns.T, target, rcond=1e-9)[0]
-        share = 1 - float(np.sum((target - values @ columns) ** 2) / max(np.sum(target**2), 1e-300))
-        limits = [problem.limits(effect)[0] for effect in names]
-        possible = all(lower <= value <= upper for (lower, upper), value in zip(limits, values, strict=True))
-        if possible and share > best[0] + (_WORTH_ANOTHER if len(names) > len(best[1]) else 0.0):
-            best = (share, names, values)
-    share, names, values = best
-    if share < _DESCRIBES:
-        return None
+def _description(found: Description) -> dict[str, Any]:
     named = [
         {**located(effect), "parameters": {effect.coordinates[0].name: float(value)}}
-        for effect, value in zip(names, values, strict=True)
+        for effect, value in zip(found.effects, found.values, strict=True)
     ]
-    return {"share": share, "effects": named}
+    return {"share": found.share, "effects": named}
 
 
 def _near(found: TorqueDiagnosis, finding: Finding) -> list[Rival]:
