@@ -56,7 +56,7 @@ def _in_noise_model(problem: Problem, state: State, options: EngineOptions) -> S
         if worst is None or tests[worst].p_value < options.level:
             state = replace(state, tested=tuple(tests))
             for k in range(len(tests)):
-                state = _renamed(problem, state, k, options)
+                state = renamed(problem, state, k, options)
             return state
         state = rests[worst]
     if not state.fit.noise.white:
@@ -66,13 +66,18 @@ def _in_noise_model(problem: Problem, state: State, options: EngineOptions) -> S
     return state
 
 
-def _renamed(problem: Problem, state: State, k: int, options: EngineOptions) -> State:
-    """The state with the most likely of the k-th term and its alternatives, which may rank otherwise in this noise."""
+def renamed(problem: Problem, state: State, k: int, options: EngineOptions) -> State:
+    """The state with the most likely of the k-th term and its alternatives.
+
+    They may rank otherwise beside the terms and in the noise that have been found since.
+    """
     tested, searched = state.tested[k], searched_size(problem, options)
     rest = reduced(problem, state, k, options).fit
     test = score_test(problem, rest, options)
     choices: list[tuple[SelectedTerm, Fit]] = [(tested, state.fit)]
     for alternative in tested.alternatives:
+        if alternative.term in rest.terms.terms:
+            continue
         score = test.score([alternative.term])[0]
         terms = Terms((*rest.terms.terms[:k], alternative.term, *rest.terms.terms[k:]))
         values = np.insert(rest.values, state.fit.terms.slices[k].start, score.values)

@@ -15,7 +15,7 @@ from lite6jax.search.curves import merge_harmonics, replace_by_curves
 from lite6jax.search.exchange import exchange, one_for_several
 from lite6jax.search.forward import forward
 from lite6jax.search.names import believable, challenge_names, significant
-from lite6jax.search.retest import retest
+from lite6jax.search.retest import renamed, retest
 from lite6jax.search.saturated import from_saturated, refined
 from lite6jax.search.shrinkage import shrink
 from lite6jax.search.state import SelectedTerm, State
@@ -82,6 +82,9 @@ def search(
         state = retest(problem, state, options)
         state = significant(problem, believable(problem, state, options), options)
     if thorough and not any(term.shrunk for term in state.fit.terms.terms):
+        for k, tested in enumerate(state.tested):
+            if not tested.term.nonparametric and tested.term not in problem.preset[0].terms:
+                state = renamed(problem, state, k, options)
         state = with_alternative_functions(problem, state, options)
     selection = Selection(problem, reference, state)
     return _reviewed(selection, options) if thorough else selection
