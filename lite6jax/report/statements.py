@@ -184,8 +184,8 @@ def effect_title(entry: Entry) -> str:
         alone = driver != entry["driver"] and " and " not in driver
         over = f"its {driver}" if alone else entry["driver"]
         return f"unnamed effect at {entry['site']}{_component(where)}, {_shape(where)} over {over}"
-    if entry["effect"] == "unnamed":
-        return f"an effect without a name at {entry['site']}, a function of the {entry['driver']}"
+    if entry["effect"] == "unnamed" and "driver" in entry:
+        return f"an effect without a name at {entry['site']}, a function of the {_worded(entry['driver'])}"
     return f"{effect_name(entry['effect'])}{_detail(_order_and_source(entry))} at {entry['site']}"
 
 

@@ -244,6 +244,17 @@ def test_what_is_known_of_an_unnamed_effect_is_its_title(effect, title):
     assert statements.effect_title(entry) == f"unnamed effect at {title}"
 
 
+def test_a_function_that_explains_as_much_is_named_by_its_site_and_driver():
+    finding = {
+        "confusable_with": [
+            {"effect": "unnamed", "site": "link3", "driver": "time", "log_likelihood_gap": 2.0, "status": "undecided"}
+        ]
+    }
+    assert statements.undistinguished(finding) == [
+        "an effect without a name at link3, a function of the time (log-likelihood -2.0)"
+    ]
+
+
 def test_numbers_have_the_digits_that_they_are_known_to():
     assert rounded(1.52689, 0.0123) == ("1.527", "0.012")
     assert rounded(21654.3, 4320.0) == ("21654", "4320")
