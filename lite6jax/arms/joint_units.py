@@ -38,12 +38,12 @@ def joint_size(value: float, unit: str, slides: bool) -> float:
     return value * LEVER ** (powers[0] - powers[1])
 
 
-def joint_sizes(value: float, unit: str, slides: ArrayLike) -> NDArray[np.floating]:
+def joint_sizes(value: float, unit: str, slides: ArrayLike | bool) -> NDArray[np.floating]:
     """A size for each joint: `joint_size` of `slides` `(joint,)`."""
     return np.where(np.asarray(slides, bool), joint_size(value, unit, True), value)
 
 
-def as_revolute(values: ArrayLike, unit: str, slides: ArrayLike) -> NDArray[np.floating]:
+def as_revolute(values: ArrayLike, unit: str, slides: ArrayLike | bool) -> NDArray[np.floating]:
     """Values `(joint, …)` of joints divided by what one `unit` of a revolute joint is of each, for a common threshold.
 
     Args:

@@ -20,7 +20,7 @@ def with_alternative_functions(problem: Problem, state: State, options: EngineOp
 
 
 def _with_functions(problem: Problem, state: State, k: int, options: EngineOptions) -> SelectedTerm:
-    """The k-th term with the alternatives that it has and the most likely function of each site, by refits.
+    """The k-th term with the alternatives that it has and the most likely function of each site without a named one.
 
     Noise alone lets a number more gain half a unit of log-likelihood (H. Akaike, IEEE Transactions on Automatic Control
     19, 1974), which a function's gap accounts for.
@@ -30,12 +30,16 @@ def _with_functions(problem: Problem, state: State, k: int, options: EngineOptio
         return tested
     rest = reduced(problem, state, k, options)
     test = score_test(problem, rest.fit, options, within=state.fit)
+    named = {one.term.site for one in tested.alternatives if one.gap < options.close and not one.term.nonparametric}
     # beside a function those of its own site are alternatives too: of other drivers
     functions = [
         term
         for term in problem.flexible
-        if term.site != tested.term.site
-        or (tested.term.nonparametric and not set(term.drivers) & set(tested.term.drivers))
+        if term.site not in named
+        and (
+            term.site != tested.term.site
+            or (tested.term.nonparametric and not set(term.drivers) & set(tested.term.drivers))
+        )
     ]
     own = test.explained([tested.term])[0]
     least = own.gain - 0.5 * test.time * own.size - 2 * options.close  # the refit may say otherwise by `close`
