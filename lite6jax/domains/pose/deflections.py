@@ -233,32 +233,6 @@ def scaled(unit: Deflection, values: Array) -> Deflection:
     return Deflection(*(None if part is None else np.tensordot(values, part, 1) for part in unit))  # type: ignore[arg-type]
 
 
-def columns_of(unit: Deflection, sites: dict[Site, Array]) -> Array:
-    """The columns `(number, row, sample)` of unit deflections, from those of every site."""
-    size = next(len(part) for part in unit if part is not None)
-    out = np.zeros((size, *sites["scale", 0, 0].shape))
-    for name, part in zip(Deflection._fields, unit, strict=True):
-        if part is not None:
-            for i in range(size):
-                _accumulate(out[i], name, np.asarray(part[i]), sites)
-    return out
-
-
-def _accumulate(out: Array, name: str, shape: Array, sites: dict[Site, Array]) -> None:
-    if name in ("joint", "stretch"):
-        for j in range(len(shape)):
-            if shape[j].any():
-                out += sites[name, j, 0] * shape[j]
-    elif name == "link":
-        for j, k in zip(*np.nonzero(shape.any(-1)), strict=True):
-            out += sites["link", int(j), int(k)] * shape[j, k]
-    elif name == "scale":
-        out += sites["scale", 0, 0] * shape
-    else:
-        for k in np.flatnonzero(shape.any(-1)):
-            out += sites[name, 0, int(k)] * shape[k]
-
-
 def _host(deflection: Deflection) -> Deflection:
     return Deflection(*(None if part is None else np.asarray(part) for part in deflection))  # type: ignore[arg-type]
 

@@ -9,7 +9,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from lite6jax.domains.pose.problem import PoseProblem, physics_of
+from lite6jax.domains.pose.columns import physics_of
+from lite6jax.domains.pose.problem import PoseProblem
 from lite6jax.estimation.least_squares import Fit, fit
 from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.problem import Mask

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.factory import FactoryCalibration
 from lite6jax.domains.pose import families
-from lite6jax.domains.pose.deflections import Deflections, MassErrors, columns_of, mass_errors, scaled
+from lite6jax.domains.pose.columns import EffectColumns, physics_of
+from lite6jax.domains.pose.deflections import Deflections, MassErrors, mass_errors, scaled
 from lite6jax.domains.pose.kinematics import (
     FRAMES,
     Measured,
@@ -29,9 +30,8 @@ from lite6jax.domains.pose.kinematics import (
 )
 from lite6jax.domains.pose.rigid_arm import rigid_arm
 from lite6jax.effects.catalogue import Untestable, catalogue, shaped, untestable
-from lite6jax.effects.composition import Physics
 from lite6jax.effects.deflection import Deflection, dense
-from lite6jax.effects.effect import Bending, Effect, Loading
+from lite6jax.effects.effect import Bending, Effect
 from lite6jax.effects.kinematic.surroundings import TimeOffset
 from lite6jax.effects.kinematic.weights import PayloadError
 from lite6jax.effects.motion import Motion, accelerated, beyond, select, shifted
@@ -176,6 +176,11 @@ class PoseProblem:
         q = np.asarray(self.time_shifted.joint_position)
         return site_columns(self.start, q, self.measured, self.motion.sliding.joints)
 
+    @cached_property
+    def effect_columns(self) -> EffectColumns:
+        """How residuals change with the numbers of effects, and through effects with errors of masses."""
+        return EffectColumns(self.sites, self.deflections, self.masses)
+
     @lazy
     def frame_columns(self) -> Array:
         """How residuals change with all of `unknown` but the masses, `(number, row, sample)`."""
@@ -186,6 +191,16 @@ class PoseProblem:
             else:
                 found.append(np.where(self.after[j], self.sites[name.removeprefix("moved "), 0, k], 0.0)[None])
         return np.concatenate(found)
+
+    def columns(
+        self, terms: Sequence[Term], values: Array | None = None, beside: tuple[Terms, Array] | None = None
+    ) -> Array:
+        """As `EffectColumns.by_numbers`."""
+        return self.effect_columns.by_numbers(terms, values, beside)
+
+    def nuisance_columns(self, terms: Terms, values: Array) -> Array:
+        """How residuals change with `unknown`, `(unknown, row, sample)`: masses matter beside compliances alone."""
+        return np.concatenate([self.frame_columns, self.effect_columns.by_masses(physics_of(terms), values)])
 
     @lazy
     def periodic(self) -> tuple[PeriodicFamily, ...]:
@@ -211,7 +226,7 @@ class PoseProblem:
     @lazy
     def flexible(self) -> tuple[Unnamed, ...]:
         """Functions without a name, of every site and driver."""
-        return families.flexible(*self._on_host, self.rows, self.sites)
+        return families.flexible(self.deflections.host_motion, self.deflections.host_loads, self.rows, self.sites)
 
     def residual(self, nuisance: Array, terms: Terms, values: Array) -> Array:
         """Residuals `(row, sample)` over the declared noise, predicted minus measured."""
@@ -227,62 +242,6 @@ class PoseProblem:
         motion, deflection = self._deflection(nuisance, terms, values)
         form = self.motion.chain
         return np.asarray(bent_positions(form, self.start, motion.joint_position, deflection)) - self.measured.position
-
-    def columns(
-        self, terms: Sequence[Term], values: Array | None = None, beside: tuple[Terms, Array] | None = None
-    ) -> Array:
-        """How residuals change with the numbers of effects, `(number, row, sample)`.
-
-        An error of the payload or of gravity acts through compliances: those of `beside`, or of `terms` where that is
-        not given.
-        """
-        own = Terms(tuple(terms))
-        values = np.zeros(own.size) if values is None else np.asarray(values, float)
-        parts: list[Array] = [np.zeros((0, self.rows, self.samples))]
-        for effect, part in zip(own.terms, own.slices, strict=True):
-            assert isinstance(effect, Effect)
-            if isinstance(effect, Loading):
-                others, at = (own, values) if beside is None else beside
-                unit = self.deflections.through_loads(effect, values[part], physics_of(others), at)
-                parts.append(columns_of(unit, self.sites))
-            elif isinstance(effect, Unnamed):
-                if effect not in self._bases:
-                    self._bases[effect] = families.basis(effect, *self._on_host)
-                parts.append(families.unnamed_columns(effect, self._bases[effect], self.sites))
-            elif effect.linear or not values[part].any():
-                if effect not in self._columns:
-                    self._columns[effect] = columns_of(self.deflections.unit(effect), self.sites)
-                parts.append(self._columns[effect])
-            else:
-                parts.append(columns_of(self.deflections.slope(effect, values[part]), self.sites))
-        return np.concatenate(parts)
-
-    def nuisance_columns(self, terms: Terms, values: Array) -> Array:
-        """How residuals change with `unknown`, `(unknown, row, sample)`: masses matter beside compliances alone."""
-        masses, physics = self.masses, physics_of(terms)
-        if not masses:
-            return self.frame_columns
-        if not physics.loaded:
-            return np.concatenate([self.frame_columns, np.zeros((len(masses), self.rows, self.samples))])
-        values, through = np.asarray(values, float), np.zeros((len(masses), self.rows, self.samples))
-        for effect, part in zip(physics.effects, physics.slices, strict=True):
-            if effect.linear:
-                through += np.tensordot(values[part], self._by_masses(effect), 1)
-            else:
-                through += self._through_masses(effect, values[part])
-        return np.concatenate([self.frame_columns, through])
-
-    def _by_masses(self, effect: Effect) -> Array:
-        """`(number, mass, row, sample)`, for unit numbers of a linear effect."""
-        if effect not in self._mass_columns:
-            units = np.eye(effect.size) if Physics((effect,)).loaded else np.zeros((0, effect.size))
-            found = [self._through_masses(effect, one) for one in units]
-            zero = np.zeros((effect.size, len(self.masses), 1, 1))
-            self._mass_columns[effect] = np.stack(found) if found else zero
-        return self._mass_columns[effect]
-
-    def _through_masses(self, effect: Effect, values: Array) -> Array:
-        return columns_of(self.deflections.through_masses(self.masses, Physics((effect,)), values), self.sites)
 
     def mass_errors(self, nuisance: Array) -> MassErrors | None:
         """By how much the masses differ from those declared, by the nuisance `(unknown,)`; None where they do not."""
@@ -358,7 +317,8 @@ class PoseProblem:
     def _deflection(self, nuisance: Array, terms: Terms, values: Array) -> tuple[Motion, Deflection]:
         """The altered motion, and in it the sum of the deflections by nuisance and effects, dense."""
         physics, values, dof = physics_of(terms), np.asarray(values, float), self.motion.dof
-        motion, seen, bent, on_arm = self.motion, self.deflections.host_motion, self._undeflected, self._on_host[1]
+        motion, seen, on_arm = self.motion, self.deflections.host_motion, self.deflections.host_loads
+        bent = self._undeflected
         heavier = physics.loaded and nuisance[len(nuisance) - len(self.masses) :].any()
         errors = self.mass_errors(nuisance) if heavier else None
         if physics.altering:
@@ -398,28 +358,6 @@ class PoseProblem:
     @cached_property
     def _undeflected(self) -> Deflection:
         return Deflection(*map(np.asarray, dense(Deflection(), self.motion.dof, self.samples)))  # type: ignore[arg-type]
-
-    @cached_property
-    def _on_host(self) -> tuple[Motion, Loads | None]:
-        """The motion and the loads as NumPy arrays: functions of hundreds of drivers are evaluated there."""
-        return jax.tree.map(np.asarray, (self.time_shifted, self.loads))
-
-    @cached_property
-    def _bases(self) -> dict[Effect, Array]:
-        return {}
-
-    @cached_property
-    def _columns(self) -> dict[Effect, Array]:
-        return {}
-
-    @cached_property
-    def _mass_columns(self) -> dict[Effect, Array]:
-        return {}
-
-
-def physics_of(terms: Terms) -> Physics:
-    """The effects that are the terms of a pose problem."""
-    return Physics(tuple(term for term in terms.terms if isinstance(term, Effect)))
 
 
 def pose_problem(

@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.distance import cdist
 
-from lite6jax.domains.pose.deflections import Deflections, columns_of
+from lite6jax.domains.pose.columns import columns_of
+from lite6jax.domains.pose.deflections import Deflections
 from lite6jax.domains.pose.kinematics import FRAMES, Measured, Site, rigid_frames, site_columns
 from lite6jax.effects.composition import Physics
 from lite6jax.effects.deflection import Deflection

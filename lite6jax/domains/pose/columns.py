@@ -1,0 +1,127 @@
+"""How the residuals of poses change with the numbers of effects, and through effects with errors of masses."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lite6jax.domains.pose import families
+from lite6jax.domains.pose.deflections import Deflections
+from lite6jax.domains.pose.kinematics import Site
+from lite6jax.effects.composition import Physics
+from lite6jax.effects.deflection import Deflection
+from lite6jax.effects.effect import Effect, Loading
+from lite6jax.effects.nonparametric import Unnamed
+from lite6jax.estimation.terms import Term, Terms
+
+Array = NDArray[np.floating]
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class EffectColumns:
+    """The columns of effects in one linearisation; those that do not depend on their numbers are computed once.
+
+    Attributes:
+        sites: how residuals change with a deflection at each site, `(row, sample)`.
+        deflections: by effects.
+        masses: the sites of uncertain masses.
+    """
+
+    sites: dict[Site, Array]
+    deflections: Deflections
+    masses: tuple[Site, ...]
+    _bases: dict[Effect, Array] = field(default_factory=dict)
+    _linear: dict[Effect, Array] = field(default_factory=dict)
+    _by_mass: dict[Effect, Array] = field(default_factory=dict)
+
+    def by_numbers(
+        self, terms: Sequence[Term], values: Array | None = None, beside: tuple[Terms, Array] | None = None
+    ) -> Array:
+        """How residuals change with the numbers of effects, `(number, row, sample)`.
+
+        An error of the payload or of gravity acts through compliances: those of `beside`, or of `terms` where that is
+        not given.
+        """
+        own = Terms(tuple(terms))
+        values = np.zeros(own.size) if values is None else np.asarray(values, float)
+        parts: list[Array] = [np.zeros((0, *self._shape))]
+        for effect, part in zip(own.terms, own.slices, strict=True):
+            assert isinstance(effect, Effect)
+            if isinstance(effect, Loading):
+                others, at = (own, values) if beside is None else beside
+                unit = self.deflections.through_loads(effect, values[part], physics_of(others), at)
+                parts.append(columns_of(unit, self.sites))
+            elif isinstance(effect, Unnamed):
+                if effect not in self._bases:
+                    on_host = self.deflections.host_motion, self.deflections.host_loads
+                    self._bases[effect] = families.basis(effect, *on_host)
+                parts.append(families.unnamed_columns(effect, self._bases[effect], self.sites))
+            elif effect.linear or not values[part].any():
+                if effect not in self._linear:
+                    self._linear[effect] = columns_of(self.deflections.unit(effect), self.sites)
+                parts.append(self._linear[effect])
+            else:
+                parts.append(columns_of(self.deflections.slope(effect, values[part]), self.sites))
+        return np.concatenate(parts)
+
+    def by_masses(self, physics: Physics, values: Array) -> Array:
+        """How residuals change with errors of masses through effects `(physics.size,)`, `(mass, row, sample)`."""
+        values, total = np.asarray(values, float), np.zeros((len(self.masses), *self._shape))
+        if not self.masses or not physics.loaded:
+            return total
+        for effect, part in zip(physics.effects, physics.slices, strict=True):
+            if effect.linear:
+                total += np.tensordot(values[part], self._by_unit_masses(effect), 1)
+            else:
+                total += self._through_masses(effect, values[part])
+        return total
+
+    def _by_unit_masses(self, effect: Effect) -> Array:
+        """`(number, mass, row, sample)`, for unit numbers of a linear effect."""
+        if effect not in self._by_mass:
+            units = np.eye(effect.size) if Physics((effect,)).loaded else np.zeros((0, effect.size))
+            found = [self._through_masses(effect, one) for one in units]
+            zero = np.zeros((effect.size, len(self.masses), 1, 1))
+            self._by_mass[effect] = np.stack(found) if found else zero
+        return self._by_mass[effect]
+
+    def _through_masses(self, effect: Effect, values: Array) -> Array:
+        return columns_of(self.deflections.through_masses(self.masses, Physics((effect,)), values), self.sites)
+
+    @property
+    def _shape(self) -> tuple[int, ...]:
+        return self.sites["scale", 0, 0].shape
+
+
+def physics_of(terms: Terms) -> Physics:
+    """The effects that are the terms of a pose problem."""
+    return Physics(tuple(term for term in terms.terms if isinstance(term, Effect)))
+
+
+def columns_of(unit: Deflection, sites: dict[Site, Array]) -> Array:
+    """The columns `(number, row, sample)` of unit deflections, from those of every site."""
+    size = next(len(part) for part in unit if part is not None)
+    out = np.zeros((size, *sites["scale", 0, 0].shape))
+    for name, part in zip(Deflection._fields, unit, strict=True):
+        if part is not None:
+            for i in range(size):
+                _accumulate(out[i], name, np.asarray(part[i]), sites)
+    return out
+
+
+def _accumulate(out: Array, name: str, shape: Array, sites: dict[Site, Array]) -> None:
+    if name in ("joint", "stretch"):
+        for j in range(len(shape)):
+            if shape[j].any():
+                out += sites[name, j, 0] * shape[j]
+    elif name == "link":
+        for j, k in zip(*np.nonzero(shape.any(-1)), strict=True):
+            out += sites["link", int(j), int(k)] * shape[j, k]
+    elif name == "scale":
+        out += sites["scale", 0, 0] * shape
+    else:
+        for k in np.flatnonzero(shape.any(-1)):
+            out += sites[name, 0, int(k)] * shape[k]
