@@ -185,6 +185,10 @@ class Unnamed(Bending):
     @property
     def coordinates(self) -> tuple[Coordinate, ...]:
         """The coefficients."""
+        return self._coordinates
+
+    @cached_property
+    def _coordinates(self) -> tuple[Coordinate, ...]:
         names = [f"{wave}_{order:g}" for order in self.orders for wave in ("sine", "cosine")]
         names = names or [f"coefficient{i + 1}" for i in range(self.functions)]
         several = len(self.components) > 1
