@@ -29,6 +29,7 @@ from lite6jax.effects.nonparametric import Unnamed
 from lite6jax.effects.serialization import effect_as_dict, effect_from_dict
 from lite6jax.effects.statics import inertia_of, with_mass_errors
 from lite6jax.errors import InputError, InputWarning
+from lite6jax.estimation.concentration import Concentration
 from lite6jax.model import ArmModel
 from lite6jax.schema import RepeatedKeyError, unique_keys
 from lite6jax.storage import read_text, write_atomically
@@ -62,6 +63,7 @@ def to_document(found: Diagnosis) -> dict[str, Any]:
             "position_over_noise": found.left.position,
             "orientation_over_noise": found.left.orientation,
             "white": found.left.white,
+            "acts_at": _acts_at(found.left.acts_at),
         },
         "quality": found.quality.to_dict(),
         "withdrawn": _withdrawn(found),
@@ -98,6 +100,10 @@ def to_document(found: Diagnosis) -> dict[str, Any]:
         },
         "model": _model(found),
     }
+
+
+def _acts_at(where: Concentration | None) -> dict[str, Any] | None:
+    return None if where is None else {"site": where.site, "share": where.share, "share_of_noise": where.expected}
 
 
 def _withdrawn(found: Diagnosis) -> dict[str, Any] | None:

@@ -37,6 +37,7 @@ LARGEST_MISFIT = 10.0
 _LARGEST = (LENGTH_LIMIT, ANGLE_LIMIT)
 _BY_UNIT = {"m": LENGTH_LIMIT, "rad": ANGLE_LIMIT}
 _POSITIVE = number(0.0)
+_SHARE = number(0.0, 1.0)
 _ERRORS = record(
     {},
     {
@@ -79,7 +80,8 @@ _PARTS: Mapping[str, Check] = {
     "before": _ERRORS,
     "after": _ERRORS,
     "left": record(
-        {"position_over_noise": optional(_POSITIVE), "orientation_over_noise": optional(_POSITIVE), "white": flag}
+        {"position_over_noise": optional(_POSITIVE), "orientation_over_noise": optional(_POSITIVE), "white": flag},
+        {"acts_at": optional(record({"site": text, "share": _SHARE, "share_of_noise": _SHARE}))},
     ),
     "quality": record(
         {

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Literal, NamedTuple
 import numpy as np
 from scipy.special import chdtri
 
+from lite6jax.estimation.concentration import Concentration, concentration
 from lite6jax.estimation.score_test import searched_size
 
 if TYPE_CHECKING:
@@ -21,11 +22,13 @@ class Left(NamedTuple):
             declared.
         orientation: the same of the fitted orientations; None where none were measured, or no noise is declared.
         white: whether residuals of neighbouring rows are uncorrelated.
+        acts_at: the joint at which most of it acts; None where there is no such.
     """
 
     position: float | None
     orientation: float | None
     white: bool
+    acts_at: Concentration | None = None
 
     def is_noise(self, limit: float) -> bool:
         """Whether it is white and at most `limit` times the declared noise; true where no noise is declared."""
@@ -35,15 +38,16 @@ class Left(NamedTuple):
 def left_of(found: "Diagnosis") -> Left:
     """What the model of a diagnosis leaves."""
     problem, kept, white = found.problem, ~found.outliers, found.fit.noise.white
+    acts_at = concentration(problem, found.fit, found.options.engine)
     if not problem.declared or not kept.any():
-        return Left(None, None, white)
+        return Left(None, None, white, acts_at)
     position = float(np.sqrt(np.mean(found.after[kept] ** 2) / 3) / problem.noise[0])
     orientation = None
     if problem.rows == 6:
         rows, fit = found.fit.residuals.rows[3:, kept], found.fit
         freedom = max(1 - fit.parameters / max(problem.rows * kept.sum(), 1), 0.1)
         orientation = float(np.sqrt(np.mean(rows**2) / freedom))
-    return Left(position, orientation, white)
+    return Left(position, orientation, white, acts_at)
 
 
 def verdict_of(found: "Diagnosis") -> Verdict:

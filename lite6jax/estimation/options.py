@@ -110,6 +110,11 @@ class EngineOptions:
         "share of what a function explains that a name at its site must explain beside it",
         "a spline or a cubic describes what is missing to within that",
     )
+    concentrated: float = option(
+        4.0,
+        "mean square of the residuals along the direction of one site over that across it, from which they act there",
+        "a deflection of 1.7 times the noise; noise that is declared wrongly by a factor of two along one axis",
+    )
     together: float = option(
         12.0,
         "log-likelihood that each further name at a site must gain over one function",

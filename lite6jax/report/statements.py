@@ -24,6 +24,7 @@ _VERDICTS = {
     "unexplained": "Unexplained: more is left than the sensor's noise, and no effect is significant.",
     "undetermined": "Undetermined: there are too few rows to tell whether something is missing.",
 }
+_LEFT_OVER = ("partly_explained", "unnamed", "unexplained", "undetermined")
 _PARTS = {"base": "the sensor's frame", "link": "the arm's own calibration", "tool": "the tool"}
 _EXCESSIVE = 5.0
 """Times the declared noise, beyond which residuals are not reported as noise."""
@@ -57,7 +58,17 @@ def with_statements(document: Document) -> dict[str, Any]:
 
 
 def verdict_statement(document: Document) -> str:
-    """The verdict in a sentence or two."""
+    """The verdict in a few sentences, with the site of what is left where that is known."""
+    where = document["left"].get("acts_at") if document["verdict"] in _LEFT_OVER else None
+    if where is None:
+        return _verdict(document)
+    return (
+        f"{_verdict(document)} What is left acts at {where['site']}: an angle of its own in every row there would "
+        f"explain {100 * where['share']:.0f} % of it, and {100 * where['share_of_noise']:.0f} % of noise."
+    )
+
+
+def _verdict(document: Document) -> str:
     verdict, noise, left = document["verdict"], document["noise"], document["left"]
     declared = noise["declared_position_m"]
     if verdict == "undetermined":

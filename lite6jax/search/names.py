@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from lite6jax.estimation.concentration import Concentration, concentration
 from lite6jax.estimation.least_squares import Fit
 from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.problem import Problem
@@ -155,11 +156,18 @@ def significant(problem: Problem, state: State, options: EngineOptions) -> State
     """Each term tested beside all others of the final model; those that are not significant leave, the least first.
 
     So does a name that explains little beside a function at its site: that may be what the function does not describe.
+    And so does one that leaves there more than a small share of what it explains.
     """
     while state.tested:
         time = score_test(problem, state.fit, options).time
         tests = [_tested_finally(problem, state, k, time, options) for k in range(len(state.tested))]
-        tests = [replace(one, p_value=1.0) if _misfit(one, tests, options) else one for one in tests]
+        left = concentration(problem, state.fit, options)
+        tests = [
+            replace(one, p_value=1.0)
+            if _misfit(one, tests, options) or _leaves_more(one, state.fit.quadratic_gain(k), left, options)
+            else one
+            for k, one in enumerate(tests)
+        ]
         worst = max(range(len(tests)), key=lambda k: tests[k].p_value)
         if tests[worst].p_value < options.level:
             return State(state.baseline, state.fit, tuple(tests))
@@ -170,6 +178,12 @@ def significant(problem: Problem, state: State, options: EngineOptions) -> State
 def _misfit(name: SelectedTerm, tests: Sequence[SelectedTerm], options: EngineOptions) -> bool:
     there = [one for one in tests if one.term.nonparametric and one.term.site == name.term.site]
     return not name.term.nonparametric and any(name.score.gain < options.misfit * one.score.gain for one in there)
+
+
+def _leaves_more(name: SelectedTerm, gain: float, left: Concentration | None, options: EngineOptions) -> bool:
+    if left is None or left.site != name.term.site or name.term.nonparametric:
+        return False
+    return options.misfit * gain < left.gain
 
 
 def _tested_finally(problem: Problem, state: State, k: int, time: float, options: EngineOptions) -> SelectedTerm:

@@ -73,6 +73,25 @@ def test_a_lens_moves_no_joint_and_weighs_nothing(arm, still):
     assert 0 <= document["nearest"]["share"] < 1
 
 
+def test_a_name_falls_where_more_is_left_at_its_joint_than_it_explains(arm, still):
+    """A joint that sticks here and there for no reason in the recording: part of that resembles a wrong scale."""
+    q, rough = still["joint_position"][:, 4], np.random.default_rng(2).normal(size=SAMPLES)
+    diagnosis = diagnose(deflected(arm, still, 5, 6e-4 * rough + 3e-4 * q), options=Options(folds=2))
+    assert not diagnosis.findings
+    assert diagnosis.left.acts_at.site == "joint5"
+    document = to_document(diagnosis)
+    assert document["left"]["acts_at"]["share"] > 0.7
+    assert " What is left acts at joint5: an angle of its own in every row there would explain 7" in (
+        statements.verdict_statement(document)
+    )
+
+
+def test_a_name_stays_that_explains_much_more_than_is_left_at_its_joint(arm, still):
+    q, rough = still["joint_position"][:, 4], np.random.default_rng(2).normal(size=SAMPLES)
+    found = explain(deflected(arm, still, 5, 1e-4 * rough + 2e-3 * q), None, "declared", OPTIONS, thorough=False)
+    assert [term.label for term in found.selection.state.fit.terms.terms] == ["joint_scale:joint5"]
+
+
 def test_an_effect_of_fifteen_times_the_noise_is_found_in_two_dozen_poses(arm):
     few = static_motion(5, 22)
     found = terms(with_effects(arm, "joint_compliance:joint=2,compliance_rad_per_Nm=9e-5").recording(few))
