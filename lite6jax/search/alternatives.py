@@ -2,6 +2,8 @@
 
 from dataclasses import replace
 
+import numpy as np
+
 from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.problem import Problem
 from lite6jax.estimation.score_test import score_test
@@ -20,7 +22,10 @@ def with_alternative_functions(problem: Problem, state: State, options: EngineOp
 
 
 def _with_functions(problem: Problem, state: State, k: int, options: EngineOptions) -> SelectedTerm:
-    """The k-th term with the alternatives that it has and the most likely function of each site without a named one.
+    """The k-th term with the alternatives that it has and the most likely function of each site.
+
+    At another site it is none where a named alternative explains as much. At the site of a name it is one that explains
+    clearly more, though not enough more to pay for all of its numbers; at that of a function, one of other drivers.
 
     Noise alone lets a number more gain half a unit of log-likelihood (H. Akaike, IEEE Transactions on Automatic Control
     19, 1974), which a function's gap accounts for.
@@ -30,23 +35,19 @@ def _with_functions(problem: Problem, state: State, k: int, options: EngineOptio
         return tested
     rest = reduced(problem, state, k, options)
     test = score_test(problem, rest.fit, options, within=state.fit)
-    named = {one.term.site for one in tested.alternatives if one.gap < options.close and not one.term.nonparametric}
-    # beside a function those of its own site are alternatives too: of other drivers
-    functions = [
-        term
-        for term in problem.flexible
-        if term.site not in named
-        and (
-            term.site != tested.term.site
-            or (tested.term.nonparametric and not set(term.drivers) & set(tested.term.drivers))
-        )
-    ]
+    near = {one.term.site for one in tested.alternatives if one.gap < options.close and not one.term.nonparametric}
     own = test.explained([tested.term])[0]
-    least = own.gain - 0.5 * test.time * own.size - 2 * options.close  # the refit may say otherwise by `close`
+    now = own.gain - 0.5 * test.time * own.size
     likely: dict[str, tuple[float, Term]] = {}
-    for term, one in zip(functions, test.explained(functions), strict=True):
+    for term, one in zip(problem.flexible, test.explained(problem.flexible), strict=True):
         gain = one.gain - 0.5 * test.time * one.size
-        if gain > likely.get(term.site, (least, term))[0]:
+        if term.site != tested.term.site:
+            least = np.inf if term.site in near else now - 2 * options.close  # the refit may say otherwise by `close`
+        elif tested.term.nonparametric:
+            least = np.inf if set(term.drivers) & set(tested.term.drivers) else now - 2 * options.close
+        else:
+            least = now + options.close
+        if gain > max(least, likely.get(term.site, (-np.inf, term))[0]):
             likely[term.site] = (gain, term)
     best = [term for _, term in sorted(likely.values(), key=lambda pair: -pair[0])[: options.functions]]
     found = []

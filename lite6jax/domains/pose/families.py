@@ -113,6 +113,10 @@ def flexible(motion: Motion, loads: Loads | None, rows: int, sites: dict[Site, A
             add(f"joint{j}", [driver], 3)
         for pair in combinations(positions, 2):
             add(f"joint{j}", pair, 3)
+        # friction that sticks in one place, and play that a load takes up
+        for quantity in ("position", "gravity torque"):
+            for degree in (2, 3):
+                add(f"joint{j}", [Driver(quantity, j), Driver("direction of motion", j)], degree)
         if dof > 1:
             add(f"link{j}", [Driver("position", j)], 0, "rx ry")
             add(f"link{j}", [Driver("position", j)], 0, "rx ry", pieces=5)
