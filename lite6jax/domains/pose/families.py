@@ -126,12 +126,15 @@ def flexible(motion: Motion, loads: Loads | None, rows: int, sites: dict[Site, A
     base, tool = " ".join(COMPONENTS), " ".join(COMPONENTS[: 3 if rows == 3 else 6])
     moments = [Driver(f"base moment {axis}") for axis in "xy"]
     at_flange = [Driver("gravity moment x", dof), Driver("gravity moment y", dof), Driver("gravity torque", dof)]
-    for site, component, angles, loaded in (
-        ("base", base, turning[:3], moments),
-        ("tool", tool, turning, at_flange),
+    # a mount mostly tilts
+    for site, component, lean, angles, loaded in (
+        ("base", base, "rx ry", turning[:3], moments),
+        ("tool", tool, tool, turning, at_flange),
     ):
         for driver in angles:
             add(site, [driver], 0, component)
+        for driver in turning:
+            add(site, [driver], 2, lean)
         for degree in (1, 2):
             add(site, loaded, degree, component)
         for driver in everywhere:

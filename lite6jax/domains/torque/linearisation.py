@@ -21,6 +21,8 @@ _EVERYWHERE = (ViscousFriction, CoulombFriction, TorqueOffset, RotorInertia)
 """What every joint has, to some degree."""
 _WIDTHS = (0.03, 0.1, 0.3, 1.0, 3.0)
 """Relative standard deviations of inertial numbers that are unknown: from another series of the arm to another arm."""
+_BETWEEN = 2
+"""Widths that are tried between two of these."""
 
 
 def linearised(problem: TorqueProblem, options: EngineOptions, training: Mask | None = None) -> TorqueProblem:
@@ -53,14 +55,29 @@ def with_likely_prior(problem: TorqueProblem, options: EngineOptions, training: 
     if not len(problem.directions) or problem.data.recording.settings.inertial != "unknown":
         return problem
     terms = _everywhere(problem)
-    wider = [replace(problem, precision=problem.precision / width**2) for width in _WIDTHS]
-    noise = remaining_noise_model(wider[-1], fit(wider[-1], terms, options, training=training), options)
-    fits = [fit(each, terms, options, training=training, noise=noise) for each in wider]
-    time = max(score_test(wider[-1], fits[-1], options).time, 1.0)
-    evidence = [_evidence(each, found, time) for each, found in zip(wider, fits, strict=True)]
-    return next(
-        each for each, one in zip(wider[::-1], evidence[::-1], strict=True) if one > max(evidence) - options.close
-    )
+
+    def of_width(width: float) -> TorqueProblem:
+        return replace(problem, precision=problem.precision / width**2)
+
+    widest = of_width(_WIDTHS[-1])
+    noise = remaining_noise_model(widest, fit(widest, terms, options, training=training), options)
+    found = fit(widest, terms, options, training=training, noise=noise)
+    time = max(score_test(widest, found, options).time, 1.0)
+
+    def judged(width: float) -> float:
+        each = of_width(width)
+        return _evidence(each, fit(each, terms, options, training=training, noise=noise), time)
+
+    evidence = {width: judged(width) for width in _WIDTHS}
+    least = max(evidence.values()) - options.close
+    likely = max(width for width, one in evidence.items() if one > least)
+    # the grid is coarse, and a prior that is too narrow by half its width already shows
+    wider = min((width for width in _WIDTHS if width > likely), default=likely)
+    for width in np.geomspace(likely, wider, _BETWEEN + 2)[1:-1]:
+        if judged(float(width)) <= least:
+            break
+        likely = float(width)
+    return of_width(likely)
 
 
 def _everywhere(problem: TorqueProblem) -> Terms:
