@@ -220,6 +220,15 @@ def test_links_of_another_arm_are_uncertain():
     assert there.relative_std >= 0.1  # not 0.03, as where all but one are exact
 
 
+def test_the_width_may_lie_between_those_of_the_grid():
+    """A prior of half the true width leaves weight of the links, which looks like ripple of order one."""
+    recording, arm = recorded(seed=5, inertial="unknown")
+    off = 1 + 0.1 * np.random.default_rng(4).normal(size=6)
+    other = replace(arm, mass=arm.mass * off, inertia=arm.inertia * off[:, None, None])
+    there = with_likely_prior(torque_problem(torque_rows(recording, other, recording.torques().T)), EngineOptions())
+    assert 0.035 < there.relative_std < 0.09
+
+
 def test_autocorrelated_noise_does_not_make_links_more_certain():
     """Links that are 20 % off, in noise with a coefficient of 0.9: a narrower prior would leave their weight."""
 
