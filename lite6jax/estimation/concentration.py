@@ -38,7 +38,7 @@ def concentration(problem: Problem, fit: Fit, options: EngineOptions) -> Concent
     In each sample a deflection at a site moves the rows in one direction. What is left across these directions, once
     the model is refitted to that alone, does not depend on the deflections, whatever they are; in noise that is the
     same in all directions, what is left along them over that has an F distribution. Noise of the
-    same size at several sites has no single direction.
+    same size at several sites has no single direction, and that of one axis of a sensor has the same in all samples.
 
     Args:
         problem: the data; sites that move a single row cannot be tested.
@@ -51,6 +51,9 @@ def concentration(problem: Problem, fit: Fit, options: EngineOptions) -> Concent
     if across <= 0:
         return None
     total, found = float(np.sum(test.residual**2)), []
+    measured = test.residual[: problem.rows * problem.samples].reshape(problem.rows, -1)
+    main = np.linalg.eigh(measured @ measured.T)[1][:, -1:]
+    noisy = _across(test, np.broadcast_to(main, measured.shape))
     for family in problem.curves:
         if np.count_nonzero(family.column.any(1)) > 1:
             found.append((_across(test, family.column), family.site))
@@ -60,8 +63,8 @@ def concentration(problem: Problem, fit: Fit, options: EngineOptions) -> Concent
     rest, site = found[0]
     ratio = (total - rest) / used / (rest / across)
     p_value = float(fdtrc(independent, across / test.time, ratio)) * len(found)
-    others = [0.5 * across / test.time * np.log(one / rest) for one, _ in found[1:]]
-    if ratio < options.concentrated or p_value > options.level or min(others, default=np.inf) < options.close:
+    others = [0.5 * across / test.time * np.log(one / rest) for one in (noisy, *(one for one, _ in found[1:]))]
+    if ratio < options.concentrated or p_value > options.level or min(others) < options.close:
         return None
     return Concentration(site, 1 - rest / total, 1 - across / test.freedom, 0.5 * (total - rest * (1 + used / across)))
 

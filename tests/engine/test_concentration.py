@@ -67,6 +67,17 @@ def test_noise_of_all_encoders_alike_acts_nowhere(arm, size):
     assert concentration(*restless(arm, angles), OPTIONS) is None
 
 
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_noise_of_one_axis_of_the_sensor_acts_nowhere(arm, axis):
+    """A camera knows depth less well than the rest. In a small range one joint moves the tool much that way."""
+    still = static_motion(8, SAMPLES)
+    middle = still["joint_position"].mean(0)
+    recording = arm.recording({**still, "joint_position": middle + 0.1 * (still["joint_position"] - middle)})
+    noisy = np.random.default_rng(axis).normal(size=SAMPLES)[:, None] * 8 * NOISE * (np.arange(3) == axis)
+    case = pose_problem(replace(recording, position=recording.position + noisy))
+    assert concentration(case, fitted_to(case, Terms()), OPTIONS) is None
+
+
 def test_poses_that_the_frames_alone_fit_say_nothing(tmp_path_factory):
     """Four poses have twelve numbers: an angle of each and nine numbers of sensor and tool leave none to judge by."""
     unplaced = Made(tmp_path_factory.mktemp("unplaced"), seed=4, frame=True, tool=True, orientation=False)
