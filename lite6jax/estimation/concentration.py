@@ -22,7 +22,7 @@ class Concentration(NamedTuple):
     Attributes:
         site: which.
         share: of the squared residuals, that a deflection there with a number of its own in each sample explains.
-        expected: the share of noise that it explains.
+        expected: the share of white noise that it explains.
         gain: in log-likelihood, of a deflection there with a number of its own in each sample, beyond what noise gains.
     """
 
@@ -32,54 +32,74 @@ class Concentration(NamedTuple):
     gain: float
 
 
-def concentration(problem: Problem, fit: Fit, options: EngineOptions) -> Concentration | None:
-    """The site at which what a fit leaves acts; None where noise may leave it, or where several sites are as likely.
+class _Remainder(NamedTuple):
+    """The squared residuals that a model leaves, and their degrees of freedom."""
 
-    In each sample a deflection at a site moves the rows in one direction. What is left across these directions, once
-    the model is refitted to that alone, does not depend on the deflections, whatever they are; in noise that is the
-    same in all directions, what is left along them over that has an F distribution. Noise of the
-    same size at several sites has no single direction, and that of one axis of a sensor has the same in all samples.
+    squares: float
+    freedom: int
+
+
+def concentration(problem: Problem, fit: Fit, options: EngineOptions) -> Concentration | None:
+    """The site whose deflections the residuals look like; None where noise alone, or several sites, could explain them.
+
+    To first order, a deflection at a site moves the rows of each sample in one known direction. What is left across
+    these directions, with the model refitted to that alone, is the same for any deflections. In isotropic noise the
+    ratio of the mean squares along and across the directions follows an F distribution. Of correlated noise the
+    innovations are taken, with the direction of each sample: that is exact where directions change slowly. Noise of the
+    same size at several sites gives None, and so does noise of one axis of a sensor, whose direction is the same in all
+    samples.
 
     Args:
-        problem: the data; sites that move a single row cannot be tested.
+        problem: the data. The sites are those of its `curves` that move several rows.
         fit: the model.
         options: thresholds.
     """
+    families = [family for family in problem.curves if np.count_nonzero(family.column.any(1)) > 1]
+    if not families:
+        return None
     test = score_test(problem, fit, options)
-    used = fit.training.sum()
-    across, independent = (problem.rows - 1) * used - len(test.basis), used / test.time
-    if across <= 0:
+    whole = _remainder(test)
+    rest, site = min(((_remainder(test, family.column), family.site) for family in families), key=_squares)
+    along = whole.freedom - rest.freedom
+    if rest.freedom <= 0 or along <= 0 or rest.squares <= options.rounding * whole.squares:
         return None
-    total, found = float(np.sum(test.residual**2)), []
-    measured = test.residual[: problem.rows * problem.samples].reshape(problem.rows, -1)
-    main = np.linalg.eigh(measured @ measured.T)[1][:, -1:]
-    noisy = _across(test, np.broadcast_to(main, measured.shape))
-    for family in problem.curves:
-        if np.count_nonzero(family.column.any(1)) > 1:
-            found.append((_across(test, family.column), family.site))
-    if not found:
+    noise = rest.squares / rest.freedom
+    ratio = (whole.squares - rest.squares) / along / noise
+    p_value = float(fdtrc(along / test.time, rest.freedom / test.time, ratio)) * len(families)
+    if ratio < options.concentrated or p_value > options.level:
         return None
-    found.sort()
-    rest, site = found[0]
-    ratio = (total - rest) / used / (rest / across)
-    p_value = float(fdtrc(independent, across / test.time, ratio)) * len(found)
-    others = [0.5 * across / test.time * np.log(one / rest) for one in (noisy, *(one for one, _ in found[1:]))]
-    if ratio < options.concentrated or p_value > options.level or min(others) < options.close:
+    measured = test.residual[: problem.rows * problem.samples].reshape(problem.rows, problem.samples)
+    axis = np.linalg.eigh(measured @ measured.T)[1][:, -1:]
+    others = [np.broadcast_to(axis, measured.shape), *(family.column for family in families if family.site != site)]
+    nearest = min(_remainder(test, column).squares for column in others)
+    if 0.5 * rest.freedom / test.time * np.log(nearest / rest.squares) < options.close:
         return None
-    return Concentration(site, 1 - rest / total, 1 - across / test.freedom, 0.5 * (total - rest * (1 + used / across)))
+    share, expected = 1 - rest.squares / whole.squares, along / whole.freedom
+    return Concentration(site, share, expected, 0.5 * (whole.squares - rest.squares - along * noise))
 
 
-def _across(test: ScoreTest, column: Array) -> float:
-    """The squared residuals that are left where each sample has a deflection of its own, and the model is refitted."""
-    rows, samples = column.shape
-    direction = column / np.maximum(np.linalg.norm(column, axis=0), 1e-300)
+def _squares(pair: tuple[_Remainder, str]) -> float:
+    return pair[0].squares
 
-    def without(readings: Array) -> Array:
-        measured = readings[:, : rows * samples].reshape(-1, rows, samples)
-        along = np.einsum("rs,krs->ks", direction, measured)
-        moved = measured - direction * along[:, None]
-        return np.concatenate([moved.reshape(len(readings), rows * samples), readings[:, rows * samples :]], 1)
 
-    residual = without(test.residual[None])[0]
-    inside = orthonormal(without(test.basis), test.options.rounding) @ residual
-    return float(residual @ residual - inside @ inside)
+def _remainder(test: ScoreTest, column: Array | None = None) -> _Remainder:
+    """What the refitted model leaves, where a column is given across its direction in each sample."""
+    rows, samples = test.problem.rows, test.problem.samples
+    used = test.fit.training.sum()
+    residual, basis, readings = test.residual, test.basis, len(test.residual) - rows * (samples - used)
+    if column is not None:
+        direction = column / np.maximum(np.linalg.norm(column, axis=0), 1e-300)
+        residual, basis = (_across(direction, part) for part in (residual[None], basis))
+        residual, readings = residual[0], readings - used
+    inside = orthonormal(basis, test.options.rounding)
+    fitted = inside @ residual
+    return _Remainder(float(residual @ residual - fitted @ fitted), int(readings - len(inside)))
+
+
+def _across(direction: Array, readings: Array) -> Array:
+    """Readings `(number, reading)` without what lies along unit vectors `(row, sample)`; those of a prior stay."""
+    count = direction.size
+    measured = readings[:, :count].reshape(-1, *direction.shape)
+    along = np.einsum("rs,krs->ks", direction, measured)
+    moved = measured - direction * along[:, None]
+    return np.concatenate([moved.reshape(len(readings), count), readings[:, count:]], 1)

@@ -113,7 +113,7 @@ class EngineOptions:
     concentrated: float = option(
         4.0,
         "mean square of the residuals along the direction of one site over that across it, from which they act there",
-        "a deflection of 1.7 times the noise; noise that is declared wrongly by a factor of two along one axis",
+        "a deflection whose RMS is 1.7 times the noise",
     )
     together: float = option(
         12.0,

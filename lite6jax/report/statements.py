@@ -63,8 +63,9 @@ def verdict_statement(document: Document) -> str:
     if where is None:
         return _verdict(document)
     return (
-        f"{_verdict(document)} What is left acts at {where['site']}: an angle of its own in every row there would "
-        f"explain {100 * where['share']:.0f} % of it, and {100 * where['share_of_noise']:.0f} % of noise."
+        f"{_verdict(document)} The residuals look like an error of {where['site']}: fitting a separate angle of that "
+        f"joint in every row removes {100 * where['share']:.0f} % of their sum of squares, and of noise it would remove "
+        f"{100 * where['share_of_noise']:.0f} %."
     )
 
 

@@ -24,7 +24,7 @@ def with_alternative_functions(problem: Problem, state: State, options: EngineOp
 def _with_functions(problem: Problem, state: State, k: int, options: EngineOptions) -> SelectedTerm:
     """The k-th term with the alternatives that it has and the most likely function of each site.
 
-    At another site it is none where a named alternative explains as much. At the site of a name it is one that explains
+    Sites that have an equally likely named alternative are skipped. At the site of a name it is one that explains
     clearly more, though not enough more to pay for all of its numbers; at that of a function, one of other drivers.
 
     Noise alone lets a number more gain half a unit of log-likelihood (H. Akaike, IEEE Transactions on Automatic Control

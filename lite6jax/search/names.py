@@ -156,19 +156,19 @@ def significant(problem: Problem, state: State, options: EngineOptions) -> State
     """Each term tested beside all others of the final model; those that are not significant leave, the least first.
 
     So does a name that explains little beside a function at its site: that may be what the function does not describe.
-    And so does one that leaves there more than a small share of what it explains.
+    A name also leaves if the error that remains at its site exceeds a small share of what it explains.
     """
+    left = concentration(problem, state.fit, options) if state.tested else None  # beside all of them
     while state.tested:
         time = score_test(problem, state.fit, options).time
         tests = [_tested_finally(problem, state, k, time, options) for k in range(len(state.tested))]
-        left = concentration(problem, state.fit, options)
         tests = [
             replace(one, p_value=1.0)
             if _misfit(one, tests, options) or _leaves_more(one, state.fit.quadratic_gain(k), left, options)
             else one
             for k, one in enumerate(tests)
         ]
-        worst = max(range(len(tests)), key=lambda k: tests[k].p_value)
+        worst = max(range(len(tests)), key=lambda k: (tests[k].p_value, -tests[k].score.gain))
         if tests[worst].p_value < options.level:
             return State(state.baseline, state.fit, tuple(tests))
         state = reduced(problem, state, worst, options)

@@ -12,6 +12,7 @@ from lite6jax.diagnosis.explanation import explain
 from lite6jax.diagnosis.heldout import HeldOut
 from lite6jax.diagnosis.options import Options
 from lite6jax.effects.nonparametric import Unnamed
+from lite6jax.estimation.concentration import concentration
 from lite6jax.report import statements
 
 SAMPLES = 240
@@ -81,15 +82,18 @@ def test_a_name_falls_where_more_is_left_at_its_joint_than_it_explains(arm, stil
     assert diagnosis.left.acts_at.site == "joint5"
     document = to_document(diagnosis)
     assert document["left"]["acts_at"]["share"] > 0.7
-    assert " What is left acts at joint5: an angle of its own in every row there would explain 7" in (
+    removed = f"every row removes {100 * diagnosis.left.acts_at.share:.0f} % of their sum of squares"
+    assert "The residuals look like an error of joint5: fitting a separate angle of that joint in" in (
         statements.verdict_statement(document)
     )
+    assert removed in statements.verdict_statement(document)
 
 
 def test_a_name_stays_that_explains_much_more_than_is_left_at_its_joint(arm, still):
     q, rough = still["joint_position"][:, 4], np.random.default_rng(2).normal(size=SAMPLES)
-    found = explain(deflected(arm, still, 5, 1e-4 * rough + 2e-3 * q), None, "declared", OPTIONS, thorough=False)
+    found = explain(deflected(arm, still, 5, 6e-4 * rough + 8e-3 * q), None, "declared", OPTIONS, thorough=False)
     assert [term.label for term in found.selection.state.fit.terms.terms] == ["joint_scale:joint5"]
+    assert concentration(found.problem, found.selection.state.fit, OPTIONS.engine).site == "joint5"
 
 
 def test_an_effect_of_fifteen_times_the_noise_is_found_in_two_dozen_poses(arm):

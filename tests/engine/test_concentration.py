@@ -56,9 +56,13 @@ def test_what_is_left_across_a_joint_is_that_of_least_squares(arm):
 
 
 def test_noise_acts_nowhere(arm):
-    """At a level of three in a thousand, forty recordings show a site with a probability of one in nine."""
-    found = [concentration(*restless(arm, np.zeros((30 + seed, 6)), seed, 30 + seed), OPTIONS) for seed in range(40)]
+    """Of so few poses, directions of noise differ by a factor of four in many recordings: the test has to allow for that."""
+    found = [concentration(*restless(arm, np.zeros((6, 6)), seed, 6), OPTIONS) for seed in range(40)]
     assert sum(one is not None for one in found) <= 1
+    careless = [
+        concentration(*restless(arm, np.zeros((6, 6)), s, 6), replace(OPTIONS, level=1, close=0)) for s in range(40)
+    ]
+    assert sum(one is not None for one in careless) > 4
 
 
 @pytest.mark.parametrize("size", [1e-4, 1e-3])

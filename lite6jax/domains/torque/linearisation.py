@@ -71,9 +71,9 @@ def with_likely_prior(problem: TorqueProblem, options: EngineOptions, training: 
     evidence = {width: judged(width) for width in _WIDTHS}
     least = max(evidence.values()) - options.close
     likely = max(width for width, one in evidence.items() if one > least)
-    # the grid is coarse, and a prior that is too narrow by half its width already shows
+    # the grid is coarse, and a prior half as wide as it should be already causes false findings
     wider = min((width for width in _WIDTHS if width > likely), default=likely)
-    for width in np.geomspace(likely, wider, _BETWEEN + 2)[1:-1]:
+    for width in np.geomspace(likely, wider, _BETWEEN + 2)[1:-1] if wider > likely else ():
         if judged(float(width)) <= least:
             break
         likely = float(width)
