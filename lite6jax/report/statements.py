@@ -64,8 +64,8 @@ def verdict_statement(document: Document) -> str:
         return _verdict(document)
     return (
         f"{_verdict(document)} The residuals look like an error of {where['site']}: fitting a separate angle of that "
-        f"joint in every row removes {100 * where['share']:.0f} % of their sum of squares, and of noise it would remove "
-        f"{100 * where['share_of_noise']:.0f} %."
+        f"joint in every row removes {100 * where['share']:.0f} % of their sum of squares; of noise it would "
+        f"remove {100 * where['share_of_noise']:.0f} %."
     )
 
 

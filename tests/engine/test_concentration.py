@@ -56,7 +56,7 @@ def test_what_is_left_across_a_joint_is_that_of_least_squares(arm):
 
 
 def test_noise_acts_nowhere(arm):
-    """Of so few poses, directions of noise differ by a factor of four in many recordings: the test has to allow for that."""
+    """In so few poses noise often has four times the mean square along one direction: the test has to allow for it."""
     found = [concentration(*restless(arm, np.zeros((6, 6)), seed, 6), OPTIONS) for seed in range(40)]
     assert sum(one is not None for one in found) <= 1
     careless = [
