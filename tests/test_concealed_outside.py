@@ -235,3 +235,21 @@ def test_a_loaded_backlash_of_mujoco_rests_on_the_flank_that_gravity_presses_it_
     assert np.all(off < 0.1 * np.linalg.norm(rigid - shown, axis=1)[clear])
     follows = poses(setup, (replace(hidden[0], fixed={}),), found.motion)[1]
     assert np.abs(follows - shown).max() > 1e-4  # the direction alone would say otherwise
+
+
+def test_play_and_compliance_of_one_joint_of_mujoco_add_up():
+    rng = np.random.default_rng(44)
+    setup = Setup(lite6().moved(rng, *MADE), np.eye(4), np.eye(4), PAYLOAD_CENTER)
+    motion = recorded.draw_motion(rng, setup.chain, False, 14)
+    motion = replace(motion, payload=np.full(14, 0.5))
+    play = Hidden("joint_backlash", "joint2", (6e-4,), {"friction_Nm": 0.3})
+    spring = Hidden("joint_compliance", "joint2", (3e-5,))
+    for hidden in ((play, spring), (spring, play)):
+        found = Arm(setup, hidden, 0.5).at_rest(motion)
+        shown = poses(setup, hidden, found.motion)[1]
+        clear = np.abs(torque(setup, found.motion, 2)[:, 2]) > 1
+        off = np.linalg.norm(found.position - shown, axis=1)[clear]
+        for alone in hidden:
+            missing = np.linalg.norm(poses(setup, (alone,), found.motion)[1] - shown, axis=1)[clear]
+            assert np.all(off < 0.1 * missing.max())
+            assert missing.max() > 1e-5

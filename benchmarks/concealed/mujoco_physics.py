@@ -153,7 +153,11 @@ class Arm:
 def _soft_joints(effect: Hidden) -> tuple[str, ...]:
     if effect.name == "base_compliance":
         return "base1", "base2"
-    return (f"gear{effect.number}",) if effect.name in (*SPRINGS, "joint_backlash") else ()
+    return (_gear_name(effect),) if effect.name in (*SPRINGS, "joint_backlash") else ()
+
+
+def _gear_name(effect: Hidden) -> str:
+    return f"{effect.name}{effect.number}"
 
 
 def _given(effect: Hidden, load: float, first: bool) -> float:
@@ -178,7 +182,9 @@ def _hermite(times: Array, values: Array, rates: Array, at: Array) -> tuple[Arra
 def _model(setup: Setup, hidden: tuple[Hidden, ...], payload: float) -> str:
     """The arm in MuJoCo's own words."""
     chain = setup.chain
-    at = {effect.number: effect for effect in hidden if effect.name in (*SPRINGS, "joint_backlash")}
+    # play comes first: its bearing drags against the wall, and a spring beyond it carries the load alone
+    gears = sorted((e for e in hidden if e.name in (*SPRINGS, "joint_backlash")), key=lambda e: e.name in SPRINGS)
+    at = {number: [e for e in gears if e.number == number] for number in {e.number for e in gears}}
     soft_base = next((effect for effect in hidden if effect.name == "base_compliance"), None)
     root = Element("mujoco")
     SubElement(root, "compiler", angle="radian", autolimits="true")
@@ -205,8 +211,7 @@ def _model(setup: Setup, hidden: tuple[Hidden, ...], payload: float) -> str:
         )
         servo = {"kp": f"{_SERVO:g}", "kv": f"{_SERVO / 20:g}"}
         SubElement(actuators, "position", {"joint": f"motor{i + 1}"} | servo)
-        effect = at.get(i + 1)
-        if effect:
+        for effect in at.get(i + 1, ()):
             _inertial(parent, 1e-3, np.zeros(3), 1e-4)
             parent = SubElement(parent, "body")
             _gear(parent, tendons, effect, i + 1)
@@ -226,7 +231,7 @@ def _model(setup: Setup, hidden: tuple[Hidden, ...], payload: float) -> str:
 
 def _gear(body: Element, tendons: Element, effect: Hidden, number: int) -> None:
     """What is between the motor and the link of a joint."""
-    name, size, fixed = f"gear{number}", effect.values[0], effect.fixed
+    name, size, fixed = _gear_name(effect), effect.values[0], effect.fixed
     said: dict[str, str] = {"damping": "20"}
     if effect.name == "joint_compliance":
         said["stiffness"] = f"{1 / size:.17g}"
