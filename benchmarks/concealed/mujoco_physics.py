@@ -21,7 +21,8 @@ from benchmarks.concealed.plain_physics import HARDENING, YIELD, Hidden, Motion,
 mujoco: Any = _mujoco  # its names are made at run time, where no type checker sees them
 
 SPRINGS = ("joint_compliance", "hardening_spring", "yielding_spring")
-OFFERED = (*SPRINGS, "joint_backlash", "base_compliance", "time_offset", "payload_error")
+GEARS = (*SPRINGS, "joint_backlash")
+OFFERED = (*GEARS, "base_compliance", "time_offset", "payload_error")
 """The effects that can be built."""
 REMEMBERING = ("joint_backlash", "yielding_spring")
 
@@ -153,7 +154,7 @@ class Arm:
 def _soft_joints(effect: Hidden) -> tuple[str, ...]:
     if effect.name == "base_compliance":
         return "base1", "base2"
-    return (_gear_name(effect),) if effect.name in (*SPRINGS, "joint_backlash") else ()
+    return (_gear_name(effect),) if effect.name in GEARS else ()
 
 
 def _gear_name(effect: Hidden) -> str:
@@ -183,8 +184,7 @@ def _model(setup: Setup, hidden: tuple[Hidden, ...], payload: float) -> str:
     """The arm in MuJoCo's own words."""
     chain = setup.chain
     # play comes first: its bearing drags against the wall, and a spring beyond it carries the load alone
-    gears = sorted((e for e in hidden if e.name in (*SPRINGS, "joint_backlash")), key=lambda e: e.name in SPRINGS)
-    at = {number: [e for e in gears if e.number == number] for number in {e.number for e in gears}}
+    gears = sorted((effect for effect in hidden if effect.name in GEARS), key=lambda effect: effect.name in SPRINGS)
     soft_base = next((effect for effect in hidden if effect.name == "base_compliance"), None)
     root = Element("mujoco")
     SubElement(root, "compiler", angle="radian", autolimits="true")
@@ -205,16 +205,17 @@ def _model(setup: Setup, hidden: tuple[Hidden, ...], payload: float) -> str:
     for i, row in enumerate(chain.rows):
         turn = quaternion_from_rotation(rotation_from_rpy(*row[3:])[None])[0]
         parent = SubElement(parent, "body", pos=_text(row[:3]), quat=_text(turn))
-        friction = {"frictionloss": "0.3"} if i + 1 not in at else {}
+        own = [effect for effect in gears if effect.number == i + 1]
+        friction = {} if own else {"frictionloss": "0.3"}
         SubElement(
             parent, "joint", {"name": f"motor{i + 1}", "axis": "0 0 1", "armature": "0.1", "damping": "1"} | friction
         )
         servo = {"kp": f"{_SERVO:g}", "kv": f"{_SERVO / 20:g}"}
         SubElement(actuators, "position", {"joint": f"motor{i + 1}"} | servo)
-        for effect in at.get(i + 1, ()):
+        for effect in own:
             _inertial(parent, 1e-3, np.zeros(3), 1e-4)
             parent = SubElement(parent, "body")
-            _gear(parent, tendons, effect, i + 1)
+            _gear(parent, tendons, effect)
         _inertial(parent, chain.mass[i], chain.center[i], max(1e-4, 2e-3 * chain.mass[i]))
     total = payload + sum(effect.values[0] for effect in hidden if effect.name == "payload_error")
     if total > 0:
@@ -229,7 +230,7 @@ def _model(setup: Setup, hidden: tuple[Hidden, ...], payload: float) -> str:
     return tostring(root, encoding="unicode")
 
 
-def _gear(body: Element, tendons: Element, effect: Hidden, number: int) -> None:
+def _gear(body: Element, tendons: Element, effect: Hidden) -> None:
     """What is between the motor and the link of a joint."""
     name, size, fixed = _gear_name(effect), effect.values[0], effect.fixed
     said: dict[str, str] = {"damping": "20"}
@@ -255,7 +256,7 @@ def _gear(body: Element, tendons: Element, effect: Hidden, number: int) -> None:
             solimpfriction="0.9999 0.9999 0.001",
             solreffriction="0.002 1",
         )
-        for joint in (f"motor{number}", name):
+        for joint in (f"motor{effect.number}", name):
             SubElement(drag, "joint", joint=joint, coef="1")
         said["damping"] = "2"
     SubElement(body, "joint", {"name": name, "axis": "0 0 1"} | said)

@@ -59,7 +59,8 @@ def concentration(problem: Problem, fit: Fit, options: EngineOptions) -> Concent
         return None
     test = score_test(problem, fit, options)
     whole = _remainder(test)
-    rest, site = min(((_remainder(test, family.column), family.site) for family in families), key=_squares)
+    found = [(_remainder(test, family.column), family.site) for family in families]
+    rest, site = min(found, key=lambda pair: pair[0].squares)
     along = whole.freedom - rest.freedom
     if rest.freedom <= 0 or along <= 0 or rest.squares <= options.rounding * whole.squares:
         return None
@@ -70,16 +71,12 @@ def concentration(problem: Problem, fit: Fit, options: EngineOptions) -> Concent
         return None
     measured = test.residual[: problem.rows * problem.samples].reshape(problem.rows, problem.samples)
     axis = np.linalg.eigh(measured @ measured.T)[1][:, -1:]
-    others = [np.broadcast_to(axis, measured.shape), *(family.column for family in families if family.site != site)]
-    nearest = min(_remainder(test, column).squares for column in others)
+    others = [_remainder(test, np.broadcast_to(axis, measured.shape)), *(one for one, where in found if where != site)]
+    nearest = min(one.squares for one in others)
     if 0.5 * rest.freedom / test.time * np.log(nearest / rest.squares) < options.close:
         return None
     share, expected = 1 - rest.squares / whole.squares, along / whole.freedom
     return Concentration(site, share, expected, 0.5 * (whole.squares - rest.squares - along * noise))
-
-
-def _squares(pair: tuple[_Remainder, str]) -> float:
-    return pair[0].squares
 
 
 def _remainder(test: ScoreTest, column: Array | None = None) -> _Remainder:

@@ -2,8 +2,6 @@
 
 from dataclasses import replace
 
-import numpy as np
-
 from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.problem import Problem
 from lite6jax.estimation.score_test import score_test
@@ -35,19 +33,17 @@ def _with_functions(problem: Problem, state: State, k: int, options: EngineOptio
         return tested
     rest = reduced(problem, state, k, options)
     test = score_test(problem, rest.fit, options, within=state.fit)
-    near = {one.term.site for one in tested.alternatives if one.gap < options.close and not one.term.nonparametric}
+    named = (one.term.site for one in tested.alternatives if one.gap < options.close and not one.term.nonparametric)
+    near = set(named) - {tested.term.site}
     own = test.explained([tested.term])[0]
     now = own.gain - 0.5 * test.time * own.size
+    functions = [term for term in problem.flexible if term.site not in near and _may_replace(tested.term, term)]
     likely: dict[str, tuple[float, Term]] = {}
-    for term, one in zip(problem.flexible, test.explained(problem.flexible), strict=True):
+    for term, one in zip(functions, test.explained(functions), strict=True):
         gain = one.gain - 0.5 * test.time * one.size
-        if term.site != tested.term.site:
-            least = np.inf if term.site in near else now - 2 * options.close  # the refit may say otherwise by `close`
-        elif tested.term.nonparametric:
-            least = np.inf if set(term.drivers) & set(tested.term.drivers) else now - 2 * options.close
-        else:
-            least = now + options.close
-        if gain > max(least, likely.get(term.site, (-np.inf, term))[0]):
+        beside = term.site == tested.term.site and not tested.term.nonparametric
+        least = now + options.close if beside else now - 2 * options.close  # the refit may say otherwise by `close`
+        if gain > likely.get(term.site, (least, term))[0]:
             likely[term.site] = (gain, term)
     best = [term for _, term in sorted(likely.values(), key=lambda pair: -pair[0])[: options.functions]]
     found = []
@@ -57,3 +53,8 @@ def _with_functions(problem: Problem, state: State, k: int, options: EngineOptio
         if gap < options.close:
             found.append(Alternative(term, max(gap, 0.0)))
     return replace(tested, alternatives=tuple(sorted((*tested.alternatives, *found), key=lambda one: one.gap)))
+
+
+def _may_replace(term: Term, function: Term) -> bool:
+    """Whether a function is an alternative of its own: at a function's site, only one of other drivers is."""
+    return function.site != term.site or not (term.nonparametric and set(function.drivers) & set(term.drivers))

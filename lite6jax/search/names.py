@@ -164,7 +164,7 @@ def significant(problem: Problem, state: State, options: EngineOptions) -> State
         tests = [_tested_finally(problem, state, k, time, options) for k in range(len(state.tested))]
         tests = [
             replace(one, p_value=1.0)
-            if _misfit(one, tests, options) or _leaves_more(one, state.fit.quadratic_gain(k), left, options)
+            if _misfit(one, tests, options) or _leaves_more(one, k, state.fit, left, options)
             else one
             for k, one in enumerate(tests)
         ]
@@ -180,10 +180,10 @@ def _misfit(name: SelectedTerm, tests: Sequence[SelectedTerm], options: EngineOp
     return not name.term.nonparametric and any(name.score.gain < options.misfit * one.score.gain for one in there)
 
 
-def _leaves_more(name: SelectedTerm, gain: float, left: Concentration | None, options: EngineOptions) -> bool:
+def _leaves_more(name: SelectedTerm, k: int, fit: Fit, left: Concentration | None, options: EngineOptions) -> bool:
     if left is None or left.site != name.term.site or name.term.nonparametric:
         return False
-    return options.misfit * gain < left.gain
+    return options.misfit * fit.quadratic_gain(k) < left.gain
 
 
 def _tested_finally(problem: Problem, state: State, k: int, time: float, options: EngineOptions) -> SelectedTerm:

@@ -200,7 +200,8 @@ class PoseProblem:
 
     def nuisance_columns(self, terms: Terms, values: Array) -> Array:
         """How residuals change with `unknown`, `(unknown, row, sample)`: masses matter beside compliances alone."""
-        return np.concatenate([self.frame_columns, self.effect_columns.by_masses(physics_of(terms), values)])
+        through = self.effect_columns.by_masses(physics_of(terms), values)
+        return np.concatenate([self.frame_columns, through]) if len(through) else self.frame_columns
 
     @lazy
     def periodic(self) -> tuple[PeriodicFamily, ...]:

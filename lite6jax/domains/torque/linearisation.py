@@ -68,12 +68,12 @@ def with_likely_prior(problem: TorqueProblem, options: EngineOptions, training: 
         each = of_width(width)
         return _evidence(each, fit(each, terms, options, training=training, noise=noise), time)
 
-    evidence = {width: judged(width) for width in _WIDTHS}
+    evidence = {width: judged(width) for width in _WIDTHS[:-1]} | {_WIDTHS[-1]: _evidence(widest, found, time)}
     least = max(evidence.values()) - options.close
     likely = max(width for width, one in evidence.items() if one > least)
     # the grid is coarse, and a prior half as wide as it should be already causes false findings
-    wider = min((width for width in _WIDTHS if width > likely), default=likely)
-    for width in np.geomspace(likely, wider, _BETWEEN + 2)[1:-1] if wider > likely else ():
+    wider = [width for width in _WIDTHS if width > likely]
+    for width in np.geomspace(likely, wider[0], _BETWEEN + 2)[1:-1] if wider else ():
         if judged(float(width)) <= least:
             break
         likely = float(width)
