@@ -56,6 +56,8 @@ def _of(quantity: str, joint: int) -> list[str]:
         return [f"{word} of joint {joint}" for word in ("direction of motion", "direction", "velocity")]
     if quantity == "velocity":
         return [f"{word} of joint {joint}" for word in ("velocity", "speed")]
+    if quantity == "travel":
+        return [f"{word} of joint {joint}" for word in ("travel since reversal", "position")]
     return [quantity] if quantity == "time" else [f"{quantity} of joint {joint}"]
 
 
@@ -162,7 +164,7 @@ FAMILIES: dict[str, Family] = {
     ),
     "soft_stop": Family(soft_stop, _own("position"), ("at",), ("joint_spring", "torque_offset")),
     "presliding": Family(
-        presliding, _own("direction", "position"), ("bristle_rad",), (*_FRICTION, "joint_spring", "torque_offset")
+        presliding, _own("direction", "travel"), ("bristle_rad",), (*_FRICTION, "joint_spring", "torque_offset")
     ),
     "asymmetric_viscous": Family(
         asymmetric_viscous, _own("velocity"), beside=("viscous_friction", "coulomb_friction", "torque_offset")

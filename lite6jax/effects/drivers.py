@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import NamedTuple, final
 
 from lite6jax.deferred import Array, jnp
-from lite6jax.effects.motion import Motion
+from lite6jax.effects.motion import Motion, since_reversal
 from lite6jax.effects.statics import Loads
 from lite6jax.errors import InputError
 
@@ -31,6 +31,10 @@ def _joint_temperatures(motion: Motion, _: Loads | None) -> Array | None:
     return motion.joint_temperature_rise
 
 
+def _travel(motion: Motion, _: Loads | None) -> Array | None:
+    return None if motion.joint_velocity is None else since_reversal(motion)
+
+
 def _component(k: int) -> Callable[[Motion, Loads | None], Array | None]:
     return lambda motion, _: None if motion.measured_position is None else motion.measured_position[k]
 
@@ -40,6 +44,7 @@ def _payload_moment(k: int) -> Callable[[Motion, Loads | None], Array | None]:
 
 
 _VELOCITIES = "the velocities of a moving arm; record a trajectory with time_s or dq1_rad_per_s …"
+_TRAVELS = "the motion of the arm between its reversals; keep the rows in the order of recording, with velocities"
 _SLIDE_VELOCITIES = "the velocities of a moving arm; record a trajectory with time_s or dq1_m_per_s …"
 _MASSES = "the masses of the links; add `inertial` to the arm's description"
 _SOURCES = {
@@ -66,6 +71,8 @@ _SOURCES = {
     "slide speed": _Source(
         lambda m, _: None if m.joint_velocity is None else abs(m.joint_velocity), "m/s", "joint", _SLIDE_VELOCITIES
     ),
+    "travel since reversal": _Source(_travel, "rad", "joint", _TRAVELS),
+    "slide travel since reversal": _Source(_travel, "m", "joint", _TRAVELS),
     "acceleration": _Source(
         lambda m, _: m.joint_acceleration,
         "rad/s²",
@@ -181,6 +188,7 @@ _OF_SLIDE = {
     "position": "slide position",
     "velocity": "slide velocity",
     "speed": "slide speed",
+    "travel since reversal": "slide travel since reversal",
     "acceleration": "slide acceleration",
     "gravity torque": "gravity force",
 }

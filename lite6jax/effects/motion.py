@@ -6,12 +6,16 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lite6jax.arms.chains import SixParameterForm
+from lite6jax.arms.joint_units import joint_sizes
 from lite6jax.deferred import Array, jax, jit, jnp, lax
 from lite6jax.effects.sliding import Sliding
 from lite6jax.errors import InputError
 
 _HALF_WINDOW = 0.05
 """s, half the window of `accelerated`: encoder noise dominates a shorter one, and a longer one smooths the motion."""
+
+_LEAST_REVERSAL = 1e-4
+"""rad: a joint that moves back by less did not reverse."""
 
 
 class Motion(NamedTuple):
@@ -254,6 +258,30 @@ def _interval(motion: Motion, offset: Array | float) -> tuple[Array, Array, Arra
     step = t.at[jnp.minimum(before + 1, last)].get(mode="promise_in_bounds") - start
     step = jnp.where(step > 0, step, 1.0)  # a run of one sample, or two samples with equal times
     return before, jnp.clip((t + offset - start) / step, -1.0, 2.0), step
+
+
+@jit
+def since_reversal(motion: Motion) -> Array:
+    """How far each joint is from where it last reversed, or from where its run begins, `(joint, sample)` rad or m.
+
+    A way back of less than `_LEAST_REVERSAL` rad, or what that is of a prismatic joint, is none: encoders jitter.
+    """
+    least = joint_sizes(_LEAST_REVERSAL, "rad", motion.sliding.mask(motion.dof))
+
+    def moved(state: tuple[Array, Array, Array], now: tuple[Array, Array]) -> tuple[tuple[Array, Array, Array], Array]:
+        turned_at, farthest, sense = state
+        q, begins = now
+        turned_at, farthest = jnp.where(begins, q, turned_at), jnp.where(begins, q, farthest)
+        sense = jnp.where(begins | (sense == 0), jnp.sign(q - farthest), sense)
+        back = sense * (farthest - q)
+        turns = back > least
+        turned_at = jnp.where(turns, farthest, turned_at)
+        farthest = jnp.where(turns | (back < 0), q, farthest)
+        return (turned_at, farthest, jnp.where(turns, -sense, sense)), abs(q - turned_at)
+
+    begins = motion.run[0] == jnp.arange(motion.samples)
+    start = jnp.zeros(motion.dof)
+    return lax.scan(moved, (start, start, start), (motion.joint_position.T, begins))[1].T
 
 
 def select(motion: Motion, rows: ArrayLike) -> Motion:

@@ -1,10 +1,10 @@
 """Physics without a name: at one site, a function of one driver (spline, harmonics, hysteresis) or of several."""
 
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations_with_replacement
-from math import comb
 from typing import Any, ClassVar, final
 
 import numpy as np
@@ -42,23 +42,34 @@ def spline_basis(values: Array, lower: float | Array, upper: float | Array, piec
     return (far**3 - 4 * near**3) / 6  # the fourth difference of cubes (C. de Boor, A Practical Guide to Splines, IX)
 
 
-def polynomial_basis(values: Array, ranges: NDArray, degree: int) -> Array:
-    """All products of up to `degree` drivers, `(product, sample)`, the constant first.
+Products = tuple[tuple[int, ...], ...]
+"""Of drivers, by their indices; the constant is the empty product."""
+
+
+def products_of(drivers: Sequence[Driver], degree: int) -> Products:
+    """All products of up to `degree` drivers, the constant first.
+
+    A direction of motion is in a product once at most: its square is the constant.
+    """
+    signs = {k for k, driver in enumerate(drivers) if driver.quantity == "direction of motion"}
+    orders = (combinations_with_replacement(range(len(drivers)), order) for order in range(degree + 1))
+    return tuple(which for found in orders for which in found if all(which.count(k) < 2 for k in signs))
+
+
+def polynomial_basis(values: Array, ranges: NDArray, products: Products) -> Array:
+    """The products of drivers, `(product, sample)`.
 
     Each driver is scaled so that its range is from -1 to 1, and keeps its value beyond. Of NumPy values on the host.
 
     Args:
         values: `(driver, sample)`.
         ranges: `(driver, 2)`, lower and upper.
-        degree: of the polynomials, 1 or more.
+        products: which.
     """
     xp = _library(values)
     lower, upper = ranges.T[..., None]
     u = xp.clip(2 * (values - lower) / (upper - lower) - 1, -1.0, 1.0)
-    products = [xp.ones_like(u[0])]
-    for order in range(1, degree + 1):
-        products += [xp.prod(u[np.array(which)], 0) for which in combinations_with_replacement(range(len(u)), order)]
-    return xp.stack(products)
+    return xp.stack([xp.prod(u[np.array(which, int)], 0) for which in products])
 
 
 def _library(values: Array) -> Any:
@@ -213,8 +224,12 @@ class Unnamed(Bending):
     def functions(self) -> int:
         """How many functions of the drivers there are, and so coefficients of each component."""
         if self.degree:
-            return comb(len(self.drivers) + self.degree, self.degree)
+            return len(self._products)
         return 2 * len(self.orders) or len(self.memory) or self.pieces + 3
+
+    @cached_property
+    def _products(self) -> Products:
+        return products_of(self.drivers, self.degree)
 
     def part(self, component: int) -> slice:
         """Where the coefficients of a component stand, counted from 0."""
@@ -243,7 +258,7 @@ class Unnamed(Bending):
         """
         if self.degree:
             ranges = np.array((self.lower, self.upper, *self.further)).reshape(-1, 2)
-            return polynomial_basis(_library(driver).atleast_2d(driver), ranges, self.degree)
+            return polynomial_basis(_library(driver).atleast_2d(driver), ranges, self._products)
         if self.memory:
             one = jnp.zeros((2, driver.size), int)
             return plays(driver, jnp.asarray(self.memory), one if run is None else run)

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from lite6jax.effects.motion import accelerated, beyond, motion_of, select, shifted
+from lite6jax.effects.motion import accelerated, beyond, motion_of, select, shifted, since_reversal
 from lite6jax.errors import InputError
 from tests.oracles.effects import later, random_motion
 
@@ -222,3 +222,37 @@ def test_nothing_accelerates_without_velocities_or_times():
     q = np.zeros((3, 2))
     for motion in (motion_of(q, time=np.arange(3.0)), motion_of(q, joint_velocity=q)):
         assert accelerated(motion) is motion
+
+
+def travelled(position, least):
+    """How far one joint of one run is from its last reversal, found by looking back from each sample."""
+    found = []
+    for k, now in enumerate(position):
+        turned, farthest, sense = position[0], position[0], 0.0
+        for q in position[: k + 1]:
+            sense = sense or np.sign(q - farthest)
+            if sense * (farthest - q) > least:
+                turned, farthest, sense = farthest, q, -sense
+            elif sense * (q - farthest) > 0:
+                farthest = q
+        found.append(abs(now - turned))
+    return np.array(found)
+
+
+@pytest.mark.parametrize("sliding", [(), (1,)])
+def test_the_travel_since_reversal_begins_anew_with_each_run_and_ignores_jitter(sliding):
+    arrays = simulated(3, (40, 1, 25))
+    rng = np.random.default_rng(4)
+    arrays["joint_position"] += rng.normal(0, 1e-5, arrays["joint_position"].shape)
+    found = np.asarray(since_reversal(motion_of(**arrays, sliding=sliding)))
+    for run in np.unique(arrays["run"]):
+        rows = arrays["run"] == run
+        for j, q in enumerate(arrays["joint_position"][rows].T):
+            expected = travelled(q, 1e-5 if j in sliding else 1e-4)
+            np.testing.assert_allclose(found[j, rows], expected, rtol=0, atol=1e-12)
+
+
+def test_a_joint_that_turns_back_travels_from_there():
+    q = np.array([0.0, 0.2, 0.5, 0.5 - 5e-5, 0.4, 0.1, 0.3])[:, None]
+    found = since_reversal(motion_of(q, joint_velocity=np.zeros_like(q)))[0]
+    np.testing.assert_allclose(found, [0, 0.2, 0.5, 0.5 - 5e-5, 0.1, 0.4, 0.2], atol=1e-12)

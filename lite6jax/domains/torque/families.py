@@ -75,7 +75,7 @@ def flexible(dynamics: Dynamics, sizes: Array) -> tuple[UnnamedTorque, ...]:
 
     They are of the position of any joint, of the joint's own velocity, load and temperature, and of time; those of
     position, load, temperature and speed also times the direction of motion, and the first three times the velocity, as
-    friction is.
+    friction is; and of the travel since the last reversal times the direction, as friction before sliding is.
 
     Args:
         dynamics: of every sample.
@@ -106,7 +106,7 @@ def flexible(dynamics: Dynamics, sizes: Array) -> tuple[UnnamedTorque, ...]:
         )
 
     for j in range(1, dof + 1):
-        position, velocity, speed, load, temperature = _own(j, slides[j])
+        position, velocity, speed, load, temperature, travel = _own(j, slides[j])
         for signed in (False, True):
             for pieces in (3, 10):
                 add(j, [position], pieces, signed)
@@ -118,6 +118,7 @@ def flexible(dynamics: Dynamics, sizes: Array) -> tuple[UnnamedTorque, ...]:
             add(j, [velocity], pieces)
         for pieces in (2, 4):
             add(j, [speed], pieces, signed=True)
+        add(j, [travel], 8, signed=True)
         for other in (position, load, temperature):
             add(j, [velocity, other], degree=3)
         for k in range(1, dof + 1):
@@ -147,8 +148,8 @@ def unit_torques(effect: TorqueEffect, dynamics: Dynamics, kept: Callable[[Array
 
 
 def _own(j: int, of_slide: bool) -> list[Driver]:
-    """Position, velocity, speed, load and temperature of a joint."""
-    quantities = ("position", "velocity", "speed", "gravity torque", "temperature")
+    """Position, velocity, speed, load, temperature and travel since reversal of a joint."""
+    quantities = ("position", "velocity", "speed", "gravity torque", "temperature", "travel since reversal")
     return [joint_driver(quantity, j, of_slide) for quantity in quantities]
 
 

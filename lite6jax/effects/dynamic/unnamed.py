@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from math import comb
 from typing import ClassVar, final
 
 import numpy as np
@@ -11,7 +10,7 @@ import numpy as np
 from lite6jax.effects.drivers import Driver, driver_of
 from lite6jax.effects.dynamic.torque_effect import Array, Dynamics, JointTorque
 from lite6jax.effects.effect import Coordinate
-from lite6jax.effects.nonparametric import polynomial_basis, spline_basis
+from lite6jax.effects.nonparametric import Products, polynomial_basis, products_of, spline_basis
 from lite6jax.errors import InputError
 
 
@@ -100,8 +99,12 @@ class UnnamedTorque(JointTorque):
     def functions(self) -> int:
         """How many functions of the drivers there are."""
         if self.degree:
-            return comb(len(self.of) + self.degree, self.degree)
+            return len(self._products)
         return 2 * len(self.orders) or self.pieces + 3
+
+    @cached_property
+    def _products(self) -> Products:
+        return products_of(self.of, self.degree)
 
     def basis(self, dynamics: Dynamics) -> Array:
         """The functions that coefficients multiply, `(function, sample)`."""
@@ -114,7 +117,7 @@ class UnnamedTorque(JointTorque):
         """The functions `(function, sample)` at values `(driver, sample)` of the drivers, without the direction."""
         if self.degree:
             ranges = np.array((self.lower, self.upper, *self.further)).reshape(-1, 2)
-            return np.asarray(polynomial_basis(values, ranges, self.degree))  # type: ignore[arg-type]
+            return np.asarray(polynomial_basis(values, ranges, self._products))  # type: ignore[arg-type]
         if not self.orders:
             splines = np.asarray(spline_basis(values[0], self.lower, self.upper, self.pieces))  # type: ignore[arg-type]
             return splines[::-1].cumsum(0)[::-1]

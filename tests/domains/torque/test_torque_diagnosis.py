@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from domains.torque.moved import hidden, motion_of, recorded, setup_of
 
-from benchmarks.torque_trials.physics import torques
+from benchmarks.torque_trials.outside import presliding
+from benchmarks.torque_trials.physics import rigid, torques
 from lite6jax.diagnosis.document import write_document
 from lite6jax.diagnosis.options import Options
 from lite6jax.diagnosis.torque_diagnosis import diagnose_torques
@@ -107,6 +108,16 @@ def test_a_function_outside_the_catalogue_has_no_name():
     assert (largest.effect.name, largest.effect.site) == ("unnamed", "joint2")
     assert "position of joint 2" in [driver.phrase for driver in largest.effect.drivers]
     assert found.verdict == "unnamed"
+
+
+def test_friction_that_bends_before_it_slides_is_a_function_of_the_travel_since_reversal():
+    setup, _ = setup_of(5)
+    bent = presliding({"bristle_rad": 0.02}, 1, rigid(setup, (), motion_of(setup, 105)), np.zeros(0))
+    changed, arm = recorded(seed=5, change=lambda tau: tau + 0.5 * np.stack([bent * (j == 1) for j in range(6)], 1))
+    found = diagnose_torques(changed, arm, options=FEW)
+    assert {(one.effect.name, one.effect.site) for one in found.findings} == {("unnamed", "joint2")}
+    largest = max(found.findings, key=lambda finding: finding.gain)
+    assert "travel since reversal of joint 2" in [driver.phrase for driver in largest.effect.drivers]
 
 
 def test_friction_of_every_joint_of_an_arm_of_unknown_links():

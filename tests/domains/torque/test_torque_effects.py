@@ -160,6 +160,16 @@ def test_a_curve_over_the_speed_is_an_odd_function_of_the_velocity(scene):
     assert np.abs(there).max() > 0.1
 
 
+def test_products_with_a_direction_of_motion_hold_it_once():
+    drivers = "position of joint 2 and direction of motion of joint 2"
+    curve = UnnamedTorque(2, drivers, -1.0, 1.0, degree=3, further=(-1.0, 1.0))
+    q, sign = np.random.default_rng(6).uniform(-1, 1, 40), np.tile([-1.0, 1.0], 20)
+    functions = curve.functions_of(np.stack([q, sign]))
+    expected = [np.ones(40), q, sign, q**2, q * sign, q**3, q**2 * sign]
+    assert len(functions) == curve.size == np.linalg.matrix_rank(functions)
+    np.testing.assert_allclose(sorted(functions.tolist()), sorted(np.array(expected).tolist()), atol=1e-12)
+
+
 @pytest.mark.parametrize(
     ("make", "message"),
     [
