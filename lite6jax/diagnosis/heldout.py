@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.factory import FactoryCalibration
-from lite6jax.diagnosis.explanation import Decisions, Explanation, explain
+from lite6jax.diagnosis.explanation import Decisions, explain
 from lite6jax.diagnosis.folds import side_by_side
 from lite6jax.diagnosis.options import Options
 from lite6jax.domains.pose.kinematics import unwhitened
@@ -87,19 +87,21 @@ def held_out_errors(
         decisions: between faults and physics, of all rows.
         folds: those of `held_out_folds`.
     """
-    before, after, turned_before, turned_after, angle_before, angle_after = np.zeros((6, recording.samples))
+    errors = np.zeros((len(HeldOut._fields), recording.samples))
 
-    def explained(held: Mask) -> Explanation:
-        return explain(recording, arm, geometry, options, effects, factory, ~held, False, decisions)
-
-    for held, found in zip(folds, side_by_side(explained, folds), strict=True):
+    def predicted(held: Mask) -> Array:
+        """`(field, held)`: the problems of a fold, whose columns take a gigabyte of a real arm, end with it."""
+        found = explain(recording, arm, geometry, options, effects, factory, ~held, False, decisions)
         state, reference = found.selection.state, found.selection.reference
         assert isinstance(reference, PoseProblem)
-        before[held] = _distance(reference, state.baseline)[held]
-        after[held] = _distance(found.problem, state.fit)[held]
-        turned_before[held], angle_before[held] = (size[held] for size in _turns(reference, state.baseline))
-        turned_after[held], angle_after[held] = (size[held] for size in _turns(found.problem, state.fit))
-    return HeldOut(before, after, turned_before, turned_after, angle_before, angle_after)
+        turned_before, angle_before = _turns(reference, state.baseline)
+        turned_after, angle_after = _turns(found.problem, state.fit)
+        before, after = _distance(reference, state.baseline), _distance(found.problem, state.fit)
+        return np.stack(HeldOut(before, after, turned_before, turned_after, angle_before, angle_after))[:, held]
+
+    for held, off in zip(folds, side_by_side(predicted, folds), strict=True):
+        errors[:, held] = off
+    return HeldOut(*errors)
 
 
 def _distance(problem: PoseProblem, fit: Fit) -> Array:
