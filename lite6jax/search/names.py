@@ -32,6 +32,9 @@ from lite6jax.search.state import (
     retested,
 )
 
+_SLOW = (1.0, 2.0)
+"""Orders of waves that several names over a part of a turn may add up to."""
+
 
 class _Likely(NamedTuple):
     """A function without a name, and the log-likelihood that it gains beyond the cost of its numbers."""
@@ -92,11 +95,12 @@ def _named_again(problem: Problem, state: State, options: EngineOptions) -> Stat
 
 
 def _one_for_names(problem: Problem, state: State, options: EngineOptions) -> State:
-    """One function without a name in the place of several names, unless these are clearly more likely.
+    """One function without a name, or one slow wave, in the place of several names, unless these are clearly likelier.
 
     Several effects of the catalogue can add up to one that it does not have: at one site a spring and a slow wave to an
-    end stop, at two a payload and a base that gives way to a sensor whose axes differ in scale. That so many effects
-    are there at once is itself unlikely, the more so the more they are.
+    end stop, at two a payload and a base that gives way to a sensor whose axes differ in scale. Over a part of a turn,
+    an offset and a scale add up to a wave of order 1. That so many effects are there at once is itself unlikely, the
+    more so the more they are.
     """
     preset = problem.preset[0].terms
     while True:
@@ -108,7 +112,8 @@ def _one_for_names(problem: Problem, state: State, options: EngineOptions) -> St
             if len(there) < 2:
                 continue
             rest = refitted(problem, state, [t for t in state.tested if t not in there], options)
-            for choice in _with_functions(problem, rest, state.fit, options, site):
+            waves = _with_slow_waves(problem, rest, state.fit, options, site)
+            for choice in (*_with_functions(problem, rest, state.fit, options, site), *waves):
                 # beside the function a name may stay: it is then not what the function replaces
                 choice = _restored(problem, choice, there, options)
                 fewer = len(there) - sum(t.term in choice.fit.terms.terms for t in there)
@@ -118,6 +123,17 @@ def _one_for_names(problem: Problem, state: State, options: EngineOptions) -> St
         if best is None:
             return state
         state = best
+
+
+def _with_slow_waves(
+    problem: Problem, rest: State, within: Fit, options: EngineOptions, site: str | None
+) -> list[State]:
+    """The state with each of the lowest orders of a site that it does not have."""
+    families = [family for family in problem.periodic if family.site == site]
+    waves = [family.term(order) for family in families for order in _SLOW]
+    waves = [wave for wave in waves if wave not in rest.fit.terms.terms]
+    scored = zip(waves, score_test(problem, rest.fit, options, within=within).score(waves), strict=True)
+    return [with_term(problem, rest, wave, score, options) for wave, score in scored if not score.confounded]
 
 
 def _restored(problem: Problem, state: State, names: Sequence[SelectedTerm], options: EngineOptions) -> State:

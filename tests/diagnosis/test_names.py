@@ -6,13 +6,16 @@ import numpy as np
 import pytest
 from diagnosis.recorded import Made, static_motion, with_effects
 
+from benchmarks.concealed.trials import draw
 from lite6jax.diagnosis.diagnose import diagnose
 from lite6jax.diagnosis.document import to_document
 from lite6jax.diagnosis.explanation import explain
 from lite6jax.diagnosis.heldout import HeldOut
 from lite6jax.diagnosis.options import Options
+from lite6jax.effects.kinematic.joints import JointHarmonic
 from lite6jax.effects.nonparametric import Unnamed
 from lite6jax.estimation.concentration import concentration
+from lite6jax.recordings import read_recording
 from lite6jax.report import statements
 
 SAMPLES = 240
@@ -36,8 +39,8 @@ def deflected(arm, motion, joint, angle):
     return replace(arm.recording(truly), joint_position=motion["joint_position"])
 
 
-def terms(recording):
-    found = explain(recording, None, "declared", OPTIONS, thorough=False).selection.state
+def terms(recording, thorough=False):
+    found = explain(recording, None, "declared", OPTIONS, thorough=thorough).selection.state
     return found.fit.terms.terms
 
 
@@ -49,6 +52,17 @@ def test_a_square_of_another_joint_is_no_linear_coupling(arm, still):
 def test_a_linear_coupling_keeps_its_name(arm, still):
     (found,) = terms(deflected(arm, still, 4, 4e-4 * still["joint_position"][:, 2]))
     assert (found.label, found.source_joint) == ("joint_coupling:joint4", 3)
+
+
+@pytest.mark.long
+def test_two_slow_waves_over_a_part_of_a_turn_are_no_offset_and_no_scale(tmp_path):
+    """Joint 6 moves by 1.6 rad: a search one by one finds order 2, and an offset and a scale for what order 1 does."""
+    for name, text in draw(2214, 289).files.items():
+        (tmp_path / name).write_text(text)
+    found = terms(read_recording(tmp_path / "recording.csv"), thorough=True)
+    assert {term.site for term in found} == {"joint6"}
+    assert sorted(term.label for term in found if not isinstance(term, JointHarmonic)) == ["joint_compliance:joint6"]
+    assert sorted(term.order for term in found if isinstance(term, JointHarmonic)) == [1, 2]
 
 
 def test_a_compliance_of_the_wrong_sign_is_none(arm, still):

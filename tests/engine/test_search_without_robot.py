@@ -215,9 +215,9 @@ def test_every_option_is_documented_once():
     assert all(option.meaning and option.why for option in options)
 
 
-def test_the_size_of_a_search_counts_names_orders_and_curves():
+def test_the_size_of_a_search_counts_names_functions_orders_and_curves():
     problem = linear_problem(np.random.default_rng(15))
-    assert searched_size(problem, OPTIONS) == 7 + OPTIONS.searched_orders + OPTIONS.searched_curves
+    assert searched_size(problem, OPTIONS) == 7 + 7 + OPTIONS.searched_orders + OPTIONS.searched_curves
 
 
 # ---------------------------------------------------------------------------- names
