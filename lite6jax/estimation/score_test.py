@@ -73,8 +73,9 @@ class Score(NamedTuple):
 
 def searched_size(problem: Problem, options: EngineOptions) -> float:
     """The effective number of independent candidates in a search, for family-wise p-values."""
-    periodic, curves = len(problem.periodic), len(problem.curves)
-    return len(problem.candidates) + periodic * options.searched_orders + curves * options.searched_curves
+    usual = options.highest_order
+    periodic = sum((family.highest or usual) / usual for family in problem.periodic)
+    return len(problem.candidates) + periodic * options.searched_orders + len(problem.curves) * options.searched_curves
 
 
 def gain_p_value(gain: float, size: int, time: float) -> float:
