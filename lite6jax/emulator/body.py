@@ -77,8 +77,8 @@ class Body:
             computes from a model. Empty for none.
 
     Raises:
-        InputError: an arm without such a controller or with prismatic joints, a chain, values or noise of the wrong size, effects that this arm
-            cannot have, or a warm-up beyond the range of reports.
+        InputError: an arm without such a controller or with prismatic joints, a chain, values or noise of the wrong
+            size, effects that this arm cannot have, or a warm-up beyond the range of reports.
     """
 
     arm: Arm
