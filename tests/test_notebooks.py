@@ -1,6 +1,7 @@
 """The notebooks: stored as they ran, in few bytes; all run and end in a figure."""
 
 import ast
+import base64
 import importlib.util
 import json
 import os
@@ -11,6 +12,7 @@ from pathlib import Path
 
 import pytest
 
+from docs.hooks import pictures
 from docs.hooks.screens import difference
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -45,6 +47,15 @@ def said_by(cell):
     """What a cell prints, without how long it took."""
     text = "".join("".join(output["text"]) for output in cell["outputs"] if output.get("name") == "stdout")
     return "\n".join(line for line in text.splitlines() if not re.search(r"\d s, +[\d.]+ ms ", line))
+
+
+def drawn_by(cell):
+    """The pictures of a cell, in PNG."""
+    return [
+        base64.b64decode(output["data"]["image/png"])
+        for output in cell["outputs"]
+        if "image/png" in output.get("data", {})
+    ]
 
 
 def execute(path, folder):
@@ -136,6 +147,8 @@ def test_it_runs_and_ends_with_a_figure_and_an_answer(path, tmp_path):
     if path.stem not in OF_REAL_ARMS:
         for stored, now in zip(cells_of(path, "code"), code, strict=True):
             assert difference(said_by(stored), said_by(now)) == "", f"{stored['id']}: run `make notebooks`"
+            for own, other in zip(drawn_by(stored), drawn_by(now), strict=True):
+                assert pictures.difference(own, other) == "", f"{stored['id']}: run `make notebooks`"
 
 
 @needs_jupyter

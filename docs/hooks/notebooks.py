@@ -6,7 +6,6 @@ left as it is.
 """
 
 import base64
-import io
 import os
 import sys
 import tempfile
@@ -16,13 +15,12 @@ from typing import Any
 
 import nbformat
 from nbclient import NotebookClient
-from PIL import Image
+
+from docs.hooks.pictures import in_few_colours
 
 ROOT = Path(__file__).resolve().parents[2]
 NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
 REAL = "LITE6JAX_REAL"
-COLOURS = 48
-"""Of a stored picture: enough for smooth edges of a few colours."""
 _TIMEOUT_S = 1800
 _LONGEST = 2000
 _KEPT = {"text/plain", "text/html", "image/png"}
@@ -53,10 +51,7 @@ def _small(kind: str, content: Any) -> Any:
     """A picture with few colours; all else as it is."""
     if kind != "image/png":
         return content
-    picture = Image.open(io.BytesIO(base64.b64decode(content))).convert("RGB")
-    small = io.BytesIO()
-    picture.quantize(COLOURS, dither=Image.Dither.NONE).save(small, "PNG", optimize=True)
-    return base64.b64encode(small.getvalue()).decode()
+    return base64.b64encode(in_few_colours(base64.b64decode(content))).decode()
 
 
 def main(names: Sequence[str]) -> None:

@@ -52,6 +52,7 @@ class Arm:
             chain without `T_joint_flange`, and determines the branch (theta, sign of alpha) of the Hayati parameters.
         source: the origin of the numbers.
         sliding: the prismatic joints, counted from 0, in order.
+        joint_names: (joint,) as a URDF or an MJCF calls them; empty where they have no names of their own.
 
     Raises:
         InputError: an array of the wrong shape, a number that is not finite, limits in the wrong order, a negative
@@ -75,6 +76,7 @@ class Arm:
     spring_stiffness: Array | None = None
     spring_rest: Array | None = None
     sliding: tuple[int, ...] = ()
+    joint_names: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         if not self.name or not self.name.isprintable():
@@ -90,6 +92,10 @@ class Arm:
                 f"arm {self.name!r}: sliding is {self.sliding}; give prismatic joints in order, from 0 to {joints - 1}"
             )
         object.__setattr__(self, "sliding", tuple(self.sliding))
+        if len(self.joint_names) not in (0, joints):
+            raise InputError(
+                f"arm {self.name!r}: has {len(self.joint_names)} joint_names for {joints} joints; name each"
+            )
         if self.joint_limits is None:
             widest = np.where(self.slides, 1.0, 2 * np.pi)
             object.__setattr__(self, "joint_limits", np.column_stack([-widest, widest]))

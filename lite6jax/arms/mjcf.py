@@ -103,6 +103,7 @@ def read_mjcf(path: str | Path, base: str | None = None, tip: str | None = None)
             inertia=np.array([link.inertia for link in links]),
             source=f"MJCF {Path(path).name}, {tree.name(start)} to {tip or tree.name(end)}",
             sliding=sliding,
+            joint_names=tuple(model.joint(joint).name for joint in joints),
             **{field: values[dofs] for field, values in drives.items() if values[dofs].any()},
             **springs,
         )

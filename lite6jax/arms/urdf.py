@@ -95,6 +95,7 @@ def read_urdf(path: str | Path, base: str | None = None, tip: str | None = None)
             T_joint_flange=before,
             source=f"URDF {Path(path).name}, {tree.base} to {tree.tip}",
             sliding=tuple(i for i, joint in enumerate(moving) if joint.kind == "prismatic"),
+            joint_names=tuple(joint.name for joint in moving),
             **fields,
         )
     except InputError as error:

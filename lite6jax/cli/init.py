@@ -65,6 +65,7 @@ class Init:
         """Looks, asks, writes, prints."""
         from lite6jax.domains.pose.inspection import inspect
         from lite6jax.fitting.source import load_nominal
+        from lite6jax.recordings.ros import ArmJoints
         from lite6jax.recordings.sidecar import sidecar_path
         from lite6jax.recordings.sources import open_table, split_topics
         from lite6jax.report import inspection, screen
@@ -73,18 +74,24 @@ class Init:
         sidecar = sidecar_path(path)
         settings = _pairs("--set", self.set, parsed=True)
         given = _pairs("--column", self.column)
-        notes: list[str] = []
-        path, table = open_table(path, topics, None, notes)
         check_writable(sidecar, self.force)
-        columns, arm, shown = list(table.numbers()), self.arm, False
+        arm, shown = self.arm, False
+
+        def opened() -> "tuple[Path, RawTable, list[tuple[str, Any]], list[str]]":
+            notes: list[str] = []
+            place, table = open_table(path, topics, ArmJoints.of(load_nominal(arm)), notes)
+            return place, table, list(table.numbers()), notes
 
         def look() -> "Inspection":
-            return inspect(columns, load_nominal(arm), given, str(path))
+            return inspect(columns, load_nominal(arm), given, str(file))
 
+        file, table, columns, notes = opened()
         found = look()
         if not (self.yes or self.json) and _on_a_terminal():
-            screen.show(inspection.inspection_report(found, str(path)))
+            screen.show(inspection.inspection_report(found, str(file)))
             arm = arm or _asked_arm(found)
+            if arm != self.arm:  # the joint states of a log are in the units of its joints
+                file, table, columns, notes = opened()
             answered = _asked_columns(look())
             given |= answered
             settings |= _asked(found, settings)
@@ -92,14 +99,14 @@ class Init:
         named = arm_reference(arm, sidecar) if arm else None if found.arm is None else found.arm.name
         settings = ({"arm": named} if named else {}) | settings
         settings.setdefault("motion", found.motion[0])
-        self._check(found, table, settings, path)
-        text = inspection.sidecar_text(found, settings, path.name)
+        self._check(found, table, settings, file)
+        text = inspection.sidecar_text(found, settings, file.name)
         write_atomically(sidecar, text, self.force)
         if self.json:
             print(json.dumps({**found.to_dict(), "sidecar": str(sidecar)}, indent=1, allow_nan=False))
             return DONE
         if not shown:
-            screen.show(inspection.inspection_report(found, str(path)))
+            screen.show(inspection.inspection_report(found, str(file)))
         screen.show(screen.notes(notes))
         screen.written([sidecar])
         screen.show(inspection.next_steps(found, settings, self.source))

@@ -123,7 +123,7 @@ class Record:
         arm = read_arm(self.arm or "lite6")
         poses = None
         if self.poses is not None:
-            poses = read_recording(self.poses, dof=arm.dof, joint_limits=arm.joint_limits)
+            poses = read_recording(self.poses, arm=arm, joint_limits=arm.joint_limits)
         with _stop_on_interrupt() as stop:
             station = read_station(address, arm, self.arm or "lite6")
             if poses is not None:

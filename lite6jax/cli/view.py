@@ -84,7 +84,8 @@ class View:
             if arm is not None:
                 return scene.pose_scene(document, arm, read_motion(file, arm)), file
             assert motors is not None
-            return scene.torque_scene(of_torques(document) or {}, motors, read_recording(file, dof=motors.dof)), file
+            recording = read_recording(file, arm=motors.arm)
+            return scene.torque_scene(of_torques(document) or {}, motors, recording), file
         except InputError:
             raise
         except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:

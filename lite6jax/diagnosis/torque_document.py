@@ -138,7 +138,8 @@ def _near(found: TorqueDiagnosis, finding: Finding) -> list[Rival]:
 
 
 def _rival(found: TorqueDiagnosis, rival: Rival) -> dict[str, Any]:
-    numbers = {key: getattr(rival.effect, key) for key in ("order", "source_joint") if hasattr(rival.effect, key)}
+    repeats = "period_m" if getattr(rival.effect, "of_slide", False) else "order"
+    numbers = {key: getattr(rival.effect, key, None) for key in (repeats, "source_joint")}
     known = {key: value for key, value in numbers.items() if value is not None}
     status = "rejected" if rival.gap >= found.options.engine.close else "undecided"
     return {**located(rival.effect), **known, "log_likelihood_gap": rival.gap, "status": status}

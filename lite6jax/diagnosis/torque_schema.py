@@ -24,7 +24,8 @@ _ERRORS = record(
 )
 _PLACE = {"effect": text, "site": text, "driver": text}
 _RIVAL = record(
-    {**_PLACE, "log_likelihood_gap": number(), "status": text}, {"source_joint": whole(1), "order": number()}
+    {**_PLACE, "log_likelihood_gap": number(), "status": text},
+    {"source_joint": whole(1), "order": number(), "period_m": number()},
 )
 _FINDING = record(
     {

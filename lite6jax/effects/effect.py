@@ -98,7 +98,7 @@ def with_field(field: str) -> Reporting:
     return Reporting(names, parameters, values)
 
 
-def _slides(effect: "Effect") -> bool:
+def slides(effect: "Effect") -> bool:
     """Whether an effect is one of a prismatic joint."""
     return bool(getattr(effect, "of_slide", False))
 
@@ -135,7 +135,7 @@ def tried(field: str, lower: float, released: "Callable[[Effect], Effect] | None
         number=lambda effect: getattr(effect, field),
         searched=lambda effect: getattr(effect, field) is not None,
         released=released or (lambda effect: replace(effect, **{field: None})),
-        held=lambda effect, number: replace(effect, **{field: max(number, joint_size(lower, unit, _slides(effect)))}),
+        held=lambda effect, number: replace(effect, **{field: max(number, joint_size(lower, unit, slides(effect)))}),
     )
 
 
@@ -183,7 +183,7 @@ class Effect(ABC):
     @final
     def own(self, name: str) -> str:
         """A name or unit of a revolute joint, as it is for the joint of this effect."""
-        return joint_unit(name, _slides(self))
+        return joint_unit(name, slides(self))
 
     @property
     def size(self) -> int:

@@ -77,8 +77,8 @@ class Body:
             computes from a model. Empty for none.
 
     Raises:
-        InputError: an arm without such a controller, a chain, values or noise of the wrong size, effects that this arm
-            cannot have, or a warm-up beyond the range of reports.
+        InputError: an arm without such a controller or with prismatic joints, a chain, values or noise of the wrong
+            size, effects that this arm cannot have, or a warm-up beyond the range of reports.
     """
 
     arm: Arm
@@ -92,6 +92,12 @@ class Body:
     def __post_init__(self) -> None:
         if self.arm.dof not in (5, 6, 7):
             raise InputError(f"{self.arm.name}: has {self.arm.dof} joints, but a UFACTORY controller drives 5, 6 or 7")
+        if self.arm.sliding:
+            raise InputError(
+                f"{self.arm.name}: joint {self.arm.sliding[0] + 1} is prismatic, and a UFACTORY controller drives "
+                "revolute joints (its linear track is no joint of the arm); name the chain without it, such as "
+                "robot.urdf#base:tip, or make recordings of the whole arm with `lite6jax simulate`"
+            )
         object.__setattr__(self, "kinematics", self.kinematics.astype(np.float32).astype(float))
         if self.kinematics.shape != (self.arm.dof, 6):
             raise InputError(

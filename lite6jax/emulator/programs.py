@@ -73,7 +73,7 @@ def read_path(what: str, arm: Arm, seed: int = 0) -> Path | None:
         return visits(draw_places(arm.joint_limits, seed=seed))
     if recording_file(what) is None:
         raise InputError(f"--motion {what!r}: is neither {', '.join(PROGRAMS)} nor a recording's file")
-    recording = read_recording(what, dof=arm.dof, joint_limits=arm.joint_limits)
+    recording = read_recording(what, arm=arm, joint_limits=arm.joint_limits)
     for outside in outside_limits(recording, arm.joint_limits):
         raise InputError(
             f"{what}: joint {outside.joint} is {np.rad2deg(outside.largest_excess_rad):.3g}° beyond its limits in row "

@@ -33,6 +33,8 @@ class PeriodicFamily:
             fades out beyond the training samples. A prior is the standard deviation of coefficients of low order, and
             the corner c and the slope s by which their variance falls, as 1 / (1 + (order / c)ˢ).
         waves: sine and cosine `(order, 2, sample)` of orders `(order,)`, where a filter changes them; else plain ones.
+        whole: whether whole orders are the likelier ones, as of what repeats with a turn.
+        highest: order that the data resolve; None for that of the options.
     """
 
     site: str
@@ -42,6 +44,8 @@ class PeriodicFamily:
     order: Callable[[Term], float | None]
     curve: Callable[[Sequence[float] | Array, Mask, tuple[float, float, float] | None, float], Term]
     waves: Callable[[Array], Array] | None = None
+    whole: bool = True
+    highest: float | None = None
 
     def columns(self, orders: Array) -> Array:
         """How residuals change with sine and cosine of each order, `(order, 2, row, sample)`."""

@@ -73,7 +73,8 @@ class Score(NamedTuple):
 
 def searched_size(problem: Problem, options: EngineOptions) -> float:
     """The effective number of independent candidates in a search, for family-wise p-values."""
-    periodic, curves = len(problem.periodic), len(problem.curves)
+    usual, curves = options.highest_order, len(problem.curves)
+    periodic = sum((family.highest or usual) / usual for family in problem.periodic)
     single = len(problem.candidates) + len(problem.flexible)
     return single + periodic * options.searched_orders + curves * options.searched_curves
 

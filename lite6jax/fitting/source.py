@@ -52,7 +52,7 @@ def read_source(
         return _of_undeclared_arm(path, assume_degrees, assume_millimetres)
     return read_recording(
         path,
-        dof=arm.dof,
+        arm=arm,
         assume_degrees=assume_degrees,
         assume_millimetres=assume_millimetres,
         joint_limits=arm.joint_limits,

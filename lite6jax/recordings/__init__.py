@@ -15,6 +15,7 @@ from lite6jax.recordings.checks import (
 )
 from lite6jax.recordings.formats import Targets, read_recording, read_targets, write_recording
 from lite6jax.recordings.recording import Recording, drop_missing
+from lite6jax.recordings.ros import ArmJoints
 from lite6jax.recordings.settings import FactoryUncertainty, RecordingSettings
 from lite6jax.recordings.sidecar import read_settings, sidecar_path, write_settings
 from lite6jax.recordings.sources import recording_file, stranger
@@ -22,6 +23,7 @@ from lite6jax.recordings.torque_source import estimated_torque
 from lite6jax.recordings.units import require_radians
 
 __all__ = [
+    "ArmJoints",
     "FactoryUncertainty",
     "OutsideLimits",
     "Recording",

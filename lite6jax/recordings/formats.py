@@ -9,14 +9,17 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import ArrayLike
 
+from lite6jax.arms.arm import Arm
+from lite6jax.arms.files import read_arm
 from lite6jax.errors import InputError
 from lite6jax.recordings.checks import check_joint_scale, check_position_scale
 from lite6jax.recordings.columns import is_per_joint
 from lite6jax.recordings.plausible import without_implausible
 from lite6jax.recordings.recording import Recording, drop_missing
+from lite6jax.recordings.ros import ArmJoints
 from lite6jax.recordings.settings import RecordingSettings
 from lite6jax.recordings.sidecar import Sidecar, read_sidecar, sidecar_path
-from lite6jax.recordings.sources import SUFFIXES, TABLES, open_table, split_topics
+from lite6jax.recordings.sources import SUFFIXES, TABLES, is_log, open_table, split_topics
 from lite6jax.recordings.table import Table, arrays_of, tabulated
 from lite6jax.recordings.writing import write_with_settings
 from lite6jax.storage import exists
@@ -26,6 +29,7 @@ def read_recording(
     path: str | Path,
     *,
     dof: int | None = None,
+    arm: Arm | ArmJoints | None = None,
     assume_degrees: bool = False,
     assume_millimetres: bool = False,
     joint_limits: ArrayLike | None = None,
@@ -38,6 +42,8 @@ def read_recording(
             sidecar is the `.yaml` of the same stem, if there is one. Of a log with several topics of a type,
             `run.mcap#/joint_states,/pose` names those to be read.
         dof: the number of joints expected, where the arm is known.
+        arm: whose recording it is, or what is known of its joints: the joint states of a log do not say which are in m
+            and N, and often not their order. By default the arm that the sidecar declares. A table's columns say both.
         assume_degrees: take joint columns that say `rad` (positions, velocities and accelerations) as degrees.
         assume_millimetres: take position columns that say `m` as millimetres.
         joint_limits: `(joint, 2)` in rad, to recognise degrees; unchecked without.
@@ -52,7 +58,8 @@ def read_recording(
     path, topics = split_topics(path)
     notes: list[str] = []
     sidecar = read_sidecar(sidecar_path(path))
-    path, table = _read(path, topics, sidecar, dof, notes)
+    of_arm = _declared_joints(path, sidecar) if arm is None and is_log(path) else ArmJoints.of(arm)
+    path, table = _read(path, topics, sidecar, of_arm if dof is None else of_arm._replace(dof=dof), notes)
     columns, _, values = table
     settings = _checked(sidecar, path, notes)
     if not exists(sidecar_path(path)):
@@ -110,7 +117,7 @@ def read_targets(
     """
     path, notes = Path(path), []
     sidecar = read_sidecar(sidecar_path(path))
-    path, table = _read(path, (), sidecar, dof, notes, TABLES, joints_optional=True)
+    path, table = _read(path, (), sidecar, ArmJoints(dof), notes, TABLES, joints_optional=True)
     columns, joints, values = table
     if "x_m" not in columns:
         raise InputError(f"{path}: has no positions to reach; name their columns x_m y_m z_m (or x_mm y_mm z_mm)")
@@ -158,16 +165,24 @@ def _checked(sidecar: Sidecar, path: Path, notes: list[str]) -> RecordingSetting
     return sidecar.settings
 
 
+def _declared_joints(path: Path, sidecar: Sidecar) -> ArmJoints:
+    """Those of the arm that a sidecar declares; nothing is known of them where it declares none."""
+    settings = sidecar.settings
+    arm = None if settings.arm is None else read_arm(settings.arm_reference(path.parent))
+    return ArmJoints.of(arm)._replace(dof=None)
+
+
 def _read(
     path: Path,
     topics: Sequence[str],
     sidecar: Sidecar,
-    dof: int | None,
+    of_arm: ArmJoints,
     notes: list[str],
     kinds: Sequence[str] = SUFFIXES,
     joints_optional: bool = False,
 ) -> tuple[Path, Table]:
-    path, table = open_table(path, topics, dof, notes, kinds)
+    path, table = open_table(path, topics, of_arm, notes, kinds)
+    dof = of_arm.dof
     renamed = sidecar.columns
     read = tabulated(
         table.names, str(path), table.load, notes, dof=dof, renamed=renamed, joints_optional=joints_optional

@@ -10,12 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lite6jax.errors import InputError
-from lite6jax.recordings.ros import Messages, read_log
+from lite6jax.recordings.ros import ArmJoints, Messages, read_log
 
 Array = NDArray[np.floating]
 
 
-def read_mcap(path: Path, topics: Sequence[str], dof: int | None, notes: list[str]) -> dict[str, Array]:
+def read_mcap(path: Path, topics: Sequence[str], of_arm: ArmJoints, notes: list[str]) -> dict[str, Array]:
     """The table of a log, as `ros.read_log`.
 
     Raises:
@@ -23,7 +23,7 @@ def read_mcap(path: Path, topics: Sequence[str], dof: int | None, notes: list[st
     """
     with open(path, "rb") as file:
         types = _topics(path, file)
-        return read_log(path, types, lambda chosen: _messages(path, file, chosen), topics, dof, notes)
+        return read_log(path, types, lambda chosen: _messages(path, file, chosen), topics, of_arm, notes)
 
 
 def _packages(path: Path) -> Callable[[IO[bytes]], Any]:

@@ -8,6 +8,8 @@ from typing import Any, NamedTuple, final
 import numpy as np
 from numpy.typing import NDArray
 
+from lite6jax.arms.arm import Arm
+from lite6jax.arms.joint_units import joint_unit
 from lite6jax.errors import InputError
 
 Array = NDArray[np.floating]
@@ -24,6 +26,27 @@ LONGEST_GAP = 2.0
 UR_JOINTS = ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3")
 """Along Universal Robots' arms, whose drivers publish them in alphabetical order."""
 _SHOWN = 8
+
+
+class ArmJoints(NamedTuple):
+    """What an arm says of its joints and joint states do not.
+
+    Attributes:
+        dof: how many; None where the arm is not known.
+        sliding: those that are prismatic, counted from 0, whose positions are in m and efforts in N.
+        names: along the arm; empty where they are not known.
+    """
+
+    dof: int | None = None
+    sliding: tuple[int, ...] = ()
+    names: tuple[str, ...] = ()
+
+    @classmethod
+    def of(cls, arm: "Arm | ArmJoints | None") -> "ArmJoints":
+        """Of an arm, or of none; these as they are."""
+        if isinstance(arm, Arm):
+            return cls(arm.dof, arm.sliding, arm.joint_names)
+        return cls() if arm is None else arm
 
 
 class _JointState(NamedTuple):
@@ -105,11 +128,17 @@ Read = Callable[[Sequence[str]], Messages]
 
 
 def read_log(
-    path: Path, types: Mapping[str, str], read: Read, topics: Sequence[str], dof: int | None, notes: list[str]
+    path: Path,
+    types: Mapping[str, str],
+    read: Read,
+    topics: Sequence[str],
+    of_arm: ArmJoints,
+    notes: list[str],
 ) -> dict[str, Array]:
     """The table of a log: a row per pose, with the joints interpolated linearly to its stamp.
 
-    Joints are named q1 … qN along Universal Robots' arm, by the numbers in their names, or in order of appearance.
+    Joints are named q1 … qN by the names of the arm's joints, along Universal Robots' arm, by the numbers in their
+    names, or in order of appearance. Positions of prismatic joints are in m.
     Times count from the first row. Velocities and efforts are taken along where every message has them.
 
     Args:
@@ -118,7 +147,7 @@ def read_log(
         read: the messages on topics.
         topics: of the joint states and of the poses, where there are several of a type; `/tf:tool0` for the poses of a
             frame; of the joint states alone for a motion without poses; none where the types decide.
-        dof: how many joints the arm has, to leave a gripper's out.
+        of_arm: what is known of the arm's joints, to put them in order and to leave a gripper's out.
         notes: what was chosen, assumed and dropped is added here.
 
     Returns:
@@ -132,7 +161,7 @@ def read_log(
     messages = read([choice.topic for choice in (joints, poses) if choice is not None])
     moved = messages.series(path, joints)
     measured = None if poses is None else messages.series(path, poses)
-    state = _joint_states(path, joints.topic, moved, dof, notes)
+    state = _joint_states(path, joints.topic, moved, of_arm, notes)
     said = f"times are {moved.clock} of {joints.topic}"
     notes.append(said + (f", {measured.clock} of {poses.name}" if poses and measured else ""))
     if poses is None or measured is None:
@@ -232,11 +261,11 @@ def _pose(at: Any, turn: Any, frames: tuple[str, str]) -> _Pose:
     return _Pose((float(at.x), float(at.y), float(at.z)), tuple(map(float, (turn.w, turn.x, turn.y, turn.z))), frames)
 
 
-def _joint_states(path: Path, topic: str, series: _Series, dof: int | None, notes: list[str]) -> _JointStates:
+def _joint_states(path: Path, topic: str, series: _Series, of_arm: ArmJoints, notes: list[str]) -> _JointStates:
     seen = list(dict.fromkeys(name for message in series.messages for name in message.name))
     if not seen:
         raise InputError(f"{path}: the messages of {topic} name no joints; record them with names")
-    names, order = _ordered(seen, dof)
+    names, order = _ordered(seen, of_arm)
     left_out = [name for name in seen if name not in names]
     notes.append(
         f"joints of {topic} {order}: "
@@ -253,15 +282,20 @@ def _joint_states(path: Path, topic: str, series: _Series, dof: int | None, note
     if not whole:
         raise InputError(f"{path}: no message of {topic} has the positions of all of {', '.join(names)}; record again")
     whole = [whole[k] for k in np.unique(series.stamp[whole], return_index=True)[1]]  # in order of time, each once
+    slides = [name for joint, name in enumerate(names) if joint in of_arm.sliding]
+    if slides:
+        notes.append(f"positions of {_listed(slides)} are taken as lengths in m: prismatic joints of the arm")
     columns: dict[str, Array] = {}
     for field, pattern in (("position", "q{}_rad"), ("velocity", "dq{}_rad_per_s"), ("effort", "tau{}_Nm")):
         block = _block([series.messages[k] for k in whole], names, field)
         if field != "position" and (block is None or not block.any() or not np.isfinite(block).all()):
             continue
         assert block is not None
-        columns |= {pattern.format(joint + 1): block[:, joint] for joint in range(len(names))}
+        for joint in range(len(names)):
+            columns[joint_unit(pattern.format(joint + 1), joint in of_arm.sliding)] = block[:, joint]
         if field == "effort":
-            notes.append(f"the efforts of {topic} are taken as torques in N m")
+            forces = f", those of {_listed(slides)} as forces in N" if slides else ""
+            notes.append(f"the efforts of {topic} are taken as torques in N m{forces}")
     return _JointStates(series.stamp[whole], columns)
 
 
@@ -276,8 +310,11 @@ def _block(messages: Sequence[Any], names: Sequence[str], field: str) -> Array |
     return np.array(rows, float)
 
 
-def _ordered(seen: Sequence[str], dof: int | None) -> tuple[list[str], str]:
+def _ordered(seen: Sequence[str], of_arm: ArmJoints) -> tuple[list[str], str]:
     """The arm's joints along it, and in words by what order."""
+    dof = of_arm.dof
+    if of_arm.names and set(of_arm.names) <= set(seen):
+        return list(of_arm.names), "by the names of the arm's joints"
     along = {part: [name for name in seen if re.fullmatch(rf"(.*?){part}(_joint)?", name)] for part in UR_JOINTS}
     if all(len(found) == 1 for found in along.values()):
         return [found[0] for found in along.values()], "in the order of Universal Robots' arms"

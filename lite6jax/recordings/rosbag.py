@@ -8,18 +8,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lite6jax.errors import InputError
-from lite6jax.recordings.ros import Messages, read_log
+from lite6jax.recordings.ros import ArmJoints, Messages, read_log
 
 METADATA = "metadata.yaml"
 Array = NDArray[np.floating]
 
 
-def read_bag(path: Path, topics: Sequence[str], dof: int | None, notes: list[str]) -> dict[str, Array]:
+def read_bag(path: Path, topics: Sequence[str], of_arm: ArmJoints, notes: list[str]) -> dict[str, Array]:
     """The table of a bag, as `ros.read_log`.
 
     Args:
         path: a rosbag2 folder, a `.db3` file in one, or a ROS 1 `.bag`.
-        topics, dof, notes: as in `ros.read_log`.
+        topics, of_arm, notes: as in `ros.read_log`.
 
     Raises:
         InputError: the package is missing, the bag is damaged or has no metadata, or as there.
@@ -39,7 +39,7 @@ def read_bag(path: Path, topics: Sequence[str], dof: int | None, notes: list[str
         raise _damaged(path, error) from error
     try:
         types = {connection.topic: connection.msgtype for connection in reader.connections}
-        return read_log(path, types, lambda chosen: _messages(path, reader, chosen), topics, dof, notes)
+        return read_log(path, types, lambda chosen: _messages(path, reader, chosen), topics, of_arm, notes)
     finally:
         reader.close()
 

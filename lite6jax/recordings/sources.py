@@ -11,6 +11,7 @@ from lite6jax.recordings.csv_tables import of_csv
 from lite6jax.recordings.lerobot import INFO, of_lerobot
 from lite6jax.recordings.mcap import read_mcap
 from lite6jax.recordings.raw import RawTable, one_line
+from lite6jax.recordings.ros import ArmJoints
 from lite6jax.recordings.rosbag import METADATA, read_bag
 from lite6jax.storage import check_readable, exists
 
@@ -41,15 +42,20 @@ def recording_file(path: str | Path) -> Path | None:
     return file if file.suffix.lower() in SUFFIXES or _is_bag(file) or _is_lerobot(file) else None
 
 
+def is_log(path: Path) -> bool:
+    """Whether a file or folder is a log of ROS."""
+    return path.suffix.lower() in LOGS or _is_bag(path)
+
+
 def open_table(
-    path: Path, topics: Sequence[str], dof: int | None, notes: list[str], kinds: Sequence[str] = SUFFIXES
+    path: Path, topics: Sequence[str], of_arm: ArmJoints, notes: list[str], kinds: Sequence[str] = SUFFIXES
 ) -> tuple[Path, RawTable]:
     """The table of a recording and where it is: of a Parquet file that was not completed, the stream of its stem.
 
     Args:
         path: the file or folder.
         topics: of a log, as in `ros.read_log`.
-        dof: the number of joints, where known.
+        of_arm: the joints of the arm, as far as known, of which a log says less than a table.
         notes: what was chosen, assumed and dropped is added here.
         kinds: the suffixes accepted.
 
@@ -62,16 +68,16 @@ def open_table(
         path, suffix = growing, stream.SUFFIX
     try:
         if os.path.isdir(path) and set(LOGS) <= set(kinds) and suffix not in SUFFIXES:
-            return path, _of_folder(path, topics, dof, notes)
+            return path, _of_folder(path, topics, of_arm, notes)
         if not suffix and not exists(path):
             raise InputError(f"{path}: no such file or folder; check the name")
         if suffix not in kinds:
             raise InputError(f"{path}: {stranger(path) or _other(kinds)}")
         check_readable(path)
         if suffix in (".db3", ".bag"):
-            return path, raw.of_arrays(read_bag(path, topics, dof, notes))
+            return path, raw.of_arrays(read_bag(path, topics, of_arm, notes))
         if suffix == ".mcap":
-            return path, raw.of_arrays(read_mcap(path, topics, dof, notes))
+            return path, raw.of_arrays(read_mcap(path, topics, of_arm, notes))
         if suffix == ".parquet":
             return path, raw.of_parquet(path)
         return path, of_csv(path, notes) if suffix == ".csv" else raw.of_stream(path, notes)
@@ -101,14 +107,14 @@ def stranger(path: str | Path) -> str:
     return ""
 
 
-def _of_folder(path: Path, topics: Sequence[str], dof: int | None, notes: list[str]) -> RawTable:
+def _of_folder(path: Path, topics: Sequence[str], of_arm: ArmJoints, notes: list[str]) -> RawTable:
     if _is_lerobot(path):
         return of_lerobot(path)
     if exists(path / METADATA):
-        return raw.of_arrays(read_bag(path, topics, dof, notes))
+        return raw.of_arrays(read_bag(path, topics, of_arm, notes))
     logs = _logs(path)
     if len(logs) == 1 and logs[0].suffix == ".mcap":  # a recorder that was ended writes no metadata
-        return raw.of_arrays(read_mcap(logs[0], topics, dof, notes))
+        return raw.of_arrays(read_mcap(logs[0], topics, of_arm, notes))
     if logs:
         raise InputError(f"{path}: a rosbag2 without {METADATA}; write that with `ros2 bag reindex {path.name}`")
     raise InputError(f"{path}: {_of_no_recording(path)}")

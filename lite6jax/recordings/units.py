@@ -91,7 +91,8 @@ def other_joints(given: tuple[int, ...], wanted: tuple[int, ...], arm: str) -> s
     joint = min(set(given) ^ set(wanted)) + 1
     if joint - 1 in wanted:
         return (
-            f"q{joint} is an angle, but joint {joint} of {arm} is prismatic; name the column q{joint}_m or q{joint}_mm"
+            f"q{joint} is an angle, but joint {joint} of {arm} is prismatic; name the column q{joint}_m or q{joint}_mm,"
+            " or declare the arm in the sidecar of a log"
         )
     return f"q{joint} is a length, but joint {joint} of {arm} is revolute; name the column q{joint}_rad or q{joint}_deg"
 

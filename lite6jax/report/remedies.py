@@ -156,7 +156,7 @@ OF_TORQUES: Mapping[str, Remedy] = {
     "joint_spring": Remedy(
         "a cable, a hose or a balancer pulls at {place}", "Look at the dress pack, and declare the spring."
     ),
-    "torque_ripple": Remedy("{place} cogs as it turns", _GEAR.replace("compensate", "feed it forward")),
+    "torque_ripple": Remedy("{place} cogs as it moves", _GEAR.replace("compensate", "feed it forward")),
     "link_mass": Remedy(
         "{place} weighs another mass than declared", "Weigh what is mounted there, and declare it (inertial)."
     ),

@@ -338,13 +338,15 @@ def _worded(driver: str) -> str:
 
 
 def _order_and_source(entry: Entry) -> Mapping[str, float | None]:
-    """A harmonic's order and a coupling's source, of a finding or a rival."""
-    estimates = entry.get("parameters", {})
-    return {key: estimates[key]["value"] if key in estimates else entry.get(key) for key in ("order", "source_joint")}
+    """A harmonic's order, or its period along a slide, and a coupling's source, of a finding or a rival."""
+    estimates, keys = entry.get("parameters", {}), ("order", "period_m", "source_joint")
+    return {key: estimates[key]["value"] if key in estimates else entry.get(key) for key in keys}
 
 
 def _detail(numbers: Mapping[str, float | None]) -> str:
-    order, source = numbers["order"], numbers["source_joint"]
+    order, period, source = numbers["order"], numbers["period_m"], numbers["source_joint"]
+    if period:
+        return f" of period {1e3 * period:.4g} mm"
     return f" of order {order:.4g}" if order else f" from joint{source:.0f}" if source else ""
 
 
@@ -363,8 +365,9 @@ def _shape(where: Entry) -> str:
     if where.get("degree"):
         return f"a polynomial of degree {where['degree']:.0f}"
     if orders:
-        which = f"{len(orders)} orders from {min(orders):g} to {max(orders):g}"
-        return f"harmonics of {which}" if len(orders) > 1 else f"a harmonic of order {orders[0]:g}"
+        each = " per metre" if where.get("of_slide") else ""
+        which = f"{len(orders)} orders from {min(orders):g} to {max(orders):g}{each}"
+        return f"harmonics of {which}" if len(orders) > 1 else f"a harmonic of order {orders[0]:g}{each}"
     return "a smooth curve"
 
 

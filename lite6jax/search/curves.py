@@ -68,7 +68,7 @@ def replace_by_curves(problem: Problem, state: State, options: EngineOptions) ->
 
 def merge_harmonics(problem: Problem, state: State, options: EngineOptions) -> State:
     """Replaces many harmonics of one site by one curve: no gear has so many orders that are not whole."""
-    for family in problem.periodic:
+    for family in filter(lambda family: family.whole, problem.periodic):
         waves = [t.term for t in state.tested if t.term.periodic and t.term.site == family.site]
         fractional = sum(wave.chosen is not None and not wave.chosen.is_integer() for wave in waves)
         if len(waves) < options.merged or fractional < options.merged - 1:

@@ -12,7 +12,8 @@ from lite6jax.estimation.terms import Term
 Array = NDArray[np.floating]
 
 _BIN = 2 * np.pi / 2**15
-"""rad, to which angles are rounded: at order 200 that is a fiftieth of a radian of phase at most."""
+"""rad, to which angles are rounded: at order 200 that is a fiftieth of a radian of phase at most, and at order 1000 a
+tenth, by which a gain is a third of a per cent too low."""
 
 
 class Line(NamedTuple):
@@ -49,7 +50,8 @@ def spectrum(test: ScoreTest, family: PeriodicFamily) -> tuple[Array, Array]:
     length = 2 ** int(np.ceil(np.log2(2 * np.pi / (_BIN * min(0.5 * np.pi / span, 0.5)))))
     place = np.rint((q[training] - q.min()) / _BIN).astype(int)
     step = 2 * np.pi / (_BIN * length)
-    at = np.arange(int(np.ceil(options.lowest_order / step)), int(options.highest_order / step))
+    highest = family.highest or options.highest_order
+    at = np.arange(int(np.ceil(options.lowest_order / step)), int(highest / step))
     e = _transform(place, score, length)[at]
     w = _transform(place, weight, length)
     total, twice = float(weight.sum()), w[2 * at]
@@ -71,7 +73,7 @@ def lines(test: ScoreTest) -> list[Line]:
             near = order + width * np.linspace(-1, 1, 9)
             order = _best(test, family, near[near >= options.lowest_order])
         whole = round(order)
-        if whole >= 1:
+        if family.whole and whole >= 1:
             exact, free = test.gains(family.column, family.waves_of(np.array([float(whole), order])))
             order = float(whole) if exact > free - options.whole_preferred else order
         explained = test.explained_by(family.column, family.waves_of(np.array([order])))[0]

@@ -22,7 +22,7 @@ _MOST = 3
 
 def with_whole_orders(problem: Problem, state: State, options: EngineOptions) -> State:
     """The state with whole orders in place of those found, at each site where that is as likely."""
-    for family in problem.periodic:
+    for family in filter(lambda family: family.whole, problem.periodic):
         waves = [tested.term for tested in state.tested if tested.term.periodic and tested.term.site == family.site]
         orders = [order for order in map(family.order, waves) if order is not None]
         if not any(order % 1 for order in orders) or len(orders) < len(waves):

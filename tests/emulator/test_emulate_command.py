@@ -15,6 +15,7 @@ from typed import flat, refused, run
 from lite6jax.arms.bundled import load_bundled
 from lite6jax.arms.factory import write_factory
 from lite6jax.controller import protocol
+from tests.oracles import sliding_arms
 
 PORT = "15020"
 
@@ -107,6 +108,16 @@ def test_the_faults_are_listed(capsys):
 )
 def test_what_is_refused(capsys, arguments, message):
     assert message in refused(capsys, "emulate", "--control-port", PORT, "--duration", "0.05", *arguments)
+
+
+def test_a_prismatic_joint_is_refused_and_the_chain_without_it_is_not(capsys, tmp_path):
+    (tmp_path / "rail.urdf").write_text(sliding_arms.ARMS["rail"])
+    said = refused(capsys, "emulate", "--arm", tmp_path / "rail.urdf", "--control-port", PORT, "--duration", "0.05")
+    assert said.startswith("arm: joint 1 is prismatic, and a UFACTORY controller drives revolute joints (its linear")
+    assert said.endswith("or make recordings of the whole arm with `lite6jax simulate`")
+    code, out, _ = emulate(capsys, "--arm", f"{tmp_path}/rail.urdf#l1:tool", width=200)
+    assert code == 0
+    assert "An emulated arm at" in out
 
 
 def test_ctrl_c_ends_it(tmp_path):

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from lite6jax.arms.arm import Arm
 from lite6jax.errors import InputError
 from lite6jax.recordings import read_recording, recording_file
 from lite6jax.recordings.sources import split_topics
@@ -174,3 +175,17 @@ def test_folders_that_are_damaged_and_packages_that_are_missing(tmp_path, monkey
     assert refusal(path).startswith("is no bag, truncated or damaged (")
     monkeypatch.setitem(sys.modules, "rosbags.highlevel", None)
     assert refusal(path) == "bags take the package rosbags; pip install 'lite6jax[rosbag]'"
+
+
+@pytest.mark.parametrize("plugin", ["SQLITE3", "MCAP", None])
+def test_a_prismatic_joint_of_the_arm_is_in_metres(tmp_path, plugin):
+    if plugin is None:
+        path = bag1(tmp_path / "run.bag", topics_of(STORE1))
+    else:
+        path = bag2(tmp_path / "run", topics_of(STORE), plugin)
+    arm = Arm("lift", np.array([[0, 0, 0.2, 0, 0, 0], [0.3, 0, 0, 0, 0, 0]], float), sliding=(0,))
+    found = read_recording(path, arm=arm)
+    assert found.sliding == (0,)
+    assert {"q1_m", "q2_rad"} <= found.columns().keys()
+    np.testing.assert_allclose(found.joint_position, np.stack([1 + AT, 2 - 3 * AT], 1), atol=1e-9)
+    assert read_recording(path).sliding == ()

@@ -1,5 +1,6 @@
 """MCAP files as ROS 2 writes them, by the packages' own writer, and what is made of them."""
 
+import json
 import subprocess
 import sys
 from functools import partial
@@ -7,11 +8,18 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
+from domains.torque import slid
 
+from lite6jax.arms.description import write_arm
+from lite6jax.arms.files import read_arm
+from lite6jax.cli import main
+from lite6jax.domains.torque.screening import screen_torques
 from lite6jax.errors import InputError
+from lite6jax.fitting.source import read_source
 from lite6jax.recordings import read_recording
 from lite6jax.recordings.ros import UR_JOINTS
 from lite6jax.recordings.sources import split_topics
+from tests.oracles import kane, sliding_arms
 
 ros2 = pytest.importorskip("mcap_ros2.writer", reason="the packages of the extra `mcap` are not installed")
 raw = pytest.importorskip("mcap.writer", reason="the packages of the extra `mcap` are not installed")
@@ -408,3 +416,65 @@ def test_without_an_index_the_file_is_read_through(tmp_path, monkeypatch, chunke
     plain = partial(raw.Writer, **bare, use_chunking=chunked, use_statistics=False, use_summary_offsets=False)
     monkeypatch.setattr(ros2, "McapWriter", plain)
     assert read_recording(small(tmp_path / "run.mcap")).samples == 5
+
+
+def sliding_log(folder, names=("joint1", "joint2", "joint3"), sidecar=None):
+    """Joint states of the telescope without poses: rad and Nm, but m and N of its third joint."""
+    t, q, dq, ddq = slid.moved(seconds=3.0)
+    efforts = kane.torques(slid.ROWS, slid.SLIDING, slid.BODIES, q, dq, ddq)
+    order = np.argsort(names)  # as a joint_state_broadcaster publishes them
+    topic = joints(t, q[:, order], [names[k] for k in order], dq[:, order], efforts[:, order])
+    write(folder / "run.mcap", {"/joint_states": topic}, sidecar=sidecar)
+    return f"{folder}/run.mcap#/joint_states", (t, q, dq, efforts)
+
+
+def test_a_prismatic_joint_is_in_metres_and_newtons(tmp_path):
+    write_arm(slid.arm(), tmp_path / "telescope.yaml")
+    path, (_, q, dq, efforts) = sliding_log(tmp_path, sidecar="recording: {arm: telescope.yaml, motion: trajectory}\n")
+    declared = read_recording(path)
+    assert declared.sliding == (2,)
+    assert {"q2_rad", "q3_m", "dq3_m_per_s", "tau2_Nm", "tau3_N"} <= declared.columns().keys()
+    assert "positions of joint3 are taken as lengths in m: prismatic joints of the arm" in declared.notes
+    assert "the efforts of /joint_states are taken as torques in N m, those of joint3 as forces in N" in declared.notes
+    for found in (declared, read_source(path, slid.arm())):
+        np.testing.assert_allclose(found.joint_position, q, atol=1e-12)
+        np.testing.assert_allclose(found.joint_velocity, dq, atol=1e-12)
+        np.testing.assert_allclose(found.torques(), efforts, atol=1e-12)
+        assert screen_torques(found, slid.arm()).data.arm.sliding == (2,)  # accepted as one of this arm
+    (tmp_path / "run.yaml").unlink()
+    with pytest.raises(InputError, match="name the column q3_m or q3_mm, or declare the arm in the sidecar of a log"):
+        screen_torques(read_recording(path), slid.arm())
+
+
+RAIL = sliding_arms.ARMS["rail"]
+NAMES = ("rail", "waist", "shoulder", "elbow", "roll", "pitch", "flange")
+
+
+def test_joints_are_in_the_order_of_the_arm_that_names_them(tmp_path):
+    text = RAIL
+    for number, name in enumerate(NAMES, 1):
+        text = text.replace(f'name="j{number}"', f'name="{name}"')
+    (tmp_path / "rail.urdf").write_text(text)
+    there = sorted((*NAMES, "gripper"))  # the rail, on which all others stand, is none of the first
+    q = np.linspace(0.0, 0.1, 20)[:, None] + np.arange(8)
+    path = write(tmp_path / "run.mcap", {"/joint_states": joints(np.arange(20) / 10, q, there)}, sidecar=None)
+    found = read_source(f"{path}#/joint_states", read_arm(str(tmp_path / "rail.urdf")))
+    assert found.sliding == (0,)
+    np.testing.assert_allclose(found.joint_position, q[:, [there.index(name) for name in NAMES]], atol=1e-12)
+    (note,) = (note for note in found.notes if note.startswith("joints of"))
+    assert note.startswith("joints of /joint_states by the names of the arm's joints: q1 is rail, q2 is waist, ")
+    assert note.endswith("left out: gripper")
+
+
+def test_init_names_the_units_of_a_log_by_the_arm(tmp_path, capsys):
+    write_arm(slid.arm(), tmp_path / "telescope.yaml")
+    path, (_, q, *_) = sliding_log(tmp_path)
+    assert main(["init", path, "--arm", str(tmp_path / "telescope.yaml"), "--json", "--set", "motion=trajectory"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["columns"] == {}
+    units = {tuple(block["columns"]): block["unit"]["choice"] for block in found["blocks"]}
+    assert units["q3_m",] == "m"
+    assert units["tau3_N",] == "N"
+    again = read_recording(path)
+    assert again.sliding == (2,)
+    np.testing.assert_allclose(again.joint_position, q, atol=1e-12)

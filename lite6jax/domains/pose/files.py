@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from lite6jax.arms.se3 import quaternion_from_rotation
 from lite6jax.domains.pose.predict import DiagnosedArm, Prediction
 from lite6jax.recordings import (
+    ArmJoints,
     Recording,
     RecordingSettings,
     Targets,
@@ -31,6 +32,7 @@ class Diagnosed(Protocol):
         dof: number of joints.
         motion: "static" or "trajectory".
         reference_temperature: °C.
+        sliding: the prismatic joints, counted from 0.
     """
 
     @property
@@ -39,6 +41,8 @@ class Diagnosed(Protocol):
     def motion(self) -> str: ...
     @property
     def reference_temperature(self) -> float: ...
+    @property
+    def sliding(self) -> tuple[int, ...]: ...
 
 
 def read_motion(path: str | Path, model: Diagnosed) -> Recording:
@@ -53,7 +57,7 @@ def read_motion(path: str | Path, model: Diagnosed) -> Recording:
         if exists(sidecar)
         else RecordingSettings(reference_temperature_degC=model.reference_temperature)
     )
-    recording = read_recording(path, dof=model.dof)
+    recording = read_recording(path, arm=ArmJoints(model.dof, model.sliding))
     if settings.motion is None and recording.motion != model.motion:
         settings = replace(settings, motion=model.motion)  # type: ignore[arg-type]
     return _declared_anew(recording, settings)

@@ -1,8 +1,10 @@
 """Families of effects on torques that a search needs: ripple of every order, curves, and functions without a name."""
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import partial
 from itertools import combinations, product
+from typing import final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,8 +13,9 @@ from lite6jax.arms.joint_units import as_revolute
 from lite6jax.domains.torque.rows import TorqueRows
 from lite6jax.effects.drivers import Driver, joint_driver
 from lite6jax.effects.dynamic.motors import TorqueRipple
-from lite6jax.effects.dynamic.torque_effect import Dynamics, JointTorque, TorqueEffect
+from lite6jax.effects.dynamic.torque_effect import DIRECTION_SPEED, Dynamics, JointTorque, TorqueEffect
 from lite6jax.effects.dynamic.unnamed import UnnamedTorque, waves
+from lite6jax.effects.waves import wave_angle
 from lite6jax.estimation.problem import CurveDriver, CurveFamily, Mask, PeriodicFamily
 from lite6jax.estimation.terms import Term
 
@@ -26,6 +29,12 @@ mostly is, so that what one direction shows holds for the other at speeds that o
 Waves = dict[tuple[int, float], Array]
 """Filtered sine and cosine `(2, sample)` by joint, from 1, and order."""
 
+_HIGHEST = 1000.0
+"""Waves along the stroke of a prismatic joint that are searched at most: a screw's lead of 1 mm on a metre."""
+_FEWEST = 2.0
+"""Waves along the stroke: fewer are any function of the position."""
+_SLOW = 0.2
+"""Quantile of the speeds of a prismatic joint that moves at which the shortest wave still passes the filter."""
 _MOST_WAVES = 1 << 22
 """Numbers of waves that are kept: 32 MB."""
 _EVERYWHERE = ("time",)
@@ -34,19 +43,73 @@ _LEAST_VARIED = 1e-3
 
 
 def periodic(data: TorqueRows, chosen: NDArray[np.integer], noise: Array, known: Waves) -> tuple[PeriodicFamily, ...]:
-    """Ripple of each revolute joint, whose waves pass the filter as torques do; `known` are of the chosen samples."""
+    """Ripple of each joint, whose waves pass the filter as torques do; `known` are of the chosen samples.
+
+    A turn of a prismatic joint is its stroke: orders count the waves along what it moved over.
+    """
     found = []
-    for j in np.flatnonzero(~data.arm.slides).tolist():
+    for j, slides in enumerate(data.arm.slides.tolist()):
         q = np.asarray(data.motion.joint_position)[j]
-        angle = q[data.filter.kept][chosen]
-        filtered = partial(_waves, data, j + 1, chosen, known)
-        site, column = f"joint{j + 1}", _column(j, noise)
+        turn, highest = (float(np.ptp(q)), _resolved(data, j)) if slides else (1.0, None)
+        if slides and highest is None:
+            continue
+        position = q[data.filter.kept][chosen]
+        ripple = _Ripple(j + 1, slides, turn)
         found.append(
             PeriodicFamily(
-                site, column, angle, partial(_ripple, j + 1), _order, partial(_curve, j + 1, angle), filtered
+                f"joint{j + 1}",
+                _column(j, noise),
+                wave_angle(position, slides) / turn,
+                ripple.term,
+                ripple.order,
+                partial(ripple.curve, position),
+                lambda orders, ripple=ripple: _waves(data, ripple, chosen, known, orders),
+                whole=not slides,
+                highest=highest,
             )
         )
     return tuple(found)
+
+
+def _resolved(data: TorqueRows, j: int) -> float | None:
+    """The most waves along a prismatic joint's stroke that pass the filter while it moves slowly; None for none."""
+    speed = np.abs(np.asarray(data.motion.joint_velocity)[j])
+    moving = speed[as_revolute(speed, "rad/s", True) > DIRECTION_SPEED]
+    if not moving.size:
+        return None
+    stroke = float(np.ptp(np.asarray(data.motion.joint_position)[j]))
+    highest = min(stroke * data.filter.cutoff / float(np.quantile(moving, _SLOW)), _HIGHEST)
+    return highest if highest > _FEWEST else None
+
+
+@final
+@dataclass(frozen=True)
+class _Ripple:
+    """The ripple of a joint, its orders counted in a turn, or in the stroke of a prismatic joint."""
+
+    joint: int
+    of_slide: bool
+    turn: float
+
+    def term(self, order: float) -> TorqueRipple:
+        """The ripple of an order."""
+        return TorqueRipple(self.joint, order / self.turn, of_slide=self.of_slide)
+
+    def order(self, term: Term) -> float | None:
+        """The order of a ripple."""
+        assert isinstance(term, TorqueRipple)
+        return None if term.order is None else float(term.order) * self.turn
+
+    def curve(
+        self,
+        position: Array,
+        orders: Sequence[float] | Array,
+        training: Mask,
+        prior: tuple[float, float, float] | None,
+        fade: float,
+    ) -> UnnamedTorque:
+        """Several orders; nothing is known of coefficients beforehand, and it does not fade out."""
+        return waves(self.joint, position[training], np.asarray(orders) / self.turn, self.of_slide)
 
 
 def curves(dynamics: Dynamics, data: TorqueRows, chosen: NDArray[np.integer], noise: Array) -> tuple[CurveFamily, ...]:
@@ -175,40 +238,21 @@ def _column(j: int, noise: Array) -> Array:
     return np.where(np.arange(len(noise))[:, None] == j, 1 / noise, 0.0)
 
 
-def _waves(data: TorqueRows, joint: int, chosen: NDArray[np.integer], known: Waves, orders: Array) -> Array:
+def _waves(data: TorqueRows, ripple: _Ripple, chosen: NDArray[np.integer], known: Waves, orders: Array) -> Array:
     """Sine and cosine `(order, 2, sample)`. Most of a search's time would go into filtering the same orders again."""
-    keys = [(joint, float(order)) for order in orders]
+    keys = [(ripple.joint, float(order)) for order in orders]
     found = {key: waves for key in keys if (waves := known.get(key)) is not None}
     new = sorted(set(keys) - set(found))
     if new:
-        turned = np.multiply.outer([order for _, order in new], np.asarray(data.motion.joint_position)[joint - 1])
+        q = np.asarray(data.motion.joint_position)[ripple.joint - 1]
+        angle = wave_angle(q, ripple.of_slide) / ripple.turn
+        turned = np.multiply.outer([order for _, order in new], angle)
         filtered = data.filter(np.stack([np.sin(turned), np.cos(turned)], 1))[..., chosen]
         if 2 * len(chosen) * (len(known) + len(new)) > _MOST_WAVES:
             known.clear()
         known.update(zip(new, filtered, strict=True))
         found.update(zip(new, filtered, strict=True))
     return np.stack([found[key] for key in keys])
-
-
-def _ripple(joint: int, order: float) -> TorqueRipple:
-    return TorqueRipple(joint, order)
-
-
-def _order(term: Term) -> float | None:
-    assert isinstance(term, TorqueRipple)
-    return None if term.order is None else float(term.order)
-
-
-def _curve(
-    joint: int,
-    q: Array,
-    orders: Sequence[float] | Array,
-    training: Mask,
-    prior: tuple[float, float, float] | None,
-    fade: float,
-) -> UnnamedTorque:
-    """The curve of several orders of a joint; nothing is known of coefficients beforehand, and it does not fade out."""
-    return waves(joint, q[training], orders)
 
 
 def sizes(data: TorqueRows) -> Array:

@@ -56,6 +56,11 @@ class DiagnosedMotors:
         return self.arm.dof
 
     @property
+    def sliding(self) -> tuple[int, ...]:
+        """The prismatic joints, counted from 0."""
+        return self.arm.sliding
+
+    @property
     def motion(self) -> str:
         """Torques are of a moving arm."""
         return "trajectory"

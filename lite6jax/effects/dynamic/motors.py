@@ -11,7 +11,7 @@ from lite6jax.effects.drivers import Driver
 from lite6jax.effects.dynamic import bounds
 from lite6jax.effects.dynamic.torque_effect import Array, Delaying, Dynamics, JointTorque, Scaling
 from lite6jax.effects.effect import Choice, Coordinate, Effect, Reporting
-from lite6jax.effects.waves import order_choice, wave_reporting
+from lite6jax.effects.waves import order_choice, wave_angle, wave_reporting
 from lite6jax.errors import InputError
 
 
@@ -126,12 +126,12 @@ class JointSpring(JointTorque):
 @final
 @dataclass(frozen=True)
 class TorqueRipple(JointTorque):
-    """τ += A·sin(n·q + φ): cogging, gear mesh.
+    """τ += A·sin(n·q + φ): cogging, gear mesh; of a prismatic joint F += A·sin(2π·q/p + φ): a screw's lead p.
 
     Its coordinates are A cos φ and A sin φ, and n where it is not fixed.
 
     Attributes:
-        order: n ≥ 1, where it is fixed; not necessarily an integer.
+        order: n ≥ 1, where it is fixed, not necessarily an integer; of a prismatic joint 1/p, cycles per metre.
     """
 
     order: float | None = None
@@ -142,27 +142,28 @@ class TorqueRipple(JointTorque):
     reporting: ClassVar[Reporting] = wave_reporting("amplitude_Nm")
 
     def __post_init__(self) -> None:
-        if self.of_slide:
-            raise InputError(
-                f"{self.label}: has orders per turn, and joint {self.joint} is prismatic; leave it out: a diagnosis "
-                "finds what repeats along a slide as a function of its position, without a name"
-            )
         if self.order is not None and not 0 < self.order < np.inf:
             raise InputError(f"{self.label}: order is {self.order:g}; give a positive number")
 
     @property
+    def period_m(self) -> float | None:  # as the parameter is called in files
+        """The length after which the force of a prismatic joint repeats; None where no order is fixed, or in turns."""
+        return 1 / self.order if self.of_slide and self.order else None
+
+    @property
     def coordinates(self) -> tuple[Coordinate, ...]:
         most = bounds.TORQUE
-        waves = tuple(Coordinate(f"{wave}_Nm", "Nm", 0.1, lower=-most, upper=most) for wave in ("sine", "cosine"))
-        return waves if self.order is not None else (*waves, Coordinate("order", "1", 0.1, lower=0.0, linear=False))
+        waves = tuple(self.number(f"{wave}_Nm", "Nm", 0.1, lower=-most, upper=most) for wave in ("sine", "cosine"))
+        order = Coordinate("order", "1/m" if self.of_slide else "1", 0.1, lower=0.0, linear=False)
+        return waves if self.order is not None else (*waves, order)
 
     @property
     def drivers(self) -> tuple[Driver, ...]:
-        return (Driver("position", self.joint),)
+        return (self.own_driver("position"),)
 
     def at_joint(self, values: Array, dynamics: Dynamics) -> Array:
         order = values[2] if self.order is None else self.order
-        turned = order * np.asarray(dynamics.motion.joint_position)[self.joint - 1]
+        turned = order * wave_angle(np.asarray(dynamics.motion.joint_position)[self.joint - 1], self.of_slide)
         return values[0] * np.sin(turned) + values[1] * np.cos(turned)
 
 

@@ -7,10 +7,11 @@ from typing import ClassVar, final
 
 import numpy as np
 
-from lite6jax.effects.drivers import Driver, driver_of
+from lite6jax.effects.drivers import Driver, driver_of, joint_driver
 from lite6jax.effects.dynamic.torque_effect import Array, Dynamics, JointTorque
 from lite6jax.effects.effect import Coordinate
 from lite6jax.effects.nonparametric import Products, polynomial_basis, products_of, spline_basis
+from lite6jax.effects.waves import wave_angle
 from lite6jax.errors import InputError
 
 
@@ -30,7 +31,7 @@ class UnnamedTorque(JointTorque):
         upper: of the first driver's range.
         pieces: the intervals of the spline, which has a level and two steps more than intervals.
         signed: whether the curve is multiplied by the direction of motion, as friction is.
-        orders: of the waves, that are there instead of a spline.
+        orders: of the waves, that are there instead of a spline; per turn, or per metre of a prismatic joint.
         spread: one standard deviation in Nm of the coefficients, or of a spline's level and of the sum of all its
             steps: the size of the joint's torque.
         degree: of polynomials, that are there instead of a spline; 0 for none.
@@ -121,7 +122,7 @@ class UnnamedTorque(JointTorque):
         if not self.orders:
             splines = np.asarray(spline_basis(values[0], self.lower, self.upper, self.pieces))  # type: ignore[arg-type]
             return splines[::-1].cumsum(0)[::-1]
-        turned = np.array(self.orders)[:, None] * values[0]
+        turned = np.array(self.orders)[:, None] * wave_angle(values[0], self.of_slide)
         return np.stack([np.sin(turned), np.cos(turned)], 1).reshape(self.functions, -1)
 
     def at_joint(self, values: Array, dynamics: Dynamics) -> Array:
@@ -132,12 +133,13 @@ class UnnamedTorque(JointTorque):
         return np.asarray(values) @ self.functions_of(np.atleast_2d(driver))
 
 
-def waves(joint: int, q: Array, orders: Sequence[float] | Array) -> UnnamedTorque:
-    """The curve of some orders of a joint's position `(sample,)` rad."""
+def waves(joint: int, q: Array, orders: Sequence[float] | Array, of_slide: bool = False) -> UnnamedTorque:
+    """The curve of some orders of a joint's position `(sample,)` rad, or m of a prismatic joint."""
     return UnnamedTorque(
         joint,
-        Driver("position", joint).phrase,
+        joint_driver("position", joint, of_slide).phrase,
         float(q.min()) - 1e-6,
         float(q.max()) + 1e-6,
         orders=tuple(float(order) for order in orders),
+        of_slide=of_slide,
     )

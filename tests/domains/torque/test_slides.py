@@ -1,6 +1,7 @@
 """An arm with a prismatic joint from the forces of its motors to findings, files and simulators: in N, m and kg."""
 
 import json
+import re
 from dataclasses import dataclass, replace
 from typing import ClassVar, final
 
@@ -34,10 +35,13 @@ from lite6jax.effects.motion import motion_of
 from lite6jax.effects.serialization import effect_as_dict, effect_from_dict, parse_effect
 from lite6jax.errors import InputError
 from lite6jax.estimation.options import EngineOptions
+from lite6jax.estimation.score_test import searched_size
 from lite6jax.estimation.terms import Terms
 from lite6jax.recordings import write_recording
+from lite6jax.report.remedies import cause_of, remedy_of
 from lite6jax.report.torque_faults import FOUND
 from lite6jax.report.torque_reference import headline
+from lite6jax.report.torque_statements import finding_statement
 from tests.oracles import kane
 
 FEW = Options(folds=2)
@@ -184,6 +188,9 @@ FORMULAS = {
     "torque_scale:joint=3,scale=0.1": lambda F, t, q, v, a: 0.1 * F,
     "rotor_inertia:joint=3,mass_kg=7": lambda F, t, q, v, a: 7 * a,
     "joint_spring:joint=3,stiffness_N_per_m=90,rest_m=0.1": lambda F, t, q, v, a: 90 * (q - 0.1),
+    "torque_ripple:joint=3,period_m=0.02,amplitude_N=3,phase_rad=0.7": lambda F, t, q, v, a: (
+        3 * np.sin(2 * np.pi * q / 0.02 + 0.7)
+    ),
 }
 
 
@@ -230,6 +237,83 @@ def test_a_function_of_a_slide_without_a_name():
     entry = next(entry for entry in found.to_dict()["findings"] if entry["effect"] == "unnamed")
     assert entry["peak_to_peak_N"] == pytest.approx(8, rel=0.2)
     assert {number.unit for number in largest.effect.coordinates} == {"N"}
+
+
+LEAD = 0.01
+"""m, of a screw."""
+
+
+@pytest.fixture(scope="module")
+def on_a_screw():
+    """The diagnosis of friction and of a force that repeats with the lead of a screw; the force of positions."""
+
+    def ripple(q):
+        return 3.0 * np.sin(2 * np.pi * q / LEAD + 0.7)
+
+    q = slid.moved(5)[1][:, 2]
+    recording = slid.recorded(lambda dq: slid.friction(dq) + np.outer(ripple(q), [0, 0, 1]), seed=5)
+    return diagnose_torques(recording, slid.arm(), options=FEW), ripple
+
+
+def test_the_ripple_of_a_screw_is_found_with_its_lead(on_a_screw):
+    found, _ = on_a_screw
+    assert found.verdict == "explained"
+    entries = {(entry["effect"], entry["site"]): entry for entry in found.to_dict()["findings"]}
+    assert entries.keys() == {*TRUTH, ("torque_ripple", "joint3")}
+    ripple = entries["torque_ripple", "joint3"]
+    for name, value in {"period_m": LEAD, "amplitude_N": 3.0, "phase_rad": 0.7}.items():
+        estimate = ripple["parameters"][name]
+        assert abs(estimate["value"] - value) < 3 * estimate["std"], name
+        assert estimate["std"] < 0.1 * value
+    assert ripple["driver"] == "slide position of joint 3"
+    said = finding_statement({**ripple, "where": {"of_slide": True}})
+    assert re.match(r"Torque ripple of period (9\.99|10)\d* mm at joint3 is significant: period [\d.]+ ± ", said)
+    assert re.search(r"it contributes 1\.\d+ N RMS to the force\.$", said)  # 3 / √2, less what the low pass keeps back
+    assert cause_of(ripple, torques=True) == "joint 3 cogs as it moves"
+    assert "Service the screw, the belt or the guide" in remedy_of(ripple, torques=True).action
+
+
+def test_the_model_of_a_screw_is_written_read_and_predicts(on_a_screw):
+    found, ripple = on_a_screw
+    document = json.loads(json.dumps(found.to_dict()))
+    model = torque_model_from_document(document)
+    unseen = slid.recorded(seed=6)
+    _, q, dq, ddq = slid.moved(6)
+    truth = kane.torques(slid.ROWS, slid.SLIDING, slid.BODIES, q, dq, ddq) + slid.friction(dq)
+    truth[:, 2] += ripple(q[:, 2])
+    away = predict_torques(model, unseen) - truth
+    assert np.median(np.abs(away[20:-20, 2])) < 0.15  # of a ripple of 3 N
+
+
+def test_a_ripple_of_a_fixed_order_is_one_of_its_period():
+    effect, values = parse_effect("torque_ripple:joint=3,order=300,amplitude_N=2,phase_rad=1", BUILT_IN, sliding=(2,))
+    stored = json.loads(json.dumps(effect_as_dict(effect, values)))
+    assert stored["where"] == {"joint": 3, "of_slide": True, "order": 300.0}
+    assert stored["parameters"]["period_m"]["value"] == pytest.approx(1 / 300)
+    again, same = effect_from_dict(stored, BUILT_IN)
+    assert again == effect
+    np.testing.assert_allclose(same, values, rtol=1e-15)
+    free = effect.released()
+    shown = free.reported([*values, 300.0], np.diag([0, 0, 0.3**2]))
+    assert shown["period_m"].std == pytest.approx(0.3 / 300**2)
+
+
+def test_periods_are_searched_as_far_as_stroke_and_low_pass_resolve_them():
+    recording = slid.recorded(seed=4)
+    problem = torque_problem(screen_torques(recording, slid.arm()).data)
+    revolute, _, slide = problem.periodic
+    assert (revolute.whole, revolute.highest, slide.whole) == (True, None, False)
+    q, dq = (np.asarray(part)[2] for part in (problem.data.motion.joint_position, problem.data.motion.joint_velocity))
+    shortest = np.ptp(q) / slide.highest
+    assert shortest == pytest.approx(np.quantile(np.abs(dq), 0.2) / problem.data.filter.cutoff, rel=0.05)
+    assert slide.term(40.0).period_m == pytest.approx(np.ptp(q) / 40)
+    assert slide.order(slide.term(40.0)) == pytest.approx(40)
+    at = np.outer([1, 7.3], 2 * np.pi * q[problem.data.filter.kept][problem.chosen] / np.ptp(q))
+    own = replace(slide, waves=None).waves_of(np.array([1, 7.3]))
+    np.testing.assert_allclose(own, np.stack([np.sin(at), np.cos(at)], 1), atol=1e-12)
+    more = searched_size(problem, EngineOptions()) - len(problem.candidates)
+    more -= len(problem.curves) * EngineOptions().searched_curves
+    assert more == pytest.approx(EngineOptions().searched_orders * (2 + slide.highest / 200))
 
 
 def test_a_push_along_the_slide_is_a_contact_in_newtons():
@@ -305,8 +389,14 @@ def test_what_does_not_fit_the_joint_is_refused():
     assert Drag(3, of_slide=True) in torque_problem(data, [Drag(3, of_slide=True)]).candidates
     with pytest.raises(InputError, match="is of a prismatic joint, and joint 2 is revolute; give joints of one kind"):
         torque_problem(data, [CoupledFriction(3, 2, of_slide=True)])
-    with pytest.raises(InputError, match="orders per turn, and joint 3 is prismatic; leave it out: a diagnosis finds"):
+    with pytest.raises(InputError, match="'amplitude_Nm' is unknown; the keys are joint, order, period_m, amplitude_N"):
         parse_effect("torque_ripple:joint=3,order=2,amplitude_Nm=1", BUILT_IN, sliding=(2,))
+    with pytest.raises(InputError, match="no period is given; say after which length the force repeats, as period_m="):
+        parse_effect("torque_ripple:joint=3,amplitude_N=1", BUILT_IN, sliding=(2,))
+    with pytest.raises(InputError, match=r"period_m is -0\.01; give a positive length"):
+        parse_effect("torque_ripple:joint=3,period_m=-0.01,amplitude_N=1", BUILT_IN, sliding=(2,))
+    with pytest.raises(InputError, match=r"period_m 0.02 beside the fixed period_m 0.01; give one of them"):
+        parse_effect("torque_ripple:joint=3,order=100,period_m=0.02,amplitude_N=1", BUILT_IN, sliding=(2,))
     with pytest.raises(InputError, match="'viscous_Nm_s_per_rad' is unknown; the keys are joint, viscous_N_s_per_m"):
         parse_effect("viscous_friction:joint=3,viscous_Nm_s_per_rad=1", BUILT_IN, sliding=(2,))
     with pytest.raises(InputError, match="velocity_m_per_s is -1; give a positive number"):
