@@ -1,6 +1,6 @@
 """Deflections of a rigid arm at each site. They add up, so that the order of effects does not matter."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -48,6 +48,13 @@ def at_joint(dof: int, number: int, values: Array) -> Array:
     return row * values  # type: ignore[return-value]  # of NumPy values on the host: columns of a hundred candidates compile nothing
 
 
+def library_of(*values: Array | None) -> Any:
+    """NumPy for values on the host, where the columns of hundreds of effects are computed without compiling; else
+    JAX's.
+    """
+    return jnp if any(isinstance(value, Array) for value in values) else np
+
+
 def twist(
     samples: int,
     x: Array | None = None,
@@ -59,6 +66,6 @@ def twist(
 ) -> Array:
     """The twist `(6, sample)` with these components, each `()` or `(sample,)`, in m and rad; zero where not given."""
     parts = (x, y, z, rx, ry, rz)
-    xp = jnp if any(isinstance(part, Array) for part in parts) else np
+    xp = library_of(*parts)
     filled = [xp.zeros(samples) if part is None else xp.broadcast_to(part, (samples,)) for part in parts]
     return xp.stack(filled)  # type: ignore[return-value]

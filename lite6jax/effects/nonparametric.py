@@ -5,13 +5,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations_with_replacement
-from typing import Any, ClassVar, final
+from typing import ClassVar, final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lite6jax.deferred import Array, jit, jnp, lax
-from lite6jax.effects.deflection import Deflection, at_joint, twist
+from lite6jax.effects.deflection import Deflection, at_joint, library_of, twist
 from lite6jax.effects.drivers import Driver, driver_of
 from lite6jax.effects.effect import Bending, Coordinate
 from lite6jax.effects.motion import Motion
@@ -35,7 +35,7 @@ def spline_basis(values: Array, lower: float | Array, upper: float | Array, piec
         upper: the last interval's end.
         pieces: the number of intervals.
     """
-    xp = _library(values)
+    xp = library_of(values)
     u = xp.clip((values - lower) / (upper - lower), 0.0, 1.0) * pieces
     t = xp.abs(u - np.arange(-1.0, pieces + 2.0)[:, None])
     near, far = xp.maximum(1 - t, 0.0), xp.maximum(2 - t, 0.0)
@@ -66,15 +66,10 @@ def polynomial_basis(values: Array, ranges: NDArray, products: Products) -> Arra
         ranges: `(driver, 2)`, lower and upper.
         products: which.
     """
-    xp = _library(values)
+    xp = library_of(values)
     lower, upper = ranges.T[..., None]
     u = xp.clip(2 * (values - lower) / (upper - lower) - 1, -1.0, 1.0)
     return xp.stack([xp.prod(u[np.array(which, int)], 0) for which in products])
-
-
-def _library(values: Array) -> Any:
-    """NumPy for arrays on the host, where hundreds of functions are evaluated without compiling; else JAX's."""
-    return np if isinstance(values, np.ndarray) else jnp
 
 
 @jit
@@ -247,7 +242,7 @@ class Unnamed(Bending):
     def values_at(self, motion: Motion, loads: Loads | None) -> Array:
         """The values of the driver `(sample,)`, or of several `(driver, sample)`."""
         values = [driver.values(motion, loads) for driver in self.drivers]
-        return values[0] if len(values) == 1 else _library(values[0]).stack(values)
+        return values[0] if len(values) == 1 else library_of(values[0]).stack(values)
 
     def basis(self, driver: Array, run: Array | None = None) -> Array:
         """The functions that coefficients multiply, `(function, sample)`, at values `(sample,)` of the driver.
@@ -258,13 +253,13 @@ class Unnamed(Bending):
         """
         if self.degree:
             ranges = np.array((self.lower, self.upper, *self.further)).reshape(-1, 2)
-            return polynomial_basis(_library(driver).atleast_2d(driver), ranges, self._products)
+            return polynomial_basis(library_of(driver).atleast_2d(driver), ranges, self._products)
         if self.memory:
             one = jnp.zeros((2, driver.size), int)
             return plays(driver, jnp.asarray(self.memory), one if run is None else run)
         if not self.orders:
             return spline_basis(driver, self.lower, self.upper, self.pieces)
-        xp = _library(driver)
+        xp = library_of(driver)
         turned = np.array(self.orders)[:, None] * driver
         waves = xp.stack([xp.sin(turned), xp.cos(turned)], 1).reshape(self.functions, -1)
         at = np.linspace(self.lower, self.upper, len(self.trust))

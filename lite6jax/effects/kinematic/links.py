@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from typing import ClassVar, final
 
 from lite6jax.deferred import Array, jnp
-from lite6jax.effects.deflection import Deflection, at_joint, twist
+from lite6jax.effects.deflection import Deflection, at_joint, library_of, twist
 from lite6jax.effects.drivers import Driver
 from lite6jax.effects.effect import Bending, Coordinate
 from lite6jax.effects.kinematic import bounds
@@ -165,8 +165,9 @@ class AxisWobble(Bending):
 
     def deflect(self, values: Array, motion: Motion, loads: Loads | None) -> Deflection:
         q = self.drivers[0].values(motion, loads)
-        cosine, sine = jnp.cos(q), jnp.sin(q)
-        waves = (cosine, sine, jnp.cos(2 * q), jnp.sin(2 * q))
+        xp = library_of(q)
+        cosine, sine = xp.cos(q), xp.sin(q)
+        waves = (cosine, sine, xp.cos(2 * q), xp.sin(2 * q))
         about_x = sum(value * wave for value, wave in zip(values[:4], waves, strict=True))
         about_y = sum(value * wave for value, wave in zip(values[4:], waves, strict=True))
         tilt = twist(motion.samples, rx=cosine * about_x + sine * about_y, ry=cosine * about_y - sine * about_x)
