@@ -186,6 +186,28 @@ def test_the_report_is_readable_on_any_terminal(recorded, capsys, width):
     paths = {str(recorded), f"Wrote {recorded.with_suffix('.yaml')}"}
     lines = [line for line in out.splitlines() if line not in paths and not line.startswith("lite6jax diagnose")]
     assert max(map(len, lines)) <= width
+    assert [line for line in out.splitlines() if line != line.rstrip()] == []  # a pipe needs no filled lines
+
+
+@pytest.mark.parametrize("folder", [".", "..", "../.."])
+def test_the_folder_that_one_is_in_is_no_recording(capsys, tmp_path, monkeypatch, folder):
+    (tmp_path / "a" / "b").mkdir(parents=True)
+    for place in (tmp_path, tmp_path / "a", tmp_path / "a" / "b"):
+        (place / "run7.csv").write_text("q1_rad\n0\n")
+    monkeypatch.chdir(tmp_path / "a" / "b")
+    for command in ("init", "fit", "check"):
+        assert "is a folder; name a file in it, such as run7.csv, or fit all" in refused(capsys, command, folder)
+
+
+def test_files_that_are_taken_for_another(capsys, tmp_path):
+    (tmp_path / "run7.csv").write_text("q1_rad,x_mm\n0,0\n")
+    (tmp_path / "d.json").write_text('{"schema": "lite6jax/diagnosis/2", "model": {}}')
+    no_arm = "run7.csv: holds measurements and describes no arm; name a description, URDF, MJCF or table, or what"
+    assert no_arm in refused(capsys, "convert", tmp_path / "run7.csv", tmp_path / "arm.xml")
+    assert no_arm in refused(capsys, "simulate", tmp_path / "run7.csv", "--out", tmp_path / "s.csv")
+    for command in ("diagnose", "fit"):
+        said = refused(capsys, command, tmp_path / "d.json")
+        assert said.endswith(f"holds results (lite6jax/diagnosis/2); `lite6jax report {tmp_path}/d.json` shows them")
 
 
 @pytest.mark.parametrize(

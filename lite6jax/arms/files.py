@@ -33,6 +33,7 @@ __all__ = [
 ]
 
 _XML = (".urdf", ".xacro", ".xml", ".mjcf")
+_MEASUREMENTS = (".csv", ".parquet", ".arrows", ".mcap", ".db3", ".bag", ".xlsx")
 _ROOT = re.compile(r"<([A-Za-z][\w.:-]*)")
 _COMMENT = re.compile(r"<!--.*?-->", re.DOTALL)
 
@@ -60,6 +61,11 @@ def read_arm(path_or_name: str | Path) -> Arm:
     path = Path(name)
     if not storage.exists(path) and not path.suffix:
         raise InputError(f"{name}: neither a bundled arm nor a file; {entries.suggestion(name, bundled_arms())}")
+    if path.suffix.lower() in _MEASUREMENTS:
+        raise InputError(
+            f"{name}: holds measurements and describes no arm; name a description, URDF, MJCF or table, or what "
+            "`lite6jax diagnose --out` or `lite6jax fit --out` makes of it"
+        )
     if path.suffix.lower() == ".json":
         return calibrated_arm(read_factory(path))
     content = storage.read_yaml(path)

@@ -75,6 +75,8 @@ def read_table(path: str | Path) -> HayatiTable:
         InputWarning: the table was changed after it was written, or is from a fit that does not describe its data.
     """
     content = _parse(storage.read_text(path, SIZE_LIMIT), path)
+    if "schema" in content:
+        raise InputError(f"{path}: holds results ({str(content['schema'])[:40]}); `lite6jax report {path}` shows them")
     betas = {key: int(match[1]) for key in content if isinstance(key, str) and (match := _BETA.fullmatch(key))}
     entries.mapping(content, f"{path}:", ("units", "base", "dh"), (*(betas or ("beta_joint2",)), "fit", checksum.KEY))
     if content["units"] != UNITS:

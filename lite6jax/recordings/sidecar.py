@@ -32,7 +32,10 @@ class Sidecar(NamedTuple):
 def sidecar_path(recording: str | Path) -> Path:
     """Where the sidecar of a recording stands: the same stem, `.yaml`; of a folder, beside it."""
     path = Path(recording)
-    return path.with_name(f"{path.name}.yaml") if os.path.isdir(path) else path.with_suffix(".yaml")
+    if not os.path.isdir(path):
+        return path.with_suffix(".yaml")
+    named = path if path.name not in ("", "..") else Path(os.path.abspath(path))  # such as the folder one is in
+    return named.parent / f"{named.name}.yaml"
 
 
 def read_settings(path: str | Path) -> RecordingSettings:

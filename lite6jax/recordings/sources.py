@@ -62,8 +62,8 @@ def open_table(
     Raises:
         InputError: not there, of another kind (with what helps), or as the reader of its kind.
     """
-    suffix, growing = path.suffix.lower(), stream.stream_path(path)
-    if suffix == ".parquet" and not exists(path) and exists(growing):
+    suffix = path.suffix.lower()
+    if suffix == ".parquet" and not exists(path) and exists(growing := stream.stream_path(path)):
         notes.append(f"the recording was ended before it was complete; its rows are those of {growing.name}")
         path, suffix = growing, stream.SUFFIX
     try:

@@ -1,5 +1,6 @@
 """Output to the terminal: text without markup, unbroken paths, and progress, as a bar or as lines."""
 
+import re
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
@@ -10,6 +11,8 @@ from rich.console import Console, RenderableType
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.text import Text
 
+_BLANKS = re.compile(r" +$", re.MULTILINE)
+
 
 def console(stderr: bool = False) -> Console:
     """A console that interprets no character of a file name as markup."""
@@ -17,10 +20,13 @@ def console(stderr: bool = False) -> Console:
 
 
 def show(parts: Iterable[RenderableType]) -> None:
-    """Prints parts below each other."""
+    """Prints parts below each other; into a file or a pipe without the blanks that fill lines on a terminal."""
     screen = console()
     for part in parts:
-        screen.print(part, soft_wrap=isinstance(part, Text) and bool(part.no_wrap))
+        with screen.capture() as printed:
+            screen.print(part, soft_wrap=isinstance(part, Text) and bool(part.no_wrap))
+        text = printed.get()
+        screen.file.write(text if screen.is_terminal else _BLANKS.sub("", text))
 
 
 def notes(said: Iterable[str]) -> Iterator[Text]:
