@@ -1,5 +1,6 @@
 """A Dask cluster of two workers on this machine: the same bytes as by processes, also where one of them is killed."""
 
+import json
 import os
 import signal
 import sys
@@ -8,10 +9,11 @@ import time
 
 import pytest
 
+from lite6jax.cli import main
 from lite6jax.distribution import cluster
 from lite6jax.distribution.batches import outcomes, run_batches
 from lite6jax.errors import InputError
-from tests.batch_work import content, dead, spelled
+from tests.batch_work import content, dead, reduced, spelled
 
 dask = pytest.importorskip("dask", reason="the extra distributed is not installed")
 distributed = pytest.importorskip("distributed", reason="the extra distributed is not installed")
@@ -65,6 +67,30 @@ def test_an_input_at_which_workers_die_costs_its_row(workers, tmp_path):
     inputs = [["a", "die"], ["bb"]]
     by_processes = ran(tmp_path / "here", inputs, processes=1).path.read_bytes()
     assert ran(tmp_path / "there", inputs, scheduler=workers.scheduler_address).path.read_bytes() == by_processes
+
+
+def test_the_recordings_of_a_fleet_are_diagnosed_and_pooled_to_the_same_bytes(workers, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr("lite6jax.cli.diagnose_fleet.diagnose_and_reduce", reduced)
+    folder = tmp_path / "recordings"
+    folder.mkdir()
+    for seed in range(5):
+        (folder / f"arm{seed}.csv").write_text(str(seed))
+    written = []
+    for by in (("--processes", "1"), ("--processes", "2"), ("--scheduler", workers.scheduler_address)):
+        out = tmp_path / by[0].strip("-") / by[1][:1]
+        out.parent.mkdir(exist_ok=True)
+        assert main(["diagnose", "--fleet", str(folder), "--out", str(out), "--json", *by]) == 0
+        written.append({path.name: path.read_bytes() for path in out.iterdir()})
+    assert written[0].keys() == {
+        "fleet.json",
+        "summary.parquet",
+        *(f"arm{i}.{kind}" for i in range(5) for kind in ("json", "npz")),
+    }
+    assert written[0] == written[1] == written[2]
+    (effect,) = json.loads(written[0]["fleet.json"])["effects"]
+    low, high = effect["parameters"]["compliance_rad_per_Nm"]["interval_95"]
+    assert low < 0.6 < high
+    capsys.readouterr()
 
 
 def test_what_a_function_raises_arrives(workers, tmp_path):
