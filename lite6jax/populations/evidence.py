@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from lite6jax.distribution.batches import Workers
+from lite6jax.errors import InputError
 from lite6jax.populations.options import PoolingOptions
 from lite6jax.populations.reduced import Evidence, PooledTerm, ReducedArm
 
@@ -84,7 +85,7 @@ def _columns(table: "pa.Table") -> dict[str, Any]:
 
 
 def _died(stored: bytes) -> "pa.Table":
-    raise MemoryError(f"a process that read {len(stored)} bytes was ended; free memory, or give --processes 1")
+    raise InputError(f"a process that read {len(stored)} bytes was ended; free memory, or give --processes 1")
 
 
 @threadpool_limits.wrap(limits=1, user_api="blas")
