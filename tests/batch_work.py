@@ -24,6 +24,29 @@ def spelled(inputs, folder):
     return pa.table({"input": [str(value) for value in inputs], "length": [len(str(value)) for value in inputs]})
 
 
+_hoard = []
+
+
+def hoarded(inputs, size):
+    """A row an input: the process that worked on it, and what it had of memory before. It keeps `size` bytes more."""
+    before = resident()
+    _hoard.append(b"x" * size)
+    return pa.table({"input": inputs, "process": [os.getpid()] * len(inputs), "resident": [before] * len(inputs)})
+
+
+def resident():
+    """Bytes of memory of this process."""
+    return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+
+
+def freed(inputs):
+    """A row an input: bytes of memory with blocks freed between what stays, and without what is between."""
+    blocks = [bytearray(64 * 1024) for _ in range(1600)]
+    _hoard.extend(blocks[::16])
+    del blocks
+    return pa.table({"held": [resident()] * len(inputs)})
+
+
 def dead(value):
     """The row of an input at which workers die."""
     return pa.table({"input": [str(value)], "length": [-1]})
@@ -44,16 +67,41 @@ def diagnosed(names, place, folder):
             verdict = (here / name).read_text()
         with open(Path(folder, "done"), "a") as file:
             file.write(f"{name}\n")
-        errors = {"heldout_position_rms_m": 0.5}
-        document = {
-            "schema": "lite6jax/diagnosis/2",
-            "verdict": verdict,
-            "quality": {"verdict": "good"},
-            "before": errors,
-            "after": errors,
-            "samples": 7,
-            "data_faults": [{"fault": "outliers"}],
-            "findings": [{"effect": "joint_lag", "site": "joint1", "p_value": 0.5}],
-        }
+        if verdict == "die":
+            os.kill(os.getpid(), signal.SIGKILL)
+        document = document_of(verdict)
         rows.append(row_of(name, document, f"document of {name}") if verdict else refusal(name, f"{here / name}: no"))
     return concatenated(rows)
+
+
+def reduced(names, place, command):
+    """Rows of recordings of a fleet without a diagnosis, of files whose content is the seed of a linear arm."""
+    import numpy as np
+
+    from lite6jax.distribution.batches import concatenated
+    from lite6jax.folders.diagnoses import row_of, with_reduced
+    from lite6jax.populations.reduced import PooledTerm
+    from tests.populations.linear_arms import arm
+
+    rows = []
+    for name in names:
+        with place.at_hand([name]) as here:
+            rng = np.random.default_rng(int((here / name).read_text()))
+        row = row_of(name, document_of("consistent"), f"document of {name}")
+        rows.append(with_reduced(row, arm(rng, [(PooledTerm("soft"), [0.6])]).to_bytes()))
+    return concatenated(rows)
+
+
+def document_of(verdict):
+    """As much of a diagnosis as a row tells."""
+    errors = {"heldout_position_rms_m": 0.5}
+    return {
+        "schema": "lite6jax/diagnosis/2",
+        "verdict": verdict,
+        "quality": {"verdict": "good"},
+        "before": errors,
+        "after": errors,
+        "samples": 7,
+        "data_faults": [{"fault": "outliers"}],
+        "findings": [{"effect": "joint_lag", "site": "joint1", "p_value": 0.5}],
+    }

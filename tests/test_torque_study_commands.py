@@ -114,6 +114,8 @@ def test_design_discriminates(capsys, tmp_path, arm):
         (("--torque", "--limit-margin", "900"), "leaves joint1 no room; give a smaller one"),
         (("--torque", "--box", "5000", "0", "0", "6000", "10", "10"), "box refused 100 % of them; widen it"),
         (("--torque", "--poses", "9"), "--torque: designs a motion; leave --poses out"),
+        (("--processes", "2"), "--processes, --scheduler: are of designed motions, whose ascents are independent; add"),
+        (("--torque", "--processes", "0"), "--processes 0: give 1 or more"),
         (("--torque", "--sensor", "camera"), "--torque: designs a motion; leave the options of a sensor out"),
         (("--duration", "20"), "--duration: is for torques; add --torque"),
         (("--torque", "--discriminate", "joint_offset:joint=2", "payload_error"), "effect 'joint_offset': unknown"),

@@ -8,7 +8,15 @@ from typing import TYPE_CHECKING, Annotated, Literal, final
 from tyro.conf import Positional, UseAppendAction, arg
 
 from lite6jax.cli import torque_study
-from lite6jax.cli.arguments import Folder, arm_reference, check_seed, refuse_inputs
+from lite6jax.cli.arguments import (
+    Folder,
+    Processes,
+    Scheduler,
+    arm_reference,
+    check_processes,
+    check_seed,
+    refuse_inputs,
+)
 from lite6jax.cli.exit_codes import DONE
 from lite6jax.cli.study import Setup
 from lite6jax.cli.torque_study import TorqueSetup
@@ -72,6 +80,12 @@ class Design:
     """Move the chosen poses on by gradient, between the candidates."""
     seed: int = 0
     """Seed of the random numbers."""
+    processes: Processes = None
+    """With --torque: so many processes of this machine compute, each with one thread; this one alone where not
+    given."""
+    scheduler: Scheduler = None
+    """With --torque, in place of processes of this machine: the Dask cluster of the scheduler at this address
+    (tcp://HOST:8786)."""
     figures: Folder = None
     """Draw the accuracy against the number of poses into this folder (PNG and SVG)."""
     json: bool = False
@@ -96,9 +110,15 @@ class Design:
         read = [self.source, self.recorded, self.collision_geometry, *filters]
         refuse_inputs([self.out, sidecar_path(self.out)], read)
         check_seed(self.seed)
+        check_processes(self.processes, self.scheduler)
         if self.torque.torque:
             return self._design_motion()
         torque_study.refuse_without_torque(self.torque)
+        if self.processes is not None or self.scheduler is not None:
+            raise InputError(
+                "--processes, --scheduler: are of designed motions, whose ascents are independent; add --torque, or "
+                "leave them out"
+            )
         if self.discriminate is not None and (self.criterion != "I" or self.accuracy is not None):
             raise InputError(
                 "--discriminate: chooses by the distance between two effects; leave --criterion and --accuracy out"
@@ -210,6 +230,8 @@ class Design:
             math.radians(self.limit_margin),
             self.discriminate,
             self.seed,
+            self.processes,
+            self.scheduler,
             self.figures,
             self.force,
             self.json,

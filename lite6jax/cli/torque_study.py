@@ -169,6 +169,8 @@ def design_motion(
     margin: float,
     discriminate: tuple[str, str] | None,
     seed: int,
+    processes: int | None,
+    scheduler: str | None,
     figures: Path | None,
     force: bool,
     as_json: bool = False,
@@ -179,6 +181,7 @@ def design_motion(
         reference: the arm as the sidecar names it.
         margin: rad, from the limits of the joints.
         discriminate: two effects in text.
+        processes, scheduler: as `plan_motion`.
         figures: a folder.
 
     Raises:
@@ -197,7 +200,7 @@ def design_motion(
     arm = read_arm(source)
     room = setup.room(arm, filters, margin)
     if discriminate is None:
-        found = plan_motion(setup.model(arm), room, seed=seed)
+        found = plan_motion(setup.model(arm), room, seed=seed, processes=processes, scheduler=scheduler)
         report = torque_study_tables.torque_plan_report(found, disabled, source)
     else:
         model = setup.model(arm, unknown=False)
@@ -206,7 +209,7 @@ def design_motion(
             for text, neutral in zip(discriminate, (False, True), strict=True)
         ]
         rivals = [rival_of(effect, values, model) for effect, values in parsed if isinstance(effect, TorqueEffect)]
-        found = plan_torque_discrimination(model, room, rivals, seed=seed)
+        found = plan_torque_discrimination(model, room, rivals, seed=seed, processes=processes, scheduler=scheduler)
         report = torque_study_tables.torque_discrimination_report(found, disabled, source)
     made = found.trajectory
     settings = RecordingSettings(arm=reference, motion="trajectory", gravity_m_per_s2=setup.gravity or GRAVITY)

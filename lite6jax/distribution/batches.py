@@ -2,9 +2,9 @@
 
 from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
-from contextlib import closing
+from contextlib import ExitStack, closing
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, final
 
 from lite6jax import storage, threads
 from lite6jax.distribution.kept import Kept
@@ -131,19 +131,53 @@ def outcomes(
         most: how many batches there are at most: more processes are not started.
         function, given, died, scheduler, processes: as `run_batches`.
     """
-    if processes == 0 and scheduler is None:
-        for number, inputs in batches:
-            yield number, function(inputs, *given)
-        return
-    if scheduler is None:
-        count = processes or threads.available()
-        with Processes(count if most is None else max(1, min(count, most)), function, given) as here:
-            yield from _worked(here, batches, died)
-        return
-    from lite6jax.distribution.cluster import Cluster
+    with Workers(scheduler, processes, most) as workers:
+        yield from workers.outcomes(function, batches, given, died=died)
 
-    with Cluster(scheduler, function, given) as there:
-        yield from _worked(there, batches, died)
+
+@final
+class Workers:
+    """Processes of this machine or a cluster, by the `with` statement, for one function after the other.
+
+    Each function is `outcomes`, without the start of processes.
+    """
+
+    def __init__(self, scheduler: str | None = None, processes: int | None = None, most: int | None = None) -> None:
+        """Starts nothing; arguments as of `outcomes`."""
+        self._scheduler = scheduler
+        self._here = processes == 0 and scheduler is None
+        count = processes or threads.available()
+        self._count = count if most is None else max(1, min(count, most))
+        self._held = ExitStack()
+        self._pool: Processes | Cluster | None = None
+
+    def __enter__(self) -> "Workers":
+        if self._scheduler is not None:
+            from lite6jax.distribution.cluster import Cluster
+
+            self._pool = self._held.enter_context(Cluster(self._scheduler))
+        elif not self._here:
+            self._pool = self._held.enter_context(Processes(self._count))
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._held.close()
+
+    def outcomes(
+        self,
+        function: "Function",
+        batches: Iterable[tuple[int, Sequence[Any]]],
+        given: tuple[Any, ...] = (),
+        *,
+        died: Callable[[Any], "pa.Table"],
+    ) -> Generator[tuple[int, "pa.Table"]]:
+        """As the function of this name, by these workers; to be read to its end before another begins."""
+        if self._pool is None:
+            for number, inputs in batches:
+                yield number, function(inputs, *given)
+            return
+        self._pool.begin(function, given)
+        yield from _worked(self._pool, batches, died)
 
 
 class _Task:

@@ -30,9 +30,13 @@ class Cluster:
     `distributed.scheduler.allowed-failures` says.
     """
 
-    def __init__(self, address: str, function: "Function", given: tuple[Any, ...]) -> None:
-        """Connects to nothing; arguments as of `Processes`."""
-        self._address, self._function, self._given = address, function, given
+    def __init__(self, address: str) -> None:
+        """Connects to nothing.
+
+        Args:
+            address: of the scheduler.
+        """
+        self._address = address
 
     def __enter__(self) -> "Cluster":
         """Connects.
@@ -41,7 +45,7 @@ class Cluster:
             InputError: Dask is not installed, or no scheduler answers.
         """
         try:
-            from distributed import Client, as_completed
+            from distributed import Client
         except ImportError as error:
             raise InputError(
                 f"--scheduler {self._address}: takes Dask; pip install 'lite6jax[distributed]', or leave it out"
@@ -55,8 +59,6 @@ class Cluster:
                 f"--scheduler {self._address}: no scheduler answers there; start one by `dask scheduler`, or correct "
                 "the address (tcp://HOST:8786)"
             ) from error
-        self._finished: Any = as_completed(loop=self._client.loop)
-        self._numbers: dict[str, int] = {}
         self._run, self._counter = uuid.uuid4().hex, itertools.count()
         self._versions = versions()
         self._threads, self._counted = 0, -_COUNTED_EVERY
@@ -64,6 +66,14 @@ class Cluster:
 
     def __exit__(self, *error: object) -> None:
         self._client.close(timeout=ANSWERS_WITHIN)
+
+    def begin(self, function: "Function", given: tuple[Any, ...]) -> None:
+        """As `Processes.begin`."""
+        from distributed import as_completed
+
+        self._function, self._given = function, given
+        self._finished: Any = as_completed(loop=self._client.loop)
+        self._numbers: dict[str, int] = {}
 
     @property
     def has_room(self) -> bool:

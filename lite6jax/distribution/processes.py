@@ -1,11 +1,14 @@
-"""Workers that are processes of this machine; one that dies is replaced, and its batch is known."""
+"""Workers that are processes of this machine; one that dies, or takes much memory, is replaced."""
 
 import multiprocessing
+import os
 import signal
 from collections.abc import Sequence
+from contextlib import suppress
 from multiprocessing.connection import Connection, wait
 from multiprocessing.context import SpawnProcess
-from typing import TYPE_CHECKING, Any, final
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple, final
 
 from lite6jax import interruption
 from lite6jax.errors import InputError
@@ -13,6 +16,9 @@ from lite6jax.errors import InputError
 if TYPE_CHECKING:
     from lite6jax.distribution.worker import Function
 
+MOST_RESIDENT = 2 << 30
+"""Bytes of a process that has no batch in hand, above which another takes its place: compiled code, and freed memory
+between what stays, are not given back. One diagnosis leaves less than half of that."""
 _MOST_FAILED_STARTS = 3
 _ENDS_WITHIN = 1.0
 """s, in which a process is gone whose connection is."""
@@ -25,11 +31,18 @@ class Died:
 Outcome = bytes | Died
 
 
+class _Job(NamedTuple):
+    """A function of a module, with what it is given besides a batch, as `worker.work` takes them."""
+
+    function: "Function"
+    given: tuple[Any, ...]
+
+
 @final
 class _Worker:
     """A process, the connection to it, and the batch that it has in hand."""
 
-    def __init__(self, function: "Function", given: tuple[Any, ...]) -> None:
+    def __init__(self, job: _Job | None) -> None:
         self.batch: int | None = None
         self.inputs: list[Any] = []
         self.ready = False
@@ -45,7 +58,22 @@ class _Worker:
             if blocks:
                 signal.pthread_sigmask(signal.SIG_SETMASK, before)
         theirs.close()
-        self.connection.send((function, given))
+        if job is not None:
+            self.tell(job)
+
+    def tell(self, job: _Job) -> None:
+        """Says what is to be done with the batches that follow."""
+        with suppress(OSError):  # one that was ended is replaced where it is to have a batch
+            self.connection.send(job)
+
+    @property
+    def is_large(self) -> bool:
+        """Whether it has worked and keeps more memory than `MOST_RESIDENT`; unknown, so False, but on Linux."""
+        try:
+            pages = int(Path(f"/proc/{self.process.pid}/statm").read_bytes().split()[1])
+        except (OSError, ValueError, IndexError):
+            return False
+        return self.ready and pages * os.sysconf("SC_PAGE_SIZE") > MOST_RESIDENT
 
     def end(self, within: float = 0.0) -> int | None:
         """Ends the process, if it does not end within so many seconds; returns its exit code."""
@@ -60,20 +88,20 @@ class _Worker:
 
 @final
 class Processes:
-    """So many processes, started by the `with` statement: they import what they need while the program reads.
+    """So many processes, started by the `with` statement: they import what they need while the program reads. What
+    they are to do is said by `begin`.
 
     This module imports little, for the same reason. Every process computes with one thread.
     """
 
-    def __init__(self, count: int, function: "Function", given: tuple[Any, ...]) -> None:
+    def __init__(self, count: int) -> None:
         """Starts nothing.
 
         Args:
             count: of the processes.
-            function: of a module, with what it is given besides a batch, as `worker.work` takes them.
-            given: likewise.
         """
-        self._count, self._function, self._given = count, function, given
+        self._count = count
+        self._job: _Job | None = None
         self._workers: list[_Worker] = []
         self._failed_starts = 0
 
@@ -94,7 +122,21 @@ class Processes:
             worker.process.kill()
 
     def _started(self) -> _Worker:
-        return _Worker(self._function, self._given)
+        return _Worker(self._job)
+
+    def begin(self, function: "Function", given: tuple[Any, ...]) -> None:
+        """Says what is to be done with the batches that follow; what is still in hand is forgotten.
+
+        Args:
+            function: of a module.
+            given: to it besides a batch.
+        """
+        self._job = _Job(function, given)
+        for place, worker in enumerate(self._workers):
+            if worker.batch is None:
+                worker.tell(self._job)
+            else:
+                self._renew(place)
 
     @property
     def has_room(self) -> bool:
@@ -106,6 +148,8 @@ class Processes:
         self._send(next(i for i, worker in enumerate(self._workers) if worker.batch is None), number, list(inputs))
 
     def _send(self, place: int, number: int, inputs: list[Any]) -> None:
+        if self._workers[place].is_large:
+            self._renew(place)
         while True:
             worker = self._workers[place]
             try:
@@ -142,6 +186,11 @@ class Processes:
                     worker.batch = None
                     return number, said
 
+    def _renew(self, place: int) -> None:
+        """Ends a process and starts another in its place."""
+        self._workers[place].end()
+        self._workers[place] = self._started()
+
     def _replace(self, place: int) -> None:
         """Starts another process in the place of one that ended.
 
@@ -165,16 +214,20 @@ def _serve(connection: Connection) -> None:
 
     try:
         set_up()
-        try:
-            function, given = connection.recv()
-        except (ImportError, AttributeError) as error:  # a module that is not whole, or not found from here
-            connection.send(error)
-            return
-        connection.send(None)
+        job: _Job | None = None
         while True:
-            inputs = connection.recv()
             try:
-                said = work(function, inputs, given)
+                message = connection.recv()
+            except (ImportError, AttributeError) as error:  # a module that is not whole, or not found from here
+                connection.send(error)
+                return
+            if isinstance(message, _Job):
+                job = message
+                connection.send(None)
+                continue
+            assert job is not None
+            try:
+                said = work(job.function, message, job.given)
             except Exception as error:
                 said = error
             try:

@@ -1,8 +1,10 @@
 """What a worker does, on this machine or of a cluster: it is set up once, and works on one batch at a time."""
 
+import ctypes
 import gc
 import threading
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +31,7 @@ def work(function: Function, inputs: Sequence[Any], given: tuple[Any, ...]) -> b
         set_up()
         rows = of_table(function(inputs, *given))
         _forget_compiled()
+        _give_back_memory()
         return rows
 
 
@@ -69,3 +72,9 @@ def _forget_compiled() -> None:
         import jax
 
         jax.clear_caches()
+
+
+def _give_back_memory() -> None:
+    """Has the allocator return what it holds of freed memory: a heap in fragments else grows with every batch."""
+    with suppress(OSError, AttributeError, TypeError):  # a C library other than glibc
+        ctypes.CDLL(None).malloc_trim(0)

@@ -8,6 +8,7 @@ from typing import Any, Literal
 import numpy as np
 
 from lite6jax import storage
+from lite6jax.distribution.batches import Workers
 from lite6jax.errors import InputError
 from lite6jax.folders.diagnoses import DIAGNOSED, TABLE
 from lite6jax.populations.evidence import Reduced
@@ -73,8 +74,9 @@ def diagnose_recorded_population(
         for candidate in (*heading.candidates, *heading.families):
             candidates.setdefault(candidate.key, candidate)
     places = {row["file"]: out / row["reduced"] for row in rows if row.get("reduced")}
-    reduced = Reduced([places[members[i].file] for i in used], options, scheduler, processes)
-    return diagnose_population(arm[0], members, used, candidates, reduced, dates, progress)
+    with Workers(scheduler, processes, len(used)) as workers:
+        reduced = Reduced([places[members[i].file] for i in used], options, workers)
+        return diagnose_population(arm[0], members, used, candidates, reduced, dates, progress)
 
 
 def check_document(out: Path, names: Sequence[str], overwrite: bool) -> None:

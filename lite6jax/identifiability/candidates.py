@@ -5,8 +5,9 @@ import os
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import final
+from typing import Any, final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -15,6 +16,9 @@ from lite6jax.arms.arm import Arm
 from lite6jax.arms.joint_units import joint_sizes
 from lite6jax.errors import InputError
 from lite6jax.identifiability.clearance import SelfCollision, link_frames
+
+Distance = Callable[[NDArray[np.floating]], NDArray[np.floating]]
+"""Of `(sample, joint)` rad to `(sample,)` m."""
 
 _BATCH = 16384
 _FEWEST = 1e-3
@@ -35,7 +39,7 @@ class Filter:
 
     name: str
     accepts: Callable[[NDArray[np.floating]], NDArray[np.bool_]]
-    distance: Callable[[NDArray[np.floating]], NDArray[np.floating]] | None = None
+    distance: Distance | None = None
 
 
 @final
@@ -153,14 +157,7 @@ def inside_box(arm: Arm, box: Box, tool_point: ArrayLike | Sequence[float] = (0.
         box: in the base's frame.
         tool_point: `(3,)` m in the flange's frame.
     """
-    point = np.asarray(tool_point, float)
-
-    def distance(q: NDArray[np.floating]) -> NDArray[np.floating]:
-        T = link_frames(arm, q)[-1]
-        position = np.einsum("ijs,j->si", T[:, :3], point) + T[:, 3].T
-        return np.minimum(position - box.lower, box.upper - position).min(1)
-
-    return Filter("box", lambda q: distance(q) >= 0, distance)
+    return _beyond("box", partial(_into_box, arm, box, np.asarray(tool_point, float)), or_at=True)
 
 
 def above_floor(arm: Arm, height: float, tool_point: ArrayLike | Sequence[float] = (0.0, 0.0, 0.0)) -> Filter:
@@ -171,31 +168,83 @@ def above_floor(arm: Arm, height: float, tool_point: ArrayLike | Sequence[float]
         height: in the base's frame, m.
         tool_point: `(3,)` m in the flange's frame.
     """
-    point = np.asarray(tool_point, float)
-
-    def distance(q: NDArray[np.floating]) -> NDArray[np.floating]:
-        F = link_frames(arm, q)
-        tool = np.einsum("js,j->s", F[-1, 2, :3], point) + F[-1, 2, 3]
-        return np.minimum(F[1:, 2, 3].min(0), tool) - height
-
-    return Filter("floor", lambda q: distance(q) > 0, distance)
+    return _beyond("floor", partial(_over_floor, arm, height, np.asarray(tool_point, float)))
 
 
 def clear_of_itself(collision: SelfCollision, margin: float = 0.0) -> Filter:
     """The arm's capsules keep a clearance of more than `margin`, m."""
-    return Filter(
-        "self-collision", lambda q: collision.clearance(q) > margin, lambda q: collision.clearance(q) - margin
-    )
+    return _beyond("self-collision", partial(_apart, collision, margin))
+
+
+def _beyond(name: str, distance: Distance, or_at: bool = False) -> Filter:
+    """The condition that a distance is positive, or zero."""
+    return Filter(name, partial(_accepts, distance, or_at), distance)
+
+
+# functions of this module, and no lambdas: filters are sent to workers
+
+
+def _accepts(distance: Distance, or_at: bool, q: NDArray[np.floating]) -> NDArray[np.bool_]:
+    return distance(q) >= 0 if or_at else distance(q) > 0
+
+
+def _into_box(arm: Arm, box: Box, point: NDArray[np.floating], q: NDArray[np.floating]) -> NDArray[np.floating]:
+    T = link_frames(arm, q)[-1]
+    position = np.einsum("ijs,j->si", T[:, :3], point) + T[:, 3].T
+    return np.minimum(position - box.lower, box.upper - position).min(1)
+
+
+def _over_floor(arm: Arm, height: float, point: NDArray[np.floating], q: NDArray[np.floating]) -> NDArray[np.floating]:
+    F = link_frames(arm, q)
+    tool = np.einsum("js,j->s", F[-1, 2, :3], point) + F[-1, 2, 3]
+    return np.minimum(F[1:, 2, 3].min(0), tool) - height
+
+
+def _apart(collision: SelfCollision, margin: float, q: NDArray[np.floating]) -> NDArray[np.floating]:
+    return collision.clearance(q) - margin
 
 
 def user_filter(reference: str) -> Filter:
     """A function of the user's own, from `FILE.py:function`: `(sample, joint)` rad to `(sample,)` bool.
 
-    Loading it runs the file.
+    Loading it runs the file; so does a worker that the filter is sent to.
 
     Raises:
         InputError: no such file or function, or an error in either; here, or where the filter is applied.
     """
+    return Filter(reference, _loaded(reference))
+
+
+@final
+@dataclass(frozen=True)
+class _UserCondition:
+    """A user's function, checked where it is called; sent to another process as its reference.
+
+    Attributes:
+        reference: `FILE.py:function`.
+        function: as it was loaded.
+    """
+
+    reference: str
+    function: Callable[[NDArray[np.floating]], Any]
+
+    def __call__(self, q: NDArray[np.floating]) -> NDArray[np.bool_]:
+        try:
+            mask = np.asarray(self.function(q.copy()))
+        except Exception as error:
+            raise InputError(f"{self.reference}: fails ({_one_line(error)}); correct it") from error
+        if mask.shape != (len(q),) or mask.dtype != bool:
+            raise InputError(
+                f"{self.reference}: returns {mask.dtype} of shape {mask.shape} for {len(q)} samples; return "
+                f"({len(q)},) bool"
+            )
+        return mask
+
+    def __reduce__(self) -> tuple[Callable[[str], "_UserCondition"], tuple[str]]:
+        return _loaded, (self.reference,)
+
+
+def _loaded(reference: str) -> _UserCondition:
     file, separator, name = reference.rpartition(":")
     if not separator or not file.endswith(".py") or not name.isidentifier():
         raise InputError(f"filter {reference!r}: write FILE.py:function")
@@ -214,19 +263,7 @@ def user_filter(reference: str) -> Filter:
     if not callable(function):
         there = [key for key, value in vars(module).items() if callable(value) and not key.startswith("_")]
         raise InputError(f"{file}: has no function {name!r}; it has {', '.join(there) or 'none'}")
-
-    def accepts(q: NDArray[np.floating]) -> NDArray[np.bool_]:
-        try:
-            mask = np.asarray(function(q.copy()))
-        except Exception as error:
-            raise InputError(f"{reference}: fails ({_one_line(error)}); correct it") from error
-        if mask.shape != (len(q),) or mask.dtype != bool:
-            raise InputError(
-                f"{reference}: returns {mask.dtype} of shape {mask.shape} for {len(q)} samples; return ({len(q)},) bool"
-            )
-        return mask
-
-    return Filter(reference, accepts)
+    return _UserCondition(reference, function)
 
 
 def _one_line(error: Exception) -> str:

@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from lite6jax.distribution.batches import outcomes
+from lite6jax.distribution.batches import Workers
+from lite6jax.errors import InputError
 from lite6jax.populations.options import PoolingOptions
 from lite6jax.populations.reduced import Evidence, PooledTerm, ReducedArm
 
@@ -39,22 +40,15 @@ class Reduced:
     Each recording is a task of its own, computed by one thread: numbers do not depend on workers and their number.
     """
 
-    def __init__(
-        self,
-        stored: Sequence[Path],
-        options: PoolingOptions,
-        scheduler: str | None = None,
-        processes: int | None = None,
-    ) -> None:
-        """Starts nothing.
+    def __init__(self, stored: Sequence[Path], options: PoolingOptions, workers: Workers) -> None:
+        """Computes nothing.
 
         Args:
             stored: paths of files of `ReducedArm.to_bytes`.
             options: thresholds.
-            scheduler, processes: as `distribution.batches.run_batches`.
+            workers: that compute, started.
         """
-        self._stored, self.options = tuple(stored), options
-        self._scheduler, self._processes = scheduler, processes
+        self._stored, self.options, self._workers = tuple(stored), options, workers
 
     def __len__(self) -> int:
         return len(self._stored)
@@ -71,15 +65,7 @@ class Reduced:
 
     def _rows(self, function: Any, given: tuple[Any, ...]) -> Iterator[tuple[int, dict[str, Any]]]:
         batches = ((number, [path.read_bytes()]) for number, path in enumerate(self._stored))
-        done = outcomes(
-            function,
-            batches,
-            given,
-            died=_died,
-            scheduler=self._scheduler,
-            processes=self._processes,
-            most=len(self._stored),
-        )
+        done = self._workers.outcomes(function, batches, given, died=_died)
         waiting: dict[int, pa.Table] = {}
         following = 0
         for number, rows in done:
@@ -99,7 +85,7 @@ def _columns(table: "pa.Table") -> dict[str, Any]:
 
 
 def _died(stored: bytes) -> "pa.Table":
-    raise MemoryError(f"a process that read {len(stored)} bytes was ended; free memory, or give --processes 1")
+    raise InputError(f"a process that read {len(stored)} bytes was ended; free memory, or give --processes 1")
 
 
 @threadpool_limits.wrap(limits=1, user_api="blas")

@@ -1,5 +1,6 @@
 """Batches: the same bytes whoever computes them, one death costs one row, and a run that was ended goes on."""
 
+import ctypes
 import subprocess
 import sys
 import time
@@ -10,12 +11,14 @@ import pyarrow.parquet as pq
 import pytest
 
 from lite6jax.distribution import batches as layer
-from lite6jax.distribution.batches import outcomes, run_batches
+from lite6jax.distribution.batches import Workers, outcomes, run_batches
 from lite6jax.distribution.kept import Kept
+from lite6jax.distribution.worker import table_of, work
 from lite6jax.errors import InputError
-from tests.batch_work import content, dead, spelled
+from tests.batch_work import content, dead, freed, hoarded, resident, spelled
 
 ROOT = Path(__file__).resolve().parents[2]
+LINUX = pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="memory of processes is read on Linux")
 POSIX = pytest.mark.skipif(sys.platform == "win32", reason="signals of POSIX")
 INPUTS = [["a", "bb"], ["ccc"], ["dddd", "e"], ["f"]]
 
@@ -68,6 +71,54 @@ def test_a_batch_whose_worker_died_for_another_reason_is_done_as_a_whole(tmp_pat
     )
     assert found[0]["length"].to_pylist() == [1, 8, 1]
     assert done(tmp_path) == ["a", "a", "die once", "b", "c"]
+
+
+@POSIX
+def test_the_same_workers_do_one_function_after_the_other(tmp_path):
+    with Workers(processes=2) as workers:
+        found = [
+            dict(workers.outcomes(hoarded, enumerate([["a"]] * 6), (1,), died=dead)),
+            dict(workers.outcomes(spelled, enumerate([["a", "die once"], ["bb"]]), (str(tmp_path),), died=dead)),
+            dict(workers.outcomes(hoarded, enumerate([["a"]] * 6), (1,), died=dead)),
+        ]
+    before, after = ({row["process"][0].as_py() for row in each.values()} for each in found[::2])
+    assert [found[1][k]["length"].to_pylist() for k in (0, 1)] == [[1, 8], [2]]
+    assert len(before | after) <= 3  # and not four: the one that died was replaced, the other one went on
+
+
+def test_work_that_was_left_does_not_come_back(tmp_path):
+    with Workers(processes=1) as workers:
+        for _ in workers.outcomes(spelled, enumerate([["a"], ["slow"], ["b"]]), (str(tmp_path),), died=dead):
+            break
+        found = dict(workers.outcomes(hoarded, enumerate([["c"]]), (1,), died=dead))
+    assert [row["input"].to_pylist() for row in found.values()] == [["c"]]
+
+
+@LINUX
+def test_a_worker_that_has_grown_is_renewed_and_nothing_is_lost(monkeypatch):
+    bound = resident_of_a_fresh_worker() + (250 << 20)
+    monkeypatch.setattr("lite6jax.distribution.processes.MOST_RESIDENT", bound)
+    rows = dict(outcomes(hoarded, enumerate([[f"{i}"] for i in range(6)]), (130 << 20,), died=dead, processes=1))
+    assert [rows[i]["input"].to_pylist() for i in range(6)] == [[f"{i}"] for i in range(6)]
+    processes = [rows[i]["process"][0].as_py() for i in range(6)]
+    assert len(set(processes)) == 3  # the second batch of each leaves it above the bound
+    assert all(rows[i]["resident"][0].as_py() < bound for i in range(6))
+
+
+def resident_of_a_fresh_worker():
+    ((_, rows),) = outcomes(hoarded, [(0, ["a"])], (0,), died=dead, processes=1)
+    return rows["resident"][0].as_py()
+
+
+@LINUX
+def test_freed_memory_between_what_stays_is_given_back():
+    if not hasattr(ctypes.CDLL(None), "malloc_trim"):
+        pytest.skip("the C library is not glibc")
+    work(freed, ["a"], ())
+    before = resident()
+    held = table_of(work(freed, ["a"], ()))["held"][0].as_py()
+    assert held - before > 5 << 20
+    assert resident() - before < held - before
 
 
 def test_what_a_function_raises_ends_the_run_and_what_was_done_is_kept(tmp_path):
@@ -169,7 +220,7 @@ import sys
 from pathlib import Path
 sys.path.insert(0, sys.argv[1])
 from lite6jax.distribution.batches import run_batches
-from tests.batch_work import content, dead, spelled
+from tests.batch_work import content, dead, freed, hoarded, resident, spelled
 if __name__ == "__main__":
     folder = Path(sys.argv[2])
     inputs = [[f"{i}", "slow"] for i in range(20)]

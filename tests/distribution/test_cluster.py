@@ -1,17 +1,23 @@
 """A Dask cluster of two workers on this machine: the same bytes as by processes, also where one of them is killed."""
 
+import json
 import os
 import signal
 import sys
 import threading
 import time
 
+import numpy as np
 import pytest
 
+from lite6jax.arms.arm import Arm
+from lite6jax.arms.files import write_arm
+from lite6jax.cli import main
 from lite6jax.distribution import cluster
 from lite6jax.distribution.batches import outcomes, run_batches
 from lite6jax.errors import InputError
-from tests.batch_work import content, dead, spelled
+from tests.batch_work import content, dead, reduced, spelled
+from tests.oracles.arms import random_kinematics
 
 dask = pytest.importorskip("dask", reason="the extra distributed is not installed")
 distributed = pytest.importorskip("distributed", reason="the extra distributed is not installed")
@@ -65,6 +71,43 @@ def test_an_input_at_which_workers_die_costs_its_row(workers, tmp_path):
     inputs = [["a", "die"], ["bb"]]
     by_processes = ran(tmp_path / "here", inputs, processes=1).path.read_bytes()
     assert ran(tmp_path / "there", inputs, scheduler=workers.scheduler_address).path.read_bytes() == by_processes
+
+
+def test_the_recordings_of_a_fleet_are_diagnosed_and_pooled_to_the_same_bytes(workers, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr("lite6jax.cli.diagnose_fleet.diagnose_and_reduce", reduced)
+    folder = tmp_path / "recordings"
+    folder.mkdir()
+    for seed in range(5):
+        (folder / f"arm{seed}.csv").write_text(str(seed))
+    written = []
+    for by in (("--processes", "1"), ("--processes", "2"), ("--scheduler", workers.scheduler_address)):
+        out = tmp_path / by[0].strip("-") / by[1][:1]
+        out.parent.mkdir(exist_ok=True)
+        assert main(["diagnose", "--fleet", str(folder), "--out", str(out), "--json", *by]) == 0
+        written.append({path.name: path.read_bytes() for path in out.iterdir()})
+    assert written[0].keys() == {
+        "fleet.json",
+        "summary.parquet",
+        *(f"arm{i}.{kind}" for i in range(5) for kind in ("json", "npz")),
+    }
+    assert written[0] == written[1] == written[2]
+    (effect,) = json.loads(written[0]["fleet.json"])["effects"]
+    low, high = effect["parameters"]["compliance_rad_per_Nm"]["interval_95"]
+    assert low < 0.6 < high
+    capsys.readouterr()
+
+
+@pytest.mark.long
+def test_a_designed_motion_has_the_same_bytes(workers, tmp_path, capsys):
+    arm = write_arm(Arm("small", random_kinematics(np.random.default_rng(4), 2)), tmp_path / "small.yaml")
+    written = []
+    for name, *by in (("a",), ("b", "--scheduler", workers.scheduler_address)):
+        out = tmp_path / f"{name}.csv"
+        assert (
+            main(["design", str(arm), "--torque", "--duration", "3", "--harmonics", "2", "--out", str(out), *by]) == 0
+        )
+        written.append((out.read_bytes(), capsys.readouterr().out.replace(f"{name}.", "motion.")))
+    assert written[0] == written[1]
 
 
 def test_what_a_function_raises_arrives(workers, tmp_path):

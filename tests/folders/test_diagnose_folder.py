@@ -1,6 +1,7 @@
 """The recordings of a folder diagnosed: a document for each, a table of all, and a run that was ended goes on."""
 
 import json
+import sys
 
 import pyarrow.parquet as pq
 import pytest
@@ -74,6 +75,23 @@ def test_a_run_goes_on_and_makes_a_document_again_that_was_touched(recordings, t
     assert run.kept == 1
     assert run.path.read_bytes() == whole
     assert (results / "a.json").read_text() == "document of a.csv"
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="signals of POSIX")
+def test_a_recording_at_which_processes_end_is_a_row_that_says_so(recordings, tmp_path):
+    (recordings / "b.csv").write_text("die")
+    given = (str(tmp_path),)
+    rows = [
+        pq.read_table(diagnose_folder(recordings, tmp_path / f"by{n}", diagnosed, given, processes=n).path).to_pylist()
+        for n in (1, 2)
+    ]
+    assert rows[0] == rows[1]
+    said = {row["file"]: (row["result"], row["message"]) for row in rows[0]}
+    assert said["a.csv"] == (DIAGNOSED, "")
+    assert said["b.csv"] == (
+        UNREADABLE, "b.csv: the process that read it was ended; the file is damaged or too large for this machine"
+    )  # fmt: skip
+    assert worked_on(tmp_path).count("b.csv") == 4  # twice each, as the reason may have been another
 
 
 def test_documents_are_not_replaced_unasked(recordings, tmp_path):

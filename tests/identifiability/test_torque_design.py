@@ -9,7 +9,7 @@ from lite6jax.arms.arm import Arm
 from lite6jax.effects.dynamic.friction import CoulombFriction, ViscousFriction
 from lite6jax.effects.dynamic.motors import TorqueRipple, TorqueScale, TorqueTimeOffset
 from lite6jax.errors import InputError
-from lite6jax.identifiability import candidates
+from lite6jax.identifiability import candidates, clearance
 from lite6jax.identifiability.criteria import Determinant
 from lite6jax.identifiability.torque.ascent import ascend
 from lite6jax.identifiability.torque.columns import torque_model
@@ -23,6 +23,7 @@ from tests.oracles.chains import six_parameter_poses
 ARM = Arm("an arm", chain(3, seed=4), joint_limits=np.array([[-2.0, 1.0], [0.1, 2.5], [-3.0, 3.0]]))
 LIMITS = motion_limits(ARM, [1.0, 2.0, 3.0], [4.0, 6.0, 20.0])
 ROOM = MotionRoom(ARM, LIMITS, duration=6.0, harmonics=4, rate=50.0)
+NUMBERS = ("samples", "span", "determined", "standard_deviation", "condition", "log_determinant", "at_rest")
 FINE = np.linspace(0.0, 6.0, 20011)
 
 
@@ -129,6 +130,33 @@ def test_obstacles_are_kept_clear_of():
     # without them the same seed leads elsewhere
     freed = plan_motion(torque_model(ARM), ROOM, draws=10, starts=1, steps=0).trajectory.motion.q.T
     assert not candidates.all_pass(filters, freed).all()
+
+
+def test_designs_do_not_depend_on_the_processes(tmp_path):
+    """Under filters of every kind; each process loads the user's anew."""
+    (tmp_path / "mine.py").write_text("def low(q):\n    return q[:, 2] < 2.5\n")
+    box = candidates.Box((-2.0, -2.0, -2.0), (2.0, 2.0, 2.0))
+    filters = [
+        candidates.inside_box(ARM, box),
+        candidates.above_floor(ARM, -1.5),
+        candidates.clear_of_itself(clearance.self_collision(ARM)),
+        candidates.user_filter(f"{tmp_path / 'mine.py'}:low"),
+    ]
+    room = MotionRoom(ARM, LIMITS, filters, duration=6.0, harmonics=3, rate=50.0)
+    known = torque_model(ARM, inertial=False)
+    rivals = [rival_of(ViscousFriction(2), [1.5], known), rival_of(CoulombFriction(2), [0.0], known)]
+    few = {"draws": 7, "starts": 2, "steps": 3}
+
+    def designed(processes):
+        plan = plan_motion(torque_model(ARM), room, processes=processes, **few)
+        apart = plan_torque_discrimination(known, room, rivals, processes=processes, **few)
+        motions = [[part.tolist() for part in made.trajectory.motion] for made in (plan, apart)]
+        found = [
+            [np.asarray(getattr(one, name)).tolist() for name in NUMBERS] for one in (plan.identification, *plan.random)
+        ]
+        return motions, found, plan.steps, apart.steps, apart.distance, apart.random_distance.tolist()
+
+    assert designed(2) == designed(None)
 
 
 def test_an_ascent_never_ends_lower():

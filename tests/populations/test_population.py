@@ -7,6 +7,7 @@ import pytest
 from populations.linear_arms import CANDIDATES, OPTIONS, arm, stored, wave
 
 from lite6jax.checksum import verify
+from lite6jax.distribution.batches import Workers
 from lite6jax.populations.evidence import Reduced
 from lite6jax.populations.population import Member, diagnose_population
 from lite6jax.populations.reduced import PooledTerm
@@ -20,9 +21,10 @@ HALF = 0.3
 
 def population(folder, arms, dates=None, processes=0):
     """The result for some arms."""
-    reduced = Reduced(stored(folder, arms), OPTIONS, processes=processes)
     members = [Member(f"arm{i}.csv", one.about, one.found) for i, one in enumerate(arms)]
-    return diagnose_population("none", members, range(len(arms)), CANDIDATES, reduced, dates)
+    with Workers(processes=processes) as workers:
+        reduced = Reduced(stored(folder, arms), OPTIONS, workers)
+        return diagnose_population("none", members, range(len(arms)), CANDIDATES, reduced, dates)
 
 
 def fleet(seed, effects, count=30, found=lambda i: ()):
@@ -120,14 +122,20 @@ def test_a_name_that_cannot_be_is_not_given(tmp_path):
 
 def test_numbers_do_not_depend_on_the_processes(tmp_path):
     paths = stored(tmp_path, fleet(8, lambda i, rng: [(SOFT, [0.6])], 3))
-    here, there = (Reduced(paths, OPTIONS, processes=count) for count in (0, 2))
-    for (_, one), (_, other) in zip(here.scans([OTHER]), there.scans([OTHER]), strict=True):
+    asked = [(SOFT, (OTHER,)), (PooledTerm("waves:joint3", 9.5), ()), (PooledTerm("unknown"), ())]
+
+    def numbers(processes):
+        with Workers(processes=processes) as workers:
+            reduced = Reduced(paths, OPTIONS, workers)
+            return list(reduced.scans([OTHER])), reduced.evidence(asked)
+
+    (here, measured), (there, measured_there) = map(numbers, (0, 2))
+    for (_, one), (_, other) in zip(here, there, strict=True):
         np.testing.assert_array_equal(one.waves["waves:joint3"][0], other.waves["waves:joint3"][0])
         assert {key: [part.tolist() for part in each] for key, each in one.named.items()} == {
             key: [part.tolist() for part in each] for key, each in other.named.items()
         }
-    asked = [(SOFT, (OTHER,)), (PooledTerm("waves:joint3", 9.5), ()), (PooledTerm("unknown"), ())]
-    for one, other in zip(here.evidence(asked), there.evidence(asked), strict=True):
+    for one, other in zip(measured, measured_there, strict=True):
         assert one[2] is other[2] is None
         for mine, theirs in zip(one[:2], other[:2], strict=True):
             assert [np.asarray(part).tolist() for part in mine] == [np.asarray(part).tolist() for part in theirs]

@@ -2,11 +2,13 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from lite6jax.distribution.batches import Workers
 from lite6jax.effects.dynamic.torque_effect import TorqueEffect
 from lite6jax.errors import InputError
 from lite6jax.identifiability.criteria import coordinates_of, discrimination
@@ -93,6 +95,8 @@ def plan_torque_discrimination(
     draws: int = RANDOM_DRAWS,
     starts: int = STARTS,
     steps: int = STEPS,
+    processes: int | None = None,
+    scheduler: str | None = None,
 ) -> TorqueDiscrimination:
     """The motion in which two rivals differ most after everything else that is unknown is refitted.
 
@@ -103,7 +107,7 @@ def plan_torque_discrimination(
         model: what is unknown beside the two, and the noise.
         room: limits, obstacles, duration.
         rivals: two; the first with values that are not all zero.
-        seed, draws, starts, steps: as in `plan_motion`.
+        seed, draws, starts, steps, processes, scheduler: as in `plan_motion`.
 
     Raises:
         InputError: the first has no size, the rivals are the same, or as `random_motions`.
@@ -119,11 +123,7 @@ def plan_torque_discrimination(
     scale = model.scale[common]
     size = len(common) + own.shape[1]
     sizes = np.append(scale, np.where(_lengths(own) > 0, 1 / np.maximum(_lengths(own), 1e-300), 1.0))
-
-    def columns(motion: Motion) -> Array:
-        parts = [model.columns(motion, common), *(_whitened(model, rival, motion) for rival in rivals)]
-        return np.concatenate(parts, 1) * sizes[:, None]
-
+    columns = partial(_columns, model, common, tuple(rivals), sizes)
     at = np.arange(len(common), size)
     first, second = at[: len(one.values)], at[len(one.values) :]
     by = discrimination(
@@ -144,18 +144,25 @@ def plan_torque_discrimination(
             f" {unknown}"
         ) from error
     excitation = room.excitation(columns, inside, coordinates.outward)
-    best, value, improved = best_ascent(excitation, drawn, starts, steps)
-    squares = np.array([excitation.value(free) for free in drawn])
+    with Workers(scheduler, 0 if processes is None else processes, max(draws, 1)) as workers:
+        best, improved, squares = best_ascent(workers, excitation, drawn, starts, steps)
     return TorqueDiscrimination(
         model=model,
         room=room,
-        trajectory=room.trajectory(room.series(best)),
+        trajectory=room.trajectory(room.series(best.free)),
         rivals=(one.name, other.name),
         both_ways=bool(other.values.any()),
-        distance=float(np.sqrt(value)),
+        distance=float(np.sqrt(best.value)),
         random_distance=np.sqrt(np.maximum(squares, 0.0)),
         steps=improved,
     )
+
+
+def _columns(
+    model: TorqueModel, common: NDArray[np.integer], rivals: Sequence[Rival], sizes: Array, motion: Motion
+) -> Array:
+    parts = [model.columns(motion, common), *(_whitened(model, rival, motion) for rival in rivals)]
+    return np.concatenate(parts, 1) * sizes[:, None]
 
 
 def _whitened(model: TorqueModel, rival: Rival, motion: Motion) -> Array:

@@ -1,6 +1,7 @@
 """The torques that an effect adds to a motion, per unit of its numbers, without a recording."""
 
 from collections.abc import Callable
+from functools import partial
 
 import jax.numpy as jnp
 import numpy as np
@@ -45,17 +46,18 @@ def effect_columns(
     for i, coordinate in enumerate(effect.coordinates):
         if not coordinate.linear and not at[i]:
             raise InputError(f"{effect.label}: {coordinate.name} is not given; it has to be known to plan with")
-    links = _links(effect, model)
+    return partial(_columns, effect, at, linear, model, _links(effect, model)), linear
 
-    def columns(motion: Motion) -> Array:
-        dynamics = _dynamics(model, links, motion)
-        found = []
-        for i in linear:
-            unit = np.where(np.arange(len(at)) == i, 1.0, np.where(np.isin(np.arange(len(at)), linear), 0.0, at))
-            found.append(np.asarray(effect.torque(unit, dynamics)))
-        return np.stack(found, 1)
 
-    return columns, linear
+def _columns(
+    effect: TorqueEffect, at: Array, linear: NDArray[np.integer], model: TorqueModel, links: Array, motion: Motion
+) -> Array:
+    dynamics = _dynamics(model, links, motion)
+    found = []
+    for i in linear:
+        unit = np.where(np.arange(len(at)) == i, 1.0, np.where(np.isin(np.arange(len(at)), linear), 0.0, at))
+        found.append(np.asarray(effect.torque(unit, dynamics)))
+    return np.stack(found, 1)
 
 
 def _links(effect: TorqueEffect, model: TorqueModel) -> Array:

@@ -2,17 +2,20 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lite6jax.arms.arm import Arm
+from lite6jax.distribution.batches import Workers
 from lite6jax.errors import InputError
 from lite6jax.identifiability.candidates import Filter, candidates
 from lite6jax.identifiability.criteria import Criterion, Determinant
-from lite6jax.identifiability.torque.ascent import Columns, Excitation, ascend
+from lite6jax.identifiability.torque.ascent import Columns, Excitation
 from lite6jax.identifiability.torque.columns import TorqueModel
+from lite6jax.identifiability.torque.evaluation import Ascended, ascents, identifications, values_of
 from lite6jax.identifiability.torque.fourier import Free, Motion, MotionLimits, Series, within
 from lite6jax.identifiability.torque.identify import TorqueIdentification, identify_torques, structure_of
 
@@ -155,6 +158,8 @@ def plan_motion(
     draws: int = RANDOM_DRAWS,
     starts: int = STARTS,
     steps: int = STEPS,
+    processes: int | None = None,
+    scheduler: str | None = None,
 ) -> TorquePlan:
     """The motion with the largest information determinant about base parameters and friction that the room allows.
 
@@ -168,43 +173,38 @@ def plan_motion(
         draws: random motions.
         starts: ascents.
         steps: of each.
+        processes: of this machine that compute, each with one thread; none but this one where not given.
+        scheduler: the address of the scheduler of a Dask cluster that computes.
 
     Raises:
-        InputError: no room for a motion.
+        InputError: no room for a motion; or as `Workers`.
     """
     structure = structure_of(model)
     scale = np.array([item.scale for item in structure.base])
-
-    def columns(motion: Motion) -> Array:
-        return model.columns(motion, structure.free, scale)
-
+    first = room.excitation(partial(model.columns, chosen=structure.free, scale=scale), Determinant())
     drawn = random_motions(room, seed, draws)
-    first = room.excitation(columns, Determinant())
-    best, _, improved = best_ascent(first, drawn, starts, steps)
-    trajectory = room.trajectory(room.series(best))
-
-    def identified(free: Free) -> TorqueIdentification:
-        return identify_torques(model, room.trajectory(room.series(free)).motion, structure=structure)
-
+    with Workers(scheduler, 0 if processes is None else processes, max(draws, 1)) as workers:
+        best, improved, _ = best_ascent(workers, first, drawn, starts, steps)
+        random = identifications(workers, structure, room, drawn)
+    trajectory = room.trajectory(room.series(best.free))
     return TorquePlan(
         room=room,
         trajectory=trajectory,
-        identification=identified(best),
-        random=tuple(identified(free) for free in drawn),
+        identification=identify_torques(model, trajectory.motion, structure=structure),
+        random=tuple(random),
         steps=improved,
     )
 
 
 def best_ascent(
-    excitation: Excitation, drawn: Sequence[Free], starts: int = STARTS, steps: int = STEPS
-) -> tuple[Free, float, int]:
-    """The best end of ascents from the best of some motions, its criterion, and the steps that improved."""
-    values = [excitation.value(free) for free in drawn]
-    best = np.argsort([-value for value in values], kind="stable")[: max(starts, 1)]
-    ends = [ascend(excitation, drawn[i], steps) for i in best]
-    improved = sum(end[2] for end in ends)
-    free, value, _ = max(ends, key=lambda end: end[1])
-    return free, value, improved
+    workers: Workers, excitation: Excitation, drawn: Sequence[Free], starts: int = STARTS, steps: int = STEPS
+) -> tuple[Ascended, int, Array]:
+    """The best end of ascents from the best of some motions, the steps of all that improved, and the values of these
+    motions."""
+    values = values_of(workers, excitation, drawn)
+    best = np.argsort(-values, kind="stable")[: max(starts, 1)]
+    ends = ascents(workers, excitation, [drawn[i] for i in best], steps)
+    return max(ends, key=lambda end: end.value), sum(end.improved for end in ends), values
 
 
 def random_motions(room: MotionRoom, seed: int = 0, count: int = RANDOM_DRAWS) -> list[Free]:
