@@ -90,7 +90,8 @@ def diagnose_and_reduce(names: Sequence[str], place: "Place", command: "Diagnose
 def _reduced(command: "Diagnose") -> tuple[str, bytes]:
     """The document of the poses of one recording as of the command, and its reduced form."""
     from lite6jax.diagnosis.document import document_text
+    from lite6jax.populations.files import to_bytes
     from lite6jax.populations.reduction import reduced
 
     found, document = command.diagnosed_poses()
-    return document_text(document), reduced(found).to_bytes()
+    return document_text(document), to_bytes(reduced(found))

@@ -219,11 +219,12 @@ class Unnamed(Bending):
     def functions(self) -> int:
         """How many functions of the drivers there are, and so coefficients of each component."""
         if self.degree:
-            return len(self._products)
+            return len(self.products)
         return 2 * len(self.orders) or len(self.memory) or self.pieces + 3
 
     @cached_property
-    def _products(self) -> Products:
+    def products(self) -> Products:
+        """Of the drivers; the constant alone where there is no degree."""
         return products_of(self.drivers, self.degree)
 
     def part(self, component: int) -> slice:
@@ -253,7 +254,7 @@ class Unnamed(Bending):
         """
         if self.degree:
             ranges = np.array((self.lower, self.upper, *self.further)).reshape(-1, 2)
-            return polynomial_basis(library_of(driver).atleast_2d(driver), ranges, self._products)
+            return polynomial_basis(library_of(driver).atleast_2d(driver), ranges, self.products)
         if self.memory:
             one = jnp.zeros((2, driver.size), int)
             return plays(driver, jnp.asarray(self.memory), one if run is None else run)

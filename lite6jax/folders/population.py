@@ -11,10 +11,12 @@ from lite6jax import storage
 from lite6jax.distribution.batches import Workers
 from lite6jax.errors import InputError
 from lite6jax.folders.diagnoses import DIAGNOSED, TABLE
+from lite6jax.populations.candidate import Candidate
 from lite6jax.populations.evidence import Reduced
+from lite6jax.populations.files import Heading, read_heading
+from lite6jax.populations.functions import in_common
 from lite6jax.populations.options import PoolingOptions
 from lite6jax.populations.population import Member, Population, diagnose_population
-from lite6jax.populations.reduced import Candidate, Heading, read_heading
 
 DOCUMENT = "fleet.json"
 """In the folder of results."""
@@ -74,8 +76,9 @@ def diagnose_recorded_population(
         for candidate in (*heading.candidates, *heading.families):
             candidates.setdefault(candidate.key, candidate)
     places = {row["file"]: out / row["reduced"] for row in rows if row.get("reduced")}
+    functions = in_common(function for i in used for function in headings[members[i].file].functions)
     with Workers(scheduler, processes, len(used)) as workers:
-        reduced = Reduced([places[members[i].file] for i in used], options, workers)
+        reduced = Reduced([places[members[i].file] for i in used], options, workers, functions)
         return diagnose_population(arm[0], members, used, candidates, reduced, dates, progress)
 
 

@@ -23,6 +23,8 @@ Array = NDArray[np.floating]
 
 _LEVEL = 0.95
 _ROUNDING = 1e-12
+_RANK = 1e-10
+"""Eigenvalue of a matrix of unit diagonal below which a direction is not determined."""
 _RANGE = 1e4
 """Between-arm standard deviations are looked for up to so many standard errors of an arm, and down to one over it."""
 _STEPS = 33
@@ -75,7 +77,7 @@ class ArmLikelihoods:
         v = np.einsum("ac,ai->ci", X, w).ravel()
         root = np.sqrt(np.maximum(np.diagonal(M), np.finfo(float).tiny))
         scaled, V = np.linalg.eigh(M / np.outer(root, root))
-        kept = scaled > 1e-10
+        kept = scaled > _RANK
         inverse = (V[:, kept] / scaled[kept]) @ V[:, kept].T / np.outer(root, root)
         coefficients = inverse @ v
         without_mean = 0.5 * float(np.sum(tau**2 * shrunk * along**2) + np.sum(np.log(shrunk)))
@@ -119,6 +121,13 @@ class Hierarchy:
     def half_width(self) -> Array:
         """`(covariate, number)`, half of the 95 % interval of each coefficient."""
         return float(stdtrit(self.freedom, 0.5 + _LEVEL / 2)) * self.std
+
+    @property
+    def determined(self) -> int:
+        """How many of the coefficients the recordings determine."""
+        M = self.arms.solved(0.0)[1]
+        root = np.sqrt(np.maximum(np.diagonal(M), np.finfo(float).tiny))
+        return int(np.linalg.matrix_rank(M / np.outer(root, root), _RANK, hermitian=True))
 
     def shrunken(self) -> tuple[Array, Array]:
         """The estimate of each arm `(arm, number)` and its covariance `(arm, number, number)`, by empirical Bayes.
@@ -187,7 +196,7 @@ def fitted(arms: ArmLikelihoods) -> Hierarchy | None:
     left = along - values * np.einsum("aji,aj->ai", U, prior)
     spread = np.sum(left[values > 0] ** 2 / (values + tau**2 * values**2)[values > 0])
     freedom = max(int(np.sum(values > 0)) - covariates * size, 1)
-    covariance = scaled_inverse(M, 1e-10) * max(1.0, float(spread) / freedom) * np.outer(D, D)
+    covariance = scaled_inverse(M, _RANK) * max(1.0, float(spread) / freedom) * np.outer(D, D)
     return Hierarchy(
         arms, tau, coefficients.reshape(covariates, size) * arms.typical, covariance, float(shown - covariates), likely
     )

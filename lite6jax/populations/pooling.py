@@ -79,20 +79,16 @@ def pooled(scans: Iterable[tuple[int, Scan]], covariate: Array | None) -> Pooled
         scans: in the order of the arms.
         covariate: `(arm,)`, what effects may drift with, or None.
     """
-    named: dict[str, list[tuple[int, Array, Array]]] = {}
+    named: dict[str, _Sums] = {}
     sums: dict[str, _WaveSums] = {}
     for number, scan in scans:
+        x = 0.0 if covariate is None else float(covariate[number])
         for key, (score, information) in scan.named.items():
-            named.setdefault(key, []).append((number, score, information))
+            named.setdefault(key, _Sums(len(score))).add(score, information, x)
         for key, (score, information) in scan.waves.items():
-            sums.setdefault(key, _WaveSums(len(score))).add(
-                score, information, 0.0 if covariate is None else float(covariate[number])
-            )
+            sums.setdefault(key, _WaveSums(len(score))).add(score, information, x)
     ways = WAYS if covariate is not None else WAYS[:2]
-    of_named = {}
-    for key, rows in named.items():
-        x = np.zeros(len(rows)) if covariate is None else covariate[[number for number, _, _ in rows]]
-        of_named[key] = statistics(np.array([r[1] for r in rows]), np.array([r[2] for r in rows]), x, ways)
+    of_named = {key: each.statistics(ways) for key, each in named.items()}
     of_waves = {key: each.statistics(ways) for key, each in sums.items()}
     return Pooled(of_named, of_waves, _overdispersion(of_named, of_waves, ways))
 
@@ -106,29 +102,10 @@ def statistics(score: Array, information: Array, covariate: Array, ways: Sequenc
         covariate: `(arm,)`.
         ways: which of them.
     """
-    found: dict[Way, Statistic] = {"mean": _form(score.sum(0), information.sum(0))}
-    each = [_form(b, G) for b, G in zip(score, information, strict=True)]
-    found["any"] = Statistic(sum(one.value for one in each), sum(one.freedom for one in each))
-    if "drift" in ways:
-        b, G, _ = slope(score, information, covariate)
-        found["drift"] = _form(b, G)
-    return found
-
-
-def slope(score: Array, information: Array, covariate: Array) -> tuple[Array, Array, Array]:
-    """The score `(number,)` and information of a slope beside the mean, and what each arm's score counts in it.
-
-    Returns:
-        score, information, and `(arm, number, number)`.
-    """
-    x = covariate[:, None, None]
-    whole, first = information.sum(0), (x * information).sum(0)
-    centre = first @ np.linalg.pinv(whole, hermitian=True)
-    weights = x * np.eye(len(whole)) - centre
-    G = (x**2 * information).sum(0) - centre @ first
-    # what one arm alone shows has no slope
-    G[np.abs(G) < _ROUNDING * np.abs((x**2 * information).sum(0)).max(initial=0.0)] = 0.0
-    return np.einsum("aij,aj->i", weights, score), G, weights
+    sums = _Sums(score.shape[1])
+    for b, G, x in zip(score, information, covariate, strict=True):
+        sums.add(b, G, float(x))
+    return sums.statistics(ways)
 
 
 def p_value(term: PooledTerm, evidence: Sequence[Evidence], x: Array, way: Way, over: Overdispersion) -> float:
@@ -150,7 +127,9 @@ def p_value(term: PooledTerm, evidence: Sequence[Evidence], x: Array, way: Way, 
     covariance = np.array([e.covariance for e in evidence])
     b, G, C = score.sum(0), information.sum(0), covariance.sum(0)
     if way == "drift":
-        b, G, weights = slope(score, information, x)
+        moments = np.power(x, np.arange(3)[:, None])[..., None, None] * information
+        b, G, centre = _slope(np.array([b, x @ score]), moments.sum(1))
+        weights = x[:, None, None] * np.eye(len(b)) - centre
         C = np.einsum("aij,ajk,alk->il", weights, covariance, weights)
     T = _whitening(G)
     k, freedom = T.shape[1], sum(e.blocks - 1 for e in evidence)
@@ -177,6 +156,28 @@ def likelihoods(evidence: Sequence[Evidence | None], typical: Sequence[float], x
     ones = np.ones(len(evidence))
     design = ones[:, None] if x is None else np.stack([ones, x], 1)
     return ArmLikelihoods(score, information, np.array(typical, float), design)
+
+
+class _Sums:
+    """Sums over arms of what the statistics of one effect need: arms come one by one, and few numbers stay."""
+
+    def __init__(self, size: int) -> None:
+        self.score = np.zeros((2, size))  # times the covariate to the power 0 and 1
+        self.information = np.zeros((3, size, size))
+        self.any = Statistic(0.0, 0)
+
+    def add(self, score: Array, information: Array, x: float) -> None:
+        self.score += np.stack([score, x * score])
+        self.information += np.stack([information, x * information, x**2 * information])
+        own = _form(score, information)
+        self.any = Statistic(self.any.value + own.value, self.any.freedom + own.freedom)
+
+    def statistics(self, ways: Sequence[Way]) -> dict[Way, Statistic]:
+        found: dict[Way, Statistic] = {"mean": _form(self.score[0], self.information[0]), "any": self.any}
+        if "drift" in ways:
+            b, G, _ = _slope(self.score, self.information)
+            found["drift"] = _form(b, G)
+        return found
 
 
 class _WaveSums:
@@ -210,6 +211,21 @@ class _WaveSums:
             seen = np.diagonal(G, axis1=1, axis2=2).min(1) > _ROUNDING * self.information[2].max(1)
             found["drift"] = (np.where(seen, _forms(b, known), 0.0), np.where(seen, two, 0))
         return found
+
+
+def _slope(score: Array, information: Array) -> tuple[Array, Array, Array]:
+    """The score `(number,)` and information of a slope beside the mean, and what is taken off the covariate there.
+
+    Args:
+        score: `(2, number)`, sums over arms of scores, and of scores times the covariate.
+        information: `(3, number, number)`, likewise of information, up to the covariate's square.
+    """
+    whole, first, second = information
+    centre = first @ np.linalg.pinv(whole, hermitian=True)
+    G = second - centre @ first
+    # what one arm alone shows has no slope
+    G[np.abs(G) < _ROUNDING * np.abs(second).max(initial=0.0)] = 0.0
+    return score[1] - centre @ score[0], G, centre
 
 
 def _matrices(packed: Array) -> Array:

@@ -10,16 +10,21 @@ from numpy.typing import NDArray
 from scipy.special import chdtrc, fdtrc
 
 from lite6jax.checksum import with_checksum
+from lite6jax.populations.candidate import Candidate
 from lite6jax.populations.evidence import Reduced
+from lite6jax.populations.forward import Selected
+from lite6jax.populations.functions import Function
 from lite6jax.populations.hierarchy import Hierarchy, fitted
 from lite6jax.populations.options import PoolingOptions
 from lite6jax.populations.pooling import Overdispersion, likelihoods
-from lite6jax.populations.reduced import Candidate, Evidence, Found, PooledTerm
-from lite6jax.populations.search import Selected, search
+from lite6jax.populations.reduced import Evidence, Found, PooledTerm
+from lite6jax.populations.search import search
 
 Array = NDArray[np.floating]
 
 SCHEMA = "lite6jax/fleet_diagnosis/1"
+POINTS = 41
+"""Of the curve of a function of one driver."""
 
 
 @final
@@ -93,7 +98,8 @@ class Population:
         members: all recordings.
         used: the places of those that were pooled, in `members`.
         effects: in the order in which they were found.
-        candidates: by key, of all recordings.
+        candidates: by key, of all recordings, with functions without a name.
+        functions: these, over the ranges of all recordings.
         overdispersion: of the statistics of what was searched.
         searched: the effective number of independent candidates.
         dates: `(used,)`, days as ordinals, where recordings are of one arm over time; else None. Means are those at
@@ -106,6 +112,7 @@ class Population:
     used: tuple[int, ...]
     effects: tuple[TypeEffect, ...]
     candidates: Mapping[str, Candidate]
+    functions: Mapping[str, Function]
     overdispersion: Overdispersion
     searched: float
     dates: Array | None
@@ -171,6 +178,21 @@ class Population:
         }
         if selected.term.order is not None:
             document["amplitude_rms_rad"] = float(np.sqrt(np.sum(mean**2 + hierarchy.between**2)))
+        function = self.functions.get(selected.term.key)
+        if function is not None and function.is_curve:
+            values, (low, high) = hierarchy.coefficients[0], function.ranges[0]
+            at = np.linspace(low, high, POINTS)
+            B = function.basis(at[None])
+            covariance = hierarchy.covariance[: len(B), : len(B)]
+            document["curve"] = {
+                "name": f"curve_{function.units[0]}",
+                "driver": at.tolist(),
+                "mean": (values @ B).tolist(),
+                "std": np.sqrt(np.maximum(np.einsum("is,ij,js->s", B, covariance, B), 0.0)).tolist(),
+            }
+        if selected.nearest is not None:
+            term, share = selected.nearest
+            document["nearest"] = {**self._named(term, self.candidates[term.key]), "share": share}
         if effect.drift_p_value is not None:
             slope, std, half = (each[1] for each in (hierarchy.coefficients, hierarchy.std, hierarchy.half_width))
             document["drift"] = {
@@ -233,7 +255,8 @@ def diagnose_population(
         members=tuple(members),
         used=tuple(used),
         effects=tuple(effects),
-        candidates=candidates,
+        candidates={**candidates, **{key: function.candidate for key, function in reduced.functions.items()}},
+        functions=reduced.functions,
         overdispersion=outcome.overdispersion,
         searched=outcome.searched,
         dates=dates,
@@ -279,9 +302,9 @@ def _between_p_value(hierarchy: Hierarchy) -> float:
     arms = hierarchy.arms
     values, _, along = arms.eigen
     coefficients, M, *_ = arms.solved(0.0)
-    shown, root = values > 0, np.sqrt(np.maximum(np.diagonal(M), np.finfo(float).tiny))
+    shown = values > 0
     each = float(np.sum(along[shown] ** 2 / values[shown]))
-    freedom = int(shown.sum()) - int(np.linalg.matrix_rank(M / np.outer(root, root)))
+    freedom = int(shown.sum()) - hierarchy.determined
     return float(chdtrc(freedom, max(each - float(coefficients @ M @ coefficients), 0.0))) if freedom > 0 else 1.0
 
 

@@ -5,73 +5,34 @@ set of effects that the type is found to have is fitted to it by linear algebra 
 and compiled code.
 """
 
-import io
-import json
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
-from pathlib import Path
 from typing import Any, NamedTuple, final
-from zipfile import BadZipFile
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lite6jax.errors import InputError
-from lite6jax.estimation.noise import Autocorrelation, NoiseModel
+from lite6jax.estimation.noise import NoiseModel
 from lite6jax.estimation.projection import orthonormal, outside, unit_rows
 from lite6jax.estimation.score_test import Score, block_covariance, block_test, sums_by_block
+from lite6jax.populations.candidate import Candidate
+from lite6jax.populations.functions import Function
 from lite6jax.populations.options import PoolingOptions
 
 Array = NDArray[np.floating]
 Integers = NDArray[np.integer]
 
-_VERSION = 1
 _ORDERS_AT_ONCE = 1 << 21
 """Numbers of columns that are in memory at once: 16 MB."""
 
 
-@final
-@dataclass(frozen=True)
-class Candidate:
-    """An effect that recordings are tested for, as a report names it; that of a family of waves has no order yet.
-
-    Attributes:
-        key: tells it from all others.
-        effect: its name.
-        site: where it acts.
-        driver: what it depends on.
-        names: of its numbers, with their units.
-        typical: their common sizes.
-        lower: the least that each can be; minus infinity where there is no bound.
-        upper: the most.
-        specificity: rank of its name among effects that the data do not distinguish; the least is reported.
-    """
-
-    key: str
-    effect: str
-    site: str
-    driver: str
-    names: tuple[str, ...]
-    typical: tuple[float, ...]
-    lower: tuple[float, ...]
-    upper: tuple[float, ...]
-    specificity: int
-
-    @classmethod
-    def of(cls, stored: Mapping[str, Any]) -> "Candidate":
-        """From the JSON form of `asdict`."""
-        lists = {name: tuple(stored[name]) for name in ("names", "typical", "lower", "upper")}
-        return cls(**{**stored, **lists})
-
-
 class PooledTerm(NamedTuple):
-    """An effect of the type: a candidate by its key, or a wave of a family.
+    """An effect of the type: a candidate by its key, a wave of a family, or a function without a name.
 
     Attributes:
-        key: of the candidate, or of the family.
-        order: of the wave; None of a candidate.
+        key: of the candidate, of the family, or of the function.
+        order: of the wave; None of the others.
     """
 
     key: str
@@ -130,6 +91,9 @@ class ReducedArm:
         basis: `(k, reading)`, orthonormal, the span of the nuisance and of effects that are not pooled.
         residual: `(reading,)` white, of unit noise, predicted less measured, with all pooled effects zero.
         blocks: the first sample of each block of neighbouring samples.
+        functions: without a name, by which names are tested; over the ranges of this recording, until `over` others.
+        places: `(row, sample)`, how residuals change with a component of a deflection, unit noise, by its key.
+        drivers: `(sample,)`, what functions depend on, by its key.
     """
 
     about: Mapping[str, Any]
@@ -144,6 +108,14 @@ class ReducedArm:
     basis: Array
     residual: Array
     blocks: Integers
+    functions: tuple[Function, ...] = ()
+    places: Mapping[str, Array] = field(default_factory=dict)
+    drivers: Mapping[str, Array] = field(default_factory=dict)
+
+    def over(self, functions: Sequence[Function]) -> "ReducedArm":
+        """The same with functions over other ranges, of which those stay that this recording can show."""
+        own = {function.key for function in self.functions}
+        return replace(self, functions=tuple(function for function in functions if function.key in own))
 
     @cached_property
     def parts(self) -> dict[str, slice]:
@@ -158,6 +130,9 @@ class ReducedArm:
         """`(number, reading)`; none where the recording cannot show the term."""
         if term.order is None:
             part = self.parts.get(term.key)
+            function = next((one for one in self.functions if one.key == term.key), None)
+            if function is not None:
+                return self.columns_of_function(function)
             return self.columns[:0] if part is None else self.columns[part]
         place = next((i for i, family in enumerate(self.families) if family.key == term.key), None)
         return self.columns[:0] if place is None else self.waves(place, np.array([term.order]))[0]
@@ -169,6 +144,15 @@ class ReducedArm:
         white = self.noise.whitened(waves * self.sites[family]) * self.training
         found = np.zeros((len(orders), 2, self.residual.size))
         found[..., : self.sites[family].size] = white.reshape(len(orders), 2, -1)
+        return found
+
+    def columns_of_function(self, function: Function) -> Array:
+        """`(number, reading)`, those of each component one after the other."""
+        basis = function.basis(np.stack([self.drivers[key] for key in function.drivers]))
+        columns = [basis[:, None] * self.places[component] for component in function.components]
+        white = self.noise.whitened(np.concatenate(columns)) * self.training
+        found = np.zeros((len(white), self.residual.size))
+        found[:, : white[0].size] = white.reshape(len(white), -1)
         return found
 
     def beside(self, terms: Sequence[PooledTerm], options: PoolingOptions) -> "ReducedArm":
@@ -214,6 +198,15 @@ class ReducedArm:
                 score[family], information[family] = self._spectrum(family, orders, options)
         return named, score, information
 
+    def scores_of_functions(self, options: PoolingOptions) -> list[tuple[Array, Array]]:
+        """Score `(number,)` and information `(number, number)` of each function without a name."""
+        found = []
+        for function in self.functions:
+            columns = self.columns_of_function(function)
+            projected, norms = outside(columns, self.basis), np.linalg.norm(columns, axis=1)
+            found.append(_determined(-(projected @ self.residual), projected @ projected.T, norms, options))
+        return found
+
     def _spectrum(self, family: int, orders: Array, options: PoolingOptions) -> tuple[Array, Array]:
         """The part of `scores` of one family."""
         site = self.sites[family] * self.training
@@ -247,91 +240,6 @@ class ReducedArm:
     def _by_block(self, products: Array) -> Array:
         rows, samples = self.sites.shape[1:]
         return sums_by_block(products, rows, samples, self.blocks)
-
-    def to_bytes(self) -> bytes:
-        """As a file of NumPy (.npz); columns in single precision, which is a ten-millionth of each."""
-        about = {
-            "version": _VERSION,
-            "about": dict(self.about),
-            "found": [asdict(found) for found in self.found],
-            "candidates": [asdict(candidate) for candidate in self.candidates],
-            "families": [asdict(family) for family in self.families],
-        }
-        models = np.array([(model.coefficient, model.share) for model in self.noise.models])
-        sink = io.BytesIO()
-        np.savez(
-            sink,
-            about=np.frombuffer(json.dumps(about).encode(), np.uint8),
-            columns=self.columns.astype(np.float32),
-            sites=self.sites,
-            angles=self.angles,
-            noise=models,
-            groups=self.noise.groups,
-            starts=np.array(self.noise.starts),
-            training=self.training,
-            basis=self.basis,
-            residual=self.residual,
-            blocks=self.blocks,
-        )
-        return sink.getvalue()
-
-    @classmethod
-    def from_bytes(cls, stored: bytes, place: str = "a reduced recording") -> "ReducedArm":
-        """What `to_bytes` wrote.
-
-        Raises:
-            InputError: the bytes are no such file; the message begins with `place`.
-        """
-        with _readable(place), np.load(io.BytesIO(stored), allow_pickle=False) as file:
-            heading = _heading(file["about"])
-            models = tuple(Autocorrelation(float(c), float(s)) for c, s in file["noise"])
-            return cls(
-                **heading._asdict(),
-                noise=NoiseModel(models, file["groups"], tuple(map(int, file["starts"]))),
-                columns=file["columns"].astype(float),
-                **{name: file[name] for name in ("sites", "angles", "training", "basis", "residual", "blocks")},
-            )
-
-
-class Heading(NamedTuple):
-    """What a file says of its recording before the numbers; attributes as those of `ReducedArm`."""
-
-    about: Mapping[str, Any]
-    found: tuple[Found, ...]
-    candidates: tuple[Candidate, ...]
-    families: tuple[Candidate, ...]
-
-
-def read_heading(path: Path) -> Heading:
-    """The heading of a file, without its arrays.
-
-    Raises:
-        InputError: as `ReducedArm.from_bytes`.
-    """
-    with _readable(str(path)), open(path, "rb") as opened, np.load(opened, allow_pickle=False) as file:
-        return _heading(file["about"])
-
-
-def _heading(stored: NDArray[np.uint8]) -> Heading:
-    said = json.loads(stored.tobytes())
-    if said["version"] != _VERSION:
-        raise ValueError("another version")
-    found = (
-        Found(None if one["term"] is None else PooledTerm(*one["term"]), one["label"], one["p_value"])
-        for one in said["found"]
-    )
-    candidates, families = (tuple(map(Candidate.of, said[name])) for name in ("candidates", "families"))
-    return Heading(said["about"], tuple(found), candidates, families)
-
-
-@contextmanager
-def _readable(place: str) -> Iterator[None]:
-    try:
-        yield
-    except (ValueError, KeyError, TypeError, EOFError, OSError, BadZipFile) as error:
-        raise InputError(
-            f"{place}: is no reduced recording of this version; give the command again with --force"
-        ) from error
 
 
 def order_grid(options: PoolingOptions) -> Array:

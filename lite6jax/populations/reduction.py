@@ -5,9 +5,14 @@ from dataclasses import fields, replace
 import numpy as np
 
 from lite6jax.diagnosis.result import Diagnosis
+from lite6jax.domains.pose.problem import PoseProblem
+from lite6jax.effects.drivers import driver_of
 from lite6jax.effects.effect import Effect, Loading
+from lite6jax.effects.nonparametric import COMPONENTS, Unnamed
 from lite6jax.estimation.score_test import score_test
-from lite6jax.populations.reduced import Candidate, Found, PooledTerm, ReducedArm
+from lite6jax.populations.candidate import Candidate
+from lite6jax.populations.functions import Function
+from lite6jax.populations.reduced import Found, PooledTerm, ReducedArm
 
 
 def reduced(found: Diagnosis) -> ReducedArm:
@@ -28,7 +33,7 @@ def reduced(found: Diagnosis) -> ReducedArm:
     columns = fit.noise.whitened(problem.columns(candidates, beside=(terms, values))) * factor
     flat = np.zeros((len(columns), test.residual.size))
     flat[:, : columns[0].size] = columns.reshape(len(columns), -1)
-    settings = problem.recording.settings
+    settings, functions = problem.recording.settings, tuple(map(_function, problem.flexible))
     return ReducedArm(
         about={
             "arm": problem.arm.name,
@@ -48,7 +53,47 @@ def reduced(found: Diagnosis) -> ReducedArm:
         basis=test.basis,
         residual=test.residual,
         blocks=test.blocks,
+        functions=functions,
+        places={
+            component: problem.sites[_site(component)] / test.scale[problem.groups][:, None]
+            for component in dict.fromkeys(key for function in functions for key in function.components)
+        },
+        drivers={
+            phrase: _values(phrase, problem)
+            for phrase in dict.fromkeys(key for function in functions for key in function.drivers)
+        },
     )
+
+
+def _function(effect: Unnamed) -> Function:
+    """A function without a name in the form that recordings share."""
+    along = effect.site.startswith("joint")
+    units = ["m" if component in ("x", "y", "z") else "rad" for component in effect.components]
+    ranges = np.array((effect.lower, effect.upper, *effect.further)).reshape(-1, 2)
+    return Function(
+        site=effect.site,
+        driver=effect.driver,
+        components=tuple(effect.site if along else f"{effect.site} {component}" for component in effect.components),
+        units=tuple(units),
+        drivers=tuple(driver.phrase for driver in effect.drivers),
+        ranges=tuple((float(low), float(high)) for low, high in ranges),
+        pieces=0 if effect.degree or effect.orders else effect.pieces,
+        products=effect.products if effect.degree else (),
+        orders=effect.orders,
+        specificity=effect.specificity,
+    )
+
+
+def _site(component: str) -> tuple[str, int, int]:
+    """The site of a component of a function: that of a joint, or of a place and a component of its twist."""
+    place, _, along = component.partition(" ")
+    kind, number = place.rstrip("0123456789"), int("0" + "".join(filter(str.isdecimal, place)))
+    return kind, max(number - 1, 0), COMPONENTS.index(along) if along else 0
+
+
+def _values(phrase: str, problem: PoseProblem) -> np.ndarray:
+    driver, found = driver_of(phrase), problem.deflections
+    return np.asarray(driver.values(found.host_motion, found.host_loads if driver.loaded else None), float)
 
 
 def pooled_term(effect: object, found: Diagnosis) -> PooledTerm | None:

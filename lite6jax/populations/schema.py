@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import Any
 
 from lite6jax.errors import InputError
-from lite6jax.populations.population import SCHEMA
+from lite6jax.populations.population import POINTS, SCHEMA
 from lite6jax.schema import array, flag, items, mapping, number, one_of, optional, record, text
 
 _P_VALUE = number(0.0, 1.0)
@@ -27,6 +27,14 @@ _EFFECT = record(
     {
         **_CHOSEN,
         "amplitude_rms_rad": number(0.0),
+        "curve": record(
+            {
+                "name": text,
+                **dict.fromkeys(("driver", "mean"), items(number(), POINTS)),
+                "std": items(number(0.0), POINTS),
+            }
+        ),
+        "nearest": record({**_NAMED, "share": number(0.0, 1.0)}, _CHOSEN),
         "drift": record(
             {
                 "p_value": _P_VALUE,

@@ -1,44 +1,18 @@
-"""Which effects the arms of a type have: forward selection by what all recordings say, then a test of each."""
+"""Which effects the arms of a type have: forward selection, what one recording shows, tests of all, tests of names."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal, NamedTuple, final
+from typing import final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import chdtrc, gammaln
 
-from lite6jax.populations.evidence import Asked, Reduced
-from lite6jax.populations.hierarchy import Hierarchy, fitted
-from lite6jax.populations.options import PoolingOptions
-from lite6jax.populations.pooling import WAYS, Overdispersion, Pooled, Way, likelihoods, p_value, pooled
-from lite6jax.populations.reduced import Candidate, Evidence, Found, PooledTerm, order_grid
-
-Array = NDArray[np.floating]
-Shown = Way | Literal["one"]
-"""How an effect was found: in a way of pooling, or by one recording alone."""
-
-_FINER = np.linspace(-1.0, 1.0, 9)
-
-
-@final
-@dataclass(frozen=True)
-class Selected:
-    """An effect of the type.
-
-    Attributes:
-        term: which.
-        candidate: as a report names it.
-        shown: how it was found.
-        p_value: family-wise, over all that was searched and the ways of testing.
-        rivals: terms that explain nearly as much, and by how much the log-likelihood is lower.
-    """
-
-    term: PooledTerm
-    candidate: Candidate
-    shown: Shown
-    p_value: float
-    rivals: tuple[tuple[PooledTerm, float], ...] = ()
+from lite6jax.populations.candidate import Candidate
+from lite6jax.populations.evidence import Reduced
+from lite6jax.populations.forward import Search, Selected
+from lite6jax.populations.names import challenge_names
+from lite6jax.populations.pooling import Overdispersion
+from lite6jax.populations.reduced import Evidence, Found
 
 
 @final
@@ -59,21 +33,11 @@ class Outcome:
     searched: float
 
 
-class _Tried(NamedTuple):
-    """A term that was measured in every arm."""
-
-    term: PooledTerm
-    candidate: Candidate
-    evidence: tuple[Evidence | None, ...]
-    hierarchy: Hierarchy
-    penalised: float
-
-
 def search(
     reduced: Reduced,
     candidates: Mapping[str, Candidate],
     found: Sequence[Sequence[Found]],
-    covariate: Array | None = None,
+    covariate: NDArray[np.floating] | None = None,
     progress: Callable[[int], object] = lambda effects: None,
 ) -> Outcome:
     """Selects the effects of a type.
@@ -85,201 +49,13 @@ def search(
         covariate: `(arm,)`, what effects may drift with, or None.
         progress: called with the number of effects at each round.
     """
-    looked = _Search(reduced, candidates, covariate)
-    chosen: list[Selected] = []
-    scanned = looked.scan(())
-    while len(chosen) < looked.options.most_effects:
-        progress(len(chosen))
-        more = looked.best(scanned, [one.term for one in chosen])
-        if more is None:
-            break
-        chosen.append(more)
-        scanned = looked.scan([one.term for one in chosen])
+    looked = Search(reduced, candidates, covariate)
+    chosen, scanned = looked.forward([], progress)
     chosen = looked.with_found_alone(chosen, found)
     chosen, evidence = looked.retested(chosen, scanned.overdispersion)
+    if (unnamed := challenge_names(looked, chosen, scanned.overdispersion)) != chosen:
+        chosen, scanned = looked.forward(unnamed, progress)  # what a wrong name has hidden
+        if len(chosen) > len(unnamed):
+            chosen = challenge_names(looked, chosen, scanned.overdispersion)
+        chosen, evidence = looked.retested(chosen, scanned.overdispersion)
     return Outcome(tuple(chosen), tuple(evidence), scanned.overdispersion, looked.searched)
-
-
-@final
-class _Search:
-    """What all steps of a search share."""
-
-    def __init__(self, reduced: Reduced, candidates: Mapping[str, Candidate], covariate: Array | None) -> None:
-        self.reduced, self.candidates, self.covariate = reduced, candidates, covariate
-        self.options: PoolingOptions = reduced.options
-        self.ways = WAYS if covariate is not None else WAYS[:2]
-        self.searched = 1.0
-
-    def scan(self, beside: Sequence[PooledTerm]) -> Pooled:
-        """The statistics of all candidates beside some terms."""
-        scanned = pooled(self.reduced.scans(beside), self.covariate)
-        if not beside:
-            self.searched = len(scanned.named) + len(scanned.waves) * self.options.engine.searched_orders
-        return scanned
-
-    def familywise(self, p: float) -> float:
-        """Over the search and the ways of testing (Bonferroni)."""
-        return min(p * self.searched * len(self.ways), 1.0)
-
-    def best(self, scanned: Pooled, beside: Sequence[PooledTerm]) -> Selected | None:
-        """The most likely addition; None where none is significant."""
-        asked = self._likely(scanned, beside)
-        if not asked:
-            return None
-        tried = [one for one in self._tried(asked, tuple(beside)) if self._possible(one)]
-        tests = {one.term: self._tested(one.term, one.evidence, scanned.overdispersion) for one in tried}
-        lines = _by_line([one for one in tried if one.term.order is not None], self.options)
-        significant = [
-            one
-            for one in (*(one for one in tried if one.term.order is None), *lines)
-            if tests[one.term][0] < self.options.engine.level
-        ]
-        if not significant:
-            return None
-        most = max(one.penalised for one in significant)
-        near = [one for one in significant if most - one.penalised < self.options.engine.close]
-        chosen = min(near, key=lambda one: (one.candidate.specificity, -one.penalised))
-        p, way = tests[chosen.term]
-        rivals = sorted(
-            ((one.term, chosen.penalised - one.penalised) for one in significant if one is not chosen),
-            key=lambda pair: pair[1],
-        )[: self.options.engine.nearest]
-        return Selected(chosen.term, chosen.candidate, way, p, tuple(rivals))
-
-    def with_found_alone(self, chosen: list[Selected], found: Sequence[Sequence[Found]]) -> list[Selected]:
-        """With effects that one recording shows by itself, over all arms, beside those that were chosen."""
-        arms, level = len(self.reduced), self.options.engine.level
-        alone = sorted(
-            (
-                (one.p_value * arms, arm, one.term)
-                for arm, each in enumerate(found)
-                for one in each
-                if one.term is not None and one.p_value * arms < level
-            ),
-            key=lambda each: each[:2],
-        )
-        for _, arm, term in alone:
-            known = term.key in self.candidates and len(chosen) < self.options.most_effects
-            if not known or any(_same(term, one.term, self.options.same_line) for one in chosen):
-                continue
-            own = self.reduced.evidence([(term, tuple(one.term for one in chosen))])[arm][0]
-            p = 1.0 if own is None else self._of_one([own])
-            if p < level:
-                chosen = [*chosen, Selected(term, self.candidates[term.key], "one", p)]
-        return chosen
-
-    def _of_one(self, evidence: Sequence[Evidence]) -> float:
-        """The least p-value of single arms, over the search and the arms."""
-        least = min((one.p_value for one in evidence), default=1.0)
-        return min(least * self.searched * len(self.reduced), 1.0)
-
-    def retested(
-        self, chosen: list[Selected], over: Overdispersion
-    ) -> tuple[list[Selected], list[tuple[Evidence | None, ...]]]:
-        """Each beside all others, without those that are not significant there; and the evidence of each."""
-        while True:
-            terms = [one.term for one in chosen]
-            asked: list[Asked] = [(t, tuple(o for o in terms if o != t)) for t in terms]
-            columns = [tuple(column) for column in zip(*self.reduced.evidence(asked), strict=True)] if asked else []
-            again = []
-            for one, evidence in zip(chosen, columns, strict=True):
-                p, way = self._tested(one.term, evidence, over)
-                p_one = self._of_one([each for each in evidence if each is not None])
-                shown: Shown = way
-                if one.shown == "one" and p_one < p:
-                    p, shown = p_one, "one"
-                again.append(Selected(one.term, one.candidate, shown, p, one.rivals))
-            if all(one.p_value < self.options.engine.level for one in again):
-                return again, columns
-            worst = max(range(len(again)), key=lambda i: again[i].p_value)
-            chosen = [one for i, one in enumerate(again) if i != worst]
-
-    def _tested(self, term: PooledTerm, evidence: Sequence[Evidence | None], over: Overdispersion) -> tuple[float, Way]:
-        """The least family-wise p-value of all ways, and the way."""
-        shown = [one for one in evidence if one is not None]
-        if not shown:
-            return 1.0, self.ways[0]
-        at = [i for i, one in enumerate(evidence) if one is not None]
-        x = np.zeros(len(at)) if self.covariate is None else self.covariate[at]
-        return min((self.familywise(p_value(term, shown, x, way, over)), way) for way in self.ways)
-
-    def _likely(self, scanned: Pooled, beside: Sequence[PooledTerm]) -> list[PooledTerm]:
-        """The candidates and waves that are to be measured in every arm, if any is significant."""
-        over, ranked = scanned.overdispersion, []
-        for key, found in scanned.named.items():
-            ranked.append((min(_log_tail(found[w].value / over.named[w], found[w].freedom) for w in self.ways), key))
-        ranked.sort()
-        grid, lines = order_grid(self.options), []
-        for key, by_way in scanned.waves.items():
-            logs = np.min([_log_tails(by_way[w][0] / over.waves[w], by_way[w][1]) for w in self.ways], axis=0)
-            for one in beside:
-                if one.key == key and one.order is not None:
-                    logs[np.abs(grid - one.order) < self.options.same_line] = 0.0
-            lines.append((float(logs.min()), key, float(grid[int(np.argmin(logs))])))
-        lines.sort()
-        least = min([log for log, *_ in (*ranked[:1], *lines[:1])], default=0.0)
-        if least + np.log(self.searched * len(self.ways)) >= np.log(self.options.engine.level):
-            return []
-        asked = [PooledTerm(key) for _, key in ranked[: self.options.candidates]]
-        for _, key, order in lines[: self.options.lines]:
-            near = order + self.options.order_step * _FINER
-            orders = {
-                float(max(round(order), 1)),
-                *(float(o) for o in near if o >= self.options.engine.lowest_order / 2),
-            }
-            asked += [PooledTerm(key, o) for o in sorted(orders)]
-        return asked
-
-    def _tried(self, terms: Sequence[PooledTerm], beside: tuple[PooledTerm, ...]) -> list[_Tried]:
-        rows = self.reduced.evidence([(term, beside) for term in terms])
-        found = []
-        for term, column in zip(terms, zip(*rows, strict=True), strict=True):
-            candidate = self.candidates[term.key]
-            hierarchy = fitted(likelihoods(column, candidate.typical, self.covariate))
-            if hierarchy is None:
-                continue
-            # Schwarz's approximation, with the arms as the sample, and the choice of an order among many
-            price = 0.5 * (hierarchy.coefficients.size + 1) * np.log(len(self.reduced))
-            price += np.log(self.options.engine.searched_orders) if term.order is not None else 0.0
-            found.append(_Tried(term, candidate, tuple(column), hierarchy, hierarchy.gain - price))
-        return found
-
-    def _possible(self, one: _Tried) -> bool:
-        """Whether the mean is not far outside what the named effect can be."""
-        mean, std = one.hierarchy.coefficients[0], one.hierarchy.std[0]
-        spread = np.hypot(std, one.hierarchy.between)
-        lower, upper = (np.array(bound) for bound in (one.candidate.lower, one.candidate.upper))
-        limit = self.options.engine.impossible * spread
-        return bool(((mean > lower - limit) & (mean < upper + limit)).all())
-
-
-def _same(one: PooledTerm, other: PooledTerm, width: float) -> bool:
-    if one.key != other.key:
-        return False
-    return one.order is None or other.order is None or abs(one.order - other.order) < width
-
-
-def _by_line(tried: Sequence[_Tried], options: PoolingOptions) -> list[_Tried]:
-    """Of the waves of each site the most likely one; a whole order where that is nearly as likely."""
-    found = []
-    for key in dict.fromkeys(one.term.key for one in tried):
-        own = [one for one in tried if one.term.key == key]
-        best = max(own, key=lambda one: one.penalised)
-        whole = [one for one in own if one.term.order is not None and one.term.order % 1 == 0]
-        nearest = max(whole, key=lambda one: one.penalised, default=best)
-        found.append(nearest if nearest.penalised > best.penalised - options.engine.whole_preferred else best)
-    return found
-
-
-def _log_tail(value: float, freedom: int) -> float:
-    return float(_log_tails(np.array([value]), np.array([freedom]))[0])
-
-
-def _log_tails(values: Array, freedom: Array | NDArray[np.integer]) -> Array:
-    """The logarithm of the tail of χ², by its asymptotic form where that is too small for a number; 0 of no freedom."""
-    k = np.maximum(freedom, 1)
-    tails = chdtrc(k, values)
-    half = np.maximum(values, 1e-300) / 2
-    far = -half + (k / 2 - 1) * np.log(half) - gammaln(k / 2)
-    logs = np.where(tails > 1e-290, np.log(np.maximum(tails, 1e-300)), far)
-    return np.where(np.asarray(freedom) > 0, logs, 0.0)

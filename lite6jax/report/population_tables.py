@@ -31,7 +31,8 @@ def population_report(document: Mapping[str, Any]) -> Iterator[RenderableType]:
     for k, effect in enumerate(effects, 1):
         yield ""
         yield Text(f"{k}. {title(effect)}: p = {effect['p_value']:.1e}, found {_FOUND_BY[effect['found_by']]}.")
-        yield Padding(_parameters(effect), (0, 0, 0, 3))
+        if effect["effect"] != "unnamed":  # coefficients of splines say nothing to a reader
+            yield Padding(_parameters(effect), (0, 0, 0, 3))
         for line in remarks(effect, over):
             yield Padding(Text(line), (0, 0, 0, 3))
     own = {f"{effect['effect']}:{effect['site']}" for effect in effects}
@@ -72,6 +73,8 @@ def headline(document: Mapping[str, Any]) -> str:
 
 def title(effect: Mapping[str, Any]) -> str:
     """An effect with its site, and its order or source."""
+    if effect["effect"] == "unnamed":
+        return f"a function of {effect['driver']} without a name, {effect['site']}"
     name = effect["effect"].replace("_", " ")
     if "order" in effect:
         name += f" of order {effect['order']:g}"
@@ -82,6 +85,12 @@ def title(effect: Mapping[str, Any]) -> str:
 
 def remarks(effect: Mapping[str, Any], over: bool) -> Iterator[str]:
     """What is said of an effect below its numbers."""
+    if effect["effect"] == "unnamed":
+        yield f"No effect of the catalogue describes it{_nearest(effect)}."
+        if "curve" in effect:
+            mean = effect["curve"]["mean"]
+            size = {"value": max(mean) - min(mean), "std": 0.0}
+            yield f"The range of its mean: {_shown(effect['curve']['name'], size)}."
     if "amplitude_rms_rad" in effect:
         estimate = {"value": effect["amplitude_rms_rad"], "std": 0.0}
         yield f"Root mean square of its amplitude over the arms: {_shown('amplitude_rad', estimate)}."
@@ -92,8 +101,11 @@ def remarks(effect: Mapping[str, Any], over: bool) -> Iterator[str]:
     for arm in effect["arms"]:
         if arm["outlier_p_value"] is not None:
             own = ", ".join(str(quantity(name, each)) for name, each in arm["parameters"].items())
-            yield f"{arm['file']} differs from the others (p = {arm['outlier_p_value']:.1e}): {own}."
-    if "drift" in effect:
+            said = "" if effect["effect"] == "unnamed" else f": {own}"
+            yield f"{arm['file']} differs from the others (p = {arm['outlier_p_value']:.1e}){said}."
+    if "drift" in effect and effect["effect"] == "unnamed":
+        yield f"Its change with the date: p = {effect['drift']['p_value']:.1e}."
+    elif "drift" in effect:
         drift = effect["drift"]
         for name, each in drift["per_day"].items():
             low, high = (_of_a_year(name, each, bound) for bound in each["interval_95"])
@@ -105,6 +117,11 @@ def remarks(effect: Mapping[str, Any], over: bool) -> Iterator[str]:
     near = [rival for rival in effect["rivals"] if rival["log_likelihood_gap"] < 6.0]
     if near:
         yield f"Not distinguished from {', '.join(title(rival) for rival in near)}."
+
+
+def _nearest(effect: Mapping[str, Any]) -> str:
+    nearest = effect.get("nearest")
+    return "" if nearest is None else f"; the nearest, {title(nearest)}, explains {100 * nearest['share']:.0f} % of it"
 
 
 def _parameters(effect: Mapping[str, Any]) -> RenderableType:

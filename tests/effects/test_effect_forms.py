@@ -33,7 +33,7 @@ from lite6jax.effects.kinematic.surroundings import (
     ToolOffset,
 )
 from lite6jax.effects.kinematic.weights import GravityDirection, PayloadCom
-from lite6jax.effects.motion import motion_of
+from lite6jax.effects.motion import motion_of, since_reversal
 from lite6jax.effects.nonparametric import Unnamed, spline_basis
 from lite6jax.effects.serialization import effect_as_dict, effect_from_dict, parse_effect
 from lite6jax.effects.statics import Loads
@@ -360,6 +360,7 @@ def test_drivers_are_read_and_said():
         (Driver("direction of motion", 1), motion.direction[0], "1"),
         (Driver("velocity", 2), motion.joint_velocity[1], "rad/s"),
         (Driver("speed", 2), np.sqrt(motion.joint_velocity[1] ** 2), "rad/s"),
+        (Driver("travel since reversal", 2), since_reversal(motion)[1], "rad"),
         (Driver("gravity torque", 2), loads.moment[1, 2], "Nm"),
         (Driver("gravity moment x", 1), loads.moment[0, 0], "Nm"),
         (Driver("gravity moment y", 1), loads.moment[0, 1], "Nm"),
@@ -381,7 +382,7 @@ def test_drivers_are_read_and_said():
     assert Driver("gravity moment x", 2).phrase == "gravity moment x of link 2"
     assert Driver("temperature", 2).phrase == "temperature of joint 2"
     assert not Driver("tool moment x").known(motion, loads._replace(payload_moment=None))
-    assert len(QUANTITIES) == 24
+    assert len(QUANTITIES) == 26
 
 
 @pytest.mark.parametrize(

@@ -13,6 +13,7 @@ from lite6jax.cli import diagnose_folder as folder_command
 from lite6jax.cli import main
 from lite6jax.errors import InputError
 from lite6jax.folders.population import check_document, diagnose_recorded_population
+from lite6jax.populations.files import to_bytes
 
 
 @pytest.fixture
@@ -26,7 +27,7 @@ def results(tmp_path):
             if about is not None:
                 made = arm(rng)
                 made.about.update(about)
-                (tmp_path / f"a{i}.npz").write_bytes(made.to_bytes())
+                (tmp_path / f"a{i}.npz").write_bytes(to_bytes(made))
                 row |= {"result": "diagnosed", "message": "", "reduced": f"a{i}.npz"}
             rows.append(row)
         pq.write_table(pa.Table.from_pylist(rows), tmp_path / "summary.parquet")

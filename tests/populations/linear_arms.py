@@ -1,10 +1,18 @@
 """Reduced recordings of arms that are no robots: random columns, waves of an angle, white noise of unit variance."""
 
+from dataclasses import replace
+
 import numpy as np
 
+from lite6jax.distribution.batches import Workers
 from lite6jax.estimation.noise import UNCORRELATED, NoiseModel
+from lite6jax.populations.candidate import Candidate
+from lite6jax.populations.evidence import Reduced
+from lite6jax.populations.files import to_bytes
+from lite6jax.populations.functions import Function, in_common
 from lite6jax.populations.options import PoolingOptions
-from lite6jax.populations.reduced import Candidate, Found, PooledTerm, ReducedArm
+from lite6jax.populations.population import Member, diagnose_population
+from lite6jax.populations.reduced import Found, PooledTerm, ReducedArm
 
 SAMPLES = 80
 OPTIONS = PoolingOptions()
@@ -20,11 +28,18 @@ WAVES = Candidate(
     "waves:joint3", "joint_harmonic", "joint3", "position of joint 3", ("sine_rad", "cosine_rad"), (1.0, 1.0),
     (-np.inf, -np.inf), (np.inf, np.inf), 5,
 )  # fmt: skip
+CUBIC = Function(
+    "joint1", "load", ("joint1",), ("rad",), ("load",), ((-1.0, 1.0),), products=((), (0,), (0, 0), (0, 0, 0))
+)
+SPLINE = Function("joint3", "position", ("joint3",), ("rad",), ("position",), ((-3.0, 3.0),), pieces=5)
+WIDE = Function("tool", "load and position", ("joint1", "joint3"), ("m", "m"), ("load", "position"),
+                ((-1.0, 1.0), (-3.0, 3.0)), products=((), (0,), (1,)))  # fmt: skip
+FUNCTIONS = (CUBIC, SPLINE, WIDE)
 CANDIDATES = {candidate.key: candidate for candidate in (*NAMED, WAVES)}
 
 
 def arm(rng, effects=(), found=(), noise=None, samples=SAMPLES):
-    """A reduced recording.
+    """A reduced recording; in it the effect "soft" is proportional to the driver "load".
 
     Args:
         rng: draws columns, angles and noise.
@@ -34,23 +49,34 @@ def arm(rng, effects=(), found=(), noise=None, samples=SAMPLES):
         samples: of it, one row each.
     """
     numbers = sum(len(candidate.names) for candidate in NAMED)
+    columns = rng.normal(size=(numbers, samples))
+    sites, angles = rng.uniform(0.5, 1.5, (1, 1, samples)), rng.uniform(-np.pi, np.pi, (1, samples))
+    drivers = {"load": columns[0].copy(), "position": angles[0]}
     made = ReducedArm(
         about={"arm": "none", "joints": 3, "rows": samples, "date": None, "verdict": "consistent"},
         found=tuple(Found(term, term.key, 1e-9) for term in found),
         candidates=NAMED,
-        columns=rng.normal(size=(numbers, samples)),
+        columns=columns,
         families=(WAVES,),
-        sites=rng.uniform(0.5, 1.5, (1, 1, samples)),
-        angles=rng.uniform(-np.pi, np.pi, (1, samples)),
+        sites=sites,
+        angles=angles,
         noise=NoiseModel((UNCORRELATED,), np.zeros(1, int)),
         training=np.ones(samples, bool),
         basis=np.linalg.qr(rng.normal(size=(samples, 3)))[0].T,
         residual=rng.normal(size=samples) if noise is None else noise,
         blocks=(np.arange(20) * samples) // 20,
+        functions=tuple(replace(one, ranges=ranges(drivers, one)) for one in FUNCTIONS),
+        places={"joint1": np.ones((1, samples)), "joint3": sites[0]},
+        drivers=drivers,
     )
     for term, values in effects:
         made.residual[:] -= np.asarray(values) @ made.columns_of(term)
     return made
+
+
+def ranges(drivers, function):
+    """Of the drivers of a function in one recording."""
+    return tuple((float(drivers[key].min()), float(drivers[key].max())) for key in function.drivers)
 
 
 def wave(order, size, phase):
@@ -63,5 +89,14 @@ def stored(folder, arms):
     folder.mkdir(exist_ok=True)
     paths = [folder / f"{i:03d}.npz" for i in range(len(arms))]
     for path, one in zip(paths, arms, strict=True):
-        path.write_bytes(one.to_bytes())
+        path.write_bytes(to_bytes(one))
     return paths
+
+
+def population(folder, arms, dates=None, processes=0):
+    """The result for some arms."""
+    functions = in_common(function for one in arms for function in one.functions)
+    members = [Member(f"arm{i}.csv", one.about, one.found) for i, one in enumerate(arms)]
+    with Workers(processes=processes) as workers:
+        reduced = Reduced(stored(folder, arms), OPTIONS, workers, functions)
+        return diagnose_population("none", members, range(len(arms)), CANDIDATES, reduced, dates)

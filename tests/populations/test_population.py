@@ -4,12 +4,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from populations.linear_arms import CANDIDATES, OPTIONS, arm, stored, wave
+from populations.linear_arms import OPTIONS, arm, population, stored, wave
 
 from lite6jax.checksum import verify
 from lite6jax.distribution.batches import Workers
 from lite6jax.populations.evidence import Reduced
-from lite6jax.populations.population import Member, diagnose_population
 from lite6jax.populations.reduced import PooledTerm
 from lite6jax.populations.schema import check_fleet_document
 
@@ -17,14 +16,6 @@ ROOT = Path(__file__).resolve().parents[2]
 SOFT, OTHER = PooledTerm("soft"), PooledTerm("other3")
 HALF = 0.3
 """Of an effect, whose standard error in one recording is 0.11: a single search finds about twice as much."""
-
-
-def population(folder, arms, dates=None, processes=0):
-    """The result for some arms."""
-    members = [Member(f"arm{i}.csv", one.about, one.found) for i, one in enumerate(arms)]
-    with Workers(processes=processes) as workers:
-        reduced = Reduced(stored(folder, arms), OPTIONS, workers)
-        return diagnose_population("none", members, range(len(arms)), CANDIDATES, reduced, dates)
 
 
 def fleet(seed, effects, count=30, found=lambda i: ()):

@@ -8,7 +8,8 @@ from populations.linear_arms import OPTIONS, arm, wave
 
 from lite6jax.errors import InputError
 from lite6jax.estimation.noise import Autocorrelation, NoiseModel
-from lite6jax.populations.reduced import PooledTerm, ReducedArm, order_grid, read_heading
+from lite6jax.populations.files import from_bytes, read_heading, to_bytes
+from lite6jax.populations.reduced import PooledTerm, order_grid
 
 SOFT, BENT = PooledTerm("soft"), PooledTerm("bent")
 LINE = wave(7.25, 0.9, 0.4)
@@ -79,8 +80,8 @@ def test_a_number_that_the_nuisance_does_as_well_has_no_information_at_all(made)
 def test_a_file_holds_the_recording(made, tmp_path):
     made = replace(made, noise=NoiseModel((Autocorrelation(0.8, 0.6),), np.zeros(1, int), (0, 30)))
     path = tmp_path / "a.npz"
-    path.write_bytes(made.to_bytes())
-    again = ReducedArm.from_bytes(path.read_bytes())
+    path.write_bytes(to_bytes(made))
+    again = from_bytes(path.read_bytes())
     assert (again.about, again.found, again.candidates, again.families) == (
         made.about, made.found, made.candidates, made.families
     )  # fmt: skip
@@ -89,18 +90,24 @@ def test_a_file_holds_the_recording(made, tmp_path):
         np.testing.assert_array_equal(getattr(again, name), getattr(made, name))
     models = [(model.coefficient, model.share) for model in again.noise.models]
     assert (models, again.noise.starts) == ([(0.8, 0.6)], (0, 30))
-    assert made.to_bytes() == made.to_bytes()
+    assert to_bytes(made) == to_bytes(made)
+    assert again.functions == made.functions
+    for name in ("places", "drivers"):
+        own, there = getattr(made, name), getattr(again, name)
+        assert [*own] == [*there]
+        np.testing.assert_array_equal([*own.values()], [*there.values()])
+    assert read_heading(path).functions == made.functions
     assert read_heading(path).candidates == made.candidates
 
 
 @pytest.mark.parametrize("damage", [lambda b: b[: len(b) // 2], lambda b: b"no", lambda b: b""])
 def test_a_damaged_file_is_refused_with_the_remedy(made, tmp_path, damage):
     path = tmp_path / "a.npz"
-    path.write_bytes(damage(made.to_bytes()))
+    path.write_bytes(damage(to_bytes(made)))
     with pytest.raises(InputError, match=r"a\.npz: is no reduced recording of this version; .* with --force"):
         read_heading(path)
     with pytest.raises(InputError, match=r"^here: is no reduced recording"):
-        ReducedArm.from_bytes(path.read_bytes(), "here")
+        from_bytes(path.read_bytes(), "here")
 
 
 def test_the_reduced_recording_gives_the_estimates_of_its_diagnosis(corpus):
@@ -114,3 +121,19 @@ def test_the_reduced_recording_gives_the_estimates_of_its_diagnosis(corpus):
     std = float(np.sqrt(finding.covariance[0, 0]))
     assert 1 / found.information[0, 0] == pytest.approx(std**2, rel=0.1)  # robust weights differ a little
     assert found.score[0] / found.information[0, 0] == pytest.approx(finding.values[0], abs=0.3 * std)
+
+
+def test_functions_are_those_that_test_the_names_of_the_diagnosis(corpus):
+    from lite6jax.populations.reduction import reduced
+
+    diagnosis = corpus["compliance"].diagnosis
+    made, problem = reduced(diagnosis), diagnosis.problem
+    some = [k for k, effect in enumerate(problem.flexible) if effect.site in ("joint3", "link2", "tool", "sensor")]
+    assert len(some) > 40
+    for k in some:
+        expected = problem.columns([problem.flexible[k]])
+        columns = made.columns_of_function(made.functions[k])[:, : expected[0].size].reshape(expected.shape)
+        columns, expected = columns[..., made.training], expected[..., made.training]
+        scale = np.vdot(columns, expected) / np.vdot(expected, expected)  # the noise, which all of them share
+        np.testing.assert_allclose(columns, scale * expected, rtol=1e-6, atol=1e-6 * scale)
+        assert scale == pytest.approx(1 / diagnosis.fit.scale[0], rel=0.2)

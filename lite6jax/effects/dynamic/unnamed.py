@@ -100,11 +100,12 @@ class UnnamedTorque(JointTorque):
     def functions(self) -> int:
         """How many functions of the drivers there are."""
         if self.degree:
-            return len(self._products)
+            return len(self.products)
         return 2 * len(self.orders) or self.pieces + 3
 
     @cached_property
-    def _products(self) -> Products:
+    def products(self) -> Products:
+        """Of the drivers; the constant alone where there is no degree."""
         return products_of(self.of, self.degree)
 
     def basis(self, dynamics: Dynamics) -> Array:
@@ -118,7 +119,7 @@ class UnnamedTorque(JointTorque):
         """The functions `(function, sample)` at values `(driver, sample)` of the drivers, without the direction."""
         if self.degree:
             ranges = np.array((self.lower, self.upper, *self.further)).reshape(-1, 2)
-            return np.asarray(polynomial_basis(values, ranges, self._products))  # type: ignore[arg-type]
+            return np.asarray(polynomial_basis(values, ranges, self.products))  # type: ignore[arg-type]
         if not self.orders:
             splines = np.asarray(spline_basis(values[0], self.lower, self.upper, self.pieces))  # type: ignore[arg-type]
             return splines[::-1].cumsum(0)[::-1]
