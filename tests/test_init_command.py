@@ -189,6 +189,22 @@ def test_the_report_is_readable_on_any_terminal(recorded, capsys, width):
     assert [line for line in out.splitlines() if line != line.rstrip()] == []  # a pipe needs no filled lines
 
 
+def test_torques_without_a_column_of_times(capsys, tmp_path):
+    path = tmp_path / "log.csv"
+    rows = [f"{10 * k},{k / 10},{0.1 * k},{1 + k},{2 - k}" for k in range(20)]
+    path.write_text("\n".join(["Zeit [ms],pos_0,pos_1,torque_0,torque_1", *rows]) + "\n")
+    code, out, _ = run(capsys, "init", path, "--yes", width=200)
+    assert code == 0
+    said = "Torques need times, and no column looks like them: say in the sidecar which it is, such as"
+    assert f"{said} `Zeit [ms]: time_ms`." in out
+    sidecar = path.with_suffix(".yaml")
+    sidecar.write_text(sidecar.read_text().replace("Zeit [ms]: ignore", "Zeit [ms]: time_ms"))
+    assert read_recording(path).time[-1] == pytest.approx(0.19)
+    code, out, _ = run(capsys, "init", path, "--yes", "--column", "Zeit [ms]=time_ms", "--force", width=200)
+    assert code == 0
+    assert "Torques need times" not in out
+
+
 @pytest.mark.parametrize("folder", [".", "..", "../.."])
 def test_the_folder_that_one_is_in_is_no_recording(capsys, tmp_path, monkeypatch, folder):
     (tmp_path / "a" / "b").mkdir(parents=True)

@@ -11,6 +11,7 @@ from rich.text import Text
 from lite6jax.domains.pose.inspection import Inspection
 from lite6jax.domains.pose.meanings import Meaning
 from lite6jax.recordings.columns import IGNORED
+from lite6jax.recordings.naming import unit_of, units_allowed
 from lite6jax.recordings.sizes import Decision
 from lite6jax.report.next_steps import command_line
 
@@ -321,5 +322,15 @@ def next_steps(found: Inspection, settings: Mapping[str, Any], source: str) -> I
     if found.of("position") is None and found.of("tau") is None and found.of("current") is None and not found.given:
         yield Text("There are neither poses nor torques: this is a motion, to predict or to compute with.")
         return
+    torques = found.of("position") is None and (found.of("tau") or found.of("current")) is not None
+    if torques and found.of("time") is None and not any(name.startswith("time") for name in found.given.values()):
+        yield Text(f"Torques need times, and no column looks like them: {_named_time(found.unused)}.")
     yield Text("Next:" if "arm" in settings else "Name the arm in the sidecar, then:")
     yield Text(command_line("diagnose", source, "--out", "diagnosis.json"), no_wrap=True, overflow="ignore")
+
+
+def _named_time(unused: Sequence[str]) -> str:
+    """How to name a column of times: one whose name has a unit of time, or the first that means nothing."""
+    timed = {name: unit for name in unused if (unit := unit_of(name)) in units_allowed("time")}
+    name, unit = next(iter(timed.items()), (next(iter(unused), None), "s"))
+    return "record them" if name is None else f"say in the sidecar which it is, such as `{name}: time_{unit}`"

@@ -9,7 +9,7 @@ import pytest
 
 from lite6jax.domains.pose.inspection import inspect
 from lite6jax.errors import InputError
-from lite6jax.recordings import read_recording, recording_file
+from lite6jax.recordings import ArmJoints, read_recording, recording_file
 from lite6jax.recordings.sources import open_table
 
 NAMES = [f"joint_{k}.pos" for k in range(1, 7)] + ["gripper.pos"]
@@ -60,7 +60,7 @@ def dataset(folder, version=3, names=NAMES, kind=None):
 def test_the_state_of_all_episodes_is_read(tmp_path, version, kind):
     folder = dataset(tmp_path / "picks", version, kind=kind)
     assert recording_file(folder) == folder
-    _, table = open_table(folder, (), None, [])
+    _, table = open_table(folder, (), ArmJoints(), [])
     found = inspect(list(table.numbers()))
     assert found.columns["observation.state.joint_3.pos"] == "q3_deg"
     assert found.columns["observation.state.gripper.pos"] == found.columns["action.joint_1.pos"] == "ignore"
@@ -79,7 +79,7 @@ def test_the_state_of_all_episodes_is_read(tmp_path, version, kind):
 )
 def test_names_below_a_heading_and_none(tmp_path, names, wanted):
     folder = dataset(tmp_path / "picks", names=names)
-    _, table = open_table(folder, (), None, [])
+    _, table = open_table(folder, (), ArmJoints(), [])
     assert table.names[0] == wanted
 
 
