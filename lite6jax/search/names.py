@@ -34,6 +34,8 @@ from lite6jax.search.state import (
 
 _SLOW = (1.0, 2.0)
 """Orders of waves that several names over a part of a turn may add up to."""
+_CYCLES = 16.0
+"""Of a wave in the range of its angle: twice as many as the pieces of a spline without a name."""
 
 
 class _Likely(NamedTuple):
@@ -171,7 +173,8 @@ def believable(problem: Problem, state: State, options: EngineOptions) -> State:
 def significant(problem: Problem, state: State, options: EngineOptions) -> State:
     """Each term tested beside all others of the final model; those that are not significant leave, the least first.
 
-    So does a name that explains little beside a function at its site: that may be what the function does not describe.
+    So does a name that explains little beside a function at its site: that may be what the function does not describe,
+    unless it is a wave that is too short for that.
     A name also leaves if the error that remains at its site exceeds a small share of what it explains.
     """
     left = concentration(problem, state.fit, options) if state.tested else None  # beside all of them
@@ -180,7 +183,7 @@ def significant(problem: Problem, state: State, options: EngineOptions) -> State
         tests = [_tested_finally(problem, state, k, time, options) for k in range(len(state.tested))]
         tests = [
             replace(one, p_value=1.0)
-            if _misfit(one, tests, options) or _leaves_more(one, k, state.fit, left, options)
+            if _misfit(problem, one, tests, options) or _leaves_more(one, k, state.fit, left, options)
             else one
             for k, one in enumerate(tests)
         ]
@@ -191,9 +194,18 @@ def significant(problem: Problem, state: State, options: EngineOptions) -> State
     return state
 
 
-def _misfit(name: SelectedTerm, tests: Sequence[SelectedTerm], options: EngineOptions) -> bool:
+def _misfit(problem: Problem, name: SelectedTerm, tests: Sequence[SelectedTerm], options: EngineOptions) -> bool:
+    if _fine(problem, name.term):
+        return False
     there = [one for one in tests if one.term.nonparametric and one.term.site == name.term.site]
     return not name.term.nonparametric and any(name.score.gain < options.misfit * one.score.gain for one in there)
+
+
+def _fine(problem: Problem, term: Term) -> bool:
+    """Whether a term is a wave too short for a smooth function to describe, or to leave."""
+    families = [family for family in problem.periodic if term.periodic and family.site == term.site]
+    orders = [(family, family.order(term)) for family in families]
+    return any(order is not None and order * np.ptp(f.angle) > 2 * np.pi * _CYCLES for f, order in orders)
 
 
 def _leaves_more(name: SelectedTerm, k: int, fit: Fit, left: Concentration | None, options: EngineOptions) -> bool:

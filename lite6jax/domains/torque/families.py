@@ -32,7 +32,7 @@ Waves = dict[tuple[int, float], Array]
 _HIGHEST = 1000.0
 """Waves along the stroke of a prismatic joint that are searched at most: a screw's lead of 1 mm on a metre."""
 _FEWEST = 2.0
-"""Waves along the stroke that pass the filter at least where any are searched: fewer are any function of the position."""
+"""Waves along the stroke that pass the filter at least where any are searched: fewer are any function of it."""
 _SLOW = 0.2
 """Quantile of the speeds of a prismatic joint that moves at which the shortest wave still passes the filter."""
 _MOST_WAVES = 1 << 22

@@ -285,6 +285,21 @@ def test_the_model_of_a_screw_is_written_read_and_predicts(on_a_screw):
     assert np.median(np.abs(away[20:-20, 2])) < 0.15  # of a ripple of 3 N
 
 
+@pytest.mark.long
+def test_a_ripple_too_short_for_a_function_stays_beside_one():
+    """Of seed 1 a function of the speed takes the place of the friction of the slide, and explains much more."""
+    q = slid.moved(1)[1][:, 2]
+
+    def hidden(dq):
+        return slid.friction(dq) + np.outer(3.0 * np.sin(2 * np.pi * q / LEAD + 0.7), [0, 0, 1])
+
+    found = diagnose_torques(slid.recorded(hidden, seed=1), slid.arm(), options=FEW)
+    at_slide = {finding.effect.name: finding for finding in found.findings if finding.effect.site == "joint3"}
+    assert at_slide.keys() == {"unnamed", "torque_ripple"}
+    period = at_slide["torque_ripple"].parameters["period_m"]
+    assert abs(period.value - LEAD) < 3 * period.std < 1e-4
+
+
 def test_a_ripple_of_a_fixed_order_is_one_of_its_period():
     effect, values = parse_effect("torque_ripple:joint=3,order=300,amplitude_N=2,phase_rad=1", BUILT_IN, sliding=(2,))
     stored = json.loads(json.dumps(effect_as_dict(effect, values)))
