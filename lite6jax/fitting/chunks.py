@@ -32,7 +32,7 @@ SINGULAR_ABOVE = 1e11
 
 _COMPILED: set[tuple[object, ...]] = set()
 # One thread a chunk: XLA's own pool would otherwise be shared by the chunks that run side by side.
-_SINGLE_THREADED = {"xla_cpu_multi_thread_eigen": False}
+SINGLE_THREADED = {"xla_cpu_multi_thread_eigen": False}
 
 
 class Summary(NamedTuple):
@@ -106,13 +106,13 @@ def _solve_and_measure(
 
 for _kind in (ArmModel, Prior, Robust, Solved, Summary):
     export.register_namedtuple_serialization(_kind, serialized_name=f"lite6jax.{_kind.__name__}")
-_fit_chunk = Exported("fit_chunk", _solve_and_measure, (0, 8), _SINGLE_THREADED)
+_fit_chunk = Exported("fit_chunk", _solve_and_measure, (0, 8), SINGLE_THREADED)
 # For one small fit, where a second of the compiler's optimisation would save five milliseconds.
 _fit_once = Exported(
     "fit_once",
     partial(_solve_and_measure, keep_curvature=False),
     (0, 8),
-    _SINGLE_THREADED | {"xla_backend_optimization_level": 0},
+    SINGLE_THREADED | {"xla_backend_optimization_level": 0},
 )
 
 

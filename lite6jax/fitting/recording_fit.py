@@ -12,6 +12,7 @@ from lite6jax.errors import InputError
 from lite6jax.estimation.robust import FREEDOM, gaussian_t_scale, t_scale, variance_factor, weights_left
 from lite6jax.fitting.chunks import MAX_STEPS
 from lite6jax.fitting.gauge import determined
+from lite6jax.fitting.many_samples import finished_on_all
 from lite6jax.fitting.problem import Geometry, Problem, recording_problem, whitener_of
 from lite6jax.fitting.residual import POSITION
 from lite6jax.fitting.solution import Errors, Held, Noise, Result, Solution, prediction_errors
@@ -64,8 +65,12 @@ def fit_recording(
         covariance = problem.covariance()
     covariance = covariance + np.diag(np.repeat(_excess(problem, covariance, residual), 3)[: problem.rows])
     estimate = partial(_estimate, problem, freedom=freedom, max_steps=max_steps)
-    fits = estimate(free, covariance, everything, first.model(0), solver)
-    folds = estimate(free, covariance, training, first.model(0), solver, few=few)
+    fits, start = None, first.model(0)
+    if solver == "gauss_newton" and len(few) < recording.samples and freedom is not None:
+        begun = estimate(free, covariance, everything, start, solver, few=few)
+        fits = finished_on_all(problem, free, covariance, begun, len(few), freedom)
+    fits = fits or estimate(free, covariance, everything, start, solver)
+    folds = estimate(free, covariance, training, start, solver, few=few)
     frames_only = free & (np.arange(free.size) >= problem.form.chain.size)
     nominal_fit = estimate(frames_only, covariance, everything, problem.start, "gauss_newton", few=few)
 

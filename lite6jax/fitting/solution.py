@@ -1,5 +1,6 @@
 """What a fit returns: parameters, its result code, unidentifiable parameters, covariance and errors."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import final
@@ -57,12 +58,10 @@ def prediction_errors(
 
     What is compiled for `of` samples serves a part of them as well.
     """
-    size = padded_size(min(of or len(pose), _AT_ONCE))[0]
     position, orientation = np.empty(len(pose)), None if pose.ndim == 2 else np.empty(len(pose))
-    for first in range(0, len(pose), _AT_ONCE):
-        some = slice(first, first + _AT_ONCE)
-        q, measured = joint_position[some], pose[some]
-        predicted = np.asarray(_predict(form.chain, model, pad(q, 0, size)))[: len(q)]
+    for k, predicted in enumerate(_predicted(form, model, joint_position, of)):
+        some = slice(k * _AT_ONCE, (k + 1) * _AT_ONCE)
+        measured = pose[some]
         if orientation is None:
             position[some] = np.linalg.norm(predicted[:, :3, 3] - measured, axis=1)
             continue
@@ -71,6 +70,14 @@ def prediction_errors(
         chord = np.linalg.norm(predicted[:, :3, :3] - measured[:, :3, :3], axis=(1, 2))
         orientation[some] = 2 * np.arcsin(np.minimum(chord / np.sqrt(8), 1.0))
     return Errors(position, orientation, joint_position)
+
+
+def _predicted(form: ModelForm, model: ArmModel, joint_position: Array, of: int | None = None) -> Iterator[Array]:
+    """Predicted poses `(sample, 4, 4)`, `_AT_ONCE` samples at a time; compiled for `of` of them."""
+    size = padded_size(min(of or len(joint_position), _AT_ONCE))[0]
+    for first in range(0, len(joint_position), _AT_ONCE):
+        q = joint_position[first : first + _AT_ONCE]
+        yield np.asarray(_predict(form.chain, model, pad(q, 0, size)))[: len(q)]
 
 
 @dataclass(frozen=True)
@@ -160,9 +167,8 @@ class Solution(Summarised):
             return quality_of_calibration(self.checked.position)
         measured, declared = self.recording.position, self.noise.declared
         assert measured is not None
-        size = padded_size(len(measured))[0]
-        q = pad(self.recording.joint_position, 0, size)
-        predicted = np.asarray(_predict(self.form.chain, self.model, q))[: len(measured), :3, 3]
+        parts = _predicted(self.form, self.model, self.recording.joint_position)
+        predicted = np.concatenate([poses[:, :3, 3] for poses in parts])
         over_noise = None
         if declared is not None:
             left = (self.noise.position, self.noise.orientation)
