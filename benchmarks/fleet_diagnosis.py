@@ -26,6 +26,10 @@ _ODD = 4.0
 """Thresholds of an effect that one arm has and the others have not."""
 _GROWN = 2.0
 """Thresholds by which an effect grows over the recordings of one arm."""
+_MIDDLE = {1: 0.0, 2: 0.0, 3: 1.8, 4: 0.0, 5: 0.0}
+"""rad, in the middle of what each joint does."""
+_WIDTH = 0.4
+"""rad, of a bump over the position of a joint."""
 
 
 def fleet_diagnosis(
@@ -43,7 +47,7 @@ def fleet_diagnosis(
     """
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        for kind, count in (("half", arms), ("odd", fewer), ("drift", fewer)):
+        for kind, count in (("half", arms), ("outside", arms), ("odd", fewer), ("drift", fewer)):
             answers = []
             for number in range(fleets):
                 hidden = _hidden(kind, number, count, seed)
@@ -73,6 +77,10 @@ def _hidden(kind: str, number: int, arms: int, seed: int) -> Shared:
         Hidden("joint_harmonic", f"joint{rng.integers(1, 6)}", (1.0, 0.0, order), {"order": order}),
     )
     effect = effects[number % len(effects)]
+    if kind == "outside":
+        joint = int(rng.integers(1, 6))
+        fixed = {"joint": float(joint), "centre": _MIDDLE[joint] + float(rng.uniform(-0.5, 0.5))}
+        return Shared(Hidden("joint_bump", f"joint{joint}", (1.0,), {**fixed, "width": _WIDTH}), HALF)
     if kind == "half":
         return Shared(effect, HALF)
     if kind == "odd":
@@ -97,9 +105,23 @@ def _answer(
 
 
 def _judged(kind: str, work: str, answers: list[tuple[Shared, dict[str, Any]]]) -> Iterator[Record]:
-    names = {"half": "half-threshold effect in all", "odd": "effect in one arm", "drift": "growing effect"}
+    names = {
+        "half": "half-threshold effect in all",
+        "outside": "half-threshold bump in all",
+        "odd": "effect in one arm",
+        "drift": "growing effect",
+    }
     subject = f"{names[kind]}, {work}"
     found = [_found(hidden, document) for hidden, document in answers]
+    if kind == "outside":
+        there = [
+            [one["effect"] for one in document["effects"] if one["site"] == hidden.effect.site]
+            for hidden, document in answers
+        ]
+        yield _record(subject, "without a name at its site", share(one == ["unnamed"] for one in there), "higher")
+        wrong = share(any(one["effect"] != "unnamed" for one in document["effects"]) for _, document in answers)
+        yield _record(subject, "with a name, which is wrong", wrong, "lower")
+        return
     yield _record(subject, "found and named", share(one is not None for one in found), "higher")
     if kind == "half":
         silent = share(

@@ -12,8 +12,9 @@ import numpy as np
 import yaml
 
 from benchmarks.concealed import chain as chains
+from benchmarks.concealed.hiding import beyond_named
 from benchmarks.concealed.information import threshold
-from benchmarks.concealed.plain_physics import Hidden, Setup, poses
+from benchmarks.concealed.plain_physics import OUTSIDE, Hidden, Setup, poses
 from benchmarks.concealed.plans import SENSORS, Plan
 from benchmarks.concealed.recorded import PAYLOAD_CENTER, draw_motion, files_of, measure
 from benchmarks.concealed.view import Open, View, turned
@@ -50,7 +51,8 @@ def write_fleet(
 ) -> None:
     """Writes the recordings of a fleet: `armNN.csv` with sidecar and factory calibration.
 
-    A threshold is that of the effect in the recording of the first arm, so that all arms share a physical size.
+    A threshold is that of the effect in the recording of the first arm, so that all arms share a physical size; of one
+    outside the catalogue, that of what the nearest named effect of its site leaves of it.
 
     Args:
         folder: is made.
@@ -76,7 +78,8 @@ def write_fleet(
         view = View(setup, Open(True, 3, False), motion, noise)  # type: ignore[arg-type]
         if not sizes:
             span = view.nuisance()
-            sizes = [threshold(view, (one.effect,), 0, span).size for one in hidden]
+            spans = [beyond_named(view, one.effect, span) if one.effect.name in OUTSIDE else span for one in hidden]
+            sizes = [threshold(view, (one.effect,), 0, each).size for one, each in zip(hidden, spans, strict=True)]
         there = []
         for one, size in zip(hidden, sizes, strict=True):
             factor = one.sized(arm, arms) * (1 + one.spread * rng.normal()) * size

@@ -46,7 +46,7 @@ def hide(plan: Plan, rng: np.random.Generator, view: View) -> tuple[Hidden, ...]
         beside = [view.padded(view.columns(hidden, k)) for k in range(len(hidden))]
         spanned = np.concatenate([span, *beside], 1)
         if effect.name in OUTSIDE:
-            spanned = _beyond_named(view, effect, spanned)
+            spanned = beyond_named(view, effect, spanned)
         found = information.threshold(view, tried, len(hidden), spanned)
         if found.seen < LEAST_SEEN or found.moved * times > _MOST_MOVED:
             return None
@@ -60,7 +60,7 @@ def hide(plan: Plan, rng: np.random.Generator, view: View) -> tuple[Hidden, ...]
     return hidden
 
 
-def _beyond_named(view: View, effect: Hidden, span: Array) -> Array:
+def beyond_named(view: View, effect: Hidden, span: Array) -> Array:
     """The span with the named effect of the same site that does most of what an effect outside the catalogue does.
 
     An effect outside counts by what is left of it when the catalogue has done its best.
@@ -170,7 +170,7 @@ def described(view: View, hidden: tuple[Hidden, ...]) -> list[dict[str, Any]]:
     for k, effect in enumerate(hidden):
         beside = np.concatenate([span, *columns[:k], *columns[k + 1 :]], 1)
         if effect.name in OUTSIDE:
-            beside = _beyond_named(view, effect, view.nuisance())
+            beside = beyond_named(view, effect, view.nuisance())
         found = information.threshold(view, hidden, k, beside)
         rival = information.nearest_rival(view, hidden, k, beside) if effect.name not in OUTSIDE else None
         said.append(

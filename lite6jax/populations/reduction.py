@@ -1,5 +1,6 @@
 """From the diagnosis of one recording to its reduced form: findings that can be pooled go back into the residual."""
 
+from collections.abc import Iterator
 from dataclasses import fields, replace
 
 import numpy as np
@@ -33,7 +34,7 @@ def reduced(found: Diagnosis) -> ReducedArm:
     columns = fit.noise.whitened(problem.columns(candidates, beside=(terms, values))) * factor
     flat = np.zeros((len(columns), test.residual.size))
     flat[:, : columns[0].size] = columns.reshape(len(columns), -1)
-    settings, functions = problem.recording.settings, tuple(map(_function, problem.flexible))
+    settings, functions = problem.recording.settings, tuple(map(_function, _unnamed(problem)))
     return ReducedArm(
         about={
             "arm": problem.arm.name,
@@ -63,6 +64,19 @@ def reduced(found: Diagnosis) -> ReducedArm:
             for phrase in dict.fromkeys(key for function in functions for key in function.drivers)
         },
     )
+
+
+def _unnamed(problem: PoseProblem) -> Iterator[Unnamed]:
+    """What names are tested by in one recording: functions of every site and driver, and finer curves of joints."""
+    yield from problem.flexible
+    for family in problem.curves:
+        for driver in family.drivers:
+            low, high = float(driver.values.min()), float(driver.values.max())
+            if low < high:
+                for pieces in driver.pieces:
+                    curve = driver.spline(low, high, pieces)
+                    assert isinstance(curve, Unnamed)
+                    yield curve
 
 
 def _function(effect: Unnamed) -> Function:

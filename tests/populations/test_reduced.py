@@ -130,6 +130,7 @@ def test_functions_are_those_that_test_the_names_of_the_diagnosis(corpus):
     made, problem = reduced(diagnosis), diagnosis.problem
     some = [k for k, effect in enumerate(problem.flexible) if effect.site in ("joint3", "link2", "tool", "sensor")]
     assert len(some) > 40
+    assert len({function.key for function in made.functions}) == len(made.functions) > len(problem.flexible)
     for k in some:
         expected = problem.columns([problem.flexible[k]])
         columns = made.columns_of_function(made.functions[k])[:, : expected[0].size].reshape(expected.shape)
