@@ -94,6 +94,22 @@ def test_a_recording_at_which_processes_end_is_a_row_that_says_so(recordings, tm
     assert worked_on(tmp_path).count("b.csv") == 4  # twice each, as the reason may have been another
 
 
+def test_recordings_behind_a_url_give_the_same_documents(recordings, tmp_path):
+    fsspec = pytest.importorskip("fsspec", reason="the extra distributed is not installed")
+    store = fsspec.filesystem("memory")
+    store.put(f"{recordings}/", "/recorded", recursive=True)
+    try:
+        results = {url: ran(url, tmp_path / url[:4]) for url in ("memory://recorded", f"file://{recordings}")}
+    finally:
+        store.rm("/recorded", recursive=True)
+    here = ran(recordings, tmp_path / "here").path.parent
+    for run in results.values():
+        for document in here.glob("*.json"):
+            assert (run.path.parent / document.name).read_bytes() == document.read_bytes()
+        rows = {row["file"]: row["result"] for row in pq.read_table(run.path).to_pylist()}
+        assert rows == {"a.csv": DIAGNOSED, "b.csv": DIAGNOSED, "b.parquet": DIAGNOSED, "c.csv": UNREADABLE}
+
+
 def test_documents_are_not_replaced_unasked(recordings, tmp_path):
     results = tmp_path / "results"
     results.mkdir()
