@@ -17,6 +17,7 @@ from lite6jax.storage import check_writable, write_atomically
 if TYPE_CHECKING:
     from lite6jax.arms.arm import Arm
     from lite6jax.diagnosis.result import Diagnosis
+    from lite6jax.diagnosis.torque_result import TorqueDiagnosis
     from lite6jax.recordings import Recording
 
 
@@ -159,30 +160,40 @@ class Diagnose:
         present(self, recording, document, diagnosis_report, drawings, None if seen is None else seen.file)
         return BAD_FIT if found.quality.verdict == "bad" else DONE
 
-    def diagnosed_poses(self) -> "tuple[Diagnosis, dict[str, Any]]":
-        """The diagnosis of the recording's poses, and its document; nothing is written or printed.
+    def diagnosed(self) -> "tuple[Diagnosis | TorqueDiagnosis, dict[str, Any]]":
+        """The diagnosis of the recording's poses, or with `torques`, or where it has no poses, of its torques.
+
+        Returns:
+            the diagnosis and its document; nothing is written or printed.
 
         Raises:
-            InputError: the recording has no poses, or as `diagnose`.
+            InputError: the recording has neither, or as `diagnose` and `diagnose_torques`.
         """
         from lite6jax.diagnosis.combined import by_domain
-        from lite6jax.diagnosis.diagnose import diagnose
-        from lite6jax.diagnosis.document import to_document
         from lite6jax.diagnosis.options import QUICK
         from lite6jax.effects.user_effects import load_effects
         from lite6jax.fitting.recognition import arm_of
         from lite6jax.fitting.source import load_nominal
-        from lite6jax.report.statements import with_statements
 
         nominal = load_nominal(self.arm)
         recording = self._read(self.source, nominal)
-        if recording.position is None:
-            raise InputError(f"{self.source}: has no measured poses, which --fleet pools; diagnose it by itself")
-        effects, _ = by_domain(load_effects(self.effects) if self.effects else ())
-        arm, options = nominal or arm_of(recording), QUICK if self.quick else None
-        found = diagnose(recording, arm, geometry=self.geometry, effects=effects, options=options)
-        document = {**to_document(found), "inputs": inputs(self.source, self.arm, None, self.effects)}
-        return found, with_statements(document)
+        kinematic, dynamic = by_domain(load_effects(self.effects) if self.effects else ())
+        options, read = QUICK if self.quick else None, inputs(self.source, self.arm, None, self.effects)
+        if self.torques or (recording.position is None and recording.has_torques):
+            from lite6jax.diagnosis.torque_diagnosis import diagnose_torques
+            from lite6jax.diagnosis.torque_document import to_torque_document
+            from lite6jax.report import torque_statements
+
+            motors = diagnose_torques(recording, nominal, effects=dynamic, options=options)
+            return motors, torque_statements.with_statements({**to_torque_document(motors), "inputs": read})
+        from lite6jax.diagnosis.diagnose import diagnose
+        from lite6jax.diagnosis.document import to_document
+        from lite6jax.report import statements
+
+        found = diagnose(
+            recording, nominal or arm_of(recording), geometry=self.geometry, effects=kinematic, options=options
+        )
+        return found, statements.with_statements({**to_document(found), "inputs": read})
 
     def _read(self, path: Path, of: "Arm | None") -> "Recording":
         from lite6jax.fitting.source import read_source

@@ -23,8 +23,6 @@ def diagnose_recorded_fleet(command: "Diagnose") -> int:
         command: as it was given; its source is a folder or a URL.
     """
     refuse_options_of_one(command, "--fleet pools many")
-    if command.torques:
-        raise InputError("--torques: --fleet pools measured poses; leave one of them out")
     if command.out is None or command.out.suffix.lower() == ".json":
         raise InputError(f"{command.source}: is a folder; add --out DIR for the documents of its recordings")
     check_processes(command.processes, command.scheduler)
@@ -88,10 +86,12 @@ def diagnose_and_reduce(names: Sequence[str], place: "Place", command: "Diagnose
 
 
 def _reduced(command: "Diagnose") -> tuple[str, bytes]:
-    """The document of the poses of one recording as of the command, and its reduced form."""
+    """The document of the poses of one recording as of the command, or of its torques, and its reduced form."""
     from lite6jax.diagnosis.document import document_text
+    from lite6jax.diagnosis.torque_result import TorqueDiagnosis
     from lite6jax.populations.files import to_bytes
-    from lite6jax.populations.reduction import reduced
+    from lite6jax.populations.reduction import reduced, reduced_torques
 
-    found, document = command.diagnosed_poses()
-    return document_text(document), to_bytes(reduced(found))
+    found, document = command.diagnosed()
+    made = reduced_torques(found) if isinstance(found, TorqueDiagnosis) else reduced(found)
+    return document_text(document), to_bytes(made)

@@ -52,7 +52,7 @@ def diagnose_recorded_population(
     headings = {row["file"]: read_heading(out / row["reduced"]) for row in rows if row.get("reduced")}
     if not headings:
         raise InputError(f"{folder}: none of its recordings could be diagnosed: {_first_reason(rows)}")
-    kinds = [(heading.about["arm"], heading.about["joints"]) for heading in headings.values()]
+    kinds = [_kind(heading) for heading in headings.values()]
     arm = max(kinds, key=kinds.count)
     members = [_member(row, headings.get(row["file"]), arm, over) for row in rows]
     used = [i for i, member in enumerate(members) if not member.unused]
@@ -95,16 +95,23 @@ def check_document(out: Path, names: Sequence[str], overwrite: bool) -> None:
         storage.check_writable(out / DOCUMENT, overwrite)
 
 
-def _member(row: Mapping[str, Any], heading: Heading | None, arm: tuple[str, int], over: str | None) -> Member:
+def _member(row: Mapping[str, Any], heading: Heading | None, arm: tuple[str, int, str], over: str | None) -> Member:
     """The recording of a row, with the reason where it is not pooled."""
     if heading is None or row["result"] != DIAGNOSED:
         return Member(row["file"], {}, (), row["message"] or "was not diagnosed")
     unused, own = "", heading.about["arm"]
-    if (own, heading.about["joints"]) != arm:
+    if _kind(heading)[:2] != arm[:2]:
         unused = f"is of the arm {own} with {heading.about['joints']} joints, and most are of {arm[0]} with {arm[1]}"
+    elif _kind(heading) != arm:
+        unused = f"has {heading.about['what']}, and most have {arm[2]}; give --torques where all have torques"
     elif over is not None and heading.about["date"] is None:
         unused = "has no date; write `date: YYYY-MM-DD` into its sidecar"
     return Member(row["file"], heading.about, heading.found, unused)
+
+
+def _kind(heading: Heading) -> tuple[str, int, str]:
+    """Of which recordings are pooled: the arm, its number of joints, and what is measured."""
+    return heading.about["arm"], heading.about["joints"], heading.about["what"]
 
 
 def _first_reason(rows: list[dict[str, Any]]) -> str:

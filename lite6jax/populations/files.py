@@ -12,6 +12,7 @@ from zipfile import BadZipFile
 import numpy as np
 from numpy.typing import NDArray
 
+from lite6jax.domains.torque.filtering import LowPass
 from lite6jax.errors import InputError
 from lite6jax.estimation.noise import Autocorrelation, NoiseModel
 from lite6jax.populations.candidate import Candidate
@@ -34,7 +35,12 @@ def to_bytes(arm: ReducedArm) -> bytes:
         "places": [*arm.places],
         "drivers": [*arm.drivers],
     }
-    rows, samples = arm.sites.shape[1:]
+    rows, samples, filtered = len(arm.noise.groups), arm.training.size, arm.smoothing
+    smoothing = {} if filtered is None else {
+        "smoothing": np.array([filtered.rate, filtered.cutoff, filtered.every]),
+        "runs": filtered.runs,
+        "kept": filtered.kept,
+    }  # fmt: skip
     sink = io.BytesIO()
     np.savez(
         sink,
@@ -46,6 +52,7 @@ def to_bytes(arm: ReducedArm) -> bytes:
         places=np.array([*arm.places.values()]).reshape(-1, rows, samples),
         drivers=np.array([*arm.drivers.values()]).reshape(-1, samples),
         **{name: getattr(arm, name) for name in _ARRAYS},
+        **smoothing,
     )
     return sink.getvalue()
 
@@ -59,7 +66,12 @@ def from_bytes(stored: bytes, place: str = "a reduced recording") -> ReducedArm:
     with _readable(place), np.load(io.BytesIO(stored), allow_pickle=False) as file:
         heading, said = _heading(file["about"])
         models = tuple(Autocorrelation(float(c), float(s)) for c, s in file["noise"])
+        smoothing = None
+        if "smoothing" in file:
+            rate, cutoff, every = map(float, file["smoothing"])
+            smoothing = LowPass(rate, cutoff, int(every), file["runs"], file["kept"])
         return ReducedArm(
+            smoothing=smoothing,
             **heading._asdict(),
             noise=NoiseModel(models, file["groups"], tuple(map(int, file["starts"]))),
             columns=file["columns"].astype(float),

@@ -177,7 +177,8 @@ class Population:
             "between_p_value": effect.between_p_value,
         }
         if selected.term.order is not None:
-            document["amplitude_rms_rad"] = float(np.sqrt(np.sum(mean**2 + hierarchy.between**2)))
+            unit = names[0].rpartition("_")[2]
+            document[f"amplitude_rms_{unit}"] = float(np.sqrt(np.sum(mean**2 + hierarchy.between**2)))
         function = self.functions.get(selected.term.key)
         if function is not None and function.is_curve:
             values, (low, high) = hierarchy.coefficients[0], function.ranges[0]

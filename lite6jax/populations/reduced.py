@@ -13,6 +13,7 @@ from typing import Any, NamedTuple, final
 import numpy as np
 from numpy.typing import NDArray
 
+from lite6jax.domains.torque.filtering import LowPass
 from lite6jax.estimation.noise import NoiseModel
 from lite6jax.estimation.projection import orthonormal, outside, unit_rows
 from lite6jax.estimation.score_test import Score, block_covariance, block_test, sums_by_block
@@ -85,7 +86,7 @@ class ReducedArm:
         columns: `(number, reading)`, white, of unit noise, of all candidates one after the other.
         families: of waves.
         sites: `(family, row, sample)`, how residuals change with a deflection at the site of each family, unit noise.
-        angles: `(family, sample)` rad.
+        angles: `(family, moment)` rad; the moments are the samples, unless there is a `smoothing`.
         noise: the filter that makes columns white.
         training: `(sample,)` bool.
         basis: `(k, reading)`, orthonormal, the span of the nuisance and of effects that are not pooled.
@@ -94,6 +95,7 @@ class ReducedArm:
         functions: without a name, by which names are tested; over the ranges of this recording, until `over` others.
         places: `(row, sample)`, how residuals change with a component of a deflection, unit noise, by its key.
         drivers: `(sample,)`, what functions depend on, by its key.
+        smoothing: the low pass that waves pass, and which of its moments are samples; None where they pass none.
     """
 
     about: Mapping[str, Any]
@@ -111,6 +113,7 @@ class ReducedArm:
     functions: tuple[Function, ...] = ()
     places: Mapping[str, Array] = field(default_factory=dict)
     drivers: Mapping[str, Array] = field(default_factory=dict)
+    smoothing: LowPass | None = None
 
     def over(self, functions: Sequence[Function]) -> "ReducedArm":
         """The same with functions over other ranges, of which those stay that this recording can show."""
@@ -139,12 +142,16 @@ class ReducedArm:
 
     def waves(self, family: int, orders: Array) -> Array:
         """Columns of sine and cosine of some orders, `(order, 2, reading)`."""
-        turned = np.multiply.outer(orders, self.angles[family])
-        waves = np.stack([np.sin(turned), np.cos(turned)], 1)[:, :, None]
-        white = self.noise.whitened(waves * self.sites[family]) * self.training
+        white = self.noise.whitened(self._flat(family, orders)[:, :, None] * self.sites[family]) * self.training
         found = np.zeros((len(orders), 2, self.residual.size))
         found[..., : self.sites[family].size] = white.reshape(len(orders), 2, -1)
         return found
+
+    def _flat(self, family: int, orders: Array) -> Array:
+        """Sine and cosine `(order, 2, sample)`, as the measurements show them."""
+        turned = np.multiply.outer(orders, self.angles[family])
+        waves = np.stack([np.sin(turned), np.cos(turned)], 1)
+        return waves if self.smoothing is None else self.smoothing(waves)
 
     def columns_of_function(self, function: Function) -> Array:
         """`(number, reading)`, those of each component one after the other."""
@@ -216,16 +223,15 @@ class ReducedArm:
             over_rows = np.sum(site * np.concatenate([residual[None], basis]).reshape(-1, *site.shape), 1)
             residual, basis = over_rows[0], over_rows[1:]
         score, information = np.zeros((orders.size, 2)), np.zeros((orders.size, 3))
-        step = max(1, _ORDERS_AT_ONCE // (2 * residual.size))
+        step = max(1, _ORDERS_AT_ONCE // (2 * max(residual.size, self.angles.shape[1])))
         for first in range(0, orders.size, step):
             part = slice(first, first + step)
-            turned = np.multiply.outer(orders[part], self.angles[family])
-            flat = np.stack([np.sin(turned), np.cos(turned)], 1)
+            flat = self._flat(family, orders[part])
             if weight is not None:
                 weighted = flat * weight
             else:
                 flat = self.noise.whitened(flat[:, :, None] * self.sites[family]) * self.training
-                flat = weighted = flat.reshape(len(turned), 2, -1)
+                flat = weighted = flat.reshape(len(flat), 2, -1)
             known = flat @ basis.T
             score[part] = -(flat @ residual - known @ inside)
             own, G = weighted @ flat.swapaxes(1, 2), known @ known.swapaxes(1, 2)
@@ -238,8 +244,7 @@ class ReducedArm:
         return score, information
 
     def _by_block(self, products: Array) -> Array:
-        rows, samples = self.sites.shape[1:]
-        return sums_by_block(products, rows, samples, self.blocks)
+        return sums_by_block(products, len(self.noise.groups), self.training.size, self.blocks)
 
 
 def order_grid(options: PoolingOptions) -> Array:

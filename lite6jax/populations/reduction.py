@@ -1,16 +1,19 @@
 """From the diagnosis of one recording to its reduced form: findings that can be pooled go back into the residual."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import fields, replace
+from typing import Any
 
 import numpy as np
 
 from lite6jax.diagnosis.result import Diagnosis
+from lite6jax.diagnosis.torque_result import TorqueDiagnosis
 from lite6jax.domains.pose.problem import PoseProblem
 from lite6jax.effects.drivers import driver_of
 from lite6jax.effects.effect import Effect, Loading
 from lite6jax.effects.nonparametric import COMPONENTS, Unnamed
-from lite6jax.estimation.score_test import score_test
+from lite6jax.estimation.least_squares import Fit
+from lite6jax.estimation.score_test import ScoreTest, score_test
 from lite6jax.populations.candidate import Candidate
 from lite6jax.populations.functions import Function
 from lite6jax.populations.reduced import Found, PooledTerm, ReducedArm
@@ -23,37 +26,13 @@ def reduced(found: Diagnosis) -> ReducedArm:
     so that each is tested in the same way in all recordings; the others, such as curves without a name, stay fitted.
     Outlying rows are left out. Masses are those declared: their uncertainty matters beside effects of loads alone.
     """
-    problem, engine = found.problem, found.options.engine
+    problem = found.problem
     fit = replace(found.fit, training=found.fit.training & ~found.outliers)
-    pooled = [pooled_term(term, found) is not None for term in fit.terms.terms]
-    terms, values = fit.terms.part(fit.values, [not one for one in pooled])
-    beside = replace(fit, terms=terms, values=values)
-    test = score_test(problem, beside, engine, within=fit if any(pooled) else None)
-    candidates = [effect for effect in problem.candidates if not effect.periodic and not isinstance(effect, Loading)]
-    factor = fit.training / test.scale[problem.groups][:, None]
-    columns = fit.noise.whitened(problem.columns(candidates, beside=(terms, values))) * factor
-    flat = np.zeros((len(columns), test.residual.size))
-    flat[:, : columns[0].size] = columns.reshape(len(columns), -1)
-    settings, functions = problem.recording.settings, tuple(map(_function, _unnamed(problem)))
-    return ReducedArm(
-        about={
-            "arm": problem.arm.name,
-            "joints": problem.motion.dof,
-            "rows": problem.samples,
-            "date": settings.date,
-            "verdict": found.verdict,
-        },
-        found=tuple(Found(pooled_term(f.effect, found), f.effect.label, f.p_value) for f in found.findings),
-        candidates=tuple(map(_candidate, candidates)),
-        columns=flat,
-        families=tuple(_candidate(family.term(1.0), _family(family.site)) for family in problem.periodic),
-        sites=np.array([family.column / test.scale[problem.groups][:, None] for family in problem.periodic]),
-        angles=np.array([family.angle for family in problem.periodic]),
-        noise=fit.noise,
-        training=fit.training,
-        basis=test.basis,
-        residual=test.residual,
-        blocks=test.blocks,
+    functions = tuple(map(_function, _unnamed(problem)))
+    test, plain = _linear(found, fit, [effect for effect in problem.candidates if not isinstance(effect, Loading)])
+    return replace(
+        plain,
+        about=_about(found, "poses", problem.arm.name, problem.motion.dof, problem.recording.settings.date),
         functions=functions,
         places={
             component: problem.sites[_site(component)] / test.scale[problem.groups][:, None]
@@ -63,6 +42,60 @@ def reduced(found: Diagnosis) -> ReducedArm:
             phrase: _values(phrase, problem)
             for phrase in dict.fromkeys(key for function in functions for key in function.drivers)
         },
+    )
+
+
+def reduced_torques(found: TorqueDiagnosis) -> ReducedArm:
+    """The linear model of a diagnosed recording of torques, as `reduced`.
+
+    Waves pass the filter that the torques have passed. It has no functions without a name.
+    """
+    data, problem = found.problem.data, found.problem
+    candidates = [effect for effect in problem.candidates if effect.linear]
+    _, plain = _linear(found, found.fit, candidates)
+    turning = np.flatnonzero(~data.arm.slides)
+    return replace(
+        plain,
+        about=_about(found, "torques", data.arm.name, problem.rows, data.recording.settings.date),
+        angles=np.asarray(data.motion.joint_position)[turning],
+        smoothing=replace(data.filter, kept=data.filter.kept[problem.chosen]),
+    )
+
+
+def _about(found: Diagnosis | TorqueDiagnosis, what: str, arm: str, joints: int, date: str | None) -> dict[str, Any]:
+    rows = found.problem.samples
+    return {"what": what, "arm": arm, "joints": joints, "rows": rows, "date": date, "verdict": found.verdict}
+
+
+def _linear(found: Diagnosis | TorqueDiagnosis, fit: Fit, candidates: Sequence[Effect]) -> tuple[ScoreTest, ReducedArm]:
+    """The score test against what is not pooled, and the linear model of named effects."""
+    problem, engine = found.problem, found.options.engine
+    named = [effect for effect in candidates if not effect.periodic]
+
+    def term(effect: object) -> PooledTerm | None:
+        return _pooled(effect, named)
+
+    pooled = [term(one) is not None for one in fit.terms.terms]
+    terms, values = fit.terms.part(fit.values, [not one for one in pooled])
+    test = score_test(problem, replace(fit, terms=terms, values=values), engine, within=fit if any(pooled) else None)
+    unit = 1 / test.scale[problem.groups][:, None]
+    columns = fit.noise.whitened(problem.columns(named, beside=(terms, values))) * (fit.training * unit)
+    flat = np.zeros((len(columns), test.residual.size))
+    flat[:, : columns[0].size] = columns.reshape(len(columns), -1)
+    waves = [(_key_of_waves(family.site), family.term(1.0)) for family in problem.periodic]
+    return test, ReducedArm(
+        about={},
+        found=tuple(Found(term(one.effect), one.effect.label, one.p_value) for one in found.findings),
+        candidates=tuple(_candidate(effect, _key(effect), problem.limits(effect)) for effect in named),
+        columns=flat,
+        families=tuple(_candidate(wave, key, problem.limits(wave)) for key, wave in waves),
+        sites=np.array([family.column * unit for family in problem.periodic]),
+        angles=np.array([family.angle for family in problem.periodic]),
+        noise=fit.noise,
+        training=fit.training,
+        basis=test.basis,
+        residual=test.residual,
+        blocks=test.blocks,
     )
 
 
@@ -110,19 +143,17 @@ def _values(phrase: str, problem: PoseProblem) -> np.ndarray:
     return np.asarray(driver.values(found.host_motion, found.host_loads if driver.loaded else None), float)
 
 
-def pooled_term(effect: object, found: Diagnosis) -> PooledTerm | None:
-    """A finding's effect as a term that is pooled; None where it is none of the candidates."""
+def _pooled(effect: object, named: Sequence[Effect]) -> PooledTerm | None:
+    """An effect of a model as a term that is pooled; None where it is neither a candidate nor a wave."""
     if not isinstance(effect, Effect):
         return None
     if effect.periodic:
         order = getattr(effect, "order", None)
-        return None if order is None else PooledTerm(_family(effect.site), float(order))
-    if effect in found.problem.candidates and not isinstance(effect, Loading):
-        return PooledTerm(_key(effect))
-    return None
+        return None if order is None else PooledTerm(_key_of_waves(effect.site), float(order))
+    return PooledTerm(_key(effect)) if effect in named else None
 
 
-def _family(site: str) -> str:
+def _key_of_waves(site: str) -> str:
     return f"waves:{site}"
 
 
@@ -132,21 +163,17 @@ def _key(effect: Effect) -> str:
     return f"{effect.name}:{given}"
 
 
-def _candidate(effect: object, key: str | None = None) -> Candidate:
+def _candidate(effect: object, key: str, limits: Sequence[tuple[float, float]]) -> Candidate:
     assert isinstance(effect, Effect)
     numbers = effect.coordinates
-
-    def each(name: str) -> tuple:
-        return tuple(getattr(number, name) for number in numbers)
-
     return Candidate(
-        key=key or _key(effect),
+        key=key,
         effect=effect.name,
         site=effect.site,
         driver=" and ".join(driver.phrase for driver in effect.drivers) or "none",
-        names=each("name"),
-        typical=each("typical"),
-        lower=each("lower"),
-        upper=each("upper"),
+        names=tuple(number.name for number in numbers),
+        typical=tuple(number.typical for number in numbers),
+        lower=tuple(lower for lower, _ in limits),
+        upper=tuple(upper for _, upper in limits),
         specificity=effect.specificity,
     )

@@ -26,7 +26,7 @@ _EFFECT = record(
     },
     {
         **_CHOSEN,
-        "amplitude_rms_rad": number(0.0),
+        **dict.fromkeys(("amplitude_rms_rad", "amplitude_rms_Nm"), number(0.0)),
         "curve": record(
             {
                 "name": text,

@@ -91,9 +91,10 @@ def remarks(effect: Mapping[str, Any], over: bool) -> Iterator[str]:
             mean = effect["curve"]["mean"]
             size = {"value": max(mean) - min(mean), "std": 0.0}
             yield f"The range of its mean: {_shown(effect['curve']['name'], size)}."
-    if "amplitude_rms_rad" in effect:
-        estimate = {"value": effect["amplitude_rms_rad"], "std": 0.0}
-        yield f"Root mean square of its amplitude over the arms: {_shown('amplitude_rad', estimate)}."
+    for name in ("amplitude_rms_rad", "amplitude_rms_Nm"):
+        if name in effect:
+            size = {"value": effect[name], "std": 0.0}
+            yield f"Root mean square of its amplitude over the arms: {_shown(name, size)}."
     recordings = "recordings" if over else "arms"
     if effect["between_p_value"] < 0.01:
         p = effect["between_p_value"]

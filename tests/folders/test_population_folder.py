@@ -41,10 +41,11 @@ def pooled(out, over=None):
 
 
 def test_those_of_the_most_common_type_are_pooled_and_the_others_say_why_not(results):
-    found = pooled(results({}, {"arm": "other", "joints": 6}, {}, None))
+    found = pooled(results({}, {"arm": "other", "joints": 6}, {}, None, {"what": "torques"}))
     assert found.used == (0, 2)
     said = {member["file"]: member for member in found.to_dict()["recordings"]}
     assert said["a1.csv"]["reason"] == "is of the arm other with 6 joints, and most are of none with 3"
+    assert said["a4.csv"]["reason"] == "has torques, and most have poses; give --torques where all have torques"
     assert (said["a3.csv"]["reason"], said["a3.csv"]["used"]) == ("a3.csv: no", False)
     assert (said["a0.csv"]["reason"], said["a0.csv"]["used"]) == (None, True)
 
@@ -90,7 +91,6 @@ def test_what_a_fleet_does_not_take_is_one_line(tmp_path, capsys):
     assert "--fleet: is for a folder of recordings;" in refused(file, "--fleet")
     assert "--over: is of recordings that are pooled; add --fleet" in refused(tmp_path, "--over", "date", "--out", out)
     assert "add --out DIR for the documents of its recordings" in refused(tmp_path, "--fleet")
-    assert "--torques: --fleet pools measured poses" in refused(tmp_path, "--fleet", "--torques", "--out", out)
     assert "--report: is of one recording, and --fleet" in refused(
         tmp_path, "--fleet", "--out", out, "--report", tmp_path / "r.html"
     )

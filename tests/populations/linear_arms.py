@@ -53,7 +53,7 @@ def arm(rng, effects=(), found=(), noise=None, samples=SAMPLES):
     sites, angles = rng.uniform(0.5, 1.5, (1, 1, samples)), rng.uniform(-np.pi, np.pi, (1, samples))
     drivers = {"load": columns[0].copy(), "position": angles[0]}
     made = ReducedArm(
-        about={"arm": "none", "joints": 3, "rows": samples, "date": None, "verdict": "consistent"},
+        about={"what": "poses", "arm": "none", "joints": 3, "rows": samples, "date": None, "verdict": "consistent"},
         found=tuple(Found(term, term.key, 1e-9) for term in found),
         candidates=NAMED,
         columns=columns,

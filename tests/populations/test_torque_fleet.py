@@ -1,0 +1,87 @@
+"""Fleets of torque recordings: friction and ripple that all arms share below the threshold of one, and an odd arm."""
+
+import numpy as np
+import pytest
+from populations.linear_arms import stored
+from report.torque_diagnosed import LITE6, NOISE, diagnosed, moved
+
+from lite6jax.arms.dynamics import inverse_dynamics, link_parameters
+from lite6jax.effects.dynamic.friction import ViscousFriction
+from lite6jax.estimation.options import EngineOptions
+from lite6jax.populations.evidence import Reduced
+from lite6jax.populations.files import from_bytes, to_bytes
+from lite6jax.populations.options import PoolingOptions
+from lite6jax.populations.population import Member, diagnose_population
+from lite6jax.populations.reduced import PooledTerm
+from lite6jax.populations.reduction import reduced_torques
+from lite6jax.populations.schema import check_fleet_document
+from lite6jax.recordings import Recording, RecordingSettings
+
+OPTIONS = PoolingOptions(EngineOptions(highest_order=20.0), order_step=0.25)
+"""A filter of all orders to 200 would take most of the time."""
+VISCOUS = PooledTerm("viscous_friction:joint=2,of_slide=False")
+ORDER = 11.0
+DEVIATION = 0.0057
+"""Nm·s/rad, the standard error of joint 2's viscous friction in one recording; a search of one needs five of these."""
+
+
+@pytest.fixture(scope="module")
+def motion():
+    """Times, positions, velocities, and the torques of the rigid arm."""
+    t, q, dq, ddq = moved(8.0)
+    links, down = link_parameters(LITE6), np.array([0, 0, -9.81])
+    return t, q, dq, np.array(inverse_dynamics(LITE6.kinematics, links, q, dq, ddq, down))
+
+
+def recording(motion, seed, viscous=0.0, ripple=0.0):
+    t, q, dq, rigid = motion
+    rng = np.random.default_rng(seed)
+    torque = rigid + np.array(NOISE)[:, None] * rng.standard_normal(rigid.shape)
+    torque[1] += viscous * dq[1]
+    torque[2] += ripple * np.sin(ORDER * q[2] + rng.uniform(-np.pi, np.pi))
+    settings = RecordingSettings(arm="lite6", motion="trajectory", torque_source="measured", torque_noise_Nm=NOISE)
+    return Recording.from_arrays(q.T, time=t, joint_velocity=dq.T, joint_torque=torque.T, settings=settings)
+
+
+def population(folder, motion, sizes):
+    """The result for arms with viscous friction and ripple of these sizes; none has findings of its own."""
+    arms = [reduced_torques(diagnosed(recording(motion, seed, *size))) for seed, size in enumerate(sizes)]
+    candidates = {each.key: each for each in (*arms[0].candidates, *arms[0].families)}
+    members = [Member(f"arm{i}.csv", one.about, one.found) for i, one in enumerate(arms)]
+    reduced = Reduced(stored(folder, arms), OPTIONS, processes=0)
+    return arms, diagnose_population("lite6", members, range(len(arms)), candidates, reduced)
+
+
+def test_friction_that_all_have_is_found_and_the_arm_that_differs_is_named(tmp_path, motion):
+    sizes = [(2.5 * DEVIATION + 10 * DEVIATION * (i == 3), 0.0) for i in range(10)]
+    arms, found = population(tmp_path, motion, sizes)
+    (own,) = (one.evidence(VISCOUS, OPTIONS) for one in arms[:1])
+    assert own.information[0, 0] ** -0.5 == pytest.approx(DEVIATION, rel=0.1)
+    (effect,) = found.effects
+    assert (effect.selected.term, list(effect.outliers)) == (VISCOUS, [3])
+    assert abs(effect.hierarchy.coefficients[0, 0] - 2.5 * DEVIATION) < effect.hierarchy.half_width[0, 0]
+    document = found.to_dict()
+    check_fleet_document(document, "fleet.json")
+    assert [one["file"] for one in document["recordings"] if one["outlier_in"]] == ["arm3.csv"]
+
+
+def test_ripple_of_any_phase_is_found_through_the_filter(tmp_path, motion):
+    arms, found = population(tmp_path, motion, [(0.0, 0.012)] * 10)
+    assert arms[0].smoothing.every > 1
+    (effect,) = found.to_dict()["effects"]
+    assert (effect["effect"], effect["site"], effect["order"]) == ("torque_ripple", "joint3", ORDER)
+    assert effect["amplitude_rms_Nm"] == pytest.approx(0.012, rel=0.25)
+
+
+def test_columns_are_those_of_the_problem_and_a_file_holds_them(motion):
+    found = diagnosed(recording(motion, 0, 0.5), (ViscousFriction(2),))
+    arm = reduced_torques(found)
+    assert [one.term for one in arm.found] == [VISCOUS]  # it is in the residual again
+    value = np.linalg.solve(*arm.evidence(VISCOUS, OPTIONS)[1::-1])
+    assert value == pytest.approx(found.fit.values, rel=0.02)
+    family = found.problem.periodic[2]
+    expected = family.columns(np.array([ORDER]))[0].reshape(2, -1)
+    columns = from_bytes(to_bytes(arm)).columns_of(PooledTerm("waves:joint3", ORDER))[:, : expected.shape[1]]
+    scale = np.vdot(columns, expected) / np.vdot(expected, expected)
+    np.testing.assert_allclose(columns, scale * expected, rtol=1e-9, atol=1e-9)
+    assert scale == pytest.approx(1.0, rel=0.1)
