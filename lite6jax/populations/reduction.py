@@ -82,15 +82,16 @@ def _linear(found: Diagnosis | TorqueDiagnosis, fit: Fit, candidates: Sequence[E
     columns = fit.noise.whitened(problem.columns(named, beside=(terms, values))) * (fit.training * unit)
     flat = np.zeros((len(columns), test.residual.size))
     flat[:, : columns[0].size] = columns.reshape(len(columns), -1)
-    waves = [(_key_of_waves(family.site), family.term(1.0)) for family in problem.periodic]
+    families = [family for family in problem.periodic if family.whole]  # orders of a slide count along its own stroke
+    waves = [(_key_of_waves(family.site), family.term(1.0)) for family in families]
     return test, ReducedArm(
         about={},
         found=tuple(Found(term(one.effect), one.effect.label, one.p_value) for one in found.findings),
         candidates=tuple(_candidate(effect, _key(effect), problem.limits(effect)) for effect in named),
         columns=flat,
         families=tuple(_candidate(wave, key, problem.limits(wave)) for key, wave in waves),
-        sites=np.array([family.column * unit for family in problem.periodic]),
-        angles=np.array([family.angle for family in problem.periodic]),
+        sites=np.array([family.column * unit for family in families]),
+        angles=np.array([family.angle for family in families]),
         noise=fit.noise,
         training=fit.training,
         basis=test.basis,

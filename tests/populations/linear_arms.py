@@ -93,10 +93,10 @@ def stored(folder, arms):
     return paths
 
 
-def population(folder, arms, dates=None, processes=0):
+def population(folder, arms, dates=None, processes=0, candidates=CANDIDATES, options=OPTIONS):
     """The result for some arms."""
     functions = in_common(function for one in arms for function in one.functions)
     members = [Member(f"arm{i}.csv", one.about, one.found) for i, one in enumerate(arms)]
     with Workers(processes=processes) as workers:
-        reduced = Reduced(stored(folder, arms), OPTIONS, workers, functions)
-        return diagnose_population("none", members, range(len(arms)), CANDIDATES, reduced, dates)
+        reduced = Reduced(stored(folder, arms), options, workers, functions)
+        return diagnose_population(arms[0].about["arm"], members, range(len(arms)), candidates, reduced, dates)

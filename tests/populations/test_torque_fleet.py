@@ -2,16 +2,14 @@
 
 import numpy as np
 import pytest
-from populations.linear_arms import stored
+from populations.linear_arms import population
 from report.torque_diagnosed import LITE6, NOISE, diagnosed, moved
 
 from lite6jax.arms.dynamics import inverse_dynamics, link_parameters
 from lite6jax.effects.dynamic.friction import ViscousFriction
 from lite6jax.estimation.options import EngineOptions
-from lite6jax.populations.evidence import Reduced
 from lite6jax.populations.files import from_bytes, to_bytes
 from lite6jax.populations.options import PoolingOptions
-from lite6jax.populations.population import Member, diagnose_population
 from lite6jax.populations.reduced import PooledTerm
 from lite6jax.populations.reduction import reduced_torques
 from lite6jax.populations.schema import check_fleet_document
@@ -43,18 +41,16 @@ def recording(motion, seed, viscous=0.0, ripple=0.0):
     return Recording.from_arrays(q.T, time=t, joint_velocity=dq.T, joint_torque=torque.T, settings=settings)
 
 
-def population(folder, motion, sizes):
-    """The result for arms with viscous friction and ripple of these sizes; none has findings of its own."""
+def fleet(folder, motion, sizes):
+    """Arms with viscous friction and ripple of these sizes, of which none has findings of its own, and their result."""
     arms = [reduced_torques(diagnosed(recording(motion, seed, *size))) for seed, size in enumerate(sizes)]
     candidates = {each.key: each for each in (*arms[0].candidates, *arms[0].families)}
-    members = [Member(f"arm{i}.csv", one.about, one.found) for i, one in enumerate(arms)]
-    reduced = Reduced(stored(folder, arms), OPTIONS, processes=0)
-    return arms, diagnose_population("lite6", members, range(len(arms)), candidates, reduced)
+    return arms, population(folder, arms, candidates=candidates, options=OPTIONS)
 
 
 def test_friction_that_all_have_is_found_and_the_arm_that_differs_is_named(tmp_path, motion):
     sizes = [(2.5 * DEVIATION + 10 * DEVIATION * (i == 3), 0.0) for i in range(10)]
-    arms, found = population(tmp_path, motion, sizes)
+    arms, found = fleet(tmp_path, motion, sizes)
     (own,) = (one.evidence(VISCOUS, OPTIONS) for one in arms[:1])
     assert own.information[0, 0] ** -0.5 == pytest.approx(DEVIATION, rel=0.1)
     (effect,) = found.effects
@@ -66,7 +62,7 @@ def test_friction_that_all_have_is_found_and_the_arm_that_differs_is_named(tmp_p
 
 
 def test_ripple_of_any_phase_is_found_through_the_filter(tmp_path, motion):
-    arms, found = population(tmp_path, motion, [(0.0, 0.012)] * 10)
+    arms, found = fleet(tmp_path, motion, [(0.0, 0.012)] * 10)
     assert arms[0].smoothing.every > 1
     (effect,) = found.to_dict()["effects"]
     assert (effect["effect"], effect["site"], effect["order"]) == ("torque_ripple", "joint3", ORDER)
