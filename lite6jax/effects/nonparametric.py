@@ -266,9 +266,8 @@ class Unnamed(Bending):
         at = np.linspace(self.lower, self.upper, len(self.trust))
         return waves * xp.interp(driver, at, np.array(self.trust), left=0.0, right=0.0)
 
-    def units(self, motion: Motion, loads: Loads | None) -> Deflection:
-        """The deflection by each coefficient, per unit of it; a leading axis `(coordinate, …)`."""
-        basis = np.asarray(self.basis(self.values_at(motion, loads), motion.run))
+    def units(self, basis: NDArray[np.floating], motion: Motion) -> Deflection:
+        """The deflection by each coefficient, per unit of it, from `basis`; a leading axis `(coordinate, …)`."""
         units = [(component, function) for component in self.components for function in basis]
         parts = zip(*(self._at_site({c: shift}, motion) for c, shift in units), strict=True)  # type: ignore[arg-type]
         return Deflection(*(None if part[0] is None else np.stack(part) for part in parts))  # type: ignore[arg-type]
@@ -283,9 +282,11 @@ class Unnamed(Bending):
 
     def deflect(self, values: Array, motion: Motion, loads: Loads | None) -> Deflection:
         """The curves at their site."""
-        curves = jnp.asarray(values).reshape(len(self.components), -1) @ self.basis(
-            self.values_at(motion, loads), motion.run
-        )
+        return self.by_functions(jnp.asarray(values), self.basis(self.values_at(motion, loads), motion.run), motion)
+
+    def by_functions(self, values: Array, basis: Array, motion: Motion) -> Deflection:
+        """The curves at their site, from the functions `(function, sample)` of `basis`."""
+        curves = values.reshape(len(self.components), -1) @ basis
         return self._at_site(dict(zip(self.components, curves, strict=True)), motion)
 
     def _at_site(self, shifts: "dict[str, Array]", motion: Motion) -> Deflection:

@@ -82,7 +82,8 @@ def test_a_curve_with_memory_is_written_and_deflects_by_runs():
     q, run = RNG.normal(size=(40, 2)), np.repeat([0, 1], 20)
     motion = motion_of(q, run=run)
     expected = values[0] * q[:, 1] + values[1] * plainly(q[:, 1], 0.2, run)
-    bent, units = curve.deflect(jnp.asarray(values), motion, None).joint, curve.units(motion, None).joint
+    basis = np.asarray(curve.basis(curve.values_at(motion, None), motion.run))
+    bent, units = curve.deflect(jnp.asarray(values), motion, None).joint, curve.units(basis, motion).joint
     assert bent is not None
     assert units is not None
     np.testing.assert_allclose(bent[0], expected, rtol=0, atol=1e-15)

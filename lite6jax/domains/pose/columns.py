@@ -33,7 +33,6 @@ class EffectColumns:
     sites: dict[Site, Array]
     deflections: Deflections
     masses: tuple[Site, ...]
-    _bases: dict[Effect, Array] = field(default_factory=dict)
     _linear: dict[Effect, Array] = field(default_factory=dict)
     _by_mass: dict[Effect, Array] = field(default_factory=dict)
 
@@ -55,10 +54,7 @@ class EffectColumns:
                 unit = self.deflections.through_loads(effect, values[part], physics_of(others), at)
                 parts.append(columns_of(unit, self.sites))
             elif isinstance(effect, Unnamed):
-                if effect not in self._bases:
-                    on_host = self.deflections.host_motion, self.deflections.host_loads
-                    self._bases[effect] = families.basis(effect, *on_host)
-                parts.append(families.unnamed_columns(effect, self._bases[effect], self.sites))
+                parts.append(families.unnamed_columns(effect, self.deflections.basis(effect), self.sites))
             elif effect.linear or not values[part].any():
                 if effect not in self._linear:
                     self._linear[effect] = columns_of(self.deflections.unit(effect), self.sites)

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, partial
-from typing import NamedTuple, final
+from typing import Any, NamedTuple, final
 
 import jax
 import jax.numpy as jnp
@@ -57,7 +57,8 @@ class Deflections:
         inertia: the arm's masses, or None where they are not known.
         motion: of the joints.
         altered: of a function of motions, what it returns for the declared motion, at the rows of `motion`.
-        units: unit deflections of effects that do not depend on loads; arms of another geometry share them.
+        units: of effects that do not depend on loads their unit deflections, and of functions without a name their
+            bases; arms of another geometry share them.
         errors: of the masses and the payload, if any.
     """
 
@@ -65,7 +66,7 @@ class Deflections:
     inertia: Inertia | None
     motion: Motion
     altered: Callable[[Callable[[Motion], Motion]], Motion]
-    units: dict[Effect, Deflection] = field(default_factory=dict)
+    units: dict[Effect, Any] = field(default_factory=dict)
     errors: MassErrors | None = None
 
     @cached_property
@@ -110,12 +111,16 @@ class Deflections:
         return loading.alter(numbers, motion)  # type: ignore[arg-type]
 
     def unit(self, effect: Effect) -> Deflection:
-        """The deflection per unit of each number of an effect at zero, `(number, …)`; computed once."""
-        cache = self._loaded if any(driver.loaded for driver in effect.drivers) else self.units
+        """The deflection per unit of each number of an effect at zero, `(number, …)`; computed once.
+
+        That of a function without a name is not kept: of a real arm they have thousands of coefficients, each of which
+        moves one of many sites. Their bases are kept.
+        """
+        if isinstance(effect, Unnamed):
+            return effect.units(self.basis(effect), self.host_motion)
+        cache = self._cache(effect)
         if effect not in cache:
-            if isinstance(effect, Unnamed):
-                cache[effect] = effect.units(self.host_motion, self.host_loads)
-            elif effect.linear:
+            if effect.linear:
                 assert isinstance(effect, Bending)
                 # on the host, one evaluation a number: traces of a hundred candidates would take seconds
                 each = [effect.deflect(step, self.host_motion, self.host_loads) for step in np.eye(effect.size)]  # type: ignore[arg-type]
@@ -124,6 +129,24 @@ class Deflections:
             else:
                 cache[effect] = self.slope(effect, np.zeros(effect.size))
         return cache[effect]
+
+    def basis(self, effect: Unnamed) -> Array:
+        """The functions `(function, sample)` that coefficients of an effect without a name multiply; computed once."""
+        cache = self._cache(effect)
+        if effect not in cache:
+            values = effect.values_at(self.host_motion, self.host_loads)
+            cache[effect] = np.asarray(effect.basis(values, self.host_motion.run))
+        return cache[effect]
+
+    def by_linear(self, effect: Effect, values: Array) -> Deflection:
+        """The deflection by a linear effect with these numbers `(number,)`."""
+        if isinstance(effect, Unnamed):
+            return effect.by_functions(values, self.basis(effect), self.host_motion)  # type: ignore[arg-type]
+        parts = (None if part is None else np.tensordot(values, part, 1) for part in self.unit(effect))
+        return Deflection(*parts)  # type: ignore[arg-type]
+
+    def _cache(self, effect: Effect) -> dict[Effect, Any]:
+        return self._loaded if any(driver.loaded for driver in effect.drivers) else self.units
 
     def slope(self, effect: Effect, values: Array) -> Deflection:
         """The derivative of an effect's deflection by each of its numbers, at `values` `(number,)`."""
@@ -224,13 +247,8 @@ class Deflections:
         return None if self.loads is None else jax.tree.map(np.asarray, self.loads)
 
     @cached_property
-    def _loaded(self) -> dict[Effect, Deflection]:
+    def _loaded(self) -> dict[Effect, Any]:
         return {}
-
-
-def scaled(unit: Deflection, values: Array) -> Deflection:
-    """The sum of unit deflections times values."""
-    return Deflection(*(None if part is None else np.tensordot(values, part, 1) for part in unit))  # type: ignore[arg-type]
 
 
 def _host(deflection: Deflection) -> Deflection:

@@ -146,11 +146,6 @@ def flexible(motion: Motion, loads: Loads | None, rows: int, sites: dict[Site, A
     return tuple(found)
 
 
-def basis(effect: Unnamed, motion: Motion, loads: Loads | None) -> Array:
-    """The functions `(function, sample)` that the coefficients of an effect without a name multiply."""
-    return np.asarray(effect.basis(effect.values_at(motion, loads), motion.run))
-
-
 def unnamed_columns(effect: Unnamed, basis: Array, sites: dict[Site, Array]) -> Array:
     """How residuals change with the coefficients of an effect without a name, `(number, row, sample)`."""
     kind, number = effect.where.rstrip("0123456789"), int("0" + "".join(filter(str.isdecimal, effect.where)))

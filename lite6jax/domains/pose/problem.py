@@ -3,7 +3,7 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, final
+from typing import TYPE_CHECKING, Any, final
 
 import jax
 import jax.numpy as jnp
@@ -14,7 +14,7 @@ from lite6jax.arms.arm import Arm
 from lite6jax.arms.factory import FactoryCalibration
 from lite6jax.domains.pose import families
 from lite6jax.domains.pose.columns import EffectColumns, physics_of
-from lite6jax.domains.pose.deflections import Deflections, MassErrors, mass_errors, scaled
+from lite6jax.domains.pose.deflections import Deflections, MassErrors, mass_errors
 from lite6jax.domains.pose.kinematics import (
     FRAMES,
     Measured,
@@ -79,7 +79,7 @@ class PoseProblem:
         clock_offset: s, from a pose's stamp to the instant at which it shows the arm, if set before the search; or 0.
         thinned_from: of a thinned problem, the motion that its rows are taken from, and their indices there: a clock
             offset interpolates between neighbouring rows.
-        units: unit deflections that depend on the motion alone, shared between linearisations.
+        units: unit deflections and bases that depend on the motion alone, shared between linearisations.
         refused: labels of shaped effects that are no candidates.
         after: `(jump, sample)` bool, the samples after each frame jump.
     """
@@ -100,7 +100,7 @@ class PoseProblem:
     untestable: tuple[Untestable, ...]
     clock_offset: float
     thinned_from: tuple[Motion, NDArray[np.integer]] | None
-    units: dict[Effect, Deflection]
+    units: dict[Effect, Any]
     refused: frozenset[str] = frozenset()
     after: Mask = field(default_factory=lambda: np.zeros((0, 0), bool))
 
@@ -329,7 +329,7 @@ class PoseProblem:
         for effect, part in zip(physics.effects, physics.slices, strict=True):
             changed = physics.altering or (errors is not None and any(driver.loaded for driver in effect.drivers))
             if effect.linear and not changed:
-                bent = bent + scaled(self.deflections.unit(effect), values[part])
+                bent = bent + self.deflections.by_linear(effect, values[part])
             elif isinstance(effect, Bending):
                 bent = bent + effect.deflect(values[part], seen, on_arm)  # type: ignore[arg-type]
         if not self.unknown:
