@@ -80,6 +80,7 @@ def reduced(names, place, command):
 
     from lite6jax.distribution.batches import concatenated
     from lite6jax.folders.diagnoses import row_of, with_reduced
+    from lite6jax.populations.files import to_bytes
     from lite6jax.populations.reduced import PooledTerm
     from tests.populations.linear_arms import arm
 
@@ -88,7 +89,7 @@ def reduced(names, place, command):
         with place.at_hand([name]) as here:
             rng = np.random.default_rng(int((here / name).read_text()))
         row = row_of(name, document_of("consistent"), f"document of {name}")
-        rows.append(with_reduced(row, arm(rng, [(PooledTerm("soft"), [0.6])]).to_bytes()))
+        rows.append(with_reduced(row, to_bytes(arm(rng, [(PooledTerm("soft"), [0.6])]))))
     return concatenated(rows)
 
 

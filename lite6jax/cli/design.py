@@ -116,8 +116,7 @@ class Design:
         torque_study.refuse_without_torque(self.torque)
         if self.processes is not None or self.scheduler is not None:
             raise InputError(
-                "--processes, --scheduler: are of designed motions, whose ascents are independent; add --torque, or "
-                "leave them out"
+                "--processes, --scheduler: apply only to the design of a motion; add --torque, or leave them out"
             )
         if self.discriminate is not None and (self.criterion != "I" or self.accuracy is not None):
             raise InputError(

@@ -137,9 +137,9 @@ def outcomes(
 
 @final
 class Workers:
-    """Processes of this machine or a cluster, by the `with` statement, for one function after the other.
+    """Processes of this machine or a cluster, started by the `with` statement.
 
-    Each function is `outcomes`, without the start of processes.
+    Any number of functions can then be run by them one after the other, each as by the function `outcomes`.
     """
 
     def __init__(self, scheduler: str | None = None, processes: int | None = None, most: int | None = None) -> None:
@@ -171,7 +171,7 @@ class Workers:
         *,
         died: Callable[[Any], "pa.Table"],
     ) -> Generator[tuple[int, "pa.Table"]]:
-        """As the function of this name, by these workers; to be read to its end before another begins."""
+        """As the function of this name, by these workers; read it to its end before the next begins."""
         if self._pool is None:
             for number, inputs in batches:
                 yield number, function(inputs, *given)

@@ -88,8 +88,9 @@ class _Worker:
 
 @final
 class Processes:
-    """So many processes, started by the `with` statement: they import what they need while the program reads. What
-    they are to do is said by `begin`.
+    """Processes of this machine, started by the `with` statement: they import what they need while the program reads.
+
+    `begin` says what they are to do.
 
     This module imports little, for the same reason. Every process computes with one thread.
     """

@@ -52,6 +52,12 @@ def weights_left(scaled: Array, freedom: float | None) -> Array:
     return np.ones_like(scaled) if freedom is None else freedom / (freedom + scaled)
 
 
+def curvature_share(scaled: Array, rows: int, freedom: float) -> float:
+    """The mean curvature of Student's loss over that of its weighted squares; arguments as of `variance_factor`."""
+    w = (freedom + rows) / (freedom + scaled)
+    return float(np.mean(w - 2 * w / (freedom + scaled) * scaled / rows) / np.mean(w))
+
+
 def variance_factor(scaled: Array, rows: int, freedom: float, fitted: int) -> float:
     """The factor by which an M-estimator's covariance exceeds the inverse of its weighted information JᵀWJ.
 
@@ -65,6 +71,5 @@ def variance_factor(scaled: Array, rows: int, freedom: float, fitted: int) -> fl
         fitted: number of parameters that were fitted.
     """
     w = (freedom + rows) / (freedom + scaled)
-    slope = -w / (freedom + scaled)
-    spread = np.mean(w) * np.mean(w**2 * scaled) / rows / np.mean(w + 2 * slope * scaled / rows) ** 2
+    spread = np.mean(w**2 * scaled) / rows / np.mean(w) / curvature_share(scaled, rows, freedom) ** 2
     return float(spread) * scaled.size * rows / max(scaled.size * rows - fitted, 1)

@@ -16,7 +16,7 @@ from jax import lax
 from numpy.typing import NDArray
 
 from lite6jax import threads
-from lite6jax.estimation.robust import t_scale
+from lite6jax.estimation.robust import curvature_share, t_scale
 from lite6jax.fitting.chunks import BLOCK, SINGLE_THREADED, observe, pad
 from lite6jax.fitting.compiled import Exported
 from lite6jax.fitting.problem import Problem, whitener_of
@@ -90,14 +90,15 @@ def finished_on_all(
         gradient, squares = _all(form, False, model, problem, whitener, freedom, scale)
         gradient[: center.size] += problem.precision[: center.size] * (np.asarray(model.geometry) - center)
         last, scale = scale, t_scale(squares, problem.rows, freedom)
-        curved = _curved(squares / scale**2, problem.rows, freedom)
+        curved = max(curvature_share(squares / scale**2, problem.rows, freedom), _LEAST_CURVED)
         inverse[inside] = np.linalg.inv(expected * curved + np.diag(prior)[inside])
         change = -inverse @ (gradient * free)
         decrement = -float(change @ gradient)
         if not np.isfinite(decrement) or decrement > max(before, _CLOSE):
             return None
         model, steps = jax.tree.map(np.asarray, form.retract(model, jnp.asarray(change))), steps + 1
-        shrinking = min(decrement / before, 1.0)  # of the next step, if it shrinks as this one did
+        # the next step shrinks as this one did; after the first nothing is known of that
+        shrinking = min(decrement / before, 1.0) if np.isfinite(before) else 1.0
         if decrement * shrinking <= _CLOSE and abs(scale / last - 1) < _SCALE_CLOSE:
             break
         before = decrement
@@ -131,10 +132,3 @@ def _all(
     with ThreadPoolExecutor(threads.available()) as pool:
         parts = [first, *pool.map(part, firsts[1:])]
     return sum(total for total, _ in parts), np.concatenate([squares for _, squares in parts])  # type: ignore
-
-
-def _curved(scaled: Array, rows: int, freedom: float) -> float:
-    """The expected curvature of Student's loss over that of its weighted squares, as in `variance_factor`."""
-    weight = (freedom + rows) / (freedom + scaled)
-    ratio = 1 - 2 * float(np.mean(weight / (freedom + scaled) * scaled)) / rows / float(np.mean(weight))
-    return max(ratio, _LEAST_CURVED)

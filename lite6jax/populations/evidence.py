@@ -27,7 +27,8 @@ class Scan(NamedTuple):
     """The scores of one recording.
 
     Attributes:
-        named: score `(number,)` and information `(number, number)` by the key of each candidate.
+        named: score `(number,)` and information `(number, number)` by the key of each candidate, or of
+            each function without a name.
         waves: score `(order, 2)` and information `(order, 3)` by the key of each family.
     """
 

@@ -80,7 +80,7 @@ class ReducedArm:
     """The linear model of one recording; readings are all rows of all samples, and then those of the nuisance's prior.
 
     Attributes:
-        about: of the recording: `arm`, `joints`, `date` and `verdict`.
+        about: of the recording: `what` was measured ("poses" or "torques"), `arm`, `joints`, `rows`, `date`, `verdict`.
         found: by the recording alone.
         candidates: that can be tested here.
         columns: `(number, reading)`, white, of unit noise, of all candidates one after the other.

@@ -8,10 +8,11 @@ import numpy as np
 
 from lite6jax.diagnosis.result import Diagnosis
 from lite6jax.diagnosis.torque_result import TorqueDiagnosis
+from lite6jax.domains.pose.families import site_of
 from lite6jax.domains.pose.problem import PoseProblem
 from lite6jax.effects.drivers import driver_of
-from lite6jax.effects.effect import Effect, Loading
-from lite6jax.effects.nonparametric import COMPONENTS, Unnamed
+from lite6jax.effects.effect import Effect, Loading, slides
+from lite6jax.effects.nonparametric import Unnamed
 from lite6jax.estimation.least_squares import Fit
 from lite6jax.estimation.score_test import ScoreTest, score_test
 from lite6jax.populations.candidate import Candidate
@@ -35,7 +36,7 @@ def reduced(found: Diagnosis) -> ReducedArm:
         about=_about(found, "poses", problem.arm.name, problem.motion.dof, problem.recording.settings.date),
         functions=functions,
         places={
-            component: problem.sites[_site(component)] / test.scale[problem.groups][:, None]
+            component: problem.sites[site_of(*component.partition(" ")[::2])] / test.scale[problem.groups][:, None]
             for component in dict.fromkeys(key for function in functions for key in function.components)
         },
         drivers={
@@ -132,24 +133,17 @@ def _function(effect: Unnamed) -> Function:
     )
 
 
-def _site(component: str) -> tuple[str, int, int]:
-    """The site of a component of a function: that of a joint, or of a place and a component of its twist."""
-    place, _, along = component.partition(" ")
-    kind, number = place.rstrip("0123456789"), int("0" + "".join(filter(str.isdecimal, place)))
-    return kind, max(number - 1, 0), COMPONENTS.index(along) if along else 0
-
-
 def _values(phrase: str, problem: PoseProblem) -> np.ndarray:
     driver, found = driver_of(phrase), problem.deflections
     return np.asarray(driver.values(found.host_motion, found.host_loads if driver.loaded else None), float)
 
 
 def _pooled(effect: object, named: Sequence[Effect]) -> PooledTerm | None:
-    """An effect of a model as a term that is pooled; None where it is neither a candidate nor a wave."""
+    """An effect of a model as a term that is pooled; None where it is neither a candidate nor a wave of an angle."""
     if not isinstance(effect, Effect):
         return None
     if effect.periodic:
-        order = getattr(effect, "order", None)
+        order = None if slides(effect) else getattr(effect, "order", None)
         return None if order is None else PooledTerm(_key_of_waves(effect.site), float(order))
     return PooledTerm(_key(effect)) if effect in named else None
 

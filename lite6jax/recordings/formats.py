@@ -58,7 +58,10 @@ def read_recording(
     path, topics = split_topics(path)
     notes: list[str] = []
     sidecar = read_sidecar(sidecar_path(path))
-    of_arm = _declared_joints(path, sidecar) if arm is None and is_log(path) else ArmJoints.of(arm)
+    of_arm = ArmJoints.of(arm)
+    if is_log(path) and not of_arm.names:  # a diagnosis does not keep the names of the joints
+        declared = _declared_joints(path, sidecar)
+        of_arm = declared if arm is None else of_arm.named_as(declared)
     path, table = _read(path, topics, sidecar, of_arm if dof is None else of_arm._replace(dof=dof), notes)
     columns, _, values = table
     settings = _checked(sidecar, path, notes)

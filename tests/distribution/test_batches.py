@@ -220,7 +220,7 @@ import sys
 from pathlib import Path
 sys.path.insert(0, sys.argv[1])
 from lite6jax.distribution.batches import run_batches
-from tests.batch_work import content, dead, freed, hoarded, resident, spelled
+from tests.batch_work import content, dead, spelled
 if __name__ == "__main__":
     folder = Path(sys.argv[2])
     inputs = [[f"{i}", "slow"] for i in range(20)]

@@ -146,11 +146,15 @@ def flexible(motion: Motion, loads: Loads | None, rows: int, sites: dict[Site, A
     return tuple(found)
 
 
+def site_of(where: str, component: str) -> Site:
+    """The key of the site at which a component of a function without a name acts; at a joint there is but one."""
+    kind, number = where.rstrip("0123456789"), int("0" + "".join(filter(str.isdecimal, where)))
+    return kind, max(number - 1, 0), 0 if kind == "joint" else COMPONENTS.index(component)
+
+
 def unnamed_columns(effect: Unnamed, basis: Array, sites: dict[Site, Array]) -> Array:
     """How residuals change with the coefficients of an effect without a name, `(number, row, sample)`."""
-    kind, number = effect.where.rstrip("0123456789"), int("0" + "".join(filter(str.isdecimal, effect.where)))
-    keys = [(kind, max(number - 1, 0), 0 if kind == "joint" else COMPONENTS.index(c)) for c in effect.components]
-    return np.concatenate([sites[key] * basis[:, None] for key in keys])
+    return np.concatenate([sites[site_of(effect.where, component)] * basis[:, None] for component in effect.components])
 
 
 class _Ranges:

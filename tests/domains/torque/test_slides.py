@@ -37,6 +37,7 @@ from lite6jax.errors import InputError
 from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.score_test import searched_size
 from lite6jax.estimation.terms import Terms
+from lite6jax.populations.reduction import reduced_torques
 from lite6jax.recordings import write_recording
 from lite6jax.report.remedies import cause_of, remedy_of
 from lite6jax.report.torque_faults import FOUND
@@ -271,6 +272,23 @@ def test_the_ripple_of_a_screw_is_found_with_its_lead(on_a_screw):
     assert re.search(r"it contributes 1\.\d+ N RMS to the force\.$", said)  # 3 / √2, less what the low pass keeps back
     assert cause_of(ripple, torques=True) == "joint 3 cogs as it moves"
     assert "Service the screw, the belt or the guide" in remedy_of(ripple, torques=True).action
+
+
+def test_the_ripple_of_a_screw_stays_in_the_model_where_recordings_are_pooled(on_a_screw):
+    """Its order counts along the stroke of this recording: no wave of a fleet can take it up."""
+    found = on_a_screw[0]
+    pooled = reduced_torques(found)
+    terms = {one.label: one.term for one in pooled.found}
+    assert terms["torque_ripple:joint3"] is None
+    assert terms["coulomb_friction:joint3"] is not None
+    assert {family.site for family in pooled.families} == {"joint1", "joint2"}
+    ripple = next(one.effect for one in found.findings if one.effect.name == "torque_ripple")
+    problem = found.problem
+    columns = found.fit.noise.whitened(problem.columns([ripple])) * found.fit.training
+    flat = np.zeros((len(columns), pooled.residual.size))
+    flat[:, : columns[0].size] = columns.reshape(len(columns), -1)
+    left = flat - (flat @ pooled.basis.T) @ pooled.basis
+    assert np.linalg.norm(left) < 1e-6 * np.linalg.norm(flat)
 
 
 def test_the_model_of_a_screw_is_written_read_and_predicts(on_a_screw):
