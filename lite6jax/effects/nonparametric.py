@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import combinations_with_replacement
 from typing import ClassVar, final
@@ -226,6 +226,11 @@ class Unnamed(Bending):
     def products(self) -> Products:
         """Of the drivers; the constant alone where there is no degree."""
         return products_of(self.drivers, self.degree)
+
+    @cached_property
+    def functions_alone(self) -> "Unnamed":
+        """The same for all that have these functions, wherever they act and whatever is known of their coefficients."""
+        return replace(self, where="joint1", component="rz", spread=None, rolloff=())
 
     def part(self, component: int) -> slice:
         """Where the coefficients of a component stand, counted from 0."""

@@ -132,11 +132,11 @@ class Deflections:
 
     def basis(self, effect: Unnamed) -> Array:
         """The functions `(function, sample)` that coefficients of an effect without a name multiply; computed once."""
-        cache = self._cache(effect)
-        if effect not in cache:
+        cache, key = self._cache(effect), effect.functions_alone
+        if key not in cache:
             values = effect.values_at(self.host_motion, self.host_loads)
-            cache[effect] = np.asarray(effect.basis(values, self.host_motion.run))
-        return cache[effect]
+            cache[key] = np.asarray(effect.basis(values, self.host_motion.run))
+        return cache[key]
 
     def by_linear(self, effect: Effect, values: Array) -> Deflection:
         """The deflection by a linear effect with these numbers `(number,)`."""
