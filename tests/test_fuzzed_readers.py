@@ -113,7 +113,7 @@ def test_a_process_that_dies_or_waits_is_counted_and_the_next_goes_on(monkeypatc
     start = fuzz.subprocess.Popen
     popen = lambda command, **rest: start([command[0], str(worker), *command[3:]], **rest)  # noqa: E731
     monkeypatch.setattr(fuzz.subprocess, "Popen", popen)
-    monkeypatch.setattr(fuzz, "HANG_S", 0.2)
+    monkeypatch.setattr(fuzz, "HANG_S", 2.0)
     (found,) = fuzz.fuzz(["csv"], 7)
     assert dict(found.counts) == {"read": 4, "crash": 1, "hang": 1, "traceback": 1}
     assert [line.split(": ")[:2] for line in found.details] == [

@@ -136,7 +136,7 @@ def test_a_controller_that_hangs_up_now_and_then(tmp_path):
 
 
 def test_a_line_that_stays_away_ends_the_recording_of_so_many_seconds(tmp_path, monkeypatch):
-    monkeypatch.setattr(recorder, "FIRST_REPORT_S", 0.3)
+    monkeypatch.setattr(recorder, "FIRST_REPORT_S", 1.0)  # more than a busy machine keeps a thread waiting
 
     def go_away(controller):
         time.sleep(0.5)
@@ -145,7 +145,6 @@ def test_a_line_that_stays_away_ends_the_recording_of_so_many_seconds(tmp_path, 
     done, read = recorded(tmp_path, 1.0, during=go_away, speed=1.0)
     assert 0 < done.rows == read.samples < 250
     assert done.short
-    # 0.8 s, or more where the recorder is woken late
     assert any(re.search(r"s before 1 s: no report for [\d.]+ s", note) for note in done.notes)
 
 
