@@ -21,7 +21,7 @@ from lite6jax.domains.torque.predict import DiagnosedMotors
 from lite6jax.domains.torque.uncertainty import RecordedMotion, TorqueUncertainty, with_free_numbers
 from lite6jax.effects.dynamic.catalogue import torque_kinds_of
 from lite6jax.effects.dynamic.unnamed import UnnamedTorque
-from lite6jax.effects.effect import Effect, require_kind
+from lite6jax.effects.effect import Effect, require_kind, slides
 from lite6jax.effects.serialization import effect_as_dict, effect_from_dict
 from lite6jax.errors import InputError
 from lite6jax.estimation.terms import Terms, join
@@ -138,7 +138,7 @@ def _near(found: TorqueDiagnosis, finding: Finding) -> list[Rival]:
 
 
 def _rival(found: TorqueDiagnosis, rival: Rival) -> dict[str, Any]:
-    repeats = "period_m" if getattr(rival.effect, "of_slide", False) else "order"
+    repeats = "period_m" if slides(rival.effect) else "order"
     numbers = {key: getattr(rival.effect, key, None) for key in (repeats, "source_joint")}
     known = {key: value for key, value in numbers.items() if value is not None}
     status = "rejected" if rival.gap >= found.options.engine.close else "undecided"

@@ -16,7 +16,7 @@ from lite6jax.estimation.concentration import Concentration, concentration
 from lite6jax.estimation.least_squares import Fit
 from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.problem import Problem
-from lite6jax.estimation.score_test import gain_p_value, score_test, searched_size
+from lite6jax.estimation.score_test import ScoreTest, gain_p_value, score_test, searched_size
 from lite6jax.estimation.terms import Term
 from lite6jax.search.backward import eliminate, prune
 from lite6jax.search.curves import with_curve
@@ -114,8 +114,9 @@ def _one_for_names(problem: Problem, state: State, options: EngineOptions) -> St
             if len(there) < 2:
                 continue
             rest = refitted(problem, state, [t for t in state.tested if t not in there], options)
-            waves = _with_slow_waves(problem, rest, state.fit, options, site)
-            for choice in (*_with_functions(problem, rest, state.fit, options, site), *waves):
+            test = score_test(problem, rest.fit, options, within=state.fit)
+            functions = _added(problem, rest, _likely(problem, test, options, site), options)
+            for choice in (*functions, *_with_slow_waves(problem, rest, test, options, site)):
                 # beside the function a name may stay: it is then not what the function replaces
                 choice = _restored(problem, choice, there, options)
                 fewer = len(there) - sum(t.term in choice.fit.terms.terms for t in there)
@@ -128,13 +129,13 @@ def _one_for_names(problem: Problem, state: State, options: EngineOptions) -> St
 
 
 def _with_slow_waves(
-    problem: Problem, rest: State, within: Fit, options: EngineOptions, site: str | None
+    problem: Problem, rest: State, test: ScoreTest, options: EngineOptions, site: str | None
 ) -> list[State]:
     """The state with each of the lowest orders of a site that it does not have."""
     families = [family for family in problem.periodic if family.site == site]
     waves = [family.term(order) for family in families for order in _SLOW]
     waves = [wave for wave in waves if wave not in rest.fit.terms.terms]
-    scored = zip(waves, score_test(problem, rest.fit, options, within=within).score(waves), strict=True)
+    scored = zip(waves, test.score(waves), strict=True) if waves else ()
     return [with_term(problem, rest, wave, score, options) for wave, score in scored if not score.confounded]
 
 
@@ -266,7 +267,7 @@ def _least_possible(problem: Problem, state: State, options: EngineOptions) -> i
 
 def _more_likely(problem: Problem, state: State, options: EngineOptions) -> State | None:
     """The most likely state in which a function without a name joins; None where none is clearly more likely."""
-    beside = _likely(problem, state.fit, state.fit, options)
+    beside = _likely(problem, score_test(problem, state.fit, options), options)
     if not beside:
         return None  # a function that explains more in place of a name explains something beside it too
     choices = [*_added(problem, state, beside, options)]
@@ -288,10 +289,9 @@ def _most_preferred(state: State, choices: Sequence[State], options: EngineOptio
     return best
 
 
-def _with_functions(
-    problem: Problem, rest: State, within: Fit, options: EngineOptions, site: str | None = None
-) -> list[State]:
-    return _added(problem, rest, _likely(problem, rest.fit, within, options, site), options)
+def _with_functions(problem: Problem, rest: State, within: Fit, options: EngineOptions) -> list[State]:
+    test = score_test(problem, rest.fit, options, within=within)
+    return _added(problem, rest, _likely(problem, test, options), options)
 
 
 def _added(problem: Problem, state: State, functions: Sequence[_Likely], options: EngineOptions) -> list[State]:
@@ -300,9 +300,9 @@ def _added(problem: Problem, state: State, functions: Sequence[_Likely], options
     return [prune(problem, one, options) for one in further if one.tested[-1].p_value < options.level]
 
 
-def _likely(problem: Problem, fit: Fit, within: Fit, options: EngineOptions, site: str | None = None) -> list[_Likely]:
-    """The few functions that are most likely beside a fit: one of each site, or those of one site."""
-    test, found = score_test(problem, fit, options, within=None if within is fit else within), {}
+def _likely(problem: Problem, test: ScoreTest, options: EngineOptions, site: str | None = None) -> list[_Likely]:
+    """The few functions that are most likely beside a tested fit: one of each site, or those of one site."""
+    found: dict[object, _Likely] = {}
     searched, log_n = searched_size(problem, options), np.log(test.freedom)
     flexible = [term for term in problem.flexible if site in (None, term.site)]
     for term, one in zip(flexible, test.explained(flexible), strict=True):
