@@ -19,7 +19,7 @@ from lite6jax.populations.candidate import Candidate
 from lite6jax.populations.functions import Function
 from lite6jax.populations.reduced import Found, PooledTerm, ReducedArm
 
-_VERSION = 2
+_VERSION = 3
 _ARRAYS = ("sites", "angles", "training", "basis", "residual", "blocks")
 
 
@@ -50,7 +50,7 @@ def to_bytes(arm: ReducedArm) -> bytes:
         groups=arm.noise.groups,
         starts=np.array(arm.noise.starts),
         places=np.array([*arm.places.values()]).reshape(-1, rows, samples),
-        drivers=np.array([*arm.drivers.values()]).reshape(-1, samples),
+        drivers=np.array([*arm.drivers.values()]).reshape(-1, samples if filtered is None else len(filtered.runs)),
         **{name: getattr(arm, name) for name in _ARRAYS},
         **smoothing,
     )

@@ -20,14 +20,14 @@ _TYPICAL = 1e-4
 @final
 @dataclass(frozen=True)
 class Function:
-    """Σ coefficient · B(drivers) in each component of a deflection at one site.
+    """Σ coefficient · B(drivers) in each component of a deflection or torque at one site, or that times a direction.
 
     B are cubic B-splines of one driver, products of powers of several, or sine and cosine of orders of an angle.
 
     Attributes:
         site: where it acts.
         driver: what it depends on, in words.
-        components: keys of the deflections that it has, each with coefficients of its own.
+        components: keys of the deflections or torques that it has, each with coefficients of its own.
         units: of these.
         drivers: keys of the quantities.
         ranges: lower and upper of each driver.
@@ -35,6 +35,7 @@ class Function:
         products: of the drivers, by their indices; none where there are none.
         orders: of the waves.
         specificity: rank of its name, as in `Candidate`.
+        direction: key of the direction of motion that multiplies it; empty for none.
     """
 
     site: str
@@ -47,6 +48,7 @@ class Function:
     products: Products = ()
     orders: tuple[float, ...] = ()
     specificity: int = 0
+    direction: str = ""
 
     @classmethod
     def of(cls, stored: Mapping[str, Any]) -> "Function":

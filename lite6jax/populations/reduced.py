@@ -28,6 +28,25 @@ _ORDERS_AT_ONCE = 1 << 21
 """Numbers of columns that are in memory at once: 16 MB."""
 
 
+def readings(columns: Array, noise: NoiseModel, training: NDArray[np.bool_], number: int) -> Array:
+    """Columns of a recording as those of all its readings: white, and zero where nothing is fitted and of the prior.
+
+    Args:
+        columns: `(…, row, sample)`, of unit noise.
+        noise: the filter that makes them white.
+        training: `(sample,)`, which samples are fitted.
+        number: of readings; those of the prior come after all samples.
+
+    Returns:
+        `(…, number)`.
+    """
+    white = noise.whitened(columns) * training
+    *which, rows, samples = white.shape
+    found = np.zeros((*which, number))
+    found[..., : rows * samples] = white.reshape(*which, rows * samples)
+    return found
+
+
 class PooledTerm(NamedTuple):
     """An effect of the type: a candidate by its key, a wave of a family, or a function without a name.
 
@@ -93,9 +112,10 @@ class ReducedArm:
         residual: `(reading,)` white, of unit noise, predicted less measured, with all pooled effects zero.
         blocks: the first sample of each block of neighbouring samples.
         functions: without a name, by which names are tested; over the ranges of this recording, until `over` others.
-        places: `(row, sample)`, how residuals change with a component of a deflection, unit noise, by its key.
-        drivers: `(sample,)`, what functions depend on, by its key.
-        smoothing: the low pass that waves pass, and which of its moments are samples; None where they pass none.
+        places: `(row, sample)`, how residuals change with a deflection or torque, unit noise, by its key.
+        drivers: `(moment,)`, what functions depend on and directions that multiply them, by its key.
+        smoothing: the low pass that waves and functions pass, and which of its moments are samples; None where they
+            pass none.
     """
 
     about: Mapping[str, Any]
@@ -142,25 +162,24 @@ class ReducedArm:
 
     def waves(self, family: int, orders: Array) -> Array:
         """Columns of sine and cosine of some orders, `(order, 2, reading)`."""
-        white = self.noise.whitened(self._flat(family, orders)[:, :, None] * self.sites[family]) * self.training
-        found = np.zeros((len(orders), 2, self.residual.size))
-        found[..., : self.sites[family].size] = white.reshape(len(orders), 2, -1)
-        return found
+        columns = self._waves(family, orders)[:, :, None] * self.sites[family]
+        return readings(columns, self.noise, self.training, self.residual.size)
 
-    def _flat(self, family: int, orders: Array) -> Array:
+    def _waves(self, family: int, orders: Array) -> Array:
         """Sine and cosine `(order, 2, sample)`, as the measurements show them."""
         turned = np.multiply.outer(orders, self.angles[family])
-        waves = np.stack([np.sin(turned), np.cos(turned)], 1)
-        return waves if self.smoothing is None else self.smoothing(waves)
+        return self._measured(np.stack([np.sin(turned), np.cos(turned)], 1))
+
+    def _measured(self, values: Array) -> Array:
+        """Values `(…, moment)` as the measurements show them, `(…, sample)`."""
+        return values if self.smoothing is None else self.smoothing(values)
 
     def columns_of_function(self, function: Function) -> Array:
         """`(number, reading)`, those of each component one after the other."""
         basis = function.basis(np.stack([self.drivers[key] for key in function.drivers]))
+        basis = self._measured(basis * self.drivers[function.direction] if function.direction else basis)
         columns = [basis[:, None] * self.places[component] for component in function.components]
-        white = self.noise.whitened(np.concatenate(columns)) * self.training
-        found = np.zeros((len(white), self.residual.size))
-        found[:, : white[0].size] = white.reshape(len(white), -1)
-        return found
+        return readings(np.concatenate(columns), self.noise, self.training, self.residual.size)
 
     def beside(self, terms: Sequence[PooledTerm], options: PoolingOptions) -> "ReducedArm":
         """The same with further terms in the model: they join the basis, and leave the residual."""
@@ -226,7 +245,7 @@ class ReducedArm:
         step = max(1, _ORDERS_AT_ONCE // (2 * max(residual.size, self.angles.shape[1])))
         for first in range(0, orders.size, step):
             part = slice(first, first + step)
-            flat = self._flat(family, orders[part])
+            flat = self._waves(family, orders[part])
             if weight is not None:
                 weighted = flat * weight
             else:

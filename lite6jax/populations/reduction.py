@@ -1,6 +1,6 @@
 """From the diagnosis of one recording to its reduced form: findings that can be pooled go back into the residual."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import fields, replace
 from typing import Any
 
@@ -10,14 +10,17 @@ from lite6jax.diagnosis.result import Diagnosis
 from lite6jax.diagnosis.torque_result import TorqueDiagnosis
 from lite6jax.domains.pose.families import site_of
 from lite6jax.domains.pose.problem import PoseProblem
+from lite6jax.domains.torque.families import driver_values, torque_at
+from lite6jax.domains.torque.problem import TorqueProblem
 from lite6jax.effects.drivers import driver_of
+from lite6jax.effects.dynamic.unnamed import UnnamedTorque
 from lite6jax.effects.effect import Effect, Loading, slides
 from lite6jax.effects.nonparametric import Unnamed
 from lite6jax.estimation.least_squares import Fit
 from lite6jax.estimation.score_test import ScoreTest, score_test
 from lite6jax.populations.candidate import Candidate
-from lite6jax.populations.functions import Function
-from lite6jax.populations.reduced import Found, PooledTerm, ReducedArm
+from lite6jax.populations.functions import Function, in_common
+from lite6jax.populations.reduced import Found, PooledTerm, ReducedArm, readings
 
 
 def reduced(found: Diagnosis) -> ReducedArm:
@@ -29,7 +32,7 @@ def reduced(found: Diagnosis) -> ReducedArm:
     """
     problem = found.problem
     fit = replace(found.fit, training=found.fit.training & ~found.outliers)
-    functions = tuple(map(_function, _unnamed(problem)))
+    functions = _functions(problem, _shared)
     test, plain = _linear(found, fit, [effect for effect in problem.candidates if not isinstance(effect, Loading)])
     return replace(
         plain,
@@ -39,26 +42,28 @@ def reduced(found: Diagnosis) -> ReducedArm:
             component: problem.sites[site_of(*component.partition(" ")[::2])] / test.scale[problem.groups][:, None]
             for component in dict.fromkeys(key for function in functions for key in function.components)
         },
-        drivers={
-            phrase: _values(phrase, problem)
-            for phrase in dict.fromkeys(key for function in functions for key in function.drivers)
-        },
+        drivers={phrase: _values(phrase, problem) for phrase in _phrases(functions)},
     )
 
 
 def reduced_torques(found: TorqueDiagnosis) -> ReducedArm:
     """The linear model of a diagnosed recording of torques, as `reduced`.
 
-    Waves pass the filter that the torques have passed. It has no functions without a name.
+    Waves and functions without a name pass the filter that the torques have passed.
     """
     data, problem = found.problem.data, found.problem
     candidates = [effect for effect in problem.candidates if effect.linear]
-    _, plain = _linear(found, found.fit, candidates)
+    test, plain = _linear(found, found.fit, candidates)
+    functions, unit = _functions(problem, _shared_torque), 1 / test.scale[problem.groups][:, None]
+    directions = {_direction(j): problem.dynamics.direction(j) for j in range(1, problem.rows + 1)}
     turning = np.flatnonzero(~data.arm.slides)
     return replace(
         plain,
         about=_about(found, "torques", data.arm.name, problem.rows, data.recording.settings.date),
         angles=np.asarray(data.motion.joint_position)[turning],
+        functions=functions,
+        places={f"joint{j + 1}": torque_at(j, problem.sigma) * unit for j in range(problem.rows)},
+        drivers={phrase: _torque_values(phrase, problem) for phrase in _phrases(functions)} | directions,
         smoothing=replace(data.filter, kept=data.filter.kept[problem.chosen]),
     )
 
@@ -80,16 +85,14 @@ def _linear(found: Diagnosis | TorqueDiagnosis, fit: Fit, candidates: Sequence[E
     terms, values = fit.terms.part(fit.values, [not one for one in pooled])
     test = score_test(problem, replace(fit, terms=terms, values=values), engine, within=fit if any(pooled) else None)
     unit = 1 / test.scale[problem.groups][:, None]
-    columns = fit.noise.whitened(problem.columns(named, beside=(terms, values))) * (fit.training * unit)
-    flat = np.zeros((len(columns), test.residual.size))
-    flat[:, : columns[0].size] = columns.reshape(len(columns), -1)
+    columns = unit * problem.columns(named, beside=(terms, values))
     families = [family for family in problem.periodic if family.whole]  # orders of a slide count along its own stroke
     waves = [(_key_of_waves(family.site), family.term(1.0)) for family in families]
     return test, ReducedArm(
         about={},
         found=tuple(Found(term(one.effect), one.effect.label, one.p_value) for one in found.findings),
         candidates=tuple(_candidate(effect, _key(effect), problem.limits(effect)) for effect in named),
-        columns=flat,
+        columns=readings(columns, fit.noise, fit.training, test.residual.size),
         families=tuple(_candidate(wave, key, problem.limits(wave)) for key, wave in waves),
         sites=np.array([family.column * unit for family in families]),
         angles=np.array([family.angle for family in families]),
@@ -101,31 +104,27 @@ def _linear(found: Diagnosis | TorqueDiagnosis, fit: Fit, candidates: Sequence[E
     )
 
 
-def _unnamed(problem: PoseProblem) -> Iterator[Unnamed]:
+def _functions(problem: PoseProblem | TorqueProblem, shared: Callable[[Any], Function]) -> tuple[Function, ...]:
     """What names are tested by in one recording: functions of every site and driver, and finer curves of joints."""
-    yield from problem.flexible
-    for family in problem.curves:
-        for driver in family.drivers:
-            low, high = float(driver.values.min()), float(driver.values.max())
-            if low < high:
-                for pieces in driver.pieces:
-                    curve = driver.spline(low, high, pieces)
-                    assert isinstance(curve, Unnamed)
-                    yield curve
+    found = [shared(effect) for effect in problem.flexible]
+    for driver in (driver for family in problem.curves for driver in family.drivers):
+        low, high = float(driver.values.min()), float(driver.values.max())
+        if low < high:
+            found += [shared(driver.spline(low, high, pieces)) for pieces in driver.pieces]
+    return tuple(in_common(found).values())
 
 
-def _function(effect: Unnamed) -> Function:
+def _shared(effect: Unnamed) -> Function:
     """A function without a name in the form that recordings share."""
     along = effect.site.startswith("joint")
     units = ["m" if component in ("x", "y", "z") else "rad" for component in effect.components]
-    ranges = np.array((effect.lower, effect.upper, *effect.further)).reshape(-1, 2)
     return Function(
         site=effect.site,
         driver=effect.driver,
         components=tuple(effect.site if along else f"{effect.site} {component}" for component in effect.components),
         units=tuple(units),
         drivers=tuple(driver.phrase for driver in effect.drivers),
-        ranges=tuple((float(low), float(high)) for low, high in ranges),
+        ranges=_ranges(effect),
         pieces=0 if effect.degree or effect.orders else effect.pieces,
         products=effect.products if effect.degree else (),
         orders=effect.orders,
@@ -133,9 +132,45 @@ def _function(effect: Unnamed) -> Function:
     )
 
 
+def _shared_torque(effect: UnnamedTorque) -> Function:
+    """The same of torques."""
+    assert not effect.orders  # those of a prismatic joint would count otherwise
+    return Function(
+        site=effect.site,
+        driver=f"{effect.driver} × direction of motion" if effect.signed else effect.driver,
+        components=(effect.site,),
+        units=(effect.coordinates[0].unit,),
+        drivers=tuple(driver.phrase for driver in effect.of),
+        ranges=_ranges(effect),
+        pieces=0 if effect.degree else effect.pieces,
+        products=effect.products if effect.degree else (),
+        specificity=effect.specificity,
+        direction=_direction(effect.joint) if effect.signed else "",
+    )
+
+
+def _ranges(effect: Unnamed | UnnamedTorque) -> tuple[tuple[float, float], ...]:
+    bounds = (effect.lower, effect.upper, *effect.further)
+    return tuple((float(low), float(high)) for low, high in zip(bounds[::2], bounds[1::2], strict=True))
+
+
+def _phrases(functions: Sequence[Function]) -> list[str]:
+    return list(dict.fromkeys(key for function in functions for key in function.drivers))
+
+
+def _direction(joint: int) -> str:
+    return f"direction of motion of joint {joint}"
+
+
 def _values(phrase: str, problem: PoseProblem) -> np.ndarray:
     driver, found = driver_of(phrase), problem.deflections
     return np.asarray(driver.values(found.host_motion, found.host_loads if driver.loaded else None), float)
+
+
+def _torque_values(phrase: str, problem: TorqueProblem) -> np.ndarray:
+    values = driver_values(driver_of(phrase), problem.dynamics)
+    assert values is not None  # functions are of known drivers
+    return values
 
 
 def _pooled(effect: object, named: Sequence[Effect]) -> PooledTerm | None:

@@ -1,5 +1,7 @@
 """Fleets of torque recordings: friction and ripple that all arms share below the threshold of one, and an odd arm."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from populations.linear_arms import population
@@ -18,7 +20,7 @@ from lite6jax.recordings import Recording, RecordingSettings
 OPTIONS = PoolingOptions(EngineOptions(highest_order=20.0), order_step=0.25)
 """A filter of all orders to 200 would take most of the time."""
 VISCOUS = PooledTerm("viscous_friction:joint=2,of_slide=False")
-ORDER = 11.0
+ORDER, BUMP = 11.0, 0.02
 DEVIATION = 0.0057
 """Nm·s/rad, the standard error of joint 2's viscous friction in one recording; a search of one needs five of these."""
 
@@ -31,14 +33,20 @@ def motion():
     return t, q, dq, np.array(inverse_dynamics(LITE6.kinematics, links, q, dq, ddq, down))
 
 
-def recording(motion, seed, viscous=0.0, ripple=0.0):
+def recording(motion, seed, viscous=0.0, ripple=0.0, outside=0.0):
     t, q, dq, rigid = motion
     rng = np.random.default_rng(seed)
     torque = rigid + np.array(NOISE)[:, None] * rng.standard_normal(rigid.shape)
     torque[1] += viscous * dq[1]
     torque[2] += ripple * np.sin(ORDER * q[2] + rng.uniform(-np.pi, np.pi))
+    torque[3] += outside * np.tanh(dq[3] / 0.01) * bump(q[3])
     settings = RecordingSettings(arm="lite6", motion="trajectory", torque_source="measured", torque_noise_Nm=NOISE)
     return Recording.from_arrays(q.T, time=t, joint_velocity=dq.T, joint_torque=torque.T, settings=settings)
+
+
+def bump(position):
+    """Of friction in a part of the range, which no effect of the catalogue has."""
+    return np.exp(-0.5 * ((position - LITE6.joint_limits[3].mean()) / 0.2) ** 2)
 
 
 def fleet(folder, motion, sizes):
@@ -67,6 +75,42 @@ def test_ripple_of_any_phase_is_found_through_the_filter(tmp_path, motion):
     (effect,) = found.to_dict()["effects"]
     assert (effect["effect"], effect["site"], effect["order"]) == ("torque_ripple", "joint3", ORDER)
     assert effect["amplitude_rms_Nm"] == pytest.approx(0.012, rel=0.25)
+
+
+def test_friction_in_a_part_of_the_range_has_no_name(tmp_path, motion):
+    arms, found = fleet(tmp_path, motion, [(0.0, 0.0, BUMP)] * 5)
+    (effect,) = found.to_dict()["effects"]
+    assert (effect["effect"], effect["site"]) == ("unnamed", "joint4")
+    assert effect["driver"] == "position of joint 4 × direction of motion"
+    curve = effect["curve"]
+    assert curve["name"] == "curve_Nm"
+    inside = np.abs(np.array(curve["driver"]) - LITE6.joint_limits[3].mean()) < 0.3
+    off = (np.array(curve["mean"]) - BUMP * bump(np.array(curve["driver"])))[inside]
+    assert np.mean(np.abs(off) < 3 * np.array(curve["std"])[inside]) > 0.9
+    without = population(
+        tmp_path / "names",
+        [replace(one, functions=()) for one in arms],
+        candidates={each.key: each for each in (*arms[0].candidates, *arms[0].families)},
+        options=OPTIONS,
+    )
+    assert all(one.selected.term.key.partition(":")[0] != "unnamed" for one in without.effects)
+    assert without.effects  # the nearest names, which are wrong
+
+
+def test_functions_are_those_that_test_the_names_of_the_diagnosis(motion):
+    found = diagnosed(recording(motion, 0))
+    arm, problem = from_bytes(to_bytes(reduced_torques(found))), found.problem
+    assert len({function.key for function in arm.functions}) == len(arm.functions) > len(problem.flexible)
+    tested = [(arm.functions[k], effect) for k, effect in enumerate(problem.flexible) if effect.site == "joint4"]
+    assert {effect.signed for _, effect in tested} == {True, False}
+    for function, effect in tested:
+        expected = problem.columns([effect]).reshape(effect.size, -1)
+        columns = arm.columns_of_function(function)[:, : expected.shape[1]]
+        # a spline has other coefficients there: the sums of these
+        expected = expected if effect.degree else expected - np.append(expected[1:], 0 * expected[:1], 0)
+        scale = np.vdot(columns, expected) / np.vdot(expected, expected)
+        np.testing.assert_allclose(columns, scale * expected, rtol=1e-6, atol=1e-6 * np.abs(columns).max())
+        assert scale == pytest.approx(1.0, rel=0.2)
 
 
 def test_columns_are_those_of_the_problem_and_a_file_holds_them(motion):

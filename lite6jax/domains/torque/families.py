@@ -58,7 +58,7 @@ def periodic(data: TorqueRows, chosen: NDArray[np.integer], noise: Array, known:
         found.append(
             PeriodicFamily(
                 f"joint{j + 1}",
-                _column(j, noise),
+                torque_at(j, noise),
                 wave_angle(position, slides) / turn,
                 ripple.term,
                 ripple.order,
@@ -126,7 +126,7 @@ def curves(dynamics: Dynamics, data: TorqueRows, chosen: NDArray[np.integer], no
             values = values[data.filter.kept][chosen]
             spline = partial(_spline, j + 1, driver.phrase, signed, float(sizes(data)[j]), of_slide)
             drivers.append(CurveDriver(values, pieces, quantity == "position" and not signed, spline))
-        column = _column(j, noise)
+        column = torque_at(j, noise)
         if signed:
             column = column * dynamics.direction(j + 1)[data.filter.kept][chosen]
         found.append(CurveFamily(f"joint{j + 1}", column, tuple(drivers)))
@@ -233,8 +233,8 @@ def _range(driver: Driver, dynamics: Dynamics) -> tuple[float, float] | None:
     return float(values.min()), float(values.max())
 
 
-def _column(j: int, noise: Array) -> Array:
-    """How residuals change with a torque at a joint, `(joint, sample)`; `noise` likewise."""
+def torque_at(j: int, noise: Array) -> Array:
+    """How residuals change with a torque at a joint, counted from 0, `(joint, sample)`; `noise` likewise."""
     return np.where(np.arange(len(noise))[:, None] == j, 1 / noise, 0.0)
 
 
