@@ -1,21 +1,30 @@
-"""The same fits on the processor and on an accelerator, in float64, a column each: `python -m benchmarks --device gpu`.
+"""The same fits on the processor and an accelerator, in float64, a column each: `python -m benchmarks --device gpu`.
 
-Answers are checked on every device. Products of matrices in both precisions say how weak the float64 of a card is.
+Answers are checked on every device. Products of matrices in both precisions say how weak the float64 of a card is, and
+a plain Gauss–Newton says what float32 is worth to the curvature, where its residuals and gradient stay in float64.
 """
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from functools import partial
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import Array
+from jax.typing import DTypeLike
 
 from benchmarks.fits import convert, fit, wrong_fit
 from benchmarks.measure import Record, disagreement, median_time, timed
 from benchmarks.problem import NOISE, measured
 from benchmarks.seed_way import sample_joints
+from lite6jax.arms.bundled import load_bundled
+from lite6jax.fitting.chunks import observe
+from lite6jax.fitting.gauss_newton import inverse
+from lite6jax.fitting.residual import Observations, evaluate, linearise, over_blocks
 from lite6jax.identifiability.information import plan_experiment
 from lite6jax.identifiability.sensor import Sensor
+from lite6jax.model import ArmModel, ModelForm
 
 DEVICES = ("cpu", "gpu")
 
@@ -70,12 +79,52 @@ def devices(
                 found / np.abs(information).max(), information / np.abs(information).max(), 1e-12, "it"
             )
             yield Record("devices", platform, f"information of {poses} poses", 1e3 * seconds, "ms", "lower", wrong)
+            yield from mixed_precision(platform, arms[0], repeats)
             for kind in (jnp.float64, jnp.float32):
                 matrix = jnp.ones((order, order), kind)
                 (matrix @ matrix).block_until_ready()
                 seconds, _ = median_time(lambda matrix=matrix: (matrix @ matrix).block_until_ready(), repeats)
                 speed = 2 * order**3 / seconds / 1e9
                 yield Record("devices", platform, f"products in {matrix.dtype}", speed, "GFlop/s", "higher")
+
+
+def mixed_precision(platform: str, arms: int, repeats: int) -> Iterator[Record]:
+    """Gauss–Newton with a new curvature in every step, in float64 and in float32: steps, and milliseconds an arm."""
+    problem, lite6 = measured(arms, 300, seed=2), load_bundled("lite6")
+    form, known = ModelForm(lite6.form), fit(problem).parameters
+    q, pose = jnp.asarray(problem.joint_position), jnp.asarray(problem.pose)
+    start = ArmModel(*(jnp.asarray(part) for part in (lite6.hayati, np.eye(4), lite6.T_joint_flange)))
+    whitener, weight = 1 / jnp.asarray(NOISE), jnp.ones(q.shape[1])
+    observed = jax.vmap(partial(observe, form, weight=weight, whitener=whitener, block=q.shape[1]))(q, pose)
+    solve = jax.jit(jax.vmap(partial(_gauss_newton, form, start), (0, None)), static_argnums=1)
+    for kind in (jnp.float64, jnp.float32):
+        solve(observed, kind)
+        seconds, (found, steps) = median_time(lambda kind=kind: jax.block_until_ready(solve(observed, kind)), repeats)
+        wrong = disagreement(np.asarray(found), known, 1e-9, "parameters (m, rad)")
+        curvature = f"curvature in {jnp.dtype(kind).name}"
+        yield Record("devices", platform, f"{curvature}: steps", float(np.mean(steps)), "", "lower", wrong)
+        yield Record("devices", platform, f"{curvature}: an arm", 1e3 * seconds / arms, "ms", "lower", wrong)
+
+
+def _gauss_newton(form: ModelForm, start: ArmModel, observed: Observations, kind: DTypeLike) -> tuple[Array, Array]:
+    """The Hayati parameters of one arm, and its steps until one is below 1e-10 m and rad."""
+
+    def linearised(model: ArmModel) -> tuple[Array, Array]:
+        if kind == jnp.float64:
+            return over_blocks(lambda block: linearise(form, model, block, None), observed)[1:]
+        _, gradient = over_blocks(lambda block: evaluate(form, model, block, None), observed)
+        rough, seen = jax.tree.map(lambda leaf: leaf.astype(kind), (model, observed))
+        return gradient, over_blocks(lambda block: linearise(form, rough, block, None), seen)[2].astype(gradient.dtype)
+
+    def step(state: tuple[ArmModel, Array, Array]) -> tuple[ArmModel, Array, Array]:
+        model, _, count = state
+        gradient, H = linearised(model)
+        along = -inverse(H) @ gradient
+        return form.retract(model, along), jnp.abs(along).max(), count + 1
+
+    going = (start, jnp.inf, 0)
+    model, _, count = jax.lax.while_loop(lambda state: (state[1] > 1e-10) & (state[2] < 20), step, going)
+    return model.geometry, count
 
 
 @contextmanager
