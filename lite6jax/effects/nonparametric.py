@@ -100,7 +100,8 @@ class Unnamed(Bending):
     """δ = Σ coefficient · B(driver): whatever one driver, or several, do at one site.
 
     B are cubic B-splines; with `orders`, the sine and cosine of each order of the driver, an angle; with `memory`, what
-    follows the driver with so much play each; with `degree`, products of one or several drivers.
+    follows the driver with so much play each; with `degree`, products of one or several drivers. Splines of a driver
+    and a direction of motion are those of the driver, multiplied by the direction.
 
     Attributes:
         where: `jointN` (an angle), `linkN`, `base`, `tool` or `sensor` (components of a twist).
@@ -165,7 +166,8 @@ class Unnamed(Bending):
                 f"unnamed:{self.where}: memory {self.memory} is not possible; give widths from 0 on, and no orders"
             )
         several = len(self.drivers) - 1
-        if len(self.further) != 2 * several or (several and not self.degree):
+        directed = several == 1 and self.drivers[1].quantity == "direction of motion" and not self.orders + self.memory
+        if len(self.further) != 2 * several or (several and not self.degree and not directed):
             raise InputError(
                 f"unnamed:{self.where}: {several + 1} drivers and {len(self.further)} further bounds; give lower and "
                 "upper of each driver but the first, and a degree"
@@ -264,7 +266,9 @@ class Unnamed(Bending):
             one = jnp.zeros((2, driver.size), int)
             return plays(driver, jnp.asarray(self.memory), one if run is None else run)
         if not self.orders:
-            return spline_basis(driver, self.lower, self.upper, self.pieces)
+            first, *direction = library_of(driver).atleast_2d(driver)
+            splines = spline_basis(first, self.lower, self.upper, self.pieces)
+            return splines * direction[0] if direction else splines
         xp = library_of(driver)
         turned = np.array(self.orders)[:, None] * driver
         waves = xp.stack([xp.sin(turned), xp.cos(turned)], 1).reshape(self.functions, -1)

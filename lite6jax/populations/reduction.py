@@ -42,7 +42,10 @@ def reduced(found: Diagnosis) -> ReducedArm:
             component: problem.sites[site_of(*component.partition(" ")[::2])] / test.scale[problem.groups][:, None]
             for component in dict.fromkeys(key for function in functions for key in function.components)
         },
-        drivers={phrase: _values(phrase, problem) for phrase in _phrases(functions)},
+        drivers={
+            phrase: _values(phrase, problem)
+            for phrase in (*_phrases(functions), *(function.direction for function in functions if function.direction))
+        },
     )
 
 
@@ -116,19 +119,21 @@ def _functions(problem: PoseProblem | TorqueProblem, shared: Callable[[Any], Fun
 
 def _shared(effect: Unnamed) -> Function:
     """A function without a name in the form that recordings share."""
-    along = effect.site.startswith("joint")
+    along, splines = effect.site.startswith("joint"), not effect.degree and not effect.orders
+    first, *further = [driver.phrase for driver in effect.drivers]
     units = ["m" if component in ("x", "y", "z") else "rad" for component in effect.components]
     return Function(
         site=effect.site,
         driver=effect.driver,
         components=tuple(effect.site if along else f"{effect.site} {component}" for component in effect.components),
         units=tuple(units),
-        drivers=tuple(driver.phrase for driver in effect.drivers),
-        ranges=_ranges(effect),
-        pieces=0 if effect.degree or effect.orders else effect.pieces,
+        drivers=(first,) if splines else (first, *further),
+        ranges=_ranges(effect)[: 1 if splines else None],
+        pieces=effect.pieces if splines else 0,
         products=effect.products if effect.degree else (),
         orders=effect.orders,
         specificity=effect.specificity,
+        direction=further[0] if splines and further else "",
     )
 
 
@@ -155,6 +160,7 @@ def _ranges(effect: Unnamed | UnnamedTorque) -> tuple[tuple[float, float], ...]:
 
 
 def _phrases(functions: Sequence[Function]) -> list[str]:
+    """The quantities that functions depend on, without directions that multiply them."""
     return list(dict.fromkeys(key for function in functions for key in function.drivers))
 
 

@@ -270,9 +270,9 @@ def _more_likely(problem: Problem, state: State, options: EngineOptions) -> Stat
     beside = _likely(problem, score_test(problem, state.fit, options), options)
     if not beside:
         return None  # a function that explains more in place of a name explains something beside it too
-    choices = [*_added(problem, state, beside, options)]
-    simpler = [one for one in choices if len(one.tested) <= len(state.tested)]
-    if simpler and (best := _most_preferred(state, simpler, options)) is not None:
+    choices = _added(problem, state, beside, options)
+    best = _most_preferred(state, choices, options)
+    if best is not None and len(best.tested) <= len(state.tested):
         return best  # it makes names unnecessary: those that stay are challenged beside it in the next round
     for k, tested in enumerate(state.tested):
         if not tested.term.nonparametric and tested.term not in problem.preset[0].terms:

@@ -65,6 +65,30 @@ def test_two_slow_waves_over_a_part_of_a_turn_are_no_offset_and_no_scale(tmp_pat
     assert sorted(term.order for term in found if isinstance(term, JointHarmonic)) == [1, 2]
 
 
+def test_friction_between_two_angles_is_a_function_of_position_and_direction(arm, still):
+    q, direction = still["joint_position"][:, 2], still["direction"][:, 2]
+    found = terms(deflected(arm, still, 3, -3e-4 * direction * ((q > 1.0) & (q < 2.5))))
+    assert [(term.name, term.site, term.driver, term.degree) for term in found] == [
+        ("unnamed", "joint3", "position of joint 3 and direction of motion of joint 3", 0)
+    ]
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(
+    ("trial", "site", "driver"),
+    [
+        (360, "joint3", "position of joint 3 and direction of motion of joint 3"),
+        (442, "base", "base moment x and base moment y"),
+    ],
+)
+def test_what_a_zone_or_a_mount_does_has_no_name_and_its_own_drivers(tmp_path, trial, site, driver):
+    """Once two positions of other joints; and a load of joint 1 beside another direction of gravity."""
+    for name, text in draw(2216, trial).files.items():
+        (tmp_path / name).write_text(text)
+    found = terms(read_recording(tmp_path / "recording.csv"), thorough=True)
+    assert [(term.name, term.site, term.driver) for term in found] == [("unnamed", site, driver)]
+
+
 def test_a_compliance_of_the_wrong_sign_is_none(arm, still):
     found = terms(with_effects(arm, "joint_compliance:joint=2,compliance_rad_per_Nm=-9e-5").recording(still))
     assert found

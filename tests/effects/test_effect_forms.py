@@ -425,6 +425,11 @@ def test_drivers_are_read_and_said():
             "unnamed:base: 8 pieces from 1 to 1 are no curve; give lower < upper and at least one piece",
         ),
         (
+            lambda: Unnamed("joint1", "time and position of joint 1", 0.0, 1.0, further=(0.0, 1.0)),
+            "unnamed:joint1: 2 drivers and 2 further bounds; give lower and upper of each driver but the first, and a "
+            "degree",
+        ),
+        (
             lambda: Unnamed("base", "weather", 0.0, 1.0),
             f"driver 'weather': unknown; choose one of {', '.join(QUANTITIES)}",
         ),
@@ -458,6 +463,20 @@ def test_a_curve_at_a_joint_is_an_angle_there():
     tilt = Unnamed("tool", "time", 0.0, 4.0, 1, "z").deflect(values[:4], motion, loads)
     assert np.abs(tilt.tool[2]).max() > 0
     np.testing.assert_array_equal(np.delete(tilt.tool, 2, axis=0), 0)
+
+
+def test_splines_of_a_position_and_a_direction_are_those_of_the_position_times_the_direction():
+    motion, loads = everything()
+    driver = "position of joint 2 and direction of motion of joint 2"
+    zone = Unnamed("joint2", driver, -1.0, 1.0, 4, further=(-1.0, 1.0))
+    alone = Unnamed("joint2", "position of joint 2", -1.0, 1.0, 4)
+    values = RNG.uniform(-1, 1, zone.size)
+    expected = alone.curve(values, np.asarray(motion.joint_position[1])) * np.asarray(motion.direction[1])
+    assert np.abs(expected).max() > 0
+    np.testing.assert_allclose(zone.deflect(jnp.asarray(values), motion, loads).joint[1], expected)
+    again, numbers = effect_from_dict(json.loads(json.dumps(effect_as_dict(zone, values))), kinds_of(()))
+    assert again == zone
+    np.testing.assert_array_equal(numbers, values)
 
 
 def example():

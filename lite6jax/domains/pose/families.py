@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from functools import partial
-from itertools import combinations
+from itertools import combinations, product
 
 import jax.numpy as jnp
 import numpy as np
@@ -117,6 +117,7 @@ def flexible(motion: Motion, loads: Loads | None, rows: int, sites: dict[Site, A
         for quantity in ("position", "gravity torque"):
             for degree in (2, 3):
                 add(f"joint{j}", [Driver(quantity, j), Driver("direction of motion", j)], degree)
+        add(f"joint{j}", [Driver("position", j), Driver("direction of motion", j)], pieces=8)
         if dof > 1:
             add(f"link{j}", [Driver("position", j)], 0, "rx ry")
             add(f"link{j}", [Driver("position", j)], 0, "rx ry", pieces=5)
@@ -139,6 +140,8 @@ def flexible(motion: Motion, loads: Loads | None, rows: int, sites: dict[Site, A
             add(site, loaded, degree, component)
         for driver in everywhere:
             add(site, [driver], 3, component)
+    for turns, degree in product(("rx ry", "rz"), (1, 2)):
+        add("base", moments, degree, turns)
     for driver in everywhere:
         add("sensor", [driver], 3, base)
     for degree in (1, 2, 3):
