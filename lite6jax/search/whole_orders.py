@@ -1,7 +1,8 @@
 """Whole orders: what turns with a shaft repeats a whole number of times in a turn.
 
 Over less than two turns a search finds one order between two neighbouring ones, or beside one, and then the residuals
-beside it. The orders of one site are therefore also tried together at whole numbers.
+beside it, or 65 and 67 in the place of 66. The orders of one site are therefore also tried together at whole numbers,
+and with one order less.
 """
 
 from collections.abc import Sequence
@@ -21,16 +22,22 @@ _MOST = 3
 
 
 def with_whole_orders(problem: Problem, state: State, options: EngineOptions) -> State:
-    """The state with whole orders in place of those found, at each site where that is as likely."""
+    """The state with whole orders in place of those found, at each site where that is as likely.
+
+    In the place of whole orders come others that are likelier.
+    """
     for family in filter(lambda family: family.whole, problem.periodic):
         waves = [tested.term for tested in state.tested if tested.term.periodic and tested.term.site == family.site]
         orders = [order for order in map(family.order, waves) if order is not None]
-        if not any(order % 1 for order in orders) or len(orders) < len(waves):
+        found_whole = not any(order % 1 for order in orders)
+        if len(orders) < len(waves) or (found_whole and len(orders) < 2):
             continue
         best = state
         for whole in dict.fromkeys((*_whole(orders), *_near(problem, state, family, orders, options))):
+            if set(whole) == set(orders):
+                continue
             choice = _replaced(problem, state, family, whole, options)
-            margin = options.whole_preferred * len(whole) if best is state else 0.0
+            margin = options.whole_preferred * len(whole) if best is state and not found_whole else 0.0
             if preferred(choice, best, -margin, options):
                 best = choice
         state = best

@@ -74,6 +74,17 @@ def test_friction_between_two_angles_is_a_function_of_position_and_direction(arm
 
 
 @pytest.mark.long
+def test_two_orders_in_a_fifth_of_a_turn_are_no_three(tmp_path):
+    """One by one, 54, 65 and 67 are found, which are less likely than 54 and 66."""
+    for name, text in draw(2216, 694).files.items():
+        (tmp_path / name).write_text(text)
+    found = terms(read_recording(tmp_path / "recording.csv"))
+    assert sorted((term.label, term.order) for term in found) == [
+        ("joint_harmonic:joint4", 54.0), ("joint_harmonic:joint4", 66.0)
+    ]  # fmt: skip
+
+
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("trial", "site", "driver"),
     [
