@@ -134,8 +134,10 @@ def with_curve(problem: Problem, beside: State, curve: Term, options: EngineOpti
     fit = added(problem, beside.fit, curve, score.values, options)
     gain, after = fit.gain_over(beside.fit), score_test(problem, fit, options)
     p_value = min(gain_p_value(gain, curve.size, after.time) * searched_size(problem, options), 1.0)
-    # what a name explains of the curve is what it would explain without it, less what it still explains beside it
-    explained = zip(test.explained(problem.candidates), after.explained(problem.candidates), strict=True)
+    # what a name explains of the curve is what it would explain without it, less what it still explains beside it: both
+    # in the noise that the curve leaves, as its own gain
+    before = score_test(problem, beside.fit, options, within=fit)
+    explained = zip(before.explained(problem.candidates), after.explained(problem.candidates), strict=True)
     shared = [min(one.gain - other.gain, gain) for one, other in explained]
     near = sorted(zip(problem.candidates, shared, strict=True), key=lambda pair: -pair[1])[: options.nearest]
     alternatives = tuple(Alternative(term, gain - part) for term, part in near if part > 0)
