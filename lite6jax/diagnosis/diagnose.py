@@ -75,7 +75,8 @@ def diagnose(
         findings, withdrawn = findings_of(selection), None
         outliers = _outliers(selection, options)
         kept = ~outliers
-        if findings and (held_out.raised(kept, options) or held_out.overfitted(kept, selection, options)):
+        numbers = selection.state.fit.terms.size
+        if findings and (held_out.raised(kept, numbers, options) or held_out.overfitted(kept, selection, options)):
             withdrawn = Withdrawn(findings, *(_rms(errors[~outliers]) for errors in (held_out.before, held_out.after)))
             selection, findings = without_effects(selection), ()
             outliers = _outliers(selection, options)

@@ -47,16 +47,18 @@ class HeldOut(NamedTuple):
     angle_before: Array
     angle_after: Array
 
-    def raised(self, kept: NDArray[np.bool_], options: Options) -> bool:
-        """Whether the effects raise the errors on rows that were not used.
+    def raised(self, kept: NDArray[np.bool_], numbers: int, options: Options) -> bool:
+        """Whether effects of so many numbers raise the errors on rows that were not used.
 
         Position and orientation have scales of their own: it is the product of their ratios, as in the likelihood of
         Gaussian errors of unknown variance, that must not rise. Effects that show in the orientation alone may raise
-        the error of positions by what they cost in precision.
+        the error of positions by what they cost in precision: p numbers fitted to N readings add p / N to the variance
+        of a prediction in the mean, a half of that to its standard deviation.
         """
         position = _ratio(self.before[kept], self.after[kept])
         turned = _ratio(self.turned_before[kept], self.turned_after[kept])
-        return position * turned > 1 or position > options.heldout_rise
+        cost = 1 + 0.5 * numbers / (3 * kept.sum())
+        return position * turned > 1 or position > max(options.heldout_rise, cost)
 
     def overfitted(self, kept: NDArray[np.bool_], selection: Selection, options: Options) -> bool:
         """Whether a model with effects describes the rows that it was fitted to, and no others.

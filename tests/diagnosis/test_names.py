@@ -220,4 +220,12 @@ def test_effects_that_do_not_hold_on_held_out_rows_are_not_kept(before, after, w
 def test_orientations_count_beside_positions(position, orientation, raised):
     rows = np.linspace(1.0, 2.0, 20)
     errors = HeldOut(1e-4 * rows, position * 1e-4 * rows, rows, orientation * rows, rows, rows)
-    assert errors.raised(rows > 0, OPTIONS) == raised
+    assert errors.raised(rows > 0, 0, OPTIONS) == raised
+
+
+def test_numbers_may_cost_the_positions_some_precision():
+    """Eighteen numbers of 126 rows add a fortieth to the error of positions that they do not change."""
+    rows = np.ones(126)
+    errors = HeldOut(1e-4 * rows, 1.016e-4 * rows, rows, 0.5 * rows, rows, 0.5 * rows)
+    assert errors.raised(rows > 0, 1, OPTIONS)
+    assert not errors.raised(rows > 0, 18, OPTIONS)

@@ -144,8 +144,11 @@ def flexible(motion: Motion, loads: Loads | None, rows: int, sites: dict[Site, A
         add("base", moments, degree, turns)
     for driver in everywhere:
         add("sensor", [driver], 3, base)
+    axes = [Driver(f"measured position {axis}") for axis in "xyz"]
     for degree in (1, 2, 3):
-        add("sensor", [Driver(f"measured position {axis}") for axis in "xyz"], degree, "x y z")
+        add("sensor", axes, degree, "x y z")
+    for axis, degree in product(axes, (1, 3)):
+        add("sensor", [axis], degree, axis.quantity[-1])
     return tuple(found)
 
 
