@@ -100,6 +100,14 @@ def test_what_a_zone_or_a_mount_does_has_no_name_and_its_own_drivers(tmp_path, t
     assert [(term.name, term.site, term.driver) for term in found] == [("unnamed", site, driver)]
 
 
+def test_one_axis_of_a_sensor_that_stretches_is_a_function_of_that_axis(arm, still):
+    recording = arm.recording(still)
+    stretched = replace(recording, position=recording.position * np.array([1.0, 1.0003, 1.0]))
+    assert [(term.name, term.site, term.driver) for term in terms(stretched)] == [
+        ("unnamed", "sensor", "measured position y")
+    ]
+
+
 def test_a_compliance_of_the_wrong_sign_is_none(arm, still):
     found = terms(with_effects(arm, "joint_compliance:joint=2,compliance_rad_per_Nm=-9e-5").recording(still))
     assert found
