@@ -75,7 +75,7 @@ def diagnose(
         findings, withdrawn = findings_of(selection), None
         outliers = _outliers(selection, options)
         kept = ~outliers
-        numbers = selection.state.fit.terms.size
+        numbers = max(selection.state.fit.parameters - selection.state.baseline.parameters, 0.0)
         if findings and (held_out.raised(kept, numbers, options) or held_out.overfitted(kept, selection, options)):
             withdrawn = Withdrawn(findings, *(_rms(errors[~outliers]) for errors in (held_out.before, held_out.after)))
             selection, findings = without_effects(selection), ()

@@ -47,13 +47,13 @@ class HeldOut(NamedTuple):
     angle_before: Array
     angle_after: Array
 
-    def raised(self, kept: NDArray[np.bool_], numbers: int, options: Options) -> bool:
+    def raised(self, kept: NDArray[np.bool_], numbers: float, options: Options) -> bool:
         """Whether effects of so many numbers raise the errors on rows that were not used.
 
         Position and orientation have scales of their own: it is the product of their ratios, as in the likelihood of
         Gaussian errors of unknown variance, that must not rise. Effects that show in the orientation alone may raise
-        the error of positions by what they cost in precision: p numbers fitted to N readings add p / N to the variance
-        of a prediction in the mean, a half of that to its standard deviation.
+        the error of positions by what they cost in precision. As if positions alone determined them, p numbers, in
+        effect, add p / (3 · rows) to the variance of a prediction, and half of that to its standard deviation.
         """
         position = _ratio(self.before[kept], self.after[kept])
         turned = _ratio(self.turned_before[kept], self.turned_after[kept])

@@ -35,7 +35,8 @@ class Options:
     )
     heldout_rise: float = option(
         1.01,
-        "ratio of held-out position errors with and without effects, above which these are not kept",
+        "ratio of held-out position errors with and without effects, above which these are not kept unless they have "
+        "many numbers",
         "what effects that only turn the tool cost in precision",
     )
     heldout_excess: float = option(

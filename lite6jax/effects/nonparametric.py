@@ -170,7 +170,7 @@ class Unnamed(Bending):
         if len(self.further) != 2 * several or (several and not self.degree and not directed):
             raise InputError(
                 f"unnamed:{self.where}: {several + 1} drivers and {len(self.further)} further bounds; give lower and "
-                "upper of each driver but the first, and a degree"
+                "upper of each driver but the first, and a degree unless the second is a direction of motion"
             )
         if self.rolloff and (len(self.rolloff) != 2 or self.rolloff[0] <= 0 or self.spread is None or not self.orders):
             raise InputError(

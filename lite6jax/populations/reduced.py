@@ -29,7 +29,7 @@ _ORDERS_AT_ONCE = 1 << 21
 
 
 def readings(columns: Array, noise: NoiseModel, training: NDArray[np.bool_], number: int) -> Array:
-    """Columns of a recording as those of all its readings: white, and zero where nothing is fitted and of the prior.
+    """Columns of a recording as those of all its readings: whitened; zero at samples that are not fitted.
 
     Args:
         columns: `(…, row, sample)`, of unit noise.

@@ -12,7 +12,7 @@ from lite6jax.domains.pose.families import site_of
 from lite6jax.domains.pose.problem import PoseProblem
 from lite6jax.domains.torque.families import driver_values, torque_at
 from lite6jax.domains.torque.problem import TorqueProblem
-from lite6jax.effects.drivers import driver_of
+from lite6jax.effects.drivers import Driver, driver_of
 from lite6jax.effects.dynamic.unnamed import UnnamedTorque
 from lite6jax.effects.effect import Effect, Loading, slides
 from lite6jax.effects.nonparametric import Unnamed
@@ -21,6 +21,9 @@ from lite6jax.estimation.score_test import ScoreTest, score_test
 from lite6jax.populations.candidate import Candidate
 from lite6jax.populations.functions import Function, in_common
 from lite6jax.populations.reduced import Found, PooledTerm, ReducedArm, readings
+
+_LEAST_VARIED = 1e-3
+"""Range of a driver, in its unit, below which it did not vary."""
 
 
 def reduced(found: Diagnosis) -> ReducedArm:
@@ -58,7 +61,9 @@ def reduced_torques(found: TorqueDiagnosis) -> ReducedArm:
     candidates = [effect for effect in problem.candidates if effect.linear]
     test, plain = _linear(found, found.fit, candidates)
     functions, unit = _functions(problem, _shared_torque), 1 / test.scale[problem.groups][:, None]
-    directions = {_direction(j): problem.dynamics.direction(j) for j in range(1, problem.rows + 1)}
+    directions = {
+        Driver("direction of motion", j).phrase: problem.dynamics.direction(j) for j in range(1, problem.rows + 1)
+    }
     turning = np.flatnonzero(~data.arm.slides)
     return replace(
         plain,
@@ -112,7 +117,7 @@ def _functions(problem: PoseProblem | TorqueProblem, shared: Callable[[Any], Fun
     found = [shared(effect) for effect in problem.flexible]
     for driver in (driver for family in problem.curves for driver in family.drivers):
         low, high = float(driver.values.min()), float(driver.values.max())
-        if low < high:
+        if high - low > _LEAST_VARIED:  # else it is a constant of each recording, another in each
             found += [shared(driver.spline(low, high, pieces)) for pieces in driver.pieces]
     return tuple(in_common(found).values())
 
@@ -142,7 +147,7 @@ def _shared_torque(effect: UnnamedTorque) -> Function:
     assert not effect.orders  # those of a prismatic joint would count otherwise
     return Function(
         site=effect.site,
-        driver=f"{effect.driver} × direction of motion" if effect.signed else effect.driver,
+        driver=" and ".join(driver.phrase for driver in effect.drivers),
         components=(effect.site,),
         units=(effect.coordinates[0].unit,),
         drivers=tuple(driver.phrase for driver in effect.of),
@@ -150,7 +155,7 @@ def _shared_torque(effect: UnnamedTorque) -> Function:
         pieces=0 if effect.degree else effect.pieces,
         products=effect.products if effect.degree else (),
         specificity=effect.specificity,
-        direction=_direction(effect.joint) if effect.signed else "",
+        direction=effect.drivers[-1].phrase if effect.signed else "",
     )
 
 
@@ -162,10 +167,6 @@ def _ranges(effect: Unnamed | UnnamedTorque) -> tuple[tuple[float, float], ...]:
 def _phrases(functions: Sequence[Function]) -> list[str]:
     """The quantities that functions depend on, without directions that multiply them."""
     return list(dict.fromkeys(key for function in functions for key in function.drivers))
-
-
-def _direction(joint: int) -> str:
-    return f"direction of motion of joint {joint}"
 
 
 def _values(phrase: str, problem: PoseProblem) -> np.ndarray:

@@ -135,7 +135,7 @@ def _with_slow_waves(
     families = [family for family in problem.periodic if family.site == site]
     waves = [family.term(order) for family in families for order in _SLOW]
     waves = [wave for wave in waves if wave not in rest.fit.terms.terms]
-    scored = zip(waves, test.score(waves), strict=True) if waves else ()
+    scored = zip(waves, test.score(waves), strict=True)
     return [with_term(problem, rest, wave, score, options) for wave, score in scored if not score.confounded]
 
 

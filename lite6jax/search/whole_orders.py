@@ -1,8 +1,8 @@
 """Whole orders: what turns with a shaft repeats a whole number of times in a turn.
 
 Over less than two turns a search finds one order between two neighbouring ones, or beside one, and then the residuals
-beside it, or 65 and 67 in the place of 66. The orders of one site are therefore also tried together at whole numbers,
-and with one order less.
+beside it: 54, 65 and 67 for 54 and 66. The orders of one site are therefore also tried together at whole numbers, and
+of three, two.
 """
 
 from collections.abc import Sequence
@@ -24,7 +24,7 @@ _MOST = 3
 def with_whole_orders(problem: Problem, state: State, options: EngineOptions) -> State:
     """The state with whole orders in place of those found, at each site where that is as likely.
 
-    In the place of whole orders come others that are likelier.
+    Orders that are already whole are replaced only by a set that is more likely.
     """
     for family in filter(lambda family: family.whole, problem.periodic):
         waves = [tested.term for tested in state.tested if tested.term.periodic and tested.term.site == family.site]

@@ -93,7 +93,7 @@ def test_two_orders_in_a_fifth_of_a_turn_are_no_three(tmp_path):
     ],
 )
 def test_what_a_zone_or_a_mount_does_has_no_name_and_its_own_drivers(tmp_path, trial, site, driver):
-    """Once two positions of other joints; and a load of joint 1 beside another direction of gravity."""
+    """Before, the first was a function of two joints' positions, the second one of joint 1's load beside gravity's."""
     for name, text in draw(2216, trial).files.items():
         (tmp_path / name).write_text(text)
     found = terms(read_recording(tmp_path / "recording.csv"), thorough=True)

@@ -427,7 +427,7 @@ def test_drivers_are_read_and_said():
         (
             lambda: Unnamed("joint1", "time and position of joint 1", 0.0, 1.0, further=(0.0, 1.0)),
             "unnamed:joint1: 2 drivers and 2 further bounds; give lower and upper of each driver but the first, and a "
-            "degree",
+            "degree unless the second is a direction of motion",
         ),
         (
             lambda: Unnamed("base", "weather", 0.0, 1.0),

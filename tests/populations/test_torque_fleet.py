@@ -81,7 +81,7 @@ def test_friction_in_a_part_of_the_range_has_no_name(tmp_path, motion):
     arms, found = fleet(tmp_path, motion, [(0.0, 0.0, BUMP)] * 5)
     (effect,) = found.to_dict()["effects"]
     assert (effect["effect"], effect["site"]) == ("unnamed", "joint4")
-    assert effect["driver"] == "position of joint 4 × direction of motion"
+    assert effect["driver"] == "position of joint 4 and direction of motion of joint 4"
     curve = effect["curve"]
     assert curve["name"] == "curve_Nm"
     inside = np.abs(np.array(curve["driver"]) - LITE6.joint_limits[3].mean()) < 0.3
