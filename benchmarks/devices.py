@@ -123,7 +123,7 @@ def _gauss_newton(form: ModelForm, start: ArmModel, observed: Observations, kind
         along = -inverse(H) @ gradient
         return form.retract(model, along), jnp.abs(along).max(), count + 1
 
-    going = (start, jnp.inf, 0)
+    going = (start, jnp.asarray(jnp.inf), jnp.asarray(0))
     model, _, count = jax.lax.while_loop(lambda state: (state[1] > 1e-10) & (state[2] < 20), step, going)
     return model.geometry, count
 
