@@ -5,6 +5,7 @@ from dataclasses import fields, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lite6jax.diagnosis.result import Diagnosis
 from lite6jax.diagnosis.torque_result import TorqueDiagnosis
@@ -17,7 +18,7 @@ from lite6jax.effects.dynamic.unnamed import UnnamedTorque
 from lite6jax.effects.effect import Effect, Loading, slides
 from lite6jax.effects.nonparametric import Unnamed
 from lite6jax.estimation.least_squares import Fit
-from lite6jax.estimation.score_test import ScoreTest, score_test
+from lite6jax.estimation.score_test import score_test
 from lite6jax.populations.candidate import Candidate
 from lite6jax.populations.functions import Function, in_common
 from lite6jax.populations.reduced import Found, PooledTerm, ReducedArm, readings
@@ -36,13 +37,13 @@ def reduced(found: Diagnosis) -> ReducedArm:
     problem = found.problem
     fit = replace(found.fit, training=found.fit.training & ~found.outliers)
     functions = _functions(problem, _shared)
-    test, plain = _linear(found, fit, [effect for effect in problem.candidates if not isinstance(effect, Loading)])
+    unit, plain = _linear(found, fit, [effect for effect in problem.candidates if not isinstance(effect, Loading)])
     return replace(
         plain,
         about=_about(found, "poses", problem.arm.name, problem.motion.dof, problem.recording.settings.date),
         functions=functions,
         places={
-            component: problem.sites[site_of(*component.partition(" ")[::2])] / test.scale[problem.groups][:, None]
+            component: problem.sites[site_of(*component.partition(" ")[::2])] * unit
             for component in dict.fromkeys(key for function in functions for key in function.components)
         },
         drivers={
@@ -59,8 +60,8 @@ def reduced_torques(found: TorqueDiagnosis) -> ReducedArm:
     """
     data, problem = found.problem.data, found.problem
     candidates = [effect for effect in problem.candidates if effect.linear]
-    test, plain = _linear(found, found.fit, candidates)
-    functions, unit = _functions(problem, _shared_torque), 1 / test.scale[problem.groups][:, None]
+    unit, plain = _linear(found, found.fit, candidates)
+    functions = _functions(problem, _shared_torque)
     directions = {
         Driver("direction of motion", j).phrase: problem.dynamics.direction(j) for j in range(1, problem.rows + 1)
     }
@@ -81,8 +82,10 @@ def _about(found: Diagnosis | TorqueDiagnosis, what: str, arm: str, joints: int,
     return {"what": what, "arm": arm, "joints": joints, "rows": rows, "date": date, "verdict": found.verdict}
 
 
-def _linear(found: Diagnosis | TorqueDiagnosis, fit: Fit, candidates: Sequence[Effect]) -> tuple[ScoreTest, ReducedArm]:
-    """The score test against what is not pooled, and the linear model of named effects."""
+def _linear(
+    found: Diagnosis | TorqueDiagnosis, fit: Fit, candidates: Sequence[Effect]
+) -> tuple[NDArray[np.floating], ReducedArm]:
+    """What makes the noise of rows unit, `(row, 1)`, and the linear model of named effects."""
     problem, engine = found.problem, found.options.engine
     named = [effect for effect in candidates if not effect.periodic]
 
@@ -96,7 +99,7 @@ def _linear(found: Diagnosis | TorqueDiagnosis, fit: Fit, candidates: Sequence[E
     columns = unit * problem.columns(named, beside=(terms, values))
     families = [family for family in problem.periodic if family.whole]  # orders of a slide count along its own stroke
     waves = [(_key_of_waves(family.site), family.term(1.0)) for family in families]
-    return test, ReducedArm(
+    return unit, ReducedArm(
         about={},
         found=tuple(Found(term(one.effect), one.effect.label, one.p_value) for one in found.findings),
         candidates=tuple(_candidate(effect, _key(effect), problem.limits(effect)) for effect in named),
