@@ -1,4 +1,8 @@
-"""The error of invalid user input, and the warning of input that is used all the same."""
+"""The error of invalid user input, the warning of input that is used all the same, and commands that messages name."""
+
+import os
+import shlex
+import subprocess
 
 
 class InputError(ValueError):
@@ -14,3 +18,9 @@ class InputWarning(UserWarning):
 
     The message is one line that names the file. The command line prints it on stderr.
     """
+
+
+def command_line(*arguments: object) -> str:
+    """A command `lite6jax …` as the shell takes it, names with spaces quoted."""
+    words = ["lite6jax", *map(str, arguments)]
+    return subprocess.list2cmdline(words) if os.name == "nt" else shlex.join(words)

@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 from lite6jax import checksum, storage
 from lite6jax.arms import entries
 from lite6jax.arms.chains import PARALLEL_WITHIN, HayatiForm
-from lite6jax.errors import InputError, InputWarning
+from lite6jax.errors import InputError, InputWarning, command_line
 from lite6jax.schema import RepeatedKeyError, unique_keys
 
 UNITS = "mm and deg"
@@ -76,7 +76,8 @@ def read_table(path: str | Path) -> HayatiTable:
     """
     content = _parse(storage.read_text(path, SIZE_LIMIT), path)
     if "schema" in content:
-        raise InputError(f"{path}: holds results ({str(content['schema'])[:40]}); `lite6jax report {path}` shows them")
+        shown = command_line("report", path)
+        raise InputError(f"{path}: holds results ({str(content['schema'])[:40]}); `{shown}` shows them")
     betas = {key: int(match[1]) for key in content if isinstance(key, str) and (match := _BETA.fullmatch(key))}
     entries.mapping(content, f"{path}:", ("units", "base", "dh"), (*(betas or ("beta_joint2",)), "fit", checksum.KEY))
     if content["units"] != UNITS:

@@ -5,7 +5,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from lite6jax.errors import InputError, InputWarning
+from lite6jax.errors import InputError, InputWarning, command_line
 from lite6jax.storage import exists
 
 
@@ -48,7 +48,6 @@ def diagnosed_recording(document: Mapping[str, Any], diagnosis: Path) -> Path:
         InputWarning: the file is another one than was diagnosed.
     """
     from lite6jax.recordings.checksums import table_checksum
-    from lite6jax.report.next_steps import command_line
 
     named = _recordings(document)
     found = found_recording(document, diagnosis)

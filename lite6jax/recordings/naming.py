@@ -7,6 +7,7 @@ component, and columns that differ only in that are one block. What no name says
 import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 from typing import NamedTuple, final
 
 from lite6jax.recordings.columns import ANGLES, QUATERNION, units_of
@@ -70,6 +71,8 @@ _UNIT = re.compile(
     rf"[\s_.\[(/-]+({'|'.join(sorted(map(re.escape, _UNITS), key=len, reverse=True))})[\])]*\s*$", re.IGNORECASE
 )
 _SPLIT_STAMP = re.compile(r"stamp\W*_?n?(?:ano)?secs?\s*$", re.IGNORECASE)
+_ROBOTS = (UR_JOINTS, ("base", "shoulder", "elbow", "wrist_1", "wrist_2", "wrist_3"))
+"""Names of all joints in their order: of Universal Robots' driver, and on their teach pendant."""
 _LETTERS = {
     "a": re.compile(r"curr|amp", re.IGNORECASE),
     "c": re.compile(r"temp|ambient", re.IGNORECASE),
@@ -210,17 +213,17 @@ def _unit_of(kind: str, words: Sequence[_Word]) -> str | None:
 def _of_robots_with_names(words: Sequence[_Word]) -> list[_Ranked]:
     """Joints without numbers: Universal Robots' names, and those of a LeRobot data set's state, in their order."""
     found: list[_Ranked] = []
-    by_frame: dict[tuple[str, str], dict[str, str]] = {}
-    for word in words:
+    by_frame: dict[tuple[tuple[str, ...], str, str], dict[str, str]] = {}
+    for robot, word in product(_ROBOTS, words):
         text = "_".join(re.findall(r"[a-z]+|\d+", word.name.lower()))
-        for part in UR_JOINTS:
+        for part in robot:
             if part in text:
                 before, _, after = text.partition(part)
-                by_frame.setdefault((before, after), {})[part] = word.name
-    for (before, after), joints in by_frame.items():
-        if len(joints) == len(UR_JOINTS):
+                by_frame.setdefault((robot, before, after), {})[part] = word.name
+    for (robot, before, after), joints in by_frame.items():
+        if len(joints) == len(robot):
             said = [*before.split("_"), *after.split("_")]
-            columns = tuple(joints[part] for part in UR_JOINTS)
+            columns = tuple(joints[part] for part in robot)
             members = [word for word in words if word.name in columns]
             kind = _quantity([part for part in said if part]) or "q"
             found.append((_rank(said), 0, Block(kind, columns, _unit_of(kind, members))))

@@ -5,7 +5,7 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 
-from lite6jax.errors import InputError
+from lite6jax.errors import InputError, command_line
 from lite6jax.recordings import raw, stream
 from lite6jax.recordings.csv_tables import of_csv
 from lite6jax.recordings.lerobot import INFO, of_lerobot
@@ -101,7 +101,7 @@ def stranger(path: str | Path) -> str:
         return f"describes an arm and holds no measurements; name a recording, and the arm with --arm {name}"
     if suffix in _EXCEL:
         table = path.with_suffix(".csv")
-        return f"is a workbook; save its sheet as CSV (UTF-8), and name its columns by `lite6jax init {table}`"
+        return f"is a workbook; save its sheet as CSV (UTF-8), and name its columns by `{command_line('init', table)}`"
     if suffix in _ARRAYS:
         return f"is no recording; write it as {path.stem}.csv or .parquet with a name for each column"
     return ""
@@ -127,7 +127,8 @@ def _of_no_recording(path: Path) -> str:
             "is a folder without a recording: no rosbag2 (metadata.yaml and .db3 or .mcap), no LeRobot data set "
             "(meta/info.json), no table; name the file of a recording"
         )
-    return f"is a folder; name a file in it, such as {tables[0]}, or fit all of them with `lite6jax fleet {path}`"
+    all_of_them = command_line("fleet", path)
+    return f"is a folder; name a file in it, such as {tables[0]}, or fit all of them with `{all_of_them}`"
 
 
 def _is_lerobot(path: Path) -> bool:

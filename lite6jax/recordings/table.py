@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pyarrow as pa
 
-from lite6jax.errors import InputError
+from lite6jax.errors import InputError, command_line
 from lite6jax.recordings.arguments import LARGEST_MISSING_SHARE
 from lite6jax.recordings.clock_times import clock_times, holds_clock_times
 from lite6jax.recordings.columns import Column, Recognised, nearest_known, one_line, recognise, sliding_of
@@ -113,7 +113,7 @@ def _numbers(array: pa.Array | pa.ChunkedArray, column: Column, notes: list[str]
 def _remedy(source: str, found: Recognised) -> str:
     """What names the columns of a file, where their names are the problem."""
     named = any("write " in problem or "name their columns" in problem for problem in found.problems)
-    return f"; `lite6jax init {source}` names columns as they are" if named and exists(source) else ""
+    return f"; `{command_line('init', source)}` names columns as they are" if named and exists(source) else ""
 
 
 def _empty(name: str, column: np.ndarray) -> str:

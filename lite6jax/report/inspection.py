@@ -10,10 +10,10 @@ from rich.text import Text
 
 from lite6jax.domains.pose.inspection import Inspection
 from lite6jax.domains.pose.meanings import Meaning
+from lite6jax.errors import command_line
 from lite6jax.recordings.columns import IGNORED
 from lite6jax.recordings.naming import unit_of, units_allowed
 from lite6jax.recordings.sizes import Decision
-from lite6jax.report.next_steps import command_line
 
 _KINDS = {
     "q": "Joint positions",

@@ -1,12 +1,10 @@
 """What to do about a diagnosis: remedies, and commands to copy that work with the files at hand."""
 
-import os
-import shlex
-import subprocess
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from lite6jax.errors import command_line
 from lite6jax.recordings.sources import SUFFIXES
 from lite6jax.report import worth
 from lite6jax.report.remedies import remedy_of
@@ -110,12 +108,6 @@ def _of_torques(document: Document, recording: Path, diagnosis: Path, own: Seque
     out = diagnosis.with_name(f"{recording.stem}_arm.urdf")
     found.append(_step("the arm with what was found, for a simulator", "convert", diagnosis, out, *own))
     return found
-
-
-def command_line(*arguments: object) -> str:
-    """A command as the shell takes it, names with spaces quoted."""
-    words = ["lite6jax", *map(str, arguments)]
-    return subprocess.list2cmdline(words) if os.name == "nt" else shlex.join(words)
 
 
 def _step(purpose: str, *arguments: object) -> Step:

@@ -5,6 +5,7 @@ from itertools import pairwise
 from typing import Any, NamedTuple
 
 from lite6jax.domains.pose.predict import ReferenceOrigin
+from lite6jax.errors import command_line
 from lite6jax.report.cells import number
 
 _CHAINS = {
@@ -133,7 +134,7 @@ def _difference(entry: Mapping[str, Any], file: str) -> str:
             noise = "; if this is noise, declare position_noise_m in its sidecar"
             return (
                 f"No rigid arm explains it completely: {_milli(entry['position_rms_after_m'])} mm RMS remain, whose "
-                f"causes `lite6jax diagnose {file}` would find{'' if entry['noise_declared'] else noise}."
+                f"causes `{command_line('diagnose', file)}` would find{'' if entry['noise_declared'] else noise}."
             )
     raise ValueError(entry["difference"])
 

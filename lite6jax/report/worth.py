@@ -180,7 +180,8 @@ def _kept(document: Document, count: int, torques: bool) -> str:
     of_arm = not torques and all(remedy_of(finding).of_arm for finding in document["findings"])
     if count == 1:
         return "compensated," if of_arm else "with it in the model,"
-    return f"with all {count} findings {'compensated' if of_arm else 'in the model'},"
+    which = "both" if count == 2 else f"all {count}"
+    return f"with {which} findings {'compensated' if of_arm else 'in the model'},"
 
 
 def _nothing_found(document: Document) -> str:

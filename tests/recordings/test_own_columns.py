@@ -94,7 +94,7 @@ def test_without_their_unit_angles_are_any_columns():
 
 
 def test_one_line_says_all_that_is_wrong_with_the_columns(tmp_path):
-    path = tmp_path / "run7.csv"
+    path = tmp_path / "run 7.csv"
     path.write_text(
         "q1_rad,q2_rad,q2_deg,q3_rad,x,y,z_m,tau1_Nm,time,payload_kg,ambient_degC\n"
         + "0.1,0.2,3,oops,1,2,3,4,0,,a\n0.2,x,3,0.3,1,2,3,4,0,,b\n0.2,0.1,3,0.3,1,2,3,4,0,1,\n"
@@ -112,7 +112,7 @@ def test_one_line_says_all_that_is_wrong_with_the_columns(tmp_path):
         "column payload_kg: 2 of 3 rows are NaN, infinite or empty; fill it or leave it out",
     ]
     said = " ".join(f"({number}) {problem}." for number, problem in enumerate(problems, 1)).removesuffix(".")
-    assert refusal(path) == (f"8 problems of its columns: {said}; `lite6jax init {path}` names columns as they are")
+    assert refusal(path) == (f"8 problems of its columns: {said}; `lite6jax init '{path}'` names columns as they are")
     table = {"q1_rad": ["a"], "q2_rad": [True], "run": [None], "q3_grad": [0.0]}
     with pytest.raises(InputError) as caught:
         Recording.from_dataframe(table)
@@ -308,6 +308,13 @@ NAMINGS = {
             "q": [
                 f"{part}_joint" for part in ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3")
             ]
+        },
+    ),
+    "universal robots' teach pendant": (
+        ["No", "Wrist 3", "Wrist 2", "Wrist 1", "Elbow", "Shoulder", "Base", *(f"Laser {c} [mm]" for c in "XYZ")],
+        {
+            "q": ["Base", "Shoulder", "Elbow", "Wrist 1", "Wrist 2", "Wrist 3"],
+            "position": ["Laser X [mm]", "Laser Y [mm]", "Laser Z [mm]"],
         },
     ),
     "lerobot": (

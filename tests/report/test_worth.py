@@ -149,7 +149,7 @@ def test_of_torques_the_worth_is_that_at_the_joint(motors):
     assert main["joints"] == [2]
     before, after = (document[stage]["heldout_torque_rms_by_joint_Nm"][1] for stage in ("before", "after"))
     said = worth.headline(document)
-    assert f" of {before:.2g} Nm; with all 2 findings in the model, {after:.2g}" in said
+    assert f" of {before:.2g} Nm; with both findings in the model, {after:.2g}" in said
     assert said.startswith("Joint 2 rubs")
 
 
