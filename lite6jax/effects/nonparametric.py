@@ -247,6 +247,11 @@ class Unnamed(Bending):
     def _drivers(self) -> tuple[Driver, ...]:
         return tuple(driver_of(phrase) for phrase in self.driver.split(" and "))
 
+    @property
+    def of(self) -> tuple[Driver, ...]:
+        """What the functions run over: the drivers, but for a direction that multiplies splines."""
+        return self.drivers if self.degree else self.drivers[:1]
+
     def values_at(self, motion: Motion, loads: Loads | None) -> Array:
         """The values of the driver `(sample,)`, or of several `(driver, sample)`."""
         values = [driver.values(motion, loads) for driver in self.drivers]

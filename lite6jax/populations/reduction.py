@@ -1,6 +1,6 @@
 """From the diagnosis of one recording to its reduced form: findings that can be pooled go back into the residual."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import fields, replace
 from typing import Any
 
@@ -19,6 +19,7 @@ from lite6jax.effects.effect import Effect, Loading, slides
 from lite6jax.effects.nonparametric import Unnamed
 from lite6jax.estimation.least_squares import Fit
 from lite6jax.estimation.score_test import score_test
+from lite6jax.estimation.terms import Term
 from lite6jax.populations.candidate import Candidate
 from lite6jax.populations.functions import Function, in_common
 from lite6jax.populations.reduced import Found, PooledTerm, ReducedArm, readings
@@ -36,7 +37,7 @@ def reduced(found: Diagnosis) -> ReducedArm:
     """
     problem = found.problem
     fit = replace(found.fit, training=found.fit.training & ~found.outliers)
-    functions = _functions(problem, _shared)
+    functions = _functions(problem)
     unit, plain = _linear(found, fit, [effect for effect in problem.candidates if not isinstance(effect, Loading)])
     return replace(
         plain,
@@ -61,7 +62,7 @@ def reduced_torques(found: TorqueDiagnosis) -> ReducedArm:
     data, problem = found.problem.data, found.problem
     candidates = [effect for effect in problem.candidates if effect.linear]
     unit, plain = _linear(found, found.fit, candidates)
-    functions = _functions(problem, _shared_torque)
+    functions = _functions(problem)
     directions = {
         Driver("direction of motion", j).phrase: problem.dynamics.direction(j) for j in range(1, problem.rows + 1)
     }
@@ -115,50 +116,35 @@ def _linear(
     )
 
 
-def _functions(problem: PoseProblem | TorqueProblem, shared: Callable[[Any], Function]) -> tuple[Function, ...]:
+def _functions(problem: PoseProblem | TorqueProblem) -> tuple[Function, ...]:
     """What names are tested by in one recording: functions of every site and driver, and finer curves of joints."""
-    found = [shared(effect) for effect in problem.flexible]
+    found = [_shared(effect) for effect in problem.flexible]
     for driver in (driver for family in problem.curves for driver in family.drivers):
         low, high = float(driver.values.min()), float(driver.values.max())
         if high - low > _LEAST_VARIED:  # else it is a constant of each recording, another in each
-            found += [shared(driver.spline(low, high, pieces)) for pieces in driver.pieces]
+            found += [_shared(driver.spline(low, high, pieces)) for pieces in driver.pieces]
     return tuple(in_common(found).values())
 
 
-def _shared(effect: Unnamed) -> Function:
+def _shared(effect: Term) -> Function:
     """A function without a name in the form that recordings share."""
-    along, splines = effect.site.startswith("joint"), not effect.degree and not effect.orders
-    first, *further = [driver.phrase for driver in effect.drivers]
-    units = ["m" if component in ("x", "y", "z") else "rad" for component in effect.components]
-    return Function(
-        site=effect.site,
-        driver=effect.driver,
-        components=tuple(effect.site if along else f"{effect.site} {component}" for component in effect.components),
-        units=tuple(units),
-        drivers=(first,) if splines else (first, *further),
-        ranges=_ranges(effect)[: 1 if splines else None],
-        pieces=effect.pieces if splines else 0,
-        products=effect.products if effect.degree else (),
-        orders=effect.orders,
-        specificity=effect.specificity,
-        direction=further[0] if splines and further else "",
-    )
-
-
-def _shared_torque(effect: UnnamedTorque) -> Function:
-    """The same of torques."""
-    assert not effect.orders  # those of a prismatic joint would count otherwise
+    assert isinstance(effect, Unnamed | UnnamedTorque)
+    assert isinstance(effect, Unnamed) or not effect.orders  # those of a prismatic joint would count otherwise
+    places: tuple[str, ...] = (effect.site,)
+    if isinstance(effect, Unnamed) and not effect.site.startswith("joint"):
+        places = tuple(f"{effect.site} {component}" for component in effect.components)
     return Function(
         site=effect.site,
         driver=" and ".join(driver.phrase for driver in effect.drivers),
-        components=(effect.site,),
-        units=(effect.coordinates[0].unit,),
+        components=places,
+        units=tuple(number.unit for number in effect.coordinates[:: effect.functions]),
         drivers=tuple(driver.phrase for driver in effect.of),
-        ranges=_ranges(effect),
-        pieces=0 if effect.degree else effect.pieces,
+        ranges=_ranges(effect)[: len(effect.of)],
+        pieces=0 if effect.degree or effect.orders else effect.pieces,
         products=effect.products if effect.degree else (),
+        orders=effect.orders,
         specificity=effect.specificity,
-        direction=effect.drivers[-1].phrase if effect.signed else "",
+        direction=effect.drivers[-1].phrase if len(effect.drivers) > len(effect.of) else "",
     )
 
 
