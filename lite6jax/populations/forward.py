@@ -209,7 +209,7 @@ class Search:
             for one in beside:
                 if one.key == key and one.order is not None:
                     logs[np.abs(grid - one.order) < self.options.same_line] = 0.0
-            lines.append((float(logs.min()), key, float(grid[int(np.argmin(logs))])))
+            lines.append((float(logs.min()), key, float(grid[int(np.argmin(logs + np.log(grid)))])))
         lines.sort()
         least = min([log for log, *_ in (*ranked[:1], *lines[:1])], default=0.0)
         if least + np.log(self.searched * len(self.ways)) >= np.log(self.options.engine.level):

@@ -1,26 +1,27 @@
-"""Functions without a name that explain as much as a term of the final model, at another site or of other drivers."""
+"""What explains as much as a term of the final model: functions without a name elsewhere, other orders of a wave."""
 
 from dataclasses import replace
 
 from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.problem import Problem
-from lite6jax.estimation.score_test import score_test
+from lite6jax.estimation.score_test import ScoreTest, score_test
 from lite6jax.estimation.terms import Term
+from lite6jax.search.spectrum import as_likely
 from lite6jax.search.state import Alternative, SelectedTerm, State, added, reduced
 
 
-def with_alternative_functions(problem: Problem, state: State, options: EngineOptions) -> State:
-    """The state whose terms have such functions among their alternatives, where the data do not distinguish them.
+def with_alternatives(problem: Problem, state: State, options: EngineOptions) -> State:
+    """The state whose terms have these among their alternatives, where the data do not distinguish them.
 
-    What acts at one site may act at its neighbour in nearly the same way, and two drivers may vary alike. Which of them
-    it is, no test of the one that was chosen can say.
+    What acts at one site may act at its neighbour in nearly the same way, two drivers may vary alike, and at angles
+    that are multiples of 2° orders 2 and 178 are one wave. Which of them it is, no test of the one that was chosen can
+    say.
     """
-    tested = tuple(_with_functions(problem, state, k, options) for k in range(len(state.tested)))
-    return replace(state, tested=tested)
+    return replace(state, tested=tuple(_with_others(problem, state, k, options) for k in range(len(state.tested))))
 
 
-def _with_functions(problem: Problem, state: State, k: int, options: EngineOptions) -> SelectedTerm:
-    """The k-th term with the alternatives that it has and the most likely function of each site.
+def _with_others(problem: Problem, state: State, k: int, options: EngineOptions) -> SelectedTerm:
+    """The k-th term with the alternatives that it has, other orders, and the most likely function of each site.
 
     Sites that have an equally likely named alternative are skipped. At the site of a name it is one that explains
     clearly more, though not enough more to pay for all of its numbers; at that of a function, one of other drivers.
@@ -52,7 +53,18 @@ def _with_functions(problem: Problem, state: State, k: int, options: EngineOptio
         gap = state.fit.gain_over(fitted) + 0.5 * test.time * (score.size - own.size)
         if gap < options.close:
             found.append(Alternative(term, max(gap, 0.0)))
-    return replace(tested, alternatives=tuple(sorted((*tested.alternatives, *found), key=lambda one: one.gap)))
+    others = (*tested.alternatives, *found, *_orders(test, tested.term))
+    return replace(tested, alternatives=tuple(sorted(others, key=lambda one: one.gap)))
+
+
+def _orders(test: ScoreTest, term: Term) -> list[Alternative]:
+    """Other orders of a wave that its site shows as well."""
+    family = next((one for one in test.problem.periodic if term.periodic and one.site == term.site), None)
+    order = None if family is None else family.order(term)
+    if family is None or order is None:
+        return []
+    near = as_likely(test, family, order, test.options.close)[: test.options.functions]
+    return [Alternative(family.term(other), gap) for other, gap in near]
 
 
 def _may_replace(term: Term, function: Term) -> bool:

@@ -9,7 +9,7 @@ from lite6jax.estimation.problem import Mask, Problem
 from lite6jax.estimation.score_test import Score, gain_p_value, score_test, searched_size
 from lite6jax.estimation.terms import Term, Terms
 from lite6jax.progress import entered
-from lite6jax.search.alternatives import with_alternative_functions
+from lite6jax.search.alternatives import with_alternatives
 from lite6jax.search.backward import eliminate, prune
 from lite6jax.search.curves import merge_harmonics, replace_by_curves
 from lite6jax.search.exchange import exchange, one_for_several
@@ -85,7 +85,7 @@ def search(
         for k, tested in enumerate(state.tested):
             if not tested.term.nonparametric and tested.term not in problem.preset[0].terms:
                 state = renamed(problem, state, k, options)
-        state = with_alternative_functions(problem, state, options)
+        state = with_alternatives(problem, state, options)
     selection = Selection(problem, reference, state)
     return _reviewed(selection, options) if thorough else selection
 

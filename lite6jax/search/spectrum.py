@@ -1,4 +1,9 @@
-"""Which orders of an angle the residuals contain, at every site of a periodic family; orders need not be whole."""
+"""Which orders of an angle the residuals contain, at every site of a periodic family; orders need not be whole.
+
+Where angles are multiples of 2°, as those that people type are, orders 2 and 178 are the same wave at every sample.
+Orders therefore have a prior density that falls as 1/order, that of a quantity whose scale is not known (H. Jeffreys,
+Theory of Probability, 3.1): an eccentric shaft is likelier than a tooth that only these angles show.
+"""
 
 from typing import NamedTuple
 
@@ -12,8 +17,10 @@ from lite6jax.estimation.terms import Term
 Array = NDArray[np.floating]
 
 _BIN = 2 * np.pi / 2**15
-"""rad, to which angles are rounded: at order 200 that is a fiftieth of a radian of phase at most, and at order 1000 a
-tenth, by which a gain is a third of a per cent too low."""
+"""rad, to which angles are rounded: at order 200 that is a fiftieth of a radian of phase at most, and at order 1000
+a tenth, by which a gain is a third of a per cent too low."""
+_PEAKS = 8
+"""Of a spectrum, at most, among which other orders are looked for that explain as much as one."""
 
 
 class Line(NamedTuple):
@@ -66,19 +73,53 @@ def lines(test: ScoreTest) -> list[Line]:
         orders, gains = spectrum(test, family)
         if not gains.any():
             continue
-        step = orders[1] - orders[0]
         low = orders[orders <= options.exact_below][::2]
-        order = _best(test, family, np.unique(np.concatenate([low, orders[np.argsort(-gains)[: options.kept_lines]]])))
-        for width in (step, step / 5):
-            near = order + width * np.linspace(-1, 1, 9)
-            order = _best(test, family, near[near >= options.lowest_order])
-        whole = round(order)
-        if family.whole and whole >= 1:
-            exact, free = test.gains(family.column, family.waves_of(np.array([float(whole), order])))
-            order = float(whole) if exact > free - options.whole_preferred else order
+        peaks = orders[np.argsort(np.log(orders) - gains)[: options.kept_lines]]
+        best = _best(test, family, np.unique(np.concatenate([low, peaks])))
+        order = _refined(test, family, best, orders[1] - orders[0])
         explained = test.explained_by(family.column, family.waves_of(np.array([order])))[0]
         found.append(Line(family, order, explained, len(orders) / 2))
     return sorted(found, key=lambda line: -line.explained.gain)
+
+
+def as_likely(test: ScoreTest, family: PeriodicFamily, order: float, within: float) -> list[tuple[float, float]]:
+    """Other orders of a family that explain as much as one.
+
+    Args:
+        test: of what is left without the order.
+        family: whose.
+        order: the one.
+        within: the log-likelihood by which another explains less at most.
+
+    Returns:
+        these orders with that log-likelihood, the nearest first; none that the angles do not resolve from the one, or
+        from another that is nearer.
+    """
+    orders, gains = spectrum(test, family)
+    if not gains.any():
+        return []
+    resolved = 2 * np.pi / max(float(np.ptp(family.angle)), 1e-3)
+    own, found = _gain(test, family, order), []
+    left = np.where(np.abs(orders - order) < resolved, -np.inf, gains)
+    for _ in range(_PEAKS):
+        k = int(np.argmax(left))
+        other = _refined(test, family, float(orders[k]), orders[1] - orders[0])
+        gap = own - _gain(test, family, other)
+        if np.isfinite(left[k]) and gap < within and abs(other - order) >= resolved:
+            found.append((other, max(gap, 0.0)))
+        left[np.abs(orders - orders[k]) < resolved] = -np.inf
+    return sorted(found, key=lambda pair: (round(pair[1], 6), pair[0]))  # of what only rounding separates, the lower
+
+
+def _refined(test: ScoreTest, family: PeriodicFamily, order: float, step: float) -> float:
+    """The best order within a step of the spectrum; a whole one where that explains nearly as much."""
+    for width in (step, step / 5):
+        near = order + width * np.linspace(-1, 1, 9)
+        order = _best(test, family, near[near >= test.options.lowest_order])
+    whole = float(round(order))
+    if not family.whole or whole < 1:
+        return order
+    return whole if _gain(test, family, whole) > _gain(test, family, order) - test.options.whole_preferred else order
 
 
 def _transform(place: NDArray[np.integer], values: Array, length: int) -> NDArray[np.complexfloating]:
@@ -86,7 +127,12 @@ def _transform(place: NDArray[np.integer], values: Array, length: int) -> NDArra
 
 
 def _best(test: ScoreTest, family: PeriodicFamily, orders: Array) -> float:
-    return float(orders[int(np.argmax(test.gains(family.column, family.waves_of(orders))))])
+    """The likeliest order, the prior included."""
+    return float(orders[int(np.argmax(test.gains(family.column, family.waves_of(orders)) - np.log(orders)))])
+
+
+def _gain(test: ScoreTest, family: PeriodicFamily, order: float) -> float:
+    return float(test.gains(family.column, family.waves_of(np.array([order])))[0])
 
 
 def _pair_gain(s: Array, c: Array, ss: Array, cc: Array, sc: Array) -> Array:

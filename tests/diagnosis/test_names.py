@@ -39,6 +39,16 @@ def deflected(arm, motion, joint, angle):
     return replace(arm.recording(truly), joint_position=motion["joint_position"])
 
 
+def test_orders_that_are_one_wave_at_taught_positions_are_named_beside_the_lowest(arm, still):
+    q = np.radians(np.round(np.degrees(still["joint_position"]) / 2) * 2)
+    taught = {**still, "joint_position": q}
+    recording = deflected(arm, taught, 2, 6e-4 * np.sin(2 * q[:, 1] + 0.5))
+    (tested,) = explain(recording, None, "declared", OPTIONS, thorough=True).selection.state.tested
+    assert (tested.term.site, tested.term.order) == ("joint2", 2.0)
+    same = [one.term.order for one in tested.alternatives if isinstance(one.term, JointHarmonic) and one.gap < 1e-6]
+    assert same == [178.0, 182.0]
+
+
 def terms(recording, thorough=False):
     found = explain(recording, None, "declared", OPTIONS, thorough=thorough).selection.state
     return found.fit.terms.terms

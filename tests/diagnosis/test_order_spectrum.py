@@ -7,7 +7,7 @@ from diagnosis.recorded import OPTIONS, Made, fitted_to, static_motion, with_eff
 from lite6jax.domains.pose.problem import pose_problem
 from lite6jax.effects.kinematic.joints import JointHarmonic
 from lite6jax.estimation.score_test import score_test
-from lite6jax.search.spectrum import lines, spectrum
+from lite6jax.search.spectrum import as_likely, lines, spectrum
 
 
 @pytest.fixture(scope="module")
@@ -53,6 +53,33 @@ def test_the_spectrum_has_its_peak_there(arm, still):
     assert abs(orders[np.argmax(gains)] - 63.3) < orders[1] - orders[0]
     assert gains.max() > 5 * np.sort(gains[np.abs(orders - 63.3) > 2])[-1]
     assert (gains >= 0).all()
+
+
+def taught(motion, grid):
+    """The motion with joint positions at multiples of some degrees, as they are typed into a teach pendant."""
+    return {**motion, "joint_position": np.radians(np.round(np.degrees(motion["joint_position"]) / grid) * grid)}
+
+
+@pytest.mark.parametrize(
+    ("grid", "order", "others"),
+    [(2.0, 2, [178, 182]), (3.0, 31, [89, 151]), (1.0, 170, [190]), (0.5, 101, [])],
+)
+def test_of_orders_that_are_one_wave_at_taught_positions_it_is_the_lowest(arm, still, grid, order, others):
+    made = with_effects(arm, f"joint_harmonic:joint=2,order={order},amplitude_rad=6e-4,phase_rad=0.8")
+    against = evidence(made, taught(still, grid))
+    best = lines(against)[0]
+    assert (best.family.site, best.order) == ("joint2", order)
+    found = as_likely(against, best.family, best.order, OPTIONS.close)
+    assert [other for other, _ in found] == others
+    assert [gap for _, gap in found] == pytest.approx([0.0] * len(others), abs=1e-6)
+
+
+def test_orders_that_angles_tell_apart_are_no_alternatives(arm, still):
+    made = with_effects(arm, "joint_harmonic:joint=2,order=2,amplitude_rad=6e-4,phase_rad=0.8")
+    against = evidence(made, still)
+    family = against.problem.periodic[1]
+    assert as_likely(against, family, 2.0, OPTIONS.close) == []
+    assert len(as_likely(against, family, 2.0, 1e6)) > 1  # where nothing is asked of them there are
 
 
 def test_gains_are_those_of_exact_scores_where_nothing_is_fitted(arm, still):
