@@ -46,11 +46,10 @@ class EngineOptions:
         "log-likelihood within which two models are not distinguished",
         "a likelihood ratio of 400; also what a noise model of two numbers must gain",
     )
-    resolved_orders: float = option(
-        2.0, "independent orders per order, over a full turn", "the wave of an order and of the next but half differ"
-    )
-    searched_shapes: float = option(
-        400.0, "independent shapes that a number, or a curve, is chosen from", "places and widths of a step or bump"
+    searched_orders: float = option(
+        400.0,
+        "independent orders, or shapes, that are searched at one site",
+        "orders to 200 resolve to about one half over a full turn",
     )
     searched_curves: float = option(
         20.0, "independent curves that are searched at one site", "families x drivers x pieces of the curves tried"
@@ -123,7 +122,7 @@ class EngineOptions:
     )
     impossible: float = option(3.0, "standard deviations outside its bounds from which a name falls", "one in 700")
     # spectrum
-    highest_order: float = option(400.0, "highest order of a spectrum", "twice the ratio of strain-wave gears to 200")
+    highest_order: float = option(200.0, "highest order of a spectrum", "teeth of strain-wave gears to ratio 100")
     lowest_order: float = option(1.0, "lowest order of a spectrum", "less than a turn is an offset and a slope")
     exact_below: float = option(12.0, "order below which gains are exact", "the nuisance is confounded with low orders")
     kept_lines: int = option(4, "peaks of a spectrum that are scored exactly", "side lobes are lower than these")

@@ -72,14 +72,11 @@ class Score(NamedTuple):
 
 
 def searched_size(problem: Problem, options: EngineOptions) -> float:
-    """The effective number of independent candidates in a search, for family-wise p-values.
-
-    Of orders there are the fewer, the less of a turn the angles span.
-    """
-    highest, turn = options.highest_order, 2 * np.pi
-    orders = sum((family.highest or highest) * float(np.ptp(family.angle)) / turn for family in problem.periodic)
+    """The effective number of independent candidates in a search, for family-wise p-values."""
+    usual, curves = options.highest_order, len(problem.curves)
+    periodic = sum((family.highest or usual) / usual for family in problem.periodic)
     single = len(problem.candidates) + len(problem.flexible)
-    return single + orders * options.resolved_orders + len(problem.curves) * options.searched_curves
+    return single + periodic * options.searched_orders + curves * options.searched_curves
 
 
 def gain_p_value(gain: float, size: int, time: float) -> float:

@@ -85,7 +85,7 @@ class Search:
         scanned = pooled(self.reduced.scans(beside), self.covariate)
         if not beside:
             engine, sites = self.options.engine, {one.site for one in self.reduced.functions.values()}
-            self.searched = len(scanned.named) + len(scanned.waves) * engine.resolved_orders * engine.highest_order
+            self.searched = len(scanned.named) + len(scanned.waves) * engine.searched_orders
             self.searched += len(sites) * engine.searched_curves
         return scanned
 
@@ -242,12 +242,9 @@ class Search:
 
         The choice of an order, or of a form, among many costs as in one recording.
         """
-        engine, among = self.options.engine, 1.0
-        if term.order is not None:
-            among = engine.resolved_orders * engine.highest_order
-        elif term.key in self.reduced.functions:
-            among = engine.searched_shapes
-        return 0.5 * (numbers + 1) * float(np.log(len(self.reduced))) + float(np.log(among))
+        chosen = term.order is not None or term.key in self.reduced.functions
+        searched = float(np.log(self.options.engine.searched_orders)) if chosen else 0.0
+        return 0.5 * (numbers + 1) * float(np.log(len(self.reduced))) + searched
 
     def _possible(self, one: Tried) -> bool:
         """Whether the mean is not far outside what the named effect can be."""

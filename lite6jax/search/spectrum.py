@@ -17,7 +17,7 @@ from lite6jax.estimation.terms import Term
 Array = NDArray[np.floating]
 
 _BIN = 2 * np.pi / 2**15
-"""rad, to which angles are rounded: at order 400 that is a 25th of a radian of phase at most, and at order 1000
+"""rad, to which angles are rounded: at order 200 that is a fiftieth of a radian of phase at most, and at order 1000
 a tenth, by which a gain is a third of a per cent too low."""
 _PEAKS = 8
 """Of a spectrum, at most, among which other orders are looked for that explain as much as one."""

@@ -128,11 +128,10 @@ def description_length(terms: Sequence[Term], n: float, options: EngineOptions) 
         n: readings, or residual degrees of freedom.
         options: thresholds.
     """
-    numbers = sum(term.size + (term.chosen is not None) for term in terms)
-    orders = sum(term.periodic and term.chosen is not None for term in terms)
-    shapes = sum((term.chosen is not None) + term.nonparametric for term in terms) - orders
-    among = options.resolved_orders * options.highest_order, options.searched_shapes
-    return float(0.5 * numbers * np.log(n) + np.dot((orders, shapes), np.log(among)))
+    chosen = sum(term.chosen is not None for term in terms)
+    shapes = sum(term.nonparametric for term in terms)
+    numbers = sum(term.size for term in terms) + chosen
+    return float(0.5 * numbers * np.log(n) + (chosen + shapes) * np.log(options.searched_orders))
 
 
 def preferred(ours: State, theirs: State, by: float, options: EngineOptions) -> bool:

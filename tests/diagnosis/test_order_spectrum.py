@@ -27,16 +27,7 @@ def evidence(made, motion, **options):
 
 @pytest.mark.parametrize(
     ("joint", "order", "within"),
-    [
-        (1, 2, 0.0),
-        (3, 7.5, 0.03),
-        (2, 101, 0.0),
-        (4, 63.3, 0.03),
-        (5, 1, 0.0),
-        (2, 160.7, 0.03),
-        (6, 399, 0.0),
-        (3, 320, 0),
-    ],
+    [(1, 2, 0.0), (3, 7.5, 0.03), (2, 101, 0.0), (4, 63.3, 0.03), (5, 1, 0.0), (2, 160.7, 0.03), (6, 199, 0.0)],
 )
 def test_the_order_of_a_joint(arm, still, joint, order, within):
     made = with_effects(arm, f"joint_harmonic:joint={joint},order={order},amplitude_rad=6e-4,phase_rad=0.8")
@@ -71,7 +62,7 @@ def taught(motion, grid):
 
 @pytest.mark.parametrize(
     ("grid", "order", "others"),
-    [(2.0, 2, [178, 182, 358, 362]), (3.0, 31, [89, 151, 209, 271, 329, 391]), (1.0, 31, [329, 391]), (0.5, 101, [])],
+    [(2.0, 2, [178, 182]), (3.0, 31, [89, 151]), (1.0, 170, [190]), (0.5, 101, [])],
 )
 def test_of_orders_that_are_one_wave_at_taught_positions_it_is_the_lowest(arm, still, grid, order, others):
     made = with_effects(arm, f"joint_harmonic:joint=2,order={order},amplitude_rad=6e-4,phase_rad=0.8")
@@ -97,7 +88,7 @@ def test_gains_are_those_of_exact_scores_where_nothing_is_fitted(arm, still):
     some = [0, 40, 200, len(orders) - 1]
     for k in some:
         score = against.score([JointHarmonic(2, float(orders[k]))])[0]
-        # angles count by a fine histogram: the phase of order 400 is within a 25th of a radian
+        # angles count by a fine histogram: the phase of order 200 is within a fiftieth of a radian
         assert gains[k] == pytest.approx(score.gain, abs=0.02 * (1 + score.gain))
 
 

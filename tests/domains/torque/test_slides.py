@@ -346,9 +346,7 @@ def test_periods_are_searched_as_far_as_stroke_and_low_pass_resolve_them():
     np.testing.assert_allclose(own, np.stack([np.sin(at), np.cos(at)], 1), atol=1e-12)
     more = searched_size(problem, EngineOptions()) - len(problem.candidates) - len(problem.flexible)
     more -= len(problem.curves) * EngineOptions().searched_curves
-    turns = [float(np.ptp(family.angle)) / (2 * np.pi) for family in problem.periodic if family is not slide]
-    # its turn is what it moved over, of which the rows that the filter keeps span nearly all
-    assert more == pytest.approx(2 * (400 * sum(turns) + slide.highest), rel=1e-3)
+    assert more == pytest.approx(EngineOptions().searched_orders * (2 + slide.highest / 200))
 
 
 def test_a_push_along_the_slide_is_a_contact_in_newtons():
