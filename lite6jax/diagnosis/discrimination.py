@@ -41,7 +41,8 @@ def separating_poses(
 ) -> tuple[SeparatingPoses, ...]:
     """Poses for each pair of effects that the recording does not distinguish, where poses at rest can.
 
-    Functions without a name are no rivals here: what their coefficients are elsewhere is not known.
+    Functions without a name are no rivals here: what their coefficients are elsewhere is not known. Neither are other
+    orders of the same wave: any position between those that were recorded separates them.
     """
     state, problem = selection.state, selection.problem
     assert isinstance(problem, PoseProblem)
@@ -52,6 +53,7 @@ def separating_poses(
         if alternative.gap < options.engine.close
         and isinstance(alternative.term, Effect)
         and not alternative.term.nonparametric
+        and not (alternative.term.periodic and alternative.term.label == tested.term.label)
         and alternative.term not in state.fit.terms.terms
         and differ(selection, k, alternative.term, options)
     ]

@@ -164,6 +164,8 @@ def _rival(found: Diagnosis, k: int, rival: Rival) -> dict[str, Any]:
         status = "found"
     elif any(item.effects == labels for item in found.separating):
         status = "separable"
+    elif effect.periodic and labels[0] == labels[1]:
+        status = "undecided"  # another order of the same wave
     else:
         status = "undecided" if differ(found.selection, k, effect, found.options) else "equivalent"
     numbers = {key: getattr(effect, key) for key in ("order", "source_joint") if hasattr(effect, key)}

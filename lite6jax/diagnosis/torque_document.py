@@ -132,7 +132,7 @@ def _description(found: Description) -> dict[str, Any]:
 
 
 def _near(found: TorqueDiagnosis, finding: Finding) -> list[Rival]:
-    """The rivals at other sites or of other names, the nearest first."""
+    """The rivals that the model does not have, the nearest first."""
     others = [rival for rival in finding.rivals if rival.effect not in found.fit.terms.terms]
     return sorted(others, key=lambda rival: rival.gap)
 

@@ -125,6 +125,7 @@ class EngineOptions:
     highest_order: float = option(200.0, "highest order of a spectrum", "teeth of strain-wave gears to ratio 100")
     lowest_order: float = option(1.0, "lowest order of a spectrum", "less than a turn is an offset and a slope")
     exact_below: float = option(12.0, "order below which gains are exact", "the nuisance is confounded with low orders")
+    other_orders: int = option(3, "other orders that are reported beside one that explains no more", "fits on a screen")
     kept_lines: int = option(4, "peaks of a spectrum that are scored exactly", "side lobes are lower than these")
     whole_preferred: float = option(
         2.0, "log-likelihood by which a whole order is preferred", "most gears have whole orders"

@@ -243,6 +243,11 @@ def what_to_record(document: Document) -> list[str]:
     """A sentence for each question that this recording leaves open and another one answers."""
     lines, pairs, drivers = [], [], []
     for finding in _detailed(document):
+        waves = [rival for rival in finding["confusable_with"] if _of_one_wave(finding, rival)]
+        orders = [f"{rival['order']:.6g}" for rival in waves if rival["status"] == "undecided"]
+        if orders:
+            asked = f"record positions of {finding['site']} that are no multiples of one angle"
+            lines.append(f"To separate {effect_title(finding)} from order {_joined(orders, 'or')}, {asked}.")
         for rival in finding["confusable_with"]:
             pair = f"{effect_title(finding)} from {effect_title(rival)}"
             if rival["status"] == "separable":
@@ -250,7 +255,7 @@ def what_to_record(document: Document) -> list[str]:
             elif rival["status"] == "equivalent":
                 same = f"{effect_title(finding)} and {effect_title(rival)} have the same effect at these poses"
                 lines.append(f"{capital(same)}: more poses of this kind do not separate them.")
-            elif rival["status"] == "undecided":
+            elif rival["status"] == "undecided" and not _of_one_wave(finding, rival):
                 pairs.append(pair)
                 drivers += [f"the {driver}" for entry in (finding, rival) for driver in _drivers(entry)]
     if pairs:
@@ -287,6 +292,11 @@ def assumptions(document: Document) -> list[str]:
     undeclared = document["noise"]["declared_position_m"] is None
     missing = f"The sidecar declares {_undeclared_noise(document)}: tests use the noise estimated from the residuals."
     return [*([INERTIAL] if inertial else []), *([missing] if undeclared else [])]
+
+
+def _of_one_wave(finding: Entry, rival: Entry) -> bool:
+    """Whether two effects are orders of one joint that these positions do not tell apart."""
+    return "order" in rival and (finding["effect"], finding["site"]) == (rival["effect"], rival["site"])
 
 
 def _undeclared_noise(document: Document) -> str:

@@ -63,7 +63,7 @@ def _orders(test: ScoreTest, term: Term) -> list[Alternative]:
     order = None if family is None else family.order(term)
     if family is None or order is None:
         return []
-    near = as_likely(test, family, order, test.options.close)[: test.options.functions]
+    near = as_likely(test, family, order, test.options.close)
     return [Alternative(family.term(other), gap) for other, gap in near]
 
 

@@ -2,7 +2,8 @@
 
 Where angles are multiples of 2°, as those that people type are, orders 2 and 178 are the same wave at every sample.
 Orders therefore have a prior density that falls as 1/order, that of a quantity whose scale is not known (H. Jeffreys,
-Theory of Probability, 3.1): an eccentric shaft is likelier than a tooth that only these angles show.
+Theory of Probability, 3.1), and whole orders a higher one: an eccentric shaft is likelier than a tooth that only these
+angles show.
 """
 
 from typing import NamedTuple
@@ -19,8 +20,6 @@ Array = NDArray[np.floating]
 _BIN = 2 * np.pi / 2**15
 """rad, to which angles are rounded: at order 200 that is a fiftieth of a radian of phase at most, and at order 1000
 a tenth, by which a gain is a third of a per cent too low."""
-_PEAKS = 8
-"""Of a spectrum, at most, among which other orders are looked for that explain as much as one."""
 
 
 class Line(NamedTuple):
@@ -74,7 +73,7 @@ def lines(test: ScoreTest) -> list[Line]:
         if not gains.any():
             continue
         low = orders[orders <= options.exact_below][::2]
-        peaks = orders[np.argsort(np.log(orders) - gains)[: options.kept_lines]]
+        peaks = orders[_peaks(test, family, orders, gains)[: options.kept_lines]]
         best = _best(test, family, np.unique(np.concatenate([low, peaks])))
         order = _refined(test, family, best, orders[1] - orders[0])
         explained = test.explained_by(family.column, family.waves_of(np.array([order])))[0]
@@ -83,43 +82,46 @@ def lines(test: ScoreTest) -> list[Line]:
 
 
 def as_likely(test: ScoreTest, family: PeriodicFamily, order: float, within: float) -> list[tuple[float, float]]:
-    """Other orders of a family that explain as much as one.
+    """Other orders of a family that explain as much as one of its orders.
 
     Args:
-        test: of what is left without the order.
-        family: whose.
-        order: the one.
+        test: of the model without the wave of this order.
+        family: whose orders.
+        order: the one, in waves per turn.
         within: the log-likelihood by which another explains less at most.
 
     Returns:
-        these orders with that log-likelihood, the nearest first; none that the angles do not resolve from the one, or
-        from another that is nearer.
+        up to `other_orders` of these with the log-likelihood by which each explains less, the nearest and, of equals,
+        the lowest first; none that the angles do not resolve from the one or from another of them.
     """
     orders, gains = spectrum(test, family)
     if not gains.any():
         return []
     resolved = 2 * np.pi / max(float(np.ptp(family.angle)), 1e-3)
-    own, found = _gain(test, family, order), []
-    left = np.where(np.abs(orders - order) < resolved, -np.inf, gains)
-    for _ in range(_PEAKS):
-        k = int(np.argmax(left))
-        other = _refined(test, family, float(orders[k]), orders[1] - orders[0])
-        gap = own - _gain(test, family, other)
-        if np.isfinite(left[k]) and gap < within and abs(other - order) >= resolved:
-            found.append((other, max(gap, 0.0)))
-        left[np.abs(orders - orders[k]) < resolved] = -np.inf
-    return sorted(found, key=lambda pair: (round(pair[1], 6), pair[0]))  # of what only rounding separates, the lower
+    own, step, most = _gain(test, family, order), orders[1] - orders[0], test.options.other_orders
+    found: list[tuple[float, float]] = []
+    for peak in orders[_peaks(test, family, orders, gains)]:
+        if len(found) == most or np.abs(np.array([order, *(other for _, other in found)]) - peak).min() < resolved:
+            continue
+        other = _refined(test, family, float(peak), step)
+        # what only rounding separates is the same
+        found.append((round(max(own - _gain(test, family, other), 0.0), 6), other))
+    return [(other, gap) for gap, other in sorted(found) if gap < within and abs(other - order) >= resolved]
+
+
+def _peaks(test: ScoreTest, family: PeriodicFamily, orders: Array, gains: Array) -> NDArray[np.integer]:
+    """Which orders explain more than their neighbours, the likeliest first."""
+    around = np.concatenate([[0.0], gains, [0.0]])
+    peaks = np.flatnonzero((gains > 0) & (gains >= around[:-2]) & (gains >= around[2:]))
+    return peaks[np.argsort(-(gains + _log_prior(test, family, orders))[peaks])]
 
 
 def _refined(test: ScoreTest, family: PeriodicFamily, order: float, step: float) -> float:
-    """The best order within a step of the spectrum; a whole one where that explains nearly as much."""
+    """The likeliest order within a step of the spectrum."""
     for width in (step, step / 5):
         near = order + width * np.linspace(-1, 1, 9)
         order = _best(test, family, near[near >= test.options.lowest_order])
-    whole = float(round(order))
-    if not family.whole or whole < 1:
-        return order
-    return whole if _gain(test, family, whole) > _gain(test, family, order) - test.options.whole_preferred else order
+    return _best(test, family, np.array([order, max(round(order), 1)]))
 
 
 def _transform(place: NDArray[np.integer], values: Array, length: int) -> NDArray[np.complexfloating]:
@@ -127,8 +129,15 @@ def _transform(place: NDArray[np.integer], values: Array, length: int) -> NDArra
 
 
 def _best(test: ScoreTest, family: PeriodicFamily, orders: Array) -> float:
-    """The likeliest order, the prior included."""
-    return float(orders[int(np.argmax(test.gains(family.column, family.waves_of(orders)) - np.log(orders)))])
+    """The likeliest of some orders."""
+    gains = test.gains(family.column, family.waves_of(orders))
+    return float(orders[int(np.argmax(gains + _log_prior(test, family, orders)))])
+
+
+def _log_prior(test: ScoreTest, family: PeriodicFamily, orders: Array) -> Array:
+    """Of orders, up to a constant."""
+    fractional = (orders % 1 != 0) & family.whole
+    return -np.log(orders) - test.options.whole_preferred * fractional
 
 
 def _gain(test: ScoreTest, family: PeriodicFamily, order: float) -> float:

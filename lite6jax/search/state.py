@@ -22,7 +22,8 @@ class Alternative:
 
     Attributes:
         term: which.
-        gap: by which the log-likelihood of its refit, or beside a curve that of its score test, is lower.
+        gap: by which the log-likelihood of its refit is lower; beside a curve, and of another order of the same wave,
+            that of its score test.
     """
 
     term: Term

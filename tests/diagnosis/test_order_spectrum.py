@@ -62,16 +62,27 @@ def taught(motion, grid):
 
 @pytest.mark.parametrize(
     ("grid", "order", "others"),
-    [(2.0, 2, [178, 182]), (3.0, 31, [89, 151]), (1.0, 170, [190]), (0.5, 101, [])],
+    [
+        *((2.0, 2, [178, 182]), (3.0, 31, [89, 151]), (1.0, 170, [190]), (0.5, 101, [])),
+        *((30.0, 2, [10, 14, 22]), (15.0, 2, [22, 26, 46])),  # three are shown
+        *((11.0, 25, None), (7.0, 31, None)),  # and lower ones that are not whole: 7.7 and 20.4
+    ],
 )
-def test_of_orders_that_are_one_wave_at_taught_positions_it_is_the_lowest(arm, still, grid, order, others):
+def test_of_orders_that_are_one_wave_at_taught_positions_it_is_the_lowest_whole_one(arm, still, grid, order, others):
     made = with_effects(arm, f"joint_harmonic:joint=2,order={order},amplitude_rad=6e-4,phase_rad=0.8")
     against = evidence(made, taught(still, grid))
     best = lines(against)[0]
     assert (best.family.site, best.order) == ("joint2", order)
     found = as_likely(against, best.family, best.order, OPTIONS.close)
-    assert [other for other, _ in found] == others
-    assert [gap for _, gap in found] == pytest.approx([0.0] * len(others), abs=1e-6)
+    assert others is None or [other for other, _ in found] == others
+    assert max([gap for _, gap in found], default=0.0) < (0.5 if others is None else 1e-6)
+
+
+def test_a_joint_that_hardly_moves_has_no_other_order(arm, still):
+    at_rest = {**still, "joint_position": still["joint_position"].copy()}
+    at_rest["joint_position"][:, 1] = 0.3 + 1e-9 * np.arange(len(at_rest["joint_position"]))
+    against = evidence(arm, at_rest)
+    assert as_likely(against, against.problem.periodic[1], 2.0, OPTIONS.close) == []
 
 
 def test_orders_that_angles_tell_apart_are_no_alternatives(arm, still):

@@ -38,7 +38,7 @@ FUNCTIONS = (CUBIC, SPLINE, WIDE)
 CANDIDATES = {candidate.key: candidate for candidate in (*NAMED, WAVES)}
 
 
-def arm(rng, effects=(), found=(), noise=None, samples=SAMPLES):
+def arm(rng, effects=(), found=(), noise=None, samples=SAMPLES, step=None):
     """A reduced recording; in it the effect "soft" is proportional to the driver "load".
 
     Args:
@@ -47,10 +47,13 @@ def arm(rng, effects=(), found=(), noise=None, samples=SAMPLES):
         found: terms that the recording shows alone, with p-values of 1e-9.
         noise: added to the residual instead of white noise of unit variance, `(sample,)`.
         samples: of it, one row each.
+        step: rad, of which the angles are multiples.
     """
     numbers = sum(len(candidate.names) for candidate in NAMED)
     columns = rng.normal(size=(numbers, samples))
     sites, angles = rng.uniform(0.5, 1.5, (1, 1, samples)), rng.uniform(-np.pi, np.pi, (1, samples))
+    if step is not None:
+        angles = np.round(angles / step) * step
     drivers = {"load": columns[0].copy(), "position": angles[0]}
     made = ReducedArm(
         about={"what": "poses", "arm": "none", "joints": 3, "rows": samples, "date": None, "verdict": "consistent"},

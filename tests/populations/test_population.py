@@ -48,6 +48,14 @@ def test_a_gear_whose_phase_is_another_in_each_arm_is_found(tmp_path):
     assert said["amplitude_rms_rad"] == pytest.approx(0.6, abs=0.1)
 
 
+@pytest.mark.parametrize(("degrees", "order"), [(10, 7.0), (2, 3.0), (30, 2.0)])
+def test_of_orders_that_are_one_wave_in_all_arms_it_is_the_lowest(tmp_path, degrees, order):
+    rng = np.random.default_rng(8)
+    waves = [wave(order, 0.9, rng.uniform(-np.pi, np.pi)) for _ in range(8)]
+    (effect,) = population(tmp_path, [arm(rng, [one], step=np.radians(degrees)) for one in waves]).effects
+    assert effect.selected.term == PooledTerm("waves:joint3", order)
+
+
 def test_an_odd_arm_is_named_and_the_type_is_that_of_the_others(tmp_path):
     def effects(i, rng):
         return [(SOFT, [1.0 + 0.1 * rng.normal() + 2.0 * (i == 4)])]

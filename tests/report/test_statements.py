@@ -373,6 +373,19 @@ def test_the_status_of_each_rival_is_in_the_document(undecided):
     }
 
 
+def test_orders_that_are_one_wave_are_told_apart_by_other_positions(compliant):
+    orders = [f"joint_harmonic:joint=2,order={order},amplitude_rad=1e-4,phase_rad=0" for order in (2, 178, 182.5)]
+    effect, *others = (parse_effect(order)[0] for order in orders)
+    (finding,) = compliant.findings
+    found = replace(compliant, findings=(replace(finding, effect=effect, values=np.zeros(2), covariance=np.eye(2)),))
+    document = documented(with_rivals(found, (others[0], 0.0), (others[1], 0.3)))
+    assert [rival["status"] for rival in document["findings"][0]["confusable_with"]] == ["undecided"] * 2
+    assert statements.what_to_record(document)[0] == (
+        "To separate joint harmonic of order 2 at joint2 from order 178 or 182.5, record positions of joint2 that are "
+        "no multiples of one angle."
+    )
+
+
 def test_what_is_confounded_is_to_be_declared(compliant):
     start = "To test for effects that are confounded or not observed, "
     last = statements.what_to_record(documented(compliant))[-1]
