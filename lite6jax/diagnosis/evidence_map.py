@@ -15,6 +15,7 @@ from lite6jax.effects.effect import Estimate
 from lite6jax.effects.kinematic.joints import JointHarmonic
 from lite6jax.effects.nonparametric import Unnamed, spline_basis
 from lite6jax.estimation.least_squares import Fit
+from lite6jax.estimation.multiplicity import log_orders
 from lite6jax.estimation.noise import autocorrelation
 from lite6jax.estimation.problem import PeriodicFamily
 from lite6jax.estimation.score_test import Score, ScoreTest, score_test
@@ -70,8 +71,8 @@ class JointSpectra(NamedTuple):
         site: `jointN`.
         before: of the residuals of the nuisance alone.
         after: of the residuals of the whole model; None where there are no findings.
-        noise: the share, of the variance that the whole model leaves, that the highest of all orders and joints exceeds
-            in noise with the probability of the family-wise level.
+        noise: `(order,)` of the last stage's orders: the share, of the variance that the whole model leaves, that any
+            order of any joint exceeds in noise with the probability of the family-wise level.
         harmonics: orders of the harmonics found at this joint.
         curve: orders of nonparametric findings there.
         observed: whether the sensor observes the joint.
@@ -80,7 +81,7 @@ class JointSpectra(NamedTuple):
     site: str
     before: Spectrum
     after: Spectrum | None
-    noise: float
+    noise: Array
     harmonics: tuple[float, ...]
     curve: tuple[float, ...]
     observed: bool
@@ -156,14 +157,14 @@ def joint_spectra(found: Diagnosis) -> list[JointSpectra]:
     for k, family in enumerate(found.problem.periodic):
         site = family.site
         each = [_spectrum(test, test.problem.periodic[k], exact_below) for test in tests]
-        searched = len(found.problem.periodic) * len(each[-1].orders) / 2
-        highest = float(chdtri(2, engine.level / searched))
+        searched = len(found.problem.periodic) * np.exp(log_orders(each[-1].orders, engine, whole=False))
+        highest = chdtri(2, engine.level / searched)
         spectra.append(
             JointSpectra(
                 site=site,
                 before=each[0],
                 after=each[1] if len(each) > 1 else None,
-                noise=highest / max(_left(tests[-1]), highest),
+                noise=highest / np.maximum(_left(tests[-1]), highest),
                 harmonics=tuple(
                     e.order for e in effects if isinstance(e, JointHarmonic) and e.site == site and e.order
                 ),

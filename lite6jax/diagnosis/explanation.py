@@ -23,6 +23,7 @@ from lite6jax.domains.pose.screening.registry import price
 from lite6jax.domains.pose.screening.screen import screen
 from lite6jax.domains.pose.screening.screened import Corrections, Screened
 from lite6jax.effects.effect import Effect
+from lite6jax.estimation.multiplicity import description_length
 from lite6jax.estimation.noise import NoiseModel, white_noise
 from lite6jax.estimation.problem import Mask
 from lite6jax.estimation.projection import schur_complement
@@ -31,7 +32,6 @@ from lite6jax.progress import entered
 from lite6jax.recordings import FactoryUncertainty, Recording, require_samples
 from lite6jax.recordings.fault import DataFault
 from lite6jax.search.search import Selection
-from lite6jax.search.state import description_length
 
 Array = NDArray[np.floating]
 

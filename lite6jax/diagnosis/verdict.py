@@ -6,7 +6,7 @@ import numpy as np
 from scipy.special import chdtri
 
 from lite6jax.estimation.concentration import Concentration, concentration
-from lite6jax.estimation.score_test import searched_size
+from lite6jax.estimation.multiplicity import multiplicity
 
 if TYPE_CHECKING:
     from lite6jax.diagnosis.result import Diagnosis
@@ -81,7 +81,7 @@ def rows_needed(found: "Diagnosis") -> int:
         return least
     engine = found.options.engine
     term, p_value = found.selection.nearest
-    searched = searched_size(found.problem, engine)
+    searched = multiplicity(found.problem, term, engine)
     now, needed = (float(chdtri(term.size, max(p / searched, 1e-300))) for p in (p_value, engine.level))
     more = needed / now if now > 0 else np.inf
     rows = int(np.ceil(min(found.problem.samples * more, 1e9)))

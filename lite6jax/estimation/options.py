@@ -48,8 +48,16 @@ class EngineOptions:
     )
     searched_orders: float = option(
         400.0,
-        "independent orders, or shapes, that are searched at one site",
-        "orders to 200 resolve to about one half over a full turn",
+        "candidates that all orders of an angle weigh as much as, for family-wise p-values",
+        "at six angles, four fifths of the family-wise level: a line is the most specific of findings",
+    )
+    resolved_orders: float = option(
+        3.8,
+        "independent orders per order, over a full turn",
+        "√(π gain / 3) at a gain of 14, where family-wise p-values meet the level (Baluev 2008)",
+    )
+    searched_shapes: float = option(
+        400.0, "independent shapes that a number, or a curve, is chosen from", "places and widths of a step or bump"
     )
     searched_curves: float = option(
         20.0, "independent curves that are searched at one site", "families x drivers x pieces of the curves tried"
@@ -122,13 +130,13 @@ class EngineOptions:
     )
     impossible: float = option(3.0, "standard deviations outside its bounds from which a name falls", "one in 700")
     # spectrum
-    highest_order: float = option(200.0, "highest order of a spectrum", "teeth of strain-wave gears to ratio 100")
+    highest_order: float = option(400.0, "highest order of a spectrum", "twice the ratio of strain-wave gears to 200")
     lowest_order: float = option(1.0, "lowest order of a spectrum", "less than a turn is an offset and a slope")
     exact_below: float = option(12.0, "order below which gains are exact", "the nuisance is confounded with low orders")
     other_orders: int = option(3, "other orders that are reported beside one that explains no more", "fits on a screen")
     kept_lines: int = option(4, "peaks of a spectrum that are scored exactly", "side lobes are lower than these")
-    whole_preferred: float = option(
-        2.0, "log-likelihood by which a whole order is preferred", "most gears have whole orders"
+    whole_share: float = option(
+        2 / 3, "prior probability that an order is whole", "most gears have whole orders; 1.9 in log-likelihood"
     )
     # harmonic shrinkage
     named_numbers: int = option(12, "most numbers of named terms beside the curves", "as many as one curve")

@@ -2,7 +2,7 @@
 
 Rao's score test, in a form that is robust to unequal noise (blocks of samples, Hotelling's T²). The p-values of all
 terms are computed here: `Score.p_value` by the test, and `gain_p_value` from a refit where a term has many numbers or
-is far from zero. Either becomes family-wise by a factor of `searched_size`.
+is far from zero. Either becomes family-wise by the factor that `multiplicity` gives.
 """
 
 from collections.abc import Callable, Sequence
@@ -69,14 +69,6 @@ class Score(NamedTuple):
     def familywise(self, searched: float) -> float:
         """The p-value of the best of `searched` independent candidates (Bonferroni)."""
         return min(self.p_value * searched, 1.0)
-
-
-def searched_size(problem: Problem, options: EngineOptions) -> float:
-    """The effective number of independent candidates in a search, for family-wise p-values."""
-    usual, curves = options.highest_order, len(problem.curves)
-    periodic = sum((family.highest or usual) / usual for family in problem.periodic)
-    single = len(problem.candidates) + len(problem.flexible)
-    return single + periodic * options.searched_orders + curves * options.searched_curves
 
 
 def gain_p_value(gain: float, size: int, time: float) -> float:

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtrc, gammaln
 
+from lite6jax.estimation.multiplicity import log_orders
 from lite6jax.populations.candidate import Candidate
 from lite6jax.populations.evidence import Asked, Reduced
 from lite6jax.populations.hierarchy import Hierarchy, fitted
@@ -101,9 +102,16 @@ class Search:
             scanned = self.scan([one.term for one in chosen])
         return chosen, scanned
 
-    def familywise(self, p: float) -> float:
-        """Over the search and the ways of testing (Bonferroni)."""
-        return min(p * self.searched * len(self.ways), 1.0)
+    def familywise(self, p: float, term: PooledTerm) -> float:
+        """Of a term, over the search and the ways of testing (Bonferroni, with the prior of orders as weights)."""
+        return min(p * self._multiplicity(term) * len(self.ways), 1.0)
+
+    def _multiplicity(self, term: PooledTerm) -> float:
+        """The factor by which the p-value of a term becomes one over the search."""
+        if term.order is None:
+            return self.searched
+        engine = self.options.engine
+        return self.searched * float(np.exp(log_orders(term.order, engine))) / engine.searched_orders
 
     def best(self, scanned: Pooled, beside: Sequence[PooledTerm]) -> Selected | None:
         """The most likely addition; None where none is significant."""
@@ -112,7 +120,7 @@ class Search:
             return None
         tried = [one for one in self.tried(asked, tuple(beside)) if self._possible(one)]
         tests = {one.term: self.tested(one.term, one.evidence, scanned.overdispersion) for one in tried}
-        lines = _by_line([one for one in tried if one.term.order is not None], self.options)
+        lines = _by_line([one for one in tried if one.term.order is not None])
         significant = [
             one
             for one in (*(one for one in tried if one.term.order is None), *lines)
@@ -147,15 +155,15 @@ class Search:
             if not known or any(_same(term, one.term, self.options.same_line) for one in chosen):
                 continue
             own = self.reduced.evidence([(term, tuple(one.term for one in chosen))])[arm][0]
-            p = 1.0 if own is None else self._of_one([own])
+            p = 1.0 if own is None else self._of_one([own], term)
             if p < level:
                 chosen = [*chosen, Selected(term, self.candidates[term.key], "one", p)]
         return chosen
 
-    def _of_one(self, evidence: Sequence[Evidence]) -> float:
+    def _of_one(self, evidence: Sequence[Evidence], term: PooledTerm) -> float:
         """The least p-value of single arms, over the search and the arms."""
         least = min((one.p_value for one in evidence), default=1.0)
-        return min(least * self.searched * len(self.reduced), 1.0)
+        return min(least * self._multiplicity(term) * len(self.reduced), 1.0)
 
     def retested(
         self, chosen: list[Selected], over: Overdispersion
@@ -168,7 +176,7 @@ class Search:
             again = []
             for one, evidence in zip(chosen, columns, strict=True):
                 p, way = self.tested(one.term, evidence, over)
-                p_one = self._of_one([each for each in evidence if each is not None])
+                p_one = self._of_one([each for each in evidence if each is not None], one.term)
                 shown: Shown = way
                 if one.shown == "one" and p_one < p:
                     p, shown = p_one, "one"
@@ -183,7 +191,7 @@ class Search:
         shown, x = self._shown(evidence)
         if not shown:
             return 1.0, self.ways[0]
-        return min((self.familywise(p_value(term, shown, x, way, over)), way) for way in self.ways)
+        return min((self.familywise(p_value(term, shown, x, way, over), term), way) for way in self.ways)
 
     def statistic(self, evidence: Sequence[Evidence | None], way: Way) -> float:
         """Of a term in one way of testing."""
@@ -203,23 +211,25 @@ class Search:
         for key, found in scanned.named.items():
             ranked.append((min(_log_tail(found[w].value / over.named[w], found[w].freedom) for w in self.ways), key))
         ranked.sort()
-        grid, lines = order_grid(self.options), []
+        grid, lines, engine = order_grid(self.options), [], self.options.engine
+        among = log_orders(grid, engine)
         for key, by_way in scanned.waves.items():
             logs = np.min([_log_tails(by_way[w][0] / over.waves[w], by_way[w][1]) for w in self.ways], axis=0)
             for one in beside:
                 if one.key == key and one.order is not None:
                     logs[np.abs(grid - one.order) < self.options.same_line] = 0.0
-            lines.append((float(logs.min()), key, float(grid[int(np.argmin(logs + np.log(grid)))])))
+            best = int(np.argmin(logs + among))
+            lines.append((float((logs + among)[best]) - np.log(engine.searched_orders), key, float(grid[best])))
         lines.sort()
         least = min([log for log, *_ in (*ranked[:1], *lines[:1])], default=0.0)
-        if least + np.log(self.searched * len(self.ways)) >= np.log(self.options.engine.level):
+        if least + np.log(self.searched * len(self.ways)) >= np.log(engine.level):
             return []
         asked = [PooledTerm(key) for _, key in ranked[: self.options.candidates]]
         for _, key, order in lines[: self.options.lines]:
             near = order + self.options.order_step * _FINER
             orders = {
                 float(max(round(order), 1)),
-                *(float(o) for o in near if o >= self.options.engine.lowest_order / 2),
+                *(float(o) for o in near if o >= engine.lowest_order / 2),
             }
             asked += [PooledTerm(key, o) for o in sorted(orders)]
         return asked
@@ -242,9 +252,12 @@ class Search:
 
         The choice of an order, or of a form, among many costs as in one recording.
         """
-        chosen = term.order is not None or term.key in self.reduced.functions
-        searched = float(np.log(self.options.engine.searched_orders)) if chosen else 0.0
-        return 0.5 * (numbers + 1) * float(np.log(len(self.reduced))) + searched
+        engine, among = self.options.engine, 0.0
+        if term.order is not None:
+            among = float(log_orders(term.order, engine))
+        elif term.key in self.reduced.functions:
+            among = float(np.log(engine.searched_shapes))
+        return 0.5 * (numbers + 1) * float(np.log(len(self.reduced))) + among
 
     def _possible(self, one: Tried) -> bool:
         """Whether the mean is not far outside what the named effect can be."""
@@ -261,16 +274,13 @@ def _same(one: PooledTerm, other: PooledTerm, width: float) -> bool:
     return one.order is None or other.order is None or abs(one.order - other.order) < width
 
 
-def _by_line(tried: Sequence[Tried], options: PoolingOptions) -> list[Tried]:
-    """Of the waves of each site the most likely one; a whole order where that is nearly as likely."""
-    found = []
-    for key in dict.fromkeys(one.term.key for one in tried):
-        own = [one for one in tried if one.term.key == key]
-        best = max(own, key=lambda one: one.penalised)
-        whole = [one for one in own if one.term.order is not None and one.term.order % 1 == 0]
-        nearest = max(whole, key=lambda one: one.penalised, default=best)
-        found.append(nearest if nearest.penalised > best.penalised - options.engine.whole_preferred else best)
-    return found
+def _by_line(tried: Sequence[Tried]) -> list[Tried]:
+    """Of the waves of each site the most likely one."""
+    best: dict[str, Tried] = {}
+    for one in tried:
+        if one.term.key not in best or one.penalised > best[one.term.key].penalised:
+            best[one.term.key] = one
+    return list(best.values())
 
 
 def _log_tail(value: float, freedom: int) -> float:

@@ -123,7 +123,7 @@ def order_spectrum(found: Diagnosis, title: str) -> Figure:
         if not spectra:
             panels[0].text(0.5, 0.5, "no joint turns", ha="center", color=GREY)
             return figure
-        panels[0].set_ylim(max(3.0 * max(joint.noise for joint in spectra), 1e-3), 150)
+        panels[0].set_ylim(max(3.0 * max(joint.noise.max() for joint in spectra), 1e-3), 150)
         panels[0].yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
         for name, colour in _STAGES[: 2 if found.findings else 1]:
             panels[0].plot([], [], color=colour, linewidth=2.5, label=name)
@@ -144,7 +144,8 @@ def _draw_spectrum(panel: Axes, joint: JointSpectra) -> None:
         if spectrum is not None:
             many = len(spectrum.orders) > 3000
             panel.plot(spectrum.orders, 100 * spectrum.shares, color=colour, linewidth=1.4, zorder=3, rasterized=many)
-    panel.axhline(100 * joint.noise, color="black", linestyle=":", linewidth=1.8, zorder=4)
+    at = (joint.after or joint.before).orders
+    panel.plot(at, 100 * joint.noise, color="black", linestyle=":", linewidth=1.8, zorder=4)
     if not joint.observed:
         panel.text(0.5, 0.75, "not observed by the sensor", ha="center", color=GREY, transform=panel.transAxes)
     for order in joint.harmonics:
@@ -160,10 +161,10 @@ def _draw_spectrum(panel: Axes, joint: JointSpectra) -> None:
     panel.set_xscale("log")
     panel.set_yscale("log")
     panel.set_xlabel(f"order per turn of {joint.site.replace('joint', 'joint ')}")
-    panel.xaxis.set_major_locator(FixedLocator([1, 2, 5, 10, 20, 50, 100, 200]))
+    panel.xaxis.set_major_locator(FixedLocator([1, 2, 5, 10, 20, 50, 100, 200, 400]))
     panel.xaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
     panel.xaxis.set_minor_formatter(NullFormatter())
-    panel.set_xlim(1, 200)
+    panel.set_xlim(1, np.ceil(at[-1]))
     _label_first(panel, "explained variance (%)")
 
 

@@ -2,9 +2,10 @@
 
 import numpy as np
 
+from lite6jax.estimation.multiplicity import multiplicity
 from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.problem import Problem
-from lite6jax.estimation.score_test import score_test, searched_size
+from lite6jax.estimation.score_test import score_test
 from lite6jax.search.state import State, reduced, retested
 
 _CLEARLY = 5.0
@@ -33,20 +34,21 @@ def prune(problem: Problem, state: State, options: EngineOptions) -> State:
     Of the terms, those are refitted without that a quadratic likelihood would miss least, unless it would miss them
     clearly.
     """
-    n, allowed = state.fit.freedom, np.log(searched_size(problem, options))
+    n = state.fit.freedom
     while len(state.tested) > 1:
+        allowed = [np.log(multiplicity(problem, tested.term, options)) for tested in state.tested]
         losses = []
         missed = [state.fit.quadratic_gain(k) - 0.5 * t.term.size * np.log(n) for k, t in enumerate(state.tested)]
         for k in np.argsort(missed)[: options.refitted_without].tolist():
-            if missed[k] > _CLEARLY * allowed:
+            if missed[k] > _CLEARLY * allowed[k]:
                 continue
             tested = state.tested[k]
             rest = reduced(problem, state, k, options)
             scale = state.fit.scale
             loss = state.fit.log_likelihood(scale) - rest.fit.log_likelihood(scale)
-            losses.append((loss - 0.5 * tested.term.size * np.log(n), rest))
+            losses.append((loss - 0.5 * tested.term.size * np.log(n) - allowed[k], rest))
         least, rest = min(losses, key=lambda item: item[0], default=(np.inf, state))
-        if least > allowed:
+        if least > 0:
             break
         state = rest
     return state

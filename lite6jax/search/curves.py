@@ -7,13 +7,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lite6jax.estimation.least_squares import Fit
+from lite6jax.estimation.multiplicity import description_length, multiplicity, searched_size
 from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.problem import CurveDriver, CurveFamily, Problem
-from lite6jax.estimation.score_test import Explained, ScoreTest, gain_p_value, score_test, searched_size
+from lite6jax.estimation.score_test import Explained, ScoreTest, gain_p_value, score_test
 from lite6jax.estimation.terms import Term
 from lite6jax.search.backward import eliminate
 from lite6jax.search.forward import forward
-from lite6jax.search.state import Alternative, SelectedTerm, State, added, description_length, preferred, refitted
+from lite6jax.search.state import Alternative, SelectedTerm, State, added, preferred, refitted
 
 Array = NDArray[np.floating]
 
@@ -133,7 +134,7 @@ def with_curve(problem: Problem, beside: State, curve: Term, options: EngineOpti
     score = test.score([curve])[0]
     fit = added(problem, beside.fit, curve, score.values, options)
     gain, after = fit.gain_over(beside.fit), score_test(problem, fit, options)
-    p_value = min(gain_p_value(gain, curve.size, after.time) * searched_size(problem, options), 1.0)
+    p_value = min(gain_p_value(gain, curve.size, after.time) * multiplicity(problem, curve, options), 1.0)
     # what a name explains of the curve is what it would explain without it, less what it still explains beside it: both
     # in the noise that the curve leaves, as its own gain
     before = score_test(problem, beside.fit, options, within=fit)

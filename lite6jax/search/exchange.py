@@ -1,8 +1,9 @@
 """Exchange of terms that were chosen one by one: alternatives in the place of a term, one term in that of several."""
 
+from lite6jax.estimation.multiplicity import multiplicity
 from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.problem import Problem
-from lite6jax.estimation.score_test import score_test, searched_size
+from lite6jax.estimation.score_test import score_test
 from lite6jax.search.backward import eliminate, prune
 from lite6jax.search.forward import forward
 from lite6jax.search.state import SelectedTerm, State, extended, preferred, reduced, refitted
@@ -10,7 +11,6 @@ from lite6jax.search.state import SelectedTerm, State, extended, preferred, redu
 
 def exchange(problem: Problem, state: State, options: EngineOptions) -> State:
     """Tries the alternatives of every term in its place, and keeps the set that is clearly more likely."""
-    searched = searched_size(problem, options)
     best, tried = state, {frozenset(state.fit.terms.terms)}
     improved = len(state.tested) >= options.several
     while improved:
@@ -23,7 +23,7 @@ def exchange(problem: Problem, state: State, options: EngineOptions) -> State:
                 continue
             tried.add(begun)
             score = score_test(problem, rest.fit, options, within=state.fit).score([term])[0]
-            tested = SelectedTerm(term, score.familywise(searched), score)
+            tested = SelectedTerm(term, score.familywise(multiplicity(problem, term, options)), score)
             other = forward(problem, extended(problem, rest, tested, score.values, options), options)
             other = eliminate(problem, other, options)
             if preferred(other, best, options.close, options):
@@ -38,13 +38,13 @@ def one_for_several(problem: Problem, state: State, options: EngineOptions) -> S
         if len(several) < 2:
             continue
         rest = refitted(problem, state, [tested for tested in state.tested if tested not in several], options)
-        test, searched = score_test(problem, rest.fit, options, within=state.fit), searched_size(problem, options)
+        test = score_test(problem, rest.fit, options, within=state.fit)
         others = [term for term in problem.candidates if type(term) is kind]
         best = state
         for term, score in zip(others, test.score(others), strict=True):
             if score.confounded or term in state.fit.terms.terms:
                 continue
-            tested = SelectedTerm(term, score.familywise(searched), score)
+            tested = SelectedTerm(term, score.familywise(multiplicity(problem, term, options)), score)
             choice = extended(problem, rest, tested, score.values, options)
             if preferred(choice, best, 0.0, options):
                 best = choice

@@ -6,9 +6,10 @@ from typing import NamedTuple
 import numpy as np
 
 from lite6jax.estimation.least_squares import Fit, fit
+from lite6jax.estimation.multiplicity import multiplicity
 from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.problem import Problem
-from lite6jax.estimation.score_test import Explained, Score, score_test, searched_size
+from lite6jax.estimation.score_test import Explained, Score, score_test
 from lite6jax.estimation.terms import Term, Terms
 from lite6jax.search.spectrum import lines
 from lite6jax.search.state import Alternative, SelectedTerm, State, added, extended, most_specific, refitted
@@ -47,7 +48,11 @@ def forward(problem: Problem, state: State, options: EngineOptions, shaped: bool
 
 def _with_next(problem: Problem, state: State, options: EngineOptions, shaped: bool) -> State | None:
     """The state with the best single addition, or None where none is significant."""
-    test, searched = score_test(problem, state.fit, options), searched_size(problem, options)
+    test = score_test(problem, state.fit, options)
+
+    def familywise(one: _Ranked, test: Explained | Score) -> float:
+        return test.familywise(multiplicity(problem, one.term, options))
+
     # a term that is there explains more beside a linearisation that is not at its estimate, as that of a delay
     there = state.fit.terms.terms
     named = [term for term in problem.candidates if not (term.periodic or term in there)]
@@ -55,16 +60,16 @@ def _with_next(problem: Problem, state: State, options: EngineOptions, shaped: b
     if shaped and problem.shaped:
         pairs = zip(problem.shaped, test.explained(problem.shaped), strict=True)
         candidates += [_Ranked(*pair, float(np.log(len(problem.shaped)))) for pair in pairs]
-    candidates += [_Ranked(line.term, line.explained, np.log(line.searched)) for line in lines(test)]
+    candidates += [_Ranked(line.term, line.explained, line.searched) for line in lines(test)]
     n = test.freedom
     ranked = sorted(
         (one for one in candidates if not one.explained.confounded and one.explained.gain > 0),
         key=lambda one: -one.penalised(n),
     )
-    likely = [one for one in ranked[: 3 * options.refitted] if one.explained.familywise(searched) < options.level]
+    likely = [one for one in ranked[: 3 * options.refitted] if familywise(one, one.explained) < options.level]
     scores = dict(zip(likely, test.score([one.term for one in likely]), strict=True))
     # where correlated noise leaves none significant, the most likely one in white noise is tried
-    significant = [one for one in likely if scores[one].familywise(searched) < options.level] or likely
+    significant = [one for one in likely if familywise(one, scores[one]) < options.level] or likely
     if not significant or significant[0].penalised(n) < 0:
         return None
     best, enough = significant[0], options.refitted_share * significant[0].explained.gain
@@ -87,14 +92,14 @@ def _with_next(problem: Problem, state: State, options: EngineOptions, shaped: b
         if one is not chosen[0]
     )
     term, score = chosen[0].term, scores[chosen[0]]
-    tested = SelectedTerm(term, score.familywise(searched), score, alternatives)
+    tested = SelectedTerm(term, familywise(chosen[0], score), score, alternatives)
     further = State(state.baseline, chosen[1], (*state.tested, tested))
     return _refined(problem, _without_included(problem, further, options), options)
 
 
 def with_term(problem: Problem, state: State, term: Term, score: Score, options: EngineOptions) -> State:
     """The state with a named term, whose tried number is refined."""
-    tested = SelectedTerm(term, score.familywise(searched_size(problem, options)), score)
+    tested = SelectedTerm(term, score.familywise(multiplicity(problem, term, options)), score)
     return _refined(problem, extended(problem, state, tested, score.values, options), options)
 
 

@@ -14,9 +14,10 @@ import numpy as np
 
 from lite6jax.estimation.concentration import Concentration, concentration
 from lite6jax.estimation.least_squares import Fit
+from lite6jax.estimation.multiplicity import description_length, multiplicity, searched_size
 from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.problem import Problem
-from lite6jax.estimation.score_test import ScoreTest, gain_p_value, score_test, searched_size
+from lite6jax.estimation.score_test import ScoreTest, gain_p_value, score_test
 from lite6jax.estimation.terms import Term
 from lite6jax.search.backward import eliminate, prune
 from lite6jax.search.curves import with_curve
@@ -24,7 +25,6 @@ from lite6jax.search.forward import forward, with_term
 from lite6jax.search.state import (
     SelectedTerm,
     State,
-    description_length,
     extended,
     preferred,
     reduced,
@@ -141,14 +141,15 @@ def _with_slow_waves(
 
 def _restored(problem: Problem, state: State, names: Sequence[SelectedTerm], options: EngineOptions) -> State:
     """The state with those of some names that are significant beside its function, the most significant first."""
-    left, searched = list(names), searched_size(problem, options)
+    left = list(names)
     while left:
         scores = score_test(problem, state.fit, options).score([tested.term for tested in left])
-        k = min(range(len(left)), key=lambda i: scores[i].p_value)
-        if scores[k].confounded or scores[k].familywise(searched) >= options.level:
+        p_values = [s.familywise(multiplicity(problem, t.term, options)) for s, t in zip(scores, left, strict=True)]
+        k = int(np.argmin(p_values))
+        if scores[k].confounded or p_values[k] >= options.level:
             break
         term = left.pop(k).term
-        tested = SelectedTerm(term, scores[k].familywise(searched), scores[k])
+        tested = SelectedTerm(term, p_values[k], scores[k])
         state = extended(problem, state, tested, scores[k].values, options)
     return prune(problem, state, options)
 
@@ -220,7 +221,7 @@ def _tested_finally(problem: Problem, state: State, k: int, time: float, options
     if not tested.term.nonparametric:
         return retested(problem, state, k, time, options)
     gain = state.fit.gain_over(reduced(problem, state, k, options).fit)
-    p_value = min(gain_p_value(gain, tested.term.size, time) * searched_size(problem, options), 1.0)
+    p_value = min(gain_p_value(gain, tested.term.size, time) * multiplicity(problem, tested.term, options), 1.0)
     return SelectedTerm(tested.term, p_value, tested.score._replace(gain=gain), tested.alternatives)
 
 

@@ -5,16 +5,16 @@ from dataclasses import replace
 import numpy as np
 
 from lite6jax.estimation.least_squares import Fit, fit
+from lite6jax.estimation.multiplicity import description_length, multiplicity
 from lite6jax.estimation.noise import white_noise
 from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.problem import Problem
-from lite6jax.estimation.score_test import remaining_noise_model, score_test, searched_size
+from lite6jax.estimation.score_test import remaining_noise_model, score_test
 from lite6jax.estimation.terms import Terms
 from lite6jax.search.state import (
     Alternative,
     SelectedTerm,
     State,
-    description_length,
     extended,
     most_specific,
     reduced,
@@ -24,18 +24,19 @@ from lite6jax.search.state import (
 
 def retest(problem: Problem, state: State, options: EngineOptions) -> State:
     """The state refitted in the noise model of its residuals, with further terms that are significant in that noise."""
-    state, searched = _in_noise_model(problem, state, options), searched_size(problem, options)
+    state = _in_noise_model(problem, state, options)
     while not state.fit.noise.white and len(state.tested) < options.most_terms:
         test = score_test(problem, state.fit, options)
         explained = zip(problem.candidates, test.explained(problem.candidates), strict=True)
-        likely = [term for term, one in explained if one.familywise(searched) < options.level]
+        searched = {term: multiplicity(problem, term, options) for term in problem.candidates}
+        likely = [term for term, one in explained if one.familywise(searched[term]) < options.level]
         scores = zip(likely, test.score(likely), strict=True)
-        clear = [(term, s) for term, s in scores if not s.confounded and s.p_value * searched < options.level]
+        clear = [(term, s) for term, s in scores if not s.confounded and s.familywise(searched[term]) < options.level]
         if not clear:
             break
         n = state.fit.freedom
         term, score = max(clear, key=lambda pair: pair[1].gain - 0.5 * pair[1].size * np.log(n))
-        tested = SelectedTerm(term, score.familywise(searched), score)
+        tested = SelectedTerm(term, score.familywise(searched[term]), score)
         more = _in_noise_model(problem, extended(problem, state, tested, score.values, options), options)
         if len(more.tested) <= len(state.tested):
             break
@@ -71,7 +72,7 @@ def renamed(problem: Problem, state: State, k: int, options: EngineOptions) -> S
 
     They may rank otherwise beside the terms and in the noise that have been found since.
     """
-    tested, searched = state.tested[k], searched_size(problem, options)
+    tested = state.tested[k]
     rest = reduced(problem, state, k, options).fit
     test = score_test(problem, rest, options)
     choices: list[tuple[SelectedTerm, Fit]] = [(tested, state.fit)]
@@ -82,7 +83,8 @@ def renamed(problem: Problem, state: State, k: int, options: EngineOptions) -> S
         terms = Terms((*rest.terms.terms[:k], alternative.term, *rest.terms.terms[k:]))
         values = np.insert(rest.values, state.fit.terms.slices[k].start, score.values)
         other = fit(problem, terms, options, values, rest.nuisance, rest.training, rest.noise)
-        choices.append((SelectedTerm(alternative.term, score.familywise(searched), score), other))
+        p_value = score.familywise(multiplicity(problem, alternative.term, options))
+        choices.append((SelectedTerm(alternative.term, p_value, score), other))
     scale, n = np.min([one.scale for _, one in choices], axis=0), rest.freedom
 
     def judged(choice: tuple[SelectedTerm, Fit]) -> float:

@@ -13,9 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lite6jax.estimation.least_squares import Fit, fit
+from lite6jax.estimation.multiplicity import multiplicity
 from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.problem import Mask, Problem
-from lite6jax.estimation.score_test import Score, autocorrelation_times, gain_p_value, score_test, searched_size
+from lite6jax.estimation.score_test import Score, autocorrelation_times, gain_p_value, score_test
 from lite6jax.estimation.terms import Term, Terms
 from lite6jax.progress import entered
 from lite6jax.search.backward import eliminate, prune
@@ -94,22 +95,22 @@ def _of_terms(problem: Problem, terms: Sequence[Term], times: Array) -> Array:
 
 def _tested(problem: Problem, state: State, times: Array, options: EngineOptions) -> State:
     """With each term tested by what it explains to second order, in noise of these autocorrelation times `(group,)`."""
-    searched, tested = searched_size(problem, options), []
+    tested = []
     of_terms = _of_terms(problem, state.fit.terms.terms, times)
     for k, (test, time) in enumerate(zip(state.tested, of_terms, strict=True)):
         gain = state.fit.quadratic_gain(k)
-        p_value = min(gain_p_value(gain, test.term.size, time) * searched, 1.0)
+        p_value = min(gain_p_value(gain, test.term.size, time) * multiplicity(problem, test.term, options), 1.0)
         tested.append(replace(test, p_value=p_value, score=test.score._replace(gain=gain, p_value=p_value)))
     return replace(state, tested=tuple(tested))
 
 
 def _unnecessary(problem: Problem, found: Fit, times: Array, options: EngineOptions) -> set[int]:
     """Of each site, the term that leaves, if there is one: the least possible, or else the least significant one."""
-    searched, std = searched_size(problem, options), np.sqrt(np.maximum(np.diagonal(found.covariance), 1e-300))
+    std = np.sqrt(np.maximum(np.diagonal(found.covariance), 1e-300))
     worst: dict[str, tuple[float, int]] = {}
     of_terms = _of_terms(problem, found.terms.terms, times)
     for k, (term, part, time) in enumerate(zip(found.terms.terms, found.terms.slices, of_terms, strict=True)):
-        p_value = gain_p_value(found.quadratic_gain(k), term.size, time) * searched
+        p_value = gain_p_value(found.quadratic_gain(k), term.size, time) * multiplicity(problem, term, options)
         beyond = max(
             max(lower - value, value - upper) / s
             for (lower, upper), value, s in zip(problem.limits(term), found.values[part], std[part], strict=True)

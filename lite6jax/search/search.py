@@ -4,9 +4,10 @@ from dataclasses import dataclass, replace
 from typing import final
 
 from lite6jax.estimation.least_squares import Fit, fit
+from lite6jax.estimation.multiplicity import multiplicity
 from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.problem import Mask, Problem
-from lite6jax.estimation.score_test import Score, gain_p_value, score_test, searched_size
+from lite6jax.estimation.score_test import Score, gain_p_value, score_test
 from lite6jax.estimation.terms import Term, Terms
 from lite6jax.progress import entered
 from lite6jax.search.alternatives import with_alternatives
@@ -120,7 +121,7 @@ def _with_preset(problem: Problem, baseline: Fit, options: EngineOptions) -> Sta
     time = score_test(problem, fitted, options).time
     tested = []
     for term, part in zip(terms.terms, terms.slices, strict=True):
-        p_value = min(gain_p_value(gain, term.size, time) * searched_size(problem, options), 1.0)
+        p_value = min(gain_p_value(gain, term.size, time) * multiplicity(problem, term, options), 1.0)
         tested.append(SelectedTerm(term, p_value, Score(gain, term.size, p_value, False, fitted.values[part])))
     return State(baseline, fitted, tuple(tested))
 
@@ -143,12 +144,14 @@ def _continued(problem: Problem, reference: Problem, part: State, training: Mask
 def _reviewed(selection: Selection, options: EngineOptions) -> Selection:
     """With the candidates that are confounded with the nuisance, and the most significant one that was not selected."""
     problem, state = selection.problem, selection.state
-    candidates, searched = problem.candidates, searched_size(problem, options)
+    candidates = problem.candidates
     explained = score_test(problem, state.baseline, options).explained(candidates)
     confounded = tuple(term for term, one in zip(candidates, explained, strict=True) if one.confounded)
     if any(term.shrunk for term in state.fit.terms.terms):
         return replace(selection, confounded=confounded)
     left = [term for term in candidates if term not in state.fit.terms.terms]
     scored = zip(left, score_test(problem, state.fit, options).score(left), strict=True)
-    p_values = [(term, score.familywise(searched)) for term, score in scored if not score.confounded]
+    p_values = [
+        (term, score.familywise(multiplicity(problem, term, options))) for term, score in scored if not score.confounded
+    ]
     return replace(selection, confounded=confounded, nearest=min(p_values, key=lambda pair: pair[1], default=None))

@@ -18,11 +18,12 @@ from scipy.linalg.lapack import get_lapack_funcs
 from scipy.optimize import minimize
 
 from lite6jax.estimation.least_squares import Fit, fit, linear_columns
+from lite6jax.estimation.multiplicity import multiplicity
 from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.problem import PeriodicFamily, Problem
 from lite6jax.estimation.projection import orthonormal, outside, unit_rows
 from lite6jax.estimation.robust import FREEDOM
-from lite6jax.estimation.score_test import Score, gain_p_value, score_test, searched_size
+from lite6jax.estimation.score_test import Score, gain_p_value, score_test
 from lite6jax.estimation.terms import Term, Terms, join
 from lite6jax.search.state import SelectedTerm, State
 
@@ -263,13 +264,13 @@ def _named(
     problem: Problem, current: Fit, candidates: Sequence[Term], options: EngineOptions, room: int
 ) -> list[SelectedTerm]:
     """Named terms that are significant beside the model, each tested after those before it."""
-    test, searched = score_test(problem, current, options), searched_size(problem, options)
+    test = score_test(problem, current, options)
     pairs = [pair for pair in zip(candidates, test.explained(candidates), strict=True) if not pair[1].confounded]
     found: list[SelectedTerm] = []
     for term, _ in sorted(pairs, key=lambda pair: -pair[1].gain)[: options.named_numbers]:
         columns = problem.columns([term])
         score = test.score_columns([columns])[0]
-        p_value = score.familywise(searched)
+        p_value = score.familywise(multiplicity(problem, term, options))
         if term in current.terms.terms or _outside(problem, term, score.values):
             continue
         if score.confounded or p_value >= options.level:
@@ -297,5 +298,5 @@ def _tested(problem: Problem, current: Fit, curve: Term, time: float, options: E
     prior = np.array([number.spread for number in curve.coordinates]) ** 2
     effective = int(np.ceil(max(len(values) - float(np.sum(np.diagonal(covariance) / prior)), 1.0)))
     gain = current.quadratic_gain(k)
-    p_value = min(gain_p_value(gain, effective, time) * searched_size(problem, options), 1.0)
+    p_value = min(gain_p_value(gain, effective, time) * multiplicity(problem, curve, options), 1.0)
     return SelectedTerm(curve, p_value, Score(gain, effective, p_value, False, values))

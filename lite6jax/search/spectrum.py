@@ -1,9 +1,7 @@
 """Which orders of an angle the residuals contain, at every site of a periodic family; orders need not be whole.
 
 Where angles are multiples of 2°, as those that people type are, orders 2 and 178 are the same wave at every sample.
-Orders therefore have a prior density that falls as 1/order, that of a quantity whose scale is not known (H. Jeffreys,
-Theory of Probability, 3.1), and whole orders a higher one: an eccentric shaft is likelier than a tooth that only these
-angles show.
+The prior of orders chooses among them.
 """
 
 from typing import NamedTuple
@@ -11,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from lite6jax.estimation.multiplicity import log_orders
 from lite6jax.estimation.problem import PeriodicFamily
 from lite6jax.estimation.score_test import Explained, ScoreTest
 from lite6jax.estimation.terms import Term
@@ -18,7 +17,7 @@ from lite6jax.estimation.terms import Term
 Array = NDArray[np.floating]
 
 _BIN = 2 * np.pi / 2**15
-"""rad, to which angles are rounded: at order 200 that is a fiftieth of a radian of phase at most, and at order 1000
+"""rad, to which angles are rounded: at order 400 that is a 25th of a radian of phase at most, and at order 1000
 a tenth, by which a gain is a third of a per cent too low."""
 
 
@@ -29,7 +28,7 @@ class Line(NamedTuple):
         family: which.
         order: of its angle.
         explained: exactly, at that order.
-        searched: how many independent orders it is the best of.
+        searched: the logarithm of the number of orders that it is the best of.
     """
 
     family: PeriodicFamily
@@ -77,7 +76,7 @@ def lines(test: ScoreTest) -> list[Line]:
         best = _best(test, family, np.unique(np.concatenate([low, peaks])))
         order = _refined(test, family, best, orders[1] - orders[0])
         explained = test.explained_by(family.column, family.waves_of(np.array([order])))[0]
-        found.append(Line(family, order, explained, len(orders) / 2))
+        found.append(Line(family, order, explained, float(log_orders(order, options, family.whole))))
     return sorted(found, key=lambda line: -line.explained.gain)
 
 
@@ -101,19 +100,21 @@ def as_likely(test: ScoreTest, family: PeriodicFamily, order: float, within: flo
     own, step, most = _gain(test, family, order), orders[1] - orders[0], test.options.other_orders
     found: list[tuple[float, float]] = []
     for peak in orders[_peaks(test, family, orders, gains)]:
-        if len(found) == most or np.abs(np.array([order, *(other for _, other in found)]) - peak).min() < resolved:
+        # the spectrum ranks by rounded angles: of twice as many, the best are exact
+        if len(found) == 2 * most or np.abs(np.array([order, *(other for _, other in found)]) - peak).min() < resolved:
             continue
         other = _refined(test, family, float(peak), step)
         # what only rounding separates is the same
         found.append((round(max(own - _gain(test, family, other), 0.0), 6), other))
-    return [(other, gap) for gap, other in sorted(found) if gap < within and abs(other - order) >= resolved]
+    near = [(other, gap) for gap, other in sorted(found) if gap < within and abs(other - order) >= resolved]
+    return near[:most]
 
 
 def _peaks(test: ScoreTest, family: PeriodicFamily, orders: Array, gains: Array) -> NDArray[np.integer]:
     """Which orders explain more than their neighbours, the likeliest first."""
     around = np.concatenate([[0.0], gains, [0.0]])
     peaks = np.flatnonzero((gains > 0) & (gains >= around[:-2]) & (gains >= around[2:]))
-    return peaks[np.argsort(-(gains + _log_prior(test, family, orders))[peaks])]
+    return peaks[np.argsort(-(gains - log_orders(orders, test.options, family.whole))[peaks])]
 
 
 def _refined(test: ScoreTest, family: PeriodicFamily, order: float, step: float) -> float:
@@ -131,13 +132,7 @@ def _transform(place: NDArray[np.integer], values: Array, length: int) -> NDArra
 def _best(test: ScoreTest, family: PeriodicFamily, orders: Array) -> float:
     """The likeliest of some orders."""
     gains = test.gains(family.column, family.waves_of(orders))
-    return float(orders[int(np.argmax(gains + _log_prior(test, family, orders)))])
-
-
-def _log_prior(test: ScoreTest, family: PeriodicFamily, orders: Array) -> Array:
-    """Of orders, up to a constant."""
-    fractional = (orders % 1 != 0) & family.whole
-    return -np.log(orders) - test.options.whole_preferred * fractional
+    return float(orders[int(np.argmax(gains - log_orders(orders, test.options, family.whole)))])
 
 
 def _gain(test: ScoreTest, family: PeriodicFamily, order: float) -> float:

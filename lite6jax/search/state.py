@@ -7,9 +7,10 @@ from typing import TypeVar, final
 import numpy as np
 
 from lite6jax.estimation.least_squares import Fit, fit, without
+from lite6jax.estimation.multiplicity import description_length, multiplicity
 from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.problem import Array, Problem
-from lite6jax.estimation.score_test import Score, score_test, searched_size
+from lite6jax.estimation.score_test import Score, score_test
 from lite6jax.estimation.terms import Term, Terms
 
 T = TypeVar("T")
@@ -116,23 +117,7 @@ def retested(
         return tested  # its estimate is too far from zero for the linearisation of a score test
     rest = rest or reduced(problem, state, k, options)
     score = score_test(problem, rest.fit, options, time).score([tested.term])[0]
-    return replace(tested, p_value=score.familywise(searched_size(problem, options)), score=score)
-
-
-def description_length(terms: Sequence[Term], n: float, options: EngineOptions) -> float:
-    """What a set of terms costs in log-likelihood: ½ log n a number, and the choice of an order or a shape among many.
-
-    Schwarz's approximation (Annals of Statistics 6, 1978).
-
-    Args:
-        terms: of a model.
-        n: readings, or residual degrees of freedom.
-        options: thresholds.
-    """
-    chosen = sum(term.chosen is not None for term in terms)
-    shapes = sum(term.nonparametric for term in terms)
-    numbers = sum(term.size for term in terms) + chosen
-    return float(0.5 * numbers * np.log(n) + (chosen + shapes) * np.log(options.searched_orders))
+    return replace(tested, p_value=score.familywise(multiplicity(problem, tested.term, options)), score=score)
 
 
 def preferred(ours: State, theirs: State, by: float, options: EngineOptions) -> bool:

@@ -10,9 +10,10 @@ from itertools import combinations, product
 
 import numpy as np
 
+from lite6jax.estimation.multiplicity import multiplicity
 from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.problem import PeriodicFamily, Problem
-from lite6jax.estimation.score_test import score_test, searched_size
+from lite6jax.estimation.score_test import score_test
 from lite6jax.search.state import SelectedTerm, State, extended, preferred, refitted
 
 _REACH = 2
@@ -37,8 +38,7 @@ def with_whole_orders(problem: Problem, state: State, options: EngineOptions) ->
             if set(whole) == set(orders):
                 continue
             choice = _replaced(problem, state, family, whole, options)
-            margin = options.whole_preferred * len(whole) if best is state and not found_whole else 0.0
-            if preferred(choice, best, -margin, options):
+            if preferred(choice, best, 0.0, options):
                 best = choice
         state = best
     return state
@@ -82,10 +82,11 @@ def _replaced(
     problem: Problem, state: State, family: PeriodicFamily, orders: Sequence[float], options: EngineOptions
 ) -> State:
     """The state with these orders of a family alone."""
-    choice, searched = _without(problem, state, family, options), searched_size(problem, options)
+    choice = _without(problem, state, family, options)
     for order in orders:
         term = family.term(order)
         score = score_test(problem, choice.fit, options, within=state.fit).score([term])[0]
         start = np.zeros(term.size) if score.confounded else score.values
-        choice = extended(problem, choice, SelectedTerm(term, score.familywise(searched), score), start, options)
+        p_value = score.familywise(multiplicity(problem, term, options))
+        choice = extended(problem, choice, SelectedTerm(term, p_value, score), start, options)
     return choice

@@ -7,7 +7,8 @@ from diagnosis.recorded import OPTIONS, Made, found, moving_motion, searched, st
 
 from lite6jax.domains.pose.problem import pose_problem
 from lite6jax.effects.nonparametric import Unnamed
-from lite6jax.estimation.score_test import score_test, searched_size
+from lite6jax.estimation.multiplicity import searched_size
+from lite6jax.estimation.score_test import score_test
 from lite6jax.search.curves import best_curves
 from tests.oracles.gravity import gravity_moments
 

@@ -7,9 +7,10 @@ import pytest
 from engine.linear_problem import Column, Curve, Hat, LinearProblem, Number, Wave, linear_problem
 
 from lite6jax.estimation.least_squares import fit
+from lite6jax.estimation.multiplicity import searched_size
 from lite6jax.estimation.noise import autocorrelation_time, noise_model
 from lite6jax.estimation.options import EngineOptions, documented
-from lite6jax.estimation.score_test import score_test, searched_size
+from lite6jax.estimation.score_test import score_test
 from lite6jax.estimation.terms import Terms
 from lite6jax.search.final_estimates import final_estimates
 from lite6jax.search.forward import forward

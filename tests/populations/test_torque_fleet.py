@@ -18,7 +18,7 @@ from lite6jax.populations.schema import check_fleet_document
 from lite6jax.recordings import Recording, RecordingSettings
 
 OPTIONS = PoolingOptions(EngineOptions(highest_order=20.0), order_step=0.25)
-"""A filter of all orders to 200 would take most of the time."""
+"""A filter of all orders to 400 would take most of the time."""
 VISCOUS = PooledTerm("viscous_friction:joint=2,of_slide=False")
 ORDER, BUMP = 11.0, 0.02
 DEVIATION = 0.0057

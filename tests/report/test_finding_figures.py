@@ -153,5 +153,5 @@ def test_orders_are_drawn_where_nothing_is_left(compliant, monkeypatch):
     monkeypatch.setattr(evidence_map, "score_test", nothing)
     figure = diagnosis_figures.order_spectrum(compliant, "run.csv")
     assert np.isfinite(figure.axes[0].get_ylim()).all()
-    assert all(joint.noise == 1.0 for joint in evidence_map.joint_spectra(compliant))
+    assert all((joint.noise == 1.0).all() for joint in evidence_map.joint_spectra(compliant))
     figure.savefig(io.BytesIO())

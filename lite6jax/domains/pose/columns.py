@@ -77,6 +77,10 @@ class EffectColumns:
 
     def _by_unit_masses(self, effect: Effect) -> Array:
         """`(number, mass, row, sample)`, for unit numbers of a linear effect."""
+        if effect not in self._by_mass and isinstance(effect, Unnamed) and Physics((effect,)).loaded:
+            slopes = self.deflections.basis_by_masses(self.masses, effect)
+            found = [families.unnamed_columns(effect, slope, self.sites) for slope in slopes]
+            self._by_mass[effect] = np.stack(found, 1)
         if effect not in self._by_mass:
             units = np.eye(effect.size) if Physics((effect,)).loaded else np.zeros((0, effect.size))
             found = [self._through_masses(effect, one) for one in units]

@@ -138,6 +138,15 @@ class Deflections:
             cache[key] = np.asarray(effect.basis(values, self.host_motion.run))
         return cache[key]
 
+    def basis_by_masses(self, masses: Sequence[Site], effect: Unnamed) -> Array:
+        """How these functions change with errors of masses, `(mass, function, sample)`, for masses `(mass,)`."""
+        slopes = []
+        for less, more, step in self._heavier(tuple(masses)):
+            at = (effect.values_at(self.host_motion, on_arm) for on_arm in (less, more))
+            a, b = (np.asarray(effect.basis(values, self.host_motion.run)) for values in at)
+            slopes.append((b - a) / (2 * step))
+        return np.stack(slopes)
+
     def by_linear(self, effect: Effect, values: Array) -> Deflection:
         """The deflection by a linear effect with these numbers `(number,)`."""
         if isinstance(effect, Unnamed):

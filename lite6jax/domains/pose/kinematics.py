@@ -28,7 +28,6 @@ FRAMES = ("base", "link", "tool")
 """Names of the sites that displace a frame of the arm in all samples."""
 
 _ROUNDING = 1e-12
-_ONCE = {"xla_backend_optimization_level": 0}  # compiled for one recording: the optimiser costs more than it saves
 
 
 class Measured(NamedTuple):
@@ -223,7 +222,7 @@ def _left_jacobian_inverse(vector: Array, rows: Array) -> Array:
     return rows - 0.5 * once + gamma * np.cross(vector, once, axis=-2)
 
 
-@partial(jax.jit, static_argnums=0, compiler_options=_ONCE)
+@partial(jax.jit, static_argnums=0)
 def bent_residual(
     form: Form, model: ArmModel, joint_position: jax.Array, deflection: Deflection, measured: Measured
 ) -> jax.Array:
@@ -235,7 +234,7 @@ def bent_residual(
     return whiten(whitener, differences(observed, tool))
 
 
-@partial(jax.jit, static_argnums=0, compiler_options=_ONCE)
+@partial(jax.jit, static_argnums=0)
 def bent_positions(form: Form, model: ArmModel, joint_position: jax.Array, deflection: Deflection) -> jax.Array:
     """The tool's positions `(3, sample)` m of a deflected arm, in the sensor's frame."""
     return predict_bent(form, model, joint_position, deflection)[1].origin

@@ -80,7 +80,7 @@ class JointCompliance(JointEffect):
 @final
 @dataclass(frozen=True)
 class JointHarmonic(JointEffect):
-    """δq = A·sin(n·q + φ): eccentric encoders and gears (n = 1, 2), gear teeth and wave generators (n up to 200).
+    """δq = A·sin(n·q + φ): eccentric encoders and gears (n = 1, 2), gear teeth and wave generators (n up to 400).
 
     Its coordinates are A cos φ and A sin φ, in which it is linear; without a fixed `order` the order is the third, so
     that one compiled function serves every order.
