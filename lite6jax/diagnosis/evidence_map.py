@@ -72,7 +72,8 @@ class JointSpectra(NamedTuple):
         before: of the residuals of the nuisance alone.
         after: of the residuals of the whole model; None where there are no findings.
         noise: `(order,)` of the last stage's orders: the share, of the variance that the whole model leaves, that any
-            order of any joint exceeds in noise with the probability of the family-wise level.
+            order of any joint exceeds in noise with the probability of the family-wise level. Findings are tested over
+            all other effects too.
         harmonics: orders of the harmonics found at this joint.
         curve: orders of nonparametric findings there.
         observed: whether the sensor observes the joint.
@@ -157,8 +158,8 @@ def joint_spectra(found: Diagnosis) -> list[JointSpectra]:
     for k, family in enumerate(found.problem.periodic):
         site = family.site
         each = [_spectrum(test, test.problem.periodic[k], exact_below) for test in tests]
-        searched = len(found.problem.periodic) * np.exp(log_orders(each[-1].orders, engine, whole=False))
-        highest = chdtri(2, engine.level / searched)
+        among = log_orders(each[-1].orders, engine, whole=False, highest=family.highest)
+        highest = chdtri(2, engine.level / (len(found.problem.periodic) * np.exp(among)))
         spectra.append(
             JointSpectra(
                 site=site,

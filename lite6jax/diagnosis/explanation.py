@@ -91,7 +91,7 @@ class Explanation:
         fit = self.selection.state.fit
         likely = fit.log_likelihood(fit.scale) + fit.noise.log_volume(int(fit.training.sum()))
         model = 0.0 if fit.noise.white else float(np.log(self.readings))  # its two parameters
-        terms = description_length(fit.terms.terms, self.readings, self.options.engine)
+        terms = description_length(self.problem, fit.terms.terms, self.readings, self.options.engine)
         return float(likely - model - terms - self.price)
 
     @property
@@ -305,7 +305,7 @@ def _gain_of_uncertainty(best: Explanation, given: _Given, noise: NoiseModel) ->
         eigenvalues, V = np.linalg.eigh(S[np.ix_(moved, moved)])
         ratio, pulled = np.multiply.outer(_UNCERTAINTIES**2, np.maximum(eigenvalues, 0.0)), V.T @ (S[moved] @ left)
         gains = 0.5 * np.sum(_UNCERTAINTIES[:, None] ** 2 * pulled**2 / (1 + ratio) - np.log1p(ratio), 1)
-        length = description_length([terms[k] for k in kept], best.readings, engine)
+        length = description_length(best.problem, [terms[k] for k in kept], best.readings, engine)
         plain = -0.5 * float(left @ S @ left) - length
         k = int(np.argmax(gains))
         return plain, plain + float(gains[k]) - 0.5 * float(np.log(best.readings)), float(_UNCERTAINTIES[k])

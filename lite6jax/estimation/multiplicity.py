@@ -14,10 +14,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lite6jax.estimation.options import EngineOptions
-from lite6jax.estimation.problem import Problem
+from lite6jax.estimation.problem import PeriodicFamily, Problem
 from lite6jax.estimation.terms import Term
 
 Array = NDArray[np.floating]
+
+
+_UNIFORM = 2 * np.pi / np.sqrt(12)
+"""rad, the standard deviation of an angle that is spread evenly over a turn."""
 
 
 def searched_size(problem: Problem, options: EngineOptions) -> float:
@@ -28,48 +32,69 @@ def searched_size(problem: Problem, options: EngineOptions) -> float:
 
 def multiplicity(problem: Problem, term: Term, options: EngineOptions) -> float:
     """The factor by which the p-value of a term becomes family-wise."""
-    return searched_size(problem, options) * relative_multiplicity(term, options)
+    searched, found = searched_size(problem, options), _wave(problem, term)
+    return searched if found is None else searched * relative_multiplicity(log_orders_of(*found, options), options)
 
 
-def relative_multiplicity(term: Term, options: EngineOptions) -> float:
-    """The multiplicity of a term over that of a term without an order, or of an order that has a name of its own."""
-    if not term.periodic or term.chosen is None:
-        return 1.0
-    return float(np.exp(log_orders(term.chosen, options))) / options.searched_orders
+def relative_multiplicity(log_order: ArrayLike, options: EngineOptions) -> float:
+    """The multiplicity of a wave over that of another term, by `log_orders` of its order."""
+    return float(np.exp(log_order)) / options.searched_orders
 
 
-def log_orders(order: ArrayLike, options: EngineOptions, whole: bool = True) -> Array:
+def log_orders_of(family: PeriodicFamily, order: ArrayLike, options: EngineOptions) -> Array:
+    """`log_orders` of the orders of a family."""
+    turns = max(float(np.std(family.angle)) / _UNIFORM, 1.0)
+    return log_orders(order, options, family.whole, family.highest, turns)
+
+
+def log_orders(
+    order: ArrayLike, options: EngineOptions, whole: bool = True, highest: float | None = None, turns: float = 1.0
+) -> Array:
     """The logarithm of the number of orders that each order counts as the best of: less for one that is likelier.
 
     That is the number of independent orders per order over the prior density; of a whole order, one over its prior
-    probability.
+    probability. Independent orders are the more, the farther the angles spread (R. V. Baluev, Monthly Notices of the
+    Royal Astronomical Society 385, 2008).
 
     Args:
         order: `(order,)`, in waves per turn.
         options: thresholds.
         whole: whether whole orders are the likelier ones.
+        highest: order that is searched; that of the options where not given.
+        turns: spread of the angles over that of an even full turn, at least 1.
     """
-    order = np.maximum(np.asarray(order, float), options.lowest_order)
-    highest, share = options.highest_order, options.whole_share if whole else 0.0
-    between = np.log(options.resolved_orders * order * np.log(highest) / (1 - share))
+    order, highest = np.asarray(order, float), highest or options.highest_order
+    share, at = options.whole_share if whole else 0.0, np.maximum(order, options.lowest_order)
+    between = np.log(options.resolved_orders * turns * at * np.log(highest) / (1 - share))
     if not share:
         return between
     inverse = float(np.sum(1 / np.arange(1, highest + 0.5)))
-    return np.where(order % 1 == 0, np.log(order * inverse / share), between)
+    return np.where(order % 1 == 0, np.log(at * inverse / share), between)
 
 
-def description_length(terms: Sequence[Term], n: float, options: EngineOptions) -> float:
+def description_length(problem: Problem, terms: Sequence[Term], n: float, options: EngineOptions) -> float:
     """What a set of terms costs in log-likelihood: ½ log n a number, and the choice of an order or a shape among many.
 
-    Schwarz's approximation (Annals of Statistics 6, 1978).
+    Schwarz's approximation (Annals of Statistics 6, 1978). Orders that have names of their own, as 1 and 2 may have,
+    are not a choice.
 
     Args:
+        problem: the data.
         terms: of a model.
         n: readings, or residual degrees of freedom.
         options: thresholds.
     """
-    orders = [term.chosen for term in terms if term.periodic and term.chosen is not None]
+    waves = [_wave(problem, term) for term in terms if term.chosen is not None]
+    orders = [found for found in waves if found is not None]
     shapes = sum((term.chosen is not None) + term.nonparametric for term in terms) - len(orders)
     numbers = sum(term.size + (term.chosen is not None) for term in terms)
-    choices = float(np.sum(log_orders(orders, options))) + shapes * np.log(options.searched_shapes)
+    choices = sum(float(log_orders_of(*found, options)) for found in orders) + shapes * np.log(options.searched_shapes)
     return float(0.5 * numbers * np.log(n) + choices)
+
+
+def _wave(problem: Problem, term: Term) -> tuple[PeriodicFamily, float] | None:
+    """The family and the order of a term that is a wave of a fixed order."""
+    for family in problem.periodic:
+        if term.periodic and family.site == term.site and (order := family.order(term)) is not None:
+            return family, order
+    return None

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtrc, gammaln
 
-from lite6jax.estimation.multiplicity import log_orders
+from lite6jax.estimation.multiplicity import log_orders, relative_multiplicity
 from lite6jax.populations.candidate import Candidate
 from lite6jax.populations.evidence import Asked, Reduced
 from lite6jax.populations.hierarchy import Hierarchy, fitted
@@ -111,7 +111,7 @@ class Search:
         if term.order is None:
             return self.searched
         engine = self.options.engine
-        return self.searched * float(np.exp(log_orders(term.order, engine))) / engine.searched_orders
+        return self.searched * relative_multiplicity(log_orders(term.order, engine), engine)
 
     def best(self, scanned: Pooled, beside: Sequence[PooledTerm]) -> Selected | None:
         """The most likely addition; None where none is significant."""

@@ -39,7 +39,7 @@ def prune(problem: Problem, state: State, options: EngineOptions) -> State:
         allowed = [np.log(multiplicity(problem, tested.term, options)) for tested in state.tested]
         losses = []
         missed = [state.fit.quadratic_gain(k) - 0.5 * t.term.size * np.log(n) for k, t in enumerate(state.tested)]
-        for k in np.argsort(missed)[: options.refitted_without].tolist():
+        for k in np.argsort(np.subtract(missed, allowed))[: options.refitted_without].tolist():
             if missed[k] > _CLEARLY * allowed[k]:
                 continue
             tested = state.tested[k]

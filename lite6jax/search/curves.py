@@ -106,7 +106,7 @@ def _replaced(problem: Problem, state: State, options: EngineOptions) -> State |
             further = further[1:]
         for one in further:
             significant = one.tested[-1].p_value < options.level
-            if significant and preferred(one, best or state, 0.0 if best else options.close, options):
+            if significant and preferred(problem, one, best or state, 0.0 if best else options.close, options):
                 best = one
     return best
 
@@ -119,10 +119,10 @@ def _more_likely(
     there = [tested.term.site == family.site for tested in state.tested]
     terms, values = state.fit.terms.part(state.fit.values, there)
     now = test.score_columns([problem.columns(terms.terms, values)])[0].gain
-    now -= description_length(terms.terms, test.freedom, options)
+    now -= description_length(problem, terms.terms, test.freedom, options)
 
     def likely(curve: Curve) -> float:
-        return curve.explained.gain - description_length([curve.term], test.freedom, options)
+        return curve.explained.gain - description_length(problem, [curve.term], test.freedom, options)
 
     best = max(best_curves(test, family, local=True), key=likely)
     return best.term if likely(best) > now else None

@@ -26,7 +26,7 @@ def exchange(problem: Problem, state: State, options: EngineOptions) -> State:
             tested = SelectedTerm(term, score.familywise(multiplicity(problem, term, options)), score)
             other = forward(problem, extended(problem, rest, tested, score.values, options), options)
             other = eliminate(problem, other, options)
-            if preferred(other, best, options.close, options):
+            if preferred(problem, other, best, options.close, options):
                 best, improved = prune(problem, other, options), True
     return best
 
@@ -46,7 +46,7 @@ def one_for_several(problem: Problem, state: State, options: EngineOptions) -> S
                 continue
             tested = SelectedTerm(term, score.familywise(multiplicity(problem, term, options)), score)
             choice = extended(problem, rest, tested, score.values, options)
-            if preferred(choice, best, 0.0, options):
+            if preferred(problem, choice, best, 0.0, options):
                 best = choice
         state = best
     return state

@@ -75,7 +75,9 @@ def _shaped_instead(problem: Problem, state: State, options: EngineOptions) -> S
             continue
         choice = with_term(problem, rest, rivals[best], test.score([rivals[best]])[0], options)
         n = choice.fit.freedom
-        longer = description_length([rivals[best]], n, options) - description_length([tested.term], n, options)
+        longer = description_length(problem, [rivals[best]], n, options) - description_length(
+            problem, [tested.term], n, options
+        )
         if choice.fit.gain_over(state.fit) > needed + time * longer:
             state = choice
     return state
@@ -91,7 +93,7 @@ def _named_again(problem: Problem, state: State, options: EngineOptions) -> Stat
         rest = reduced(problem, state, state.fit.terms.terms.index(term), options)
         named = prune(problem, eliminate(problem, forward(problem, rest, options, shaped=True), options), options)
         named = believable(problem, named, options)
-        if preferred(named, state, 0.0, options):
+        if preferred(problem, named, state, 0.0, options):
             state = named
     return state
 
@@ -121,7 +123,7 @@ def _one_for_names(problem: Problem, state: State, options: EngineOptions) -> St
                 choice = _restored(problem, choice, there, options)
                 fewer = len(there) - sum(t.term in choice.fit.terms.terms for t in there)
                 margin = options.together * (fewer - 1)
-                if fewer > 1 and preferred(choice, best or state, 0.0 if best else -margin, options):
+                if fewer > 1 and preferred(problem, choice, best or state, 0.0 if best else -margin, options):
                     best = choice
         if best is None:
             return state
@@ -167,7 +169,7 @@ def believable(problem: Problem, state: State, options: EngineOptions) -> State:
         choices += _with_functions(problem, rest, state.fit, options)
         state = choices[0]
         for choice in choices[1:]:
-            if preferred(choice, state, 0.0, options):
+            if preferred(problem, choice, state, 0.0, options):
                 state = choice
     return state
 
@@ -272,20 +274,20 @@ def _more_likely(problem: Problem, state: State, options: EngineOptions) -> Stat
     if not beside:
         return None  # a function that explains more in place of a name explains something beside it too
     choices = _added(problem, state, beside, options)
-    best = _most_preferred(state, choices, options)
+    best = _most_preferred(problem, state, choices, options)
     if best is not None and len(best.tested) <= len(state.tested):
         return best  # it makes names unnecessary: those that stay are challenged beside it in the next round
     for k, tested in enumerate(state.tested):
         if not tested.term.nonparametric and tested.term not in problem.preset[0].terms:
             choices += _with_functions(problem, reduced(problem, state, k, options), state.fit, options)
-    return _most_preferred(state, choices, options)
+    return _most_preferred(problem, state, choices, options)
 
 
-def _most_preferred(state: State, choices: Sequence[State], options: EngineOptions) -> State | None:
+def _most_preferred(problem: Problem, state: State, choices: Sequence[State], options: EngineOptions) -> State | None:
     """The most likely of the states that are clearly more likely than another; None where none is."""
     best: State | None = None
     for choice in choices:
-        if preferred(choice, best or state, 0.0 if best else options.close, options):
+        if preferred(problem, choice, best or state, 0.0 if best else options.close, options):
             best = choice
     return best
 
@@ -308,7 +310,9 @@ def _likely(problem: Problem, test: ScoreTest, options: EngineOptions, site: str
     flexible = [term for term in problem.flexible if site in (None, term.site)]
     for term, one in zip(flexible, test.explained(flexible), strict=True):
         # what the names and the nuisance explain already costs nothing
-        gain = one.gain - description_length([term], test.freedom, options) + 0.5 * (term.size - one.size) * log_n
+        gain = (
+            one.gain - description_length(problem, [term], test.freedom, options) + 0.5 * (term.size - one.size) * log_n
+        )
         key = term.site if site is None else term
         if gain > max(options.close, found.get(key, _Likely(term, 0.0)).gain):
             found[key] = _Likely(term, gain)

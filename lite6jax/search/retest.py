@@ -88,7 +88,7 @@ def renamed(problem: Problem, state: State, k: int, options: EngineOptions) -> S
     scale, n = np.min([one.scale for _, one in choices], axis=0), rest.freedom
 
     def judged(choice: tuple[SelectedTerm, Fit]) -> float:
-        return choice[1].log_likelihood(scale) - description_length([choice[0].term], n, options)
+        return choice[1].log_likelihood(scale) - description_length(problem, [choice[0].term], n, options)
 
     best = most_specific(choices, judged, lambda choice: choice[0].term, options.close)
     likely = best[1].log_likelihood(scale)

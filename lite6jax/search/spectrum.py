@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lite6jax.estimation.multiplicity import log_orders
+from lite6jax.estimation.multiplicity import log_orders_of
 from lite6jax.estimation.problem import PeriodicFamily
 from lite6jax.estimation.score_test import Explained, ScoreTest
 from lite6jax.estimation.terms import Term
@@ -76,7 +76,7 @@ def lines(test: ScoreTest) -> list[Line]:
         best = _best(test, family, np.unique(np.concatenate([low, peaks])))
         order = _refined(test, family, best, orders[1] - orders[0])
         explained = test.explained_by(family.column, family.waves_of(np.array([order])))[0]
-        found.append(Line(family, order, explained, float(log_orders(order, options, family.whole))))
+        found.append(Line(family, order, explained, float(log_orders_of(family, order, options))))
     return sorted(found, key=lambda line: -line.explained.gain)
 
 
@@ -99,8 +99,10 @@ def as_likely(test: ScoreTest, family: PeriodicFamily, order: float, within: flo
     resolved = 2 * np.pi / max(float(np.ptp(family.angle)), 1e-3)
     own, step, most = _gain(test, family, order), orders[1] - orders[0], test.options.other_orders
     found: list[tuple[float, float]] = []
-    for peak in orders[_peaks(test, family, orders, gains)]:
-        # the spectrum ranks by rounded angles: of twice as many, the best are exact
+    # what the spectrum says is rounded: the lowest of equals to within one come first, and of twice as many the best
+    peaks = _peaks(test, family, orders, gains)
+    ranked = sorted(peaks, key=lambda k: (round(max(own - float(gains[k]), 0.0)), float(orders[k])))
+    for peak in orders[ranked]:
         if len(found) == 2 * most or np.abs(np.array([order, *(other for _, other in found)]) - peak).min() < resolved:
             continue
         other = _refined(test, family, float(peak), step)
@@ -114,7 +116,7 @@ def _peaks(test: ScoreTest, family: PeriodicFamily, orders: Array, gains: Array)
     """Which orders explain more than their neighbours, the likeliest first."""
     around = np.concatenate([[0.0], gains, [0.0]])
     peaks = np.flatnonzero((gains > 0) & (gains >= around[:-2]) & (gains >= around[2:]))
-    return peaks[np.argsort(-(gains - log_orders(orders, test.options, family.whole))[peaks])]
+    return peaks[np.argsort(-(gains - log_orders_of(family, orders, test.options))[peaks])]
 
 
 def _refined(test: ScoreTest, family: PeriodicFamily, order: float, step: float) -> float:
@@ -132,7 +134,7 @@ def _transform(place: NDArray[np.integer], values: Array, length: int) -> NDArra
 def _best(test: ScoreTest, family: PeriodicFamily, orders: Array) -> float:
     """The likeliest of some orders."""
     gains = test.gains(family.column, family.waves_of(orders))
-    return float(orders[int(np.argmax(gains - log_orders(orders, test.options, family.whole)))])
+    return float(orders[int(np.argmax(gains - log_orders_of(family, orders, test.options)))])
 
 
 def _gain(test: ScoreTest, family: PeriodicFamily, order: float) -> float:

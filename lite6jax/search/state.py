@@ -120,11 +120,11 @@ def retested(
     return replace(tested, p_value=score.familywise(multiplicity(problem, tested.term, options)), score=score)
 
 
-def preferred(ours: State, theirs: State, by: float, options: EngineOptions) -> bool:
+def preferred(problem: Problem, ours: State, theirs: State, by: float, options: EngineOptions) -> bool:
     """Whether the penalised log-likelihood of a state exceeds that of another by more than `by`."""
     n = ours.fit.freedom
-    longer = description_length(ours.fit.terms.terms, n, options) - description_length(
-        theirs.fit.terms.terms, n, options
+    longer = description_length(problem, ours.fit.terms.terms, n, options) - description_length(
+        problem, theirs.fit.terms.terms, n, options
     )
     return ours.fit.gain_over(theirs.fit) > longer + by
 

@@ -25,7 +25,7 @@ _MOST = 3
 def with_whole_orders(problem: Problem, state: State, options: EngineOptions) -> State:
     """The state with whole orders in place of those found, at each site where that is as likely.
 
-    Orders that are already whole are replaced only by a set that is more likely.
+    Of whole orders and others, the prior of orders says which are as likely.
     """
     for family in filter(lambda family: family.whole, problem.periodic):
         waves = [tested.term for tested in state.tested if tested.term.periodic and tested.term.site == family.site]
@@ -38,7 +38,7 @@ def with_whole_orders(problem: Problem, state: State, options: EngineOptions) ->
             if set(whole) == set(orders):
                 continue
             choice = _replaced(problem, state, family, whole, options)
-            if preferred(choice, best, 0.0, options):
+            if preferred(problem, choice, best, 0.0, options):
                 best = choice
         state = best
     return state

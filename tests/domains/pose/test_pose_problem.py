@@ -291,6 +291,17 @@ def test_errors_of_masses_move_poses_through_compliances(arm, motions):
     assert (np.abs(wanted).max((1, 2)) > 0).sum() >= 15
 
 
+@pytest.mark.parametrize("kind", ["joint", "link", "base", "tool"])
+def test_errors_of_masses_move_poses_through_functions_of_loads(arm, motions, kind):
+    case, rng = uncertain(arm, motions["static"]), np.random.default_rng(3)
+    loaded = [term for term in case.flexible if any(driver.loaded for driver in term.drivers)]
+    term = max((term for term in loaded if term.site.startswith(kind)), key=lambda term: term.size)
+    terms, values = Terms((term,)), 1e-7 * rng.standard_normal(term.size)
+    wanted = differentiated(lambda m: case.residual(m, terms, values), at_start(case), 1e-2)[-25:]
+    close(case.nuisance_columns(terms, values)[-25:], wanted, 1e-5)
+    assert np.abs(wanted).max() > 0
+
+
 def test_masses_that_are_off_are_those_of_a_plain_arm(arm, motions):
     texts = [f"joint_compliance:joint={j},compliance_rad_per_Nm=9e-5" for j in (2, 3)]
     effects = [parse_effect(text) for text in texts]
