@@ -161,7 +161,7 @@ def _draw_spectrum(panel: Axes, joint: JointSpectra) -> None:
     panel.set_xscale("log")
     panel.set_yscale("log")
     panel.set_xlabel(f"order per turn of {joint.site.replace('joint', 'joint ')}")
-    panel.xaxis.set_major_locator(FixedLocator([1, 2, 5, 10, 20, 50, 100, 200, 400]))
+    panel.xaxis.set_major_locator(FixedLocator([1, 2, 5, 10, 20, 50, 100, 400]))
     panel.xaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
     panel.xaxis.set_minor_formatter(NullFormatter())
     panel.set_xlim(1, np.ceil(at[-1]))
