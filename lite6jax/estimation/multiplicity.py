@@ -14,11 +14,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lite6jax.estimation.options import EngineOptions
-from lite6jax.estimation.problem import PeriodicFamily, Problem
+from lite6jax.estimation.problem import PeriodicFamily, Problem, wave_of
 from lite6jax.estimation.terms import Term
 
 Array = NDArray[np.floating]
-
 
 _UNIFORM = 2 * np.pi / np.sqrt(12)
 """rad, the standard deviation of an angle that is spread evenly over a turn."""
@@ -32,7 +31,7 @@ def searched_size(problem: Problem, options: EngineOptions) -> float:
 
 def multiplicity(problem: Problem, term: Term, options: EngineOptions) -> float:
     """The factor by which the p-value of a term becomes family-wise."""
-    searched, found = searched_size(problem, options), _wave(problem, term)
+    searched, found = searched_size(problem, options), wave_of(problem, term)
     return searched if found is None else searched * relative_multiplicity(log_orders_of(*found, options), options)
 
 
@@ -84,17 +83,9 @@ def description_length(problem: Problem, terms: Sequence[Term], n: float, option
         n: readings, or residual degrees of freedom.
         options: thresholds.
     """
-    waves = [_wave(problem, term) for term in terms if term.chosen is not None]
+    waves = [wave_of(problem, term) for term in terms if term.chosen is not None]
     orders = [found for found in waves if found is not None]
     shapes = sum((term.chosen is not None) + term.nonparametric for term in terms) - len(orders)
     numbers = sum(term.size + (term.chosen is not None) for term in terms)
     choices = sum(float(log_orders_of(*found, options)) for found in orders) + shapes * np.log(options.searched_shapes)
     return float(0.5 * numbers * np.log(n) + choices)
-
-
-def _wave(problem: Problem, term: Term) -> tuple[PeriodicFamily, float] | None:
-    """The family and the order of a term that is a wave of a fixed order."""
-    for family in problem.periodic:
-        if term.periodic and family.site == term.site and (order := family.order(term)) is not None:
-            return family, order
-    return None

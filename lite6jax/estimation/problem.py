@@ -213,3 +213,11 @@ class Problem(LinearisedProblem, Protocol):
     def shrinkable(self, term: Term) -> bool:
         """Whether a named term can be fitted beside all periodic ones, because none is nearly collinear with it."""
         ...
+
+
+def wave_of(problem: Problem, term: Term) -> tuple[PeriodicFamily, float] | None:
+    """The family and the order of a term that is a wave of a fixed order; None of any other term."""
+    for family in problem.periodic:
+        if term.periodic and family.site == term.site and (order := family.order(term)) is not None:
+            return family, order
+    return None

@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 from lite6jax.estimation.options import EngineOptions
-from lite6jax.estimation.problem import Problem
+from lite6jax.estimation.problem import Problem, wave_of
 from lite6jax.estimation.score_test import ScoreTest, score_test
 from lite6jax.estimation.terms import Term
 from lite6jax.search.spectrum import as_likely
@@ -59,10 +59,10 @@ def _with_others(problem: Problem, state: State, k: int, options: EngineOptions)
 
 def _orders(test: ScoreTest, term: Term) -> list[Alternative]:
     """Other orders of a wave that its site shows as well."""
-    family = next((one for one in test.problem.periodic if term.periodic and one.site == term.site), None)
-    order = None if family is None else family.order(term)
-    if family is None or order is None:
+    found = wave_of(test.problem, term)
+    if found is None:
         return []
+    family, order = found
     near = as_likely(test, family, order, test.options.close)
     return [Alternative(family.term(other), gap) for other, gap in near]
 

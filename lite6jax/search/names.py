@@ -16,7 +16,7 @@ from lite6jax.estimation.concentration import Concentration, concentration
 from lite6jax.estimation.least_squares import Fit
 from lite6jax.estimation.multiplicity import description_length, multiplicity, searched_size
 from lite6jax.estimation.options import EngineOptions
-from lite6jax.estimation.problem import Problem
+from lite6jax.estimation.problem import Problem, wave_of
 from lite6jax.estimation.score_test import ScoreTest, gain_p_value, score_test
 from lite6jax.estimation.terms import Term
 from lite6jax.search.backward import eliminate, prune
@@ -207,9 +207,8 @@ def _misfit(problem: Problem, name: SelectedTerm, tests: Sequence[SelectedTerm],
 
 def _fine(problem: Problem, term: Term) -> bool:
     """Whether a term is a wave too short for a smooth function to describe, or to leave."""
-    families = [family for family in problem.periodic if term.periodic and family.site == term.site]
-    orders = [(family, family.order(term)) for family in families]
-    return any(order is not None and order * np.ptp(f.angle) > 2 * np.pi * _CYCLES for f, order in orders)
+    found = wave_of(problem, term)
+    return found is not None and found[1] * float(np.ptp(found[0].angle)) > 2 * np.pi * _CYCLES
 
 
 def _leaves_more(name: SelectedTerm, k: int, fit: Fit, left: Concentration | None, options: EngineOptions) -> bool:

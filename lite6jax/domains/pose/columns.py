@@ -77,15 +77,15 @@ class EffectColumns:
 
     def _by_unit_masses(self, effect: Effect) -> Array:
         """`(number, mass, row, sample)`, for unit numbers of a linear effect."""
-        if effect not in self._by_mass and isinstance(effect, Unnamed) and Physics((effect,)).loaded:
-            slopes = self.deflections.basis_by_masses(self.masses, effect)
-            found = [families.unnamed_columns(effect, slope, self.sites) for slope in slopes]
-            self._by_mass[effect] = np.stack(found, 1)
         if effect not in self._by_mass:
-            units = np.eye(effect.size) if Physics((effect,)).loaded else np.zeros((0, effect.size))
-            found = [self._through_masses(effect, one) for one in units]
-            zero = np.zeros((effect.size, len(self.masses), 1, 1))
-            self._by_mass[effect] = np.stack(found) if found else zero
+            if not Physics((effect,)).loaded:
+                found = np.zeros((effect.size, len(self.masses), 1, 1))
+            elif isinstance(effect, Unnamed):
+                slopes = self.deflections.basis_by_masses(self.masses, effect)
+                found = np.stack([families.unnamed_columns(effect, slope, self.sites) for slope in slopes], 1)
+            else:
+                found = np.stack([self._through_masses(effect, one) for one in np.eye(effect.size)])
+            self._by_mass[effect] = found
         return self._by_mass[effect]
 
     def _through_masses(self, effect: Effect, values: Array) -> Array:

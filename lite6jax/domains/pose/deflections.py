@@ -134,18 +134,18 @@ class Deflections:
         """The functions `(function, sample)` that coefficients of an effect without a name multiply; computed once."""
         cache, key = self._cache(effect), effect.functions_alone
         if key not in cache:
-            values = effect.values_at(self.host_motion, self.host_loads)
-            cache[key] = np.asarray(effect.basis(values, self.host_motion.run))
+            cache[key] = self._functions(effect, self.host_loads)
         return cache[key]
 
     def basis_by_masses(self, masses: Sequence[Site], effect: Unnamed) -> Array:
         """How these functions change with errors of masses, `(mass, function, sample)`, for masses `(mass,)`."""
-        slopes = []
-        for less, more, step in self._heavier(tuple(masses)):
-            at = (effect.values_at(self.host_motion, on_arm) for on_arm in (less, more))
-            a, b = (np.asarray(effect.basis(values, self.host_motion.run)) for values in at)
-            slopes.append((b - a) / (2 * step))
-        return np.stack(slopes)
+        pairs = self._heavier(tuple(masses))
+        slopes = ((self._functions(effect, b) - self._functions(effect, a)) / (2 * step) for a, b, step in pairs)
+        return np.stack(list(slopes))
+
+    def _functions(self, effect: Unnamed, on_arm: Loads | None) -> Array:
+        """The functions of an effect without a name under some loads, `(function, sample)`."""
+        return np.asarray(effect.basis(effect.values_at(self.host_motion, on_arm), self.host_motion.run))
 
     def by_linear(self, effect: Effect, values: Array) -> Deflection:
         """The deflection by a linear effect with these numbers `(number,)`."""
