@@ -45,6 +45,11 @@ class Options:
         "1 to 2 where a model is right; more, where functions follow the rows that they were fitted to",
     )
     fewest_rows: int = option(15, "rows below which nothing is said where nothing is found", "five a fitted frame")
+    doubtful: float = option(
+        0.05,
+        "family-wise p-value of an effect that is no finding, below which it is not said that nothing else is missing",
+        "the usual level of a single test",
+    )
     within_reach: int = option(200, "rows that may be asked for where something near was not found", "a day's work")
     most_separated: int = option(3, "pairs of effects for which separating poses are designed", "each takes 0.1 s")
     separating_poses: int = option(12, "poses that separate a pair", "half an hour of recording")

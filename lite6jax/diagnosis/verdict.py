@@ -7,8 +7,10 @@ from scipy.special import chdtri
 
 from lite6jax.estimation.concentration import Concentration, concentration
 from lite6jax.estimation.multiplicity import multiplicity
+from lite6jax.estimation.terms import Term
 
 if TYPE_CHECKING:
+    from lite6jax.diagnosis.options import Options
     from lite6jax.diagnosis.result import Diagnosis
 
 Verdict = Literal["consistent", "explained", "partly_explained", "unnamed", "unexplained", "undetermined"]
@@ -55,20 +57,35 @@ def verdict_of(found: "Diagnosis") -> Verdict:
 
     *consistent*: nothing was found, and what is left is the declared noise. *explained*: with the findings it is.
     *partly_explained*: with the findings, more is left. *unnamed*: the largest finding has no name. *unexplained*: more
-    is left than noise, and nothing was found. *undetermined*: the rows are too few to tell. What a model that does not
-    describe the poses leaves is not noise, whether or not noise is declared.
+    is left than noise, and nothing was found. *undetermined*: the rows are too few to tell, or what is left is noise,
+    but an effect that is no finding is nearly significant. What a model that does not describe the poses leaves is not
+    noise, whether or not noise is declared.
     """
     options, left = found.options, found.left
     bad = found.quality.verdict == "bad"
     as_noise = left.is_noise(options.as_noise) and not bad
+    doubtful = is_doubtful(found.selection.nearest, options)
     if not found.findings:
         few = found.problem.samples < options.fewest_rows
         if few or (not as_noise and not bad and found.rows_needed <= options.within_reach):
             return "undetermined"
-        return "consistent" if as_noise else "unexplained"
+        if not as_noise:
+            return "unexplained"
+        return "undetermined" if doubtful else "consistent"
     if max(found.findings, key=lambda finding: finding.gain).effect.nonparametric:
         return "unnamed"
-    return "explained" if as_noise and found.problem.declared else "partly_explained"
+    if not (as_noise and found.problem.declared):
+        return "partly_explained"
+    return "undetermined" if doubtful else "explained"
+
+
+def is_doubtful(nearest: tuple[Term, float] | None, options: "Options") -> bool:
+    """Whether the nearest effect that is no finding, with its family-wise p-value, is nearly significant.
+
+    Residuals of the size of the noise do not exclude it: what it moves may have gone into numbers of the findings, as
+    the compliance of a joint goes into that of the base where both are loaded alike.
+    """
+    return nearest is not None and options.engine.level <= nearest[1] < options.doubtful
 
 
 def rows_needed(found: "Diagnosis") -> int:

@@ -22,7 +22,7 @@ _VERDICTS = {
     "explained": "Explained: with the effects below, the held-out errors are the sensor's noise.",
     "unnamed": "Unnamed: no effect of the catalogue explains the largest effect that was found.",
     "unexplained": "Unexplained: more is left than the sensor's noise, and no effect is significant.",
-    "undetermined": "Undetermined: there are too few rows to tell whether something is missing.",
+    "undetermined": "Undetermined: there are too few rows to tell whether something {more}is missing.",
 }
 _LEFT_OVER = ("partly_explained", "unnamed", "unexplained", "undetermined")
 _PARTS = {"base": "the sensor's frame", "link": "the arm's own calibration", "tool": "the tool"}
@@ -73,7 +73,9 @@ def _verdict(document: Document) -> str:
     verdict, noise, left = document["verdict"], document["noise"], document["left"]
     declared = noise["declared_position_m"]
     if verdict == "undetermined":
-        return f"{_VERDICTS[verdict]} Record about {document['rows_needed'] - document['samples']} more poses."
+        more = document["rows_needed"] - document["samples"]
+        poses = "1 more pose" if more == 1 else f"{more} more poses"
+        return f"{undetermined(_VERDICTS[verdict], document)} Record about {poses}."
     if verdict == "unexplained" and document["quality"]["verdict"] == "bad":
         return "Unexplained: the model of the arm does not describe the poses, and no effect explains why."
     if verdict == "unexplained":
@@ -94,6 +96,17 @@ def _verdict(document: Document) -> str:
     if verdict == "partly_explained":
         return f"Partly explained: the effects below are significant. {_what_is_left(left)}"
     return _VERDICTS[verdict]
+
+
+def undetermined(said: str, document: Document) -> str:
+    """The sentence of an *undetermined* verdict, with the effect that is nearest to being a finding, if one is near."""
+    said, nearest = said.format(more="more " if document["findings"] else ""), document["nearest"]
+    if nearest is None or nearest["p_value"] >= 1.0:
+        return said
+    return (
+        f"{said} {capital(effect_name(nearest['effect']))} at {nearest['site']} is not significant, but the nearest to "
+        f"it (p-value {nearest['p_value']:.2g})."
+    )
 
 
 def cautions(document: Document) -> list[str]:

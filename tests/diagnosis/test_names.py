@@ -195,6 +195,27 @@ def test_eleven_rows_with_a_hidden_effect_are_undetermined(arm):
     assert diagnosis.rows_needed > 11
 
 
+@pytest.mark.parametrize(("compliance", "verdict"), [(8e-6, "undetermined"), (0.0, "explained")])
+def test_an_effect_short_of_the_level_leaves_it_open_whether_all_is_explained(arm, compliance, verdict):
+    """What is left is the noise either way: a small effect may have gone into the numbers of the finding."""
+    scale = "joint_scale:joint=2,scale=2e-4"
+    small = f"joint_compliance:joint=3,compliance_rad_per_Nm={compliance}"
+    diagnosis = diagnose(with_effects(arm, scale, small).recording(static_motion(21, 200)))
+    assert [finding.effect.label for finding in diagnosis.findings] == ["joint_scale:joint2"]
+    assert diagnosis.left.is_noise(OPTIONS.as_noise)
+    assert diagnosis.verdict == verdict
+    if compliance:
+        effect, p_value = diagnosis.nearest
+        assert effect.label == "joint_compliance:joint3"
+        assert OPTIONS.engine.level < p_value < OPTIONS.doubtful
+        said = statements.verdict_statement(to_document(diagnosis))
+        assert said == (
+            "Undetermined: there are too few rows to tell whether something more is missing. Joint compliance at "
+            f"joint3 is not significant, but the nearest to it (p-value {p_value:.2g}). "
+            f"Record about {diagnosis.rows_needed - 200} more poses."
+        )
+
+
 @pytest.mark.parametrize(
     ("before", "after", "why"),
     [

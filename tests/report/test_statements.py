@@ -427,9 +427,11 @@ def test_the_verdict_says_what_the_numbers_say(compliant):
     ):
         document = {**document, "model": {**document["model"], "orientation": turned}}
         assert verdict("partly_explained", declared=None).endswith(f"because the sidecar declares {said}")
+    document = {**document, "findings": [], "nearest": None}
     assert verdict("undetermined", rows=document["samples"] + 30) == (
         "Undetermined: there are too few rows to tell whether something is missing. Record about 30 more poses."
     )
+    assert verdict("undetermined", rows=document["samples"] + 1).endswith("Record about 1 more pose.")
 
 
 def test_statements_are_added_to_codes_and_nothing_is_taken_away(compliant):
