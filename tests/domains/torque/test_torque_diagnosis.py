@@ -21,7 +21,7 @@ from lite6jax.effects.dynamic.friction import CoulombFriction, ViscousFriction
 from lite6jax.errors import InputError
 from lite6jax.estimation.options import EngineOptions
 from lite6jax.recordings import Recording
-from lite6jax.report.torque_statements import with_statements
+from lite6jax.report.torque_statements import verdict_statement, with_statements
 from lite6jax.search.search import search
 
 FEW = Options(folds=2)
@@ -58,6 +58,18 @@ def test_friction_is_found_with_its_numbers(diagnosed):
         assert abs(estimate.value - truth[finding.effect.name]) < 4 * estimate.std
         assert finding.p_value < 0.003
     assert np.mean(diagnosed.after**2) < 0.2 * np.mean(diagnosed.before**2)
+
+
+def test_an_effect_short_of_the_level_leaves_it_open_whether_all_is_explained(diagnosed):
+    def with_nearest(p_value):
+        selection = replace(diagnosed.selection, nearest=(ViscousFriction(4), p_value))
+        return replace(diagnosed, selection=selection)
+
+    assert [with_nearest(p_value).verdict for p_value in (0.02, 0.06)] == ["undetermined", "explained"]
+    assert verdict_statement(with_nearest(0.02).to_dict()) == (
+        "Undetermined: the recording is too short to tell whether something more is missing. Viscous friction at "
+        "joint4 is not significant, but the nearest to it (p-value 0.02). Record a longer one."
+    )
 
 
 def test_the_model_predicts_another_motion(diagnosed, tmp_path):
