@@ -15,11 +15,11 @@ from lite6jax.search.backward import eliminate, prune
 from lite6jax.search.curves import merge_harmonics, replace_by_curves
 from lite6jax.search.exchange import exchange, one_for_several
 from lite6jax.search.forward import forward
-from lite6jax.search.names import believable, challenge_names, significant
+from lite6jax.search.names import believable, challenge_names, significant, whitened
 from lite6jax.search.retest import renamed, retest
 from lite6jax.search.saturated import from_saturated, refined
 from lite6jax.search.shrinkage import shrink
-from lite6jax.search.state import SelectedTerm, State
+from lite6jax.search.state import SelectedTerm, State, preferred
 from lite6jax.search.whole_orders import with_whole_orders
 
 
@@ -102,13 +102,17 @@ def _selected(problem: Problem, reference: Problem, training: Mask, options: Eng
         if shrunk is not None:
             return shrunk
         entered("selecting")
-    state = prune(problem, replace_by_curves(problem, added, options), options)
+    with_curves = replace_by_curves(problem, added, options)
+    # significant beside terms that left since, a curve alone may explain less than its numbers cost
+    if state.tested or preferred(problem, with_curves, state, 0.0, options):
+        state = with_curves
+    state = prune(problem, state, options)
     if thorough:
         state = exchange(problem, state, options)
     state = with_whole_orders(problem, merge_harmonics(problem, state, options), options)
     state = one_for_several(problem, state, options)
     entered("naming")
-    return challenge_names(problem, state, options)
+    return challenge_names(problem, whitened(problem, state, options), options)
 
 
 def _with_preset(problem: Problem, baseline: Fit, options: EngineOptions) -> State:

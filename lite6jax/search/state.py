@@ -88,8 +88,11 @@ def added(problem: Problem, fitted: Fit, term: Term, values: Array, options: Eng
 
 def reduced(problem: Problem, state: State, k: int, options: EngineOptions) -> State:
     """The state without its k-th term, refitted."""
-    rest = (*state.tested[:k], *state.tested[k + 1 :])
-    return State(state.baseline, without(problem, state.fit, k, options), rest)
+    rest, base, f = (*state.tested[:k], *state.tested[k + 1 :]), state.baseline, state.fit
+    if rest:
+        return State(base, without(problem, f, k, options), rest)
+    # from the nuisance that was fitted alone: that beside a term may lead to another, lower maximum
+    return State(base, fit(problem, Terms(), options, None, base.nuisance, base.training, f.noise))
 
 
 def refitted(problem: Problem, state: State, terms: Sequence[SelectedTerm], options: EngineOptions) -> State:
