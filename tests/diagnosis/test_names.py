@@ -4,7 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from diagnosis.recorded import Made, static_motion, with_effects
+from diagnosis.recorded import Made, moving_motion, static_motion, with_effects
+from scipy.signal import lfilter
 
 from benchmarks.concealed.trials import draw
 from lite6jax.diagnosis.diagnose import diagnose
@@ -108,6 +109,29 @@ def test_what_a_zone_or_a_mount_does_has_no_name_and_its_own_drivers(tmp_path, t
         (tmp_path / name).write_text(text)
     found = terms(read_recording(tmp_path / "recording.csv"), thorough=True)
     assert [(term.name, term.site, term.driver) for term in found] == [("unnamed", site, driver)]
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(
+    ("trial", "site", "driver"), [(427, "base", "position of joint 6"), (637, "joint5", "velocity of joint 5")]
+)
+def test_what_looks_like_autocorrelated_noise_along_a_motion_is_found(tmp_path, trial, site, driver):
+    """One smooth motion of 100 rows: in noise of a coefficient of 0.995, which explains them, nothing is significant."""
+    for name, text in draw(2217, trial).files.items():
+        (tmp_path / name).write_text(text)
+    found = terms(read_recording(tmp_path / "recording.csv"))
+    assert [(term.name, term.site, term.driver) for term in found] == [("unnamed", site, driver)]
+
+
+@pytest.mark.parametrize(("seed", "coefficient"), [(2, 0.99), (3, 0.995), (75, 0.995)])
+def test_noise_that_few_numbers_whiten_along_a_motion_is_no_physics(arm, seed, coefficient):
+    """Before, an offset of a joint, a function and a shift of the base were found here, with p-values down to 1e-53."""
+    motion, rng = moving_motion(seed, 100), np.random.default_rng([99, seed])
+    motion["run"] = np.zeros(100, int) if seed % 2 else motion["run"]
+    innovations = np.sqrt(1 - coefficient**2) * rng.normal(size=(1100, 3))
+    drifting = lfilter([1], [1, -coefficient], innovations, axis=0)[1000:]
+    recording = arm.recording(motion)
+    assert terms(replace(recording, position=recording.position + 2e-5 * drifting)) == ()
 
 
 def test_one_axis_of_a_sensor_that_stretches_is_a_function_of_that_axis(arm, still):
