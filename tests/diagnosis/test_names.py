@@ -116,7 +116,7 @@ def test_what_a_zone_or_a_mount_does_has_no_name_and_its_own_drivers(tmp_path, t
     ("trial", "site", "driver"), [(427, "base", "position of joint 6"), (637, "joint5", "velocity of joint 5")]
 )
 def test_what_looks_like_autocorrelated_noise_along_a_motion_is_found(tmp_path, trial, site, driver):
-    """One smooth motion of 100 rows: in noise of a coefficient of 0.995, which explains them, nothing is significant."""
+    """One smooth motion of 100 rows: beside noise of a coefficient of 0.995, which explains it, none is significant."""
     for name, text in draw(2217, trial).files.items():
         (tmp_path / name).write_text(text)
     found = terms(read_recording(tmp_path / "recording.csv"))
