@@ -13,12 +13,13 @@ from typing import NamedTuple
 import numpy as np
 
 from lite6jax.estimation.concentration import Concentration, concentration
-from lite6jax.estimation.least_squares import Fit, fit
+from lite6jax.estimation.least_squares import Fit
 from lite6jax.estimation.multiplicity import description_length, multiplicity, searched_size
 from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.problem import Problem, wave_of
 from lite6jax.estimation.score_test import ScoreTest, gain_p_value, remaining_noise_model, score_test
 from lite6jax.estimation.terms import Term
+from lite6jax.search.against_noise import in_correlated_noise, is_noise, own_likelihood
 from lite6jax.search.backward import eliminate, prune
 from lite6jax.search.curves import with_curve
 from lite6jax.search.forward import forward, with_term
@@ -56,37 +57,23 @@ def challenge_names(problem: Problem, state: State, options: EngineOptions) -> S
     return _one_for_names(problem, _named_again(problem, state, options), options)
 
 
-def whitened(problem: Problem, state: State, options: EngineOptions) -> State:
-    """The state with a function without a name that leaves white noise, where autocorrelated residuals hide it.
+def unmasked(problem: Problem, state: State, options: EngineOptions) -> State:
+    """The state with a function without a name that leaves white noise, where autocorrelated residuals mask it.
 
     Along a slow motion an effect that the catalogue lacks looks like autocorrelated noise, in which nothing is
     significant. So the function in white noise is compared with autocorrelated noise without it, by likelihood.
     """
-    correlated = _in_correlated_noise(problem, state.fit, options)
+    correlated = in_correlated_noise(problem, state.fit, options)
     if correlated is None:
         return state
     searched, choices = searched_size(problem, options), list[State]()
     likely = _likely(problem, score_test(problem, state.fit, options, time=1.0), options)
     for choice in _added(problem, state, likely, options):
-        gain = _own_likelihood(choice.fit) - _own_likelihood(correlated)
+        gain = own_likelihood(choice.fit) - own_likelihood(correlated)
         p_value = gain_p_value(gain, choice.tested[-1].term.size, 1.0) * searched
         if p_value < options.level and remaining_noise_model(problem, choice.fit, options).white:
             choices.append(choice)
     return _most_preferred(problem, state, choices, options) or state
-
-
-def _in_correlated_noise(problem: Problem, fitted: Fit, options: EngineOptions) -> Fit | None:
-    """The same terms fitted in the autocorrelated noise of their residuals; None where these are white."""
-    noise = remaining_noise_model(problem, fitted, options)
-    if noise.white:
-        return None
-    start = fitted.values, fitted.nuisance, fitted.training
-    return fit(problem, fitted.terms, options, *start, noise)
-
-
-def _own_likelihood(fitted: Fit) -> float:
-    """The log-likelihood at the fit's own noise: its scale and its autocorrelation."""
-    return fitted.log_likelihood(fitted.scale) + fitted.noise.log_volume(int(fitted.training.sum()))
 
 
 def _shaped_instead(problem: Problem, state: State, options: EngineOptions) -> State:
@@ -223,7 +210,7 @@ def significant(problem: Problem, state: State, options: EngineOptions) -> State
             replace(one, p_value=1.0)
             if _misfit(problem, one, tests, options)
             or _leaves_more(one, k, state.fit, left, options)
-            or (one.p_value < options.level and _is_noise(problem, state, k, options))
+            or (one.p_value < options.level and is_noise(problem, state, k, options))
             else one
             for k, one in enumerate(tests)
         ]
@@ -251,21 +238,6 @@ def _leaves_more(name: SelectedTerm, k: int, fit: Fit, left: Concentration | Non
     if left is None or left.site != name.term.site or name.term.nonparametric:
         return False
     return options.misfit * fit.quadratic_gain(k) < left.gain
-
-
-def _is_noise(problem: Problem, state: State, k: int, options: EngineOptions) -> bool:
-    """Whether autocorrelated noise in the place of the k-th term is more likely.
-
-    A few numbers along a slow motion can leave white residuals of such noise, and then look significant.
-    """
-    term = state.tested[k].term
-    if term in problem.preset[0].terms:
-        return False
-    correlated = _in_correlated_noise(problem, reduced(problem, state, k, options).fit, options)
-    if correlated is None:
-        return False
-    gain = _own_likelihood(state.fit) - _own_likelihood(correlated)
-    return gain < description_length(problem, [term], state.fit.freedom, options)
 
 
 def _tested_finally(problem: Problem, state: State, k: int, time: float, options: EngineOptions) -> SelectedTerm:

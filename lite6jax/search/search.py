@@ -15,7 +15,7 @@ from lite6jax.search.backward import eliminate, prune
 from lite6jax.search.curves import merge_harmonics, replace_by_curves
 from lite6jax.search.exchange import exchange, one_for_several
 from lite6jax.search.forward import forward
-from lite6jax.search.names import believable, challenge_names, significant, whitened
+from lite6jax.search.names import believable, challenge_names, significant, unmasked
 from lite6jax.search.retest import renamed, retest
 from lite6jax.search.saturated import from_saturated, refined
 from lite6jax.search.shrinkage import shrink
@@ -112,7 +112,7 @@ def _selected(problem: Problem, reference: Problem, training: Mask, options: Eng
     state = with_whole_orders(problem, merge_harmonics(problem, state, options), options)
     state = one_for_several(problem, state, options)
     entered("naming")
-    return challenge_names(problem, whitened(problem, state, options), options)
+    return challenge_names(problem, unmasked(problem, state, options), options)
 
 
 def _with_preset(problem: Problem, baseline: Fit, options: EngineOptions) -> State:
