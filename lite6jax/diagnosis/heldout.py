@@ -64,8 +64,11 @@ class HeldOut(NamedTuple):
         """Whether a model with effects describes the rows that it was fitted to, and no others.
 
         Rows that were not used are then off by `heldout_excess` times the errors of the fitted ones, and by a larger
-        ratio than without the effects, where the arm's geometry alone may not follow from fewer rows.
+        ratio than without the effects, where the arm's geometry alone may not follow from fewer rows. Effects that
+        remove most of the error there are kept all the same: a drift is not known beyond the rows that show it.
         """
+        if _ratio(self.before[kept], self.after[kept]) < options.heldout_left:
+            return False
         state = selection.state
         after = _times_fitted(self.after, selection.problem, state.fit, kept)
         before = _times_fitted(self.before, selection.reference, state.baseline, kept)

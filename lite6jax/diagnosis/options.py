@@ -44,6 +44,11 @@ class Options:
         "ratio of held-out position errors to those of the fitted rows, above which effects are not kept",
         "1 to 2 where a model is right; more, where functions follow the rows that they were fitted to",
     )
+    heldout_left: float = option(
+        1 / 3,
+        "ratio of held-out position errors with and without effects, below which these are kept in any case",
+        "what predicts most of rows that were not used is there, as drift that a block at an end continues",
+    )
     fewest_rows: int = option(15, "rows below which nothing is said where nothing is found", "five a fitted frame")
     doubtful: float = option(
         0.05,

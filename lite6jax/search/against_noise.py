@@ -4,12 +4,25 @@ Along a slow motion either can look like the other. The effect is taken with the
 without it with the most likely autocorrelated noise of its residuals.
 """
 
+from dataclasses import replace
+
 from lite6jax.estimation.least_squares import Fit, fit
-from lite6jax.estimation.multiplicity import description_length
+from lite6jax.estimation.multiplicity import description_length, multiplicity
 from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.problem import Problem
-from lite6jax.estimation.score_test import remaining_noise_model
-from lite6jax.search.state import State, reduced
+from lite6jax.estimation.score_test import gain_p_value, remaining_noise_model
+from lite6jax.search.state import SelectedTerm, State, reduced
+
+
+def tested_against_noise(problem: Problem, state: State, k: int, options: EngineOptions) -> SelectedTerm:
+    """The k-th term tested by its gain over autocorrelated noise in its place.
+
+    For terms of many numbers, which blocks of a short recording are too few to test.
+    """
+    tested, rest = state.tested[k], reduced(problem, state, k, options).fit
+    gain = own_likelihood(state.fit) - own_likelihood(in_correlated_noise(problem, rest, options) or rest)
+    p_value = gain_p_value(gain, tested.term.size, 1.0) * multiplicity(problem, tested.term, options)
+    return replace(tested, p_value=min(p_value, 1.0), score=tested.score._replace(gain=gain))
 
 
 def is_noise(problem: Problem, state: State, k: int, options: EngineOptions) -> bool:

@@ -11,6 +11,7 @@ from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.problem import Problem
 from lite6jax.estimation.score_test import remaining_noise_model, score_test
 from lite6jax.estimation.terms import Terms
+from lite6jax.search.against_noise import tested_against_noise
 from lite6jax.search.state import (
     Alternative,
     SelectedTerm,
@@ -52,7 +53,12 @@ def _in_noise_model(problem: Problem, state: State, options: EngineOptions) -> S
         state = replace(state, fit=refit)
         time = score_test(problem, refit, options).time
         rests = [reduced(problem, state, k, options) for k in range(len(state.tested))]
-        tests = [retested(problem, state, k, time, options, rest) for k, rest in enumerate(rests)]
+        tests = [
+            tested_against_noise(problem, state, k, options)
+            if state.tested[k].term.nonparametric
+            else retested(problem, state, k, time, options, rest)
+            for k, rest in enumerate(rests)
+        ]
         worst = max(range(len(tests)), key=lambda k: tests[k].p_value, default=None)
         if worst is None or tests[worst].p_value < options.level:
             state = replace(state, tested=tuple(tests))

@@ -269,6 +269,16 @@ def test_effects_that_do_not_hold_on_held_out_rows_are_not_kept(before, after, w
     assert statements.cautions(document) == [f"Joint compliance at joint2 was significant, but it is not kept: {why}."]
 
 
+@pytest.mark.parametrize(("after", "kept"), [(1.9e-4, True), (2.1e-4, False)])
+def test_effects_that_remove_most_of_the_held_out_error_are_kept(after, kept, arm, monkeypatch):
+    """Ten times what is left of the fitted rows, as of a drift beyond the rows that show it, but a third of before."""
+    recording = with_effects(arm, "joint_compliance:joint=2,compliance_rad_per_Nm=9e-5").recording(static_motion(5, 40))
+    rows = np.ones(40)
+    held_out = HeldOut(6e-4 * rows, after * rows, *np.zeros((4, len(rows))))
+    monkeypatch.setattr("lite6jax.diagnosis.diagnose.held_out_errors", lambda *given: held_out)
+    assert bool(diagnose(recording).findings) == kept
+
+
 @pytest.mark.parametrize(
     ("position", "orientation", "raised"),
     [
