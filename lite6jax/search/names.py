@@ -6,7 +6,7 @@ against what the named terms leave. Where one of them, beside the names or in pl
 joins the model, and the names that it makes unnecessary leave.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -119,28 +119,25 @@ def _named_again(problem: Problem, state: State, options: EngineOptions) -> Stat
 
 
 def _one_for_names(problem: Problem, state: State, options: EngineOptions) -> State:
-    """One function without a name, or one slow wave, in the place of several names, unless these are clearly likelier.
+    """One function without a name, or one slow wave, in the place of several terms, unless these are clearly likelier.
 
-    Several effects of the catalogue can add up to one that it does not have: at one site a spring and a slow wave to an
-    end stop, at two a payload and a base that gives way to a sensor whose axes differ in scale. Over a part of a turn,
-    an offset and a scale add up to a wave of order 1. That so many effects are there at once is itself unlikely, the
-    more so the more they are.
+    The terms are those of one site, all names, or all there are. Several effects of the catalogue can add up to one
+    that it does not have: at one site a spring and a slow wave to an end stop, at two a payload and a base that gives
+    way to a sensor whose axes differ in scale. Over a part of a turn, an offset and a scale add up to a wave of
+    order 1, and along one motion functions of two positions to one of the velocity. That so many effects are there at
+    once is itself unlikely, the more so the more they are.
     """
     preset = problem.preset[0].terms
     while True:
-        names = [t for t in state.tested if not (t.term.nonparametric or t.term in preset)]
         best: State | None = None
-        sites = {tested.term.site for tested in names}
-        for site in (*sorted(sites), None) if len(sites) > 1 else sorted(sites):
-            there = [tested for tested in names if site in (None, tested.term.site)]
-            if len(there) < 2:
-                continue
+        for site, there in _together([tested for tested in state.tested if tested.term not in preset]):
             rest = refitted(problem, state, [t for t in state.tested if t not in there], options)
             test = score_test(problem, rest.fit, options, within=state.fit)
+            named = [tested for tested in there if not tested.term.nonparametric]
             functions = _added(problem, rest, _likely(problem, test, options, site), options)
             for choice in (*functions, *_with_slow_waves(problem, rest, test, options, site)):
                 # beside the function a name may stay: it is then not what the function replaces
-                choice = _restored(problem, choice, there, options)
+                choice = _restored(problem, choice, named, options)
                 fewer = len(there) - sum(t.term in choice.fit.terms.terms for t in there)
                 margin = options.together * (fewer - 1)
                 if fewer > 1 and preferred(problem, choice, best or state, 0.0 if best else -margin, options):
@@ -148,6 +145,18 @@ def _one_for_names(problem: Problem, state: State, options: EngineOptions) -> St
         if best is None:
             return state
         state = best
+
+
+def _together(terms: Sequence[SelectedTerm]) -> Iterator[tuple[str | None, Sequence[SelectedTerm]]]:
+    """Terms that one may replace, two at least: those of each site, and, of several sites, all names and all terms."""
+    for site in sorted({tested.term.site for tested in terms}):
+        there = [tested for tested in terms if tested.term.site == site]
+        if len(there) > 1:
+            yield site, there
+    names = [tested for tested in terms if not tested.term.nonparametric]
+    for group in (names, terms) if len(names) < len(terms) else (terms,):
+        if len({tested.term.site for tested in group}) > 1:
+            yield None, group
 
 
 def _with_slow_waves(
@@ -326,7 +335,7 @@ def _added(problem: Problem, state: State, functions: Sequence[_Likely], options
 
 
 def _likely(problem: Problem, test: ScoreTest, options: EngineOptions, site: str | None = None) -> list[_Likely]:
-    """The few functions that are most likely beside a tested fit: one of each site, or those of one site."""
+    """The few functions that are most likely beside a tested fit: one of each site, or a few of one site."""
     found: dict[object, _Likely] = {}
     searched, log_n = searched_size(problem, options), np.log(test.freedom)
     flexible = [term for term in problem.flexible if site in (None, term.site)]
@@ -338,7 +347,17 @@ def _likely(problem: Problem, test: ScoreTest, options: EngineOptions, site: str
         key = term.site if site is None else term
         if gain > max(options.close, found.get(key, _Likely(term, 0.0)).gain):
             found[key] = _Likely(term, gain)
-    likely = sorted(found.values(), key=lambda one: -one.gain)[: 2 * options.functions]
+    ranked = sorted(found.values(), key=lambda one: -one.gain)
+    if site is None:
+        return _sure(ranked, test, searched)
+    # functions of two drivers, of which there are many, imitate one of another driver to first order
+    apart = [[one for one in ranked if (len(one.term.drivers) > 1) == several] for several in (False, True)]
+    return [one for likely in apart for one in _sure(likely, test, searched)]
+
+
+def _sure(likely: Sequence[_Likely], test: ScoreTest, searched: float) -> list[_Likely]:
+    """The first few that noise does not explain."""
+    options, likely = test.options, likely[: 2 * test.options.functions]
     scored = zip(likely, test.score([one.term for one in likely]), strict=True)
     sure = [one for one, s in scored if gain_p_value(s.gain, s.size, test.time) * searched < options.level]
     return sure[: options.functions]

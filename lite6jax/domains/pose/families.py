@@ -111,6 +111,9 @@ def flexible(motion: Motion, loads: Loads | None, rows: int, sites: dict[Site, A
             add(f"joint{j}", [driver], 2)
         for driver in (*(Driver(q, j) for q in _OWN), *everywhere):
             add(f"joint{j}", [driver], 3)
+        # drag, and springs that harden or yield, change too quickly for a cubic
+        for quantity in ("gravity torque", "velocity"):
+            add(f"joint{j}", [Driver(quantity, j)], pieces=8)
         for pair in combinations(positions, 2):
             add(f"joint{j}", pair, 3)
         # friction that sticks in one place, and play that a load takes up
