@@ -111,6 +111,11 @@ class EngineOptions:
     least_varied: float = option(1e-6, "range of a driver, in its unit, below which it did not vary", "rounding")
     # names
     name_rounds: int = option(3, "rounds in which functions without a name challenge the names", "one a round")
+    samples_a_number: float = option(
+        3.0,
+        "samples for each number of several functions without a name at one site, at least",
+        "with fewer they describe the samples themselves",
+    )
     functions: int = option(3, "functions without a name that are fitted in a round", "scores and fits rank alike")
     named_share: float = option(0.5, "share of its gain that a name must reach to replace a function", "saves time")
     misfit: float = option(

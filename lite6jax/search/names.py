@@ -330,8 +330,19 @@ def _with_functions(problem: Problem, rest: State, within: Fit, options: EngineO
 
 def _added(problem: Problem, state: State, functions: Sequence[_Likely], options: EngineOptions) -> list[State]:
     """The state with each of these functions, without the terms that it makes unnecessary."""
-    further = [with_curve(problem, state, function.term, options) for function in functions]
+    further = [
+        with_curve(problem, state, function.term, options)
+        for function in functions
+        if _has_samples(state, function.term, options)
+    ]
     return [prune(problem, one, options) for one in further if one.tested[-1].p_value < options.level]
+
+
+def _has_samples(state: State, function: Term, options: EngineOptions) -> bool:
+    """Whether there are samples enough for one more function at a site that has functions."""
+    there = [one for one in state.fit.terms.terms if one.nonparametric and one.site == function.site]
+    numbers = function.size + sum(one.size for one in there)
+    return not there or numbers * options.samples_a_number <= state.fit.training.sum()
 
 
 def _likely(problem: Problem, test: ScoreTest, options: EngineOptions, site: str | None = None) -> list[_Likely]:
