@@ -136,12 +136,13 @@ def with_curve(problem: Problem, beside: State, curve: Term, options: EngineOpti
     gain, after = fit.gain_over(beside.fit), score_test(problem, fit, options)
     p_value = min(gain_p_value(gain, curve.size, after.time) * multiplicity(problem, curve, options), 1.0)
     # what a name explains of the curve is what it would explain without it, less what it still explains beside it: both
-    # in the noise that the curve leaves, as its own gain
+    # in the noise that the curve leaves, and as a share of what the curve explains by the same approximation
     before = score_test(problem, beside.fit, options, within=fit)
-    explained = zip(before.explained(problem.candidates), after.explained(problem.candidates), strict=True)
-    shared = [min(one.gain - other.gain, gain) for one, other in explained]
-    near = sorted(zip(problem.candidates, shared, strict=True), key=lambda pair: -pair[1])[: options.nearest]
-    alternatives = tuple(Alternative(term, gain - part) for term, part in near if part > 0)
+    whole, *alone = (one.gain for one in before.explained([curve, *problem.candidates]))
+    left = (one.gain for one in after.explained(problem.candidates))
+    shares = [min((one - other) / max(whole, 1e-300), 1.0) for one, other in zip(alone, left, strict=True)]
+    near = sorted(zip(problem.candidates, shares, strict=True), key=lambda pair: -pair[1])[: options.nearest]
+    alternatives = tuple(Alternative(term, gain * (1 - share)) for term, share in near if share > 0)
     tested = SelectedTerm(curve, p_value, score._replace(gain=gain), alternatives)
     return State(beside.baseline, fit, (*beside.tested, tested))
 
