@@ -89,10 +89,9 @@ class Explanation:
     def evidence(self) -> float:
         """Log-likelihood in the noise that is left, less the description length of physics, noise model and faults."""
         fit = self.selection.state.fit
-        likely = fit.log_likelihood(fit.scale) + fit.noise.log_volume(int(fit.training.sum()))
         model = 0.0 if fit.noise.white else float(np.log(self.readings))  # its two parameters
         terms = description_length(self.problem, fit.terms.terms, self.readings, self.options.engine)
-        return float(likely - model - terms - self.price)
+        return float(fit.own_likelihood - model - terms - self.price)
 
     @property
     def final_decisions(self) -> Decisions:

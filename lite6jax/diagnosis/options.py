@@ -50,7 +50,7 @@ class Options:
         "what predicts most of rows that were not used is there, as drift that a block at an end continues",
     )
     fewest_rows: int = option(15, "rows below which nothing is said where nothing is found", "five a fitted frame")
-    doubtful: float = option(
+    nearly_significant: float = option(
         0.05,
         "family-wise p-value of an effect that is no finding, below which it is not said that nothing else is missing",
         "the usual level of a single test",

@@ -11,7 +11,7 @@ from lite6jax.checksum import with_checksum
 from lite6jax.diagnosis.options import Options
 from lite6jax.diagnosis.result import Finding
 from lite6jax.diagnosis.torque_uncertainty import torque_uncertainty_of
-from lite6jax.diagnosis.verdict import Verdict, is_doubtful
+from lite6jax.diagnosis.verdict import Verdict, nearly_significant
 from lite6jax.domains.torque.predict import DiagnosedMotors
 from lite6jax.domains.torque.problem import FITTED, TorqueProblem
 from lite6jax.effects.catalogue import Untestable
@@ -101,7 +101,7 @@ class TorqueDiagnosis(Summarised, Plotted):
         """By the findings and by what is left of the residuals; see `diagnosis.verdict`."""
         white = self.fit.noise.white
         as_noise = self.over_noise is not None and bool((self.over_noise <= self.options.as_noise).all())
-        doubtful = is_doubtful(self.selection.nearest, self.options)
+        doubtful = not self.withdrawn and nearly_significant(self.selection.nearest, self.options)
         if not self.findings:
             unknown = self.over_noise is None and white and not self.withdrawn
             if not (as_noise or unknown):

@@ -64,7 +64,8 @@ def verdict_of(found: "Diagnosis") -> Verdict:
     options, left = found.options, found.left
     bad = found.quality.verdict == "bad"
     as_noise = left.is_noise(options.as_noise) and not bad
-    doubtful = is_doubtful(found.selection.nearest, options)
+    # beside effects that were withdrawn, the nearest is that of another model
+    doubtful = found.withdrawn is None and nearly_significant(found.selection.nearest, options)
     if not found.findings:
         few = found.problem.samples < options.fewest_rows
         if few or (not as_noise and not bad and found.rows_needed <= options.within_reach):
@@ -79,13 +80,14 @@ def verdict_of(found: "Diagnosis") -> Verdict:
     return "undetermined" if doubtful else "explained"
 
 
-def is_doubtful(nearest: tuple[Term, float] | None, options: "Options") -> bool:
+def nearly_significant(nearest: tuple[Term, float] | None, options: "Options") -> bool:
     """Whether the nearest effect that is no finding, with its family-wise p-value, is nearly significant.
 
     Residuals of the size of the noise do not exclude it: what it moves may have gone into numbers of the findings, as
-    the compliance of a joint goes into that of the base where both are loaded alike.
+    the compliance of a joint goes into that of the base where both are loaded alike. One that is significant and yet no
+    finding was refused for a reason of its own: its numbers are not possible, or something else is more likely.
     """
-    return nearest is not None and options.engine.level <= nearest[1] < options.doubtful
+    return nearest is not None and options.engine.level <= nearest[1] < options.nearly_significant
 
 
 def rows_needed(found: "Diagnosis") -> int:

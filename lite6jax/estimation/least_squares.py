@@ -95,6 +95,11 @@ class Fit:
             total -= 0.5 * (FREEDOM + rows) * np.sum(np.log1p(squares / FREEDOM)) + squares.size * rows * np.log(s)
         return float(total)
 
+    @property
+    def own_likelihood(self) -> float:
+        """The log-likelihood at the fit's own noise, its scale and its autocorrelation: of fits in different noise."""
+        return self.log_likelihood(self.scale) + self.noise.log_volume(self.training)
+
     def gain_over(self, other: "Fit") -> float:
         """The log-likelihood less that of another fit, both at the smaller noise scale in each group."""
         scale = np.minimum(self.scale, other.scale)

@@ -112,10 +112,11 @@ class NoiseModel:
             out[..., there, :] = model.whitened(rows[..., there, :], self.starts)
         return out
 
-    def log_volume(self, samples: int) -> float:
-        """The logarithm of the determinant of the whitening filter of all rows."""
+    def log_volume(self, training: NDArray[np.bool_]) -> float:
+        """The logarithm of the determinant of the whitening filter of all rows, of the samples `(sample,)` used."""
         counts = np.bincount(self.groups, minlength=len(self.models))
-        return float(sum(n * m.log_volume(samples, len(self.starts)) for n, m in zip(counts, self.models, strict=True)))
+        samples, runs = int(training.sum()), int(training[list(self.starts)].sum())
+        return float(sum(n * m.log_volume(samples, runs) for n, m in zip(counts, self.models, strict=True)))
 
 
 def white_noise(groups: Integers) -> NoiseModel:

@@ -22,7 +22,7 @@ _VERDICTS = {
     "explained": "Explained: with the effects below, the held-out errors are the sensor's noise.",
     "unnamed": "Unnamed: no effect of the catalogue explains the largest effect that was found.",
     "unexplained": "Unexplained: more is left than the sensor's noise, and no effect is significant.",
-    "undetermined": "Undetermined: there are too few rows to tell whether something {more}is missing.",
+    "undetermined": "Undetermined: there are too few rows to tell whether something is missing.",
 }
 _LEFT_OVER = ("partly_explained", "unnamed", "unexplained", "undetermined")
 _PARTS = {"base": "the sensor's frame", "link": "the arm's own calibration", "tool": "the tool"}
@@ -99,13 +99,14 @@ def _verdict(document: Document) -> str:
 
 
 def undetermined(said: str, document: Document) -> str:
-    """The sentence of an *undetermined* verdict, with the effect that is nearest to being a finding, if one is near."""
-    said, nearest = said.format(more="more " if document["findings"] else ""), document["nearest"]
-    if nearest is None or nearest["p_value"] >= 1.0:
+    """The sentence of an *undetermined* verdict: `said`, unless an effect that is no finding is nearly significant."""
+    nearest = document["nearest"]
+    if not worth.is_nearly_significant(nearest):
         return said
+    after = ", with the effects below," if document["findings"] else ""
     return (
-        f"{said} {capital(effect_name(nearest['effect']))} at {nearest['site']} is not significant, but the nearest to "
-        f"it (p-value {nearest['p_value']:.2g})."
+        f"Undetermined: what is left{after} is noise, but {effect_name(nearest['effect'])} at {nearest['site']} is "
+        f"nearly significant (family-wise p-value {nearest['p_value']:.2g})."
     )
 
 

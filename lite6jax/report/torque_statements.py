@@ -23,7 +23,7 @@ _VERDICTS = {
     "partly_explained": "Partly explained: the effects below are significant, and more than noise is left.",
     "unnamed": "Unnamed: no effect of the catalogue explains the largest effect that was found.",
     "unexplained": "Unexplained: more is left than the sensors' noise, and no effect is significant.",
-    "undetermined": "Undetermined: the recording is too short to tell whether something {more}is missing.",
+    "undetermined": "Undetermined: the recording is too short to tell whether something is missing.",
 }
 
 

@@ -14,6 +14,8 @@ Entry = Mapping[str, Any]
 
 _SHARE = 0.1
 """Of the error of positions, below which all findings concern orientations."""
+_NEARLY = 0.05
+"""Family-wise p-value below which an effect that is no finding is said to be nearly significant."""
 
 
 class Measure(NamedTuple):
@@ -184,6 +186,11 @@ def _kept(document: Document, count: int, torques: bool) -> str:
     return f"with {which} findings {'compensated' if of_arm else 'in the model'},"
 
 
+def is_nearly_significant(nearest: Entry | None) -> bool:
+    """Whether the nearest effect that is no finding leaves a verdict open; documents do not hold the thresholds."""
+    return nearest is not None and nearest["p_value"] < _NEARLY
+
+
 def _nothing_found(document: Document) -> str:
     torques = of_torques(document)
     measures, whose = (measures_of(document), "sensors'") if torques else ((POSITION,), "sensor's")
@@ -198,6 +205,8 @@ def _nothing_found(document: Document) -> str:
         "consistent": f"nothing is missing from the model: the error of {error} is the {whose} noise.",
         "undetermined": f"the recording is too short to tell what the error of {error} is.",
     }.get(document["verdict"], f"the error of {error} is more than the noise of the {of}, and nothing explains it.")
+    if document["verdict"] == "undetermined" and is_nearly_significant(document.get("nearest")):
+        said = f"the error of {error} is noise, or noise and one more effect, which is nearly significant."
     return begin + said if begin else f"{said[0].upper()}{said[1:]}"
 
 

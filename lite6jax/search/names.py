@@ -19,7 +19,7 @@ from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.problem import Problem, wave_of
 from lite6jax.estimation.score_test import ScoreTest, gain_p_value, remaining_noise_model, score_test
 from lite6jax.estimation.terms import Term
-from lite6jax.search.against_noise import in_correlated_noise, is_noise, own_likelihood
+from lite6jax.search.against_noise import in_own_noise, is_noise
 from lite6jax.search.backward import eliminate, prune
 from lite6jax.search.curves import with_curve
 from lite6jax.search.forward import forward, with_term
@@ -61,17 +61,19 @@ def unmasked(problem: Problem, state: State, options: EngineOptions) -> State:
     """The state with a function without a name that leaves white noise, where autocorrelated residuals mask it.
 
     Along a slow motion an effect that the catalogue lacks looks like autocorrelated noise, in which nothing is
-    significant. So the function in white noise is compared with autocorrelated noise without it, by likelihood.
+    significant. So the function in white noise is compared with autocorrelated noise without it, by likelihood. It
+    must leave white noise in all groups: what two effects, or an effect and such noise, do is not told apart here.
     """
-    correlated = in_correlated_noise(problem, state.fit, options)
-    if correlated is None:
+    correlated = in_own_noise(problem, state.fit, options)
+    if correlated.noise.white:
         return state
     searched, choices = searched_size(problem, options), list[State]()
     likely = _likely(problem, score_test(problem, state.fit, options, time=1.0), options)
     for choice in _added(problem, state, likely, options):
-        gain = own_likelihood(choice.fit) - own_likelihood(correlated)
-        p_value = gain_p_value(gain, choice.tested[-1].term.size, 1.0) * searched
-        if p_value < options.level and remaining_noise_model(problem, choice.fit, options).white:
+        function = choice.tested[-1].term
+        gain = choice.fit.own_likelihood - correlated.own_likelihood
+        significant = gain_p_value(gain, function.size, 1.0) * searched < options.level
+        if function.nonparametric and significant and remaining_noise_model(problem, choice.fit, options).white:
             choices.append(choice)
     return _most_preferred(problem, state, choices, options) or state
 
@@ -213,6 +215,8 @@ def significant(problem: Problem, state: State, options: EngineOptions) -> State
     """
     left = concentration(problem, state.fit, options) if state.tested else None  # beside all of them
     while state.tested:
+        # what left may have whitened the residuals
+        state = replace(state, fit=in_own_noise(problem, state.fit, options))
         time = score_test(problem, state.fit, options).time
         tests = [_tested_finally(problem, state, k, time, options) for k in range(len(state.tested))]
         tests = [
@@ -227,7 +231,7 @@ def significant(problem: Problem, state: State, options: EngineOptions) -> State
         if tests[worst].p_value < options.level:
             return State(state.baseline, state.fit, tuple(tests))
         state = reduced(problem, state, worst, options)
-    return state
+    return replace(state, fit=in_own_noise(problem, state.fit, options))
 
 
 def _misfit(problem: Problem, name: SelectedTerm, tests: Sequence[SelectedTerm], options: EngineOptions) -> bool:

@@ -54,7 +54,7 @@ def _in_noise_model(problem: Problem, state: State, options: EngineOptions) -> S
         time = score_test(problem, refit, options).time
         rests = [reduced(problem, state, k, options) for k in range(len(state.tested))]
         tests = [
-            tested_against_noise(problem, state, k, options)
+            tested_against_noise(problem, state, k, options, rest)
             if state.tested[k].term.nonparametric
             else retested(problem, state, k, time, options, rest)
             for k, rest in enumerate(rests)

@@ -103,8 +103,9 @@ def _selected(problem: Problem, reference: Problem, training: Mask, options: Eng
             return shrunk
         entered("selecting")
     with_curves = replace_by_curves(problem, added, options)
-    # significant beside terms that left since, a curve alone may explain less than its numbers cost
-    if state.tested or preferred(problem, with_curves, state, 0.0, options):
+    # a curve that was significant beside terms that have left since may alone explain less than its numbers cost
+    stand = any(tested.term not in problem.preset[0].terms for tested in state.tested)
+    if stand or preferred(problem, with_curves, state, 0.0, options):
         state = with_curves
     state = prune(problem, state, options)
     if thorough:

@@ -91,7 +91,7 @@ def reduced(problem: Problem, state: State, k: int, options: EngineOptions) -> S
     rest, base, f = (*state.tested[:k], *state.tested[k + 1 :]), state.baseline, state.fit
     if rest:
         return State(base, without(problem, f, k, options), rest)
-    # from the nuisance that was fitted alone: that beside a term may lead to another, lower maximum
+    # from the nuisance that was fitted alone: from that beside a term, another, lower maximum may be reached
     return State(base, fit(problem, Terms(), options, None, base.nuisance, base.training, f.noise))
 
 

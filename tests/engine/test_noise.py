@@ -49,6 +49,15 @@ def test_the_volume_is_the_determinant_of_the_filter():
     assert model.log_volume(100, len(starts)) == pytest.approx(np.linalg.slogdet(F)[1], rel=1e-12)
 
 
+def test_the_volume_is_that_of_the_samples_that_are_used():
+    """A gap is no run of its own: the likelihood of a fit with it is that of the other samples alone."""
+    used, of_rows = np.ones(100, bool), np.zeros(2, int)
+    used[30:60] = False
+    with_gap = NoiseModel((Autocorrelation(0.8, 0.6),), of_rows, (0, 30, 60, 75))
+    alone = NoiseModel((Autocorrelation(0.8, 0.6),), of_rows, (0, 30, 45))
+    assert with_gap.log_volume(used) == pytest.approx(alone.log_volume(np.ones(70, bool)), rel=1e-12)
+
+
 def test_a_stretch_remembers_nothing_of_the_one_before():
     rng = np.random.default_rng(0)
     rows = rng.normal(size=(3, 90))

@@ -431,7 +431,11 @@ def test_the_verdict_says_what_the_numbers_say(compliant):
     assert verdict("undetermined", rows=document["samples"] + 30) == (
         "Undetermined: there are too few rows to tell whether something is missing. Record about 30 more poses."
     )
-    assert verdict("undetermined", rows=document["samples"] + 1).endswith("Record about 1 more pose.")
+    document["nearest"] = {"effect": "joint_scale", "site": "joint1", "p_value": 0.02}
+    assert verdict("undetermined", rows=document["samples"] + 1) == (
+        "Undetermined: what is left is noise, but joint scale at joint1 is nearly significant (family-wise p-value "
+        "0.02). Record about 1 more pose."
+    )
 
 
 def test_statements_are_added_to_codes_and_nothing_is_taken_away(compliant):

@@ -139,6 +139,9 @@ def test_without_findings_the_first_sentence_is_the_verdict(verdict, says):
         "before": {"heldout_position_rms_m": 3.4e-5}, "after": {"heldout_position_rms_m": 3.4e-5},
     }  # fmt: skip
     assert worth.headline(document) == says
+    nearly = {**document, "nearest": {"effect": "joint_scale", "site": "joint1", "p_value": 0.02}}
+    open_still = "The error of 0.034 mm RMS is noise, or noise and one more effect, which is nearly significant."
+    assert worth.headline(nearly) == (open_still if verdict == "undetermined" else says)
     faulty = {**document, "data_faults": [{"fault": "swapped_joints"}]}
     assert worth.headline(faulty).startswith("The data have a fault (swapped joints); with this corrected, ")
 

@@ -67,8 +67,8 @@ def test_an_effect_short_of_the_level_leaves_it_open_whether_all_is_explained(di
 
     assert [with_nearest(p_value).verdict for p_value in (0.02, 0.06)] == ["undetermined", "explained"]
     assert verdict_statement(with_nearest(0.02).to_dict()) == (
-        "Undetermined: the recording is too short to tell whether something more is missing. Viscous friction at "
-        "joint4 is not significant, but the nearest to it (p-value 0.02). Record a longer one."
+        "Undetermined: what is left, with the effects below, is noise, but viscous friction at joint4 is nearly "
+        "significant (family-wise p-value 0.02). Record a longer one."
     )
 
 
