@@ -208,8 +208,8 @@ def believable(problem: Problem, state: State, options: EngineOptions) -> State:
 def significant(problem: Problem, state: State, options: EngineOptions) -> State:
     """Each term tested beside all others of the final model; those that are not significant leave, the least first.
 
-    So does a name that explains little beside a function at its site: that may be what the function does not describe,
-    unless it is a wave that is too short for that.
+    So does what explains little beside a function at its site: that may be what the function does not describe, unless
+    it is a wave that is too short for that.
     A name also leaves if the error that remains at its site exceeds a small share of what it explains, and any term if
     autocorrelated noise in its place is more likely.
     """
@@ -221,7 +221,7 @@ def significant(problem: Problem, state: State, options: EngineOptions) -> State
         tests = [_tested_finally(problem, state, k, time, options) for k in range(len(state.tested))]
         tests = [
             replace(one, p_value=1.0)
-            if _misfit(problem, one, tests, options)
+            if _misfit(problem, state, k, tests, options)
             or _leaves_more(one, k, state.fit, left, options)
             or (one.p_value < options.level and is_noise(problem, state, k, options))
             else one
@@ -234,11 +234,21 @@ def significant(problem: Problem, state: State, options: EngineOptions) -> State
     return replace(state, fit=in_own_noise(problem, state.fit, options))
 
 
-def _misfit(problem: Problem, name: SelectedTerm, tests: Sequence[SelectedTerm], options: EngineOptions) -> bool:
-    if _fine(problem, name.term):
+def _misfit(problem: Problem, state: State, k: int, tests: Sequence[SelectedTerm], options: EngineOptions) -> bool:
+    term, gain = tests[k].term, tests[k].score.gain
+    functions = [one.term.nonparametric and one.term.site == term.site for one in tests]
+    gains = [one.score.gain for one, there in zip(tests, functions, strict=True) if there]
+    if not gains or _fine(problem, term):
         return False
-    there = [one for one in tests if one.term.nonparametric and one.term.site == name.term.site]
-    return not name.term.nonparametric and any(name.score.gain < options.misfit * one.score.gain for one in there)
+    if not term.nonparametric:
+        return any(gain < options.misfit * other for other in gains)
+    if gain == max(gains):
+        return False
+    # functions of one site describe one another's misfit: each adds to what they explain together
+    rest = state
+    for there in reversed(np.flatnonzero(functions).tolist()):
+        rest = reduced(problem, rest, there, options)
+    return gain < options.misfit * state.fit.gain_over(rest.fit)
 
 
 def _fine(problem: Problem, term: Term) -> bool:

@@ -123,6 +123,23 @@ def test_what_looks_like_autocorrelated_noise_along_a_motion_is_found(tmp_path, 
     assert [(term.name, term.site, term.driver) for term in found] == [("unnamed", site, driver)]
 
 
+@pytest.mark.long
+@pytest.mark.parametrize(
+    ("seed", "trial", "site", "driver"),
+    [
+        (2220, 595, "joint6", "velocity of joint 6"),
+        (2220, 1087, "joint5", "gravity torque of joint 5 and direction of motion of joint 5"),
+        (2222, 167, "joint2", "gravity torque of joint 2"),
+    ],
+)
+def test_one_function_is_found_where_several_describe_it_piece_by_piece(tmp_path, seed, trial, site, driver):
+    """Before, the first was a function of two other joints, and the others had further ones, of other drivers."""
+    for name, text in draw(seed, trial).files.items():
+        (tmp_path / name).write_text(text)
+    found = terms(read_recording(tmp_path / "recording.csv"), thorough=True)
+    assert [(term.name, term.site, term.driver) for term in found] == [("unnamed", site, driver)]
+
+
 @pytest.mark.parametrize(("seed", "coefficient"), [(2, 0.99), (3, 0.995), (75, 0.995)])
 def test_noise_that_few_numbers_whiten_along_a_motion_is_no_physics(arm, seed, coefficient):
     """Before, an offset of a joint, a function and a shift of the base were found here, with p-values down to 1e-53."""
