@@ -12,7 +12,7 @@ from lite6jax.estimation.multiplicity import description_length, multiplicity
 from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.problem import Problem
 from lite6jax.estimation.score_test import gain_p_value, remaining_noise_model
-from lite6jax.search.state import SelectedTerm, State, reduced
+from lite6jax.search.state import SelectedTerm, State
 
 
 def in_own_noise(problem: Problem, fitted: Fit, options: EngineOptions) -> Fit:
@@ -35,14 +35,13 @@ def tested_against_noise(problem: Problem, state: State, k: int, options: Engine
     return replace(tested, p_value=min(p_value, 1.0), score=tested.score._replace(gain=gain))
 
 
-def is_noise(problem: Problem, state: State, k: int, options: EngineOptions) -> bool:
-    """Whether autocorrelated noise in the place of the k-th term is more likely; the state is in its own noise.
+def is_noise(problem: Problem, state: State, k: int, options: EngineOptions, rest: State) -> bool:
+    """Whether autocorrelated noise in the place of the k-th term is more likely; `rest` is the state without it.
 
-    A few numbers along a slow motion can leave white residuals of such noise, and then look significant.
+    A few numbers along a slow motion can leave white residuals of such noise, and then look significant. The state is
+    in its own noise.
     """
-    term = state.tested[k].term
-    if term in problem.preset[0].terms:
-        return False
-    rest = in_own_noise(problem, reduced(problem, state, k, options).fit, options)
-    gain = state.fit.own_likelihood - rest.own_likelihood
-    return not rest.noise.white and gain < description_length(problem, [term], state.fit.freedom, options)
+    other = in_own_noise(problem, rest.fit, options)
+    gain = state.fit.own_likelihood - other.own_likelihood
+    needed = description_length(problem, [state.tested[k].term], state.fit.freedom, options)
+    return not other.noise.white and gain < needed

@@ -8,21 +8,20 @@ joins the model, and the names that it makes unnecessary leave.
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 
 from lite6jax.estimation.concentration import Concentration, concentration
 from lite6jax.estimation.least_squares import Fit
-from lite6jax.estimation.multiplicity import description_length, multiplicity, searched_size
+from lite6jax.estimation.multiplicity import description_length, multiplicity
 from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.problem import Problem, wave_of
-from lite6jax.estimation.score_test import ScoreTest, gain_p_value, remaining_noise_model, score_test
+from lite6jax.estimation.score_test import ScoreTest, gain_p_value, score_test
 from lite6jax.estimation.terms import Term
 from lite6jax.search.against_noise import in_own_noise, is_noise
 from lite6jax.search.backward import eliminate, prune
-from lite6jax.search.curves import with_curve
 from lite6jax.search.forward import forward, with_term
+from lite6jax.search.functions import likely_functions, most_preferred, with_each, with_functions
 from lite6jax.search.state import (
     SelectedTerm,
     State,
@@ -39,13 +38,6 @@ _CYCLES = 16.0
 """Of a wave in the range of its angle: twice as many as the pieces of a spline without a name."""
 
 
-class _Likely(NamedTuple):
-    """A function without a name, and the log-likelihood that it gains beyond the cost of its numbers."""
-
-    term: Term
-    gain: float
-
-
 def challenge_names(problem: Problem, state: State, options: EngineOptions) -> State:
     """The state with names that the data do not contradict, and functions without a name for what is left."""
     state = _shaped_instead(problem, believable(problem, state, options), options)
@@ -55,27 +47,6 @@ def challenge_names(problem: Problem, state: State, options: EngineOptions) -> S
             break
         state = believable(problem, better, options)
     return _one_for_names(problem, _named_again(problem, state, options), options)
-
-
-def unmasked(problem: Problem, state: State, options: EngineOptions) -> State:
-    """The state with a function without a name that leaves white noise, where autocorrelated residuals mask it.
-
-    Along a slow motion an effect that the catalogue lacks looks like autocorrelated noise, in which nothing is
-    significant. So the function in white noise is compared with autocorrelated noise without it, by likelihood. It
-    must leave white noise in all groups: what two effects, or an effect and such noise, do is not told apart here.
-    """
-    correlated = in_own_noise(problem, state.fit, options)
-    if correlated.noise.white:
-        return state
-    searched, choices = searched_size(problem, options), list[State]()
-    likely = _likely(problem, score_test(problem, state.fit, options, time=1.0), options)
-    for choice in _added(problem, state, likely, options):
-        function = choice.tested[-1].term
-        gain = choice.fit.own_likelihood - correlated.own_likelihood
-        significant = gain_p_value(gain, function.size, 1.0) * searched < options.level
-        if function.nonparametric and significant and remaining_noise_model(problem, choice.fit, options).white:
-            choices.append(choice)
-    return _most_preferred(problem, state, choices, options) or state
 
 
 def _shaped_instead(problem: Problem, state: State, options: EngineOptions) -> State:
@@ -136,7 +107,7 @@ def _one_for_names(problem: Problem, state: State, options: EngineOptions) -> St
             rest = refitted(problem, state, [t for t in state.tested if t not in there], options)
             test = score_test(problem, rest.fit, options, within=state.fit)
             named = [tested for tested in there if not tested.term.nonparametric]
-            functions = _added(problem, rest, _likely(problem, test, options, site), options)
+            functions = with_each(problem, rest, likely_functions(problem, test, options, site), options)
             for choice in (*functions, *_with_slow_waves(problem, rest, test, options, site)):
                 # beside the function a name may stay: it is then not what the function replaces
                 choice = _restored(problem, choice, named, options)
@@ -197,7 +168,7 @@ def believable(problem: Problem, state: State, options: EngineOptions) -> State:
         impossible.append(state.tested[k].term)
         restricted, rest = problem.without_candidates(impossible), reduced(problem, state, k, options)
         choices = [eliminate(problem, forward(restricted, rest, options, shaped=True), options)]
-        choices += _with_functions(problem, rest, state.fit, options)
+        choices += with_functions(problem, rest, state.fit, options)
         state = choices[0]
         for choice in choices[1:]:
             if preferred(problem, choice, state, 0.0, options):
@@ -221,9 +192,7 @@ def significant(problem: Problem, state: State, options: EngineOptions) -> State
         tests = [_tested_finally(problem, state, k, time, options) for k in range(len(state.tested))]
         tests = [
             replace(one, p_value=1.0)
-            if _misfit(problem, state, k, tests, options)
-            or _leaves_more(one, k, state.fit, left, options)
-            or (one.p_value < options.level and is_noise(problem, state, k, options))
+            if _misfit(problem, state, k, tests, options) or _leaves_more(one, k, state.fit, left, options)
             else one
             for k, one in enumerate(tests)
         ]
@@ -265,11 +234,17 @@ def _leaves_more(name: SelectedTerm, k: int, fit: Fit, left: Concentration | Non
 
 def _tested_finally(problem: Problem, state: State, k: int, time: float, options: EngineOptions) -> SelectedTerm:
     tested = state.tested[k]
-    if not tested.term.nonparametric:
-        return retested(problem, state, k, time, options)
-    gain = state.fit.gain_over(reduced(problem, state, k, options).fit)
-    p_value = min(gain_p_value(gain, tested.term.size, time) * multiplicity(problem, tested.term, options), 1.0)
-    return SelectedTerm(tested.term, p_value, tested.score._replace(gain=gain), tested.alternatives)
+    if tested.term in problem.preset[0].terms:
+        return tested
+    rest = reduced(problem, state, k, options)
+    if tested.term.nonparametric:
+        gain = state.fit.gain_over(rest.fit)
+        p_value = min(gain_p_value(gain, tested.term.size, time) * multiplicity(problem, tested.term, options), 1.0)
+        tested = replace(tested, p_value=p_value, score=tested.score._replace(gain=gain))
+    else:
+        tested = retested(problem, state, k, time, options, rest)
+    noise = tested.p_value < options.level and is_noise(problem, state, k, options, rest)
+    return replace(tested, p_value=1.0) if noise else tested
 
 
 def _not_possible(problem: Problem, state: State, options: EngineOptions) -> int | None:
@@ -315,74 +290,14 @@ def _least_possible(problem: Problem, state: State, options: EngineOptions) -> i
 
 def _more_likely(problem: Problem, state: State, options: EngineOptions) -> State | None:
     """The most likely state in which a function without a name joins; None where none is clearly more likely."""
-    beside = _likely(problem, score_test(problem, state.fit, options), options)
+    beside = likely_functions(problem, score_test(problem, state.fit, options), options)
     if not beside:
         return None  # a function that explains more in place of a name explains something beside it too
-    choices = _added(problem, state, beside, options)
-    best = _most_preferred(problem, state, choices, options)
+    choices = with_each(problem, state, beside, options)
+    best = most_preferred(problem, state, choices, options)
     if best is not None and len(best.tested) <= len(state.tested):
         return best  # it makes names unnecessary: those that stay are challenged beside it in the next round
     for k, tested in enumerate(state.tested):
         if not tested.term.nonparametric and tested.term not in problem.preset[0].terms:
-            choices += _with_functions(problem, reduced(problem, state, k, options), state.fit, options)
-    return _most_preferred(problem, state, choices, options)
-
-
-def _most_preferred(problem: Problem, state: State, choices: Sequence[State], options: EngineOptions) -> State | None:
-    """The most likely of the states that are clearly more likely than another; None where none is."""
-    best: State | None = None
-    for choice in choices:
-        if preferred(problem, choice, best or state, 0.0 if best else options.close, options):
-            best = choice
-    return best
-
-
-def _with_functions(problem: Problem, rest: State, within: Fit, options: EngineOptions) -> list[State]:
-    test = score_test(problem, rest.fit, options, within=within)
-    return _added(problem, rest, _likely(problem, test, options), options)
-
-
-def _added(problem: Problem, state: State, functions: Sequence[_Likely], options: EngineOptions) -> list[State]:
-    """The state with each of these functions, without the terms that it makes unnecessary."""
-    further = [
-        with_curve(problem, state, function.term, options)
-        for function in functions
-        if _has_samples(state, function.term, options)
-    ]
-    return [prune(problem, one, options) for one in further if one.tested[-1].p_value < options.level]
-
-
-def _has_samples(state: State, function: Term, options: EngineOptions) -> bool:
-    """Whether there are samples enough for one more function at a site that has functions."""
-    there = [one for one in state.fit.terms.terms if one.nonparametric and one.site == function.site]
-    numbers = function.size + sum(one.size for one in there)
-    return not there or numbers * options.samples_a_number <= state.fit.training.sum()
-
-
-def _likely(problem: Problem, test: ScoreTest, options: EngineOptions, site: str | None = None) -> list[_Likely]:
-    """The few functions that are most likely beside a tested fit: one of each site, or a few of one site."""
-    found: dict[object, _Likely] = {}
-    searched, log_n = searched_size(problem, options), np.log(test.freedom)
-    flexible = [term for term in problem.flexible if site in (None, term.site)]
-    for term, one in zip(flexible, test.explained(flexible), strict=True):
-        # what the names and the nuisance explain already costs nothing
-        gain = (
-            one.gain - description_length(problem, [term], test.freedom, options) + 0.5 * (term.size - one.size) * log_n
-        )
-        key = term.site if site is None else term
-        if gain > max(options.close, found.get(key, _Likely(term, 0.0)).gain):
-            found[key] = _Likely(term, gain)
-    ranked = sorted(found.values(), key=lambda one: -one.gain)
-    if site is None:
-        return _sure(ranked, test, searched)
-    # functions of two drivers, of which there are many, imitate one of another driver to first order
-    apart = [[one for one in ranked if (len(one.term.drivers) > 1) == several] for several in (False, True)]
-    return [one for likely in apart for one in _sure(likely, test, searched)]
-
-
-def _sure(likely: Sequence[_Likely], test: ScoreTest, searched: float) -> list[_Likely]:
-    """The first few that noise does not explain."""
-    options, likely = test.options, likely[: 2 * test.options.functions]
-    scored = zip(likely, test.score([one.term for one in likely]), strict=True)
-    sure = [one for one, s in scored if gain_p_value(s.gain, s.size, test.time) * searched < options.level]
-    return sure[: options.functions]
+            choices += with_functions(problem, reduced(problem, state, k, options), state.fit, options)
+    return most_preferred(problem, state, choices, options)

@@ -6,12 +6,11 @@ import numpy as np
 
 from lite6jax.estimation.least_squares import Fit, fit
 from lite6jax.estimation.multiplicity import description_length, multiplicity
-from lite6jax.estimation.noise import white_noise
 from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.problem import Problem
-from lite6jax.estimation.score_test import remaining_noise_model, score_test
+from lite6jax.estimation.score_test import score_test
 from lite6jax.estimation.terms import Terms
-from lite6jax.search.against_noise import tested_against_noise
+from lite6jax.search.against_noise import in_own_noise, tested_against_noise
 from lite6jax.search.state import (
     Alternative,
     SelectedTerm,
@@ -47,11 +46,9 @@ def retest(problem: Problem, state: State, options: EngineOptions) -> State:
 
 def _in_noise_model(problem: Problem, state: State, options: EngineOptions) -> State:
     """All terms fitted and tested in autocorrelated noise, where residuals have it; insignificant ones are removed."""
-    while not (noise := remaining_noise_model(problem, state.fit, options)).white:
-        f = state.fit
-        refit = fit(problem, f.terms, options, f.values, f.nuisance, f.training, noise)
-        state = replace(state, fit=refit)
-        time = score_test(problem, refit, options).time
+    while not (own := in_own_noise(problem, state.fit, options)).noise.white:
+        state = replace(state, fit=own)
+        time = score_test(problem, own, options).time
         rests = [reduced(problem, state, k, options) for k in range(len(state.tested))]
         tests = [
             tested_against_noise(problem, state, k, options, rest)
@@ -66,11 +63,7 @@ def _in_noise_model(problem: Problem, state: State, options: EngineOptions) -> S
                 state = renamed(problem, state, k, options)
             return state
         state = rests[worst]
-    if not state.fit.noise.white:
-        f = state.fit
-        white = fit(problem, f.terms, options, f.values, f.nuisance, f.training, white_noise(problem.groups))
-        state = replace(state, fit=white)
-    return state
+    return replace(state, fit=own)
 
 
 def renamed(problem: Problem, state: State, k: int, options: EngineOptions) -> State:

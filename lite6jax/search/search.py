@@ -15,7 +15,8 @@ from lite6jax.search.backward import eliminate, prune
 from lite6jax.search.curves import merge_harmonics, replace_by_curves
 from lite6jax.search.exchange import exchange, one_for_several
 from lite6jax.search.forward import forward
-from lite6jax.search.names import believable, challenge_names, significant, unmasked
+from lite6jax.search.functions import unmasked
+from lite6jax.search.names import believable, challenge_names, significant
 from lite6jax.search.retest import renamed, retest
 from lite6jax.search.saturated import from_saturated, refined
 from lite6jax.search.shrinkage import shrink

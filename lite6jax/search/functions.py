@@ -1,0 +1,109 @@
+"""Functions without a name: the likely ones at every site, beside a model or where autocorrelated noise masks them."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from lite6jax.estimation.least_squares import Fit
+from lite6jax.estimation.multiplicity import description_length, searched_size
+from lite6jax.estimation.options import EngineOptions
+from lite6jax.estimation.problem import Problem
+from lite6jax.estimation.score_test import ScoreTest, gain_p_value, remaining_noise_model, score_test
+from lite6jax.estimation.terms import Term
+from lite6jax.search.against_noise import in_own_noise
+from lite6jax.search.backward import prune
+from lite6jax.search.curves import with_curve
+from lite6jax.search.state import State, preferred
+
+
+class LikelyFunction(NamedTuple):
+    """A function without a name, and the log-likelihood that it gains beyond the cost of its numbers."""
+
+    term: Term
+    gain: float
+
+
+def unmasked(problem: Problem, state: State, options: EngineOptions) -> State:
+    """The state with a function without a name that leaves white noise, where autocorrelated residuals mask it.
+
+    Along a slow motion an effect that the catalogue lacks looks like autocorrelated noise, in which nothing is
+    significant. So the function in white noise is compared with autocorrelated noise without it, by likelihood. It
+    must leave white noise in all groups: what two effects, or an effect and such noise, do is not told apart here.
+    """
+    correlated = in_own_noise(problem, state.fit, options)
+    if correlated.noise.white:
+        return state
+    searched, choices = searched_size(problem, options), list[State]()
+    likely = likely_functions(problem, score_test(problem, state.fit, options, time=1.0), options)
+    for choice in with_each(problem, state, likely, options):
+        function = choice.tested[-1].term
+        gain = choice.fit.own_likelihood - correlated.own_likelihood
+        significant = gain_p_value(gain, function.size, 1.0) * searched < options.level
+        if function.nonparametric and significant and remaining_noise_model(problem, choice.fit, options).white:
+            choices.append(choice)
+    return most_preferred(problem, state, choices, options) or state
+
+
+def most_preferred(problem: Problem, state: State, choices: Sequence[State], options: EngineOptions) -> State | None:
+    """The most likely of the states that are clearly more likely than another; None where none is."""
+    best: State | None = None
+    for choice in choices:
+        if preferred(problem, choice, best or state, 0.0 if best else options.close, options):
+            best = choice
+    return best
+
+
+def with_functions(problem: Problem, rest: State, within: Fit, options: EngineOptions) -> list[State]:
+    test = score_test(problem, rest.fit, options, within=within)
+    return with_each(problem, rest, likely_functions(problem, test, options), options)
+
+
+def with_each(
+    problem: Problem, state: State, functions: Sequence[LikelyFunction], options: EngineOptions
+) -> list[State]:
+    """The state with each of these functions, without the terms that it makes unnecessary."""
+    further = [
+        with_curve(problem, state, function.term, options)
+        for function in functions
+        if _has_samples(state, function.term, options)
+    ]
+    return [prune(problem, one, options) for one in further if one.tested[-1].p_value < options.level]
+
+
+def _has_samples(state: State, function: Term, options: EngineOptions) -> bool:
+    """Whether there are samples enough for one more function at a site that has functions."""
+    there = [one for one in state.fit.terms.terms if one.nonparametric and one.site == function.site]
+    numbers = function.size + sum(one.size for one in there)
+    return not there or numbers * options.samples_a_number <= state.fit.training.sum()
+
+
+def likely_functions(
+    problem: Problem, test: ScoreTest, options: EngineOptions, site: str | None = None
+) -> list[LikelyFunction]:
+    """The few functions that are most likely beside a tested fit: one of each site, or a few of one site."""
+    found: dict[object, LikelyFunction] = {}
+    searched, log_n = searched_size(problem, options), np.log(test.freedom)
+    flexible = [term for term in problem.flexible if site in (None, term.site)]
+    for term, one in zip(flexible, test.explained(flexible), strict=True):
+        # what the names and the nuisance explain already costs nothing
+        gain = (
+            one.gain - description_length(problem, [term], test.freedom, options) + 0.5 * (term.size - one.size) * log_n
+        )
+        key = term.site if site is None else term
+        if gain > max(options.close, found.get(key, LikelyFunction(term, 0.0)).gain):
+            found[key] = LikelyFunction(term, gain)
+    ranked = sorted(found.values(), key=lambda one: -one.gain)
+    if site is None:
+        return _sure(ranked, test, searched)
+    # functions of two drivers, of which there are many, imitate one of another driver to first order
+    apart = [[one for one in ranked if (len(one.term.drivers) > 1) == several] for several in (False, True)]
+    return [one for likely in apart for one in _sure(likely, test, searched)]
+
+
+def _sure(likely: Sequence[LikelyFunction], test: ScoreTest, searched: float) -> list[LikelyFunction]:
+    """The first few that noise does not explain."""
+    options, likely = test.options, likely[: 2 * test.options.functions]
+    scored = zip(likely, test.score([one.term for one in likely]), strict=True)
+    sure = [one for one, s in scored if gain_p_value(s.gain, s.size, test.time) * searched < options.level]
+    return sure[: options.functions]
