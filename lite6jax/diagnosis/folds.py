@@ -31,10 +31,10 @@ def held_out_folds(recording: Recording, options: Options, unknowns: int) -> lis
 
 
 def fold_count(samples: int, options: Options, needed: int = 0) -> int:
-    """How many blocks of so many rows are held out: fewer where these would be short, and more where the other rows
-    would be fewer than `needed`.
+    """How many blocks of so many rows are held out: more than usual where the other rows would be fewer than `needed`,
+    and at most one for each row.
     """
-    count = min(options.folds, max(2, samples // options.least_in_fold))
+    count = min(options.folds, samples)
     while count < samples and samples - -(-samples // count) < needed:
         count += 1
     return count

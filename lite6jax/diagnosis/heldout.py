@@ -38,6 +38,7 @@ class HeldOut(NamedTuple):
         turned_after: likewise with the effects.
         angle_before: rad, of orientations, with the nuisance alone; zero where none were measured.
         angle_after: likewise with the effects.
+        with_effects: bool, of rows without which the search found effects.
     """
 
     before: Array
@@ -46,6 +47,7 @@ class HeldOut(NamedTuple):
     turned_after: Array
     angle_before: Array
     angle_after: Array
+    with_effects: Mask
 
     def raised(self, kept: NDArray[np.bool_], numbers: float, options: Options) -> bool:
         """Whether effects of so many numbers raise the errors on rows that were not used.
@@ -65,8 +67,11 @@ class HeldOut(NamedTuple):
 
         Rows that were not used are then off by `heldout_excess` times the errors of the fitted ones, and by a larger
         ratio than without the effects, where the arm's geometry alone may not follow from fewer rows. Effects that
-        remove most of the error there are kept all the same: a drift is not known beyond the rows that show it.
+        remove most of the error there are kept all the same: a drift is not known beyond the rows that show it. Blocks
+        without which nothing was found do not count: they say that the other rows are few, and nothing of the effects.
         """
+        if (tried := kept & self.with_effects).any():
+            kept = tried
         if _ratio(self.before[kept], self.after[kept]) < options.heldout_left:
             return False
         state = selection.state
@@ -92,21 +97,21 @@ def held_out_errors(
         decisions: between faults and physics, of all rows.
         folds: those of `held_out_folds`.
     """
-    errors = np.zeros((len(HeldOut._fields), recording.samples))
 
-    def predicted(held: Mask) -> Array:
-        """`(field, held)`: the problems of a fold, whose columns take a gigabyte of a real arm, end with it."""
+    def predicted(held: Mask) -> HeldOut:
+        """Of a block's rows: the problems of a fold, whose columns take a gigabyte of a real arm, end with it."""
         found = explain(recording, arm, geometry, options, effects, factory, ~held, False, decisions)
         state, reference = found.selection.state, found.selection.reference
         assert isinstance(reference, PoseProblem)
         turned_before, angle_before = _turns(reference, state.baseline)
         turned_after, angle_after = _turns(found.problem, state.fit)
         before, after = _distance(reference, state.baseline), _distance(found.problem, state.fit)
-        return np.stack(HeldOut(before, after, turned_before, turned_after, angle_before, angle_after))[:, held]
+        found_some = np.full(recording.samples, bool(state.tested))
+        errors = HeldOut(before, after, turned_before, turned_after, angle_before, angle_after, found_some)
+        return HeldOut(*(of_all[held] for of_all in errors))
 
-    for held, off in zip(folds, side_by_side(predicted, folds), strict=True):
-        errors[:, held] = off
-    return HeldOut(*errors)
+    # the blocks are contiguous and in the order of the rows
+    return HeldOut(*map(np.concatenate, zip(*side_by_side(predicted, folds), strict=True)))
 
 
 def _distance(problem: PoseProblem, fit: Fit) -> Array:

@@ -26,7 +26,6 @@ class Options:
     folds: int = option(
         _USUAL_FOLDS, "contiguous held-out blocks", "each leaves four fifths of the rows for the search"
     )
-    least_in_fold: int = option(10, "fewest rows of a held-out block", "fewer have no meaningful percentiles")
     outlier_squares: float = option(
         30.0, "squared residual over the scale, per number, beyond which a row is an outlier", "5.5 standard deviations"
     )

@@ -124,8 +124,13 @@ def retested(
 
 
 def preferred(problem: Problem, ours: State, theirs: State, by: float, options: EngineOptions) -> bool:
-    """Whether the penalised log-likelihood of a state exceeds that of another by more than `by`."""
+    """Whether the penalised log-likelihood of a state exceeds that of another by more than `by`.
+
+    A model that leaves no degree of freedom is never preferred: it fits any readings, and says nothing of the noise.
+    """
     n = ours.fit.freedom
+    if n < 1:
+        return False
     longer = description_length(problem, ours.fit.terms.terms, n, options) - description_length(
         problem, theirs.fit.terms.terms, n, options
     )

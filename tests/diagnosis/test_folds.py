@@ -4,7 +4,8 @@ import threading
 
 import pytest
 
-from lite6jax.diagnosis.folds import side_by_side
+from lite6jax.diagnosis.folds import fold_count, side_by_side
+from lite6jax.diagnosis.options import Options
 from lite6jax.progress import Stage, entered, followed
 
 
@@ -45,3 +46,16 @@ def test_an_error_ends_the_work_on_folds_that_have_not_begun():
     with pytest.raises(ValueError, match="no such fold"):
         side_by_side(work, range(1000))
     assert len(begun) < 100
+
+
+@pytest.mark.parametrize(
+    ("samples", "needed", "count"),
+    [
+        (1000, 0, 5),
+        (15, 0, 5),  # three rows in each: the search of the others has four fifths of them
+        (15, 13, 8),  # two rows in each leave thirteen
+        (4, 0, 4),
+    ],
+)
+def test_few_rows_are_held_out_in_as_many_blocks_as_many_rows(samples, needed, count):
+    assert fold_count(samples, Options(), needed) == count

@@ -213,6 +213,19 @@ def test_an_effect_of_fifteen_times_the_noise_is_found_in_two_dozen_poses(arm):
     assert [term.label for term in found] == ["joint_compliance:joint2"]
 
 
+@pytest.mark.long
+@pytest.mark.parametrize(
+    ("trial", "label"), [(92, "tool_offset:tool"), (287, "unnamed:joint4"), (1369, "base_compliance:base")]
+)
+def test_an_effect_that_some_of_the_blocks_are_needed_to_find_is_not_withdrawn(tmp_path, trial, label):
+    """16 to 25 poses: without half of them, or without some of five blocks, the search finds nothing."""
+    for name, text in draw(2300, trial).files.items():
+        (tmp_path / name).write_text(text)
+    diagnosis = diagnose(read_recording(tmp_path / "recording.csv"))
+    assert diagnosis.withdrawn is None
+    assert [finding.effect.label for finding in diagnosis.findings] == [label]
+
+
 def test_too_few_rows_are_undetermined_and_say_how_many_would_do(arm):
     diagnosis = diagnose(arm.recording(static_motion(6, 12)))
     assert diagnosis.verdict == "undetermined"
@@ -275,7 +288,7 @@ def test_effects_that_do_not_hold_on_held_out_rows_are_not_kept(before, after, w
     """Errors on rows that were not used decide, whatever the significance."""
     recording = with_effects(arm, "joint_compliance:joint=2,compliance_rad_per_Nm=9e-5").recording(static_motion(5, 40))
     rows = np.ones(40)
-    worse = HeldOut(before * rows, after * rows, *np.zeros((4, len(rows))))
+    worse = HeldOut(before * rows, after * rows, *np.zeros((4, len(rows))), rows > 0)
     monkeypatch.setattr("lite6jax.diagnosis.diagnose.held_out_errors", lambda *given: worse)
     found = diagnose(recording)
     assert found.findings == ()
@@ -293,7 +306,19 @@ def test_effects_that_remove_most_of_the_held_out_error_are_kept(after, kept, ar
     """Ten times what is left of the fitted rows, as of a drift beyond the rows that show it, but a third of before."""
     recording = with_effects(arm, "joint_compliance:joint=2,compliance_rad_per_Nm=9e-5").recording(static_motion(5, 40))
     rows = np.ones(40)
-    held_out = HeldOut(6e-4 * rows, after * rows, *np.zeros((4, len(rows))))
+    held_out = HeldOut(6e-4 * rows, after * rows, *np.zeros((4, len(rows))), rows > 0)
+    monkeypatch.setattr("lite6jax.diagnosis.diagnose.held_out_errors", lambda *given: held_out)
+    assert bool(diagnose(recording).findings) == kept
+
+
+@pytest.mark.parametrize(("after", "kept"), [(1e-4, True), (4e-4, False)])
+def test_only_blocks_without_which_effects_were_found_say_whether_they_hold(after, kept, arm, monkeypatch):
+    """Elsewhere errors are those without effects, many times the noise, whatever the effects are."""
+    recording = with_effects(arm, "joint_compliance:joint=2,compliance_rad_per_Nm=9e-5").recording(static_motion(5, 40))
+    rows = np.ones(40)
+    found_some = np.arange(40) < 16
+    errors = np.where(found_some, after, 6e-4)
+    held_out = HeldOut(6e-4 * rows, errors, *np.zeros((4, len(rows))), found_some)
     monkeypatch.setattr("lite6jax.diagnosis.diagnose.held_out_errors", lambda *given: held_out)
     assert bool(diagnose(recording).findings) == kept
 
@@ -311,13 +336,13 @@ def test_effects_that_remove_most_of_the_held_out_error_are_kept(after, kept, ar
 )
 def test_orientations_count_beside_positions(position, orientation, raised):
     rows = np.linspace(1.0, 2.0, 20)
-    errors = HeldOut(1e-4 * rows, position * 1e-4 * rows, rows, orientation * rows, rows, rows)
+    errors = HeldOut(1e-4 * rows, position * 1e-4 * rows, rows, orientation * rows, rows, rows, rows > 0)
     assert errors.raised(rows > 0, 0, OPTIONS) == raised
 
 
 def test_numbers_may_cost_the_positions_some_precision():
     """Eighteen numbers of 126 rows add a fortieth to the error of positions that they do not change."""
     rows = np.ones(126)
-    errors = HeldOut(1e-4 * rows, 1.016e-4 * rows, rows, 0.5 * rows, rows, 0.5 * rows)
+    errors = HeldOut(1e-4 * rows, 1.016e-4 * rows, rows, 0.5 * rows, rows, 0.5 * rows, rows > 0)
     assert errors.raised(rows > 0, 1, OPTIONS)
     assert not errors.raised(rows > 0, 18, OPTIONS)
