@@ -108,10 +108,10 @@ def held_out_errors(
         before, after = _distance(reference, state.baseline), _distance(found.problem, state.fit)
         found_some = np.full(recording.samples, bool(state.tested))
         errors = HeldOut(before, after, turned_before, turned_after, angle_before, angle_after, found_some)
-        return HeldOut(*(of_all[held] for of_all in errors))
+        return HeldOut._make(of_all[held] for of_all in errors)
 
     # the blocks are contiguous and in the order of the rows
-    return HeldOut(*map(np.concatenate, zip(*side_by_side(predicted, folds), strict=True)))
+    return HeldOut._make(map(np.concatenate, zip(*side_by_side(predicted, folds), strict=True)))
 
 
 def _distance(problem: PoseProblem, fit: Fit) -> Array:
