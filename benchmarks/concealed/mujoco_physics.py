@@ -30,8 +30,8 @@ STEP = 1e-3
 """s."""
 _MOVE, _REST = 1.0, 0.4
 """s: from pose to pose, and until the arm is read."""
-_FLANK = 1e6
-"""Nm/rad: what a gear's flank gives."""
+_FLANK = 1e8
+"""Nm/rad of a gear's flank: at 1e6, what gravity pressed into it was found as the compliance that it was."""
 _SERVO = 4e4
 """Nm/rad."""
 

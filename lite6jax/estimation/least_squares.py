@@ -138,8 +138,20 @@ def fit(
         noise: the noise model; white where not given.
         exact: whether derivatives are taken at the current estimate, by differences; a step then evaluates the
             residuals once for each number.
+
+    Where a term jumps, as a gear between its flanks does at a torque that depends on the nuisance, a start far from
+    zero may lead no further; a start from zero is then tried too, and the likelier result taken.
     """
-    return _fitted(problem, terms, options, values, nuisance, training, noise, exact, False)[1]
+    found = _fitted(problem, terms, options, values, nuisance, training, noise, exact, False)[1]
+    if found.converged or exact or nuisance is None or not nuisance.any() or not _may_jump(terms):
+        return found
+    again = _fitted(problem, terms, options, None, None, training, noise, False, False)[1]
+    return again if again.gain_over(found) > 0 else found
+
+
+def _may_jump(terms: Terms) -> bool:
+    """Whether a term has a number in which it is not linear: one that places a step, as no order of a wave does."""
+    return any(term.chosen is not None and not term.periodic for term in terms.terms)
 
 
 def relinearise(problem: P, options: EngineOptions, training: Mask | None = None, steps: int | None = None) -> P:

@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 from lite6jax.diagnosis import evidence_map
 from lite6jax.diagnosis.evidence_map import JointSpectra
 from lite6jax.diagnosis.result import Diagnosis
-from lite6jax.report.canvas import AFTER, BEFORE, FRAMED, STYLE, blank, label_joint, thinned
+from lite6jax.report.canvas import AFTER, BEFORE, FRAMED, STYLE, blank, label_joint
 from lite6jax.report.cells import joint_units
 from lite6jax.report.finding_figures import finding_figure
-from lite6jax.report.panels import GREY, legend_below, medians, panels_in_rows
+from lite6jax.report.panels import GREY, dots, label_first_column, legend_below, medians, panels_in_rows
 
 Array = NDArray[np.floating]
 
@@ -51,29 +51,28 @@ def drawings(found: Diagnosis, title: str, order: Sequence[int] | None = None) -
 
 
 def error_by_joint(found: Diagnosis, title: str) -> Figure:
-    """Held-out position error against each joint, before and after; lines are medians."""
+    """Held-out position error against each joint, before and after; lines are medians, where samples are enough."""
     kept = ~found.outliers & np.isfinite(found.before) & np.isfinite(found.after)
     scales, units = joint_units(found.problem.arm.sliding, found.problem.motion.dof)
     q = scales[:, None] * np.asarray(found.problem.motion.joint_position)[:, kept]
     errors = [1e3 * found.before[kept], 1e3 * found.after[kept]]
     with rc_context(STYLE):
         figure, panels = panels_in_rows(len(q), shared=True)
-        shown = thinned(q.shape[1])
+        line = False
         for joint, panel in enumerate(panels):
             for (_, colour), error in zip(_STAGES, errors, strict=True):
-                panel.plot(
-                    q[joint, shown], error[shown], ".", color=colour, markersize=5, alpha=0.35, markeredgewidth=0,
-                    rasterized=True, zorder=3,
-                )  # fmt: skip
+                dots(panel, q[joint], error, colour, 3)
                 at, middle, _ = medians(q[joint], error, share=_THIN)
                 panel.plot(at, middle, color=colour, linewidth=2.5, zorder=5)
+                line |= bool(np.isfinite(middle).any())
             label_joint(panel, joint, units[joint])
-            _label_first(panel, "position error (mm)")
+            label_first_column(panel, "position error (mm)")
         top = max((float(np.percentile(error, 99.5)) for error in errors if len(error)), default=1.0)
         panels[0].set_ylim(0, 1.1 * top or 1.0)
         for (name, colour), error in zip(_STAGES, errors, strict=True):
             rms = float(np.sqrt(np.mean(error**2))) if len(error) else 0.0
-            panels[0].plot([], [], "-o", color=colour, linewidth=2.5, label=f"{name}: {rms:.3g} mm RMS, held out")
+            label, style = f"{name}: {rms:.3g} mm RMS, held out", "-o" if line else "o"
+            panels[0].plot([], [], style, color=colour, linewidth=2.5, label=label)
         legend_below(figure, panels[0], 2)
         figure.suptitle(f"{title}: held-out position error before and after", fontsize=15)
     return figure
@@ -103,7 +102,7 @@ def explained_map(found: Diagnosis, title: str) -> Figure:
         panel.set_yticks(range(rows), [name.replace("joint", "joint ") for name in table.sites])
         panel.set(xlabel="driver of the curve", ylabel="site")
         panel.tick_params(length=0)
-        figure.colorbar(colours, label=f"explained variance (%), scaled to {most:.2g} %")
+        figure.colorbar(colours, label=f"explained variance (%), scaled to {_percent(most)} %")
         figure.suptitle(f"{title}: explained variance by site and driver", fontsize=15)
     return figure
 
@@ -165,7 +164,7 @@ def _draw_spectrum(panel: Axes, joint: JointSpectra) -> None:
     panel.xaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
     panel.xaxis.set_minor_formatter(NullFormatter())
     panel.set_xlim(1, np.ceil(at[-1]))
-    _label_first(panel, "explained variance (%)")
+    label_first_column(panel, "explained variance (%)")
 
 
 def remaining(found: Diagnosis, title: str) -> Figure:
@@ -194,9 +193,3 @@ def remaining(found: Diagnosis, title: str) -> Figure:
         right.legend(frameon=False, loc="upper right")
         figure.suptitle(f"{title}: remaining residuals", fontsize=15)
     return figure
-
-
-def _label_first(panel: Axes, label: str) -> None:
-    """Labels the vertical axis of the first column, whose scale the others share."""
-    if panel.get_subplotspec().is_first_col():  # type: ignore[union-attr]
-        panel.set_ylabel(label)

@@ -3,18 +3,14 @@
 import numpy as np
 from matplotlib import rc_context
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from lite6jax.fitting.compare import Comparison
 from lite6jax.fitting.solution import Errors, Solution
 from lite6jax.recordings import Recording
-from lite6jax.report.canvas import AFTER, BEFORE, FRAMED, MARKERS, OKABE_ITO, STYLE, blank, label_joint, thinned
+from lite6jax.report.canvas import AFTER, BEFORE, FRAMED, MARKERS, OKABE_ITO, STYLE, blank, label_joint
 from lite6jax.report.cells import joint_units
+from lite6jax.report.panels import dots, label_first_column, medians, panels_in_rows
 
-Array = NDArray[np.floating]
-
-_BINS = 20
-_LEAST_IN_BIN = 8
 _MOST_NAMED = 12
 
 
@@ -23,32 +19,17 @@ def error_by_joint(solution: Solution, title: str) -> Figure:
     before, after = solution.nominal_errors, solution.checked
     joints = after.joint_position.shape[1]
     scales, units = joint_units(solution.arm.sliding, joints)
-    columns = 4 if joints > 6 else 3
-    rows = -(-joints // columns)
     with rc_context(STYLE):
-        figure = blank(3.0 + 3.0 * columns, 3.2 * rows + 1.0)
-        panels = figure.subplots(rows, columns, sharey=True, squeeze=False).ravel()
-        for joint, panel in enumerate(panels[:joints]):
+        figure, panels = panels_in_rows(joints, shared=True)
+        for joint, panel in enumerate(panels):
             for errors, colour, zorder in ((before, BEFORE, 2), (after, AFTER, 3)):
-                shown = thinned(len(errors.position))
-                degrees = scales[joint] * errors.joint_position[:, joint]
-                panel.plot(
-                    degrees[shown], 1e3 * errors.position[shown], ".", color=colour, markersize=5, alpha=0.35,
-                    markeredgewidth=0, rasterized=True, zorder=zorder,
-                )  # fmt: skip
-                panel.plot(
-                    *_running_median(degrees, 1e3 * errors.position),
-                    color=colour,
-                    linewidth=2.5,
-                    zorder=5,
-                    clip_on=False,
-                )
+                position, millimetres = scales[joint] * errors.joint_position[:, joint], 1e3 * errors.position
+                dots(panel, position, millimetres, colour, zorder)
+                at, middle, _ = medians(position, millimetres)
+                panel.plot(at, middle, color=colour, linewidth=2.5, zorder=5, clip_on=False)
             label_joint(panel, joint, units[joint])
-            if joint % columns == 0:
-                panel.set_ylabel("position error (mm)")
+            label_first_column(panel, "position error (mm)")
         panels[0].set_ylim(0, _upper(before, after))
-        for panel in panels[joints:]:
-            panel.set_visible(False)
         figure.suptitle(title, fontsize=15)
         _legend(figure, before, after, "on held-out blocks" if solution.noise else "on fresh samples")
     return figure
@@ -66,11 +47,7 @@ def error_distribution(solution: Solution, recording: Recording, title: str) -> 
             millimetres = np.minimum(1e3 * errors.position, top)  # larger errors are counted in the last bin
             left.hist(millimetres, bins, color=colour, alpha=0.45)
             left.hist(millimetres, bins, color=colour, histtype="step", linewidth=2)
-            shown = thinned(len(errors.position))
-            right.plot(
-                recording.row[shown], 1e3 * errors.position[shown], ".", color=colour, markersize=6, alpha=0.5,
-                markeredgewidth=0, rasterized=True,
-            )  # fmt: skip
+            dots(right, recording.row, 1e3 * errors.position, colour)
         left.set(xlabel="position error (mm)", ylabel="samples", xlim=(0, top))
         right.set(xlabel="row of the recording", ylabel="position error (mm)")
         right.set_ylim(bottom=0)
@@ -160,18 +137,6 @@ def _figures(value: float) -> str:
 def _upper(*found: Errors) -> float:
     """The upper end of an axis in mm, above the 99.5th percentile of the errors."""
     return 1.1 * max(1e3 * float(np.percentile(errors.position, 99.5)) for errors in found) or 1.0
-
-
-def _running_median(x: Array, y: Array) -> tuple[Array, Array]:
-    """Medians over bins of equal width; NaN where a bin has too few samples."""
-    edges = np.linspace(x.min(), max(x.max(), x.min() + 1e-9), _BINS + 1)
-    at = np.clip(np.searchsorted(edges, x, side="right") - 1, 0, _BINS - 1)
-    medians = np.full(_BINS, np.nan)
-    for k in range(_BINS):
-        inside = y[at == k]
-        if len(inside) >= _LEAST_IN_BIN:
-            medians[k] = np.median(inside)
-    return (edges[1:] + edges[:-1]) / 2, medians
 
 
 def _short(name: str, k: int) -> str:

@@ -13,8 +13,8 @@ from lite6jax.diagnosis.partial_residuals import FindingCurve
 from lite6jax.diagnosis.result import Diagnosis
 from lite6jax.diagnosis.torque_result import TorqueDiagnosis
 from lite6jax.effects.dynamic.unnamed import UnnamedTorque
-from lite6jax.report.canvas import AFTER, STYLE, degree_ticks, thinned
-from lite6jax.report.panels import BINS, GREY, legend_below, medians, panels_in_rows
+from lite6jax.report.canvas import AFTER, STYLE, degree_ticks
+from lite6jax.report.panels import BINS, GREY, dots, legend_below, medians, panels_in_rows
 from lite6jax.report.remedies import effect_name
 
 _SAMPLES_PER_BIN = 12
@@ -73,39 +73,39 @@ def _curves_figure(
     """Curves of findings, a panel each."""
     with rc_context(STYLE):
         figure, panels = panels_in_rows(len(curves), wide=True)
+        binned = False
         for panel, curve in zip(panels, curves, strict=True):
-            _draw(panel, curve)
+            binned |= _draw(panel, curve)
             effect = found.findings[curve.finding].effect
             if isinstance(effect, UnnamedTorque) and effect.signed and not curve.hysteresis:
                 panel.set_ylabel(f"{_EXERTED[curve.unit]} × direction of motion ({curve.unit})")
             number = order.index(curve.finding) + 1
             panel.set_title(f"{number}. {effect_name(effect.name)}, {effect.site}", fontsize=13)
         panels[0].plot([], [], color=AFTER, linewidth=2.5, label="fitted")
-        if all(curve.hysteresis for curve in curves):
-            panels[0].plot([], [], ".", color=GREY, markersize=8, label="partial residuals")
-        else:
+        if not all(curve.hysteresis for curve in curves):
             panels[0].fill_between([], [], [], color=AFTER, alpha=0.3, linewidth=0, label="± 2 std. deviations")
+        if binned:
             label = "partial residuals: medians ± std. error"
             panels[0].errorbar([], [], [], fmt="o", color="black", capsize=3, label=label)
+        else:
+            panels[0].plot([], [], ".", color=GREY, markersize=8, label="partial residuals")
         legend_below(figure, panels[0], 3)
         figure.suptitle(title, fontsize=15)
     return figure
 
 
-def _draw(panel: Axes, curve: FindingCurve) -> None:
+def _draw(panel: Axes, curve: FindingCurve) -> bool:
+    """Draws a curve into a panel, and says whether there are medians of the partial residuals beside it."""
     x_scale, across, angle = _across(curve)
     y_scale, up = _up(curve)
     x, seen, at, fitted, std = (
         x_scale * curve.driver, y_scale * curve.partial, x_scale * curve.at, y_scale * curve.curve, y_scale * curve.std
     )  # fmt: skip
-    shown = thinned(len(seen))
-    panel.plot(
-        x[shown], seen[shown], ".", color=GREY, markersize=5, alpha=0.4, markeredgewidth=0, rasterized=True, zorder=2
-    )
+    dots(panel, x, seen, GREY)
     panel.set(xlabel=across, ylabel=up)
     if curve.hysteresis:
         panel.plot(at, fitted, ".", color=AFTER, markersize=5, zorder=4)
-        return
+        return False
     panel.fill_between(at, fitted - 2 * std, fitted + 2 * std, color=AFTER, alpha=0.3, linewidth=0, zorder=3)
     discrete = curve.quantity is not None and curve.quantity.quantity == "direction of motion"
     bins = int(np.clip(_BINS_PER_WAVE * curve.periods, BINS, max(len(x) // _SAMPLES_PER_BIN, BINS)))
@@ -126,6 +126,7 @@ def _draw(panel: Axes, curve: FindingCurve) -> None:
         panel.xaxis.set_major_locator(degree_ticks(panel))
     else:
         panel.xaxis.set_major_locator(MaxNLocator(4))
+    return bool(np.isfinite(middle).any())
 
 
 def _across(curve: FindingCurve) -> tuple[float, str, bool]:

@@ -1,11 +1,11 @@
-"""Panels in rows with a common legend, and binned medians, for the figures of a diagnosis."""
+"""Panels in rows with a common legend, samples as dots, and binned medians, for the figures of fits and diagnoses."""
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from lite6jax.report.canvas import blank
+from lite6jax.report.canvas import blank, thinned
 
 Array = NDArray[np.floating]
 
@@ -14,6 +14,19 @@ BINS = 20
 _LEAST_IN_BIN = 5
 _WIDE = ((1, (1, 7.5, 4.2)), (6, (2, 6.0, 4.2)), (15, (3, 5.0, 3.6)), (np.inf, (4, 4.6, 3.2)))
 """Layouts by the largest number of panels: the number of columns, and the width and height of a panel in inches."""
+_SEPARATE, _CROWDED = 50, 1000
+"""Numbers of samples up to which dots are as large and opaque as they get, and from which they are smallest."""
+
+
+def dots(panel: Axes, x: Array, y: Array, color: str, zorder: float = 2) -> None:
+    """Draws samples `(sample,)` as dots, evenly thinned where there are many; the fewer, the larger and more opaque."""
+    crowded = np.log(max(len(x), 1) / _SEPARATE) / np.log(_CROWDED / _SEPARATE)
+    few = 1 - float(np.clip(crowded, 0, 1))
+    shown = thinned(len(x))
+    panel.plot(
+        x[shown], y[shown], ".", color=color, markersize=5 + 5 * few, alpha=0.35 + 0.45 * few, markeredgewidth=0,
+        rasterized=True, zorder=zorder,
+    )  # fmt: skip
 
 
 def medians(x: Array, y: Array, count: int = BINS, share: float = 0.0) -> tuple[Array, Array, Array]:
@@ -57,6 +70,12 @@ def panels_in_rows(count: int, shared: bool = False, wide: bool = False) -> tupl
     for panel in panels[count:]:
         panel.set_visible(False)
     return figure, list(panels[:count])
+
+
+def label_first_column(panel: Axes, label: str) -> None:
+    """Labels the vertical axis of the first column, whose scale the others share."""
+    if panel.get_subplotspec().is_first_col():  # type: ignore[union-attr]
+        panel.set_ylabel(label)
 
 
 def legend_below(figure: Figure, panel: Axes, columns: int) -> None:

@@ -10,10 +10,10 @@ from matplotlib.ticker import MaxNLocator, StrMethodFormatter
 
 from lite6jax.diagnosis import torque_curves
 from lite6jax.diagnosis.torque_result import TorqueDiagnosis
-from lite6jax.report.canvas import AFTER, BEFORE, STYLE, blank, thinned
+from lite6jax.report.canvas import AFTER, BEFORE, STYLE, blank
 from lite6jax.report.cells import joint_units, torque_units
 from lite6jax.report.finding_figures import torque_finding_figure
-from lite6jax.report.panels import GREY, legend_below, panels_in_rows
+from lite6jax.report.panels import GREY, dots, legend_below, panels_in_rows
 
 NAMES = ("error_by_joint", "over_time", "friction", "findings")
 """The figures that `drawings` may give."""
@@ -119,11 +119,7 @@ def _exerted(found: TorqueDiagnosis) -> list[tuple[str, str]]:
 
 
 def _draw_friction(panel: Axes, joint: torque_curves.JointFriction, scale: float) -> None:
-    shown = thinned(len(joint.partial))
-    panel.plot(
-        scale * joint.velocity[shown], joint.partial[shown], ".", color=GREY, markersize=5, alpha=0.45,
-        markeredgewidth=0, rasterized=True,
-    )  # fmt: skip
+    dots(panel, scale * joint.velocity, joint.partial, GREY)
     panel.axhline(0, color="black", linewidth=1)
     if len(joint.at):
         panel.plot(scale * joint.at, joint.friction, color=AFTER, linewidth=2.5, zorder=4)

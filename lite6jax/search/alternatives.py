@@ -1,4 +1,6 @@
-"""What explains as much as a term of the final model: functions without a name elsewhere, other orders of a wave."""
+"""What explains as much as a term of the final model: functions without a name elsewhere, other orders of a wave, and
+named terms with a number that is only tried.
+"""
 
 from dataclasses import replace
 
@@ -8,6 +10,9 @@ from lite6jax.estimation.score_test import ScoreTest, score_test
 from lite6jax.estimation.terms import Term
 from lite6jax.search.spectrum import as_likely
 from lite6jax.search.state import Alternative, SelectedTerm, State, added, reduced
+
+_SAME = 0.5
+"""Of log-likelihood, within which the data say nothing of which of two terms it is: what noise lets a number gain."""
 
 
 def with_alternatives(problem: Problem, state: State, options: EngineOptions) -> State:
@@ -53,8 +58,31 @@ def _with_others(problem: Problem, state: State, k: int, options: EngineOptions)
         gap = state.fit.gain_over(fitted) + 0.5 * test.time * (score.size - own.size)
         if gap < options.close:
             found.append(Alternative(term, max(gap, 0.0)))
-    others = (*tested.alternatives, *found, *_orders(test, tested.term))
+    others = (*tested.alternatives, *found, *_orders(test, tested.term), *_shapes(state, k, rest, test, own.gain))
     return replace(tested, alternatives=tuple(sorted(others, key=lambda one: one.gap)))
+
+
+def _shapes(state: State, k: int, rest: State, test: ScoreTest, gain: float) -> list[Alternative]:
+    """Of each shaped name, the term that the data do not distinguish at all from the k-th one, which gains `gain`.
+
+    A step at a value that the driver always exceeds is a constant, for example.
+    """
+    problem, options, term = test.problem, test.options, state.tested[k].term
+    if term.nonparametric:
+        return []
+    known = {term.label, *(one.term.label for one in state.tested[k].alternatives)}
+    shapes = [shape for shape in problem.shaped if shape.label not in known]
+    best: dict[str, tuple[float, Term]] = {}
+    for shape, one in zip(shapes, test.explained(shapes), strict=True):
+        if one.gain > best.get(shape.label, (gain - options.close, shape))[0]:
+            best[shape.label] = (one.gain, shape)
+    found = []
+    terms = [shape for _, shape in best.values()]
+    for shape, score in zip(terms, test.score(terms), strict=True):
+        gap = state.fit.gain_over(added(problem, rest.fit, shape, score.values, options))
+        if gap < _SAME:
+            found.append(Alternative(shape, gap))
+    return found
 
 
 def _orders(test: ScoreTest, term: Term) -> list[Alternative]:

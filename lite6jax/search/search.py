@@ -112,6 +112,7 @@ def _selected(problem: Problem, reference: Problem, training: Mask, options: Eng
     if thorough:
         state = exchange(problem, state, options)
     state = with_whole_orders(problem, merge_harmonics(problem, state, options), options)
+    state = prune(problem, state, options)  # beside an order between two whole ones, an offset may have been needed
     state = one_for_several(problem, state, options)
     entered("naming")
     return challenge_names(problem, unmasked(problem, state, options), options)
