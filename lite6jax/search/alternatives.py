@@ -1,5 +1,5 @@
 """What explains as much as a term of the final model: functions without a name elsewhere, other orders of a wave, and
-named terms with a number that is only tried.
+names that a search leaves out at first.
 """
 
 from dataclasses import replace
@@ -10,6 +10,7 @@ from lite6jax.estimation.score_test import ScoreTest, score_test
 from lite6jax.estimation.terms import Term
 from lite6jax.search.spectrum import as_likely
 from lite6jax.search.state import Alternative, SelectedTerm, State, added, reduced
+from lite6jax.search.whole_orders import slow_waves
 
 _SAME = 0.5
 """Of log-likelihood, within which the data say nothing of which of two terms it is: what noise lets a number gain."""
@@ -58,30 +59,33 @@ def _with_others(problem: Problem, state: State, k: int, options: EngineOptions)
         gap = state.fit.gain_over(fitted) + 0.5 * test.time * (score.size - own.size)
         if gap < options.close:
             found.append(Alternative(term, max(gap, 0.0)))
-    others = (*tested.alternatives, *found, *_orders(test, tested.term), *_shapes(state, k, rest, test, own.gain))
+    others = (*tested.alternatives, *found, *_orders(test, tested.term), *_like(state, k, rest, test, own.gain))
     return replace(tested, alternatives=tuple(sorted(others, key=lambda one: one.gap)))
 
 
-def _shapes(state: State, k: int, rest: State, test: ScoreTest, gain: float) -> list[Alternative]:
-    """Of each shaped name, the term that the data do not distinguish at all from the k-th one, which gains `gain`.
+def _like(state: State, k: int, rest: State, test: ScoreTest, gain: float) -> list[Alternative]:
+    """Names that a search leaves out at first and that explain as much as the k-th term, which gains `gain`.
 
-    A step at a value that the driver always exceeds is a constant, for example.
+    Slow waves of its site, which over a part of a turn are a line, as far as they are not distinguished; and of each
+    shaped name, the term of which the data say nothing at all. A step at a value that the driver always exceeds is a
+    constant, for example.
     """
     problem, options, term = test.problem, test.options, state.tested[k].term
     if term.nonparametric:
         return []
-    known = {term.label, *(one.term.label for one in state.tested[k].alternatives)}
-    shapes = [shape for shape in problem.shaped if shape.label not in known]
+    known = {term.label, *(one.term.label for one in state.tested[k].alternatives if one.gap < options.close)}
+    slow = [wave for wave in slow_waves(problem, term.site) if wave not in state.fit.terms.terms]
+    others = [other for other in (*slow, *problem.shaped) if other.label not in known]
     best: dict[str, tuple[float, Term]] = {}
-    for shape, one in zip(shapes, test.explained(shapes), strict=True):
-        if one.gain > best.get(shape.label, (gain - options.close, shape))[0]:
-            best[shape.label] = (one.gain, shape)
+    for other, one in zip(others, test.explained(others), strict=True):
+        if not one.confounded and one.gain > best.get(other.label, (gain - 2 * options.close, other))[0]:
+            best[other.label] = (one.gain, other)
     found = []
-    terms = [shape for _, shape in best.values()]
-    for shape, score in zip(terms, test.score(terms), strict=True):
-        gap = state.fit.gain_over(added(problem, rest.fit, shape, score.values, options))
-        if gap < _SAME:
-            found.append(Alternative(shape, gap))
+    terms = [other for _, other in best.values()]
+    for other, score in zip(terms, test.score(terms), strict=True):
+        gap = state.fit.gain_over(added(problem, rest.fit, other, score.values, options))
+        if gap < (options.close if other in slow else _SAME):
+            found.append(Alternative(other, gap))
     return found
 
 

@@ -31,9 +31,8 @@ from lite6jax.search.state import (
     refitted,
     retested,
 )
+from lite6jax.search.whole_orders import slow_waves
 
-_SLOW = (1.0, 2.0)
-"""Orders of waves that several names over a part of a turn may add up to."""
 _CYCLES = 16.0
 """Of a wave in the range of its angle: twice as many as the pieces of a spline without a name."""
 
@@ -136,9 +135,7 @@ def _with_slow_waves(
     problem: Problem, rest: State, test: ScoreTest, options: EngineOptions, site: str | None
 ) -> list[State]:
     """The state with each of the lowest orders of a site that it does not have."""
-    families = [family for family in problem.periodic if family.site == site]
-    waves = [family.term(order) for family in families for order in _SLOW]
-    waves = [wave for wave in waves if wave not in rest.fit.terms.terms]
+    waves = [wave for wave in slow_waves(problem, site) if wave not in rest.fit.terms.terms]
     scored = zip(waves, test.score(waves), strict=True)
     return [with_term(problem, rest, wave, score, options) for wave, score in scored if not score.confounded]
 

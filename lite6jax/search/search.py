@@ -111,7 +111,7 @@ def _selected(problem: Problem, reference: Problem, training: Mask, options: Eng
     state = prune(problem, state, options)
     if thorough:
         state = exchange(problem, state, options)
-    state = with_whole_orders(problem, merge_harmonics(problem, state, options), options)
+    state = merge_harmonics(problem, with_whole_orders(problem, state, options), options)
     state = prune(problem, state, options)  # beside an order between two whole ones, an offset may have been needed
     state = one_for_several(problem, state, options)
     entered("naming")

@@ -14,8 +14,11 @@ from lite6jax.estimation.multiplicity import multiplicity
 from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.problem import PeriodicFamily, Problem
 from lite6jax.estimation.score_test import score_test
+from lite6jax.estimation.terms import Term
 from lite6jax.search.state import SelectedTerm, State, extended, preferred, refitted
 
+_SLOW = (1.0, 2.0)
+"""Orders."""
 _REACH = 2
 """By how much a whole order may be off an order that was found: orders that are close pull each other."""
 _MOST = 3
@@ -42,6 +45,11 @@ def with_whole_orders(problem: Problem, state: State, options: EngineOptions) ->
                 best = choice
         state = best
     return state
+
+
+def slow_waves(problem: Problem, site: str | None) -> list[Term]:
+    """The waves of the lowest orders of a site: over a part of a turn, several names may add up to one."""
+    return [family.term(order) for family in problem.periodic if family.site == site for order in _SLOW]
 
 
 def _whole(orders: Sequence[float]) -> list[tuple[float, ...]]:
