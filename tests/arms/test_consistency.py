@@ -135,7 +135,8 @@ def test_reference_links_are_bodies_whatever_the_arm_says():
     np.testing.assert_allclose(found.center_of_mass[0], [0.1, 0, 0], atol=1e-6)
     np.testing.assert_allclose(found.inertia[0], 2 * 0.05**2 * np.eye(3), rtol=1e-4, atol=1e-7)
     arm = load_bundled("lite6")
-    np.testing.assert_allclose(consistency.reference_links(arm), link_parameters(arm), rtol=0, atol=1e-15)
+    # eigenvectors are exact to some units in the last place, as many as the processor makes of it
+    np.testing.assert_allclose(consistency.reference_links(arm), link_parameters(arm), rtol=0, atol=1e-14)
 
 
 def test_what_does_not_fit_is_refused():
