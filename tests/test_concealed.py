@@ -37,6 +37,7 @@ from benchmarks.concealed.plain_physics import (
     COORDINATES,
     HARDENING,
     OUTSIDE,
+    YIELD,
     Hidden,
     Setup,
     hardening,
@@ -233,6 +234,15 @@ def test_springs_outside_the_catalogue_do_what_they_say():
     assert x[40 + middle[0]] > 0.1 > -0.1 > x[120 + middle[1]]  # the same load, other ways there
     small = yielding(0.5 * np.sin(np.linspace(0, 20, 200)))
     np.testing.assert_allclose(small, 0.2 * np.sin(np.linspace(0, 20, 200)), atol=1e-12)  # elastic until it yields
+
+
+def test_a_spring_that_yields_is_a_spring_and_wind_up_of_the_catalogue():
+    load = np.random.default_rng(4).normal(size=400).cumsum() / 4
+    held, windup = 0.0, np.empty(400)
+    for k, now in enumerate(load):
+        held = windup[k] = np.clip(held, now - 2.5 * YIELD, now + 2.5 * YIELD)  # the play operator
+    assert np.ptp(load) > 4 * YIELD
+    np.testing.assert_allclose(yielding(load), 0.4 * load + 1.6 * windup, atol=1e-12)
 
 
 AT_REST = [

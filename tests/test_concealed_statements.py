@@ -15,6 +15,11 @@ DRIFT = a_hidden(
 PRODUCT = a_hidden(
     "joint_product", "joint4", {"turn_rad": 1e-4}, drivers=[["position of joint 2"], ["position of joint 3"]]
 )
+YIELDS = a_hidden(
+    *("yielding_spring", "joint2", {"turn_rad": 1e-4}),
+    drivers=[["gravity torque of joint 2"]],
+    sum_of=["joint_compliance", "joint_windup"],
+)
 SOFT = a_hidden("joint_compliance", "joint2", {"compliance_rad_per_Nm": 1e-5}, size=5.0)
 
 
@@ -52,6 +57,10 @@ def unnamed(site, driver, **more):
         ([DRIFT], [], "partial"),
         ([PRODUCT], [unnamed("joint4", "position of joint 2")], "partial"),
         ([PRODUCT], [unnamed("joint4", "position of joint 2 and position of joint 3")], "right"),
+        ([YIELDS], [unnamed("joint2", "gravity torque of joint 2")], "right"),
+        ([YIELDS], [a_finding("joint_compliance", "joint2"), a_finding("joint_windup", "joint2")], "right"),  # its sum
+        ([YIELDS], [a_finding("joint_compliance", "joint2"), a_finding("joint_windup", "joint3")], "misleading"),
+        ([YIELDS], [a_finding("joint_windup", "joint2")], "misleading"),
         ([SOFT], [a_finding("joint_compliance", "joint2")], "right"),
         ([SOFT], [a_finding("link_compliance", "link1", rivals=[("joint_compliance", "joint2", 0.4)])], "right"),
         ([SOFT], [unnamed("joint2", "gravity torque of joint 2")], "partial"),  # true, but it has a name

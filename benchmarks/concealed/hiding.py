@@ -192,5 +192,6 @@ def described(view: View, hidden: tuple[Hidden, ...]) -> list[dict[str, Any]]:
                 "drivers": [list(phrases) for phrases in family.drivers(effect.fixed)],
                 "sites": information.equal_sites(view, effect),
                 "beside": list(family.beside),
+                "sum_of": list(family.sum_of),
             }
     return said

@@ -68,6 +68,7 @@ class Family:
         drivers: on what the signal depends.
         beside: effects of the catalogue that are true beside an unnamed one at the same site: they are its straight
             part.
+        sum_of: effects of the catalogue, at the same site, of which it is the sum: they are true together.
         loaded: whether it needs gravity's moments.
         moving: whether it needs velocities.
         warm: whether it needs temperatures that vary.
@@ -80,6 +81,7 @@ class Family:
     drivers: Callable[[Fixed], Drivers]
     axes: tuple[int, ...] = ()
     beside: tuple[str, ...] = ()
+    sum_of: tuple[str, ...] = ()
     loaded: bool = False
     moving: bool = False
     warm: bool = False
@@ -134,7 +136,15 @@ FAMILIES: dict[str, Family] = {
     "joint_bump": Family("joint", "height_rad", _bump, ("centre", "width"), _own(_POSITION)),
     "joint_step": Family("joint", "height_rad", _step, ("at",), _own(_POSITION)),
     "hardening_spring": Family("joint", "turn_rad", None, ("torque_Nm",), _own("gravity torque of joint"), loaded=True),
-    "yielding_spring": Family("joint", "turn_rad", None, ("torque_Nm",), _own("gravity torque of joint"), loaded=True),
+    "yielding_spring": Family(
+        "joint",
+        "turn_rad",
+        None,
+        ("torque_Nm",),
+        _own("gravity torque of joint"),
+        sum_of=("joint_compliance", "joint_windup"),  # where it slips, a spring and a play of the load add up
+        loaded=True,
+    ),
     "joint_parabola": Family(
         "joint",
         "turn_rad",

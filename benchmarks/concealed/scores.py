@@ -9,7 +9,17 @@ from numpy.typing import NDArray
 from benchmarks.campaigns.shares import WITHIN, Goal, Ratio, Share, at_least, ratio, share
 from benchmarks.concealed.chain import Array
 from benchmarks.concealed.plans import NAMES_AT_STAKE, ROWS
-from benchmarks.concealed.statements import Row, admits, all_found, called, judged, matched, same, value_of
+from benchmarks.concealed.statements import (
+    Row,
+    admits,
+    all_found,
+    called,
+    is_summed,
+    judged,
+    matched,
+    same,
+    value_of,
+)
 
 WRONG_NAMES, WRONG_NAMES_AT_MOST = 0.02, 0.04
 """The share of statements outside and at the edge that may be misleading, and the upper end of its interval."""
@@ -113,8 +123,8 @@ def of_hidden(effect: Row, findings: Sequence[Row]) -> Row:
         "rival_site": rival["site"],
         "apart": rival["apart"],
         "site_found": any(finding["site"] == effect["site"] for finding in findings),
-        "named": ours is not None,
-        "in_set": any(admits(effect, finding) for finding in findings),
+        "named": ours is not None or is_summed(effect, findings),
+        "in_set": any(admits(effect, finding) for finding in findings) or is_summed(effect, findings),
         "numbers": numbers,
     }
 

@@ -181,13 +181,24 @@ def is_true(finding: Row, hidden: Sequence[Row], findings: Sequence[Row]) -> boo
         beside = finding["effect"] in effect.get("beside", ()) and finding["site"] == effect["site"]
         if beside and any(unnamed_of(effect, other) for other in findings):
             return True
+        part = finding["effect"] in effect.get("sum_of", ()) and finding["site"] == effect["site"]
+        if part and is_summed(effect, findings):
+            return True
     return False
+
+
+def is_summed(effect: Row, findings: Sequence[Row]) -> bool:
+    """Whether an effect outside the catalogue that is a sum of some inside it is found as that sum, at its site."""
+    there = {finding["effect"] for finding in findings if finding["site"] == effect["site"]}
+    return bool(effect.get("sum_of")) and there.issuperset(effect["sum_of"])
 
 
 def _whole(effect: Row, findings: Sequence[Row]) -> bool:
     """Whether the findings say all of an effect: its name; or outside the catalogue, its site and every driver."""
     if called(effect) != "unnamed":
         return any(admits(effect, finding) for finding in findings)
+    if is_summed(effect, findings):
+        return True
     ours = [finding for finding in findings if unnamed_of(effect, finding)]
     if not ours:
         return any(admits(effect, finding) for finding in findings)

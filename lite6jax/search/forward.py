@@ -12,7 +12,10 @@ from lite6jax.estimation.problem import Problem
 from lite6jax.estimation.score_test import Explained, Score, score_test
 from lite6jax.estimation.terms import Term, Terms
 from lite6jax.search.spectrum import lines
-from lite6jax.search.state import Alternative, SelectedTerm, State, added, extended, most_specific, refitted
+from lite6jax.search.state import Alternative, SelectedTerm, State, added, extended, most_specific, reduced, refitted
+
+_BETWEEN = 17
+"""Numbers that are scored between half and twice a tried one, which are its neighbours."""
 
 
 class _Ranked(NamedTuple):
@@ -112,12 +115,20 @@ def _without_included(problem: Problem, state: State, options: EngineOptions) ->
 
 
 def _refined(problem: Problem, state: State, options: EngineOptions) -> State:
-    """The state whose last term has the best of all numbers, where it had the best of a few that were tried."""
+    """The state whose last term has the best of all numbers, where it had the best of a few that were tried.
+
+    The likelihood of such a number can have several maxima, as every reversal that it separates from its neighbour is a
+    step. So values between those that were tried are scored first, and a fit starts from the best of them.
+    """
     last, f = state.tested[-1], state.fit
     if last.term.periodic or last.term.chosen is None:
         return state
+    rest = reduced(problem, state, len(state.tested) - 1, options)
+    numbers = last.term.chosen * np.geomspace(0.5, 2.0, _BETWEEN)
+    test = score_test(problem, rest.fit, options, within=f)
+    gains = [one.gain for one in test.explained([last.term.held(float(number)) for number in numbers])]
     before = f.terms.terms[:-1]
-    start = np.append(f.values, last.term.chosen)
+    start = np.append(f.values, numbers[int(np.argmax(gains))])
     free = fit(problem, Terms((*before, last.term.released())), options, start, f.nuisance, f.training, f.noise)
     term = last.term.held(float(free.values[-1]))
     held = fit(problem, Terms((*before, term)), options, free.values[:-1], free.nuisance, f.training, f.noise)

@@ -81,7 +81,11 @@ def _has_samples(state: State, function: Term, options: EngineOptions) -> bool:
 def likely_functions(
     problem: Problem, test: ScoreTest, options: EngineOptions, site: str | None = None
 ) -> list[LikelyFunction]:
-    """The few functions that are most likely beside a tested fit: one of each site, or a few of one site."""
+    """The few functions that are most likely beside a tested fit: of several sites one of each, or a few of one site.
+
+    Those of one driver and those of two are ranked apart. Functions of two drivers, of which there are many, imitate
+    one of another driver to first order, and a refit tells them apart.
+    """
     found: dict[object, LikelyFunction] = {}
     searched, log_n = searched_size(problem, options), np.log(test.freedom)
     flexible = [term for term in problem.flexible if site in (None, term.site)]
@@ -90,13 +94,10 @@ def likely_functions(
         gain = (
             one.gain - description_length(problem, [term], test.freedom, options) + 0.5 * (term.size - one.size) * log_n
         )
-        key = term.site if site is None else term
+        key = (term.site, len(term.drivers) > 1) if site is None else term
         if gain > max(options.close, found.get(key, LikelyFunction(term, 0.0)).gain):
             found[key] = LikelyFunction(term, gain)
     ranked = sorted(found.values(), key=lambda one: -one.gain)
-    if site is None:
-        return _sure(ranked, test, searched)
-    # functions of two drivers, of which there are many, imitate one of another driver to first order
     apart = [[one for one in ranked if (len(one.term.drivers) > 1) == several] for several in (False, True)]
     return [one for likely in apart for one in _sure(likely, test, searched)]
 

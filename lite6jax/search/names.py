@@ -51,28 +51,54 @@ def challenge_names(problem: Problem, state: State, options: EngineOptions) -> S
 def _shaped_instead(problem: Problem, state: State, options: EngineOptions) -> State:
     """The state in which named terms with a number that is tried take the place of others at their site.
 
-    Forward selection leaves them out, because they come close to others: a step of the load to the load itself.
+    Forward selection leaves them out, because they come close to others: a step of the load comes close to the load
+    itself, and a step and a line together to a slow wave. Such a term is therefore tried in the place of each other
+    one, alone and together with a second name of that site.
     """
     for tested in state.tested:
-        rivals = [term for term in problem.shaped if term.site == tested.term.site]
-        if not rivals or tested.term.chosen is not None or tested.term not in state.fit.terms.terms:
+        if tested.term.chosen is not None or tested.term not in state.fit.terms.terms:
             continue
         rest = reduced(problem, state, state.fit.terms.terms.index(tested.term), options)
         test = score_test(problem, rest.fit, options, within=state.fit)
-        gains = [one.gain for one in test.explained(rivals)]
-        best = int(np.argmax(gains))
-        # correlated samples count as fewer
-        needed, time = options.close * test.time, test.time
-        if gains[best] < test.explained([tested.term])[0].gain + needed:
-            continue
-        choice = with_term(problem, rest, rivals[best], test.score([rivals[best]])[0], options)
-        n = choice.fit.freedom
-        longer = description_length(problem, [rivals[best]], n, options) - description_length(
-            problem, [tested.term], n, options
-        )
-        if choice.fit.gain_over(state.fit) > needed + time * longer:
-            state = choice
+        now, within = test.explained([tested.term])[0].gain, state.fit
+        for instead, gain in _with_shaped(test, tested.term):
+            # correlated samples count as fewer
+            needed = test.time * (options.close if len(instead) == 1 else options.together)
+            if gain < now + needed:
+                continue
+            choice = rest
+            for term in instead:
+                score = score_test(problem, choice.fit, options, within=within).score([term])[0]
+                choice = with_term(problem, choice, term, score, options)
+            n = choice.fit.freedom
+            longer = description_length(problem, choice.fit.terms.terms, n, options) - description_length(
+                problem, state.fit.terms.terms, n, options
+            )
+            if choice.fit.gain_over(state.fit) > needed + test.time * longer:
+                state = choice
     return state
+
+
+def _with_shaped(test: ScoreTest, term: Term) -> Iterator[tuple[tuple[Term, ...], float]]:
+    """Of the terms with a tried number at the site of `term`, the one that explains most, and how much.
+
+    Then the same of such a term together with another name of the site.
+    """
+    problem = test.problem
+    rivals = [rival for rival in problem.shaped if rival.site == term.site]
+    if not rivals:
+        return
+    gains = [one.gain for one in test.explained(rivals)]
+    yield (rivals[int(np.argmax(gains))],), max(gains)
+    known = (*test.fit.terms.terms, term)
+    others = [other for other in problem.candidates if other.site == term.site and other not in known]
+    pairs: list[tuple[tuple[Term, ...], float]] = []
+    for rival, gain in zip(rivals, gains, strict=True):
+        columns = problem.columns([rival], beside=(test.fit.terms, test.fit.values))
+        second = [other for other in others if other.label != rival.label]
+        explained = test.given(columns).explained(second)
+        pairs += [((other, rival), gain + one.gain) for other, one in zip(second, explained, strict=True)]
+    yield from sorted(pairs, key=lambda pair: -pair[1])[:1]
 
 
 def _named_again(problem: Problem, state: State, options: EngineOptions) -> State:

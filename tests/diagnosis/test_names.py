@@ -166,6 +166,16 @@ def test_what_one_joint_does_keeps_its_names(tmp_path, trial, labels):
         assert "joint_backlash:joint3" in [one.term.label for one in tested[0].alternatives if abs(one.gap) < 0.5]
 
 
+@pytest.mark.long
+def test_play_with_friction_beside_a_spring_is_tried_in_the_place_of_a_wave(tmp_path):
+    """123 rows: each alone explains less than a wave of order 1, and one value of the friction less than another."""
+    for name, text in draw(2224, 92).files.items():
+        (tmp_path / name).write_text(text)
+    found = terms(read_recording(tmp_path / "recording.csv"))
+    assert [term.label for term in found] == ["joint_compliance:joint2", "joint_backlash:joint2"]
+    assert 1.5 < found[1].chosen < 2.5  # 2.22 Nm, and between two reversals any friction is the same
+
+
 @pytest.mark.parametrize(("seed", "coefficient"), [(2, 0.99), (3, 0.995), (75, 0.995)])
 def test_noise_that_few_numbers_whiten_along_a_motion_is_no_physics(arm, seed, coefficient):
     """Before, an offset of a joint, a function and a shift of the base were found here, with p-values down to 1e-53."""
