@@ -69,7 +69,7 @@ def diagnose(
             selection = found.selection
             entered("estimating")
             selection = replace(selection, state=final_estimates(found.problem, selection.state, options.engine))
-        folds = held_out_folds(rows.recording, options, len(found.problem.frames) + 1)
+        folds = held_out_folds(found.problem, options)
         decisions = found.final_decisions
         held_out = held_out_errors(rows.recording, arm, geometry, options, decisions, folds, effects, factory)
         findings, withdrawn = findings_of(selection), None

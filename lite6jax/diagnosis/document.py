@@ -70,7 +70,7 @@ def to_document(found: Diagnosis) -> dict[str, Any]:
         "rows_needed": found.rows_needed if found.verdict == "undetermined" else None,
         "samples": problem.samples,
         "heldout_rows": int(kept.sum()),
-        "heldout_blocks": len(held_out_folds(problem.recording, found.options, len(problem.frames) + 1)),
+        "heldout_blocks": len(held_out_folds(problem, found.options)),
         "quick": found.options.quick,
         "pose_source": problem.recording.settings.pose_source,
         "date": problem.recording.settings.date,

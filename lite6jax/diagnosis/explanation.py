@@ -188,7 +188,7 @@ class _Given:
         """With the physics that a search finds under these decisions."""
         screened, problem = self.prepared(screened, decisions)
         training, engine = self.training, self.options.engine
-        require_samples(screened.recording, len(problem.frames) + 1)
+        require_samples(screened.recording, problem.undeclared + 1)
         entered("linearising")
         at_offset, reference = linearised(problem, engine, training)
         selection = search_load_model(at_offset, reference, engine, training, self.thorough)

@@ -7,27 +7,22 @@ from typing import TypeVar
 
 from lite6jax import threads
 from lite6jax.diagnosis.options import Options
+from lite6jax.domains.pose.problem import PoseProblem
 from lite6jax.errors import InputError
 from lite6jax.estimation.problem import Mask
 from lite6jax.progress import part
-from lite6jax.recordings import Recording
 
 Fold = TypeVar("Fold")
 Result = TypeVar("Result")
 
 
-def held_out_folds(recording: Recording, options: Options, unknowns: int) -> list[Mask]:
+def held_out_folds(problem: PoseProblem, options: Options) -> list[Mask]:
     """The blocks `(sample,)` that are held out, one after the other.
-
-    Args:
-        recording: as of `held_out_errors`.
-        options: thresholds.
-        unknowns: numbers that the rows of each fold must determine.
 
     Raises:
         InputError: no row can be held back, because the others would be too few for the unknowns.
     """
-    return recording.contiguous_folds(fold_count(recording.samples, options, _rows_needed(recording, unknowns)))
+    return problem.recording.contiguous_folds(fold_count(problem.samples, options, _rows_needed(problem)))
 
 
 def fold_count(samples: int, options: Options, needed: int = 0) -> int:
@@ -40,8 +35,9 @@ def fold_count(samples: int, options: Options, needed: int = 0) -> int:
     return count
 
 
-def _rows_needed(recording: Recording, unknowns: int) -> int:
-    """The fewest rows that determine so many numbers, of which the recording must have one more."""
+def _rows_needed(problem: PoseProblem) -> int:
+    """The fewest rows that determine frames, geometry and one more number; the recording must have one more row."""
+    recording, unknowns = problem.recording, problem.undeclared + 1
     needed = -(-unknowns // recording.numbers_per_sample)
     if recording.samples <= needed:
         raise InputError(

@@ -121,7 +121,7 @@ def _left(found: "Diagnosis", estimated: Array) -> tuple[PerAxis, PerAxis, PerAx
 
 def _folds(found: "Diagnosis") -> list[Mask]:
     """The blocks that were held out."""
-    return held_out_folds(found.problem.recording, found.options, len(found.problem.frames) + 1)
+    return held_out_folds(found.problem, found.options)
 
 
 def relative_error(numbers: float) -> float:

@@ -101,7 +101,7 @@ class EngineOptions:
     nearest: int = option(3, "named terms reported beside a nonparametric one", "what fits on a screen")
     refitted_without: int = option(2, "terms without which a model is refitted before one leaves", "as `refitted`")
     # exchange
-    several: int = option(3, "terms from which sets of terms are exchanged", "two are covered by forward and backward")
+    several: int = option(2, "terms from which sets of terms are exchanged", "one is compared with its alternatives")
     exchanged: int = option(2, "alternatives of a term that are tried in its place", "those are nearly as likely")
     # curves
     curve_rounds: int = option(3, "rounds of replacing named terms by curves", "one curve a round")

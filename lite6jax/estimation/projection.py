@@ -44,8 +44,11 @@ def outside(columns: Array, basis: Array) -> Array:
 
 
 def scaled_solve(H: Array, b: Array, rounding: float = 1e-13) -> Array:
-    """x of H x = b for a positive semidefinite H scaled to unit diagonal, of least norm where that is singular."""
-    root = _root(H)
+    """x of H x = b for a positive semidefinite H scaled to unit diagonal, of least norm where that is singular.
+
+    Numbers without information, whose rows of H are zero, are zero.
+    """
+    root = _scales(H)
     C = H / np.outer(root, root)
     factor = _cholesky(C)
     if factor is not None:
@@ -56,8 +59,11 @@ def scaled_solve(H: Array, b: Array, rounding: float = 1e-13) -> Array:
 
 
 def scaled_inverse(H: Array, rounding: float = 1e-13) -> Array:
-    """The pseudo-inverse of a positive semidefinite H, taken after scaling it to unit diagonal."""
-    root = _root(H)
+    """The pseudo-inverse of a positive semidefinite H, taken after scaling it to unit diagonal.
+
+    It is zero for numbers without information, whose rows of H are zero.
+    """
+    root = _scales(H)
     C, scale = H / np.outer(root, root), np.outer(root, root)
     factor = _cholesky(C)
     if factor is not None:
@@ -67,7 +73,7 @@ def scaled_inverse(H: Array, rounding: float = 1e-13) -> Array:
 
 def schur_complement(G: Array, known: NDArray[np.integer], rounding: float = 1e-12) -> Array:
     """The Schur complement `(number, number)` of a Gram matrix G: products of columns outside the span of `known`."""
-    size = _root(G)
+    size = np.sqrt(np.maximum(np.diagonal(G), np.finfo(float).tiny))
     C = G / np.outer(size, size)
     inverse = np.linalg.pinv(C[np.ix_(known, known)], rcond=rounding, hermitian=True)
     return (C - C[:, known] @ inverse @ C[known]) * np.outer(size, size)
@@ -81,5 +87,7 @@ def _cholesky(C: Array) -> Array | None:
     return factor if not singular and np.diagonal(factor).min() ** 2 > _REGULAR else None
 
 
-def _root(H: Array) -> Array:
-    return np.sqrt(np.maximum(np.diagonal(H), np.finfo(float).tiny))
+def _scales(H: Array) -> Array:
+    """What H is divided by for a unit diagonal; infinity where its diagonal is zero, so that the quotient is zero."""
+    size = np.diagonal(H)
+    return np.sqrt(np.where(size > np.finfo(float).tiny, size, np.inf))

@@ -23,6 +23,7 @@ from lite6jax.search.backward import eliminate, prune
 from lite6jax.search.forward import forward, with_term
 from lite6jax.search.functions import likely_functions, most_preferred, with_each, with_functions
 from lite6jax.search.state import (
+    Alternative,
     SelectedTerm,
     State,
     extended,
@@ -102,7 +103,10 @@ def _with_shaped(test: ScoreTest, term: Term) -> Iterator[tuple[tuple[Term, ...]
 
 
 def _named_again(problem: Problem, state: State, options: EngineOptions) -> State:
-    """Named terms in the place of functions without a name, where they are as likely beside the other terms now."""
+    """Named terms in the place of functions without a name, where they are as likely beside the other terms now.
+
+    Where they are not clearly likelier, they list the function among their alternatives.
+    """
     for tested in [tested for tested in state.tested if tested.term.nonparametric]:
         term, gain = tested.term, max(tested.score.gain, 1e-300)
         near = any(1 - alternative.gap / gain > options.named_share for alternative in tested.alternatives)
@@ -112,8 +116,21 @@ def _named_again(problem: Problem, state: State, options: EngineOptions) -> Stat
         named = prune(problem, eliminate(problem, forward(problem, rest, options, shaped=True), options), options)
         named = believable(problem, named, options)
         if preferred(problem, named, state, 0.0, options):
-            state = named
+            distinguished = preferred(problem, named, state, options.close, options)
+            function = Alternative(term, max(named.fit.gain_over(state.fit), 0.0))
+            state = named if distinguished else _listing(named, rest, function)
     return state
+
+
+def _listing(state: State, rest: State, function: Alternative) -> State:
+    """The state whose names that `rest` does not have list a function that explains as much at their site."""
+    tested = [
+        replace(one, alternatives=(*one.alternatives, function))
+        if one.term not in rest.fit.terms.terms and one.term.site == function.term.site
+        else one
+        for one in state.tested
+    ]
+    return replace(state, tested=tuple(tested))
 
 
 def _one_for_names(problem: Problem, state: State, options: EngineOptions) -> State:
@@ -184,7 +201,8 @@ def _restored(problem: Problem, state: State, names: Sequence[SelectedTerm], opt
 def believable(problem: Problem, state: State, options: EngineOptions) -> State:
     """Named terms that are not possible leave; what else is most likely takes their place.
 
-    That is what forward selection finds without them, or a function without a name.
+    That is what forward selection finds without them, or a function without a name. No other name takes the place of
+    one that is clearly likelier.
     """
     impossible: list[Term] = []
     while (k := _not_possible(problem, state, options)) is not None:
@@ -192,10 +210,15 @@ def believable(problem: Problem, state: State, options: EngineOptions) -> State:
         restricted, rest = problem.without_candidates(impossible), reduced(problem, state, k, options)
         choices = [eliminate(problem, forward(restricted, rest, options, shaped=True), options)]
         choices += with_functions(problem, rest, state.fit, options)
-        state = choices[0]
+        best = choices[0]
         for choice in choices[1:]:
-            if preferred(problem, choice, state, 0.0, options):
-                state = choice
+            if preferred(problem, choice, best, 0.0, options):
+                best = choice
+        if preferred(problem, state, best, options.close, options):
+            # the data say that it resembles what is not possible, so that a name of something else is as wrong
+            kept = [t for t in best.tested if t.term.nonparametric or t.term in rest.fit.terms.terms]
+            best = refitted(problem, best, kept, options)
+        state = best
     return state
 
 

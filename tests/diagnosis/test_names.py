@@ -176,6 +176,35 @@ def test_play_with_friction_beside_a_spring_is_tried_in_the_place_of_a_wave(tmp_
     assert 1.5 < found[1].chosen < 2.5  # 2.22 Nm, and between two reversals any friction is the same
 
 
+@pytest.mark.long
+def test_a_pair_of_names_is_exchanged_for_another_pair(tmp_path):
+    """Before, compliances of link 3 and joint 3, of which the second was needed by the first; the truth is likelier by
+    15, but each of its two names is less likely beside a wrong one.
+    """
+    for name, text in draw(2226, 1320).files.items():
+        (tmp_path / name).write_text(text)
+    found = explain(read_recording(tmp_path / "recording.csv"), None, "declared", OPTIONS).selection.state.tested
+    assert sorted(one.term.label for one in found) == ["joint_compliance:joint4", "link_compliance:link4"]
+
+
+@pytest.mark.long
+def test_a_name_that_explains_no_more_than_a_function_lists_it(tmp_path):
+    """A spring that yields is wind-up and compliance; of the latter these 1185 rows show nothing."""
+    for name, text in draw(2226, 874).files.items():
+        (tmp_path / name).write_text(text)
+    (found,) = explain(read_recording(tmp_path / "recording.csv"), None, "declared", OPTIONS).selection.state.tested
+    assert found.term.label == "joint_windup:joint3"
+    assert "unnamed:joint3" in [one.term.label for one in found.alternatives if one.gap < 1.0]
+
+
+@pytest.mark.long
+def test_no_name_takes_the_place_of_an_impossible_one_that_is_likelier(tmp_path):
+    """Link 1, 0.8 mm long, grows by 1 % per K: no metal does, and an offset of its frame is less likely by 18."""
+    for name, text in draw(2226, 1779).files.items():
+        (tmp_path / name).write_text(text)
+    assert terms(read_recording(tmp_path / "recording.csv")) == ()
+
+
 @pytest.mark.parametrize(("seed", "coefficient"), [(2, 0.99), (3, 0.995), (75, 0.995)])
 def test_noise_that_few_numbers_whiten_along_a_motion_is_no_physics(arm, seed, coefficient):
     """Before, an offset of a joint, a function and a shift of the base were found here, with p-values down to 1e-53."""
@@ -260,6 +289,16 @@ def test_an_effect_that_some_of_the_blocks_are_needed_to_find_is_not_withdrawn(t
     diagnosis = diagnose(read_recording(tmp_path / "recording.csv"))
     assert diagnosis.withdrawn is None
     assert [finding.effect.label for finding in diagnosis.findings] == [label]
+
+
+@pytest.mark.long
+def test_a_chain_whose_uncertainty_is_declared_needs_no_rows_of_its_own(tmp_path):
+    """16 positions of seven joints: 36 displacements of frames have a declared uncertainty, 9 are free."""
+    for name, text in draw(2226, 1182).files.items():
+        (tmp_path / name).write_text(text)
+    diagnosis = diagnose(read_recording(tmp_path / "recording.csv"))
+    assert (diagnosis.verdict, diagnosis.findings) == ("undetermined", ())
+    assert diagnosis.rows_needed > 16
 
 
 def test_too_few_rows_are_undetermined_and_say_how_many_would_do(arm):

@@ -10,6 +10,7 @@ from scipy.optimize import brentq
 from scipy.stats import chi2, multivariate_t
 
 from lite6jax.domains.pose.problem import pose_problem
+from lite6jax.estimation.projection import scaled_inverse, scaled_solve
 from lite6jax.estimation.robust import FREEDOM
 from lite6jax.estimation.terms import Terms
 
@@ -193,3 +194,19 @@ def test_effects_may_start_anywhere_near(arm, still, poses):
     first = fitted_to(case, PHYSICS)
     second = fitted_to(case, PHYSICS, values=3 * VALUES)
     np.testing.assert_allclose(second.values, first.values, rtol=1e-3)
+
+
+@pytest.mark.parametrize("numbers", [4, 80])
+def test_numbers_without_information_are_zero_and_change_no_others(numbers):
+    """Where no term is loaded, gravity's direction changes no reading: its rows of the normal matrix are zero."""
+    J = np.random.default_rng(1).normal(size=(200, numbers))
+    none = [0, numbers // 2]
+    J[:, none] = 0.0
+    size = np.geomspace(1e-3, 1e5, numbers)
+    H = J.T @ J * np.outer(size, size)
+    x, inverse = scaled_solve(H, J.T @ np.ones(200) * size), scaled_inverse(H)
+    expected = np.linalg.pinv(J)
+    np.testing.assert_allclose(x * size, expected @ np.ones(200), atol=1e-12)
+    np.testing.assert_allclose(inverse * np.outer(size, size), expected @ expected.T, atol=1e-12)
+    assert not x[none].any()
+    assert not inverse[none].any()

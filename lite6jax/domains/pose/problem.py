@@ -115,6 +115,12 @@ class PoseProblem:
         return tuple(site for site in self.unknown if site[0] in FRAMES)
 
     @property
+    def undeclared(self) -> int:
+        """How many displacements of frames the rows must determine: those of no declared uncertainty."""
+        frames = len(self.frames)
+        return frames - int(np.sum((self.precision[:frames] > 0) & self.informative[:frames]))
+
+    @property
     def masses(self) -> tuple[Site, ...]:
         """The errors of masses, the last of `unknown`."""
         return tuple(site for site in self.unknown if site[0] in ("mass", "payload"))
