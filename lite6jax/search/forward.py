@@ -15,7 +15,7 @@ from lite6jax.search.spectrum import lines
 from lite6jax.search.state import Alternative, SelectedTerm, State, added, extended, most_specific, reduced, refitted
 
 _BETWEEN = 17
-"""Numbers that are scored between half and twice a tried one, which are its neighbours."""
+"""Numbers from half to twice a tried one that are scored: those that are tried are a factor of 2 to 3 apart."""
 
 
 class _Ranked(NamedTuple):

@@ -116,7 +116,7 @@ class PoseProblem:
 
     @property
     def undeclared(self) -> int:
-        """How many displacements of frames the rows must determine: those of no declared uncertainty."""
+        """How many displacements of frames have no declared uncertainty, so that the rows must determine them."""
         frames = len(self.frames)
         return frames - int(np.sum((self.precision[:frames] > 0) & self.informative[:frames]))
 
