@@ -87,7 +87,8 @@ def quantity(name: str, estimate: Mapping[str, float], named: Mapping[str, tuple
     read = name.removesuffix("_rad" if end == "phase_rad" else end).replace("_", " ")
     value, std = scale * estimate["value"], scale * estimate["std"]
     if not std:
-        return Quantity(read, f"{value:.6g}", "", unit)
+        # the best of a few values, or a whole number such as that of a joint
+        return Quantity(read, f"{value:.6g}" if value == round(value) else f"{value:.4g}", "", unit)
     return Quantity(read, *rounded(value, std), unit, "" if name in named else _otherwise(end, estimate))
 
 
