@@ -188,6 +188,8 @@ def draw_plan(seed: int, index: int, rng: np.random.Generator, sealed: bool = Fa
         else:
             geometry, mounted, forces = "known", False, False
     engine = "mujoco" if forces and rng.random() < (0.6 if effects else 0.25) else "plain"
+    if "yielding_spring" in effects and not moving:
+        engine = "plain"  # inertia on the way from pose to pose, which nobody records, would yield it and not gravity
     if engine == "mujoco" and not moving:
         rows = min(rows, ROWS)  # every pose is driven to
     return Plan(

@@ -11,10 +11,10 @@ from lite6jax.arms.arm import Arm
 from lite6jax.arms.factory import FactoryCalibration
 from lite6jax.diagnosis.discrimination import separating_poses
 from lite6jax.diagnosis.explanation import explain
-from lite6jax.diagnosis.folds import fold_count, held_out_folds
-from lite6jax.diagnosis.heldout import HeldOut, held_out_errors
+from lite6jax.diagnosis.folds import fold_count, held_out_folds, spread_folds
+from lite6jax.diagnosis.heldout import HeldOut, held_out_errors, refitted_errors
 from lite6jax.diagnosis.options import Options
-from lite6jax.diagnosis.result import Diagnosis, Finding, Rival, Withdrawn
+from lite6jax.diagnosis.result import Diagnosis, Finding, Rival, SearchedAgain, Withdrawn
 from lite6jax.domains.pose.problem import PoseProblem
 from lite6jax.domains.pose.screening.screen import screen_rows
 from lite6jax.effects.effect import Effect
@@ -53,7 +53,8 @@ def diagnose(
         progress: called as each stage begins: of all rows (part 0), and of those without each held-out block.
 
     Effects that raise the error on rows that were not used, or leave several times as much there as in those that they
-    were fitted to, are not kept: they are in `withdrawn` of the result.
+    were fitted to, are not kept, unless they hold in shorter blocks without which they are fitted again: they are in
+    `withdrawn` of the result.
 
     Raises:
         InputError: no measured poses, too few of them, or as `fit`.
@@ -72,14 +73,18 @@ def diagnose(
         folds = held_out_folds(found.problem, options)
         decisions = found.final_decisions
         held_out = held_out_errors(rows.recording, arm, geometry, options, decisions, folds, effects, factory)
-        findings, withdrawn = findings_of(selection), None
+        findings, withdrawn, searched_again = findings_of(selection), None, None
         outliers = _outliers(selection, options)
-        kept = ~outliers
-        numbers = max(selection.state.fit.parameters - selection.state.baseline.parameters, 0.0)
-        if findings and (held_out.raised(kept, numbers, options) or held_out.overfitted(kept, selection, options)):
-            withdrawn = Withdrawn(findings, *(_rms(errors[~outliers]) for errors in (held_out.before, held_out.after)))
-            selection, findings = without_effects(selection), ()
-            outliers = _outliers(selection, options)
+        if findings and held_out.rejects(selection, ~outliers, options):
+            errors = [_rms(errors[~outliers]) for errors in (held_out.before, held_out.after)]
+            spread = spread_folds(folds, selection.state.fit.noise, options)
+            refitted = refitted_errors(selection, spread, options)
+            if refitted.rejects(selection, ~outliers, options):
+                withdrawn = Withdrawn(findings, *errors)
+                selection, findings = without_effects(selection), ()
+                outliers = _outliers(selection, options)
+            else:
+                held_out, searched_again, folds = refitted, SearchedAgain(len(folds), *errors), spread
         with part(len(folds) + 1, len(folds) + 1):
             entered("planning")
             separating = separating_poses(selection, geometry, factory, options)
@@ -96,7 +101,9 @@ def diagnose(
         ruled_out=_ruled_out(rows.found, (*rows.ruled_out, *found.screened.ruled_out)),
         separating=separating,
         options=options,
+        folds=tuple(folds),
         withdrawn=withdrawn,
+        searched_again=searched_again,
         turned=_turned(held_out, withdrawn is not None) if problem.rows == 6 else None,
     )
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from lite6jax.checksum import KEY, verify, with_checksum
 from lite6jax.diagnosis.discrimination import differ
 from lite6jax.diagnosis.evidence_map import peak_to_peak
-from lite6jax.diagnosis.folds import held_out_folds
+from lite6jax.diagnosis.folds import block_count
 from lite6jax.diagnosis.result import Diagnosis, Rival
 from lite6jax.diagnosis.schema import check_effect, check_model, check_parts
 from lite6jax.diagnosis.stored_uncertainty import uncertainty_as_dict, uncertainty_from_dict
@@ -70,7 +70,8 @@ def to_document(found: Diagnosis) -> dict[str, Any]:
         "rows_needed": found.rows_needed if found.verdict == "undetermined" else None,
         "samples": problem.samples,
         "heldout_rows": int(kept.sum()),
-        "heldout_blocks": len(held_out_folds(problem, found.options)),
+        "heldout_blocks": block_count(found.folds),
+        "searched_again": _searched_again(found),
         "quick": found.options.quick,
         "pose_source": problem.recording.settings.pose_source,
         "date": problem.recording.settings.date,
@@ -113,6 +114,13 @@ def _withdrawn(found: Diagnosis) -> dict[str, Any] | None:
         "effects": [located(finding.effect) for finding in found.withdrawn.findings],
         "heldout_position_rms_m": {"before": found.withdrawn.before, "after": found.withdrawn.after},
     }
+
+
+def _searched_again(found: Diagnosis) -> dict[str, Any] | None:
+    again = found.searched_again
+    if again is None:
+        return None
+    return {"blocks": again.blocks, "heldout_position_rms_m": {"before": again.before, "after": again.after}}
 
 
 def _finding(found: Diagnosis, k: int, before: float, after: float) -> dict[str, Any]:

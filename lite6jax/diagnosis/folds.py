@@ -1,14 +1,17 @@
-"""Contiguous blocks of rows that are held out one after the other, and work on several of them at once."""
+"""Blocks of rows that are held out, contiguous or spread over the recording, and work on several of them at once."""
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from contextvars import copy_context
 from typing import TypeVar
 
+import numpy as np
+
 from lite6jax import threads
 from lite6jax.diagnosis.options import Options
 from lite6jax.domains.pose.problem import PoseProblem
 from lite6jax.errors import InputError
+from lite6jax.estimation.noise import NoiseModel
 from lite6jax.estimation.problem import Mask
 from lite6jax.progress import part
 
@@ -33,6 +36,23 @@ def fold_count(samples: int, options: Options, needed: int = 0) -> int:
     while count < samples and samples - -(-samples // count) < needed:
         count += 1
     return count
+
+
+def spread_folds(folds: Sequence[Mask], noise: NoiseModel, options: Options) -> list[Mask]:
+    """As many sets of rows `(sample,)` as these contiguous ones, each of up to `spread_blocks` blocks over all rows.
+
+    A block is several autocorrelation times of the noise long, so that the rows beside it do not know its noise.
+    """
+    count, samples = len(folds), folds[0].size
+    long = max(options.block_times * model.time if model.share else 1.0 for model in noise.models)
+    blocks = count * int(np.clip(samples / long / count, 1, options.spread_blocks))
+    block = np.arange(samples) * blocks // samples
+    return [block % count == number for number in range(count)]
+
+
+def block_count(folds: Sequence[Mask]) -> int:
+    """How many contiguous blocks of rows these sets have in all."""
+    return sum(int(np.sum(np.diff(held.astype(int), prepend=0) > 0)) for held in folds)
 
 
 def _rows_needed(problem: PoseProblem) -> int:

@@ -3,6 +3,10 @@
 Only which faults are corrected rather than explained by physics, and at which rows frames jumped, is decided once, in
 all rows: a search beside every uncorrected fault would take each fold as long as the diagnosis itself, and a block that
 holds the jump cannot be predicted without its row. The size of a jump is estimated anew.
+
+Where these errors reject what was found, its terms are fitted again without shorter blocks that are spread over the
+recording. A contiguous fifth may hold the only rows that show how a drift begins, and without it the search may select
+another model of the same effect; neither says that the effect is not there.
 """
 
 from collections.abc import Sequence
@@ -19,8 +23,9 @@ from lite6jax.diagnosis.options import Options
 from lite6jax.domains.pose.kinematics import unwhitened
 from lite6jax.domains.pose.problem import PoseProblem
 from lite6jax.effects.effect import Effect
-from lite6jax.estimation.least_squares import Fit
+from lite6jax.estimation.least_squares import Fit, fit, relinearise
 from lite6jax.estimation.problem import Mask, Problem
+from lite6jax.estimation.terms import Terms
 from lite6jax.fitting.problem import Geometry
 from lite6jax.recordings import Recording
 from lite6jax.search.search import Selection
@@ -33,12 +38,12 @@ class HeldOut(NamedTuple):
 
     Attributes:
         before: m, of positions, with the nuisance alone.
-        after: m, of positions, with the effects that a search of the other rows selects.
+        after: m, of positions, with the effects that a search of the other rows selects, or that are fitted to them.
         turned_before: of orientations, over their noise, with the nuisance alone; zero where none were measured.
         turned_after: likewise with the effects.
         angle_before: rad, of orientations, with the nuisance alone; zero where none were measured.
         angle_after: likewise with the effects.
-        with_effects: bool, of rows without which the search found effects.
+        with_effects: bool, of rows without which there are effects.
     """
 
     before: Array
@@ -49,7 +54,13 @@ class HeldOut(NamedTuple):
     angle_after: Array
     with_effects: Mask
 
-    def raised(self, kept: NDArray[np.bool_], numbers: float, options: Options) -> bool:
+    def rejects(self, selection: Selection, kept: Mask, options: Options) -> bool:
+        """Whether the effects of a selection do not hold on rows that were not used, of those `kept`."""
+        state = selection.state
+        numbers = max(state.fit.parameters - state.baseline.parameters, 0.0)
+        return self.raised(kept, numbers, options) or self.overfitted(kept, selection, options)
+
+    def raised(self, kept: Mask, numbers: float, options: Options) -> bool:
         """Whether effects of so many numbers raise the errors on rows that were not used.
 
         Position and orientation have scales of their own: it is the product of their ratios, as in the likelihood of
@@ -62,7 +73,7 @@ class HeldOut(NamedTuple):
         cost = 1 + 0.5 * numbers / (3 * kept.sum())
         return position * turned > 1 or position > max(options.heldout_rise, cost)
 
-    def overfitted(self, kept: NDArray[np.bool_], selection: Selection, options: Options) -> bool:
+    def overfitted(self, kept: Mask, selection: Selection, options: Options) -> bool:
         """Whether a model with effects describes the rows that it was fitted to, and no others.
 
         Rows that were not used are then off by `heldout_excess` times the errors of the fitted ones, and by a larger
@@ -99,19 +110,52 @@ def held_out_errors(
     """
 
     def predicted(held: Mask) -> HeldOut:
-        """Of a block's rows: the problems of a fold, whose columns take a gigabyte of a real arm, end with it."""
         found = explain(recording, arm, geometry, options, effects, factory, ~held, False, decisions)
         state, reference = found.selection.state, found.selection.reference
         assert isinstance(reference, PoseProblem)
-        turned_before, angle_before = _turns(reference, state.baseline)
-        turned_after, angle_after = _turns(found.problem, state.fit)
-        before, after = _distance(reference, state.baseline), _distance(found.problem, state.fit)
-        found_some = np.full(recording.samples, bool(state.tested))
-        errors = HeldOut(before, after, turned_before, turned_after, angle_before, angle_after, found_some)
-        return HeldOut._make(of_all[held] for of_all in errors)
+        return _errors(reference, state.baseline, found.problem, state.fit, held)
 
-    # the blocks are contiguous and in the order of the rows
-    return HeldOut._make(map(np.concatenate, zip(*side_by_side(predicted, folds), strict=True)))
+    return _in_order(side_by_side(predicted, folds), folds)
+
+
+def refitted_errors(selection: Selection, folds: Sequence[Mask], options: Options) -> HeldOut:
+    """The errors on every row, predicted by the terms of all rows, whose numbers are fitted to the other blocks.
+
+    Screening and clock are those of all rows; the point of linearisation and the frames are those of the other blocks.
+
+    Args:
+        selection: of all rows.
+        folds: those of `spread_folds`.
+        options: thresholds.
+    """
+    found, engine = selection.state.fit, options.engine
+
+    def predicted(held: Mask) -> HeldOut:
+        training = selection.state.baseline.training & ~held
+        reference, problem = (relinearise(of, engine, training) for of in (selection.reference, selection.problem))
+        assert isinstance(reference, PoseProblem)
+        assert isinstance(problem, PoseProblem)
+        baseline = fit(reference, Terms(), engine, training=training)
+        fitted = fit(problem, found.terms, engine, found.values, baseline.nuisance, training, found.noise)
+        return _errors(reference, baseline, problem, fitted, held)
+
+    return _in_order(side_by_side(predicted, folds), folds)
+
+
+def _errors(reference: PoseProblem, baseline: Fit, problem: PoseProblem, fitted: Fit, held: Mask) -> HeldOut:
+    """Of the held-out rows: the problems of a fold, whose columns take a gigabyte of a real arm, end with it."""
+    turned_before, angle_before = _turns(reference, baseline)
+    turned_after, angle_after = _turns(problem, fitted)
+    before, after = _distance(reference, baseline), _distance(problem, fitted)
+    with_effects = np.full(held.size, bool(fitted.terms.terms))
+    errors = HeldOut(before, after, turned_before, turned_after, angle_before, angle_after, with_effects)
+    return HeldOut._make(of_all[held] for of_all in errors)
+
+
+def _in_order(parts: Sequence[HeldOut], folds: Sequence[Mask]) -> HeldOut:
+    """Of all rows, from those of each fold."""
+    order = np.argsort(np.concatenate([np.flatnonzero(held) for held in folds]))
+    return HeldOut._make(np.concatenate(of_folds)[order] for of_folds in zip(*parts, strict=True))
 
 
 def _distance(problem: PoseProblem, fit: Fit) -> Array:

@@ -48,6 +48,16 @@ class Options:
         "ratio of held-out position errors with and without effects, below which these are kept in any case",
         "what predicts most of rows that were not used is there, as drift that a block at an end continues",
     )
+    spread_blocks: int = option(
+        5,
+        "blocks over the recording that are held out together where the effects found are fitted again",
+        "none is then all that shows how a drift begins",
+    )
+    block_times: float = option(
+        3.0,
+        "autocorrelation times of the noise in the shortest of these blocks",
+        "most of its rows are then independent of the rows beside it",
+    )
     fewest_rows: int = option(15, "rows below which nothing is said where nothing is found", "five a fitted frame")
     nearly_significant: float = option(
         0.05,

@@ -18,6 +18,7 @@ from lite6jax.domains.pose.problem import PoseProblem
 from lite6jax.effects.catalogue import BUILT_IN, Untestable
 from lite6jax.effects.effect import Effect, Estimate
 from lite6jax.estimation.least_squares import Fit
+from lite6jax.estimation.problem import Mask
 from lite6jax.fitting.quality import Quality, quality_of_poses
 from lite6jax.recordings.fault import DataFault
 from lite6jax.search.search import Selection
@@ -107,6 +108,22 @@ class Withdrawn:
 
 @final
 @dataclass(frozen=True, eq=False)
+class SearchedAgain:
+    """Errors on contiguous blocks, each searched without, which rejected effects that hold when they are fitted again.
+
+    Attributes:
+        blocks: how many.
+        before: m, the root mean square of held-out position errors without effects.
+        after: m, with those that the search of the other blocks selects.
+    """
+
+    blocks: int
+    before: float
+    after: float
+
+
+@final
+@dataclass(frozen=True, eq=False)
 class Diagnosis(Summarised, Plotted):
     """What makes a recording depart from the arm's model: effects and data faults, with held-out errors.
 
@@ -115,13 +132,16 @@ class Diagnosis(Summarised, Plotted):
         selection: the search's result: fits without and with the effects.
         findings: the effects, in the order of their numbers in `fit`.
         before: `(sample,)` m, held-out position errors with the nuisance alone.
-        after: `(sample,)` m, held-out errors with the effects that the other blocks support.
+        after: `(sample,)` m, held-out errors with the effects that a search of the other blocks selects; where that
+            rejected the findings and these hold when they are fitted again, with the findings.
         outliers: `(sample,)` bool, outlying rows and rows without joints; statistics of `before` and `after` omit them.
         faults: of the data, in the order in which they were corrected.
         ruled_out: faults that were tested for and are not there.
         separating: poses that separate findings from their rivals.
         options: thresholds.
+        folds: `(sample,)` bool each, the rows that were held out together for `before` and `after`.
         withdrawn: effects that were not kept, because they do not hold on held-out rows; None where there are none.
+        searched_again: errors where the search was repeated; None where `before` and `after` are these.
         turned: `(sample,)` rad each, held-out errors of orientations before and after; None where none were measured.
     """
 
@@ -135,7 +155,9 @@ class Diagnosis(Summarised, Plotted):
     ruled_out: tuple[DataFault, ...]
     separating: tuple[SeparatingPoses, ...]
     options: Options
+    folds: tuple[Mask, ...]
     withdrawn: Withdrawn | None = None
+    searched_again: SearchedAgain | None = None
     turned: tuple[Array, Array] | None = None
 
     @property

@@ -74,6 +74,7 @@ _FINDING = record(
         "statement": text,
     },
 )
+_BEFORE_AND_AFTER = record({"before": _POSITIVE, "after": _POSITIVE})
 _PARTS: Mapping[str, Check] = {
     "schema": text,
     "verdict": one_of("consistent", "explained", "partly_explained", "unnamed", "unexplained", "undetermined"),
@@ -92,18 +93,12 @@ _PARTS: Mapping[str, Check] = {
             "explained_share": optional(number(upper=1.0)),
         }
     ),
-    "withdrawn": optional(
-        record(
-            {
-                "effects": items(record(_PLACE)),
-                "heldout_position_rms_m": record({"before": _POSITIVE, "after": _POSITIVE}),
-            }
-        )
-    ),
+    "withdrawn": optional(record({"effects": items(record(_PLACE)), "heldout_position_rms_m": _BEFORE_AND_AFTER})),
     "rows_needed": optional(whole(1)),
     "samples": whole(1),
     "heldout_rows": whole(0),
     "heldout_blocks": whole(1),
+    "searched_again": optional(record({"blocks": whole(1), "heldout_position_rms_m": _BEFORE_AND_AFTER})),
     "quick": flag,
     "pose_source": text,
     "date": optional(text),

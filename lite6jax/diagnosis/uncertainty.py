@@ -7,7 +7,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import log_ndtr
 
-from lite6jax.diagnosis.folds import held_out_folds
 from lite6jax.domains.pose.kinematics import whitened
 from lite6jax.domains.pose.uncertainty import Derivatives, PerAxis, RecordedRange, Uncertainty, distance_to, freed
 from lite6jax.effects.nonparametric import Unnamed
@@ -103,7 +102,7 @@ def _left(found: "Diagnosis", estimated: Array) -> tuple[PerAxis, PerAxis, PerAx
     count = max(int(kept.sum()), 1)
     scale = min(float(fit.scale[0]), 1.0) if problem.declared else float(fit.scale[0])
     noise = scale * problem.noise[0], scale * (problem.noise[1] or 0.0)
-    folds = len(_folds(found))
+    folds = len(found.folds)
     fewer = folds / (folds - 1)  # numbers that were estimated without a block
     squares = found.after[kept] ** 2 / _SQUARE
     position = excess(squares - fewer * estimated[:3, kept].mean(0), noise[0], 3 * count)
@@ -117,11 +116,6 @@ def _left(found: "Diagnosis", estimated: Array) -> tuple[PerAxis, PerAxis, PerAx
     left = position, orientation
     unseen = [float(np.sqrt(relative_error(3 * count) * (n**2 + s**2))) for n, s in zip(noise, left, strict=True)]
     return left, (unseen[0], unseen[1]), noise
-
-
-def _folds(found: "Diagnosis") -> list[Mask]:
-    """The blocks that were held out."""
-    return held_out_folds(found.problem, found.options)
 
 
 def relative_error(numbers: float) -> float:
@@ -179,7 +173,7 @@ def _recorded(found: "Diagnosis", change: Derivatives) -> RecordedRange:
     return RecordedRange(
         joints=np.stack([q[kept].min(0), q[kept].max(0)], 1),
         positions=np.round(q[rows], 5),
-        spacing=spacing_of(q, some, rows, _folds(found)),
+        spacing=spacing_of(q, some, rows, found.folds),
         drivers={
             phrase: (float(values[kept].min()), float(values[kept].max()))
             for phrase, values in change.driver_values().items()

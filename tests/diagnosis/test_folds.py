@@ -2,10 +2,12 @@
 
 import threading
 
+import numpy as np
 import pytest
 
-from lite6jax.diagnosis.folds import fold_count, side_by_side
+from lite6jax.diagnosis.folds import block_count, fold_count, side_by_side, spread_folds
 from lite6jax.diagnosis.options import Options
+from lite6jax.estimation.noise import UNCORRELATED, Autocorrelation, NoiseModel
 from lite6jax.progress import Stage, entered, followed
 
 
@@ -59,3 +61,21 @@ def test_an_error_ends_the_work_on_folds_that_have_not_begun():
 )
 def test_few_rows_are_held_out_in_as_many_blocks_as_many_rows(samples, needed, count):
     assert fold_count(samples, Options(), needed) == count
+
+
+@pytest.mark.parametrize(
+    ("rows", "noise", "blocks"),
+    [
+        (200, UNCORRELATED, 25),
+        (17, UNCORRELATED, 15),  # one or two rows in each
+        (200, Autocorrelation(0.5, 1.0), 20),  # three times the autocorrelation time of 3 samples
+        (200, Autocorrelation(0.95, 1.0), 5),  # contiguous fifths: none is shorter
+    ],
+)
+def test_rows_that_are_held_out_together_are_spread_in_blocks_longer_than_the_noise_remembers(rows, noise, blocks):
+    contiguous = list(np.arange(rows) * 5 // rows == np.arange(5)[:, None])
+    folds = spread_folds(contiguous, NoiseModel((noise,), np.zeros(3, int)), Options())
+    assert np.array_equal(np.sum(folds, 0), np.ones(rows))
+    assert (len(folds), block_count(folds)) == (5, blocks)
+    ends = np.flatnonzero(np.diff(np.argmax(folds, 0))) + 1
+    assert np.diff([0, *ends, rows]).min() == rows // blocks

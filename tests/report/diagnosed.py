@@ -8,6 +8,7 @@ import numpy as np
 from lite6jax.arms.bundled import load_bundled
 from lite6jax.arms.factory import write_factory
 from lite6jax.diagnosis.document import to_document
+from lite6jax.diagnosis.folds import held_out_folds
 from lite6jax.diagnosis.options import Options
 from lite6jax.diagnosis.result import Diagnosis, Finding, Rival
 from lite6jax.domains.pose.problem import pose_problem
@@ -67,7 +68,8 @@ def diagnosed(recording, effects, outliers=()):
         np.linalg.norm(problem.position_errors(f.nuisance, f.terms, f.values), axis=0) for f in (baseline, fitted)
     )
     selection = Selection(problem, problem, state, catalogue(6)[:2])
-    return Diagnosis(problem, selection, findings, before, after, wild, (), (), (), options)
+    folds = tuple(held_out_folds(problem, options))
+    return Diagnosis(problem, selection, findings, before, after, wild, (), (), (), options, folds)
 
 
 def waves(joint):
