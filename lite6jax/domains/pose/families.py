@@ -147,6 +147,9 @@ def flexible(motion: Motion, loads: Loads | None, rows: int, sites: dict[Site, A
         add("base", moments, degree, turns)
     for driver in everywhere:
         add("sensor", [driver], 3, base)
+        # a stand that bends, or a tripod that sinks, turns what it holds more than it shifts it
+        for site in ("base", "sensor"):
+            add(site, [driver], 3, "rx ry rz")
     axes = [Driver(f"measured position {axis}") for axis in "xyz"]
     for degree in (1, 2, 3):
         add("sensor", axes, degree, "x y z")
