@@ -84,7 +84,7 @@ def diagnose(
                 selection, findings = without_effects(selection), ()
                 outliers = _outliers(selection, options)
             else:
-                held_out, searched_again, folds = refitted, SearchedAgain(len(folds), *errors), spread
+                held_out, searched_again, folds = refitted, SearchedAgain(len(folds), errors[1] / errors[0]), spread
         with part(len(folds) + 1, len(folds) + 1):
             entered("planning")
             separating = separating_poses(selection, geometry, factory, options)

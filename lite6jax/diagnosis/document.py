@@ -71,7 +71,7 @@ def to_document(found: Diagnosis) -> dict[str, Any]:
         "samples": problem.samples,
         "heldout_rows": int(kept.sum()),
         "heldout_blocks": block_count(found.folds),
-        "searched_again": _searched_again(found),
+        "searched_again": None if found.searched_again is None else found.searched_again.to_dict(),
         "quick": found.options.quick,
         "pose_source": problem.recording.settings.pose_source,
         "date": problem.recording.settings.date,
@@ -114,13 +114,6 @@ def _withdrawn(found: Diagnosis) -> dict[str, Any] | None:
         "effects": [located(finding.effect) for finding in found.withdrawn.findings],
         "heldout_position_rms_m": {"before": found.withdrawn.before, "after": found.withdrawn.after},
     }
-
-
-def _searched_again(found: Diagnosis) -> dict[str, Any] | None:
-    again = found.searched_again
-    if again is None:
-        return None
-    return {"blocks": again.blocks, "heldout_position_rms_m": {"before": again.before, "after": again.after}}
 
 
 def _finding(found: Diagnosis, k: int, before: float, after: float) -> dict[str, Any]:

@@ -113,13 +113,16 @@ class SearchedAgain:
 
     Attributes:
         blocks: how many.
-        before: m, the root mean square of held-out position errors without effects.
-        after: m, with those that the search of the other blocks selects.
+        ratio: of the held-out errors with the effects that the search of the other blocks selects to those without; of
+            poses that of the root mean squares of position, of torques the mean of the logarithms over blocks.
     """
 
     blocks: int
-    before: float
-    after: float
+    ratio: float
+
+    def to_dict(self) -> dict[str, float]:
+        """Numbers by name."""
+        return {"blocks": self.blocks, "heldout_ratio": self.ratio}
 
 
 @final

@@ -98,7 +98,7 @@ _PARTS: Mapping[str, Check] = {
     "samples": whole(1),
     "heldout_rows": whole(0),
     "heldout_blocks": whole(1),
-    "searched_again": optional(record({"blocks": whole(1), "heldout_position_rms_m": _BEFORE_AND_AFTER})),
+    "searched_again": optional(record({"blocks": whole(1), "heldout_ratio": _POSITIVE})),
     "quick": flag,
     "pose_source": text,
     "date": optional(text),
@@ -253,7 +253,7 @@ def check_effect(effect: Effect, values: NDArray[np.floating], joints: int) -> N
         )
     for coordinate, value in zip(effect.coordinates, values, strict=True):
         lower, upper = coordinate.lower, coordinate.upper
-        if math.isfinite(lower) and math.isfinite(upper):
+        if math.isfinite(lower) and math.isfinite(upper) and not effect.nonparametric:
             slack = LARGEST_MISFIT * (upper - lower)
         else:  # a coefficient of a curve
             slack, lower, upper = 0.0, *(sign * _BY_UNIT.get(coordinate.unit, math.inf) for sign in (-1, 1))

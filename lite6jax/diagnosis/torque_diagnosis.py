@@ -9,20 +9,23 @@ from threadpoolctl import threadpool_limits
 
 from lite6jax.arms.arm import Arm
 from lite6jax.diagnosis.diagnose import findings_of, without_effects
-from lite6jax.diagnosis.folds import fold_count, side_by_side
+from lite6jax.diagnosis.folds import fold_count, side_by_side, spread_folds
 from lite6jax.diagnosis.options import Options
+from lite6jax.diagnosis.result import SearchedAgain
 from lite6jax.diagnosis.torque_result import TorqueDiagnosis
 from lite6jax.domains.torque.linearisation import linearised, with_likely_prior
 from lite6jax.domains.torque.problem import TorqueProblem, torque_problem
 from lite6jax.domains.torque.screening import contacts, screen_torques
 from lite6jax.effects.dynamic.torque_effect import TorqueEffect
-from lite6jax.estimation.least_squares import Fit
+from lite6jax.estimation.least_squares import Fit, fit
 from lite6jax.estimation.problem import Mask
+from lite6jax.estimation.terms import Terms
 from lite6jax.fitting.recognition import declared_arm_of, with_calibration
 from lite6jax.progress import Stage, entered, followed, part
 from lite6jax.recordings import Recording
 from lite6jax.search.final_estimates import final_estimates
 from lite6jax.search.search import search
+from lite6jax.search.state import State
 
 Array = NDArray[np.floating]
 
@@ -46,7 +49,8 @@ def diagnose_torques(
         options: thresholds; the documented ones where not given.
         progress: called as each stage begins.
 
-    Effects that raise the error on rows that were not used are not kept: they are in `withdrawn` of the result.
+    Effects that raise the error on rows that were not used are not kept, unless they hold in shorter blocks without
+    which they are fitted again: they are in `withdrawn` of the result.
 
     Raises:
         InputError: no arm is declared; no torques, no times, steps that vary, an arm at rest, or another unit.
@@ -65,11 +69,29 @@ def diagnose_torques(
             selection = search(problem, options.engine)
             entered("estimating")
             selection = replace(selection, state=final_estimates(problem, selection.state, options.engine))
-        before, after = _held_out(whole, problem.valid, selection.saturated, options)
+        folds = _folds(problem, options)
+        whole = replace(whole, valid=problem.valid)
+
+        def searched(there: TorqueProblem, training: Mask) -> State:
+            return search(there, options.engine, training, thorough=False, saturated=selection.saturated).state
+
+        before, after = _held_out(whole, folds, options, searched)
         findings = findings_of(selection)
-        withdrawn = ()
-        if findings and _raised(before, after, problem, options):
-            withdrawn, selection, findings = findings, without_effects(selection), ()
+        withdrawn, searched_again = (), None
+        if findings and (ratio := _ratio(before, after, problem, folds)) > options.heldout_rise:
+            spread, state = spread_folds(folds, selection.state.fit.noise, options), selection.state
+
+            def refitted(there: TorqueProblem, training: Mask) -> State:
+                baseline = fit(there, Terms(), options.engine, training=training)
+                of = state.fit
+                again = fit(there, of.terms, options.engine, of.values, baseline.nuisance, training, of.noise)
+                return State(baseline, again, state.tested)
+
+            again = _held_out(whole, spread, options, refitted)
+            if _ratio(*again, problem, spread) > options.heldout_rise:
+                withdrawn, selection, findings = findings, without_effects(selection), ()
+            else:
+                (before, after), searched_again, folds = again, SearchedAgain(len(folds), ratio), spread
     return TorqueDiagnosis(
         problem=problem,
         selection=selection,
@@ -79,27 +101,40 @@ def diagnose_torques(
         faults=(*screened.found, *events),
         ruled_out=screened.ruled_out,
         options=options,
+        folds=tuple(folds),
         withdrawn=withdrawn,
+        searched_again=searched_again,
     )
 
 
-def _held_out(problem: TorqueProblem, valid: Mask, saturated: bool, options: Options) -> tuple[Array, Array]:
-    """Errors `(joint, sample)` Nm on every sample, from the other contiguous blocks, without and with effects.
+def _folds(problem: TorqueProblem, options: Options) -> list[Mask]:
+    """Contiguous blocks of the samples that the filter keeps."""
+    count = fold_count(problem.samples, options)
+    block = np.arange(problem.samples) * count // problem.samples
+    return [block == number for number in range(count)]
+
+
+def _held_out(
+    problem: TorqueProblem, folds: Sequence[Mask], options: Options, model: Callable[[TorqueProblem, Mask], State]
+) -> tuple[Array, Array]:
+    """Errors `(joint, sample)` Nm on every sample, from the other blocks, without and with effects.
 
     The filter spreads a sample over its neighbours: those beside a held-out block are not used either. Whether terms
     are selected forward or from the saturated model is decided once, in all samples.
+
+    Args:
+        problem: not linearised.
+        folds: samples that are held out together.
+        options: thresholds.
+        model: of the problem linearised at the training samples, and of these.
     """
     before, after = np.zeros((2, problem.rows, problem.samples))
-    count = fold_count(problem.samples, options)
-    block = np.arange(problem.samples) * count // problem.samples
-    problem = replace(problem, valid=valid)
-    folds = [block == number for number in range(count)]
 
     def errors(held: Mask) -> tuple[Array, Array]:
         near = np.convolve(held, np.ones(3), "same") > 0
-        training = ~near & valid
+        training = ~near & problem.valid
         there = linearised(problem, options.engine, training)
-        state = search(there, options.engine, training, thorough=False, saturated=saturated).state
+        state = model(there, training)
         return _errors(there, state.baseline)[:, held], _errors(there, state.fit)[:, held]
 
     for held, (without, with_effects) in zip(folds, side_by_side(errors, folds), strict=True):
@@ -107,21 +142,20 @@ def _held_out(problem: TorqueProblem, valid: Mask, saturated: bool, options: Opt
     return before, after
 
 
-def _raised(before: Array, after: Array, problem: TorqueProblem, options: Options) -> bool:
-    """Whether effects raise the error on held-out samples, in the mean of the logarithms over blocks.
+def _ratio(before: Array, after: Array, problem: TorqueProblem, folds: Sequence[Mask]) -> float:
+    """Held-out errors with effects over those without: the mean of the logarithms over folds.
 
-    Of errors whose variance is unknown and differs from block to block that is the ratio of likelihoods: one block in
-    which a curve meets what it was never fitted to does not decide alone.
+    Of errors whose variance is unknown and differs from fold to fold that is the ratio of likelihoods: one in which a
+    curve meets what it was never fitted to does not decide alone.
     """
-    block = np.arange(problem.samples) * (count := fold_count(problem.samples, options)) // problem.samples
-    size = problem.sigma
     ratios = []
-    for number in range(count):
-        held = (block == number) & problem.valid
+    for fold in folds:
+        held = fold & problem.valid
         if held.any():
-            squares = [float(np.sum((errors[:, held] / size[:, held]) ** 2)) for errors in (before, after)]
+            size = problem.sigma[:, held]
+            squares = [float(np.sum((errors[:, held] / size) ** 2)) for errors in (before, after)]
             ratios.append(0.5 * np.log(max(squares[1], 1e-300) / max(squares[0], 1e-300)))
-    return bool(np.mean(ratios) > np.log(options.heldout_rise))
+    return float(np.exp(np.mean(ratios)))
 
 
 def _errors(problem: TorqueProblem, fit: Fit) -> Array:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from lite6jax.arms.arm import DRIVE_FIELDS, Arm
 from lite6jax.arms.joint_units import by_kind
 from lite6jax.diagnosis.document import DAMAGED, SCHEMA, check_sum, located, parsed_document
-from lite6jax.diagnosis.folds import fold_count
+from lite6jax.diagnosis.folds import block_count
 from lite6jax.diagnosis.result import Finding, Rival
 from lite6jax.diagnosis.schema import check_effect
 from lite6jax.diagnosis.stored_uncertainty import covariance_from, drivers_from, lower_triangle
@@ -48,7 +48,8 @@ def to_torque_document(found: TorqueDiagnosis) -> dict[str, Any]:
         "withdrawn": [located(finding.effect) for finding in found.withdrawn],
         "samples": data.recording.samples,
         "kept_samples": int(kept.sum()),
-        "heldout_blocks": fold_count(problem.samples, found.options),
+        "heldout_blocks": block_count(found.folds),
+        "searched_again": None if found.searched_again is None else found.searched_again.to_dict(),
         "quick": found.options.quick,
         "filter": {
             "rate_Hz": chosen.rate,

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from lite6jax.checksum import with_checksum
 from lite6jax.diagnosis.options import Options
-from lite6jax.diagnosis.result import Finding
+from lite6jax.diagnosis.result import Finding, SearchedAgain
 from lite6jax.diagnosis.torque_uncertainty import torque_uncertainty_of
 from lite6jax.diagnosis.verdict import Verdict, nearly_significant
 from lite6jax.domains.torque.predict import DiagnosedMotors
@@ -19,6 +19,7 @@ from lite6jax.effects.dynamic.catalogue import torque_catalogue
 from lite6jax.effects.dynamic.torque_effect import TorqueEffect
 from lite6jax.effects.effect import Effect
 from lite6jax.estimation.least_squares import Fit
+from lite6jax.estimation.problem import Mask
 from lite6jax.recordings.fault import DataFault
 from lite6jax.search.search import Selection
 from lite6jax.summary import Plotted, Summarised
@@ -39,11 +40,14 @@ class TorqueDiagnosis(Summarised, Plotted):
         selection: the search's result: fits without and with the effects.
         findings: the effects, in the order of their numbers in `fit`.
         before: `(joint, sample)` Nm, held-out errors with the nuisance alone, of the samples that the filter keeps.
-        after: `(joint, sample)` Nm, with the effects that the other blocks support.
+        after: `(joint, sample)` Nm, with the effects that a search of the other blocks selects; where that rejected
+            the findings and these hold when they are fitted again, with the findings.
         faults: of the data.
         ruled_out: faults that were tested for and are not there.
         options: thresholds.
+        folds: `(sample,)` bool each, the samples that were held out together for `before` and `after`.
         withdrawn: effects that were significant and raise the held-out errors; they are no findings.
+        searched_again: errors where the search was repeated; None where `before` and `after` are these.
     """
 
     problem: TorqueProblem
@@ -54,7 +58,9 @@ class TorqueDiagnosis(Summarised, Plotted):
     faults: tuple[DataFault, ...]
     ruled_out: tuple[DataFault, ...]
     options: Options
+    folds: tuple[Mask, ...]
     withdrawn: tuple[Finding, ...] = ()
+    searched_again: SearchedAgain | None = None
 
     @property
     def fit(self) -> Fit:

@@ -57,6 +57,7 @@ PARTS: Mapping[str, Check] = {
     "samples": whole(1),
     "kept_samples": whole(1),
     "heldout_blocks": whole(1),
+    "searched_again": optional(record({"blocks": whole(1), "heldout_ratio": _POSITIVE})),
     "quick": flag,
     "inputs": INPUTS,
     "filter": record({"rate_Hz": _POSITIVE, "cutoff_Hz": _POSITIVE, "motion_cutoff_Hz": _POSITIVE, "every": whole(1)}),

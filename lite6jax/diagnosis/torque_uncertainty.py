@@ -6,7 +6,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lite6jax.arms.joint_units import as_revolute
-from lite6jax.diagnosis.folds import fold_count
 from lite6jax.diagnosis.uncertainty import covariance_of, excess, relative_error, rows_kept, spacing_of
 from lite6jax.domains.torque.predict import shown_torques
 from lite6jax.domains.torque.uncertainty import (
@@ -64,7 +63,7 @@ def _left(found: "TorqueDiagnosis", estimated: Array) -> tuple[Array, Array, Arr
     spread = 1.4826 * np.median(np.abs(rough), axis=1)
     declared = problem.noise * np.sqrt(data.filter.every)
     noise = np.minimum(spread, declared) if problem.declared else spread
-    folds = fold_count(problem.samples, found.options)
+    folds = len(found.folds)
     fewer = folds / (folds - 1)  # numbers that were estimated without a block
     left, unseen = np.zeros((2, problem.rows))
     moving = problem.sigma[:, kept] <= 1.01 * problem.noise[:, None]  # not held at rest by friction
@@ -92,14 +91,10 @@ def _recorded(found: "TorqueDiagnosis") -> RecordedMotion:
     states = states_of(dynamics)[..., at]
     q = states[0].T
     rows = rows_kept(kept)
-    folds = fold_count(problem.samples, found.options)
-    block = np.arange(problem.samples) * folds // problem.samples
     return RecordedMotion(
         ranges=np.stack([states[..., kept].min(-1), states[..., kept].max(-1)], -1),
         positions=np.round(q[rows], 5),
-        spacing=spacing_of(
-            as_revolute(q.T, "rad", problem.data.arm.slides).T, kept, rows, (block == number for number in range(folds))
-        ),
+        spacing=spacing_of(as_revolute(q.T, "rad", problem.data.arm.slides).T, kept, rows, found.folds),
         drivers={
             phrase: (float(values[at][kept].min()), float(values[at][kept].max()))
             for phrase, values in driver_values(found.fit.terms, dynamics).items()

@@ -21,6 +21,9 @@ from lite6jax.errors import InputError
 COMPONENTS = ("x", "y", "z", "rx", "ry", "rz")
 """Of a twist: a translation in m and a rotation vector in rad."""
 
+_TURN = 2 * np.pi
+"""rad that nothing turns by; a curve has larger coefficients where no sample determines it."""
+
 _SITE = re.compile(r"joint([1-9]\d*)|link([1-9]\d*)|base|tool|sensor")
 
 
@@ -201,9 +204,9 @@ class Unnamed(Bending):
         names = names or [f"coefficient{i + 1}" for i in range(self.functions)]
         several = len(self.components) > 1
         return tuple(
-            Coordinate(f"{f'{component}_' if several else ''}{name}_{unit}", unit, 1e-4, spread)
+            Coordinate(f"{f'{component}_' if several else ''}{name}_{unit}", unit, 1e-4, spread, -limit, limit)
             for component in self.components
-            for unit in ("m" if component in ("x", "y", "z") else "rad",)
+            for unit, limit in (("m", np.inf) if component in ("x", "y", "z") else ("rad", _TURN),)
             for name, spread in zip(names, self._spreads, strict=True)
         )
 

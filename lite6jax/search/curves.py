@@ -129,12 +129,18 @@ def _more_likely(
 
 
 def with_curve(problem: Problem, beside: State, curve: Term, options: EngineOptions) -> State:
-    """A state with a curve added, tested by its gain; the named terms nearest to it are its alternatives."""
+    """A state with a curve added, tested by its gain; the named terms nearest to it are its alternatives.
+
+    A curve with impossible coefficients is not significant: readings that are too few for it determine the others.
+    """
     test = score_test(problem, beside.fit, options)
     score = test.score([curve])[0]
     fit = added(problem, beside.fit, curve, score.values, options)
     gain, after = fit.gain_over(beside.fit), score_test(problem, fit, options)
     p_value = min(gain_p_value(gain, curve.size, after.time) * multiplicity(problem, curve, options), 1.0)
+    lower, upper = np.transpose(problem.limits(curve))
+    if np.any((fit.values[-curve.size :] < lower) | (fit.values[-curve.size :] > upper)):
+        p_value = 1.0
     # what a name explains of the curve is what it would explain without it, less what it still explains beside it: both
     # in the noise that the curve leaves, and as a share of what the curve explains by the same approximation
     before = score_test(problem, beside.fit, options, within=fit)

@@ -1,6 +1,7 @@
 """Functions without a name: the likely ones at every site, beside a model or where autocorrelated noise masks them."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -45,6 +46,37 @@ def unmasked(problem: Problem, state: State, options: EngineOptions) -> State:
     return most_preferred(problem, state, choices, options) or state
 
 
+def beside_noise(problem: Problem, state: State, options: EngineOptions) -> State:
+    """The state, in which nothing was found, with a function without a name that is significant in its noise.
+
+    The noise is autocorrelated with the function as without it; either model has the most likely noise of what it
+    leaves. At the second likeliest site no function must come close, for this noise hides what the others differ in.
+    """
+    if state.tested or state.fit.noise.white:
+        return state
+    searched = searched_size(problem, options)
+    # this noise has taken up a part of the function: whether it is worth its numbers shows in its own
+    likely = likely_functions(problem, score_test(problem, state.fit, options), options, least=-np.inf)
+    gains: list[tuple[float, State]] = []
+    for choice in with_each(problem, state, likely, options):
+        if len(choice.tested) != 1 or not choice.tested[0].term.nonparametric:
+            continue
+        own = replace(choice, fit=in_own_noise(problem, choice.fit, options))
+        function = own.tested[0].term
+        gain = own.fit.own_likelihood - state.fit.own_likelihood
+        p_value = min(gain_p_value(gain, function.size, 1.0) * searched, 1.0)
+        length = description_length(problem, [function], own.fit.freedom, options)
+        if p_value < options.level and gain > length + options.close:
+            tested = replace(own.tested[0], p_value=p_value, score=own.tested[0].score._replace(gain=gain))
+            gains.append((gain - length, replace(own, tested=(tested,))))
+    if not gains:
+        return state
+    most, best = max(gains, key=lambda one: one[0])
+    site = best.tested[0].term.site
+    elsewhere = max((gain for gain, other in gains if other.tested[0].term.site != site), default=0.0)
+    return best if most > elsewhere + options.close else state
+
+
 def most_preferred(problem: Problem, state: State, choices: Sequence[State], options: EngineOptions) -> State | None:
     """The most likely of the states that are clearly more likely than another; None where none is."""
     best: State | None = None
@@ -79,13 +111,21 @@ def _has_samples(state: State, function: Term, options: EngineOptions) -> bool:
 
 
 def likely_functions(
-    problem: Problem, test: ScoreTest, options: EngineOptions, site: str | None = None
+    problem: Problem, test: ScoreTest, options: EngineOptions, site: str | None = None, least: float | None = None
 ) -> list[LikelyFunction]:
     """The few functions that are most likely beside a tested fit: of several sites one of each, or a few of one site.
 
     Those of one driver and those of two are ranked apart. Functions of two drivers, of which there are many, imitate
     one of another driver to first order, and a refit tells them apart.
+
+    Args:
+        problem: the data.
+        test: of the fit beside which they are.
+        options: thresholds.
+        site: the only one, where given.
+        least: gain that they must exceed; `close` where not given.
     """
+    least = options.close if least is None else least
     found: dict[object, LikelyFunction] = {}
     searched, log_n = searched_size(problem, options), np.log(test.freedom)
     flexible = [term for term in problem.flexible if site in (None, term.site)]
@@ -95,7 +135,7 @@ def likely_functions(
             one.gain - description_length(problem, [term], test.freedom, options) + 0.5 * (term.size - one.size) * log_n
         )
         key = (term.site, len(term.drivers) > 1) if site is None else term
-        if gain > max(options.close, found.get(key, LikelyFunction(term, 0.0)).gain):
+        if gain > max(least, found.get(key, LikelyFunction(term, least)).gain):
             found[key] = LikelyFunction(term, gain)
     ranked = sorted(found.values(), key=lambda one: -one.gain)
     apart = [[one for one in ranked if (len(one.term.drivers) > 1) == several] for several in (False, True)]

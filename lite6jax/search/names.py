@@ -77,6 +77,28 @@ def _shaped_instead(problem: Problem, state: State, options: EngineOptions) -> S
             )
             if choice.fit.gain_over(state.fit) > needed + test.time * longer:
                 state = choice
+    return _plain_again(problem, state, options)
+
+
+def _plain_again(problem: Problem, state: State, options: EngineOptions) -> State:
+    """The state with plain names in the place of those with a number that is tried, where they are as likely now.
+
+    Beside the others that have joined since, that number may be needless: wind-up without friction is compliance.
+    """
+    for tested in state.tested:
+        if tested.term.chosen is None or tested.term.periodic or tested.term in problem.preset[0].terms:
+            continue
+        rest = reduced(problem, state, state.fit.terms.terms.index(tested.term), options)
+        plain = [term for term in problem.candidates if term.site == tested.term.site and term.chosen is None]
+        plain = [term for term in plain if term not in rest.fit.terms.terms]
+        scores = score_test(problem, rest.fit, options, within=state.fit).score(plain)
+        gain = [score.gain - 0.5 * score.size * np.log(rest.fit.freedom) for score in scores]
+        if not gain:
+            continue
+        best = int(np.argmax(gain))
+        choice = with_term(problem, rest, plain[best], scores[best], options)
+        if preferred(problem, choice, state, 0.0, options):
+            state = choice
     return state
 
 

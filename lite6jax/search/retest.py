@@ -11,6 +11,7 @@ from lite6jax.estimation.problem import Problem
 from lite6jax.estimation.score_test import score_test
 from lite6jax.estimation.terms import Terms
 from lite6jax.search.against_noise import in_own_noise, tested_against_noise
+from lite6jax.search.functions import beside_noise
 from lite6jax.search.state import (
     Alternative,
     SelectedTerm,
@@ -41,7 +42,7 @@ def retest(problem: Problem, state: State, options: EngineOptions) -> State:
         if len(more.tested) <= len(state.tested):
             break
         state = more
-    return state
+    return beside_noise(problem, state, options)
 
 
 def _in_noise_model(problem: Problem, state: State, options: EngineOptions) -> State:

@@ -184,6 +184,9 @@ def flexible(dynamics: Dynamics, sizes: Array) -> tuple[UnnamedTorque, ...]:
         add(j, [travel], 8, signed=True)
         for other in (position, load, temperature):
             add(j, [velocity, other], degree=3)
+        # a gain that drifts or warms, as of a sensor of torque or current
+        for other in (Driver("time"), temperature):
+            add(j, [load, other], degree=2)
         for k in range(1, dof + 1):
             if k != j:
                 for quantity in ("position", "velocity"):
