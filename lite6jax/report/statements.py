@@ -292,12 +292,11 @@ def held_out_statement(document: Document, rows: str) -> str:
     blocks = f"{document['heldout_blocks']} contiguous blocks" if "heldout_blocks" in document else "contiguous blocks"
     line = f"Errors of {rows}, held out in {blocks}: screening, search and fit of each did without it."
     if again := document.get("searched_again"):
-        ratio = number(again["heldout_ratio"], 3)
         line = (
             f"Errors of {rows}, held out in {blocks}, several at a time: the effects found in all rows were fitted "
             f"again without them. A new search without each of {again['blocks']} contiguous blocks predicts them "
-            f"worse: with its effects, the errors are {ratio} times those without. Either a block alone shows a part "
-            "of the effects, or the search selects others in its absence."
+            f"worse: with its effects, the errors are {again['heldout_ratio']:.3g} times those without. Either a block "
+            "alone shows a part of the effects, or the search selects others in its absence."
         )
     if document.get("quick"):
         line += (

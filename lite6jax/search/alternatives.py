@@ -4,10 +4,13 @@ names that a search leaves out at first.
 
 from dataclasses import replace
 
+import numpy as np
+
 from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.problem import Problem, wave_of
 from lite6jax.estimation.score_test import ScoreTest, score_test
 from lite6jax.estimation.terms import Term
+from lite6jax.search.curves import local_curves
 from lite6jax.search.spectrum import as_likely
 from lite6jax.search.state import Alternative, SelectedTerm, State, added, reduced
 from lite6jax.search.whole_orders import slow_waves
@@ -45,13 +48,15 @@ def _with_others(problem: Problem, state: State, k: int, options: EngineOptions)
     own = test.explained([tested.term])[0]
     now = own.gain - 0.5 * test.time * own.size
     functions = [term for term in problem.flexible if term.site not in near and _may_replace(tested.term, term)]
-    likely: dict[str, tuple[float, Term]] = {}
+    functions += [term for term in _steps(test, tested.term) if _may_replace(tested.term, term)]
+    likely: dict[object, tuple[float, Term]] = {}
     for term, one in zip(functions, test.explained(functions), strict=True):
         gain = one.gain - 0.5 * test.time * one.size
         beside = term.site == tested.term.site and not tested.term.nonparametric
         least = now + options.close if beside else now - 2 * options.close  # the refit may say otherwise by `close`
-        if gain > likely.get(term.site, (least, term))[0]:
-            likely[term.site] = (gain, term)
+        key = (term.site, term.drivers) if term.site == tested.term.site else term.site
+        if gain > likely.get(key, (least, term))[0]:
+            likely[key] = (gain, term)
     best = [term for _, term in sorted(likely.values(), key=lambda pair: -pair[0])[: options.functions]]
     found = []
     for term, score in zip(best, test.score(best), strict=True):
@@ -66,16 +71,19 @@ def _with_others(problem: Problem, state: State, k: int, options: EngineOptions)
 def _like(state: State, k: int, rest: State, test: ScoreTest, gain: float) -> list[Alternative]:
     """Names that a search leaves out at first and that explain as much as the k-th term, which gains `gain`.
 
+    Of a function without a name, the shaped names of its site: too few samples may make none of them significant.
+
     Slow waves of its site, which over a part of a turn are a line, as far as they are not distinguished; and of each
     shaped name, the term of which the data say nothing at all. A step at a value that the driver always exceeds is a
     constant, for example.
     """
     problem, options, term = test.problem, test.options, state.tested[k].term
-    if term.nonparametric:
-        return []
     known = {term.label, *(one.term.label for one in state.tested[k].alternatives if one.gap < options.close)}
-    slow = [wave for wave in slow_waves(problem, term.site) if wave not in state.fit.terms.terms]
-    others = [other for other in (*slow, *problem.shaped) if other.label not in known]
+    slow: list[Term] = []
+    shaped = [other for other in problem.shaped if not term.nonparametric or other.site == term.site]
+    if not term.nonparametric:
+        slow = [wave for wave in slow_waves(problem, term.site) if wave not in state.fit.terms.terms]
+    others = [other for other in (*slow, *shaped) if other.label not in known]
     best: dict[str, tuple[float, Term]] = {}
     for other, one in zip(others, test.explained(others), strict=True):
         if not one.confounded and one.gain > best.get(other.label, (gain - 2 * options.close, other))[0]:
@@ -84,9 +92,19 @@ def _like(state: State, k: int, rest: State, test: ScoreTest, gain: float) -> li
     terms = [other for _, other in best.values()]
     for other, score in zip(terms, test.score(terms), strict=True):
         gap = state.fit.gain_over(added(problem, rest.fit, other, score.values, options))
-        if gap < (options.close if other in slow else _SAME):
-            found.append(Alternative(other, gap))
+        if gap < (options.close if other in slow or term.nonparametric else _SAME):
+            found.append(Alternative(other, max(gap, 0.0)))
     return found
+
+
+def _steps(test: ScoreTest, term: Term) -> list[Term]:
+    """Steps and bumps of a function's site over all that varies there: something else may step at the same samples."""
+    if not term.nonparametric:
+        return []
+    families = [family for family in test.problem.curves if family.site == term.site]
+    drivers = [(family, driver) for family in families for driver in family.drivers]
+    varied = ((family, driver) for family, driver in drivers if np.ptp(driver.values) > test.options.least_varied)
+    return [step for family, driver in varied for step in local_curves(test, family, driver)]
 
 
 def _orders(test: ScoreTest, term: Term) -> list[Alternative]:

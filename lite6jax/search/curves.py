@@ -51,7 +51,7 @@ def best_curves(test: ScoreTest, family: CurveFamily, local: bool) -> list[Curve
         low, high = float(driver.values.min()), float(driver.values.max())
         curves += [driver.spline(low, high, count) for count in driver.pieces]
         if driver.local and local:
-            curves += _local(test, family, driver)
+            curves += local_curves(test, family, driver)
         if driver.play is not None:
             curves += _hysteretic(test, family, driver)
     return list(map(Curve, curves, test.explained(curves)))
@@ -153,7 +153,7 @@ def with_curve(problem: Problem, beside: State, curve: Term, options: EngineOpti
     return State(beside.baseline, fit, (*beside.tested, tested))
 
 
-def _local(test: ScoreTest, family: CurveFamily, driver: CurveDriver) -> list[Term]:
+def local_curves(test: ScoreTest, family: CurveFamily, driver: CurveDriver) -> list[Term]:
     """The most likely step and the most likely bump, each of its best width."""
     found = []
     for form, shapes in ((_step, ((1, 1.0),)), (_bump, _BUMP)):

@@ -54,7 +54,8 @@ def _shaped_instead(problem: Problem, state: State, options: EngineOptions) -> S
 
     Forward selection leaves them out, because they come close to others: a step of the load comes close to the load
     itself, and a step and a line together to a slow wave. Such a term is therefore tried in the place of each other
-    one, alone and together with a second name of that site.
+    one, alone and together with a second name of that site. In the place of a function without a name it need not be
+    clearly likelier; it then lists the function.
     """
     for tested in state.tested:
         if tested.term.chosen is not None or tested.term not in state.fit.terms.terms:
@@ -64,8 +65,11 @@ def _shaped_instead(problem: Problem, state: State, options: EngineOptions) -> S
         now, within = test.explained([tested.term])[0].gain, state.fit
         for instead, gain in _with_shaped(test, tested.term):
             # correlated samples count as fewer
-            needed = test.time * (options.close if len(instead) == 1 else options.together)
-            if gain < now + needed:
+            needed, saved = test.time * (options.close if len(instead) == 1 else options.together), 0.0
+            if tested.term.nonparametric and len(instead) == 1:
+                one, other = (description_length(problem, [t], test.freedom, options) for t in (tested.term, *instead))
+                needed, saved = 0.0, test.time * (one - other)
+            if gain < now + needed - saved:
                 continue
             choice = rest
             for term in instead:
@@ -75,9 +79,18 @@ def _shaped_instead(problem: Problem, state: State, options: EngineOptions) -> S
             longer = description_length(problem, choice.fit.terms.terms, n, options) - description_length(
                 problem, state.fit.terms.terms, n, options
             )
-            if choice.fit.gain_over(state.fit) > needed + test.time * longer:
-                state = choice
+            if choice.fit.gain_over(state.fit) <= needed + test.time * longer:
+                continue
+            # a function is tested by its gain, a name in blocks of samples, of which there may be too few
+            if not tested.term.nonparametric or _all_significant(problem, choice, options):
+                state = _listing(problem, choice, rest, state, tested.term, options)
     return _plain_again(problem, state, options)
+
+
+def _all_significant(problem: Problem, state: State, options: EngineOptions) -> bool:
+    time = score_test(problem, state.fit, options).time
+    tests = (_tested_finally(problem, state, k, time, options) for k in range(len(state.tested)))
+    return all(one.p_value < options.level for one in tests)
 
 
 def _plain_again(problem: Problem, state: State, options: EngineOptions) -> State:
@@ -138,21 +151,25 @@ def _named_again(problem: Problem, state: State, options: EngineOptions) -> Stat
         named = prune(problem, eliminate(problem, forward(problem, rest, options, shaped=True), options), options)
         named = believable(problem, named, options)
         if preferred(problem, named, state, 0.0, options):
-            distinguished = preferred(problem, named, state, options.close, options)
-            function = Alternative(term, max(named.fit.gain_over(state.fit), 0.0))
-            state = named if distinguished else _listing(named, rest, function)
+            state = _listing(problem, named, rest, state, term, options)
     return state
 
 
-def _listing(state: State, rest: State, function: Alternative) -> State:
-    """The state whose names that `rest` does not have list a function that explains as much at their site."""
+def _listing(problem: Problem, named: State, rest: State, state: State, term: Term, options: EngineOptions) -> State:
+    """The `named` state that takes the place of one with a further `term` than `rest`.
+
+    Where that is a function, and the names at its site are not clearly likelier, these list it.
+    """
+    if not term.nonparametric or preferred(problem, named, state, options.close, options):
+        return named
+    function = Alternative(term, max(named.fit.gain_over(state.fit), 0.0))
     tested = [
         replace(one, alternatives=(*one.alternatives, function))
-        if one.term not in rest.fit.terms.terms and one.term.site == function.term.site
+        if one.term not in rest.fit.terms.terms and one.term.site == term.site
         else one
-        for one in state.tested
+        for one in named.tested
     ]
-    return replace(state, tested=tuple(tested))
+    return replace(named, tested=tuple(tested))
 
 
 def _one_for_names(problem: Problem, state: State, options: EngineOptions) -> State:

@@ -128,7 +128,6 @@ def test_what_looks_like_autocorrelated_noise_along_a_motion_is_found(tmp_path, 
     ("seed", "trial", "site", "driver"),
     [
         (2220, 595, "joint6", "velocity of joint 6"),
-        (2220, 1087, "joint5", "gravity torque of joint 5 and direction of motion of joint 5"),
         (2222, 167, "joint1", "gravity torque of joint 1"),
     ],
 )
@@ -393,7 +392,7 @@ def test_effects_are_kept_that_hold_where_they_are_fitted_again(arm, monkeypatch
     said = statements.held_out_statement(document, "40 rows")
     assert said.startswith("Errors of 40 rows, held out in 25 contiguous blocks, several at a time")
     assert "without each of 5 contiguous blocks predicts them worse" in said
-    assert "the errors are 1.20 times those without" in said
+    assert "the errors are 1.2 times those without" in said
 
 
 @pytest.mark.long
@@ -411,6 +410,32 @@ def test_what_a_search_without_a_block_does_not_find_is_kept(tmp_path, trial, la
     diagnosis = diagnose(read_recording(tmp_path / "recording.csv"))
     assert diagnosis.searched_again is not None
     assert sorted(finding.effect.label for finding in diagnosis.findings) == labels
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(
+    ("trial", "labels"),
+    [
+        ((2220, 1087), ["joint_backlash:joint5"]),  # before, a function of the load and the direction of motion
+        ((2228, 824), ["joint_backlash:joint3", "joint_compliance:joint3"]),  # before, wind-up without friction
+    ],
+)
+def test_names_take_the_place_of_what_needs_more_numbers(tmp_path, trial, labels):
+    """In MuJoCo: a gear's play with friction in its bearing, alone and with a spring beyond it."""
+    for name, text in draw(*trial).files.items():
+        (tmp_path / name).write_text(text)
+    found = terms(read_recording(tmp_path / "recording.csv"), thorough=True)
+    assert sorted(term.label for term in found) == labels
+
+
+@pytest.mark.long
+def test_a_function_lists_the_name_that_explains_as_much_where_samples_are_too_few_to_test_it(tmp_path):
+    """Gravity presses the gear from one flank to the other at one position of joint 2, in 105 rows."""
+    for name, text in draw(2228, 1235).files.items():
+        (tmp_path / name).write_text(text)
+    (finding,) = diagnose(read_recording(tmp_path / "recording.csv")).findings
+    assert (finding.effect.label, finding.rivals[0].effect.label) == ("unnamed:joint2", "joint_backlash:joint2")
+    assert finding.rivals[0].gap < 3
 
 
 @pytest.mark.long

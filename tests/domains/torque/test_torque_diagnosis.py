@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from domains.torque.moved import hidden, motion_of, recorded, setup_of
+from scipy.signal import lfilter
 
 from benchmarks.torque_trials.outside import presliding
 from benchmarks.torque_trials.physics import rigid, torques
@@ -130,6 +131,35 @@ def test_friction_that_bends_before_it_slides_is_a_function_of_the_travel_since_
     assert {(one.effect.name, one.effect.site) for one in found.findings} == {("unnamed", "joint2")}
     largest = max(found.findings, key=lambda finding: finding.gain)
     assert "travel since reversal of joint 2" in [driver.phrase for driver in largest.effect.drivers]
+
+
+def test_a_gain_that_drifts_is_a_function_of_load_and_time_in_autocorrelated_noise():
+    """Beside such noise no name is significant, and no function leaves white residuals."""
+
+    def drifting(tau):
+        noise = lfilter([0.1], [1.0, -0.9], np.random.default_rng(8).normal(0, 1, tau.shape), axis=0)
+        drift = np.linspace(-0.1, 0.1, len(tau))
+        return tau + noise * 0.5 * np.std(tau, axis=0) * 0.1 + drift[:, None] * tau * (np.arange(6) == 1)
+
+    recording, arm = recorded(seed=5, change=drifting, declare=False)
+    found = diagnose_torques(recording, arm, options=FEW)
+    assert [(finding.effect.label, finding.effect.driver) for finding in found.findings] == [
+        ("unnamed:joint2", "gravity torque of joint 2 and time")
+    ]
+
+
+@pytest.mark.parametrize(("again", "kept"), [(0.5, True), (1.2, False)])
+def test_effects_are_withdrawn_where_searches_and_refits_without_them_reject_them(again, kept, monkeypatch):
+    ratios = iter((1.2, again))
+    monkeypatch.setattr("lite6jax.diagnosis.torque_diagnosis._ratio", lambda *given: next(ratios))
+    found = diagnose_torques(*recorded(FRICTION, seed=1), options=FEW)
+    effects = {ViscousFriction(2), CoulombFriction(2)}
+    assert {finding.effect for finding in found.findings} == (effects if kept else set())
+    assert {finding.effect for finding in found.withdrawn} == (set() if kept else effects)
+    document = found.to_dict()
+    assert document["heldout_blocks"] == (10 if kept else 2)
+    assert document["searched_again"] == ({"blocks": 2, "heldout_ratio": 1.2} if kept else None)
+    assert (np.mean(found.after**2) < np.mean(found.before**2)) == kept
 
 
 def test_friction_of_every_joint_of_an_arm_of_unknown_links():
