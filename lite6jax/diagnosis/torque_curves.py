@@ -100,7 +100,8 @@ def joint_frictions(found: TorqueDiagnosis) -> tuple[JointFriction, ...]:
 def finding_curve(found: TorqueDiagnosis, k: int) -> FindingCurve:
     """A finding of one joint over its driver; another over the torque that it adds where it adds most.
 
-    A finding of several drivers has no curve over one of them: it has a point for each sample.
+    A finding of several drivers, or of one times the load, has no curve over one of them: it has a point for each
+    sample.
     """
     problem, fit, finding = found.problem, found.fit, found.findings[k]
     effect, used = finding.effect, problem.valid
@@ -121,7 +122,7 @@ def finding_curve(found: TorqueDiagnosis, k: int) -> FindingCurve:
     driver, loads = choices[0], dynamics.loads
     values = np.asarray(driver.values(dynamics.motion, loads))
     x = values[problem.data.filter.kept][problem.chosen][used]
-    several = len(choices) > 1
+    several = len(choices) > 1 or (isinstance(effect, UnnamedTorque) and effect.full_load > 0)
     key = ("joint", j, 0)
     if isinstance(effect, UnnamedTorque) and not several:
         sign = dynamics.direction(j + 1)[problem.data.filter.kept][problem.chosen][used] if effect.signed else 1.0

@@ -118,7 +118,8 @@ def _linear(
 
 def _functions(problem: PoseProblem | TorqueProblem) -> tuple[Function, ...]:
     """What names are tested by in one recording: functions of every site and driver, and finer curves of joints."""
-    found = [_shared(effect) for effect in problem.flexible]
+    # a load that multiplies a function would be another in every arm
+    found = [_shared(effect) for effect in problem.flexible if not getattr(effect, "full_load", 0.0)]
     for driver in (driver for family in problem.curves for driver in family.drivers):
         low, high = float(driver.values.min()), float(driver.values.max())
         if high - low > _LEAST_VARIED:  # else it is a constant of each recording, another in each

@@ -181,9 +181,12 @@ def peak_to_peak(finding: Entry) -> str:
 
 def _of_what(finding: Entry) -> str:
     """The drivers of a curve."""
-    where = finding["where"]
-    driver = finding["driver"].removesuffix(f" and direction of motion of joint {where['joint']}")
-    times = ", multiplied by the direction of motion" if where.get("signed") else ""
+    where, driver = finding["where"], finding["driver"]
+    times = ""
+    for field, factor in (("signed", "direction of motion"), ("full_load", "gravity torque")):
+        if where.get(field):
+            times = f", multiplied by the {factor}"
+            driver = driver.removesuffix(f" and {factor} of joint {where['joint']}")
     return f"the {driver.replace(' and ', ' and the ')}{times}"
 
 

@@ -434,8 +434,8 @@ def test_a_function_lists_the_name_that_explains_as_much_where_samples_are_too_f
     for name, text in draw(2228, 1235).files.items():
         (tmp_path / name).write_text(text)
     (finding,) = diagnose(read_recording(tmp_path / "recording.csv")).findings
-    assert (finding.effect.label, finding.rivals[0].effect.label) == ("unnamed:joint2", "joint_backlash:joint2")
-    assert finding.rivals[0].gap < 3
+    assert finding.effect.label == "unnamed:joint2"
+    assert "joint_backlash:joint2" in [rival.effect.label for rival in finding.rivals if rival.gap < 3]
 
 
 @pytest.mark.long

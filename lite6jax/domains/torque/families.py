@@ -138,7 +138,8 @@ def flexible(dynamics: Dynamics, sizes: Array) -> tuple[UnnamedTorque, ...]:
 
     They are of the position of any joint, of the joint's own velocity, load and temperature, and of time; those of
     position, load, temperature and speed also times the direction of motion, and the first three times the velocity, as
-    friction is; and of the travel since the last reversal times the direction, as friction before sliding is.
+    friction is; of the travel since the last reversal times the direction, as friction before sliding is; and of the
+    position times the load, as what meshing teeth do is.
 
     Args:
         dynamics: of every sample.
@@ -150,7 +151,14 @@ def flexible(dynamics: Dynamics, sizes: Array) -> tuple[UnnamedTorque, ...]:
     ranges |= {Driver(quantity): _range(Driver(quantity), dynamics) for quantity in _EVERYWHERE}
     found: list[UnnamedTorque] = []
 
-    def add(joint: int, drivers: Sequence[Driver], pieces: int = 8, signed: bool = False, degree: int = 0) -> None:
+    def add(
+        joint: int,
+        drivers: Sequence[Driver],
+        pieces: int = 8,
+        signed: bool = False,
+        degree: int = 0,
+        full_load: float = 0.0,
+    ) -> None:
         spans = [ranges.get(driver) for driver in drivers]
         if any(span is None for span in spans):
             return
@@ -164,6 +172,7 @@ def flexible(dynamics: Dynamics, sizes: Array) -> tuple[UnnamedTorque, ...]:
                 spread=spread,
                 degree=degree,
                 further=bounds,
+                full_load=full_load,
                 of_slide=slides[joint],
             )
         )
@@ -184,6 +193,10 @@ def flexible(dynamics: Dynamics, sizes: Array) -> tuple[UnnamedTorque, ...]:
         add(j, [travel], 8, signed=True)
         for other in (position, load, temperature):
             add(j, [velocity, other], degree=3)
+        # teeth that mesh under load
+        if (bounds := ranges.get(load)) is not None:
+            for pieces in (10, 40):
+                add(j, [position], pieces, full_load=max(map(abs, bounds)))
         # a gain that drifts or warms, as of a sensor of torque or current
         for other in (Driver("time"), temperature):
             add(j, [load, other], degree=2)

@@ -1,4 +1,4 @@
-"""Torques without a name: at one joint, a function of one driver or of two, also times the direction of motion."""
+"""Torques without a name: at one joint, a function of one driver or of two, also times its direction or its load."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -18,7 +18,7 @@ from lite6jax.errors import InputError
 @final
 @dataclass(frozen=True)
 class UnnamedTorque(JointTorque):
-    """τ += Σ coefficient · f(driver), or that times the direction of motion of the joint.
+    """τ += Σ coefficient · f(driver), or that times the direction of motion of the joint, or times its load.
 
     The functions f of a spline are its level, 1, and its steps: the sums of all cubic B-splines from the second, the
     third, … on, which rise from 0 to 1. A step that no sample determines is zero by its prior, so that the curve
@@ -36,6 +36,8 @@ class UnnamedTorque(JointTorque):
             steps: the size of the joint's torque.
         degree: of polynomials, that are there instead of a spline; 0 for none.
         further: lower and upper of each further driver.
+        full_load: in Nm, or N of a prismatic joint; where it is not 0, the curve is multiplied by the joint's load over
+            this, as the ripple of a gear that grows with its load is.
 
     Raises:
         InputError: no such driver, or an empty range.
@@ -50,6 +52,7 @@ class UnnamedTorque(JointTorque):
     spread: float | None = None
     degree: int = 0
     further: tuple[float, ...] = ()
+    full_load: float = 0.0
 
     name: ClassVar[str] = "unnamed"
     nonparametric: ClassVar[bool] = True
@@ -67,6 +70,11 @@ class UnnamedTorque(JointTorque):
                 f"unnamed:{self.site}: {several + 1} drivers and {len(self.further)} further bounds; give lower and "
                 "upper of each driver but the first, and a degree"
             )
+        if self.full_load < 0 or (self.full_load and self.signed):
+            raise InputError(
+                f"unnamed:{self.site}: full_load {self.full_load:g} is not possible; give a positive one, without "
+                "signed"
+            )
         if self.degree and self.orders:
             raise InputError(f"unnamed:{self.site}: a degree beside orders; give one of them")
 
@@ -77,7 +85,9 @@ class UnnamedTorque(JointTorque):
 
     @property
     def drivers(self) -> tuple[Driver, ...]:
-        """What the curve runs over, and the direction of motion where that multiplies it."""
+        """What the curve runs over, and the direction of motion or the load where that multiplies it."""
+        if self.full_load:
+            return (*self.of, self.own_driver("gravity torque"))
         return (*self.of, self.own_driver("direction of motion")) if self.signed else self.of
 
     @property
@@ -110,13 +120,15 @@ class UnnamedTorque(JointTorque):
 
     def basis(self, dynamics: Dynamics) -> Array:
         """The functions that coefficients multiply, `(function, sample)`."""
-        loads = dynamics.loads if any(driver.loaded for driver in self.of) else None
+        loads = dynamics.loads if any(driver.loaded for driver in self.drivers) else None
         values = np.stack([np.asarray(driver.values(dynamics.motion, loads)) for driver in self.of])
         found = self.functions_of(values)
+        if self.full_load:
+            return found * np.asarray(self.drivers[-1].values(dynamics.motion, loads)) / self.full_load
         return found * dynamics.direction(self.joint) if self.signed else found
 
     def functions_of(self, values: Array) -> Array:
-        """The functions `(function, sample)` at values `(driver, sample)` of the drivers, without the direction."""
+        """The functions `(function, sample)` at values `(driver, sample)` of what the curve runs over."""
         if self.degree:
             ranges = np.array((self.lower, self.upper, *self.further)).reshape(-1, 2)
             return np.asarray(polynomial_basis(values, ranges, self.products))  # type: ignore[arg-type]

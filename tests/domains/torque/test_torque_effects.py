@@ -1,5 +1,7 @@
 """Effects on torques against a generator that shares no code with the library, and the laws of all of them."""
 
+from dataclasses import replace
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -160,6 +162,16 @@ def test_a_curve_over_the_speed_is_an_odd_function_of_the_velocity(scene):
     assert np.abs(there).max() > 0.1
 
 
+def test_a_curve_that_is_multiplied_by_the_load_is_zero_without_one(scene):
+    dynamics = scene[2]
+    curve = UnnamedTorque(2, "position of joint 2", -1.0, 1.0, 3)
+    loaded = replace(curve, full_load=4.0)
+    assert [driver.phrase for driver in loaded.drivers] == ["position of joint 2", "gravity torque of joint 2"]
+    # what links exert on a motor is the opposite of what it exerts
+    np.testing.assert_allclose(loaded.basis(dynamics), -curve.basis(dynamics) * dynamics.torque[1] / 4.0, atol=1e-12)
+    assert not loaded.basis(dynamics._replace(torque=0 * dynamics.torque)).any()
+
+
 def test_products_with_a_direction_of_motion_hold_it_once():
     drivers = "position of joint 2 and direction of motion of joint 2"
     curve = UnnamedTorque(2, drivers, -1.0, 1.0, degree=3, further=(-1.0, 1.0))
@@ -179,6 +191,8 @@ def test_products_with_a_direction_of_motion_hold_it_once():
         (lambda: UnnamedTorque(1, "time", 1.0, 1.0), "are no curve; give lower < upper"),
         (lambda: UnnamedTorque(1, "time and time", 0.0, 1.0), "give lower and upper of each driver but the first"),
         (lambda: UnnamedTorque(1, "time", 0.0, 1.0, orders=(1.0,), degree=2), "a degree beside orders"),
+        (lambda: UnnamedTorque(1, "time", 0.0, 1.0, signed=True, full_load=2.0), "full_load 2 is not possible"),
+        (lambda: UnnamedTorque(1, "time", 0.0, 1.0, full_load=-2.0), "full_load -2 is not possible"),
     ],
 )
 def test_impossible_effects(make, message):
