@@ -48,13 +48,14 @@ def _with_others(problem: Problem, state: State, k: int, options: EngineOptions)
     own = test.explained([tested.term])[0]
     now = own.gain - 0.5 * test.time * own.size
     functions = [term for term in problem.flexible if term.site not in near and _may_replace(tested.term, term)]
-    functions += [term for term in _steps(test, tested.term) if _may_replace(tested.term, term)]
+    steps = [term for term in _steps(test, tested.term) if _may_replace(tested.term, term)]
+    functions += steps
     likely: dict[object, tuple[float, Term]] = {}
     for term, one in zip(functions, test.explained(functions), strict=True):
         gain = one.gain - 0.5 * test.time * one.size
         beside = term.site == tested.term.site and not tested.term.nonparametric
         least = now + options.close if beside else now - 2 * options.close  # the refit may say otherwise by `close`
-        key = (term.site, term.drivers) if term.site == tested.term.site else term.site
+        key = (term.site, term.drivers) if term in steps else term.site
         if gain > likely.get(key, (least, term))[0]:
             likely[key] = (gain, term)
     best = [term for _, term in sorted(likely.values(), key=lambda pair: -pair[0])[: options.functions]]

@@ -50,7 +50,7 @@ def beside_noise(problem: Problem, state: State, options: EngineOptions) -> Stat
     """The state, in which nothing was found, with a function without a name that is significant in its noise.
 
     The noise is autocorrelated with the function as without it; either model has the most likely noise of what it
-    leaves. At the second likeliest site no function must come close, for this noise hides what the others differ in.
+    leaves. The function joins only if those at other sites are clearly less likely: such noise hides how they differ.
     """
     if state.tested or state.fit.noise.white:
         return state
