@@ -84,7 +84,8 @@ def diagnose(
                 selection, findings = without_effects(selection), ()
                 outliers = _outliers(selection, options)
             else:
-                held_out, searched_again, folds = refitted, SearchedAgain(len(folds), errors[1] / errors[0]), spread
+                searched_again = SearchedAgain(len(folds), held_out.ratio(~outliers))
+                held_out, folds = refitted, spread
         with part(len(folds) + 1, len(folds) + 1):
             entered("planning")
             separating = separating_poses(selection, geometry, factory, options)

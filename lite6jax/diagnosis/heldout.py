@@ -60,6 +60,10 @@ class HeldOut(NamedTuple):
         numbers = max(state.fit.parameters - state.baseline.parameters, 0.0)
         return self.raised(kept, numbers, options) or self.overfitted(kept, selection, options)
 
+    def ratio(self, kept: Mask) -> float:
+        """Of the root mean squares of position errors with effects and without, of the rows `kept`."""
+        return _ratio(self.before[kept], self.after[kept])
+
     def raised(self, kept: Mask, numbers: float, options: Options) -> bool:
         """Whether effects of so many numbers raise the errors on rows that were not used.
 
@@ -68,7 +72,7 @@ class HeldOut(NamedTuple):
         the error of positions by what they cost in precision. As if positions alone determined them, p numbers, in
         effect, add p / (3 · rows) to the variance of a prediction, and half of that to its standard deviation.
         """
-        position = _ratio(self.before[kept], self.after[kept])
+        position = self.ratio(kept)
         turned = _ratio(self.turned_before[kept], self.turned_after[kept])
         cost = 1 + 0.5 * numbers / (3 * kept.sum())
         return position * turned > 1 or position > max(options.heldout_rise, cost)
@@ -83,7 +87,7 @@ class HeldOut(NamedTuple):
         """
         if (tried := kept & self.with_effects).any():
             kept = tried
-        if _ratio(self.before[kept], self.after[kept]) < options.heldout_left:
+        if self.ratio(kept) < options.heldout_left:
             return False
         state = selection.state
         after = _times_fitted(self.after, selection.problem, state.fit, kept)
@@ -132,7 +136,9 @@ def refitted_errors(selection: Selection, folds: Sequence[Mask], options: Option
 
     def predicted(held: Mask) -> HeldOut:
         training = selection.state.baseline.training & ~held
-        reference, problem = (relinearise(of, engine, training) for of in (selection.reference, selection.problem))
+        reference = problem = relinearise(selection.reference, engine, training)
+        if selection.problem is not selection.reference:
+            problem = relinearise(selection.problem, engine, training)
         assert isinstance(reference, PoseProblem)
         assert isinstance(problem, PoseProblem)
         baseline = fit(reference, Terms(), engine, training=training)

@@ -105,10 +105,11 @@ def _plain_again(problem: Problem, state: State, options: EngineOptions) -> Stat
         plain = [term for term in problem.candidates if term.site == tested.term.site and term.chosen is None]
         plain = [term for term in plain if term not in rest.fit.terms.terms]
         scores = score_test(problem, rest.fit, options, within=state.fit).score(plain)
-        gain = [score.gain - 0.5 * score.size * np.log(rest.fit.freedom) for score in scores]
-        if not gain:
+        cost = 0.5 * np.log(rest.fit.freedom)
+        likely = [(s.gain - cost * s.size, k) for k, s in enumerate(scores) if not s.confounded]
+        if not likely:
             continue
-        best = int(np.argmax(gain))
+        best = max(likely)[1]
         choice = with_term(problem, rest, plain[best], scores[best], options)
         if preferred(problem, choice, state, 0.0, options):
             state = choice
