@@ -193,6 +193,7 @@ def flexible(dynamics: Dynamics, sizes: Array) -> tuple[UnnamedTorque, ...]:
         add(j, [travel], 8, signed=True)
         for other in (position, load, temperature):
             add(j, [velocity, other], degree=3)
+        add(j, [position], degree=4)  # a cable that is drawn out
         # teeth that mesh under load
         if (bounds := ranges.get(load)) is not None:
             for pieces in (10, 40):
