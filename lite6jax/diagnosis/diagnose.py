@@ -76,11 +76,12 @@ def diagnose(
         findings, withdrawn, searched_again = findings_of(selection), None, None
         outliers = _outliers(selection, options)
         if findings and held_out.rejects(selection, ~outliers, options):
-            errors = [_rms(errors[~outliers]) for errors in (held_out.before, held_out.after)]
             spread = spread_folds(folds, selection.state.fit.noise, options)
             refitted = refitted_errors(selection, spread, options)
             if refitted.rejects(selection, ~outliers, options):
-                withdrawn = Withdrawn(findings, *errors)
+                withdrawn = Withdrawn(
+                    findings, *(_rms(errors[~outliers]) for errors in (held_out.before, held_out.after))
+                )
                 selection, findings = without_effects(selection), ()
                 outliers = _outliers(selection, options)
             else:

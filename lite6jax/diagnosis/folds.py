@@ -14,6 +14,7 @@ from lite6jax.errors import InputError
 from lite6jax.estimation.noise import NoiseModel
 from lite6jax.estimation.problem import Mask
 from lite6jax.progress import part
+from lite6jax.recordings.sequence import contiguous_blocks
 
 Fold = TypeVar("Fold")
 Result = TypeVar("Result")
@@ -45,9 +46,8 @@ def spread_folds(folds: Sequence[Mask], noise: NoiseModel, options: Options) -> 
     """
     count, samples = len(folds), folds[0].size
     long = max(options.block_times * model.time if model.share else 1.0 for model in noise.models)
-    blocks = count * int(np.clip(samples / long / count, 1, options.spread_blocks))
-    block = np.arange(samples) * blocks // samples
-    return [block % count == number for number in range(count)]
+    blocks = contiguous_blocks(samples, count * int(np.clip(samples / long / count, 1, options.spread_blocks)))
+    return [np.any(blocks[number::count], 0) for number in range(count)]
 
 
 def block_count(folds: Sequence[Mask]) -> int:

@@ -23,12 +23,12 @@ from lite6jax.diagnosis.options import Options
 from lite6jax.domains.pose.kinematics import unwhitened
 from lite6jax.domains.pose.problem import PoseProblem
 from lite6jax.effects.effect import Effect
-from lite6jax.estimation.least_squares import Fit, fit, relinearise
+from lite6jax.estimation.least_squares import Fit, relinearise
 from lite6jax.estimation.problem import Mask, Problem
-from lite6jax.estimation.terms import Terms
 from lite6jax.fitting.problem import Geometry
 from lite6jax.recordings import Recording
 from lite6jax.search.search import Selection
+from lite6jax.search.state import State, fitted_again
 
 Array = NDArray[np.floating]
 
@@ -117,7 +117,7 @@ def held_out_errors(
         found = explain(recording, arm, geometry, options, effects, factory, ~held, False, decisions)
         state, reference = found.selection.state, found.selection.reference
         assert isinstance(reference, PoseProblem)
-        return _errors(reference, state.baseline, found.problem, state.fit, held)
+        return _errors(reference, found.problem, state, held)
 
     return _in_order(side_by_side(predicted, folds), folds)
 
@@ -132,28 +132,26 @@ def refitted_errors(selection: Selection, folds: Sequence[Mask], options: Option
         folds: those of `spread_folds`.
         options: thresholds.
     """
-    found, engine = selection.state.fit, options.engine
+    state, engine = selection.state, options.engine
 
     def predicted(held: Mask) -> HeldOut:
-        training = selection.state.baseline.training & ~held
+        training = state.baseline.training & ~held
         reference = problem = relinearise(selection.reference, engine, training)
         if selection.problem is not selection.reference:
             problem = relinearise(selection.problem, engine, training)
         assert isinstance(reference, PoseProblem)
         assert isinstance(problem, PoseProblem)
-        baseline = fit(reference, Terms(), engine, training=training)
-        fitted = fit(problem, found.terms, engine, found.values, baseline.nuisance, training, found.noise)
-        return _errors(reference, baseline, problem, fitted, held)
+        return _errors(reference, problem, fitted_again(problem, reference, state, training, engine), held)
 
     return _in_order(side_by_side(predicted, folds), folds)
 
 
-def _errors(reference: PoseProblem, baseline: Fit, problem: PoseProblem, fitted: Fit, held: Mask) -> HeldOut:
+def _errors(reference: PoseProblem, problem: PoseProblem, state: State, held: Mask) -> HeldOut:
     """Of the held-out rows: the problems of a fold, whose columns take a gigabyte of a real arm, end with it."""
-    turned_before, angle_before = _turns(reference, baseline)
-    turned_after, angle_after = _turns(problem, fitted)
-    before, after = _distance(reference, baseline), _distance(problem, fitted)
-    with_effects = np.full(held.size, bool(fitted.terms.terms))
+    turned_before, angle_before = _turns(reference, state.baseline)
+    turned_after, angle_after = _turns(problem, state.fit)
+    before, after = _distance(reference, state.baseline), _distance(problem, state.fit)
+    with_effects = np.full(held.size, bool(state.tested))
     errors = HeldOut(before, after, turned_before, turned_after, angle_before, angle_after, with_effects)
     return HeldOut._make(of_all[held] for of_all in errors)
 

@@ -74,7 +74,7 @@ _FINDING = record(
         "statement": text,
     },
 )
-_BEFORE_AND_AFTER = record({"before": _POSITIVE, "after": _POSITIVE})
+SEARCHED_AGAIN = optional(record({"blocks": whole(1), "heldout_ratio": _POSITIVE}))
 _PARTS: Mapping[str, Check] = {
     "schema": text,
     "verdict": one_of("consistent", "explained", "partly_explained", "unnamed", "unexplained", "undetermined"),
@@ -93,12 +93,19 @@ _PARTS: Mapping[str, Check] = {
             "explained_share": optional(number(upper=1.0)),
         }
     ),
-    "withdrawn": optional(record({"effects": items(record(_PLACE)), "heldout_position_rms_m": _BEFORE_AND_AFTER})),
+    "withdrawn": optional(
+        record(
+            {
+                "effects": items(record(_PLACE)),
+                "heldout_position_rms_m": record({"before": _POSITIVE, "after": _POSITIVE}),
+            }
+        )
+    ),
     "rows_needed": optional(whole(1)),
     "samples": whole(1),
     "heldout_rows": whole(0),
     "heldout_blocks": whole(1),
-    "searched_again": optional(record({"blocks": whole(1), "heldout_ratio": _POSITIVE})),
+    "searched_again": SEARCHED_AGAIN,
     "quick": flag,
     "pose_source": text,
     "date": optional(text),

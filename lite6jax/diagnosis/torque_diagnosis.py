@@ -17,15 +17,15 @@ from lite6jax.domains.torque.linearisation import linearised, with_likely_prior
 from lite6jax.domains.torque.problem import TorqueProblem, torque_problem
 from lite6jax.domains.torque.screening import contacts, screen_torques
 from lite6jax.effects.dynamic.torque_effect import TorqueEffect
-from lite6jax.estimation.least_squares import Fit, fit
+from lite6jax.estimation.least_squares import Fit
 from lite6jax.estimation.problem import Mask
-from lite6jax.estimation.terms import Terms
 from lite6jax.fitting.recognition import declared_arm_of, with_calibration
 from lite6jax.progress import Stage, entered, followed, part
 from lite6jax.recordings import Recording
+from lite6jax.recordings.sequence import contiguous_blocks
 from lite6jax.search.final_estimates import final_estimates
 from lite6jax.search.search import search
-from lite6jax.search.state import State
+from lite6jax.search.state import State, fitted_again
 
 Array = NDArray[np.floating]
 
@@ -69,7 +69,7 @@ def diagnose_torques(
             selection = search(problem, options.engine)
             entered("estimating")
             selection = replace(selection, state=final_estimates(problem, selection.state, options.engine))
-        folds = _folds(problem, options)
+        folds = contiguous_blocks(problem.samples, fold_count(problem.samples, options))
         whole = replace(whole, valid=problem.valid)
 
         def searched(there: TorqueProblem, training: Mask) -> State:
@@ -79,19 +79,16 @@ def diagnose_torques(
         findings = findings_of(selection)
         withdrawn, searched_again = (), None
         if findings and (ratio := _ratio(before, after, problem, folds)) > options.heldout_rise:
-            spread, state = spread_folds(folds, selection.state.fit.noise, options), selection.state
+            state, spread = selection.state, spread_folds(folds, selection.state.fit.noise, options)
 
             def refitted(there: TorqueProblem, training: Mask) -> State:
-                baseline = fit(there, Terms(), options.engine, training=training)
-                of = state.fit
-                again = fit(there, of.terms, options.engine, of.values, baseline.nuisance, training, of.noise)
-                return State(baseline, again, state.tested)
+                return fitted_again(there, there, state, training, options.engine)
 
-            again = _held_out(whole, spread, options, refitted)
-            if _ratio(*again, problem, spread) > options.heldout_rise:
+            errors = _held_out(whole, spread, options, refitted)
+            if _ratio(*errors, problem, spread) > options.heldout_rise:
                 withdrawn, selection, findings = findings, without_effects(selection), ()
             else:
-                (before, after), searched_again, folds = again, SearchedAgain(len(folds), ratio), spread
+                (before, after), searched_again, folds = errors, SearchedAgain(len(folds), ratio), spread
     return TorqueDiagnosis(
         problem=problem,
         selection=selection,
@@ -105,13 +102,6 @@ def diagnose_torques(
         withdrawn=withdrawn,
         searched_again=searched_again,
     )
-
-
-def _folds(problem: TorqueProblem, options: Options) -> list[Mask]:
-    """Contiguous blocks of the samples that the filter keeps."""
-    count = fold_count(problem.samples, options)
-    block = np.arange(problem.samples) * count // problem.samples
-    return [block == number for number in range(count)]
 
 
 def _held_out(

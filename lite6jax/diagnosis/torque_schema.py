@@ -7,7 +7,7 @@ from lite6jax import checksum
 from lite6jax.arms.arm import DRIVE_FIELDS
 from lite6jax.arms.description import LARGEST_MASS
 from lite6jax.arms.entries import ANGLE_LIMIT, LENGTH_LIMIT
-from lite6jax.diagnosis.schema import FARTHEST, INPUTS
+from lite6jax.diagnosis.schema import FARTHEST, INPUTS, SEARCHED_AGAIN
 from lite6jax.errors import InputError
 from lite6jax.recordings.settings import HIGHEST_TEMPERATURE, LARGEST_GRAVITY
 from lite6jax.schema import Check, array, flag, items, mapping, number, one_of, optional, plain, record, text, whole
@@ -57,7 +57,7 @@ PARTS: Mapping[str, Check] = {
     "samples": whole(1),
     "kept_samples": whole(1),
     "heldout_blocks": whole(1),
-    "searched_again": optional(record({"blocks": whole(1), "heldout_ratio": _POSITIVE})),
+    "searched_again": SEARCHED_AGAIN,
     "quick": flag,
     "inputs": INPUTS,
     "filter": record({"rate_Hz": _POSITIVE, "cutoff_Hz": _POSITIVE, "motion_cutoff_Hz": _POSITIVE, "every": whole(1)}),

@@ -12,7 +12,7 @@ from lite6jax.arms.arm import Arm
 from lite6jax.errors import InputError
 from lite6jax.recordings.arguments import checked_arrays, missing_rows, unit_quaternions
 from lite6jax.recordings.plausible import without_implausible
-from lite6jax.recordings.sequence import differentiate, directions, inferred_motion, run_segments
+from lite6jax.recordings.sequence import contiguous_blocks, differentiate, directions, inferred_motion, run_segments
 from lite6jax.recordings.settings import Motion, RecordingSettings, declared_settings
 from lite6jax.recordings.table import arrays_of, read_frame
 from lite6jax.recordings.units import real_array
@@ -325,8 +325,7 @@ class Recording(Summarised):
         """
         if not 2 <= count <= self.samples:
             raise InputError(f"{self.source}: {count} folds of {self.samples} samples; choose 2 to {self.samples}")
-        block = np.arange(self.samples) * count // self.samples
-        return [block == number for number in range(count)]
+        return contiguous_blocks(self.samples, count)
 
     def sorted_by_time(self) -> "Recording":
         """The rows of each run in time order, directions and differentiated velocities anew; itself when in order."""

@@ -1,7 +1,7 @@
 """What follows from the order of a recording's samples: runs, the kind of motion, velocities and directions."""
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from lite6jax.recordings.settings import Motion
 
@@ -13,6 +13,12 @@ MOVING_SHARE = 0.05  # of the rows; a static recording may hold a few taken befo
 def run_segments(run: Int[np.ndarray, " sample"]) -> Int[np.ndarray, " sample"]:
     """Numbers the runs 0, 1, ... in order: `run` only says where a new one starts."""
     return np.concatenate([[0], np.cumsum(run[1:] != run[:-1])])
+
+
+def contiguous_blocks(samples: int, count: int) -> list[Bool[np.ndarray, " sample"]]:
+    """`count` masks, each a block of neighbouring samples; together they cover every sample once."""
+    block = np.arange(samples) * count // samples
+    return [block == number for number in range(count)]
 
 
 def inferred_motion(

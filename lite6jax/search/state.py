@@ -9,7 +9,7 @@ import numpy as np
 from lite6jax.estimation.least_squares import Fit, fit, without
 from lite6jax.estimation.multiplicity import description_length, multiplicity
 from lite6jax.estimation.options import EngineOptions
-from lite6jax.estimation.problem import Array, Problem
+from lite6jax.estimation.problem import Array, Mask, Problem
 from lite6jax.estimation.score_test import Score, score_test
 from lite6jax.estimation.terms import Term, Terms
 
@@ -100,6 +100,21 @@ def refitted(problem: Problem, state: State, terms: Sequence[SelectedTerm], opti
     model = Terms(tuple(test.term for test in terms))
     base = state.baseline
     return State(base, fit(problem, model, options, None, base.nuisance, base.training), tuple(terms))
+
+
+def fitted_again(problem: Problem, reference: Problem, state: State, training: Mask, options: EngineOptions) -> State:
+    """The terms of a state fitted to other samples, in the same noise model.
+
+    Args:
+        problem: linearised at these samples.
+        reference: the same without preset terms.
+        state: whose terms, and the numbers to start from.
+        training: `(sample,)` bool, the samples.
+        options: thresholds.
+    """
+    baseline, of = fit(reference, Terms(), options, training=training), state.fit
+    again = fit(problem, of.terms, options, of.values, baseline.nuisance, training, of.noise)
+    return State(baseline, again, state.tested)
 
 
 def retested(

@@ -6,6 +6,7 @@ from functools import cached_property
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from benchmarks.concealed.trials import draw
 from lite6jax.arms.bundled import load_bundled
 from lite6jax.arms.factory import write_factory
 from lite6jax.domains.pose.clock import linearised
@@ -13,7 +14,7 @@ from lite6jax.effects.serialization import parse_effect
 from lite6jax.estimation.least_squares import fit
 from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.terms import Terms
-from lite6jax.recordings import Recording, RecordingSettings
+from lite6jax.recordings import Recording, RecordingSettings, read_recording
 from lite6jax.recordings.settings import FactoryUncertainty
 from lite6jax.search.search import search
 from tests.oracles.arms import perturbed, random_positions
@@ -27,6 +28,13 @@ NOISE = (2e-5, 1e-4)
 """m and rad per axis: a laser tracker with a six-dimensional probe."""
 PAYLOAD_COM = (0.02, -0.01, 0.04)
 GRAVITY = (0.0, 0.0, -9.81)
+
+
+def drawn(folder, seed, trial):
+    """The recording of a concealed trial; its files are written into the folder."""
+    for name, text in draw(seed, trial).files.items():
+        (folder / name).write_text(text)
+    return read_recording(folder / "recording.csv")
 
 
 def static_motion(seed=0, samples=160):

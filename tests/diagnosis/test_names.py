@@ -4,10 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from diagnosis.recorded import Made, moving_motion, static_motion, with_effects
+from diagnosis.recorded import Made, drawn, moving_motion, static_motion, with_effects
 from scipy.signal import lfilter
 
-from benchmarks.concealed.trials import draw
 from lite6jax.diagnosis.diagnose import diagnose
 from lite6jax.diagnosis.document import to_document
 from lite6jax.diagnosis.explanation import explain
@@ -16,7 +15,6 @@ from lite6jax.diagnosis.options import Options
 from lite6jax.effects.kinematic.joints import JointHarmonic
 from lite6jax.effects.nonparametric import Unnamed
 from lite6jax.estimation.concentration import concentration
-from lite6jax.recordings import read_recording
 from lite6jax.report import statements
 
 SAMPLES = 240
@@ -68,9 +66,8 @@ def test_a_linear_coupling_keeps_its_name(arm, still):
 @pytest.mark.long
 def test_two_slow_waves_over_a_part_of_a_turn_are_no_offset_and_no_scale(tmp_path):
     """Joint 6 moves by 1.6 rad: a search one by one finds order 2, and an offset and a scale for what order 1 does."""
-    for name, text in draw(2214, 289).files.items():
-        (tmp_path / name).write_text(text)
-    found = terms(read_recording(tmp_path / "recording.csv"), thorough=True)
+    recording = drawn(tmp_path, 2214, 289)
+    found = terms(recording, thorough=True)
     assert {term.site for term in found} == {"joint6"}
     assert sorted(term.label for term in found if not isinstance(term, JointHarmonic)) == ["joint_compliance:joint6"]
     assert sorted(term.order for term in found if isinstance(term, JointHarmonic)) == [1, 2]
@@ -87,9 +84,8 @@ def test_friction_between_two_angles_is_a_function_of_position_and_direction(arm
 @pytest.mark.long
 def test_two_orders_in_a_fifth_of_a_turn_are_no_three(tmp_path):
     """One by one, 54, 65 and 67 are found, which are less likely than 54 and 66."""
-    for name, text in draw(2216, 694).files.items():
-        (tmp_path / name).write_text(text)
-    found = terms(read_recording(tmp_path / "recording.csv"))
+    recording = drawn(tmp_path, 2216, 694)
+    found = terms(recording)
     assert sorted((term.label, term.order) for term in found) == [
         ("joint_harmonic:joint4", 54.0), ("joint_harmonic:joint4", 66.0)
     ]  # fmt: skip
@@ -105,9 +101,8 @@ def test_two_orders_in_a_fifth_of_a_turn_are_no_three(tmp_path):
 )
 def test_what_a_zone_or_a_mount_does_has_no_name_and_its_own_drivers(tmp_path, trial, site, driver):
     """Before, the first was a function of two joints' positions, the second one of joint 1's load beside gravity's."""
-    for name, text in draw(2216, trial).files.items():
-        (tmp_path / name).write_text(text)
-    found = terms(read_recording(tmp_path / "recording.csv"), thorough=True)
+    recording = drawn(tmp_path, 2216, trial)
+    found = terms(recording, thorough=True)
     assert [(term.name, term.site, term.driver) for term in found] == [("unnamed", site, driver)]
 
 
@@ -117,9 +112,8 @@ def test_what_a_zone_or_a_mount_does_has_no_name_and_its_own_drivers(tmp_path, t
 )
 def test_what_looks_like_autocorrelated_noise_along_a_motion_is_found(tmp_path, trial, site, driver):
     """One smooth motion of 100 rows: beside noise of a coefficient of 0.995, which explains it, none is significant."""
-    for name, text in draw(2217, trial).files.items():
-        (tmp_path / name).write_text(text)
-    found = terms(read_recording(tmp_path / "recording.csv"))
+    recording = drawn(tmp_path, 2217, trial)
+    found = terms(recording)
     assert [(term.name, term.site, term.driver) for term in found] == [("unnamed", site, driver)]
 
 
@@ -133,9 +127,8 @@ def test_what_looks_like_autocorrelated_noise_along_a_motion_is_found(tmp_path, 
 )
 def test_one_function_is_found_where_several_describe_it_piece_by_piece(tmp_path, seed, trial, site, driver):
     """Before, the first was a function of two other joints, and the others had further ones, of other drivers."""
-    for name, text in draw(seed, trial).files.items():
-        (tmp_path / name).write_text(text)
-    found = terms(read_recording(tmp_path / "recording.csv"), thorough=True)
+    recording = drawn(tmp_path, seed, trial)
+    found = terms(recording, thorough=True)
     assert [(term.name, term.site, term.driver) for term in found] == [("unnamed", site, driver)]
 
 
@@ -154,9 +147,7 @@ def test_what_one_joint_does_keeps_its_names(tmp_path, trial, labels):
     needed was counted as a further name; and the likelihood of play with a spring was that of a fit which a flank
     had stopped, so that wind-up was called likelier.
     """
-    for name, text in draw(2223, trial).files.items():
-        (tmp_path / name).write_text(text)
-    recording = read_recording(tmp_path / "recording.csv")
+    recording = drawn(tmp_path, 2223, trial)
     tested = explain(recording, None, "declared", OPTIONS).selection.state.tested
     assert sorted(one.term.label for one in tested) == labels
     orders = [one.term.order for one in tested if one.term.name == "joint_harmonic"]
@@ -168,9 +159,8 @@ def test_what_one_joint_does_keeps_its_names(tmp_path, trial, labels):
 @pytest.mark.long
 def test_play_with_friction_beside_a_spring_is_tried_in_the_place_of_a_wave(tmp_path):
     """123 rows: each alone explains less than a wave of order 1, and one value of the friction less than another."""
-    for name, text in draw(2224, 92).files.items():
-        (tmp_path / name).write_text(text)
-    found = terms(read_recording(tmp_path / "recording.csv"))
+    recording = drawn(tmp_path, 2224, 92)
+    found = terms(recording)
     assert [term.label for term in found] == ["joint_compliance:joint2", "joint_backlash:joint2"]
     assert 1.5 < found[1].chosen < 2.5  # 2.22 Nm, and between two reversals any friction is the same
 
@@ -180,18 +170,16 @@ def test_a_pair_of_names_is_exchanged_for_another_pair(tmp_path):
     """Before, compliances of link 3 and joint 3, of which the second was needed by the first; the truth is likelier by
     15, but each of its two names is less likely beside a wrong one.
     """
-    for name, text in draw(2226, 1320).files.items():
-        (tmp_path / name).write_text(text)
-    found = explain(read_recording(tmp_path / "recording.csv"), None, "declared", OPTIONS).selection.state.tested
+    recording = drawn(tmp_path, 2226, 1320)
+    found = explain(recording, None, "declared", OPTIONS).selection.state.tested
     assert sorted(one.term.label for one in found) == ["joint_compliance:joint4", "link_compliance:link4"]
 
 
 @pytest.mark.long
 def test_a_name_that_explains_no_more_than_a_function_lists_it(tmp_path):
     """A spring that yields is wind-up and compliance; of the latter these 1185 rows show nothing."""
-    for name, text in draw(2226, 874).files.items():
-        (tmp_path / name).write_text(text)
-    (found,) = explain(read_recording(tmp_path / "recording.csv"), None, "declared", OPTIONS).selection.state.tested
+    recording = drawn(tmp_path, 2226, 874)
+    (found,) = explain(recording, None, "declared", OPTIONS).selection.state.tested
     assert found.term.label == "joint_windup:joint3"
     assert "unnamed:joint3" in [one.term.label for one in found.alternatives if one.gap < 1.0]
 
@@ -199,9 +187,8 @@ def test_a_name_that_explains_no_more_than_a_function_lists_it(tmp_path):
 @pytest.mark.long
 def test_no_name_takes_the_place_of_an_impossible_one_that_is_likelier(tmp_path):
     """Link 1, 0.8 mm long, grows by 1 % per K: no metal does, and an offset of its frame is less likely by 18."""
-    for name, text in draw(2226, 1779).files.items():
-        (tmp_path / name).write_text(text)
-    assert terms(read_recording(tmp_path / "recording.csv")) == ()
+    recording = drawn(tmp_path, 2226, 1779)
+    assert terms(recording) == ()
 
 
 @pytest.mark.parametrize(("seed", "coefficient"), [(2, 0.99), (3, 0.995), (75, 0.995)])
@@ -283,9 +270,8 @@ def test_an_effect_of_fifteen_times_the_noise_is_found_in_two_dozen_poses(arm):
 )
 def test_an_effect_that_some_of_the_blocks_are_needed_to_find_is_not_withdrawn(tmp_path, trial, label):
     """16 to 25 poses: without half of them, or without some of five blocks, the search finds nothing."""
-    for name, text in draw(2300, trial).files.items():
-        (tmp_path / name).write_text(text)
-    diagnosis = diagnose(read_recording(tmp_path / "recording.csv"))
+    recording = drawn(tmp_path, 2300, trial)
+    diagnosis = diagnose(recording)
     assert diagnosis.withdrawn is None
     assert [finding.effect.label for finding in diagnosis.findings] == [label]
 
@@ -293,9 +279,8 @@ def test_an_effect_that_some_of_the_blocks_are_needed_to_find_is_not_withdrawn(t
 @pytest.mark.long
 def test_a_chain_whose_uncertainty_is_declared_needs_no_rows_of_its_own(tmp_path):
     """16 positions of seven joints: 36 displacements of frames have a declared uncertainty, 9 are free."""
-    for name, text in draw(2226, 1182).files.items():
-        (tmp_path / name).write_text(text)
-    diagnosis = diagnose(read_recording(tmp_path / "recording.csv"))
+    recording = drawn(tmp_path, 2226, 1182)
+    diagnosis = diagnose(recording)
     assert (diagnosis.verdict, diagnosis.findings) == ("undetermined", ())
     assert diagnosis.rows_needed > 16
 
@@ -405,9 +390,8 @@ def test_effects_are_kept_that_hold_where_they_are_fitted_again(arm, monkeypatch
     ],
 )
 def test_what_a_search_without_a_block_does_not_find_is_kept(tmp_path, trial, labels):
-    for name, text in draw(*trial).files.items():
-        (tmp_path / name).write_text(text)
-    diagnosis = diagnose(read_recording(tmp_path / "recording.csv"))
+    recording = drawn(tmp_path, *trial)
+    diagnosis = diagnose(recording)
     assert diagnosis.searched_again is not None
     assert sorted(finding.effect.label for finding in diagnosis.findings) == labels
 
@@ -422,18 +406,16 @@ def test_what_a_search_without_a_block_does_not_find_is_kept(tmp_path, trial, la
 )
 def test_names_take_the_place_of_what_needs_more_numbers(tmp_path, trial, labels):
     """In MuJoCo: a gear's play with friction in its bearing, alone and with a spring beyond it."""
-    for name, text in draw(*trial).files.items():
-        (tmp_path / name).write_text(text)
-    found = terms(read_recording(tmp_path / "recording.csv"), thorough=True)
+    recording = drawn(tmp_path, *trial)
+    found = terms(recording, thorough=True)
     assert sorted(term.label for term in found) == labels
 
 
 @pytest.mark.long
 def test_a_function_lists_the_name_that_explains_as_much_where_samples_are_too_few_to_test_it(tmp_path):
     """Gravity presses the gear from one flank to the other at one position of joint 2, in 105 rows."""
-    for name, text in draw(2228, 1235).files.items():
-        (tmp_path / name).write_text(text)
-    (finding,) = diagnose(read_recording(tmp_path / "recording.csv")).findings
+    recording = drawn(tmp_path, 2228, 1235)
+    (finding,) = diagnose(recording).findings
     assert finding.effect.label == "unnamed:joint2"
     assert "joint_backlash:joint2" in [rival.effect.label for rival in finding.rivals if rival.gap < 3]
 
@@ -441,9 +423,8 @@ def test_a_function_lists_the_name_that_explains_as_much_where_samples_are_too_f
 @pytest.mark.long
 def test_functions_that_do_not_hold_where_they_are_fitted_again_are_withdrawn(tmp_path):
     """Two functions in the place of two waves and a compliance, in 30 rows."""
-    for name, text in draw(2226, 1509).files.items():
-        (tmp_path / name).write_text(text)
-    diagnosis = diagnose(read_recording(tmp_path / "recording.csv"))
+    recording = drawn(tmp_path, 2226, 1509)
+    diagnosis = diagnose(recording)
     assert diagnosis.withdrawn is not None
     assert diagnosis.findings == ()
 
@@ -468,7 +449,6 @@ def test_only_blocks_without_which_effects_were_found_say_whether_they_hold(afte
     errors = np.where(found_some, after, 6e-4)
     held_out = HeldOut(6e-4 * rows, errors, *np.zeros((4, len(rows))), found_some)
     monkeypatch.setattr("lite6jax.diagnosis.diagnose.held_out_errors", lambda *given: held_out)
-    monkeypatch.setattr("lite6jax.diagnosis.diagnose.refitted_errors", lambda *given: held_out)
     monkeypatch.setattr("lite6jax.diagnosis.diagnose.refitted_errors", lambda *given: held_out)
     assert bool(diagnose(recording).findings) == kept
 
