@@ -16,10 +16,12 @@ from lite6jax.search.curves import merge_harmonics, replace_by_curves
 from lite6jax.search.exchange import exchange, one_for_several
 from lite6jax.search.forward import forward
 from lite6jax.search.functions import unmasked
-from lite6jax.search.names import believable, challenge_names, significant
+from lite6jax.search.names import challenge_names
+from lite6jax.search.possible import believable
 from lite6jax.search.retest import renamed, retest
 from lite6jax.search.saturated import from_saturated, refined
 from lite6jax.search.shrinkage import shrink
+from lite6jax.search.significance import significant
 from lite6jax.search.state import SelectedTerm, State, preferred
 from lite6jax.search.whole_orders import with_whole_orders
 

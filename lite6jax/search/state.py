@@ -143,13 +143,31 @@ def preferred(problem: Problem, ours: State, theirs: State, by: float, options: 
 
     A model that leaves no degree of freedom is never preferred: it fits any readings, and says nothing of the noise.
     """
+    return ours.fit.freedom > 0 and ours.fit.gain_over(theirs.fit) > longer(problem, ours, theirs, options) + by
+
+
+def longer(problem: Problem, ours: State, theirs: State, options: EngineOptions) -> float:
+    """By how much the description of a state's terms is longer than that of another's, a log-likelihood."""
     n = ours.fit.freedom
-    if n < 1:
-        return False
-    longer = description_length(problem, ours.fit.terms.terms, n, options) - description_length(
-        problem, theirs.fit.terms.terms, n, options
-    )
-    return ours.fit.gain_over(theirs.fit) > longer + by
+    length, other = (description_length(problem, one.fit.terms.terms, n, options) for one in (ours, theirs))
+    return length - other
+
+
+def listing(problem: Problem, named: State, rest: State, state: State, term: Term, options: EngineOptions) -> State:
+    """The `named` state that takes the place of one with a further `term` than `rest`.
+
+    Where that is a function, and the names at its site are not clearly likelier, these list it.
+    """
+    if not term.nonparametric or preferred(problem, named, state, options.close, options):
+        return named
+    function = Alternative(term, max(named.fit.gain_over(state.fit), 0.0))
+    tested = [
+        replace(one, alternatives=(*one.alternatives, function))
+        if one.term not in rest.fit.terms.terms and one.term.site == term.site
+        else one
+        for one in named.tested
+    ]
+    return replace(named, tested=tuple(tested))
 
 
 def most_specific(choices: Sequence[T], judged: Callable[[T], float], term: Callable[[T], Term], close: float) -> T:

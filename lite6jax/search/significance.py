@@ -1,0 +1,96 @@
+"""The last tests of a search: each term beside all others, in the noise that they leave."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from lite6jax.estimation.concentration import Concentration, concentration
+from lite6jax.estimation.least_squares import Fit
+from lite6jax.estimation.multiplicity import multiplicity
+from lite6jax.estimation.options import EngineOptions
+from lite6jax.estimation.problem import Problem, wave_of
+from lite6jax.estimation.score_test import gain_p_value, score_test
+from lite6jax.estimation.terms import Term
+from lite6jax.search.against_noise import in_own_noise, is_noise
+from lite6jax.search.state import SelectedTerm, State, reduced, retested
+
+_CYCLES = 16.0
+"""Of a wave in the range of its angle: twice as many as the pieces of a spline without a name."""
+
+
+def significant(problem: Problem, state: State, options: EngineOptions) -> State:
+    """Each term tested beside all others of the final model; those that are not significant leave, the least first.
+
+    So does what explains little beside a function at its site: that may be what the function does not describe, unless
+    it is a wave that is too short for that.
+    A name also leaves if the error that remains at its site exceeds a small share of what it explains, and any term if
+    autocorrelated noise in its place is more likely.
+    """
+    left = concentration(problem, state.fit, options) if state.tested else None  # beside all of them
+    while state.tested:
+        # what left may have whitened the residuals
+        state = replace(state, fit=in_own_noise(problem, state.fit, options))
+        time = score_test(problem, state.fit, options).time
+        tests = [_tested_finally(problem, state, k, time, options) for k in range(len(state.tested))]
+        tests = [
+            replace(one, p_value=1.0)
+            if _misfit(problem, state, k, tests, options) or _leaves_more(one, k, state.fit, left, options)
+            else one
+            for k, one in enumerate(tests)
+        ]
+        worst = max(range(len(tests)), key=lambda k: (tests[k].p_value, -tests[k].score.gain))
+        if tests[worst].p_value < options.level:
+            return State(state.baseline, state.fit, tuple(tests))
+        state = reduced(problem, state, worst, options)
+    return replace(state, fit=in_own_noise(problem, state.fit, options))
+
+
+def _misfit(problem: Problem, state: State, k: int, tests: Sequence[SelectedTerm], options: EngineOptions) -> bool:
+    term, gain = tests[k].term, tests[k].score.gain
+    functions = [one.term.nonparametric and one.term.site == term.site for one in tests]
+    gains = [one.score.gain for one, there in zip(tests, functions, strict=True) if there]
+    if not gains or _fine(problem, term):
+        return False
+    if not term.nonparametric:
+        return any(gain < options.misfit * other for other in gains)
+    if gain == max(gains):
+        return False
+    # functions of one site describe one another's misfit: each adds to what they explain together
+    rest = state
+    for there in reversed(np.flatnonzero(functions).tolist()):
+        rest = reduced(problem, rest, there, options)
+    return gain < options.misfit * state.fit.gain_over(rest.fit)
+
+
+def _fine(problem: Problem, term: Term) -> bool:
+    """Whether a term is a wave too short for a smooth function to describe, or to leave."""
+    found = wave_of(problem, term)
+    return found is not None and found[1] * float(np.ptp(found[0].angle)) > 2 * np.pi * _CYCLES
+
+
+def _leaves_more(name: SelectedTerm, k: int, fit: Fit, left: Concentration | None, options: EngineOptions) -> bool:
+    if left is None or left.site != name.term.site or name.term.nonparametric:
+        return False
+    return options.misfit * fit.quadratic_gain(k) < left.gain
+
+
+def _tested_finally(problem: Problem, state: State, k: int, time: float, options: EngineOptions) -> SelectedTerm:
+    tested = state.tested[k]
+    if tested.term in problem.preset[0].terms:
+        return tested
+    rest = reduced(problem, state, k, options)
+    if tested.term.nonparametric:
+        gain = state.fit.gain_over(rest.fit)
+        p_value = min(gain_p_value(gain, tested.term.size, time) * multiplicity(problem, tested.term, options), 1.0)
+        tested = replace(tested, p_value=p_value, score=tested.score._replace(gain=gain))
+    else:
+        tested = retested(problem, state, k, time, options, rest)
+    noise = tested.p_value < options.level and is_noise(problem, state, k, options, rest)
+    return replace(tested, p_value=1.0) if noise else tested
+
+
+def all_significant(problem: Problem, state: State, options: EngineOptions) -> bool:
+    time = score_test(problem, state.fit, options).time
+    tests = (_tested_finally(problem, state, k, time, options) for k in range(len(state.tested)))
+    return all(one.p_value < options.level for one in tests)
