@@ -69,6 +69,7 @@ def to_document(found: Diagnosis) -> dict[str, Any]:
         "withdrawn": _withdrawn(found),
         "rows_needed": found.rows_needed if found.verdict == "undetermined" else None,
         "samples": problem.samples,
+        "left_out": problem.recording.row[found.left_out].tolist(),
         "heldout_rows": int(kept.sum()),
         "heldout_blocks": block_count(found.folds),
         "searched_again": None if found.searched_again is None else found.searched_again.to_dict(),

@@ -168,6 +168,11 @@ class Diagnosis(Summarised, Plotted):
         """Of the nuisance and all findings."""
         return self.selection.state.fit
 
+    @property
+    def left_out(self) -> NDArray[np.bool_]:
+        """`(sample,)`, rows that were not fitted, because a finding does not say what it does there."""
+        return self.problem.valid & ~self.fit.training if self.findings else np.zeros(self.problem.samples, bool)
+
     @cached_property
     def moves(self) -> tuple[Moves, ...]:
         """What each finding moves beyond what the nuisance would take up."""

@@ -103,6 +103,7 @@ _PARTS: Mapping[str, Check] = {
     ),
     "rows_needed": optional(whole(1)),
     "samples": whole(1),
+    "left_out": items(whole(1)),
     "heldout_rows": whole(0),
     "heldout_blocks": whole(1),
     "searched_again": SEARCHED_AGAIN,

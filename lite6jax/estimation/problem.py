@@ -210,6 +210,10 @@ class Problem(LinearisedProblem, Protocol):
         """The same problem under the other of two models of the inputs; None where these terms do not depend on it."""
         ...
 
+    def undetermined(self, term: Term) -> Mask:
+        """`(sample,)` bool, the samples at which a term does not say what it does, as between two of its states."""
+        ...
+
     def shrinkable(self, term: Term) -> bool:
         """Whether a named term can be fitted beside all periodic ones, because none is nearly collinear with it."""
         ...

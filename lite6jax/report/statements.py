@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 from lite6jax.effects.drivers import driver_of
 from lite6jax.report import data_faults, reference, worth
-from lite6jax.report.cells import fixed, number, ranges
+from lite6jax.report.cells import fixed, number, ranges, rows_named
 from lite6jax.report.quality import quality_statement
 from lite6jax.report.quantities import quantity
 from lite6jax.report.remedies import effect_name
@@ -312,7 +312,13 @@ def assumptions(document: Document) -> list[str]:
     inertial = document["model"]["accelerated"] and loaded
     undeclared = document["noise"]["declared_position_m"] is None
     missing = f"The sidecar declares {_undeclared_noise(document)}: tests use the noise estimated from the residuals."
-    return [*([INERTIAL] if inertial else []), *([missing] if undeclared else [])]
+    lines = [*([INERTIAL] if inertial else []), *([missing] if undeclared else [])]
+    if rows := document.get("left_out"):
+        lines.append(
+            f"A gear may be between its flanks in {rows_named(rows)}: estimates do without, and the held-out errors "
+            "include them."
+        )
+    return lines
 
 
 def _of_one_wave(finding: Entry, rival: Entry) -> bool:

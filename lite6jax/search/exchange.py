@@ -4,15 +4,21 @@ from lite6jax.estimation.multiplicity import multiplicity
 from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.problem import Problem
 from lite6jax.estimation.score_test import score_test
+from lite6jax.estimation.terms import Term
 from lite6jax.search.backward import eliminate, prune
-from lite6jax.search.forward import forward
+from lite6jax.search.forward import forward, with_next
 from lite6jax.search.state import SelectedTerm, State, extended, preferred, reduced, refitted
 
 
 def exchange(problem: Problem, state: State, options: EngineOptions) -> State:
-    """Tries the alternatives of every term in its place, and keeps the set that is clearly more likely."""
+    """Tries the alternatives of every term in its place, and keeps the set that is clearly more likely.
+
+    A single term of many numbers, such as a base that gives way in all directions, may have been found first where two
+    plain ones are true: it is exchanged for no more numbers than it has.
+    """
     best, tried = state, {frozenset(state.fit.terms.terms)}
-    improved = len(state.tested) >= options.several
+    alone = len(state.tested) < options.several
+    improved = not alone or any(t.size > 2 and not t.nonparametric for t in state.fit.terms.terms)
     while improved:
         improved, state = False, best
         pairs = [(k, a.term) for k, old in enumerate(state.tested) for a in old.alternatives[: options.exchanged]]
@@ -26,9 +32,24 @@ def exchange(problem: Problem, state: State, options: EngineOptions) -> State:
             tested = SelectedTerm(term, score.familywise(multiplicity(problem, term, options)), score)
             other = forward(problem, extended(problem, rest, tested, score.values, options), options)
             other = eliminate(problem, other, options)
+            if alone and other.fit.terms.size > best.fit.terms.size:
+                continue
             if preferred(problem, other, best, options.close, options):
-                best, improved = prune(problem, other, options), True
+                best, improved = _ranked_anew(problem, prune(problem, other, options), term, options), True
     return best
+
+
+def _ranked_anew(problem: Problem, state: State, term: Term, options: EngineOptions) -> State:
+    """The state with the likeliest candidate beside its other terms in the place of a term that it began with.
+
+    That term was an alternative beside others that have left since; its own alternatives are not known yet.
+    """
+    if term not in state.fit.terms.terms:
+        return state
+    rest = reduced(problem, state, state.fit.terms.terms.index(term), options)
+    ranked = with_next(problem, rest, options, shaped=False)
+    same = ranked is not None and ranked.tested[-1].term == term
+    return ranked if ranked is not None and (same or preferred(problem, ranked, state, 0.0, options)) else state
 
 
 def one_for_several(problem: Problem, state: State, options: EngineOptions) -> State:

@@ -41,7 +41,7 @@ def forward(problem: Problem, state: State, options: EngineOptions, shaped: bool
     """
     doubtful = 0
     while len(state.tested) < options.most_terms and doubtful < options.doubtful:
-        further = _with_next(problem, state, options, shaped)
+        further = with_next(problem, state, options, shaped)
         if further is None:
             break
         state = further
@@ -49,7 +49,7 @@ def forward(problem: Problem, state: State, options: EngineOptions, shaped: bool
     return state
 
 
-def _with_next(problem: Problem, state: State, options: EngineOptions, shaped: bool) -> State | None:
+def with_next(problem: Problem, state: State, options: EngineOptions, shaped: bool) -> State | None:
     """The state with the best single addition, or None where none is significant."""
     test = score_test(problem, state.fit, options)
 

@@ -160,10 +160,15 @@ def listing(problem: Problem, named: State, rest: State, state: State, term: Ter
     """
     if not term.nonparametric or preferred(problem, named, state, options.close, options):
         return named
-    function = Alternative(term, max(named.fit.gain_over(state.fit), 0.0))
+    return with_function_listed(named, rest, state, term)
+
+
+def with_function_listed(named: State, rest: State, state: State, function: Term) -> State:
+    """The `named` state, the names of which that `rest` lacks list the function at their site that `state` has."""
+    alternative = Alternative(function, max(named.fit.gain_over(state.fit), 0.0))
     tested = [
-        replace(one, alternatives=(*one.alternatives, function))
-        if one.term not in rest.fit.terms.terms and one.term.site == term.site
+        replace(one, alternatives=(*one.alternatives, alternative))
+        if one.term not in rest.fit.terms.terms and one.term.site == function.site
         else one
         for one in named.tested
     ]

@@ -14,7 +14,7 @@ from lite6jax.estimation.score_test import ScoreTest, score_test
 from lite6jax.estimation.terms import Term
 from lite6jax.search.forward import with_term
 from lite6jax.search.significance import all_significant
-from lite6jax.search.state import State, listing, longer, preferred, reduced
+from lite6jax.search.state import State, fitted_again, listing, longer, preferred, reduced, with_function_listed
 
 
 def with_tried_numbers(problem: Problem, state: State, options: EngineOptions) -> State:
@@ -22,6 +22,9 @@ def with_tried_numbers(problem: Problem, state: State, options: EngineOptions) -
     for tested in state.tested:
         if tested.term.chosen is None and tested.term in state.fit.terms.terms:
             state = _instead(problem, state, tested.term, options)
+    for tested in state.tested:
+        if tested.term.nonparametric and tested.term in state.fit.terms.terms:
+            state = _where_determined(problem, state, tested.term, options)
     return _plain_again(problem, state, options)
 
 
@@ -51,6 +54,29 @@ def _instead(problem: Problem, state: State, term: Term, options: EngineOptions)
         if not term.nonparametric or all_significant(problem, choice, options):
             best = listing(problem, choice, rest, state, term, options)
     return best
+
+
+def _where_determined(problem: Problem, state: State, function: Term, options: EngineOptions) -> State:
+    """The state with such a name in the place of a function, without the samples at which the name says nothing.
+
+    A gear is between its flanks at a few samples, where inertia and friction leave it. A function with a number for
+    their place describes these few as well. Where the name is preferred without them, they stay out of the fit, and
+    the name lists the function.
+    """
+    rivals = [rival for rival in problem.shaped if rival.site == function.site and problem.undetermined(rival).any()]
+    if not rivals or problem.preset[0].terms:
+        return state
+    k = state.fit.terms.terms.index(function)
+    test = score_test(problem, reduced(problem, state, k, options).fit, options, within=state.fit)
+    name = rivals[int(np.argmax([one.gain for one in test.explained(rivals)]))]
+    determined = state.fit.training & ~problem.undetermined(name)
+    there = fitted_again(problem, problem, state, determined, options)
+    rest = reduced(problem, there, k, options)
+    score = score_test(problem, rest.fit, options, within=there.fit).score([name])[0]
+    named = with_term(problem, rest, name, score, options)
+    if not preferred(problem, named, there, 0.0, options) or not all_significant(problem, named, options):
+        return state
+    return with_function_listed(named, rest, there, function)
 
 
 def _with_tried_number(test: ScoreTest, term: Term) -> Iterator[tuple[tuple[Term, ...], float]]:

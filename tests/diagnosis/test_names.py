@@ -176,6 +176,16 @@ def test_a_pair_of_names_is_exchanged_for_another_pair(tmp_path):
 
 
 @pytest.mark.long
+@pytest.mark.parametrize("trial", [(2218, 198), (2227, 733)])
+def test_two_plain_names_take_the_place_of_one_of_seven_numbers(tmp_path, trial):
+    """Before, a base that gives way in all directions; the truth is likelier by 10 to 20, with its three numbers."""
+    recording = drawn(tmp_path, *trial)
+    found = explain(recording, None, "declared", OPTIONS).selection.state
+    assert sorted(one.term.label for one in found.tested) == ["base_compliance:base", "joint_compliance:joint2"]
+    assert found.fit.terms.size == 3
+
+
+@pytest.mark.long
 def test_a_name_that_explains_no_more_than_a_function_lists_it(tmp_path):
     """A spring that yields is wind-up and compliance; of the latter these 1185 rows show nothing."""
     recording = drawn(tmp_path, 2226, 874)
@@ -409,6 +419,21 @@ def test_names_take_the_place_of_what_needs_more_numbers(tmp_path, trial, labels
     recording = drawn(tmp_path, *trial)
     found = terms(recording, thorough=True)
     assert sorted(term.label for term in found) == labels
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(("trial", "joint", "left_out"), [((2227, 797), 2, [9, 24]), ((2228, 1558), 4, [53, 54])])
+def test_a_gear_between_its_flanks_in_a_few_rows_has_play(tmp_path, trial, joint, left_out):
+    """In MuJoCo: at rest below its friction torque in one pose, or on its way across the gap in two rows. Before, steps
+    over the position, which have a number for their place.
+    """
+    diagnosis = diagnose(drawn(tmp_path, *trial))
+    (finding,) = diagnosis.findings
+    assert finding.effect.label == f"joint_backlash:joint{joint}"
+    assert f"unnamed:joint{joint}" in [rival.effect.label for rival in finding.rivals if rival.gap < 3]
+    document = to_document(diagnosis)
+    assert document["left_out"] == left_out
+    assert any("between its flanks in rows" in line for line in statements.assumptions(document))
 
 
 @pytest.mark.long

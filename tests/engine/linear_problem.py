@@ -204,6 +204,9 @@ class LinearProblem:
     def alternative(self, terms):
         return None
 
+    def undetermined(self, term):
+        return np.zeros(self.samples, bool)
+
     def shrinkable(self, term):
         return not term.periodic
 

@@ -32,6 +32,7 @@ from lite6jax.domains.pose.rigid_arm import rigid_arm
 from lite6jax.effects.catalogue import Untestable, catalogue, shaped, untestable
 from lite6jax.effects.deflection import Deflection, dense
 from lite6jax.effects.effect import Bending, Effect
+from lite6jax.effects.kinematic.gears import JointBacklash
 from lite6jax.effects.kinematic.surroundings import TimeOffset
 from lite6jax.effects.kinematic.weights import PayloadError
 from lite6jax.effects.motion import Motion, accelerated, beyond, select, shifted
@@ -308,6 +309,12 @@ class PoseProblem:
         else:
             motion = self.motion._replace(joint_acceleration=None)
         return None if self.inertia is None or motion is self.motion else replace(self, motion=motion, units={})
+
+    def undetermined(self, term: Term) -> Mask:
+        """Those of a gear that may be between its flanks."""
+        if not isinstance(term, JointBacklash):
+            return np.zeros(self.samples, bool)
+        return term.between_flanks(self.deflections.host_motion, self.deflections.host_loads)
 
     def shrinkable(self, term: Term) -> bool:
         """Whether an effect has drivers, none of which is a joint position."""

@@ -283,6 +283,10 @@ class TorqueProblem:
         """None: there is one model of the inputs."""
         return
 
+    def undetermined(self, term: Term) -> Mask:
+        """None: samples at rest, where friction may be anything, are no valid ones."""
+        return np.zeros(self.samples, bool)
+
     def shrinkable(self, term: Term) -> bool:
         """Whether an effect has drivers, none of which is a joint position."""
         assert isinstance(term, TorqueEffect)
