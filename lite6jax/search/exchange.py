@@ -14,7 +14,7 @@ def exchange(problem: Problem, state: State, options: EngineOptions) -> State:
     """Tries the alternatives of every term in its place, and keeps the set that is clearly more likely.
 
     A single term of many numbers, such as a base that gives way in all directions, may have been found first where two
-    plain ones are true: it is exchanged for no more numbers than it has.
+    plain ones are true: it is exchanged for two of no more numbers, if these are so much more likely.
     """
     best, tried = state, {frozenset(state.fit.terms.terms)}
     alone = len(state.tested) < options.several
@@ -34,7 +34,7 @@ def exchange(problem: Problem, state: State, options: EngineOptions) -> State:
             other = eliminate(problem, other, options)
             if alone and other.fit.terms.size > best.fit.terms.size:
                 continue
-            if preferred(problem, other, best, options.close, options):
+            if preferred(problem, other, best, options.together if alone else options.close, options):
                 best, improved = _ranked_anew(problem, prune(problem, other, options), term, options), True
     return best
 
