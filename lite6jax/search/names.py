@@ -53,7 +53,7 @@ def _named_again(problem: Problem, state: State, options: EngineOptions) -> Stat
 
 
 def _one_for_names(problem: Problem, state: State, options: EngineOptions) -> State:
-    """One function without a name, or one slow wave, in the place of several terms, unless these are clearly likelier.
+    """One function without a name, or slow waves of a site, in the place of several terms, unless clearly less likely.
 
     The terms are those of one site, all names, or all there are. Several effects of the catalogue can add up to one
     that it does not have: at one site a spring and a slow wave to an end stop, at two a payload and a base that gives
@@ -72,9 +72,9 @@ def _one_for_names(problem: Problem, state: State, options: EngineOptions) -> St
             for choice in (*functions, *_with_slow_waves(problem, rest, test, options, site)):
                 # beside the function a name may stay: it is then not what the function replaces
                 choice = _restored(problem, choice, named, options)
-                fewer = len(there) - sum(t.term in choice.fit.terms.terms for t in there)
-                margin = options.together * (fewer - 1)
-                if fewer > 1 and preferred(problem, choice, best or state, 0.0 if best else -margin, options):
+                gone = [t for t in there if t.term not in choice.fit.terms.terms]
+                margin = options.together * (_causes(problem, gone) - 1)
+                if len(gone) > 1 and preferred(problem, choice, best or state, 0.0 if best else -margin, options):
                     best = choice
         if best is None:
             return state
@@ -96,10 +96,23 @@ def _together(terms: Sequence[SelectedTerm]) -> Iterator[tuple[str | None, Seque
 def _with_slow_waves(
     problem: Problem, rest: State, test: ScoreTest, options: EngineOptions, site: str | None
 ) -> list[State]:
-    """The state with each of the lowest orders of a site that it does not have."""
+    """The state with each of the lowest orders of a site that it does not have, and with all of them."""
     waves = [wave for wave in slow_waves(problem, site) if wave not in rest.fit.terms.terms]
     scored = zip(waves, test.score(waves), strict=True)
-    return [with_term(problem, rest, wave, score, options) for wave, score in scored if not score.confounded]
+    found = [with_term(problem, rest, wave, score, options) for wave, score in scored if not score.confounded]
+    if 1 < len(waves) == len(found):
+        both = found[0]
+        for wave in waves[1:]:
+            score = score_test(problem, both.fit, options).score([wave])[0]
+            both = with_term(problem, both, wave, score, options)
+        found.append(both)
+    return found
+
+
+def _causes(problem: Problem, terms: Sequence[SelectedTerm]) -> int:
+    """How many effects these are: the slow waves of a site have one cause, such as a circle that is off centre."""
+    slow = [tested.term.site for tested in terms if tested.term in slow_waves(problem, tested.term.site)]
+    return len(terms) - len(slow) + len(set(slow))
 
 
 def _restored(problem: Problem, state: State, names: Sequence[SelectedTerm], options: EngineOptions) -> State:
