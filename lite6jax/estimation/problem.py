@@ -225,3 +225,8 @@ def wave_of(problem: Problem, term: Term) -> tuple[PeriodicFamily, float] | None
         if term.periodic and family.site == term.site and (order := family.order(term)) is not None:
             return family, order
     return None
+
+
+def acts_on(problem: LinearisedProblem, term: Term, model: tuple[Terms, Array]) -> Mask:
+    """`(row,)` bool, the rows that a term changes beside the terms of a model and their numbers."""
+    return np.any(problem.columns([term], beside=model), axis=(0, 2))

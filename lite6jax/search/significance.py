@@ -9,7 +9,7 @@ from lite6jax.estimation.concentration import Concentration, concentration
 from lite6jax.estimation.least_squares import Fit
 from lite6jax.estimation.multiplicity import multiplicity
 from lite6jax.estimation.options import EngineOptions
-from lite6jax.estimation.problem import Problem, wave_of
+from lite6jax.estimation.problem import Problem, acts_on, wave_of
 from lite6jax.estimation.score_test import gain_p_value, score_test
 from lite6jax.estimation.terms import Term
 from lite6jax.search.against_noise import in_own_noise, is_noise
@@ -47,13 +47,19 @@ def significant(problem: Problem, state: State, options: EngineOptions) -> State
 
 
 def _misfit(problem: Problem, state: State, k: int, tests: Sequence[SelectedTerm], options: EngineOptions) -> bool:
+    """Whether the k-th term may be what a function without a name at its place does not describe.
+
+    A name has to explain a share of what that function explains, and in autocorrelated noise as much: there neither
+    the function nor the noise need be what they are taken for.
+    """
     term, gain = tests[k].term, tests[k].score.gain
-    functions = [one.term.nonparametric and one.term.site == term.site for one in tests]
+    functions = [one.term.nonparametric and _at_its_place(problem, state, term, one.term) for one in tests]
     gains = [one.score.gain for one, there in zip(tests, functions, strict=True) if there]
     if not gains or _fine(problem, term):
         return False
     if not term.nonparametric:
-        return any(gain < options.misfit * other for other in gains)
+        share = options.misfit if state.fit.noise.white else 1.0
+        return any(gain < share * other for other in gains)
     if gain == max(gains):
         return False
     # functions of one site describe one another's misfit: each adds to what they explain together
@@ -61,6 +67,15 @@ def _misfit(problem: Problem, state: State, k: int, tests: Sequence[SelectedTerm
     for there in reversed(np.flatnonzero(functions).tolist()):
         rest = reduced(problem, rest, there, options)
     return gain < options.misfit * state.fit.gain_over(rest.fit)
+
+
+def _at_its_place(problem: Problem, state: State, term: Term, function: Term) -> bool:
+    """Whether a function acts at the site of a term, or on some of the groups of rows and the term on no others."""
+    if term.site == function.site or term.nonparametric:
+        return term.site == function.site
+    model = state.fit.terms, state.fit.values
+    acts, there = (set(problem.groups[acts_on(problem, one, model)].tolist()) for one in (term, function))
+    return acts <= there < set(problem.groups.tolist())
 
 
 def _fine(problem: Problem, term: Term) -> bool:

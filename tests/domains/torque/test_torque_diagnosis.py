@@ -10,6 +10,7 @@ from scipy.signal import lfilter
 
 from benchmarks.torque_trials.outside import presliding
 from benchmarks.torque_trials.physics import rigid, torques
+from benchmarks.torque_trials.trials import draw
 from lite6jax.diagnosis.document import write_document
 from lite6jax.diagnosis.options import Options
 from lite6jax.diagnosis.torque_diagnosis import diagnose_torques
@@ -21,7 +22,7 @@ from lite6jax.domains.torque.screening import contacts, screen_torques
 from lite6jax.effects.dynamic.friction import CoulombFriction, ViscousFriction
 from lite6jax.errors import InputError
 from lite6jax.estimation.options import EngineOptions
-from lite6jax.recordings import Recording
+from lite6jax.recordings import Recording, read_recording
 from lite6jax.report.torque_statements import verdict_statement, with_statements
 from lite6jax.search.search import search
 
@@ -146,6 +147,18 @@ def test_a_gain_that_drifts_is_a_function_of_load_and_time_in_autocorrelated_noi
     assert [(finding.effect.label, finding.effect.driver) for finding in found.findings] == [
         ("unnamed:joint2", "gravity torque of joint 2 and time")
     ]
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("trial", [639, 753])
+def test_inertia_beside_friction_without_a_name_has_to_explain_as_much_in_autocorrelated_noise(tmp_path, trial):
+    """Friction that bends before it slides, beside noise of coefficient 0.9: what a function of the velocity leaves at
+    reversals, where the joint accelerates most, had been a link's mass or a rotor's inertia.
+    """
+    for name, text in draw(54, trial).files.items():
+        (tmp_path / name).write_text(text)
+    found = diagnose_torques(read_recording(tmp_path / "recording.csv"), options=FEW)
+    assert {finding.effect.name for finding in found.findings} == {"unnamed"}
 
 
 @pytest.mark.parametrize(("again", "kept"), [(0.5, True), (1.2, False)])
