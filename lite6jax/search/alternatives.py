@@ -4,13 +4,11 @@ names that a search leaves out at first.
 
 from dataclasses import replace
 
-import numpy as np
-
 from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.problem import Problem, wave_of
 from lite6jax.estimation.score_test import ScoreTest, score_test
 from lite6jax.estimation.terms import Term
-from lite6jax.search.curves import local_curves
+from lite6jax.search.curves import local_curves_of
 from lite6jax.search.spectrum import as_likely
 from lite6jax.search.state import Alternative, SelectedTerm, State, added, reduced
 from lite6jax.search.whole_orders import slow_waves
@@ -102,10 +100,7 @@ def _steps(test: ScoreTest, term: Term) -> list[Term]:
     """Steps and bumps of a function's site over all that varies there: something else may step at the same samples."""
     if not term.nonparametric:
         return []
-    families = [family for family in test.problem.curves if family.site == term.site]
-    drivers = [(family, driver) for family in families for driver in family.drivers]
-    varied = ((family, driver) for family, driver in drivers if np.ptp(driver.values) > test.options.least_varied)
-    return [step for family, driver in varied for step in local_curves(test, family, driver)]
+    return local_curves_of(test, term.site)
 
 
 def _orders(test: ScoreTest, term: Term) -> list[Alternative]:

@@ -153,6 +153,13 @@ def with_curve(problem: Problem, beside: State, curve: Term, options: EngineOpti
     return State(beside.baseline, fit, (*beside.tested, tested))
 
 
+def local_curves_of(test: ScoreTest, site: str) -> list[Term]:
+    """Steps and bumps of a site over everything that varies there."""
+    drivers = [(family, driver) for family in test.problem.curves if family.site == site for driver in family.drivers]
+    varied = [(family, driver) for family, driver in drivers if np.ptp(driver.values) > test.options.least_varied]
+    return [curve for family, driver in varied for curve in local_curves(test, family, driver)]
+
+
 def local_curves(test: ScoreTest, family: CurveFamily, driver: CurveDriver) -> list[Term]:
     """The most likely step and the most likely bump, each of its best width."""
     found = []

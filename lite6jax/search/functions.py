@@ -111,7 +111,12 @@ def _has_samples(state: State, function: Term, options: EngineOptions) -> bool:
 
 
 def likely_functions(
-    problem: Problem, test: ScoreTest, options: EngineOptions, site: str | None = None, least: float | None = None
+    problem: Problem,
+    test: ScoreTest,
+    options: EngineOptions,
+    site: str | None = None,
+    local: Sequence[Term] = (),
+    least: float | None = None,
 ) -> list[LikelyFunction]:
     """The few functions that are most likely beside a tested fit: of several sites one of each, or a few of one site.
 
@@ -123,12 +128,13 @@ def likely_functions(
         test: of the fit beside which they are.
         options: thresholds.
         site: the only one, where given.
+        local: further ones to try, steps and bumps.
         least: gain that they must exceed; `close` where not given.
     """
     least = options.close if least is None else least
     found: dict[object, LikelyFunction] = {}
     searched, log_n = searched_size(problem, options), np.log(test.freedom)
-    flexible = [term for term in problem.flexible if site in (None, term.site)]
+    flexible = [*(term for term in problem.flexible if site in (None, term.site)), *local]
     for term, one in zip(flexible, test.explained(flexible), strict=True):
         # what the names and the nuisance explain already costs nothing
         gain = (

@@ -15,6 +15,7 @@ from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.problem import Problem
 from lite6jax.estimation.score_test import ScoreTest, score_test
 from lite6jax.search.backward import eliminate, prune
+from lite6jax.search.curves import local_curves_of
 from lite6jax.search.forward import forward, with_term
 from lite6jax.search.functions import likely_functions, most_preferred, with_each, with_functions
 from lite6jax.search.possible import believable
@@ -68,7 +69,8 @@ def _one_for_names(problem: Problem, state: State, options: EngineOptions) -> St
             rest = refitted(problem, state, [t for t in state.tested if t not in there], options)
             test = score_test(problem, rest.fit, options, within=state.fit)
             named = [tested for tested in there if not tested.term.nonparametric]
-            functions = with_each(problem, rest, likely_functions(problem, test, options, site), options)
+            local = [] if site is None else local_curves_of(test, site)
+            functions = with_each(problem, rest, likely_functions(problem, test, options, site, local), options)
             for choice in (*functions, *_with_slow_waves(problem, rest, test, options, site)):
                 # beside the function a name may stay: it is then not what the function replaces
                 choice = _restored(problem, choice, named, options)

@@ -422,6 +422,22 @@ def test_names_take_the_place_of_what_needs_more_numbers(tmp_path, trial, labels
 
 
 @pytest.mark.long
+def test_a_bump_is_tried_in_the_place_of_two_waves(tmp_path):
+    """Orders 2 and 5 describe it by chance, and every spline over the whole range worse than these."""
+    found = terms(drawn(tmp_path, 2230, 153), thorough=True)
+    assert [(term.name, term.site, term.driver) for term in found] == [("unnamed", "joint6", "position of joint 6")]
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(("trial", "also"), [((2228, 161), ["joint_compliance:joint3"]), ((2228, 339), [])])
+def test_orders_1_and_2_of_a_joint_are_one_effect_beside_a_function(tmp_path, trial, also):
+    """Before, a function of the position: two names had to be clearly likelier than one function."""
+    found = terms(drawn(tmp_path, *trial), thorough=True)
+    assert sorted(term.label for term in found if not isinstance(term, JointHarmonic)) == also
+    assert sorted(term.order for term in found if isinstance(term, JointHarmonic)) == [1, 2]
+
+
+@pytest.mark.long
 @pytest.mark.parametrize(("trial", "joint", "left_out"), [((2227, 797), 2, [9, 24]), ((2228, 1558), 4, [53, 54])])
 def test_a_gear_between_its_flanks_in_a_few_rows_has_play(tmp_path, trial, joint, left_out):
     """In MuJoCo: at rest below its friction torque in one pose, or on its way across the gap in two rows. Before, steps

@@ -96,7 +96,7 @@ class JointBacklash(JointEffect):
     def _pressing(self, motion: Motion, loads: Loads | None) -> Array:
         """`(sample,)` Nm towards the flank at a larger angle, friction overcome."""
         torque, *direction = [driver.values(motion, loads) for driver in self.drivers]
-        return torque - self.friction_torque_Nm * direction[0] if direction else torque
+        return torque - (self.friction_torque_Nm or 0.0) * direction[0] if direction else torque
 
 
 @final
