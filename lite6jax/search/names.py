@@ -21,7 +21,7 @@ from lite6jax.search.functions import likely_functions, most_preferred, with_eac
 from lite6jax.search.possible import believable
 from lite6jax.search.state import SelectedTerm, State, extended, listing, preferred, reduced, refitted
 from lite6jax.search.tried_numbers import with_tried_numbers
-from lite6jax.search.whole_orders import slow_waves
+from lite6jax.search.whole_orders import slow_waves, with_whole_orders
 
 
 def challenge_names(problem: Problem, state: State, options: EngineOptions) -> State:
@@ -47,7 +47,7 @@ def _named_again(problem: Problem, state: State, options: EngineOptions) -> Stat
             continue
         rest = reduced(problem, state, state.fit.terms.terms.index(term), options)
         named = prune(problem, eliminate(problem, forward(problem, rest, options, shaped=True), options), options)
-        named = believable(problem, named, options)
+        named = believable(problem, with_whole_orders(problem, named, options), options)
         if preferred(problem, named, state, 0.0, options):
             state = listing(problem, named, rest, state, term, options)
     return state
