@@ -430,7 +430,8 @@ def test_a_bump_is_tried_in_the_place_of_two_waves(tmp_path):
 
 @pytest.mark.long
 @pytest.mark.parametrize(
-    ("trial", "also"), [((2228, 161), ["joint_compliance:joint3"]), ((2228, 339), []), ((2230, 360), [])]
+    ("trial", "also"),
+    [((2228, 161), ["joint_compliance:joint3"]), ((2228, 339), []), ((2230, 360), []), ((2230, 743), [])],
 )
 def test_orders_1_and_2_of_a_joint_are_one_effect_beside_a_function(tmp_path, trial, also):
     """Before, a function of the position: two names had to be clearly likelier than one function."""
