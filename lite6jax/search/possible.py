@@ -22,11 +22,16 @@ def believable(problem: Problem, state: State, options: EngineOptions) -> State:
     while (k := _not_possible(problem, state, options)) is not None:
         impossible.append(state.tested[k].term)
         restricted, rest = problem.without_candidates(impossible), reduced(problem, state, k, options)
+        if len(impossible) > options.most_terms:
+            state = rest
+            continue
         choices = [eliminate(problem, forward(restricted, rest, options, shaped=True), options)]
         choices += with_functions(problem, rest, state.fit, options)
-        best = choices[0]
-        for choice in choices[1:]:
-            if preferred(problem, choice, best, 0.0, options):
+        best = rest
+        for choice in choices:
+            # a wave is no candidate that can be left out: the spectrum finds the same order again
+            found_again = any(term in impossible for term in choice.fit.terms.terms)
+            if not found_again and (best is rest or preferred(problem, choice, best, 0.0, options)):
                 best = choice
         if preferred(problem, state, best, options.close, options):
             # the data say that it resembles what is not possible, so that a name of something else is as wrong

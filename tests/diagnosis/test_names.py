@@ -422,6 +422,13 @@ def test_names_take_the_place_of_what_needs_more_numbers(tmp_path, trial, labels
 
 
 @pytest.mark.long
+def test_a_wave_that_is_too_large_to_be_one_leaves_although_the_spectrum_finds_it_again(tmp_path):
+    """A parabola in 30 rows: the search took out the same order for ever."""
+    found = terms(drawn(tmp_path, 2230, 871))
+    assert [(term.name, term.site) for term in found] == [("unnamed", "joint5")]
+
+
+@pytest.mark.long
 def test_a_bump_is_tried_in_the_place_of_two_waves(tmp_path):
     """Orders 2 and 5 describe it by chance, and every spline over the whole range worse than these."""
     found = terms(drawn(tmp_path, 2230, 153), thorough=True)
