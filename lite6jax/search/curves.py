@@ -154,9 +154,10 @@ def with_curve(problem: Problem, beside: State, curve: Term, options: EngineOpti
 
 
 def local_curves_of(test: ScoreTest, site: str) -> list[Term]:
-    """Steps and bumps of a site over everything that varies there."""
-    drivers = [(family, driver) for family in test.problem.curves if family.site == site for driver in family.drivers]
-    varied = [(family, driver) for family, driver in drivers if np.ptp(driver.values) > test.options.least_varied]
+    """Steps and bumps of a site over every quantity in which they are tried and which varies there."""
+    of_site = [family for family in test.problem.curves if family.site == site]
+    local = [(family, driver) for family in of_site for driver in family.drivers if driver.local]
+    varied = [(family, driver) for family, driver in local if np.ptp(driver.values) > test.options.least_varied]
     return [curve for family, driver in varied for curve in local_curves(test, family, driver)]
 
 
