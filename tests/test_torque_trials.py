@@ -288,6 +288,26 @@ def test_every_family_can_be_drawn(name):
     assert torques(setup, (Hidden(name, f"joint{joint}", {"size": 1.0}, fixed),), motion)[:, joint - 1].any()
 
 
+@pytest.mark.parametrize("name", [name for name, family in FAMILIES.items() if family.positive])
+def test_what_physics_gives_a_sign_is_drawn_with_it(name):
+    """Friction that drives an arm on, or a stop that draws it in, is no physics that a library has to tell apart."""
+    setup, motion = a_scene(warming=True)
+    view = View(setup, motion, setup.arm.noise)
+    drawn = [hiding._drawn(name, np.random.default_rng(seed), view, (), 0) for seed in range(12)]
+    assert {effect.values["size"] for effect in drawn if effect} == {1.0}
+    effect = next(filter(None, drawn))
+    joint = effect.number - 1
+    added = (torques(setup, (effect,), motion) - torques(setup, (), motion))[:, joint]
+    velocity = motion.dq[:, joint]
+    if name in ("soft_stop", "hardening_cable"):
+        rest = effect.fixed.get("at", effect.fixed.get("rest"))
+        assert np.all(added * (motion.q[:, joint] - rest) >= 0)
+    elif name == "presliding":  # bristles store energy, and give back less
+        assert np.sum(added * velocity) > 0
+    elif name not in ("saturation", "quantised"):
+        assert np.all(added * velocity >= 0)
+
+
 def test_motions_keep_within_the_limits():
     for seed in range(5):
         setup, motion = a_scene("seven" if seed % 2 else "lite6", seed=seed, seconds=20.0)

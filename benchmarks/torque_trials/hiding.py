@@ -82,8 +82,8 @@ def _drawn(name: str, rng: np.random.Generator, view: View, before: Sequence[Hid
         found = outside.drawn(name, rng, rigid(view.setup, (), motion), view.setup.arm.noise)
         if found is None:
             return None
-        side = 1.0 if name in ("quantised", "saturation") else float(rng.choice([-1.0, 1.0]))
-        return Hidden(name, f"joint{found[0]}", {"size": side}, found[1])
+        side = float(rng.choice([-1.0, 1.0]))
+        return Hidden(name, f"joint{found[0]}", {"size": 1.0 if FAMILIES[name].positive else side}, found[1])
     # a second ripple stands at the joint of the first
     joint = before[-1].number if before and before[-1].name == name else int(rng.integers(1 + still, dof + 1))
     site, side = f"joint{joint}", float(rng.choice([-1.0, 1.0]))

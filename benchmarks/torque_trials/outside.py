@@ -32,6 +32,8 @@ class Family:
         beside: effects of the catalogue that are true beside an unnamed one of the same joint: its straight part.
         warm: whether it needs temperatures that vary.
         nameless: whether no curve over anything recorded can be it, so that only a wrong name is wrong.
+        positive: whether its number is positive by physics: friction takes energy, a spring pulls back, a sensor that
+            saturates reads less. Where it may also be negative, it is a change of something that is there.
     """
 
     torque: Callable[[Values, int, Scene, Array], Array]
@@ -40,6 +42,7 @@ class Family:
     beside: tuple[str, ...] = ()
     warm: bool = False
     nameless: bool = False
+    positive: bool = False
 
 
 def _own(*quantities: str) -> Callable[[int, Values], Drivers]:
@@ -154,32 +157,38 @@ def _by_other(joint: int, fixed: Values) -> Drivers:
 
 
 FAMILIES: dict[str, Family] = {
-    "sticky_zone": Family(sticky_zone, _own("position", "direction"), ("centre", "width"), _FRICTION),
+    "sticky_zone": Family(sticky_zone, _own("position", "direction"), ("centre", "width"), _FRICTION, positive=True),
     "squared_load_friction": Family(
-        squared_load_friction, _own("load", "direction"), ("load_Nm",), (*_FRICTION, "load_friction")
+        squared_load_friction, _own("load", "direction"), ("load_Nm",), (*_FRICTION, "load_friction"), positive=True
     ),
-    "cross_load_friction": Family(cross_load_friction, _by_other, ("by", "other_load_Nm"), _FRICTION),
+    "cross_load_friction": Family(cross_load_friction, _by_other, ("by", "other_load_Nm"), _FRICTION, positive=True),
     "loaded_ripple": Family(
         loaded_ripple, _own("position", "load"), ("order", "second", "load_Nm"), ("torque_ripple", "torque_scale")
     ),
-    "soft_stop": Family(soft_stop, _own("position"), ("at",), ("joint_spring", "torque_offset")),
+    "soft_stop": Family(soft_stop, _own("position"), ("at",), ("joint_spring", "torque_offset"), positive=True),
     "presliding": Family(
-        presliding, _own("direction", "travel"), ("bristle_rad",), (*_FRICTION, "joint_spring", "torque_offset")
+        presliding,
+        _own("direction", "travel"),
+        ("bristle_rad",),
+        (*_FRICTION, "joint_spring", "torque_offset"),
+        positive=True,
     ),
     "asymmetric_viscous": Family(
         asymmetric_viscous, _own("velocity"), beside=("viscous_friction", "coulomb_friction", "torque_offset")
     ),
-    "squared_speed": Family(squared_speed, _own("velocity"), beside=_FRICTION),
-    "saturation": Family(saturation, _own("load"), ("knee_Nm",), ("torque_scale",)),
+    "squared_speed": Family(squared_speed, _own("velocity"), beside=_FRICTION, positive=True),
+    "saturation": Family(saturation, _own("load"), ("knee_Nm",), ("torque_scale",), positive=True),
     "gain_drift": Family(gain_drift, _own("time", "load"), beside=("torque_scale",)),
-    "quantised": Family(quantised, _own("load"), ("step_Nm",), nameless=True),
-    "hardening_cable": Family(hardening_cable, _own("position"), ("rest",), ("joint_spring", "torque_offset")),
+    "quantised": Family(quantised, _own("load"), ("step_Nm",), nameless=True, positive=True),
+    "hardening_cable": Family(
+        hardening_cable, _own("position"), ("rest",), ("joint_spring", "torque_offset"), positive=True
+    ),
     "joint_delay": Family(joint_delay, _own("velocity", "position"), nameless=True),
     "warming_coulomb": Family(
         warming_coulomb, _own("temperature", "direction"), beside=(*_FRICTION, "friction_temperature"), warm=True
     ),
     "uneven_viscous": Family(uneven_viscous, _own("position", "velocity"), ("centre",), _FRICTION),
-    "running_in": Family(running_in, _own("time", "direction"), beside=_FRICTION),
+    "running_in": Family(running_in, _own("time", "direction"), beside=_FRICTION, positive=True),
 }
 """By name."""
 

