@@ -1,8 +1,9 @@
 """Data faults weighed against physics: of both, the more likely explanation of a recording.
 
 This is the one orchestrator above screening and search. Screening corrects what is plainly a fault. A frame jump,
-another nominal table and a calibration file whose numbers all have errors resemble physics: each is accepted only where
-it is more likely than the physics found without it, the last two by a margin (`trusted_log_likelihood`).
+joints that were read before they settled, another nominal table and a calibration file whose numbers all have errors
+resemble physics: each is accepted only where it is more likely than the physics found without it, the last two by a
+margin (`trusted_log_likelihood`).
 """
 
 from collections.abc import Iterable, Sequence
@@ -138,7 +139,7 @@ def explain(
     best = given.explained(decisions or Decisions())
     if decisions is not None:
         return best
-    for weighed in (_jumps_weighed, _table_weighed, _calibration_weighed):
+    for weighed in (_jumps_weighed, _settling_weighed, _table_weighed, _calibration_weighed):
         best = weighed(best, given)
     return best
 
@@ -218,6 +219,24 @@ def _jumps_weighed(best: Explanation, given: _Given) -> Explanation:
     numbers = {"candidate_rows": rows, "log_likelihood_gap": -gap, "rival_terms": rival.labels}
     ruled_out = DataFault("frame_jump", (), {"reason": "physics", **numbers})
     return replace(rival, screened=replace(rival.screened, ruled_out=(*rival.screened.ruled_out, ruled_out)))
+
+
+def _settling_weighed(best: Explanation, given: _Given) -> Explanation:
+    """With the joint positions as they were read, where physics explains the poses better than a rest of each move.
+
+    Among few poses an effect that is not modelled yet can look like such a rest, whose correction would then have to be
+    undone by physics: a rest by a backlash of twice its size.
+    """
+    if not any(f.code == "unsettled_readouts" and f.numbers["shape"] != "rows" for f in best.screened.found):
+        return best
+    corrections = replace(best.decisions.corrections, settling=False)
+    rival = given.explained(replace(best.decisions, corrections=corrections))
+    gap = best.evidence - rival.evidence
+    if gap > 0:
+        return _annotated(best, "unsettled_readouts", log_likelihood_gap=gap, rival_terms=rival.labels)
+    numbers = {"reason": "physics", "log_likelihood_gap": -gap, "rival_terms": rival.labels}
+    ruled_out = (*rival.screened.ruled_out, DataFault("unsettled_readouts", (), numbers))
+    return replace(rival, screened=replace(rival.screened, ruled_out=ruled_out))
 
 
 def _table_weighed(best: Explanation, given: _Given) -> Explanation:

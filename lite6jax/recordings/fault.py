@@ -30,7 +30,7 @@ class DataFault:
         frame_jump              row, run (where one begins there), part ("base" or "tool"), translation_m, rotation_rad,
                                 twist, displacement_rms_m, p_value, log_likelihood_gap*, rival_terms*
         unsettled_readouts      shape ("move", "rows", "velocity" or "constant"), joints, all_joints, rest (a share, s
-                                or rad by the shape), rest_std, largest_rms_rad
+                                or rad by the shape), rest_std, largest_rms_rad, log_likelihood_gap*, rival_terms*
         nominal_table           declared, table, used ("table", "instead_of_file" or "none"), decided, share and
                                 share_std or declared_ratio and table_ratio, log_likelihood_gap*, rival_terms*, chain*
                                 ("as_published" or "fitted"), numbers_more*
@@ -48,7 +48,8 @@ class DataFault:
         joint_turns             outside_limits_rad: 0 where all are inside
         frame_jump              reason: "chance", "gradual", "too_few_rows" or "physics" (candidate_rows,
                                 log_likelihood_gap, rival_terms); samples, p_value
-        unsettled_readouts      reason: "moving", "chance", "too_few_rows" or "ordered_poses"; samples, p_value
+        unsettled_readouts      reason: "moving", "chance", "too_few_rows", "ordered_poses" or "physics"
+                                (log_likelihood_gap, rival_terms); samples, p_value
         nominal_table           reason: "own_chain", "single_table", "indistinguishable" or "declared_fits"; declared,
                                 table, fitted, likelier, and shares or ratios as above
 

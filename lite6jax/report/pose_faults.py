@@ -223,7 +223,8 @@ def _unsettled(rows: Sequence[int], n: Numbers) -> str:
     joints = "all joints" if n["all_joints"] else ", ".join(f"joint {joint}" for joint in n["joints"])
     return (
         f"The joints were read before the arm had settled: {shape} ({joints}; {n['rest']:.3g} ± {n['rest_std']:.1g} "
-        f"{unit}, up to {_mm(n['largest_rms_rad'], 2)} mrad RMS). The remainder was added to the joint positions. "
+        f"{unit}, up to {_mm(n['largest_rms_rad'], 2)} mrad RMS). "
+        f"{_compared(n, 'Without a correction')}The remainder was added to the joint positions. "
         f"{remedy}"
     )
 
@@ -233,6 +234,11 @@ def _settled(n: Numbers) -> str:
         return "Unsettled read-outs were not tested for: the arm moved while it was recorded."
     if n["reason"] == "too_few_rows":
         return f"{n['samples']} rows are too few to test for unsettled read-outs. Record more."
+    if n["reason"] == "physics":
+        return (
+            "The joints were read at rest: without a correction, the poses are more likely by "
+            f"{n['log_likelihood_gap']:.3g} of log-likelihood, with {_terms(n)}."
+        )
     if n["reason"] == "ordered_poses":
         return (
             f"Unsettled read-outs cannot be tested for: the moves before explain the poses ({_chance(n['p_value'])}), "

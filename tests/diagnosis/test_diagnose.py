@@ -5,7 +5,17 @@ from dataclasses import replace
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from diagnosis.recorded import NOISE, Made, check_values, found, moving_motion, searched, static_motion, with_effects
+from diagnosis.recorded import (
+    NOISE,
+    Made,
+    check_values,
+    drawn,
+    found,
+    moving_motion,
+    searched,
+    static_motion,
+    with_effects,
+)
 
 from lite6jax.arms import frames
 from lite6jax.arms.bundled import load_bundled
@@ -118,6 +128,33 @@ def test_a_jump_is_said_beside_physics(arm, still):
     (fault,) = explanation.screened.found
     assert (fault.code, fault.rows[0]) == ("frame_jump", 101)
     assert fault.numbers["log_likelihood_gap"] > 0
+
+
+def test_joints_that_were_read_early_are_settled_beside_physics(arm, still):
+    """A share of each move that was left is a fault, and says how unlikely the poses are without a correction."""
+    recording = with_effects(arm, COMPLIANCE).recording(still)
+    rest = 2e-4 * np.diff(still["joint_position"], axis=0, prepend=0.0)
+    early = replace(recording, joint_position=recording.joint_position - rest)
+    explanation = explain(early)
+    assert found(explanation.selection) == [("joint_compliance", "joint2")]
+    (fault,) = explanation.screened.found
+    assert (fault.code, fault.numbers["shape"]) == ("unsettled_readouts", "move")
+    assert fault.numbers["log_likelihood_gap"] > 0
+
+
+def test_physics_that_looks_like_joints_read_early_is_physics(tmp_path):
+    """A coupling in 34 poses: the same rest of each move of its joint explained them by chance, and was put into the
+    joint positions, where a backlash of twice its size undid it.
+    """
+    recording = drawn(tmp_path, 2240, 7)
+    assert [fault.code for fault in screen(recording).found] == ["unsettled_readouts"]
+    explanation = explain(recording)
+    assert explanation.labels == ["joint_coupling:joint3"]
+    assert explanation.screened.found == ()
+    (ruled_out,) = (fault for fault in explanation.screened.ruled_out if fault.code == "unsettled_readouts")
+    assert ruled_out.numbers["reason"] == "physics"
+    assert ruled_out.numbers["log_likelihood_gap"] > 0
+    assert ruled_out.numbers["rival_terms"] == explanation.labels
 
 
 @pytest.mark.long

@@ -85,6 +85,23 @@ FOUND = [
     ),
     (
         DataFault(
+            "unsettled_readouts",
+            (),
+            {
+                "shape": "constant",
+                "joints": [1, 2],
+                "all_joints": True,
+                "rest": 1e-4,
+                "rest_std": 2e-6,
+                "largest_rms_rad": 1e-4,
+                "log_likelihood_gap": 55.0,
+                "rival_terms": ["unnamed:joint2"],
+            },
+        ),
+        "Without a correction, the best explanation (unnamed:joint2) is less likely by 55 of log-likelihood.",
+    ),
+    (
+        DataFault(
             "unsettled_readouts", (3, 9, 12), {"shape": "rows", "joints": [1], "all_joints": False, "rest": 0.01}
         ),
         "in 3 rows: 0.01 of the move remained",
@@ -148,6 +165,14 @@ RULED_OUT = [
     (
         DataFault("unsettled_readouts", (), {"reason": "ordered_poses", "p_value": 1e-9, "samples": 40}),
         "Record some in random order.",
+    ),
+    (
+        DataFault(
+            "unsettled_readouts",
+            (),
+            {"reason": "physics", "log_likelihood_gap": 12.0, "rival_terms": ["joint_coupling:joint3"]},
+        ),
+        "more likely by 12 of log-likelihood, with joint_coupling:joint3",
     ),
     (DataFault("nominal_table", (), {"reason": "single_table", "declared": "xarm7"}), "xarm7 has only one"),
     (

@@ -15,6 +15,7 @@ import numpy as np
 from lite6jax.domains.pose.screening import columns, frame_jumps, nominal_table, rows, settling
 from lite6jax.domains.pose.screening.options import ScreeningOptions
 from lite6jax.domains.pose.screening.screened import Detection, Screened
+from lite6jax.recordings.fault import DataFault
 
 
 @final
@@ -28,8 +29,8 @@ class Screen:
         detect: returns the evidence for the fault, or the numbers that rule it out.
         correct: returns the recording without the fault, which is added to those found.
         rounds: how often it runs at most, each time on what the last correction left.
-        estimated: continuous quantities that a correction estimates, whose cost a comparison with physics includes;
-            none where the detector decides alone.
+        estimated: how many continuous quantities the correction of a fault estimates, whose cost a comparison with
+            physics includes; none where the detector decides alone.
         located: whether that cost includes the choice of a row too.
     """
 
@@ -38,17 +39,19 @@ class Screen:
     detect: Callable[[Screened, ScreeningOptions], Detection]
     correct: Callable[[Screened, Any, ScreeningOptions], Screened]
     rounds: Callable[[Screened, ScreeningOptions], int] = lambda state, options: 1
-    estimated: int = 0
+    estimated: Callable[[DataFault], int] = lambda fault: 0
     located: bool = False
 
-    def price(self, numbers: float, samples: int) -> float:
+    def price(self, fault: DataFault, numbers: float, samples: int) -> float:
         """Log-likelihood that a correction must gain over physics: ½ log n a quantity (Schwarz), log samples for a row.
 
         Args:
+            fault: that was corrected.
             numbers: how many were measured, n: rows times samples.
             samples: how many.
         """
-        return 0.5 * self.estimated * float(np.log(numbers)) + (float(np.log(samples)) if self.located else 0.0)
+        quantities = 0.5 * self.estimated(fault) * float(np.log(numbers))
+        return quantities + (float(np.log(samples)) if self.located else 0.0)
 
 
 def _column_rounds(state: Screened, options: ScreeningOptions) -> int:
@@ -81,10 +84,12 @@ SCREENS = (
         frame_jumps.detect_jump,
         frame_jumps.remove_jump,
         _jump_rounds,
-        estimated=6,
+        estimated=lambda fault: 6,
         located=True,
     ),
-    Screen(("unsettled_readouts",), "fit", settling.detect_unsettled, settling.settle_joints),
+    Screen(
+        ("unsettled_readouts",), "fit", settling.detect_unsettled, settling.settle_joints, estimated=settling.estimated
+    ),
     Screen(("nominal_table",), "fit", nominal_table.detect_other_table, nominal_table.use_other_table),
 )
 """All screens, in order."""
@@ -92,4 +97,5 @@ SCREENS = (
 
 def price(screened: Screened, numbers: float, samples: int) -> float:
     """Log-likelihood that the corrections made must gain over physics, as in `Screen.price`."""
-    return sum(sum(map(screened.count, screen.codes)) * screen.price(numbers, samples) for screen in SCREENS)
+    found = ((screen, fault) for screen in SCREENS for fault in screened.found if fault.code in screen.codes)
+    return sum(screen.price(fault, numbers, samples) for screen, fault in found)

@@ -23,12 +23,14 @@ class Corrections:
         table: the nominal table to be used where the data leave it open.
         known_jumps: row of the file and frame ("base" or "tool") of each jump, where these have been decided; then
             none is searched for, and only the size of these is estimated.
+        settling: whether joint positions are corrected where the joints were read before the arm had settled.
     """
 
     jumps: int | None = None
     beside_physics: bool = True
     table: str | None = None
     known_jumps: tuple[tuple[int, str], ...] | None = None
+    settling: bool = True
 
 
 @final

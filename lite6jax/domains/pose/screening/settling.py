@@ -53,6 +53,8 @@ def detect_unsettled(state: Screened, options: ScreeningOptions) -> Detection:
     samples = state.recording.samples
     if state.recording.motion != "static":
         return not_there("unsettled_readouts", reason="moving", samples=samples)
+    if not state.corrections.settling:
+        return Detection()
     searched = seek_unsettled(state.rigid_arm, options)
     if searched.shape is not None:
         return Detection(searched)
@@ -60,6 +62,13 @@ def detect_unsettled(state: Screened, options: ScreeningOptions) -> Detection:
         return not_there("unsettled_readouts", reason="too_few_rows", samples=samples)
     reason = "ordered_poses" if searched.ordered else "chance"
     return not_there("unsettled_readouts", reason=reason, samples=samples, p_value=searched.p)
+
+
+def estimated(fault: DataFault) -> int:
+    """How many numbers the correction of unsettled read-outs has: one for all joints, or one for each."""
+    if fault.numbers["shape"] == "rows":
+        return 0
+    return 1 if fault.numbers["all_joints"] else len(fault.numbers["joints"])
 
 
 def settle_joints(state: Screened, found: Unsettled, options: ScreeningOptions) -> Screened:
