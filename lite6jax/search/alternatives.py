@@ -92,7 +92,7 @@ def _like(state: State, k: int, rest: State, test: ScoreTest, gain: float) -> li
     for other, score in zip(terms, test.score(terms), strict=True):
         gap = state.fit.gain_over(added(problem, rest.fit, other, score.values, options))
         if gap < (options.close if other in slow or term.nonparametric else _SAME):
-            found.append(Alternative(other, max(gap, 0.0)))
+            found.append(Alternative(other, gap))  # negative where it explains more, though not enough for its number
     return found
 
 

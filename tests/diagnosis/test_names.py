@@ -472,6 +472,17 @@ def test_a_function_lists_the_name_that_explains_as_much_where_samples_are_too_f
 
 
 @pytest.mark.long
+def test_an_alternative_that_explains_more_is_listed_first(tmp_path):
+    """Play in MuJoCo, whose friction is a further number and costs what it gains over compliance."""
+    (finding,) = diagnose(drawn(tmp_path, 2240, 73)).findings
+    assert finding.effect.label == "joint_compliance:joint2"
+    gaps = [rival.gap for rival in finding.rivals]
+    assert gaps == sorted(gaps)
+    assert finding.rivals[0].effect.label == "joint_backlash:joint2"
+    assert gaps[0] < 0
+
+
+@pytest.mark.long
 def test_functions_that_do_not_hold_where_they_are_fitted_again_are_withdrawn(tmp_path):
     """Two functions in the place of two waves and a compliance, in 30 rows."""
     recording = drawn(tmp_path, 2226, 1509)

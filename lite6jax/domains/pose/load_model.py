@@ -18,6 +18,7 @@ from lite6jax.estimation.score_test import score_test
 from lite6jax.estimation.terms import Terms
 from lite6jax.search.final_estimates import with_alternative
 from lite6jax.search.search import Selection, search
+from lite6jax.search.state import preferred
 
 
 def search_load_model(
@@ -30,7 +31,8 @@ def search_load_model(
     """The search under the more likely load model.
 
     It starts with the load model under which the best single effect is more likely. Where the terms found are more
-    likely under the other, they are refitted with that; where they are clearly so, the search is repeated with it.
+    likely under the other, the search is repeated with that, as other terms may be still more likely there. If the
+    terms found then are not, and the two load models are not distinguished, the first ones are refitted.
 
     Args:
         problem: linearised.
@@ -48,9 +50,10 @@ def search_load_model(
     if gain <= 0:
         return selection
     other_problem, other_reference = _other(problem, reference)
-    if gain > options.close:
-        return search(other_problem, options, training, other_reference, thorough)
+    again = search(other_problem, options, training, other_reference, thorough)
     state = replace(selection.state, fit=other)
+    if gain > options.close or preferred(other_problem, again.state, state, 0.0, options):
+        return again
     return replace(selection, problem=other_problem, reference=other_reference, state=state)
 
 
