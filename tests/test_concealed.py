@@ -1,7 +1,9 @@
 """The concealed trials: a generator apart from the library, a threshold that holds, sealed truths, honest scores."""
 
 import ast
+import csv
 import hashlib
+import io
 import json
 import subprocess
 import sys
@@ -372,6 +374,17 @@ def test_a_seed_gives_the_same_trial_and_the_library_reads_it(index, tmp_path):
 def test_sizes_are_those_that_were_planned():
     trial = trials.draw(0, 0)
     assert [h["size"] for h in trial.truth["hidden"]] == pytest.approx(trial.truth["sizes"], rel=1e-3)
+
+
+@pytest.mark.parametrize("index", [13, 49, 297])
+def test_nothing_is_hidden_that_no_arm_can_have(index):
+    """These would draw payloads of less than nothing, and links that grow more than plastics do."""
+    trial = trials.draw(2240, index)
+    header, *rows = csv.reader(io.StringIO(trial.files["recording.csv"]))
+    payload = [float(row[header.index("payload_kg")]) for row in rows]
+    sizes = {effect["effect"]: effect["parameters"] for effect in trial.truth["hidden"]}
+    assert min(payload) + sizes.get("payload_error", {"mass_kg": 0.0})["mass_kg"] >= 0
+    assert sizes.get("link_thermal_expansion", {"expansion_per_K": 0.0})["expansion_per_K"] <= 1e-4
 
 
 def test_every_round_has_every_kind_in_its_share():

@@ -23,8 +23,10 @@ _MOST = {
     "joint_lag": 0.05,
     "joint_compliance": 1e-3,
     "base_compliance": 1e-3,
+    "link_thermal_expansion": 1e-4,
 }
-"""Sizes beyond which an effect is no small error any more: kg, s, rad/Nm; 20 mrad or 20 mm for the rest."""
+"""Sizes beyond which an effect is no small error any more, or of no material: kg, s, rad/Nm, 1/K (plastics); 20 mrad or
+20 mm for the rest."""
 
 
 def hide(plan: Plan, rng: np.random.Generator, view: View) -> tuple[Hidden, ...] | None:
@@ -53,8 +55,8 @@ def hide(plan: Plan, rng: np.random.Generator, view: View) -> tuple[Hidden, ...]
         sized = effect.scaled(found.size * times)
         if max(map(abs, sized.values[: sized.linear])) > _MOST.get(effect.name, 0.02):
             return None
-        # bodies weigh something: an engine that is to carry less than nothing carries nothing, and truth would lie
-        if plan.engine == "mujoco" and effect.name == "payload_error" and view.motion.payload.min() < -sized.values[0]:
+        # no arm carries less than nothing: an engine would carry nothing, and truth would lie
+        if effect.name == "payload_error" and view.motion.payload.min() < -sized.values[0]:
             return None
         hidden = (*hidden, sized)
     return hidden
