@@ -9,12 +9,45 @@ from lite6jax.estimation.problem import Problem, wave_of
 from lite6jax.estimation.score_test import ScoreTest, score_test
 from lite6jax.estimation.terms import Term
 from lite6jax.search.curves import local_curves_of
+from lite6jax.search.forward import with_next
+from lite6jax.search.retest import renamed
 from lite6jax.search.spectrum import as_likely
 from lite6jax.search.state import Alternative, SelectedTerm, State, added, reduced
 from lite6jax.search.whole_orders import slow_waves
 
 _SAME = 0.5
 """Of log-likelihood, within which the data say nothing of which of two terms it is: what noise lets a number gain."""
+
+
+def named_again(problem: Problem, state: State, options: EngineOptions) -> State:
+    """The state each named term of which is the most likely of all candidates beside the other terms.
+
+    A term has the alternatives of the step that found it, beside what was known then, and none where it took the
+    place of others. The candidates are therefore ranked once more beside the final model.
+    """
+    for k, tested in enumerate(state.tested):
+        if not tested.term.nonparametric and tested.term not in problem.preset[0].terms:
+            state = renamed(problem, _ranked_again(problem, state, k, options), k, options)
+    return state
+
+
+def _ranked_again(problem: Problem, state: State, k: int, options: EngineOptions) -> State:
+    """The state whose k-th term has what explains nearly as much beside the others among its alternatives.
+
+    Other orders of a wave are not ranked here: `_orders` lists those that are as likely.
+    """
+    ranked = with_next(problem, reduced(problem, state, k, options), options, shaped=False)
+    if ranked is None:
+        return state
+    tested, best = state.tested[k], ranked.tested[-1]
+    known = {tested.term, *(one.term for one in tested.alternatives)}
+    more = [
+        one
+        for one in (Alternative(best.term, 0.0), *best.alternatives)
+        if one.term not in known and not (one.term.periodic and one.term.label == tested.term.label)
+    ]
+    again = replace(tested, alternatives=(*tested.alternatives, *more))
+    return replace(state, tested=(*state.tested[:k], again, *state.tested[k + 1 :]))
 
 
 def with_alternatives(problem: Problem, state: State, options: EngineOptions) -> State:

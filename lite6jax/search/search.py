@@ -10,7 +10,7 @@ from lite6jax.estimation.problem import Mask, Problem
 from lite6jax.estimation.score_test import Score, gain_p_value, score_test
 from lite6jax.estimation.terms import Term, Terms
 from lite6jax.progress import entered
-from lite6jax.search.alternatives import with_alternatives
+from lite6jax.search.alternatives import named_again, with_alternatives
 from lite6jax.search.backward import eliminate, prune
 from lite6jax.search.curves import merge_harmonics, replace_by_curves
 from lite6jax.search.exchange import exchange, one_for_several
@@ -18,7 +18,7 @@ from lite6jax.search.forward import forward
 from lite6jax.search.functions import unmasked
 from lite6jax.search.names import challenge_names
 from lite6jax.search.possible import believable
-from lite6jax.search.retest import renamed, retest
+from lite6jax.search.retest import retest
 from lite6jax.search.saturated import from_saturated, refined
 from lite6jax.search.shrinkage import shrink
 from lite6jax.search.significance import significant
@@ -86,10 +86,7 @@ def search(
         state = retest(problem, state, options)
         state = significant(problem, believable(problem, state, options), options)
     if thorough and not any(term.shrunk for term in state.fit.terms.terms):
-        for k, tested in enumerate(state.tested):
-            if not tested.term.nonparametric and tested.term not in problem.preset[0].terms:
-                state = renamed(problem, state, k, options)
-        state = with_alternatives(problem, state, options)
+        state = with_alternatives(problem, named_again(problem, state, options), options)
     selection = Selection(problem, reference, state)
     return _reviewed(selection, options) if thorough else selection
 

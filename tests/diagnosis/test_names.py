@@ -483,6 +483,14 @@ def test_an_alternative_that_explains_more_is_listed_first(tmp_path):
 
 
 @pytest.mark.long
+def test_a_name_that_came_in_the_place_of_another_lists_what_explains_as_much(tmp_path):
+    """An offset of the frame of link 5, of six numbers; order 1 of joint 6 took the place of an order of 1.5."""
+    (finding,) = diagnose(drawn(tmp_path, 2240, 171)).findings
+    assert finding.effect.label == "joint_harmonic:joint6"
+    assert "frame_offset:link5" in [rival.effect.label for rival in finding.rivals[:3]]
+
+
+@pytest.mark.long
 def test_functions_that_do_not_hold_where_they_are_fitted_again_are_withdrawn(tmp_path):
     """Two functions in the place of two waves and a compliance, in 30 rows."""
     recording = drawn(tmp_path, 2226, 1509)
