@@ -88,9 +88,11 @@ class Terms:
 
     Attributes:
         terms: in the order of their numbers.
+        bounded: whether the possible range of a number is the standard deviation of its prior, where it has none.
     """
 
     terms: tuple[Term, ...] = ()
+    bounded: bool = False
 
     @cached_property
     def size(self) -> int:
@@ -111,7 +113,13 @@ class Terms:
     @cached_property
     def precision(self) -> Array:
         """`(size,)`, one over the variance of each number's prior; zero where there is none."""
-        return np.array([number.spread for term in self.terms for number in term.coordinates], float) ** -2.0
+        spread = np.array([number.spread for term in self.terms for number in term.coordinates], float)
+        return (np.minimum(spread, self.range) if self.bounded else spread) ** -2.0
+
+    @cached_property
+    def range(self) -> Array:
+        """`(size,)`, how far apart the least and the most are that each number can be; infinite where all is possible."""
+        return np.array([number.upper - number.lower for term in self.terms for number in term.coordinates], float)
 
     def part(self, values: Array, kept: Sequence[bool]) -> "tuple[Terms, Array]":
         """The terms that are kept, and their numbers out of `values` `(size,)`."""

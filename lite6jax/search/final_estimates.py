@@ -17,9 +17,11 @@ def final_estimates(problem: Problem, state: State, options: EngineOptions) -> S
     Derivatives are taken at the estimate. Orders that were chosen from a spectrum are fitted as well, unless one was
     whole and stays within `whole_within` standard deviations. Which of two models of the inputs holds is uncertain
     too: covariances include the squared difference between the values under both, times the probability of the other
-    (J. Hoeting et al., Bayesian Model Averaging, Statistical Science 14, 1999, eq. 3).
+    (J. Hoeting et al., Bayesian Model Averaging, Statistical Science 14, 1999, eq. 3). What the data leave open is held
+    by the range of what is possible: a model with a number far outside it would predict nonsense at other poses.
     """
-    fitted, between = state.fit, _between_models(problem, state.fit, options)
+    fitted = _within_range(problem, state.fit, options)
+    between = _between_models(problem, fitted, options)
     free = [term.chosen is not None for term in fitted.terms.terms]
     stds = [0.0] * len(free)
     uncertain = _with_exact_derivatives(problem, fitted, options)
@@ -36,6 +38,14 @@ def final_estimates(problem: Problem, state: State, options: EngineOptions) -> S
         for test, term, std in zip(state.tested, fitted.terms.terms, stds, strict=True)
     )
     return State(state.baseline, fitted, tested)
+
+
+def _within_range(problem: Problem, fitted: Fit, options: EngineOptions) -> Fit:
+    """The fit with the range of each number as its prior, where the data determine one less than that."""
+    if not np.any(np.sqrt(np.diagonal(fitted.covariance)) > fitted.terms.range):
+        return fitted
+    terms = replace(fitted.terms, bounded=True)
+    return fit(problem, terms, options, fitted.values, fitted.nuisance, fitted.training, fitted.noise)
 
 
 def _between_models(problem: Problem, fitted: Fit, options: EngineOptions) -> np.ndarray:
@@ -62,7 +72,8 @@ def _released(problem: Problem, fitted: Fit, free: list[bool], options: EngineOp
         terms.append(term.released() if is_free else term)
         values.append([*fitted.values[part], *([term.chosen] if is_free else [])])
     start, exact = join(values), _with_exact_derivatives(problem, fitted, options)
-    return fit(problem, Terms(tuple(terms)), options, start, fitted.nuisance, fitted.training, fitted.noise, exact)
+    released = Terms(tuple(terms), fitted.terms.bounded)
+    return fit(problem, released, options, start, fitted.nuisance, fitted.training, fitted.noise, exact)
 
 
 def _with_exact_derivatives(problem: Problem, fitted: Fit, options: EngineOptions) -> bool:

@@ -74,7 +74,8 @@ def renamed(problem: Problem, state: State, k: int, options: EngineOptions) -> S
     """
     tested = state.tested[k]
     rest = reduced(problem, state, k, options).fit
-    test = score_test(problem, rest, options)
+    # without the term, what it explains makes the residuals look autocorrelated
+    test = score_test(problem, rest, options, score_test(problem, state.fit, options).time)
     choices: list[tuple[SelectedTerm, Fit]] = [(tested, state.fit)]
     for alternative in tested.alternatives:
         if alternative.term in rest.terms.terms:
