@@ -68,7 +68,7 @@ def _covariance(found: "Diagnosis", model: "DiagnosedArm", J: Array) -> Array:
     frames, masses = len(problem.frames), len(problem.masses)
     moved = problem.frame_columns[frames:]  # by frame jumps: no prediction has them, but they are fitted beside
     columns = np.concatenate([whitened(J[:, : problem.rows], problem.measured.whitener), moved])
-    prior = Terms(tuple(freed(effect) for effect in model.physics.effects)).precision
+    prior = Terms(tuple(freed(effect) for effect in model.physics.effects), found.fit.terms.bounded).precision
     known = problem.precision
     precision = np.concatenate([known[:frames], known[len(known) - masses :], prior, 0 * moved[:, 0, 0]])
     return covariance_of(found.fit, problem.valid, columns, precision)[: len(J), : len(J)]

@@ -149,6 +149,7 @@ class EngineOptions:
     fade: float = option(0.2, "rad beyond the data within which a curve fades out", "half a period of order 15")
     # final estimates
     whole_within: float = option(2.0, "standard deviations within which an order is taken as whole", "95 %")
+    wrong_input: float = option(0.1, "probability that an input such as a load is declared wrong", "one case in ten")
 
 
 DEFAULTS = EngineOptions()

@@ -210,6 +210,10 @@ class Problem(LinearisedProblem, Protocol):
         """The same problem under the other of two models of the inputs; None where these terms do not depend on it."""
         ...
 
+    def inputs(self, terms: Terms) -> "Sequence[Term]":
+        """The candidates that say that an input on which these terms depend is wrong, such as a load."""
+        ...
+
     def undetermined(self, term: Term) -> Mask:
         """`(sample,)` bool, the samples at which a term does not say what it does, as between two of its states."""
         ...

@@ -118,7 +118,7 @@ class Terms:
 
     @cached_property
     def range(self) -> Array:
-        """`(size,)`, how far apart the least and the most are that each number can be; infinite where all is possible."""
+        """`(size,)`, between the least and the most that each number can be; infinite where all is possible."""
         return np.array([number.upper - number.lower for term in self.terms for number in term.coordinates], float)
 
     def part(self, values: Array, kept: Sequence[bool]) -> "tuple[Terms, Array]":

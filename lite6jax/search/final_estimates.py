@@ -5,10 +5,12 @@ from dataclasses import replace
 import numpy as np
 
 from lite6jax.estimation.least_squares import Fit, fit
+from lite6jax.estimation.multiplicity import description_length
 from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.problem import Problem
+from lite6jax.estimation.score_test import score_test
 from lite6jax.estimation.terms import Terms, join
-from lite6jax.search.state import State
+from lite6jax.search.state import State, added
 
 
 def final_estimates(problem: Problem, state: State, options: EngineOptions) -> State:
@@ -17,11 +19,12 @@ def final_estimates(problem: Problem, state: State, options: EngineOptions) -> S
     Derivatives are taken at the estimate. Orders that were chosen from a spectrum are fitted as well, unless one was
     whole and stays within `whole_within` standard deviations. Which of two models of the inputs holds is uncertain
     too: covariances include the squared difference between the values under both, times the probability of the other
-    (J. Hoeting et al., Bayesian Model Averaging, Statistical Science 14, 1999, eq. 3). What the data leave open is held
-    by the range of what is possible: a model with a number far outside it would predict nonsense at other poses.
+    (J. Hoeting et al., Bayesian Model Averaging, Statistical Science 14, 1999, eq. 3). So they do for an input that may
+    be wrong without being found so, on which every number may depend in proportion. What the data leave open is held
+    by the range of what is possible: a model with a number far outside it would predict nonsense elsewhere.
     """
     fitted = _within_range(problem, state.fit, options)
-    between = _between_models(problem, fitted, options)
+    between = _between_models(problem, fitted, options) + _beside_inputs(problem, fitted, options)
     free = [term.chosen is not None for term in fitted.terms.terms]
     stds = [0.0] * len(free)
     uncertain = _with_exact_derivatives(problem, fitted, options)
@@ -55,6 +58,25 @@ def _between_models(problem: Problem, fitted: Fit, options: EngineOptions) -> np
     difference = other.values - fitted.values
     probability = 1 / (1 + np.exp(np.clip(fitted.gain_over(other), -700, 700)))
     return probability * np.outer(difference, difference)
+
+
+def _beside_inputs(problem: Problem, fitted: Fit, options: EngineOptions) -> np.ndarray:
+    """What the covariance of the numbers gains as inputs may be wrong: by how much each would shift them, squared."""
+    gained = np.zeros_like(fitted.covariance)
+    test = score_test(problem, fitted, options)
+    wrong = problem.inputs(fitted.terms)
+    for term, score in zip(wrong, test.score(wrong), strict=True):
+        if score.confounded:
+            continue
+        other = added(problem, fitted, term, score.values, options)
+        own = slice(fitted.terms.size)
+        difference = other.values[own] - fitted.values
+        gain = other.gain_over(fitted) / test.time - description_length(problem, [term], test.freedom, options)
+        probability = options.wrong_input / (
+            options.wrong_input + (1 - options.wrong_input) * np.exp(-np.clip(gain, -700, 700))
+        )
+        gained += probability * (other.covariance[own, own] - fitted.covariance + np.outer(difference, difference))
+    return gained
 
 
 def with_alternative(problem: Problem, fitted: Fit, options: EngineOptions) -> Fit | None:
@@ -104,4 +126,5 @@ def _held(released: Fit, fitted: Fit, free: list[bool]) -> tuple[Fit, list[float
         terms.append(term)
         stds.append(float(np.sqrt(released.covariance[last, last])) if is_free else 0.0)
     covariance = released.covariance[np.ix_(kept, kept)]
-    return replace(released, terms=Terms(tuple(terms)), values=released.values[kept], covariance=covariance), stds
+    held = Terms(tuple(terms), released.terms.bounded)
+    return replace(released, terms=held, values=released.values[kept], covariance=covariance), stds

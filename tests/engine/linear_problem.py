@@ -201,6 +201,9 @@ class LinearProblem:
     def without_preset(self):
         return self
 
+    def inputs(self, terms):
+        return ()
+
     def alternative(self, terms):
         return None
 

@@ -302,6 +302,12 @@ class PoseProblem:
             return None
         return self.with_other_loads()
 
+    def inputs(self, terms: Terms) -> list[Term]:
+        """The payload's error, where terms depend on loads and the payload is not a term or a nuisance already."""
+        if not physics_of(terms).loaded:
+            return []
+        return [term for term in self.candidates if isinstance(term, PayloadError) and term not in terms.terms]
+
     def with_other_loads(self) -> "PoseProblem | None":
         """With inertial forces in the loads, or without; None for an arm at rest, or without masses or times."""
         if self.motion.joint_acceleration is None:

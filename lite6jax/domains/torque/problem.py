@@ -283,6 +283,10 @@ class TorqueProblem:
         """None: there is one model of the inputs."""
         return
 
+    def inputs(self, terms: Terms) -> tuple[Term, ...]:
+        """None: what is declared of masses is told apart by the torques themselves."""
+        return ()
+
     def undetermined(self, term: Term) -> Mask:
         """None: samples at rest, where friction may be anything, are no valid ones."""
         return np.zeros(self.samples, bool)

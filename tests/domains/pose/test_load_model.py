@@ -7,10 +7,13 @@ import pinocchio as pin
 import pytest
 from diagnosis.recorded import OPTIONS, Made, drawn, estimates, fitted_to, found, moving_motion, static_motion
 
+from lite6jax.diagnosis.diagnose import diagnose
+from lite6jax.diagnosis.options import Options
 from lite6jax.domains.pose.clock import linearised
 from lite6jax.domains.pose.load_model import search_load_model
 from lite6jax.domains.pose.problem import pose_problem
 from lite6jax.effects.kinematic.joints import JointCompliance, JointHarmonic
+from lite6jax.effects.kinematic.weights import PayloadError
 from lite6jax.estimation.score_test import Score
 from lite6jax.estimation.terms import Terms
 from lite6jax.search.final_estimates import final_estimates, with_alternative
@@ -37,9 +40,10 @@ def searched(problem):
     return search_load_model(*linearised(problem, OPTIONS), OPTIONS)
 
 
-def stated(selection):
-    """With final estimates."""
-    return replace(selection, state=final_estimates(selection.problem, selection.state, OPTIONS))
+def stated(selection, wrong_input=0.0):
+    """With final estimates, by the probability that the payload is declared wrong."""
+    options = replace(OPTIONS, wrong_input=wrong_input)
+    return replace(selection, state=final_estimates(selection.problem, selection.state, options))
 
 
 def recorded(made, motion, accelerating):
@@ -96,6 +100,42 @@ def test_what_is_unsure_of_the_loads_is_in_the_deviation(tmp_path, moving):
     wanted = fitted.covariance + np.outer(difference, difference) / (1 + np.exp(gain))
     np.testing.assert_allclose(said.covariance, wanted, rtol=1e-9)
     assert np.abs(said.values - COMPLIANCE) < 4 * np.sqrt(said.covariance[0])
+
+
+@pytest.mark.parametrize("payload", [0.0, 0.8])
+def test_a_payload_that_may_be_wrong_is_in_the_deviation(tmp_path, payload):
+    """By how much it would shift the compliance and what it makes of its variance, by its posterior probability."""
+    effects = ["joint_compliance:joint=2,compliance_rad_per_Nm=2e-5", f"payload_error:mass_kg={payload}"]
+    case = pose_problem(Made(tmp_path, effects, seed=1).recording(static_motion(5, 120)))
+    problem, reference = linearised(case, OPTIONS)
+    fitted = fitted_to(problem, Terms((SURE.term,)))
+    both = fitted_to(problem, Terms((SURE.term, PayloadError())))
+    gain, numbers = both.gain_over(fitted), problem.rows * problem.samples
+    odds = 0.1 / 0.9 * np.exp(gain - 0.5 * np.log(numbers))  # Schwarz's approximation, one number more
+    share, shift = odds / (1 + odds), both.values[0] - fitted.values[0]
+    wanted = (1 - share) * fitted.covariance[0, 0] + share * (both.covariance[0, 0] + shift**2)
+    selection = Selection(problem, reference, State(fitted, fitted, (SURE,)))
+    said = stated(selection, 0.1).state.fit.covariance[0, 0]
+    np.testing.assert_allclose(said, wanted * _exact(selection), rtol=0.05)
+    assert share < 0.05 if payload == 0 else 0.3 < share < 0.7
+
+
+def _exact(selection):
+    """What derivatives at the estimate make of the variance."""
+    return float(stated(selection).state.fit.covariance[0, 0] / selection.state.fit.covariance[0, 0])
+
+
+@pytest.mark.long
+def test_compliances_of_a_payload_that_is_too_little_to_be_found_are_in_their_intervals(tmp_path):
+    """Half a kilogram, which the recording shows by a log-likelihood of 5 beside them, and a quarter of both."""
+    recording = drawn(tmp_path, 2241, 261)
+    truth = {"joint2": 2.266614952960005e-05, "joint3": 1.1278647413608272e-4}
+    for options, inside in ((OPTIONS, True), (replace(OPTIONS, wrong_input=0.0), False)):
+        findings = diagnose(recording, options=Options(engine=options)).findings
+        assert sorted(f.effect.site for f in findings) == sorted(truth)
+        for finding in findings:
+            value, std = finding.parameters["compliance_rad_per_Nm"]
+            assert (abs(value - truth[finding.effect.site]) < 2 * std) == inside
 
 
 def test_an_arm_at_rest_has_no_other_loads(tmp_path):

@@ -17,6 +17,7 @@ import lite6jax
 from lite6jax.arms.chains import SixParameterForm
 from lite6jax.diagnosis.diagnose import diagnose
 from lite6jax.diagnosis.document import model_from_document, to_document
+from lite6jax.diagnosis.options import Options
 from lite6jax.domains.pose.compensate import compensate
 from lite6jax.domains.pose.predict import predict, predicted
 from lite6jax.domains.pose.registration import register_model
@@ -33,6 +34,7 @@ from lite6jax.effects.kinematic.links import FrameOffset
 from lite6jax.effects.kinematic.surroundings import ToolOffset
 from lite6jax.effects.nonparametric import Unnamed
 from lite6jax.effects.serialization import effect_as_dict
+from lite6jax.estimation.options import EngineOptions
 from lite6jax.model import predict_poses
 from lite6jax.recordings import Recording, read_recording, write_recording
 from lite6jax.report.bars import NO_BARS
@@ -157,10 +159,14 @@ def test_bars_are_those_of_draws_of_the_numbers(arm):
     np.testing.assert_allclose(bars.orientation_std, vectors.std(0), rtol=0.16)
 
 
-def test_the_covariance_is_that_of_the_fit(found, model):
-    """Of the effect's own number as it is reported; and of the prediction by least squares in closed form."""
+def test_the_covariance_is_that_of_the_fit(arm, found, model):
+    """Of the effect's own number, but that a prediction carries the declared payload, right or wrong; and of the
+    prediction by least squares in closed form.
+    """
     known, k = model.uncertainty, len(model.uncertainty.sites)
-    np.testing.assert_allclose(known.covariance[k:, k:], found.fit.covariance, rtol=1e-3)
+    sure = diagnose(arm.recording(narrow(1)), options=Options(engine=EngineOptions(wrong_input=0.0)))
+    np.testing.assert_allclose(known.covariance[k:, k:], sure.fit.covariance, rtol=1e-3)
+    assert np.all(found.fit.covariance > sure.fit.covariance)
     change = Derivatives(model, found.problem.motion, known.sites)
     J = change.all() / np.repeat(NOISE, 3)[:, None]
     flat = J.reshape(len(J), -1)
