@@ -376,15 +376,21 @@ def test_sizes_are_those_that_were_planned():
     assert [h["size"] for h in trial.truth["hidden"]] == pytest.approx(trial.truth["sizes"], rel=1e-3)
 
 
-@pytest.mark.parametrize("index", [13, 49, 297])
-def test_nothing_is_hidden_that_no_arm_can_have(index):
-    """These would draw payloads of less than nothing, and links that grow more than plastics do."""
-    trial = trials.draw(2240, index)
+@pytest.mark.parametrize(("seed", "index"), [(2240, 13), (2240, 49), (2240, 297), (2241, 140), (2241, 380)])
+def test_nothing_is_hidden_that_no_arm_can_have(seed, index):
+    """These would draw payloads of less than nothing, links that grow more than plastics do or bend by a seventh of a
+    degree under 1 Nm, and a spring as soft at an upright axis.
+    """
+    trial = trials.draw(seed, index)
     header, *rows = csv.reader(io.StringIO(trial.files["recording.csv"]))
     payload = [float(row[header.index("payload_kg")]) for row in rows]
     sizes = {effect["effect"]: effect["parameters"] for effect in trial.truth["hidden"]}
     assert min(payload) + sizes.get("payload_error", {"mass_kg": 0.0})["mass_kg"] >= 0
     assert sizes.get("link_thermal_expansion", {"expansion_per_K": 0.0})["expansion_per_K"] <= 1e-4
+    assert max(map(abs, sizes.get("link_compliance", {"none": 0.0}).values())) <= 1e-3
+    for effect in trial.truth["hidden"]:
+        if effect["effect"] == "hardening_spring":
+            assert effect["parameters"]["turn_rad"] <= 1e-3 * effect["fixed"]["torque_Nm"]
 
 
 def test_every_round_has_every_kind_in_its_share():

@@ -22,6 +22,7 @@ _MOST = {
     "time_offset": 0.04,
     "joint_lag": 0.05,
     "joint_compliance": 1e-3,
+    "link_compliance": 1e-3,
     "base_compliance": 1e-3,
     "link_thermal_expansion": 1e-4,
 }
@@ -54,6 +55,9 @@ def hide(plan: Plan, rng: np.random.Generator, view: View) -> tuple[Hidden, ...]
             return None
         sized = effect.scaled(found.size * times)
         if max(map(abs, sized.values[: sized.linear])) > _MOST.get(effect.name, 0.02):
+            return None
+        # an axis that is upright but for its making bears next to nothing: what turns it visibly is no spring of a gear
+        if "torque_Nm" in sized.fixed and abs(sized.values[0]) > _MOST["joint_compliance"] * sized.fixed["torque_Nm"]:
             return None
         # no arm carries less than nothing: an engine would carry nothing, and truth would lie
         if effect.name == "payload_error" and view.motion.payload.min() < -sized.values[0]:
