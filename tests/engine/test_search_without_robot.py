@@ -12,6 +12,7 @@ from lite6jax.estimation.noise import autocorrelation_time, noise_model
 from lite6jax.estimation.options import EngineOptions, documented
 from lite6jax.estimation.score_test import score_test
 from lite6jax.estimation.terms import Terms
+from lite6jax.search.alternatives import named_again
 from lite6jax.search.final_estimates import final_estimates
 from lite6jax.search.forward import forward
 from lite6jax.search.search import search
@@ -81,6 +82,57 @@ def test_a_name_that_one_group_alone_shows_does_not_stand():
     assert terms(found(problem)) == [Column("u3")]
     contradicted = problem.measured - np.array([[0.0], [1.5]]) * problem.data["u3"]
     assert Column("u3") not in terms(found(replace(problem, measured=contradicted)))
+
+
+def held(problem, name):
+    """A state with one term, which has no alternatives."""
+    term = Column(name)
+    fitted = fit(problem, Terms((term,)), OPTIONS)
+    score = score_test(problem, fit(problem, Terms(), OPTIONS), OPTIONS).score([term])[0]
+    return State(fit(problem, Terms(), OPTIONS), fitted, (SelectedTerm(term, 0.0, score),))
+
+
+def test_a_term_that_took_the_place_of_others_has_alternatives_too():
+    rng = np.random.default_rng(3)
+    problem = linear_problem(rng, planted=lambda d: 0.8 * d["u2"])
+    problem.data["u6"] = problem.data["u2"] + 0.01 * rng.normal(size=400)
+    (tested,) = named_again(problem, held(problem, "u2"), OPTIONS).tested
+    (other,) = tested.alternatives
+    assert {tested.term, other.term} == {Column("u2"), Column("u6")}
+    ours, theirs = (held(problem, term.name).fit for term in (tested.term, other.term))
+    assert other.gap == pytest.approx(ours.gain_over(theirs), abs=0.01)
+
+
+def test_the_likelier_neighbour_takes_the_place_of_a_term_and_is_as_significant_as_in_its_own_residuals():
+    """A ramp: the residuals without it look autocorrelated, in which it would be much less significant."""
+    rng = np.random.default_rng(4)
+    problem = linear_problem(rng, planted=lambda d: np.linspace(-30, 30, 400))
+    problem.data["u2"] = np.linspace(-1, 1, 400)
+    problem.data["u6"] = problem.data["u2"] + 0.1 * rng.normal(size=400)
+    begun = held(problem, "u6")
+    assert score_test(problem, begun.baseline, OPTIONS).score([Column("u2")])[0].p_value > 1e-8
+    (tested,) = named_again(problem, begun, OPTIONS).tested
+    assert tested.term == Column("u2")
+    assert tested.p_value < 1e-30
+    assert tested.alternatives[0].term == Column("u6")
+
+
+def test_what_the_data_leave_open_is_held_by_its_bounds():
+    """By ridge regression in closed form; and what they determine is not touched."""
+    rng = np.random.default_rng(6)
+    problem = linear_problem(rng, planted=lambda d: 0.8 * d["u2"])
+    problem.data["u4"] = 1e-3 * rng.normal(size=400)
+    bounded = Column("u4", coordinates=(Number(lower=-1.0, upper=1.0),))
+    wide = Column("u2", coordinates=(Number(lower=-1e3, upper=1e3),))
+    one, both = (fit(problem, Terms(model), OPTIONS) for model in ((wide,), (wide, bounded)))
+    assert np.sqrt(both.covariance[1, 1]) > 20
+    score = score_test(problem, one, OPTIONS).score([bounded])[0]
+    tested = [SelectedTerm(term, 0.0, score) for term in (wide, bounded)]
+    sure = final_estimates(problem, State(one, one, (tested[0],)), OPTIONS).fit
+    said = final_estimates(problem, State(one, both, tuple(tested)), OPTIONS).fit
+    assert abs(said.values[1]) < 1
+    assert 0.9 * 2 < np.sqrt(said.covariance[1, 1]) < 1.1 * 2  # the width of the prior
+    assert said.values[0] == pytest.approx(sure.values[0], abs=0.01 * np.sqrt(sure.covariance[0, 0]))
 
 
 class _Bent(LinearProblem):
