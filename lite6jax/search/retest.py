@@ -70,7 +70,9 @@ def _in_noise_model(problem: Problem, state: State, options: EngineOptions) -> S
 def renamed(problem: Problem, state: State, k: int, options: EngineOptions) -> State:
     """The state with the most likely of the k-th term and its alternatives.
 
-    They may rank otherwise beside the terms and in the noise that have been found since.
+    They may rank otherwise beside the terms and in the noise that have been found since. Of those that the data do not
+    distinguish it is the one with the most specific name; but a wave beside another one of its site stays, since all
+    orders of a site are one cause.
     """
     tested = state.tested[k]
     rest = reduced(problem, state, k, options).fit
@@ -92,6 +94,9 @@ def renamed(problem: Problem, state: State, k: int, options: EngineOptions) -> S
         return choice[1].log_likelihood(scale) - description_length(problem, [choice[0].term], n, options)
 
     best = most_specific(choices, judged, lambda choice: choice[0].term, options.close)
+    waves = [term for term in state.fit.terms.terms if term.periodic and term.label == tested.term.label]
+    if len(waves) > 1 and max(map(judged, choices)) - judged(choices[0]) < options.close:
+        best = choices[0]
     likely = best[1].log_likelihood(scale)
     alternatives = tuple(
         Alternative(other.term, float(likely - one.log_likelihood(scale)))
