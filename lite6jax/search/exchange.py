@@ -14,7 +14,9 @@ def exchange(problem: Problem, state: State, options: EngineOptions) -> State:
     """Tries the alternatives of every term in its place, and keeps the set that is clearly more likely.
 
     A single term of many numbers, such as a base that gives way in all directions, may have been found first where two
-    plain ones are true: it is exchanged for two of no more numbers, if these are so much more likely.
+    plain ones are true: it is exchanged for two of no more numbers, if these are so much more likely. That a second
+    cause is unlikely weighs against them only where the first is another one: beside its plain form, the second name
+    takes the place of further numbers.
     """
     best, tried = state, {frozenset(state.fit.terms.terms)}
     alone = len(state.tested) < options.several
@@ -34,7 +36,8 @@ def exchange(problem: Problem, state: State, options: EngineOptions) -> State:
             other = eliminate(problem, other, options)
             if alone and other.fit.terms.size > best.fit.terms.size:
                 continue
-            if preferred(problem, other, best, options.together if alone else options.close, options):
+            kept = {t.label for t in best.fit.terms.terms} <= {t.label for t in other.fit.terms.terms}
+            if preferred(problem, other, best, options.close if kept or not alone else options.together, options):
                 best, improved = _ranked_anew(problem, prune(problem, other, options), term, options), True
     return best
 

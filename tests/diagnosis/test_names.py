@@ -168,7 +168,7 @@ def test_a_pair_of_names_is_exchanged_for_another_pair(tmp_path):
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("trial", [(2218, 198), (2227, 733)])
+@pytest.mark.parametrize("trial", [(2218, 198), (2227, 733), (2242, 54)])
 def test_two_plain_names_take_the_place_of_one_of_seven_numbers(tmp_path, trial):
     """Before, a base that gives way in all directions; the truth is likelier by 10 to 20, with its three numbers."""
     recording = drawn(tmp_path, *trial)
