@@ -138,8 +138,8 @@ def findings_of(selection: Selection) -> tuple[Finding, ...]:
         assert isinstance(tested.term, Effect)
         rivals = tuple(Rival(a.term, a.gap) for a in tested.alternatives if isinstance(a.term, Effect))
         values, covariance = state.fit.values[numbers], state.fit.covariance[numbers, numbers]
-        gain, std = tested.score.gain, tested.chosen_std
-        findings.append(Finding(tested.term, values, covariance, tested.p_value, gain, rivals, std))
+        gain, std, share = tested.score.gain, tested.chosen_std, tested.input_share
+        findings.append(Finding(tested.term, values, covariance, tested.p_value, gain, rivals, std, share))
     return tuple(findings)
 
 

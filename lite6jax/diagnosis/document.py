@@ -125,6 +125,8 @@ def _finding(found: Diagnosis, k: int, before: float, after: float) -> dict[str,
     if finding.nearest is not None:
         rival, share = finding.nearest
         size |= {"nearest": {**located(rival.effect), "share": share}}
+    if finding.input_share:
+        size |= {"payload_share": finding.input_share}
     return {
         **located(effect),
         "parameters": {name: estimate._asdict() for name, estimate in finding.parameters.items()},

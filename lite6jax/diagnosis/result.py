@@ -54,6 +54,8 @@ class Finding:
         gain: log-likelihood that it explains.
         rivals: effects that it was preferred to, the nearest first.
         chosen_std: standard deviation of the number that the search chose for it, an order; zero where it is exact.
+        input_share: the share of the variance of its numbers, the greatest of them, that comes from a payload which may
+            be wrong without being found so.
     """
 
     effect: Effect
@@ -63,6 +65,7 @@ class Finding:
     gain: float
     rivals: tuple[Rival, ...]
     chosen_std: float = 0.0
+    input_share: float = 0.0
 
     @property
     def nearest(self) -> tuple[Rival, float] | None:

@@ -70,6 +70,7 @@ _FINDING = record(
         "confusable_with": items(_RIVAL),
         "peak_to_peak": mapping(_ESTIMATE),
         "effective_parameters": number(),
+        "payload_share": _SHARE,
         "nearest": record({**_PLACE, "share": number(0.0, 1.0)}),
         "statement": text,
     },

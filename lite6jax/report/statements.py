@@ -26,6 +26,8 @@ _VERDICTS = {
 }
 _LEFT_OVER = ("partly_explained", "unnamed", "unexplained", "undetermined")
 _PARTS = {"base": "the sensor's frame", "link": "the arm's own calibration", "tool": "the tool"}
+_MOST = 0.5
+"""The share of a variance from which it is most of it."""
 _EXCESSIVE = 5.0
 """Times the declared noise, beyond which residuals are not reported as noise."""
 
@@ -275,6 +277,12 @@ def what_to_record(document: Document) -> list[str]:
     if pairs:
         vary = f" in which {_joined(dict.fromkeys(drivers))} vary independently" if drivers else ""
         lines.append(f"To separate {_joined(pairs, 'or')}, record more poses{vary}.")
+    doubtful = [effect_title(finding) for finding in _detailed(document) if finding.get("payload_share", 0.0) > _MOST]
+    if doubtful:
+        lines.append(
+            f"To narrow the ± of {_joined(doubtful)}, record poses with another payload, or with none, as well: most "
+            "of its variance is that the payload may be wrong by too little to be found."
+        )
     for group in untested(document):
         if group.remedy:
             names = _joined(dict.fromkeys(effect_name(entry["effect"]) for entry in group.entries))

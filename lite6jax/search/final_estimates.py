@@ -24,7 +24,7 @@ def final_estimates(problem: Problem, state: State, options: EngineOptions) -> S
     by the range of what is possible: a model with a number far outside it would predict nonsense elsewhere.
     """
     fitted = _within_range(problem, state.fit, options)
-    between = _between_models(problem, fitted, options) + _beside_inputs(problem, fitted, options)
+    between, of_inputs = _between_models(problem, fitted, options), _beside_inputs(problem, fitted, options)
     free = [term.chosen is not None for term in fitted.terms.terms]
     stds = [0.0] * len(free)
     uncertain = _with_exact_derivatives(problem, fitted, options)
@@ -35,10 +35,11 @@ def final_estimates(problem: Problem, state: State, options: EngineOptions) -> S
             released = _released(problem, fitted, still, options) if any(still) or uncertain else None
         if released is not None:
             fitted, stds = _held(released, fitted, still)
-    fitted = replace(fitted, covariance=fitted.covariance + between)
+    fitted = replace(fitted, covariance=fitted.covariance + between + of_inputs)
+    shares = np.diagonal(of_inputs) / np.diagonal(fitted.covariance)
     tested = tuple(
-        replace(test, term=term, chosen_std=std)
-        for test, term, std in zip(state.tested, fitted.terms.terms, stds, strict=True)
+        replace(test, term=term, chosen_std=std, input_share=float(np.clip(np.max(shares[part]), 0.0, 1.0)))
+        for test, term, std, part in zip(state.tested, fitted.terms.terms, stds, fitted.terms.slices, strict=True)
     )
     return State(state.baseline, fitted, tested)
 

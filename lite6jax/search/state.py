@@ -42,6 +42,8 @@ class SelectedTerm:
         score: beside the other terms of the model at the time of the test.
         alternatives: terms that it was preferred to.
         chosen_std: standard deviation of the number that was chosen for it; zero where that is exact, or not known yet.
+        input_share: the share of the variance of its numbers, the greatest of them, that comes from inputs which may be
+            wrong without being found so; zero where that is not known yet.
     """
 
     term: Term
@@ -49,6 +51,7 @@ class SelectedTerm:
     score: Score
     alternatives: tuple[Alternative, ...] = ()
     chosen_std: float = 0.0
+    input_share: float = 0.0
 
 
 @final

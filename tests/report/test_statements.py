@@ -386,6 +386,19 @@ def test_orders_that_are_one_wave_are_told_apart_by_other_positions(compliant):
     )
 
 
+def test_most_of_a_deviation_may_be_from_the_payload(compliant):
+    (finding,) = compliant.findings
+    said = {}
+    for share in (0.4, 0.6):
+        document = documented(replace(compliant, findings=(replace(finding, input_share=share),)))
+        assert document["findings"][0]["payload_share"] == share
+        said[share] = statements.what_to_record(document)
+    assert [line for line in said[0.6] if line not in said[0.4]] == [
+        "To narrow the ± of joint compliance at joint2, record poses with another payload, or with none, as well: most "
+        "of its variance is that the payload may be wrong by too little to be found."
+    ]
+
+
 def test_what_is_confounded_is_to_be_declared(compliant):
     start = "To test for effects that are confounded or not observed, "
     last = statements.what_to_record(documented(compliant))[-1]

@@ -115,8 +115,9 @@ def test_a_payload_that_may_be_wrong_is_in_the_deviation(tmp_path, payload):
     share, shift = odds / (1 + odds), both.values[0] - fitted.values[0]
     wanted = (1 - share) * fitted.covariance[0, 0] + share * (both.covariance[0, 0] + shift**2)
     selection = Selection(problem, reference, State(fitted, fitted, (SURE,)))
-    said = stated(selection, 0.1).state.fit.covariance[0, 0]
-    np.testing.assert_allclose(said, wanted * _exact(selection), rtol=0.05)
+    said = stated(selection, 0.1).state
+    np.testing.assert_allclose(said.fit.covariance[0, 0], wanted * _exact(selection), rtol=0.05)
+    np.testing.assert_allclose(said.tested[0].input_share, 1 - fitted.covariance[0, 0] / wanted, rtol=0.1)
     assert share < 0.05 if payload == 0 else 0.3 < share < 0.7
 
 
@@ -136,6 +137,7 @@ def test_compliances_of_a_payload_that_is_too_little_to_be_found_are_in_their_in
         for finding in findings:
             value, std = finding.parameters["compliance_rad_per_Nm"]
             assert (abs(value - truth[finding.effect.site]) < 2 * std) == inside
+            assert (finding.input_share > 0.5) == inside  # from which the report says so
 
 
 def test_an_arm_at_rest_has_no_other_loads(tmp_path):
