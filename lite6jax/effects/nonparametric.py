@@ -1,9 +1,8 @@
 """Physics without a name: at one site, a function of one driver (spline, harmonics, hysteresis) or of several."""
 
 import re
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cache, cached_property
 from itertools import combinations_with_replacement
 from typing import ClassVar, final
 
@@ -49,7 +48,8 @@ Products = tuple[tuple[int, ...], ...]
 """Of drivers, by their indices; the constant is the empty product."""
 
 
-def products_of(drivers: Sequence[Driver], degree: int) -> Products:
+@cache
+def products_of(drivers: tuple[Driver, ...], degree: int) -> Products:
     """All products of up to `degree` drivers, the constant first.
 
     A direction of motion is in a product once at most: its square is the constant.
@@ -227,7 +227,7 @@ class Unnamed(Bending):
             return len(self.products)
         return 2 * len(self.orders) or len(self.memory) or self.pieces + 3
 
-    @cached_property
+    @property
     def products(self) -> Products:
         """Of the drivers; the constant alone where there is no degree."""
         return products_of(self.drivers, self.degree)

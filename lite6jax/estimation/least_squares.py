@@ -231,6 +231,8 @@ def _fitted(
         if length < (options.exact_settled if exact else options.settled):
             converged = True
             break
+        if before - cost < options.settled**2:
+            break  # where derivatives are inexact, steps may stay long and change nothing
     factor = variance_factor(state.squares[training], problem.rows, FREEDOM, 0)
     inverse = scaled_inverse(H) if len(H) else H
     covariance = inverse[k:, k:] * factor if len(H) else np.zeros((0, 0))

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, partial
+from operator import itemgetter
 from typing import Any, NamedTuple, final
 
 import jax
@@ -233,14 +234,23 @@ class Deflections:
     def _heavier(self, masses: tuple[Site, ...]) -> list[tuple[Loads | None, Loads | None, float]]:
         """For each mass the loads where it is smaller and where it is larger, and the step in its error."""
         if masses not in self._with_errors:
-            dof, found = len(self.kinematics), []
-            for k in range(len(masses)):
-                step = _STEP * np.eye(len(masses))[k]
-                errors = (mass_errors(masses, s, dof, self.errors) for s in (-step, step))
-                two = (self.loads_in(self.host_motion, errors=one) for one in errors)
-                found.append((*two, _STEP))
-            self._with_errors[masses] = found  # type: ignore[assignment]
+            self._with_errors[masses] = self._loads_by_mass(masses)
         return self._with_errors[masses]
+
+    def _loads_by_mass(self, masses: tuple[Site, ...]) -> list[tuple[Loads | None, Loads | None, float]]:
+        if self.inertia is None:
+            return [(None, None, _STEP)] * len(masses)
+        dof = len(self.kinematics)
+        none = MassErrors(np.zeros((dof, 4)), 0.0)
+        steps = [sign * _STEP * one for one in np.eye(len(masses)) for sign in (-1, 1)]
+        errors = [mass_errors(masses, step, dof, self.errors) or none for step in steps]
+        bodies = [with_mass_errors(self.inertia, one.links) for one in errors]
+        varied = jax.tree.map(lambda *parts: np.stack(parts), *bodies)
+        payloads = np.array([one.payload for one in errors])
+        kinematics = jnp.asarray(self.kinematics.ravel())
+        found = jax.tree.map(np.asarray, _loads_of_each(self.motion.chain, kinematics, self.motion, varied, payloads))
+        each = [jax.tree.map(itemgetter(k), found) for k in range(len(steps))]
+        return [(less, more, _STEP) for less, more in zip(each[::2], each[1::2], strict=True)]
 
     @cached_property
     def _with_errors(self) -> dict[tuple[Site, ...], list[tuple[Loads | None, Loads | None, float]]]:
@@ -268,3 +278,20 @@ def _host(deflection: Deflection) -> Deflection:
 def _loads(form: Form, kinematics: jax.Array, motion: Motion, inertia: Inertia) -> Loads:
     position, velocity, acceleration = motion.joint_position, motion.joint_velocity, motion.joint_acceleration
     return loads(form, kinematics, joint_motion(form, position), motion.payload, inertia, velocity, acceleration)
+
+
+@partial(jax.jit, static_argnums=0)
+def _loads_of_each(form: Form, kinematics: jax.Array, motion: Motion, inertia: Inertia, payload: jax.Array) -> Loads:
+    """Those of several arms that differ in their bodies alone, one after the other: of many rows they take much memory.
+
+    Args:
+        form, kinematics, motion: as of `_loads`.
+        inertia: each part of it `(arm, …)`.
+        payload: `(arm,)` kg, more than that of the motion.
+    """
+
+    def one(of_arm: tuple[Inertia, jax.Array]) -> Loads:
+        body, more = of_arm
+        return _loads(form, kinematics, motion._replace(payload=motion.payload + more), body)
+
+    return jax.lax.map(one, (inertia, payload))
