@@ -8,6 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from lite6jax import threads
+
 ROOT = Path(__file__).resolve().parents[1]
 LIMITED = """
 import json, os
@@ -33,3 +35,25 @@ def test_a_limit_holds_for_blas_and_for_xla():
     assert after == 1
     assert set(pools) == {1}
     assert sum("Eigen" in name for name in names) <= 1, names
+
+
+@pytest.mark.parametrize("cores", [1, 3])
+@pytest.mark.parametrize("count", [0, 1, 2, 40])
+def test_parts_come_back_in_their_order_and_the_first_is_done_alone(monkeypatch, cores, count):
+    monkeypatch.setattr(threads, "available", lambda: cores)
+    begun, done = [], []
+
+    def work(part: int) -> int:
+        begun.append((part, len(done)))
+        done.append(part)
+        return part**2
+
+    assert threads.by_parts(work, range(count)) == [part**2 for part in range(count)]
+    assert sorted(done) == list(range(count))
+    assert all(before > 0 for part, before in begun if part > 0), "a part began before the first was done"
+
+
+def test_an_error_in_a_part_is_raised(monkeypatch):
+    monkeypatch.setattr(threads, "available", lambda: 2)
+    with pytest.raises(ZeroDivisionError):
+        threads.by_parts(lambda part: 1 / (7 - part), range(20))

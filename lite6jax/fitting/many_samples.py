@@ -6,7 +6,6 @@ curvature of all is computed once, at the end, for the covariance. Slices are of
 that one function is compiled, and are added in order, so that sums do not depend on the threads.
 """
 
-from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import jax
@@ -127,8 +126,5 @@ def _all(
         )  # fmt: skip
         return np.array(total), np.asarray(squares)[: len(q)]
 
-    firsts = range(0, len(problem.pose), _SLICE)
-    first = part(firsts[0])  # before the threads, which could each begin to compile
-    with ThreadPoolExecutor(threads.available()) as pool:
-        parts = [first, *pool.map(part, firsts[1:])]
+    parts = threads.by_parts(part, range(0, len(problem.pose), _SLICE))
     return sum(total for total, _ in parts), np.concatenate([squares for _, squares in parts])  # type: ignore

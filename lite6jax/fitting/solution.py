@@ -1,6 +1,6 @@
 """What a fit returns: parameters, its result code, unidentifiable parameters, covariance and errors."""
 
-from collections.abc import Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import final
@@ -8,6 +8,7 @@ from typing import final
 import numpy as np
 from numpy.typing import NDArray
 
+from lite6jax import threads
 from lite6jax.arms.arm import Arm
 from lite6jax.fitting.chunks import pad, padded_size
 from lite6jax.fitting.compiled import Exported
@@ -59,25 +60,37 @@ def prediction_errors(
     What is compiled for `of` samples serves a part of them as well.
     """
     position, orientation = np.empty(len(pose)), None if pose.ndim == 2 else np.empty(len(pose))
-    for k, predicted in enumerate(_predicted(form, model, joint_position, of)):
-        some = slice(k * _AT_ONCE, (k + 1) * _AT_ONCE)
+
+    def compare(some: slice, predicted: Array) -> None:
         measured = pose[some]
         if orientation is None:
             position[some] = np.linalg.norm(predicted[:, :3, 3] - measured, axis=1)
-            continue
+            return
         position[some] = np.linalg.norm(predicted[:, :3, 3] - measured[:, :3, 3], axis=1)
         # ‖R̂ − R‖ = 2 √2 sin(angle / 2), which small angles do not round away
         chord = np.linalg.norm(predicted[:, :3, :3] - measured[:, :3, :3], axis=(1, 2))
         orientation[some] = 2 * np.arcsin(np.minimum(chord / np.sqrt(8), 1.0))
+
+    _predict_parts(form, model, joint_position, compare, of)
     return Errors(position, orientation, joint_position)
 
 
-def _predicted(form: ModelForm, model: ArmModel, joint_position: Array, of: int | None = None) -> Iterator[Array]:
-    """Predicted poses `(sample, 4, 4)`, `_AT_ONCE` samples at a time; compiled for `of` of them."""
+def _predict_parts(
+    form: ModelForm,
+    model: ArmModel,
+    joint_position: Array,
+    take: Callable[[slice, Array], None],
+    of: int | None = None,
+) -> None:
+    """Has `take` take predicted poses `(sample, 4, 4)`, `_AT_ONCE` samples at a time; compiled for `of` of them."""
     size = padded_size(min(of or len(joint_position), _AT_ONCE))[0]
-    for first in range(0, len(joint_position), _AT_ONCE):
-        q = joint_position[first : first + _AT_ONCE]
-        yield np.asarray(_predict(form.chain, model, pad(q, 0, size)))[: len(q)]
+
+    def part(first: int) -> None:
+        some = slice(first, first + _AT_ONCE)
+        q = joint_position[some]
+        take(some, np.asarray(_predict(form.chain, model, pad(q, 0, size)))[: len(q)])
+
+    threads.by_parts(part, range(0, len(joint_position), _AT_ONCE))
 
 
 @dataclass(frozen=True)
@@ -167,8 +180,12 @@ class Solution(Summarised):
             return quality_of_calibration(self.checked.position)
         measured, declared = self.recording.position, self.noise.declared
         assert measured is not None
-        parts = _predicted(self.form, self.model, self.recording.joint_position)
-        predicted = np.concatenate([poses[:, :3, 3] for poses in parts])
+        predicted = np.empty_like(measured)
+
+        def take(some: slice, poses: Array) -> None:
+            predicted[some] = poses[:, :3, 3]
+
+        _predict_parts(self.form, self.model, self.recording.joint_position, take)
         over_noise = None
         if declared is not None:
             left = (self.noise.position, self.noise.orientation)

@@ -1,6 +1,6 @@
 """Residuals of measured poses and their derivatives: of a rigid arm on the host, of a deflected one in JAX."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from functools import partial
 from typing import NamedTuple
 
@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from lite6jax import threads
 from lite6jax.arms import frames
 from lite6jax.arms.chains import Form, joint_motion
 from lite6jax.effects.deflection import Deflection
@@ -68,10 +69,23 @@ class RigidFrames(NamedTuple):
 
 def rigid_frames(model: ArmModel, joint_position: Array, sliding: tuple[int, ...]) -> RigidFrames:
     """The frames of a six-parameter chain with the prismatic joints `sliding` at `(joint, sample)` rad or m."""
+    found = list(_walked(model, joint_position, sliding))
+    return RigidFrames(np.stack(found), _tool(model, found[-1]))
+
+
+def rigid_tool(model: ArmModel, joint_position: Array, sliding: tuple[int, ...]) -> Array:
+    """The tool of `rigid_frames` alone, `(sample, 4, 4)`."""
+    *_, flange = _walked(model, joint_position, sliding)
+    return _tool(model, flange)
+
+
+def _walked(model: ArmModel, joint_position: Array, sliding: tuple[int, ...]) -> Iterator[Array]:
     links = [frames.transform_from_row(row) for row in np.asarray(model.geometry).reshape(-1, 6)]
-    found = list(frames.walk(links, joint_position.T, sliding, np.asarray(model.T_sensor_base)))
-    tool = (found[-1].reshape(-1, 4) @ np.asarray(model.T_flange_tool)).reshape(-1, 4, 4)
-    return RigidFrames(np.stack(found), tool)
+    return frames.walk(links, joint_position.T, sliding, np.asarray(model.T_sensor_base))
+
+
+def _tool(model: ArmModel, flange: Array) -> Array:
+    return (flange.reshape(-1, 4) @ np.asarray(model.T_flange_tool)).reshape(-1, 4, 4)
 
 
 def rigid_differences(tool: Array, measured: Measured) -> Array:
@@ -99,10 +113,13 @@ def _rotation_vector(R: Array) -> Array:
 def rigid_residuals(model: ArmModel, joint_position: Array, sliding: tuple[int, ...], measured: Measured) -> Array:
     """`rigid_differences` of a chain at `(joint, sample)` rad or m, block by block: not all frames are kept."""
     found = np.empty((measured.rows, joint_position.shape[1]))
-    for first in range(0, found.shape[1], frames.BLOCK):
+
+    def block(first: int) -> None:
         some = slice(first, first + frames.BLOCK)
-        tool = rigid_frames(model, joint_position[:, some], sliding).tool
+        tool = rigid_tool(model, joint_position[:, some], sliding)
         found[:, some] = rigid_differences(tool, measured.select(some))
+
+    threads.by_parts(block, range(0, found.shape[1], frames.BLOCK))
     return found
 
 

@@ -25,6 +25,7 @@ from lite6jax.domains.pose.kinematics import (
     displaced,
     rigid_differences,
     rigid_frames,
+    rigid_tool,
     site_columns,
     whitened,
 )
@@ -403,7 +404,7 @@ def pose_problem(
     """
     rigid = rigid_arm(recording, arm, geometry, factory)
     # where the sensor shows the tool by the rigid arm: a function of noise itself would fit that noise
-    shown = rigid_frames(rigid.start, recording.joint_position.T, recording.sliding).tool[:, :3, 3].T
+    shown = rigid_tool(rigid.start, recording.joint_position.T, recording.sliding)[:, :3, 3].T
     motion = motion_of_recording(recording)._replace(measured_position=shown)  # type: ignore[arg-type]
     inertia = inertia_of_arm(rigid.arm, recording.settings)
     masses, deviations = _uncertain_masses(inertia, recording.settings)

@@ -17,7 +17,7 @@ from scipy.spatial.distance import cdist
 
 from lite6jax.domains.pose.columns import columns_of
 from lite6jax.domains.pose.deflections import Deflections
-from lite6jax.domains.pose.kinematics import FRAMES, Measured, Site, rigid_frames, site_columns
+from lite6jax.domains.pose.kinematics import FRAMES, Measured, Site, rigid_tool, site_columns
 from lite6jax.effects.composition import Physics
 from lite6jax.effects.deflection import Deflection
 from lite6jax.effects.effect import Effect, Loading
@@ -181,7 +181,7 @@ class Derivatives:
         q, sliding = np.asarray(self._altered.joint_position), self.model.sliding
         for first in range(0, q.shape[1], _ROWS_AT_ONCE):
             rows = slice(first, min(first + _ROWS_AT_ONCE, q.shape[1]))
-            tool = rigid_frames(self.model.model, q[:, rows], sliding).tool
+            tool = rigid_tool(self.model.model, q[:, rows], sliding)
             rotation = np.moveaxis(tool[:, :3, :3], 0, -1)
             shown = Measured(tool[:, :3, 3].T, rotation, np.ones(2))
             sites = site_columns(self.model.model, q[:, rows], shown, sliding)
@@ -234,7 +234,7 @@ class Derivatives:
         drivers = (driver for effect in self.model.physics.effects for driver in effect.drivers)
         if not any(driver.quantity.startswith("measured position") for driver in drivers):
             return self.motion
-        tool = rigid_frames(self.model.model, np.asarray(self.motion.joint_position), self.model.sliding).tool
+        tool = rigid_tool(self.model.model, np.asarray(self.motion.joint_position), self.model.sliding)
         return self.motion._replace(measured_position=tool[:, :3, 3].T)  # type: ignore[arg-type]
 
     @cached_property
