@@ -9,7 +9,7 @@ from lite6jax.estimation.problem import Problem, wave_of
 from lite6jax.estimation.score_test import ScoreTest, score_test
 from lite6jax.estimation.terms import Term
 from lite6jax.search.curves import local_curves_of
-from lite6jax.search.forward import with_next
+from lite6jax.search.forward import likeliest
 from lite6jax.search.retest import renamed
 from lite6jax.search.spectrum import as_likely
 from lite6jax.search.state import Alternative, SelectedTerm, State, added, reduced
@@ -34,16 +34,15 @@ def named_again(problem: Problem, state: State, options: EngineOptions) -> State
 def _ranked_again(problem: Problem, state: State, k: int, options: EngineOptions) -> State:
     """The state whose k-th term has what explains nearly as much beside the others among its alternatives.
 
-    Other orders of a wave are not ranked here: `_orders` lists those that are as likely.
+    By how much they are less likely is not known yet. Other orders of a wave are not ranked here: `_orders` lists those
+    that are as likely.
     """
-    ranked = with_next(problem, reduced(problem, state, k, options), options, shaped=False)
-    if ranked is None:
-        return state
-    tested, best = state.tested[k], ranked.tested[-1]
+    tested = state.tested[k]
     known = {tested.term, *(one.term for one in tested.alternatives)}
+    near = likeliest(problem, reduced(problem, state, k, options), options, shaped=False)
     more = [
-        one
-        for one in (Alternative(best.term, 0.0), *best.alternatives)
+        Alternative(one.term, 0.0)
+        for one, _ in near
         if one.term not in known and not (one.term.periodic and one.term.label == tested.term.label)
     ]
     again = replace(tested, alternatives=(*tested.alternatives, *more))

@@ -18,7 +18,7 @@ _BETWEEN = 17
 """Numbers from half to twice a tried one that are scored: those that are tried are a factor of 2 to 3 apart."""
 
 
-class _Ranked(NamedTuple):
+class Ranked(NamedTuple):
     """A candidate, what it would explain, and the log-likelihood that its choice among orders costs."""
 
     term: Term
@@ -51,53 +51,66 @@ def forward(problem: Problem, state: State, options: EngineOptions, shaped: bool
 
 def with_next(problem: Problem, state: State, options: EngineOptions, shaped: bool) -> State | None:
     """The state with the best single addition, or None where none is significant."""
+    tried = likeliest(problem, state, options, shaped)
+    if not tried:
+        return None
+    n = state.fit.freedom
+    refits = [(one, score, added(problem, state.fit, one.term, score.values, options)) for one, score in tried]
+    scale = np.min([fit.scale for *_, fit in refits], axis=0)
+
+    def judged(refit: tuple[Ranked, Score, Fit]) -> float:
+        one, _, fit = refit
+        return fit.log_likelihood(scale) - 0.5 * one.explained.size * np.log(n) - one.searched
+
+    chosen = most_specific(refits, judged, lambda refit: refit[0].term, options.close)
+    one, score, fitted = chosen
+    likely = fitted.log_likelihood(scale)
+    alternatives = tuple(
+        Alternative(other.term, float(likely - fit.log_likelihood(scale)))
+        for other, _, fit in sorted(refits, key=lambda refit: -judged(refit))
+        if other is not one
+    )
+    tested = SelectedTerm(one.term, _familywise(problem, one, score, options), score, alternatives)
+    further = State(state.baseline, fitted, (*state.tested, tested))
+    return _refined(problem, _without_included(problem, further, options), options)
+
+
+def likeliest(problem: Problem, state: State, options: EngineOptions, shaped: bool) -> list[tuple[Ranked, Score]]:
+    """The candidate that explains most and noise does not, and then the few that explain nearly as much.
+
+    None where noise explains each of them.
+    """
     test = score_test(problem, state.fit, options)
-
-    def familywise(one: _Ranked, test: Explained | Score) -> float:
-        return test.familywise(multiplicity(problem, one.term, options))
-
     # a term that is there explains more beside a linearisation that is not at its estimate, as that of a delay
     there = state.fit.terms.terms
     named = [term for term in problem.candidates if not (term.periodic or term in there)]
-    candidates = [_Ranked(*pair, 0.0) for pair in zip(named, test.explained(named), strict=True)]
+    candidates = [Ranked(*pair, 0.0) for pair in zip(named, test.explained(named), strict=True)]
     if shaped and problem.shaped:
         pairs = zip(problem.shaped, test.explained(problem.shaped), strict=True)
-        candidates += [_Ranked(*pair, float(np.log(len(problem.shaped)))) for pair in pairs]
-    candidates += [_Ranked(line.term, line.explained, line.searched) for line in lines(test)]
+        candidates += [Ranked(*pair, float(np.log(len(problem.shaped)))) for pair in pairs]
+    candidates += [Ranked(line.term, line.explained, line.searched) for line in lines(test)]
     n = test.freedom
     ranked = sorted(
         (one for one in candidates if not one.explained.confounded and one.explained.gain > 0),
         key=lambda one: -one.penalised(n),
     )
-    likely = [one for one in ranked[: 3 * options.refitted] if familywise(one, one.explained) < options.level]
+    first = ranked[: 3 * options.refitted]
+    likely = [one for one in first if _familywise(problem, one, one.explained, options) < options.level]
     scores = dict(zip(likely, test.score([one.term for one in likely]), strict=True))
     # where correlated noise leaves none significant, the most likely one in white noise is tried
-    significant = [one for one in likely if familywise(one, scores[one]) < options.level] or likely
+    significant = [one for one in likely if _familywise(problem, one, scores[one], options) < options.level] or likely
     if not significant or significant[0].penalised(n) < 0:
-        return None
+        return []
     best, enough = significant[0], options.refitted_share * significant[0].explained.gain
     close = [one for one in ranked if one.explained.gain > enough][: options.refitted]
     tried = (best, *(one for one in close if one is not best))
     more = [one for one in tried if one not in scores]
     scores |= zip(more, test.score([one.term for one in more]), strict=True)
-    refits = [(one, added(problem, state.fit, one.term, scores[one].values, options)) for one in tried]
-    scale = np.min([fit.scale for _, fit in refits], axis=0)
+    return [(one, scores[one]) for one in tried]
 
-    def judged(pair: tuple[_Ranked, Fit]) -> float:
-        one, fit = pair
-        return fit.log_likelihood(scale) - 0.5 * one.explained.size * np.log(n) - one.searched
 
-    chosen = most_specific(refits, judged, lambda pair: pair[0].term, options.close)
-    likely = chosen[1].log_likelihood(scale)
-    alternatives = tuple(
-        Alternative(one.term, float(likely - fit.log_likelihood(scale)))
-        for one, fit in sorted(refits, key=lambda pair: -judged(pair))
-        if one is not chosen[0]
-    )
-    term, score = chosen[0].term, scores[chosen[0]]
-    tested = SelectedTerm(term, familywise(chosen[0], score), score, alternatives)
-    further = State(state.baseline, chosen[1], (*state.tested, tested))
-    return _refined(problem, _without_included(problem, further, options), options)
+def _familywise(problem: Problem, one: Ranked, test: Explained | Score, options: EngineOptions) -> float:
+    return test.familywise(multiplicity(problem, one.term, options))
 
 
 def with_term(problem: Problem, state: State, term: Term, score: Score, options: EngineOptions) -> State:
