@@ -36,7 +36,8 @@ def final_estimates(problem: Problem, state: State, options: EngineOptions) -> S
         if released is not None:
             fitted, stds = _held(released, fitted, still)
     fitted = replace(fitted, covariance=fitted.covariance + between + of_inputs)
-    shares = np.diagonal(of_inputs) / np.diagonal(fitted.covariance)
+    variance = np.diagonal(fitted.covariance)  # zero of what no sample depends on
+    shares = np.divide(np.diagonal(of_inputs), variance, out=np.zeros_like(variance), where=variance > 0)
     tested = tuple(
         replace(test, term=term, chosen_std=std, input_share=float(np.clip(np.max(shares[part]), 0.0, 1.0)))
         for test, term, std, part in zip(state.tested, fitted.terms.terms, stds, fitted.terms.slices, strict=True)

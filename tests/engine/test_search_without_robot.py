@@ -29,6 +29,17 @@ def terms(state):
     return [test.term for test in state.tested]
 
 
+def test_a_number_that_no_sample_depends_on_has_no_share_of_the_inputs():
+    problem = linear_problem(np.random.default_rng(0), planted=lambda d: 0.8 * d["u2"])
+    curve = Hat(0.0, 50.0, 10)  # of a turn and a half: what is beyond shows nowhere
+    terms = Terms((Column("u2"), curve))
+    fitted = fit(problem, terms, OPTIONS)
+    assert not np.diagonal(fitted.covariance).all()
+    tested = tuple(SelectedTerm(term, 0.0, None) for term in terms.terms)
+    said = final_estimates(problem, State(fit(problem, Terms(), OPTIONS), fitted, tested), OPTIONS)
+    assert [test.input_share for test in said.tested] == [0.0, 0.0]
+
+
 @pytest.mark.parametrize("seed", range(4))
 def test_planted_terms_are_found_with_their_numbers(seed):
     problem = linear_problem(np.random.default_rng(seed), planted=lambda d: 0.8 * d["u2"] - 0.5 * d["u5"])
