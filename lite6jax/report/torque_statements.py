@@ -25,6 +25,9 @@ _VERDICTS = {
     "unexplained": "Unexplained: more is left than the sensors' noise, and no effect is significant.",
     "undetermined": "Undetermined: the recording is too short to tell whether something is missing.",
 }
+_LEFT_OVER = ("partly_explained", "unnamed", "unexplained")
+_STANDS_OUT = 2.0
+"""Times the others, at which one joint is named apart."""
 
 
 def with_statements(document: Document) -> dict[str, Any]:
@@ -46,7 +49,27 @@ def verdict_statement(document: Document) -> str:
         )
     if verdict == "undetermined":
         return f"{statements.undetermined(_VERDICTS[verdict], document)} Record a longer one."
-    return _VERDICTS[verdict]
+    over_noise = document["left"]["torque_over_noise"]
+    if verdict not in _LEFT_OVER or over_noise is None:
+        return _VERDICTS[verdict]
+    return f"{_VERDICTS[verdict]} {_what_is_left(over_noise)}"
+
+
+def _what_is_left(over_noise: Sequence[float]) -> str:
+    """Held-out errors of each joint over its declared noise, and the joint that stands out."""
+    joint, most = max(enumerate(over_noise, 1), key=lambda pair: pair[1])
+    others = [value for number, value in enumerate(over_noise, 1) if number != joint]
+    if others and most > _STANDS_OUT * max(others):
+        return (
+            f"The held-out errors of joint {joint} are {most:.2g} times the declared noise, those of the others "
+            f"{_from_to(others)} times."
+        )
+    return f"The held-out errors are {_from_to(over_noise)} times the declared noise, and largest of joint {joint}."
+
+
+def _from_to(values: Sequence[float]) -> str:
+    least, most = (f"{value:.2g}" for value in (min(values), max(values)))
+    return least if least == most else f"{least} to {most}"
 
 
 def cautions(document: Document) -> list[str]:

@@ -74,6 +74,22 @@ def test_an_effect_short_of_the_level_leaves_it_open_whether_all_is_explained(di
     )
 
 
+@pytest.mark.parametrize(
+    ("over_noise", "said"),
+    [
+        ([2.03, 1.9, 18.2], " of joint 3 are 18 times the declared noise, those of the others 1.9 to 2 times."),
+        ([2.03, 1.9, 3.2], " are 1.9 to 3.2 times the declared noise, and largest of joint 3."),
+        ([1.52], " are 1.5 times the declared noise, and largest of joint 1."),
+    ],
+)
+def test_the_joint_is_said_of_which_most_is_left(diagnosed, over_noise, said):
+    document = diagnosed.to_dict() | {"verdict": "unexplained", "left": {"torque_over_noise": over_noise}}
+    assert verdict_statement(document).endswith(f"no effect is significant. The held-out errors{said}")
+    unknown = {"left": {"torque_over_noise": None}}
+    for changed in ({"verdict": "explained"}, unknown):
+        assert "times" not in verdict_statement(document | changed)
+
+
 def test_the_model_predicts_another_motion(diagnosed, tmp_path):
     path = write_document(with_statements(diagnosed.to_dict()), tmp_path / "d.json")
     model = read_torque_model(path)
