@@ -50,6 +50,11 @@ def number(value: float, digits: int = 4) -> str:
     return f"{value:.{digits}f}"
 
 
+def multiple(ratio: float) -> str:
+    """A ratio in two digits, and in whole numbers from 100 on."""
+    return f"{ratio:.2g}" if ratio < 99.5 else f"{ratio:.0f}"
+
+
 def fixed(value: float, digits: int = 4, sign: str = "") -> str:
     """A number in fixed point, without a minus before zero."""
     text = f"{value:{sign}.{digits}f}"

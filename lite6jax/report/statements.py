@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 from lite6jax.effects.drivers import driver_of
 from lite6jax.report import data_faults, reference, worth
-from lite6jax.report.cells import fixed, number, ranges, rows_named
+from lite6jax.report.cells import fixed, multiple, number, ranges, rows_named
 from lite6jax.report.quality import quality_statement
 from lite6jax.report.quantities import quantity
 from lite6jax.report.remedies import effect_name
@@ -137,7 +137,7 @@ def _withdrawn_title(entry: Entry) -> str:
 def _what_is_left(left: Entry) -> str:
     """What the model leaves, in a sentence."""
     ratios = [
-        f"{name} errors are {left[f'{key}_over_noise']:.2g} times the declared noise"
+        f"{name} errors are {multiple(left[f'{key}_over_noise'])} times the declared noise"
         for name, key in (("held-out position", "position"), ("orientation", "orientation"))
         if left[f"{key}_over_noise"] is not None
     ]

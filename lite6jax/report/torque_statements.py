@@ -5,7 +5,7 @@ from functools import partial
 from typing import Any, NamedTuple
 
 from lite6jax.report import data_faults, reference, statements, torque_reference
-from lite6jax.report.cells import each_with_unit, torque_units
+from lite6jax.report.cells import each_with_unit, multiple, torque_units
 from lite6jax.report.quantities import OF_TORQUES, Quantity, quantity
 from lite6jax.report.remedies import effect_name
 from lite6jax.report.statements import Untested, capital, effect_title
@@ -61,14 +61,14 @@ def _what_is_left(over_noise: Sequence[float]) -> str:
     others = [value for number, value in enumerate(over_noise, 1) if number != joint]
     if others and most > _STANDS_OUT * max(others):
         return (
-            f"The held-out errors of joint {joint} are {most:.2g} times the declared noise, those of the others "
+            f"The held-out errors of joint {joint} are {multiple(most)} times the declared noise, those of the others "
             f"{_from_to(others)} times."
         )
     return f"The held-out errors are {_from_to(over_noise)} times the declared noise, and largest of joint {joint}."
 
 
 def _from_to(values: Sequence[float]) -> str:
-    least, most = (f"{value:.2g}" for value in (min(values), max(values)))
+    least, most = map(multiple, (min(values), max(values)))
     return least if least == most else f"{least} to {most}"
 
 

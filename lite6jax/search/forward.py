@@ -78,7 +78,7 @@ def with_next(problem: Problem, state: State, options: EngineOptions, shaped: bo
 def likeliest(problem: Problem, state: State, options: EngineOptions, shaped: bool) -> list[tuple[Ranked, Score]]:
     """The candidate that explains most and noise does not, and then the few that explain nearly as much.
 
-    None where noise explains each of them.
+    Each comes with its score. There are none where noise explains them all.
     """
     test = score_test(problem, state.fit, options)
     # a term that is there explains more beside a linearisation that is not at its estimate, as that of a delay

@@ -113,7 +113,7 @@ class UnnamedTorque(JointTorque):
             return len(self.products)
         return 2 * len(self.orders) or self.pieces + 3
 
-    @cached_property
+    @property
     def products(self) -> Products:
         """Of the drivers; the constant alone where there is no degree."""
         return products_of(self.of, self.degree)

@@ -79,6 +79,7 @@ def test_an_effect_short_of_the_level_leaves_it_open_whether_all_is_explained(di
     [
         ([2.03, 1.9, 18.2], " of joint 3 are 18 times the declared noise, those of the others 1.9 to 2 times."),
         ([2.03, 1.9, 3.2], " are 1.9 to 3.2 times the declared noise, and largest of joint 3."),
+        ([1.0, 182.4], " of joint 2 are 182 times the declared noise, those of the others 1 times."),
         ([1.52], " are 1.5 times the declared noise, and largest of joint 1."),
     ],
 )
