@@ -156,5 +156,6 @@ NAMED: dict[str, Named] = {
     "payload_error": Named(("mass_kg",)),
     "base_tilt": Named(("tilt_x_rad", "tilt_y_rad"), 2),
     "time_offset": Named(("offset_s",)),
+    "torque_lag": Named(("lag_s",)),
 }
 """By name."""

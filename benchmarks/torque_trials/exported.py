@@ -27,6 +27,7 @@ _ARGUMENTS = {
     "tilt_x_rad": "rx",
     "tilt_y_rad": "ry",
     "offset_s": "dt",
+    "lag_s": "lag",
 }
 """What the open cases call the numbers of an effect."""
 

@@ -18,6 +18,7 @@ _MOST = {
     "scale": 0.5,
     "coefficient": 0.4,
     "offset_s": 0.04,
+    "lag_s": 0.04,
     "mass_kg": 1.0,
     "x_m": 0.05,
     "y_m": 0.05,
@@ -108,6 +109,8 @@ def _drawn(name: str, rng: np.random.Generator, view: View, before: Sequence[Hid
             return Hidden(name, site, {"offset_Nm": side})
         case "torque_scale":
             return Hidden(name, site, {"scale": side})
+        case "torque_lag":
+            return Hidden(name, site, {"lag_s": side})
         case "rotor_inertia":
             return Hidden(name, site, {"inertia_kg_m2": 1.0})
         case "joint_spring":

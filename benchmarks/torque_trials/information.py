@@ -222,6 +222,7 @@ def candidates(setup: Setup, motion: Motion, declared: bool) -> Iterator[list[Hi
         if np.ptp(motion.temperature) > 2:
             yield [Hidden("friction_temperature", site, {"viscous_Nm_s_per_rad_K": 0.0})]
         yield [Hidden("torque_scale", site, {"scale": 0.0})]
+        yield [Hidden("torque_lag", site, {"lag_s": 0.0})]
         spring = Hidden("joint_spring", site, {"stiffness_Nm_per_rad": 0.0, "rest_rad": 0.0})
         yield [spring, Hidden("torque_offset", site, {"offset_Nm": 0.0})]
         for velocity in (0.05, 0.2):

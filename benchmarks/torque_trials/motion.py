@@ -44,8 +44,12 @@ class Motion:
 
     def later(self, offset: float) -> "Motion":
         """The motion that is so many seconds ahead, at the same times."""
-        q, dq, ddq = self.curve(self.time + offset)
-        return replace(self, q=q, dq=dq, ddq=ddq)
+
+        def curve(time: Array) -> tuple[Array, Array, Array]:
+            return self.curve(time + offset)
+
+        q, dq, ddq = curve(self.time)
+        return replace(self, q=q, dq=dq, ddq=ddq, curve=curve)
 
     def thinned(self, every: int) -> "Motion":
         """Every so many samples of it."""

@@ -132,11 +132,6 @@ def hardening_cable(fixed: Values, joint: int, s: Scene, exerted: Array) -> Arra
     return way * np.abs(way)
 
 
-def joint_delay(fixed: Values, joint: int, s: Scene, exerted: Array) -> Array:
-    """The torque of one joint that is read early or late, to first order; a number of 1 is a second."""
-    return np.gradient(exerted, s.time)
-
-
 def warming_coulomb(fixed: Values, joint: int, s: Scene, exerted: Array) -> Array:
     """Dry friction that falls or rises with temperature."""
     return (s.temperature[:, joint] - AMBIENT) / _WARMER * sign(s.dq[:, joint])
@@ -183,7 +178,6 @@ FAMILIES: dict[str, Family] = {
     "hardening_cable": Family(
         hardening_cable, _own("position"), ("rest",), ("joint_spring", "torque_offset"), positive=True
     ),
-    "joint_delay": Family(joint_delay, _own("velocity", "position"), nameless=True),
     "warming_coulomb": Family(
         warming_coulomb, _own("temperature", "direction"), beside=(*_FRICTION, "friction_temperature"), warm=True
     ),

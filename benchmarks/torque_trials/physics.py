@@ -33,7 +33,8 @@ class Setup:
 def torques(setup: Setup, hidden: Sequence[Hidden], motion: Motion, scene: Scene | None = None) -> Array:
     """`(sample, joint)` Nm as a sensor without noise reads them.
 
-    Friction and springs add to what the rigid bodies ask for; what is outside to both; a sensor's scale is last.
+    Friction and springs add to what the rigid bodies ask for; what is outside to both; then come a sensor's scale and
+    the lag of what it shows.
 
     Args:
         setup: the arm where it stands.
@@ -60,6 +61,11 @@ def torques(setup: Setup, hidden: Sequence[Hidden], motion: Motion, scene: Scene
     for effect in hidden:
         if effect.name == "torque_scale":
             exerted[:, effect.number - 1] *= 1 + effect.values["scale"]
+    for joint in {effect.number - 1 for effect in hidden if effect.name == "torque_lag"}:
+        late = [effect for effect in hidden if effect.name == "torque_lag" and effect.number - 1 == joint]
+        others = tuple(effect for effect in hidden if effect not in late)
+        before = motion.later(-sum(effect.values["lag_s"] for effect in late))
+        exerted[:, joint] = torques(setup, others, before)[:, joint]
     return exerted
 
 

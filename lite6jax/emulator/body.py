@@ -127,8 +127,11 @@ class Body:
                 )
         if self.torque_effects and self.arm.mass is None:
             raise InputError(f"{self.arm.name}: has no masses, which torques need; add `inertial` to its description")
-        if abs(self.motors.delay) > LONGEST_OFFSET_S:
-            raise InputError(f"time_offset: an emulator supports at most {LONGEST_OFFSET_S:g} s; give a smaller offset")
+        if np.abs(self.motors.offsets).max() > LONGEST_OFFSET_S:
+            raise InputError(
+                f"{self.arm.name}: an emulator's torques are at most {LONGEST_OFFSET_S:g} s late or early; give a "
+                "smaller time_offset or torque_lag"
+            )
 
     @cached_property
     def type(self) -> int:

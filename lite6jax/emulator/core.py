@@ -275,11 +275,18 @@ class Core:
     def torque(self, time: Array) -> Array:
         """`(sample, joint)` N·m, the motor torques as they are read at `(sample,)` s: with effects and noise."""
         motors = self.body.motors
-        instants = time + motors.delay
-        q, dq = self.measured(instants)
-        later, earlier = (self.measured(instants + sign * DIFFERENCE_S / 2)[1] for sign in (1, -1))
-        sample = Sample(instants, q, dq, np.sign(dq))
-        return self.body.torque(sample, (later - earlier) / DIFFERENCE_S, self.carried) + motors.noise_at(time)
+        offsets, torque = motors.offsets, motors.noise_at(time)
+        for offset in np.unique(offsets):
+            joints = np.flatnonzero(offsets == offset)
+            torque[:, joints] += self._exerted(time + offset)[:, joints]
+        return torque
+
+    def _exerted(self, time: Array) -> Array:
+        """`(sample, joint)` N·m that the sensors show of what the motors exert at `(sample,)` s."""
+        q, dq = self.measured(time)
+        later, earlier = (self.measured(time + sign * DIFFERENCE_S / 2)[1] for sign in (1, -1))
+        sample = Sample(time, q, dq, np.sign(dq))
+        return self.body.torque(sample, (later - earlier) / DIFFERENCE_S, self.carried)
 
     def current(self, torque: Array, velocity: Array) -> Array:
         """`(sample, joint)` A of the assumed motor."""

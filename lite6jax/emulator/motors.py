@@ -124,9 +124,10 @@ class Motors:
     noise: Array
 
     @property
-    def delay(self) -> float:
-        """s, by which torques belong to a later motion than they are stamped with."""
-        return float(sum(values[0] for effect, values in self.effects if isinstance(effect, Delaying)))
+    def offsets(self) -> Array:
+        """`(joint,)` s by which torques belong to a later motion than they are stamped with."""
+        late = ((effect, values) for effect, values in self.effects if isinstance(effect, Delaying))
+        return sum((effect.offset(values[0], len(self.noise)) for effect, values in late), np.zeros(len(self.noise)))
 
     def torque(self, motion: Motion, payload_center: Array) -> Array:
         """`(sample, joint)` Nm that the motors exert about +z of the joints, without noise.

@@ -168,6 +168,10 @@ OF_TORQUES: Mapping[str, Remedy] = {
         "the base does not stand upright as declared",
         "Level the base, or set the mounting in the controller and gravity_m_per_s2 in the sidecar.",
     ),
+    "torque_lag": Remedy(
+        "the torque of {place} is shown late or early",
+        "Look at the filter and the bus of its drive, or correct the stamps of its torque by this lag.",
+    ),
     "time_offset": Remedy(
         "the torques are stamped late or early", "Synchronise the clocks, or correct the stamps by this offset."
     ),

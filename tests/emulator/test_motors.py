@@ -126,6 +126,19 @@ def test_a_payload_and_a_clock_are_seen_by_poses_and_motors(arm, lite6):
     assert np.abs(late.torque(time) - plain.torque(time)).max() > 1e-2
 
 
+def test_the_torque_of_one_joint_is_late(arm, lite6):
+    path = draw_sines(arm.joint_limits, seed=5)
+    rigid = Body(arm, lite6.kinematics)
+    late, plain = Core(with_effects(rigid, "torque_lag:joint=2,lag_s=0.02")), Core(rigid)
+    for core in (late, plain):
+        core.follow(path)
+    time = np.linspace(1.0, 2.0, 50)
+    expected = plain.torque(time)
+    expected[:, 1] = plain.torque(time - 0.02)[:, 1]
+    np.testing.assert_allclose(late.torque(time), expected, atol=1e-12)
+    assert np.abs(late.torque(time) - plain.torque(time)).max() > 1e-2
+
+
 def test_noise_is_normal_white_and_that_of_its_instant(arm, lite6):
     sigma = np.array([0.06, 0.08, 0.05, 0.02, 0.02, 0.015])
     core = Core(Body(arm, lite6.kinematics, torque_noise=sigma))
@@ -161,7 +174,8 @@ def test_the_reports_carry_friction_and_noise(arm, lite6):
         (("viscous_friction:joint=7,viscous_Nm_s_per_rad=1",), [], "acts at joint 7, but the arm has 6 joints; choose"),
         ((), [0.1, 0.1], "the noise of torques; give one Nm per joint, 6, 0 or more"),
         ((), [-0.1] * 6, "the noise of torques; give one Nm per joint, 6, 0 or more"),
-        (("time_offset:offset_s=1.5",), [], "an emulator supports at most 1 s; give a smaller offset"),
+        (("time_offset:offset_s=1.5",), [], "torques are at most 1 s late or early; give a smaller time_offset or"),
+        (("torque_lag:joint=2,lag_s=1.5",), [], "torques are at most 1 s late or early; give a smaller time_offset or"),
     ],
 )
 def test_what_an_emulator_refuses(arm, lite6, texts, noise, message):

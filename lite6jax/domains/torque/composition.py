@@ -33,6 +33,15 @@ def scales_of(terms: Terms, values: Array, joints: int) -> Array:
     return scale
 
 
+def offsets_of(terms: Terms, values: Array, joints: int) -> Array:
+    """`(joint,)` s by which each joint's torques belong to a later motion than their stamps say."""
+    total = np.zeros(joints)
+    for effect, part in pairs(terms):
+        if isinstance(effect, Delaying):
+            total += effect.offset(float(values[part][0]), joints)
+    return total
+
+
 def pairs(terms: Terms) -> list[tuple[TorqueEffect, slice]]:
     """The effects that are the terms of a torque problem, each with the place of its numbers."""
     found = []

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from lite6jax.arms.joint_units import as_revolute
 from lite6jax.domains.torque.rows import TorqueRows
 from lite6jax.effects.drivers import Driver, joint_driver
-from lite6jax.effects.dynamic.motors import TorqueRipple
+from lite6jax.effects.dynamic.motors import TorqueLag, TorqueRipple
 from lite6jax.effects.dynamic.torque_effect import DIRECTION_SPEED, Dynamics, JointTorque, TorqueEffect
 from lite6jax.effects.dynamic.unnamed import UnnamedTorque, waves
 from lite6jax.effects.waves import wave_angle
@@ -213,7 +213,7 @@ def flexible(dynamics: Dynamics, sizes: Array) -> tuple[UnnamedTorque, ...]:
 
 def joints_of(effect: TorqueEffect) -> slice:
     """The joints, of all, that an effect acts on: most effects act on one."""
-    return slice(effect.joint - 1, effect.joint) if isinstance(effect, JointTorque) else slice(None)
+    return slice(effect.joint - 1, effect.joint) if isinstance(effect, JointTorque | TorqueLag) else slice(None)
 
 
 def unit_torques(effect: TorqueEffect, dynamics: Dynamics, kept: Callable[[Array], Array]) -> Array:

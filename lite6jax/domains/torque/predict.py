@@ -8,11 +8,11 @@ from numpy.typing import NDArray
 
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.joint_units import joint_unit
-from lite6jax.domains.torque.composition import composed
+from lite6jax.domains.torque.composition import composed, offsets_of
 from lite6jax.domains.torque.filtering import interpolant
 from lite6jax.domains.torque.rows import RigidBodies, bodies_of
 from lite6jax.domains.torque.uncertainty import TorqueUncertainty, bars_of
-from lite6jax.effects.dynamic.torque_effect import Delaying, Dynamics
+from lite6jax.effects.dynamic.torque_effect import Dynamics
 from lite6jax.errors import InputError
 from lite6jax.estimation.terms import Terms
 from lite6jax.recordings import Recording
@@ -155,17 +155,23 @@ def shown_torques(terms: Terms, values: Array, dynamics: Dynamics, time: Array, 
         runs: `(sample,)`, the run of each sample.
     """
     torque = composed(terms, values, dynamics)
-    pairs = zip(terms.terms, terms.slices, strict=True)
-    delay = sum(float(values[part][0]) for effect, part in pairs if isinstance(effect, Delaying))
-    if not delay:
-        return torque
+    offsets = offsets_of(terms, values, len(torque))
+    later = torque.copy()
+    for offset in np.unique(offsets[offsets != 0]):
+        joints = np.flatnonzero(offsets == offset)
+        later[joints] = _later(torque[joints], float(offset), time, runs)
+    return later
+
+
+def _later(torque: Array, offset: float, time: Array, runs: NDArray[np.integer]) -> Array:
+    """Torques `(joint, sample)` of the motion `offset` s later."""
     later = torque.copy()
     for rows, spline in interpolant(torque, time, runs):
         t, part = time[rows], torque[:, rows]
-        at = np.clip(t + delay, t[0], t[-1])
+        at = np.clip(t + offset, t[0], t[-1])
         # beyond the ends along the line through some samples: a cubic would follow their noise
-        near, far = ((0, _LINE), (-1 - _LINE, -1))[delay > 0], (0, -1)[delay > 0]
+        near, far = ((0, _LINE), (-1 - _LINE, -1))[offset > 0], (0, -1)[offset > 0]
         slope = (part[:, near[1]] - part[:, near[0]]) / (t[near[1]] - t[near[0]])
-        beyond = t + delay - at
+        beyond = t + offset - at
         later[:, rows] = np.where(beyond != 0, part[:, [far]] + slope[:, None] * beyond, spline(at))
     return later

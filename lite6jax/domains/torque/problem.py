@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lite6jax.domains.torque import families
-from lite6jax.domains.torque.composition import composed, pairs, scales_of
+from lite6jax.domains.torque.composition import composed, offsets_of, pairs, scales_of
 from lite6jax.domains.torque.families import joints_of
 from lite6jax.domains.torque.links import uncertain
 from lite6jax.domains.torque.rows import TorqueRows
@@ -189,9 +189,9 @@ class TorqueProblem:
 
     def torque(self, nuisance: Array, terms: Terms, values: Array) -> Array:
         """Predicted torques `(joint, sample)` Nm, filtered, as their stamps say."""
-        delays = [float(values[part][0]) for effect, part in pairs(terms) if isinstance(effect, Delaying)]
-        if any(delays):
-            return self._delayed(nuisance, terms, values, sum(delays))[0]
+        offsets = offsets_of(terms, values, self.rows)
+        if offsets.any():
+            return self._delayed(nuisance, terms, values, offsets)[0]
         total = self.rigid
         if nuisance.any():
             total = total + np.tensordot(nuisance, self._inertial, 1)
@@ -203,11 +203,11 @@ class TorqueProblem:
                 total = total + self._added(effect, np.asarray(values[part], float), there)
         return scales_of(terms, values, self.rows) * total
 
-    def _delayed(self, nuisance: Array, terms: Terms, values: Array, delay: float) -> tuple[Array, Array]:
-        """Predicted torques that belong to the motion `delay` s later, and their derivative by that."""
+    def _delayed(self, nuisance: Array, terms: Terms, values: Array, offsets: Array) -> tuple[Array, Array]:
+        """Predicted torques that belong to the motion `offsets` `(joint,)` s later, and their derivatives by these."""
         dynamics = self.dynamics if not nuisance.any() else self.data.bodies.dynamics(self.links_at(nuisance))
         total = composed(terms, values, dynamics)
-        value, slope = self.data.later(total, delay)
+        value, slope = self.data.later(total, offsets)
         return value[:, self.chosen], slope[:, self.chosen]
 
     def columns(
@@ -221,6 +221,7 @@ class TorqueProblem:
         at = np.zeros(own.size) if values is None else np.asarray(values, float)
         others, numbers = beside or (own, at)
         found = np.zeros((own.size, self.rows, self.samples))
+        slope, delayed = found[:0], None  # by the time of torques that are late by `delayed`
         for effect, part in pairs(own):
             joints = joints_of(effect)
             if isinstance(effect, Scaling):
@@ -228,7 +229,12 @@ class TorqueProblem:
                 whole = self.torque(np.zeros(len(self.precision)), *others.part(numbers, kept))
                 found[part, joints] = whole[joints]
             elif isinstance(effect, Delaying):
-                found[part] = self._delayed(np.zeros(len(self.precision)), others, numbers, float(at[part][0]))[1]
+                offsets = offsets_of(others, numbers, self.rows)
+                if effect not in others.terms:
+                    offsets = offsets + effect.offset(float(at[part][0]), self.rows)
+                if delayed is None or not np.array_equal(offsets, delayed):
+                    slope, delayed = self._delayed(np.zeros(len(self.precision)), others, numbers, offsets)[1], offsets
+                found[part] = effect.offset(1.0, self.rows)[:, None] * slope
             elif effect.linear:
                 found[part, joints] = self._units(effect)
             else:

@@ -174,18 +174,28 @@ class TorqueRows:
         """`(joint, kept)` Nm, filtered."""
         return self.filter(self.torque)
 
-    def later(self, torque: Array, offset: float) -> tuple[Array, Array]:
-        """Torques `(joint, sample)` filtered, `offset` s after each sample that is kept, and their derivative by time.
+    def later(self, torque: Array, offsets: Array) -> tuple[Array, Array]:
+        """Torques filtered, at another time than that of each sample that is kept, and their derivatives by time.
 
         Beyond the ends of a run they keep their last value.
+
+        Args:
+            torque: `(joint, sample)` Nm.
+            offsets: `(joint,)` s after the sample.
+
+        Returns:
+            `(joint, kept sample)` Nm and Nm/s.
         """
         assert self.recording.time is not None
         time, kept = self.recording.time, self.filter.kept
         value, slope = (np.zeros((len(torque), len(kept))) for _ in range(2))
-        for rows, spline in interpolant(self.filter.whole(torque), time, self.filter.runs):
-            here = (kept >= rows.start) & (kept < rows.stop)
-            at = np.clip(time[kept[here]] + offset, time[rows.start], time[rows.stop - 1])
-            value[:, here], slope[:, here] = spline(at), spline(at, 1)
+        filtered = self.filter.whole(torque)
+        for offset in np.unique(offsets):
+            joints = np.flatnonzero(offsets == offset)
+            for rows, spline in interpolant(filtered[joints], time, self.filter.runs):
+                here = np.flatnonzero((kept >= rows.start) & (kept < rows.stop))
+                at = np.clip(time[kept[here]] + offset, time[rows.start], time[rows.stop - 1])
+                value[np.ix_(joints, here)], slope[np.ix_(joints, here)] = spline(at), spline(at, 1)
         return value, slope
 
 

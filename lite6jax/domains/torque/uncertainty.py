@@ -147,7 +147,8 @@ def _estimated(
         if isinstance(effect, Scaling):
             moved[:, effect.joint - 1] += own * whole[effect.joint - 1]
         elif isinstance(effect, Delaying):
-            moved += own[:, :, None] * _slope_in_time(composed(model.terms, model.values, dynamics), dynamics, runs)
+            slope = _slope_in_time(composed(model.terms, model.values, dynamics), dynamics, runs)
+            moved += own[:, :, None] * effect.offset(1.0, model.dof)[:, None] * slope
         elif effect.linear:
             joints, units = joints_of(effect), unit_torques(effect, dynamics, lambda rows: rows)
             moved[:, joints] += np.tensordot(own, units, 1) * scale[joints]

@@ -19,6 +19,7 @@ from lite6jax.effects.dynamic.friction import (
 from lite6jax.effects.dynamic.motors import (
     JointSpring,
     RotorInertia,
+    TorqueLag,
     TorqueOffset,
     TorqueRipple,
     TorqueScale,
@@ -32,7 +33,7 @@ from lite6jax.effects.motion import Motion
 _ALL: tuple[type[TorqueEffect], ...] = (
     *(ViscousFriction, CoulombFriction, StribeckFriction, LoadFriction, FrictionTemperature, CoupledFriction),
     *(TorqueOffset, TorqueScale, RotorInertia, JointSpring, TorqueRipple, LinkMass, LinkCom, PayloadTorque, BaseTilt),
-    *(TorqueTimeOffset, UnnamedTorque),
+    *(TorqueTimeOffset, TorqueLag, UnnamedTorque),
 )
 BUILT_IN: Mapping[str, type[Effect]] = types.MappingProxyType({kind.name: kind for kind in _ALL})
 """The classes of the catalogue by name."""
@@ -50,7 +51,7 @@ def torque_catalogue(dof: int, sliding: tuple[int, ...] = ()) -> tuple[TorqueEff
     """
     joints = range(1, dof + 1)
     simple = (ViscousFriction, CoulombFriction, LoadFriction, FrictionTemperature)
-    motors = (TorqueOffset, TorqueScale, RotorInertia, JointSpring)
+    motors = (TorqueOffset, TorqueScale, RotorInertia, JointSpring, TorqueLag)
     return (
         *(kind(joint, of_slide=joint - 1 in sliding) for kind in (*simple, *motors) for joint in joints),
         *(_coupled(joint, source, sliding) for joint in joints for source in _alike(joint, sliding)),

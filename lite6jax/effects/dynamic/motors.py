@@ -1,4 +1,4 @@
-"""Effects of motors, their gears and their sensors: offset, scale, rotor inertia, springs, ripple, delay."""
+"""Effects of motors, their gears and their sensors: offset, scale, rotor inertia, springs, ripple, delays."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from lite6jax.effects.drivers import Driver
 from lite6jax.effects.dynamic import bounds
-from lite6jax.effects.dynamic.torque_effect import Array, Delaying, Dynamics, JointTorque, Scaling
+from lite6jax.effects.dynamic.torque_effect import Array, Delaying, Dynamics, JointTorque, OfJoint, Scaling
 from lite6jax.effects.effect import Choice, Coordinate, Effect, Reporting
 from lite6jax.effects.waves import order_choice, wave_angle, wave_reporting
 from lite6jax.errors import InputError
@@ -183,3 +183,22 @@ class TorqueTimeOffset(Delaying):
     @property
     def coordinates(self) -> tuple[Coordinate, ...]:
         return (Coordinate("offset_s", "s", 1e-3, lower=-bounds.DELAY, upper=bounds.DELAY, linear=False),)
+
+    def offset(self, value: float, joints: int) -> Array:
+        return np.full(joints, value)
+
+
+@final
+@dataclass(frozen=True)
+class TorqueLag(OfJoint, Delaying):
+    """The torque of one joint stamped t belongs to the motion at t − lag: a filter or a slower bus of its drive."""
+
+    name: ClassVar[str] = "torque_lag"
+    specificity: ClassVar[int] = 4
+
+    @property
+    def coordinates(self) -> tuple[Coordinate, ...]:
+        return (Coordinate("lag_s", "s", 1e-3, lower=-bounds.DELAY, upper=bounds.DELAY, linear=False),)
+
+    def offset(self, value: float, joints: int) -> Array:
+        return np.where(np.arange(joints) == self.joint - 1, -value, 0.0)

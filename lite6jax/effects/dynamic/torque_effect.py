@@ -173,7 +173,11 @@ class Scaling(JointTorque, ABC):
 
 @dataclass(frozen=True)
 class Delaying(TorqueEffect, ABC):
-    """An effect by which torques belong to another time than their rows; its only coordinate is the offset in s."""
+    """An effect by which torques belong to another time than their rows; its only coordinate is a time in s."""
+
+    @abstractmethod
+    def offset(self, value: float, joints: int) -> Array:
+        """`(joint,)` s by which each joint's torques belong to a later motion, proportional to the coordinate."""
 
     @final
     def torque(self, values: Array, dynamics: Dynamics) -> Array:

@@ -112,6 +112,7 @@ def with_uncertainty(texts, inertial, rng):
             False,
         ),
         (("time_offset:offset_s=0", "coulomb_friction:joint=4,coulomb_Nm=0.3"), False),
+        (("torque_lag:joint=3,lag_s=0", "viscous_friction:joint=3,viscous_Nm_s_per_rad=0.8"), False),
     ],
 )
 def test_variances_are_those_of_the_prediction(texts, inertial):

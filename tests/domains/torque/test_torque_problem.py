@@ -15,7 +15,8 @@ from lite6jax.domains.torque.links import uncertain
 from lite6jax.domains.torque.problem import torque_problem
 from lite6jax.domains.torque.rows import bodies_of, torque_rows
 from lite6jax.effects.dynamic.friction import StribeckFriction, ViscousFriction
-from lite6jax.effects.dynamic.motors import TorqueRipple, TorqueScale, TorqueTimeOffset
+from lite6jax.effects.dynamic.motors import TorqueLag, TorqueRipple, TorqueScale, TorqueTimeOffset
+from lite6jax.effects.dynamic.torque_effect import Delaying
 from lite6jax.errors import InputError
 from lite6jax.estimation.least_squares import fit
 from lite6jax.estimation.noise import Autocorrelation, NoiseModel
@@ -134,7 +135,7 @@ def test_columns_are_the_derivatives_of_residuals(inertial):
     for effect, part in zip(terms.terms, terms.slices, strict=True):
         if isinstance(effect, StribeckFriction | TorqueRipple):
             values[part] = (0.2, 0.1) if effect.size == 2 else (0.2, 0.1, 6.0)
-        if isinstance(effect, TorqueTimeOffset | TorqueScale):
+        if isinstance(effect, Delaying | TorqueScale):
             values[part] = 0.0  # other effects' own columns are neither delayed nor scaled
     nuisance = np.zeros(len(problem.precision))
     columns = problem.columns(terms.terms, values)
@@ -181,13 +182,40 @@ def test_what_the_description_declares_of_drives_is_part_of_the_model():
     assert case.limits(ViscousFriction(1))[0][0] == 0.0
 
 
-@pytest.mark.parametrize(("offset", "within"), [(0.02, 5e-4), (-0.06, 5e-4)])
-def test_a_delay_is_estimated(offset, within):
-    recording, arm = recorded([hidden("time_offset", "clock", offset_s=offset)])
+@pytest.mark.parametrize(
+    "delays",
+    [
+        {TorqueTimeOffset(): 0.02},
+        {TorqueTimeOffset(): -0.06},
+        {TorqueLag(2): 0.03},
+        {TorqueTimeOffset(): 0.02, TorqueLag(2): 0.03, TorqueLag(3): -0.01},
+    ],
+)
+def test_delays_are_estimated(delays):
+    recording, arm = recorded(
+        [hidden(effect.name, effect.site, **{effect.coordinates[0].name: s}) for effect, s in delays.items()]
+    )
     problem = torque_problem(torque_rows(recording, arm, recording.torques().T))
-    found = fit(problem, Terms((TorqueTimeOffset(),)), EngineOptions())
-    assert found.values[0] == pytest.approx(offset, abs=within)
-    assert abs(found.values[0] - offset) < 5 * np.sqrt(found.covariance[0, 0]) + 1e-4
+    found = fit(problem, Terms(tuple(delays)), EngineOptions())
+    std = np.sqrt(np.diagonal(found.covariance))
+    assert std.max() < 5e-4
+    assert (np.abs(found.values - [*delays.values()]) < 4 * std + 1e-4).all()
+
+
+def test_columns_of_delays_are_derivatives_where_torques_are_delayed_already():
+    recording, arm = recorded([hidden("torque_lag", "joint2", lag_s=0.03)])
+    problem = torque_problem(torque_rows(recording, arm, recording.torques().T))
+    terms = Terms((TorqueTimeOffset(), TorqueLag(2), TorqueLag(5)))
+    values = np.array([0.02, 0.03, -0.01])
+    columns = problem.columns(terms.terms, values)
+    candidate = problem.columns((TorqueLag(5),), values[2:], (Terms(terms.terms[:2]), values[:2]))
+    np.testing.assert_array_equal(candidate[0], columns[2])
+    for column, step in zip(columns, 1e-6 * np.eye(3), strict=True):
+        up, down = (problem.residual(np.zeros(0), terms, values + sign * step) for sign in (1, -1))
+        inside = slice(20, -20)  # beyond the ends of the run, torques keep their last value
+        slope = (up - down)[:, inside] / 2e-6
+        np.testing.assert_allclose(column[:, inside], slope, rtol=0, atol=1e-5 * np.abs(slope).max())
+    assert not columns[1][[0, 2, 3, 4, 5]].any()
 
 
 def test_unknown_links_are_fitted_about_the_declared_ones():
