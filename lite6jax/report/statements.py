@@ -21,7 +21,7 @@ _VERDICTS = {
     "consistent": "Consistent: the model of the arm and the sensor's noise explain the recording.",
     "explained": "Explained: with the effects below, the held-out errors are the sensor's noise.",
     "unnamed": "Unnamed: no effect of the catalogue explains the largest effect that was found.",
-    "unexplained": "Unexplained: more is left than the sensor's noise, and no effect is significant.",
+    "unexplained": "Unexplained: what is left is not the sensor's noise alone, and no effect is significant.",
     "undetermined": "Undetermined: there are too few rows to tell whether something is missing.",
 }
 _LEFT_OVER = ("partly_explained", "unnamed", "unexplained", "undetermined")

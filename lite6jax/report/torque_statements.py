@@ -22,7 +22,7 @@ _VERDICTS = {
     "explained": "Explained: with the effects below, the held-out errors are the sensors' noise.",
     "partly_explained": "Partly explained: the effects below are significant, and more than noise is left.",
     "unnamed": "Unnamed: no effect of the catalogue explains the largest effect that was found.",
-    "unexplained": "Unexplained: more is left than the sensors' noise, and no effect is significant.",
+    "unexplained": "Unexplained: what is left is not the sensors' noise alone, and no effect is significant.",
     "undetermined": "Undetermined: the recording is too short to tell whether something is missing.",
 }
 _LEFT_OVER = ("partly_explained", "unnamed", "unexplained")
@@ -49,13 +49,19 @@ def verdict_statement(document: Document) -> str:
         )
     if verdict == "undetermined":
         return f"{statements.undetermined(_VERDICTS[verdict], document)} Record a longer one."
-    over_noise = document["left"]["torque_over_noise"]
-    if verdict not in _LEFT_OVER or over_noise is None:
-        return _VERDICTS[verdict]
-    return f"{_VERDICTS[verdict]} {_what_is_left(over_noise)}"
+    said = [_VERDICTS[verdict], *(_what_is_left(document["left"]) if verdict in _LEFT_OVER else ())]
+    return " ".join(said)
 
 
-def _what_is_left(over_noise: Sequence[float]) -> str:
+def _what_is_left(left: Entry) -> Iterator[str]:
+    """What distinguishes it from noise: its size at each joint, and that neighbouring samples are correlated."""
+    if left["torque_over_noise"] is not None:
+        yield _over_noise(left["torque_over_noise"])
+    if not left["white"]:
+        yield "Neighbouring samples of what is left are correlated."
+
+
+def _over_noise(over_noise: Sequence[float]) -> str:
     """Held-out errors of each joint over its declared noise, and the joint that stands out."""
     joint, most = max(enumerate(over_noise, 1), key=lambda pair: pair[1])
     others = [value for number, value in enumerate(over_noise, 1) if number != joint]

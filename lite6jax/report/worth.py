@@ -204,7 +204,7 @@ def _nothing_found(document: Document) -> str:
     said = {
         "consistent": f"nothing is missing from the model: the error of {error} is the {whose} noise.",
         "undetermined": f"the recording is too short to tell what the error of {error} is.",
-    }.get(document["verdict"], f"the error of {error} is more than the noise of the {of}, and nothing explains it.")
+    }.get(document["verdict"], f"the error of {error} is not the noise of the {of} alone, and nothing explains it.")
     if document["verdict"] == "undetermined" and is_nearly_significant(document.get("nearest")):
         said = f"the error of {error} is noise, or noise and one more effect, which is nearly significant."
     return begin + said if begin else f"{said[0].upper()}{said[1:]}"

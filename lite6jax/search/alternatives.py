@@ -34,8 +34,8 @@ def named_again(problem: Problem, state: State, options: EngineOptions) -> State
 def _ranked_again(problem: Problem, state: State, k: int, options: EngineOptions) -> State:
     """The state whose k-th term has what explains nearly as much beside the others among its alternatives.
 
-    By how much they are less likely is not known yet. Other orders of a wave are not ranked here: `_orders` lists those
-    that are as likely.
+    By how much they are less likely is not known yet. Other orders of a wave are not ranked here, as `_orders` lists
+    those that are as likely, nor are other numbers of a term whose number is tried.
     """
     tested = state.tested[k]
     known = {tested.term, *(one.term for one in tested.alternatives)}
@@ -43,7 +43,7 @@ def _ranked_again(problem: Problem, state: State, k: int, options: EngineOptions
     more = [
         Alternative(one.term, 0.0)
         for one, _ in near
-        if one.term not in known and not (one.term.periodic and one.term.label == tested.term.label)
+        if one.term not in known and (one.term.chosen is None or one.term.label != tested.term.label)
     ]
     again = replace(tested, alternatives=(*tested.alternatives, *more))
     return replace(state, tested=(*state.tested[:k], again, *state.tested[k + 1 :]))

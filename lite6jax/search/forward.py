@@ -1,5 +1,6 @@
 """Forward selection: the most likely term is added as long as one is left that noise does not explain."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -9,7 +10,7 @@ from lite6jax.estimation.least_squares import Fit, fit
 from lite6jax.estimation.multiplicity import multiplicity
 from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.problem import Problem
-from lite6jax.estimation.score_test import Explained, Score, score_test
+from lite6jax.estimation.score_test import Explained, Score, ScoreTest, score_test
 from lite6jax.estimation.terms import Term, Terms
 from lite6jax.search.spectrum import lines
 from lite6jax.search.state import Alternative, SelectedTerm, State, added, extended, most_specific, reduced, refitted
@@ -33,8 +34,9 @@ class Ranked(NamedTuple):
 def forward(problem: Problem, state: State, options: EngineOptions, shaped: bool = False) -> State:
     """Adds the most likely term, one after another.
 
-    With `shaped`, also named terms with a number that is tried at a few values. They come close to what others leave,
-    so that they are tried only where a function without a name has shown that these others do not suffice.
+    Named terms with a number that is tried at a few values come close to what others leave. They are tried where no
+    other candidate is significant, and with `shaped` from the beginning, where a function without a name has shown that
+    the others do not suffice.
 
     Terms that are not significant yet are added too, a few in a row: an effect that is not in the model yet makes the
     residual look autocorrelated, and so masks another. Backward elimination removes those that stay insignificant.
@@ -85,11 +87,19 @@ def likeliest(problem: Problem, state: State, options: EngineOptions, shaped: bo
     there = state.fit.terms.terms
     named = [term for term in problem.candidates if not (term.periodic or term in there)]
     candidates = [Ranked(*pair, 0.0) for pair in zip(named, test.explained(named), strict=True)]
-    if shaped and problem.shaped:
-        pairs = zip(problem.shaped, test.explained(problem.shaped), strict=True)
-        candidates += [Ranked(*pair, float(np.log(len(problem.shaped)))) for pair in pairs]
     candidates += [Ranked(line.term, line.explained, line.searched) for line in lines(test)]
-    n = test.freedom
+    found = [] if shaped else _likeliest_of(test, candidates)
+    if found or not problem.shaped:
+        return found
+    best: dict[str, Ranked] = {}  # of the numbers that are tried of each
+    for term, one in zip(problem.shaped, test.explained(problem.shaped), strict=True):
+        if term.label not in best or one.gain > best[term.label].explained.gain:
+            best[term.label] = Ranked(term, one, float(np.log(len(problem.shaped))))
+    return _likeliest_of(test, [*candidates, *best.values()])
+
+
+def _likeliest_of(test: ScoreTest, candidates: Sequence[Ranked]) -> list[tuple[Ranked, Score]]:
+    problem, options, n = test.problem, test.options, test.freedom
     ranked = sorted(
         (one for one in candidates if not one.explained.confounded and one.explained.gain > 0),
         key=lambda one: -one.penalised(n),

@@ -119,6 +119,7 @@ def _plain_again(problem: Problem, state: State, options: EngineOptions) -> Stat
             continue
         best = max(likely)[1]
         choice = with_term(problem, rest, plain[best], scores[best], options)
-        if preferred(problem, choice, state, 0.0, options):
+        significant = choice.tested[-1].p_value < options.level  # or it would leave, and with it what both explain
+        if significant and preferred(problem, choice, state, 0.0, options):
             state = choice
     return state

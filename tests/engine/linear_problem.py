@@ -51,6 +51,7 @@ class Wave:
     shrunk: bool = False
     includes: tuple = ()
 
+    free = property(lambda self: self.order is None)
     chosen = property(lambda self: None if self.order in (None, 1.0) else self.order)
     coordinates = property(lambda self: (Number(),) * (2 if self.order else 3))
     size = property(lambda self: len(self.coordinates))
@@ -71,6 +72,41 @@ class Wave:
         turned = order * data["angle"]
         slope = data["angle"] * (s * np.cos(turned) - c * np.sin(turned))
         return np.stack([np.sin(turned), np.cos(turned), slope])
+
+
+@dataclass(frozen=True)
+class Decay:
+    """A named term that decays with the size of one regressor; the width at which it does is tried, or fitted."""
+
+    name: str
+    width: float | None
+    site: str = "x"
+    specificity: int = 4
+    periodic: bool = False
+    nonparametric: bool = False
+    shrunk: bool = False
+    includes: tuple = ()
+
+    free = property(lambda self: self.width is None)
+    chosen = property(lambda self: self.width)
+    coordinates = property(lambda self: (Number(),) if self.width else (Number(), Number(lower=0.0)))
+    size = property(lambda self: len(self.coordinates))
+    label = property(lambda self: f"decay of {self.name}:{self.site}")
+    drivers = property(lambda self: (self.name,))
+
+    def released(self):
+        return replace(self, width=None)
+
+    def held(self, number):
+        return replace(self, width=number)
+
+    def basis(self, data, values=None):
+        u = data[self.name]
+        size, width = (0.0, 1.0) if values is None else values
+        column = np.exp(-((u / (self.width or width)) ** 2)) * np.sign(u)
+        if self.width:
+            return column[None]
+        return np.stack([column, size * column * 2 * u**2 / width**3])
 
 
 @dataclass(frozen=True)
@@ -124,6 +160,11 @@ class Curve:
         return np.stack([data[self.over] ** power for power in (1, 2, 3)])
 
 
+def is_free(term):
+    """Whether the last of a term's numbers is one in which it is not linear."""
+    return getattr(term, "free", False)
+
+
 @dataclass(frozen=True, eq=False)
 class LinearProblem:
     """y = level + Σ terms + noise, two rows of which each is a group with a scale and a noise model of its own.
@@ -137,6 +178,7 @@ class LinearProblem:
     scale: np.ndarray = field(default_factory=lambda: np.ones(2))
     run: np.ndarray = None
     ladder: tuple = ()
+    shaped: tuple = ()
     offset: np.ndarray = field(default_factory=lambda: np.zeros(2))
     precision: np.ndarray = field(default_factory=lambda: np.zeros(2))
     informative: np.ndarray = field(default_factory=lambda: np.zeros(2, bool))
@@ -160,16 +202,14 @@ class LinearProblem:
         for term in terms:
             part = None if values is None else values[at : at + term.size]
             at += term.size
-            free = isinstance(term, Wave) and term.order is None
-            out.append(self._rows(term.basis(self.data, part) if free else term.basis(self.data)))
+            out.append(self._rows(term.basis(self.data, part) if is_free(term) else term.basis(self.data)))
         return np.concatenate(out)
 
     def residual(self, nuisance, terms, values):
         predicted = np.tensordot(self.offset + nuisance, self.levels, 1)
         for term, part in zip(terms.terms, terms.slices, strict=True):
-            free = isinstance(term, Wave) and term.order is None
-            basis = Wave(values[part][2]).basis(self.data) if free else term.basis(self.data)
-            numbers = values[part][:2] if free else values[part]
+            basis = (term.held(values[part][-1]) if is_free(term) else term).basis(self.data)
+            numbers = values[part][: len(basis)]
             predicted = predicted + np.tensordot(numbers, self._rows(basis), 1)
         return predicted - self.measured
 
@@ -178,8 +218,6 @@ class LinearProblem:
 
     def relinearised(self, nuisance):
         return replace(self, offset=self.offset + nuisance)
-
-    shaped = ()
 
     @cached_property
     def flexible(self):

@@ -4,7 +4,7 @@ from dataclasses import fields, replace
 
 import numpy as np
 import pytest
-from engine.linear_problem import Column, Curve, Hat, LinearProblem, Number, Wave, linear_problem
+from engine.linear_problem import Column, Curve, Decay, Hat, LinearProblem, Number, Wave, linear_problem
 
 from lite6jax.estimation.least_squares import fit
 from lite6jax.estimation.multiplicity import searched_size
@@ -69,6 +69,27 @@ def test_the_quadratic_gain_of_a_term_does_not_depend_on_the_units_of_its_number
 @pytest.mark.parametrize("seed", range(8))
 def test_nothing_is_found_in_noise_of_unequal_scale(seed):
     assert terms(found(linear_problem(np.random.default_rng(100 + seed)))) == []
+
+
+DECAYS = tuple(Decay(f"u{k}", width) for k in range(1, 7) for width in (0.1, 0.3, 1.0))
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_name_whose_number_is_tried_is_found_where_no_other_candidate_resembles_it(seed):
+    hidden = Decay("u4", 0.45)
+    problem = linear_problem(np.random.default_rng(seed), 800, lambda d: 0.8 * hidden.basis(d)[0])
+    state = found(replace(problem, shaped=DECAYS))
+    (term,) = terms(state)
+    assert term.label == hidden.label
+    assert term.width == pytest.approx(hidden.width, rel=0.5)
+    assert abs(state.fit.values[0] - 0.8) < 4 * np.sqrt(state.fit.covariance[0, 0])
+    # another width of the same name is no alternative to it
+    assert all(other.term.label != term.label for test in state.tested for other in test.alternatives)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_names_whose_number_is_tried_are_not_found_in_noise(seed):
+    assert terms(found(replace(linear_problem(np.random.default_rng(300 + seed)), shaped=DECAYS))) == []
 
 
 @pytest.mark.parametrize("seed", range(6))

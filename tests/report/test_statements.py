@@ -427,8 +427,8 @@ def test_the_verdict_says_what_the_numbers_say(compliant):
     assert verdict("consistent") == "Consistent: the model of the arm and the sensor's noise explain the recording."
     assert "which are 5.5 times the declared noise: check the arm" in verdict("unexplained", estimated=1.1e-4)
     assert verdict("unexplained", position=2.34, white=False) == (
-        "Unexplained: more is left than the sensor's noise, and no effect is significant. Held-out position errors are "
-        "2.3 times the declared noise and neighbouring rows are correlated."
+        "Unexplained: what is left is not the sensor's noise alone, and no effect is significant. Held-out "
+        "position errors are 2.3 times the declared noise and neighbouring rows are correlated."
     )
     assert verdict("partly_explained", position=1.1, orientation=8.0) == (
         "Partly explained: the effects below are significant. Held-out position errors are 1.1 times the declared "

@@ -129,7 +129,7 @@ def test_a_document_without_sizes_is_ranked_by_likelihood(found):
     ("verdict", "says"),
     [
         ("consistent", "Nothing is missing from the model: the error of 0.034 mm RMS is the sensor's noise."),
-        ("unexplained", "The error of 0.034 mm RMS is more than the noise of the poses, and nothing explains it."),
+        ("unexplained", "The error of 0.034 mm RMS is not the noise of the poses alone, and nothing explains it."),
         ("undetermined", "The recording is too short to tell what the error of 0.034 mm RMS is."),
     ],
 )

@@ -345,8 +345,8 @@ def test_periods_are_searched_as_far_as_stroke_and_low_pass_resolve_them():
     at = np.outer([1, 7.3], 2 * np.pi * q[problem.data.filter.kept][problem.chosen] / np.ptp(q))
     own = replace(slide, waves=None).waves_of(np.array([1, 7.3]))
     np.testing.assert_allclose(own, np.stack([np.sin(at), np.cos(at)], 1), atol=1e-12)
-    more = searched_size(problem, EngineOptions()) - len(problem.candidates) - len(problem.flexible)
-    more -= len(problem.curves) * EngineOptions().searched_curves
+    more = searched_size(problem, EngineOptions()) - len(problem.candidates) - len(problem.shaped)
+    more -= len(problem.flexible) + len(problem.curves) * EngineOptions().searched_curves
     assert more == pytest.approx(EngineOptions().searched_orders * len(problem.periodic))
 
 

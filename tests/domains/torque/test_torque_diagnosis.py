@@ -84,9 +84,12 @@ def test_an_effect_short_of_the_level_leaves_it_open_whether_all_is_explained(di
     ],
 )
 def test_the_joint_is_said_of_which_most_is_left(diagnosed, over_noise, said):
-    document = diagnosed.to_dict() | {"verdict": "unexplained", "left": {"torque_over_noise": over_noise}}
+    left = {"torque_over_noise": over_noise, "white": True}
+    document = diagnosed.to_dict() | {"verdict": "unexplained", "left": left}
     assert verdict_statement(document).endswith(f"no effect is significant. The held-out errors{said}")
-    unknown = {"left": {"torque_over_noise": None}}
+    correlated = verdict_statement(document | {"left": left | {"white": False}})
+    assert correlated.endswith(f"{said} Neighbouring samples of what is left are correlated.")
+    unknown = {"left": {"torque_over_noise": None, "white": True}}
     for changed in ({"verdict": "explained"}, unknown):
         assert "times" not in verdict_statement(document | changed)
 
