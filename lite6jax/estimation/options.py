@@ -72,7 +72,9 @@ class EngineOptions:
     )
     winsor: float = option(4.0, "standard deviations at which residuals are winsorised", "one normal sample in 16 000")
     # blocks of the score test
-    most_blocks: int = option(60, "most blocks of a score test", "more do not sharpen the estimate of their spread")
+    most_blocks: int = option(
+        200, "most blocks of a score test", "at p-values of one in a million, 60 blocks need an effect a tenth larger"
+    )
     least_in_block: int = option(6, "fewest samples in a block", "fewer make heavy-tailed sums")
     enough_blocks: int = option(20, "blocks below which they are made shorter", "a variance known to a third")
     block_times: float = option(2.0, "autocorrelation times in a block", "neighbouring blocks then correlate little")
