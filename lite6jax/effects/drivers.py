@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import NamedTuple, final
 
 from lite6jax.deferred import Array, jnp
@@ -201,6 +202,7 @@ def joint_driver(quantity: str, joint: int, slides: bool) -> Driver:
     return Driver(_OF_SLIDE.get(quantity, quantity) if slides else quantity, joint)
 
 
+@lru_cache(maxsize=1024)  # hundreds of functions without a name are made in each fold
 def driver_of(phrase: str) -> Driver:
     """The driver with this `phrase`, the inverse of `Driver.phrase`.
 

@@ -208,7 +208,7 @@ def _fitted(
             converged = True
             break
         root = np.sqrt(np.where(training, state.row_weight, 0.0))
-        flat = (columns * root).reshape(len(columns), -1)
+        flat = np.multiply(columns, root, out=columns).reshape(len(columns), -1)
         H = flat @ flat.T
         gradient = flat @ (root * state.innovations).ravel() + precision * prior(problem, at)
         H[np.diag_indices_from(H)] += precision
@@ -261,9 +261,9 @@ def without(problem: LinearisedProblem, fitted: Fit, k: int, options: EngineOpti
 
 
 def linear_columns(problem: LinearisedProblem, terms: Terms, values: Array) -> Array:
-    """How residuals change with the nuisance and then with the numbers of terms, `(number, row, sample)`."""
+    """How residuals change with the nuisance and then with the numbers of terms, `(number, row, sample)`; a copy."""
     base = problem.nuisance_columns(terms, values)
-    return np.concatenate([base, problem.columns(terms.terms, values)]) if terms.size else base
+    return np.concatenate([base, problem.columns(terms.terms, values)]) if terms.size else base.copy()
 
 
 def _cost(innovations: Array, at: Residuals, training: Mask) -> float:

@@ -15,11 +15,17 @@ _MANY, _REGULAR = 20, 1e-8
 def unit_rows(columns: Array) -> Array:
     """Rows `(number, reading)` of unit length; those that are zero are left out."""
     norms = np.linalg.norm(columns, axis=1)
-    return columns[norms > 0] / norms[norms > 0, None]
+    if not (norms > 0).all():
+        columns, norms = columns[norms > 0], norms[norms > 0]
+    return columns / norms[:, None]
 
 
 def orthonormal(rows: Array, rounding: float) -> Array:
     """An orthonormal basis `(rank, reading)` of the span of unit rows.
+
+    Eigenvectors of the Gram matrix leave it orthonormal to rounding times the ratio of eigenvalues. A Cholesky factor
+    of its own Gram matrix, which is near the identity, mends that, in a fraction of the time of Householder reflections
+    (Y. Yamamoto et al., Electronic Transactions on Numerical Analysis 44, 2015).
 
     Args:
         rows: `(number, reading)`, of similar length each.
@@ -30,7 +36,7 @@ def orthonormal(rows: Array, rounding: float) -> Array:
     eigenvalues, V = np.linalg.eigh(rows @ rows.T)
     kept = eigenvalues > rounding * eigenvalues[-1]
     basis = (V[:, kept] / np.sqrt(eigenvalues[kept])).T @ rows
-    return np.linalg.qr(basis.T)[0].T
+    return np.linalg.inv(np.linalg.cholesky(basis @ basis.T)) @ basis
 
 
 def rank(columns: Array, rounding: float) -> int:

@@ -396,6 +396,11 @@ def autocorrelation_times(problem: Problem, fit: Fit, options: EngineOptions) ->
     return _times(_winsorised(fit.residuals.innovations, fit, options.winsor) * fit.training, problem.groups)
 
 
+def longest_time(problem: Problem, fit: Fit, options: EngineOptions) -> float:
+    """The longest of these autocorrelation times, in samples: that of a score test against the fit."""
+    return float(autocorrelation_times(problem, fit, options).max())
+
+
 def _times(residual: Array, groups: NDArray[np.integer]) -> Array:
     return np.array([autocorrelation_time(residual[groups == group]) for group in range(int(groups.max()) + 1)])
 

@@ -5,7 +5,7 @@ import numpy as np
 from lite6jax.estimation.multiplicity import multiplicity
 from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.problem import Problem
-from lite6jax.estimation.score_test import score_test
+from lite6jax.estimation.score_test import longest_time
 from lite6jax.search.state import State, reduced, retested
 
 _CLEARLY = 5.0
@@ -18,7 +18,7 @@ def eliminate(problem: Problem, state: State, options: EngineOptions) -> State:
     Terms that were significant when they were added are not tested again.
     """
     while doubtful := [k for k, tested in enumerate(state.tested) if tested.p_value >= options.level]:
-        time = score_test(problem, state.fit, options).time
+        time = longest_time(problem, state.fit, options)
         rests = {k: reduced(problem, state, k, options) for k in doubtful}
         tests = {k: retested(problem, state, k, time, options, rest) for k, rest in rests.items()}
         worst = max(tests, key=lambda k: tests[k].p_value)

@@ -8,7 +8,7 @@ from lite6jax.estimation.least_squares import Fit, fit
 from lite6jax.estimation.multiplicity import description_length, multiplicity
 from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.problem import Problem
-from lite6jax.estimation.score_test import score_test
+from lite6jax.estimation.score_test import longest_time, score_test
 from lite6jax.estimation.terms import Terms
 from lite6jax.search.against_noise import in_own_noise, tested_against_noise
 from lite6jax.search.functions import beside_noise
@@ -49,7 +49,7 @@ def _in_noise_model(problem: Problem, state: State, options: EngineOptions) -> S
     """All terms fitted and tested in autocorrelated noise, where residuals have it; insignificant ones are removed."""
     while not (own := in_own_noise(problem, state.fit, options)).noise.white:
         state = replace(state, fit=own)
-        time = score_test(problem, own, options).time
+        time = longest_time(problem, own, options)
         rests = [reduced(problem, state, k, options) for k in range(len(state.tested))]
         tests = [
             tested_against_noise(problem, state, k, options, rest)
@@ -77,7 +77,7 @@ def renamed(problem: Problem, state: State, k: int, options: EngineOptions) -> S
     tested = state.tested[k]
     rest = reduced(problem, state, k, options).fit
     # without the term, what it explains makes the residuals look autocorrelated
-    test = score_test(problem, rest, options, score_test(problem, state.fit, options).time)
+    test = score_test(problem, rest, options, longest_time(problem, state.fit, options))
     choices: list[tuple[SelectedTerm, Fit]] = [(tested, state.fit)]
     for alternative in tested.alternatives:
         if alternative.term in rest.terms.terms:

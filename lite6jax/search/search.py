@@ -7,7 +7,7 @@ from lite6jax.estimation.least_squares import Fit, fit
 from lite6jax.estimation.multiplicity import multiplicity
 from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.problem import Mask, Problem
-from lite6jax.estimation.score_test import Score, gain_p_value, score_test
+from lite6jax.estimation.score_test import Score, gain_p_value, longest_time, score_test
 from lite6jax.estimation.terms import Term, Terms
 from lite6jax.progress import entered
 from lite6jax.search.alternatives import named_again, with_alternatives
@@ -124,7 +124,7 @@ def _with_preset(problem: Problem, baseline: Fit, options: EngineOptions) -> Sta
         return State(baseline, baseline)
     fitted = fit(problem, terms, options, values, training=baseline.training)
     gain = fitted.log_likelihood(fitted.scale) - baseline.log_likelihood(fitted.scale)
-    time = score_test(problem, fitted, options).time
+    time = longest_time(problem, fitted, options)
     tested = []
     for term, part in zip(terms.terms, terms.slices, strict=True):
         p_value = min(gain_p_value(gain, term.size, time) * multiplicity(problem, term, options), 1.0)

@@ -23,7 +23,7 @@ from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.problem import PeriodicFamily, Problem
 from lite6jax.estimation.projection import orthonormal, outside, unit_rows
 from lite6jax.estimation.robust import FREEDOM
-from lite6jax.estimation.score_test import Score, gain_p_value, score_test
+from lite6jax.estimation.score_test import Score, gain_p_value, longest_time, score_test
 from lite6jax.estimation.terms import Term, Terms, join
 from lite6jax.search.state import SelectedTerm, State
 
@@ -90,7 +90,7 @@ def shrink(problem: Problem, state: State, options: EngineOptions) -> State | No
     if current.gain_over(state.fit) < 0.5 * more_numbers * np.log(state.baseline.freedom):
         return None
     curves = current.terms.terms[len(named) :]
-    time = score_test(problem, current, options).time
+    time = longest_time(problem, current, options)
     return State(
         state.baseline, current, (*named, *(_tested(problem, current, curve, time, options) for curve in curves))
     )
@@ -117,24 +117,23 @@ def _spectra(problem: Problem, current: Fit, named: Terms) -> list[_Spectrum]:
     orders = [_orders(family.angle[training]) for family in families]
     fixed = linear_columns(problem, named, np.zeros(named.size))[..., training]
     waves = [
-        family.columns(each)[..., training].reshape(-1, *fixed.shape[1:])
+        _Waves(family.column[:, training], family.waves_of(each)[..., training].reshape(2 * len(each), -1))
         for family, each in zip(families, orders, strict=True)
     ]
-    fixed, lines = fixed.reshape(len(fixed), -1), np.concatenate(waves).reshape(-1, fixed[0].size)
     # residuals without nuisance and terms, to first order: those of the current fit less its linear prediction
     explained = np.concatenate([current.nuisance, current.values])
     predicted = np.tensordot(explained, linear_columns(problem, current.terms, current.values), 1)
-    target = -(current.residuals.rows - predicted)[:, training].ravel()
+    target = -(current.residuals.rows - predicted)[:, training]
     prior = np.concatenate([problem.precision, named.precision])
     at, weight = np.array(_start() * len(families)), np.ones(len(training))
     scale = float(np.sqrt(np.mean(target**2)))
     evidence, values = None, np.zeros(0)
     for steps in _STEPS:
-        root = np.tile(np.sqrt(weight), problem.rows) / scale
-        evidence = _Evidence.of(fixed * root, prior, lines * root, target * root, orders)
+        root = np.sqrt(weight) / scale
+        evidence = _Evidence.of(fixed * root, prior, [each.weighed(root) for each in waves], target * root, orders)
         at = evidence.most_likely(at, steps)
         values, left, effective = evidence.posterior(at)
-        squares = np.sum((left / root).reshape(problem.rows, -1) ** 2, 0)
+        squares = np.sum((left / root) ** 2, 0)
         scale = float(np.sqrt(np.sum(weight * squares) / max(target.size - effective, 1.0)))
         weight = (FREEDOM + problem.rows) / (FREEDOM + squares / scale**2)
     assert evidence is not None
@@ -148,6 +147,36 @@ def _spectra(problem: Problem, current: Fit, named: Terms) -> list[_Spectrum]:
             rolloff = (float(f"{corner:.6g}"), float(f"{slope:.6g}"))
             found.append(_Spectrum(family, each[:some], float(f"{amplitude:.6g}"), rolloff, values[: 2 * some]))
     return found
+
+
+class _Waves(NamedTuple):
+    """Sine and cosine of all orders of a family, whose columns are their products with that of the site.
+
+    Sums over the rows of a sample are taken before those over samples, in which most of the time goes.
+
+    Attributes:
+        column: `(row, sample)`, of the site.
+        functions: `(line, sample)`.
+    """
+
+    column: Array
+    functions: Array
+
+    def weighed(self, root: Array) -> "_Waves":
+        """With columns times the root of each sample's weight `(sample,)`."""
+        return _Waves(self.column * root, self.functions)
+
+    def with_rows(self, rows: Array) -> Array:
+        """Products `(…, line)` of the columns with rows `(…, row, sample)`."""
+        return np.sum(rows * self.column, -2) @ self.functions.T
+
+    def with_others(self, other: "_Waves") -> Array:
+        """Products `(line, line)` of the columns with those of another family."""
+        return (self.functions * np.sum(self.column * other.column, 0)) @ other.functions.T
+
+    def total(self, values: Array) -> Array:
+        """Their sum `(row, sample)` with these numbers `(line,)`."""
+        return self.column * (values @ self.functions)
 
 
 def _orders(angle: Array) -> Array:
@@ -175,30 +204,38 @@ class _Evidence:
 
     Attributes:
         orders: of each family.
-        fixed: how many numbers of the nuisance and of named terms the data or the prior determine.
-        columns: `(line, reading)`, of sine and cosine of every order, outside the span of the fixed columns.
-        target: `(reading,)`, the data outside that span.
-        readings: how many there are of the data; further ones are those of priors.
-        gram: `(line, line)`, products of the columns.
-        pulled: `(line,)`, products of these with the data.
+        waves: of each family, weighed.
+        basis: `(fixed, row, sample)`, orthonormal with what the priors add to it: the span of the nuisance and of named
+            terms as far as the data or priors determine them.
+        inside: `(fixed, line)`, the columns of all waves in this basis.
+        target: `(row, sample)`, the data outside that span.
+        gram: `(line, line)`, products of the columns outside that span.
+        pulled: `(line,)`, products of the columns with the data there.
     """
 
     orders: Sequence[Array]
-    fixed: int
-    columns: Array
+    waves: Sequence[_Waves]
+    basis: Array
+    inside: Array
     target: Array
-    readings: int
     gram: Array
     pulled: Array
 
     @classmethod
-    def of(cls, fixed: Array, prior: Array, lines: Array, target: Array, orders: Sequence[Array]) -> "_Evidence":
-        """From columns `(number, reading)`, one over the prior variances of the fixed numbers, and the data."""
-        none = np.zeros((len(lines), len(fixed)))
-        basis = orthonormal(unit_rows(np.concatenate([fixed, np.diag(np.sqrt(prior))], 1)), _ROUNDING)
-        columns = outside(np.concatenate([lines, none], 1), basis)
-        data = outside(np.append(target, none[0])[None], basis)[0]
-        return cls(orders, len(basis), columns, data, target.size, columns @ columns.T, columns @ data)
+    def of(
+        cls, fixed: Array, prior: Array, waves: Sequence[_Waves], target: Array, orders: Sequence[Array]
+    ) -> "_Evidence":
+        """From columns `(number, row, sample)`, one over the prior variances of these numbers, and the data."""
+        readings = np.concatenate([fixed.reshape(len(fixed), -1), np.diag(np.sqrt(prior))], 1)
+        whole = orthonormal(unit_rows(readings), _ROUNDING)
+        basis = whole[:, : target.size].reshape(-1, *target.shape)
+        left = outside(np.append(target, np.zeros(len(fixed)))[None], whole)[0, : target.size].reshape(target.shape)
+        inside = np.concatenate([each.with_rows(basis) for each in waves], 1)
+        half = [[one.with_others(other) for other in waves[: k + 1]] for k, one in enumerate(waves)]
+        blocks = [[half[i][j] if j <= i else half[j][i].T for j in range(len(waves))] for i in range(len(waves))]
+        gram = np.block(blocks) - inside.T @ inside
+        pulled = np.concatenate([each.with_rows(left) for each in waves])
+        return cls(orders, waves, basis, inside, left, gram, pulled)
 
     def most_likely(self, start: Array, steps: int) -> Array:
         """The priors' numbers `(3 · family,)`, so many steps on: logarithms of amplitude and corner, and the slope."""
@@ -207,11 +244,15 @@ class _Evidence:
         return minimize(self._unlikely, start, jac=True, method="L-BFGS-B", bounds=bounds, options=options).x
 
     def posterior(self, at: Array) -> tuple[Array, Array, float]:
-        """The mean `(line,)`, what it leaves of the data `(reading,)`, and the effective number of parameters."""
+        """The mean `(line,)`, what it leaves of the data `(row, sample)`, and the effective number of parameters."""
         s, factor = self._factor(at)
         mean = s * cho_solve(factor, s * self.pulled)
-        effective = self.fixed + len(s) - float(np.sum(_inverse_diagonal(factor)))
-        return mean, (self.target - mean @ self.columns)[: self.readings], effective
+        effective = len(self.basis) + len(s) - float(np.sum(_inverse_diagonal(factor)))
+        parts = zip(self.waves, _by_family(mean, self.orders), strict=True)
+        explained = sum(
+            (each.total(values) for each, values in parts), -np.tensordot(self.inside @ mean, self.basis, 1)
+        )
+        return mean, self.target - explained, effective
 
     def _factor(self, at: Array) -> tuple[Array, tuple[Array, bool]]:
         """The prior's standard deviations `(line,)`, and the Cholesky factor of the posterior's precision over it."""

@@ -10,7 +10,7 @@ from lite6jax.estimation.least_squares import Fit
 from lite6jax.estimation.multiplicity import multiplicity
 from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.problem import Problem, acts_on, wave_of
-from lite6jax.estimation.score_test import gain_p_value, score_test
+from lite6jax.estimation.score_test import gain_p_value, longest_time
 from lite6jax.estimation.terms import Term
 from lite6jax.search.against_noise import in_own_noise, is_noise
 from lite6jax.search.state import SelectedTerm, State, reduced, retested
@@ -31,7 +31,7 @@ def significant(problem: Problem, state: State, options: EngineOptions) -> State
     while state.tested:
         # what left may have whitened the residuals
         state = replace(state, fit=in_own_noise(problem, state.fit, options))
-        time = score_test(problem, state.fit, options).time
+        time = longest_time(problem, state.fit, options)
         tests = [_tested_finally(problem, state, k, time, options) for k in range(len(state.tested))]
         tests = [
             replace(one, p_value=1.0)
@@ -106,6 +106,6 @@ def _tested_finally(problem: Problem, state: State, k: int, time: float, options
 
 
 def all_significant(problem: Problem, state: State, options: EngineOptions) -> bool:
-    time = score_test(problem, state.fit, options).time
+    time = longest_time(problem, state.fit, options)
     tests = (_tested_finally(problem, state, k, time, options) for k in range(len(state.tested)))
     return all(one.p_value < options.level for one in tests)

@@ -46,22 +46,22 @@ class EffectColumns:
         """
         own = Terms(tuple(terms))
         values = np.zeros(own.size) if values is None else np.asarray(values, float)
-        parts: list[Array] = [np.zeros((0, *self._shape))]
+        found = np.empty((own.size, *self._shape))  # half a gigabyte of a real arm: each part is written in its place
         for effect, part in zip(own.terms, own.slices, strict=True):
             assert isinstance(effect, Effect)
             if isinstance(effect, Loading):
                 others, at = (own, values) if beside is None else beside
                 unit = self.deflections.through_loads(effect, values[part], physics_of(others), at)
-                parts.append(columns_of(unit, self.sites))
+                found[part] = columns_of(unit, self.sites)
             elif isinstance(effect, Unnamed):
-                parts.append(families.unnamed_columns(effect, self.deflections.basis(effect), self.sites))
+                families.unnamed_columns(effect, self.deflections.basis(effect), self.sites, found[part])
             elif effect.linear or not values[part].any():
                 if effect not in self._linear:
                     self._linear[effect] = columns_of(self.deflections.unit(effect), self.sites)
-                parts.append(self._linear[effect])
+                found[part] = self._linear[effect]
             else:
-                parts.append(columns_of(self.deflections.slope(effect, values[part]), self.sites))
-        return np.concatenate(parts)
+                found[part] = columns_of(self.deflections.slope(effect, values[part]), self.sites)
+        return found
 
     def by_masses(self, physics: Physics, values: Array) -> Array:
         """How residuals change with errors of masses through effects `(physics.size,)`, `(mass, row, sample)`."""

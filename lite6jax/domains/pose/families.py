@@ -164,9 +164,13 @@ def site_of(where: str, component: str) -> Site:
     return kind, max(number - 1, 0), 0 if kind == "joint" else COMPONENTS.index(component)
 
 
-def unnamed_columns(effect: Unnamed, basis: Array, sites: dict[Site, Array]) -> Array:
-    """How residuals change with the coefficients of an effect without a name, `(number, row, sample)`."""
-    return np.concatenate([sites[site_of(effect.where, component)] * basis[:, None] for component in effect.components])
+def unnamed_columns(effect: Unnamed, basis: Array, sites: dict[Site, Array], out: Array | None = None) -> Array:
+    """How residuals change with the coefficients of an effect without a name, `(number, row, sample)`; into `out`."""
+    if out is None:
+        out = np.empty((effect.size, *sites["scale", 0, 0].shape))
+    for k, component in enumerate(effect.components):
+        np.multiply(sites[site_of(effect.where, component)], basis[:, None], out=out[effect.part(k)])
+    return out
 
 
 class _Ranges:

@@ -12,7 +12,7 @@ from lite6jax.estimation.least_squares import Fit, fit
 from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.problem import Mask
 from lite6jax.estimation.projection import schur_complement
-from lite6jax.estimation.score_test import remaining_noise_model, score_test
+from lite6jax.estimation.score_test import longest_time, remaining_noise_model
 from lite6jax.estimation.terms import Terms
 
 Array = NDArray[np.floating]
@@ -62,7 +62,7 @@ def with_likely_prior(problem: TorqueProblem, options: EngineOptions, training: 
     widest = of_width(_WIDTHS[-1])
     noise = remaining_noise_model(widest, fit(widest, terms, options, training=training), options)
     found = fit(widest, terms, options, training=training, noise=noise)
-    time = max(score_test(widest, found, options).time, 1.0)
+    time = max(longest_time(widest, found, options), 1.0)
 
     def judged(width: float) -> float:
         each = of_width(width)
