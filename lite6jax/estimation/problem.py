@@ -163,6 +163,7 @@ class Problem(LinearisedProblem, Protocol):
         valid: `(sample,)` bool, the samples that may be used at all.
         informative: `(number,)` bool, of the nuisance, whether a prior states knowledge, so that it counts as evidence;
             otherwise it only fixes a gauge.
+        declared: whether the noise that residuals are divided by is declared, and not assumed.
         candidates: the named terms that are testable with these data.
         periodic: families of periodic terms.
         curves: families of nonparametric terms.
@@ -177,6 +178,8 @@ class Problem(LinearisedProblem, Protocol):
     def valid(self) -> Mask: ...
     @property
     def informative(self) -> Mask: ...
+    @property
+    def declared(self) -> bool: ...
     @property
     def candidates(self) -> tuple[Term, ...]: ...
     @property

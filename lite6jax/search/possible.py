@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from lite6jax.estimation.least_squares import Fit
 from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.problem import Problem
 from lite6jax.estimation.score_test import score_test
@@ -49,14 +50,17 @@ def _not_possible(problem: Problem, state: State, options: EngineOptions) -> int
 
 def _least_possible(problem: Problem, state: State, options: EngineOptions) -> int | None:
     """The named term that is farthest outside its bounds, in standard deviations, if that is far enough."""
-    farthest, found = options.impossible, None
-    std = np.sqrt(np.diagonal(state.fit.covariance))
-    for k, (tested, part) in enumerate(zip(state.tested, state.fit.terms.slices, strict=True)):
-        for limits, value, s in zip(problem.limits(tested.term), state.fit.values[part], std[part], strict=True):
-            beyond = max(limits[0] - value, value - limits[1]) / max(s, 1e-300)
-            if beyond > farthest:
-                farthest, found = beyond, k
-    return found
+    farthest = [beyond_limits(problem, state.fit, k) for k in range(len(state.tested))]
+    k = int(np.argmax(farthest)) if farthest else 0
+    return k if farthest and farthest[k] > options.impossible else None
+
+
+def beyond_limits(problem: Problem, fitted: Fit, k: int) -> float:
+    """By how many standard deviations a number of the k-th term is outside its bounds at most; negative within them."""
+    part = fitted.terms.slices[k]
+    values, std = fitted.values[part], np.maximum(np.sqrt(np.diagonal(fitted.covariance)[part]), 1e-300)
+    lower, upper = np.transpose(problem.limits(fitted.terms.terms[k]))
+    return float(np.max(np.maximum(lower - values, values - upper) / std))
 
 
 def _contradicted(problem: Problem, state: State, options: EngineOptions) -> int | None:

@@ -11,7 +11,7 @@ from lite6jax.estimation.problem import Problem
 from lite6jax.estimation.score_test import longest_time, score_test
 from lite6jax.estimation.terms import Terms
 from lite6jax.search.against_noise import in_own_noise, tested_against_noise
-from lite6jax.search.functions import beside_noise
+from lite6jax.search.possible import beyond_limits
 from lite6jax.search.state import (
     Alternative,
     SelectedTerm,
@@ -42,7 +42,7 @@ def retest(problem: Problem, state: State, options: EngineOptions) -> State:
         if len(more.tested) <= len(state.tested):
             break
         state = more
-    return beside_noise(problem, state, options)
+    return state
 
 
 def _in_noise_model(problem: Problem, state: State, options: EngineOptions) -> State:
@@ -70,9 +70,9 @@ def _in_noise_model(problem: Problem, state: State, options: EngineOptions) -> S
 def renamed(problem: Problem, state: State, k: int, options: EngineOptions) -> State:
     """The state with the most likely of the k-th term and its alternatives.
 
-    They may rank otherwise beside the terms and in the noise that have been found since. Of those that the data do not
-    distinguish it is the one with the most specific name; but a wave beside another one of its site stays, since all
-    orders of a site are one cause.
+    They may rank otherwise beside the terms and in the noise that have been found since. One whose numbers are not
+    possible is none. Of those that the data do not distinguish it is the one with the most specific name; but a wave
+    beside another one of its site stays, since all orders of a site are one cause.
     """
     tested = state.tested[k]
     rest = reduced(problem, state, k, options).fit
@@ -86,6 +86,8 @@ def renamed(problem: Problem, state: State, k: int, options: EngineOptions) -> S
         terms = Terms((*rest.terms.terms[:k], alternative.term, *rest.terms.terms[k:]))
         values = np.insert(rest.values, state.fit.terms.slices[k].start, score.values)
         other = fit(problem, terms, options, values, rest.nuisance, rest.training, rest.noise)
+        if beyond_limits(problem, other, k) > options.impossible:
+            continue
         p_value = score.familywise(multiplicity(problem, alternative.term, options))
         choices.append((SelectedTerm(alternative.term, p_value, score), other))
     scale, n = np.min([one.scale for _, one in choices], axis=0), rest.freedom

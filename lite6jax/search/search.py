@@ -15,7 +15,7 @@ from lite6jax.search.backward import eliminate, prune
 from lite6jax.search.curves import merge_harmonics, replace_by_curves
 from lite6jax.search.exchange import exchange, one_for_several
 from lite6jax.search.forward import forward
-from lite6jax.search.functions import unmasked
+from lite6jax.search.functions import beside_noise, unmasked
 from lite6jax.search.names import challenge_names
 from lite6jax.search.possible import believable
 from lite6jax.search.retest import retest
@@ -84,7 +84,7 @@ def search(
     if not any(term.shrunk for term in state.fit.terms.terms):
         entered("noise")
         state = retest(problem, state, options)
-        state = significant(problem, believable(problem, state, options), options)
+        state = beside_noise(problem, significant(problem, believable(problem, state, options), options), options)
     if thorough and not any(term.shrunk for term in state.fit.terms.terms):
         state = with_alternatives(problem, named_again(problem, state, options), options)
     selection = Selection(problem, reference, state)

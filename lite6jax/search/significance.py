@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lite6jax.estimation.concentration import Concentration, concentration
 from lite6jax.estimation.least_squares import Fit
@@ -15,6 +16,8 @@ from lite6jax.estimation.terms import Term
 from lite6jax.search.against_noise import in_own_noise, is_noise
 from lite6jax.search.state import SelectedTerm, State, reduced, retested
 
+_FEWEST_OTHERS = 2
+"""Groups of rows beside one's own, from which their median says what noise is."""
 _CYCLES = 16.0
 """Of a wave in the range of its angle: twice as many as the pieces of a spline without a name."""
 
@@ -24,8 +27,9 @@ def significant(problem: Problem, state: State, options: EngineOptions) -> State
 
     So does what explains little beside a function at its site: that may be what the function does not describe, unless
     it is a wave that is too short for that.
-    A name also leaves if the error that remains at its site exceeds a small share of what it explains, and any term if
-    autocorrelated noise in its place is more likely.
+    A name also leaves if the error that remains at its site exceeds a small share of what it explains, or the one that
+    remains in the only group of rows on which it acts exceeds all that it explains, and any term if autocorrelated
+    noise in its place is more likely.
     """
     left = concentration(problem, state.fit, options) if state.tested else None  # beside all of them
     while state.tested:
@@ -35,7 +39,9 @@ def significant(problem: Problem, state: State, options: EngineOptions) -> State
         tests = [_tested_finally(problem, state, k, time, options) for k in range(len(state.tested))]
         tests = [
             replace(one, p_value=1.0)
-            if _misfit(problem, state, k, tests, options) or _leaves_more(one, k, state.fit, left, options)
+            if _misfit(problem, state, k, tests, options)
+            or _leaves_more(one, k, state.fit, left, options)
+            or _outweighed(problem, state, k, options)
             else one
             for k, one in enumerate(tests)
         ]
@@ -88,6 +94,31 @@ def _leaves_more(name: SelectedTerm, k: int, fit: Fit, left: Concentration | Non
     if left is None or left.site != name.term.site or name.term.nonparametric:
         return False
     return options.misfit * fit.quadratic_gain(k) < left.gain
+
+
+def _outweighed(problem: Problem, state: State, k: int, options: EngineOptions) -> bool:
+    """Whether a name explains less than what it leaves in its group of rows, which is much more than noise.
+
+    What noise is, the other groups say: by how much theirs differs from what is declared. Where physics is left that no
+    candidate describes, a name that takes a small part of it is as likely to be a part of that physics.
+    """
+    name, fitted = state.tested[k].term, state.fit
+    groups = np.unique(problem.groups[acts_on(problem, name, (fitted.terms, fitted.values))])
+    if not problem.declared or name.nonparametric or len(groups) != 1 or problem.groups.max() < _FEWEST_OTHERS:
+        return False
+    now = _group_scales(fitted)
+    noise = float(np.median(np.delete(now, groups)))
+    left = float(now[groups[0]] / noise) ** 2
+    if left < options.concentrated:
+        return False
+    without = float(_group_scales(reduced(problem, state, k, options).fit)[groups[0]] / noise) ** 2
+    return without - left < left - 1
+
+
+def _group_scales(fitted: Fit) -> NDArray[np.floating]:
+    """The size of each group's residuals `(group,)`, by their median, over the declared noise."""
+    groups, rows = fitted.residuals.groups, np.abs(fitted.residuals.rows[:, fitted.training])
+    return np.array([np.median(rows[groups == group]) for group in range(int(groups.max()) + 1)])
 
 
 def _tested_finally(problem: Problem, state: State, k: int, time: float, options: EngineOptions) -> SelectedTerm:

@@ -1,6 +1,6 @@
 """An estimation problem without any robot: a linear regression with planted terms and groups of unequal noise."""
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -167,38 +167,42 @@ def is_free(term):
 
 @dataclass(frozen=True, eq=False)
 class LinearProblem:
-    """y = level + Σ terms + noise, two rows of which each is a group with a scale and a noise model of its own.
+    """y = level + Σ terms + noise, rows of which each is a group with a scale and a noise model of its own.
 
-    The second row has half of every regressor.
+    Each row has its share of every regressor: the second of two has half.
     """
 
     data: dict
     measured: np.ndarray
     candidates: tuple
-    scale: np.ndarray = field(default_factory=lambda: np.ones(2))
     run: np.ndarray = None
+    shares: tuple = (1.0, 0.5)
     ladder: tuple = ()
     shaped: tuple = ()
-    offset: np.ndarray = field(default_factory=lambda: np.zeros(2))
-    precision: np.ndarray = field(default_factory=lambda: np.zeros(2))
-    informative: np.ndarray = field(default_factory=lambda: np.zeros(2, bool))
+    offset: np.ndarray = 0.0
     preset: tuple = (Terms(), np.zeros(0))
+    declared: bool = True
 
-    rows = 2
-    groups = np.array([0, 1])
+    rows = property(lambda self: len(self.shares))
+    groups = property(lambda self: np.arange(self.rows))
+    precision = property(lambda self: np.zeros(self.rows))
+    informative = property(lambda self: np.zeros(self.rows, bool))
     samples = property(lambda self: self.measured.shape[1])
     valid = property(lambda self: np.ones(self.samples, bool))
 
     @cached_property
     def levels(self):
         """The level of each row, which nothing is known of."""
-        return np.eye(2)[:, :, None] * np.ones(self.samples)
+        return np.eye(self.rows)[:, :, None] * np.ones(self.samples)
+
+    def __post_init__(self):
+        object.__setattr__(self, "offset", np.broadcast_to(self.offset, self.rows))
 
     def _rows(self, basis):
-        return np.stack([basis, 0.5 * basis], 1)
+        return np.multiply(basis[:, None], np.array(self.shares)[:, None])
 
     def columns(self, terms, values=None, beside=None):
-        out, at = [np.zeros((0, 2, self.samples))], 0
+        out, at = [np.zeros((0, self.rows, self.samples))], 0
         for term in terms:
             part = None if values is None else values[at : at + term.size]
             at += term.size
@@ -254,7 +258,7 @@ class LinearProblem:
     @cached_property
     def periodic(self):
         angle = self.data["angle"]
-        column = np.stack([np.ones(self.samples), np.full(self.samples, 0.5)])
+        column = np.multiply.outer(self.shares, np.ones(self.samples))
 
         def curve(orders, training, spread, fade):
             return Hat(angle.min(), angle.max(), 1, tuple(orders), np.inf if spread is None else spread)
@@ -263,25 +267,26 @@ class LinearProblem:
 
     @cached_property
     def curves(self):
-        column = np.stack([np.ones(self.samples), np.full(self.samples, 0.5)])
+        column = np.multiply.outer(self.shares, np.ones(self.samples))
         return (CurveFamily("wheel", column, (CurveDriver(self.data["angle"], (8,), True, Hat),)),)
 
 
-def linear_problem(rng, samples=400, planted=None, noise=(1.0, 3.0), correlated=(0.0, 0.0), runs=1):
+def linear_problem(rng, samples=400, planted=None, noise=(1.0, 3.0), correlated=(0.0, 0.0), runs=1, shares=(1.0, 0.5)):
     """A problem with regressors u1 … u6, an angle over several turns, and what `planted` adds to the first row.
 
     Args:
         rng: of all that is random.
         samples: how many.
-        planted: maps the data to `(sample,)`; half of it is in the second row.
+        planted: maps the data to `(sample,)`, of which each row has its share.
         noise: standard deviation of each row.
         correlated: first-order autoregressive coefficient of each row's noise.
         runs: into how many runs the samples are divided.
+        shares: of each row.
     """
     data = {f"u{k}": rng.normal(size=samples) for k in range(1, 7)}
     data["angle"] = rng.uniform(-9.0, 9.0, samples)
     signal = np.zeros(samples) if planted is None else planted(data)
-    white = rng.normal(size=(2, samples))
+    white = rng.normal(size=(len(shares), samples))
     run = np.arange(samples) * runs // samples
     errors = np.empty_like(white)
     for row, (sigma, coefficient) in enumerate(zip(noise, correlated, strict=True)):
@@ -290,6 +295,7 @@ def linear_problem(rng, samples=400, planted=None, noise=(1.0, 3.0), correlated=
             before = 0.0 if first else coefficient * errors[row, k - 1]
             errors[row, k] = before + (1.0 if first else np.sqrt(1 - coefficient**2)) * white[row, k]
         errors[row] *= sigma
-    measured = np.stack([5 + signal, -2 + 0.5 * signal]) + errors
+    levels = np.resize([5.0, -2.0], len(shares))
+    measured = levels[:, None] + np.multiply.outer(shares, signal) + errors
     candidates = (*(Column(f"u{k}") for k in range(1, 7)), Wave(1.0))
-    return LinearProblem(data, measured, candidates, run=run)
+    return LinearProblem(data, measured, candidates, run=run, shares=tuple(shares))

@@ -149,6 +149,33 @@ def test_the_likelier_neighbour_takes_the_place_of_a_term_and_is_as_significant_
     assert tested.alternatives[0].term == Column("u6")
 
 
+def test_a_neighbour_whose_numbers_are_not_possible_is_no_alternative():
+    rng = np.random.default_rng(4)
+    problem = linear_problem(rng, planted=lambda d: np.linspace(30, -30, 400))
+    problem.data["u2"] = np.linspace(-1, 1, 400)
+    problem.data["u6"] = problem.data["u2"] + 0.1 * rng.normal(size=400)
+    positive = Column("u2", coordinates=(Number(lower=0.0),))
+    others = tuple(term for term in problem.candidates if term != Column("u2"))
+    (free,) = named_again(problem, held(problem, "u6"), OPTIONS).tested
+    assert free.term == Column("u2")
+    (tested,) = named_again(replace(problem, candidates=(*others, positive)), held(problem, "u6"), OPTIONS).tested
+    assert tested.term == Column("u6")
+    assert positive not in [one.term for one in tested.alternatives]
+
+
+@pytest.mark.parametrize(("hidden", "stands"), [(0.0, True), (3.0, True), (30.0, False)])
+def test_a_name_does_not_stand_that_explains_less_than_what_is_left_of_its_group(hidden, stands):
+    """A wandering error that no term describes, in one group of four; the others say what noise is."""
+    rng = np.random.default_rng(9)
+    walk = np.cumsum(rng.normal(size=400))
+    problem = linear_problem(
+        rng, 400, lambda d: 5 * d["u2"] + hidden * walk / np.std(walk), (1.0,) * 4, (0.0,) * 4, 1, (1.0, 0.0, 0.0, 0.0)
+    )
+    assert (Column("u2") in terms(search(problem, OPTIONS).state)) == stands
+    # where the noise is not declared, the groups cannot be compared
+    assert Column("u2") in terms(search(replace(problem, declared=False), OPTIONS).state)
+
+
 def test_what_the_data_leave_open_is_held_by_its_bounds():
     """By ridge regression in closed form; and what they determine is not touched."""
     rng = np.random.default_rng(6)
