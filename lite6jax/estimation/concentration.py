@@ -9,7 +9,6 @@ from scipy.special import fdtrc
 from lite6jax.estimation.least_squares import Fit
 from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.problem import Problem
-from lite6jax.estimation.projection import orthonormal
 from lite6jax.estimation.score_test import ScoreTest, score_test
 
 Array = NDArray[np.floating]
@@ -39,6 +38,53 @@ class _Remainder(NamedTuple):
     freedom: int
 
 
+class _Products(NamedTuple):
+    """Products of a model's columns and residuals, over some directions of each sample's rows.
+
+    What lies along a direction is subtracted from the products, so that columns of hundreds of numbers are not copied.
+
+    Attributes:
+        gram: `(k, k)`, of the columns.
+        inner: `(k,)`, of columns and residuals.
+        squares: of the residuals.
+        readings: how many.
+    """
+
+    gram: Array
+    inner: Array
+    squares: float
+    readings: int
+
+    @classmethod
+    def of(cls, test: ScoreTest) -> "_Products":
+        """Over all directions."""
+        basis, residual = test.basis, test.residual
+        readings = len(residual) - test.problem.rows * int((~test.fit.training).sum())
+        return cls(basis @ basis.T, basis @ residual, float(residual @ residual), readings)
+
+    def across(self, test: ScoreTest, column: Array) -> "_Products":
+        """Over the directions of each training sample's rows that are across that of a column `(row, sample)`."""
+        direction = column / np.maximum(np.linalg.norm(column, axis=0), 1e-300)
+        measured = test.basis[:, : column.size].reshape(-1, *column.shape)
+        columns = np.einsum("rs,krs->ks", direction, measured)
+        residual = np.sum(direction * test.residual[: column.size].reshape(column.shape), 0)
+        return _Products(
+            self.gram - columns @ columns.T,
+            self.inner - columns @ residual,
+            max(self.squares - float(residual @ residual), 0.0),
+            self.readings - int(test.fit.training.sum()),
+        )
+
+    def remainder(self, options: EngineOptions) -> _Remainder:
+        """What the model leaves when it is refitted to these directions alone."""
+        if not len(self.gram):
+            return _Remainder(self.squares, self.readings)
+        eigenvalues, V = np.linalg.eigh(self.gram)
+        kept = eigenvalues > options.rounding * eigenvalues[-1]
+        fitted = float(np.sum((V[:, kept].T @ self.inner) ** 2 / eigenvalues[kept]))
+        return _Remainder(max(self.squares - fitted, 0.0), self.readings - int(kept.sum()))
+
+
 def concentration(problem: Problem, fit: Fit, options: EngineOptions) -> Concentration | None:
     """The site whose deflections the residuals look like; None where noise alone, or several sites, could explain them.
 
@@ -54,12 +100,15 @@ def concentration(problem: Problem, fit: Fit, options: EngineOptions) -> Concent
         fit: the model.
         options: thresholds.
     """
+    if fit.noise.white and (every := fit.training.size // options.first_samples) > 1:
+        problem, fit = problem.thinned(every), fit.thinned(every)
     families = [family for family in problem.curves if np.count_nonzero(family.column.any(1)) > 1]
     if not families:
         return None
     test = score_test(problem, fit, options)
-    whole = _remainder(test)
-    found = [(_remainder(test, family.column), family.site) for family in families]
+    products = _Products.of(test)
+    whole = products.remainder(options)
+    found = [(products.across(test, family.column).remainder(options), family.site) for family in families]
     rest, site = min(found, key=lambda pair: pair[0].squares)
     along = whole.freedom - rest.freedom
     if rest.freedom <= 0 or along <= 0 or rest.squares <= options.rounding * whole.squares:
@@ -71,32 +120,9 @@ def concentration(problem: Problem, fit: Fit, options: EngineOptions) -> Concent
         return None
     measured = test.residual[: problem.rows * problem.samples].reshape(problem.rows, problem.samples)
     axis = np.linalg.eigh(measured @ measured.T)[1][:, -1:]
-    others = [_remainder(test, np.broadcast_to(axis, measured.shape)), *(one for one, where in found if where != site)]
-    nearest = min(one.squares for one in others)
+    of_axis = products.across(test, np.broadcast_to(axis, measured.shape)).remainder(options)
+    nearest = min(one.squares for one in (of_axis, *(one for one, where in found if where != site)))
     if 0.5 * rest.freedom / test.time * np.log(nearest / rest.squares) < options.close:
         return None
     share, expected = 1 - rest.squares / whole.squares, along / whole.freedom
     return Concentration(site, share, expected, 0.5 * (whole.squares - rest.squares - along * noise))
-
-
-def _remainder(test: ScoreTest, column: Array | None = None) -> _Remainder:
-    """What the refitted model leaves, where a column is given across its direction in each sample."""
-    rows, samples = test.problem.rows, test.problem.samples
-    used = test.fit.training.sum()
-    residual, basis, readings = test.residual, test.basis, len(test.residual) - rows * (samples - used)
-    if column is not None:
-        direction = column / np.maximum(np.linalg.norm(column, axis=0), 1e-300)
-        residual, basis = (_across(direction, part) for part in (residual[None], basis))
-        residual, readings = residual[0], readings - used
-    inside = orthonormal(basis, test.options.rounding)
-    fitted = inside @ residual
-    return _Remainder(float(residual @ residual - fitted @ fitted), int(readings - len(inside)))
-
-
-def _across(direction: Array, readings: Array) -> Array:
-    """Readings `(number, reading)` without what lies along unit vectors `(row, sample)`; those of a prior stay."""
-    count = direction.size
-    measured = readings[:, :count].reshape(-1, *direction.shape)
-    along = np.einsum("rs,krs->ks", direction, measured)
-    moved = measured - direction * along[:, None]
-    return np.concatenate([moved.reshape(len(readings), count), readings[:, count:]], 1)

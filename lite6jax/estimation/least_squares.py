@@ -1,11 +1,13 @@
 """Nuisance and terms fitted together, robustly: the one Gauss–Newton of the engine, on exact residuals."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple, TypeVar, final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from lite6jax.estimation.factored import Factored, gram, pulled
 from lite6jax.estimation.noise import NoiseModel, white_noise
 from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.problem import LinearisedProblem, Mask
@@ -15,6 +17,8 @@ from lite6jax.estimation.terms import Terms
 
 Array = NDArray[np.floating]
 P = TypeVar("P", bound=LinearisedProblem)
+_MANY = 40
+"""Numbers of a term from which factored columns save time."""
 _TYPICAL = 1e-4
 """m or rad, the change of a prediction by a number of its typical size."""
 
@@ -80,6 +84,12 @@ class Fit:
     def scale(self) -> Array:
         """`(group,)`, of the noise over the declared one."""
         return self.residuals.scale
+
+    def thinned(self, every: int) -> "Fit":
+        """The fit with one in `every` samples; of white noise."""
+        r = self.residuals
+        few = r._replace(rows=r.rows[:, ::every], innovations=r.innovations[:, ::every], weight=r.weight[:, ::every])
+        return replace(self, residuals=few, training=self.training[::every])
 
     @property
     def freedom(self) -> float:
@@ -195,22 +205,24 @@ def _fitted(
     def prior(where: P, numbers: Array) -> Array:
         return np.concatenate([where.offset, np.zeros(terms.size)]) + numbers
 
-    def columns_at(where: P, numbers: Array, rows: Array) -> Array:
+    def columns_at(where: P, numbers: Array, rows: Array) -> Sequence[Array | Factored]:
         if exact:
-            return noise.whitened(_differences(where, terms, numbers, rows, options.difference))
-        return noise.whitened(linear_columns(where, terms, numbers[k:]))
+            return [noise.whitened(_differences(where, terms, numbers, rows, options.difference))]
+        if noise.white:
+            return _parts(where, terms, numbers[k:])
+        return [noise.whitened(linear_columns(where, terms, numbers[k:]))]
 
     state = weighed(residual(problem, at), noise, training)
     converged, H = False, np.eye(0)
     for _ in range(options.exact_steps if exact else options.steps):
-        columns = columns_at(problem, at, state.rows)
-        if not len(columns):
+        parts = columns_at(problem, at, state.rows)
+        if not sum(map(len, parts)):
             converged = True
             break
         root = np.sqrt(np.where(training, state.row_weight, 0.0))
-        flat = np.multiply(columns, root, out=columns).reshape(len(columns), -1)
-        H = flat @ flat.T
-        gradient = flat @ (root * state.innovations).ravel() + precision * prior(problem, at)
+        parts = [part.weighed(root) if isinstance(part, Factored) else part * root for part in parts]
+        H = gram(parts)
+        gradient = pulled(parts, root * state.innovations) + precision * prior(problem, at)
         H[np.diag_indices_from(H)] += precision
         change = -scaled_solve(H, gradient)
         length = float(np.sqrt(max(-change @ gradient, 0.0)))
@@ -258,6 +270,18 @@ def without(problem: LinearisedProblem, fitted: Fit, k: int, options: EngineOpti
     """The fit without the k-th term, started from the values of the others."""
     rest, values = fitted.terms.part(fitted.values, [i != k for i in range(len(fitted.terms.terms))])
     return fit(problem, rest, options, values, fitted.nuisance, fitted.training, fitted.noise)
+
+
+def _parts(problem: LinearisedProblem, terms: Terms, values: Array) -> list[Array | Factored]:
+    """As `linear_columns`, with the columns of terms of many numbers factored where they can be."""
+    many = [problem.factored(term) if term.size >= _MANY else None for term in terms.terms]
+    if not any(many):
+        return [linear_columns(problem, terms, values)]
+    base = problem.nuisance_columns(terms, values)
+    found: list[Array | Factored] = [base] if len(base) else []
+    for term, part, factored in zip(terms.terms, terms.slices, many, strict=True):
+        found.append(factored or problem.columns([term], values[part], beside=(terms, values)))
+    return found
 
 
 def linear_columns(problem: LinearisedProblem, terms: Terms, values: Array) -> Array:

@@ -11,6 +11,7 @@ from typing import Protocol, Self, final
 import numpy as np
 from numpy.typing import NDArray
 
+from lite6jax.estimation.factored import Factored
 from lite6jax.estimation.terms import Term, Terms
 
 Array = NDArray[np.floating]
@@ -139,6 +140,10 @@ class LinearisedProblem(Protocol):
             beside: the terms of the model, and their numbers, that a term's own columns may depend on; `terms`
                 themselves where not given.
         """
+        ...
+
+    def factored(self, term: Term) -> Factored | None:
+        """The columns of a term in that form, where they have it; else None."""
         ...
 
     def nuisance_columns(self, terms: Terms, values: Array) -> Array:

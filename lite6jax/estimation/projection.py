@@ -7,8 +7,11 @@ from scipy.linalg.lapack import get_lapack_funcs
 
 Array = NDArray[np.floating]
 
-_MANY, _REGULAR = 20, 1e-8
-"""Numbers from which a Cholesky factor is tried before eigenvalues, and the least square on its diagonal."""
+_MANY, _REGULAR = 20, 1e-11
+"""Numbers from which a Cholesky factor is tried before eigenvalues, and the least square on its diagonal.
+
+Either way rounding leaves an error of 1e-16 over the least eigenvalue, relative to the solution.
+"""
 (_potrf,) = get_lapack_funcs(("potrf",), dtype=float)
 
 

@@ -330,7 +330,9 @@ def score_test(
     prior = np.zeros((len(columns), len(known)))
     prior[known, np.arange(len(known))] = np.sqrt(problem.precision[known]) * fit.scale[0]
     measured = np.linalg.norm(columns, axis=1)
-    basis = orthonormal(unit_rows(np.concatenate([columns, prior], 1)[measured > 0]), options.rounding)
+    rows = np.concatenate([columns, prior], 1)
+    del columns  # with hundreds of terms these are half a gigabyte each
+    basis = orthonormal(unit_rows(rows if measured.all() else rows[measured > 0]), options.rounding)
     off = np.sqrt(problem.precision[stated]) * (problem.offset + best.nuisance)[stated]
     residual = np.concatenate([residual, off])
     basis = basis[:, : len(residual)]

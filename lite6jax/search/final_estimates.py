@@ -8,7 +8,7 @@ from lite6jax.estimation.least_squares import Fit, fit
 from lite6jax.estimation.multiplicity import description_length
 from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.problem import Problem
-from lite6jax.estimation.score_test import score_test
+from lite6jax.estimation.score_test import longest_time
 from lite6jax.estimation.terms import Terms, join
 from lite6jax.search.state import State, added
 
@@ -65,20 +65,26 @@ def _between_models(problem: Problem, fitted: Fit, options: EngineOptions) -> np
 def _beside_inputs(problem: Problem, fitted: Fit, options: EngineOptions) -> np.ndarray:
     """What the covariance of the numbers gains as inputs may be wrong: by how much each would shift them, squared."""
     gained = np.zeros_like(fitted.covariance)
-    test = score_test(problem, fitted, options)
-    wrong = problem.inputs(fitted.terms)
-    for term, score in zip(wrong, test.score(wrong), strict=True):
-        if score.confounded:
+    for term in problem.inputs(fitted.terms):
+        other, own = added(problem, fitted, term, np.zeros(term.size), options), slice(fitted.terms.size)
+        if _is_confounded(problem, other, options):
             continue
-        other = added(problem, fitted, term, score.values, options)
-        own = slice(fitted.terms.size)
-        difference = other.values[own] - fitted.values
-        gain = other.gain_over(fitted) / test.time - description_length(problem, [term], test.freedom, options)
+        difference, time = other.values[own] - fitted.values, longest_time(problem, fitted, options)
+        gain = other.gain_over(fitted) / time - description_length(problem, [term], fitted.freedom, options)
         probability = options.wrong_input / (
             options.wrong_input + (1 - options.wrong_input) * np.exp(-np.clip(gain, -700, 700))
         )
         gained += probability * (other.covariance[own, own] - fitted.covariance + np.outer(difference, difference))
     return gained
+
+
+def _is_confounded(problem: Problem, fitted: Fit, options: EngineOptions) -> bool:
+    """Whether the columns of the last term lie in the span of the other columns, as a score test without it says."""
+    part, model = fitted.terms.slices[-1], (fitted.terms, fitted.values)
+    columns = problem.columns(fitted.terms.terms[-1:], fitted.values[part], model)
+    root = np.sqrt(np.where(fitted.training, fitted.residuals.row_weight, 0.0))
+    alone = np.sum((fitted.noise.whitened(columns) * root) ** 2, (1, 2))
+    return bool((options.confounded * alone * np.diagonal(fitted.covariance)[part] > 1).all())
 
 
 def with_alternative(problem: Problem, fitted: Fit, options: EngineOptions) -> Fit | None:

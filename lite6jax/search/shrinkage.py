@@ -17,6 +17,7 @@ from scipy.linalg import cho_factor, cho_solve
 from scipy.linalg.lapack import get_lapack_funcs
 from scipy.optimize import minimize
 
+from lite6jax.estimation.factored import Factored, gram, pulled
 from lite6jax.estimation.least_squares import Fit, fit, linear_columns
 from lite6jax.estimation.multiplicity import multiplicity
 from lite6jax.estimation.options import EngineOptions
@@ -78,14 +79,14 @@ def shrink(problem: Problem, state: State, options: EngineOptions) -> State | No
     """
     named = [tested for tested in state.tested if not tested.term.periodic]
     plain = [term for term in problem.candidates if problem.shrinkable(term)]
-    current = _with_curves(problem, state.baseline, state.baseline, named, options)
+    current, at = _with_curves(problem, state.baseline, state.baseline, named, _start(problem), options)
     for _ in range(options.shrinkage_rounds - 1):
         room = options.named_numbers - sum(tested.term.size for tested in named)
         more = _named(problem, current, plain, options, room)
         if not more:
             break
         named += more
-        current = _with_curves(problem, state.baseline, current, named, options)
+        current, at = _with_curves(problem, state.baseline, current, named, at, options)
     more_numbers = current.parameters - state.fit.parameters
     if current.gain_over(state.fit) < 0.5 * more_numbers * np.log(state.baseline.freedom):
         return None
@@ -97,27 +98,30 @@ def shrink(problem: Problem, state: State, options: EngineOptions) -> State | No
 
 
 def _with_curves(
-    problem: Problem, baseline: Fit, current: Fit, named: Sequence[SelectedTerm], options: EngineOptions
-) -> Fit:
-    """Named terms and the curves beside them, fitted; the curves follow from the residuals of `current`."""
+    problem: Problem, baseline: Fit, current: Fit, named: Sequence[SelectedTerm], at: Array, options: EngineOptions
+) -> tuple[Fit, Array]:
+    """Named terms and the curves beside them, fitted; the curves follow from the residuals of `current`.
+
+    Their priors are sought from `at` on and returned, as `_Evidence.most_likely` has them.
+    """
     terms = tuple(tested.term for tested in named)
-    spectra = _spectra(problem, current, Terms(terms))
+    spectra, at = _spectra(problem, current, Terms(terms), at)
     curves = [
         one.family.curve(one.orders, current.training, (one.amplitude, *one.rolloff), options.fade) for one in spectra
     ]
     model = Terms((*terms, *curves))
     start = join([np.zeros(sum(term.size for term in terms)), *(one.values for one in spectra)])
     rough = replace(options, settled=options.exact_settled)  # each step takes hundreds of numbers
-    return fit(problem, model, rough, start, baseline.nuisance, baseline.training)
+    return fit(problem, model, rough, start, baseline.nuisance, baseline.training), at
 
 
-def _spectra(problem: Problem, current: Fit, named: Terms) -> list[_Spectrum]:
+def _spectra(problem: Problem, current: Fit, named: Terms, at: Array) -> tuple[list[_Spectrum], Array]:
     """The lines of each family beside the nuisance and named terms, under the most likely priors, robustly."""
     training, families = np.flatnonzero(current.training), problem.periodic
     orders = [_orders(family.angle[training]) for family in families]
     fixed = linear_columns(problem, named, np.zeros(named.size))[..., training]
     waves = [
-        _Waves(family.column[:, training], family.waves_of(each)[..., training].reshape(2 * len(each), -1))
+        Factored(family.column[:, training], family.waves_of(each)[..., training].reshape(2 * len(each), -1))
         for family, each in zip(families, orders, strict=True)
     ]
     # residuals without nuisance and terms, to first order: those of the current fit less its linear prediction
@@ -125,7 +129,7 @@ def _spectra(problem: Problem, current: Fit, named: Terms) -> list[_Spectrum]:
     predicted = np.tensordot(explained, linear_columns(problem, current.terms, current.values), 1)
     target = -(current.residuals.rows - predicted)[:, training]
     prior = np.concatenate([problem.precision, named.precision])
-    at, weight = np.array(_start() * len(families)), np.ones(len(training))
+    weight = np.ones(len(training))
     scale = float(np.sqrt(np.mean(target**2)))
     evidence, values = None, np.zeros(0)
     for steps in _STEPS:
@@ -146,37 +150,7 @@ def _spectra(problem: Problem, current: Fit, named: Terms) -> list[_Spectrum]:
             amplitude, corner, slope = np.exp(numbers[0]), np.exp(numbers[1]), numbers[2]
             rolloff = (float(f"{corner:.6g}"), float(f"{slope:.6g}"))
             found.append(_Spectrum(family, each[:some], float(f"{amplitude:.6g}"), rolloff, values[: 2 * some]))
-    return found
-
-
-class _Waves(NamedTuple):
-    """Sine and cosine of all orders of a family, whose columns are their products with that of the site.
-
-    Sums over the rows of a sample are taken before those over samples, in which most of the time goes.
-
-    Attributes:
-        column: `(row, sample)`, of the site.
-        functions: `(line, sample)`.
-    """
-
-    column: Array
-    functions: Array
-
-    def weighed(self, root: Array) -> "_Waves":
-        """With columns times the root of each sample's weight `(sample,)`."""
-        return _Waves(self.column * root, self.functions)
-
-    def with_rows(self, rows: Array) -> Array:
-        """Products `(…, line)` of the columns with rows `(…, row, sample)`."""
-        return np.sum(rows * self.column, -2) @ self.functions.T
-
-    def with_others(self, other: "_Waves") -> Array:
-        """Products `(line, line)` of the columns with those of another family."""
-        return (self.functions * np.sum(self.column * other.column, 0)) @ other.functions.T
-
-    def total(self, values: Array) -> Array:
-        """Their sum `(row, sample)` with these numbers `(line,)`."""
-        return self.column * (values @ self.functions)
+    return found, at
 
 
 def _orders(angle: Array) -> Array:
@@ -190,9 +164,9 @@ def _by_family(lines: Array, orders: Sequence[Array]) -> list[Array]:
     return np.split(lines, np.cumsum([2 * len(each) for each in orders])[:-1])
 
 
-def _start() -> list[float]:
+def _start(problem: Problem) -> Array:
     amplitude, corner, slope = _START
-    return [float(np.log(amplitude)), float(np.log(corner)), slope]
+    return np.tile([np.log(amplitude), np.log(corner), slope], len(problem.periodic))
 
 
 @final
@@ -214,7 +188,7 @@ class _Evidence:
     """
 
     orders: Sequence[Array]
-    waves: Sequence[_Waves]
+    waves: Sequence[Factored]
     basis: Array
     inside: Array
     target: Array
@@ -223,7 +197,7 @@ class _Evidence:
 
     @classmethod
     def of(
-        cls, fixed: Array, prior: Array, waves: Sequence[_Waves], target: Array, orders: Sequence[Array]
+        cls, fixed: Array, prior: Array, waves: Sequence[Factored], target: Array, orders: Sequence[Array]
     ) -> "_Evidence":
         """From columns `(number, row, sample)`, one over the prior variances of these numbers, and the data."""
         readings = np.concatenate([fixed.reshape(len(fixed), -1), np.diag(np.sqrt(prior))], 1)
@@ -231,11 +205,7 @@ class _Evidence:
         basis = whole[:, : target.size].reshape(-1, *target.shape)
         left = outside(np.append(target, np.zeros(len(fixed)))[None], whole)[0, : target.size].reshape(target.shape)
         inside = np.concatenate([each.with_rows(basis) for each in waves], 1)
-        half = [[one.with_others(other) for other in waves[: k + 1]] for k, one in enumerate(waves)]
-        blocks = [[half[i][j] if j <= i else half[j][i].T for j in range(len(waves))] for i in range(len(waves))]
-        gram = np.block(blocks) - inside.T @ inside
-        pulled = np.concatenate([each.with_rows(left) for each in waves])
-        return cls(orders, waves, basis, inside, left, gram, pulled)
+        return cls(orders, waves, basis, inside, left, gram(waves) - inside.T @ inside, pulled(waves, left))
 
     def most_likely(self, start: Array, steps: int) -> Array:
         """The priors' numbers `(3 · family,)`, so many steps on: logarithms of amplitude and corner, and the slope."""
@@ -292,8 +262,9 @@ class _Evidence:
 
 def _inverse_diagonal(factor: tuple[Array, bool]) -> Array:
     """Of the matrix with this Cholesky factor."""
-    (potri,) = get_lapack_funcs(("potri",), (factor[0],))
-    return np.diagonal(potri(factor[0], lower=factor[1])[0])
+    (trtri,) = get_lapack_funcs(("trtri",), (factor[0],))
+    inverse = trtri(factor[0], lower=factor[1])[0]
+    return np.sum(np.tril(inverse) ** 2, 0)
 
 
 def _variance(orders: Array, amplitude: float, corner: float, slope: float) -> Array:

@@ -5,6 +5,7 @@ from functools import cached_property
 
 import numpy as np
 
+from lite6jax.estimation.factored import Factored
 from lite6jax.estimation.problem import CurveDriver, CurveFamily, PeriodicFamily
 from lite6jax.estimation.terms import Terms
 
@@ -216,6 +217,9 @@ class LinearProblem:
             numbers = values[part][: len(basis)]
             predicted = predicted + np.tensordot(numbers, self._rows(basis), 1)
         return predicted - self.measured
+
+    def factored(self, term):
+        return None if is_free(term) else Factored(np.outer(self.shares, np.ones(self.samples)), term.basis(self.data))
 
     def nuisance_columns(self, terms, values):
         return self.levels

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any, final
 
 import jax
@@ -39,6 +39,7 @@ from lite6jax.effects.kinematic.weights import PayloadError
 from lite6jax.effects.motion import Motion, accelerated, beyond, select, shifted
 from lite6jax.effects.nonparametric import Unnamed
 from lite6jax.effects.statics import Inertia, Loads
+from lite6jax.estimation.factored import Factored
 from lite6jax.estimation.problem import CurveFamily, Mask, PeriodicFamily
 from lite6jax.estimation.terms import Term, Terms
 from lite6jax.fitting.problem import Geometry
@@ -159,14 +160,18 @@ class PoseProblem:
     @cached_property
     def time_shifted(self) -> Motion:
         """The motion at the clock offset of the linearisation."""
-        return self._altered(lambda motion: shifted(motion, self.clock_offset)) if self.clock_offset else self.motion
+        if not self.clock_offset:
+            return self.motion
+        return _altered(self.motion, self.thinned_from, lambda motion: shifted(motion, self.clock_offset))
 
     @cached_property
     def deflections(self) -> Deflections:
         """Deflections by effects in the time-shifted motion."""
         kinematics = np.asarray(self.start.geometry).reshape(-1, 6)
         errors = self.mass_errors(np.zeros(len(self.unknown)))
-        return Deflections(kinematics, self.inertia, self.time_shifted, self._altered, self.units, errors)
+        # what refers to the problem itself would keep its gigabyte of columns until the garbage collector runs
+        altered = partial(_altered, self.motion, self.thinned_from)
+        return Deflections(kinematics, self.inertia, self.time_shifted, altered, self.units, errors)
 
     @property
     def loads(self) -> Loads | None:
@@ -205,6 +210,12 @@ class PoseProblem:
     ) -> Array:
         """As `EffectColumns.by_numbers`."""
         return self.effect_columns.by_numbers(terms, values, beside)
+
+    def factored(self, term: Term) -> Factored | None:
+        """Those of a function without a name at a joint."""
+        if not isinstance(term, Unnamed) or not term.where.startswith("joint"):
+            return None
+        return Factored(self.sites[families.site_of(term.where, "rz")], self.deflections.basis(term))
 
     def nuisance_columns(self, terms: Terms, values: Array) -> Array:
         """How residuals change with `unknown`, `(unknown, row, sample)`: masses matter beside compliances alone."""
@@ -328,13 +339,6 @@ class PoseProblem:
         assert isinstance(term, Effect)
         return bool(term.drivers) and not any(driver.quantity == "position" for driver in term.drivers)
 
-    def _altered(self, alter: Callable[[Motion], Motion]) -> Motion:
-        """The motion altered by an effect of the clock or the payload, at the rows of this problem."""
-        if self.thinned_from is None:
-            return alter(self.motion)
-        motion, chosen = self.thinned_from
-        return select(alter(motion), chosen)
-
     def _deflection(self, nuisance: Array, terms: Terms, values: Array) -> tuple[Motion, Deflection]:
         """The altered motion, and in it the sum of the deflections by nuisance and effects, dense."""
         physics, values, dof = physics_of(terms), np.asarray(values, float), self.motion.dof
@@ -379,6 +383,16 @@ class PoseProblem:
     @cached_property
     def _undeflected(self) -> Deflection:
         return Deflection(*map(np.asarray, dense(Deflection(), self.motion.dof, self.samples)))  # type: ignore[arg-type]
+
+
+def _altered(
+    motion: Motion, thinned_from: tuple[Motion, NDArray[np.integer]] | None, alter: Callable[[Motion], Motion]
+) -> Motion:
+    """The motion of a problem altered by an effect of the clock or the payload, at the rows of the problem."""
+    if thinned_from is None:
+        return alter(motion)
+    whole, chosen = thinned_from
+    return select(alter(whole), chosen)
 
 
 def pose_problem(

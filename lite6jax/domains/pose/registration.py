@@ -244,6 +244,9 @@ class _Frames:
     ) -> Array:
         return np.zeros((0, self.rows, self.samples))
 
+    def factored(self, term: Term) -> None:
+        return
+
     def relinearised(self, nuisance: Array) -> "_Frames":
         if not nuisance.any():
             return self

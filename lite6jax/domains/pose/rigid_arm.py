@@ -200,6 +200,10 @@ class RigidArm:
         """Of no terms."""
         return np.zeros((0, self.rows, self.samples))
 
+    def factored(self, term: Term) -> None:
+        """None: it has no terms."""
+        return
+
     def relinearised(self, nuisance: Array) -> Self:
         """The arm with the unknowns `(unknown,)` displaced."""
         return replace(self, start=displaced(self.start, self.unknown, nuisance), offset=self.offset + nuisance)

@@ -242,6 +242,10 @@ class TorqueProblem:
             found[part, joints] /= self.sigma[joints]
         return found
 
+    def factored(self, term: Term) -> None:
+        """None: a term acts on one row, over which there is no sum."""
+        return
+
     def nuisance_columns(self, terms: Terms, values: Array) -> Array:
         """How residuals change with the inertial numbers, `(number, joint, sample)`."""
         return self._inertial / self.sigma

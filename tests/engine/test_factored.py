@@ -1,0 +1,42 @@
+"""Columns that are products of a site's column and functions of a sample: the sums and fits of dense ones."""
+
+import numpy as np
+import pytest
+from engine.linear_problem import Column, Hat, LinearProblem, linear_problem
+
+from lite6jax.estimation.factored import Factored, gram, pulled
+from lite6jax.estimation.least_squares import fit
+from lite6jax.estimation.noise import Autocorrelation, NoiseModel
+from lite6jax.estimation.options import EngineOptions
+from lite6jax.estimation.terms import Terms
+
+ORDERS = tuple(range(1, 26))
+
+
+class Dense(LinearProblem):
+    def factored(self, term):
+        return None
+
+
+def test_sums_are_those_of_dense_columns():
+    rng = np.random.default_rng(1)
+    plain, root, rows = rng.normal(size=(4, 3, 50)), rng.uniform(size=(3, 50)), rng.normal(size=(3, 50))
+    sites = [Factored(rng.normal(size=(3, 50)), rng.normal(size=(k, 50))) for k in (5, 2)]
+    dense = [site.column * site.functions[:, None] for site in sites]
+    every = np.concatenate([plain, *dense]) * root
+    parts = [plain * root, *(site.weighed(root) for site in sites)]
+    np.testing.assert_allclose(gram(parts), np.einsum("irs,jrs->ij", every, every), rtol=0, atol=1e-12)
+    np.testing.assert_allclose(pulled(parts, rows), np.einsum("irs,rs->i", every, rows), rtol=0, atol=1e-12)
+    values = rng.normal(size=5)
+    np.testing.assert_allclose(sites[0].total(values), np.tensordot(values, dense[0], 1), rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("noise", [None, NoiseModel((Autocorrelation(0.9, 0.5),) * 2, np.array([0, 1]))])
+def test_a_curve_of_many_numbers_is_fitted_as_with_dense_columns(noise):
+    problem = linear_problem(np.random.default_rng(3), planted=lambda d: 0.8 * d["u2"] + np.abs(d["angle"]))
+    terms, dense = Terms((Column("u2"), Hat(0.0, 1.0, 1, ORDERS))), Dense(**vars(problem))
+    one, other = (fit(each, terms, EngineOptions(), noise=noise) for each in (problem, dense))
+    assert problem.factored(terms.terms[1]) is not None
+    np.testing.assert_allclose(one.values, other.values, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(one.covariance, other.covariance, rtol=1e-8, atol=1e-12)
+    assert one.parameters == pytest.approx(other.parameters, abs=1e-6)
