@@ -10,6 +10,7 @@ SIGNALS = ("SIGINT", "SIGTERM", "SIGHUP")
 """Those that end the program; Ctrl-C is the first."""
 
 _undo: list[Callable[[], object]] = []
+_ends_on_signals = False
 
 
 def undo_at_signal(undo: Callable[[], object]) -> None:
@@ -23,10 +24,17 @@ def end_on_signals() -> None:
     No exception is raised for it. A `KeyboardInterrupt` is lost where a library catches every exception while it is
     imported, and in destructors and callbacks, and it prints a traceback where nobody catches it.
     """
+    global _ends_on_signals
+    _ends_on_signals = True
     for name in SIGNALS:
         number = getattr(signal, name, None)
         if number is not None and signal.getsignal(number) != signal.SIG_IGN:  # ignored under nohup
             signal.signal(number, _end)
+
+
+def is_program() -> bool:
+    """Whether this process is a command of ours, and not a program that calls one."""
+    return _ends_on_signals
 
 
 @contextmanager

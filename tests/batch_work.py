@@ -106,3 +106,15 @@ def document_of(verdict):
         "data_faults": [{"fault": "outliers"}],
         "findings": [{"effect": "joint_lag", "site": "joint1", "p_value": 0.5}],
     }
+
+
+def folded(inputs, what):
+    """The process that worked on a fold `(1,)`. `die` ends it, `fail` raises, `slow` takes a minute."""
+    (fold,) = inputs
+    if what == "die":
+        os.kill(os.getpid(), signal.SIGKILL)
+    if what == "fail":
+        raise KeyError(what)
+    if what == "slow":
+        time.sleep(60)
+    return pa.table({"fold": fold, "process": [os.getpid()]})

@@ -7,7 +7,16 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from tyro.conf import Positional, arg
 
-from lite6jax.cli.arguments import ArmName, Folder, OutFile, Processes, Scheduler, check_out, refuse_inputs
+from lite6jax.cli.arguments import (
+    ArmName,
+    Folder,
+    OutFile,
+    Processes,
+    Scheduler,
+    check_out,
+    check_processes,
+    refuse_inputs,
+)
 from lite6jax.cli.exit_codes import BAD_FIT, DONE
 from lite6jax.cli.inputs import inputs
 from lite6jax.cli.outputs import Drawings, check_figures, present
@@ -78,7 +87,8 @@ class Diagnose:
     over: Literal["date"] | None = None
     """With --fleet: the recordings are of one arm, and its effects may drift with the dates of their sidecars."""
     processes: Processes = None
-    """Of a folder: so many processes of this machine, each with one thread; one a core where not given."""
+    """So many processes of this machine, each with one thread; one a core where not given. Of one recording they work
+    on the held-out blocks, and are five at most."""
     scheduler: Scheduler = None
     """Of a folder: the Dask cluster of the scheduler at this address (tcp://HOST:8786), in place of processes here."""
 
@@ -98,8 +108,9 @@ class Diagnose:
             return diagnose_recordings(self)
         if self.fleet:
             raise InputError(f"--fleet: is for a folder of recordings; {self.source} is one file")
-        if self.processes is not None or self.scheduler is not None:
-            raise InputError(f"--processes, --scheduler: are for a folder of recordings; {self.source} is one file")
+        if self.scheduler is not None:
+            raise InputError(f"--scheduler: is for a folder of recordings; {self.source} is one file")
+        check_processes(self.processes, None)
         if self.out:
             check_out(self.out, ".json", self.force)
         if self.report:
@@ -109,6 +120,13 @@ class Diagnose:
             from lite6jax.report.diagnosis_figures import NAMES
 
             check_figures(self, NAMES)
+        from lite6jax.diagnosis.helpers import beside
+
+        with beside(self.processes):
+            return self._diagnosed_file()
+
+    def _diagnosed_file(self) -> int:
+        """Reads, searches, writes, prints, of one file."""
         from lite6jax.diagnosis.combined import by_domain
         from lite6jax.diagnosis.diagnose import diagnose
         from lite6jax.diagnosis.document import to_document

@@ -11,8 +11,8 @@ from lite6jax.arms.arm import Arm
 from lite6jax.arms.factory import FactoryCalibration
 from lite6jax.diagnosis.discrimination import separating_poses
 from lite6jax.diagnosis.explanation import explain
-from lite6jax.diagnosis.folds import fold_count, held_out_folds, spread_folds
-from lite6jax.diagnosis.heldout import HeldOut, held_out_errors, refitted_errors
+from lite6jax.diagnosis.folds import fold_count, held_out_folds, likely_folds, spread_folds
+from lite6jax.diagnosis.heldout import HeldOut, held_out_ahead, held_out_errors, refitted_errors
 from lite6jax.diagnosis.options import Options
 from lite6jax.diagnosis.result import Diagnosis, Finding, Rival, SearchedAgain, Withdrawn
 from lite6jax.domains.pose.problem import PoseProblem
@@ -65,6 +65,8 @@ def diagnose(
     with followed(progress):
         recording = recording if arm is not None else with_arm(recording)
         rows = screen_rows(recording, options.screening)
+        if (likely := likely_folds(rows.recording, options)) is not None:
+            held_out_ahead(rows.recording, arm, geometry, options, likely, effects, factory)
         with part(0, 1 + fold_count(rows.recording.samples, options)):
             found = explain(rows.recording, arm, geometry, options, effects, factory)
             selection = found.selection

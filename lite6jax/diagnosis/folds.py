@@ -8,13 +8,18 @@ from typing import TypeVar
 import numpy as np
 
 from lite6jax import threads
+from lite6jax.diagnosis.helpers import Elsewhere, started
 from lite6jax.diagnosis.options import Options
 from lite6jax.domains.pose.problem import PoseProblem
 from lite6jax.errors import InputError
 from lite6jax.estimation.noise import NoiseModel
 from lite6jax.estimation.problem import Mask
 from lite6jax.progress import part
+from lite6jax.recordings import Recording
 from lite6jax.recordings.sequence import contiguous_blocks
+
+_MANY_ROWS = 60
+"""More than determine the frames and the geometry of an arm, of positions alone and twice as many joints as most."""
 
 Fold = TypeVar("Fold")
 Result = TypeVar("Result")
@@ -27,6 +32,14 @@ def held_out_folds(problem: PoseProblem, options: Options) -> list[Mask]:
         InputError: no row can be held back, because the others would be too few for the unknowns.
     """
     return problem.recording.contiguous_folds(fold_count(problem.samples, options, _rows_needed(problem)))
+
+
+def likely_folds(recording: Recording, options: Options) -> list[Mask] | None:
+    """Those of a recording of so many rows that any arm's geometry follows from the others; None of fewer."""
+    count = fold_count(recording.samples, options)
+    if fold_count(recording.samples, options, _MANY_ROWS) != count:
+        return None
+    return recording.contiguous_folds(count)
 
 
 def fold_count(samples: int, options: Options, needed: int = 0) -> int:
@@ -67,12 +80,24 @@ def _rows_needed(problem: PoseProblem) -> int:
     return needed
 
 
-def side_by_side(work: Callable[[Fold], Result], folds: Sequence[Fold]) -> list[Result]:
-    """What `work` makes of each fold, in their order; as many at once as `threads.available` says.
+def side_by_side(
+    work: Callable[[Fold], Result], folds: Sequence[Fold], elsewhere: Elsewhere[Result] | None = None
+) -> list[Result]:
+    """What `work` makes of each fold, in their order.
 
-    They share compiled functions and what is known of all rows, so that threads are used: most of their time goes into
-    operations on arrays, which release the interpreter's lock. Their stages belong to part 1 + the folds completed.
+    Where other processes are at hand they take a part. Else as many threads as `threads.available` says share compiled
+    functions and what is known of all rows; operations on arrays release the interpreter's lock. The stages belong to
+    part 1 + the folds completed.
+
+    Args:
+        work: on a fold, here.
+        folds: all.
+        elsewhere: how another process works on one; None where only this one can.
     """
+    helpers = started()
+    if helpers is not None and elsewhere is not None:
+        with part(1, 1 + len(folds)) as going:
+            return helpers.shared(work, elsewhere, folds, lambda done: setattr(going, "number", 1 + done))
     pool = ThreadPoolExecutor(min(len(folds), threads.available()))
     try:
         with part(1, 1 + len(folds)) as going:

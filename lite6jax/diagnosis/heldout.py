@@ -10,18 +10,21 @@ another model of the same effect; neither says that the effect is not there.
 """
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+import pyarrow as pa
 from numpy.typing import NDArray
 
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.factory import FactoryCalibration
 from lite6jax.diagnosis.explanation import Decisions, explain
 from lite6jax.diagnosis.folds import side_by_side
+from lite6jax.diagnosis.helpers import Elsewhere, started
 from lite6jax.diagnosis.options import Options
 from lite6jax.domains.pose.kinematics import unwhitened
 from lite6jax.domains.pose.problem import PoseProblem
+from lite6jax.domains.pose.screening.screened import Corrections
 from lite6jax.effects.effect import Effect
 from lite6jax.estimation.least_squares import Fit, relinearise
 from lite6jax.estimation.problem import Mask, Problem
@@ -112,14 +115,55 @@ def held_out_errors(
         decisions: between faults and physics, of all rows.
         folds: those of `held_out_folds`.
     """
+    given = (recording, arm, geometry, options, decisions, tuple(effects), factory)
+    elsewhere = Elsewhere(held_out_table, given, _of_table)
+    return _in_order(side_by_side(lambda held: _predicted(held, *given), folds, elsewhere), folds)
 
-    def predicted(held: Mask) -> HeldOut:
-        found = explain(recording, arm, geometry, options, effects, factory, ~held, False, decisions)
-        state, reference = found.selection.state, found.selection.reference
-        assert isinstance(reference, PoseProblem)
-        return _errors(reference, found.problem, state, held)
 
-    return _in_order(side_by_side(predicted, folds), folds)
+def held_out_ahead(
+    recording: Recording,
+    arm: Arm | None,
+    geometry: Geometry,
+    options: Options,
+    folds: Sequence[Mask],
+    effects: Sequence[Effect] = (),
+    factory: FactoryCalibration | None = None,
+) -> None:
+    """Has other processes, where there are any, begin with the last folds before the decisions are known.
+
+    Nearly all recordings are explained without a fault that resembles physics, which is supposed here. Arguments as of
+    `held_out_errors`, which takes the results if the decisions are those.
+    """
+    if (helpers := started()) is not None:
+        given = (recording, arm, geometry, options, Decisions(Corrections(known_jumps=())), tuple(effects), factory)
+        helpers.ahead(Elsewhere(held_out_table, given, _of_table), folds)
+
+
+def held_out_table(held: Sequence[Mask], *given: Any) -> pa.Table:
+    """The errors on one fold as a table, for another process."""
+    (one,) = held
+    return pa.table(_predicted(one, *given)._asdict())
+
+
+def _of_table(table: pa.Table) -> HeldOut:
+    return HeldOut(*(table[name].to_numpy() for name in HeldOut._fields))
+
+
+def _predicted(
+    held: Mask,
+    recording: Recording,
+    arm: Arm | None,
+    geometry: Geometry,
+    options: Options,
+    decisions: Decisions,
+    effects: Sequence[Effect],
+    factory: FactoryCalibration | None,
+) -> HeldOut:
+    """The errors on the rows of a fold, from the others."""
+    found = explain(recording, arm, geometry, options, effects, factory, ~held, False, decisions)
+    state, reference = found.selection.state, found.selection.reference
+    assert isinstance(reference, PoseProblem)
+    return _errors(reference, found.problem, state, held)
 
 
 def refitted_errors(selection: Selection, folds: Sequence[Mask], options: Options) -> HeldOut:

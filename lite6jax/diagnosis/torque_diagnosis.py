@@ -2,14 +2,18 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
+from typing import Any
 
 import numpy as np
+import pyarrow as pa
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from lite6jax.arms.arm import Arm
 from lite6jax.diagnosis.diagnose import findings_of, without_effects
 from lite6jax.diagnosis.folds import fold_count, side_by_side, spread_folds
+from lite6jax.diagnosis.helpers import Elsewhere
 from lite6jax.diagnosis.options import Options
 from lite6jax.diagnosis.result import SearchedAgain
 from lite6jax.diagnosis.torque_result import TorqueDiagnosis
@@ -71,11 +75,7 @@ def diagnose_torques(
             selection = replace(selection, state=final_estimates(problem, selection.state, options.engine))
         folds = contiguous_blocks(problem.samples, fold_count(problem.samples, options))
         whole = replace(whole, valid=problem.valid)
-
-        def searched(there: TorqueProblem, training: Mask) -> State:
-            return search(there, options.engine, training, thorough=False, saturated=selection.saturated).state
-
-        before, after = _held_out(whole, folds, options, searched)
+        before, after = _searched_without(whole, folds, options, selection.saturated)
         findings = findings_of(selection)
         withdrawn, searched_again = (), None
         if findings and (ratio := _ratio(before, after, problem, folds)) > options.heldout_rise:
@@ -84,7 +84,8 @@ def diagnose_torques(
             def refitted(there: TorqueProblem, training: Mask) -> State:
                 return fitted_again(there, there, state, training, options.engine)
 
-            errors = _held_out(whole, spread, options, refitted)
+            of_folds = side_by_side(partial(_errors_without, whole, options, refitted), spread)
+            errors = _in_order(of_folds, spread, whole)
             if _ratio(*errors, problem, spread) > options.heldout_rise:
                 withdrawn, selection, findings = findings, without_effects(selection), ()
             else:
@@ -104,30 +105,62 @@ def diagnose_torques(
     )
 
 
-def _held_out(
-    problem: TorqueProblem, folds: Sequence[Mask], options: Options, model: Callable[[TorqueProblem, Mask], State]
+def _searched_without(
+    problem: TorqueProblem, folds: Sequence[Mask], options: Options, saturated: bool
 ) -> tuple[Array, Array]:
-    """Errors `(joint, sample)` Nm on every sample, from the other blocks, without and with effects.
+    """Errors `(joint, sample)` Nm on every sample, from a search of the other blocks, without and with effects.
 
-    The filter spreads a sample over its neighbours: those beside a held-out block are not used either. Whether terms
-    are selected forward or from the saturated model is decided once, in all samples.
+    Whether terms are selected forward or from the saturated model is decided once, in all samples.
+    """
+    given = (problem, options, saturated)
+    elsewhere = Elsewhere(held_out_table, given, partial(_of_table, joints=problem.rows))
+    return _in_order(side_by_side(lambda held: _searched(held, *given), folds, elsewhere), folds, problem)
+
+
+def held_out_table(held: Sequence[Mask], *given: Any) -> pa.Table:
+    """The errors on one fold as a table, for another process: of each joint without effects, and then with them."""
+    (one,) = held
+    return pa.table({str(k): row for k, row in enumerate(np.concatenate(_searched(one, *given)))})
+
+
+def _of_table(table: pa.Table, joints: int) -> tuple[Array, Array]:
+    rows = np.array([table[str(k)].to_numpy() for k in range(2 * joints)])
+    return rows[:joints], rows[joints:]
+
+
+def _searched(held: Mask, problem: TorqueProblem, options: Options, saturated: bool) -> tuple[Array, Array]:
+    def searched(there: TorqueProblem, training: Mask) -> State:
+        return search(there, options.engine, training, thorough=False, saturated=saturated).state
+
+    return _errors_without(problem, options, searched, held)
+
+
+def _errors_without(
+    problem: TorqueProblem, options: Options, model: Callable[[TorqueProblem, Mask], State], held: Mask
+) -> tuple[Array, Array]:
+    """Errors `(joint, held)` Nm on the samples of a fold, from the others, without and with effects.
+
+    The filter spreads a sample over its neighbours: those beside a held-out block are not used either.
 
     Args:
         problem: not linearised.
-        folds: samples that are held out together.
         options: thresholds.
         model: of the problem linearised at the training samples, and of these.
+        held: `(sample,)`, the fold.
     """
+    near = np.convolve(held, np.ones(3), "same") > 0
+    training = ~near & problem.valid
+    there = linearised(problem, options.engine, training)
+    state = model(there, training)
+    return _errors(there, state.baseline)[:, held], _errors(there, state.fit)[:, held]
+
+
+def _in_order(
+    of_folds: Sequence[tuple[Array, Array]], folds: Sequence[Mask], problem: TorqueProblem
+) -> tuple[Array, Array]:
+    """The errors `(joint, sample)` on all samples, of those of each fold."""
     before, after = np.zeros((2, problem.rows, problem.samples))
-
-    def errors(held: Mask) -> tuple[Array, Array]:
-        near = np.convolve(held, np.ones(3), "same") > 0
-        training = ~near & problem.valid
-        there = linearised(problem, options.engine, training)
-        state = model(there, training)
-        return _errors(there, state.baseline)[:, held], _errors(there, state.fit)[:, held]
-
-    for held, (without, with_effects) in zip(folds, side_by_side(errors, folds), strict=True):
+    for held, (without, with_effects) in zip(folds, of_folds, strict=True):
         before[:, held], after[:, held] = without, with_effects
     return before, after
 

@@ -5,6 +5,7 @@ import os
 import signal
 from collections.abc import Sequence
 from contextlib import suppress
+from importlib import import_module
 from multiprocessing.connection import Connection, wait
 from multiprocessing.context import SpawnProcess
 from pathlib import Path
@@ -42,13 +43,13 @@ class _Job(NamedTuple):
 class _Worker:
     """A process, the connection to it, and the batch that it has in hand."""
 
-    def __init__(self, job: _Job | None) -> None:
+    def __init__(self, job: _Job | None, imports: tuple[str, ...]) -> None:
         self.batch: int | None = None
         self.inputs: list[Any] = []
         self.ready = False
         context = multiprocessing.get_context("spawn")
         self.connection, theirs = context.Pipe()
-        self.process: SpawnProcess = context.Process(target=_serve, args=(theirs,), daemon=True)
+        self.process: SpawnProcess = context.Process(target=_serve, args=(theirs, imports), daemon=True)
         # it inherits a blocked Ctrl-C, which is this process's to answer
         blocks = hasattr(signal, "pthread_sigmask")
         before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT]) if blocks else ()
@@ -95,16 +96,18 @@ class Processes:
     This module imports little, for the same reason. Every process computes with one thread.
     """
 
-    def __init__(self, count: int) -> None:
+    def __init__(self, count: int, imports: tuple[str, ...] = ()) -> None:
         """Starts nothing.
 
         Args:
             count: of the processes.
+            imports: modules that they import at once, where `begin` comes later than that.
         """
-        self._count = count
+        self._count, self._imports = count, imports
         self._job: _Job | None = None
         self._workers: list[_Worker] = []
         self._failed_starts = 0
+        self._is_over = False
 
     def __enter__(self) -> "Processes":
         self._undone = interruption.undone(self._kill)
@@ -113,6 +116,7 @@ class Processes:
         return self
 
     def __exit__(self, *error: object) -> None:
+        self._is_over = True
         for worker in self._workers:
             worker.end()
         self._workers = []
@@ -123,7 +127,7 @@ class Processes:
             worker.process.kill()
 
     def _started(self) -> _Worker:
-        return _Worker(self._job)
+        return _Worker(self._job, self._imports)
 
     def begin(self, function: "Function", given: tuple[Any, ...]) -> None:
         """Says what is to be done with the batches that follow; what is still in hand is forgotten.
@@ -175,6 +179,8 @@ class Processes:
                 try:
                     said = worker.connection.recv()
                 except (EOFError, OSError):
+                    if self._is_over:
+                        return number, Died()
                     self._replace(place)
                     if worker.ready:
                         return number, Died()
@@ -209,12 +215,14 @@ class Processes:
         self._workers.insert(place, self._started())
 
 
-def _serve(connection: Connection) -> None:
+def _serve(connection: Connection, imports: tuple[str, ...]) -> None:
     """Works on the batches that come until the other process closes the connection, or ends."""
     from lite6jax.distribution.worker import set_up, work
 
     try:
         set_up()
+        for module in imports:
+            import_module(module)
         job: _Job | None = None
         while True:
             try:

@@ -37,8 +37,8 @@ class Deflection(NamedTuple):
 def dense(deflection: Deflection, dof: int, samples: int) -> Deflection:
     """The deflection with zeros in place of None, so that one compiled prediction serves every set of effects."""
     shapes = ((dof, samples), (dof, samples), (dof, 6, samples), (6, samples), (6, samples), (samples,), (6, samples))
-    parts = (jnp.zeros(shape) if part is None else part for part, shape in zip(deflection, shapes, strict=True))
-    return Deflection(*parts)
+    parts = (np.zeros(shape) if part is None else part for part, shape in zip(deflection, shapes, strict=True))
+    return Deflection(*parts)  # type: ignore[arg-type]
 
 
 def at_joint(dof: int, number: int, values: Array) -> Array:

@@ -271,8 +271,8 @@ class Unnamed(Bending):
             ranges = np.array((self.lower, self.upper, *self.further)).reshape(-1, 2)
             return polynomial_basis(library_of(driver).atleast_2d(driver), ranges, self.products)
         if self.memory:
-            one = jnp.zeros((2, driver.size), int)
-            return plays(driver, jnp.asarray(self.memory), one if run is None else run)
+            one = np.zeros((2, driver.size), int)
+            return plays(driver, np.array(self.memory), one if run is None else run)  # type: ignore[arg-type]
         if not self.orders:
             first, *direction = library_of(driver).atleast_2d(driver)
             splines = spline_basis(first, self.lower, self.upper, self.pieces)

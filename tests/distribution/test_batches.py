@@ -266,5 +266,5 @@ def test_processes_that_cannot_start_are_one_line(monkeypatch, tmp_path):
         list(outcomes(spelled, enumerate([["a"]]), (str(tmp_path),), died=dead, processes=1))
 
 
-def ends_at_once(connection):
+def ends_at_once(connection, imports):
     sys.exit(3)

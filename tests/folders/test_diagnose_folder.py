@@ -187,4 +187,6 @@ def test_what_a_folder_does_not_take_is_one_line(recordings, tmp_path, capsys):
     assert "--reference: is of one recording" in refused("--out", out, "--reference", recordings / "a.csv")
     assert "--processes 0: give 1 or more" in refused("--out", out, "--processes", 0)
     assert main(["diagnose", str(recordings / "a.csv"), "--scheduler", "tcp://127.0.0.1:1"]) == 2
-    assert "--processes, --scheduler: are for a folder of recordings;" in capsys.readouterr().err
+    assert "--scheduler: is for a folder of recordings;" in capsys.readouterr().err
+    assert main(["diagnose", str(recordings / "a.csv"), "--processes", "0"]) == 2
+    assert "--processes 0: give 1 or more" in capsys.readouterr().err

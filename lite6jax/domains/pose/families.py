@@ -51,14 +51,14 @@ def periodic(motion: Motion, sites: dict[Site, Array]) -> tuple[PeriodicFamily, 
     return tuple(found)
 
 
-def curves(motion: Motion, deflections: Deflections, sites: dict[Site, Array]) -> tuple[CurveFamily, ...]:
+def curves(deflections: Deflections, sites: dict[Site, Array]) -> tuple[CurveFamily, ...]:
     """The curves of each revolute joint over its position, its gravity torque and its velocity, as far as known."""
-    found = []
+    motion, found = deflections.host_motion, list[CurveFamily]()
     for j in map(int, np.flatnonzero(~motion.sliding.mask(motion.dof))):
         site, drivers = f"joint{j + 1}", []
         for quantity, pieces in _PIECES.items():
             driver = Driver(quantity, j + 1)
-            loads = deflections.loads if driver.loaded else None
+            loads = deflections.host_loads if driver.loaded else None
             if (driver.loaded and loads is None) or not driver.known(motion, loads):
                 continue
             values = np.asarray(driver.values(motion, loads))

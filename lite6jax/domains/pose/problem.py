@@ -141,7 +141,7 @@ class PoseProblem:
     @lazy
     def run(self) -> NDArray[np.integer]:
         """`(sample,)`, the first sample of each sample's run."""
-        return np.asarray(self.motion.run[0])
+        return np.asarray(self.motion.run)[0]
 
     @lazy
     def valid(self) -> Mask:
@@ -225,12 +225,12 @@ class PoseProblem:
     @lazy
     def periodic(self) -> tuple[PeriodicFamily, ...]:
         """Harmonics of each joint."""
-        return families.periodic(self.time_shifted, self.sites)
+        return families.periodic(self.deflections.host_motion, self.sites)
 
     @lazy
     def curves(self) -> tuple[CurveFamily, ...]:
         """Curves of each joint over its position, torque and velocity."""
-        return families.curves(self.time_shifted, self.deflections, self.sites)
+        return families.curves(self.deflections, self.sites)
 
     @lazy
     def shaped(self) -> tuple[Effect, ...]:
@@ -382,7 +382,7 @@ class PoseProblem:
 
     @cached_property
     def _undeflected(self) -> Deflection:
-        return Deflection(*map(np.asarray, dense(Deflection(), self.motion.dof, self.samples)))  # type: ignore[arg-type]
+        return dense(Deflection(), self.motion.dof, self.samples)
 
 
 def _altered(

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lite6jax.deferred import Array, jnp, lax
+from lite6jax.effects.deflection import library_of
 from lite6jax.effects.drivers import Driver
 from lite6jax.effects.effect import Choice, Coordinate, Effect, JointEffect, Reporting, tried, with_field
 from lite6jax.effects.kinematic import bounds
@@ -69,9 +70,9 @@ class JointBacklash(JointEffect):
         return (torque, direction) if self.friction_torque_Nm else (torque,)
 
     def angle(self, values: Array, motion: Motion, loads: Loads | None) -> Array:
-        if self.friction_torque_Nm is None:
-            return -0.5 * values[0] * jnp.sign(self.drivers[0].values(motion, loads))
-        return 0.5 * values[0] * jnp.sign(self._pressing(motion, loads))
+        free = self.friction_torque_Nm is None
+        flank = -self.drivers[0].values(motion, loads) if free else self._pressing(motion, loads)
+        return 0.5 * values[0] * library_of(flank).sign(flank)
 
     def between_flanks(self, motion: Motion, loads: Loads | None) -> NDArray[np.bool_]:
         """`(sample,)`, where the gear may have left one flank and not reached the other.
@@ -156,6 +157,7 @@ class JointWindup(JointEffect):
         return (Driver("gravity torque", self.joint),)
 
     def angle(self, values: Array, motion: Motion, loads: Loads | None) -> Array:
-        friction = jnp.maximum(values[1], 0.0) if self.friction_torque_Nm is None else self.friction_torque_Nm
-        torque = jnp.asarray(self.drivers[0].values(motion, loads))
-        return values[0] * plays(torque, jnp.asarray(friction)[None], jnp.asarray(motion.run))[0]
+        torque = self.drivers[0].values(motion, loads)
+        xp = library_of(values, torque)
+        friction = xp.maximum(values[1], 0.0) if self.friction_torque_Nm is None else self.friction_torque_Nm
+        return values[0] * xp.asarray(plays(torque, xp.asarray(friction)[None], motion.run))[0]

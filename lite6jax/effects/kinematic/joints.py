@@ -7,7 +7,8 @@ from typing import ClassVar, final
 import numpy as np
 from numpy.typing import NDArray
 
-from lite6jax.deferred import Array, jnp
+from lite6jax.deferred import Array
+from lite6jax.effects.deflection import library_of
 from lite6jax.effects.drivers import Driver
 from lite6jax.effects.effect import Choice, Coordinate, Effect, JointEffect, Reporting, tried, with_field
 from lite6jax.effects.kinematic import bounds
@@ -34,7 +35,7 @@ class JointOffset(JointEffect):
         return ()
 
     def angle(self, values: Array, motion: Motion, loads: Loads | None) -> Array:
-        return jnp.broadcast_to(values[0], (motion.samples,))
+        return library_of(values).broadcast_to(values[0], (motion.samples,))
 
 
 @final
@@ -117,7 +118,8 @@ class JointHarmonic(JointEffect):
 
     def angle(self, values: Array, motion: Motion, loads: Loads | None) -> Array:
         turned = (values[2] if self.order is None else self.order) * self.drivers[0].values(motion, loads)
-        return values[0] * jnp.sin(turned) + values[1] * jnp.cos(turned)
+        xp = library_of(turned)
+        return values[0] * xp.sin(turned) + values[1] * xp.cos(turned)
 
 
 @final
@@ -247,5 +249,6 @@ class JointWarmUp(JointEffect):
 
     def angle(self, values: Array, motion: Motion, loads: Loads | None) -> Array:
         # at neutral τ is zero as well: any positive one then gives no angle, and no division by zero
-        constant = self.time_constant_s or jnp.where(values[1] > 0, values[1], 1.0)
-        return -values[0] * jnp.expm1(-self.drivers[0].values(motion, loads) / constant)
+        xp, time = library_of(values, motion.time), self.drivers[0].values(motion, loads)
+        constant = self.time_constant_s or xp.where(values[1] > 0, values[1], 1.0)
+        return -values[0] * xp.expm1(-time / constant)

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import ClassVar, final
 
-from lite6jax.deferred import Array, jnp
+from lite6jax.deferred import Array
 from lite6jax.effects.deflection import Deflection, at_joint, library_of, twist
 from lite6jax.effects.drivers import Driver
 from lite6jax.effects.effect import Bending, Coordinate
@@ -86,7 +86,7 @@ class LinkThermalExpansion(Bending):
     def deflect(self, values: Array, motion: Motion, loads: Loads | None) -> Deflection:
         growth = values[0] * self.drivers[0].values(motion, loads)
         if self.link is None:
-            return Deflection(stretch=jnp.broadcast_to(growth, (motion.dof, motion.samples)))
+            return Deflection(stretch=library_of(growth).broadcast_to(growth, (motion.dof, motion.samples)))
         if self.link >= motion.dof:
             raise InputError(f"{self.label}: no joint follows the last link; choose a link from 1 to {motion.dof - 1}")
         return Deflection(stretch=at_joint(motion.dof, self.link + 1, growth))
@@ -121,7 +121,7 @@ class FrameOffset(Bending):
         return "base" if self.link is None else f"link{self.link}"
 
     def deflect(self, values: Array, motion: Motion, loads: Loads | None) -> Deflection:
-        displaced = jnp.broadcast_to(values[:, None], (6, motion.samples))
+        displaced = library_of(values).broadcast_to(values[:, None], (6, motion.samples))
         if self.link is None:
             return Deflection(base=displaced)
         return Deflection(link=at_joint(motion.dof, self.link, displaced))

@@ -3,7 +3,8 @@
 from dataclasses import dataclass
 from typing import ClassVar, final
 
-from lite6jax.deferred import Array, jnp
+from lite6jax.deferred import Array
+from lite6jax.effects.deflection import library_of
 from lite6jax.effects.drivers import Driver
 from lite6jax.effects.effect import Coordinate, JointEffect
 from lite6jax.effects.kinematic import bounds
@@ -29,7 +30,7 @@ class SlideOffset(JointEffect):
         return ()
 
     def angle(self, values: Array, motion: Motion, loads: Loads | None) -> Array:
-        return jnp.broadcast_to(values[0], (motion.samples,))
+        return library_of(values).broadcast_to(values[0], (motion.samples,))
 
 
 @final
@@ -95,4 +96,5 @@ class SlideBacklash(JointEffect):
         return (Driver("direction of motion", self.joint),)
 
     def angle(self, values: Array, motion: Motion, loads: Loads | None) -> Array:
-        return -0.5 * values[0] * jnp.sign(self.drivers[0].values(motion, loads))
+        direction = self.drivers[0].values(motion, loads)
+        return -0.5 * values[0] * library_of(direction).sign(direction)

@@ -3,9 +3,9 @@
 from dataclasses import dataclass
 from typing import ClassVar, final
 
-from lite6jax.deferred import Array, jnp
+from lite6jax.deferred import Array
 from lite6jax.effects import motion as motions
-from lite6jax.effects.deflection import Deflection, twist
+from lite6jax.effects.deflection import Deflection, library_of, twist
 from lite6jax.effects.drivers import Driver
 from lite6jax.effects.effect import Altering, Bending, Coordinate
 from lite6jax.effects.kinematic import bounds
@@ -211,7 +211,7 @@ class MeasurementScale(Bending):
         return ()
 
     def deflect(self, values: Array, motion: Motion, loads: Loads | None) -> Deflection:
-        return Deflection(scale=jnp.broadcast_to(values[0], (motion.samples,)))
+        return Deflection(scale=library_of(values).broadcast_to(values[0], (motion.samples,)))
 
 
 @final

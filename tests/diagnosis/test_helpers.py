@@ -1,0 +1,123 @@
+"""Helpers: folds are shared with other processes, whatever becomes of these, and the answer does not depend on it."""
+
+import os
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+from diagnosis.recorded import Made, static_motion
+
+from lite6jax.diagnosis import helpers
+from lite6jax.diagnosis.helpers import Elsewhere, Helpers, beside, started
+from lite6jax.distribution.processes import Processes
+from lite6jax.recordings import write_recording
+from tests.batch_work import folded
+
+FOLDS = [np.array([k]) for k in range(5)]
+
+
+def how(what="done"):
+    return Elsewhere(folded, (what,), lambda table: (table["fold"][0].as_py(), table["process"][0].as_py()))
+
+
+def own(fold):
+    time.sleep(0.05)
+    return int(fold[0]), os.getpid()
+
+
+@pytest.fixture
+def two():
+    with Helpers(2) as them:
+        yield them
+
+
+def test_folds_are_shared_and_results_in_their_order(two):
+    done = []
+    deadline = time.monotonic() + 60
+    while time.monotonic() < deadline:
+        results = two.shared(own, how(), FOLDS, done.append)
+        assert [fold for fold, _ in results] == [0, 1, 2, 3, 4]
+        if len({process for _, process in results}) > 1:  # those that have started by then
+            break
+    assert os.getpid() in {process for _, process in results}
+    assert len({process for _, process in results}) > 1
+    assert max(done) == 5
+
+
+@pytest.mark.parametrize("what", ["die", "fail"])
+def test_what_a_helper_could_not_do_is_done_here(two, what):
+    assert two.shared(own, how(what), FOLDS, lambda done: None) == [(k, os.getpid()) for k in range(5)]
+
+
+def test_an_error_here_is_an_error():
+    def fails(fold):
+        raise ValueError("no such fold")
+
+    with Helpers(1) as them, pytest.raises(ValueError, match="no such fold"):
+        them.shared(fails, how("slow"), FOLDS, lambda done: None)
+
+
+def test_what_was_begun_ahead_is_taken_where_it_is_the_same_work(two):
+    two.ahead(how(), FOLDS)
+    deadline = time.monotonic() + 60
+    while two._job.todo and time.monotonic() < deadline:
+        time.sleep(0.01)
+    results = two.shared(own, how(), [fold.copy() for fold in FOLDS], lambda done: None)
+    assert [fold for fold, _ in results] == [0, 1, 2, 3, 4]
+    assert os.getpid() not in {process for _, process in results}
+    for other, folds in ((how("fail"), FOLDS), (how(), FOLDS[:3])):
+        two.ahead(how(), FOLDS)
+        assert len(two.shared(own, other, folds, lambda done: None)) == len(folds)
+
+
+def test_helpers_that_work_are_ended_at_once(monkeypatch):
+    processes = []
+    begun = Processes._started
+
+    def noted(self):
+        processes.append(begun(self))
+        return processes[-1]
+
+    monkeypatch.setattr(Processes, "_started", noted)
+    with Helpers(1) as them:
+        them.ahead(how("slow"), FOLDS)
+        deadline = time.monotonic() + 60
+        while processes[0].batch is None and time.monotonic() < deadline:
+            time.sleep(0.01)
+        ended = processes[0].process.pid
+        begins = time.monotonic()
+    assert time.monotonic() - begins < 30  # not the minute that the work takes
+    assert len(processes) == 1  # and none in its place
+    with pytest.raises(ProcessLookupError):
+        os.kill(ended, 0)
+
+
+def test_a_program_that_calls_the_library_gets_no_processes_unless_it_asks(monkeypatch):
+    limits = []
+    monkeypatch.setattr(helpers.threads, "limit", limits.append)
+    with beside():
+        assert started() is None
+    assert limits == []
+    with beside(1):
+        assert started() is None
+    assert limits == [1]
+    with beside(2):
+        assert started() is not None
+    assert started() is None
+
+
+def test_the_document_is_the_same_with_and_without_helpers(tmp_path):
+    made = Made(tmp_path, ("joint_compliance:joint=2,compliance_rad_per_Nm=9e-5",))
+    path = write_recording(made.recording(static_motion(3, 120)), tmp_path / "run.csv")
+    said = [
+        subprocess.run(
+            [sys.executable, "-m", "lite6jax.cli", "diagnose", str(path), "--json", "--processes", processes],
+            capture_output=True,
+            check=True,
+        ).stdout
+        for processes in ("1", "2")
+    ]
+    assert said[0] == said[1]
+    assert b'"joint_compliance"' in said[0]
