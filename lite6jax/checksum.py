@@ -27,7 +27,11 @@ def checksum_of(values: Any) -> str:
     """`sha256:` and 64 hexadecimal digits, of values as JSON or YAML holds them; of a mapping without its checksum."""
     if isinstance(values, Mapping):
         values = {name: value for name, value in values.items() if name != KEY}
-    canonical = json.dumps(_canonical(values), sort_keys=True, separators=(",", ":"))
+    return _digest(_canonical(values), allow_nan=True)
+
+
+def _digest(values: Any, *, allow_nan: bool) -> str:
+    canonical = json.dumps(values, sort_keys=True, separators=(",", ":"), allow_nan=allow_nan)
     return f"sha256:{hashlib.sha256(canonical.encode()).hexdigest()}"
 
 
@@ -43,8 +47,9 @@ def _canonical(value: Any) -> Any:
 
 
 def with_checksum(document: Mapping[str, Any]) -> dict[str, Any]:
-    """A JSON object with its checksum as the last value."""
-    return {**document, KEY: checksum_of(json.loads(json.dumps(document, allow_nan=False)))}
+    """A JSON object, whose names are all text, with its checksum as the last value."""
+    values = {name: value for name, value in document.items() if name != KEY}
+    return {**values, KEY: _digest(values, allow_nan=False)}
 
 
 def with_comment(text: str) -> str:

@@ -32,8 +32,8 @@ def end_on_signals() -> None:
             signal.signal(number, _end)
 
 
-def is_program() -> bool:
-    """Whether this process is a command of ours, and not a program that calls one."""
+def is_command_line() -> bool:
+    """Whether this process is the command line itself, and not a program that imports the library."""
     return _ends_on_signals
 
 

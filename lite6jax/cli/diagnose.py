@@ -1,5 +1,6 @@
 """Commands on what an arm has beyond its model: find it in a recording, predict with it."""
 
+from contextlib import nullcontext
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -120,19 +121,19 @@ class Diagnose:
             from lite6jax.report.diagnosis_figures import NAMES
 
             check_figures(self, NAMES)
-        from lite6jax.diagnosis.helpers import beside
+        from lite6jax.diagnosis.fold_processes import fold_processes
 
-        with beside(self.processes):
+        # other processes cannot import classes that this one reads from a file
+        with nullcontext() if self.effects else fold_processes(self.processes):
             return self._diagnosed_file()
 
     def _diagnosed_file(self) -> int:
-        """Reads, searches, writes, prints, of one file."""
-        from lite6jax.diagnosis.combined import by_domain
+        """Diagnoses one file: reads it, searches, and writes and prints the result."""
         from lite6jax.diagnosis.diagnose import diagnose
         from lite6jax.diagnosis.document import to_document
         from lite6jax.diagnosis.options import QUICK
         from lite6jax.diagnosis.reference_diagnosis import diagnose_against
-        from lite6jax.effects.user_effects import load_effects
+        from lite6jax.effects.user_effects import by_domain, load_effects
         from lite6jax.fitting.recognition import arm_of
         from lite6jax.fitting.source import load_nominal
         from lite6jax.report import stages, worth
@@ -187,9 +188,8 @@ class Diagnose:
         Raises:
             InputError: the recording has neither, or as `diagnose` and `diagnose_torques`.
         """
-        from lite6jax.diagnosis.combined import by_domain
         from lite6jax.diagnosis.options import QUICK
-        from lite6jax.effects.user_effects import load_effects
+        from lite6jax.effects.user_effects import by_domain, load_effects
         from lite6jax.fitting.recognition import arm_of
         from lite6jax.fitting.source import load_nominal
 

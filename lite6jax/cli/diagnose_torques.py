@@ -34,11 +34,11 @@ def diagnose_motors(
         other: the reference, if any.
         effects: a user's own; those on torques are used.
     """
-    from lite6jax.diagnosis.combined import by_domain
     from lite6jax.diagnosis.options import QUICK
     from lite6jax.diagnosis.torque_diagnosis import diagnose_torques
     from lite6jax.diagnosis.torque_document import to_torque_document
     from lite6jax.diagnosis.torque_reference import diagnose_torques_against
+    from lite6jax.effects.user_effects import by_domain
     from lite6jax.report import stages, worth
     from lite6jax.report.torque_statements import with_statements
     from lite6jax.report.torque_tables import torque_report

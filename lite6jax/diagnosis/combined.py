@@ -17,8 +17,8 @@ from lite6jax.diagnosis.torque_document import to_torque_document
 from lite6jax.diagnosis.torque_reference import TorqueComparison, diagnose_torques_against
 from lite6jax.diagnosis.torque_result import TorqueDiagnosis
 from lite6jax.domains.pose.reference import ReferenceComparison
-from lite6jax.effects.dynamic.torque_effect import TorqueEffect
 from lite6jax.effects.effect import Effect
+from lite6jax.effects.user_effects import by_domain
 from lite6jax.errors import InputError
 from lite6jax.fitting.problem import Geometry
 from lite6jax.fitting.recognition import arm_of
@@ -112,9 +112,3 @@ def diagnose_combined(
     except InputError as error:
         return CombinedDiagnosis(poses, None, refused=str(error), against=(seen, None))
     return CombinedDiagnosis(poses, torques, shared_by(poses, torques), against=(seen, compared))
-
-
-def by_domain(effects: Sequence[Effect]) -> tuple[tuple[Effect, ...], tuple[TorqueEffect, ...]]:
-    """Effects on poses, and effects on torques."""
-    kinematic = tuple(effect for effect in effects if not isinstance(effect, TorqueEffect))
-    return kinematic, tuple(effect for effect in effects if isinstance(effect, TorqueEffect))

@@ -236,7 +236,26 @@ def write_document(document: Mapping[str, Any], path: str | Path, overwrite: boo
 
 def document_text(document: Mapping[str, Any]) -> str:
     """The text of a diagnosis file: the document with its checksum."""
-    return json.dumps(with_checksum(document), indent=1, allow_nan=False)
+    return _laid_out(with_checksum(document), "\n")
+
+
+def _laid_out(value: Any, line: str) -> str:
+    """A value of JSON, with a line for each entry of objects and lists, but one line for a list of numbers.
+
+    A covariance is then a line for each of its rows, where `json` with an indent takes one for each of its numbers.
+
+    Args:
+        value: what `json` can write.
+        line: what begins a line of the surrounding object or list.
+    """
+    if isinstance(value, dict) and value:
+        entries = [f"{json.dumps(name)}: {_laid_out(entry, line + ' ')}" for name, entry in value.items()]
+    elif isinstance(value, list | tuple) and any(isinstance(entry, dict | list | tuple) for entry in value):
+        entries = [_laid_out(entry, line + " ") for entry in value]
+    else:
+        return json.dumps(value, allow_nan=False)
+    first, last = "{}" if isinstance(value, dict) else "[]"
+    return first + ",".join(f"{line} {entry}" for entry in entries) + line + last
 
 
 def check_document(document: Any, path: str | Path) -> None:

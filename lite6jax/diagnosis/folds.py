@@ -8,7 +8,7 @@ from typing import TypeVar
 import numpy as np
 
 from lite6jax import threads
-from lite6jax.diagnosis.helpers import Elsewhere, started
+from lite6jax.diagnosis.fold_processes import RemoteWork, at_hand
 from lite6jax.diagnosis.options import Options
 from lite6jax.domains.pose.problem import PoseProblem
 from lite6jax.errors import InputError
@@ -19,7 +19,7 @@ from lite6jax.recordings import Recording
 from lite6jax.recordings.sequence import contiguous_blocks
 
 _MANY_ROWS = 60
-"""More than determine the frames and the geometry of an arm, of positions alone and twice as many joints as most."""
+"""Rows from which positions alone determine the frames and the geometry of any arm of up to about 14 joints."""
 
 Fold = TypeVar("Fold")
 Result = TypeVar("Result")
@@ -35,7 +35,7 @@ def held_out_folds(problem: PoseProblem, options: Options) -> list[Mask]:
 
 
 def likely_folds(recording: Recording, options: Options) -> list[Mask] | None:
-    """Those of a recording of so many rows that any arm's geometry follows from the others; None of fewer."""
+    """The blocks of `held_out_folds`, before a problem is made, where no arm needs more of them; None of fewer rows."""
     count = fold_count(recording.samples, options)
     if fold_count(recording.samples, options, _MANY_ROWS) != count:
         return None
@@ -81,7 +81,7 @@ def _rows_needed(problem: PoseProblem) -> int:
 
 
 def side_by_side(
-    work: Callable[[Fold], Result], folds: Sequence[Fold], elsewhere: Elsewhere[Result] | None = None
+    work: Callable[[Fold], Result], folds: Sequence[Fold], elsewhere: RemoteWork[Result] | None = None
 ) -> list[Result]:
     """What `work` makes of each fold, in their order.
 
@@ -94,10 +94,10 @@ def side_by_side(
         folds: all.
         elsewhere: how another process works on one; None where only this one can.
     """
-    helpers = started()
-    if helpers is not None and elsewhere is not None:
+    others = at_hand()
+    if others is not None and elsewhere is not None:
         with part(1, 1 + len(folds)) as going:
-            return helpers.shared(work, elsewhere, folds, lambda done: setattr(going, "number", 1 + done))
+            return others.results(work, elsewhere, folds, lambda done: setattr(going, "number", 1 + done))
     pool = ThreadPoolExecutor(min(len(folds), threads.available()))
     try:
         with part(1, 1 + len(folds)) as going:

@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.factory import FactoryCalibration
 from lite6jax.diagnosis.explanation import Decisions, explain
+from lite6jax.diagnosis.fold_processes import RemoteWork, at_hand
 from lite6jax.diagnosis.folds import side_by_side
-from lite6jax.diagnosis.helpers import Elsewhere, started
 from lite6jax.diagnosis.options import Options
 from lite6jax.domains.pose.kinematics import unwhitened
 from lite6jax.domains.pose.problem import PoseProblem
@@ -116,7 +116,7 @@ def held_out_errors(
         folds: those of `held_out_folds`.
     """
     given = (recording, arm, geometry, options, decisions, tuple(effects), factory)
-    elsewhere = Elsewhere(held_out_table, given, _of_table)
+    elsewhere = RemoteWork(held_out_table, given, _of_table)
     return _in_order(side_by_side(lambda held: _predicted(held, *given), folds, elsewhere), folds)
 
 
@@ -134,9 +134,9 @@ def held_out_ahead(
     Nearly all recordings are explained without a fault that resembles physics, which is supposed here. Arguments as of
     `held_out_errors`, which takes the results if the decisions are those.
     """
-    if (helpers := started()) is not None:
+    if (others := at_hand()) is not None:
         given = (recording, arm, geometry, options, Decisions(Corrections(known_jumps=())), tuple(effects), factory)
-        helpers.ahead(Elsewhere(held_out_table, given, _of_table), folds)
+        others.ahead(RemoteWork(held_out_table, given, _of_table), folds)
 
 
 def held_out_table(held: Sequence[Mask], *given: Any) -> pa.Table:

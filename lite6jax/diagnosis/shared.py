@@ -6,7 +6,7 @@ from typing import Any, Literal, NamedTuple, final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
+from scipy.special import chdtrc
 
 from lite6jax.diagnosis.result import Diagnosis
 from lite6jax.diagnosis.torque_result import TorqueDiagnosis
@@ -108,7 +108,7 @@ def shared_by(poses: Diagnosis, torques: TorqueDiagnosis) -> tuple[Shared, ...]:
                 own = Known(True, finding.values, finding.covariance, finding.parameters)
                 std = float(np.sqrt(load.covariance[0, 0]))
                 z = (float(load.values[0]) - 1) / max(float(np.hypot(std, _assumed(poses))), 1e-12)
-                found.append(Shared("load", own, load, float(chi2.sf(z**2, 1)), finding.effect.joint))
+                found.append(Shared("load", own, load, float(chdtrc(1, z**2)), finding.effect.joint))
     return tuple(found)
 
 
@@ -167,7 +167,7 @@ def difference_p_value(one: Known, other: Known, sign: float = 1.0) -> float:
     """
     off = one.values - sign * other.values
     together = one.covariance + other.covariance
-    return float(chi2.sf(off @ np.linalg.pinv(together) @ off, len(off)))
+    return float(chdtrc(len(off), off @ np.linalg.pinv(together) @ off))
 
 
 def _load(torques: TorqueDiagnosis, joint: int, left_out: tuple[Effect, ...]) -> Known | None:

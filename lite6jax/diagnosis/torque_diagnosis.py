@@ -12,8 +12,8 @@ from threadpoolctl import threadpool_limits
 
 from lite6jax.arms.arm import Arm
 from lite6jax.diagnosis.diagnose import findings_of, without_effects
+from lite6jax.diagnosis.fold_processes import RemoteWork
 from lite6jax.diagnosis.folds import fold_count, side_by_side, spread_folds
-from lite6jax.diagnosis.helpers import Elsewhere
 from lite6jax.diagnosis.options import Options
 from lite6jax.diagnosis.result import SearchedAgain
 from lite6jax.diagnosis.torque_result import TorqueDiagnosis
@@ -113,22 +113,25 @@ def _searched_without(
     Whether terms are selected forward or from the saturated model is decided once, in all samples.
     """
     given = (problem, options, saturated)
-    elsewhere = Elsewhere(held_out_table, given, partial(_of_table, joints=problem.rows))
-    return _in_order(side_by_side(lambda held: _searched(held, *given), folds, elsewhere), folds, problem)
+    elsewhere = RemoteWork(held_out_table, given, partial(_of_table, joints=problem.rows))
+    return _in_order(side_by_side(lambda held: _errors_of_search(held, *given), folds, elsewhere), folds, problem)
 
 
 def held_out_table(held: Sequence[Mask], *given: Any) -> pa.Table:
     """The errors on one fold as a table, for another process: of each joint without effects, and then with them."""
     (one,) = held
-    return pa.table({str(k): row for k, row in enumerate(np.concatenate(_searched(one, *given)))})
+    return pa.table({str(k): row for k, row in enumerate(np.concatenate(_errors_of_search(one, *given)))})
 
 
 def _of_table(table: pa.Table, joints: int) -> tuple[Array, Array]:
+    """The inverse of `held_out_table`."""
     rows = np.array([table[str(k)].to_numpy() for k in range(2 * joints)])
     return rows[:joints], rows[joints:]
 
 
-def _searched(held: Mask, problem: TorqueProblem, options: Options, saturated: bool) -> tuple[Array, Array]:
+def _errors_of_search(held: Mask, problem: TorqueProblem, options: Options, saturated: bool) -> tuple[Array, Array]:
+    """As `_errors_without`, with the model that a search of the other samples selects."""
+
     def searched(there: TorqueProblem, training: Mask) -> State:
         return search(there, options.engine, training, thorough=False, saturated=saturated).state
 

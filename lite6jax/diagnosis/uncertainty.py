@@ -26,7 +26,9 @@ Rows = NDArray[np.integer]
 _ROWS = 200
 """Recorded rows that are kept to measure the distance from."""
 _MOST = 2000
-"""Rows of which the distance from the others is measured, and that are multiplied at once."""
+"""Rows of which the distance from the others is measured."""
+_BLOCK = 2000
+"""Rows of which products are formed at once: the derivatives of hundreds of numbers take half a gigabyte."""
 LEVEL, _SQUARE = 0.95, 7.8147
 """The share of rows within so many squared standard deviations per axis, of a normal distribution in three axes."""
 
@@ -47,9 +49,8 @@ def uncertainty_of(found: "Diagnosis", model: "DiagnosedArm") -> Uncertainty:
     change = Derivatives(model, problem.motion, sites)
     J = change.all()
     C = _covariance(found, model, J)
-    estimated = np.concatenate(
-        [np.sum(np.tensordot(C, part, 1) * part, 0) for part in np.split(J, range(_MOST, J.shape[2], _MOST), axis=2)], 1
-    )
+    blocks = np.split(J, range(_BLOCK, J.shape[2], _BLOCK), axis=2)
+    estimated = np.concatenate([np.sum(np.tensordot(C, block, 1) * block, 0) for block in blocks], 1)
     left, unseen, noise = _left(found, estimated)
     curves: list[PerAxis | None] = []
     for effect, part in zip(model.physics.effects, model.physics.slices, strict=True):
@@ -91,8 +92,8 @@ def covariance_of(fit: Fit, valid: Mask, columns: Array, precision: Array) -> Ar
     innovations = columns if fit.noise.white else fit.noise.whitened(np.where(used, columns, 0.0))
     root = np.sqrt(np.where(used, fit.residuals.row_weight, 0.0))
     H = np.diag(np.asarray(precision, float))
-    for first in range(0, root.shape[1], _MOST):  # derivatives by hundreds of numbers are half a gigabyte
-        flat = (innovations[..., first : first + _MOST] * root[:, first : first + _MOST]).reshape(len(columns), -1)
+    for first in range(0, root.shape[1], _BLOCK):
+        flat = (innovations[..., first : first + _BLOCK] * root[:, first : first + _BLOCK]).reshape(len(columns), -1)
         H += flat @ flat.T
     return scaled_inverse(H) * variance_factor(fit.residuals.squares[used], columns.shape[1], FREEDOM, 0)
 

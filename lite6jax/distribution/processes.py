@@ -8,6 +8,7 @@ from contextlib import suppress
 from importlib import import_module
 from multiprocessing.connection import Connection, wait
 from multiprocessing.context import SpawnProcess
+from multiprocessing.reduction import ForkingPickler
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, final
 
@@ -39,11 +40,16 @@ class _Job(NamedTuple):
     given: tuple[Any, ...]
 
 
+def pickled(function: "Function", given: tuple[Any, ...]) -> bytes:
+    """What `Processes.begin_pickled` takes, arguments as of `Processes.begin`: what is given may change afterwards."""
+    return bytes(ForkingPickler.dumps(_Job(function, given)))
+
+
 @final
 class _Worker:
     """A process, the connection to it, and the batch that it has in hand."""
 
-    def __init__(self, job: _Job | None, imports: tuple[str, ...]) -> None:
+    def __init__(self, job: bytes | None, imports: tuple[str, ...]) -> None:
         self.batch: int | None = None
         self.inputs: list[Any] = []
         self.ready = False
@@ -62,10 +68,10 @@ class _Worker:
         if job is not None:
             self.tell(job)
 
-    def tell(self, job: _Job) -> None:
+    def tell(self, job: bytes) -> None:
         """Says what is to be done with the batches that follow."""
         with suppress(OSError):  # one that was ended is replaced where it is to have a batch
-            self.connection.send(job)
+            self.connection.send_bytes(job)
 
     @property
     def is_large(self) -> bool:
@@ -104,7 +110,7 @@ class Processes:
             imports: modules that they import at once, where `begin` comes later than that.
         """
         self._count, self._imports = count, imports
-        self._job: _Job | None = None
+        self._job: bytes | None = None
         self._workers: list[_Worker] = []
         self._failed_starts = 0
         self._is_over = False
@@ -136,7 +142,11 @@ class Processes:
             function: of a module.
             given: to it besides a batch.
         """
-        self._job = _Job(function, given)
+        self.begin_pickled(pickled(function, given))
+
+    def begin_pickled(self, job: bytes) -> None:
+        """As `begin`, of what `pickled` made."""
+        self._job = job
         for place, worker in enumerate(self._workers):
             if worker.batch is None:
                 worker.tell(self._job)
@@ -168,10 +178,14 @@ class Processes:
         """Waits for the next batch: its number, and its rows or that its worker died.
 
         Raises:
+            RuntimeError: no process has a batch in hand; the processes may have been ended meanwhile.
             Exception: what the function raised.
         """
         while True:
-            wait([worker.connection for worker in self._workers if worker.batch is not None])
+            busy = [worker.connection for worker in self._workers if worker.batch is not None]
+            if not busy:
+                raise RuntimeError("no process has a batch in hand")
+            wait(busy)
             for place, worker in enumerate(self._workers):
                 if worker.batch is None or not worker.connection.poll():
                     continue

@@ -66,6 +66,7 @@ At a prismatic joint it is `AirDrag(3, of_slide=True)`, and a force. `self.numbe
 import sys
 import traceback
 import types
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -118,6 +119,12 @@ def load_effects(path: str | Path) -> tuple[Effect, ...]:
         if reason:
             raise InputError(f"{path}: EFFECTS[{index}]: {reason}")
     return tuple(effects)
+
+
+def by_domain(effects: Sequence[Effect]) -> tuple[tuple[Effect, ...], tuple[TorqueEffect, ...]]:
+    """Effects on poses, and effects on torques."""
+    kinematic = tuple(effect for effect in effects if not isinstance(effect, TorqueEffect))
+    return kinematic, tuple(effect for effect in effects if isinstance(effect, TorqueEffect))
 
 
 def _one_line(error: Exception) -> str:

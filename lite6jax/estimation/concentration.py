@@ -93,14 +93,15 @@ def concentration(problem: Problem, fit: Fit, options: EngineOptions) -> Concent
     ratio of the mean squares along and across the directions follows an F distribution. Of correlated noise the
     innovations are taken, with the direction of each sample: that is exact where directions change slowly. Noise of the
     same size at several sites gives None, and so does noise of one axis of a sensor, whose direction is the same in all
-    samples.
+    samples. Of many samples in white noise, one in several is looked at, and stands for those between.
 
     Args:
         problem: the data. The sites are those of its `curves` that move several rows.
         fit: the model.
         options: thresholds.
     """
-    if fit.noise.white and (every := fit.training.size // options.first_samples) > 1:
+    every = max(fit.training.size // options.first_samples, 1) if fit.noise.white else 1
+    if every > 1:
         problem, fit = problem.thinned(every), fit.thinned(every)
     families = [family for family in problem.curves if np.count_nonzero(family.column.any(1)) > 1]
     if not families:
@@ -122,7 +123,7 @@ def concentration(problem: Problem, fit: Fit, options: EngineOptions) -> Concent
     axis = np.linalg.eigh(measured @ measured.T)[1][:, -1:]
     of_axis = products.across(test, np.broadcast_to(axis, measured.shape)).remainder(options)
     nearest = min(one.squares for one in (of_axis, *(one for one, where in found if where != site)))
-    if 0.5 * rest.freedom / test.time * np.log(nearest / rest.squares) < options.close:
+    if 0.5 * every * rest.freedom / test.time * np.log(nearest / rest.squares) < options.close:
         return None
     share, expected = 1 - rest.squares / whole.squares, along / whole.freedom
-    return Concentration(site, share, expected, 0.5 * (whole.squares - rest.squares - along * noise))
+    return Concentration(site, share, expected, 0.5 * every * (whole.squares - rest.squares - along * noise))

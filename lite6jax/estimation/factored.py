@@ -1,7 +1,6 @@
-"""Columns that are products of the column of a site and functions of a sample, of terms with hundreds of numbers.
+"""Columns of terms with hundreds of numbers, as products of one column of a site and many functions of the sample.
 
-Sums over the rows of a sample are taken before those over samples, so that neither the columns of all numbers are held
-nor is each row multiplied by each.
+Sums over the rows of a sample come first, so that the full columns `(number, row, sample)` are never formed.
 """
 
 from collections.abc import Sequence

@@ -285,7 +285,7 @@ def _parts(problem: LinearisedProblem, terms: Terms, values: Array) -> list[Arra
 
 
 def linear_columns(problem: LinearisedProblem, terms: Terms, values: Array) -> Array:
-    """How residuals change with the nuisance and then with the numbers of terms, `(number, row, sample)`; a copy."""
+    """How residuals change with the nuisance and then with the numbers of terms, `(number, row, sample)`, new."""
     base = problem.nuisance_columns(terms, values)
     return np.concatenate([base, problem.columns(terms.terms, values)]) if terms.size else base.copy()
 

@@ -143,7 +143,7 @@ class LinearisedProblem(Protocol):
         ...
 
     def factored(self, term: Term) -> Factored | None:
-        """The columns of a term in that form, where they have it; else None."""
+        """The columns of a term as a `Factored`; None where they are no such products."""
         ...
 
     def nuisance_columns(self, terms: Terms, values: Array) -> Array:

@@ -26,9 +26,10 @@ def unit_rows(columns: Array) -> Array:
 def orthonormal(rows: Array, rounding: float) -> Array:
     """An orthonormal basis `(rank, reading)` of the span of unit rows.
 
-    Eigenvectors of the Gram matrix leave it orthonormal to rounding times the ratio of eigenvalues. A Cholesky factor
-    of its own Gram matrix, which is near the identity, mends that, in a fraction of the time of Householder reflections
-    (Y. Yamamoto et al., Electronic Transactions on Numerical Analysis 44, 2015).
+    A basis from eigenvectors of the Gram matrix departs from orthonormality by rounding times the ratio of the
+    eigenvalues. Multiplied by the inverse Cholesky factor of its own Gram matrix, which is near the identity, it is
+    orthonormal, in a fraction of the time of Householder reflections (Y. Yamamoto et al., Electronic Transactions on
+    Numerical Analysis 44, 2015).
 
     Args:
         rows: `(number, reading)`, of similar length each.

@@ -399,7 +399,7 @@ def autocorrelation_times(problem: Problem, fit: Fit, options: EngineOptions) ->
 
 
 def longest_time(problem: Problem, fit: Fit, options: EngineOptions) -> float:
-    """The longest of these autocorrelation times, in samples: that of a score test against the fit."""
+    """The longest autocorrelation time of any group's residuals, in samples; `score_test` uses the same."""
     return float(autocorrelation_times(problem, fit, options).max())
 
 

@@ -43,7 +43,8 @@ def _ranked_again(problem: Problem, state: State, k: int, options: EngineOptions
     more = [
         Alternative(one.term, 0.0)
         for one, _ in near
-        if one.term not in known and (one.term.chosen is None or one.term.label != tested.term.label)
+        if one.term not in known
+        and not (one.term.label == tested.term.label and (one.term.periodic or one.term.chosen is not None))
     ]
     again = replace(tested, alternatives=(*tested.alternatives, *more))
     return replace(state, tested=(*state.tested[:k], again, *state.tested[k + 1 :]))

@@ -64,12 +64,12 @@ def _between_models(problem: Problem, fitted: Fit, options: EngineOptions) -> np
 
 def _beside_inputs(problem: Problem, fitted: Fit, options: EngineOptions) -> np.ndarray:
     """What the covariance of the numbers gains as inputs may be wrong: by how much each would shift them, squared."""
-    gained = np.zeros_like(fitted.covariance)
+    gained, time = np.zeros_like(fitted.covariance), longest_time(problem, fitted, options)
     for term in problem.inputs(fitted.terms):
         other, own = added(problem, fitted, term, np.zeros(term.size), options), slice(fitted.terms.size)
         if _is_confounded(problem, other, options):
             continue
-        difference, time = other.values[own] - fitted.values, longest_time(problem, fitted, options)
+        difference = other.values[own] - fitted.values
         gain = other.gain_over(fitted) / time - description_length(problem, [term], fitted.freedom, options)
         probability = options.wrong_input / (
             options.wrong_input + (1 - options.wrong_input) * np.exp(-np.clip(gain, -700, 700))
@@ -79,7 +79,7 @@ def _beside_inputs(problem: Problem, fitted: Fit, options: EngineOptions) -> np.
 
 
 def _is_confounded(problem: Problem, fitted: Fit, options: EngineOptions) -> bool:
-    """Whether the columns of the last term lie in the span of the other columns, as a score test without it says."""
+    """Whether of the square of each column of the last term, `confounded` at most is outside the span of the others."""
     part, model = fitted.terms.slices[-1], (fitted.terms, fitted.values)
     columns = problem.columns(fitted.terms.terms[-1:], fitted.values[part], model)
     root = np.sqrt(np.where(fitted.training, fitted.residuals.row_weight, 0.0))

@@ -70,9 +70,10 @@ def _in_noise_model(problem: Problem, state: State, options: EngineOptions) -> S
 def renamed(problem: Problem, state: State, k: int, options: EngineOptions) -> State:
     """The state with the most likely of the k-th term and its alternatives.
 
-    They may rank otherwise beside the terms and in the noise that have been found since. One whose numbers are not
-    possible is none. Of those that the data do not distinguish it is the one with the most specific name; but a wave
-    beside another one of its site stays, since all orders of a site are one cause.
+    They may rank otherwise beside the terms and in the noise that have been found since. An alternative with a number
+    more than `impossible` standard deviations outside its bounds is left out. Of those that the data do not distinguish
+    it is the one with the most specific name; but a wave beside another one of its site stays, since all orders of a
+    site are one cause.
     """
     tested = state.tested[k]
     rest = reduced(problem, state, k, options).fit

@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 from scipy.linalg.lapack import get_lapack_funcs
-from scipy.optimize import minimize
 
 from lite6jax.estimation.factored import Factored, gram, pulled
 from lite6jax.estimation.least_squares import Fit, fit, linear_columns
@@ -102,7 +101,8 @@ def _with_curves(
 ) -> tuple[Fit, Array]:
     """Named terms and the curves beside them, fitted; the curves follow from the residuals of `current`.
 
-    Their priors are sought from `at` on and returned, as `_Evidence.most_likely` has them.
+    The search for the numbers of their priors starts at `at`; those found are returned, in the order of
+    `_Evidence.most_likely`.
     """
     terms = tuple(tested.term for tested in named)
     spectra, at = _spectra(problem, current, Terms(terms), at)
@@ -211,6 +211,8 @@ class _Evidence:
         """The priors' numbers `(3 · family,)`, so many steps on: logarithms of amplitude and corner, and the slope."""
         bounds = [*_BOUNDS] * len(self.orders)
         options = {"maxiter": steps, "maxfun": 2 * steps}
+        from scipy.optimize import minimize  # a tenth of a second, which most recordings do without
+
         return minimize(self._unlikely, start, jac=True, method="L-BFGS-B", bounds=bounds, options=options).x
 
     def posterior(self, at: Array) -> tuple[Array, Array, float]:
@@ -261,7 +263,7 @@ class _Evidence:
 
 
 def _inverse_diagonal(factor: tuple[Array, bool]) -> Array:
-    """Of the matrix with this Cholesky factor."""
+    """The diagonal of the inverse of the matrix with this lower Cholesky factor."""
     (trtri,) = get_lapack_funcs(("trtri",), (factor[0],))
     inverse = trtri(factor[0], lower=factor[1])[0]
     return np.sum(np.tril(inverse) ** 2, 0)

@@ -97,10 +97,11 @@ def _leaves_more(name: SelectedTerm, k: int, fit: Fit, left: Concentration | Non
 
 
 def _outweighed(problem: Problem, state: State, k: int, options: EngineOptions) -> bool:
-    """Whether a name explains less than what it leaves in its group of rows, which is much more than noise.
+    """Whether a named term explains less of its group's mean square than remains there beyond the noise.
 
-    What noise is, the other groups say: by how much theirs differs from what is declared. Where physics is left that no
-    candidate describes, a name that takes a small part of it is as likely to be a part of that physics.
+    The noise is the median of the other groups' residual sizes over what is declared of theirs. The test applies where
+    the remainder is `concentrated` times the mean square of that noise or more: a name that explains a small part of it
+    may be a part of physics that no candidate describes.
     """
     name, fitted = state.tested[k].term, state.fit
     groups = np.unique(problem.groups[acts_on(problem, name, (fitted.terms, fitted.values))])

@@ -119,7 +119,8 @@ def _plain_again(problem: Problem, state: State, options: EngineOptions) -> Stat
             continue
         best = max(likely)[1]
         choice = with_term(problem, rest, plain[best], scores[best], options)
-        significant = choice.tested[-1].p_value < options.level  # or it would leave, and with it what both explain
+        # an insignificant plain name would be removed later, and its effect with it
+        significant = choice.tested[-1].p_value < options.level
         if significant and preferred(problem, choice, state, 0.0, options):
             state = choice
     return state

@@ -212,7 +212,7 @@ class PoseProblem:
         return self.effect_columns.by_numbers(terms, values, beside)
 
     def factored(self, term: Term) -> Factored | None:
-        """Those of a function without a name at a joint."""
+        """Of a function without a name at a joint, which has one component; None of other terms."""
         if not isinstance(term, Unnamed) or not term.where.startswith("joint"):
             return None
         return Factored(self.sites[families.site_of(term.where, "rz")], self.deflections.basis(term))

@@ -63,7 +63,7 @@ def periodic(data: TorqueRows, chosen: NDArray[np.integer], noise: Array, known:
                 ripple.term,
                 ripple.order,
                 partial(ripple.curve, position),
-                lambda orders, ripple=ripple: _waves(data, ripple, chosen, known, orders),
+                partial(_waves, data, ripple, chosen, known),
                 whole=not slides,
                 highest=highest,
             )

@@ -1,7 +1,7 @@
 """Measured torques as an estimation problem: one arm, its inertial numbers, and the columns of effects on torques."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, final
 
@@ -58,6 +58,10 @@ class Known:
         """What does not depend on inertial numbers."""
         return Known(waves=self.waves, thinned={n: known.at_other_links() for n, known in self.thinned.items()})
 
+    def __reduce__(self) -> tuple[type["Known"], tuple[()]]:
+        """Another process computes it anew, which is faster than to send it."""
+        return Known, ()
+
 
 @final
 @dataclass(frozen=True, eq=False)
@@ -96,6 +100,10 @@ class TorqueProblem:
     valid: Mask
     refused: frozenset[str] = frozenset()
     known: Known = field(default_factory=Known)
+
+    def __getstate__(self) -> dict[str, object]:
+        """Of another process: what is cached is left out, and `data` keeps the regressor."""
+        return {each.name: getattr(self, each.name) for each in fields(self)}
 
     @property
     def rows(self) -> int:

@@ -1,8 +1,7 @@
 """The rows of a torque recording: its motion, its rigid-body dynamics and its torques, filtered alike."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from typing import final
 
 import jax
@@ -82,17 +81,14 @@ class RigidBodies:
             links=links,
             payload_center=self.payload_center,
             of_inertia=self.of_inertia,
-            of_gravity=self._of_gravity(links),
+            of_gravity=partial(self._torque_at_rest, links),
             gravity=self.gravity,
             drives=self.drives,
         )
 
-    def _of_gravity(self, links: Array) -> Callable[[Array], Array]:
-        def of_gravity(gravity: Array) -> Array:
-            # torques at rest are linear in gravity, and three of them span all
-            return np.tensordot(gravity, self._per_axis(links), 1)
-
-        return of_gravity
+    def _torque_at_rest(self, links: Array, gravity: Array) -> Array:
+        """Torques `(joint, sample)`: linear in gravity, so that those of three directions give all."""
+        return np.tensordot(gravity, self._per_axis(links), 1)
 
     def _per_axis(self, links: Array) -> Array:
         """Torques `(axis, joint, sample)` at rest by a gravity of 1 m/s² along each axis of the base."""

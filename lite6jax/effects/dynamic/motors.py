@@ -191,7 +191,7 @@ class TorqueTimeOffset(Delaying):
 @final
 @dataclass(frozen=True)
 class TorqueLag(OfJoint, Delaying):
-    """The torque of one joint stamped t belongs to the motion at t − lag: a filter or a slower bus of its drive."""
+    """The torque of one joint stamped t belongs to the motion at t − lag: its drive filters or sends it."""
 
     name: ClassVar[str] = "torque_lag"
     specificity: ClassVar[int] = 4

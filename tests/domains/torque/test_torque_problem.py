@@ -1,5 +1,6 @@
 """The filter, and torques as an estimation problem."""
 
+import pickle
 from dataclasses import replace
 
 import numpy as np
@@ -292,3 +293,22 @@ def test_a_heavier_link_has_larger_moments():
     first = (10 * np.arange(len(mass))[:, None] + np.arange(4)).ravel()  # tensors have a share of their own
     scale = np.sqrt(np.diagonal(prior))[first]
     np.testing.assert_allclose((drawn - prior)[np.ix_(first, first)] / np.outer(scale, scale), 0, atol=0.08)
+
+
+@pytest.mark.parametrize("inertial", ["declared", "unknown"])
+def test_another_process_finds_the_same_in_a_problem_that_this_one_works_on(inertial):
+    rubs = hidden("viscous_friction", "joint2", viscous_Nm_s_per_rad=2.0)
+    recording, arm = recorded((rubs,), inertial=inertial)
+    here = torque_problem(torque_rows(recording, arm, recording.torques().T))
+    cached = here.periodic, here.curves, here.dynamics
+    assert all(cached)
+
+    def gains(problem):
+        test = score_test(problem, fit(problem, Terms(), EngineOptions()), EngineOptions())
+        return [one.gain for one in test.score(problem.candidates)]
+
+    found = gains(here)
+    assert here.known.units
+    there = pickle.loads(pickle.dumps(here))
+    assert not there.known.units
+    assert gains(there) == found

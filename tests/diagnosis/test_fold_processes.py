@@ -1,4 +1,4 @@
-"""Helpers: folds are shared with other processes, whatever becomes of these, and the answer does not depend on it."""
+"""Folds are shared with other processes, whatever becomes of these, and the answer does not depend on it."""
 
 import os
 import subprocess
@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from diagnosis.recorded import Made, static_motion
 
-from lite6jax.diagnosis import helpers
-from lite6jax.diagnosis.helpers import Elsewhere, Helpers, beside, started
+from lite6jax.diagnosis import fold_processes as module
+from lite6jax.diagnosis.fold_processes import FoldProcesses, RemoteWork, at_hand, fold_processes
 from lite6jax.distribution.processes import Processes
 from lite6jax.recordings import write_recording
 from tests.batch_work import folded
@@ -19,7 +19,7 @@ FOLDS = [np.array([k]) for k in range(5)]
 
 
 def how(what="done"):
-    return Elsewhere(folded, (what,), lambda table: (table["fold"][0].as_py(), table["process"][0].as_py()))
+    return RemoteWork(folded, (what,), lambda table: (table["fold"][0].as_py(), table["process"][0].as_py()))
 
 
 def own(fold):
@@ -29,7 +29,7 @@ def own(fold):
 
 @pytest.fixture
 def two():
-    with Helpers(2) as them:
+    with FoldProcesses(2) as them:
         yield them
 
 
@@ -37,7 +37,7 @@ def test_folds_are_shared_and_results_in_their_order(two):
     done = []
     deadline = time.monotonic() + 60
     while time.monotonic() < deadline:
-        results = two.shared(own, how(), FOLDS, done.append)
+        results = two.results(own, how(), FOLDS, done.append)
         assert [fold for fold, _ in results] == [0, 1, 2, 3, 4]
         if len({process for _, process in results}) > 1:  # those that have started by then
             break
@@ -47,16 +47,16 @@ def test_folds_are_shared_and_results_in_their_order(two):
 
 
 @pytest.mark.parametrize("what", ["die", "fail"])
-def test_what_a_helper_could_not_do_is_done_here(two, what):
-    assert two.shared(own, how(what), FOLDS, lambda done: None) == [(k, os.getpid()) for k in range(5)]
+def test_what_a_process_could_not_do_is_done_here(two, what):
+    assert two.results(own, how(what), FOLDS, lambda done: None) == [(k, os.getpid()) for k in range(5)]
 
 
 def test_an_error_here_is_an_error():
     def fails(fold):
         raise ValueError("no such fold")
 
-    with Helpers(1) as them, pytest.raises(ValueError, match="no such fold"):
-        them.shared(fails, how("slow"), FOLDS, lambda done: None)
+    with FoldProcesses(1) as them, pytest.raises(ValueError, match="no such fold"):
+        them.results(fails, how("slow"), FOLDS, lambda done: None)
 
 
 def test_what_was_begun_ahead_is_taken_where_it_is_the_same_work(two):
@@ -64,15 +64,15 @@ def test_what_was_begun_ahead_is_taken_where_it_is_the_same_work(two):
     deadline = time.monotonic() + 60
     while two._job.todo and time.monotonic() < deadline:
         time.sleep(0.01)
-    results = two.shared(own, how(), [fold.copy() for fold in FOLDS], lambda done: None)
+    results = two.results(own, how(), [fold.copy() for fold in FOLDS], lambda done: None)
     assert [fold for fold, _ in results] == [0, 1, 2, 3, 4]
     assert os.getpid() not in {process for _, process in results}
     for other, folds in ((how("fail"), FOLDS), (how(), FOLDS[:3])):
         two.ahead(how(), FOLDS)
-        assert len(two.shared(own, other, folds, lambda done: None)) == len(folds)
+        assert len(two.results(own, other, folds, lambda done: None)) == len(folds)
 
 
-def test_helpers_that_work_are_ended_at_once(monkeypatch):
+def test_processes_that_work_are_ended_at_once(monkeypatch):
     processes = []
     begun = Processes._started
 
@@ -81,7 +81,7 @@ def test_helpers_that_work_are_ended_at_once(monkeypatch):
         return processes[-1]
 
     monkeypatch.setattr(Processes, "_started", noted)
-    with Helpers(1) as them:
+    with FoldProcesses(1) as them:
         them.ahead(how("slow"), FOLDS)
         deadline = time.monotonic() + 60
         while processes[0].batch is None and time.monotonic() < deadline:
@@ -96,19 +96,19 @@ def test_helpers_that_work_are_ended_at_once(monkeypatch):
 
 def test_a_program_that_calls_the_library_gets_no_processes_unless_it_asks(monkeypatch):
     limits = []
-    monkeypatch.setattr(helpers.threads, "limit", limits.append)
-    with beside():
-        assert started() is None
+    monkeypatch.setattr(module.threads, "limit", limits.append)
+    with fold_processes():
+        assert at_hand() is None
     assert limits == []
-    with beside(1):
-        assert started() is None
+    with fold_processes(1):
+        assert at_hand() is None
     assert limits == [1]
-    with beside(2):
-        assert started() is not None
-    assert started() is None
+    with fold_processes(2):
+        assert at_hand() is not None
+    assert at_hand() is None
 
 
-def test_the_document_is_the_same_with_and_without_helpers(tmp_path):
+def test_the_document_is_the_same_for_any_number_of_processes(tmp_path):
     made = Made(tmp_path, ("joint_compliance:joint=2,compliance_rad_per_Nm=9e-5",))
     path = write_recording(made.recording(static_motion(3, 120)), tmp_path / "run.csv")
     said = [

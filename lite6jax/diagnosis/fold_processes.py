@@ -1,4 +1,4 @@
-"""Other processes of this machine that work on held-out folds beside this one, where a program has started some.
+"""Other processes of this machine that work on held-out folds beside this one, where a command has started some.
 
 Two threads of one process gain little where there are few rows: most of the time goes into the interpreter, which they
 share. Each process computes with one thread, so that it does not matter which of them works on which fold.
@@ -12,7 +12,7 @@ from contextvars import ContextVar
 from typing import TYPE_CHECKING, Any, Generic, NamedTuple, TypeVar, final
 
 from lite6jax import interruption, threads
-from lite6jax.distribution.processes import Died, Processes
+from lite6jax.distribution.processes import Died, Processes, pickled
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -21,56 +21,56 @@ Fold = TypeVar("Fold")
 Result = TypeVar("Result")
 
 _MOST = 4
-"""Helpers: five folds are held out, and this process works on one at least."""
-_IMPORTS = ("lite6jax.diagnosis.heldout", "lite6jax.diagnosis.torque_diagnosis")
-"""What takes most of the second that a helper starts in."""
+"""Most other processes: five folds are held out, and this process works on at least one."""
+_IMPORTS = ("lite6jax.diagnosis.heldout",)
+"""Modules that other processes import as they start, which takes most of a second."""
 
 
 @contextmanager
-def beside(processes: int | None = None) -> Iterator[None]:
-    """Has the folds of diagnoses within worked on by so many processes, of which this is one.
+def fold_processes(count: int | None = None) -> Iterator[None]:
+    """Has the folds of the diagnoses within worked on by so many processes, of which this is one.
 
     The others import what they need while this one reads. All of them compute with one thread from here on.
 
     Args:
-        processes: how many, at most five. Where not given, one a core of a command, and none beside a program that
-            calls one.
+        count: how many, at most five. Where not given, one a core of a command, and none beside a program that imports
+            the library.
     """
-    if processes is None and not interruption.is_program():
+    if count is None and not interruption.is_command_line():
         yield
         return
-    count = min(processes or threads.available(), 1 + _MOST) - 1
+    others = min(count or threads.available(), 1 + _MOST) - 1
     threads.limit(1)
-    if not count:
+    if not others:
         yield
         return
-    with Helpers(count) as helpers:
-        before = _started.set(helpers)
+    with FoldProcesses(others) as processes:
+        before = _at_hand.set(processes)
         try:
             yield
         finally:
-            _started.reset(before)
+            _at_hand.reset(before)
 
 
-def started() -> "Helpers | None":
-    """Those that are at hand."""
-    return _started.get()
+def at_hand() -> "FoldProcesses | None":
+    """The other processes of the surrounding `fold_processes`; None outside one."""
+    return _at_hand.get()
 
 
-class Elsewhere(NamedTuple, Generic[Result]):
+class RemoteWork(NamedTuple, Generic[Result]):
     """How another process works on a fold.
 
     Attributes:
         function: of a module; `function([fold], *given)` is a table.
-        given: to it; compared by identity or equality.
-        read: the result, of the table.
+        given: further arguments of `function`; compared by identity or equality.
+        read: makes a result of that table.
     """
 
     function: "Callable[..., pa.Table]"
     given: tuple[Any, ...]
     read: "Callable[[pa.Table], Result]"
 
-    def is_same(self, other: "Elsewhere[Any]") -> bool:
+    def is_same(self, other: "RemoteWork[Any]") -> bool:
         """Whether the other is the same work."""
         pairs = zip(self.given, other.given, strict=True)
         return self.function is other.function and all(ours is theirs or ours == theirs for ours, theirs in pairs)
@@ -79,13 +79,14 @@ class Elsewhere(NamedTuple, Generic[Result]):
 class _Job(Generic[Fold, Result]):
     """The folds that are still to be worked on, and the results of the others, by the folds' numbers."""
 
-    def __init__(self, how: Elsewhere[Result], folds: Sequence[Fold]) -> None:
+    def __init__(self, how: RemoteWork[Result], folds: Sequence[Fold]) -> None:
         self.how, self.folds = how, folds
+        self.message = pickled(how.function, how.given)  # now: while this process works, it adds to what is given
         self.todo, self.results = deque(range(len(folds))), dict[int, Result]()
 
 
 @final
-class Helpers:
+class FoldProcesses:
     """Processes that take the last of the folds while this process takes the first; started by the `with` statement."""
 
     def __init__(self, count: int) -> None:
@@ -96,7 +97,7 @@ class Helpers:
         self._job: _Job[Any, Any] | None = None
         self._working: list[Future[None]] = []
 
-    def __enter__(self) -> "Helpers":
+    def __enter__(self) -> "FoldProcesses":
         for _ in range(self._count):
             process = self._held.enter_context(Processes(1, _IMPORTS))
             self._pairs.append((process, ThreadPoolExecutor(1)))
@@ -108,16 +109,19 @@ class Helpers:
         for _, thread in self._pairs:
             thread.shutdown()
 
-    def ahead(self, how: Elsewhere[Any], folds: Sequence[Any]) -> None:
-        """Has folds worked on before it is known whether their results are wanted; `shared` takes them if they are."""
+    def ahead(self, how: RemoteWork[Any], folds: Sequence[Any]) -> None:
+        """Begins work on folds before it is known that their results are needed.
+
+        `results` takes them where it is called with the same work and folds.
+        """
         self._forget()
         self._job = _Job(how, folds)
         self._working = [thread.submit(_serve, process, self._job) for process, thread in self._pairs]
 
-    def shared(
+    def results(
         self,
         own: Callable[[Fold], Result],
-        how: Elsewhere[Result],
+        how: RemoteWork[Result],
         folds: Sequence[Fold],
         done: Callable[[int], object],
     ) -> list[Result]:
@@ -141,6 +145,8 @@ class Helpers:
                 if k is not None:
                     job.results[k] = own(folds[k])
             done(len(job.results))
+            for one in self._working:
+                one.cancel()  # one that has not begun stands behind work that is no longer needed
             wait(self._working)  # what one could not do is here again
             done(len(job.results))
         self._job = None
@@ -152,23 +158,26 @@ class Helpers:
         self._job = None
 
 
-_started: ContextVar[Helpers | None] = ContextVar("helpers", default=None)
+_at_hand: ContextVar[FoldProcesses | None] = ContextVar("fold_processes", default=None)
 
 
 def _serve(process: Processes, job: _Job[Any, Any]) -> None:
-    """Has a process work on the last folds of a job, until none is left or one fails: that is then tried here."""
+    """Gives one process the last folds of a job until none is left.
+
+    Where it fails, the fold goes back to the job, for this process to work on.
+    """
     from lite6jax.distribution.worker import table_of
 
     begun = False
     while (k := _taken(job.todo.pop)) is not None:
         try:
             if not begun:
-                process.begin(job.how.function, job.how.given)
+                process.begin_pickled(job.message)
                 begun = True
             process.submit(k, [job.folds[k]])
             _, outcome = process.next()
             if isinstance(outcome, Died):
-                raise RuntimeError("a helper died")
+                raise RuntimeError("a process died")
             job.results[k] = job.how.read(table_of(outcome))
         except Exception:  # what it is shows where the fold is worked on again
             job.todo.appendleft(k)
