@@ -89,7 +89,7 @@ class Diagnose:
     """With --fleet: the recordings are of one arm, and its effects may drift with the dates of their sidecars."""
     processes: Processes = None
     """So many processes of this machine, each with one thread; one a core where not given. Of one recording they work
-    on the held-out blocks, and are five at most."""
+    on the held-out blocks, and are five at most; with --effects threads of one do."""
     scheduler: Scheduler = None
     """Of a folder: the Dask cluster of the scheduler at this address (tcp://HOST:8786), in place of processes here."""
 
