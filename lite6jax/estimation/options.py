@@ -128,7 +128,7 @@ class EngineOptions:
     concentrated: float = option(
         4.0,
         "mean square of the residuals along the direction of one site over that across it, from which they act there; "
-        "and of the torque that is left of one joint over that of the others",
+        "and of one group of rows over that of the others",
         "a deflection whose RMS is 1.7 times the noise",
     )
     together: float = option(
