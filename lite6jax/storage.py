@@ -266,10 +266,10 @@ def _parsed_yaml(path: str | Path, text: str) -> Any:
         mark = getattr(error, "problem_mark", None)
         where = f" line {mark.line + 1}:" if mark else ""
         problem = " ".join(str(getattr(error, "problem", None) or error).split())
-        if "nesting depth" in problem:  # libyaml from 0.2.6 on reads ahead to its own limit, which is above ours
-            problem = f"nested more than {YAML_DEPTH_LIMIT} levels deep"
-            raise InputError(f"{path}:{where} {problem}; correct the file") from error
-        raise InputError(f"{path}:{where} not valid YAML ({problem}); correct the file") from error
+        # libyaml from 0.2.6 on reads ahead to its own limit, which is above ours
+        too_deep = "nesting depth" in problem
+        what = f"nested more than {YAML_DEPTH_LIMIT} levels deep" if too_deep else f"not valid YAML ({problem})"
+        raise InputError(f"{path}:{where} {what}; correct the file") from error
     except (RecursionError, ValueError, ArithmeticError) as error:  # numbers and dates that cannot be
         if isinstance(error, InputError):
             raise

@@ -105,7 +105,7 @@ class FoldProcesses:
 
     def __exit__(self, *error: object) -> None:
         self._forget()
-        self._held.close()  # a thread that waits for an answer is told that its process has died
+        self._held.close()  # `Processes.next` then returns in each thread that waits for an answer
         for _, thread in self._pairs:
             thread.shutdown()
 

@@ -146,6 +146,7 @@ def held_out_table(held: Sequence[Mask], *given: Any) -> pa.Table:
 
 
 def _of_table(table: pa.Table) -> HeldOut:
+    """The inverse of `held_out_table`."""
     return HeldOut(*(table[name].to_numpy() for name in HeldOut._fields))
 
 

@@ -209,10 +209,10 @@ class _Evidence:
 
     def most_likely(self, start: Array, steps: int) -> Array:
         """The priors' numbers `(3 · family,)`, so many steps on: logarithms of amplitude and corner, and the slope."""
-        bounds = [*_BOUNDS] * len(self.orders)
-        options = {"maxiter": steps, "maxfun": 2 * steps}
         from scipy.optimize import minimize  # a tenth of a second, which most recordings do without
 
+        bounds = [*_BOUNDS] * len(self.orders)
+        options = {"maxiter": steps, "maxfun": 2 * steps}
         return minimize(self._unlikely, start, jac=True, method="L-BFGS-B", bounds=bounds, options=options).x
 
     def posterior(self, at: Array) -> tuple[Array, Array, float]:

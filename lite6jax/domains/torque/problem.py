@@ -102,7 +102,7 @@ class TorqueProblem:
     known: Known = field(default_factory=Known)
 
     def __getstate__(self) -> dict[str, object]:
-        """Of another process: what is cached is left out, and `data` keeps the regressor."""
+        """What another process is sent: the fields, of which `data` has the regressor, and nothing that is cached."""
         return {each.name: getattr(self, each.name) for each in fields(self)}
 
     @property
