@@ -42,7 +42,7 @@ def profile(samples: int = 300, repeats: int = 50) -> Iterator[Record]:
     weight = jnp.asarray(np.pad(np.ones((CHUNK, samples)), fill))
     data = (joint_position, pose, weight, jnp.broadcast_to(jnp.array(SCALE), (CHUNK, 2)))
 
-    parts = {"data preparation": _single_threaded(jax.vmap(partial(observe, block=block)))}
+    parts = {"data preparation": _single_threaded(jax.vmap(partial(observe, form, block=block)))}
     seconds, observed = median_time(partial(_done, parts["data preparation"], *data), repeats)
     observed = jax.tree.map(lambda leaf: leaf[:, 0], observed)  # one block an arm
     model = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (CHUNK, *leaf.shape)), arm_model(lite6.hayati))

@@ -7,10 +7,12 @@ the compile time nor the recomputation of prefixes grows with their number.
 
 from collections.abc import Callable
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
+
+import numpy as np
 
 from lite6jax.arms.chains import Form, HayatiForm, SixParameterForm, joint_motion
-from lite6jax.arms.moves import Frame, Turn, Twist, Z, base_frame, displace, rotation_twist
+from lite6jax.arms.moves import Frame, Turn, Twist, base_frame, displace
 from lite6jax.arms.se3 import transform
 from lite6jax.deferred import Array, ArrayLike, jax, jit, jnp, lax
 from lite6jax.errors import InputError
@@ -33,9 +35,9 @@ def sweep(
     parameters: Array,
     joint: Turn,
     start: Frame,
-    emit: Callable[[Twist], Array] | None = None,
+    emit: Callable[[Twist], Any] | None = None,
     bend: Bend | None = None,
-) -> tuple[Frame, Array]:
+) -> tuple[Frame, list[Any]]:
     """The flange frame of a chain, and a function of the twist of each parameter.
 
     Args:
@@ -43,11 +45,13 @@ def sweep(
         parameters: `(size,)`.
         joint: the joints' motions, as `joint_motion` gives them, each `(joint, sample)`.
         start: the base frame in fixed coordinates.
-        emit: maps the twist of a parameter to an array, of the same shape for all.
+        emit: maps the twist of a parameter to an array or a pytree of arrays.
         bend: displacements of the frames of a six-parameter chain.
 
     Returns:
-        the flange frame, and the results of `emit` in `walking_order`, empty without `emit`.
+        the flange frame, and the results of `emit`: with a leading axis of length one for each parameter of the base,
+        then, for each parameter of a joint, those of all joints with a leading joint axis. Their parameters are those
+        of `sweep_order`. Empty without `emit`. One array a parameter is faster to fill than one for all.
 
     Raises:
         InputError: a bend of a Hayati chain, whose frames are not those of the links.
@@ -58,37 +62,29 @@ def sweep(
             "chain, to which hayati_to_six_parameter converts it exactly"
         )
     of_base, steps = _in_order(form, parameters)
-    flags = jnp.asarray(form.flags)
     frame, twists = form.apply_base(start, of_base)
+    of_frame = [] if emit is None else [jax.tree.map(lambda leaf: leaf[None], emit(twist)) for twist in twists]
 
-    def record(collected: Array, at: int | Array, twists: tuple[Twist, ...]) -> Array:
-        if emit is None or not twists:
-            return collected
-        rows = jnp.stack([emit(twist) for twist in twists])
-        return lax.dynamic_update_slice_in_dim(collected, rows, at, 0)
+    def walk(frame: Frame, at: tuple[Array, Array, Turn, Bend]) -> tuple[Frame, tuple[Any, ...]]:
+        values, flag, motion, bent = at
+        if bent.stretch is not None:
+            values = (*((1 + bent.stretch) * value for value in values[:3]), *values[3:])
+        frame, twists = form.step(frame, values, flag, motion)
+        if bent.stretch is not None:
+            twists = (*(Twist((1 + bent.stretch) * twist.linear, None) for twist in twists[:3]), *twists[3:])
+        if bent.twist is not None:
+            frame = displace(frame, bent.twist)
+        return frame, () if emit is None else tuple(emit(twist) for twist in twists)
 
-    if emit is None:
-        collected = jnp.zeros((0,))
-    else:
-        emitted = jax.eval_shape(lambda: emit(rotation_twist(start, Z)))
-        collected = jnp.zeros((form.walking_order.size, *emitted.shape), emitted.dtype)
-    collected = record(collected, 0, twists)
+    each = (steps, jnp.asarray(form.flags), joint, Bend() if bend is None else bend)
+    frame, of_joints = lax.scan(walk, frame, each)
+    return frame, [*of_frame, *of_joints]
 
-    def body(i: Array, state: tuple[Frame, Array]) -> tuple[Frame, Array]:
-        frame, collected = state
-        pick = partial(lax.dynamic_index_in_dim, index=i, axis=0, keepdims=False)
-        values, stretch = pick(steps), None
-        if bend is not None and bend.stretch is not None:
-            stretch = 1 + pick(bend.stretch)
-            values = (*(stretch * value for value in values[:3]), *values[3:])
-        frame, twists = form.step(frame, values, pick(flags), jax.tree.map(pick, joint))
-        if stretch is not None:
-            twists = (*(Twist(stretch * twist.linear, None) for twist in twists[:3]), *twists[3:])
-        if bend is not None and bend.twist is not None:
-            frame = displace(frame, pick(bend.twist))
-        return frame, record(collected, form.base_size + i * steps.shape[1], twists)
 
-    return lax.fori_loop(0, form.dof, body, (frame, collected))
+def sweep_order(form: Form) -> np.ndarray:
+    """The place in `form.names` of the parameter of each result of `sweep`, `form.size` where it is always zero."""
+    of_joints = form.walking_order[form.base_size :].reshape(form.dof, -1)
+    return np.concatenate([form.walking_order[: form.base_size], of_joints.T.ravel()])
 
 
 def link_frames(form: Form, parameters: Array, joint: Turn, start: Frame) -> Frame:

@@ -3,6 +3,7 @@
 The sample is the last axis of every array, so that a transformation is one vector instruction over samples.
 """
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -45,17 +46,18 @@ def turn(angle: ArrayLike) -> Turn:
     return Turn(jnp.cos(angle), jnp.sin(angle))
 
 
-def joint_turn(position: Array, sliding: tuple[int, ...]) -> Turn:
+def joint_turn(position: Array, sliding: tuple[int, ...], turned: Callable[[Array], Turn] = turn) -> Turn:
     """The motions of joints about and along their axes.
 
     Args:
         position: `(..., joint, sample)` rad, or m of a prismatic joint.
         sliding: the prismatic joints, counted from 0.
+        turned: what computes cosines and sines.
     """
     if not sliding:
-        return turn(position)
+        return turned(position)
     slides = np.isin(np.arange(position.shape[-2]), sliding)[:, None]
-    return turn(jnp.where(slides, 0.0, position))._replace(shift=jnp.where(slides, position, 0.0))
+    return turned(jnp.where(slides, 0.0, position))._replace(shift=jnp.where(slides, position, 0.0))
 
 
 def joint_rate(joint: Turn, direction: Array, sliding: tuple[int, ...]) -> Turn:

@@ -12,16 +12,17 @@ from jax import Array, export
 from jax.typing import ArrayLike
 
 from lite6jax import threads
-from lite6jax.arms.chains import joint_motion
+from lite6jax.arms.moves import joint_turn
 from lite6jax.fitting import gauss_newton
 from lite6jax.fitting.compiled import Exported
 from lite6jax.fitting.gauss_newton import Prior, Solved, solve_chunk
+from lite6jax.fitting.quick_turn import quick_turn
 from lite6jax.fitting.residual import Observations, Robust, differences, predict_frames, whiten
 from lite6jax.fitting.status import NOT_FINITE, SINGULAR
 from lite6jax.model import ArmModel, ModelForm
 
-CHUNK = 8
-"""Arms solved together: their Jacobians (8 × 28 × 1800 doubles, 3 MB) stay in a core's share of the cache."""
+CHUNK = 16
+"""Arms solved together: their Jacobians of 300 poses (16 × 43 × 900 doubles, 5 MB) stay in a core's share of the cache."""
 ON_ACCELERATOR = 1024
 """The same on an accelerator, which works on all at once; not tuned, as none was at hand."""
 BLOCK = 2400
@@ -36,11 +37,13 @@ SINGLE_THREADED = {"xla_cpu_multi_thread_eigen": False}
 
 
 class Summary(NamedTuple):
-    """What is kept of a chunk: the solver's answer, covariance and root-mean-square errors, one row an arm."""
+    """What is kept of a chunk, one row an arm: the solver's answer, covariance, squared whitened residuals, the number of
+    samples that were used, and root-mean-square errors."""
 
     solved: Solved
     covariance: Array
     squares: Array
+    samples: Array
     position_rms: Array
     orientation_rms: Array
 
@@ -71,7 +74,7 @@ def observe(
     count = weight.shape[0] // block
     rotation = blocked(rotation) if pose.ndim == 3 else jnp.zeros((count, 3, 3, 0))
     whitener = jnp.broadcast_to(whitener, (count, 2)) if whitener.ndim == 1 else blocked(whitener)
-    joint = joint_motion(form.chain, blocked(q))
+    joint = joint_turn(blocked(q), form.chain.sliding, quick_turn)
     return Observations(joint, blocked(position), rotation, blocked(jnp.where(used, weight, 0.0)), whitener)
 
 
@@ -100,8 +103,10 @@ def _solve_and_measure(
     covariance = jnp.where(regular[:, None, None], covariance, jnp.nan)
     solved = solved._replace(status=jnp.where(doubtful, SINGULAR, solved.status))
     squares, shift, spin = jax.vmap(partial(_errors, form))(solved.model, observed)
-    count = jnp.maximum(jnp.sum(observed.weight > 0, (1, 2)), 1)
-    return Summary(solved, covariance, squares, jnp.sqrt(jnp.sum(shift, 1) / count), jnp.sqrt(jnp.sum(spin, 1) / count))
+    used = jnp.sum(observed.weight > 0, (1, 2))
+    count = jnp.maximum(used, 1)
+    rms = [jnp.sqrt(jnp.sum(part, 1) / count) for part in (shift, spin)]
+    return Summary(solved, covariance, squares, used, rms[0], rms[1])
 
 
 for _kind in (ArmModel, Prior, Robust, Solved, Summary):

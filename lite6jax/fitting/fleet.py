@@ -17,7 +17,7 @@ from lite6jax.fitting.gauss_newton import Prior
 from lite6jax.fitting.residual import POSE
 from lite6jax.fitting.sampling import sample_within_limits
 from lite6jax.fitting.solution import FleetSolution, Result
-from lite6jax.model import LEVER, ModelForm, arm_model
+from lite6jax.model import LEVER, ArmModel, ModelForm
 from lite6jax.recordings import require_radians
 from lite6jax.recordings.units import real_array
 
@@ -76,7 +76,7 @@ def fit_fleet(
 
     form = ModelForm(arm.form)
     prior = Prior(arm.hayati, np.zeros(form.size), np.ones(form.size))  # type: ignore[arg-type]
-    start = arm_model(arm.hayati, T_flange_tool=arm.T_joint_flange)
+    start = ArmModel(arm.hayati, np.eye(4), arm.T_joint_flange)  # type: ignore[arg-type]
     summary = fit_chunks(
         form,
         start,
@@ -90,8 +90,7 @@ def fit_fleet(
         progress=progress,  # type: ignore[arg-type]
     )
     solved = summary.solved
-    there = np.isfinite(T).all((2, 3)) & np.isfinite(q).all(-1) & (w > 0)
-    numbers = POSE * there.sum(1)
+    numbers = POSE * np.asarray(summary.samples)
     result = np.where(numbers < form.size, Result.TOO_FEW_SAMPLES, solved.status).astype(np.int32)
     covariance = np.asarray(summary.covariance)
     if noise is None:

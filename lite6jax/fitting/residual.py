@@ -6,14 +6,14 @@ the sample as their last axis. The curvature is Gauss–Newton's JᵀWJ.
 """
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
 
-from lite6jax.arms.forward_kinematics import sweep
+from lite6jax.arms.forward_kinematics import sweep, sweep_order
 from lite6jax.arms.moves import Frame, Turn, Twist, base_frame, cross, rotation_twist
 from lite6jax.arms.se3 import rotation_log_components
 from lite6jax.model import ArmModel, ModelForm
@@ -119,11 +119,19 @@ class _Sight(NamedTuple):
 
 
 def _look(form: ModelForm, model: ArmModel, observed: Observations, robust: Robust | None) -> _Sight:
-    flange, tool = predict_frames(form, model, observed.joint)
+    return _seen(observed, *predict_frames(form, model, observed.joint), robust)
+
+
+def _seen(observed: Observations, flange: Frame, tool: Frame, robust: Robust | None) -> _Sight:
     raw = differences(observed, tool)
     whitened = whiten(observed.whitener, raw)
     cost, weight = loss(observed, robust, jnp.sum(whitened**2, 0))
     return _Sight(flange, tool, raw, whitened, jnp.sum(cost), weight)
+
+
+def block_cost(form: ModelForm, model: ArmModel, observed: Observations, robust: Robust | None) -> Array:
+    """The cost of one block of samples."""
+    return _look(form, model, observed, robust).cost
 
 
 def evaluate(form: ModelForm, model: ArmModel, observed: Observations, robust: Robust | None) -> tuple[Array, Array]:
@@ -147,22 +155,51 @@ def evaluate(form: ModelForm, model: ArmModel, observed: Observations, robust: R
         total = force * twist.linear
         return jnp.sum(total if twist.angular is None else total + moment * twist.angular)
 
-    return sight.cost, _columns(form, model, observed, sight, power)[step_order(form)]
+    return sight.cost, twist_columns(form, model, observed.joint, power)[step_order(form)]
 
 
 def linearise(
     form: ModelForm, model: ArmModel, observed: Observations, robust: Robust | None
 ) -> tuple[Array, Array, Array]:
     """The cost of one block, its gradient `(size,)` and Gauss–Newton's curvature JᵀWJ `(size, size)`."""
+    if observed.whitener.ndim == 1:
+        return _linearise_isotropic(form, model, observed, robust)
     sight = _look(form, model, observed, robust)
     J = _walked_jacobian(form, model, observed, sight)
     J = J.reshape(len(J), -1)
-    residual = sight.whitened
-    if len(residual) == POSE and observed.whitener.ndim == 1:
-        residual = jnp.concatenate([residual[:3], _to_sensor(observed, residual[3:])])
-    gradient = J @ (jnp.sqrt(sight.weight) * residual).reshape(-1)
     order = step_order(form)  # of the small products: to reorder J would copy it
-    return sight.cost, gradient[order], (J @ J.T)[order][:, order]
+    return sight.cost, (J @ (jnp.sqrt(sight.weight) * sight.whitened).reshape(-1))[order], (J @ J.T)[order][:, order]
+
+
+def _linearise_isotropic(
+    form: ModelForm, model: ArmModel, observed: Observations, robust: Robust | None
+) -> tuple[Array, Array, Array]:
+    """As `linearise` where the whitener is `(2,)`: by one walk, and without the zeros of a shift's orientation rows."""
+    flange, tool, twists = walked_twists(form, model, observed.joint)
+    sight = _seen(observed, flange, tool, robust)
+    root = jnp.sqrt(sight.weight)
+    shifts, spins = [], []
+    for twist, turning in zip(twists, _turning(form), strict=True):
+        if twist.angular is None:
+            shifts.append(twist.linear)
+            continue
+        shifts.append(twist.linear + jnp.moveaxis(cross(jnp.moveaxis(twist.angular, 1, 0), tool.origin[:, None]), 0, 1))
+        spins.append(twist.angular if turning.all() else twist.angular[np.flatnonzero(turning)])
+
+    def product(columns: list[Array], rows: Array) -> tuple[Array, Array]:
+        J = (root * jnp.concatenate(columns)).reshape(sum(map(len, columns)), -1)
+        return J @ (root * rows).reshape(-1), J @ J.T
+
+    per_metre = observed.whitener[0]
+    gradient, curvature = product(shifts, sight.whitened[:POSITION])
+    gradient, curvature = per_metre * gradient, per_metre**2 * curvature
+    if len(sight.raw) == POSE:
+        per_radian, at = observed.whitener[1], np.flatnonzero(np.concatenate(_turning(form)))
+        of_spins, among_spins = product(spins, _to_sensor(observed, sight.whitened[POSITION:]))
+        gradient = gradient.at[at].add(per_radian * of_spins)
+        curvature = curvature.at[np.ix_(at, at)].add(per_radian**2 * among_spins)
+    order = step_order(form)
+    return sight.cost, gradient[order], curvature[order][:, order]
 
 
 def identification_jacobian(form: ModelForm, model: ArmModel, observed: Observations, robust: Robust | None) -> Array:
@@ -185,7 +222,7 @@ def _walked_jacobian(form: ModelForm, model: ArmModel, observed: Observations, s
                 shift = jnp.concatenate([shift, jnp.zeros_like(shift) if spin is None else spin])
             return root * whiten(observed.whitener, shift)
 
-        return _columns(form, model, observed, sight, rows)
+        return twist_columns(form, model, observed.joint, rows)
 
     by_linear, by_angular = by_twist(observed, sight.tool)
 
@@ -193,7 +230,7 @@ def _walked_jacobian(form: ModelForm, model: ArmModel, observed: Observations, s
         shift = jnp.sum(by_linear * twist.linear, 1)
         return root * (shift if twist.angular is None else shift + jnp.sum(by_angular * twist.angular, 1))
 
-    return _columns(form, model, observed, sight, rows)
+    return twist_columns(form, model, observed.joint, rows)
 
 
 def by_twist(observed: Observations, tool: Frame) -> tuple[Array, Array]:
@@ -211,41 +248,56 @@ def by_twist(observed: Observations, tool: Frame) -> tuple[Array, Array]:
     return by_linear, by_angular
 
 
-def _columns(
-    form: ModelForm, model: ArmModel, observed: Observations, sight: _Sight, emit: Callable[[Twist], Array]
-) -> Array:
-    return twist_columns(form, model, observed.joint, sight.flange, sight.tool, emit)
+def walked_twists(form: ModelForm, model: ArmModel, joint: Turn) -> tuple[Frame, Frame, list[Twist]]:
+    """The flange's and the tool's frames, and the twists of all entries of a step, in sensor coordinates.
+
+    The twists have the leading axes of `sweep`, and those of the sensor's frame and of the tool one of length one.
+    `step_order` says which is which.
+    """
+    return _walked(form, model, joint, lambda twist: twist)
 
 
-def twist_columns(
-    form: ModelForm, model: ArmModel, joint: Turn, flange: Frame, tool: Frame, emit: Callable[[Twist], Array]
-) -> Array:
-    """What `emit` makes of the twist of each entry of a step, the geometry's in *walking* order.
+def twist_columns(form: ModelForm, model: ArmModel, joint: Turn, emit: Callable[[Twist], Array]) -> Array:
+    """What `emit` makes of the twist of each entry of a step, before `step_order`.
 
     Args:
         form: which entries.
         model: where.
         joint: the joints' motions.
-        flange: its frame in sensor coordinates, as `predict_frames` gives it.
-        tool: the tool's.
         emit: maps a twist, in sensor coordinates, to an array; all of one shape.
     """
+    return jnp.concatenate(_walked(form, model, joint, emit)[2])
+
+
+def _walked(
+    form: ModelForm, model: ArmModel, joint: Turn, emit: Callable[[Twist], Any]
+) -> tuple[Frame, Frame, list[Any]]:
     samples = joint.cos.shape[-1]
-    _, columns = sweep(form.chain, model.geometry, joint, base_frame(model.T_sensor_base, samples), emit)
-    parts = [columns]
+    flange, emitted = sweep(form.chain, model.geometry, joint, base_frame(model.T_sensor_base, samples), emit)
+    tool = tool_frame(model, flange)
+    twists = []
     if form.frame:
         fixed = base_frame(jnp.eye(4).at[:3, 3].set(model.T_sensor_base[:3, 3]), samples)
-        parts.append(jnp.stack([emit(twist) for twist in _frame_twists(fixed, fixed)]))
+        twists += _frame_twists(fixed, fixed)
     if form.tool:
-        parts.append(jnp.stack([emit(twist) for twist in _frame_twists(flange, tool)]))
-    return jnp.concatenate(parts) if len(parts) > 1 else columns
+        twists += _frame_twists(flange, tool)
+    return flange, tool, [*emitted, *(jax.tree.map(lambda leaf: leaf[None], emit(twist)) for twist in twists)]
 
 
 def step_order(form: ModelForm) -> np.ndarray:
     """Where among `twist_columns` each entry of a step stands."""
-    walked = form.chain.walking_order
-    geometry = np.argsort(walked, kind="stable")[: form.chain.size]
-    return np.concatenate([geometry, walked.size + np.arange(form.size - form.chain.size)])
+    swept = sweep_order(form.chain)
+    geometry = np.argsort(swept, kind="stable")[: form.chain.size]
+    return np.concatenate([geometry, swept.size + np.arange(form.size - form.chain.size)])
+
+
+def _turning(form: ModelForm) -> list[np.ndarray]:
+    """Which twists of each array of `walked_twists` are of rotations, the others of shifts or of nothing."""
+    swept, chain = sweep_order(form.chain), form.chain
+    units = np.append(chain.units, "")[swept]  # of what is always zero, no unit
+    of_base, of_joints = units[: chain.base_size, None], units[chain.base_size :].reshape(-1, chain.dof)
+    frames = np.array(form.units[chain.size :])[:, None]
+    return [group == "rad" for group in (*of_base, *of_joints, *frames)]
 
 
 def _frame_twists(shifting: Frame, turning: Frame) -> list[Twist]:

@@ -57,12 +57,12 @@ def reading_columns(
     if physics.effects:
         columns = _columns_with(form, physics, sensor, numbers, joint_position, direction)
     else:
-        flange, tool = predict_frames(form, model, joint)
+        _, tool = predict_frames(form, model, joint)
 
         def emit(twist: Twist) -> jax.Array:
             return sensor.change(tool, twist)
 
-        columns = twist_columns(form, model, joint, flange, tool, emit)[step_order(form)]
+        columns = twist_columns(form, model, joint, emit)[step_order(form)]
     if not sensor.joint_noise:
         return columns
     whitener = joint_whitener(joint_changes(form, sensor, model, joint), sensor.joint_noise)

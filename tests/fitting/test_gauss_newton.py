@@ -11,6 +11,7 @@ from scipy.stats import chi2
 
 from lite6jax.arms.chains import HayatiForm
 from lite6jax.arms.moves import turn
+from lite6jax.fitting import gauss_newton
 from lite6jax.fitting.gauss_newton import CONVERGED, NOT_FINITE, SINGULAR, STEPS_EXHAUSTED, Prior, solve_chunk
 from lite6jax.fitting.residual import Observations, Robust, residuals
 from lite6jax.model import ModelForm, arm_model
@@ -306,3 +307,82 @@ def test_a_singular_curvature_is_not_called_a_solution(measured):
                 np.testing.assert_allclose(cost, found.cost[arm], rtol=1e-6)
             else:
                 assert found.status[arm] in (STEPS_EXHAUSTED, SINGULAR)
+
+
+MANY = 240
+"""Samples of which every fourth determines the first step."""
+
+
+@pytest.fixture(scope="module")
+def many():
+    rng = np.random.default_rng(10)
+    positions = random_positions(rng, MANY, 6)
+    measured = []
+    for truth in random_truths(11):
+        base, dh, beta = CHAIN.unpack(truth)
+        measured.append(perturb_poses(rng, hayati_poses(base, dh, {1: beta[0]}, positions), POSITION, ORIENTATION))
+    return positions, np.array(measured)
+
+
+def solved_both_ways(positions, measured, weight=None, **options):
+    starts = stacked([arm_model(NOMINAL)] * ARMS)
+    joint = turn(jnp.broadcast_to(jnp.asarray(positions.T), (ARMS, 1, 6, MANY)))
+    ones = np.ones((ARMS, 1, MANY))
+    observed = observe(measured, ones if weight is None else weight)._replace(joint=joint)
+    begun, taken = jax.jit(gauss_newton._begin, static_argnums=0)(
+        FORM, starts, observed, LEAST_SQUARES, no_prior(), MAX_STEPS
+    )
+    found = jax.jit(solve_chunk, static_argnums=(0, 6))(
+        FORM, starts, observed, LEAST_SQUARES, no_prior(), MAX_STEPS, True
+    )
+    same = jax.jit(solve_chunk, static_argnums=(0, 6))(
+        FORM, starts, observed, LEAST_SQUARES, no_prior(), MAX_STEPS, False
+    )
+    for answer in (found, same):
+        np.testing.assert_array_equal(answer.status, CONVERGED)
+    np.testing.assert_allclose(found.model.geometry, same.model.geometry, atol=1e-12)
+    np.testing.assert_allclose(found.cost, same.cost, rtol=1e-12)
+    return begun, np.asarray(taken), found, same
+
+
+def test_a_first_step_of_every_fourth_sample_leads_near_the_solution(many):
+    begun, taken, found, same = solved_both_ways(*many)
+    assert taken.all()
+    assert np.all(found.steps <= same.steps + 1)
+    # a quarter of the samples has twice the standard deviation; the rest is the error of second order
+    deviations = np.sqrt(np.diagonal(np.linalg.inv(found.curvature), axis1=1, axis2=2))
+    assert np.abs((begun.geometry - found.model.geometry) / deviations).max() < 10
+
+
+def test_that_step_is_not_taken_where_these_samples_are_missing(many):
+    weight = np.ones((ARMS, 1, MANY))
+    weight[1, 0, ::4] = 0
+    weight[2, 0, 4::4] = 0
+    _, taken, _, _ = solved_both_ways(*many, weight)
+    np.testing.assert_array_equal(taken, [1, 0, 0, 1])
+
+
+def test_that_step_is_not_taken_where_they_are_one_pose(many):
+    positions, measured = (array.copy() for array in many)
+    positions[::4], measured[:, ::4] = positions[0], measured[:, :1]
+    _, taken, _, _ = solved_both_ways(positions, measured)
+    assert not taken.any()
+
+
+def test_that_step_is_not_taken_from_where_it_fits_worse(many):
+    positions, measured = many
+    spoiled = measured.copy()
+    spoiled[0, ::4, :3, 3] += np.random.default_rng(12).uniform(-0.5, 0.5, (MANY // 4, 3))
+    _, taken, found, same = solved_both_ways(positions, spoiled)
+    assert taken[1:].all()
+    np.testing.assert_allclose(found.model.geometry[0], same.model.geometry[0], atol=1e-12)
+
+
+def test_no_step_is_taken_where_none_may_be(many):
+    positions, measured = many
+    joint = turn(jnp.broadcast_to(jnp.asarray(positions.T), (ARMS, 1, 6, MANY)))
+    observed = observe(measured, np.ones((ARMS, 1, MANY)))._replace(joint=joint)
+    starts = stacked([arm_model(NOMINAL)] * ARMS)
+    still = jax.jit(solve_chunk, static_argnums=0)(FORM, starts, observed, LEAST_SQUARES, no_prior(), 0)
+    np.testing.assert_array_equal(still.model.geometry, starts.geometry)
+    np.testing.assert_array_equal(still.steps, 0)
