@@ -18,6 +18,7 @@ from benchmarks import (
     measure,
     one_by_one,
     problem,
+    profile,
     regressor,
     rivals,
     samples,
@@ -143,6 +144,12 @@ def test_a_folder_is_fitted_alike_by_one_process_and_two():
     records = list(folders.folders(files=40, repeats=1))
     assert [record.failed for record in records] == [""] * len(records)
     assert {record.subject for record in records} >= {"PyYAML's C loader", "fleet, processes 2", "fleet, after a kill"}
+
+
+def test_the_parts_of_a_fit_are_right():
+    records = list(profile.profile(samples=40, repeats=1))
+    assert [record.failed for record in records] == [""] * len(records)
+    assert "whole fit over JᵀJ alone" in {record.metric for record in records}
 
 
 def test_a_regressor_that_is_not_pinocchios_is_marked(monkeypatch):

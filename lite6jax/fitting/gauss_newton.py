@@ -227,7 +227,7 @@ def _begin(
     determined = jnp.all((inflation > 0.5) & (inflation < _DETERMINED), 1)
     enough = jnp.sum(few.weight > 0, (1, 2)) * rows >= _NUMBERS_EACH * form.size
     better = at(_cost_alone, model, few)[0] < before
-    taken = (max_steps > 0) & determined & enough & better & jnp.all(jnp.isfinite(step), 1)
+    taken = (jnp.asarray(max_steps) > 0) & determined & enough & better & jnp.all(jnp.isfinite(step), 1)
     return jax.tree.map(_choose(taken), model, start), none + taken
 
 
