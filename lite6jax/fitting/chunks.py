@@ -22,7 +22,7 @@ from lite6jax.fitting.status import NOT_FINITE, SINGULAR
 from lite6jax.model import ArmModel, ModelForm
 
 CHUNK = 16
-"""Arms solved together: their Jacobians of 300 poses (16 × 43 × 900 doubles, 5 MB) stay in a core's share of the cache."""
+"""Arms solved together: their Jacobians of 300 poses (16 × 43 × 900 doubles, 5 MB) stay in a core's cache."""
 ON_ACCELERATOR = 1024
 """The same on an accelerator, which works on all at once; not tuned, as none was at hand."""
 BLOCK = 2400
@@ -37,8 +37,8 @@ SINGLE_THREADED = {"xla_cpu_multi_thread_eigen": False}
 
 
 class Summary(NamedTuple):
-    """What is kept of a chunk, one row an arm: the solver's answer, covariance, squared whitened residuals, the number of
-    samples that were used, and root-mean-square errors."""
+    """What is kept of a chunk, one row an arm: the solver's answer, covariance, squared whitened residuals, the number
+    of samples that were used, and root-mean-square errors."""
 
     solved: Solved
     covariance: Array
