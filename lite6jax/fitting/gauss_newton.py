@@ -28,6 +28,8 @@ _NUMBERS_EACH = 8
 """… where these have this many numbers for each parameter, …"""
 _DETERMINED = 1e6
 """… and determine each parameter: its variance is at most this many times what it would be if the others were known."""
+_BY_CHANCE = 10.0
+"""… and where that lowers their cost by this many times what it would from the solution of all, by noise alone."""
 _DECREMENT = 1e-17
 """Converged when the step after the next is to gain less than this part of the cost, …"""
 _ROUNDING = 2e-16
@@ -208,7 +210,8 @@ def _begin(
 ) -> tuple[ArmModel, Array]:
     """The model after one Gauss–Newton step of every fourth sample, and the steps taken, `(arm,)`.
 
-    An arm stays where it is if these samples are too few, do not determine the step, or fit less well after it. Samples
+    An arm stays where it is if these samples are too few, do not determine the step, or gain no more by it than they
+    would by fitting their own noise: from the solution, where a robust fit begins, the step would only lead away. Samples
     of several blocks are left to the solver, as are whiteners of each sample's own: neither is fitted by the hundred.
     """
     arms, blocks, samples = observed.weight.shape
@@ -225,9 +228,11 @@ def _begin(
     model = jax.vmap(form.retract)(start, step)
     inflation = jnp.diagonal(inverted, axis1=1, axis2=2) * jnp.diagonal(H, axis1=1, axis2=2)
     determined = jnp.all((inflation > 0.5) & (inflation < _DETERMINED), 1)
-    enough = jnp.sum(few.weight > 0, (1, 2)) * rows >= _NUMBERS_EACH * form.size
-    better = at(_cost_alone, model, few)[0] < before
-    taken = (jnp.asarray(max_steps) > 0) & determined & enough & better & jnp.all(jnp.isfinite(step), 1)
+    numbers = jnp.sum(few.weight > 0, (1, 2)) * rows
+    after = at(_cost_alone, model, few)[0]
+    far = before - after > _BY_CHANCE * form.size / numbers * after
+    enough = numbers >= _NUMBERS_EACH * form.size
+    taken = (jnp.asarray(max_steps) > 0) & determined & enough & far & jnp.all(jnp.isfinite(step), 1)
     return jax.tree.map(_choose(taken), model, start), none + taken
 
 

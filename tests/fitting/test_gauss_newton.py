@@ -369,6 +369,18 @@ def test_that_step_is_not_taken_where_they_are_one_pose(many):
     assert not taken.any()
 
 
+def test_that_step_is_not_taken_from_the_solution_of_all_samples(many):
+    positions, measured = many
+    _, _, found, _ = solved_both_ways(positions, measured)
+    joint = turn(jnp.broadcast_to(jnp.asarray(positions.T), (ARMS, 1, 6, MANY)))
+    observed = observe(measured, np.ones((ARMS, 1, MANY)))._replace(joint=joint)
+    begun, taken = jax.jit(gauss_newton._begin, static_argnums=0)(
+        FORM, found.model, observed, LEAST_SQUARES, no_prior(), MAX_STEPS
+    )
+    assert not taken.any()  # of every fourth sample it would lead two standard deviations away
+    np.testing.assert_array_equal(begun.geometry, found.model.geometry)
+
+
 def test_that_step_is_not_taken_from_where_it_fits_worse(many):
     positions, measured = many
     spoiled = measured.copy()
