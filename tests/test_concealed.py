@@ -28,6 +28,7 @@ from benchmarks.concealed import (
     plans,
     recorded,
     report,
+    rivals,
     scores,
     trials,
 )
@@ -61,7 +62,7 @@ from lite6jax.model import ArmModel, predict_poses
 from lite6jax.recordings import read_recording
 
 GENERATOR = (
-    *("chain", "outside", "plain_physics", "mujoco_physics", "view", "information", "oracle"),
+    *("chain", "outside", "plain_physics", "mujoco_physics", "view", "information", "rivals", "oracle"),
     *("plans", "hiding", "recorded", "trials"),
 )
 PAYLOAD_CENTER = np.array([0.01, 0.0, 0.05])
@@ -352,7 +353,7 @@ def test_what_frames_can_do_as_well_is_not_seen():
     view = a_view(np.random.default_rng(29))
     seen = information.threshold(view, (Hidden("joint_offset", "joint1", (1.0,)),), 0, view.nuisance())
     assert seen.seen < 1e-4
-    rival = information.nearest_rival(view, (Hidden("tool_offset", "tool", (1e-3, 0.0, 0.0)),), 0, np.zeros((180, 0)))
+    rival = rivals.nearest_rival(view, (Hidden("tool_offset", "tool", (1e-3, 0.0, 0.0)),), 0, np.zeros((180, 0)))
     assert (rival.name, rival.site) == ("frame_offset", "link6")
     assert rival.apart < 1e-3
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.concealed import campaign, command, hiding, information, outside, plans, recorded, trials
+from benchmarks.concealed import campaign, command, hiding, outside, plans, recorded, rivals, trials
 from benchmarks.concealed.chain import MADE, description_text, lite6, rotation_from_vector
 from benchmarks.concealed.mujoco_physics import Arm
 from benchmarks.concealed.outside import FAMILIES, OPEN, SEALED
@@ -183,10 +183,10 @@ def test_sites_that_move_what_is_seen_alike_are_one(scene):
     setup, motion = scene
     view = View(setup, Open(frame=True, tool=3, geometry=False), motion, (2e-5, 1e-4))
     tilt = Hidden("base_tilt_by_joint", "base", (1e-4,), {"axis": 3.0, "by": 4.0})
-    assert information.equal_sites(view, tilt) == ["base", "sensor"]
+    assert rivals.equal_sites(view, tilt) == ["base", "sensor"]
     bump = Hidden("joint_bump", "joint4", (1e-4,), {"joint": 4.0, "centre": 0.0, "width": 0.3})
-    assert {"joint4", "link4"} <= set(information.equal_sites(view, bump))
-    assert not {"joint2", "base"} & set(information.equal_sites(view, bump))
+    assert {"joint4", "link4"} <= set(rivals.equal_sites(view, bump))
+    assert not {"joint2", "base"} & set(rivals.equal_sites(view, bump))
 
 
 def a_plan(edge):

@@ -29,11 +29,16 @@ def least_power(size: int) -> float:
     return float(found)
 
 
-def across(span: Array, columns: Array) -> Array:
-    """What of the columns no mixture of `span` can do."""
+def directions(span: Array) -> Array:
+    """Orthonormal ones of all that `span` can do."""
     if not span.shape[1]:
-        return columns
+        return span
     lengths = np.linalg.norm(span, axis=0)
     u, s, _ = np.linalg.svd(span / np.where(lengths > 0, lengths, 1.0), full_matrices=False)
-    u = u[:, s > 1e-9 * s[0]]
+    return u[:, s > 1e-9 * s[0]]
+
+
+def across(span: Array, columns: Array) -> Array:
+    """What of the columns no mixture of `span` can do."""
+    u = directions(span)
     return columns - u @ (u.T @ columns)

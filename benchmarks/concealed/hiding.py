@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.campaigns.threshold import LEAST_SEEN, across
-from benchmarks.concealed import information, outside
+from benchmarks.concealed import information, outside, rivals
 from benchmarks.concealed.chain import Array
 from benchmarks.concealed.plain_physics import COORDINATES, OUTSIDE, Hidden, moments, signals_of
 from benchmarks.concealed.plans import Plan
@@ -81,13 +81,13 @@ def beyond_named(view: View, effect: Hidden, span: Array) -> Array:
     if form is not None:
         line = replace(effect, values=(0.0,), fixed=form)
         span = np.concatenate([span, view.padded(view.columns((line,), 0))], 1)
-    rivals = [
+    named = [
         rival
-        for rival in information.candidates(view.setup.chain.dof, view.motion.curve is not None, bool(view.noise[1]))
+        for rival in rivals.candidates(view.setup.chain.dof, view.motion.curve is not None, bool(view.noise[1]))
         if rival.site == effect.site and rival.name not in ("joint_offset", "joint_coupling")
     ]
     there = replace(effect, values=(0.0,))
-    blocks = [view.columns((other,), 0) for other in (there, *rivals)]
+    blocks = [view.columns((other,), 0) for other in (there, *named)]
     whole = view.padded(np.concatenate(blocks, 1))
     lengths = np.linalg.norm(whole, axis=0)
     left = across(span, whole / np.where(lengths > 0, lengths, 1.0))
@@ -178,7 +178,18 @@ def described(view: View, hidden: tuple[Hidden, ...]) -> list[dict[str, Any]]:
         if effect.name in OUTSIDE:
             beside = beyond_named(view, effect, view.nuisance())
         found = information.threshold(view, hidden, k, beside)
-        rival = information.nearest_rival(view, hidden, k, beside) if effect.name not in OUTSIDE else None
+        if effect.name in OUTSIDE:
+            family = outside.FAMILIES[effect.name]
+            drivers, sites = family.drivers(effect.fixed), rivals.equal_sites(view, effect)
+            rival = rivals.nearest_to_outside(view, effect, sites, drivers)
+            of_family = {
+                "drivers": [list(phrases) for phrases in drivers],
+                "sites": sites,
+                "beside": list(family.beside),
+                "sum_of": list(family.sum_of),
+            }
+        else:
+            rival, of_family = rivals.nearest_rival(view, hidden, k, beside), {}
         said.append(
             {
                 "effect": effect.name,
@@ -189,15 +200,8 @@ def described(view: View, hidden: tuple[Hidden, ...]) -> list[dict[str, Any]]:
                 "size": 1 / found.size,
                 "seen": found.seen,
                 "moved_m": found.moved / found.size,
-                "rival": None if rival is None else asdict(rival),
+                "rival": asdict(rival),
             }
+            | of_family
         )
-        if effect.name in OUTSIDE:
-            family = outside.FAMILIES[effect.name]
-            said[-1] |= {
-                "drivers": [list(phrases) for phrases in family.drivers(effect.fixed)],
-                "sites": information.equal_sites(view, effect),
-                "beside": list(family.beside),
-                "sum_of": list(family.sum_of),
-            }
     return said

@@ -8,6 +8,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from benchmarks.concealed.chain import GRAVITY, Array, Chain, about_z, rotation_from_rpy, rotation_from_vector
 from benchmarks.concealed.outside import FAMILIES, Signals, seen_shift
@@ -112,9 +113,13 @@ class Motion:
         q, dq = self.curve(self.time + offset)
         return replace(self, q=q, dq=dq, direction=np.sign(dq))
 
+    def kept(self, most: int) -> NDArray[np.integer]:
+        """So many of the samples' places at most, evenly over the motion."""
+        return np.unique(np.linspace(0, len(self.q) - 1, most).astype(int))
+
     def thinned(self, most: int) -> "Motion":
         """So many of the samples at most, evenly over the motion."""
-        kept = np.unique(np.linspace(0, len(self.q) - 1, most).astype(int))
+        kept = self.kept(most)
         names = ("q", "dq", "direction", "time", "temperature", "payload")
         return replace(self, **{name: getattr(self, name)[kept] for name in names})
 

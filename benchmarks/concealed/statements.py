@@ -62,13 +62,12 @@ def unnamed_of(effect: Row, finding: Row) -> bool:
     """
     if finding["effect"] != "unnamed" or finding["site"] not in effect.get("sites", (effect["site"],)):
         return False
-    return any(_driven(finding, phrases) for phrases in drivers_of(effect))
+    return is_driven(finding.get("driver", ""), drivers_of(effect))
 
 
-def _driven(finding: Row, phrases: Sequence[str]) -> bool:
-    """Whether one of the finding's drivers is one of the phrases, or begins with it."""
-    said = finding.get("driver", "").split(" and ")
-    return any(driver.startswith(phrase) for driver in said for phrase in phrases)
+def is_driven(driver: str, drivers: Sequence[Sequence[str]]) -> bool:
+    """Whether a driver, or one of two, is one of those that a hidden effect has: one of its phrases, or begins so."""
+    return any(said.startswith(phrase) for said in driver.split(" and ") for phrases in drivers for phrase in phrases)
 
 
 def drivers_of(effect: Row) -> list[list[str]]:
@@ -202,7 +201,9 @@ def _whole(effect: Row, findings: Sequence[Row]) -> bool:
     ours = [finding for finding in findings if unnamed_of(effect, finding)]
     if not ours:
         return any(admits(effect, finding) for finding in findings)
-    return all(any(_driven(finding, phrases) for finding in ours) for phrases in drivers_of(effect))
+    return all(
+        any(is_driven(finding.get("driver", ""), [phrases]) for finding in ours) for phrases in drivers_of(effect)
+    )
 
 
 def _left(truth: Row, diagnosis: Row) -> float:

@@ -4,6 +4,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from benchmarks.concealed.chain import Array, rotation_from_rpy, rotation_from_vector, vector_from_rotation
 from benchmarks.concealed.plain_physics import COORDINATES, Hidden, Motion, Setup, poses
@@ -64,6 +65,13 @@ class View:
     open: Open
     motion: Motion
     noise: tuple[float, float | None]
+
+    def thinned(self, most: int) -> tuple["View", NDArray[np.integer]]:
+        """So many of the samples at most, each of which counts for those it stands for; and which they are."""
+        kept = self.motion.kept(most)
+        share = float(np.sqrt(len(kept) / len(self.motion.q)))
+        noise = (self.noise[0] * share, None if self.noise[1] is None else self.noise[1] * share)
+        return replace(self, motion=self.motion.thinned(most), noise=noise), kept
 
     def difference(self, a: tuple[Array, Array], b: tuple[Array, Array]) -> Array:
         """Whitened numbers `(sample · 3 or 6,)` by which poses b differ from a."""
