@@ -63,7 +63,7 @@ from lite6jax.recordings import read_recording
 
 GENERATOR = (
     *("chain", "outside", "plain_physics", "mujoco_physics", "view", "information", "rivals", "oracle"),
-    *("plans", "hiding", "recorded", "trials"),
+    *("plans", "hiding", "recorded", "trials", "statements"),
 )
 PAYLOAD_CENTER = np.array([0.01, 0.0, 0.05])
 

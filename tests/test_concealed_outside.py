@@ -189,6 +189,56 @@ def test_sites_that_move_what_is_seen_alike_are_one(scene):
     assert not {"joint2", "base"} & set(rivals.equal_sites(view, bump))
 
 
+def nearest(scene, effect, frame=True, rows=60):
+    setup, motion = scene
+    view = View(setup, Open(frame=frame, tool=3, geometry=False), motion.thinned(rows), (2e-5, 1e-4))
+    drivers = FAMILIES[effect.name].drivers(effect.fixed)
+    return rivals.nearest_to_outside(view, effect, rivals.equal_sites(view, effect), drivers)
+
+
+def test_what_a_name_does_as_well_is_taken_for_it(scene):
+    straight = Hidden("squared_coupling", "joint4", (1e-4,), {"by": 2.0, "power": 1.0})
+    found = nearest(scene, straight)
+    assert (found.name, found.site) == ("joint_coupling", "joint4")
+    assert found.apart < 1e-2
+
+
+def test_what_a_function_of_another_driver_does_as_well_is_taken_for_it(scene):
+    setup, motion = scene
+    following = replace(motion, q=np.column_stack([motion.q[:, :5], 0.1 * motion.q[:, 0]]))
+    bent = Hidden("squared_coupling", "joint4", (1e-4,), {"by": 1.0, "power": 2.0})
+    found = nearest((setup, following), bent)
+    assert (found.name, found.site) == ("function of position of joint 6", "joint4")
+    assert found.apart < 1e-2
+    assert nearest(scene, bent).apart > 1.0
+
+
+def test_of_twice_the_size_all_else_is_twice_as_far(scene):
+    tilt = Hidden("base_tilt_by_joint", "base", (1e-5,), {"axis": 3.0, "by": 4.0})
+    once, twice = nearest(scene, tilt), nearest(scene, replace(tilt, values=(2e-5,)))
+    assert twice.apart == pytest.approx(2 * once.apart, rel=1e-3)
+    assert (twice.name, twice.site) == (once.name, once.site)
+
+
+def test_a_joint_that_turns_in_proportion_to_warmth_has_a_name(scene):
+    turning = Hidden("squared_warmth", "joint4", (1e-4,), {"joint": 4.0, "power": 1.0})
+    found = nearest(scene, turning)
+    assert (found.name, found.site) == ("joint_thermal_offset", "joint4")
+    assert found.apart < 1e-2
+
+
+def test_a_sensor_that_turns_in_proportion_to_time_has_a_name(scene):
+    turning = Hidden("sensor_turn_by_time", "sensor", (1e-4,), {"span_s": 3.0, "power": 1.0, "axis": 4.0})
+    found = nearest(scene, turning)
+    assert (found.name, found.site) == ("sensor_drift", "sensor")
+    assert found.apart < 1e-2
+
+
+def test_a_tool_that_turns_is_no_offset_of_it(scene):
+    turning = Hidden("tool_turn_by_joint", "tool", (1e-3,), {"axis": 3.0, "by": 1.0})
+    assert nearest(scene, turning).name != "tool_offset"
+
+
 def a_plan(edge):
     index = next(i for i in plans.indices(7, 8, "edge") if plans.draw_plan(7, i, np.random.default_rng(0)).edge == edge)
     return index, plans.draw_plan(7, index, np.random.default_rng(0))

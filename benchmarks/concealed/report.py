@@ -1,7 +1,9 @@
 """The scores of many trials as tables, for the terminal and as Markdown; and the story of one trial."""
 
+import math
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from itertools import pairwise
 
 import numpy as np
 
@@ -40,6 +42,8 @@ def sections(rows: Sequence[Row]) -> Iterator[Section]:
             yield title, head, cells
 
 
+_APART = (0.0, scores.DISTINGUISHED, 8.0, 16.0, math.inf)
+"""Standard deviations between which trials outside the catalogue are counted together."""
 _SAID = ("right", "partial", "misleading", "found, effect and site")
 _SINGLE = (
     "trials",
@@ -139,6 +143,11 @@ def _outside(rows: Sequence[Row]) -> Cells:
     groups = [(name, [row for row in trials if row["hidden"][0]["effect"] == name]) for name in OUTSIDE]
     sizes = sorted({row["planned_size"] for row in trials})
     groups += [(f"× {size:g}", [row for row in trials if row["planned_size"] == size]) for size in sizes]
+    groups += [
+        (f"{low:g} to {high:g} standard deviations from what is nearest", found)
+        for low, high in pairwise(_APART)
+        if (found := [row for row in trials if low <= (row["hidden"][0]["apart"] or 0.0) < high])
+    ]
     return [
         (
             label,

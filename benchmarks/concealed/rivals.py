@@ -3,7 +3,7 @@
 All from the generator's own derivatives, whitened by the sensor's true noise, as in `information`.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,7 +18,7 @@ from benchmarks.concealed.view import View, source
 _EQUAL, _EQUAL_ROWS = 0.03, 150
 """The share by which sites may differ that are called equal: axes that an arm's maker meant to be one are not quite."""
 _STEADY = "squared_drift"
-"""The family that, of power 0, does the same at every sample, at any site."""
+"""The family that does a power of the time, of 0 the same at every sample, at any site."""
 _POWERS = 3
 """Of a driver: a function that is to stand in for another is a polynomial of this degree."""
 _COMPARED_ROWS = 400
@@ -68,25 +68,38 @@ class Rival:
 
 
 def nearest_rival(view: View, hidden: tuple[Hidden, ...], place: int, span: Array) -> Rival:
-    """Which other candidate explains most of one of the hidden effects, beside all that may vary."""
-    effect = hidden[place]
+    """Which other candidate explains most of one of the hidden effects, beside all that may vary.
+
+    Args:
+        view: of the recording.
+        hidden: all effects. Columns are taken where they are as they are: elsewhere, what cancels here would leave what
+            effects do to each other.
+        place: which of them.
+        span: the columns of all that may vary beside it.
+    """
     absent = (*hidden[:place], *hidden[place + 1 :])
     g = view.difference(poses(view.setup, absent, view.motion), poses(view.setup, hidden, view.motion))
-    open_directions = directions(span)
+    return _nearest_name(view, hidden, hidden[place], g, _beyond(span))
 
-    def left(columns: Array) -> Array:
-        return columns - open_directions @ (open_directions.T @ columns)
 
+def _beyond(span: Array) -> Callable[[Array], Array]:
+    """What takes from columns what `span` can do."""
+    done = directions(span)
+    return lambda columns: columns - done @ (done.T @ columns)
+
+
+def _nearest_name(
+    view: View, there: tuple[Hidden, ...], effect: Hidden, g: Array, left: Callable[[Array], Array]
+) -> Rival:
+    """The candidate other than `effect` that explains most of `g`, what it moves; columns are taken beside `there`."""
     rest = left(view.padded(g[:, None]))[:, 0]
     best = Rival("", "", float(np.linalg.norm(rest)))
-    moving = view.motion.curve is not None
-    for rival in candidates(view.setup.chain.dof, moving, bool(view.noise[1])):
+    for rival in candidates(view.setup.chain.dof, view.motion.curve is not None, bool(view.noise[1])):
         order = effect.fixed.get("order")
         same = (rival.name, rival.site) == (effect.name, effect.site)
         if same and dict(rival.fixed) == ({} if order is None else {"order": order}) | source(effect):
             continue
-        # where the effects are as they are: elsewhere, what cancels here would leave what effects do to each other
-        columns = view.padded(view.columns((*hidden, rival), len(hidden)))
+        columns = view.padded(view.columns((*there, rival), len(there)))
         apart = _apart(rest, columns, left(columns))
         if apart < best.apart:
             best = Rival(rival.name, rival.site, apart)
@@ -104,16 +117,19 @@ def nearest_to_outside(view: View, effect: Hidden, sites: Sequence[str], drivers
         sites: where the same function of the same driver is no other (`equal_sites`).
         drivers: on what it depends; one of them is enough, at one of the sites, for a function to be the effect.
     """
-    best = nearest_rival(view, (effect,), 0, view.nuisance((effect,)))
-    few, kept = view.thinned(_COMPARED_ROWS)
     g = view.difference(poses(view.setup, (), view.motion), poses(view.setup, (effect,), view.motion))
-    # of all rows, then of the kept ones: what a spring remembers is of the way through all of them
+    # columns where the effect is not, as of functions: beside a tool that turns, an offset of it would be another turn
+    left = _beyond(view.nuisance())
+    rest = left(view.padded(g[:, None]))[:, 0]
+    best = _nearest_name(view, (), effect, g, left)
+    for name, site, columns in _names_of_time_and_warmth(view):
+        apart = _apart(rest, columns, left(columns))
+        if apart < best.apart:
+            best = Rival(name, site, apart)
+    few, kept = view.thinned(_COMPARED_ROWS)
     g = g.reshape(len(view.motion.q), -1)[kept].ravel() * (view.noise[0] / few.noise[0])
-    open_directions = directions(few.nuisance())
-
-    def left(columns: Array) -> Array:
-        return columns - open_directions @ (open_directions.T @ columns)
-
+    left = _beyond(few.nuisance())
+    g = g.reshape(len(view.motion.q), -1)[kept].ravel() * (view.noise[0] / few.noise[0])
     rest = left(few.padded(g[:, None]))[:, 0]
     functions = [(name, _powers(values)) for name, values in _recorded(few).items()]
     width = _POWERS + 1
@@ -131,6 +147,25 @@ def nearest_to_outside(view: View, effect: Hidden, sites: Sequence[str], drivers
             if apart < best.apart:
                 best = Rival(f"function of {functions[k][0]}", site, apart)
     return best
+
+
+def _names_of_time_and_warmth(view: View) -> Iterator[tuple[str, str, Array]]:
+    """Name, site and columns of what the catalogue has besides `candidates`, of joints and the sensor.
+
+    A warm-up is a straight line and a parabola of the time: what an exponential is before it ends.
+    """
+    length = float(view.motion.time[-1]) or 1.0
+
+    def powers(site: str, axis: float, *degrees: int) -> Array:
+        forms = ({"span_s": length, "power": float(degree), "axis": axis} for degree in degrees)
+        columns = [view.columns((Hidden(_STEADY, site, (0.0,), form),), 0) for form in forms]
+        return view.padded(np.concatenate(columns, 1))
+
+    for number in range(1, view.setup.chain.dof + 1):
+        warm = Hidden("squared_warmth", f"joint{number}", (0.0,), {"joint": float(number), "power": 1.0})
+        yield "joint_thermal_offset", warm.site, view.padded(view.columns((warm,), 0))
+        yield "joint_warm_up", warm.site, powers(warm.site, 0.0, 1, 2)
+    yield "sensor_drift", "sensor", np.concatenate([powers("sensor", float(axis), 1) for axis in range(6)], 1)
 
 
 def _apart(rest: Array, columns: Array, seen: Array) -> float:

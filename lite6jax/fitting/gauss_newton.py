@@ -211,8 +211,9 @@ def _begin(
     """The model after one Gauss–Newton step of every fourth sample, and the steps taken, `(arm,)`.
 
     An arm stays where it is if these samples are too few, do not determine the step, or gain no more by it than they
-    would by fitting their own noise: from the solution, where a robust fit begins, the step would only lead away. Samples
-    of several blocks are left to the solver, as are whiteners of each sample's own: neither is fitted by the hundred.
+    would by fitting their own noise: a robust fit begins at a solution, from which the step would only lead away.
+    Samples of several blocks are left to the solver, as are whiteners of each sample's own: neither is fitted by the
+    hundred.
     """
     arms, blocks, samples = observed.weight.shape
     rows = POSITION if observed.rotation.shape[-1] == 0 else POSE
