@@ -28,7 +28,7 @@ def a_finding(name, site, parameters=None, driver=""):
 
 
 def the_oracle(truth, rng):
-    """The truth, its numbers off by one standard deviation of the best estimate."""
+    """The truth, its numbers off by as much as those of the best estimate; beyond two deviations no order is right."""
     findings = []
     for effect in truth["hidden"]:
         if effect["effect"] in FAMILIES:
@@ -37,7 +37,7 @@ def the_oracle(truth, rng):
             continue
         said = {name: {"value": value, "std": 0.0} for name, value in effect["parameters"].items()}
         for name, bound in effect["bound"].items():
-            said[name] = {"value": effect["parameters"][name] + bound * rng.normal(), "std": bound}
+            said[name] = {"value": effect["parameters"][name] + bound * float(np.clip(rng.normal(), -1.9, 1.9)), "std": bound}
         findings.append(a_finding(effect["effect"], effect["site"], said))
     numbers = {"joints": truth["fault_joints"]}
     faults = [{"fault": truth["fault"], "rows": truth["fault_rows"], "numbers": numbers}] if truth["fault"] else []
