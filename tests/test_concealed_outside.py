@@ -220,6 +220,16 @@ def test_of_twice_the_size_all_else_is_twice_as_far(scene):
     assert (twice.name, twice.site) == (once.name, once.site)
 
 
+def test_a_recording_of_many_rows_holds_apart_as_much_as_the_rows_it_is_thinned_to_stand_for(scene):
+    setup, _ = scene
+    rows = 5 * rivals._COMPARED_ROWS
+    motion = recorded.draw_motion(np.random.default_rng(42), setup.chain, False, rows)
+    bent = Hidden("squared_coupling", "joint4", (1e-5,), {"by": 1.0, "power": 2.0})
+    whole, fifth = nearest((setup, motion), bent, rows=rows), nearest((setup, motion), bent, rows=rows // 5)
+    assert whole.site == fifth.site
+    assert whole.apart == pytest.approx(5**0.5 * fifth.apart, rel=0.1)
+
+
 def test_a_joint_that_turns_in_proportion_to_warmth_has_a_name(scene):
     turning = Hidden("squared_warmth", "joint4", (1e-4,), {"joint": 4.0, "power": 1.0})
     found = nearest(scene, turning)

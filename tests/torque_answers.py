@@ -37,7 +37,10 @@ def the_oracle(truth, rng):
             continue
         said = {name: {"value": value, "std": 0.0} for name, value in effect["parameters"].items()}
         for name, bound in effect["bound"].items():
-            said[name] = {"value": effect["parameters"][name] + bound * float(np.clip(rng.normal(), -1.9, 1.9)), "std": bound}
+            said[name] = {
+                "value": effect["parameters"][name] + bound * float(np.clip(rng.normal(), -1.9, 1.9)),
+                "std": bound,
+            }
         findings.append(a_finding(effect["effect"], effect["site"], said))
     numbers = {"joints": truth["fault_joints"]}
     faults = [{"fault": truth["fault"], "rows": truth["fault_rows"], "numbers": numbers}] if truth["fault"] else []

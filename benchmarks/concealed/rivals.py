@@ -127,8 +127,8 @@ def nearest_to_outside(view: View, effect: Hidden, sites: Sequence[str], drivers
         if apart < best.apart:
             best = Rival(name, site, apart)
     few, kept = view.thinned(_COMPARED_ROWS)
-    g = g.reshape(len(view.motion.q), -1)[kept].ravel() * (view.noise[0] / few.noise[0])
     left = _beyond(few.nuisance())
+    # of what moves in all rows the kept ones: what a spring remembers is of the way through all of them
     g = g.reshape(len(view.motion.q), -1)[kept].ravel() * (view.noise[0] / few.noise[0])
     rest = left(few.padded(g[:, None]))[:, 0]
     functions = [(name, _powers(values)) for name, values in _recorded(few).items()]
