@@ -59,7 +59,7 @@ class Rival:
     Attributes:
         name: of the effect.
         site: of it.
-        apart: standard deviations by which the data tell them apart; what is below 3 no method can name for sure.
+        apart: standard deviations by which the data tell them apart; below 4 no name is expected (`DISTINGUISHED`).
     """
 
     name: str
@@ -107,7 +107,9 @@ def _nearest_name(
 
 
 def nearest_to_outside(view: View, effect: Hidden, sites: Sequence[str], drivers: Drivers) -> Rival:
-    """What an effect outside the catalogue is most easily taken for: a name, or a function where or of what it is not.
+    """What an effect outside the catalogue is most easily taken for: a name, a function elsewhere or of another driver.
+
+    Orders of gears, wobbling axes and wind-up are not among the names, so that the distance is an upper limit.
 
     Functions are polynomials of degree `_POWERS` of any driver: of an angle, or of one component of a twist.
 
@@ -118,7 +120,7 @@ def nearest_to_outside(view: View, effect: Hidden, sites: Sequence[str], drivers
         drivers: on what it depends; one of them is enough, at one of the sites, for a function to be the effect.
     """
     g = view.difference(poses(view.setup, (), view.motion), poses(view.setup, (effect,), view.motion))
-    # columns where the effect is not, as of functions: beside a tool that turns, an offset of it would be another turn
+    # linearised without the effect: beside a tool that turns, an offset of the tool would itself turn, and mimic it
     left = _beyond(view.nuisance())
     rest = left(view.padded(g[:, None]))[:, 0]
     best = _nearest_name(view, (), effect, g, left)
@@ -128,7 +130,7 @@ def nearest_to_outside(view: View, effect: Hidden, sites: Sequence[str], drivers
             best = Rival(name, site, apart)
     few, kept = view.thinned(_COMPARED_ROWS)
     left = _beyond(few.nuisance())
-    # of what moves in all rows the kept ones: what a spring remembers is of the way through all of them
+    # computed in all rows and then thinned: how far a spring has yielded depends on the whole way
     g = g.reshape(len(view.motion.q), -1)[kept].ravel() * (view.noise[0] / few.noise[0])
     rest = left(few.padded(g[:, None]))[:, 0]
     functions = [(name, _powers(values)) for name, values in _recorded(few).items()]
@@ -150,7 +152,7 @@ def nearest_to_outside(view: View, effect: Hidden, sites: Sequence[str], drivers
 
 
 def _names_of_time_and_warmth(view: View) -> Iterator[tuple[str, str, Array]]:
-    """Name, site and columns of what the catalogue has besides `candidates`, of joints and the sensor.
+    """Name, site and columns of effects by time and temperature that are not among `candidates`.
 
     A warm-up is a straight line and a parabola of the time: what an exponential is before it ends.
     """

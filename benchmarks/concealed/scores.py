@@ -202,7 +202,7 @@ def singles(rows: Iterable[Row], least: float = 0.0, most: float = math.inf) -> 
 
 
 def distinguishable(row: Row) -> bool:
-    """Whether the data distinguish the one hidden effect from all else that it may be taken for (`rivals`)."""
+    """Whether the data distinguish the one hidden effect from what it is most easily taken for (`rivals`)."""
     return (row["hidden"][0]["apart"] or 0.0) >= DISTINGUISHED
 
 

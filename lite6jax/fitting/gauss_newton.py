@@ -2,8 +2,9 @@
 
 The gradient is exact at every step, so the solution is the one Levenberg–Marquardt finds; the curvature only shapes the
 path. A step of 1e-4 rad leaves it good to four digits. Where samples are many, the first step is that of one in four of
-them, which leads as near as that of all would, since both leave an error of second order. So a fit from nominal needs
-the curvature of all samples once, and every other step costs only two walks of the chain.
+them: it ends within their noise, twice the final standard deviation, and an error of second order as that of all would.
+Where these are below 1e-4, a fit from nominal needs the curvature of all samples once, and every other step costs only
+two walks of the chain.
 """
 
 from collections.abc import Callable

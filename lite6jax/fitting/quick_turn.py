@@ -11,7 +11,7 @@ from jax import Array
 from lite6jax.arms.moves import Turn
 
 LARGEST = 1e6
-"""rad; up to here an angle's multiple of π/2 times the first part of π/2 is exact."""
+"""rad; up to here an angle's multiple of π/2 times the first part of π/2 is exact. No joint turns so far."""
 
 _HALF_PI = (float.fromhex("0x1.921fb544p+0"), float.fromhex("0x1.0b4611a6p-34"), float.fromhex("0x1.3198a2e037073p-69"))
 """π/2 in three parts, of which the first two have 33 bits (W. Cody, W. Waite, Software Manual for the Elementary
@@ -29,7 +29,12 @@ x²/2 + x⁴ p(x²)."""
 
 
 def quick_turn(angle: Array) -> Turn:
-    """The cosine and sine of `angle` rad, of any shape, to 2.3e-16 up to `LARGEST`. Not to be differentiated."""
+    """The cosine and sine of `angle` rad, of any shape, each within 2.3e-16; NaN where an angle is not finite.
+
+    Angles beyond `LARGEST`, which only a damaged row has, count as `LARGEST`: the polynomials would be no sine there.
+    Not to be differentiated: of the rounding to a multiple of π/2, automatic differentiation knows nothing.
+    """
+    angle = jnp.where(jnp.isfinite(angle), jnp.clip(angle, -LARGEST, LARGEST), jnp.nan)
     quarter = jnp.round(angle * (2 / np.pi))
     rest = angle
     for part in _HALF_PI:

@@ -381,7 +381,7 @@ def test_that_step_is_not_taken_from_the_solution_of_all_samples(many):
     np.testing.assert_array_equal(begun.geometry, found.model.geometry)
 
 
-def test_that_step_is_not_taken_from_where_it_fits_worse(many):
+def test_where_every_fourth_sample_is_spoiled_the_solution_is_that_of_all(many):
     positions, measured = many
     spoiled = measured.copy()
     spoiled[0, ::4, :3, 3] += np.random.default_rng(12).uniform(-0.5, 0.5, (MANY // 4, 3))

@@ -28,6 +28,12 @@ def test_multiples_of_a_quarter_turn():
     assert np.isnan(quick_turn(np.array([np.nan, np.inf])).sin).all()
 
 
+def test_what_no_joint_shows_is_still_a_turn():
+    angle = np.array([1e7, -1e15, 1e30, -1e100, np.finfo(float).max])
+    found = quick_turn(angle)
+    np.testing.assert_allclose(found.cos**2 + found.sin**2, 1, rtol=0, atol=1e-15)
+
+
 def test_a_turn_has_length_one_and_adds_up():
     one, other = np.random.default_rng(1).uniform(-7, 7, (2, 10_000))
     a, b, both = (quick_turn(angle) for angle in (one, other, one + other))
