@@ -189,17 +189,28 @@ def test_sites_that_move_what_is_seen_alike_are_one(scene):
     assert not {"joint2", "base"} & set(rivals.equal_sites(view, bump))
 
 
-def nearest(scene, effect, frame=True, rows=60):
+def nearest(scene, effect, rows=60):
     setup, motion = scene
-    view = View(setup, Open(frame=frame, tool=3, geometry=False), motion.thinned(rows), (2e-5, 1e-4))
+    view = View(setup, Open(frame=True, tool=3, geometry=False), motion.thinned(rows), (2e-5, 1e-4))
     drivers = FAMILIES[effect.name].drivers(effect.fixed)
     return rivals.nearest_to_outside(view, effect, rivals.equal_sites(view, effect), drivers)
 
 
-def test_what_a_name_does_as_well_is_taken_for_it(scene):
-    straight = Hidden("squared_coupling", "joint4", (1e-4,), {"by": 2.0, "power": 1.0})
+@pytest.mark.parametrize(
+    ("straight", "name"),
+    [
+        (Hidden("squared_coupling", "joint4", (1e-4,), {"by": 2.0, "power": 1.0}), "joint_coupling"),
+        (Hidden("squared_warmth", "joint4", (1e-4,), {"joint": 4.0, "power": 1.0}), "joint_thermal_offset"),
+        (
+            Hidden("sensor_turn_by_time", "sensor", (1e-4,), {"span_s": 3.0, "power": 1.0, "axis": 4.0}),
+            "sensor_drift",
+        ),
+    ],
+    ids=lambda case: case if isinstance(case, str) else "",
+)
+def test_what_a_name_does_as_well_is_taken_for_it(scene, straight, name):
     found = nearest(scene, straight)
-    assert (found.name, found.site) == ("joint_coupling", "joint4")
+    assert (found.name, found.site) == (name, straight.site)
     assert found.apart < 1e-2
 
 
@@ -228,20 +239,6 @@ def test_a_recording_of_many_rows_holds_apart_as_much_as_the_rows_it_is_thinned_
     whole, fifth = nearest((setup, motion), bent, rows=rows), nearest((setup, motion), bent, rows=rows // 5)
     assert whole.site == fifth.site
     assert whole.apart == pytest.approx(5**0.5 * fifth.apart, rel=0.1)
-
-
-def test_a_joint_that_turns_in_proportion_to_warmth_has_a_name(scene):
-    turning = Hidden("squared_warmth", "joint4", (1e-4,), {"joint": 4.0, "power": 1.0})
-    found = nearest(scene, turning)
-    assert (found.name, found.site) == ("joint_thermal_offset", "joint4")
-    assert found.apart < 1e-2
-
-
-def test_a_sensor_that_turns_in_proportion_to_time_has_a_name(scene):
-    turning = Hidden("sensor_turn_by_time", "sensor", (1e-4,), {"span_s": 3.0, "power": 1.0, "axis": 4.0})
-    found = nearest(scene, turning)
-    assert (found.name, found.site) == ("sensor_drift", "sensor")
-    assert found.apart < 1e-2
 
 
 def test_a_tool_that_turns_is_no_offset_of_it(scene):

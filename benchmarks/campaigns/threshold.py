@@ -5,6 +5,7 @@ the sensor's noise, and is as strict as one of `SEARCHED` must be for all to rai
 Nothing that does not know where to look does better; at twice the threshold this test finds 99.99 %.
 """
 
+from collections.abc import Callable
 from functools import lru_cache
 from typing import Any
 
@@ -38,7 +39,26 @@ def directions(span: Array) -> Array:
     return u[:, s > 1e-9 * s[0]]
 
 
+def beyond(span: Array) -> Callable[[Array], Array]:
+    """What takes from columns all that `span` can do."""
+    u = directions(span)
+    return lambda columns: columns - u @ (u.T @ columns)
+
+
 def across(span: Array, columns: Array) -> Array:
     """What of the columns no mixture of `span` can do."""
-    u = directions(span)
-    return columns - u @ (u.T @ columns)
+    return beyond(span)(columns)
+
+
+def apart(rest: Array, columns: Array, left: Array) -> float:
+    """Standard deviations of what columns leave of an effect.
+
+    Args:
+        rest: what of the effect nothing that is open can do.
+        columns: of what it may be taken for.
+        left: what of these nothing that is open can do.
+    """
+    lengths = np.linalg.norm(columns, axis=0)
+    ways, sizes, _ = np.linalg.svd(left / np.where(lengths > 0, lengths, 1.0), full_matrices=False)
+    done = ways[:, sizes > LEAST_SEEN**2].T @ rest
+    return float(np.sqrt(max(0.0, rest @ rest - done @ done)))

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from benchmarks.campaigns.threshold import LEAST_SEEN, across, directions
+from benchmarks.campaigns.threshold import across, apart, beyond
 from benchmarks.concealed.chain import Array
 from benchmarks.concealed.outside import FAMILIES, Drivers
 from benchmarks.concealed.plain_physics import Hidden, poses, signals_of
@@ -79,20 +79,14 @@ def nearest_rival(view: View, hidden: tuple[Hidden, ...], place: int, span: Arra
     """
     absent = (*hidden[:place], *hidden[place + 1 :])
     g = view.difference(poses(view.setup, absent, view.motion), poses(view.setup, hidden, view.motion))
-    return _nearest_name(view, hidden, hidden[place], g, _beyond(span))
-
-
-def _beyond(span: Array) -> Callable[[Array], Array]:
-    """What takes from columns what `span` can do."""
-    done = directions(span)
-    return lambda columns: columns - done @ (done.T @ columns)
+    left = beyond(span)
+    return _nearest_name(view, hidden, hidden[place], left(view.padded(g[:, None]))[:, 0], left)
 
 
 def _nearest_name(
-    view: View, there: tuple[Hidden, ...], effect: Hidden, g: Array, left: Callable[[Array], Array]
+    view: View, there: tuple[Hidden, ...], effect: Hidden, rest: Array, left: Callable[[Array], Array]
 ) -> Rival:
-    """The candidate other than `effect` that explains most of `g`, what it moves; columns are taken beside `there`."""
-    rest = left(view.padded(g[:, None]))[:, 0]
+    """The candidate other than `effect` that explains most of the `rest` of it that is seen; taken beside `there`."""
     best = Rival("", "", float(np.linalg.norm(rest)))
     for rival in candidates(view.setup.chain.dof, view.motion.curve is not None, bool(view.noise[1])):
         order = effect.fixed.get("order")
@@ -100,9 +94,9 @@ def _nearest_name(
         if same and dict(rival.fixed) == ({} if order is None else {"order": order}) | source(effect):
             continue
         columns = view.padded(view.columns((*there, rival), len(there)))
-        apart = _apart(rest, columns, left(columns))
-        if apart < best.apart:
-            best = Rival(rival.name, rival.site, apart)
+        distance = apart(rest, columns, left(columns))
+        if distance < best.apart:
+            best = Rival(rival.name, rival.site, distance)
     return best
 
 
@@ -121,15 +115,15 @@ def nearest_to_outside(view: View, effect: Hidden, sites: Sequence[str], drivers
     """
     g = view.difference(poses(view.setup, (), view.motion), poses(view.setup, (effect,), view.motion))
     # linearised without the effect: beside a tool that turns, an offset of the tool would itself turn, and mimic it
-    left = _beyond(view.nuisance())
+    left = beyond(view.nuisance())
     rest = left(view.padded(g[:, None]))[:, 0]
-    best = _nearest_name(view, (), effect, g, left)
+    best = _nearest_name(view, (), effect, rest, left)
     for name, site, columns in _names_of_time_and_warmth(view):
-        apart = _apart(rest, columns, left(columns))
-        if apart < best.apart:
-            best = Rival(name, site, apart)
+        distance = apart(rest, columns, left(columns))
+        if distance < best.apart:
+            best = Rival(name, site, distance)
     few, kept = view.thinned(_COMPARED_ROWS)
-    left = _beyond(few.nuisance())
+    left = beyond(few.nuisance())
     # computed in all rows and then thinned: how far a spring has yielded depends on the whole way
     g = g.reshape(len(view.motion.q), -1)[kept].ravel() * (view.noise[0] / few.noise[0])
     rest = left(few.padded(g[:, None]))[:, 0]
@@ -145,9 +139,9 @@ def nearest_to_outside(view: View, effect: Hidden, sites: Sequence[str], drivers
         seen = left(columns)
         for place, k in enumerate(there):
             block = slice(width * place, width * (place + 1))
-            apart = _apart(rest, columns[:, block], seen[:, block])
-            if apart < best.apart:
-                best = Rival(f"function of {functions[k][0]}", site, apart)
+            distance = apart(rest, columns[:, block], seen[:, block])
+            if distance < best.apart:
+                best = Rival(f"function of {functions[k][0]}", site, distance)
     return best
 
 
@@ -168,14 +162,6 @@ def _names_of_time_and_warmth(view: View) -> Iterator[tuple[str, str, Array]]:
         yield "joint_thermal_offset", warm.site, view.padded(view.columns((warm,), 0))
         yield "joint_warm_up", warm.site, powers(warm.site, 0.0, 1, 2)
     yield "sensor_drift", "sensor", np.concatenate([powers("sensor", float(axis), 1) for axis in range(6)], 1)
-
-
-def _apart(rest: Array, columns: Array, seen: Array) -> float:
-    """Standard deviations of what columns leave of an effect; `seen` is what of them nothing that is open can do."""
-    lengths = np.linalg.norm(columns, axis=0)
-    ways, sizes, _ = np.linalg.svd(seen / np.where(lengths > 0, lengths, 1.0), full_matrices=False)
-    done = ways[:, sizes > LEAST_SEEN**2].T @ rest
-    return float(np.sqrt(max(0.0, rest @ rest - done @ done)))
 
 
 def _components(dof: int) -> Iterator[tuple[str, float]]:

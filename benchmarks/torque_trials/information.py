@@ -11,7 +11,7 @@ from functools import cached_property
 
 import numpy as np
 
-from benchmarks.campaigns.threshold import LEAST_SEEN, Array, across, least_power
+from benchmarks.campaigns.threshold import LEAST_SEEN, Array, across, apart, beyond, least_power
 from benchmarks.torque_trials.arms import Arm, held, link_pull, travelled
 from benchmarks.torque_trials.effects import NAMED, Hidden, Scene
 from benchmarks.torque_trials.motion import Motion
@@ -25,7 +25,6 @@ LADDER = (
     *("rotor_inertia", "joint_spring"),
 )
 """What the catalogue may add to a joint without another joint's help."""
-_LEAST_TIED = 1e-9
 _ROWS = 1000
 """Samples that are enough to know how much all of them can tell."""
 
@@ -243,30 +242,18 @@ def nearest_rival(view: View, hidden: Sequence[Hidden], place: int, span: Array)
     """Which other candidate explains most of one of the hidden effects, beside all that may vary."""
     effect = hidden[place]
     absent = [*hidden[:place], *hidden[place + 1 :]]
-    r = across(span, view.whitened(view.torques(hidden) - view.torques(absent))[:, None])[:, 0]
-    basis = _basis(span)
-    best = Rival("", "", float(np.linalg.norm(r)))
+    left = beyond(span)
+    rest = left(view.whitened(view.torques(hidden) - view.torques(absent))[:, None])[:, 0]
+    best = Rival("", "", float(np.linalg.norm(rest)))
     for rival in candidates(view.setup, view.motion, view.inertial == 0):
         first = rival[0]
         if (first.name, first.site) == (effect.name, effect.site):
             continue
         columns = np.concatenate([view.columns([*absent, each], len(absent), _linear(each)) for each in rival], 1)
-        left = columns - basis @ (basis.T @ columns)
-        lengths = np.linalg.norm(columns, axis=0)
-        directions, sizes, _ = np.linalg.svd(left / np.where(lengths > 0, lengths, 1.0), full_matrices=False)
-        done = directions[:, sizes > LEAST_SEEN**2].T @ r
-        apart = float(np.sqrt(max(0.0, r @ r - done @ done)))
-        if apart < best.apart:
-            best = Rival(first.name, first.site, apart)
+        distance = apart(rest, columns, left(columns))
+        if distance < best.apart:
+            best = Rival(first.name, first.site, distance)
     return best
-
-
-def _basis(span: Array) -> Array:
-    if not span.shape[1]:
-        return span
-    lengths = np.linalg.norm(span, axis=0)
-    u, s, _ = np.linalg.svd(span / np.where(lengths > 0, lengths, 1.0), full_matrices=False)
-    return u[:, s > _LEAST_TIED * s[0]]
 
 
 def estimated(effect: Hidden) -> tuple[str, ...]:
