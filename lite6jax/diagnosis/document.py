@@ -143,11 +143,12 @@ def _finding(found: Diagnosis, k: int, before: float, after: float) -> dict[str,
 
 def _peak_to_peak(found: Diagnosis, k: int, effect: Unnamed) -> dict[str, dict[str, float]]:
     several = len(effect.components) > 1
+    units = [effect.coordinates[effect.part(i).start].unit for i in range(len(effect.components))]
     return {
-        f"peak_to_peak_{f'{name}_' if several else ''}{effect.coordinates[effect.part(i).start].unit}": peak_to_peak(
+        f"peak_to_peak_{f'{name}_{unit}' if several else name if unit == '1' else unit}": peak_to_peak(
             found, k, i
         )._asdict()
-        for i, name in enumerate(effect.components)
+        for i, (name, unit) in enumerate(zip(effect.components, units, strict=True))
     }
 
 

@@ -6,6 +6,7 @@ from functools import lru_cache
 from typing import NamedTuple, final
 
 from lite6jax.deferred import Array, jnp
+from lite6jax.effects.deflection import library_of
 from lite6jax.effects.motion import Motion, since_reversal
 from lite6jax.effects.statics import Loads
 from lite6jax.errors import InputError
@@ -34,6 +35,11 @@ def _joint_temperatures(motion: Motion, _: Loads | None) -> Array | None:
 
 def _travel(motion: Motion, _: Loads | None) -> Array | None:
     return None if motion.joint_velocity is None else since_reversal(motion)
+
+
+def _distance(motion: Motion, _: Loads | None) -> Array | None:
+    seen = motion.measured_position
+    return None if seen is None else library_of(seen).sqrt((seen**2).sum(0))
 
 
 def _component(k: int) -> Callable[[Motion, Loads | None], Array | None]:
@@ -106,6 +112,9 @@ _SOURCES = {
         f"measured position {axis}": _Source(_component(k), "m", "", "the measured positions; record x_m, y_m, z_m")
         for k, axis in enumerate("xyz")
     },
+    "measured position's distance": _Source(
+        _distance, "m", "", "the measured positions, from the sensor's origin; record x_m, y_m, z_m"
+    ),
 }
 
 

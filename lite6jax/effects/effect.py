@@ -165,6 +165,9 @@ class Effect(ABC):
     special_cases: "ClassVar[Callable[[Any], tuple[Effect, ...]] | None]" = None
     """Of an effect, those that are this one with some of its numbers zero; None where there are none."""
 
+    plainer_functions: "ClassVar[Callable[[Any], tuple[Effect, ...]] | None]" = None
+    """Of a function without a name, those of fewer numbers that it contains."""
+
     @property
     @abstractmethod
     def site(self) -> str:
@@ -224,6 +227,12 @@ class Effect(ABC):
     def includes(self) -> "tuple[Effect, ...]":
         """The effects that are this one with some of its numbers zero."""
         return () if self.special_cases is None else self.special_cases(self)
+
+    @property
+    @final
+    def plainer(self) -> "tuple[Effect, ...]":
+        """Of a function without a name, those of fewer numbers that it contains; none of a named effect."""
+        return () if self.plainer_functions is None else self.plainer_functions(self)
 
     @final
     def released(self) -> "Effect":

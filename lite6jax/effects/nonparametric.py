@@ -3,8 +3,8 @@
 import re
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
-from itertools import combinations_with_replacement
-from typing import ClassVar, final
+from itertools import chain, combinations_with_replacement, product
+from typing import ClassVar, NamedTuple, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,8 +20,13 @@ from lite6jax.errors import InputError
 COMPONENTS = ("x", "y", "z", "rx", "ry", "rz")
 """Of a twist: a translation in m and a rotation vector in rad."""
 
-_TURN = 2 * np.pi
-"""rad that nothing turns by; a curve has larger coefficients where no sample determines it."""
+SCALE = "scale"
+"""The component of a sensor whose readings grow: what it shows moves away from its origin, in proportion."""
+
+_MEASURES = {**dict.fromkeys("xyz", ("m", "_m", np.inf)), SCALE: ("1", "", 1.0)}
+"""Unit of a component that is no rotation, how the names of its coefficients end, and what no curve reaches:
+coefficients are larger where no sample determines them.
+"""
 
 _SITE = re.compile(r"joint([1-9]\d*)|link([1-9]\d*)|base|tool|sensor")
 
@@ -75,6 +80,31 @@ def polynomial_basis(values: Array, ranges: NDArray, products: Products) -> Arra
     return xp.stack([xp.prod(u[np.array(which, int)], 0) for which in products])
 
 
+class Form(NamedTuple):
+    """A part of a function without a name: components, drivers by their indices, and degree."""
+
+    component: str
+    drivers: tuple[int, ...]
+    degree: int
+
+
+@cache
+def _contained_forms(component: str, drivers: int, degree: int, apart: bool) -> tuple[Form, ...]:
+    """The forms of one component or all, of one driver or all, of this or a lower degree, but for the whole.
+
+    Args:
+        component: of the whole.
+        drivers: how many it has.
+        degree: of the whole; 0 where it has none.
+        apart: whether its drivers may stand alone.
+    """
+    whole = Form(component, tuple(range(drivers)), degree)
+    of = dict.fromkeys((whole.drivers, *([(k,) for k in whole.drivers] if apart else [])))
+    components = dict.fromkeys((component, *component.split()))
+    forms = (Form(*form) for form in product(components, of, range(min(degree, 1), degree + 1)))
+    return tuple(form for form in forms if form != whole)
+
+
 @jit
 def plays(values: Array, widths: Array, run: Array) -> Array:
     """What follows a driver with play, `(width, sample)`: pushed along, and left behind by `width` at most.
@@ -113,7 +143,7 @@ class Unnamed(Bending):
         upper: of the first driver's range.
         pieces: the intervals of the spline; it has three more coefficients.
         component: of the twist, one or several of x y z rx ry rz, separated by blanks, each with coefficients of its
-            own; at a joint it is rz.
+            own; at a joint it is rz. That of the sensor may be `scale` instead, by which its readings grow.
         orders: of the waves, that are there instead of a spline.
         trust: by how much to believe waves, from 0 to 1, at equal steps of the driver from `lower` to `upper`: they
             mean nothing where nothing was measured.
@@ -146,13 +176,16 @@ class Unnamed(Bending):
     nonparametric: ClassVar[bool] = True
     shrinking: ClassVar[bool] = True
     specificity: ClassVar[int] = 17
+    plainer_functions = staticmethod(lambda effect: tuple(map(effect.of_form, effect.forms)))
 
     def __post_init__(self) -> None:
         if not _SITE.fullmatch(self.where):
             raise InputError(f"unnamed: no site is called {self.where!r}; choose jointN, linkN, base, tool or sensor")
-        joint = self.where.startswith("joint")
-        if not self.components or set(self.components) - set(COMPONENTS) or (joint and self.component != "rz"):
+        joint, grows = self.where.startswith("joint"), self.where == "sensor" and self.component == SCALE
+        strange = not self.components or set(self.components) - set(COMPONENTS)
+        if (strange and not grows) or (joint and self.component != "rz"):
             wanted = "rz" if joint else "one or several of " + " ".join(COMPONENTS)
+            wanted += f", or {SCALE}" if self.where == "sensor" else ""
             raise InputError(f"unnamed:{self.where}: component {self.component!r} is not possible there; give {wanted}")
         if not self.lower < self.upper or self.pieces < 1:
             raise InputError(
@@ -204,9 +237,9 @@ class Unnamed(Bending):
         names = names or [f"coefficient{i + 1}" for i in range(self.functions)]
         several = len(self.components) > 1
         return tuple(
-            Coordinate(f"{f'{component}_' if several else ''}{name}_{unit}", unit, 1e-4, spread, -limit, limit)
+            Coordinate(f"{f'{component}_' if several else ''}{name}{end}", unit, 1e-4, spread, -limit, limit)
             for component in self.components
-            for unit, limit in (("m", np.inf) if component in ("x", "y", "z") else ("rad", _TURN),)
+            for unit, end, limit in (_MEASURES.get(component, ("rad", "_rad", 2 * np.pi)),)
             for name, spread in zip(names, self._spreads, strict=True)
         )
 
@@ -236,6 +269,26 @@ class Unnamed(Bending):
     def functions_alone(self) -> "Unnamed":
         """The same for all that have these functions, wherever they act and whatever is known of their coefficients."""
         return replace(self, where="joint1", component="rz", spread=None, rolloff=())
+
+    @property
+    def forms(self) -> tuple[Form, ...]:
+        """Those of fewer numbers that it contains: of one component, of one driver, of a lower degree, or several."""
+        apart = self.degree > 0 and all(driver.quantity != "direction of motion" for driver in self.drivers)
+        return _contained_forms(self.component, len(self.drivers), self.degree, apart)
+
+    def of_form(self, form: Form) -> "Unnamed":
+        """The function of one of `forms`."""
+        ranges = ((self.lower, self.upper), *zip(self.further[::2], self.further[1::2], strict=True))
+        (lower, upper), *others = (ranges[k] for k in form.drivers)
+        return replace(
+            self,
+            driver=" and ".join(self.drivers[k].phrase for k in form.drivers),
+            lower=lower,
+            upper=upper,
+            component=form.component,
+            degree=form.degree,
+            further=tuple(chain.from_iterable(others)),
+        )
 
     def part(self, component: int) -> slice:
         """Where the coefficients of a component stand, counted from 0."""
@@ -311,6 +364,8 @@ class Unnamed(Bending):
         kind, number = self.where.rstrip("0123456789"), int("0" + "".join(filter(str.isdecimal, self.where)))
         if kind == "joint":
             return Deflection(joint=at_joint(motion.dof, number, shifts["rz"]))
+        if SCALE in shifts:
+            return Deflection(scale=library_of(shifts[SCALE]).broadcast_to(shifts[SCALE], (motion.samples,)))
         displaced = twist(motion.samples, **shifts)
         if kind == "link":
             return Deflection(link=at_joint(motion.dof, number, displaced))

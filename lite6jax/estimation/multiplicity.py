@@ -25,7 +25,8 @@ _UNIFORM = 2 * np.pi / np.sqrt(12)
 
 def searched_size(problem: Problem, options: EngineOptions) -> float:
     """The effective number of candidates in a search: the factor of every p-value but that of a wave."""
-    single = len(problem.candidates) + len(problem.shaped) + len(problem.flexible)
+    functions = len(problem.flexible) + problem.plainer
+    single = len(problem.candidates) + len(problem.shaped) + functions
     return single + len(problem.periodic) * options.searched_orders + len(problem.curves) * options.searched_curves
 
 

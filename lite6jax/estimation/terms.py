@@ -47,6 +47,7 @@ class Term(Protocol):
             noise.
         chosen: the number that a search chose instead of fitting it (an order), or None.
         includes: terms that are this one with some of its numbers zero; it takes their place.
+        plainer: of a function without a name, those of fewer numbers that it contains.
         drivers: the quantities that it is a function of.
     """
 
@@ -69,6 +70,8 @@ class Term(Protocol):
     def chosen(self) -> float | None: ...
     @property
     def includes(self) -> "Sequence[Term]": ...
+    @property
+    def plainer(self) -> "Sequence[Term]": ...
     @property
     def drivers(self) -> "Sequence[Any]": ...
 

@@ -407,6 +407,8 @@ def _shape(where: Entry) -> str:
     if where.get("memory"):
         return "a hysteresis loop"
     orders = where.get("orders", ())
+    if where.get("degree") == 1:
+        return "a linear function"
     if where.get("degree"):
         return f"a polynomial of degree {where['degree']:.0f}"
     if orders:

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import chain
 from typing import NamedTuple
 
 import numpy as np
@@ -120,6 +121,8 @@ def likely_functions(
 ) -> list[LikelyFunction]:
     """The few functions that are most likely beside a tested fit: of several sites one of each, or a few of one site.
 
+    What a function contains, such as one component of a twist, is tried too where the whole explains enough for that.
+
     Those of one driver and those of two are ranked apart. Functions of two drivers, of which there are many, imitate
     one of another driver to first order, and a refit tells them apart.
 
@@ -135,7 +138,12 @@ def likely_functions(
     found: dict[object, LikelyFunction] = {}
     searched, log_n = searched_size(problem, options), np.log(test.freedom)
     flexible = [*(term for term in problem.flexible if site in (None, term.site)), *local]
-    for term, one in zip(flexible, test.explained(flexible), strict=True):
+    explained = test.explained(flexible)
+    enough = max(least, 0.0) + 0.5 * log_n
+    wholes = [term for term, one in zip(flexible, explained, strict=True) if one.gain > enough]
+    tried = list(dict.fromkeys((*flexible, *chain.from_iterable(term.plainer for term in wholes))))
+    explained += test.explained(tried[len(flexible) :])
+    for term, one in zip(tried, explained, strict=True):
         # what the names and the nuisance explain already costs nothing
         gain = (
             one.gain - description_length(problem, [term], test.freedom, options) + 0.5 * (term.size - one.size) * log_n

@@ -1,5 +1,7 @@
 """Chains whose frames are displaced: the walk itself, its twists, and the Hayati chain's part."""
 
+import json
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -18,6 +20,7 @@ from lite6jax.effects.kinematic.surroundings import BaseDrift, MeasurementScale,
 from lite6jax.effects.kinematic.weights import GravityDirection, PayloadCom, PayloadError
 from lite6jax.effects.motion import motion_of
 from lite6jax.effects.nonparametric import Unnamed
+from lite6jax.effects.serialization import effect_as_dict, effect_from_dict
 from lite6jax.effects.statics import Inertia, Loads, inertia_of, loads
 from lite6jax.errors import InputError
 from lite6jax.model import arm_model, predict, predict_bent, predict_poses
@@ -203,6 +206,24 @@ def test_what_the_sensor_shows_of_a_motion_to_be_predicted_is_the_rigid_arms_pos
     np.testing.assert_allclose(found[:, 1:, 3], rigid[:, 1:, 3], rtol=0, atol=1e-14)
     shown = motion_of(**arrays, measured_position=np.full((len(rigid), 3), np.nan))
     np.testing.assert_array_equal(predict_poses(chain, Physics((lens,)), model, values, shown), found)
+
+
+def test_readings_that_grow_with_the_distance_are_those_of_a_lens():
+    """A radial distortion of third order: p ← (1 + c |p|²) p."""
+    rng = np.random.default_rng(11)
+    arrays, chain = random_motion(rng, 3), SixParameterForm(3)
+    model = arm_model(random_kinematics(rng, 3).ravel(), displacement([0.1, 0.2, 0, 0.3, 0.2, 0.1]), shift(0, 0, 0.1))
+    p = predict(chain, model, arrays["joint_position"])[:, :3, 3]
+    lens = Unnamed("sensor", "measured position's distance", 0.0, 3.0, component="scale", degree=2)
+    assert [number.name for number in lens.coordinates] == ["coefficient1", "coefficient2", "coefficient3"]
+    values = 2e-3 * np.array([1.0, 2.0, 1.0]) * 1.5**2  # of 1, u and u², with u = |p| / 1.5 - 1
+    found = predict_poses(chain, Physics((lens,)), model, values, motion_of(**arrays))
+    r2 = np.sum(p**2, 1, keepdims=True)
+    assert r2.max() < 9
+    np.testing.assert_allclose(found[:, :3, 3], p * (1 + 2e-3 * r2), rtol=0, atol=1e-13)
+    again, numbers = effect_from_dict(json.loads(json.dumps(effect_as_dict(lens, values))))
+    assert again == lens
+    np.testing.assert_array_equal(numbers, values)
 
 
 def test_a_motion_of_another_arm_is_refused():

@@ -382,7 +382,10 @@ def test_drivers_are_read_and_said():
     assert Driver("gravity moment x", 2).phrase == "gravity moment x of link 2"
     assert Driver("temperature", 2).phrase == "temperature of joint 2"
     assert not Driver("tool moment x").known(motion, loads._replace(payload_moment=None))
-    assert len(QUANTITIES) == 26
+    distance = Driver("measured position's distance").values(motion, loads)
+    np.testing.assert_allclose(distance, np.linalg.norm(motion.measured_position, axis=0), rtol=1e-15)
+    assert not Driver("measured position's distance").known(motion._replace(measured_position=None), loads)
+    assert len(QUANTITIES) == 27
 
 
 @pytest.mark.parametrize(
@@ -419,6 +422,15 @@ def test_drivers_are_read_and_said():
         (
             lambda: Unnamed("base", "time", 0.0, 1.0, component="w"),
             "unnamed:base: component 'w' is not possible there; give one or several of x y z rx ry rz",
+        ),
+        (
+            lambda: Unnamed("sensor", "time", 0.0, 1.0, component="scale x"),
+            "unnamed:sensor: component 'scale x' is not possible there; give one or several of x y z rx ry rz, or "
+            "scale",
+        ),
+        (
+            lambda: Unnamed("tool", "time", 0.0, 1.0, component="scale"),
+            "unnamed:tool: component 'scale' is not possible there; give one or several of x y z rx ry rz",
         ),
         (
             lambda: Unnamed("base", "time", 1.0, 1.0),
@@ -463,6 +475,41 @@ def test_a_curve_at_a_joint_is_an_angle_there():
     tilt = Unnamed("tool", "time", 0.0, 4.0, 1, "z").deflect(values[:4], motion, loads)
     assert np.abs(tilt.tool[2]).max() > 0
     np.testing.assert_array_equal(np.delete(tilt.tool, 2, axis=0), 0)
+
+
+@pytest.mark.parametrize(
+    "whole",
+    [
+        Unnamed("joint1", "position of joint 2", -1.0, 1.0, 5),
+        Unnamed("link2", "position of joint 1", -9.0, 9.0, component="rx ry", orders=(1.0, 2.0), trust=(1.0, 1.0)),
+        Unnamed("tool", "time", 0.0, 2.0, component="x y z", degree=3),
+        Unnamed("joint1", "position of joint 2 and position of joint 1", -1.0, 2.0, degree=3, further=(-2.0, 1.0)),
+        Unnamed("base", "base moment x and base moment y", -1.0, 2.0, component="rx ry", degree=2, further=(-2.0, 1.0)),
+        Unnamed("joint2", "position of joint 2 and direction of motion of joint 2", -1.0, 1.0, 4, further=(-1.0, 1.0)),
+        Unnamed(
+            "joint2", "position of joint 2 and direction of motion of joint 2", -1.0, 1.0, degree=2, further=(-1.0, 1.0)
+        ),
+    ],
+    ids=lambda whole: f"{whole.label} {whole.component} {whole.driver}",
+)
+def test_plainer_functions_are_special_cases_of_the_whole(whole):
+    """The deflections of each lie in the span of those of the whole, and each has fewer numbers."""
+    motion, loads = everything()
+
+    def deflections(effect):
+        parts = [effect.deflect(jnp.asarray(one), motion, loads) for one in np.eye(effect.size)]
+        return np.array([np.concatenate([np.ravel(field) for field in part if field is not None]) for part in parts])
+
+    plainer, span = list(whole.plainer), deflections(whole)
+    assert len(plainer) == len(set(plainer)) == len(whole.forms)
+    assert bool(plainer) == (whole.degree > 1 or len(whole.components) > 1)
+    for one in plainer:
+        assert (one.site, one.size < whole.size) == (whole.site, True)
+        assert set(one.drivers) <= set(whole.drivers)
+        columns = deflections(one)
+        assert np.abs(columns).max() > 0
+        numbers = np.linalg.lstsq(span.T, columns.T, rcond=None)[0]
+        np.testing.assert_allclose(numbers.T @ span, columns, rtol=0, atol=1e-9 * np.abs(columns).max())
 
 
 def test_splines_of_a_position_and_a_direction_are_those_of_the_position_times_the_direction():

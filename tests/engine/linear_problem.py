@@ -51,6 +51,7 @@ class Wave:
     nonparametric: bool = False
     shrunk: bool = False
     includes: tuple = ()
+    plainer: tuple = ()
 
     free = property(lambda self: self.order is None)
     chosen = property(lambda self: None if self.order in (None, 1.0) else self.order)
@@ -87,6 +88,7 @@ class Decay:
     nonparametric: bool = False
     shrunk: bool = False
     includes: tuple = ()
+    plainer: tuple = ()
 
     free = property(lambda self: self.width is None)
     chosen = property(lambda self: self.width)
@@ -125,6 +127,7 @@ class Hat:
     nonparametric: bool = True
     chosen: float | None = None
     includes: tuple = ()
+    plainer: tuple = ()
 
     shrunk = property(lambda self: np.isfinite(self.spread))
     size = property(lambda self: 2 * len(self.orders) or self.pieces + 1)
@@ -141,24 +144,27 @@ class Hat:
 
 @dataclass(frozen=True)
 class Curve:
-    """A polynomial of degree 3 in one regressor."""
+    """A polynomial in one regressor, which contains those of lower degrees unless it says otherwise."""
 
     over: str
     site: str = "x"
+    degree: int = 3
+    contains: bool = True
     specificity: int = 9
     periodic: bool = False
     nonparametric: bool = True
     shrunk: bool = False
     chosen: float | None = None
     includes: tuple = ()
-    coordinates: tuple = (Number(),) * 3
 
-    size = property(lambda self: 3)
+    coordinates = property(lambda self: (Number(),) * self.degree)
+    size = property(lambda self: self.degree)
+    plainer = property(lambda self: [replace(self, degree=n) for n in range(1, self.degree) if self.contains])
     label = property(lambda self: f"curve:{self.over}")
     drivers = property(lambda self: (self.over,))
 
     def basis(self, data):
-        return np.stack([data[self.over] ** power for power in (1, 2, 3)])
+        return np.stack([data[self.over] ** power for power in range(1, self.degree + 1)])
 
 
 def is_free(term):
@@ -233,6 +239,8 @@ class LinearProblem:
         angle = self.data["angle"]
         curves = [Curve(f"u{k}") for k in range(1, 7)]
         return (*curves, Hat(float(angle.min()), float(angle.max()), 6))
+
+    plainer = property(lambda self: sum(len(term.plainer) for term in self.flexible))
 
     def limits(self, term):
         return [(number.lower, number.upper) for number in term.coordinates]

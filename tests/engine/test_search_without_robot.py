@@ -329,7 +329,8 @@ def test_every_option_is_documented_once():
 
 def test_the_size_of_a_search_counts_names_functions_orders_and_curves():
     problem = linear_problem(np.random.default_rng(15))
-    assert searched_size(problem, OPTIONS) == 7 + 7 + OPTIONS.searched_orders + OPTIONS.searched_curves
+    plainer = 6 * 2  # of six polynomials of degree 3 those of degrees 1 and 2
+    assert searched_size(problem, OPTIONS) == 7 + 7 + plainer + OPTIONS.searched_orders + OPTIONS.searched_curves
 
 
 # ---------------------------------------------------------------------------- names
@@ -345,6 +346,20 @@ def test_a_truth_that_no_candidate_has_is_not_called_by_the_nearest_name():
         functions += [term.label for term in found if term.nonparametric]
     assert functions == ["curve:u2"] * 6
     assert names == []
+
+
+def test_a_function_of_fewer_numbers_is_found_where_the_whole_explains_too_little_for_all_of_its_own():
+    """A square as large as two numbers are worth, and a polynomial of degree 10 that has eight more."""
+    wide = Curve("u2", degree=10)
+    found = {"with the plainer": [], "with the whole alone": []}
+    for seed in range(6):
+        problem = linear_problem(np.random.default_rng(seed), planted=lambda data: 0.3 * data["u2"] ** 2)
+        for way, curve in zip(found, (wide, replace(wide, contains=False)), strict=True):
+            other = replace(problem, candidates=())
+            object.__setattr__(other, "flexible", (curve,))
+            found[way] += search(other, OPTIONS).state.fit.terms.terms
+    assert found["with the whole alone"] == []
+    assert found["with the plainer"] == [Curve("u2", degree=2)] * 6
 
 
 def test_a_name_stands_where_it_is_true():

@@ -235,6 +235,11 @@ def test_curves_of_many_waves_are_named_in_short(wavy, drawn):
             Unnamed("joint2", "gravity torque of joint 2", -1.0, 1.0, memory=(0.0, 0.3)),
             "joint2, a hysteresis loop over its gravity torque",
         ),
+        (Unnamed("base", "time", 0.0, 1.0, component="x", degree=1), "base (x), a linear function over time"),
+        (
+            Unnamed("sensor", "measured position's distance", 0.0, 1.0, component="scale", degree=2),
+            "sensor (scale), a polynomial of degree 2 over measured position's distance",
+        ),
         (waves(1), "joint1, harmonics of 5 orders from 3 to 33 over its position"),
     ],
 )

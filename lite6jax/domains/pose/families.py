@@ -14,7 +14,7 @@ from lite6jax.domains.pose.kinematics import Site
 from lite6jax.effects.drivers import Driver
 from lite6jax.effects.kinematic.joints import JointHarmonic
 from lite6jax.effects.motion import Motion
-from lite6jax.effects.nonparametric import COMPONENTS, Unnamed, plays
+from lite6jax.effects.nonparametric import COMPONENTS, SCALE, Unnamed, plays
 from lite6jax.effects.statics import Loads
 from lite6jax.estimation.problem import CurveDriver, CurveFamily, Mask, PeriodicFamily
 from lite6jax.estimation.terms import Term
@@ -91,9 +91,7 @@ def flexible(motion: Motion, loads: Loads | None, rows: int, sites: dict[Site, A
 
     def add(site: str, drivers: Sequence[Driver], degree: int = 0, component: str = "rz", pieces: int = 0) -> None:
         spans = [ranges(driver) for driver in drivers]
-        kind, number = site.rstrip("0123456789"), int("0" + "".join(filter(str.isdecimal, site))) - 1
-        keys = [(kind, max(number, 0), 0 if kind == "joint" else COMPONENTS.index(c)) for c in component.split()]
-        if any(span is None for span in spans) or not any(sites[key].any() for key in keys):
+        if any(span is None for span in spans) or not any(sites[site_of(site, c)].any() for c in component.split()):
             return
         phrase = " and ".join(driver.phrase for driver in drivers)
         if not degree and not pieces:
@@ -121,12 +119,22 @@ def flexible(motion: Motion, loads: Loads | None, rows: int, sites: dict[Site, A
             for degree in (2, 3):
                 add(f"joint{j}", [Driver(quantity, j), Driver("direction of motion", j)], degree)
         add(f"joint{j}", [Driver("position", j), Driver("direction of motion", j)], pieces=8)
+        # a spring that is softer in one place, and what a gear does as it warms
+        own, load, warmth = Driver("position", j), Driver("gravity torque", j), Driver("temperature", j)
+        for pair in ((own, load), (own, warmth), (own, Driver("time")), (load, warmth)):
+            add(f"joint{j}", pair, 2)
         if dof > 1:
             add(f"link{j}", [Driver("position", j)], 0, "rx ry")
             add(f"link{j}", [Driver("position", j)], 0, "rx ry", pieces=5)
-            add(f"link{j}", [Driver(f"gravity moment {axis}", j) for axis in "xy"], 2, "rx ry")
+            bending = [Driver(f"gravity moment {axis}", j) for axis in "xy"]
+            add(f"link{j}", bending, 2, "rx ry")
+            add(f"link{j}", bending, 1, "x y z")
             for driver in everywhere:
                 add(f"link{j}", [driver], 3, "rx ry")
+                add(f"link{j}", [driver], 2, "x y z")
+            # cables that other joints pull
+            for driver in (driver for k, driver in enumerate(positions, 1) if k != j):
+                add(f"link{j}", [driver], 2, "rx ry")
     base, tool = " ".join(COMPONENTS), " ".join(COMPONENTS[: 3 if rows == 3 else 6])
     moments = [Driver(f"base moment {axis}") for axis in "xy"]
     at_flange = [Driver("gravity moment x", dof), Driver("gravity moment y", dof), Driver("gravity torque", dof)]
@@ -155,11 +163,17 @@ def flexible(motion: Motion, loads: Loads | None, rows: int, sites: dict[Site, A
         add("sensor", axes, degree, "x y z")
     for axis, degree in product(axes, (1, 3)):
         add("sensor", [axis], degree, axis.quantity[-1])
+    # lenses distort in proportion to powers of the distance
+    add("sensor", [Driver("measured position's distance")], 3, SCALE)
+    for driver in everywhere:
+        add("sensor", [driver], 2, SCALE)
     return tuple(found)
 
 
 def site_of(where: str, component: str) -> Site:
     """The key of the site at which a component of a function without a name acts; at a joint there is but one."""
+    if component == SCALE:
+        return SCALE, 0, 0
     kind, number = where.rstrip("0123456789"), int("0" + "".join(filter(str.isdecimal, where)))
     return kind, max(number - 1, 0), 0 if kind == "joint" else COMPONENTS.index(component)
 

@@ -248,6 +248,11 @@ class PoseProblem:
         """Functions without a name, of every site and driver."""
         return families.flexible(self.deflections.host_motion, self.deflections.host_loads, self.rows, self.sites)
 
+    @lazy
+    def plainer(self) -> int:
+        """How many functions of one component, of one driver or of a lower degree those without a name contain."""
+        return sum(len(function.forms) for function in self.flexible)
+
     def residual(self, nuisance: Array, terms: Terms, values: Array) -> Array:
         """Residuals `(row, sample)` over the declared noise, predicted minus measured."""
         if not terms.terms and not nuisance.any() and not self.clock_offset and not self._moved(nuisance):

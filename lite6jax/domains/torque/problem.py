@@ -186,6 +186,11 @@ class TorqueProblem:
         """Functions without a name, of every joint and driver."""
         return families.flexible(self.dynamics, families.sizes(self.data))
 
+    @property
+    def plainer(self) -> int:
+        """None: these functions have one component, and few numbers."""
+        return 0
+
     def residual(self, nuisance: Array, terms: Terms, values: Array) -> Array:
         """Residuals `(joint, sample)` over `sigma`, predicted minus measured."""
         return (self.torque(nuisance, terms, values) - self.measured) / self.sigma
