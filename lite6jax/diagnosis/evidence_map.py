@@ -1,6 +1,5 @@
 """What figures show of a diagnosis, as tables: explained shares of variance, spectra of orders, remaining residuals."""
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -10,25 +9,30 @@ from scipy.special import chdtri
 from lite6jax.diagnosis.result import Diagnosis
 from lite6jax.domains.pose.kinematics import Site
 from lite6jax.domains.pose.problem import PoseProblem
-from lite6jax.effects.drivers import Driver
 from lite6jax.effects.effect import Estimate
 from lite6jax.effects.kinematic.joints import JointHarmonic
-from lite6jax.effects.nonparametric import Unnamed, spline_basis
+from lite6jax.effects.nonparametric import SCALE, Unnamed
 from lite6jax.estimation.least_squares import Fit
 from lite6jax.estimation.multiplicity import log_orders
 from lite6jax.estimation.noise import autocorrelation
 from lite6jax.estimation.problem import PeriodicFamily
-from lite6jax.estimation.score_test import Score, ScoreTest, score_test
+from lite6jax.estimation.score_test import Explained, ScoreTest, score_test
 from lite6jax.search.spectrum import spectrum
 
 Array = NDArray[np.floating]
 
-OF_JOINTS = ("position", "direction of motion", "velocity", "gravity torque")
-OF_ALL = ("temperature rise", "time", "payload")
-"""Quantities of drivers: of each joint, and of the whole arm."""
-
-_PIECES = 8
-"""Intervals of the splines over each driver."""
+_KINDS = {
+    **dict.fromkeys(
+        ("gravity torque", *(f"{of} moment {axis}" for of in ("gravity", "base") for axis in "xy")), "load"
+    ),
+    "temperature rise": "temperature",
+    **{f"measured position{end}": "measured position" for end in (" x", " y", " z", "'s distance")},
+}
+"""Quantities of drivers that share a column of the map."""
+_COLUMNS = (
+    *("constant", "position", "other positions", "direction of motion", "velocity", "load"),
+    *("temperature", "time", "payload", "measured position", "two drivers"),
+)
 _AT_ONCE = 32
 """Orders whose gains are computed in one call, which bounds the memory."""
 _LAGS = 40
@@ -38,17 +42,19 @@ _RANGE = 5.0
 
 
 class ExplainedShares(NamedTuple):
-    """The share of the variance of the nuisance fit's residuals that a curve over each driver explains at each site.
+    """The share of the variance of the nuisance fit's residuals that functions of each driver explain at each site.
 
     Attributes:
-        sites: `joint1` …, and `base`.
-        quantities: of the drivers; those that are known at no site are left out, but for the position.
-        shares: `(site, quantity)`, from 0 to 1, adjusted for the degrees of freedom of the curve; NaN where the driver
+        sites: `joint1` …, `link1` …, `base`, `tool` and `sensor`; where no function acts there, only the joints.
+        drivers: kinds of them, such as the position of the joint itself and those of other joints; `load` is gravity's
+            torque or moment, and `two drivers` are products such as those of two positions, which contain
+            functions of each.
+        shares: `(site, driver)`, from 0 to 1, adjusted for the degrees of freedom of the function; NaN where the driver
             is not known, does not vary, or is confounded with the nuisance.
     """
 
     sites: tuple[str, ...]
-    quantities: tuple[str, ...]
+    drivers: tuple[str, ...]
     shares: Array
 
 
@@ -115,36 +121,52 @@ def stages(found: Diagnosis) -> list[tuple[PoseProblem, Fit]]:
 
 
 def explained_shares(found: Diagnosis) -> ExplainedShares:
-    """The share of the variance left by the nuisance that a curve over each driver explains at each site."""
+    """The share of the variance left by the nuisance that functions of each driver explain at each site.
+
+    The functions are those by which the search tests names, and contain a constant, which is shown alone too. Of
+    several functions of one site and column it is the largest share.
+    """
     problem, baseline = stages(found)[0]
     test = score_test(problem, baseline, found.options.engine)
-    total, dof = _left(test), problem.motion.dof
-
-    def columns(keys: Sequence[Site], driver: Driver) -> list[Array]:
-        curves = _curves(problem, driver)
-        return [] if curves is None else [problem.sites[key] * curves[:, None] for key in keys]
-
-    def share(groups: Sequence[Array]) -> float:
-        score = test.score_columns([np.concatenate(groups)])[0] if groups else None
-        return np.nan if score is None or score.confounded else _adjusted(score, total, test.freedom)
-
-    quantities = (*OF_JOINTS, *OF_ALL)
-    shares = np.full((dof + 1, len(quantities)), np.nan)
-    for column, quantity in enumerate(quantities):
-        alone = quantity in OF_ALL
-        for j in range(dof):
-            shares[j, column] = share(columns([("joint", j, 0)], Driver(quantity, 0 if alone else j + 1)))
-        if alone:
-            shares[dof, column] = share(columns([("base", 0, k) for k in range(6)], Driver(quantity)))
-        elif quantity == "gravity torque":
-            about = [columns([("base", 0, 3 + k)], Driver(f"base moment {axis}")) for k, axis in enumerate("xy")]
-            shares[dof, column] = share([group for groups in about for group in groups])
-    known = np.any(np.isfinite(shares), axis=0, keepdims=True)[0]
-    known[0] = True
-    sites = (*(f"joint{j + 1}" for j in range(dof)), "base")
+    total = _left(test)
+    numbered = [f"{kind}{k + 1}" for kind in ("joint", "link") for k in range(problem.motion.dof)]
+    sites = [*numbered, "base", "tool", "sensor"]
+    shares = np.full((len(sites), len(_COLUMNS)), np.nan)
+    constants = [[at for at in problem.sites if _name(at) == site] for site in sites]
+    tested = [(site, "constant") for site in sites]
+    explained = [
+        Explained(score.gain, score.size)
+        for score in test.score_columns([np.stack([problem.sites[at] for at in own]) for own in constants])
+    ]
+    tested += [(function.site, _column(function)) for function in problem.flexible]
+    explained += test.explained(problem.flexible)
+    for (site, column), one in zip(tested, explained, strict=True):
+        at = sites.index(site), _COLUMNS.index(column)
+        if not one.confounded:
+            shares[at] = np.fmax(shares[at], _adjusted(one, total, test.freedom))
+    known = np.isfinite(shares)
+    rows, columns = known.any(1) | [site.startswith("joint") for site in sites], known.any(0)
     return ExplainedShares(
-        sites, tuple(q for q, there in zip(quantities, known, strict=True) if there), shares[:, known]
+        tuple(site for site, there in zip(sites, rows, strict=True) if there),
+        tuple(column for column, there in zip(_COLUMNS, columns, strict=True) if there),
+        shares[np.ix_(rows, columns)],
     )
+
+
+def _name(site: Site) -> str:
+    """The name of the place of a column of the problem: readings grow in the sensor."""
+    kind, number, _ = site
+    return f"{kind}{number + 1}" if kind in ("joint", "link") else "sensor" if kind == SCALE else kind
+
+
+def _column(function: Unnamed) -> str:
+    """The column of a function: what its drivers are; of joint positions, whether it is that of its own joint."""
+    kinds = {_KINDS.get(driver.generalised, driver.generalised) for driver in function.drivers}
+    kind, *others = kinds
+    if others or (kind == "position" and len(function.drivers) > 1):
+        return "two drivers"
+    own = function.site.lstrip("jointlk") == str(function.drivers[0].place)
+    return kind if kind != "position" or own else "other positions"
 
 
 def joint_spectra(found: Diagnosis) -> list[JointSpectra]:
@@ -216,18 +238,6 @@ def peak_to_peak(found: Diagnosis, k: int, component: int = 0) -> Estimate:
     return Estimate(float(apart @ finding.values[own]), float(np.sqrt(max(variance, 0.0))))
 
 
-def _curves(problem: PoseProblem, driver: Driver) -> Array | None:
-    """`(number, sample)`, a spline's basis over a driver; None where that is not recorded or constant."""
-    motion, loads = problem.time_shifted, problem.loads
-    if (driver.loaded and loads is None) or not driver.known(motion, loads):
-        return None
-    values = np.asarray(driver.values(motion, loads))
-    if np.ptp(values) < 1e-6:
-        return None
-    pieces = 1 if driver.quantity == "direction of motion" else _PIECES
-    return np.asarray(spline_basis(values, float(values.min()), float(values.max()), pieces))  # type: ignore[arg-type]  # on the host
-
-
 def _spectrum(test: ScoreTest, family: PeriodicFamily, exact_below: float) -> Spectrum:
     """The nuisance is projected out of orders up to `exact_below`, with which it is confounded."""
     orders, gains = spectrum(test, family)
@@ -244,7 +254,7 @@ def _left(test: ScoreTest) -> float:
     return max(float(rest @ rest), np.finfo(float).tiny)
 
 
-def _adjusted(score: Score, total: float, freedom: float) -> float:
+def _adjusted(score: Explained, total: float, freedom: float) -> float:
     """The share explained, adjusted for degrees of freedom (adjusted R²)."""
     left = 1 - min(2 * score.gain / total, 1.0)
     return float(max(1 - left * freedom / max(freedom - score.size, 1.0), 0.0))

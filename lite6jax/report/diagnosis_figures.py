@@ -1,5 +1,6 @@
 """Figures of a diagnosis: errors before and after, explained shares, spectra of orders, remaining residuals."""
 
+import re
 from collections.abc import Iterator, Sequence
 
 import numpy as np
@@ -23,10 +24,11 @@ NAMES = ("error_by_joint", "where", "orders", "findings", "remaining")
 """The figures that `drawings` may give."""
 
 _STAGES = (("before", BEFORE), ("after", AFTER))
-_QUANTITIES = {
+_DRIVERS = {
     "direction of motion": "direction\nof motion",
-    "gravity torque": "gravity\nload",
-    "temperature rise": "temperature\nrise",
+    "other positions": "other\npositions",
+    "measured position": "measured\nposition",
+    "two drivers": "two\ndrivers",
 }
 _THIN = 0.2
 """Of the samples that an even distribution would have, below which a bin's median is left out."""
@@ -79,16 +81,16 @@ def error_by_joint(found: Diagnosis, title: str) -> Figure:
 
 
 def explained_map(found: Diagnosis, title: str) -> Figure:
-    """The share of the variance left by the nuisance that a curve over each driver explains at each site.
+    """The share of the variance left by the nuisance that functions of each driver explain at each site.
 
     Colours end at the largest share: on an arm whose error has many causes, no curve alone explains much of it.
     """
     table = evidence_map.explained_shares(found)
-    rows, columns = len(table.sites), len(table.quantities)
+    rows, columns = len(table.sites), len(table.drivers)
     known = table.shares[np.isfinite(table.shares)]
     most = max(100 * float(known.max(initial=0.0)), _LEAST_SCALE)
     with rc_context(FRAMED):
-        figure = blank(3.5 + 1.35 * columns, 2.2 + 0.62 * rows)
+        figure = blank(3.5 + 1.35 * columns, 2.2 + 0.45 * rows)
         panel = figure.subplots()
         percent = np.ma.masked_invalid(100 * table.shares)
         colours = panel.imshow(percent, cmap="cividis", vmin=0, vmax=most, aspect="auto", interpolation="nearest")
@@ -98,9 +100,9 @@ def explained_map(found: Diagnosis, title: str) -> Figure:
             if np.isfinite(share):
                 text, colour = _percent(100 * float(share)), "black" if 100 * share > 0.55 * most else "white"
             panel.text(j, i, text, ha="center", va="center", color=colour, fontsize=14)
-        panel.set_xticks(range(columns), [_QUANTITIES.get(name, name) for name in table.quantities])
-        panel.set_yticks(range(rows), [name.replace("joint", "joint ") for name in table.sites])
-        panel.set(xlabel="driver of the curve", ylabel="site")
+        panel.set_xticks(range(columns), [_DRIVERS.get(name, name) for name in table.drivers])
+        panel.set_yticks(range(rows), [re.sub(r"(\D)(\d)", r"\1 \2", name) for name in table.sites])
+        panel.set(xlabel="driver of the function", ylabel="site")
         panel.tick_params(length=0)
         figure.colorbar(colours, label=f"explained variance (%), scaled to {_percent(most)} %")
         figure.suptitle(f"{title}: explained variance by site and driver", fontsize=15)

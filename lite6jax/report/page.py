@@ -19,9 +19,10 @@ Document = Mapping[str, Any]
 
 _CAPTIONS = {
     "error_by_joint": "Held-out position error against each joint: dots are samples, lines are medians.",
-    "where": "Share of the residual's variance that a curve over each driver explains at each site, less what as many "
-    "numbers explain of noise; a dash where the driver is not recorded or constant, or the curve is confounded with "
-    "the nuisance.",
+    "where": "Share of the residual's variance that functions of each driver explain at each site, less what as many "
+    "numbers explain of noise: of several functions the largest share. Each contains a constant, which is shown alone "
+    "in the first column. A dash where no such function is tried, the driver is not recorded or does not vary, or the "
+    "function is confounded with the nuisance.",
     "orders": "Share of the residual's variance that a harmonic of each order explains at each joint, before and after "
     "(of the residual at that stage); the dotted line is the family-wise limit of white noise.",
     "remaining": "Left, the residuals in units of the sensor's noise beside normal noise; right, their autocorrelation "

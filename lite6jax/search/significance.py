@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import chain
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +12,7 @@ from lite6jax.estimation.least_squares import Fit
 from lite6jax.estimation.multiplicity import multiplicity
 from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.problem import Problem, acts_on, wave_of
-from lite6jax.estimation.score_test import gain_p_value, longest_time
+from lite6jax.estimation.score_test import gain_p_value, longest_time, score_test
 from lite6jax.estimation.terms import Term
 from lite6jax.search.against_noise import in_own_noise, is_noise
 from lite6jax.search.state import SelectedTerm, State, reduced, retested
@@ -59,7 +60,7 @@ def _misfit(problem: Problem, state: State, k: int, tests: Sequence[SelectedTerm
     the function nor the noise need be what they are taken for.
     """
     term, gain = tests[k].term, tests[k].score.gain
-    functions = [one.term.nonparametric and _at_its_place(problem, state, term, one.term) for one in tests]
+    functions = [one.term.nonparametric and _at_its_place(problem, state, k, tests, one, options) for one in tests]
     gains = [one.score.gain for one, there in zip(tests, functions, strict=True) if there]
     if not gains or _fine(problem, term):
         return False
@@ -68,20 +69,38 @@ def _misfit(problem: Problem, state: State, k: int, tests: Sequence[SelectedTerm
         return any(gain < share * other for other in gains)
     if gain == max(gains):
         return False
-    # functions of one site describe one another's misfit: each adds to what they explain together
+    # functions of one place describe one another's misfit: each adds to what they explain together
     rest = state
     for there in reversed(np.flatnonzero(functions).tolist()):
         rest = reduced(problem, rest, there, options)
     return gain < options.misfit * state.fit.gain_over(rest.fit)
 
 
-def _at_its_place(problem: Problem, state: State, term: Term, function: Term) -> bool:
-    """Whether a function acts at the site of a term, or on some of the groups of rows and the term on no others."""
-    if term.site == function.site or term.nonparametric:
-        return term.site == function.site
+def _at_its_place(
+    problem: Problem, state: State, k: int, tests: Sequence[SelectedTerm], of: SelectedTerm, options: EngineOptions
+) -> bool:
+    """Whether a function acts at the site of the k-th term, or on some of the groups of rows and the term on no others.
+
+    If the term is a function too, that explains less, also whether it is not distinguished from one at that site.
+    """
+    term, function = tests[k].term, of.term
+    if term.site == function.site:
+        return True
+    if term.nonparametric:
+        return tests[k].score.gain < of.score.gain and _also_at(problem, state, k, function.site, options)
     model = state.fit.terms, state.fit.values
     acts, there = (set(problem.groups[acts_on(problem, one, model)].tolist()) for one in (term, function))
     return acts <= there < set(problem.groups.tolist())
+
+
+def _also_at(problem: Problem, state: State, k: int, site: str, options: EngineOptions) -> bool:
+    """Whether a function of the drivers of the k-th term explains at another site what that term does."""
+    term = state.tested[k].term
+    wholes = [one for one in problem.flexible if one.site == site and set(one.drivers) == set(term.drivers)]
+    functions = list(dict.fromkeys(chain.from_iterable((one, *one.plainer) for one in wholes)))
+    test = score_test(problem, reduced(problem, state, k, options).fit, options, within=state.fit)
+    gains = [one.gain - 0.5 * one.size for one in test.explained([term, *functions])]
+    return max(gains[1:], default=-np.inf) > gains[0] - options.close
 
 
 def _fine(problem: Problem, term: Term) -> bool:

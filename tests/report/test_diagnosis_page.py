@@ -2,6 +2,7 @@
 
 import base64
 import re
+from dataclasses import replace
 from io import BytesIO
 from pathlib import Path
 
@@ -161,14 +162,20 @@ def test_a_panel_for_each_joint(found, drawn):
 def test_where_it_is(recorded):
     only = diagnosed(*recorded(COMPLIANCE))
     sites, drivers, shares = explained_shares(only)
-    assert sites == (*(f"joint{i}" for i in range(1, 7)), "base")
-    at, driver = np.unravel_index(np.nanargmax(shares), shares.shape)
-    assert (sites[at], drivers[driver]) == ("joint2", "gravity torque")
-    assert 0.9 < shares[at, driver] <= 1
+    assert sites == (*(f"{kind}{i}" for kind in ("joint", "link") for i in range(1, 7)), "base", "tool", "sensor")
+    assert drivers == (
+        *("constant", "position", "other positions", "direction of motion", "load", "time", "measured position"),
+        "two drivers",
+    )
+    most, at, driver = np.nanmax(shares), sites.index("joint2"), drivers.index("load")
+    # link 1 moves the arm alike, and the products of two drivers contain the load
+    assert 0.9 < most - 0.001 < shares[at, driver] <= most <= 1
+    others = [sites.index(f"joint{i}") for i in (1, 3, 4, 5, 6)]
+    assert np.nanmax(shares[others]) < 0.9 * most
     figure = diagnosis_figures.explained_map(only, "run.csv")
     panel, bar = figure.axes
-    assert bar.get_ylabel() == f"explained variance (%), scaled to {100 * shares[at, driver]:.2g} %"
-    assert panel.images[0].get_clim() == (0, pytest.approx(100 * shares[at, driver]))
+    assert bar.get_ylabel() == f"explained variance (%), scaled to {100 * most:.2g} %"
+    assert panel.images[0].get_clim() == (0, pytest.approx(100 * most))
     assert panel.images[0].get_cmap().name == "cividis"
     assert [tick.get_text().replace(" ", "") for tick in panel.get_yticklabels()] == list(sites)
     assert f"{100 * shares[at, driver]:.0f}" in [text.get_text() for text in panel.texts]
@@ -216,7 +223,24 @@ def test_the_share_is_what_a_plain_fit_explains(recorded):
     e = baseline.residuals.rows.ravel()
     left = e - A @ np.linalg.lstsq(A, e, rcond=None)[0]
     share = 1 - np.sum(left**2) / np.sum(e**2) * e.size / (e.size - 11)
-    assert shares[sites.index("joint2"), drivers.index("gravity torque")] == pytest.approx(share, abs=0.01)
+    assert shares[sites.index("joint2"), drivers.index("load")] == pytest.approx(share, abs=0.01)
+
+
+def test_what_a_constant_explains_is_shown_beside_functions_that_contain_it(recorded):
+    """A joint whose zero is off: functions of any driver there explain as much, and nothing says by which."""
+    sites, drivers, shares = explained_shares(diagnosed(*recorded("joint_offset:joint=2,offset_rad=1e-3")))
+    joint2 = shares[sites.index("joint2")]
+    assert joint2[drivers.index("constant")] > 0.9
+    np.testing.assert_allclose(joint2[[drivers.index("position"), drivers.index("time")]], joint2[0], atol=0.02)
+
+
+def test_an_error_of_the_image_is_at_the_sensor(recorded):
+    recording, _ = recorded()
+    p = recording.position
+    seen = replace(recording, position=p * (1 + 4e-3 * np.sum(p**2, 1, keepdims=True)))
+    sites, drivers, shares = explained_shares(diagnosed(seen, ()))
+    at, driver = np.unravel_index(np.nanargmax(shares), shares.shape)
+    assert (sites[at], drivers[driver]) == ("sensor", "measured position")
 
 
 def test_the_order_found_is_marked(drawn):
