@@ -145,12 +145,10 @@ def explained_shares(found: Diagnosis) -> ExplainedShares:
         if not one.confounded:
             shares[at] = np.fmax(shares[at], _adjusted(one, total, test.freedom))
     known = np.isfinite(shares)
-    rows, columns = known.any(1) | [site.startswith("joint") for site in sites], known.any(0)
-    return ExplainedShares(
-        tuple(site for site, there in zip(sites, rows, strict=True) if there),
-        tuple(column for column, there in zip(_COLUMNS, columns, strict=True) if there),
-        shares[np.ix_(rows, columns)],
-    )
+    rows = [i for i, site in enumerate(sites) if site.startswith("joint") or known[i].any()]
+    columns = [j for j in range(len(_COLUMNS)) if known[:, j].any()]
+    at = np.ix_(rows, columns)
+    return ExplainedShares(tuple(sites[i] for i in rows), tuple(_COLUMNS[j] for j in columns), shares[at])
 
 
 def _name(site: Site) -> str:
@@ -161,11 +159,12 @@ def _name(site: Site) -> str:
 
 def _column(function: Unnamed) -> str:
     """The column of a function: what its drivers are; of joint positions, whether it is that of its own joint."""
+    first, *_ = function.drivers
     kinds = {_KINDS.get(driver.generalised, driver.generalised) for driver in function.drivers}
-    kind, *others = kinds
-    if others or (kind == "position" and len(function.drivers) > 1):
+    kind = kinds.pop()
+    if kinds or (kind == "position" and len(function.drivers) > 1):
         return "two drivers"
-    own = function.site.lstrip("jointlk") == str(function.drivers[0].place)
+    own = function.site.lstrip("jointlk") == str(first.place)
     return kind if kind != "position" or own else "other positions"
 
 

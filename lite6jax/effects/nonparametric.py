@@ -99,7 +99,7 @@ def _contained_forms(component: str, drivers: int, degree: int, apart: bool) -> 
         apart: whether its drivers may stand alone.
     """
     whole = Form(component, tuple(range(drivers)), degree)
-    of = dict.fromkeys((whole.drivers, *([(k,) for k in whole.drivers] if apart else [])))
+    of = [whole.drivers, *((k,) for k in whole.drivers if apart and drivers > 1)]
     components = dict.fromkeys((component, *component.split()))
     forms = (Form(*form) for form in product(components, of, range(min(degree, 1), degree + 1)))
     return tuple(form for form in forms if form != whole)

@@ -1,8 +1,7 @@
 """Functions without a name: the likely ones at every site, beside a model or where autocorrelated noise masks them."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
-from itertools import chain
 from typing import NamedTuple
 
 import numpy as np
@@ -11,7 +10,7 @@ from lite6jax.estimation.least_squares import Fit
 from lite6jax.estimation.multiplicity import description_length, searched_size
 from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.problem import Problem
-from lite6jax.estimation.score_test import ScoreTest, gain_p_value, remaining_noise_model, score_test
+from lite6jax.estimation.score_test import Explained, ScoreTest, gain_p_value, remaining_noise_model, score_test
 from lite6jax.estimation.terms import Term
 from lite6jax.search.against_noise import in_own_noise
 from lite6jax.search.backward import prune
@@ -121,7 +120,7 @@ def likely_functions(
 ) -> list[LikelyFunction]:
     """The few functions that are most likely beside a tested fit: of several sites one of each, or a few of one site.
 
-    What a function contains, such as one component of a twist, is tried too where the whole explains enough for that.
+    Of each, the parts that it contains, such as one component of a displacement, are tried too.
 
     Those of one driver and those of two are ranked apart. Functions of two drivers, of which there are many, imitate
     one of another driver to first order, and a refit tells them apart.
@@ -135,30 +134,45 @@ def likely_functions(
         least: gain that they must exceed; `close` where not given.
     """
     least = options.close if least is None else least
-    found: dict[object, LikelyFunction] = {}
-    searched, log_n = searched_size(problem, options), np.log(test.freedom)
-    flexible = [*(term for term in problem.flexible if site in (None, term.site)), *local]
-    explained = test.explained(flexible)
-    enough = max(least, 0.0) + 0.5 * log_n
-    wholes = [term for term, one in zip(flexible, explained, strict=True) if one.gain > enough]
-    tried = list(dict.fromkeys((*flexible, *chain.from_iterable(term.plainer for term in wholes))))
-    explained += test.explained(tried[len(flexible) :])
-    for term, one in zip(tried, explained, strict=True):
+    best: dict[object, LikelyFunction] = {}
+    log_n, several = np.log(test.freedom), 2 * options.functions
+
+    def compare(whole: Term, term: Term, one: Explained) -> None:
         # what the names and the nuisance explain already costs nothing
-        gain = (
-            one.gain - description_length(problem, [term], test.freedom, options) + 0.5 * (term.size - one.size) * log_n
-        )
-        key = (term.site, len(term.drivers) > 1) if site is None else term
-        if gain > max(least, found.get(key, LikelyFunction(term, least)).gain):
-            found[key] = LikelyFunction(term, gain)
-    ranked = sorted(found.values(), key=lambda one: -one.gain)
-    apart = [[one for one in ranked if (len(one.term.drivers) > 1) == several] for several in (False, True)]
-    return [one for likely in apart for one in _sure(likely, test, searched)]
+        length = description_length(problem, [term], test.freedom, options) - 0.5 * (term.size - one.size) * log_n
+        key = (term.site, len(term.drivers) > 1) if site is None else whole
+        if one.gain - length > max(least, best[key].gain if key in best else least):
+            best[key] = LikelyFunction(term, one.gain - length)
+
+    flexible = [*(term for term in problem.flexible if site in (None, term.site)), *local]
+    wholes = list(zip(flexible, test.explained(flexible), strict=True))
+    for whole, one in wholes:
+        compare(whole, whole, one)
+    tried, a_number = set(flexible), 0.5 * log_n + np.log(options.searched_shapes)
+    for whole, one in sorted(wholes, key=lambda pair: -pair[1].gain):
+        if one.gain - a_number <= max(_least_of_first(best.values(), several), least, 0.0):
+            break  # a part explains no more than the whole
+        parts = [part for part in whole.plainer if part not in tried]
+        tried.update(parts)
+        for part, explained in zip(parts, test.explained(parts), strict=True):
+            compare(whole, part, explained)
+    return [found for kind in _by_kind(best.values()) for found in _sure(kind[:several], test, options)]
 
 
-def _sure(likely: Sequence[LikelyFunction], test: ScoreTest, searched: float) -> list[LikelyFunction]:
+def _by_kind(functions: Iterable[LikelyFunction]) -> list[list[LikelyFunction]]:
+    """Functions of one driver and those of several, the likeliest first."""
+    ranked = sorted(functions, key=lambda one: -one.gain)
+    return [[one for one in ranked if (len(one.term.drivers) > 1) == several] for several in (False, True)]
+
+
+def _least_of_first(functions: Iterable[LikelyFunction], count: int) -> float:
+    """What a function must exceed to be among the first `count` of its kind; of the kind for which that is less."""
+    return min(kind[count - 1].gain if len(kind) >= count else -np.inf for kind in _by_kind(functions))
+
+
+def _sure(likely: Sequence[LikelyFunction], test: ScoreTest, options: EngineOptions) -> list[LikelyFunction]:
     """The first few that noise does not explain."""
-    options, likely = test.options, likely[: 2 * test.options.functions]
+    searched = searched_size(test.problem, options)
     scored = zip(likely, test.score([one.term for one in likely]), strict=True)
     sure = [one for one, s in scored if gain_p_value(s.gain, s.size, test.time) * searched < options.level]
     return sure[: options.functions]
