@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from lite6jax.diagnosis.result import Diagnosis
 from lite6jax.diagnosis.torque_result import TorqueDiagnosis
-from lite6jax.domains.pose.families import site_of
+from lite6jax.domains.pose.functions import site_of
 from lite6jax.domains.pose.problem import PoseProblem
 from lite6jax.domains.torque.families import driver_values, torque_at
 from lite6jax.domains.torque.problem import TorqueProblem

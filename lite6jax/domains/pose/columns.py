@@ -7,7 +7,7 @@ from typing import final
 import numpy as np
 from numpy.typing import NDArray
 
-from lite6jax.domains.pose import families
+from lite6jax.domains.pose import functions
 from lite6jax.domains.pose.deflections import Deflections
 from lite6jax.domains.pose.kinematics import Site
 from lite6jax.effects.composition import Physics
@@ -54,7 +54,7 @@ class EffectColumns:
                 unit = self.deflections.through_loads(effect, values[part], physics_of(others), at)
                 found[part] = columns_of(unit, self.sites)
             elif isinstance(effect, Unnamed):
-                families.unnamed_columns(effect, self.deflections.basis(effect), self.sites, found[part])
+                functions.unnamed_columns(effect, self.deflections.basis(effect), self.sites, found[part])
             elif effect.linear or not values[part].any():
                 if effect not in self._linear:
                     self._linear[effect] = columns_of(self.deflections.unit(effect), self.sites)
@@ -82,7 +82,7 @@ class EffectColumns:
                 found = np.zeros((effect.size, len(self.masses), 1, 1))
             elif isinstance(effect, Unnamed):
                 slopes = self.deflections.basis_by_masses(self.masses, effect)
-                found = np.stack([families.unnamed_columns(effect, slope, self.sites) for slope in slopes], 1)
+                found = np.stack([functions.unnamed_columns(effect, slope, self.sites) for slope in slopes], 1)
             else:
                 found = np.stack([self._through_masses(effect, one) for one in np.eye(effect.size)])
             self._by_mass[effect] = found

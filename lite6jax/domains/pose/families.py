@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from functools import partial
-from itertools import combinations, product
 
 import jax.numpy as jnp
 import numpy as np
@@ -14,8 +13,7 @@ from lite6jax.domains.pose.kinematics import Site
 from lite6jax.effects.drivers import Driver
 from lite6jax.effects.kinematic.joints import JointHarmonic
 from lite6jax.effects.motion import Motion
-from lite6jax.effects.nonparametric import COMPONENTS, SCALE, Unnamed, plays
-from lite6jax.effects.statics import Loads
+from lite6jax.effects.nonparametric import Unnamed, plays
 from lite6jax.estimation.problem import CurveDriver, CurveFamily, Mask, PeriodicFamily
 from lite6jax.estimation.terms import Term
 
@@ -23,15 +21,6 @@ Array = NDArray[np.floating]
 
 _PIECES = {"position": (8, 24), "gravity torque": (1, 3, 8, 24), "velocity": (8, 24)}
 """Intervals of the splines over each driver: deflections by torques are often a cubic or two."""
-_EVERYWHERE = ("temperature rise", "time", "payload")
-"""Quantities of the whole arm."""
-_OWN = ("gravity torque", "velocity", "direction of motion", "temperature")
-"""Quantities of a joint beside its position."""
-_WOBBLE = (1.0, 2.0)
-"""Orders of what turns with a joint but is no angle of it: tilts of its axis, of the base or of the tool."""
-_TURNS = (-4 * np.pi, 4 * np.pi)
-"""rad: no joint turns farther."""
-_LEAST_VARIED = 1e-6
 _NEIGHBOURS = 8
 """Least number of training rows within about `fade` of a position for it to count as measured."""
 
@@ -68,141 +57,6 @@ def curves(deflections: Deflections, sites: dict[Site, Array]) -> tuple[CurveFam
             drivers.append(CurveDriver(values, pieces, quantity == "position", spline, play, hysteresis))
         found.append(CurveFamily(site, sites["joint", j, 0], tuple(drivers)))
     return tuple(found)
-
-
-def flexible(motion: Motion, loads: Loads | None, rows: int, sites: dict[Site, Array]) -> tuple[Unnamed, ...]:
-    """Functions of every driver at every site, as far as drivers are known and vary, and the sensor sees the site.
-
-    At revolute joints they are of the position of any joint or two, of the joint's own loads and motion, and of time
-    and temperature; at links, base and tool the tilts, or all components, by positions, moments, time and temperature.
-
-    Args:
-        motion: time-shifted.
-        loads: on the rigid arm, or None.
-        rows: 3, or 6 where orientations are measured.
-        sites: columns of each site.
-    """
-    dof, ranges = motion.dof, _Ranges(motion, loads)
-    slides = motion.sliding.mask(dof)
-    positions = [Driver("slide position" if slides[k] else "position", k + 1) for k in range(dof)]
-    turning = [driver for driver, slide in zip(positions, slides, strict=True) if not slide]
-    everywhere = [Driver(q) for q in _EVERYWHERE]
-    found: list[Unnamed] = []
-
-    def add(site: str, drivers: Sequence[Driver], degree: int = 0, component: str = "rz", pieces: int = 0) -> None:
-        spans = [ranges(driver) for driver in drivers]
-        if any(span is None for span in spans) or not any(sites[site_of(site, c)].any() for c in component.split()):
-            return
-        phrase = " and ".join(driver.phrase for driver in drivers)
-        if not degree and not pieces:
-            found.append(Unnamed(site, phrase, *_TURNS, 8, component, orders=_WOBBLE, trust=(1.0, 1.0)))
-            return
-        (lower, upper), *further = [span for span in spans if span is not None]
-        bounds = tuple(bound for span in further for bound in span)
-        found.append(Unnamed(site, phrase, lower, upper, pieces or 8, component, degree=degree, further=bounds))
-
-    for j in range(1, dof + 1):
-        if slides[j - 1]:
-            continue
-        for driver in positions:
-            add(f"joint{j}", [driver], pieces=5)
-            add(f"joint{j}", [driver], 2)
-        for driver in (*(Driver(q, j) for q in _OWN), *everywhere):
-            add(f"joint{j}", [driver], 3)
-        # drag, and springs that harden or yield, change too quickly for a cubic
-        for quantity in ("gravity torque", "velocity"):
-            add(f"joint{j}", [Driver(quantity, j)], pieces=8)
-        for pair in combinations(positions, 2):
-            add(f"joint{j}", pair, 3)
-        # friction that sticks in one place, and play that a load takes up
-        for quantity in ("position", "gravity torque"):
-            for degree in (2, 3):
-                add(f"joint{j}", [Driver(quantity, j), Driver("direction of motion", j)], degree)
-        add(f"joint{j}", [Driver("position", j), Driver("direction of motion", j)], pieces=8)
-        # a spring that is softer in one place, and what a gear does as it warms
-        own, load, warmth = Driver("position", j), Driver("gravity torque", j), Driver("temperature", j)
-        for pair in ((own, load), (own, warmth), (own, Driver("time")), (load, warmth)):
-            add(f"joint{j}", pair, 2)
-        if dof > 1:
-            add(f"link{j}", [Driver("position", j)], 0, "rx ry")
-            add(f"link{j}", [Driver("position", j)], 0, "rx ry", pieces=5)
-            bending = [Driver(f"gravity moment {axis}", j) for axis in "xy"]
-            add(f"link{j}", bending, 2, "rx ry")
-            add(f"link{j}", bending, 1, "x y z")
-            for driver in everywhere:
-                add(f"link{j}", [driver], 3, "rx ry")
-                add(f"link{j}", [driver], 2, "x y z")
-            # cables that other joints pull
-            for driver in (driver for k, driver in enumerate(positions, 1) if k != j):
-                add(f"link{j}", [driver], 2, "rx ry")
-    base, tool = " ".join(COMPONENTS), " ".join(COMPONENTS[: 3 if rows == 3 else 6])
-    moments = [Driver(f"base moment {axis}") for axis in "xy"]
-    at_flange = [Driver("gravity moment x", dof), Driver("gravity moment y", dof), Driver("gravity torque", dof)]
-    # a mount mostly tilts
-    for site, component, lean, angles, loaded in (
-        ("base", base, "rx ry", turning[:3], moments),
-        ("tool", tool, tool, turning, at_flange),
-    ):
-        for driver in angles:
-            add(site, [driver], 0, component)
-        for driver in turning:
-            add(site, [driver], 2, lean)
-        for degree in (1, 2):
-            add(site, loaded, degree, component)
-        for driver in everywhere:
-            add(site, [driver], 3, component)
-    for turns, degree in product(("rx ry", "rz"), (1, 2)):
-        add("base", moments, degree, turns)
-    for driver in everywhere:
-        add("sensor", [driver], 3, base)
-        # a stand that bends, or a tripod that sinks, turns what it holds more than it shifts it
-        for site in ("base", "sensor"):
-            add(site, [driver], 3, "rx ry rz")
-    axes = [Driver(f"measured position {axis}") for axis in "xyz"]
-    for degree in (1, 2, 3):
-        add("sensor", axes, degree, "x y z")
-    for axis, degree in product(axes, (1, 3)):
-        add("sensor", [axis], degree, axis.quantity[-1])
-    # lenses distort in proportion to powers of the distance
-    add("sensor", [Driver("measured position's distance")], 3, SCALE)
-    for driver in everywhere:
-        add("sensor", [driver], 2, SCALE)
-    return tuple(found)
-
-
-def site_of(where: str, component: str) -> Site:
-    """The key of the site at which a component of a function without a name acts; at a joint there is but one."""
-    if component == SCALE:
-        return SCALE, 0, 0
-    kind, number = where.rstrip("0123456789"), int("0" + "".join(filter(str.isdecimal, where)))
-    return kind, max(number - 1, 0), 0 if kind == "joint" else COMPONENTS.index(component)
-
-
-def unnamed_columns(effect: Unnamed, basis: Array, sites: dict[Site, Array], out: Array | None = None) -> Array:
-    """How residuals change with the coefficients of an effect without a name, `(number, row, sample)`; into `out`."""
-    if out is None:
-        out = np.empty((effect.size, *sites["scale", 0, 0].shape))
-    for k, component in enumerate(effect.components):
-        np.multiply(sites[site_of(effect.where, component)], basis[:, None], out=out[effect.part(k)])
-    return out
-
-
-class _Ranges:
-    """Lower and upper of drivers in a motion; None where one is not known or does not vary."""
-
-    def __init__(self, motion: Motion, loads: Loads | None) -> None:
-        self._motion, self._loads = motion, loads
-        self._found: dict[Driver, tuple[float, float] | None] = {}
-
-    def __call__(self, driver: Driver) -> tuple[float, float] | None:
-        if driver not in self._found:
-            loads = self._loads if driver.loaded else None
-            self._found[driver] = None
-            if driver.known(self._motion, loads) and not (driver.loaded and loads is None):
-                values = np.asarray(driver.values(self._motion, loads))
-                if np.ptp(values) > _LEAST_VARIED:
-                    self._found[driver] = float(values.min()), float(values.max())
-        return self._found[driver]
 
 
 def waves(

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.factory import FactoryCalibration
-from lite6jax.domains.pose import families
+from lite6jax.domains.pose import families, functions
 from lite6jax.domains.pose.columns import EffectColumns, physics_of
 from lite6jax.domains.pose.deflections import Deflections, MassErrors, mass_errors
 from lite6jax.domains.pose.kinematics import (
@@ -215,7 +215,7 @@ class PoseProblem:
         """Of a function without a name at a joint, which has one component; None of other terms."""
         if not isinstance(term, Unnamed) or not term.where.startswith("joint"):
             return None
-        return Factored(self.sites[families.site_of(term.where, "rz")], self.deflections.basis(term))
+        return Factored(self.sites[functions.site_of(term.where, "rz")], self.deflections.basis(term))
 
     def nuisance_columns(self, terms: Terms, values: Array) -> Array:
         """How residuals change with `unknown`, `(unknown, row, sample)`: masses matter beside compliances alone."""
@@ -246,7 +246,7 @@ class PoseProblem:
     @lazy
     def flexible(self) -> tuple[Unnamed, ...]:
         """Functions without a name, of every site and driver."""
-        return families.flexible(self.deflections.host_motion, self.deflections.host_loads, self.rows, self.sites)
+        return functions.flexible(self.deflections.host_motion, self.deflections.host_loads, self.rows, self.sites)
 
     @lazy
     def plainer(self) -> int:
