@@ -168,6 +168,9 @@ class Effect(ABC):
     plainer_functions: "ClassVar[Callable[[Any], tuple[Effect, ...]] | None]" = None
     """Of a function without a name, those of fewer numbers that it contains."""
 
+    finer_functions: "ClassVar[Callable[[Any], tuple[Effect, ...]] | None]" = None
+    """Of a function without a name, those of the same drivers that have more numbers."""
+
     @property
     @abstractmethod
     def site(self) -> str:
@@ -233,6 +236,12 @@ class Effect(ABC):
     def plainer(self) -> "tuple[Effect, ...]":
         """Of a function without a name, those of fewer numbers that it contains; none of a named effect."""
         return () if self.plainer_functions is None else self.plainer_functions(self)
+
+    @property
+    @final
+    def finer(self) -> "tuple[Effect, ...]":
+        """Of a function without a name, those of the same drivers that have more numbers; none of a named effect."""
+        return () if self.finer_functions is None else self.finer_functions(self)
 
     @final
     def released(self) -> "Effect":

@@ -28,6 +28,10 @@ _MEASURES = {**dict.fromkeys("xyz", ("m", "_m", np.inf)), SCALE: ("1", "", 1.0)}
 coefficients are larger where no sample determines them.
 """
 
+_PIECES = (8, 16)
+"""Intervals of the splines that are tried where a plainer function of their driver was found."""
+_HIGHEST_DEGREE = 4
+
 _SITE = re.compile(r"joint([1-9]\d*)|link([1-9]\d*)|base|tool|sensor")
 
 
@@ -177,6 +181,7 @@ class Unnamed(Bending):
     shrinking: ClassVar[bool] = True
     specificity: ClassVar[int] = 17
     plainer_functions = staticmethod(lambda effect: tuple(map(effect.of_form, effect.forms)))
+    finer_functions = staticmethod(lambda effect: effect.of_more_numbers)
 
     def __post_init__(self) -> None:
         if not _SITE.fullmatch(self.where):
@@ -289,6 +294,15 @@ class Unnamed(Bending):
             degree=form.degree,
             further=tuple(chain.from_iterable(others)),
         )
+
+    @property
+    def of_more_numbers(self) -> "tuple[Unnamed, ...]":
+        """Splines of more pieces over one driver; of several, products of one more of them."""
+        if self.orders or self.memory:
+            return ()
+        if len(self.drivers) > 1:
+            return (replace(self, degree=self.degree + 1),) if 0 < self.degree < _HIGHEST_DEGREE else ()
+        return tuple(replace(self, degree=0, pieces=n) for n in _PIECES if n + 3 > self.functions)
 
     def part(self, component: int) -> slice:
         """Where the coefficients of a component stand, counted from 0."""

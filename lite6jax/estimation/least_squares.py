@@ -11,7 +11,7 @@ from lite6jax.estimation.factored import Factored, gram, pulled
 from lite6jax.estimation.noise import NoiseModel, white_noise
 from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.problem import LinearisedProblem, Mask
-from lite6jax.estimation.projection import scaled_inverse, scaled_solve
+from lite6jax.estimation.projection import ROUNDING, scaled_inverse, scaled_solve
 from lite6jax.estimation.robust import FREEDOM, gaussian_t_scale, t_scale, variance_factor
 from lite6jax.estimation.terms import Terms
 
@@ -198,6 +198,7 @@ def _fitted(
     training = np.ones(problem.samples, bool) if training is None else training
     noise = white_noise(problem.groups) if noise is None else noise
     precision = np.concatenate([problem.precision, terms.precision])
+    rounding = options.exact_rounding if exact else ROUNDING
 
     def residual(where: P, numbers: Array) -> Array:
         return where.residual(numbers[:k], terms, numbers[k:])
@@ -224,7 +225,7 @@ def _fitted(
         H = gram(parts)
         gradient = pulled(parts, root * state.innovations) + precision * prior(problem, at)
         H[np.diag_indices_from(H)] += precision
-        change = -scaled_solve(H, gradient)
+        change = -scaled_solve(H, gradient, rounding)
         length = float(np.sqrt(max(-change @ gradient, 0.0)))
         before = _cost(state.innovations, state, training) + _square(precision, prior(problem, at))
         trial, there, rows = at, problem, state.rows
@@ -246,7 +247,7 @@ def _fitted(
         if before - cost < options.settled**2:
             break  # where derivatives are inexact, steps may stay long and change nothing
     factor = variance_factor(state.squares[training], problem.rows, FREEDOM, 0)
-    inverse = scaled_inverse(H) if len(H) else H
+    inverse = scaled_inverse(H, rounding) if len(H) else H
     covariance = inverse[k:, k:] * factor if len(H) else np.zeros((0, 0))
     effective = float(len(H) - np.sum(precision * np.diagonal(inverse))) if len(H) else 0.0
     penalty = _square(precision, prior(problem, at))

@@ -92,6 +92,11 @@ class EngineOptions:
     exact_settled: float = option(0.02, "length of its last step, in standard deviations", "each step is expensive")
     halvings: int = option(6, "most halvings of a step that does not improve", "a step of 1/64 is no progress")
     difference: float = option(1e-6, "m or rad by which a difference is taken", "between rounding and curvature")
+    exact_rounding: float = option(
+        1e-9,
+        "relative eigenvalue below which a direction is rounding where derivatives are taken by differences",
+        "these are known to about 1e-6: a thousand times the square",
+    )
     most_exact: int = option(100, "numbers of terms up to which derivatives are taken by differences", "saves minutes")
     relinearisations: int = option(4, "fits between which the problem is linearised anew", "error falls 1000-fold")
     # forward selection

@@ -7,8 +7,10 @@ from scipy.linalg.lapack import get_lapack_funcs
 
 Array = NDArray[np.floating]
 
-_MANY, _REGULAR = 20, 1e-11
-"""Numbers from which a Cholesky factor is tried before eigenvalues, and the least square on its diagonal.
+ROUNDING = 1e-13
+"""Relative eigenvalue of a matrix of unit diagonal below which a direction is rounding."""
+_MANY, _CLEARLY = 20, 100.0
+"""Numbers from which a Cholesky factor is tried before eigenvalues, and the least square on its diagonal over rounding.
 
 Either way rounding leaves an error of 1e-16 over the least eigenvalue, relative to the solution.
 """
@@ -53,14 +55,14 @@ def outside(columns: Array, basis: Array) -> Array:
     return columns - (columns @ basis.T) @ basis
 
 
-def scaled_solve(H: Array, b: Array, rounding: float = 1e-13) -> Array:
+def scaled_solve(H: Array, b: Array, rounding: float = ROUNDING) -> Array:
     """x of H x = b for a positive semidefinite H scaled to unit diagonal, of least norm where that is singular.
 
     Numbers without information, whose rows of H are zero, are zero.
     """
     root = _scales(H)
     C = H / np.outer(root, root)
-    factor = _cholesky(C)
+    factor = _cholesky(C, _CLEARLY * rounding)
     if factor is not None:
         return cho_solve((factor, True), b / root) / root
     eigenvalues, V = np.linalg.eigh(C)
@@ -68,14 +70,14 @@ def scaled_solve(H: Array, b: Array, rounding: float = 1e-13) -> Array:
     return V[:, kept] @ ((V[:, kept].T @ (b / root)) / eigenvalues[kept]) / root
 
 
-def scaled_inverse(H: Array, rounding: float = 1e-13) -> Array:
+def scaled_inverse(H: Array, rounding: float = ROUNDING) -> Array:
     """The pseudo-inverse of a positive semidefinite H, taken after scaling it to unit diagonal.
 
     It is zero for numbers without information, whose rows of H are zero.
     """
     root = _scales(H)
     C, scale = H / np.outer(root, root), np.outer(root, root)
-    factor = _cholesky(C)
+    factor = _cholesky(C, _CLEARLY * rounding)
     if factor is not None:
         return cho_solve((factor, True), np.eye(len(C))) / scale
     return np.linalg.pinv(C, rcond=rounding, hermitian=True) / scale
@@ -89,12 +91,12 @@ def schur_complement(G: Array, known: NDArray[np.integer], rounding: float = 1e-
     return (C - C[:, known] @ inverse @ C[known]) * np.outer(size, size)
 
 
-def _cholesky(C: Array) -> Array | None:
+def _cholesky(C: Array, regular: float) -> Array | None:
     """The lower factor of a matrix of unit diagonal that is clearly regular; None of others, and of small ones."""
     if len(C) <= _MANY:
         return None
     factor, singular = _potrf(C, lower=True, clean=False)
-    return factor if not singular and np.diagonal(factor).min() ** 2 > _REGULAR else None
+    return factor if not singular and np.diagonal(factor).min() ** 2 > regular else None
 
 
 def _scales(H: Array) -> Array:

@@ -48,6 +48,7 @@ class Term(Protocol):
         chosen: the number that a search chose instead of fitting it (an order), or None.
         includes: terms that are this one with some of its numbers zero; it takes their place.
         plainer: of a function without a name, those of fewer numbers that it contains.
+        finer: of a function without a name, those of the same drivers that have more numbers.
         drivers: the quantities that it is a function of.
     """
 
@@ -72,6 +73,8 @@ class Term(Protocol):
     def includes(self) -> "Sequence[Term]": ...
     @property
     def plainer(self) -> "Sequence[Term]": ...
+    @property
+    def finer(self) -> "Sequence[Term]": ...
     @property
     def drivers(self) -> "Sequence[Any]": ...
 

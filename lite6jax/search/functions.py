@@ -94,13 +94,30 @@ def with_functions(problem: Problem, rest: State, within: Fit, options: EngineOp
 def with_each(
     problem: Problem, state: State, functions: Sequence[LikelyFunction], options: EngineOptions
 ) -> list[State]:
-    """The state with each of these functions, without the terms that it makes unnecessary."""
+    """The state with each of these functions, as fine as is likely, without the terms that it makes unnecessary."""
     further = [
-        with_curve(problem, state, function.term, options)
+        _finest(problem, state, with_curve(problem, state, function.term, options), options)
         for function in functions
         if _has_samples(state, function.term, options)
     ]
     return [prune(problem, one, options) for one in further if one.tested[-1].p_value < options.level]
+
+
+def _finest(problem: Problem, state: State, further: State, options: EngineOptions) -> State:
+    """A state and one more function, or in its place the most likely finer one of its drivers.
+
+    What a function does not describe of its own driver, functions of other drivers elsewhere would seem to explain.
+    """
+    term = further.tested[-1].term
+    functions = [term, *(one for one in term.finer if _has_samples(state, one, options))]
+    test = score_test(problem, state.fit, options, within=further.fit)
+    scored = zip(functions, test.explained(functions), strict=True)
+    gains = [one.gain - description_length(problem, [t], test.freedom, options) for t, one in scored]
+    best = int(np.argmax(gains))
+    if gains[best] <= gains[0] + options.close:
+        return further
+    finer = with_curve(problem, state, functions[best], options)
+    return finer if preferred(problem, finer, further, options.close, options) else further
 
 
 def _has_samples(state: State, function: Term, options: EngineOptions) -> bool:

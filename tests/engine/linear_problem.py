@@ -52,6 +52,7 @@ class Wave:
     shrunk: bool = False
     includes: tuple = ()
     plainer: tuple = ()
+    finer: tuple = ()
 
     free = property(lambda self: self.order is None)
     chosen = property(lambda self: None if self.order in (None, 1.0) else self.order)
@@ -89,6 +90,7 @@ class Decay:
     shrunk: bool = False
     includes: tuple = ()
     plainer: tuple = ()
+    finer: tuple = ()
 
     free = property(lambda self: self.width is None)
     chosen = property(lambda self: self.width)
@@ -128,6 +130,7 @@ class Hat:
     chosen: float | None = None
     includes: tuple = ()
     plainer: tuple = ()
+    finer: tuple = ()
 
     shrunk = property(lambda self: np.isfinite(self.spread))
     size = property(lambda self: 2 * len(self.orders) or self.pieces + 1)
@@ -159,6 +162,7 @@ class Curve:
 
     coordinates = property(lambda self: (Number(),) * self.degree)
     size = property(lambda self: self.degree)
+    finer = ()
     plainer = property(lambda self: [replace(self, degree=n) for n in range(1, self.degree) if self.contains])
     label = property(lambda self: f"curve:{self.over}")
     drivers = property(lambda self: (self.over,))

@@ -25,6 +25,7 @@ _WOBBLE = (1.0, 2.0)
 _TURNS = (-4 * np.pi, 4 * np.pi)
 """rad: no joint turns farther."""
 _LEAST_VARIED = 1e-6
+_TIME = Driver("time")
 
 
 def flexible(motion: Motion, loads: Loads | None, rows: int, sites: dict[Site, Array]) -> tuple[Unnamed, ...]:
@@ -125,7 +126,7 @@ def _at_joint(tried: _Tried, j: int, positions: Sequence[Driver]) -> None:
         tried.polynomial(site, rz, degree, driver, direction)
     tried.spline(site, rz, 8, own, direction)
     # a spring that is softer in one place, and what a gear does as it warms
-    for pair in ((own, load), (own, warmth), (own, Driver("time")), (load, warmth)):
+    for pair in ((own, load), (own, warmth), (own, _TIME), (load, warmth)):
         tried.polynomial(site, rz, 2, *pair)
 
 
@@ -140,8 +141,11 @@ def _at_link(tried: _Tried, j: int, positions: Sequence[Driver]) -> None:
     for driver in _EVERYWHERE:
         tried.polynomial(site, _TILT, 3, driver)
         tried.polynomial(site, _SHIFT, 2, driver)
+    # a flange gapes to one side
+    for axis, moment in zip("xy", bending, strict=True):
+        tried.spline(site, f"r{axis}", 8, moment)
     for driver in (driver for driver in positions if driver.place != j):
-        tried.polynomial(site, _TILT, 2, driver)
+        tried.polynomial(site, _TILT, 3, driver)
 
 
 def _at_base(tried: _Tried, turning: Sequence[Driver]) -> None:
@@ -153,9 +157,12 @@ def _at_base(tried: _Tried, turning: Sequence[Driver]) -> None:
         tried.polynomial("base", _TILT, 2, driver)
     for components, degree in product((_TWIST, _TILT, "rz"), (1, 2)):
         tried.polynomial("base", components, degree, *moments)
+    for axis, moment in zip("xy", moments, strict=True):
+        tried.spline("base", f"r{axis}", 8, moment)
     for driver in _EVERYWHERE:
         tried.polynomial("base", _TWIST, 3, driver)
         tried.polynomial("base", _TURN, 3, driver)
+    _along_time(tried, "base", _TWIST)
 
 
 def _at_tool(tried: _Tried, turning: Sequence[Driver], dof: int, components: str) -> None:
@@ -169,6 +176,7 @@ def _at_tool(tried: _Tried, turning: Sequence[Driver], dof: int, components: str
         tried.polynomial("tool", components, degree, *moments)
     for driver in _EVERYWHERE:
         tried.polynomial("tool", components, 3, driver)
+    _along_time(tried, "tool", components)
 
 
 def _at_sensor(tried: _Tried) -> None:
@@ -177,6 +185,7 @@ def _at_sensor(tried: _Tried) -> None:
         tried.polynomial("sensor", _TWIST, 3, driver)
         # a stand that bends, or a tripod that sinks, turns what it holds more than it shifts it
         tried.polynomial("sensor", _TURN, 3, driver)
+    _along_time(tried, "sensor", _TWIST)
     axes = [Driver(f"measured position {axis}") for axis in "xyz"]
     for degree in (1, 2, 3):
         tried.polynomial("sensor", _SHIFT, degree, *axes)
@@ -186,6 +195,12 @@ def _at_sensor(tried: _Tried) -> None:
     tried.polynomial("sensor", SCALE, 3, Driver("measured position's distance"))
     for driver in _EVERYWHERE:
         tried.polynomial("sensor", SCALE, 2, driver)
+
+
+def _along_time(tried: _Tried, site: str, components: str) -> None:
+    """Each component alone: what sways, creeps or lets go changes too quickly for a cubic."""
+    for component in components.split():
+        tried.spline(site, component, 8, _TIME)
 
 
 def site_of(where: str, component: str) -> Site:
