@@ -512,6 +512,31 @@ def test_plainer_functions_are_special_cases_of_the_whole(whole):
         np.testing.assert_allclose(numbers.T @ span, columns, rtol=0, atol=1e-9 * np.abs(columns).max())
 
 
+@pytest.mark.parametrize(
+    ("coarse", "sizes"),
+    [
+        (Unnamed("base", "time", -1.0, 4.0, component="rx", degree=2), [11, 19]),
+        (Unnamed("tool", "time", -1.0, 4.0, component="x y z", degree=3), [33, 57]),
+        (Unnamed("joint1", "position of joint 2", -2.0, 2.0, 8), [19]),
+        (Unnamed("joint1", "position of joint 2", -2.0, 2.0, 16), []),
+        (Unnamed("joint1", "position of joint 1", -9.0, 9.0, orders=(1.0,), trust=(1.0, 1.0)), []),
+        (Unnamed("joint1", "gravity torque of joint 1", -9.0, 9.0, memory=(0.0, 1.0)), []),
+        (Unnamed("joint1", "time and position of joint 2", -1.0, 4.0, degree=2, further=(-2.0, 2.0)), [10]),
+        (Unnamed("joint1", "time and position of joint 2", -1.0, 4.0, degree=4, further=(-2.0, 2.0)), []),
+    ],
+)
+def test_finer_functions_have_more_numbers_and_contain_the_coarse_one(coarse, sizes):
+    assert [one.size for one in coarse.finer] == sizes
+    motion, loads = everything()
+    driver = np.asarray(coarse.values_at(motion, loads))
+    for one in coarse.finer:
+        assert (one.site, one.component, one.drivers) == (coarse.site, coarse.component, coarse.drivers)
+        basis = one.basis(driver)
+        for function in coarse.basis(driver):
+            left = function - basis.T @ np.linalg.lstsq(basis.T, function, rcond=None)[0]
+            assert np.abs(left).max() < 1e-9
+
+
 def test_splines_of_a_position_and_a_direction_are_those_of_the_position_times_the_direction():
     motion, loads = everything()
     driver = "position of joint 2 and direction of motion of joint 2"

@@ -153,6 +153,7 @@ class Curve:
     site: str = "x"
     degree: int = 3
     contains: bool = True
+    finest: int = 0
     specificity: int = 9
     periodic: bool = False
     nonparametric: bool = True
@@ -162,7 +163,7 @@ class Curve:
 
     coordinates = property(lambda self: (Number(),) * self.degree)
     size = property(lambda self: self.degree)
-    finer = ()
+    finer = property(lambda self: (replace(self, degree=self.finest),) if self.degree < self.finest else ())
     plainer = property(lambda self: [replace(self, degree=n) for n in range(1, self.degree) if self.contains])
     label = property(lambda self: f"curve:{self.over}")
     drivers = property(lambda self: (self.over,))

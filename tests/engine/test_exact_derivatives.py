@@ -6,6 +6,7 @@ from diagnosis.recorded import Made, fitted_to, static_motion, truth
 from scipy.optimize import least_squares
 
 from lite6jax.domains.pose.problem import pose_problem
+from lite6jax.effects.nonparametric import Unnamed
 from lite6jax.estimation.robust import FREEDOM, variance_factor
 from lite6jax.estimation.terms import Terms
 
@@ -58,3 +59,17 @@ def test_near_the_start_all_derivatives_are_exact(tmp_path):
     exact = fitted_to(known, terms, fitted.values, fitted.nuisance, exact=True)
     np.testing.assert_allclose(exact.values, fitted.values, rtol=1e-3)
     np.testing.assert_allclose(exact.covariance, fitted.covariance, rtol=5e-3)
+
+
+def test_what_a_frame_takes_up_stays_where_it_was(tmp_path):
+    """The level of a base's turn is the sensor's frame: differences see along it no more than their own error."""
+    text = "base_compliance:compliance_x_rad_per_Nm=1e-5,compliance_y_rad_per_Nm=3e-5"
+    made = Made(tmp_path, (text,), seed=4, geometry="prior", frame=True, tool=True, orientation=False, inertial=0.1)
+    case = pose_problem(made.recording(static_motion(5, 150)))
+    moment = np.asarray(case.loads.base_moment[1])
+    turn = Unnamed("base", "base moment y", float(moment.min()), float(moment.max()), 8, "ry")
+    fitted = fitted_to(case, Terms((turn,)))
+    exact = fitted_to(case, Terms((turn,)), fitted.values, fitted.nuisance, exact=True)
+    assert np.abs(fitted.values).max() < 2e-3
+    assert np.abs(exact.values - fitted.values).max() < 1e-3
+    assert np.sqrt(np.diagonal(exact.covariance)).max() < 2e-3

@@ -362,6 +362,26 @@ def test_a_function_of_fewer_numbers_is_found_where_the_whole_explains_too_littl
     assert found["with the plainer"] == [Curve("u2", degree=2)] * 6
 
 
+@pytest.mark.parametrize("finest", [0, 9])
+def test_a_function_becomes_as_fine_as_its_regressor_shows(finest):
+    """What bends sharply over u2: a cubic of u2 is found where nothing finer is tried."""
+    found = []
+    for seed in range(4):
+        problem = linear_problem(np.random.default_rng(seed), planted=lambda data: 3.0 * np.tanh(4.0 * data["u2"]))
+        other = replace(problem, candidates=())
+        object.__setattr__(other, "flexible", (Curve("u2", finest=finest), Curve("u3", finest=finest)))
+        found.append([(term.over, term.degree) for term in search(other, OPTIONS).state.fit.terms.terms])
+    assert found == [[("u2", finest or 3)]] * 4
+
+
+def test_a_function_that_is_fine_enough_stays():
+    for seed in range(4):
+        problem = linear_problem(np.random.default_rng(seed), planted=lambda data: 0.8 * data["u2"] ** 3)
+        other = replace(problem, candidates=())
+        object.__setattr__(other, "flexible", (Curve("u2", finest=9),))
+        assert search(other, OPTIONS).state.fit.terms.terms == (Curve("u2", finest=9),)
+
+
 def test_a_name_stands_where_it_is_true():
     for seed in range(6):
         problem = linear_problem(np.random.default_rng(seed), planted=lambda data: 0.8 * data["u2"])
