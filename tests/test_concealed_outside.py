@@ -35,6 +35,11 @@ def torque(setup, motion, joint):
     return moments(setup.chain, motion.q, motion.payload, PAYLOAD_CENTER)[0][:, joint - 1]
 
 
+def beyond(load, preload):
+    """What is left of a load when a preload has taken its share, whichever way it acts."""
+    return load - load.clip(-preload, preload)
+
+
 # name: where, what is drawn, the axis of a twist, and the formula of its signal, written down a second time
 FORMULAS = {
     "joint_bump": ("joint3", {"centre": 1.0, "width": 0.3}, lambda s, m: np.exp(-((m.q[:, 2] - 1.0) ** 2) / 0.18)),
@@ -94,12 +99,32 @@ FORMULAS = {
         {"axis": 2.0, "span_s": 2.0, "turns": 1.5, "phase": 0.4},
         lambda s, m: np.sin(1.5 * np.pi * m.time + 0.4),
     ),
+    "soft_stop": ("joint3", {"stop": 1.0}, lambda s, m: (m.q[:, 2] - 1).clip(min=0)),
+    "pulled_encoder": (
+        "joint3",
+        {"by": 5.0, "phase": 0.4},
+        lambda s, m: m.q[:, 4] * (np.sin(m.q[:, 2]) * np.cos(0.4) + np.cos(m.q[:, 2]) * np.sin(0.4)),
+    ),
+    "flung_joint": ("joint3", {"by": 1.0}, lambda s, m: m.dq[:, 0] * m.dq[:, 0]),
+    "softening_link": (
+        "link3",
+        {"axis": 3.0, "moment_Nm": 2.0},
+        lambda s, m: rise(m) * torque(s, m, 3)[:, 0] / 2,
+    ),
+    "belt_pull": ("link3", {"axis": 4.0, "by": 5.0}, lambda s, m: np.sign(m.dq[:, 4])),
+    "preloaded_base": (
+        "base",
+        {"axis": 3.0, "base_moment_Nm": 2.0},
+        lambda s, m: beyond(moments(s.chain, m.q, m.payload, PAYLOAD_CENTER)[1][:, 0], 1.0) / 2,
+    ),
+    "loosening_clamp": ("tool", {"axis": 4.0, "by": 2.0, "span_s": 2.0}, lambda s, m: 0.5 * m.time * m.q[:, 1]),
 }
 IMAGES = {
     "lens_distortion": lambda p: p * np.sum(p**2, 1, keepdims=True),
     "skewed_axes": lambda p: p[:, [1]] * [1.0, 0.0, 0.0],
     "stretched_axis": lambda p: p[:, [0]] * [1.0, 0.0, 0.0],
     "keystone": lambda p: p[:, [1]] * p * [1.0, 1.0, 0.0],
+    "bent_beam": lambda p: np.linalg.norm(p, axis=1, keepdims=True) ** 2 * [0.0, 0.0, 1.0],
 }
 
 
@@ -124,7 +149,7 @@ def displaced(setup, motion, site, twist):
 
 def test_every_family_is_here():
     assert set(FORMULAS) | set(IMAGES) == set(FAMILIES)
-    assert len(FAMILIES) >= 15
+    assert len(FAMILIES) == 41
 
 
 @pytest.mark.parametrize("name", FORMULAS)

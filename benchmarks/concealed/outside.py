@@ -21,7 +21,8 @@ KNOWN = (
     *("joint_product", "squared_speed", "squared_warmth", "sticking_zone", "link_tilt_by_time", "link_tilt_by_warmth"),
     *("squared_bending", "base_tilt_by_joint", "base_yaw_by_moment", "tool_turn_by_joint", "tool_shift_by_warmth"),
     *("lens_distortion", "skewed_axes", "stretched_axis", "sensor_turn_by_time", "sensor_shift_by_warmth"),
-    "squared_drift",
+    *("squared_drift", "eccentric_coupling", "worn_gear", "dragging_gear", "hose_pull", "gaping_flange"),
+    *("rocking_base", "loose_clip", "creeping_glue", "swaying_sensor", "keystone"),
 )
 """The families that have been looked at. A new one is not among them until it was drawn once with --sealed."""
 _WARMER = 10.0
@@ -36,6 +37,8 @@ _CREEP = 4.0
 """Time constants of a creep that a recording lasts."""
 _ROCKING = 4.0
 """A moment of one part in so many of the load tips a base from one foot to another."""
+_PRELOAD = 0.5
+"""Of the load: the moment at which bolts that are tightened begin to give."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,12 +128,20 @@ def _torque(fixed: Fixed, s: Signals) -> Array:
     return _column(s.moment[..., 2], fixed) / fixed["torque_Nm"]
 
 
+def _beyond_preload(load: Array) -> Array:
+    return np.sign(load) * np.maximum(np.abs(load) - _PRELOAD, 0.0)
+
+
 def _own(quantity: str) -> Callable[[Fixed], Drivers]:
     return lambda fixed: ((f"{quantity} {int(fixed['joint'])}",),)
 
 
+def _by_another(quantity: str) -> Callable[[Fixed], Drivers]:
+    return lambda fixed: ((f"{quantity} {int(fixed['by'])}",),)
+
+
 def _by_joint(fixed: Fixed) -> Drivers:
-    return ((f"position of joint {int(fixed['by'])}",),)
+    return _by_another("position of joint")(fixed)
 
 
 def _both_joints(fixed: Fixed) -> Drivers:
@@ -147,6 +158,18 @@ def _torque_and_position(fixed: Fixed) -> Drivers:
 
 def _direction_and_torque(fixed: Fixed) -> Drivers:
     return (*_own("direction of motion of joint")(fixed), *_own("gravity torque of joint")(fixed))
+
+
+def _position_and_another(fixed: Fixed) -> Drivers:
+    return (*_own("position of joint")(fixed), *_by_joint(fixed))
+
+
+def _temperature_and_moment(fixed: Fixed) -> Drivers:
+    return (*_TEMPERATURE(fixed), *_own("gravity moment x of link")(fixed))
+
+
+def _time_and_joint(fixed: Fixed) -> Drivers:
+    return (*_TIME(fixed), *_by_joint(fixed))
 
 
 def _phrases(*phrases: str) -> Callable[[Fixed], Drivers]:
@@ -375,6 +398,81 @@ FAMILIES: dict[str, Family] = {
     ),
     # an image taken aslant: what is higher in it is smaller
     "keystone": Family("image", "shift_m", None, (), _phrases("measured position"), beside=("measurement_scale",)),
+    # a rubber buffer pushes back from where a joint touches it
+    "soft_stop": Family(
+        "joint",
+        "turn_rad",
+        lambda fixed, s: np.maximum(_column(s.q, fixed) - fixed["stop"], 0.0),
+        ("stop",),
+        _own(_POSITION),
+        beside=("joint_scale", "joint_offset"),
+    ),
+    # a cable that another joint tightens pulls the disc of an encoder out of its centre
+    "pulled_encoder": Family(
+        "joint",
+        "turn_rad",
+        lambda fixed, s: np.sin(_column(s.q, fixed) + fixed["phase"]) * _column(s.q, fixed, "by"),
+        ("by", "phase"),
+        _position_and_another,
+        beside=("joint_harmonic", "joint_coupling", "joint_offset"),
+        skipping=True,
+    ),
+    # what another joint swings round pulls outwards, and the gear gives way to it
+    "flung_joint": Family(
+        "joint",
+        "turn_rad",
+        lambda fixed, s: _column(s.dq, fixed, "by") ** 2,
+        ("by",),
+        _by_another("velocity of joint"),
+        beside=("joint_offset",),
+        moving=True,
+    ),
+    # a link of plastic bends the more the warmer it is
+    "softening_link": Family(
+        "link",
+        "turn_rad",
+        lambda fixed, s: s.warmth() * _column(s.moment[..., 0], fixed) / fixed["moment_Nm"],
+        ("moment_Nm",),
+        _temperature_and_moment,
+        (3,),
+        beside=("link_compliance", "frame_offset"),
+        loaded=True,
+        warm=True,
+    ),
+    # the belt that drives another joint pulls a link to the side on which it is taut
+    "belt_pull": Family(
+        "link",
+        "turn_rad",
+        lambda fixed, s: _column(s.direction, fixed, "by"),
+        ("by",),
+        _by_another("direction of motion of joint"),
+        (3, 4),
+        beside=("frame_offset",),
+        skipping=True,
+    ),
+    # a plate whose bolts hold it until the moment overcomes how tight they are
+    "preloaded_base": Family(
+        "base",
+        "turn_rad",
+        lambda fixed, s: _beyond_preload(s.base_moment[:, 0] / fixed["base_moment_Nm"]),
+        ("base_moment_Nm",),
+        _phrases("base moment x"),
+        (3,),
+        beside=("base_compliance", "frame_offset"),
+        loaded=True,
+    ),
+    # a cable tugs at the target as a joint turns, and its clamp works loose
+    "loosening_clamp": Family(
+        "tool",
+        "turn_rad",
+        lambda fixed, s: s.time / fixed["span_s"] * _column(s.q, fixed, "by"),
+        ("span_s", "by"),
+        _time_and_joint,
+        (3, 4),
+        beside=("tool_offset",),
+    ),
+    # air that is warmer on one side bends the sight, by the square of the distance
+    "bent_beam": Family("image", "shift_m", None, (), _phrases("measured position"), beside=("measurement_scale",)),
 }
 """By name. A `power` of 2 is the family's; of 1 it is the named effect that comes nearest."""
 
@@ -422,6 +520,8 @@ def drawn(name: str, rng: np.random.Generator, s: Signals) -> tuple[str, dict[st
                 fixed[key] = float(rng.uniform(0.15, 0.35))
             case "at":
                 fixed[key] = float(np.percentile(q, rng.uniform(25, 75)))
+            case "stop":
+                fixed[key] = float(np.percentile(q, rng.uniform(55, 80)))
             case "lower":
                 start = rng.uniform(10, 50)
                 fixed |= {"lower": float(np.percentile(q, start)), "upper": float(np.percentile(q, start + 35))}
@@ -459,4 +559,6 @@ def seen_shift(name: str, position: Array) -> Array:
             return np.column_stack([x, np.zeros((len(x), 2))])
         case "keystone":
             return np.column_stack([x * y, y**2, np.zeros(len(x))])
+        case "bent_beam":
+            return np.column_stack([np.zeros((len(x), 2)), x**2 + y**2 + z**2])
     raise KeyError(name)
