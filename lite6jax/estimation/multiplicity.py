@@ -86,7 +86,13 @@ def description_length(problem: Problem, terms: Sequence[Term], n: float, option
     """
     waves = [wave_of(problem, term) for term in terms if term.chosen is not None]
     orders = [found for found in waves if found is not None]
-    shapes = sum((term.chosen is not None) + term.nonparametric for term in terms) - len(orders)
+    shapes = sum(term.chosen is not None for term in terms) - len(orders)
     numbers = sum(term.size + (term.chosen is not None) for term in terms)
     choices = sum(float(log_orders_of(*found, options)) for found in orders) + shapes * np.log(options.searched_shapes)
+    choices += sum(term.nonparametric for term in terms) * log_functions(problem, options)
     return float(0.5 * numbers * np.log(n) + choices)
+
+
+def log_functions(problem: Problem, options: EngineOptions) -> float:
+    """The logarithm of the number of functions without a name that one is chosen from, parts of them included."""
+    return float(np.log(max(options.searched_shapes, len(problem.flexible) + problem.plainer)))

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from lite6jax.estimation.least_squares import Fit
-from lite6jax.estimation.multiplicity import description_length, searched_size
+from lite6jax.estimation.multiplicity import description_length, log_functions, searched_size
 from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.problem import Problem
 from lite6jax.estimation.score_test import Explained, ScoreTest, gain_p_value, remaining_noise_model, score_test
@@ -165,7 +165,7 @@ def likely_functions(
     wholes = list(zip(flexible, test.explained(flexible), strict=True))
     for whole, one in wholes:
         compare(whole, whole, one)
-    tried, a_number = set(flexible), 0.5 * log_n + np.log(options.searched_shapes)
+    tried, a_number = set(flexible), 0.5 * log_n + log_functions(problem, options)
     for whole, one in sorted(wholes, key=lambda pair: -pair[1].gain):
         if one.gain - a_number <= max(_least_of_first(best.values(), several), least, 0.0):
             break  # a part explains no more than the whole
