@@ -93,7 +93,7 @@ class Form(NamedTuple):
 
 
 @cache
-def _contained_forms(component: str, drivers: int, degree: int, apart: bool) -> tuple[Form, ...]:
+def _contained_forms(component: str, drivers: int, degree: int, apart: bool, least: int) -> tuple[Form, ...]:
     """The forms of one component or all, of one driver or all, of this or a lower degree, but for the whole.
 
     Args:
@@ -101,11 +101,12 @@ def _contained_forms(component: str, drivers: int, degree: int, apart: bool) -> 
         drivers: how many it has.
         degree: of the whole; 0 where it has none.
         apart: whether its drivers may stand alone.
+        least: lowest degree of polynomials.
     """
     whole = Form(component, tuple(range(drivers)), degree)
     of = [whole.drivers, *((k,) for k in whole.drivers if apart and drivers > 1)]
     components = dict.fromkeys((component, *component.split()))
-    forms = (Form(*form) for form in product(components, of, range(min(degree, 1), degree + 1)))
+    forms = (Form(*form) for form in product(components, of, range(min(degree, least), degree + 1)))
     return tuple(form for form in forms if form != whole)
 
 
@@ -277,9 +278,14 @@ class Unnamed(Bending):
 
     @property
     def forms(self) -> tuple[Form, ...]:
-        """Those of fewer numbers that it contains: of one component, of one driver, of a lower degree, or several."""
+        """Those of fewer numbers that it contains: of one component, of one driver, of a lower degree, or several.
+
+        Lines are not among those of a joint, where the catalogue has names for them.
+        """
         apart = self.degree > 0 and all(driver.quantity != "direction of motion" for driver in self.drivers)
-        return _contained_forms(self.component, len(self.drivers), self.degree, apart)
+        return _contained_forms(
+            self.component, len(self.drivers), self.degree, apart, 2 if self.where.startswith("joint") else 1
+        )
 
     def of_form(self, form: Form) -> "Unnamed":
         """The function of one of `forms`."""

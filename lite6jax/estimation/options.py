@@ -77,6 +77,14 @@ class EngineOptions:
     )
     least_in_block: int = option(6, "fewest samples in a block", "fewer make heavy-tailed sums")
     enough_blocks: int = option(20, "blocks below which they are made shorter", "a variance known to a third")
+    by_blocks: int = option(
+        4,
+        "numbers of a function without a name up to which blocks test it too",
+        "a name of one number has to pass them: a function in its place must not need less",
+    )
+    sure_blocks: int = option(
+        60, "samples from which blocks test functions", "fewer blocks need a much larger effect, as `most_blocks` says"
+    )
     block_times: float = option(2.0, "autocorrelation times in a block", "neighbouring blocks then correlate little")
     # noise model
     lags: int = option(32, "lags of the portmanteau statistic", "covers autocorrelation times to about ten samples")

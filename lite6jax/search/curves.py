@@ -137,7 +137,10 @@ def with_curve(problem: Problem, beside: State, curve: Term, options: EngineOpti
     score = test.score([curve])[0]
     fit = added(problem, beside.fit, curve, score.values, options)
     gain, after = fit.gain_over(beside.fit), score_test(problem, fit, options)
-    p_value = min(gain_p_value(gain, curve.size, after.time) * multiplicity(problem, curve, options), 1.0)
+    searched = multiplicity(problem, curve, options)
+    p_value = min(gain_p_value(gain, curve.size, after.time) * searched, 1.0)
+    if tested_by_blocks(curve, fit, options):
+        p_value = max(p_value, score.familywise(searched))
     lower, upper = np.transpose(problem.limits(curve))
     if np.any((fit.values[-curve.size :] < lower) | (fit.values[-curve.size :] > upper)):
         p_value = 1.0
@@ -151,6 +154,11 @@ def with_curve(problem: Problem, beside: State, curve: Term, options: EngineOpti
     alternatives = tuple(Alternative(term, gain * (1 - share)) for term, share in near if share > 0)
     tested = SelectedTerm(curve, p_value, score._replace(gain=gain), alternatives)
     return State(beside.baseline, fit, (*beside.tested, tested))
+
+
+def tested_by_blocks(function: Term, fitted: Fit, options: EngineOptions) -> bool:
+    """Whether a function has as few numbers, and the fit as many samples, that blocks test it as they do a name."""
+    return function.size <= options.by_blocks and fitted.training.sum() >= options.sure_blocks
 
 
 def local_curves_of(test: ScoreTest, site: str) -> list[Term]:

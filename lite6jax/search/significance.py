@@ -15,6 +15,7 @@ from lite6jax.estimation.problem import Problem, acts_on, wave_of
 from lite6jax.estimation.score_test import gain_p_value, longest_time, score_test
 from lite6jax.estimation.terms import Term
 from lite6jax.search.against_noise import in_own_noise, is_noise
+from lite6jax.search.curves import tested_by_blocks
 from lite6jax.search.state import SelectedTerm, State, reduced, retested
 
 _FEWEST_OTHERS = 2
@@ -149,6 +150,8 @@ def _tested_finally(problem: Problem, state: State, k: int, time: float, options
     if tested.term.nonparametric:
         gain = state.fit.gain_over(rest.fit)
         p_value = min(gain_p_value(gain, tested.term.size, time) * multiplicity(problem, tested.term, options), 1.0)
+        if tested_by_blocks(tested.term, state.fit, options):
+            p_value = max(p_value, retested(problem, state, k, time, options, rest).p_value)
         tested = replace(tested, p_value=p_value, score=tested.score._replace(gain=gain))
     else:
         tested = retested(problem, state, k, time, options, rest)

@@ -187,9 +187,13 @@ def test_a_name_that_explains_no_more_than_a_function_lists_it(tmp_path):
 
 
 def test_no_name_takes_the_place_of_an_impossible_one_that_is_likelier(tmp_path):
-    """Link 1, 1 mm long, grows by 1 % per K: no metal does, and an offset of its frame is clearly less likely."""
+    """Link 1, 1 mm long, grows by 1 % per K: no metal does, and an offset of its frame is clearly less likely.
+
+    It shifts with the temperature, whatever that may be.
+    """
     made = Made(tmp_path, ("link_thermal_expansion:link=1,expansion_per_K=0.01",), seed=0)
-    assert terms(made.recording(static_motion(21, 36))) == ()
+    found = [(term.name, term.site, term.driver) for term in terms(made.recording(static_motion(21, 36)))]
+    assert found == [("unnamed", "link1", "temperature rise")]
 
 
 @pytest.mark.parametrize(("seed", "coefficient"), [(2, 0.99), (3, 0.995), (75, 0.995)])
@@ -312,7 +316,7 @@ def test_eleven_rows_with_a_hidden_effect_are_undetermined(arm):
     assert diagnosis.rows_needed > 11
 
 
-@pytest.mark.parametrize(("compliance", "verdict"), [(8e-6, "undetermined"), (0.0, "explained")])
+@pytest.mark.parametrize(("compliance", "verdict"), [(9e-6, "undetermined"), (0.0, "explained")])
 def test_an_effect_short_of_the_level_leaves_it_open_whether_all_is_explained(arm, compliance, verdict):
     """What is left is the noise either way: a small effect may have gone into the numbers of the finding."""
     scale = "joint_scale:joint=2,scale=2e-4"

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lite6jax.domains.pose.kinematics import Site
-from lite6jax.effects.drivers import Driver
+from lite6jax.effects.drivers import Driver, joint_driver
 from lite6jax.effects.motion import Motion
 from lite6jax.effects.nonparametric import COMPONENTS, SCALE, Unnamed
 from lite6jax.effects.statics import Loads
@@ -119,6 +119,10 @@ def _at_joint(tried: _Tried, j: int, positions: Sequence[Driver]) -> None:
     # drag, and springs that harden or yield, change too quickly for a cubic
     for driver in (load, velocity):
         tried.spline(site, rz, 8, driver)
+    # what swings or drags elsewhere on the arm
+    for other in (driver for driver in positions if driver.place != j):
+        tried.polynomial(site, rz, 2, joint_driver("velocity", other.place, other.of_slide))
+        tried.polynomial(site, rz, 1, Driver("direction of motion", other.place))
     for pair in combinations(positions, 2):
         tried.polynomial(site, rz, 3, *pair)
     # friction that sticks in one place, and play that a load takes up
@@ -144,8 +148,10 @@ def _at_link(tried: _Tried, j: int, positions: Sequence[Driver]) -> None:
     # a flange gapes to one side
     for axis, moment in zip("xy", bending, strict=True):
         tried.spline(site, f"r{axis}", 8, moment)
+    # cables and belts of other joints
     for driver in (driver for driver in positions if driver.place != j):
         tried.polynomial(site, _TILT, 3, driver)
+        tried.polynomial(site, _TILT, 1, Driver("direction of motion", driver.place))
 
 
 def _at_base(tried: _Tried, turning: Sequence[Driver]) -> None:
