@@ -414,3 +414,22 @@ def test_the_noise_of_joint_readings_whitens_with_the_arm(arm, motions):
 
 def test_plain_effects_are_read(arm):
     assert plain_effect("frame_offset:link=2,x_m=1") == ("frame_offset", {"link": 2, "x_m": 1.0})
+
+
+def test_functions_are_tried_of_drivers_elsewhere_on_the_arm(known):
+    tried = {(one.site, one.component, one.driver) for one in known["moving"].flexible}
+    for site, component, driver in (
+        ("joint1", "rz", "velocity of joint 2"),
+        ("joint3", "rz", "direction of motion of joint 2"),
+        ("joint2", "rz", "position of joint 4 and position of joint 5"),
+        ("joint2", "rz", "position of joint 2 and gravity torque of joint 2"),
+        ("link2", "rx ry", "position of joint 5"),
+        ("link4", "rx ry", "direction of motion of joint 2"),
+        ("tool", "z", "time"),
+        ("sensor", "scale", "measured position's distance"),
+    ):
+        assert (site, component, driver) in tried
+    assert known["moving"].plainer == sum(len(one.plainer) for one in known["moving"].flexible)
+    lines = [one for whole in known["moving"].flexible for one in whole.plainer if one.degree == 1]
+    assert lines
+    assert not any(one.site.startswith("joint") for one in lines)
