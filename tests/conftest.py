@@ -1,5 +1,6 @@
 """What every test runs under: one compilation cache, the same random examples each time, types checked on request."""
 
+import importlib.metadata
 import importlib.util
 import mmap
 import os
@@ -26,15 +27,19 @@ if os.environ.get("CHECK_TYPES"):
     jaxtyping.install_import_hook(sorted(m for m in modules - UNCHECKED if "__" not in m), "beartype.beartype")
 
 # Functions of a hundred samples take longer to compile than to run; LLVM's optimiser doubles that time, and so do XLA's
-# fusion emitters. XLA ends the process at a flag that it does not know, as a later version may not know these.
-QUICK = ("xla_backend_optimization_level=0", "xla_cpu_use_fusion_emitters=false")
+# fusion emitters. XLA ends the process at a flag that it does not know, as it does not know the second from jaxlib 0.12
+# on, whose library still has its name.
+QUICK = {"xla_backend_optimization_level=0": (1, 0), "xla_cpu_use_fusion_emitters=false": (0, 12)}
+"""Flags, and the version of jaxlib from which each is not given."""
 
 
 def quick_flags() -> Iterator[str]:
-    """Those of `QUICK` that stand in jaxlib's library."""
+    """Those of `QUICK` that stand in jaxlib's library and that its version knows."""
+    version = tuple(map(int, importlib.metadata.version("jaxlib").split(".")[:2]))
+    flags = [flag for flag, end in QUICK.items() if version < end]
     for path in Path(str(importlib.util.find_spec("jaxlib").origin)).parent.glob("*jax_common.*"):
         with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as library:
-            yield from (f"--{flag}" for flag in QUICK if library.find(flag.split("=")[0].encode()) >= 0)
+            yield from (f"--{flag}" for flag in flags if library.find(flag.split("=")[0].encode()) >= 0)
 
 
 if "PYTEST_XDIST_WORKER" not in os.environ:  # a worker has them of the process that started it
