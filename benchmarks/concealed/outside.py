@@ -7,6 +7,7 @@ twist), or in the sensor's image (a shift that depends on the measured position)
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from itertools import chain
 
 import numpy as np
 
@@ -132,44 +133,13 @@ def _beyond_preload(load: Array) -> Array:
     return np.sign(load) * np.maximum(np.abs(load) - _PRELOAD, 0.0)
 
 
-def _own(quantity: str) -> Callable[[Fixed], Drivers]:
-    return lambda fixed: ((f"{quantity} {int(fixed['joint'])}",),)
+def _own(quantity: str, key: str = "joint") -> Callable[[Fixed], Drivers]:
+    """A quantity of the family's joint, or of the one that another key says."""
+    return lambda fixed: ((f"{quantity} {int(fixed[key])}",),)
 
 
-def _by_another(quantity: str) -> Callable[[Fixed], Drivers]:
-    return lambda fixed: ((f"{quantity} {int(fixed['by'])}",),)
-
-
-def _by_joint(fixed: Fixed) -> Drivers:
-    return _by_another("position of joint")(fixed)
-
-
-def _both_joints(fixed: Fixed) -> Drivers:
-    return (*_by_joint(fixed), (f"position of joint {int(fixed['and'])}",))
-
-
-def _direction_and_position(fixed: Fixed) -> Drivers:
-    return (*_own("direction of motion of joint")(fixed), *_own("position of joint")(fixed))
-
-
-def _torque_and_position(fixed: Fixed) -> Drivers:
-    return (*_own("gravity torque of joint")(fixed), *_own("position of joint")(fixed))
-
-
-def _direction_and_torque(fixed: Fixed) -> Drivers:
-    return (*_own("direction of motion of joint")(fixed), *_own("gravity torque of joint")(fixed))
-
-
-def _position_and_another(fixed: Fixed) -> Drivers:
-    return (*_own("position of joint")(fixed), *_by_joint(fixed))
-
-
-def _temperature_and_moment(fixed: Fixed) -> Drivers:
-    return (*_TEMPERATURE(fixed), *_own("gravity moment x of link")(fixed))
-
-
-def _time_and_joint(fixed: Fixed) -> Drivers:
-    return (*_TIME(fixed), *_by_joint(fixed))
+def _together(*each: Callable[[Fixed], Drivers]) -> Callable[[Fixed], Drivers]:
+    return lambda fixed: tuple(chain.from_iterable(drivers(fixed) for drivers in each))
 
 
 def _phrases(*phrases: str) -> Callable[[Fixed], Drivers]:
@@ -179,17 +149,20 @@ def _phrases(*phrases: str) -> Callable[[Fixed], Drivers]:
 _TEMPERATURE = _phrases("temperature")  # of the arm or of a joint: they rise together
 _TIME = _phrases("time")
 _POSITION = "position of joint"
+_TORQUE = "gravity torque of joint"
+_DIRECTION = "direction of motion of joint"
+_BY_JOINT = _own(_POSITION, "by")
 
 FAMILIES: dict[str, Family] = {
     "joint_bump": Family("joint", "height_rad", _bump, ("centre", "width"), _own(_POSITION)),
     "joint_step": Family("joint", "height_rad", _step, ("at",), _own(_POSITION)),
-    "hardening_spring": Family("joint", "turn_rad", None, ("torque_Nm",), _own("gravity torque of joint"), loaded=True),
+    "hardening_spring": Family("joint", "turn_rad", None, ("torque_Nm",), _own(_TORQUE), loaded=True),
     "yielding_spring": Family(
         "joint",
         "turn_rad",
         None,
         ("torque_Nm",),
-        _own("gravity torque of joint"),
+        _own(_TORQUE),
         sum_of=("joint_compliance", "joint_windup"),  # where it slips, a spring and a play of the load add up
         loaded=True,
     ),
@@ -206,7 +179,7 @@ FAMILIES: dict[str, Family] = {
         "turn_rad",
         lambda fixed, s: _column(s.q, fixed, "by") ** fixed["power"],
         ("by", "power"),
-        _by_joint,
+        _BY_JOINT,
         beside=("joint_coupling", "joint_offset"),
     ),
     "joint_product": Family(
@@ -214,7 +187,7 @@ FAMILIES: dict[str, Family] = {
         "turn_rad",
         lambda fixed, s: _column(s.q, fixed, "by") * _column(s.q, fixed, "and"),
         ("by", "and"),
-        _both_joints,
+        _together(_BY_JOINT, _own(_POSITION, "and")),
         beside=("joint_coupling", "joint_offset"),
     ),
     "squared_speed": Family(
@@ -236,7 +209,12 @@ FAMILIES: dict[str, Family] = {
         warm=True,
     ),
     "sticking_zone": Family(
-        "joint", "turn_rad", _sticking, ("lower",), _direction_and_position, beside=("joint_backlash",)
+        "joint",
+        "turn_rad",
+        _sticking,
+        ("lower",),
+        _together(_own(_DIRECTION), _own(_POSITION)),
+        beside=("joint_backlash",),
     ),
     "link_tilt_by_time": Family(
         "link", "turn_rad", lambda fixed, s: s.time / fixed["span_s"], ("span_s",), _TIME, (3, 4)
@@ -253,7 +231,7 @@ FAMILIES: dict[str, Family] = {
         loaded=True,
     ),
     "base_tilt_by_joint": Family(
-        "base", "turn_rad", lambda fixed, s: _column(s.q, fixed, "by"), ("by",), _by_joint, (3, 4)
+        "base", "turn_rad", lambda fixed, s: _column(s.q, fixed, "by"), ("by",), _BY_JOINT, (3, 4)
     ),
     "base_yaw_by_moment": Family(
         "base",
@@ -265,7 +243,7 @@ FAMILIES: dict[str, Family] = {
         loaded=True,
     ),
     "tool_turn_by_joint": Family(
-        "tool", "turn_rad", lambda fixed, s: _column(s.q, fixed, "by"), ("by",), _by_joint, (3, 4)
+        "tool", "turn_rad", lambda fixed, s: _column(s.q, fixed, "by"), ("by",), _BY_JOINT, (3, 4)
     ),
     "tool_shift_by_warmth": Family(
         "tool", "shift_m", lambda fixed, s: s.warmth(), (), _TEMPERATURE, (0, 1, 2), warm=True
@@ -309,7 +287,7 @@ FAMILIES: dict[str, Family] = {
         "turn_rad",
         lambda fixed, s: np.sin(_PULLEY * _column(s.q, fixed, "by") + fixed["phase"]),
         ("by", "phase"),
-        _by_joint,
+        _BY_JOINT,
         beside=("joint_coupling", "joint_offset"),
         skipping=True,
     ),
@@ -319,7 +297,7 @@ FAMILIES: dict[str, Family] = {
         "turn_rad",
         lambda fixed, s: _torque(fixed, s) * _column(s.q, fixed),
         ("torque_Nm",),
-        _torque_and_position,
+        _together(_own(_TORQUE), _own(_POSITION)),
         beside=("joint_compliance", "joint_scale", "joint_offset"),
         loaded=True,
     ),
@@ -329,7 +307,7 @@ FAMILIES: dict[str, Family] = {
         "turn_rad",
         lambda fixed, s: -_column(s.direction, fixed) * np.abs(_torque(fixed, s)),
         ("torque_Nm",),
-        _direction_and_torque,
+        _together(_own(_DIRECTION), _own(_TORQUE)),
         beside=("joint_backlash",),
         loaded=True,
     ),
@@ -339,7 +317,7 @@ FAMILIES: dict[str, Family] = {
         "turn_rad",
         lambda fixed, s: _column(s.q, fixed, "by") ** 3,
         ("by",),
-        _by_joint,
+        _BY_JOINT,
         (3, 4),
         beside=("frame_offset",),
         skipping=True,
@@ -413,7 +391,7 @@ FAMILIES: dict[str, Family] = {
         "turn_rad",
         lambda fixed, s: np.sin(_column(s.q, fixed) + fixed["phase"]) * _column(s.q, fixed, "by"),
         ("by", "phase"),
-        _position_and_another,
+        _together(_own(_POSITION), _BY_JOINT),
         beside=("joint_harmonic", "joint_coupling", "joint_offset"),
         skipping=True,
     ),
@@ -423,7 +401,7 @@ FAMILIES: dict[str, Family] = {
         "turn_rad",
         lambda fixed, s: _column(s.dq, fixed, "by") ** 2,
         ("by",),
-        _by_another("velocity of joint"),
+        _own("velocity of joint", "by"),
         beside=("joint_offset",),
         moving=True,
     ),
@@ -433,7 +411,7 @@ FAMILIES: dict[str, Family] = {
         "turn_rad",
         lambda fixed, s: s.warmth() * _column(s.moment[..., 0], fixed) / fixed["moment_Nm"],
         ("moment_Nm",),
-        _temperature_and_moment,
+        _together(_TEMPERATURE, _own("gravity moment x of link")),
         (3,),
         beside=("link_compliance", "frame_offset"),
         loaded=True,
@@ -445,7 +423,7 @@ FAMILIES: dict[str, Family] = {
         "turn_rad",
         lambda fixed, s: _column(s.direction, fixed, "by"),
         ("by",),
-        _by_another("direction of motion of joint"),
+        _own(_DIRECTION, "by"),
         (3, 4),
         beside=("frame_offset",),
         skipping=True,
@@ -467,7 +445,7 @@ FAMILIES: dict[str, Family] = {
         "turn_rad",
         lambda fixed, s: s.time / fixed["span_s"] * _column(s.q, fixed, "by"),
         ("span_s", "by"),
-        _time_and_joint,
+        _together(_TIME, _BY_JOINT),
         (3, 4),
         beside=("tool_offset",),
     ),
