@@ -142,14 +142,12 @@ def _finding(found: Diagnosis, k: int, before: float, after: float) -> dict[str,
 
 
 def _peak_to_peak(found: Diagnosis, k: int, effect: Unnamed) -> dict[str, dict[str, float]]:
-    several = len(effect.components) > 1
-    units = [effect.coordinates[effect.part(i).start].unit for i in range(len(effect.components))]
-    return {
-        f"peak_to_peak_{f'{name}_{unit}' if several else name if unit == '1' else unit}": peak_to_peak(
-            found, k, i
-        )._asdict()
-        for i, (name, unit) in enumerate(zip(effect.components, units, strict=True))
-    }
+    sizes: dict[str, dict[str, float]] = {}
+    for i, name in enumerate(effect.components):
+        unit = effect.coordinates[effect.part(i).start].unit
+        end = name if unit == "1" else unit if len(effect.components) == 1 else f"{name}_{unit}"
+        sizes[f"peak_to_peak_{end}"] = peak_to_peak(found, k, i)._asdict()
+    return sizes
 
 
 def located(effect: Effect) -> dict[str, Any]:

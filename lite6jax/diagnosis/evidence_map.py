@@ -164,7 +164,7 @@ def _column(function: Unnamed) -> str:
     kind = kinds.pop()
     if kinds or (kind == "position" and len(function.drivers) > 1):
         return "two drivers"
-    own = function.site.lstrip("jointlk") == str(first.place)
+    own = function.site in (f"joint{first.place}", f"link{first.place}")
     return kind if kind != "position" or own else "other positions"
 
 

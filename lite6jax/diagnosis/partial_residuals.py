@@ -142,8 +142,8 @@ def _over_driver(found: Diagnosis, k: int, movement: _Movement, used: Mask) -> F
     periods, hysteresis, over = 1.0, False, "driver"
     covariance = finding.covariance
     if isinstance(effect, Unnamed):
-        several = len(effect.components) > 1
-        own = effect.part(effect.components.index(COMPONENTS[key[2]]) if several else 0)
+        alone = len(effect.components) == 1
+        own = effect.part(0 if alone else effect.components.index(COMPONENTS[key[2]]))
         covariance, slope = covariance[own, own], slope[own]
         hysteresis = bool(effect.memory)
         periods = max(max(effect.orders, default=0.0) * np.ptp(x) / (2 * np.pi), 1.0)

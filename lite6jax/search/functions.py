@@ -110,6 +110,8 @@ def _finest(problem: Problem, state: State, further: State, options: EngineOptio
     """
     term = further.tested[-1].term
     functions = [term, *(one for one in term.finer if _has_samples(state, one, options))]
+    if len(functions) == 1:
+        return further
     test = score_test(problem, state.fit, options, within=further.fit)
     scored = zip(functions, test.explained(functions), strict=True)
     gains = [one.gain - description_length(problem, [t], test.freedom, options) for t, one in scored]
