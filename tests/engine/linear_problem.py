@@ -245,7 +245,7 @@ class LinearProblem:
         curves = [Curve(f"u{k}") for k in range(1, 7)]
         return (*curves, Hat(float(angle.min()), float(angle.max()), 6))
 
-    plainer = property(lambda self: sum(len(term.plainer) for term in self.flexible))
+    parts = property(lambda self: sum(len(term.plainer) for term in self.flexible))
 
     def limits(self, term):
         return [(number.lower, number.upper) for number in term.coordinates]

@@ -249,7 +249,7 @@ class PoseProblem:
         return functions.flexible(self.deflections.host_motion, self.deflections.host_loads, self.rows, self.sites)
 
     @lazy
-    def plainer(self) -> int:
+    def parts(self) -> int:
         """How many functions of one component, of one driver or of a lower degree those without a name contain."""
         return sum(len(function.forms) for function in self.flexible)
 

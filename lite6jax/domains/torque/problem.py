@@ -187,7 +187,7 @@ class TorqueProblem:
         return families.flexible(self.dynamics, families.sizes(self.data))
 
     @property
-    def plainer(self) -> int:
+    def parts(self) -> int:
         """None: these functions have one component, and few numbers."""
         return 0
 

@@ -429,7 +429,7 @@ def test_functions_are_tried_of_drivers_elsewhere_on_the_arm(known):
         ("sensor", "scale", "measured position's distance"),
     ):
         assert (site, component, driver) in tried
-    assert known["moving"].plainer == sum(len(one.plainer) for one in known["moving"].flexible)
+    assert known["moving"].parts == sum(len(one.plainer) for one in known["moving"].flexible)
     lines = [one for whole in known["moving"].flexible for one in whole.plainer if one.degree == 1]
     assert lines
     assert not any(one.site.startswith("joint") for one in lines)
