@@ -12,11 +12,12 @@ from lite6jax.domains.pose.problem import PoseProblem
 from lite6jax.effects.effect import Estimate
 from lite6jax.effects.kinematic.joints import JointHarmonic
 from lite6jax.effects.nonparametric import SCALE, Unnamed
+from lite6jax.estimation.equations import Explained
 from lite6jax.estimation.least_squares import Fit
 from lite6jax.estimation.multiplicity import log_orders
 from lite6jax.estimation.noise import autocorrelation
 from lite6jax.estimation.problem import PeriodicFamily
-from lite6jax.estimation.score_test import Explained, ScoreTest, score_test
+from lite6jax.estimation.score_test import ScoreTest, score_test
 from lite6jax.search.spectrum import spectrum
 
 Array = NDArray[np.floating]

@@ -143,6 +143,18 @@ UNINFORMED_PHASE = np.pi / np.sqrt(3)
 """The standard deviation of an angle of which nothing is known."""
 
 
+class Part(NamedTuple):
+    """A function without a name that another one contains.
+
+    Attributes:
+        numbers: the coefficients of the whole that it has.
+        made: makes it; there are thousands, of which few are likely.
+    """
+
+    numbers: tuple[int, ...]
+    made: "Callable[[], Effect]"
+
+
 @dataclass(frozen=True)
 class Effect(ABC):
     """Something a rigid arm with perfect encoders does not show. Frozen and hashable: a static argument of `jax.jit`.
@@ -165,7 +177,7 @@ class Effect(ABC):
     special_cases: "ClassVar[Callable[[Any], tuple[Effect, ...]] | None]" = None
     """Of an effect, those that are this one with some of its numbers zero; None where there are none."""
 
-    plainer_functions: "ClassVar[Callable[[Any], tuple[Effect, ...]] | None]" = None
+    contained_functions: "ClassVar[Callable[[Any], tuple[Part, ...]] | None]" = None
     """Of a function without a name, those of fewer numbers that it contains."""
 
     finer_functions: "ClassVar[Callable[[Any], tuple[Effect, ...]] | None]" = None
@@ -233,9 +245,9 @@ class Effect(ABC):
 
     @property
     @final
-    def plainer(self) -> "tuple[Effect, ...]":
+    def parts(self) -> tuple[Part, ...]:
         """Of a function without a name, those of fewer numbers that it contains; none of a named effect."""
-        return () if self.plainer_functions is None else self.plainer_functions(self)
+        return () if self.contained_functions is None else self.contained_functions(self)
 
     @property
     @final

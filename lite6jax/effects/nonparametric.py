@@ -2,8 +2,8 @@
 
 import re
 from dataclasses import dataclass, replace
-from functools import cache, cached_property
-from itertools import chain, combinations_with_replacement, product
+from functools import cache, cached_property, partial
+from itertools import chain, combinations, combinations_with_replacement, product
 from typing import ClassVar, NamedTuple, final
 
 import numpy as np
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from lite6jax.deferred import Array, jit, jnp, lax
 from lite6jax.effects.deflection import Deflection, at_joint, library_of, twist
 from lite6jax.effects.drivers import Driver, driver_of
-from lite6jax.effects.effect import Bending, Coordinate
+from lite6jax.effects.effect import Bending, Coordinate, Part
 from lite6jax.effects.motion import Motion
 from lite6jax.effects.statics import Loads
 from lite6jax.errors import InputError
@@ -31,6 +31,9 @@ coefficients are larger where no sample determines them.
 _PIECES = (8, 16)
 """Intervals of the splines that are tried where a plainer function of their driver was found."""
 _HIGHEST_DEGREE = 4
+
+_TOGETHER = ("x y z", "rx ry rz", "rx ry")
+"""Components of a twist that are one displacement of their own: a shift, a turn, a tilt."""
 
 _SITE = re.compile(r"joint([1-9]\d*)|link([1-9]\d*)|base|tool|sensor")
 
@@ -85,29 +88,44 @@ def polynomial_basis(values: Array, ranges: NDArray, products: Products) -> Arra
 
 
 class Form(NamedTuple):
-    """A part of a function without a name: components, drivers by their indices, and degree."""
+    """A part of a function without a name: components, drivers by their indices, and degree.
+
+    `numbers` are the coefficients of the whole that it has.
+    """
 
     component: str
     drivers: tuple[int, ...]
     degree: int
+    numbers: tuple[int, ...]
 
 
 @cache
-def _contained_forms(component: str, drivers: int, degree: int, apart: bool, least: int) -> tuple[Form, ...]:
-    """The forms of one component or all, of one driver or all, of this or a lower degree, but for the whole.
+def _contained_forms(
+    component: str, drivers: tuple[Driver, ...], degree: int, least: int, pieces: int
+) -> tuple[Form, ...]:
+    """The forms of some components, of fewer than all of three drivers, of this or a lower degree, but for the whole.
 
     Args:
         component: of the whole.
-        drivers: how many it has.
+        drivers: of the whole.
         degree: of the whole; 0 where it has none.
-        apart: whether its drivers may stand alone.
         least: lowest degree of polynomials.
+        pieces: functions of each component, where the whole has no degree.
     """
-    whole = Form(component, tuple(range(drivers)), degree)
-    of = [whole.drivers, *((k,) for k in whole.drivers if apart and drivers > 1)]
-    components = dict.fromkeys((component, *component.split()))
-    forms = (Form(*form) for form in product(components, of, range(min(degree, least), degree + 1)))
-    return tuple(form for form in forms if form != whole)
+    components, every = component.split(), tuple(range(len(drivers)))
+    together = [one for one in _TOGETHER if set(one.split()) < set(components)]
+    of = [every, *chain.from_iterable(combinations(every, n) for n in range(1, len(every)) if len(every) > 2)]
+    products = products_of(drivers, degree) if degree else ((),) * pieces
+    forms = []
+    for parts, which, highest in product(
+        dict.fromkeys((component, *together, *components)), of, range(min(degree, least), degree + 1)
+    ):
+        if (parts, which, highest) == (component, every, degree):
+            continue
+        kept = [k for k, one in enumerate(products) if len(one) <= highest and set(one) <= set(which)]
+        blocks = [components.index(one) * len(products) for one in parts.split()]
+        forms.append(Form(parts, which, highest, tuple(start + k for start in blocks for k in kept)))
+    return tuple(forms)
 
 
 @jit
@@ -181,7 +199,9 @@ class Unnamed(Bending):
     nonparametric: ClassVar[bool] = True
     shrinking: ClassVar[bool] = True
     specificity: ClassVar[int] = 17
-    plainer_functions = staticmethod(lambda effect: tuple(map(effect.of_form, effect.forms)))
+    contained_functions = staticmethod(
+        lambda effect: tuple(Part(form.numbers, partial(effect.of_form, form)) for form in effect.forms)
+    )
     finer_functions = staticmethod(lambda effect: effect.of_more_numbers)
 
     def __post_init__(self) -> None:
@@ -271,21 +291,25 @@ class Unnamed(Bending):
         """Of the drivers; the constant alone where there is no degree."""
         return products_of(self.drivers, self.degree)
 
-    @cached_property
-    def functions_alone(self) -> "Unnamed":
+    @property
+    def size(self) -> int:
+        """How many coefficients it has."""
+        return len(self.components) * self.functions
+
+    @property
+    def functions_alone(self) -> tuple[object, ...]:
         """The same for all that have these functions, wherever they act and whatever is known of their coefficients."""
-        return replace(self, where="joint1", component="rz", spread=None, rolloff=())
+        curve = self.pieces, self.orders, self.trust, self.memory, self.degree
+        return self.driver, self.lower, self.upper, self.further, *curve
 
     @property
     def forms(self) -> tuple[Form, ...]:
-        """Those of fewer numbers that it contains: of one component, of one driver, of a lower degree, or several.
+        """Those of fewer numbers that it contains: of some components, of fewer drivers, of a lower degree, or several.
 
         Lines are not among those of a joint, where the catalogue has names for them.
         """
-        apart = self.degree > 0 and all(driver.quantity != "direction of motion" for driver in self.drivers)
-        return _contained_forms(
-            self.component, len(self.drivers), self.degree, apart, 2 if self.where.startswith("joint") else 1
-        )
+        least = 2 if self.where.startswith("joint") else 1
+        return _contained_forms(self.component, self.drivers, self.degree, least, 0 if self.degree else self.functions)
 
     def of_form(self, form: Form) -> "Unnamed":
         """The function of one of `forms`."""

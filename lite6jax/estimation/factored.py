@@ -1,4 +1,4 @@
-"""Columns of terms with hundreds of numbers, as products of one column of a site and many functions of the sample.
+"""Columns of terms of many numbers, as products of the columns of a site and many functions of the sample.
 
 Sums over the rows of a sample come first, so that the full columns `(number, row, sample)` are never formed.
 """
@@ -16,34 +16,35 @@ Array = NDArray[np.floating]
 @final
 @dataclass(frozen=True, eq=False)
 class Factored:
-    """The columns of functions at one site.
+    """The columns of functions at one site; each component of a displacement has numbers of its own for all functions.
 
     Attributes:
-        column: `(row, sample)`, of the site.
-        functions: `(number, sample)`.
+        site: `(component, row, sample)`, the columns of the site.
+        functions: `(function, sample)`.
     """
 
-    column: Array
+    site: Array
     functions: Array
 
     def __len__(self) -> int:
-        return len(self.functions)
+        return len(self.site) * len(self.functions)
 
     def weighed(self, root: Array) -> "Factored":
         """With columns times the roots of weights, `(sample,)` or `(row, sample)`."""
-        return Factored(self.column * root, self.functions)
+        return Factored(self.site * root, self.functions)
 
     def with_rows(self, rows: Array) -> Array:
         """Products `(…, number)` of the columns with rows `(…, row, sample)`."""
-        return np.sum(rows * self.column, -2) @ self.functions.T
+        return np.concatenate([np.sum(rows * one, -2) @ self.functions.T for one in self.site], -1)
 
     def with_others(self, other: "Factored") -> Array:
         """Products `(number, number)` of the columns with those at another site."""
-        return (self.functions * np.sum(self.column * other.column, 0)) @ other.functions.T
+        blocks = [[(self.functions * np.sum(a * b, 0)) @ other.functions.T for b in other.site] for a in self.site]
+        return np.block(blocks)
 
     def total(self, values: Array) -> Array:
         """Their sum `(row, sample)` with these numbers `(number,)`."""
-        return self.column * (values @ self.functions)
+        return np.sum(self.site * (values.reshape(len(self.site), -1) @ self.functions)[:, None], 0)
 
 
 def gram(parts: Sequence[Array | Factored]) -> Array:

@@ -175,7 +175,7 @@ class Problem(LinearisedProblem, Protocol):
         shaped: named terms with a number in which they are not linear, each at a few of its values.
         ladder: named terms of which most real problems have many; none where a domain knows of no such.
         flexible: nonparametric terms of every site and driver, by which the names of the others are tested.
-        parts: how many terms of fewer numbers these contain.
+        functions: how many these are, with the parts that they contain.
     """
 
     @property
@@ -199,7 +199,7 @@ class Problem(LinearisedProblem, Protocol):
     @property
     def flexible(self) -> tuple[Term, ...]: ...
     @property
-    def parts(self) -> int: ...
+    def functions(self) -> int: ...
 
     def limits(self, term: Term) -> Sequence[tuple[float, float]]:
         """The least and the most that each number of a term can be in these data."""

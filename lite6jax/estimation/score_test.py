@@ -8,13 +8,15 @@ is far from zero. Either becomes family-wise by the factor that `multiplicity` g
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import pairwise
-from typing import NamedTuple, final
+from itertools import pairwise, product
+from typing import Any, NamedTuple, final
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtrc, fdtrc
 
+from lite6jax.estimation.equations import Equations, Explained, equations_of, explained_by
+from lite6jax.estimation.factored import Factored
 from lite6jax.estimation.least_squares import Fit, linear_columns
 from lite6jax.estimation.noise import NoiseModel, autocorrelation_time, noise_model, run_starts
 from lite6jax.estimation.options import EngineOptions
@@ -26,27 +28,6 @@ Array = NDArray[np.floating]
 
 _NUMBERS = 1 << 22
 """Of columns that are scored at once: 32 MB."""
-
-
-class Explained(NamedTuple):
-    """What a candidate would explain, as the test alone that costs little.
-
-    Attributes:
-        gain: in log-likelihood, by its quadratic approximation.
-        size: how many of its numbers are identifiable beside the model.
-    """
-
-    gain: float
-    size: int
-
-    @property
-    def confounded(self) -> bool:
-        """Whether its columns lie in the span of nuisance and model."""
-        return not self.size
-
-    def familywise(self, searched: float) -> float:
-        """The p-value of the best of `searched` independent candidates in white noise; that of a score is no less."""
-        return min(float(chdtrc(self.size, 2 * self.gain)) * searched, 1.0) if self.size else 1.0
 
 
 class Score(NamedTuple):
@@ -126,7 +107,30 @@ class ScoreTest:
 
     def explained(self, terms: Sequence[Term]) -> list[Explained]:
         """The gain of each term, without its test."""
-        found = [Explained(0.0, 0)] * len(terms)
+        return explained_by(self.equations(terms), self.options.confounded)
+
+    def equations(self, terms: Sequence[Term]) -> list[Equations]:
+        """The normal equations of each term beside the fitted model."""
+        found: dict[int, Equations] = {}
+        alike: dict[tuple[int, int], list[tuple[int, Factored]]] = {}
+        # noise that is autocorrelated is whitened along a column, which no sum over its rows can be
+        if self.fit.noise.white:
+            for k, term in enumerate(terms):
+                if (factored := self.problem.factored(term)) is not None:
+                    alike.setdefault((id(factored.site), len(factored.functions)), []).append((k, factored))
+        for members in alike.values():
+            _, first = members[0]
+            at_once = max(_NUMBERS // max(first.functions.size, 1), 1)
+            for part in (members[i : i + at_once] for i in range(0, len(members), at_once)):
+                functions = np.stack([one.functions for _, one in part])
+                found |= zip((k for k, _ in part), self._of_site(first.site, functions), strict=True)
+        dense = [k for k in range(len(terms)) if k not in found]
+        found |= zip(dense, self._of_columns([terms[k] for k in dense]), strict=True)
+        return [found[k] for k in range(len(terms))]
+
+    def _of_columns(self, terms: Sequence[Term]) -> list[Equations]:
+        """The equations of terms by their full columns."""
+        found = dict[int, Equations]()
         for part in _of_bounded_size(terms, self.problem.rows * self.problem.samples):
             columns = self.problem.columns([terms[k] for k in part], beside=(self.fit.terms, self.fit.values))
             ends = np.cumsum([0, *(terms[k].size for k in part)])
@@ -137,9 +141,8 @@ class ScoreTest:
             for (size, where), members in alike.items():
                 rows = np.flatnonzero(np.frombuffer(where, bool))
                 groups = np.stack([columns[a : a + size, rows] for _, a in members])
-                for (k, _), one in zip(members, _paired(self._gains(groups, rows)), strict=True):
-                    found[k] = one
-        return found
+                found |= zip((k for k, _ in members), self._of_groups(groups, rows), strict=True)
+        return [found[k] for k in range(len(terms))]
 
     def gains(self, column: Array, functions: Array) -> Array:
         """The gains `(group,)` of many groups of functions at one site.
@@ -148,34 +151,68 @@ class ScoreTest:
             column: `(row, sample)`, how residuals change with the site's deflection.
             functions: `(group, number, sample)`, deflections.
         """
-        return self._at_site(column, functions)[0]
+        return np.array([one.gain for one in self.explained_by(column, functions)])
 
     def explained_by(self, column: Array, functions: Array) -> list[Explained]:
         """What each of such groups would explain; arguments as of `gains`."""
-        return _paired(self._at_site(column, functions))
+        if self.fit.noise.white:
+            equations = self._of_site(column[None], functions)
+        else:
+            rows = np.flatnonzero(column.any(1))
+            equations = self._of_groups(functions[:, :, None] * column[rows], rows)
+        return explained_by(equations, self.options.confounded)
 
-    def _at_site(self, column: Array, functions: Array) -> tuple[Array, NDArray[np.integer]]:
-        rows = np.flatnonzero(column.any(1))
-        return self._gains(functions[:, :, None] * column[rows], rows)
-
-    def _gains(self, groups: Array, rows: NDArray[np.integer]) -> tuple[Array, NDArray[np.integer]]:
-        """The gain of groups of columns `(group, number, row, sample)` that act on some rows, and how many numbers of
-        each are identifiable, `(group,)` each.
-        """
+    def _of_groups(self, groups: Array, rows: NDArray[np.integer]) -> list[Equations]:
+        """The equations of groups of columns `(group, number, row, sample)` that act on some rows."""
         shape = groups.shape[:2]
         flat = _white(self.fit, groups, self.scale, rows).reshape(shape[0] * shape[1], -1)
         basis, residual = self._on(rows)
         inside = (flat @ basis.T).reshape(*shape, -1)
         score = (flat @ residual).reshape(shape) - inside @ self._inside
         flat = flat.reshape(*shape, -1)
-        gram = flat @ flat.swapaxes(1, 2)
-        norms = np.sqrt(np.maximum(np.diagonal(gram, axis1=1, axis2=2), 1e-300))
-        left = (gram - inside @ inside.swapaxes(1, 2)) / (norms[:, :, None] * norms[:, None])
-        eigenvalues, V = np.linalg.eigh(left)
-        least = self.options.confounded
-        inverse = np.where(eigenvalues > least, 1 / np.maximum(eigenvalues, least), 0.0)
-        gains = 0.5 * np.sum(inverse * np.einsum("gji,gj->gi", V, score / norms) ** 2, 1)
-        return gains, np.sum(eigenvalues > least, 1)
+        return equations_of(score, flat @ flat.swapaxes(1, 2), inside)
+
+    def _of_site(self, site: Array, functions: Array) -> list[Equations]:
+        """The equations of many groups of functions at one site, in white noise.
+
+        Args:
+            site: `(component, row, sample)`, its columns.
+            functions: `(group, function, sample)`.
+        """
+        weights, basis, residual = self._summed(site)
+        groups, n = functions.shape[:2]
+        size = len(site) * n
+        gram = np.empty((groups, size, size))
+        for a, b in product(range(len(site)), repeat=2):
+            here, there = slice(a * n, a * n + n), slice(b * n, b * n + n)
+            if b < a:
+                gram[:, here, there] = gram[:, there, here].swapaxes(1, 2)
+            else:
+                gram[:, here, there] = (functions * weights[a, b]) @ functions.swapaxes(1, 2)
+        flat = functions.reshape(groups * n, -1)
+        inside = np.concatenate([(flat @ one.T).reshape(groups, n, -1) for one in basis], 1)
+        score = np.concatenate([(flat @ one).reshape(groups, n) for one in residual], 1)
+        return equations_of(score - inside @ self._inside, gram, inside)
+
+    def _summed(self, site: Array) -> tuple[Array, Array, Array]:
+        """Sums over the rows of each sample of products of a site's whitened columns `(component, row, sample)`.
+
+        With one another `(component, component, sample)`, with the basis `(component, k, sample)`, and with the
+        residual `(component, sample)`.
+        """
+        key = id(site)
+        if key not in self._sums:
+            shape = self.problem.rows, self.problem.samples
+            measured = shape[0] * shape[1]
+            basis, residual = self.basis[:, :measured].reshape(-1, *shape), self.residual[:measured].reshape(shape)
+            white = _white(self.fit, site, self.scale)
+            sums = tuple(np.stack([np.sum(w * other, -2) for w in white]) for other in (white, basis, residual))
+            self._sums[key] = site, sums  # the site is kept, so that no other takes its identity
+        return self._sums[key][1]
+
+    @cached_property
+    def _sums(self) -> dict[int, tuple[Array, Any]]:
+        return {}
 
     def _on(self, rows: NDArray[np.integer]) -> tuple[Array, Array]:
         """The basis `(k, reading)` and the residual `(reading,)` of some rows of the measurements."""
@@ -362,11 +399,6 @@ def _white(fit: Fit, columns: Array, scale: Array, rows: NDArray[np.integer] | N
     if rows is not None:
         groups, noise = groups[rows], replace(noise, groups=groups[rows])
     return noise.whitened(columns) * ((scale[0] / scale)[groups, None] * fit.training)
-
-
-def _paired(found: tuple[Array, NDArray[np.integer]]) -> list[Explained]:
-    """Gains and identifiable numbers `(group,)`, group by group."""
-    return [Explained(float(gain), int(size)) for gain, size in zip(*found, strict=True)]
 
 
 def _of_bounded_size(terms: Sequence[Term], length: int) -> list[list[int]]:

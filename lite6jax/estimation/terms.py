@@ -1,6 +1,6 @@
 """Terms of a model: what a search adds, and several of them with their numbers in one vector."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
@@ -32,6 +32,20 @@ class Number(Protocol):
     def upper(self) -> float: ...
 
 
+class Contained(Protocol):
+    """A function that another one contains.
+
+    Attributes:
+        numbers: those of the whole that it has.
+        made: makes it; there are thousands, of which few are likely.
+    """
+
+    @property
+    def numbers(self) -> Sequence[int]: ...
+    @property
+    def made(self) -> "Callable[[], Term]": ...
+
+
 class Term(Protocol):
     """A candidate term. Hashable; at zero it changes nothing.
 
@@ -47,7 +61,7 @@ class Term(Protocol):
             noise.
         chosen: the number that a search chose instead of fitting it (an order), or None.
         includes: terms that are this one with some of its numbers zero; it takes their place.
-        plainer: of a function without a name, those of fewer numbers that it contains.
+        parts: of a function without a name, those of fewer numbers that it contains.
         finer: of a function without a name, those of the same drivers that have more numbers.
         drivers: the quantities that it is a function of.
     """
@@ -72,7 +86,7 @@ class Term(Protocol):
     @property
     def includes(self) -> "Sequence[Term]": ...
     @property
-    def plainer(self) -> "Sequence[Term]": ...
+    def parts(self) -> Sequence[Contained]: ...
     @property
     def finer(self) -> "Sequence[Term]": ...
     @property

@@ -2,8 +2,12 @@
 names that a search leaves out at first.
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
 
+import numpy as np
+
+from lite6jax.estimation.equations import explained_by
 from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.problem import Problem, wave_of
 from lite6jax.estimation.score_test import ScoreTest, score_test
@@ -82,8 +86,7 @@ def _with_others(problem: Problem, state: State, k: int, options: EngineOptions)
     steps = [term for term in _steps(test, tested.term) if _may_replace(tested.term, term)]
     functions += steps
     likely: dict[object, tuple[float, Term]] = {}
-    for term, one in zip(functions, test.explained(functions), strict=True):
-        gain = one.gain - 0.5 * test.time * one.size
+    for term, gain in _likeliest_parts(test, functions, now - 2 * options.close):
         beside = term.site == tested.term.site and not tested.term.nonparametric
         least = now + options.close if beside else now - 2 * options.close  # the refit may say otherwise by `close`
         key = (term.site, term.drivers) if term in steps else term.site
@@ -98,6 +101,25 @@ def _with_others(problem: Problem, state: State, k: int, options: EngineOptions)
             found.append(Alternative(term, max(gap, 0.0)))
     others = (*tested.alternatives, *found, *_orders(test, tested.term), *_like(state, k, rest, test, own.gain))
     return replace(tested, alternatives=tuple(sorted(others, key=lambda one: one.gap)))
+
+
+def _likeliest_parts(test: ScoreTest, functions: Sequence[Term], least: float) -> list[tuple[Term, float]]:
+    """Of each function the part of it, or the whole, that gains most, less what its numbers gain in noise.
+
+    Only of those of which the whole gains more than `least`: no part explains more.
+    """
+    a_number, confounded = 0.5 * test.time, test.options.confounded
+    equations = test.equations(functions)
+    found = []
+    for term, inside, whole in zip(functions, equations, explained_by(equations, confounded), strict=True):
+        if whole.gain - a_number <= least:
+            continue
+        parts = term.parts
+        explained = [whole, *explained_by([inside.part(part.numbers) for part in parts], confounded)]
+        gains = [one.gain - a_number * one.size for one in explained]
+        best = int(np.argmax(gains))
+        found.append((parts[best - 1].made() if best else term, gains[best]))
+    return found
 
 
 def _like(state: State, k: int, rest: State, test: ScoreTest, gain: float) -> list[Alternative]:

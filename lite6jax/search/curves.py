@@ -6,11 +6,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from lite6jax.estimation.equations import Explained
 from lite6jax.estimation.least_squares import Fit
 from lite6jax.estimation.multiplicity import description_length, multiplicity, searched_size
 from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.problem import CurveDriver, CurveFamily, Problem
-from lite6jax.estimation.score_test import Explained, ScoreTest, gain_p_value, score_test
+from lite6jax.estimation.score_test import ScoreTest, gain_p_value, score_test
 from lite6jax.estimation.terms import Term
 from lite6jax.search.backward import eliminate
 from lite6jax.search.forward import forward

@@ -6,11 +6,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from lite6jax.estimation.equations import Explained
 from lite6jax.estimation.least_squares import Fit, fit
 from lite6jax.estimation.multiplicity import multiplicity
 from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.problem import Problem
-from lite6jax.estimation.score_test import Explained, Score, ScoreTest, score_test
+from lite6jax.estimation.score_test import Score, ScoreTest, score_test
 from lite6jax.estimation.terms import Term, Terms
 from lite6jax.search.spectrum import lines
 from lite6jax.search.state import Alternative, SelectedTerm, State, added, extended, most_specific, reduced, refitted

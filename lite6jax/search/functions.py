@@ -6,11 +6,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from lite6jax.estimation.equations import explained_by
 from lite6jax.estimation.least_squares import Fit
 from lite6jax.estimation.multiplicity import description_length, log_functions, searched_size
 from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.problem import Problem
-from lite6jax.estimation.score_test import Explained, ScoreTest, gain_p_value, remaining_noise_model, score_test
+from lite6jax.estimation.score_test import ScoreTest, gain_p_value, remaining_noise_model, score_test
 from lite6jax.estimation.terms import Term
 from lite6jax.search.against_noise import in_own_noise
 from lite6jax.search.backward import prune
@@ -154,27 +155,36 @@ def likely_functions(
     """
     least = options.close if least is None else least
     best: dict[object, LikelyFunction] = {}
-    log_n, several = np.log(test.freedom), 2 * options.functions
+    half_log_n, several = 0.5 * np.log(test.freedom), 2 * options.functions
 
-    def compare(whole: Term, term: Term, one: Explained) -> None:
-        # what the names and the nuisance explain already costs nothing
-        length = description_length(problem, [term], test.freedom, options) - 0.5 * (term.size - one.size) * log_n
-        key = (term.site, len(term.drivers) > 1) if site is None else whole
-        if one.gain - length > max(least, best[key].gain if key in best else least):
-            best[key] = LikelyFunction(term, one.gain - length)
+    def key_of(whole: Term, several_drivers: bool) -> object:
+        return (whole.site, several_drivers) if site is None else whole
+
+    def is_better(key: object, gain: float) -> bool:
+        return gain > (best[key].gain if key in best else least)
+
+    def compare(whole: Term, term: Term, gain: float) -> None:
+        key = key_of(whole, len(term.drivers) > 1)
+        if is_better(key, gain):
+            best[key] = LikelyFunction(term, gain)
 
     flexible = [*(term for term in problem.flexible if site in (None, term.site)), *local]
-    wholes = list(zip(flexible, test.explained(flexible), strict=True))
-    for whole, one in wholes:
-        compare(whole, whole, one)
-    tried, a_number = set(flexible), 0.5 * log_n + log_functions(problem, options)
-    for whole, one in sorted(wholes, key=lambda pair: -pair[1].gain):
-        if one.gain - a_number <= max(_least_of_first(best.values(), several), least, 0.0):
+    equations = test.equations(flexible)
+    wholes = list(zip(flexible, equations, explained_by(equations, options.confounded), strict=True))
+    for whole, _, one in wholes:
+        # what the names and the nuisance explain already costs nothing
+        length = description_length(problem, [whole], test.freedom, options) - (whole.size - one.size) * half_log_n
+        compare(whole, whole, one.gain - length)
+    a_function = log_functions(problem, options)
+    for whole, inside, one in sorted(wholes, key=lambda each: -each[2].gain):
+        if one.gain - half_log_n - a_function <= max(_least_of_first(best.values(), several), least, 0.0):
             break  # a part explains no more than the whole
-        parts = [part for part in whole.plainer if part not in tried]
-        tried.update(parts)
-        for part, explained in zip(parts, test.explained(parts), strict=True):
-            compare(whole, part, explained)
+        parts = whole.parts
+        explained = explained_by([inside.part(part.numbers) for part in parts], options.confounded)
+        for part, own in zip(parts, explained, strict=True):
+            gain = own.gain - own.size * half_log_n - a_function
+            if any(is_better(key_of(whole, kind), gain) for kind in (False, True)):
+                compare(whole, part.made(), gain)
     return [found for kind in _by_kind(best.values()) for found in _sure(kind[:several], test, options)]
 
 

@@ -121,7 +121,7 @@ def _spectra(problem: Problem, current: Fit, named: Terms, at: Array) -> tuple[l
     orders = [_orders(family.angle[training]) for family in families]
     fixed = linear_columns(problem, named, np.zeros(named.size))[..., training]
     waves = [
-        Factored(family.column[:, training], family.waves_of(each)[..., training].reshape(2 * len(each), -1))
+        Factored(family.column[None][..., training], family.waves_of(each)[..., training].reshape(2 * len(each), -1))
         for family, each in zip(families, orders, strict=True)
     ]
     # residuals without nuisance and terms, to first order: those of the current fit less its linear prediction

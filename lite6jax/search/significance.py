@@ -2,12 +2,12 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
-from itertools import chain
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lite6jax.estimation.concentration import Concentration, concentration
+from lite6jax.estimation.equations import explained_by
 from lite6jax.estimation.least_squares import Fit
 from lite6jax.estimation.multiplicity import multiplicity
 from lite6jax.estimation.options import EngineOptions
@@ -98,9 +98,10 @@ def _also_at(problem: Problem, state: State, k: int, site: str, options: EngineO
     """Whether a function of the drivers of the k-th term explains at another site what that term does."""
     term = state.tested[k].term
     wholes = [one for one in problem.flexible if one.site == site and set(one.drivers) == set(term.drivers)]
-    functions = list(dict.fromkeys(chain.from_iterable((one, *one.plainer) for one in wholes)))
     test = score_test(problem, reduced(problem, state, k, options).fit, options, within=state.fit)
-    gains = [one.gain - 0.5 * one.size for one in test.explained([term, *functions])]
+    own, *others = test.equations([term, *wholes])
+    parts = [one.part(part.numbers) for one, whole in zip(others, wholes, strict=True) for part in whole.parts]
+    gains = [one.gain - 0.5 * one.size for one in explained_by([own, *others, *parts], options.confounded)]
     return max(gains[1:], default=-np.inf) > gains[0] - options.close
 
 

@@ -1,13 +1,21 @@
 """An estimation problem without any robot: a linear regression with planted terms and groups of unequal noise."""
 
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
+from typing import NamedTuple
 
 import numpy as np
 
 from lite6jax.estimation.factored import Factored
 from lite6jax.estimation.problem import CurveDriver, CurveFamily, PeriodicFamily
 from lite6jax.estimation.terms import Terms
+
+
+class Part(NamedTuple):
+    """A function that another one contains."""
+
+    numbers: tuple
+    made: object
 
 
 @dataclass(frozen=True)
@@ -51,7 +59,7 @@ class Wave:
     nonparametric: bool = False
     shrunk: bool = False
     includes: tuple = ()
-    plainer: tuple = ()
+    parts: tuple = ()
     finer: tuple = ()
 
     free = property(lambda self: self.order is None)
@@ -89,7 +97,7 @@ class Decay:
     nonparametric: bool = False
     shrunk: bool = False
     includes: tuple = ()
-    plainer: tuple = ()
+    parts: tuple = ()
     finer: tuple = ()
 
     free = property(lambda self: self.width is None)
@@ -129,7 +137,7 @@ class Hat:
     nonparametric: bool = True
     chosen: float | None = None
     includes: tuple = ()
-    plainer: tuple = ()
+    parts: tuple = ()
     finer: tuple = ()
 
     shrunk = property(lambda self: np.isfinite(self.spread))
@@ -164,9 +172,12 @@ class Curve:
     coordinates = property(lambda self: (Number(),) * self.degree)
     size = property(lambda self: self.degree)
     finer = property(lambda self: (replace(self, degree=self.finest),) if self.degree < self.finest else ())
-    plainer = property(lambda self: [replace(self, degree=n) for n in range(1, self.degree) if self.contains])
+    parts = property(lambda self: [self.part(n) for n in range(1, self.degree) if self.contains])
     label = property(lambda self: f"curve:{self.over}")
     drivers = property(lambda self: (self.over,))
+
+    def part(self, degree):
+        return Part(tuple(range(degree)), partial(replace, self, degree=degree))
 
     def basis(self, data):
         return np.stack([data[self.over] ** power for power in range(1, self.degree + 1)])
@@ -229,8 +240,12 @@ class LinearProblem:
             predicted = predicted + np.tensordot(numbers, self._rows(basis), 1)
         return predicted - self.measured
 
+    @cached_property
+    def _site(self):
+        return np.outer(self.shares, np.ones(self.samples))[None]
+
     def factored(self, term):
-        return None if is_free(term) else Factored(np.outer(self.shares, np.ones(self.samples)), term.basis(self.data))
+        return None if is_free(term) else Factored(self._site, term.basis(self.data))
 
     def nuisance_columns(self, terms, values):
         return self.levels
@@ -245,7 +260,7 @@ class LinearProblem:
         curves = [Curve(f"u{k}") for k in range(1, 7)]
         return (*curves, Hat(float(angle.min()), float(angle.max()), 6))
 
-    parts = property(lambda self: sum(len(term.plainer) for term in self.flexible))
+    functions = property(lambda self: sum(1 + len(term.parts) for term in self.flexible))
 
     def limits(self, term):
         return [(number.lower, number.upper) for number in term.coordinates]

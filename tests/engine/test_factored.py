@@ -21,14 +21,15 @@ class Dense(LinearProblem):
 def test_sums_are_those_of_dense_columns():
     rng = np.random.default_rng(1)
     plain, root, rows = rng.normal(size=(4, 3, 50)), rng.uniform(size=(3, 50)), rng.normal(size=(3, 50))
-    sites = [Factored(rng.normal(size=(3, 50)), rng.normal(size=(k, 50))) for k in (5, 2)]
-    dense = [site.column * site.functions[:, None] for site in sites]
+    sites = [Factored(rng.normal(size=(c, 3, 50)), rng.normal(size=(k, 50))) for c, k in ((1, 5), (2, 2), (3, 4))]
+    dense = [(one.site[:, None] * one.functions[:, None]).reshape(-1, 3, 50) for one in sites]
     every = np.concatenate([plain, *dense]) * root
     parts = [plain * root, *(site.weighed(root) for site in sites)]
     np.testing.assert_allclose(gram(parts), np.einsum("irs,jrs->ij", every, every), rtol=0, atol=1e-12)
     np.testing.assert_allclose(pulled(parts, rows), np.einsum("irs,rs->i", every, rows), rtol=0, atol=1e-12)
-    values = rng.normal(size=5)
-    np.testing.assert_allclose(sites[0].total(values), np.tensordot(values, dense[0], 1), rtol=0, atol=1e-12)
+    for one, full in zip(sites, dense, strict=True):
+        values = rng.normal(size=len(one))
+        np.testing.assert_allclose(one.total(values), np.tensordot(values, full, 1), rtol=0, atol=1e-12)
 
 
 @pytest.mark.parametrize("noise", [None, NoiseModel((Autocorrelation(0.9, 0.5),) * 2, np.array([0, 1]))])

@@ -329,8 +329,8 @@ def test_every_option_is_documented_once():
 
 def test_the_size_of_a_search_counts_names_functions_orders_and_curves():
     problem = linear_problem(np.random.default_rng(15))
-    plainer = 6 * 2  # of six polynomials of degree 3 those of degrees 1 and 2
-    assert searched_size(problem, OPTIONS) == 7 + 7 + plainer + OPTIONS.searched_orders + OPTIONS.searched_curves
+    parts = 6 * 2  # of six polynomials of degree 3 those of degrees 1 and 2
+    assert searched_size(problem, OPTIONS) == 7 + 7 + parts + OPTIONS.searched_orders + OPTIONS.searched_curves
 
 
 # ---------------------------------------------------------------------------- names
@@ -351,7 +351,7 @@ def test_a_truth_that_no_candidate_has_is_not_called_by_the_nearest_name():
 def test_a_function_of_fewer_numbers_is_found_where_the_whole_explains_too_little_for_all_of_its_own():
     """A square as large as two numbers are worth, and a polynomial of degree 10 that has eight more."""
     wide = Curve("u2", degree=10)
-    found = {"with the plainer": [], "with the whole alone": []}
+    found = {"with its parts": [], "with the whole alone": []}
     for seed in range(6):
         problem = linear_problem(np.random.default_rng(seed), planted=lambda data: 0.3 * data["u2"] ** 2)
         for way, curve in zip(found, (wide, replace(wide, contains=False)), strict=True):
@@ -359,7 +359,7 @@ def test_a_function_of_fewer_numbers_is_found_where_the_whole_explains_too_littl
             object.__setattr__(other, "flexible", (curve,))
             found[way] += search(other, OPTIONS).state.fit.terms.terms
     assert found["with the whole alone"] == []
-    assert found["with the plainer"] == [Curve("u2", degree=2)] * 6
+    assert found["with its parts"] == [Curve("u2", degree=2)] * 6
 
 
 @pytest.mark.parametrize("finest", [0, 9])

@@ -14,6 +14,7 @@ from lite6jax.effects.composition import Physics
 from lite6jax.effects.deflection import Deflection
 from lite6jax.effects.effect import Effect, Loading
 from lite6jax.effects.nonparametric import Unnamed
+from lite6jax.estimation.factored import Factored
 from lite6jax.estimation.terms import Term, Terms
 
 Array = NDArray[np.floating]
@@ -35,6 +36,7 @@ class EffectColumns:
     masses: tuple[Site, ...]
     _linear: dict[Effect, Array] = field(default_factory=dict)
     _by_mass: dict[Effect, Array] = field(default_factory=dict)
+    _sites: dict[tuple[str, str], Array] = field(default_factory=dict)
 
     def by_numbers(
         self, terms: Sequence[Term], values: Array | None = None, beside: tuple[Terms, Array] | None = None
@@ -54,7 +56,12 @@ class EffectColumns:
                 unit = self.deflections.through_loads(effect, values[part], physics_of(others), at)
                 found[part] = columns_of(unit, self.sites)
             elif isinstance(effect, Unnamed):
-                functions.unnamed_columns(effect, self.deflections.basis(effect), self.sites, found[part])
+                factored = self.factored(effect)
+                np.multiply(
+                    factored.site[:, None],
+                    factored.functions[:, None],
+                    out=found[part].reshape(len(factored.site), -1, *self._shape),
+                )
             elif effect.linear or not values[part].any():
                 if effect not in self._linear:
                     self._linear[effect] = columns_of(self.deflections.unit(effect), self.sites)
@@ -62,6 +69,17 @@ class EffectColumns:
             else:
                 found[part] = columns_of(self.deflections.slope(effect, values[part]), self.sites)
         return found
+
+    def factored(self, effect: Unnamed) -> Factored:
+        """The columns of a function without a name; those of one site and component share the array of its columns."""
+        return Factored(self._of_site(effect), self.deflections.basis(effect))
+
+    def _of_site(self, effect: Unnamed) -> Array:
+        """`(component, row, sample)`, the columns of an effect's site."""
+        key = effect.where, effect.component
+        if key not in self._sites:
+            self._sites[key] = np.stack([self.sites[functions.site_of(effect.where, one)] for one in effect.components])
+        return self._sites[key]
 
     def by_masses(self, physics: Physics, values: Array) -> Array:
         """How residuals change with errors of masses through effects `(physics.size,)`, `(mass, row, sample)`."""
@@ -82,7 +100,9 @@ class EffectColumns:
                 found = np.zeros((effect.size, len(self.masses), 1, 1))
             elif isinstance(effect, Unnamed):
                 slopes = self.deflections.basis_by_masses(self.masses, effect)
-                found = np.stack([functions.unnamed_columns(effect, slope, self.sites) for slope in slopes], 1)
+                site = self._of_site(effect)
+                columns = site[:, None] * slopes[:, None, :, None]  # (mass, component, function, row, sample)
+                found = columns.reshape(len(slopes), effect.size, *self._shape).swapaxes(0, 1)
             else:
                 found = np.stack([self._through_masses(effect, one) for one in np.eye(effect.size)])
             self._by_mass[effect] = found

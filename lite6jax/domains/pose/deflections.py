@@ -1,6 +1,6 @@
 """Unit deflections: the deflections of an arm in one motion, per unit of each number of an effect."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, partial
 from operator import itemgetter
@@ -67,7 +67,7 @@ class Deflections:
     inertia: Inertia | None
     motion: Motion
     altered: Callable[[Callable[[Motion], Motion]], Motion]
-    units: dict[Effect, Any] = field(default_factory=dict)
+    units: dict[Hashable, Any] = field(default_factory=dict)
     errors: MassErrors | None = None
 
     @cached_property
@@ -155,7 +155,7 @@ class Deflections:
         parts = (None if part is None else np.tensordot(values, part, 1) for part in self.unit(effect))
         return Deflection(*parts)  # type: ignore[arg-type]
 
-    def _cache(self, effect: Effect) -> dict[Effect, Any]:
+    def _cache(self, effect: Effect) -> dict[Hashable, Any]:
         return self._loaded if any(driver.loaded for driver in effect.drivers) else self.units
 
     def slope(self, effect: Effect, values: Array) -> Deflection:
@@ -266,7 +266,7 @@ class Deflections:
         return None if self.loads is None else jax.tree.map(np.asarray, self.loads)
 
     @cached_property
-    def _loaded(self) -> dict[Effect, Any]:
+    def _loaded(self) -> dict[Hashable, Any]:
         return {}
 
 

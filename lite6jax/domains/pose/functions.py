@@ -1,7 +1,7 @@
-"""Functions without a name that are tried in poses, at every site and of every driver, and their columns."""
+"""Functions without a name that are tried in poses: of every driver at every site, and of pairs of drivers."""
 
-from collections.abc import Sequence
-from itertools import combinations, product
+from collections.abc import Iterable, Sequence
+from itertools import chain, combinations, product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,24 +14,31 @@ from lite6jax.effects.statics import Loads
 
 Array = NDArray[np.floating]
 
-_TILT, _SHIFT, _TURN = "rx ry", "x y z", "rx ry rz"
+_TILT, _SHIFT = "rx ry", "x y z"
 _TWIST = " ".join(COMPONENTS)
-_EVERYWHERE = tuple(map(Driver, ("temperature rise", "time", "payload")))
+_TIME, _PAYLOAD = Driver("time"), Driver("payload")
+_EVERYWHERE = (Driver("temperature rise"), _TIME, _PAYLOAD)
 """Drivers of the whole arm."""
-_OWN = ("gravity torque", "velocity", "direction of motion", "temperature")
-"""Quantities of a joint beside its position."""
+_DIRECTION = "direction of motion"
+_DEGREE = 3
+"""Highest degree of products of drivers; those of lower degrees are parts of them."""
+_PIECES = 5
+"""Intervals of splines: those of more are tried where one of them was found."""
 _WOBBLE = (1.0, 2.0)
 """Orders of what turns with a joint but is no angle of it: tilts of its axis, of the base or of the tool."""
 _TURNS = (-4 * np.pi, 4 * np.pi)
 """rad: no joint turns farther."""
+_NEAR = 3
+"""Joints next to the base, and next to the tool, whose positions move these together with another driver."""
 _LEAST_VARIED = 1e-6
-_TIME = Driver("time")
 
 
-def flexible(motion: Motion, loads: Loads | None, rows: int, sites: dict[Site, Array]) -> tuple[Unnamed, ...]:
+def tried_functions(motion: Motion, loads: Loads | None, rows: int, sites: dict[Site, Array]) -> tuple[Unnamed, ...]:
     """Functions of every driver at every site, as far as drivers are known and vary, and the sensor sees the site.
 
-    Parts of them, such as one component of a displacement, are not among them: `Unnamed.plainer` gives these.
+    Those of one driver are cubics and splines. Those of two are of a site's own drivers, such as the position and the
+    load of a joint, and of these with one of the whole arm, or with the position of another joint. Parts of them, such
+    as one component of a displacement, are not among them: `Unnamed.parts` gives these.
 
     Args:
         motion: time-shifted.
@@ -44,7 +51,7 @@ def flexible(motion: Motion, loads: Loads | None, rows: int, sites: dict[Site, A
     turning = [driver for driver, slide in zip(positions, slides, strict=True) if not slide]
     tried = _Tried(motion, loads, sites)
     for driver in turning:
-        _at_joint(tried, driver.place, positions)
+        _at_joint(tried, driver.place, positions, motion.joint_temperature_rise is not None)
         if motion.dof > 1:
             _at_link(tried, driver.place, positions)
     _at_base(tried, turning)
@@ -65,13 +72,25 @@ class _Tried:
         self._motion, self._loads, self._sites = motion, loads, sites
         self._ranges: dict[Driver, tuple[float, float] | None] = {}
 
+    def singles(self, site: str, component: str, drivers: Iterable[Driver]) -> None:
+        """A cubic and a spline over each driver."""
+        for driver in drivers:
+            self.polynomial(site, component, 1 if driver.quantity == _DIRECTION else _DEGREE, driver)
+            if driver.quantity != _DIRECTION:
+                self.spline(site, component, driver)
+
+    def pairs(self, site: str, component: str, pairs: Iterable[tuple[Driver, Driver]]) -> None:
+        """The products of each two drivers."""
+        for pair in pairs:
+            self.polynomial(site, component, _DEGREE, *pair)
+
     def polynomial(self, site: str, component: str, degree: int, *drivers: Driver) -> None:
         """All products of the drivers up to a degree."""
         self._add(site, component, drivers, degree=degree)
 
-    def spline(self, site: str, component: str, pieces: int, *drivers: Driver) -> None:
+    def spline(self, site: str, component: str, *drivers: Driver) -> None:
         """A spline over the first driver, times the second where there is one, a direction of motion."""
-        self._add(site, component, drivers, pieces=pieces)
+        self._add(site, component, drivers)
 
     def waves(self, site: str, component: str, angle: Driver) -> None:
         """Waves of the first orders of an angle."""
@@ -81,7 +100,7 @@ class _Tried:
                 Unnamed(site, angle.phrase, lower, upper, component=component, orders=_WOBBLE, trust=(1.0, 1.0))
             )
 
-    def _add(self, site: str, component: str, drivers: Sequence[Driver], degree: int = 0, pieces: int = 8) -> None:
+    def _add(self, site: str, component: str, drivers: Sequence[Driver], degree: int = 0) -> None:
         ranges = [self._range(driver) for driver in drivers]
         known = [one for one in ranges if one is not None]
         if len(known) < len(ranges) or not self._seen(site, component):
@@ -89,7 +108,7 @@ class _Tried:
         (lower, upper), *others = known
         further = tuple(bound for one in others for bound in one)
         phrase = " and ".join(driver.phrase for driver in drivers)
-        self.functions.append(Unnamed(site, phrase, lower, upper, pieces, component, degree=degree, further=further))
+        self.functions.append(Unnamed(site, phrase, lower, upper, _PIECES, component, degree=degree, further=further))
 
     def _seen(self, site: str, component: str) -> bool:
         return any(self._sites[site_of(site, one)].any() for one in component.split())
@@ -106,107 +125,78 @@ class _Tried:
         return self._ranges[driver]
 
 
-def _at_joint(tried: _Tried, j: int, positions: Sequence[Driver]) -> None:
-    """An angle: by the position of any joint or two, the joint's own loads and motion, time and temperature."""
-    site, rz = f"joint{j}", "rz"
-    own, load, warmth = Driver("position", j), Driver("gravity torque", j), Driver("temperature", j)
-    velocity, direction = Driver("velocity", j), Driver("direction of motion", j)
-    for driver in positions:
-        tried.spline(site, rz, 5, driver)
-        tried.polynomial(site, rz, 2, driver)
-    for driver in (*(Driver(quantity, j) for quantity in _OWN), *_EVERYWHERE):
-        tried.polynomial(site, rz, 3, driver)
-    # drag, and springs that harden or yield, change too quickly for a cubic
-    for driver in (load, velocity):
-        tried.spline(site, rz, 8, driver)
-    # what swings or drags elsewhere on the arm
-    for other in (driver for driver in positions if driver.place != j):
-        tried.polynomial(site, rz, 2, joint_driver("velocity", other.place, other.of_slide))
-        tried.polynomial(site, rz, 1, Driver("direction of motion", other.place))
-    for pair in combinations(positions, 2):
-        tried.polynomial(site, rz, 3, *pair)
-    # friction that sticks in one place, and play that a load takes up
-    for driver, degree in product((own, load), (2, 3)):
-        tried.polynomial(site, rz, degree, driver, direction)
-    tried.spline(site, rz, 8, own, direction)
-    # a spring that is softer in one place, and what a gear does as it warms
-    for pair in ((own, load), (own, warmth), (own, _TIME), (load, warmth)):
-        tried.polynomial(site, rz, 2, *pair)
+def _at_joint(tried: _Tried, j: int, positions: Sequence[Driver], each_warms: bool) -> None:
+    """An angle: by the joint's own loads, motion and temperature, and by the motion of any other joint."""
+    site, rz, own_position = f"joint{j}", "rz", positions[j - 1]
+    own = [own_position, *(Driver(quantity, j) for quantity in ("gravity torque", "velocity", "temperature"))]
+    direction = Driver(_DIRECTION, j)
+    others = [driver for driver in positions if driver.place != j]
+    velocities = [joint_driver("velocity", other.place, other.of_slide) for other in others]
+    everywhere = _EVERYWHERE if each_warms else (_TIME, _PAYLOAD)
+    tried.singles(site, rz, [*own, direction, *others, *velocities, *_directions(others), *everywhere])
+    # a spring that is softer in one place, play that a load takes up, friction that falls as the gear warms
+    tried.pairs(site, rz, combinations([*own, direction], 2))
+    tried.pairs(site, rz, product([*own, direction], everywhere))
+    tried.pairs(site, rz, combinations(positions, 2))
+    # play that differs from place to place, more sharply than a cubic
+    for driver in own[:2]:
+        tried.spline(site, rz, driver, direction)
 
 
 def _at_link(tried: _Tried, j: int, positions: Sequence[Driver]) -> None:
-    """Mostly tilts: by the position of the link's joint, its moments, time and temperature, and other joints."""
-    site, own = f"link{j}", Driver("position", j)
-    bending = [Driver(f"gravity moment {axis}", j) for axis in "xy"]
-    tried.waves(site, _TILT, own)
-    tried.spline(site, _TILT, 5, own)
-    tried.polynomial(site, _TILT, 2, *bending)
-    tried.polynomial(site, _SHIFT, 1, *bending)
-    for driver in _EVERYWHERE:
-        tried.polynomial(site, _TILT, 3, driver)
-        tried.polynomial(site, _SHIFT, 2, driver)
-    # a flange gapes to one side
-    for axis, moment in zip("xy", bending, strict=True):
-        tried.spline(site, f"r{axis}", 8, moment)
+    """Tilts by the position of the link's joint, its moments and other joints, and shifts by what is the link's own."""
+    site, own_position = f"link{j}", positions[j - 1]
+    moments = [Driver(f"gravity moment {axis}", j) for axis in "xy"]
+    own, direction = [own_position, *moments], Driver(_DIRECTION, j)
     # cables and belts of other joints
-    for driver in (driver for driver in positions if driver.place != j):
-        tried.polynomial(site, _TILT, 3, driver)
-        tried.polynomial(site, _TILT, 1, Driver("direction of motion", driver.place))
+    others = [driver for driver in positions if driver.place != j]
+    tried.waves(site, _TILT, own_position)
+    tried.singles(site, _TILT, [*own, direction, *others, *_directions(others), *_EVERYWHERE])
+    tried.pairs(site, _TILT, combinations([*own, direction], 2))
+    tried.pairs(site, _TILT, product([*own, direction], _EVERYWHERE))
+    tried.pairs(site, _TILT, product([own_position], others))
+    tried.singles(site, _SHIFT, [*own, *_EVERYWHERE])
+    tried.pairs(site, _SHIFT, combinations(moments, 2))
 
 
 def _at_base(tried: _Tried, turning: Sequence[Driver]) -> None:
-    """All components by the first joints, the moments, time and temperature; a mount mostly tilts."""
+    """All components by the moments, the positions of joints, time and temperature."""
     moments = [Driver(f"base moment {axis}") for axis in "xy"]
-    for driver in turning[:3]:
+    near = turning[:_NEAR]
+    for driver in near:
         tried.waves("base", _TWIST, driver)
-    for driver in turning:
-        tried.polynomial("base", _TILT, 2, driver)
-    for components, degree in product((_TWIST, _TILT, "rz"), (1, 2)):
-        tried.polynomial("base", components, degree, *moments)
-    for axis, moment in zip("xy", moments, strict=True):
-        tried.spline("base", f"r{axis}", 8, moment)
-    for driver in _EVERYWHERE:
-        tried.polynomial("base", _TWIST, 3, driver)
-        tried.polynomial("base", _TURN, 3, driver)
-    _along_time(tried, "base", _TWIST)
+    tried.singles("base", _TWIST, [*moments, *turning, *_directions(turning), *_EVERYWHERE])
+    tried.pairs("base", _TWIST, chain(combinations(moments, 2), combinations(near, 2)))
+    tried.pairs("base", _TWIST, product([*moments, *near], _EVERYWHERE))
 
 
 def _at_tool(tried: _Tried, turning: Sequence[Driver], dof: int, components: str) -> None:
-    """All components that are seen, by any joint, the moments at the flange, time and temperature."""
+    """All components that are seen, by the moments at the flange, the positions of joints, time and temperature."""
+    moments = Driver("gravity moment x", dof), Driver("gravity moment y", dof), Driver("gravity torque", dof)
+    near = turning[-_NEAR:]
     for driver in turning:
         tried.waves("tool", components, driver)
-    for driver in turning:
-        tried.polynomial("tool", components, 2, driver)
-    moments = Driver("gravity moment x", dof), Driver("gravity moment y", dof), Driver("gravity torque", dof)
-    for degree in (1, 2):
-        tried.polynomial("tool", components, degree, *moments)
-    for driver in _EVERYWHERE:
-        tried.polynomial("tool", components, 3, driver)
-    _along_time(tried, "tool", components)
+    tried.singles("tool", components, [*moments, *turning, *_directions(turning), *_EVERYWHERE])
+    tried.pairs("tool", components, combinations(near, 2))
+    tried.pairs("tool", components, product([*moments, *near], _EVERYWHERE))
+    tried.polynomial("tool", components, 2, *moments)
 
 
 def _at_sensor(tried: _Tried) -> None:
     """All components by time and temperature; shifts by the measured position, as lenses and scales have them."""
-    for driver in _EVERYWHERE:
-        tried.polynomial("sensor", _TWIST, 3, driver)
-        # a stand that bends, or a tripod that sinks, turns what it holds more than it shifts it
-        tried.polynomial("sensor", _TURN, 3, driver)
-    _along_time(tried, "sensor", _TWIST)
     axes = [Driver(f"measured position {axis}") for axis in "xyz"]
-    for degree in (1, 2, 3):
-        tried.polynomial("sensor", _SHIFT, degree, *axes)
-    for axis, degree in product(axes, (1, 3)):
-        tried.polynomial("sensor", axis.quantity[-1], degree, axis)
+    distance = Driver("measured position's distance")
+    tried.singles("sensor", _TWIST, _EVERYWHERE)
+    tried.singles("sensor", _SHIFT, axes)
+    tried.pairs("sensor", _SHIFT, product(axes, _EVERYWHERE))
+    tried.polynomial("sensor", _SHIFT, _DEGREE, *axes)
     # lenses distort in proportion to powers of the distance
-    tried.polynomial("sensor", SCALE, 3, Driver("measured position's distance"))
-    for driver in _EVERYWHERE:
-        tried.polynomial("sensor", SCALE, 2, driver)
+    tried.singles("sensor", SCALE, [distance, *_EVERYWHERE])
+    tried.pairs("sensor", SCALE, product([distance], _EVERYWHERE))
 
 
-def _along_time(tried: _Tried, site: str, components: str) -> None:
-    """Each component alone: what sways, creeps or lets go changes too quickly for a cubic."""
-    for component in components.split():
-        tried.spline(site, component, 8, _TIME)
+def _directions(joints: Iterable[Driver]) -> list[Driver]:
+    return [Driver(_DIRECTION, joint.place) for joint in joints]
 
 
 def site_of(where: str, component: str) -> Site:
@@ -215,12 +205,3 @@ def site_of(where: str, component: str) -> Site:
         return SCALE, 0, 0
     kind, number = where.rstrip("0123456789"), int("0" + "".join(filter(str.isdecimal, where)))
     return kind, max(number - 1, 0), 0 if kind == "joint" else COMPONENTS.index(component)
-
-
-def unnamed_columns(effect: Unnamed, basis: Array, sites: dict[Site, Array], out: Array | None = None) -> Array:
-    """How residuals change with the coefficients of an effect without a name, `(number, row, sample)`; into `out`."""
-    if out is None:
-        out = np.empty((effect.size, *sites["scale", 0, 0].shape))
-    for k, component in enumerate(effect.components):
-        np.multiply(sites[site_of(effect.where, component)], basis[:, None], out=out[effect.part(k)])
-    return out

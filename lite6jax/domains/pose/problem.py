@@ -1,6 +1,6 @@
 """Measured poses as an estimation problem: one arm, its unknown frames and geometry, and the columns of effects."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any, final
@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.factory import FactoryCalibration
-from lite6jax.domains.pose import families, functions
+from lite6jax.domains.pose import families
 from lite6jax.domains.pose.columns import EffectColumns, physics_of
 from lite6jax.domains.pose.deflections import Deflections, MassErrors, mass_errors
+from lite6jax.domains.pose.functions import tried_functions
 from lite6jax.domains.pose.kinematics import (
     FRAMES,
     Measured,
@@ -103,7 +104,7 @@ class PoseProblem:
     untestable: tuple[Untestable, ...]
     clock_offset: float
     thinned_from: tuple[Motion, NDArray[np.integer]] | None
-    units: dict[Effect, Any]
+    units: dict[Hashable, Any]
     refused: frozenset[str] = frozenset()
     after: Mask = field(default_factory=lambda: np.zeros((0, 0), bool))
 
@@ -212,10 +213,8 @@ class PoseProblem:
         return self.effect_columns.by_numbers(terms, values, beside)
 
     def factored(self, term: Term) -> Factored | None:
-        """Of a function without a name at a joint, which has one component; None of other terms."""
-        if not isinstance(term, Unnamed) or not term.where.startswith("joint"):
-            return None
-        return Factored(self.sites[functions.site_of(term.where, "rz")], self.deflections.basis(term))
+        """Of a function without a name; None of other terms."""
+        return self.effect_columns.factored(term) if isinstance(term, Unnamed) else None
 
     def nuisance_columns(self, terms: Terms, values: Array) -> Array:
         """How residuals change with `unknown`, `(unknown, row, sample)`: masses matter beside compliances alone."""
@@ -246,12 +245,12 @@ class PoseProblem:
     @lazy
     def flexible(self) -> tuple[Unnamed, ...]:
         """Functions without a name, of every site and driver."""
-        return functions.flexible(self.deflections.host_motion, self.deflections.host_loads, self.rows, self.sites)
+        return tried_functions(self.deflections.host_motion, self.deflections.host_loads, self.rows, self.sites)
 
     @lazy
-    def parts(self) -> int:
-        """How many functions of one component, of one driver or of a lower degree those without a name contain."""
-        return sum(len(function.forms) for function in self.flexible)
+    def functions(self) -> int:
+        """How many functions without a name there are, with those of fewer components, drivers or products in them."""
+        return sum(1 + len(function.forms) for function in self.flexible)
 
     def residual(self, nuisance: Array, terms: Terms, values: Array) -> Array:
         """Residuals `(row, sample)` over the declared noise, predicted minus measured."""

@@ -187,9 +187,9 @@ class TorqueProblem:
         return families.flexible(self.dynamics, families.sizes(self.data))
 
     @property
-    def parts(self) -> int:
-        """None: these functions have one component, and few numbers."""
-        return 0
+    def functions(self) -> int:
+        """As many as `flexible` has: these functions have one component and few numbers, and no parts."""
+        return len(self.flexible)
 
     def residual(self, nuisance: Array, terms: Terms, values: Array) -> Array:
         """Residuals `(joint, sample)` over `sigma`, predicted minus measured."""

@@ -425,11 +425,14 @@ def test_functions_are_tried_of_drivers_elsewhere_on_the_arm(known):
         ("joint2", "rz", "position of joint 2 and gravity torque of joint 2"),
         ("link2", "rx ry", "position of joint 5"),
         ("link4", "rx ry", "direction of motion of joint 2"),
-        ("tool", "z", "time"),
+        ("joint2", "rz", "gravity torque of joint 2 and time"),
+        ("base", "x y z rx ry rz", "base moment x and time"),
+        ("tool", "x y z rx ry rz", "time"),
         ("sensor", "scale", "measured position's distance"),
     ):
         assert (site, component, driver) in tried
-    assert known["moving"].parts == sum(len(one.plainer) for one in known["moving"].flexible)
-    lines = [one for whole in known["moving"].flexible for one in whole.plainer if one.degree == 1]
+    parts = [part.made() for whole in known["moving"].flexible for part in whole.parts]
+    assert known["moving"].functions == len(known["moving"].flexible) + len(parts)
+    lines = [one for one in parts if one.degree == 1]
     assert lines
     assert not any(one.site.startswith("joint") for one in lines)
