@@ -36,7 +36,7 @@ def torque(setup, motion, joint):
 
 
 def beyond(load, preload):
-    """What is left of a load when a preload has taken its share, whichever way it acts."""
+    """What is left of a load when a preload has taken its share, whichever way it acts; of a turn, beyond a slack."""
     return load - load.clip(-preload, preload)
 
 
@@ -118,6 +118,33 @@ FORMULAS = {
         lambda s, m: beyond(moments(s.chain, m.q, m.payload, PAYLOAD_CENTER)[1][:, 0], 1.0) / 2,
     ),
     "loosening_clamp": ("tool", {"axis": 4.0, "by": 2.0, "span_s": 2.0}, lambda s, m: 0.5 * m.time * m.q[:, 1]),
+    "swelling_drum": ("joint3", {}, lambda s, m: m.q[:, 2] * rise(m)),
+    "skipped_tooth": ("joint3", {"instant_s": 1.2}, lambda s, m: np.where(m.time > 1.2, 1.0, 0.0)),
+    "rubbing_harness": ("joint3", {}, lambda s, m: -np.sign(m.dq[:, 2]) * abs(m.q[:, 2])),
+    "tiring_belt": (
+        "joint3",
+        {"torque_Nm": 3.0, "span_s": 2.0},
+        lambda s, m: m.time * torque(s, m, 3)[:, 2] / 6,
+    ),
+    "whipped_link": ("link3", {"axis": 3.0, "by": 5.0, "and": 2.0}, lambda s, m: m.dq[:, 4] * m.dq[:, 1]),
+    "softening_glue": ("link3", {"axis": 4.0, "softens": 0.6}, lambda s, m: (rise(m) - 0.6).clip(min=0)),
+    "lifting_plate": (
+        "base",
+        {"axis": 2.0, "base_moment_Nm": 2.0},
+        lambda s, m: np.sqrt(moments(s.chain, m.q, m.payload, PAYLOAD_CENTER)[1][:, 0] ** 2 / 4),
+    ),
+    "wheeled_table": ("base", {"axis": 1.0, "by": 4.0}, lambda s, m: np.sign(m.dq[:, 3])),
+    "taut_cable": ("tool", {"axis": 4.0, "by": 2.0, "slack": 0.5}, lambda s, m: beyond(m.q[:, 1], 0.5)),
+    "tipping_tool": (
+        "tool",
+        {"axis": 3.0, "flange": 6.0, "flange_moment_Nm": 0.01},
+        lambda s, m: np.select([torque(s, m, 6)[:, 0] > 0.005, torque(s, m, 6)[:, 0] < -0.005], [1.0, -1.0]),
+    ),
+    "shared_bench": (
+        "sensor",
+        {"axis": 2.0, "base_moment_Nm": 2.0},
+        lambda s, m: moments(s.chain, m.q, m.payload, PAYLOAD_CENTER)[1][:, 0] / 2,
+    ),
 }
 IMAGES = {
     "lens_distortion": lambda p: p * np.sum(p**2, 1, keepdims=True),
@@ -125,6 +152,7 @@ IMAGES = {
     "stretched_axis": lambda p: p[:, [0]] * [1.0, 0.0, 0.0],
     "keystone": lambda p: p[:, [1]] * p * [1.0, 1.0, 0.0],
     "bent_beam": lambda p: np.linalg.norm(p, axis=1, keepdims=True) ** 2 * [0.0, 0.0, 1.0],
+    "eccentric_circle": lambda p: np.sin(np.arctan2(p[:, [1]], p[:, [0]])) * np.cross([0.0, 0.0, 1.0], p),
 }
 
 
@@ -149,7 +177,7 @@ def displaced(setup, motion, site, twist):
 
 def test_every_family_is_here():
     assert set(FORMULAS) | set(IMAGES) == set(FAMILIES)
-    assert len(FAMILIES) == 41
+    assert len(FAMILIES) == 53
 
 
 @pytest.mark.parametrize("name", FORMULAS)

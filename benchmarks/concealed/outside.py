@@ -23,7 +23,8 @@ KNOWN = (
     *("squared_bending", "base_tilt_by_joint", "base_yaw_by_moment", "tool_turn_by_joint", "tool_shift_by_warmth"),
     *("lens_distortion", "skewed_axes", "stretched_axis", "sensor_turn_by_time", "sensor_shift_by_warmth"),
     *("squared_drift", "eccentric_coupling", "worn_gear", "dragging_gear", "hose_pull", "gaping_flange"),
-    *("rocking_base", "loose_clip", "creeping_glue", "swaying_sensor", "keystone"),
+    *("rocking_base", "loose_clip", "creeping_glue", "swaying_sensor", "keystone", "soft_stop", "pulled_encoder"),
+    *("flung_joint", "softening_link", "belt_pull", "preloaded_base", "loosening_clamp", "bent_beam"),
 )
 """The families that have been looked at. A new one is not among them until it was drawn once with --sealed."""
 _WARMER = 10.0
@@ -39,7 +40,7 @@ _CREEP = 4.0
 _ROCKING = 4.0
 """A moment of one part in so many of the load tips a base from one foot to another."""
 _PRELOAD = 0.5
-"""Of the load: the moment at which bolts that are tightened begin to give."""
+"""Of the load: the moment at which bolts that are tightened begin to give, or a detent does."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,8 +130,13 @@ def _torque(fixed: Fixed, s: Signals) -> Array:
     return _column(s.moment[..., 2], fixed) / fixed["torque_Nm"]
 
 
-def _beyond_preload(load: Array) -> Array:
-    return np.sign(load) * np.maximum(np.abs(load) - _PRELOAD, 0.0)
+def _beyond(values: Array, free: float) -> Array:
+    return np.sign(values) * np.maximum(np.abs(values) - free, 0.0)
+
+
+def _tipped(fixed: Fixed, s: Signals) -> Array:
+    load = _column(s.moment[..., 0], fixed, "flange") / fixed["flange_moment_Nm"]
+    return np.sign(load) * (np.abs(load) > _PRELOAD)
 
 
 def _own(quantity: str, key: str = "joint") -> Callable[[Fixed], Drivers]:
@@ -151,6 +157,7 @@ _TIME = _phrases("time")
 _POSITION = "position of joint"
 _TORQUE = "gravity torque of joint"
 _DIRECTION = "direction of motion of joint"
+_VELOCITY = "velocity of joint"
 _BY_JOINT = _own(_POSITION, "by")
 
 FAMILIES: dict[str, Family] = {
@@ -195,7 +202,7 @@ FAMILIES: dict[str, Family] = {
         "turn_rad",
         lambda fixed, s: _signed_power(_column(s.dq, fixed), fixed["power"]),
         ("power",),
-        _own("velocity of joint"),
+        _own(_VELOCITY),
         beside=("joint_lag",),
         moving=True,
     ),
@@ -401,7 +408,7 @@ FAMILIES: dict[str, Family] = {
         "turn_rad",
         lambda fixed, s: _column(s.dq, fixed, "by") ** 2,
         ("by",),
-        _own("velocity of joint", "by"),
+        _own(_VELOCITY, "by"),
         beside=("joint_offset",),
         moving=True,
     ),
@@ -432,7 +439,7 @@ FAMILIES: dict[str, Family] = {
     "preloaded_base": Family(
         "base",
         "turn_rad",
-        lambda fixed, s: _beyond_preload(s.base_moment[:, 0] / fixed["base_moment_Nm"]),
+        lambda fixed, s: _beyond(s.base_moment[:, 0] / fixed["base_moment_Nm"], _PRELOAD),
         ("base_moment_Nm",),
         _phrases("base moment x"),
         (3,),
@@ -451,6 +458,122 @@ FAMILIES: dict[str, Family] = {
     ),
     # air that is warmer on one side bends the sight, by the square of the distance
     "bent_beam": Family("image", "shift_m", None, (), _phrases("measured position"), beside=("measurement_scale",)),
+    # a cable drum of plastic grows with warmth
+    "swelling_drum": Family(
+        "joint",
+        "turn_rad",
+        lambda fixed, s: s.warmth() * _column(s.q, fixed),
+        (),
+        _together(_TEMPERATURE, _own(_POSITION)),
+        beside=("joint_scale", "joint_thermal_offset", "joint_offset"),
+        warm=True,
+    ),
+    # a belt jumps over a tooth of its pulley
+    "skipped_tooth": Family(
+        "joint",
+        "turn_rad",
+        lambda fixed, s: (s.time > fixed["instant_s"]).astype(float),
+        ("instant_s",),
+        _TIME,
+        beside=("joint_offset",),
+    ),
+    # cables wound round a joint rub the more, the further they are wound
+    "rubbing_harness": Family(
+        "joint",
+        "turn_rad",
+        lambda fixed, s: -_column(s.direction, fixed) * np.abs(_column(s.q, fixed)),
+        (),
+        _together(_own(_DIRECTION), _own(_POSITION)),
+        beside=("joint_backlash",),
+    ),
+    # a belt that wears stretches more and more under its load
+    "tiring_belt": Family(
+        "joint",
+        "turn_rad",
+        lambda fixed, s: _torque(fixed, s) * s.time / fixed["span_s"],
+        ("torque_Nm", "span_s"),
+        _together(_own(_TORQUE), _TIME),
+        beside=("joint_compliance", "joint_offset"),
+        loaded=True,
+    ),
+    # Coriolis's force, where two joints move at once, bends a link
+    "whipped_link": Family(
+        "link",
+        "turn_rad",
+        lambda fixed, s: _column(s.dq, fixed, "by") * _column(s.dq, fixed, "and"),
+        ("by", "and"),
+        _together(_own(_VELOCITY, "by"), _own(_VELOCITY, "and")),
+        (3, 4),
+        beside=("frame_offset",),
+        moving=True,
+    ),
+    # a glued joint of a link holds until it is so warm that the glue softens
+    "softening_glue": Family(
+        "link",
+        "turn_rad",
+        lambda fixed, s: np.maximum(s.warmth() - fixed["softens"], 0.0),
+        ("softens",),
+        _TEMPERATURE,
+        (3, 4),
+        beside=("frame_offset",),
+        warm=True,
+    ),
+    # a loose plate rocks over one edge or the other, and its middle rises both times
+    "lifting_plate": Family(
+        "base",
+        "shift_m",
+        lambda fixed, s: np.abs(s.base_moment[:, 0]) / fixed["base_moment_Nm"],
+        ("base_moment_Nm",),
+        _phrases("base moment x"),
+        (2,),
+        beside=("frame_offset",),
+        loaded=True,
+    ),
+    # a table on wheels stays where the last jerk of a joint pushed it
+    "wheeled_table": Family(
+        "base",
+        "shift_m",
+        lambda fixed, s: _column(s.direction, fixed, "by"),
+        ("by",),
+        _own(_DIRECTION, "by"),
+        (0, 1),
+        beside=("frame_offset",),
+    ),
+    # a cable pulls at the tool when a joint has taken up its slack
+    "taut_cable": Family(
+        "tool",
+        "turn_rad",
+        lambda fixed, s: _beyond(_column(s.q, fixed, "by"), fixed["slack"]),
+        ("by", "slack"),
+        _BY_JOINT,
+        (3, 4),
+        beside=("tool_offset",),
+    ),
+    # a detent holds a tool upright until the moment tips it against a stop
+    "tipping_tool": Family(
+        "tool",
+        "turn_rad",
+        _tipped,
+        ("flange", "flange_moment_Nm"),
+        _own("gravity moment x of link", "flange"),
+        (3,),
+        beside=("tool_compliance", "tool_offset"),
+        loaded=True,
+    ),
+    # a sensor stands on the arm's bench, which gives way as the arm leans over
+    "shared_bench": Family(
+        "sensor",
+        "shift_m",
+        lambda fixed, s: s.base_moment[:, 0] / fixed["base_moment_Nm"],
+        ("base_moment_Nm",),
+        _phrases("base moment x"),
+        (0, 1, 2),
+        loaded=True,
+    ),
+    # the circle on which a tracker reads its azimuth turns out of its centre
+    "eccentric_circle": Family(
+        "image", "shift_m", None, (), _phrases("measured position"), beside=("measurement_scale",)
+    ),
 }
 """By name. A `power` of 2 is the family's; of 1 it is the named effect that comes nearest."""
 
@@ -500,6 +623,12 @@ def drawn(name: str, rng: np.random.Generator, s: Signals) -> tuple[str, dict[st
                 fixed[key] = float(np.percentile(q, rng.uniform(25, 75)))
             case "stop":
                 fixed[key] = float(np.percentile(q, rng.uniform(55, 80)))
+            case "slack":
+                fixed[key] = float(np.percentile(np.abs(_column(s.q, fixed, "by")), rng.uniform(30, 60)))
+            case "softens":
+                fixed[key] = float(np.percentile(s.warmth(), rng.uniform(30, 60)))
+            case "flange":
+                fixed[key] = float(dof)
             case "lower":
                 start = rng.uniform(10, 50)
                 fixed |= {"lower": float(np.percentile(q, start)), "upper": float(np.percentile(q, start + 35))}
@@ -508,6 +637,7 @@ def drawn(name: str, rng: np.random.Generator, s: Signals) -> tuple[str, dict[st
                     "torque_Nm": s.moment[:, joint - 1, 2],
                     "moment_Nm": s.moment[:, joint - 1, 0],
                     "moment_y_Nm": s.moment[:, joint - 1, 1],
+                    "flange_moment_Nm": s.moment[:, -1, 0],
                     "base_moment_Nm": s.base_moment[:, 0],
                     "base_moment_y_Nm": s.base_moment[:, 1],
                 }[key]
@@ -539,4 +669,8 @@ def seen_shift(name: str, position: Array) -> Array:
             return np.column_stack([x * y, y**2, np.zeros(len(x))])
         case "bent_beam":
             return np.column_stack([np.zeros((len(x), 2)), x**2 + y**2 + z**2])
+        case "eccentric_circle":
+            # off by the sine of the azimuth, square to the line of sight
+            sine = y / np.hypot(x, y)
+            return np.column_stack([-y * sine, x * sine, np.zeros(len(x))])
     raise KeyError(name)

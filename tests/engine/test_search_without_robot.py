@@ -417,7 +417,6 @@ def test_a_function_that_explains_as_much_is_an_alternative():
     object.__setattr__(other, "flexible", at_y)
     (test,) = search(other, OPTIONS).state.tested
     assert test.term == Column("u2")
-    near = [one.term for one in test.alternatives]
-    assert near[0] in at_y[1:3]
+    assert test.alternatives[0].term.degree == 1  # what more numbers would gain is noise
     assert test.alternatives[0].gap < OPTIONS.close
-    assert at_y[3] not in near
+    assert {one.term.over for one in test.alternatives} <= {"u2", "u3"}
