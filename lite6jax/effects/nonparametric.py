@@ -311,6 +311,13 @@ class Unnamed(Bending):
         least = 2 if self.where.startswith("joint") else 1
         return _contained_forms(self.component, self.drivers, self.degree, least, 0 if self.degree else self.functions)
 
+    @property
+    def displacements(self) -> "tuple[Unnamed, ...]":
+        """Of a function of a whole twist a shift, a turn and a tilt alone; another one itself."""
+        if self.components != COMPONENTS:
+            return (self,)
+        return tuple(replace(self, component=together) for together in _TOGETHER)
+
     def of_form(self, form: Form) -> "Unnamed":
         """The function of one of `forms`."""
         ranges = ((self.lower, self.upper), *zip(self.further[::2], self.further[1::2], strict=True))

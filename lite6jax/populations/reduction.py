@@ -119,7 +119,9 @@ def _linear(
 def _functions(problem: PoseProblem | TorqueProblem) -> tuple[Function, ...]:
     """What names are tested by in one recording: functions of every site and driver, and finer curves of joints."""
     # a load that multiplies a function would be another in every arm
-    found = [_shared(effect) for effect in problem.flexible if not getattr(effect, "full_load", 0.0)]
+    tried = [effect for effect in problem.flexible if not getattr(effect, "full_load", 0.0)]
+    # a pool has no parts of functions, and those of a whole twist have many numbers to pay for
+    found = [_shared(part) for one in tried for part in (one.displacements if isinstance(one, Unnamed) else (one,))]
     for driver in (driver for family in problem.curves for driver in family.drivers):
         low, high = float(driver.values.min()), float(driver.values.max())
         if high - low > _LEAST_VARIED:  # else it is a constant of each recording, another in each
