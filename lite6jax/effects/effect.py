@@ -143,7 +143,9 @@ UNINFORMED_PHASE = np.pi / np.sqrt(3)
 """The standard deviation of an angle of which nothing is known."""
 
 
-class Part(NamedTuple):
+@final
+@dataclass(frozen=True, slots=True)
+class Part:
     """A function without a name that another one contains.
 
     Attributes:
