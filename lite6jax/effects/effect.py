@@ -179,6 +179,9 @@ class Effect(ABC):
     special_cases: "ClassVar[Callable[[Any], tuple[Effect, ...]] | None]" = None
     """Of an effect, those that are this one with some of its numbers zero; None where there are none."""
 
+    counted: "ClassVar[Callable[[Any], int] | None]" = None
+    """How many numbers it has, where thousands of such effects are counted; None to count its coordinates."""
+
     contained_functions: "ClassVar[Callable[[Any], tuple[Part, ...]] | None]" = None
     """Of a function without a name, those of fewer numbers that it contains."""
 
@@ -208,7 +211,7 @@ class Effect(ABC):
     @property
     def size(self) -> int:
         """How many numbers it has."""
-        return len(self.coordinates)
+        return len(self.coordinates) if self.counted is None else self.counted(self)
 
     @property
     def label(self) -> str:

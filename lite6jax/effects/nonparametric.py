@@ -1,6 +1,7 @@
 """Physics without a name: at one site, a function of one driver (spline, harmonics, hysteresis) or of several."""
 
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cache, cached_property, partial
 from itertools import chain, combinations, combinations_with_replacement, product
@@ -61,14 +62,20 @@ Products = tuple[tuple[int, ...], ...]
 
 
 @cache
-def products_of(drivers: tuple[Driver, ...], degree: int) -> Products:
+def products_of(drivers: tuple[Driver, ...], degree: int, power: int = 0) -> Products:
     """All products of up to `degree` drivers, the constant first.
 
-    A direction of motion is in a product once at most: its square is the constant.
+    A direction of motion is in a product once at most: its square is the constant. Any other driver is there as often
+    as `power` says, where that is not 0.
     """
-    signs = {k for k, driver in enumerate(drivers) if driver.quantity == "direction of motion"}
+    most = [1 if driver.quantity == "direction of motion" else power or degree for driver in drivers]
     orders = (combinations_with_replacement(range(len(drivers)), order) for order in range(degree + 1))
-    return tuple(which for found in orders for which in found if all(which.count(k) < 2 for k in signs))
+    return tuple(which for found in orders for which in found if _within(which, most))
+
+
+def _within(which: tuple[int, ...], most: Sequence[int]) -> bool:
+    """Whether a product has no driver more often than allowed."""
+    return all(which.count(k) <= most[k] for k in which)
 
 
 def polynomial_basis(values: Array, ranges: NDArray, products: Products) -> Array:
@@ -88,7 +95,7 @@ def polynomial_basis(values: Array, ranges: NDArray, products: Products) -> Arra
 
 
 class Form(NamedTuple):
-    """A part of a function without a name: components, drivers by their indices, and degree.
+    """A part of a function without a name: components, drivers by their indices, degree, and power of one driver.
 
     `numbers` are the coefficients of the whole that it has.
     """
@@ -96,35 +103,40 @@ class Form(NamedTuple):
     component: str
     drivers: tuple[int, ...]
     degree: int
+    power: int
     numbers: tuple[int, ...]
 
 
 @cache
 def _contained_forms(
-    component: str, drivers: tuple[Driver, ...], degree: int, least: int, pieces: int
+    component: str, drivers: tuple[Driver, ...], degree: int, power: int, least: int, pieces: int
 ) -> tuple[Form, ...]:
     """The forms of some components, of fewer than all of three drivers, of this or a lower degree, but for the whole.
+
+    Of two drivers there is also the one of their product and of each alone, without squares.
 
     Args:
         component: of the whole.
         drivers: of the whole.
         degree: of the whole; 0 where it has none.
+        power: of the whole.
         least: lowest degree of polynomials.
         pieces: functions of each component, where the whole has no degree.
     """
     components, every = component.split(), tuple(range(len(drivers)))
     together = [one for one in _TOGETHER if set(one.split()) < set(components)]
     of = [every, *chain.from_iterable(combinations(every, n) for n in range(1, len(every)) if len(every) > 2)]
-    products = products_of(drivers, degree) if degree else ((),) * pieces
+    products = products_of(drivers, degree, power) if degree else ((),) * pieces
+    plain = [(n, power) for n in range(min(degree, least), degree + 1)]
     forms = []
-    for parts, which, highest in product(
-        dict.fromkeys((component, *together, *components)), of, range(min(degree, least), degree + 1)
-    ):
-        if (parts, which, highest) == (component, every, degree):
-            continue
-        kept = [k for k, one in enumerate(products) if len(one) <= highest and set(one) <= set(which)]
-        blocks = [components.index(one) * len(products) for one in parts.split()]
-        forms.append(Form(parts, which, highest, tuple(start + k for start in blocks for k in kept)))
+    for parts, which in product(dict.fromkeys((component, *together, *components)), of):
+        for highest, most in [*plain, *([(2, 1)] if degree > 1 and len(which) == 2 and not power else [])]:
+            if (parts, which, highest, most) == (component, every, degree, power):
+                continue
+            allowed = [(most or highest) * (k in which) for k in every]
+            kept = [k for k, one in enumerate(products) if len(one) <= highest and _within(one, allowed)]
+            blocks = [components.index(one) * len(products) for one in parts.split()]
+            forms.append(Form(parts, which, highest, most, tuple(start + k for start in blocks for k in kept)))
     return tuple(forms)
 
 
@@ -175,6 +187,7 @@ class Unnamed(Bending):
             where it does not.
         memory: half the widths of the plays, in the driver's unit, that are there instead of a spline.
         degree: of polynomials, that are there instead of a spline; 0 for none.
+        power: highest power of one driver in these; 0 where the degree alone limits it.
         further: lower and upper of each further driver.
 
     Raises:
@@ -194,11 +207,13 @@ class Unnamed(Bending):
     degree: int = 0
     further: tuple[float, ...] = ()
     rolloff: tuple[float, ...] = ()
+    power: int = 0
 
     name: ClassVar[str] = "unnamed"
     nonparametric: ClassVar[bool] = True
     shrinking: ClassVar[bool] = True
     specificity: ClassVar[int] = 17
+    counted = staticmethod(lambda effect: len(effect.components) * effect.functions)
     contained_functions = staticmethod(
         lambda effect: tuple(Part(form.numbers, partial(effect.of_form, form)) for form in effect.forms)
     )
@@ -238,6 +253,10 @@ class Unnamed(Bending):
             raise InputError(
                 f"unnamed:{self.where}: rolloff {self.rolloff} is not possible; give a positive corner order and a "
                 "slope, beside orders and their spread"
+            )
+        if self.power and (self.power < 0 or self.power > self.degree):
+            raise InputError(
+                f"unnamed:{self.where}: power {self.power} of degree {self.degree}; give one from 1 to the degree, or 0"
             )
         if self.degree and (self.orders or self.memory):
             raise InputError(f"unnamed:{self.where}: a degree beside orders or memory; give one of them")
@@ -289,17 +308,12 @@ class Unnamed(Bending):
     @property
     def products(self) -> Products:
         """Of the drivers; the constant alone where there is no degree."""
-        return products_of(self.drivers, self.degree)
-
-    @property
-    def size(self) -> int:
-        """How many coefficients it has."""
-        return len(self.components) * self.functions
+        return products_of(self.drivers, self.degree, self.power)
 
     @property
     def functions_alone(self) -> tuple[object, ...]:
         """The same for all that have these functions, wherever they act and whatever is known of their coefficients."""
-        curve = self.pieces, self.orders, self.trust, self.memory, self.degree
+        curve = self.pieces, self.orders, self.trust, self.memory, self.degree, self.power
         return self.driver, self.lower, self.upper, self.further, *curve
 
     @property
@@ -309,7 +323,8 @@ class Unnamed(Bending):
         Lines are not among those of a joint, where the catalogue has names for them.
         """
         least = 2 if self.where.startswith("joint") else 1
-        return _contained_forms(self.component, self.drivers, self.degree, least, 0 if self.degree else self.functions)
+        pieces = 0 if self.degree else self.functions
+        return _contained_forms(self.component, self.drivers, self.degree, self.power, least, pieces)
 
     @property
     def displacements(self) -> "tuple[Unnamed, ...]":
@@ -329,16 +344,19 @@ class Unnamed(Bending):
             upper=upper,
             component=form.component,
             degree=form.degree,
+            power=form.power,
             further=tuple(chain.from_iterable(others)),
         )
 
     @property
     def of_more_numbers(self) -> "tuple[Unnamed, ...]":
-        """Splines of more pieces over one driver; of several, products of one more of them."""
+        """Splines of more pieces over one driver; of several, products of one more of them, and their squares."""
         if self.orders or self.memory:
             return ()
         if len(self.drivers) > 1:
-            return (replace(self, degree=self.degree + 1),) if 0 < self.degree < _HIGHEST_DEGREE else ()
+            squares = (replace(self, power=0),) if self.power else ()
+            further = (replace(self, degree=self.degree + 1, power=0),) if 0 < self.degree < _HIGHEST_DEGREE else ()
+            return squares + further
         return tuple(replace(self, degree=0, pieces=n) for n in _PIECES if n + 3 > self.functions)
 
     def part(self, component: int) -> slice:

@@ -193,7 +193,7 @@ NAMES = ", ".join(catalogue_module.BUILT_IN)
         (
             "unnamed:joint=1",
             "unnamed: where is not given; the keys are where, driver, lower, upper, pieces, component, orders, trust, "
-            "spread, memory, degree, further, rolloff, its parameters",
+            "spread, memory, degree, further, rolloff, power, its parameters",
         ),
     ],
 )
@@ -437,6 +437,10 @@ def test_drivers_are_read_and_said():
             "unnamed:base: 8 pieces from 1 to 1 are no curve; give lower < upper and at least one piece",
         ),
         (
+            lambda: Unnamed("tool", "time", 0.0, 1.0, degree=2, power=3),
+            "unnamed:tool: power 3 of degree 2; give one from 1 to the degree, or 0",
+        ),
+        (
             lambda: Unnamed("joint1", "time and position of joint 1", 0.0, 1.0, further=(0.0, 1.0)),
             "unnamed:joint1: 2 drivers and 2 further bounds; give lower and upper of each driver but the first, and a "
             "degree unless the second is a direction of motion",
@@ -513,7 +517,9 @@ def test_parts_are_the_whole_with_some_of_its_numbers(whole):
     parts, columns = [(part.numbers, part.made()) for part in whole.parts], deflections(whole)
     assert len({one for _, one in parts}) == len(parts)
     at_joint = whole.site.startswith("joint")
-    assert bool(parts) == (whole.degree > 1 + at_joint or len(whole.components) > 1)
+    pair = len(whole.drivers) == 2 and whole.degree > 1
+    assert bool(parts) == (whole.degree > 1 + at_joint or len(whole.components) > 1 or pair)
+    assert any(one.power == 1 and (0, 1) in one.products for _, one in parts) == (pair or len(whole.drivers) == 3)
     assert not any(one.degree == 1 for _, one in parts if at_joint)  # lines of a joint have names
     for numbers, one in parts:
         assert (one.site, one.size) == (whole.site, len(numbers))
@@ -533,6 +539,7 @@ def test_parts_are_the_whole_with_some_of_its_numbers(whole):
         (Unnamed("joint1", "position of joint 1", -9.0, 9.0, orders=(1.0,), trust=(1.0, 1.0)), []),
         (Unnamed("joint1", "gravity torque of joint 1", -9.0, 9.0, memory=(0.0, 1.0)), []),
         (Unnamed("joint1", "time and position of joint 2", -1.0, 4.0, degree=2, further=(-2.0, 2.0)), [10]),
+        (Unnamed("joint1", "time and position of joint 2", -1.0, 4.0, degree=2, further=(-2.0, 2.0), power=1), [6, 10]),
         (Unnamed("joint1", "time and position of joint 2", -1.0, 4.0, degree=4, further=(-2.0, 2.0)), []),
     ],
 )
