@@ -1,6 +1,7 @@
 """Physics outside the catalogue: each family is what its formula says; sealed ones are drawn on request only."""
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -8,7 +9,7 @@ import pytest
 from benchmarks.concealed import campaign, command, hiding, outside, plans, recorded, rivals, trials
 from benchmarks.concealed.chain import MADE, description_text, lite6, rotation_from_vector
 from benchmarks.concealed.mujoco_physics import Arm
-from benchmarks.concealed.outside import FAMILIES, OPEN, SEALED
+from benchmarks.concealed.outside import FAMILIES, families
 from benchmarks.concealed.plain_physics import Hidden, Setup, hardening, moments, poses, yielding
 from benchmarks.concealed.view import Open, View, turned
 from benchmarks.ending import UNUSABLE
@@ -209,15 +210,26 @@ def test_an_image_shifts_points_and_turns_nothing(name, scene):
     np.testing.assert_array_equal(moved[0], rotation)
 
 
-def test_families_not_looked_at_are_sealed_and_drawn_on_request_only():
-    assert set(OPEN) | set(SEALED) == set(FAMILIES)
-    assert set(OPEN) == set(outside.KNOWN)
-    assert len(SEALED) == len(FAMILIES) - len(outside.KNOWN)
-    wanted = plans.indices(5, len(FAMILIES), "outside")
-    for chosen, families in ((False, OPEN), (True, SEALED)):
-        drawn = [plans.draw_plan(5, index, np.random.default_rng(0), chosen) for index in wanted]
-        assert {plan.effects[0] for plan in drawn} == set(families)
+@pytest.mark.parametrize("seed", [5, 2321, 2341, 2361])
+def test_families_not_looked_at_are_sealed_and_drawn_on_request_only(seed):
+    opened, sealed = families(seed), families(seed, sealed=True)
+    assert sealed
+    assert not set(opened) & set(sealed)
+    wanted = plans.indices(seed, 3 * len(FAMILIES), "outside")
+    for chosen, allowed in ((False, opened), (True, sealed)):
+        drawn = [plans.draw_plan(seed, index, np.random.default_rng(0), chosen) for index in wanted]
+        assert {plan.effects[0] for plan in drawn} == set(allowed)
         assert all(plan.sealed == chosen for plan in drawn)
+
+
+def test_a_seed_means_the_same_families_whatever_was_opened_since():
+    """Those of seed 2311 were the sixteen of the first version; what was sealed next is open from the next seed on."""
+    last = max(outside._OPENED)
+    assert len(families(2311)) == 16
+    assert families(last - 1) == tuple(name for name in families(last) if name in families(last - 1))
+    for earlier, later in pairwise(outside._OPENED):
+        assert families(later) == tuple(n for n in FAMILIES if n in families(earlier) + families(earlier, True))
+    assert set(families(last)) | set(families(last, sealed=True)) == set(FAMILIES)
 
 
 def test_results_of_open_and_sealed_families_do_not_mix(tmp_path, capsys):

@@ -8,7 +8,7 @@ import numpy as np
 
 from benchmarks.concealed.chain import MADE
 from benchmarks.concealed.mujoco_physics import OFFERED
-from benchmarks.concealed.outside import FAMILIES, OPEN, SEALED
+from benchmarks.concealed.outside import FAMILIES, families
 from benchmarks.concealed.plain_physics import COORDINATES, OUTSIDE
 
 Kind = Literal["clean", "single", "mixture", "outside", "edge", "faulty"]
@@ -161,7 +161,7 @@ def draw_plan(seed: int, index: int, rng: np.random.Generator, sealed: bool = Fa
     noise = _turn(seed, 2, ordinal, NOISES) if kind == "clean" else NOISES[0]
     fault = _turn(seed, 7, ordinal, FAULTS) if kind == "faulty" else ""
     edge = _turn(seed, 8, ordinal, EDGES) if kind == "edge" else ""
-    effects, sizes = _effects(kind, fault or edge, seed, ordinal, rng, SEALED if sealed else OPEN)
+    effects, sizes = _effects(kind, fault or edge, seed, ordinal, rng, families(seed, sealed))
     forces = kind != "faulty" and all(name in OFFERED for name in effects) and noise != "factory file off"
     moving = bool(rng.random() < 0.45)
     driven = any(name in FAMILIES and FAMILIES[name].moving for name in effects)
@@ -227,13 +227,13 @@ def _rows(seed: int, kind: Kind, edge: str, ordinal: int) -> int:
 
 
 def _effects(
-    kind: Kind, trouble: str, seed: int, ordinal: int, rng: np.random.Generator, families: Sequence[str]
+    kind: Kind, trouble: str, seed: int, ordinal: int, rng: np.random.Generator, outside: Sequence[str]
 ) -> tuple[tuple[str, ...], tuple[float, ...]]:
     """Names and sizes in thresholds; `trouble` is a fault or what makes a trial one at the edge."""
     if kind == "single":
         return (_turn(seed, 3, ordinal, SINGLE),), (_turn(seed, 4, ordinal, SIZES),)
     if kind == "outside":
-        return (_turn(seed, 5, ordinal, families),), (_turn(seed, 6, ordinal, OUTSIDE_SIZES),)
+        return (_turn(seed, 5, ordinal, outside),), (_turn(seed, 6, ordinal, OUTSIDE_SIZES),)
     if kind == "mixture":
         count = 2 + ordinal % 2
         sizes = [float(size) for size in rng.choice(SIZES[2:], count)]
