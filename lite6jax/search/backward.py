@@ -32,13 +32,16 @@ def prune(problem: Problem, state: State, options: EngineOptions) -> State:
     """Removes the terms that the others make unnecessary, by penalised likelihood.
 
     Of the terms, those are refitted without that a quadratic likelihood would miss least, unless it would miss them
-    clearly.
+    clearly. It says nothing of a name that a function at its site contains, as the line of a cubic.
     """
     n = state.fit.freedom
     while len(state.tested) > 1:
         allowed = [np.log(multiplicity(problem, tested.term, options)) for tested in state.tested]
         losses = []
-        missed = [state.fit.quadratic_gain(k) - 0.5 * t.term.size * np.log(n) for k, t in enumerate(state.tested)]
+        missed = [
+            -np.inf if _in_function(state, k) else state.fit.quadratic_gain(k) - 0.5 * t.term.size * np.log(n)
+            for k, t in enumerate(state.tested)
+        ]
         for k in np.argsort(np.subtract(missed, allowed))[: options.refitted_without].tolist():
             if missed[k] > _CLEARLY * allowed[k]:
                 continue
@@ -52,3 +55,9 @@ def prune(problem: Problem, state: State, options: EngineOptions) -> State:
             break
         state = rest
     return state
+
+
+def _in_function(state: State, k: int) -> bool:
+    """Whether a function without a name at the site of the k-th term, which has one, may contain it."""
+    term = state.tested[k].term
+    return not term.nonparametric and any(one.term.nonparametric and one.term.site == term.site for one in state.tested)
