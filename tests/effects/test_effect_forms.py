@@ -518,8 +518,10 @@ def test_parts_are_the_whole_with_some_of_its_numbers(whole):
     assert len({one for _, one in parts}) == len(parts)
     at_joint = whole.site.startswith("joint")
     pair = len(whole.drivers) == 2 and whole.degree > 1
-    assert bool(parts) == (whole.degree > 1 + at_joint or len(whole.components) > 1 or pair)
-    assert any(one.power == 1 and (0, 1) in one.products for _, one in parts) == (pair or len(whole.drivers) == 3)
+    directed = any(driver.quantity == "direction of motion" for driver in whole.drivers)
+    assert bool(parts) == (whole.degree > 1 + at_joint or len(whole.components) > 1 or (pair and not directed))
+    bilinear = [one for _, one in parts if one.power == 1 and (0, 1) in one.products]
+    assert bool(bilinear) == ((pair and not directed) or len(whole.drivers) == 3)
     assert not any(one.degree == 1 for _, one in parts if at_joint)  # lines of a joint have names
     for numbers, one in parts:
         assert (one.site, one.size) == (whole.site, len(numbers))

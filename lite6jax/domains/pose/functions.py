@@ -128,10 +128,10 @@ class _Tried:
 def _at_joint(tried: _Tried, j: int, positions: Sequence[Driver], each_warms: bool) -> None:
     """An angle: by the joint's own loads, motion and temperature, and by the motion of any other joint."""
     site, rz, own_position = f"joint{j}", "rz", positions[j - 1]
-    own = [own_position, *(Driver(quantity, j) for quantity in ("gravity torque", "velocity", "temperature"))]
+    own = [own_position, Driver("gravity torque", j), Driver("temperature", j)]
     direction = Driver(_DIRECTION, j)
     others = [driver for driver in positions if driver.place != j]
-    velocities = [joint_driver("velocity", other.place, other.of_slide) for other in others]
+    velocities = [joint_driver("velocity", driver.place, driver.of_slide) for driver in positions]
     everywhere = _EVERYWHERE if each_warms else (_TIME, _PAYLOAD)
     tried.singles(site, rz, [*own, direction, *others, *velocities, *_directions(others), *everywhere])
     # a spring that is softer in one place, play that a load takes up, friction that falls as the gear warms
