@@ -139,8 +139,7 @@ def _at_joint(tried: _Tried, j: int, positions: Sequence[Driver], each_warms: bo
     tried.pairs(site, rz, product([*own, direction], everywhere))
     tried.pairs(site, rz, combinations(positions, 2))
     # play that differs from place to place, more sharply than a cubic
-    for driver in own[:2]:
-        tried.spline(site, rz, driver, direction)
+    tried.spline(site, rz, own_position, direction)
 
 
 def _at_link(tried: _Tried, j: int, positions: Sequence[Driver]) -> None:
