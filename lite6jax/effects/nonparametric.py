@@ -331,10 +331,11 @@ class Unnamed(Bending):
 
     @property
     def displacements(self) -> "tuple[Unnamed, ...]":
-        """Of a function of a whole twist a shift, a turn and a tilt alone; another one itself."""
-        if self.components != COMPONENTS:
+        """Of a function that shifts and turns a shift, a turn and a tilt alone; another one itself."""
+        there = set(self.components)
+        if not {"x", "rx"} <= there:
             return (self,)
-        return tuple(replace(self, component=together) for together in _TOGETHER)
+        return tuple(replace(self, component=one) for one in _TOGETHER if set(one.split()) <= there)
 
     def of_form(self, form: Form) -> "Unnamed":
         """The function of one of `forms`."""

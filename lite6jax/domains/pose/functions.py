@@ -16,6 +16,7 @@ Array = NDArray[np.floating]
 
 _TILT, _SHIFT = "rx ry", "x y z"
 _TWIST = " ".join(COMPONENTS)
+_UPRIGHT = f"{_SHIFT} {_TILT}"
 _TIME, _PAYLOAD = Driver("time"), Driver("payload")
 _EVERYWHERE = (Driver("temperature rise"), _TIME, _PAYLOAD)
 """Drivers of the whole arm."""
@@ -159,14 +160,18 @@ def _at_link(tried: _Tried, j: int, positions: Sequence[Driver]) -> None:
 
 
 def _at_base(tried: _Tried, turning: Sequence[Driver]) -> None:
-    """All components by the moments, the positions of joints, time and temperature."""
+    """All components by the moments, time and temperature; by the motion of joints all but a turn about z.
+
+    That is an angle of joint 1, if this joint stands upright.
+    """
     moments = [Driver(f"base moment {axis}") for axis in "xy"]
     near = turning[:_NEAR]
     for driver in near:
         tried.waves("base", _TWIST, driver)
-    tried.singles("base", _TWIST, [*moments, *turning, *_directions(turning), *_EVERYWHERE])
-    tried.pairs("base", _TWIST, chain(combinations(moments, 2), combinations(near, 2)))
-    tried.pairs("base", _TWIST, product([*moments, *near], _EVERYWHERE))
+    tried.singles("base", _TWIST, [*moments, *_EVERYWHERE])
+    tried.singles("base", _UPRIGHT, [*turning, *_directions(turning)])
+    tried.pairs("base", _TWIST, chain(combinations(moments, 2), product(moments, _EVERYWHERE)))
+    tried.pairs("base", _UPRIGHT, chain(combinations(near, 2), product(near, _EVERYWHERE)))
 
 
 def _at_tool(tried: _Tried, turning: Sequence[Driver], dof: int, components: str) -> None:
