@@ -67,8 +67,8 @@ Products = tuple[tuple[int, ...], ...]
 def products_of(drivers: tuple[Driver, ...], degree: int, power: int = 0) -> Products:
     """All products of up to `degree` drivers, the constant first.
 
-    A direction of motion is in a product once at most: its square is the constant. Any other driver is there as often
-    as `power` says, where that is not 0.
+    A direction of motion is in a product once at most: its square is the constant. Any other driver is there `power`
+    times at most, where that is not 0.
     """
     most = [1 if driver.quantity == _DIRECTION else power or degree for driver in drivers]
     orders = (combinations_with_replacement(range(len(drivers)), order) for order in range(degree + 1))
@@ -113,8 +113,9 @@ class Form(NamedTuple):
 def _contained_forms(
     component: str, drivers: tuple[Driver, ...], degree: int, power: int, least: int, pieces: int
 ) -> tuple[Form, ...]:
-    """The forms of some components, of fewer than all of three drivers, of this or a lower degree, but for the whole.
+    """The parts of a function: of all or some components, of all drivers (or one or two of three), of a lower degree.
 
+    The whole itself is not among them.
     Of two drivers, neither of which is a direction of motion, there is also the one without their squares.
 
     Args:
@@ -129,7 +130,7 @@ def _contained_forms(
     together = [one for one in _TOGETHER if set(one.split()) < set(components)]
     of = [every, *chain.from_iterable(combinations(every, n) for n in range(1, len(every)) if len(every) > 2)]
     products = products_of(drivers, degree, power) if degree else ((),) * pieces
-    plain = [(n, power) for n in range(min(degree, least), degree + 1)]
+    plain = [(n, min(power, n)) for n in range(min(degree, least), degree + 1)]
     bilinear = degree > 1 and not power and all(driver.quantity != _DIRECTION for driver in drivers)
     forms = []
     for parts, which in product(dict.fromkeys((component, *together, *components)), of):
@@ -190,7 +191,7 @@ class Unnamed(Bending):
             where it does not.
         memory: half the widths of the plays, in the driver's unit, that are there instead of a spline.
         degree: of polynomials, that are there instead of a spline; 0 for none.
-        power: highest power of one driver in these; 0 where the degree alone limits it.
+        power: highest power of each driver in these; 0 where the degree alone limits it.
         further: lower and upper of each further driver.
 
     Raises:
@@ -321,7 +322,7 @@ class Unnamed(Bending):
 
     @property
     def forms(self) -> tuple[Form, ...]:
-        """Those of fewer numbers that it contains: of some components, of fewer drivers, of a lower degree, or several.
+        """Those with fewer numbers: of some components, of fewer of three drivers, of a lower degree, or no squares.
 
         Lines are not among those of a joint, where the catalogue has names for them.
         """
@@ -331,7 +332,7 @@ class Unnamed(Bending):
 
     @property
     def displacements(self) -> "tuple[Unnamed, ...]":
-        """Of a function that shifts and turns a shift, a turn and a tilt alone; another one itself."""
+        """Of a function that both shifts and turns, its shift, its turn and its tilt; of any other, itself."""
         there = set(self.components)
         if not {"x", "rx"} <= there:
             return (self,)
@@ -361,7 +362,7 @@ class Unnamed(Bending):
             squares = (replace(self, power=0),) if self.power else ()
             further = (replace(self, degree=self.degree + 1, power=0),) if 0 < self.degree < _HIGHEST_DEGREE else ()
             return squares + further
-        return tuple(replace(self, degree=0, pieces=n) for n in _PIECES if n + 3 > self.functions)
+        return tuple(replace(self, degree=0, power=0, pieces=n) for n in _PIECES if n + 3 > self.functions)
 
     def part(self, component: int) -> slice:
         """Where the coefficients of a component stand, counted from 0."""

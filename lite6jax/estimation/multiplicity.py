@@ -25,7 +25,7 @@ _UNIFORM = 2 * np.pi / np.sqrt(12)
 
 def searched_size(problem: Problem, options: EngineOptions) -> float:
     """The effective number of candidates in a search: the factor of every p-value but that of a wave."""
-    single = len(problem.candidates) + len(problem.shaped) + problem.functions
+    single = len(problem.candidates) + len(problem.shaped) + problem.functions_tried
     return single + len(problem.periodic) * options.searched_orders + len(problem.curves) * options.searched_curves
 
 
@@ -94,4 +94,4 @@ def description_length(problem: Problem, terms: Sequence[Term], n: float, option
 
 def log_functions(problem: Problem, options: EngineOptions) -> float:
     """The logarithm of the number of functions without a name that one is chosen from, parts of them included."""
-    return float(np.log(max(options.searched_shapes, problem.functions)))
+    return float(np.log(max(options.searched_shapes, problem.functions_tried)))

@@ -175,7 +175,7 @@ class Problem(LinearisedProblem, Protocol):
         shaped: named terms with a number in which they are not linear, each at a few of its values.
         ladder: named terms of which most real problems have many; none where a domain knows of no such.
         flexible: nonparametric terms of every site and driver, by which the names of the others are tested.
-        functions: how many these are, with the parts that they contain.
+        functions_tried: how many functions without a name are tried: those of `flexible` and their parts.
     """
 
     @property
@@ -199,7 +199,7 @@ class Problem(LinearisedProblem, Protocol):
     @property
     def flexible(self) -> tuple[Term, ...]: ...
     @property
-    def functions(self) -> int: ...
+    def functions_tried(self) -> int: ...
 
     def limits(self, term: Term) -> Sequence[tuple[float, float]]:
         """The least and the most that each number of a term can be in these data."""

@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise, product
-from typing import Any, NamedTuple, final
+from typing import NamedTuple, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -113,7 +113,7 @@ class ScoreTest:
         """The normal equations of each term beside the fitted model."""
         found: dict[int, Equations] = {}
         alike: dict[tuple[int, int], list[tuple[int, Factored]]] = {}
-        # noise that is autocorrelated is whitened along a column, which no sum over its rows can be
+        # whitening autocorrelated noise mixes the samples of a column, which then is no product of site and function
         if self.fit.noise.white:
             for k, term in enumerate(terms):
                 if (factored := self.problem.factored(term)) is not None:
@@ -123,7 +123,7 @@ class ScoreTest:
             at_once = max(_NUMBERS // max(first.functions.size, 1), 1)
             for part in (members[i : i + at_once] for i in range(0, len(members), at_once)):
                 functions = np.stack([one.functions for _, one in part])
-                found |= zip((k for k, _ in part), self._of_site(first.site, functions), strict=True)
+                found |= zip((k for k, _ in part), self._of_site(functions, self._summed(first.site)), strict=True)
         dense = [k for k in range(len(terms)) if k not in found]
         found |= zip(dense, self._of_columns([terms[k] for k in dense]), strict=True)
         return [found[k] for k in range(len(terms))]
@@ -156,7 +156,7 @@ class ScoreTest:
     def explained_by(self, column: Array, functions: Array) -> list[Explained]:
         """What each of such groups would explain; arguments as of `gains`."""
         if self.fit.noise.white:
-            equations = self._of_site(column[None], functions)
+            equations = self._of_site(functions, self._over_rows(column[None]))
         else:
             rows = np.flatnonzero(column.any(1))
             equations = self._of_groups(functions[:, :, None] * column[rows], rows)
@@ -172,18 +172,18 @@ class ScoreTest:
         flat = flat.reshape(*shape, -1)
         return equations_of(score, flat @ flat.swapaxes(1, 2), inside)
 
-    def _of_site(self, site: Array, functions: Array) -> list[Equations]:
+    def _of_site(self, functions: Array, sums: tuple[Array, Array, Array]) -> list[Equations]:
         """The equations of many groups of functions at one site, in white noise.
 
         Args:
-            site: `(component, row, sample)`, its columns.
             functions: `(group, function, sample)`.
+            sums: of the site, as `_over_rows` gives them.
         """
-        weights, basis, residual = self._summed(site)
+        weights, basis, residual = sums
         groups, n = functions.shape[:2]
-        size = len(site) * n
+        size = len(weights) * n
         gram = np.empty((groups, size, size))
-        for a, b in product(range(len(site)), repeat=2):
+        for a, b in product(range(len(weights)), repeat=2):
             here, there = slice(a * n, a * n + n), slice(b * n, b * n + n)
             if b < a:
                 gram[:, here, there] = gram[:, there, here].swapaxes(1, 2)
@@ -194,24 +194,29 @@ class ScoreTest:
         score = np.concatenate([(flat @ one).reshape(groups, n) for one in residual], 1)
         return equations_of(score - inside @ self._inside, gram, inside)
 
-    def _summed(self, site: Array) -> tuple[Array, Array, Array]:
+    def _over_rows(self, site: Array) -> tuple[Array, Array, Array]:
         """Sums over the rows of each sample of products of a site's whitened columns `(component, row, sample)`.
 
         With one another `(component, component, sample)`, with the basis `(component, k, sample)`, and with the
         residual `(component, sample)`.
         """
-        key = id(site)
-        if key not in self._sums:
-            shape = self.problem.rows, self.problem.samples
-            measured = shape[0] * shape[1]
-            basis, residual = self.basis[:, :measured].reshape(-1, *shape), self.residual[:measured].reshape(shape)
-            white = _white(self.fit, site, self.scale)
-            sums = tuple(np.stack([np.sum(w * other, -2) for w in white]) for other in (white, basis, residual))
-            self._sums[key] = site, sums  # the site is kept, so that no other takes its identity
-        return self._sums[key][1]
+        shape = self.problem.rows, self.problem.samples
+        measured = shape[0] * shape[1]
+        basis, residual = self.basis[:, :measured].reshape(-1, *shape), self.residual[:measured].reshape(shape)
+        white = _white(self.fit, site, self.scale)
+        with_site, with_basis, with_residual = (
+            np.stack([np.sum(one * other, -2) for one in white]) for other in (white, basis, residual)
+        )
+        return with_site, with_basis, with_residual
+
+    def _summed(self, site: Array) -> tuple[Array, Array, Array]:
+        """`_over_rows` of a site that many functions share, computed once."""
+        if id(site) not in self._sums:
+            self._sums[id(site)] = site, self._over_rows(site)  # the site is kept, so that no other takes its identity
+        return self._sums[id(site)][1]
 
     @cached_property
-    def _sums(self) -> dict[int, tuple[Array, Any]]:
+    def _sums(self) -> dict[int, tuple[Array, tuple[Array, Array, Array]]]:
         return {}
 
     def _on(self, rows: NDArray[np.integer]) -> tuple[Array, Array]:

@@ -106,7 +106,7 @@ def _with_others(problem: Problem, state: State, k: int, options: EngineOptions)
 def _likeliest_parts(test: ScoreTest, functions: Sequence[Term], least: float) -> list[tuple[Term, float]]:
     """Of each function the part of it, or the whole, that gains most, less what its numbers gain in noise.
 
-    Only of those of which the whole gains more than `least`: no part explains more.
+    Only of functions that gain more than `least` as a whole, at the cost of one number: a part hardly explains more.
     """
     a_number, confounded = 0.5 * test.time, test.options.confounded
     equations = test.equations(functions)

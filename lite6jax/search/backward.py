@@ -32,19 +32,18 @@ def prune(problem: Problem, state: State, options: EngineOptions) -> State:
     """Removes the terms that the others make unnecessary, by penalised likelihood.
 
     Of the terms, those are refitted without that a quadratic likelihood would miss least, unless it would miss them
-    clearly. It says nothing of a name that a function at its site contains, as the line of a cubic.
+    clearly. A name that a function at its site may contain, as a cubic contains a line, is always refitted without: the
+    quadratic likelihood says nothing of it, as the two are nearly confounded.
     """
     n = state.fit.freedom
     while len(state.tested) > 1:
         allowed = [np.log(multiplicity(problem, tested.term, options)) for tested in state.tested]
         losses = []
-        missed = [
-            -np.inf if _in_function(state, k) else state.fit.quadratic_gain(k) - 0.5 * t.term.size * np.log(n)
-            for k, t in enumerate(state.tested)
-        ]
-        for k in np.argsort(np.subtract(missed, allowed))[: options.refitted_without].tolist():
-            if missed[k] > _CLEARLY * allowed[k]:
-                continue
+        missed = [state.fit.quadratic_gain(k) - 0.5 * t.term.size * np.log(n) for k, t in enumerate(state.tested)]
+        contained = [k for k in range(len(missed)) if _in_function(state, k)]
+        others = [k for k in np.argsort(np.subtract(missed, allowed)).tolist() if k not in contained]
+        least_missed = [k for k in others[: options.refitted_without] if missed[k] <= _CLEARLY * allowed[k]]
+        for k in (*contained, *least_missed):
             tested = state.tested[k]
             rest = reduced(problem, state, k, options)
             scale = state.fit.scale
@@ -58,6 +57,6 @@ def prune(problem: Problem, state: State, options: EngineOptions) -> State:
 
 
 def _in_function(state: State, k: int) -> bool:
-    """Whether a function without a name at the site of the k-th term, which has one, may contain it."""
+    """Whether the k-th term is a name, and a function without a name acts at its site, which may contain it."""
     term = state.tested[k].term
     return not term.nonparametric and any(one.term.nonparametric and one.term.site == term.site for one in state.tested)

@@ -178,7 +178,7 @@ def likely_functions(
     a_function = log_functions(problem, options)
     for whole, inside, one in sorted(wholes, key=lambda each: -each[2].gain):
         if one.gain - half_log_n - a_function <= max(_least_of_first(best.values(), several), least, 0.0):
-            break  # a part explains no more than the whole
+            break  # a part hardly explains more than the whole
         parts = whole.parts
         explained = explained_by([inside.part(part.numbers) for part in parts], options.confounded)
         for part, own in zip(parts, explained, strict=True):

@@ -260,7 +260,7 @@ class LinearProblem:
         curves = [Curve(f"u{k}") for k in range(1, 7)]
         return (*curves, Hat(float(angle.min()), float(angle.max()), 6))
 
-    functions = property(lambda self: sum(1 + len(term.parts) for term in self.flexible))
+    functions_tried = property(lambda self: sum(1 + len(term.parts) for term in self.flexible))
 
     def limits(self, term):
         return [(number.lower, number.upper) for number in term.coordinates]

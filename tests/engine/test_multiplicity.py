@@ -84,7 +84,9 @@ def test_the_order_of_a_wave_is_what_its_family_says():
     problem = linear_problem(np.random.default_rng(1))
     (family,) = problem.periodic
     stroke = replace(family, order=lambda term: None if term.order is None else 0.3 * term.order, whole=False)
-    other = type("Slide", (), {"periodic": (stroke,), "candidates": (), "shaped": (), "functions": 0, "curves": ()})()
+    other = type(
+        "Slide", (), {"periodic": (stroke,), "candidates": (), "shaped": (), "functions_tried": 0, "curves": ()}
+    )()
     found = multiplicity(other, Wave(200.0), DEFAULTS) / searched_size(other, DEFAULTS)
     assert np.log(found * DEFAULTS.searched_orders) == pytest.approx(float(log_orders_of(stroke, 60.0, DEFAULTS)))
 

@@ -1,4 +1,4 @@
-"""Functions without a name that are tried in poses: of every driver at every site, and of pairs of drivers."""
+"""Functions without a name that are tried in poses: of the drivers that can act at each site, and of pairs of them."""
 
 from collections.abc import Iterable, Sequence
 from itertools import chain, combinations, product
@@ -35,11 +35,12 @@ _LEAST_VARIED = 1e-6
 
 
 def tried_functions(motion: Motion, loads: Loads | None, rows: int, sites: dict[Site, Array]) -> tuple[Unnamed, ...]:
-    """Functions of every driver at every site, as far as drivers are known and vary, and the sensor sees the site.
+    """Functions of the drivers that can act at each site, as far as they are known and vary, and the sensor sees it.
 
-    Those of one driver are cubics and splines. Those of two are of a site's own drivers, such as the position and the
-    load of a joint, and of these with one of the whole arm, or with the position of another joint. Parts of them, such
-    as one component of a displacement, are not among them: `Unnamed.parts` gives these.
+    Those of one driver are cubics and splines (of a direction of motion, a line), and waves of joint angles. Those of
+    two are of a site's own drivers, such as the position and the load of a joint, of one of these and one of the whole
+    arm, or of the positions of two joints. Parts of them, such as one component of a displacement, are not among them:
+    `Unnamed.parts` gives these.
 
     Args:
         motion: time-shifted.
@@ -74,14 +75,14 @@ class _Tried:
         self._ranges: dict[Driver, tuple[float, float] | None] = {}
 
     def singles(self, site: str, component: str, drivers: Iterable[Driver]) -> None:
-        """A cubic and a spline over each driver."""
+        """A cubic and a spline over each driver; of a direction of motion, which has two or three values, a line."""
         for driver in drivers:
             self.polynomial(site, component, 1 if driver.quantity == _DIRECTION else _DEGREE, driver)
             if driver.quantity != _DIRECTION:
                 self.spline(site, component, driver)
 
     def pairs(self, site: str, component: str, pairs: Iterable[tuple[Driver, Driver]]) -> None:
-        """The products of each two drivers."""
+        """All products of the two drivers of each pair, up to the third degree."""
         for pair in pairs:
             self.polynomial(site, component, _DEGREE, *pair)
 
@@ -126,14 +127,15 @@ class _Tried:
         return self._ranges[driver]
 
 
-def _at_joint(tried: _Tried, j: int, positions: Sequence[Driver], each_warms: bool) -> None:
+def _at_joint(tried: _Tried, j: int, positions: Sequence[Driver], own_temperatures: bool) -> None:
     """An angle: by the joint's own loads, motion and temperature, and by the motion of any other joint."""
     site, rz, own_position = f"joint{j}", "rz", positions[j - 1]
     own = [own_position, Driver("gravity torque", j), Driver("temperature", j)]
     direction = Driver(_DIRECTION, j)
     others = [driver for driver in positions if driver.place != j]
     velocities = [joint_driver("velocity", driver.place, driver.of_slide) for driver in positions]
-    everywhere = _EVERYWHERE if each_warms else (_TIME, _PAYLOAD)
+    # without temperatures of joints, that of a joint is the whole arm's, which would be there twice
+    everywhere = _EVERYWHERE if own_temperatures else (_TIME, _PAYLOAD)
     tried.singles(site, rz, [*own, direction, *others, *velocities, *_directions(others), *everywhere])
     # a spring that is softer in one place, play that a load takes up, friction that falls as the gear warms
     tried.pairs(site, rz, combinations([*own, direction], 2))
@@ -167,7 +169,7 @@ def _at_base(tried: _Tried, turning: Sequence[Driver]) -> None:
     moments = [Driver(f"base moment {axis}") for axis in "xy"]
     near = turning[:_NEAR]
     for driver in near:
-        tried.waves("base", _TWIST, driver)
+        tried.waves("base", _UPRIGHT, driver)
     tried.singles("base", _TWIST, [*moments, *_EVERYWHERE])
     tried.singles("base", _UPRIGHT, [*turning, *_directions(turning)])
     tried.pairs("base", _TWIST, chain(combinations(moments, 2), product(moments, _EVERYWHERE)))

@@ -248,7 +248,7 @@ class PoseProblem:
         return tried_functions(self.deflections.host_motion, self.deflections.host_loads, self.rows, self.sites)
 
     @lazy
-    def functions(self) -> int:
+    def functions_tried(self) -> int:
         """How many functions without a name there are, with those of fewer components, drivers or products in them."""
         return sum(1 + len(function.forms) for function in self.flexible)
 

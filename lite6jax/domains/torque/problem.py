@@ -187,7 +187,7 @@ class TorqueProblem:
         return families.flexible(self.dynamics, families.sizes(self.data))
 
     @property
-    def functions(self) -> int:
+    def functions_tried(self) -> int:
         """As many as `flexible` has: these functions have one component and few numbers, and no parts."""
         return len(self.flexible)
 
