@@ -387,17 +387,17 @@ def test_effects_are_kept_that_hold_where_they_are_fitted_again(arm, monkeypatch
 
 @pytest.mark.long
 @pytest.mark.parametrize(
-    ("trial", "labels"),
+    ("trial", "labels", "again"),
     [
-        ((2227, 328), ["unnamed:joint1"]),  # two of five searches take the parabola for an axis that wobbles
-        ((2226, 880), ["unnamed:link3"]),  # the first fifth alone shows how the link warms
-        ((2227, 1292), ["joint_compliance:joint2", "joint_harmonic:joint2", "joint_harmonic:joint2"]),  # of 21 rows
+        ((2227, 328), ["unnamed:joint1"], True),  # two of five searches take the parabola for an axis that wobbles
+        ((2226, 880), ["unnamed:link3"], False),  # since parts of functions are tried, each search finds how it warms
+        ((2227, 1292), ["joint_compliance:joint2", "joint_harmonic:joint2", "joint_harmonic:joint2"], True),  # 21 rows
     ],
 )
-def test_what_a_search_without_a_block_does_not_find_is_kept(tmp_path, trial, labels):
+def test_what_a_search_without_a_block_does_not_find_is_kept(tmp_path, trial, labels, again):
     recording = drawn(tmp_path, *trial)
     diagnosis = diagnose(recording)
-    assert diagnosis.searched_again is not None
+    assert (diagnosis.searched_again is not None) == again
     assert sorted(finding.effect.label for finding in diagnosis.findings) == labels
 
 
