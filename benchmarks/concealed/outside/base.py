@@ -1,0 +1,73 @@
+"""Families outside the catalogue that move the base."""
+
+import numpy as np
+
+from benchmarks.concealed.outside.family import (
+    BY_JOINT,
+    DIRECTION,
+    PRELOAD,
+    ROCKING,
+    Family,
+    beyond,
+    column,
+    own,
+    phrases,
+)
+
+FAMILIES: dict[str, Family] = {
+    "base_tilt_by_joint": Family(
+        "base", "turn_rad", lambda fixed, s: column(s.q, fixed, "by"), ("by",), BY_JOINT, (3, 4)
+    ),
+    "base_yaw_by_moment": Family(
+        "base",
+        "turn_rad",
+        lambda fixed, s: s.base_moment[:, 0] / fixed["base_moment_Nm"],
+        ("base_moment_Nm",),
+        phrases("base moment x"),
+        (5,),
+        loaded=True,
+    ),
+    # a table one of whose feet is short
+    "rocking_base": Family(
+        "base",
+        "turn_rad",
+        lambda fixed, s: np.tanh(ROCKING * s.base_moment[:, 1] / fixed["base_moment_y_Nm"]),
+        ("base_moment_y_Nm",),
+        phrases("base moment y"),
+        (4,),
+        beside=("base_compliance", "frame_offset"),
+        loaded=True,
+    ),
+    # a plate whose bolts hold it until the moment overcomes how tight they are
+    "preloaded_base": Family(
+        "base",
+        "turn_rad",
+        lambda fixed, s: beyond(s.base_moment[:, 0] / fixed["base_moment_Nm"], PRELOAD),
+        ("base_moment_Nm",),
+        phrases("base moment x"),
+        (3,),
+        beside=("base_compliance", "frame_offset"),
+        loaded=True,
+    ),
+    # a loose plate rocks over one edge or the other, and its middle rises both times
+    "lifting_plate": Family(
+        "base",
+        "shift_m",
+        lambda fixed, s: np.abs(s.base_moment[:, 0]) / fixed["base_moment_Nm"],
+        ("base_moment_Nm",),
+        phrases("base moment x"),
+        (2,),
+        beside=("frame_offset",),
+        loaded=True,
+    ),
+    # a table on wheels stays where the last jerk of a joint pushed it
+    "wheeled_table": Family(
+        "base",
+        "shift_m",
+        lambda fixed, s: column(s.direction, fixed, "by"),
+        ("by",),
+        own(DIRECTION, "by"),
+        (0, 1),
+        beside=("frame_offset",),
+    ),
+}

@@ -1,0 +1,201 @@
+"""Families outside the catalogue that add an angle to a joint."""
+
+import numpy as np
+
+from benchmarks.concealed.chain import Array
+from benchmarks.concealed.outside.family import (
+    BY_JOINT,
+    DIRECTION,
+    POSITION,
+    TEMPERATURE,
+    TIME,
+    TORQUE,
+    VELOCITY,
+    Family,
+    Fixed,
+    Signals,
+    column,
+    own,
+    signed_power,
+    together,
+    torque,
+)
+
+_PULLEY = 1.5
+"""Turns of a pulley in one turn of the joint that drives it: between the orders that a wobbling axis has."""
+
+
+def _bump(fixed: Fixed, s: Signals) -> Array:
+    return np.exp(-0.5 * ((column(s.q, fixed) - fixed["centre"]) / fixed["width"]) ** 2)
+
+
+def _step(fixed: Fixed, s: Signals) -> Array:
+    return (column(s.q, fixed) > fixed["at"]).astype(float)
+
+
+def _sticking(fixed: Fixed, s: Signals) -> Array:
+    q = column(s.q, fixed)
+    return -column(s.direction, fixed) * ((q > fixed["lower"]) & (q < fixed["upper"]))
+
+
+FAMILIES: dict[str, Family] = {
+    "joint_bump": Family("joint", "height_rad", _bump, ("centre", "width"), own(POSITION)),
+    "joint_step": Family("joint", "height_rad", _step, ("at",), own(POSITION)),
+    "hardening_spring": Family("joint", "turn_rad", None, ("torque_Nm",), own(TORQUE), loaded=True),
+    "yielding_spring": Family(
+        "joint",
+        "turn_rad",
+        None,
+        ("torque_Nm",),
+        own(TORQUE),
+        sum_of=("joint_compliance", "joint_windup"),  # where it slips, a spring and a play of the load add up
+        loaded=True,
+    ),
+    "joint_parabola": Family(
+        "joint",
+        "turn_rad",
+        lambda fixed, s: column(s.q, fixed) ** fixed["power"],
+        ("power",),
+        own(POSITION),
+        beside=("joint_scale", "joint_offset"),
+    ),
+    "squared_coupling": Family(
+        "joint",
+        "turn_rad",
+        lambda fixed, s: column(s.q, fixed, "by") ** fixed["power"],
+        ("by", "power"),
+        BY_JOINT,
+        beside=("joint_coupling", "joint_offset"),
+    ),
+    "joint_product": Family(
+        "joint",
+        "turn_rad",
+        lambda fixed, s: column(s.q, fixed, "by") * column(s.q, fixed, "and"),
+        ("by", "and"),
+        together(BY_JOINT, own(POSITION, "and")),
+        beside=("joint_coupling", "joint_offset"),
+    ),
+    "squared_speed": Family(
+        "joint",
+        "turn_rad",
+        lambda fixed, s: signed_power(column(s.dq, fixed), fixed["power"]),
+        ("power",),
+        own(VELOCITY),
+        beside=("joint_lag",),
+        moving=True,
+    ),
+    "squared_warmth": Family(
+        "joint",
+        "turn_rad",
+        lambda fixed, s: s.warmth() ** fixed["power"],
+        ("power",),
+        TEMPERATURE,
+        beside=("joint_thermal_offset", "joint_offset"),
+        warm=True,
+    ),
+    "sticking_zone": Family(
+        "joint",
+        "turn_rad",
+        _sticking,
+        ("lower",),
+        together(own(DIRECTION), own(POSITION)),
+        beside=("joint_backlash",),
+    ),
+    # another joint's belt runs over a pulley that is out of centre
+    "eccentric_coupling": Family(
+        "joint",
+        "turn_rad",
+        lambda fixed, s: np.sin(_PULLEY * column(s.q, fixed, "by") + fixed["phase"]),
+        ("by", "phase"),
+        BY_JOINT,
+        beside=("joint_coupling", "joint_offset"),
+        skipping=True,
+    ),
+    # a gear that is worn more and more along its turn gives way more and more
+    "worn_gear": Family(
+        "joint",
+        "turn_rad",
+        lambda fixed, s: torque(fixed, s) * column(s.q, fixed),
+        ("torque_Nm",),
+        together(own(TORQUE), own(POSITION)),
+        beside=("joint_compliance", "joint_scale", "joint_offset"),
+        loaded=True,
+    ),
+    # friction that grows with the load, whichever way it acts, holds a joint back
+    "dragging_gear": Family(
+        "joint",
+        "turn_rad",
+        lambda fixed, s: -column(s.direction, fixed) * np.abs(torque(fixed, s)),
+        ("torque_Nm",),
+        together(own(DIRECTION), own(TORQUE)),
+        beside=("joint_backlash",),
+        loaded=True,
+    ),
+    # a rubber buffer pushes back from where a joint touches it
+    "soft_stop": Family(
+        "joint",
+        "turn_rad",
+        lambda fixed, s: np.maximum(column(s.q, fixed) - fixed["stop"], 0.0),
+        ("stop",),
+        own(POSITION),
+        beside=("joint_scale", "joint_offset"),
+    ),
+    # a cable that another joint tightens pulls the disc of an encoder out of its centre
+    "pulled_encoder": Family(
+        "joint",
+        "turn_rad",
+        lambda fixed, s: np.sin(column(s.q, fixed) + fixed["phase"]) * column(s.q, fixed, "by"),
+        ("by", "phase"),
+        together(own(POSITION), BY_JOINT),
+        beside=("joint_harmonic", "joint_coupling", "joint_offset"),
+        skipping=True,
+    ),
+    # what another joint swings round pulls outwards, and the gear gives way to it
+    "flung_joint": Family(
+        "joint",
+        "turn_rad",
+        lambda fixed, s: column(s.dq, fixed, "by") ** 2,
+        ("by",),
+        own(VELOCITY, "by"),
+        beside=("joint_offset",),
+        moving=True,
+    ),
+    # a cable drum of plastic grows with warmth
+    "swelling_drum": Family(
+        "joint",
+        "turn_rad",
+        lambda fixed, s: s.warmth() * column(s.q, fixed),
+        (),
+        together(TEMPERATURE, own(POSITION)),
+        beside=("joint_scale", "joint_thermal_offset", "joint_offset"),
+        warm=True,
+    ),
+    # a belt jumps over a tooth of its pulley
+    "skipped_tooth": Family(
+        "joint",
+        "turn_rad",
+        lambda fixed, s: (s.time > fixed["instant_s"]).astype(float),
+        ("instant_s",),
+        TIME,
+        beside=("joint_offset",),
+    ),
+    # cables wound round a joint rub the more, the further they are wound
+    "rubbing_harness": Family(
+        "joint",
+        "turn_rad",
+        lambda fixed, s: -column(s.direction, fixed) * np.abs(column(s.q, fixed)),
+        (),
+        together(own(DIRECTION), own(POSITION)),
+        beside=("joint_backlash",),
+    ),
+    # a belt that wears stretches more and more under its load
+    "tiring_belt": Family(
+        "joint",
+        "turn_rad",
+        lambda fixed, s: torque(fixed, s) * s.time / fixed["span_s"],
+        ("torque_Nm", "span_s"),
+        together(own(TORQUE), TIME),
+        beside=("joint_compliance", "joint_offset"),
+        loaded=True,
+    ),
+}

@@ -1,0 +1,99 @@
+"""Families outside the catalogue that move a link's frame."""
+
+import numpy as np
+
+from benchmarks.concealed.outside.family import (
+    BY_JOINT,
+    DIRECTION,
+    TEMPERATURE,
+    TIME,
+    VELOCITY,
+    Family,
+    column,
+    own,
+    together,
+)
+
+FAMILIES: dict[str, Family] = {
+    "link_tilt_by_time": Family(
+        "link", "turn_rad", lambda fixed, s: s.time / fixed["span_s"], ("span_s",), TIME, (3, 4)
+    ),
+    "link_tilt_by_warmth": Family("link", "turn_rad", lambda fixed, s: s.warmth(), (), TEMPERATURE, (3, 4), warm=True),
+    "squared_bending": Family(
+        "link",
+        "turn_rad",
+        lambda fixed, s: (column(s.moment[..., 0], fixed) / fixed["moment_Nm"]) ** fixed["power"],
+        ("moment_Nm", "power"),
+        own("gravity moment x of link"),
+        (3,),
+        beside=("link_compliance",),
+        loaded=True,
+    ),
+    # a hose along the arm that stiffens as another joint bends it
+    "hose_pull": Family(
+        "link",
+        "turn_rad",
+        lambda fixed, s: column(s.q, fixed, "by") ** 3,
+        ("by",),
+        BY_JOINT,
+        (3, 4),
+        beside=("frame_offset",),
+        skipping=True,
+    ),
+    # a flange with a loose bolt opens under a moment of one sign and stays shut under the other
+    "gaping_flange": Family(
+        "link",
+        "turn_rad",
+        lambda fixed, s: np.maximum(column(s.moment[..., 1], fixed) / fixed["moment_y_Nm"], 0.0),
+        ("moment_y_Nm",),
+        own("gravity moment y of link"),
+        (4,),
+        beside=("link_compliance", "frame_offset"),
+        loaded=True,
+    ),
+    # a link of plastic bends the more the warmer it is
+    "softening_link": Family(
+        "link",
+        "turn_rad",
+        lambda fixed, s: s.warmth() * column(s.moment[..., 0], fixed) / fixed["moment_Nm"],
+        ("moment_Nm",),
+        together(TEMPERATURE, own("gravity moment x of link")),
+        (3,),
+        beside=("link_compliance", "frame_offset"),
+        loaded=True,
+        warm=True,
+    ),
+    # the belt that drives another joint pulls a link to the side on which it is taut
+    "belt_pull": Family(
+        "link",
+        "turn_rad",
+        lambda fixed, s: column(s.direction, fixed, "by"),
+        ("by",),
+        own(DIRECTION, "by"),
+        (3, 4),
+        beside=("frame_offset",),
+        skipping=True,
+    ),
+    # Coriolis's force, where two joints move at once, bends a link
+    "whipped_link": Family(
+        "link",
+        "turn_rad",
+        lambda fixed, s: column(s.dq, fixed, "by") * column(s.dq, fixed, "and"),
+        ("by", "and"),
+        together(own(VELOCITY, "by"), own(VELOCITY, "and")),
+        (3, 4),
+        beside=("frame_offset",),
+        moving=True,
+    ),
+    # a glued joint of a link holds until it is so warm that the glue softens
+    "softening_glue": Family(
+        "link",
+        "turn_rad",
+        lambda fixed, s: np.maximum(s.warmth() - fixed["softens"], 0.0),
+        ("softens",),
+        TEMPERATURE,
+        (3, 4),
+        beside=("frame_offset",),
+        warm=True,
+    ),
+}

@@ -1,0 +1,96 @@
+"""Families outside the catalogue that move the sensor, or shift what it sees by where it sees it."""
+
+import numpy as np
+
+from benchmarks.concealed.chain import Array
+from benchmarks.concealed.outside.family import (
+    TEMPERATURE,
+    TIME,
+    Family,
+    phrases,
+)
+
+FAMILIES: dict[str, Family] = {
+    "lens_distortion": Family(
+        "image",
+        "shift_m",
+        None,
+        (),
+        phrases("measured position"),
+        beside=("measurement_scale",),
+    ),
+    "skewed_axes": Family("image", "shift_m", None, (), phrases("measured position x", "measured position y")),
+    "stretched_axis": Family(
+        "image", "shift_m", None, (), phrases("measured position x"), beside=("measurement_scale",)
+    ),
+    "sensor_turn_by_time": Family(
+        "sensor",
+        "turn_rad",
+        lambda fixed, s: (s.time / fixed["span_s"]) ** fixed["power"],
+        ("span_s", "power"),
+        TIME,
+        (3, 4, 5),
+        beside=("sensor_drift",),
+    ),
+    "sensor_shift_by_warmth": Family(
+        "sensor", "shift_m", lambda fixed, s: s.warmth(), (), TEMPERATURE, (0, 1, 2), warm=True
+    ),
+    "squared_drift": Family(
+        "sensor",
+        "shift_m",
+        lambda fixed, s: (s.time / fixed["span_s"]) ** fixed["power"],
+        ("span_s", "power"),
+        TIME,
+        (0, 1, 2),
+        beside=("sensor_drift", "base_drift"),
+    ),
+    # a tall tripod that sways
+    "swaying_sensor": Family(
+        "sensor",
+        "shift_m",
+        lambda fixed, s: np.sin(2 * np.pi * fixed["turns"] * s.time / fixed["span_s"] + fixed["phase"]),
+        ("span_s", "turns", "phase"),
+        TIME,
+        (0, 1, 2),
+        beside=("sensor_drift", "base_drift"),
+    ),
+    # an image taken aslant: what is higher in it is smaller
+    "keystone": Family("image", "shift_m", None, (), phrases("measured position"), beside=("measurement_scale",)),
+    # air that is warmer on one side bends the sight, by the square of the distance
+    "bent_beam": Family("image", "shift_m", None, (), phrases("measured position"), beside=("measurement_scale",)),
+    # a sensor stands on the arm's bench, which gives way as the arm leans over
+    "shared_bench": Family(
+        "sensor",
+        "shift_m",
+        lambda fixed, s: s.base_moment[:, 0] / fixed["base_moment_Nm"],
+        ("base_moment_Nm",),
+        phrases("base moment x"),
+        (0, 1, 2),
+        loaded=True,
+    ),
+    # the circle on which a tracker reads its azimuth turns out of its centre
+    "eccentric_circle": Family(
+        "image", "shift_m", None, (), phrases("measured position"), beside=("measurement_scale",)
+    ),
+}
+
+
+def seen_shift(name: str, position: Array) -> Array:
+    """`(sample, 3)`: what an image shifts, of a number of 1, where the sensor has the point at `(sample, 3)` m."""
+    x, y, z = position.T
+    match name:
+        case "lens_distortion":
+            return position * (x**2 + y**2 + z**2)[:, None]
+        case "skewed_axes":
+            return np.column_stack([y, np.zeros((len(x), 2))])
+        case "stretched_axis":
+            return np.column_stack([x, np.zeros((len(x), 2))])
+        case "keystone":
+            return np.column_stack([x * y, y**2, np.zeros(len(x))])
+        case "bent_beam":
+            return np.column_stack([np.zeros((len(x), 2)), x**2 + y**2 + z**2])
+        case "eccentric_circle":
+            # off by the sine of the azimuth, square to the line of sight
+            sine = y / np.hypot(x, y)
+            return np.column_stack([-y * sine, x * sine, np.zeros(len(x))])
+    raise KeyError(name)

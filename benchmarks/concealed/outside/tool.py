@@ -1,0 +1,85 @@
+"""Families outside the catalogue that move the tool on the flange."""
+
+import numpy as np
+
+from benchmarks.concealed.chain import Array
+from benchmarks.concealed.outside.family import (
+    BY_JOINT,
+    CREEP,
+    PRELOAD,
+    TEMPERATURE,
+    TIME,
+    Family,
+    Fixed,
+    Signals,
+    beyond,
+    column,
+    own,
+    together,
+)
+
+
+def _tipped(fixed: Fixed, s: Signals) -> Array:
+    load = column(s.moment[..., 0], fixed, "flange") / fixed["flange_moment_Nm"]
+    return np.sign(load) * (np.abs(load) > PRELOAD)
+
+
+FAMILIES: dict[str, Family] = {
+    "tool_turn_by_joint": Family(
+        "tool", "turn_rad", lambda fixed, s: column(s.q, fixed, "by"), ("by",), BY_JOINT, (3, 4)
+    ),
+    "tool_shift_by_warmth": Family(
+        "tool", "shift_m", lambda fixed, s: s.warmth(), (), TEMPERATURE, (0, 1, 2), warm=True
+    ),
+    # a clip of the target lets go
+    "loose_clip": Family(
+        "tool",
+        "shift_m",
+        lambda fixed, s: (s.time > fixed["instant_s"]).astype(float),
+        ("instant_s",),
+        TIME,
+        (0, 1, 2),
+        beside=("tool_offset",),
+    ),
+    # the target sinks into its glue until that is hard
+    "creeping_glue": Family(
+        "tool",
+        "shift_m",
+        lambda fixed, s: -np.expm1(-CREEP * s.time / fixed["span_s"]),
+        ("span_s",),
+        TIME,
+        (2,),
+        beside=("tool_offset",),
+    ),
+    # a cable tugs at the target as a joint turns, and its clamp works loose
+    "loosening_clamp": Family(
+        "tool",
+        "turn_rad",
+        lambda fixed, s: s.time / fixed["span_s"] * column(s.q, fixed, "by"),
+        ("span_s", "by"),
+        together(TIME, BY_JOINT),
+        (3, 4),
+        beside=("tool_offset",),
+    ),
+    # a cable pulls at the tool when a joint has taken up its slack
+    "taut_cable": Family(
+        "tool",
+        "turn_rad",
+        lambda fixed, s: beyond(column(s.q, fixed, "by"), fixed["slack"]),
+        ("by", "slack"),
+        BY_JOINT,
+        (3, 4),
+        beside=("tool_offset",),
+    ),
+    # a detent holds a tool upright until the moment tips it against a stop
+    "tipping_tool": Family(
+        "tool",
+        "turn_rad",
+        _tipped,
+        ("flange", "flange_moment_Nm"),
+        own("gravity moment x of link", "flange"),
+        (3,),
+        beside=("tool_compliance", "tool_offset"),
+        loaded=True,
+    ),
+}
