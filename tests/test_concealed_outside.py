@@ -210,7 +210,7 @@ def test_an_image_shifts_points_and_turns_nothing(name, scene):
     np.testing.assert_array_equal(moved[0], rotation)
 
 
-@pytest.mark.parametrize("seed", [5, 2321, 2341, 2361])
+@pytest.mark.parametrize("seed", [5, 2321, 2341, 2361, 2381])
 def test_families_not_looked_at_are_sealed_and_drawn_on_request_only(seed):
     opened, sealed = families(seed), families(seed, sealed=True)
     assert sealed
