@@ -146,6 +146,41 @@ FORMULAS = {
         {"axis": 2.0, "base_moment_Nm": 2.0},
         lambda s, m: moments(s.chain, m.q, m.payload, PAYLOAD_CENTER)[1][:, 0] / 2,
     ),
+    "thinning_grease": ("joint3", {}, lambda s, m: (m.temperature.mean(1) / 10 - 2.5) * m.dq[:, 2]),
+    "fading_friction": (
+        "joint3",
+        {"fades": 0.4},
+        lambda s, m: np.where(m.dq[:, 2] > 0, -np.exp(-2.5 * m.dq[:, 2]), np.exp(2.5 * m.dq[:, 2])),
+    ),
+    "loosening_hub": ("joint3", {"span_s": 2.0}, lambda s, m: np.where(m.dq[:, 2] > 0, -0.5, 0.5) * m.time),
+    "shared_differential": (
+        "joint5",
+        {"by": 2.0, "by_torque_Nm": 3.0},
+        lambda s, m: torque(s, m, 2)[:, 2] / 3,
+    ),
+    "bowed_link": ("link3", {"axis": 4.0}, lambda s, m: np.diff(m.temperature[:, 2:4], axis=1)[:, 0] / 10),
+    "creeping_print": (
+        "link3",
+        {"axis": 3.0, "span_s": 2.0, "moment_Nm": 2.0},
+        lambda s, m: (1 - np.exp(-2 * m.time)) * torque(s, m, 3)[:, 0] / 2,
+    ),
+    "oblique_profile": ("link3", {"axis": 4.0, "moment_Nm": 2.0}, lambda s, m: torque(s, m, 3)[:, 0] / 2),
+    "slackening_bolts": (
+        "base",
+        {"axis": 3.0, "base_moment_Nm": 2.0, "span_s": 2.0},
+        lambda s, m: m.time / 2 * np.tanh(2 * moments(s.chain, m.q, m.payload, PAYLOAD_CENTER)[1][:, 0]),
+    ),
+    "swung_trolley": (
+        "base",
+        {"axis": 0.0},
+        lambda s, m: m.dq[:, 0] * np.sin(m.q[:, 0] + np.pi / 2) * m.dq[:, 0],
+    ),
+    "flung_probe": ("tool", {"axis": 1.0, "flange": 6.0}, lambda s, m: m.dq[:, 5] * m.dq[:, 5]),
+    "sliding_nest": (
+        "tool",
+        {"axis": 0.0, "flange": 6.0, "flange_moment_y_Nm": 0.01},
+        lambda s, m: 100 * torque(s, m, 6)[:, 1],
+    ),
 }
 IMAGES = {
     "lens_distortion": lambda p: p * np.sum(p**2, 1, keepdims=True),
@@ -154,6 +189,7 @@ IMAGES = {
     "keystone": lambda p: p[:, [1]] * p * [1.0, 1.0, 0.0],
     "bent_beam": lambda p: np.linalg.norm(p, axis=1, keepdims=True) ** 2 * [0.0, 0.0, 1.0],
     "eccentric_circle": lambda p: np.sin(np.arctan2(p[:, [1]], p[:, [0]])) * np.cross([0.0, 0.0, 1.0], p),
+    "squinting_pair": lambda p: np.einsum("sa,s->sa", p, p[:, 2]),
 }
 
 
@@ -178,7 +214,7 @@ def displaced(setup, motion, site, twist):
 
 def test_every_family_is_here():
     assert set(FORMULAS) | set(IMAGES) == set(FAMILIES)
-    assert len(FAMILIES) == 53
+    assert len(FAMILIES) == 65
 
 
 @pytest.mark.parametrize("name", FORMULAS)

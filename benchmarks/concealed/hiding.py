@@ -57,7 +57,8 @@ def hide(plan: Plan, rng: np.random.Generator, view: View) -> tuple[Hidden, ...]
         if max(map(abs, sized.values[: sized.linear])) > _MOST.get(effect.name, 0.02):
             return None
         # an axis that is upright but for its making bears next to nothing: what turns it visibly is no spring of a gear
-        if "torque_Nm" in sized.fixed and abs(sized.values[0]) > _MOST["joint_compliance"] * sized.fixed["torque_Nm"]:
+        torques = [value for key, value in sized.fixed.items() if key.endswith("torque_Nm")]
+        if any(abs(sized.values[0]) > _MOST["joint_compliance"] * torque for torque in torques):
             return None
         # no arm carries less than nothing: an engine would carry nothing, and truth would lie
         if effect.name == "payload_error" and view.motion.payload.min() < -sized.values[0]:

@@ -7,11 +7,13 @@ from benchmarks.concealed.outside.family import (
     DIRECTION,
     PRELOAD,
     ROCKING,
+    TIME,
     Family,
     beyond,
     column,
     own,
     phrases,
+    together,
 )
 
 FAMILIES: dict[str, Family] = {
@@ -69,5 +71,27 @@ FAMILIES: dict[str, Family] = {
         own(DIRECTION, "by"),
         (0, 1),
         beside=("frame_offset",),
+    ),
+    # bolts that shaking slackens: the base tips from one side to the other, further and further
+    "slackening_bolts": Family(
+        "base",
+        "turn_rad",
+        lambda fixed, s: np.tanh(ROCKING * s.base_moment[:, 0] / fixed["base_moment_Nm"]) * s.time / fixed["span_s"],
+        ("base_moment_Nm", "span_s"),
+        together(phrases("base moment x"), TIME),
+        (3,),
+        beside=("base_compliance", "frame_offset"),
+        loaded=True,
+    ),
+    # a light trolley is drawn to where the arm points as joint 1 swings it round
+    "swung_trolley": Family(
+        "base",
+        "shift_m",
+        lambda fixed, s: s.dq[:, 0] ** 2 * np.cos(s.q[:, 0]),
+        (),
+        together(phrases("velocity of joint 1", "speed of joint 1"), phrases("position of joint 1")),
+        (0,),
+        beside=("frame_offset",),
+        moving=True,
     ),
 }

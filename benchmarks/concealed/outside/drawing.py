@@ -49,6 +49,8 @@ def drawn(name: str, rng: np.random.Generator, s: Signals) -> tuple[str, dict[st
                 fixed[key] = float(np.percentile(np.abs(column(s.q, fixed, "by")), rng.uniform(30, 60)))
             case "softens":
                 fixed[key] = float(np.percentile(s.warmth(), rng.uniform(30, 60)))
+            case "fades":
+                fixed[key] = float(np.percentile(np.abs(s.dq[:, joint - 1]), rng.uniform(20, 50)))
             case "flange":
                 fixed[key] = float(dof)
             case "lower":
@@ -59,7 +61,9 @@ def drawn(name: str, rng: np.random.Generator, s: Signals) -> tuple[str, dict[st
                     "torque_Nm": s.moment[:, joint - 1, 2],
                     "moment_Nm": s.moment[:, joint - 1, 0],
                     "moment_y_Nm": s.moment[:, joint - 1, 1],
+                    "by_torque_Nm": s.moment[:, int(fixed.get("by", joint)) - 1, 2],
                     "flange_moment_Nm": s.moment[:, -1, 0],
+                    "flange_moment_y_Nm": s.moment[:, -1, 1],
                     "base_moment_Nm": s.base_moment[:, 0],
                     "base_moment_y_Nm": s.base_moment[:, 1],
                 }[key]

@@ -23,7 +23,7 @@ CREEP = 4.0
 """Time constants of a creep that a recording lasts."""
 ROCKING = 4.0
 """A moment of one part in so many of the load tips a base from one foot to another."""
-_WARMER = 10.0
+WARMER = 10.0
 """K: temperatures count in these."""
 _AMBIENT = 25.0
 """°C."""
@@ -53,7 +53,7 @@ class Signals:
 
     def warmth(self) -> Array:
         """`(sample,)`: the mean temperature above the ambient one, in tens of K."""
-        return (self.temperature.mean(1) - _AMBIENT) / _WARMER
+        return (self.temperature.mean(1) - _AMBIENT) / WARMER
 
 
 @dataclass(frozen=True)
@@ -114,6 +114,11 @@ def torque(fixed: Fixed, s: Signals) -> Array:
 def own(quantity: str, key: str = "joint") -> Callable[[Fixed], Drivers]:
     """A quantity of the family's joint, or of the one that another key says."""
     return lambda fixed: ((f"{quantity} {int(fixed[key])}",),)
+
+
+def either(*quantities: str, key: str = "joint") -> Callable[[Fixed], Drivers]:
+    """One driver of a joint that any of some quantities names."""
+    return lambda fixed: (tuple(f"{quantity} {int(fixed[key])}" for quantity in quantities),)
 
 
 def together(*each: Callable[[Fixed], Drivers]) -> Callable[[Fixed], Drivers]:

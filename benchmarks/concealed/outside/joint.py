@@ -15,6 +15,7 @@ from benchmarks.concealed.outside.family import (
     Fixed,
     Signals,
     column,
+    either,
     own,
     signed_power,
     together,
@@ -196,6 +197,46 @@ FAMILIES: dict[str, Family] = {
         ("torque_Nm", "span_s"),
         together(own(TORQUE), TIME),
         beside=("joint_compliance", "joint_offset"),
+        loaded=True,
+    ),
+    # grease thins as it warms, and the drive lags less behind
+    "thinning_grease": Family(
+        "joint",
+        "turn_rad",
+        lambda fixed, s: column(s.dq, fixed) * s.warmth(),
+        (),
+        together(own(VELOCITY), TEMPERATURE),
+        beside=("joint_lag",),
+        moving=True,
+        warm=True,
+    ),
+    # dry friction holds a joint back when it creeps, and fades as it runs (R. Stribeck, 1902)
+    "fading_friction": Family(
+        "joint",
+        "turn_rad",
+        lambda fixed, s: -column(s.direction, fixed) * np.exp(-np.abs(column(s.dq, fixed)) / fixed["fades"]),
+        ("fades",),
+        either(VELOCITY, DIRECTION),  # of a moving joint the direction is the sign of the velocity
+        beside=("joint_backlash", "joint_lag"),
+        moving=True,
+    ),
+    # the set screw of a hub works loose, and its play grows
+    "loosening_hub": Family(
+        "joint",
+        "turn_rad",
+        lambda fixed, s: -column(s.direction, fixed) * s.time / fixed["span_s"],
+        ("span_s",),
+        together(own(DIRECTION), TIME),
+        beside=("joint_backlash",),
+    ),
+    # two joints share a differential, and the load of one turns the other
+    "shared_differential": Family(
+        "joint",
+        "turn_rad",
+        lambda fixed, s: column(s.moment[..., 2], fixed, "by") / fixed["by_torque_Nm"],
+        ("by", "by_torque_Nm"),
+        own(TORQUE, "by"),
+        beside=("joint_offset",),
         loaded=True,
     ),
 }

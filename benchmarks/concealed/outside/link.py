@@ -2,17 +2,28 @@
 
 import numpy as np
 
+from benchmarks.concealed.chain import Array
 from benchmarks.concealed.outside.family import (
     BY_JOINT,
+    CREEP,
     DIRECTION,
     TEMPERATURE,
     TIME,
     VELOCITY,
+    WARMER,
     Family,
+    Fixed,
+    Signals,
     column,
     own,
     together,
 )
+
+
+def _gradient(fixed: Fixed, s: Signals) -> Array:
+    near = int(fixed["joint"]) - 1
+    return (s.temperature[:, near + 1] - s.temperature[:, near]) / WARMER
+
 
 FAMILIES: dict[str, Family] = {
     "link_tilt_by_time": Family(
@@ -95,5 +106,40 @@ FAMILIES: dict[str, Family] = {
         (3, 4),
         beside=("frame_offset",),
         warm=True,
+    ),
+    # a link bows where one of its ends is warmer than the other
+    "bowed_link": Family(
+        "link",
+        "turn_rad",
+        _gradient,
+        (),
+        lambda fixed: tuple((f"temperature of joint {int(fixed['joint']) + end}",) for end in (0, 1)),
+        (3, 4),
+        beside=("frame_offset",),
+        warm=True,
+    ),
+    # a printed link gives way more and more to its load, and ever more slowly
+    "creeping_print": Family(
+        "link",
+        "turn_rad",
+        lambda fixed, s: (
+            -np.expm1(-CREEP * s.time / fixed["span_s"]) * column(s.moment[..., 0], fixed) / fixed["moment_Nm"]
+        ),
+        ("span_s", "moment_Nm"),
+        together(TIME, own("gravity moment x of link")),
+        (3,),
+        beside=("link_compliance", "frame_offset"),
+        loaded=True,
+    ),
+    # a profile whose main axes lie oblique gives way to the side of its load
+    "oblique_profile": Family(
+        "link",
+        "turn_rad",
+        lambda fixed, s: column(s.moment[..., 0], fixed) / fixed["moment_Nm"],
+        ("moment_Nm",),
+        own("gravity moment x of link"),
+        (4,),
+        beside=("frame_offset",),
+        loaded=True,
     ),
 }

@@ -63,6 +63,18 @@ OPENED: dict[str, float] = {
     "tipping_tool": 2381,
     "shared_bench": 2381,
     "eccentric_circle": 2381,
+    "thinning_grease": SEALED,
+    "fading_friction": SEALED,
+    "loosening_hub": SEALED,
+    "shared_differential": SEALED,
+    "bowed_link": SEALED,
+    "creeping_print": SEALED,
+    "oblique_profile": SEALED,
+    "slackening_bolts": SEALED,
+    "swung_trolley": SEALED,
+    "flung_probe": SEALED,
+    "sliding_nest": SEALED,
+    "squinting_pair": SEALED,
 }
 """By name, the first seed of a campaign that draws the family without --sealed.
 

@@ -3,12 +3,7 @@
 import numpy as np
 
 from benchmarks.concealed.chain import Array
-from benchmarks.concealed.outside.family import (
-    TEMPERATURE,
-    TIME,
-    Family,
-    phrases,
-)
+from benchmarks.concealed.outside.family import TEMPERATURE, TIME, Family, phrases
 
 FAMILIES: dict[str, Family] = {
     "lens_distortion": Family(
@@ -72,6 +67,8 @@ FAMILIES: dict[str, Family] = {
     "eccentric_circle": Family(
         "image", "shift_m", None, (), phrases("measured position"), beside=("measurement_scale",)
     ),
+    # one camera of a pair was knocked and squints: all that is far comes too near, along its sight
+    "squinting_pair": Family("image", "shift_m", None, (), phrases("measured position"), beside=("measurement_scale",)),
 }
 
 
@@ -93,4 +90,7 @@ def seen_shift(name: str, position: Array) -> Array:
             # off by the sine of the azimuth, square to the line of sight
             sine = y / np.hypot(x, y)
             return np.column_stack([-y * sine, x * sine, np.zeros(len(x))])
+        case "squinting_pair":
+            # an error of the disparity grows with the depth
+            return position * z[:, None]
     raise KeyError(name)

@@ -9,11 +9,13 @@ from benchmarks.concealed.outside.family import (
     PRELOAD,
     TEMPERATURE,
     TIME,
+    VELOCITY,
     Family,
     Fixed,
     Signals,
     beyond,
     column,
+    either,
     own,
     together,
 )
@@ -80,6 +82,28 @@ FAMILIES: dict[str, Family] = {
         own("gravity moment x of link", "flange"),
         (3,),
         beside=("tool_compliance", "tool_offset"),
+        loaded=True,
+    ),
+    # a slender probe is flung outwards as the last joint spins it
+    "flung_probe": Family(
+        "tool",
+        "shift_m",
+        lambda fixed, s: column(s.dq, fixed, "flange") ** 2,
+        ("flange",),
+        either(VELOCITY, "speed of joint", key="flange"),
+        (0, 1),
+        beside=("tool_offset",),
+        moving=True,
+    ),
+    # a target slides aside in its magnetic nest by its weight
+    "sliding_nest": Family(
+        "tool",
+        "shift_m",
+        lambda fixed, s: column(s.moment[..., 1], fixed, "flange") / fixed["flange_moment_y_Nm"],
+        ("flange", "flange_moment_y_Nm"),
+        own("gravity moment y of link", "flange"),
+        (0,),
+        beside=("tool_offset",),
         loaded=True,
     ),
 }
