@@ -155,6 +155,11 @@ class Driver:
         return _SOURCES[self.quantity].unit
 
     @property
+    def discrete(self) -> bool:
+        """Whether it is a direction of motion, which has two or three values."""
+        return self.quantity == "direction of motion"
+
+    @property
     def of_slide(self) -> bool:
         """Whether it is a quantity of a prismatic joint alone."""
         return self.quantity in _GENERALISED

@@ -36,8 +36,6 @@ _HIGHEST_DEGREE = 4
 _TOGETHER = ("x y z", "rx ry rz", "rx ry")
 """Components of a twist that are one displacement of their own: a shift, a turn, a tilt."""
 
-_DIRECTION = "direction of motion"
-
 _SITE = re.compile(r"joint([1-9]\d*)|link([1-9]\d*)|base|tool|sensor")
 
 
@@ -70,7 +68,7 @@ def products_of(drivers: tuple[Driver, ...], degree: int, power: int = 0) -> Pro
     A direction of motion is in a product once at most: its square is the constant. Any other driver is there `power`
     times at most, where that is not 0.
     """
-    most = [1 if driver.quantity == _DIRECTION else power or degree for driver in drivers]
+    most = [1 if driver.discrete else power or degree for driver in drivers]
     orders = (combinations_with_replacement(range(len(drivers)), order) for order in range(degree + 1))
     return tuple(which for found in orders for which in found if _within(which, most))
 
@@ -131,7 +129,7 @@ def _contained_forms(
     of = [every, *chain.from_iterable(combinations(every, n) for n in range(1, len(every)) if len(every) > 2)]
     products = products_of(drivers, degree, power) if degree else ((),) * pieces
     plain = [(n, min(power, n)) for n in range(min(degree, least), degree + 1)]
-    bilinear = degree > 1 and not power and all(driver.quantity != _DIRECTION for driver in drivers)
+    bilinear = degree > 1 and not power and not any(driver.discrete for driver in drivers)
     forms = []
     for parts, which in product(dict.fromkeys((component, *together, *components)), of):
         for highest, most in [*plain, *([(2, 1)] if bilinear and len(which) == 2 else [])]:
@@ -247,7 +245,7 @@ class Unnamed(Bending):
                 f"unnamed:{self.where}: memory {self.memory} is not possible; give widths from 0 on, and no orders"
             )
         several = len(self.drivers) - 1
-        directed = several == 1 and self.drivers[1].quantity == _DIRECTION and not self.orders + self.memory
+        directed = several == 1 and self.drivers[1].discrete and not self.orders + self.memory
         if len(self.further) != 2 * several or (several and not self.degree and not directed):
             raise InputError(
                 f"unnamed:{self.where}: {several + 1} drivers and {len(self.further)} further bounds; give lower and "

@@ -32,24 +32,35 @@ class Explained(NamedTuple):
 
 
 class Equations(NamedTuple):
-    """Normal equations of a candidate, whose columns have unit length before the model's span is projected out.
+    """Normal equations of candidates of one size, whose columns had unit length before the model was projected out.
 
     Attributes:
-        score: `(number,)`, products of the projected columns with the residuals.
-        gram: `(number, number)`, products of the projected columns with one another.
+        score: `(…, number)`, products of the projected columns with the residuals.
+        gram: `(…, number, number)`, products of the projected columns with one another.
     """
 
     score: Array
     gram: Array
 
     def part(self, numbers: Sequence[int]) -> "Equations":
-        """Those of some of the candidate's numbers."""
+        """Those of some of the numbers."""
         at = np.asarray(numbers)
-        return Equations(self.score[at], self.gram[at[:, None], at])
+        return Equations(self.score[..., at], self.gram[..., at[:, None], at])
+
+    def each(self) -> "list[Equations]":
+        """Those of each candidate alone."""
+        return list(map(Equations, self.score, self.gram))
+
+    def explained(self, confounded: float) -> list[Explained]:
+        """What each candidate explains; directions whose share outside the model's span is less do not count."""
+        eigenvalues, V = np.linalg.eigh(self.gram)
+        inverse = np.where(eigenvalues > confounded, 1 / np.maximum(eigenvalues, confounded), 0.0)
+        gains = 0.5 * np.sum(inverse * np.einsum("gji,gj->gi", V, self.score) ** 2, 1)
+        return list(map(Explained, gains.tolist(), np.sum(eigenvalues > confounded, 1).tolist()))
 
 
-def equations_of(score: Array, gram: Array, inside: Array) -> list[Equations]:
-    """The equations of each group of columns.
+def equations_of(score: Array, gram: Array, inside: Array) -> Equations:
+    """The equations of groups of columns of one size.
 
     Args:
         score: `(group, number)`, products of projected columns with residuals.
@@ -57,21 +68,16 @@ def equations_of(score: Array, gram: Array, inside: Array) -> list[Equations]:
         inside: `(group, number, k)`, columns in an orthonormal basis of the model's span.
     """
     norms = np.sqrt(np.maximum(np.diagonal(gram, axis1=1, axis2=2), 1e-300))
-    left = (gram - inside @ inside.swapaxes(1, 2)) / (norms[:, :, None] * norms[:, None])
-    return list(map(Equations, score / norms, left))
+    return Equations(score / norms, (gram - inside @ inside.swapaxes(1, 2)) / (norms[:, :, None] * norms[:, None]))
 
 
 def explained_by(equations: Sequence[Equations], confounded: float) -> list[Explained]:
-    """What each candidate explains; directions whose share outside the model's span is less do not count."""
-    found = [Explained(0.0, 0)] * len(equations)
+    """What single candidates of any sizes explain, as `Equations.explained`."""
+    found: dict[int, Explained] = {}
     alike: dict[int, list[int]] = {}
     for k, one in enumerate(equations):
         alike.setdefault(len(one.score), []).append(k)
     for members in alike.values():
-        eigenvalues, V = np.linalg.eigh(np.stack([equations[k].gram for k in members]))
-        inverse = np.where(eigenvalues > confounded, 1 / np.maximum(eigenvalues, confounded), 0.0)
-        score = np.stack([equations[k].score for k in members])
-        gains = 0.5 * np.sum(inverse * np.einsum("gji,gj->gi", V, score) ** 2, 1)
-        for k, gain, size in zip(members, gains.tolist(), np.sum(eigenvalues > confounded, 1).tolist(), strict=True):
-            found[k] = Explained(gain, size)
-    return found
+        stacked = Equations(*map(np.stack, zip(*(equations[k] for k in members), strict=True)))
+        found |= zip(members, stacked.explained(confounded), strict=True)
+    return [found[k] for k in range(len(equations))]

@@ -22,7 +22,7 @@ from lite6jax.estimation.noise import NoiseModel, autocorrelation_time, noise_mo
 from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.problem import Problem
 from lite6jax.estimation.projection import orthonormal, outside, unit_rows
-from lite6jax.estimation.terms import Term
+from lite6jax.estimation.terms import Contained, Term
 
 Array = NDArray[np.floating]
 
@@ -118,12 +118,15 @@ class ScoreTest:
             for k, term in enumerate(terms):
                 if (factored := self.problem.factored(term)) is not None:
                     alike.setdefault((id(factored.site), len(factored.functions)), []).append((k, factored))
-        for members in alike.values():
+        sums: dict[int, tuple[Array, Array, Array]] = {}  # many functions share a site
+        for (at, _), members in alike.items():
             _, first = members[0]
+            if at not in sums:
+                sums[at] = self._over_rows(first.site)
             at_once = max(_NUMBERS // max(first.functions.size, 1), 1)
             for part in (members[i : i + at_once] for i in range(0, len(members), at_once)):
                 functions = np.stack([one.functions for _, one in part])
-                found |= zip((k for k, _ in part), self._of_site(functions, self._summed(first.site)), strict=True)
+                found |= zip((k for k, _ in part), self._of_site(functions, sums[at]).each(), strict=True)
         dense = [k for k in range(len(terms)) if k not in found]
         found |= zip(dense, self._of_columns([terms[k] for k in dense]), strict=True)
         return [found[k] for k in range(len(terms))]
@@ -141,7 +144,7 @@ class ScoreTest:
             for (size, where), members in alike.items():
                 rows = np.flatnonzero(np.frombuffer(where, bool))
                 groups = np.stack([columns[a : a + size, rows] for _, a in members])
-                found |= zip((k for k, _ in members), self._of_groups(groups, rows), strict=True)
+                found |= zip((k for k, _ in members), self._of_groups(groups, rows).each(), strict=True)
         return [found[k] for k in range(len(terms))]
 
     def gains(self, column: Array, functions: Array) -> Array:
@@ -160,9 +163,13 @@ class ScoreTest:
         else:
             rows = np.flatnonzero(column.any(1))
             equations = self._of_groups(functions[:, :, None] * column[rows], rows)
-        return explained_by(equations, self.options.confounded)
+        return equations.explained(self.options.confounded)
 
-    def _of_groups(self, groups: Array, rows: NDArray[np.integer]) -> list[Equations]:
+    def explained_parts(self, whole: Equations, parts: Sequence[Contained]) -> list[Explained]:
+        """What parts of a function explain, from the equations of the whole."""
+        return explained_by([whole.part(part.numbers) for part in parts], self.options.confounded)
+
+    def _of_groups(self, groups: Array, rows: NDArray[np.integer]) -> Equations:
         """The equations of groups of columns `(group, number, row, sample)` that act on some rows."""
         shape = groups.shape[:2]
         flat = _white(self.fit, groups, self.scale, rows).reshape(shape[0] * shape[1], -1)
@@ -172,7 +179,7 @@ class ScoreTest:
         flat = flat.reshape(*shape, -1)
         return equations_of(score, flat @ flat.swapaxes(1, 2), inside)
 
-    def _of_site(self, functions: Array, sums: tuple[Array, Array, Array]) -> list[Equations]:
+    def _of_site(self, functions: Array, sums: tuple[Array, Array, Array]) -> Equations:
         """The equations of many groups of functions at one site, in white noise.
 
         Args:
@@ -200,39 +207,33 @@ class ScoreTest:
         With one another `(component, component, sample)`, with the basis `(component, k, sample)`, and with the
         residual `(component, sample)`.
         """
-        shape = self.problem.rows, self.problem.samples
-        measured = shape[0] * shape[1]
-        basis, residual = self.basis[:, :measured].reshape(-1, *shape), self.residual[:measured].reshape(shape)
+        basis, residual = self._measured
         white = _white(self.fit, site, self.scale)
         with_site, with_basis, with_residual = (
             np.stack([np.sum(one * other, -2) for one in white]) for other in (white, basis, residual)
         )
         return with_site, with_basis, with_residual
 
-    def _summed(self, site: Array) -> tuple[Array, Array, Array]:
-        """`_over_rows` of a site that many functions share, computed once."""
-        if id(site) not in self._sums:
-            self._sums[id(site)] = site, self._over_rows(site)  # the site is kept, so that no other takes its identity
-        return self._sums[id(site)][1]
-
-    @cached_property
-    def _sums(self) -> dict[int, tuple[Array, tuple[Array, Array, Array]]]:
-        return {}
-
     def _on(self, rows: NDArray[np.integer]) -> tuple[Array, Array]:
         """The basis `(k, reading)` and the residual `(reading,)` of some rows of the measurements."""
-        measured = self.problem.rows * self.problem.samples
+        basis, residual = self._measured
         if len(rows) == self.problem.rows:
-            return self.basis[:, :measured], self.residual[:measured]
+            return basis.reshape(len(basis), residual.size), residual.ravel()
         key = rows.tobytes()
-        if key not in self._parts:
-            basis = self.basis[:, :measured].reshape(-1, self.problem.rows, self.problem.samples)[:, rows]
-            residual = self.residual[:measured].reshape(self.problem.rows, self.problem.samples)[rows]
-            self._parts[key] = basis.reshape(len(basis), residual.size), residual.ravel()
-        return self._parts[key]
+        if key not in self._of_rows:
+            chosen = residual[rows].ravel()
+            self._of_rows[key] = basis[:, rows].reshape(len(basis), chosen.size), chosen
+        return self._of_rows[key]
+
+    @property
+    def _measured(self) -> tuple[Array, Array]:
+        """Basis `(k, row, sample)` and residual `(row, sample)` of the measurements, without the prior's readings."""
+        shape = self.problem.rows, self.problem.samples
+        measured = shape[0] * shape[1]
+        return self.basis[:, :measured].reshape(len(self.basis), *shape), self.residual[:measured].reshape(shape)
 
     @cached_property
-    def _parts(self) -> dict[bytes, tuple[Array, Array]]:
+    def _of_rows(self) -> dict[bytes, tuple[Array, Array]]:
         return {}
 
     @cached_property

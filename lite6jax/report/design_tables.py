@@ -45,7 +45,7 @@ def design_report(
     yield ""
     yield from _plan_report(found, accuracy) if isinstance(found, Plan) else _discrimination_report(found)
     yield ""
-    if any(driver.quantity == "direction of motion" for e in found.experiment.physics.effects for driver in e.drivers):
+    if any(driver.discrete for e in found.experiment.physics.effects for driver in e.drivers):
         yield Text("For effects of the direction of motion, come to each pose from where all joints are at zero.")
     d = found.design
     way = f"{d.exchanges} exchanges in {d.cycles} rounds"

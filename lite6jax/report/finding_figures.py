@@ -107,7 +107,7 @@ def _draw(panel: Axes, curve: FindingCurve) -> bool:
         panel.plot(at, fitted, ".", color=AFTER, markersize=5, zorder=4)
         return False
     panel.fill_between(at, fitted - 2 * std, fitted + 2 * std, color=AFTER, alpha=0.3, linewidth=0, zorder=3)
-    discrete = curve.quantity is not None and curve.quantity.quantity == "direction of motion"
+    discrete = curve.quantity is not None and curve.quantity.discrete
     bins = int(np.clip(_BINS_PER_WAVE * curve.periods, BINS, max(len(x) // _SAMPLES_PER_BIN, BINS)))
     many = bins > BINS
     panel.plot(at, fitted, color=AFTER, linewidth=1.5 if many else 2.5, zorder=4)

@@ -108,15 +108,14 @@ def _likeliest_parts(test: ScoreTest, functions: Sequence[Term], least: float) -
 
     Only of functions that gain more than `least` as a whole, at the cost of one number: a part hardly explains more.
     """
-    a_number, confounded = 0.5 * test.time, test.options.confounded
-    equations = test.equations(functions)
+    a_number, equations = 0.5 * test.time, test.equations(functions)
+    explained = explained_by(equations, test.options.confounded)
     found = []
-    for term, inside, whole in zip(functions, equations, explained_by(equations, confounded), strict=True):
+    for term, inside, whole in zip(functions, equations, explained, strict=True):
         if whole.gain - a_number <= least:
             continue
         parts = term.parts
-        explained = [whole, *explained_by([inside.part(part.numbers) for part in parts], confounded)]
-        gains = [one.gain - a_number * one.size for one in explained]
+        gains = [one.gain - a_number * one.size for one in (whole, *test.explained_parts(inside, parts))]
         best = int(np.argmax(gains))
         found.append((parts[best - 1].made() if best else term, gains[best]))
     return found

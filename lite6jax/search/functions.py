@@ -180,8 +180,7 @@ def likely_functions(
         if one.gain - half_log_n - a_function <= max(_least_of_first(best.values(), several), least, 0.0):
             break  # a part hardly explains more than the whole
         parts = whole.parts
-        explained = explained_by([inside.part(part.numbers) for part in parts], options.confounded)
-        for part, own in zip(parts, explained, strict=True):
+        for part, own in zip(parts, test.explained_parts(inside, parts), strict=True):
             gain = own.gain - own.size * half_log_n - a_function
             if any(is_better(key_of(whole, kind), gain) for kind in (False, True)):
                 compare(whole, part.made(), gain)

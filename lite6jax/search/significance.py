@@ -99,9 +99,11 @@ def _also_at(problem: Problem, state: State, k: int, site: str, options: EngineO
     term = state.tested[k].term
     wholes = [one for one in problem.flexible if one.site == site and set(one.drivers) == set(term.drivers)]
     test = score_test(problem, reduced(problem, state, k, options).fit, options, within=state.fit)
-    own, *others = test.equations([term, *wholes])
-    parts = [one.part(part.numbers) for one, whole in zip(others, wholes, strict=True) for part in whole.parts]
-    gains = [one.gain - 0.5 * one.size for one in explained_by([own, *others, *parts], options.confounded)]
+    equations = test.equations([term, *wholes])
+    explained = explained_by(equations, options.confounded)
+    for inside, whole in zip(equations[1:], wholes, strict=True):
+        explained += test.explained_parts(inside, whole.parts)
+    gains = [one.gain - 0.5 * one.size for one in explained]
     return max(gains[1:], default=-np.inf) > gains[0] - options.close
 
 

@@ -77,8 +77,8 @@ class _Tried:
     def singles(self, site: str, component: str, drivers: Iterable[Driver]) -> None:
         """A cubic and a spline over each driver; of a direction of motion, which has two or three values, a line."""
         for driver in drivers:
-            self.polynomial(site, component, 1 if driver.quantity == _DIRECTION else _DEGREE, driver)
-            if driver.quantity != _DIRECTION:
+            self.polynomial(site, component, 1 if driver.discrete else _DEGREE, driver)
+            if not driver.discrete:
                 self.spline(site, component, driver)
 
     def pairs(self, site: str, component: str, pairs: Iterable[tuple[Driver, Driver]]) -> None:
