@@ -6,7 +6,7 @@ residuals and columns are divided by the declared standard deviation of the nois
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Protocol, Self, final
+from typing import Literal, Protocol, Self, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +16,10 @@ from lite6jax.estimation.terms import Term, Terms
 
 Array = NDArray[np.floating]
 Mask = NDArray[np.bool_]
+
+LocalForm = Literal["step", "bump"]
+LOCAL_FORMS: tuple[LocalForm, ...] = ("step", "bump")
+"""What a curve may do at one place of its driver's range."""
 
 
 @final
@@ -68,7 +72,7 @@ class CurveDriver:
     Attributes:
         values: `(sample,)`.
         pieces: numbers of intervals of the splines to try.
-        local: whether steps and bumps at some place of its range are tried.
+        local: which local forms, at some place of its range, are tried.
         spline: makes the nonparametric term of a range (lower, upper) and a number of pieces.
         play: applies play operators of half-widths `(width,)` to the values, `(width, sample)`; None where hysteresis
             in this quantity is not considered.
@@ -77,7 +81,7 @@ class CurveDriver:
 
     values: Array
     pieces: tuple[int, ...]
-    local: bool
+    local: tuple[LocalForm, ...]
     spline: Callable[[float, float, int], Term]
     play: Callable[[Array], Array] | None = None
     hysteresis: Callable[[tuple[float, ...]], Term] | None = None

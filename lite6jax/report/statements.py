@@ -415,6 +415,9 @@ def _shape(where: Entry) -> str:
         each = " per metre" if where.get("of_slide") else ""
         which = f"{len(orders)} orders from {min(orders):g} to {max(orders):g}{each}"
         return f"harmonics of {which}" if len(orders) > 1 else f"a harmonic of order {orders[0]:g}{each}"
+    if where.get("pieces") == 1:
+        changes = f"{where['lower']:.6g} and {where['upper']:.6g} {driver_of(where['driver']).unit}"
+        return f"constant but for a change between {changes}"
     return "a smooth curve"
 
 

@@ -10,7 +10,7 @@ from lite6jax.estimation.equations import Explained
 from lite6jax.estimation.least_squares import Fit
 from lite6jax.estimation.multiplicity import description_length, multiplicity, searched_size
 from lite6jax.estimation.options import EngineOptions
-from lite6jax.estimation.problem import CurveDriver, CurveFamily, Problem
+from lite6jax.estimation.problem import CurveDriver, CurveFamily, LocalForm, Problem
 from lite6jax.estimation.score_test import ScoreTest, gain_p_value, score_test
 from lite6jax.estimation.terms import Term
 from lite6jax.search.backward import eliminate
@@ -26,8 +26,8 @@ _SEVERAL_PLAYS = (0.05, 0.1, 0.2, 0.4, 0.7)
 _WIDTHS = (0.02, 0.05, 0.1, 0.2, 0.35, 0.5)
 """Of local forms, in the driver's unit: half a step's width, and a bump's standard deviation."""
 _REFINED_WIDTHS = (0.3, 0.6, 1.0, 1.5)
-_BUMP = ((2, 2.0), (4, 2.5))
-"""Intervals of the splines of a bump, and half the range of each in widths of the bump, beyond which it is constant."""
+_SHAPES: dict[LocalForm, tuple[tuple[int, float], ...]] = {"step": ((1, 1.0),), "bump": ((2, 2.0), (4, 2.5))}
+"""Intervals of the splines of a local form, and half the range of each in its widths, beyond which it is constant."""
 
 
 class Curve(NamedTuple):
@@ -43,7 +43,7 @@ def best_curves(test: ScoreTest, family: CurveFamily, local: bool) -> list[Curve
     Args:
         test: against a model without curves of this site.
         family: of the site.
-        local: whether steps and bumps, which are many, are tried as well.
+        local: whether local forms, which are many, are tried as well.
     """
     curves: list[Term] = []
     for driver in family.drivers:
@@ -162,20 +162,20 @@ def tested_by_blocks(function: Term, fitted: Fit, options: EngineOptions) -> boo
     return function.size <= options.by_blocks and fitted.training.sum() >= options.sure_blocks
 
 
-def local_curves_of(test: ScoreTest, site: str) -> list[Term]:
-    """Steps and bumps of a site over every quantity in which they are tried and which varies there."""
-    of_site = [family for family in test.problem.curves if family.site == site]
+def local_curves_of(test: ScoreTest, site: str | None = None) -> list[Term]:
+    """Local forms of a site, or of all, over every quantity in which they are tried and which varies there."""
+    of_site = [family for family in test.problem.curves if site in (None, family.site)]
     local = [(family, driver) for family in of_site for driver in family.drivers if driver.local]
     varied = [(family, driver) for family, driver in local if np.ptp(driver.values) > test.options.least_varied]
     return [curve for family, driver in varied for curve in local_curves(test, family, driver)]
 
 
 def local_curves(test: ScoreTest, family: CurveFamily, driver: CurveDriver) -> list[Term]:
-    """The most likely step and the most likely bump, each of its best width."""
+    """The most likely of each local form, of its best width."""
     found = []
-    for form, shapes in ((_step, ((1, 1.0),)), (_bump, _BUMP)):
-        at, width = _placed(test, family.column, driver.values, form)
-        found += [driver.spline(at - reach * width, at + reach * width, pieces) for pieces, reach in shapes]
+    for form in driver.local:
+        at, width = _placed(test, family.column, driver.values, _step if form == "step" else _bump)
+        found += [driver.spline(at - reach * width, at + reach * width, pieces) for pieces, reach in _SHAPES[form]]
     return found
 
 

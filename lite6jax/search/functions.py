@@ -15,7 +15,7 @@ from lite6jax.estimation.score_test import ScoreTest, gain_p_value, remaining_no
 from lite6jax.estimation.terms import Term
 from lite6jax.search.against_noise import in_own_noise
 from lite6jax.search.backward import prune
-from lite6jax.search.curves import with_curve
+from lite6jax.search.curves import local_curves_of, with_curve
 from lite6jax.search.state import State, preferred
 
 
@@ -135,7 +135,6 @@ def likely_functions(
     test: ScoreTest,
     options: EngineOptions,
     site: str | None = None,
-    local: Sequence[Term] = (),
     least: float | None = None,
 ) -> list[LikelyFunction]:
     """The few functions that are most likely beside a tested fit: of several sites one of each, or a few of one site.
@@ -150,7 +149,6 @@ def likely_functions(
         test: of the fit beside which they are.
         options: thresholds.
         site: the only one, where given.
-        local: further ones to try, steps and bumps.
         least: gain that they must exceed; `close` where not given.
     """
     least = options.close if least is None else least
@@ -168,7 +166,7 @@ def likely_functions(
         if is_better(key, gain):
             best[key] = LikelyFunction(term, gain)
 
-    flexible = [*(term for term in problem.flexible if site in (None, term.site)), *local]
+    flexible = [*(term for term in problem.flexible if site in (None, term.site)), *local_curves_of(test, site)]
     equations = test.equations(flexible)
     wholes = list(zip(flexible, equations, explained_by(equations, options.confounded), strict=True))
     for whole, _, one in wholes:

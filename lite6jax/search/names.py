@@ -15,7 +15,6 @@ from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.problem import Problem
 from lite6jax.estimation.score_test import ScoreTest, score_test
 from lite6jax.search.backward import eliminate, prune
-from lite6jax.search.curves import local_curves_of
 from lite6jax.search.forward import forward, with_term
 from lite6jax.search.functions import likely_functions, most_preferred, with_each, with_functions
 from lite6jax.search.possible import believable
@@ -69,8 +68,7 @@ def _one_for_names(problem: Problem, state: State, options: EngineOptions) -> St
             rest = refitted(problem, state, [t for t in state.tested if t not in there], options)
             test = score_test(problem, rest.fit, options, within=state.fit)
             named = [tested for tested in there if not tested.term.nonparametric]
-            local = [] if site is None else local_curves_of(test, site)
-            functions = with_each(problem, rest, likely_functions(problem, test, options, site, local), options)
+            functions = with_each(problem, rest, likely_functions(problem, test, options, site), options)
             for choice in (*functions, *_with_slow_waves(problem, rest, test, options, site)):
                 # beside the function a name may stay: it is then not what the function replaces
                 choice = _restored(problem, choice, named, options)
@@ -133,7 +131,10 @@ def _restored(problem: Problem, state: State, names: Sequence[SelectedTerm], opt
 
 
 def _more_likely(problem: Problem, state: State, options: EngineOptions) -> State | None:
-    """The most likely state in which a function without a name joins; None where none is clearly more likely."""
+    """The most likely state in which a function without a name joins; None where none is clearly more likely.
+
+    It joins beside all terms or in the place of one. That may be a curve, which was chosen among those of its own site.
+    """
     beside = likely_functions(problem, score_test(problem, state.fit, options), options)
     if not beside:
         return None  # a function that explains more in place of a name explains something beside it too
@@ -142,6 +143,6 @@ def _more_likely(problem: Problem, state: State, options: EngineOptions) -> Stat
     if best is not None and len(best.tested) <= len(state.tested):
         return best  # it makes names unnecessary: those that stay are challenged beside it in the next round
     for k, tested in enumerate(state.tested):
-        if not tested.term.nonparametric and tested.term not in problem.preset[0].terms:
+        if not tested.term.shrunk and tested.term not in problem.preset[0].terms:
             choices += with_functions(problem, reduced(problem, state, k, options), state.fit, options)
     return most_preferred(problem, state, choices, options)

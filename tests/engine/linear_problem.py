@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from lite6jax.estimation.factored import Factored
-from lite6jax.estimation.problem import CurveDriver, CurveFamily, PeriodicFamily
+from lite6jax.estimation.problem import LOCAL_FORMS, CurveDriver, CurveFamily, PeriodicFamily
 from lite6jax.estimation.terms import Terms
 
 
@@ -300,7 +300,7 @@ class LinearProblem:
     @cached_property
     def curves(self):
         column = np.multiply.outer(self.shares, np.ones(self.samples))
-        return (CurveFamily("wheel", column, (CurveDriver(self.data["angle"], (8,), True, Hat),)),)
+        return (CurveFamily("wheel", column, (CurveDriver(self.data["angle"], (8,), LOCAL_FORMS, Hat),)),)
 
 
 def linear_problem(rng, samples=400, planted=None, noise=(1.0, 3.0), correlated=(0.0, 0.0), runs=1, shares=(1.0, 0.5)):

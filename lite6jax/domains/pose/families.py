@@ -14,13 +14,15 @@ from lite6jax.effects.drivers import Driver
 from lite6jax.effects.kinematic.joints import JointHarmonic
 from lite6jax.effects.motion import Motion
 from lite6jax.effects.nonparametric import Unnamed, plays
-from lite6jax.estimation.problem import CurveDriver, CurveFamily, Mask, PeriodicFamily
+from lite6jax.estimation.problem import LOCAL_FORMS, CurveDriver, CurveFamily, LocalForm, Mask, PeriodicFamily
 from lite6jax.estimation.terms import Term
 
 Array = NDArray[np.floating]
 
-_PIECES = {"position": (8, 24), "gravity torque": (1, 3, 8, 24), "velocity": (8, 24)}
+_PIECES = {"position": (8, 24), "gravity torque": (1, 3, 8, 24), "velocity": (8, 24), "time": ()}
 """Intervals of the splines over each driver: deflections by torques are often a cubic or two."""
+_LOCAL: dict[str, tuple[LocalForm, ...]] = {"position": LOCAL_FORMS, "time": ("step",)}
+"""A tooth that is skipped or an encoder that slips is a step in time; a bump in time is an outlier."""
 _NEIGHBOURS = 8
 """Least number of training rows within about `fade` of a position for it to count as measured."""
 
@@ -41,12 +43,12 @@ def periodic(motion: Motion, sites: dict[Site, Array]) -> tuple[PeriodicFamily, 
 
 
 def curves(deflections: Deflections, sites: dict[Site, Array]) -> tuple[CurveFamily, ...]:
-    """The curves of each revolute joint over its position, its gravity torque and its velocity, as far as known."""
+    """The curves of each revolute joint over its position, gravity torque and velocity, and time, as far as known."""
     motion, found = deflections.host_motion, list[CurveFamily]()
     for j in map(int, np.flatnonzero(~motion.sliding.mask(motion.dof))):
         site, drivers = f"joint{j + 1}", []
         for quantity, pieces in _PIECES.items():
-            driver = Driver(quantity, j + 1)
+            driver = Driver(quantity, 0 if quantity == "time" else j + 1)
             loads = deflections.host_loads if driver.loaded else None
             if (driver.loaded and loads is None) or not driver.known(motion, loads):
                 continue
@@ -54,7 +56,7 @@ def curves(deflections: Deflections, sites: dict[Site, Array]) -> tuple[CurveFam
             spline = partial(_spline, site, driver.phrase)
             play = partial(_play, values, motion) if driver.loaded else None
             hysteresis = partial(_hysteresis, site, driver.phrase, values) if driver.loaded else None
-            drivers.append(CurveDriver(values, pieces, quantity == "position", spline, play, hysteresis))
+            drivers.append(CurveDriver(values, pieces, _LOCAL.get(quantity, ()), spline, play, hysteresis))
         found.append(CurveFamily(site, sites["joint", j, 0], tuple(drivers)))
     return tuple(found)
 

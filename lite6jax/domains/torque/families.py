@@ -16,7 +16,7 @@ from lite6jax.effects.dynamic.motors import TorqueLag, TorqueRipple
 from lite6jax.effects.dynamic.torque_effect import DIRECTION_SPEED, Dynamics, JointTorque, TorqueEffect
 from lite6jax.effects.dynamic.unnamed import UnnamedTorque, waves
 from lite6jax.effects.waves import wave_angle
-from lite6jax.estimation.problem import CurveDriver, CurveFamily, Mask, PeriodicFamily
+from lite6jax.estimation.problem import LOCAL_FORMS, CurveDriver, CurveFamily, Mask, PeriodicFamily
 from lite6jax.estimation.terms import Term
 
 Array = NDArray[np.floating]
@@ -125,7 +125,8 @@ def curves(dynamics: Dynamics, data: TorqueRows, chosen: NDArray[np.integer], no
                 continue
             values = values[data.filter.kept][chosen]
             spline = partial(_spline, j + 1, driver.phrase, signed, float(sizes(data)[j]), of_slide)
-            drivers.append(CurveDriver(values, pieces, quantity == "position" and not signed, spline))
+            local = LOCAL_FORMS if quantity == "position" and not signed else ()
+            drivers.append(CurveDriver(values, pieces, local, spline))
         column = torque_at(j, noise)
         if signed:
             column = column * dynamics.direction(j + 1)[data.filter.kept][chosen]
