@@ -27,12 +27,13 @@ _KINDS = {
         ("gravity torque", *(f"{of} moment {axis}" for of in ("gravity", "base") for axis in "xy")), "load"
     ),
     "temperature rise": "temperature",
-    **{f"measured position{end}": "measured position" for end in (" x", " y", " z", "'s distance")},
+    **dict.fromkeys((f"measured position {axis}" for axis in "xyz"), "measured position"),
+    **dict.fromkeys((f"measured position's {k}" for k in ("distance", "azimuth", "elevation")), "measured position"),
 }
 """Quantities of drivers that share a column of the map."""
 _COLUMNS = (
-    *("constant", "position", "other positions", "direction of motion", "velocity", "load"),
-    *("temperature", "time", "payload", "measured position", "two drivers"),
+    *("constant", "position", "other positions", "direction of motion", "velocity", "acceleration"),
+    *("load", "temperature", "time", "payload", "measured position", "two drivers"),
 )
 _AT_ONCE = 32
 """Orders whose gains are computed in one call, which bounds the memory."""

@@ -42,6 +42,19 @@ def _distance(motion: Motion, _: Loads | None) -> Array | None:
     return None if seen is None else library_of(seen).sqrt((seen**2).sum(0))
 
 
+def _azimuth(motion: Motion, _: Loads | None) -> Array | None:
+    seen = motion.measured_position
+    return None if seen is None else library_of(seen).arctan2(seen[1], seen[0])
+
+
+def _elevation(motion: Motion, _: Loads | None) -> Array | None:
+    seen = motion.measured_position
+    if seen is None:
+        return None
+    xp = library_of(seen)
+    return xp.arctan2(seen[2], xp.hypot(seen[0], seen[1]))
+
+
 def _component(k: int) -> Callable[[Motion, Loads | None], Array | None]:
     return lambda motion, _: None if motion.measured_position is None else motion.measured_position[k]
 
@@ -53,6 +66,7 @@ def _payload_moment(k: int) -> Callable[[Motion, Loads | None], Array | None]:
 _VELOCITIES = "the velocities of a moving arm; record a trajectory with time_s or dq1_rad_per_s …"
 _TRAVELS = "the motion of the arm between its reversals; keep the rows in the order of recording, with velocities"
 _SLIDE_VELOCITIES = "the velocities of a moving arm; record a trajectory with time_s or dq1_m_per_s …"
+_SIGHT = "the measured positions, in the axes of a sensor whose z is upright; record x_m, y_m, z_m"
 _MASSES = "the masses of the links; add `inertial` to the arm's description"
 _SOURCES = {
     "position": _Source(lambda m, _: m.joint_position, "rad", "joint", "the joint positions; add q1_rad …"),
@@ -115,6 +129,8 @@ _SOURCES = {
     "measured position's distance": _Source(
         _distance, "m", "", "the measured positions, from the sensor's origin; record x_m, y_m, z_m"
     ),
+    "measured position's azimuth": _Source(_azimuth, "rad", "", _SIGHT),
+    "measured position's elevation": _Source(_elevation, "rad", "", _SIGHT),
 }
 
 

@@ -385,7 +385,13 @@ def test_drivers_are_read_and_said():
     distance = Driver("measured position's distance").values(motion, loads)
     np.testing.assert_allclose(distance, np.linalg.norm(motion.measured_position, axis=0), rtol=1e-15)
     assert not Driver("measured position's distance").known(motion._replace(measured_position=None), loads)
-    assert len(QUANTITIES) == 27
+    x, y, z = motion.measured_position
+    azimuth, elevation = (Driver(f"measured position's {k}").values(motion, loads) for k in ("azimuth", "elevation"))
+    np.testing.assert_allclose(distance * np.cos(elevation) * np.cos(azimuth), x, atol=1e-15)
+    np.testing.assert_allclose(distance * np.cos(elevation) * np.sin(azimuth), y, atol=1e-15)
+    np.testing.assert_allclose(distance * np.sin(elevation), z, atol=1e-15)
+    assert not Driver("measured position's elevation").known(motion._replace(measured_position=None), loads)
+    assert len(QUANTITIES) == 29
 
 
 @pytest.mark.parametrize(

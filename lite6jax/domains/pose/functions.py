@@ -14,7 +14,7 @@ from lite6jax.effects.statics import Loads
 
 Array = NDArray[np.floating]
 
-_TILT, _SHIFT = "rx ry", "x y z"
+_TILT, _TURN, _SHIFT = "rx ry", "rx ry rz", "x y z"
 _TWIST = " ".join(COMPONENTS)
 _UPRIGHT = f"{_SHIFT} {_TILT}"
 _TIME, _PAYLOAD = Driver("time"), Driver("payload")
@@ -23,6 +23,8 @@ _EVERYWHERE = (Driver("temperature rise"), _TIME, _PAYLOAD)
 _DIRECTION = "direction of motion"
 _DEGREE = 3
 """Highest degree of products of drivers; those of lower degrees are parts of them."""
+_QUADRATIC = 2
+"""Degree of what is in proportion to inertial forces: these are quadratic in the velocities."""
 _PIECES = 5
 """Intervals of splines: those of more are tried where one of them was found."""
 _WOBBLE = (1.0, 2.0)
@@ -48,18 +50,43 @@ def tried_functions(motion: Motion, loads: Loads | None, rows: int, sites: dict[
         rows: 3, or 6 where orientations are measured.
         sites: columns of each site.
     """
-    slides = motion.sliding.mask(motion.dof)
-    positions = [Driver("slide position" if slide else "position", j) for j, slide in enumerate(slides, 1)]
-    turning = [driver for driver, slide in zip(positions, slides, strict=True) if not slide]
+    joints = _Joints([bool(slides) for slides in motion.sliding.mask(motion.dof)])
     tried = _Tried(motion, loads, sites)
-    for driver in turning:
-        _at_joint(tried, driver.place, positions, motion.joint_temperature_rise is not None)
+    for driver in joints.turning:
+        _at_joint(tried, driver.place, joints, motion.joint_temperature_rise is not None)
         if motion.dof > 1:
-            _at_link(tried, driver.place, positions)
-    _at_base(tried, turning)
-    _at_tool(tried, turning, motion.dof, _SHIFT if rows == 3 else _TWIST)
+            _at_link(tried, driver.place, joints)
+    _at_base(tried, joints)
+    _at_tool(tried, joints, _SHIFT if rows == 3 else _TWIST)
     _at_sensor(tried)
     return tuple(tried.functions)
+
+
+class _Joints:
+    """Drivers of all joints.
+
+    Attributes:
+        positions: of each joint.
+        velocities: of each joint.
+        turning: positions of the revolute joints.
+    """
+
+    def __init__(self, slides: Sequence[bool]) -> None:
+        self._slides = slides
+        self.positions, self.velocities = self._each("position"), self._each("velocity")
+        self.turning = [driver for driver, slide in zip(self.positions, slides, strict=True) if not slide]
+
+    def others(self, joint: int) -> list[Driver]:
+        """The positions of all joints but one."""
+        return [driver for driver in self.positions if driver.place != joint]
+
+    def moving(self, but: int = 0) -> list[Driver]:
+        """The velocities and accelerations of all joints, and the directions of motion of all but one."""
+        directions = [Driver(_DIRECTION, driver.place) for driver in self.others(but)]
+        return [*self.velocities, *self._each("acceleration"), *directions]
+
+    def _each(self, quantity: str) -> list[Driver]:
+        return [joint_driver(quantity, j, slides) for j, slides in enumerate(self._slides, 1)]
 
 
 class _Tried:
@@ -81,10 +108,12 @@ class _Tried:
             if not driver.discrete:
                 self.spline(site, component, driver)
 
-    def pairs(self, site: str, component: str, pairs: Iterable[tuple[Driver, Driver]]) -> None:
-        """All products of the two drivers of each pair, up to the third degree."""
+    def pairs(
+        self, site: str, component: str, pairs: Iterable[tuple[Driver, Driver]], degree: int = _DEGREE
+    ) -> None:
+        """All products of the two drivers of each pair, up to a degree."""
         for pair in pairs:
-            self.polynomial(site, component, _DEGREE, *pair)
+            self.polynomial(site, component, degree, *pair)
 
     def polynomial(self, site: str, component: str, degree: int, *drivers: Driver) -> None:
         """All products of the drivers up to a degree."""
@@ -127,82 +156,85 @@ class _Tried:
         return self._ranges[driver]
 
 
-def _at_joint(tried: _Tried, j: int, positions: Sequence[Driver], own_temperatures: bool) -> None:
-    """An angle: by the joint's own loads, motion and temperature, and by the motion of any other joint."""
-    site, rz, own_position = f"joint{j}", "rz", positions[j - 1]
+def _at_joint(tried: _Tried, j: int, joints: _Joints, own_temperatures: bool) -> None:
+    """An angle: by the joint's own loads, motion and temperature, and by the motion and loads of any other joint."""
+    site, rz, own_position = f"joint{j}", "rz", joints.positions[j - 1]
     own = [own_position, Driver("gravity torque", j), Driver("temperature", j)]
     direction = Driver(_DIRECTION, j)
-    others = [driver for driver in positions if driver.place != j]
-    velocities = [joint_driver("velocity", driver.place, driver.of_slide) for driver in positions]
     # without temperatures of joints, that of a joint is the whole arm's, which would be there twice
     everywhere = _EVERYWHERE if own_temperatures else (_TIME, _PAYLOAD)
-    tried.singles(site, rz, [*own, direction, *others, *velocities, *_directions(others), *everywhere])
+    loads = [Driver("gravity torque", driver.place) for driver in joints.others(j)]
+    tried.singles(site, rz, [*own, direction, *joints.others(j), *joints.moving(but=j), *loads, *everywhere])
     # a spring that is softer in one place, play that a load takes up, friction that falls as the gear warms
     tried.pairs(site, rz, combinations([*own, direction], 2))
     tried.pairs(site, rz, product([*own, direction], everywhere))
-    tried.pairs(site, rz, combinations(positions, 2))
+    tried.pairs(site, rz, combinations(joints.positions, 2))
+    # what several joints swing round at once
+    tried.pairs(site, rz, combinations(joints.velocities, 2), _QUADRATIC)
     # play that differs from place to place, more sharply than a cubic
     tried.spline(site, rz, own_position, direction)
 
 
-def _at_link(tried: _Tried, j: int, positions: Sequence[Driver]) -> None:
+def _at_link(tried: _Tried, j: int, joints: _Joints) -> None:
     """Tilts by the position of the link's joint, its moments and other joints, and shifts by what is the link's own."""
-    site, own_position = f"link{j}", positions[j - 1]
+    site, own_position = f"link{j}", joints.positions[j - 1]
     moments = [Driver(f"gravity moment {axis}", j) for axis in "xy"]
     own, direction = [own_position, *moments], Driver(_DIRECTION, j)
-    # cables and belts of other joints
-    others = [driver for driver in positions if driver.place != j]
     tried.waves(site, _TILT, own_position)
-    tried.singles(site, _TILT, [*own, direction, *others, *_directions(others), *_EVERYWHERE])
+    # cables and belts of other joints, and what these swing round
+    tried.singles(site, _TILT, [*own, direction, *joints.others(j), *joints.moving(but=j), *_EVERYWHERE])
     tried.pairs(site, _TILT, combinations([*own, direction], 2))
     tried.pairs(site, _TILT, product([*own, direction], _EVERYWHERE))
-    tried.pairs(site, _TILT, product([own_position], others))
+    tried.pairs(site, _TILT, combinations(joints.positions, 2))
+    tried.pairs(site, _TILT, combinations(joints.velocities, 2), _QUADRATIC)
     tried.singles(site, _SHIFT, [*own, *_EVERYWHERE])
     tried.pairs(site, _SHIFT, combinations(moments, 2))
 
 
-def _at_base(tried: _Tried, turning: Sequence[Driver]) -> None:
+def _at_base(tried: _Tried, joints: _Joints) -> None:
     """All components by the moments, time and temperature; by the motion of joints all but a turn about z.
 
     That is an angle of joint 1, if this joint stands upright.
     """
     moments = [Driver(f"base moment {axis}") for axis in "xy"]
-    near = turning[:_NEAR]
+    near = joints.turning[:_NEAR]
     for driver in near:
         tried.waves("base", _UPRIGHT, driver)
     tried.singles("base", _TWIST, [*moments, *_EVERYWHERE])
-    tried.singles("base", _UPRIGHT, [*turning, *_directions(turning)])
+    tried.singles("base", _UPRIGHT, [*joints.turning, *joints.moving()])
     tried.pairs("base", _TWIST, chain(combinations(moments, 2), product(moments, _EVERYWHERE)))
     tried.pairs("base", _UPRIGHT, chain(combinations(near, 2), product(near, _EVERYWHERE)))
 
 
-def _at_tool(tried: _Tried, turning: Sequence[Driver], dof: int, components: str) -> None:
-    """All components that are seen, by the moments at the flange, the positions of joints, time and temperature."""
+def _at_tool(tried: _Tried, joints: _Joints, components: str) -> None:
+    """All components that are seen, by the moments at the flange, the motion of joints, time and temperature."""
+    dof, near = len(joints.positions), joints.turning[-_NEAR:]
     moments = Driver("gravity moment x", dof), Driver("gravity moment y", dof), Driver("gravity torque", dof)
-    near = turning[-_NEAR:]
-    for driver in turning:
+    for driver in joints.turning:
         tried.waves("tool", components, driver)
-    tried.singles("tool", components, [*moments, *turning, *_directions(turning), *_EVERYWHERE])
+    tried.singles("tool", components, [*moments, *joints.turning, *joints.moving(), *_EVERYWHERE])
     tried.pairs("tool", components, combinations(near, 2))
     tried.pairs("tool", components, product([*moments, *near], _EVERYWHERE))
     tried.polynomial("tool", components, 2, *moments)
 
 
 def _at_sensor(tried: _Tried) -> None:
-    """All components by time and temperature; shifts by the measured position, as lenses and scales have them."""
+    """All components by time, temperature and the moments at the base, on whose bench a sensor may stand.
+
+    Shifts by the measured position, as lenses and scales have them, and turns by the angles of the line of sight.
+    """
     axes = [Driver(f"measured position {axis}") for axis in "xyz"]
-    distance = Driver("measured position's distance")
-    tried.singles("sensor", _TWIST, _EVERYWHERE)
+    distance, azimuth, elevation = (Driver(f"measured position's {k}") for k in ("distance", "azimuth", "elevation"))
+    tried.singles("sensor", _TWIST, [*_EVERYWHERE, *(Driver(f"base moment {axis}") for axis in "xy")])
     tried.singles("sensor", _SHIFT, axes)
     tried.pairs("sensor", _SHIFT, product(axes, _EVERYWHERE))
     tried.polynomial("sensor", _SHIFT, _DEGREE, *axes)
+    # the circles of a tracker: out of centre, or tilted
+    for angle in (azimuth, elevation):
+        tried.waves("sensor", _TURN, angle)
     # lenses distort in proportion to powers of the distance
-    tried.singles("sensor", SCALE, [distance, *_EVERYWHERE])
+    tried.singles("sensor", SCALE, [distance, azimuth, elevation, *_EVERYWHERE])
     tried.pairs("sensor", SCALE, product([distance], _EVERYWHERE))
-
-
-def _directions(joints: Iterable[Driver]) -> list[Driver]:
-    return [Driver(_DIRECTION, joint.place) for joint in joints]
 
 
 def site_of(where: str, component: str) -> Site:
