@@ -136,13 +136,13 @@ def _more_likely(problem: Problem, state: State, options: EngineOptions) -> Stat
     It joins beside all terms or in the place of one. That may be a curve, which was chosen among those of its own site.
     """
     beside = likely_functions(problem, score_test(problem, state.fit, options), options)
-    if not beside:
-        return None  # a function that explains more in place of a name explains something beside it too
     choices = with_each(problem, state, beside, options)
     best = most_preferred(problem, state, choices, options)
     if best is not None and len(best.tested) <= len(state.tested):
         return best  # it makes names unnecessary: those that stay are challenged beside it in the next round
     for k, tested in enumerate(state.tested):
-        if not tested.term.shrunk and tested.term not in problem.preset[0].terms:
+        # what explains more in the place of a name explains something beside it too, but little beside a curve
+        replaceable = tested.term.nonparametric or bool(beside)
+        if replaceable and not tested.term.shrunk and tested.term not in problem.preset[0].terms:
             choices += with_functions(problem, reduced(problem, state, k, options), state.fit, options)
     return most_preferred(problem, state, choices, options)

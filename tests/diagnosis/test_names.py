@@ -73,6 +73,16 @@ def test_two_slow_waves_over_a_part_of_a_turn_are_no_offset_and_no_scale(tmp_pat
     assert sorted(term.order for term in found if isinstance(term, JointHarmonic)) == [1, 2]
 
 
+@pytest.mark.parametrize("joint", [3, 5])
+def test_a_tooth_that_is_skipped_is_a_step_in_time_of_one_joint(arm, still, joint):
+    """Of a joint near the flange a jump of the tool explains as much, with more numbers."""
+    recording = deflected(arm, still, joint, 1e-3 * (still["time"] > 0.4 * still["time"].max()))
+    found = explain(recording, None, "declared", OPTIONS)
+    assert not found.screened.count("frame_jump")
+    (step,) = found.selection.state.fit.terms.terms
+    assert (step.name, step.site, step.driver) == ("unnamed", f"joint{joint}", "time")
+
+
 def test_friction_between_two_angles_is_a_function_of_position_and_direction(arm, still):
     q, direction = still["joint_position"][:, 2], still["direction"][:, 2]
     found = terms(deflected(arm, still, 3, -3e-4 * direction * ((q > 1.0) & (q < 2.5))))

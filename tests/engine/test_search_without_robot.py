@@ -382,6 +382,33 @@ def test_a_function_that_is_fine_enough_stays():
         assert search(other, OPTIONS).state.fit.terms.terms == (Curve("u2", finest=9),)
 
 
+def test_a_step_is_found_where_no_smooth_function_of_its_driver_is_tried():
+    for seed in range(4):
+        problem = linear_problem(np.random.default_rng(seed), planted=lambda data: 2.0 * (data["angle"] > 3.0))
+        other = replace(problem, candidates=())
+        (wheel,) = problem.curves
+        alone = replace(wheel, drivers=tuple(replace(driver, pieces=()) for driver in wheel.drivers))
+        for name, value in (("flexible", (Curve("u2"),)), ("periodic", ()), ("curves", (alone,))):
+            object.__setattr__(other, name, value)
+        (step,) = search(other, OPTIONS).state.fit.terms.terms
+        assert step.pieces == 1
+        assert 0.5 * (step.lower + step.upper) == pytest.approx(3.0, abs=0.5)
+
+
+def test_a_curve_leaves_for_a_function_elsewhere_that_explains_more():
+    """u2 is nearly a sine of the angle, over which a curve is tried before any function of u2."""
+    found = []
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        problem = linear_problem(rng)
+        u2 = np.sin(0.5 * problem.data["angle"]) + 0.3 * problem.data["u2"]
+        measured = problem.measured + np.multiply.outer([1.0, 0.5], u2 + 0.5 * u2**2)
+        other = replace(problem, data=problem.data | {"u2": u2}, measured=measured, candidates=())
+        object.__setattr__(other, "periodic", ())
+        found += [term.label for term in search(other, OPTIONS).state.fit.terms.terms]
+    assert found == ["curve:u2"] * 4
+
+
 def test_a_name_stands_where_it_is_true():
     for seed in range(6):
         problem = linear_problem(np.random.default_rng(seed), planted=lambda data: 0.8 * data["u2"])
