@@ -11,6 +11,7 @@ from scipy.interpolate import BSpline
 from lite6jax.arms.chains import SixParameterForm
 from lite6jax.effects import catalogue as catalogue_module
 from lite6jax.effects import user_effects
+from lite6jax.effects.bases import spline_basis
 from lite6jax.effects.catalogue import catalogue, kinds_of, untestable
 from lite6jax.effects.composition import Physics
 from lite6jax.effects.drivers import QUANTITIES, Driver, driver_of
@@ -34,7 +35,7 @@ from lite6jax.effects.kinematic.surroundings import (
 )
 from lite6jax.effects.kinematic.weights import GravityDirection, PayloadCom
 from lite6jax.effects.motion import motion_of, since_reversal
-from lite6jax.effects.nonparametric import Unnamed, spline_basis
+from lite6jax.effects.nonparametric import Unnamed
 from lite6jax.effects.serialization import effect_as_dict, effect_from_dict, parse_effect
 from lite6jax.effects.statics import Loads
 from lite6jax.effects.user_effects import load_effects
@@ -557,8 +558,8 @@ def test_finer_functions_have_more_numbers_and_contain_the_coarse_one(coarse, si
     driver = np.asarray(coarse.values_at(motion, loads))
     for one in coarse.finer:
         assert (one.site, one.component, one.drivers) == (coarse.site, coarse.component, coarse.drivers)
-        basis = one.basis(driver)
-        for function in coarse.basis(driver):
+        basis = one.basis.at(driver)
+        for function in coarse.basis.at(driver):
             left = function - basis.T @ np.linalg.lstsq(basis.T, function, rcond=None)[0]
             assert np.abs(left).max() < 1e-9
 
