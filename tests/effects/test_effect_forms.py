@@ -448,6 +448,19 @@ def test_drivers_are_read_and_said():
             "unnamed:tool: power 3 of degree 2; give one from 1 to the degree, or 0",
         ),
         (
+            lambda: Unnamed("tool", "time", 0.0, 1.0, memory=(0.1,), power=1),
+            "unnamed:tool: a degree beside orders or memory; give one of them",
+        ),
+        (
+            lambda: Unnamed("tool", "time", 0.0, 1.0, memory=(0.1,), trust=(1.0, 1.0)),
+            "unnamed:tool: 0 orders and 2 numbers of trust; give both, two of these at least, or none",
+        ),
+        (
+            lambda: Unnamed("tool", "time", 0.0, 1.0, degree=2, spread=1.0, rolloff=(2.0, 1.0)),
+            "unnamed:tool: rolloff (2.0, 1.0) is not possible; give a positive corner order and a slope, beside orders "
+            "and their spread",
+        ),
+        (
             lambda: Unnamed("joint1", "time and position of joint 1", 0.0, 1.0, further=(0.0, 1.0)),
             "unnamed:joint1: 2 drivers and 2 further bounds; give lower and upper of each driver but the first, and a "
             "degree unless the second is a direction of motion",
