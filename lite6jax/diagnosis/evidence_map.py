@@ -231,7 +231,7 @@ def peak_to_peak(found: Diagnosis, k: int, component: int = 0) -> Estimate:
     drivers = np.atleast_2d(np.asarray(values))
     low, high = np.percentile(drivers, (2, 98), axis=1)[..., None]
     inside = ((drivers >= low) & (drivers <= high)).all(0)
-    basis = np.asarray(effect.basis(values, motion.run))[:, inside]
+    basis = np.asarray(effect.basis.at(values, motion.run))[:, inside]
     own = effect.part(component)
     curve = finding.values[own] @ basis
     apart = basis[:, np.argmax(curve)] - basis[:, np.argmin(curve)]

@@ -149,7 +149,7 @@ def _over_driver(found: Diagnosis, k: int, movement: _Movement, used: Mask) -> F
         periods = max(max(effect.orders, default=0.0) * np.ptp(x) / (2 * np.pi), 1.0)
         if not hysteresis:
             at = np.linspace(x.min(), x.max(), max(_POINTS // 2, int(_POINTS_PER_WAVE * periods)))
-            slope = np.asarray(effect.basis(jnp.asarray(at)))
+            slope = np.asarray(effect.basis.at(jnp.asarray(at)))
             curve = finding.values[own] @ slope
     elif driver.quantity in ("position", "slide position") and at_joint and len(effect.drivers) <= 1:
         at = np.linspace(x.min(), x.max(), _POINTS)

@@ -8,7 +8,8 @@ from typing import Any, final
 import numpy as np
 from numpy.typing import NDArray
 
-from lite6jax.effects.nonparametric import Products, polynomial_basis, spline_basis
+from lite6jax.effects.bases import spline_basis
+from lite6jax.effects.polynomials import Products, polynomial_basis
 from lite6jax.populations.candidate import Candidate
 
 Array = NDArray[np.floating]

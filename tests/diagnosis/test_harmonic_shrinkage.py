@@ -64,9 +64,9 @@ def test_a_curve_is_the_joint_s_error_where_it_was_measured(swept):
             joint = int(effect.site[5:])
             q = np.asarray(case.motion.joint_position[joint - 1])
             q = q[(q > np.quantile(q, 0.05)) & (q < np.quantile(q, 0.95))]
-            missed = selection.state.fit.values[part] @ np.asarray(effect.basis(jnp.asarray(q))) - transmission(joint)(
-                q
-            )
+            missed = selection.state.fit.values[part] @ np.asarray(effect.basis.at(jnp.asarray(q))) - transmission(
+                joint
+            )(q)
             # an offset is the calibration's, which is exact here: so none is left over
             assert np.sqrt(np.mean(missed**2)) < 0.2 * np.sqrt(np.mean(transmission(joint)(q) ** 2))
 

@@ -11,6 +11,7 @@ from scipy.interpolate import BSpline
 from lite6jax.arms.chains import SixParameterForm
 from lite6jax.effects import catalogue as catalogue_module
 from lite6jax.effects import user_effects
+from lite6jax.effects.bases import spline_basis
 from lite6jax.effects.catalogue import catalogue, kinds_of, untestable
 from lite6jax.effects.composition import Physics
 from lite6jax.effects.drivers import QUANTITIES, Driver, driver_of
@@ -34,7 +35,7 @@ from lite6jax.effects.kinematic.surroundings import (
 )
 from lite6jax.effects.kinematic.weights import GravityDirection, PayloadCom
 from lite6jax.effects.motion import motion_of, since_reversal
-from lite6jax.effects.nonparametric import Unnamed, spline_basis
+from lite6jax.effects.nonparametric import Unnamed
 from lite6jax.effects.serialization import effect_as_dict, effect_from_dict, parse_effect
 from lite6jax.effects.statics import Loads
 from lite6jax.effects.user_effects import load_effects
@@ -447,6 +448,19 @@ def test_drivers_are_read_and_said():
             "unnamed:tool: power 3 of degree 2; give one from 1 to the degree, or 0",
         ),
         (
+            lambda: Unnamed("tool", "time", 0.0, 1.0, memory=(0.1,), power=1),
+            "unnamed:tool: a degree beside orders or memory; give one of them",
+        ),
+        (
+            lambda: Unnamed("tool", "time", 0.0, 1.0, memory=(0.1,), trust=(1.0, 1.0)),
+            "unnamed:tool: 0 orders and 2 numbers of trust; give both, two of these at least, or none",
+        ),
+        (
+            lambda: Unnamed("tool", "time", 0.0, 1.0, degree=2, spread=1.0, rolloff=(2.0, 1.0)),
+            "unnamed:tool: rolloff (2.0, 1.0) is not possible; give a positive corner order and a slope, beside orders "
+            "and their spread",
+        ),
+        (
             lambda: Unnamed("joint1", "time and position of joint 1", 0.0, 1.0, further=(0.0, 1.0)),
             "unnamed:joint1: 2 drivers and 2 further bounds; give lower and upper of each driver but the first, and a "
             "degree unless the second is a direction of motion",
@@ -557,8 +571,8 @@ def test_finer_functions_have_more_numbers_and_contain_the_coarse_one(coarse, si
     driver = np.asarray(coarse.values_at(motion, loads))
     for one in coarse.finer:
         assert (one.site, one.component, one.drivers) == (coarse.site, coarse.component, coarse.drivers)
-        basis = one.basis(driver)
-        for function in coarse.basis(driver):
+        basis = one.basis.at(driver)
+        for function in coarse.basis.at(driver):
             left = function - basis.T @ np.linalg.lstsq(basis.T, function, rcond=None)[0]
             assert np.abs(left).max() < 1e-9
 

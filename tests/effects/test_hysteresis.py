@@ -7,9 +7,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from lite6jax.effects.bases import plays
 from lite6jax.effects.kinematic.gears import JointBacklash
 from lite6jax.effects.motion import motion_of
-from lite6jax.effects.nonparametric import Unnamed, plays
+from lite6jax.effects.nonparametric import Unnamed
 from lite6jax.effects.serialization import effect_as_dict, effect_from_dict
 from lite6jax.effects.statics import Loads
 from lite6jax.errors import InputError
@@ -84,7 +85,7 @@ def test_a_curve_with_memory_is_written_and_deflects_by_runs():
     q, run = RNG.normal(size=(40, 2)), np.repeat([0, 1], 20)
     motion = motion_of(q, run=run)
     expected = values[0] * q[:, 1] + values[1] * plainly(q[:, 1], 0.2, run)
-    basis = np.asarray(curve.basis(curve.values_at(motion, None), motion.run))
+    basis = np.asarray(curve.basis.at(curve.values_at(motion, None), motion.run))
     bent, units = curve.deflect(jnp.asarray(values), motion, None).joint, curve.units(basis, motion).joint
     assert bent is not None
     assert units is not None

@@ -15,7 +15,7 @@ EFFECTS = {
     if isinstance(node, ast.ClassDef) and not node.name.startswith("_")
 }
 WORDS = re.compile(r"\b(joints?|poses?|robots?|arms?|links?|encoders?|trackers?)\b", re.IGNORECASE)
-GENERIC = {"Choice", "Domain", "Coordinate", "Estimate", "Reporting"}
+GENERIC = {"Basis", "Choice", "Domain", "Coordinate", "Estimate", "Reporting"}
 """Words of English as well."""
 
 

@@ -146,7 +146,7 @@ class Deflections:
 
     def _functions(self, effect: Unnamed, on_arm: Loads | None) -> Array:
         """The functions of an effect without a name under some loads, `(function, sample)`."""
-        return np.asarray(effect.basis(effect.values_at(self.host_motion, on_arm), self.host_motion.run))
+        return np.asarray(effect.basis.at(effect.values_at(self.host_motion, on_arm), self.host_motion.run))
 
     def by_linear(self, effect: Effect, values: Array) -> Deflection:
         """The deflection by a linear effect with these numbers `(number,)`."""

@@ -10,10 +10,11 @@ from scipy.spatial import KDTree
 
 from lite6jax.domains.pose.deflections import Deflections
 from lite6jax.domains.pose.kinematics import Site
+from lite6jax.effects.bases import plays
 from lite6jax.effects.drivers import Driver
 from lite6jax.effects.kinematic.joints import JointHarmonic
 from lite6jax.effects.motion import Motion
-from lite6jax.effects.nonparametric import Unnamed, plays
+from lite6jax.effects.nonparametric import Unnamed
 from lite6jax.estimation.problem import LOCAL_FORMS, CurveDriver, CurveFamily, LocalForm, Mask, PeriodicFamily
 from lite6jax.estimation.terms import Term
 

@@ -108,9 +108,7 @@ class _Tried:
             if not driver.discrete:
                 self.spline(site, component, driver)
 
-    def pairs(
-        self, site: str, component: str, pairs: Iterable[tuple[Driver, Driver]], degree: int = _DEGREE
-    ) -> None:
+    def pairs(self, site: str, component: str, pairs: Iterable[tuple[Driver, Driver]], degree: int = _DEGREE) -> None:
         """All products of the two drivers of each pair, up to a degree."""
         for pair in pairs:
             self.polynomial(site, component, degree, *pair)

@@ -7,10 +7,11 @@ from typing import ClassVar, final
 
 import numpy as np
 
+from lite6jax.effects.bases import spline_basis
 from lite6jax.effects.drivers import Driver, driver_of, joint_driver
 from lite6jax.effects.dynamic.torque_effect import Array, Dynamics, JointTorque
 from lite6jax.effects.effect import Coordinate
-from lite6jax.effects.nonparametric import Products, polynomial_basis, products_of, spline_basis
+from lite6jax.effects.polynomials import Products, polynomial_basis, products_of
 from lite6jax.effects.waves import wave_angle
 from lite6jax.errors import InputError
 
