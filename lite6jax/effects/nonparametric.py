@@ -64,7 +64,7 @@ def _forms(component: str, subsets: tuple[Subset, ...]) -> tuple[Form, ...]:
     return tuple(forms)
 
 
-@lru_cache(maxsize=1024)  # thousands of functions have hundreds of drivers
+@lru_cache(maxsize=4096)  # thousands of functions have hundreds of drivers
 def _drivers_of(phrase: str) -> tuple[Driver, ...]:
     """One driver, or several that are joined by " and "."""
     return tuple(map(driver_of, phrase.split(" and ")))

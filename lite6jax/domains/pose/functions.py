@@ -163,9 +163,10 @@ def _at_joint(tried: _Tried, j: int, joints: _Joints, own_temperatures: bool) ->
     everywhere = _EVERYWHERE if own_temperatures else (_TIME, _PAYLOAD)
     loads = [Driver("gravity torque", driver.place) for driver in joints.others(j)]
     tried.singles(site, rz, [*own, direction, *joints.others(j), *joints.moving(but=j), *loads, *everywhere])
-    # a spring that is softer in one place, play that a load takes up, friction that falls as the gear warms
+    # a spring that is softer in one place, play that a load takes up
     tried.pairs(site, rz, combinations([*own, direction], 2))
-    tried.pairs(site, rz, product([*own, direction], everywhere))
+    # friction that falls as the gear warms; a cable of another joint that creeps
+    tried.pairs(site, rz, product([*own, direction, joints.velocities[j - 1], *joints.others(j)], everywhere))
     tried.pairs(site, rz, combinations(joints.positions, 2))
     # what several joints swing round at once
     tried.pairs(site, rz, combinations(joints.velocities, 2), _QUADRATIC)
@@ -182,7 +183,7 @@ def _at_link(tried: _Tried, j: int, joints: _Joints) -> None:
     # cables and belts of other joints, and what these swing round
     tried.singles(site, _TILT, [*own, direction, *joints.others(j), *joints.moving(but=j), *_EVERYWHERE])
     tried.pairs(site, _TILT, combinations([*own, direction], 2))
-    tried.pairs(site, _TILT, product([*own, direction], _EVERYWHERE))
+    tried.pairs(site, _TILT, product([*own, direction, *joints.others(j)], _EVERYWHERE))
     tried.pairs(site, _TILT, combinations(joints.positions, 2))
     tried.pairs(site, _TILT, combinations(joints.velocities, 2), _QUADRATIC)
     tried.singles(site, _SHIFT, [*own, *_EVERYWHERE])
@@ -201,7 +202,7 @@ def _at_base(tried: _Tried, joints: _Joints) -> None:
     tried.singles("base", _TWIST, [*moments, *_EVERYWHERE])
     tried.singles("base", _UPRIGHT, [*joints.turning, *joints.moving()])
     tried.pairs("base", _TWIST, chain(combinations(moments, 2), product(moments, _EVERYWHERE)))
-    tried.pairs("base", _UPRIGHT, chain(combinations(near, 2), product(near, _EVERYWHERE)))
+    tried.pairs("base", _UPRIGHT, chain(combinations(near, 2), product(joints.turning, _EVERYWHERE)))
 
 
 def _at_tool(tried: _Tried, joints: _Joints, components: str) -> None:
@@ -212,7 +213,7 @@ def _at_tool(tried: _Tried, joints: _Joints, components: str) -> None:
         tried.waves("tool", components, driver)
     tried.singles("tool", components, [*moments, *joints.turning, *joints.moving(), *_EVERYWHERE])
     tried.pairs("tool", components, combinations(near, 2))
-    tried.pairs("tool", components, product([*moments, *near], _EVERYWHERE))
+    tried.pairs("tool", components, product([*moments, *joints.turning], _EVERYWHERE))
     tried.polynomial("tool", components, 2, *moments)
 
 
