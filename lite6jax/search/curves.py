@@ -25,6 +25,8 @@ _SEVERAL_PLAYS = (0.05, 0.1, 0.2, 0.4, 0.7)
 """Half-widths of several play operators in one term, over the same, as of hysteresis that sets in gradually."""
 _WIDTHS = (0.02, 0.05, 0.1, 0.2, 0.35, 0.5)
 """Of local forms, in the driver's unit: half a step's width, and a bump's standard deviation."""
+_EDGE, _BEYOND = 2.0, 5
+"""Percent of the samples, and samples, that are beyond the place of a local form: of fewer it says nothing."""
 _REFINED_WIDTHS = (0.3, 0.6, 1.0, 1.5)
 _SHAPES: dict[LocalForm, tuple[tuple[int, float], ...]] = {"step": ((1, 1.0),), "bump": ((2, 2.0), (4, 2.5))}
 """Intervals of the splines of a local form, and half the range of each in its widths, beyond which it is constant."""
@@ -163,9 +165,14 @@ def tested_by_blocks(function: Term, fitted: Fit, options: EngineOptions) -> boo
 
 
 def local_curves_of(test: ScoreTest, site: str | None = None) -> list[Term]:
-    """Local forms of a site, or of all, over every quantity in which they are tried and which varies there."""
+    """Local forms of a site over every quantity in which they are tried and which varies there.
+
+    Of all sites, where none is given, those of quantities over which no spline of the family is tried first.
+    """
     of_site = [family for family in test.problem.curves if site in (None, family.site)]
     local = [(family, driver) for family in of_site for driver in family.drivers if driver.local]
+    if site is None:
+        local = [(family, driver) for family, driver in local if not driver.pieces]
     varied = [(family, driver) for family, driver in local if np.ptp(driver.values) > test.options.least_varied]
     return [curve for family, driver in varied for curve in local_curves(test, family, driver)]
 
@@ -182,8 +189,9 @@ def local_curves(test: ScoreTest, family: CurveFamily, driver: CurveDriver) -> l
 def _placed(test: ScoreTest, column: Array, values: Array, form: Callable[[Array], Array]) -> tuple[float, float]:
     """Where a form explains most, and its width, in the driver's unit; the grid is refined around the best."""
     options, used = test.options, values[test.fit.training]
-    lower, upper = np.percentile(used, (2, 98))
-    centres, widths = np.percentile(used, np.linspace(2, 98, options.centres)), np.array(_WIDTHS)
+    edge = min(max(_EDGE, 100 * _BEYOND / used.size), 25.0)
+    lower, upper = np.percentile(used, (edge, 100 - edge))
+    centres, widths = np.percentile(used, np.linspace(edge, 100 - edge, options.centres)), np.array(_WIDTHS)
     apart, found = float(np.diff(centres).max()), (float(lower), float(widths[0]))
     for _ in range(options.closer):
         at, width = (grid.ravel() for grid in np.meshgrid(centres, widths))

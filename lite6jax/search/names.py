@@ -30,7 +30,7 @@ def challenge_names(problem: Problem, state: State, options: EngineOptions) -> S
         better = _more_likely(problem, state, options)
         if better is None:
             break
-        state = believable(problem, better, options)
+        state = with_tried_numbers(problem, believable(problem, better, options), options)
     return _one_for_names(problem, _named_again(problem, state, options), options)
 
 

@@ -60,20 +60,22 @@ def _where_determined(problem: Problem, state: State, function: Term, options: E
     """The state with such a name in the place of a function, without the samples at which the name says nothing.
 
     A gear is between its flanks at a few samples, where inertia and friction leave it. A function with a number for
-    their place describes these few as well. Where the name is preferred without them, they stay out of the fit, and
-    the name lists the function.
+    their place describes these few as well, in the place of the name or beside it. Where the name alone is preferred
+    without them, they stay out of the fit, and a name that takes the function's place lists it.
     """
     rivals = [rival for rival in problem.shaped if rival.site == function.site and problem.undetermined(rival).any()]
     if not rivals or problem.preset[0].terms:
         return state
     k = state.fit.terms.terms.index(function)
     test = score_test(problem, reduced(problem, state, k, options).fit, options, within=state.fit)
-    name = rivals[int(np.argmax([one.gain for one in test.explained(rivals)]))]
+    beside = [t.term for t in state.tested if t.term.site == function.site and problem.undetermined(t.term).any()]
+    name = beside[0] if beside else rivals[int(np.argmax([one.gain for one in test.explained(rivals)]))]
     determined = state.fit.training & ~problem.undetermined(name)
     there = fitted_again(problem, problem, state, determined, options)
-    rest = reduced(problem, there, k, options)
-    score = score_test(problem, rest.fit, options, within=there.fit).score([name])[0]
-    named = with_term(problem, rest, name, score, options)
+    named = rest = reduced(problem, there, k, options)
+    if not beside:
+        score = score_test(problem, rest.fit, options, within=there.fit).score([name])[0]
+        named = with_term(problem, rest, name, score, options)
     if not preferred(problem, named, there, 0.0, options) or not all_significant(problem, named, options):
         return state
     return with_function_listed(named, rest, there, function)

@@ -165,8 +165,8 @@ def _at_joint(tried: _Tried, j: int, joints: _Joints, own_temperatures: bool) ->
     tried.singles(site, rz, [*own, direction, *joints.others(j), *joints.moving(but=j), *loads, *everywhere])
     # a spring that is softer in one place, play that a load takes up
     tried.pairs(site, rz, combinations([*own, direction], 2))
-    # friction that falls as the gear warms; a cable of another joint that creeps
-    tried.pairs(site, rz, product([*own, direction, joints.velocities[j - 1], *joints.others(j)], everywhere))
+    # a cable of another joint that creeps; products with a velocity would resemble friction in a zone of positions
+    tried.pairs(site, rz, product([*own, direction, *joints.others(j)], everywhere))
     tried.pairs(site, rz, combinations(joints.positions, 2))
     # what several joints swing round at once
     tried.pairs(site, rz, combinations(joints.velocities, 2), _QUADRATIC)
