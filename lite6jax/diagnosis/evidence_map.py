@@ -32,8 +32,8 @@ _KINDS = {
 }
 """Quantities of drivers that share a column of the map."""
 _COLUMNS = (
-    *("constant", "position", "other positions", "direction of motion", "velocity", "acceleration"),
-    *("load", "temperature", "time", "payload", "measured position", "two drivers"),
+    *("constant", "position", "other positions", "direction of motion", "velocity", "load"),
+    *("temperature", "time", "payload", "measured position", "two drivers"),
 )
 _AT_ONCE = 32
 """Orders whose gains are computed in one call, which bounds the memory."""

@@ -7,7 +7,6 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from lite6jax.estimation.multiplicity import description_length
 from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.problem import Problem
 from lite6jax.estimation.score_test import ScoreTest, score_test
@@ -35,14 +34,14 @@ def _instead(problem: Problem, state: State, term: Term, options: EngineOptions)
     """
     rest = reduced(problem, state, state.fit.terms.terms.index(term), options)
     test = score_test(problem, rest.fit, options, within=state.fit)
-    now, n, best = test.explained([term])[0].gain, test.freedom, state
+    now, best = test.explained([term])[0].gain, state
     for names, gain in _with_tried_number(test, term):
         # correlated samples count as fewer
-        needed, saved = test.time * (options.close if len(names) == 1 else options.together), 0.0
+        needed = test.time * (options.close if len(names) == 1 else options.together)
         if term.nonparametric and len(names) == 1:
-            numbers = description_length(problem, [term], n, options) - description_length(problem, names, n, options)
-            needed, saved = 0.0, test.time * numbers
-        if gain < now + needed - saved:
+            needed = 0.0
+        # the number is one of a few that are tried: fitted, it may explain a hysteresis as no other term does
+        if gain < (options.named_share * now if term.nonparametric else now + needed):
             continue
         choice = rest
         for name in names:

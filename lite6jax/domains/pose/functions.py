@@ -81,9 +81,8 @@ class _Joints:
         return [driver for driver in self.positions if driver.place != joint]
 
     def moving(self, but: int = 0) -> list[Driver]:
-        """The velocities and accelerations of all joints, and the directions of motion of all but one."""
-        directions = [Driver(_DIRECTION, driver.place) for driver in self.others(but)]
-        return [*self.velocities, *self._each("acceleration"), *directions]
+        """The velocities of all joints, and the directions of motion of all but one."""
+        return [*self.velocities, *(Driver(_DIRECTION, driver.place) for driver in self.others(but))]
 
     def _each(self, quantity: str) -> list[Driver]:
         return [joint_driver(quantity, j, slides) for j, slides in enumerate(self._slides, 1)]

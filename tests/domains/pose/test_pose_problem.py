@@ -430,10 +430,10 @@ def test_functions_are_tried_of_drivers_elsewhere_on_the_arm(known):
         ("tool", "x y z rx ry rz", "time"),
         ("sensor", "scale", "measured position's distance"),
         ("link3", "rx ry", "velocity of joint 2 and velocity of joint 5"),
-        ("link2", "rx ry", "acceleration of joint 4"),
+        ("link2", "rx ry", "velocity of joint 4"),
         ("joint2", "rz", "gravity torque of joint 3"),
         ("base", "x y z rx ry", "velocity of joint 3"),
-        ("tool", "x y z rx ry rz", "acceleration of joint 1"),
+        ("tool", "x y z rx ry rz", "velocity of joint 1"),
         ("sensor", "x y z rx ry rz", "base moment x"),
         ("sensor", "rx ry rz", "measured position's azimuth"),
     ):
