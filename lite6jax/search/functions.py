@@ -7,7 +7,6 @@ from typing import NamedTuple
 import numpy as np
 
 from lite6jax.estimation.equations import explained_by
-from lite6jax.estimation.least_squares import Fit
 from lite6jax.estimation.multiplicity import description_length, log_functions, searched_size
 from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.problem import Problem
@@ -16,7 +15,7 @@ from lite6jax.estimation.terms import Term
 from lite6jax.search.against_noise import in_own_noise
 from lite6jax.search.backward import prune
 from lite6jax.search.curves import local_curves_of, with_curve
-from lite6jax.search.state import State, preferred
+from lite6jax.search.state import State, preferred, reduced
 
 
 class LikelyFunction(NamedTuple):
@@ -87,9 +86,17 @@ def most_preferred(problem: Problem, state: State, choices: Sequence[State], opt
     return best
 
 
-def with_functions(problem: Problem, rest: State, within: Fit, options: EngineOptions) -> list[State]:
-    test = score_test(problem, rest.fit, options, within=within)
-    return with_each(problem, rest, likely_functions(problem, test, options), options)
+def in_place_of(
+    problem: Problem, state: State, k: int, options: EngineOptions, rest: State | None = None
+) -> list[State]:
+    """The state with each likely function in the place of its k-th term; that of a function, where it is another.
+
+    `rest` is the state without the term, where it is known.
+    """
+    term, rest = state.tested[k].term, rest or reduced(problem, state, k, options)
+    test = score_test(problem, rest.fit, options, within=state.fit)
+    but = term if term.nonparametric else None
+    return with_each(problem, rest, likely_functions(problem, test, options, but=but), options)
 
 
 def with_each(
@@ -136,6 +143,7 @@ def likely_functions(
     options: EngineOptions,
     site: str | None = None,
     least: float | None = None,
+    but: Term | None = None,
 ) -> list[LikelyFunction]:
     """The few functions that are most likely beside a tested fit: of several sites one of each, or a few of one site.
 
@@ -150,6 +158,7 @@ def likely_functions(
         options: thresholds.
         site: the only one, where given.
         least: gain that they must exceed; `close` where not given.
+        but: a function with which they have not both the site and a driver in common.
     """
     least = options.close if least is None else least
     best: dict[object, LikelyFunction] = {}
@@ -167,6 +176,8 @@ def likely_functions(
             best[key] = LikelyFunction(term, gain)
 
     flexible = [*(term for term in problem.flexible if site in (None, term.site)), *local_curves_of(test, site)]
+    if but is not None:
+        flexible = [one for one in flexible if one.site != but.site or not set(one.drivers) & set(but.drivers)]
     equations = test.equations(flexible)
     wholes = list(zip(flexible, equations, explained_by(equations, options.confounded), strict=True))
     for whole, _, one in wholes:

@@ -16,7 +16,7 @@ from lite6jax.estimation.problem import Problem
 from lite6jax.estimation.score_test import ScoreTest, score_test
 from lite6jax.search.backward import eliminate, prune
 from lite6jax.search.forward import forward, with_term
-from lite6jax.search.functions import likely_functions, most_preferred, with_each, with_functions
+from lite6jax.search.functions import in_place_of, likely_functions, most_preferred, with_each
 from lite6jax.search.possible import believable
 from lite6jax.search.state import SelectedTerm, State, extended, listing, preferred, reduced, refitted
 from lite6jax.search.tried_numbers import with_tried_numbers
@@ -141,8 +141,9 @@ def _more_likely(problem: Problem, state: State, options: EngineOptions) -> Stat
     if best is not None and len(best.tested) <= len(state.tested):
         return best  # it makes names unnecessary: those that stay are challenged beside it in the next round
     for k, tested in enumerate(state.tested):
+        term = tested.term
         # what explains more in the place of a name explains something beside it too, but little beside a curve
-        replaceable = tested.term.nonparametric or bool(beside)
-        if replaceable and not tested.term.shrunk and tested.term not in problem.preset[0].terms:
-            choices += with_functions(problem, reduced(problem, state, k, options), state.fit, options)
+        replaceable = term.nonparametric or bool(beside)
+        if replaceable and not term.shrunk and term not in problem.preset[0].terms:
+            choices += in_place_of(problem, state, k, options)
     return most_preferred(problem, state, choices, options)

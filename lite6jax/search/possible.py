@@ -9,7 +9,7 @@ from lite6jax.estimation.score_test import score_test
 from lite6jax.estimation.terms import Term
 from lite6jax.search.backward import eliminate
 from lite6jax.search.forward import forward
-from lite6jax.search.functions import with_functions
+from lite6jax.search.functions import in_place_of
 from lite6jax.search.state import State, preferred, reduced, refitted
 
 
@@ -27,7 +27,7 @@ def believable(problem: Problem, state: State, options: EngineOptions) -> State:
             state = rest
             continue
         choices = [eliminate(problem, forward(restricted, rest, options, shaped=True), options)]
-        choices += with_functions(problem, rest, state.fit, options)
+        choices += in_place_of(problem, state, k, options, rest)
         best = rest
         for choice in choices:
             # a wave is no candidate that can be left out: the spectrum finds the same order again

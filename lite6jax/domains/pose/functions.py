@@ -50,10 +50,11 @@ def tried_functions(motion: Motion, loads: Loads | None, rows: int, sites: dict[
         rows: 3, or 6 where orientations are measured.
         sites: columns of each site.
     """
-    joints = _Joints([bool(slides) for slides in motion.sliding.mask(motion.dof)])
+    slides = [bool(slides) for slides in motion.sliding.mask(motion.dof)]
+    joints = _Joints(slides, motion.joint_temperature_rise is not None)
     tried = _Tried(motion, loads, sites)
     for driver in joints.turning:
-        _at_joint(tried, driver.place, joints, motion.joint_temperature_rise is not None)
+        _at_joint(tried, driver.place, joints)
         if motion.dof > 1:
             _at_link(tried, driver.place, joints)
     _at_base(tried, joints)
@@ -68,12 +69,15 @@ class _Joints:
     Attributes:
         positions: of each joint.
         velocities: of each joint.
+        loads: of gravity on each joint.
+        temperatures: of each joint; none where that is the whole arm's, which would be there twice.
         turning: positions of the revolute joints.
     """
 
-    def __init__(self, slides: Sequence[bool]) -> None:
+    def __init__(self, slides: Sequence[bool], own_temperatures: bool) -> None:
         self._slides = slides
-        self.positions, self.velocities = self._each("position"), self._each("velocity")
+        self.positions, self.velocities, self.loads = map(self._each, ("position", "velocity", "gravity torque"))
+        self.temperatures = self._each("temperature") if own_temperatures else []
         self.turning = [driver for driver, slide in zip(self.positions, slides, strict=True) if not slide]
 
     def others(self, joint: int) -> list[Driver]:
@@ -107,14 +111,16 @@ class _Tried:
             if not driver.discrete:
                 self.spline(site, component, driver)
 
-    def pairs(self, site: str, component: str, pairs: Iterable[tuple[Driver, Driver]], degree: int = _DEGREE) -> None:
-        """All products of the two drivers of each pair, up to a degree."""
+    def pairs(
+        self, site: str, component: str, pairs: Iterable[tuple[Driver, Driver]], degree: int = _DEGREE, power: int = 0
+    ) -> None:
+        """All products of the two drivers of each pair, up to a degree, and each up to a power where it is given."""
         for pair in pairs:
-            self.polynomial(site, component, degree, *pair)
+            self.polynomial(site, component, degree, *pair, power=power)
 
-    def polynomial(self, site: str, component: str, degree: int, *drivers: Driver) -> None:
-        """All products of the drivers up to a degree."""
-        self._add(site, component, drivers, degree=degree)
+    def polynomial(self, site: str, component: str, degree: int, *drivers: Driver, power: int = 0) -> None:
+        """All products of the drivers up to a degree, and each up to a power where it is given."""
+        self._add(site, component, drivers, degree, power)
 
     def spline(self, site: str, component: str, *drivers: Driver) -> None:
         """A spline over the first driver, times the second where there is one, a direction of motion."""
@@ -128,7 +134,7 @@ class _Tried:
                 Unnamed(site, angle.phrase, lower, upper, component=component, orders=_WOBBLE, trust=(1.0, 1.0))
             )
 
-    def _add(self, site: str, component: str, drivers: Sequence[Driver], degree: int = 0) -> None:
+    def _add(self, site: str, component: str, drivers: Sequence[Driver], degree: int = 0, power: int = 0) -> None:
         ranges = [self._range(driver) for driver in drivers]
         known = [one for one in ranges if one is not None]
         if len(known) < len(ranges) or not self._seen(site, component):
@@ -136,7 +142,8 @@ class _Tried:
         (lower, upper), *others = known
         further = tuple(bound for one in others for bound in one)
         phrase = " and ".join(driver.phrase for driver in drivers)
-        self.functions.append(Unnamed(site, phrase, lower, upper, _PIECES, component, degree=degree, further=further))
+        form = {"degree": degree, "power": power, "further": further}
+        self.functions.append(Unnamed(site, phrase, lower, upper, _PIECES, component, **form))
 
     def _seen(self, site: str, component: str) -> bool:
         return any(self._sites[site_of(site, one)].any() for one in component.split())
@@ -153,22 +160,23 @@ class _Tried:
         return self._ranges[driver]
 
 
-def _at_joint(tried: _Tried, j: int, joints: _Joints, own_temperatures: bool) -> None:
+def _at_joint(tried: _Tried, j: int, joints: _Joints) -> None:
     """An angle: by the joint's own loads, motion and temperature, and by the motion and loads of any other joint."""
-    site, rz, own_position = f"joint{j}", "rz", joints.positions[j - 1]
-    own = [own_position, Driver("gravity torque", j), Driver("temperature", j)]
-    direction = Driver(_DIRECTION, j)
-    # without temperatures of joints, that of a joint is the whole arm's, which would be there twice
-    everywhere = _EVERYWHERE if own_temperatures else (_TIME, _PAYLOAD)
-    loads = [Driver("gravity torque", driver.place) for driver in joints.others(j)]
+    site, rz = f"joint{j}", "rz"
+    own_position, velocity, direction = joints.positions[j - 1], joints.velocities[j - 1], Driver(_DIRECTION, j)
+    own = [own_position, joints.loads[j - 1], Driver("temperature", j)]
+    everywhere = _EVERYWHERE if joints.temperatures else (_TIME, _PAYLOAD)
+    loads = [load for load in joints.loads if load.place != j]
     tried.singles(site, rz, [*own, direction, *joints.others(j), *joints.moving(but=j), *loads, *everywhere])
     # a spring that is softer in one place, play that a load takes up
     tried.pairs(site, rz, combinations([*own, direction], 2))
-    # a cable of another joint that creeps; products with a velocity would resemble friction in a zone of positions
+    # a cable of another joint that creeps
     tried.pairs(site, rz, product([*own, direction, *joints.others(j)], everywhere))
     tried.pairs(site, rz, combinations(joints.positions, 2))
     # what several joints swing round at once
     tried.pairs(site, rz, combinations(joints.velocities, 2), _QUADRATIC)
+    # grease that thins with warmth; with squares, or other drivers, these would resemble zones of friction
+    tried.pairs(site, rz, product([velocity], [own[-1], *everywhere]), _QUADRATIC, power=1)
     # play that differs from place to place, more sharply than a cubic
     tried.spline(site, rz, own_position, direction)
 
@@ -181,6 +189,10 @@ def _at_link(tried: _Tried, j: int, joints: _Joints) -> None:
     tried.waves(site, _TILT, own_position)
     # cables and belts of other joints, and what these swing round
     tried.singles(site, _TILT, [*own, direction, *joints.others(j), *joints.moving(but=j), *_EVERYWHERE])
+    # the motors at both ends warm it
+    ends = joints.temperatures[j - 1 : j + 1]
+    tried.singles(site, _TILT, ends)
+    tried.pairs(site, _TILT, combinations(ends, 2))
     tried.pairs(site, _TILT, combinations([*own, direction], 2))
     tried.pairs(site, _TILT, product([*own, direction, *joints.others(j)], _EVERYWHERE))
     tried.pairs(site, _TILT, combinations(joints.positions, 2))
@@ -202,6 +214,9 @@ def _at_base(tried: _Tried, joints: _Joints) -> None:
     tried.singles("base", _UPRIGHT, [*joints.turning, *joints.moving()])
     tried.pairs("base", _TWIST, chain(combinations(moments, 2), product(moments, _EVERYWHERE)))
     tried.pairs("base", _UPRIGHT, chain(combinations(near, 2), product(joints.turning, _EVERYWHERE)))
+    # what a joint swings round pulls at the base, in the direction in which it is then
+    swinging = [(driver, joints.velocities[driver.place - 1]) for driver in near]
+    tried.pairs("base", _UPRIGHT, swinging)
 
 
 def _at_tool(tried: _Tried, joints: _Joints, components: str) -> None:
