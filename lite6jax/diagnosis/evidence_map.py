@@ -164,7 +164,7 @@ def _column(function: Unnamed) -> str:
     first, *_ = function.drivers
     kinds = {_KINDS.get(driver.generalised, driver.generalised) for driver in function.drivers}
     kind = kinds.pop()
-    if kinds or (kind == "position" and len(function.drivers) > 1):
+    if kinds or (kind in ("position", "velocity", "temperature") and len(function.drivers) > 1):
         return "two drivers"
     own = function.site in (f"joint{first.place}", f"link{first.place}")
     return kind if kind != "position" or own else "other positions"

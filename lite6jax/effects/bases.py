@@ -14,6 +14,8 @@ from lite6jax.effects.polynomials import Products, Subset, polynomial_basis, pol
 
 _PIECES = (8, 16)
 """Intervals of the splines that are tried where a plainer function of their driver was found."""
+_LOCAL_PIECES = 4
+"""Intervals of the splines that describe a step or a bump, at most."""
 _HIGHEST_DEGREE = 4
 
 
@@ -110,7 +112,7 @@ class Basis(ABC):
 
     @property
     def finer(self) -> tuple[Mapping[str, Any], ...]:
-        """Bases of the same drivers that contain this one: fields of their functions that differ from this one's."""
+        """Bases of the same drivers with more functions: the fields in which they differ from this one."""
         return ()
 
     def subsets(self, least: int) -> tuple[Subset, ...]:
@@ -150,7 +152,9 @@ class Spline(Basis):
 
     @property
     def finer(self) -> tuple[Mapping[str, Any], ...]:
-        return tuple({"pieces": n} for n in _PIECES if n > self.pieces and len(self.drivers) == 1)
+        """None of a spline of few intervals: it is a local form, over a part of the driver's range."""
+        plain = len(self.drivers) == 1 and self.pieces > _LOCAL_PIECES
+        return tuple({"pieces": n} for n in _PIECES if n > self.pieces and plain)
 
     def at(self, values: Array, run: Array | None = None) -> Array:
         first, *direction = library_of(values).atleast_2d(values)
@@ -256,8 +260,10 @@ class Polynomial(Basis):
 
     @property
     def finer(self) -> tuple[Mapping[str, Any], ...]:
-        """Splines of one driver; of several, their squares, and products of one more of them."""
+        """Splines of one driver that is no direction; of several, their squares, and products of one more of them."""
         if len(self.drivers) == 1:
+            if self.drivers[0].discrete:
+                return ()
             return tuple({"degree": 0, "power": 0, "pieces": n} for n in _PIECES if n + 3 > self.size)
         squares = ({"power": 0},) if self.power else ()
         return squares + (({"degree": self.degree + 1, "power": 0},) if self.degree < _HIGHEST_DEGREE else ())

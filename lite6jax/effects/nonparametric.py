@@ -33,6 +33,9 @@ coefficients are larger where no sample determines them.
 _TOGETHER = ("x y z", "rx ry rz", "rx ry")
 """Components of a twist that are one displacement of their own: a shift, a turn, a tilt."""
 
+_NAMED_LINES = {"gravity torque", "velocity", "temperature"}
+"""Quantities of a joint to which an effect of the catalogue is proportional there: compliance, lag, thermal offset."""
+
 _SITE = re.compile(r"joint([1-9]\d*)|link([1-9]\d*)|base|tool|sensor")
 
 
@@ -101,7 +104,7 @@ class Unnamed(Bending):
     Attributes:
         where: `jointN` (an angle), `linkN`, `base`, `tool` or `sensor` (components of a twist).
         driver: the phrase of a `Driver`, such as "position of joint 3"; of several, joined by " and ".
-        lower: of the first driver's range, in its unit; beyond the range the curve is constant.
+        lower: of the first driver's range, in its unit; beyond it splines and polynomials are constant, waves zero.
         upper: of the first driver's range.
         pieces: the intervals of the spline; it has three more coefficients.
         component: of the twist, one or several of x y z rx ry rz, separated by blanks, each with coefficients of its
@@ -222,10 +225,18 @@ class Unnamed(Bending):
     def forms(self) -> tuple[Form, ...]:
         """Those with fewer numbers: of some components, of fewer of three drivers, of a lower degree, or no squares.
 
-        Lines are not among those of a joint, where the catalogue has names for them.
+        Lines of a joint are not among them where the catalogue has a name for one.
         """
-        least = 2 if self.where.startswith("joint") else 1
+        least = 1 if self.where.startswith(("link", "base", "tool", "sensor")) or not self._has_named_line else 2
         return _forms(self.component, self.basis.subsets(least))
+
+    @property
+    def _has_named_line(self) -> bool:
+        """Whether the catalogue has a name for what is in proportion to one of the drivers, of an angle of a joint."""
+        own = {driver.generalised for driver in self.drivers if self.where == f"joint{driver.place}"}
+        turns = any(driver.quantity == "position" for driver in self.drivers)
+        warms = any(driver.quantity == "temperature rise" for driver in self.drivers)
+        return turns or warms or bool(own & _NAMED_LINES)
 
     @property
     def displacements(self) -> "tuple[Unnamed, ...]":
@@ -252,7 +263,7 @@ class Unnamed(Bending):
 
     @property
     def of_more_numbers(self) -> "tuple[Unnamed, ...]":
-        """Those of the same drivers that contain this one."""
+        """Those of the same drivers that have more numbers."""
         return tuple(replace(self, **fields) for fields in self.basis.finer)
 
     def part(self, component: int) -> slice:

@@ -4,7 +4,7 @@ import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
-from lite6jax.effects.drivers import driver_of
+from lite6jax.effects.drivers import Driver, driver_of
 from lite6jax.report import data_faults, reference, worth
 from lite6jax.report.cells import fixed, multiple, number, ranges, rows_named
 from lite6jax.report.quality import quality_statement
@@ -28,6 +28,8 @@ _LEFT_OVER = ("partly_explained", "unnamed", "unexplained", "undetermined")
 _PARTS = {"base": "the sensor's frame", "link": "the arm's own calibration", "tool": "the tool"}
 _MOST = 0.5
 """The share of a variance from which it is most of it."""
+_SHARP = 0.01
+"""A change of a curve within this share of where it happens, or of 1, is called a step."""
 _EXCESSIVE = 5.0
 """Times the declared noise, beyond which residuals are not reported as noise."""
 
@@ -415,10 +417,21 @@ def _shape(where: Entry) -> str:
         each = " per metre" if where.get("of_slide") else ""
         which = f"{len(orders)} orders from {min(orders):g} to {max(orders):g}{each}"
         return f"harmonics of {which}" if len(orders) > 1 else f"a harmonic of order {orders[0]:g}{each}"
-    if where.get("pieces") == 1:
-        changes = f"{where['lower']:.6g} and {where['upper']:.6g} {driver_of(where['driver']).unit}"
-        return f"constant but for a change between {changes}"
-    return "a smooth curve"
+    return _local_shape(where, driver_of(where["driver"])) if _is_local(where) else "a smooth curve"
+
+
+def _is_local(where: Entry) -> bool:
+    """Whether a curve is a spline of one interval, which is a part of the driver's range, but of a load all of it."""
+    drivers = where.get("driver", "").split(" and ")
+    return where.get("pieces") == 1 and len(drivers) == 1 and not driver_of(drivers[0]).loaded
+
+
+def _local_shape(where: Entry, driver: Driver) -> str:
+    lower, upper = where["lower"], where["upper"]
+    at = 0.5 * (lower + upper)
+    if upper - lower < _SHARP * max(abs(at), 1.0):
+        return f"a step at {at:.5g} {driver.unit}"
+    return f"a rise or fall between {lower:.5g} and {upper:.5g} {driver.unit}"
 
 
 def _effective(finding: Entry) -> str:

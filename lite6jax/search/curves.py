@@ -26,7 +26,7 @@ _SEVERAL_PLAYS = (0.05, 0.1, 0.2, 0.4, 0.7)
 _WIDTHS = (0.02, 0.05, 0.1, 0.2, 0.35, 0.5)
 """Of local forms, in the driver's unit: half a step's width, and a bump's standard deviation."""
 _EDGE, _BEYOND = 2.0, 5
-"""Percent of the samples, and samples, that are beyond the place of a local form: of fewer it says nothing."""
+"""A local form is placed only where at least so many percent of the samples, and so many samples, lie on each side."""
 _REFINED_WIDTHS = (0.3, 0.6, 1.0, 1.5)
 _SHAPES: dict[LocalForm, tuple[tuple[int, float], ...]] = {"step": ((1, 1.0),), "bump": ((2, 2.0), (4, 2.5))}
 """Intervals of the splines of a local form, and half the range of each in its widths, beyond which it is constant."""
@@ -127,8 +127,8 @@ def _more_likely(
     def likely(curve: Curve) -> float:
         return curve.explained.gain - description_length(problem, [curve.term], test.freedom, options)
 
-    best = max(best_curves(test, family, local=True), key=likely)
-    return best.term if likely(best) > now else None
+    best = max(best_curves(test, family, local=True), key=likely, default=None)
+    return None if best is None or likely(best) <= now else best.term
 
 
 def with_curve(problem: Problem, beside: State, curve: Term, options: EngineOptions) -> State:
@@ -167,7 +167,7 @@ def tested_by_blocks(function: Term, fitted: Fit, options: EngineOptions) -> boo
 def local_curves_of(test: ScoreTest, site: str | None = None) -> list[Term]:
     """Local forms of a site over every quantity in which they are tried and which varies there.
 
-    Of all sites, where none is given, those of quantities over which no spline of the family is tried first.
+    Without a site: of all sites, but only over quantities, such as time, that have no splines in their family.
     """
     of_site = [family for family in test.problem.curves if site in (None, family.site)]
     local = [(family, driver) for family in of_site for driver in family.drivers if driver.local]

@@ -89,9 +89,10 @@ def most_preferred(problem: Problem, state: State, choices: Sequence[State], opt
 def in_place_of(
     problem: Problem, state: State, k: int, options: EngineOptions, rest: State | None = None
 ) -> list[State]:
-    """The state with each likely function in the place of its k-th term; that of a function, where it is another.
+    """The state with each likely function in the place of its k-th term.
 
-    `rest` is the state without the term, where it is known.
+    If that term is itself a function, functions of its site that share a driver with it are left out: that one of them
+    is likely says nothing of the others there. `rest` is the state without the term, where it is known.
     """
     term, rest = state.tested[k].term, rest or reduced(problem, state, k, options)
     test = score_test(problem, rest.fit, options, within=state.fit)
@@ -158,7 +159,7 @@ def likely_functions(
         options: thresholds.
         site: the only one, where given.
         least: gain that they must exceed; `close` where not given.
-        but: a function with which they have not both the site and a driver in common.
+        but: a function; those at its site that share a driver with it are left out.
     """
     least = options.close if least is None else least
     best: dict[object, LikelyFunction] = {}

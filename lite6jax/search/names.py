@@ -133,7 +133,8 @@ def _restored(problem: Problem, state: State, names: Sequence[SelectedTerm], opt
 def _more_likely(problem: Problem, state: State, options: EngineOptions) -> State | None:
     """The most likely state in which a function without a name joins; None where none is clearly more likely.
 
-    It joins beside all terms or in the place of one. That may be a curve, which was chosen among those of its own site.
+    It joins beside all terms or in the place of one, which may be a curve: a curve was compared only with others at its
+    own site.
     """
     beside = likely_functions(problem, score_test(problem, state.fit, options), options)
     choices = with_each(problem, state, beside, options)
@@ -142,7 +143,7 @@ def _more_likely(problem: Problem, state: State, options: EngineOptions) -> Stat
         return best  # it makes names unnecessary: those that stay are challenged beside it in the next round
     for k, tested in enumerate(state.tested):
         term = tested.term
-        # what explains more in the place of a name explains something beside it too, but little beside a curve
+        # what explains more than a name in its place gains beside it too; beside a curve it may gain nothing
         replaceable = term.nonparametric or bool(beside)
         if replaceable and not term.shrunk and term not in problem.preset[0].terms:
             choices += in_place_of(problem, state, k, options)

@@ -32,6 +32,8 @@ def _instead(problem: Problem, state: State, term: Term, options: EngineOptions)
 
     In the place of a function without a name it need not be clearly likelier; it then lists the function.
     """
+    if not any(rival.site == term.site for rival in problem.shaped):
+        return state
     rest = reduced(problem, state, state.fit.terms.terms.index(term), options)
     test = score_test(problem, rest.fit, options, within=state.fit)
     now, best = test.explained([term])[0].gain, state
@@ -40,7 +42,7 @@ def _instead(problem: Problem, state: State, term: Term, options: EngineOptions)
         needed = test.time * (options.close if len(names) == 1 else options.together)
         if term.nonparametric and len(names) == 1:
             needed = 0.0
-        # the number is one of a few that are tried: fitted, it may explain a hysteresis as no other term does
+        # the friction is one of a few that are tried: once fitted, it may explain more than it does now
         if gain < (options.named_share * now if term.nonparametric else now + needed):
             continue
         choice = rest
@@ -66,9 +68,12 @@ def _where_determined(problem: Problem, state: State, function: Term, options: E
     if not rivals or problem.preset[0].terms:
         return state
     k = state.fit.terms.terms.index(function)
-    test = score_test(problem, reduced(problem, state, k, options).fit, options, within=state.fit)
     beside = [t.term for t in state.tested if t.term.site == function.site and problem.undetermined(t.term).any()]
-    name = beside[0] if beside else rivals[int(np.argmax([one.gain for one in test.explained(rivals)]))]
+    if beside:
+        name = beside[0]
+    else:
+        test = score_test(problem, reduced(problem, state, k, options).fit, options, within=state.fit)
+        name = rivals[int(np.argmax([one.gain for one in test.explained(rivals)]))]
     determined = state.fit.training & ~problem.undetermined(name)
     there = fitted_again(problem, problem, state, determined, options)
     named = rest = reduced(problem, there, k, options)

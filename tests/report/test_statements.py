@@ -241,6 +241,15 @@ def test_curves_of_many_waves_are_named_in_short(wavy, drawn):
             "sensor (scale), a polynomial of degree 2 over measured position's distance",
         ),
         (waves(1), "joint1, harmonics of 5 orders from 3 to 33 over its position"),
+        (Unnamed("joint3", "time", 250.99, 251.03, 1), "joint3, a step at 251.01 s over time"),
+        (
+            Unnamed("joint3", "position of joint 3", 0.2, 1.3, 1),
+            "joint3, a rise or fall between 0.2 and 1.3 rad over its position",
+        ),
+        (
+            Unnamed("joint2", "gravity torque of joint 2", -8.0, 8.0, 1),
+            "joint2, a smooth curve over its gravity torque",
+        ),
     ],
 )
 def test_what_is_known_of_an_unnamed_effect_is_its_title(effect, title):

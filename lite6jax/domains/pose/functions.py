@@ -24,13 +24,13 @@ _DIRECTION = "direction of motion"
 _DEGREE = 3
 """Highest degree of products of drivers; those of lower degrees are parts of them."""
 _QUADRATIC = 2
-"""Degree of what is in proportion to inertial forces: these are quadratic in the velocities."""
+"""Degree of products with a velocity: inertial forces are quadratic in the velocities."""
 _PIECES = 5
 """Intervals of splines: those of more are tried where one of them was found."""
 _WOBBLE = (1.0, 2.0)
 """Orders of what turns with a joint but is no angle of it: tilts of its axis, of the base or of the tool."""
 _TURNS = (-4 * np.pi, 4 * np.pi)
-"""rad: no joint turns farther."""
+"""rad, between which waves hold at least: most joints turn no farther."""
 _NEAR = 3
 """Joints next to the base, and next to the tool, whose positions move these together with another driver."""
 _LEAST_VARIED = 1e-6
@@ -39,9 +39,10 @@ _LEAST_VARIED = 1e-6
 def tried_functions(motion: Motion, loads: Loads | None, rows: int, sites: dict[Site, Array]) -> tuple[Unnamed, ...]:
     """Functions of the drivers that can act at each site, as far as they are known and vary, and the sensor sees it.
 
-    Those of one driver are cubics and splines (of a direction of motion, a line), and waves of joint angles. Those of
-    two are of a site's own drivers, such as the position and the load of a joint, of one of these and one of the whole
-    arm, or of the positions of two joints. Parts of them, such as one component of a displacement, are not among them:
+    Those of one driver are cubics and splines (of a direction of motion, a line), and waves of joint angles and of the
+    angles of the line of sight. Those of several are products: of a site's own drivers, such as the position and the
+    load of a joint; of one of these, or the position of any joint, and one of the whole arm; and of the positions or
+    the velocities of two joints. Parts of them, such as one component of a displacement, are not among them:
     `Unnamed.parts` gives these.
 
     Args:
@@ -50,12 +51,11 @@ def tried_functions(motion: Motion, loads: Loads | None, rows: int, sites: dict[
         rows: 3, or 6 where orientations are measured.
         sites: columns of each site.
     """
-    slides = [bool(slides) for slides in motion.sliding.mask(motion.dof)]
-    joints = _Joints(slides, motion.joint_temperature_rise is not None)
-    tried = _Tried(motion, loads, sites)
+    joints, tried = _Joints(motion), _Tried(motion, loads, sites)
     for driver in joints.turning:
         _at_joint(tried, driver.place, joints)
-        if motion.dof > 1:
+    if motion.dof > 1:
+        for driver in joints.positions:
             _at_link(tried, driver.place, joints)
     _at_base(tried, joints)
     _at_tool(tried, joints, _SHIFT if rows == 3 else _TWIST)
@@ -70,15 +70,16 @@ class _Joints:
         positions: of each joint.
         velocities: of each joint.
         loads: of gravity on each joint.
-        temperatures: of each joint; none where that is the whole arm's, which would be there twice.
+        temperatures: of each joint; none where all joints have that of the whole arm, which would be there twice.
         turning: positions of the revolute joints.
     """
 
-    def __init__(self, slides: Sequence[bool], own_temperatures: bool) -> None:
-        self._slides = slides
+    def __init__(self, motion: Motion) -> None:
+        self._slides = [bool(slides) for slides in motion.sliding.mask(motion.dof)]
         self.positions, self.velocities, self.loads = map(self._each, ("position", "velocity", "gravity torque"))
-        self.temperatures = self._each("temperature") if own_temperatures else []
-        self.turning = [driver for driver, slide in zip(self.positions, slides, strict=True) if not slide]
+        rise = motion.joint_temperature_rise
+        self.temperatures = [] if rise is None or not np.ptp(np.asarray(rise), 0).any() else self._each("temperature")
+        self.turning = [driver for driver, slides in zip(self.positions, self._slides, strict=True) if not slides]
 
     def others(self, joint: int) -> list[Driver]:
         """The positions of all joints but one."""
@@ -128,8 +129,8 @@ class _Tried:
 
     def waves(self, site: str, component: str, angle: Driver) -> None:
         """Waves of the first orders of an angle."""
-        if self._seen(site, component) and self._range(angle) is not None:
-            lower, upper = _TURNS
+        if self._seen(site, component) and (found := self._range(angle)) is not None:
+            lower, upper = min(_TURNS[0], found[0]), max(_TURNS[1], found[1])
             self.functions.append(
                 Unnamed(site, angle.phrase, lower, upper, component=component, orders=_WOBBLE, trust=(1.0, 1.0))
             )
@@ -151,10 +152,9 @@ class _Tried:
     def _range(self, driver: Driver) -> tuple[float, float] | None:
         """Lower and upper of a driver; None where it is not known or does not vary."""
         if driver not in self._ranges:
-            loads = self._loads if driver.loaded else None
             self._ranges[driver] = None
-            if driver.known(self._motion, loads) and not (driver.loaded and loads is None):
-                values = np.asarray(driver.values(self._motion, loads))
+            if driver.known(self._motion, self._loads):
+                values = np.asarray(driver.values(self._motion, self._loads))
                 if np.ptp(values) > _LEAST_VARIED:
                     self._ranges[driver] = float(values.min()), float(values.max())
         return self._ranges[driver]
@@ -164,29 +164,33 @@ def _at_joint(tried: _Tried, j: int, joints: _Joints) -> None:
     """An angle: by the joint's own loads, motion and temperature, and by the motion and loads of any other joint."""
     site, rz = f"joint{j}", "rz"
     own_position, velocity, direction = joints.positions[j - 1], joints.velocities[j - 1], Driver(_DIRECTION, j)
-    own = [own_position, joints.loads[j - 1], Driver("temperature", j)]
-    everywhere = _EVERYWHERE if joints.temperatures else (_TIME, _PAYLOAD)
+    own_temperature = joints.temperatures[j - 1 : j]
+    own = [own_position, joints.loads[j - 1], *own_temperature]
     loads = [load for load in joints.loads if load.place != j]
-    tried.singles(site, rz, [*own, direction, *joints.others(j), *joints.moving(but=j), *loads, *everywhere])
+    tried.singles(site, rz, [*own, direction, *joints.others(j), *joints.moving(but=j), *loads, *_EVERYWHERE])
     # a spring that is softer in one place, play that a load takes up
     tried.pairs(site, rz, combinations([*own, direction], 2))
     # a cable of another joint that creeps
-    tried.pairs(site, rz, product([*own, direction, *joints.others(j)], everywhere))
+    tried.pairs(site, rz, product([*own, direction, *joints.others(j)], _EVERYWHERE))
     tried.pairs(site, rz, combinations(joints.positions, 2))
     # what several joints swing round at once
     tried.pairs(site, rz, combinations(joints.velocities, 2), _QUADRATIC)
     # grease that thins with warmth; with squares, or other drivers, these would resemble zones of friction
-    tried.pairs(site, rz, product([velocity], [own[-1], *everywhere]), _QUADRATIC, power=1)
+    tried.pairs(site, rz, product([velocity], [*own_temperature, *_EVERYWHERE]), _QUADRATIC, power=1)
     # play that differs from place to place, more sharply than a cubic
     tried.spline(site, rz, own_position, direction)
 
 
 def _at_link(tried: _Tried, j: int, joints: _Joints) -> None:
-    """Tilts by the position of the link's joint, its moments and other joints, and shifts by what is the link's own."""
+    """Tilts by the link's moments, its joint's position, direction and temperature, and the motion of other joints.
+
+    Shifts by the link's moments and its joint's position, and both by time, temperature and payload.
+    """
     site, own_position = f"link{j}", joints.positions[j - 1]
     moments = [Driver(f"gravity moment {axis}", j) for axis in "xy"]
     own, direction = [own_position, *moments], Driver(_DIRECTION, j)
-    tried.waves(site, _TILT, own_position)
+    if own_position in joints.turning:
+        tried.waves(site, _TILT, own_position)
     # cables and belts of other joints, and what these swing round
     tried.singles(site, _TILT, [*own, direction, *joints.others(j), *joints.moving(but=j), *_EVERYWHERE])
     # the motors at both ends warm it
@@ -202,18 +206,18 @@ def _at_link(tried: _Tried, j: int, joints: _Joints) -> None:
 
 
 def _at_base(tried: _Tried, joints: _Joints) -> None:
-    """All components by the moments, time and temperature; by the motion of joints all but a turn about z.
+    """All components by the moments, time, temperature and payload; by the motion of joints all but a turn about z.
 
-    That is an angle of joint 1, if this joint stands upright.
+    A turn about z is left out because it equals an angle of joint 1, where the axis of that joint is upright.
     """
     moments = [Driver(f"base moment {axis}") for axis in "xy"]
-    near = joints.turning[:_NEAR]
-    for driver in near:
+    near = joints.positions[:_NEAR]
+    for driver in joints.turning[:_NEAR]:
         tried.waves("base", _UPRIGHT, driver)
     tried.singles("base", _TWIST, [*moments, *_EVERYWHERE])
-    tried.singles("base", _UPRIGHT, [*joints.turning, *joints.moving()])
+    tried.singles("base", _UPRIGHT, [*joints.positions, *joints.moving()])
     tried.pairs("base", _TWIST, chain(combinations(moments, 2), product(moments, _EVERYWHERE)))
-    tried.pairs("base", _UPRIGHT, chain(combinations(near, 2), product(joints.turning, _EVERYWHERE)))
+    tried.pairs("base", _UPRIGHT, chain(combinations(near, 2), product(joints.positions, _EVERYWHERE)))
     # what a joint swings round pulls at the base, in the direction in which it is then
     swinging = [(driver, joints.velocities[driver.place - 1]) for driver in near]
     tried.pairs("base", _UPRIGHT, swinging)
@@ -221,20 +225,20 @@ def _at_base(tried: _Tried, joints: _Joints) -> None:
 
 def _at_tool(tried: _Tried, joints: _Joints, components: str) -> None:
     """All components that are seen, by the moments at the flange, the motion of joints, time and temperature."""
-    dof, near = len(joints.positions), joints.turning[-_NEAR:]
-    moments = Driver("gravity moment x", dof), Driver("gravity moment y", dof), Driver("gravity torque", dof)
+    dof, near = len(joints.positions), joints.positions[-_NEAR:]
+    moments = Driver("gravity moment x", dof), Driver("gravity moment y", dof), joints.loads[-1]
     for driver in joints.turning:
         tried.waves("tool", components, driver)
-    tried.singles("tool", components, [*moments, *joints.turning, *joints.moving(), *_EVERYWHERE])
+    tried.singles("tool", components, [*moments, *joints.positions, *joints.moving(), *_EVERYWHERE])
     tried.pairs("tool", components, combinations(near, 2))
-    tried.pairs("tool", components, product([*moments, *joints.turning], _EVERYWHERE))
+    tried.pairs("tool", components, product([*moments, *joints.positions], _EVERYWHERE))
     tried.polynomial("tool", components, 2, *moments)
 
 
 def _at_sensor(tried: _Tried) -> None:
     """All components by time, temperature and the moments at the base, on whose bench a sensor may stand.
 
-    Shifts by the measured position, as lenses and scales have them, and turns by the angles of the line of sight.
+    Shifts and a scale by the measured position, as lenses have them, and turns by the angles of the line of sight.
     """
     axes = [Driver(f"measured position {axis}") for axis in "xyz"]
     distance, azimuth, elevation = (Driver(f"measured position's {k}") for k in ("distance", "azimuth", "elevation"))
@@ -246,7 +250,7 @@ def _at_sensor(tried: _Tried) -> None:
     for angle in (azimuth, elevation):
         tried.waves("sensor", _TURN, angle)
     # lenses distort in proportion to powers of the distance
-    tried.singles("sensor", SCALE, [distance, azimuth, elevation, *_EVERYWHERE])
+    tried.singles("sensor", SCALE, [distance, *_EVERYWHERE])
     tried.pairs("sensor", SCALE, product([distance], _EVERYWHERE))
 
 

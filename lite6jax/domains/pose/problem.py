@@ -228,7 +228,7 @@ class PoseProblem:
 
     @lazy
     def curves(self) -> tuple[CurveFamily, ...]:
-        """Curves of each joint over its position, torque and velocity."""
+        """Curves of each joint over its position, torque, velocity and time."""
         return families.curves(self.deflections, self.sites)
 
     @lazy

@@ -440,6 +440,25 @@ def test_functions_are_tried_of_drivers_elsewhere_on_the_arm(known):
         assert (site, component, driver) in tried
     parts = [part.made() for whole in known["moving"].flexible for part in whole.parts]
     assert known["moving"].functions_tried == len(known["moving"].flexible) + len(parts)
-    lines = [one for one in parts if one.degree == 1]
-    assert lines
-    assert not any(one.site.startswith("joint") for one in lines)
+    lines = [one for one in parts if one.degree == 1 and one.site == "joint2" and len(one.drivers) == 1]
+    assert {one.driver for one in lines} >= {"velocity of joint 3", "gravity torque of joint 3", "time"}
+    for named in ("position of joint 2", "position of joint 3", "velocity of joint 2", "gravity torque of joint 2"):
+        assert named not in {one.driver for one in lines}
+
+
+def tried_of(recording):
+    return {(one.site, one.component, one.driver, one.power) for one in pose_problem(recording).flexible}
+
+
+def test_functions_of_temperatures_are_tried_once(arm, motions):
+    """By each joint's own temperature where there are several, else by that of the arm."""
+    several = arm.recording(motions["moving"])
+    same = replace(several, joint_temperature=None, ambient_temperature=several.joint_temperature[:, 0])
+    own, ambient = tried_of(several), tried_of(same)
+    pair = "temperature of joint 3 and temperature of joint 4"
+    assert {("link3", "rx ry", pair, 0), ("joint3", "rz", "velocity of joint 3 and temperature of joint 3", 1)} <= own
+    assert ("link6", "rx ry", "temperature of joint 6", 0) in own
+    assert not any("temperature of joint" in driver for _, _, driver, _ in ambient)
+    assert ("joint3", "rz", "velocity of joint 3 and temperature rise", 1) in ambient
+    for drivers in (driver.split(" and ") for _, _, driver, _ in own | ambient):
+        assert len(set(drivers)) == len(drivers)
