@@ -129,7 +129,8 @@ OF_POSES: Mapping[str, Remedy] = {
     ),
     "unnamed": Remedy(
         "{place} has an error that no effect of the catalogue names",
-        "Compensate: the curve is part of the model. Inspect what moves with its driver there.",
+        "Compensate: the curve is part of the model. Inspect what moves with its driver there; of a step in time, what "
+        "slipped then, such as a belt or a coupling.",
     ),
 }
 """By the name of an effect on poses."""
