@@ -227,7 +227,7 @@ class Unnamed(Bending):
 
         Lines of a joint are not among them where the catalogue has a name for one.
         """
-        least = 1 if self.where.startswith(("link", "base", "tool", "sensor")) or not self._has_named_line else 2
+        least = 2 if self.where.startswith("joint") and self._has_named_line else 1
         return _forms(self.component, self.basis.subsets(least))
 
     @property

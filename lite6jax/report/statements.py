@@ -422,8 +422,10 @@ def _shape(where: Entry) -> str:
 
 def _is_local(where: Entry) -> bool:
     """Whether a curve is a spline of one interval, which is a part of the driver's range, but of a load all of it."""
-    drivers = where.get("driver", "").split(" and ")
-    return where.get("pieces") == 1 and len(drivers) == 1 and not driver_of(drivers[0]).loaded
+    if where.get("pieces") != 1:
+        return False
+    first, *further = map(driver_of, _drivers(where))
+    return not further and not first.loaded
 
 
 def _local_shape(where: Entry, driver: Driver) -> str:

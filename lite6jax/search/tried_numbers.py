@@ -86,14 +86,12 @@ def _where_determined(problem: Problem, state: State, function: Term, options: E
 
 
 def _with_tried_number(test: ScoreTest, term: Term) -> Iterator[tuple[tuple[Term, ...], float]]:
-    """Of the names with a tried number at the site of `term`, the one that explains most, and how much.
+    """Of the names with a tried number at the site of `term`, which has some, the one that explains most, and how much.
 
     Then the same of such a name together with another of the site.
     """
     problem = test.problem
     rivals = [rival for rival in problem.shaped if rival.site == term.site]
-    if not rivals:
-        return
     gains = [one.gain for one in test.explained(rivals)]
     yield (rivals[int(np.argmax(gains))],), max(gains)
     known = (*test.fit.terms.terms, term)
