@@ -11,6 +11,8 @@ FREEDOM = 15.0
 """Degrees of freedom of the robust loss: 97 % efficient on Gaussian noise; influence falls beyond four sigma."""
 DOWNWEIGHTED = 0.3
 """Weight below which a sample is an outlier; of Gaussian samples of six numbers, about four in a million."""
+_LEAST_SCALE2 = float(np.sqrt(np.finfo(float).tiny))
+"""The least squared scale, of residuals that are exactly zero: 1.5e-154. Squared columns over it are still finite."""
 
 
 def t_scale(squares: Array, rows: int, freedom: float | None) -> float:
@@ -19,17 +21,16 @@ def t_scale(squares: Array, rows: int, freedom: float | None) -> float:
     Of Student's t with `freedom` it solves mean(w s) = c² rows (K. Lange, R. Little, J. Taylor, J. Am. Stat. Assoc. 84,
     1989), by Newton's method in log c², as a fixed point takes tens of rounds; the root mean square where that is None.
     """
-    tiny = np.finfo(float).tiny
     if freedom is None:
-        return float(np.sqrt(max(np.mean(squares) / rows, tiny)))
+        return float(np.sqrt(max(np.mean(squares) / rows, _LEAST_SCALE2)))
     if not squares.any():
-        return float(np.sqrt(tiny))
-    scale2 = max(float(np.median(squares) or np.mean(squares)) / rows, tiny)
+        return float(np.sqrt(_LEAST_SCALE2))
+    scale2 = max(float(np.median(squares) or np.mean(squares)) / rows, _LEAST_SCALE2)
     for _ in range(200):
         share = squares / (freedom * scale2 + squares)
         slope = (freedom + rows) * float(np.mean(share * (1 - share)))
         step = ((freedom + rows) * float(np.mean(share)) - rows) / max(slope, 1e-6)
-        scale2 = max(scale2 * float(np.exp(np.clip(step, -1.0, 1.0))), tiny)
+        scale2 = max(scale2 * float(np.exp(np.clip(step, -1.0, 1.0))), _LEAST_SCALE2)
         if abs(step) < 1e-9:
             break
     return float(np.sqrt(scale2))

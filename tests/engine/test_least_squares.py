@@ -10,6 +10,8 @@ from scipy.optimize import brentq
 from scipy.stats import chi2, multivariate_t
 
 from lite6jax.domains.pose.problem import pose_problem
+from lite6jax.estimation.least_squares import weighed
+from lite6jax.estimation.noise import white_noise
 from lite6jax.estimation.projection import scaled_inverse, scaled_solve
 from lite6jax.estimation.robust import FREEDOM
 from lite6jax.estimation.terms import Terms
@@ -67,6 +69,13 @@ def test_twice_the_noise_doubles_scale_and_deviations(arm, still, poses):
     assert loud.scale[0] / quiet.scale[0] == pytest.approx(2.0, rel=1e-2)
     ratio = np.sqrt(np.diagonal(loud.covariance) / np.diagonal(quiet.covariance))
     np.testing.assert_allclose(ratio, 2.0, rtol=1e-2)
+
+
+def test_residuals_of_exactly_zero_leave_weights_that_columns_can_take():
+    """Rounding decides whether noise-free poses leave 1e-16 m or nothing."""
+    nothing = weighed(np.zeros((6, 30)), white_noise(np.array([0, 0, 0, 1, 1, 1])), np.ones(30, bool))
+    columns = np.full((2, 180), 1e10) * np.sqrt(nothing.row_weight).ravel()
+    assert np.isfinite(columns @ columns.T).all()
 
 
 def scale_among_wild_rows(share):
