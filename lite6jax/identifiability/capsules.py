@@ -111,7 +111,7 @@ Segment = tuple[npt.NDArray[np.floating], npt.NDArray[np.floating], float]
 
 def _enclosed(path: str | Path, collision: ET.Element, where: str) -> Segment:
     """A shape's capsule in its own frame: start, end, radius."""
-    shape = next(iter(collision.find("geometry") or ()), None)
+    shape = next(iter(collision.iterfind("geometry/*")), None)
     kind = "nothing" if shape is None else shape.tag
     if shape is not None and kind == "sphere":
         return np.zeros(3), np.zeros(3), _length(shape, "radius", where)
