@@ -1,6 +1,6 @@
 """Nuisance and terms fitted together, robustly: the one Gauss–Newton of the engine, on exact residuals."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple, TypeVar, final
 
@@ -214,7 +214,7 @@ def _fitted(
         return [noise.whitened(linear_columns(where, terms, numbers[k:]))]
 
     state = weighed(residual(problem, at), noise, training)
-    converged, H = False, np.eye(0)
+    converged, H, damped = False, np.eye(0), 0.0
     for _ in range(options.exact_steps if exact else options.steps):
         parts = columns_at(problem, at, state.rows)
         if not sum(map(len, parts)):
@@ -225,19 +225,19 @@ def _fitted(
         H = gram(parts)
         gradient = pulled(parts, root * state.innovations) + precision * prior(problem, at)
         H[np.diag_indices_from(H)] += precision
-        change = -scaled_solve(H, gradient, rounding)
-        length = float(np.sqrt(max(-change @ gradient, 0.0)))
+        full = -scaled_solve(H, gradient, rounding)
+        length = float(np.sqrt(max(-full @ gradient, 0.0)))
         before = _cost(state.innovations, state, training) + _square(precision, prior(problem, at))
-        trial, there, rows = at, problem, state.rows
-        for _ in range(options.halvings + 1):
-            trial, there = at + change, problem
+        trial, there, rows, cost = at, problem, state.rows, np.inf
+        for step, damping in _steps(H, gradient, full, rounding, damped, options):
+            trial, there = at + step, problem
             if moving:
                 there, trial = problem.relinearised(trial[:k]), np.concatenate([np.zeros(k), trial[k:]])
             rows = residual(there, trial)
             cost = _cost(noise.whitened(rows), state, training) + _square(precision, prior(there, trial))
             if cost <= before + 1e-9 * abs(before):
+                damped = damping
                 break
-            change = change / 2
         else:
             break  # derivatives at the point of linearisation lead no further
         at, problem, state = trial, there, weighed(rows, noise, training)
@@ -253,6 +253,24 @@ def _fitted(
     penalty = _square(precision, prior(problem, at))
     found = Fit(terms, at[:k], at[k:], covariance, state, training, effective, converged, noise, penalty)
     return problem, found
+
+
+def _steps(
+    H: Array, gradient: Array, full: Array, rounding: float, damped: float, options: EngineOptions
+) -> Iterator[tuple[Array, float]]:
+    """The steps to try, each with its damping, until one improves the fit: the full one, halves of it, damped ones.
+
+    Where numbers are nearly confounded, errors of the derivatives turn a full step far along what the data hardly
+    determine, and halves of it point the same way. Damping bounds the step along these combinations alone (K.
+    Levenberg, Quarterly of Applied Mathematics 2, 1944). Once `damped`, a fit goes on with at least that damping.
+    """
+    if not damped:
+        yield from ((full / 2**k, 0.0) for k in range(options.halvings + 1))
+    for damping in options.damping:
+        if damping >= damped:
+            more = H.copy()
+            more[np.diag_indices_from(H)] *= 1 + damping
+            yield -scaled_solve(more, gradient, rounding), damping
 
 
 def weighed(rows: Array, noise: NoiseModel, training: Mask) -> Residuals:

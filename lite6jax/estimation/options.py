@@ -99,6 +99,11 @@ class EngineOptions:
     exact_steps: int = option(8, "most steps of a fit with derivatives by differences", "it starts at the solution")
     exact_settled: float = option(0.02, "length of its last step, in standard deviations", "each step is expensive")
     halvings: int = option(6, "most halvings of a step that does not improve", "a step of 1/64 is no progress")
+    damping: tuple[float, ...] = option(
+        (1e-6, 1e-4, 1e-2),
+        "of a step that halving does not improve, as a share of the diagonal of the normal equations",
+        "errors of derivatives, squared: a thousandth, a hundredth, a tenth",
+    )
     difference: float = option(1e-6, "m or rad by which a difference is taken", "between rounding and curvature")
     exact_rounding: float = option(
         1e-9,

@@ -4,16 +4,18 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from diagnosis.recorded import Made, fitted_to, static_motion, truth, with_effects
+from diagnosis.recorded import OPTIONS, Made, fitted_to, static_motion, truth, with_effects
 from scipy.integrate import quad
 from scipy.optimize import brentq
 from scipy.stats import chi2, multivariate_t
 
 from lite6jax.domains.pose.problem import pose_problem
+from lite6jax.effects.nonparametric import Unnamed
 from lite6jax.estimation.least_squares import weighed
 from lite6jax.estimation.noise import white_noise
 from lite6jax.estimation.projection import scaled_inverse, scaled_solve
 from lite6jax.estimation.robust import FREEDOM
+from lite6jax.estimation.score_test import score_test
 from lite6jax.estimation.terms import Terms
 
 TEXTS = ("joint_compliance:joint=2,compliance_rad_per_Nm=9e-5", "joint_backlash:joint=4,gap_rad=8e-4")
@@ -76,6 +78,24 @@ def test_residuals_of_exactly_zero_leave_weights_that_columns_can_take():
     nothing = weighed(np.zeros((6, 30)), white_noise(np.array([0, 0, 0, 1, 1, 1])), np.ones(30, bool))
     columns = np.full((2, 180), 1e10) * np.sqrt(nothing.row_weight).ravel()
     assert np.isfinite(columns @ columns.T).all()
+
+
+@pytest.mark.parametrize("size", [3e-4, 1e-3])
+def test_a_function_nearly_confounded_with_the_sensor_frame_is_fitted_to_the_noise(arm, still, size):
+    """Axes of a sensor that are skewed: six of the twelve numbers move its frame. Undamped steps led nowhere."""
+    skewed = replace(arm, effects=(), orientation=False, geometry="prior", tool=True)
+    poses = skewed.poses(still)
+    poses[:, :3, 3] += size * poses[:, :3, 3] @ np.random.default_rng(9).uniform(-1, 1, (3, 3))
+    recording = skewed.recording(still, poses=poses, seed=2)
+    ranges = np.stack([recording.position.min(0), recording.position.max(0)], 1)
+    drivers = " and ".join(f"measured position {axis}" for axis in "xyz")
+    function = Unnamed("sensor", drivers, *ranges[0], component="x y z", degree=1, further=tuple(ranges[1:].ravel()))
+    case = pose_problem(recording)
+    baseline = fitted_to(case)
+    start = score_test(case, baseline, OPTIONS).score([function])[0].values
+    fitted = fitted_to(case, Terms((function,)), values=start, nuisance=baseline.nuisance)
+    assert baseline.scale[0] > 3
+    assert fitted.scale[0] < 1
 
 
 def scale_among_wild_rows(share):
