@@ -136,7 +136,14 @@ class EngineOptions:
         "samples for each number of several functions without a name at one site, at least",
         "with fewer they describe the samples themselves",
     )
-    functions: int = option(3, "functions without a name that are fitted in a round", "scores and fits rank alike")
+    functions: int = option(
+        3, "functions without a name, each the likeliest of its site, that are fitted in a round", "as `refitted`"
+    )
+    ranked: int = option(
+        8,
+        "functions without a name, the likeliest of all, that are fitted in a round",
+        "at effects of many thresholds, scores and fits do not rank alike: of four such, all were among eight",
+    )
     named_share: float = option(0.5, "share of its gain that a name must reach to replace a function", "saves time")
     misfit: float = option(
         0.1,

@@ -1,7 +1,8 @@
 """Functions without a name: the likely ones at every site, beside a model or where autocorrelated noise masks them."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import replace
+from heapq import nlargest
 from typing import NamedTuple
 
 import numpy as np
@@ -87,16 +88,21 @@ def most_preferred(problem: Problem, state: State, choices: Sequence[State], opt
 
 
 def in_place_of(
-    problem: Problem, state: State, k: int, options: EngineOptions, rest: State | None = None
+    problem: Problem, state: State, k: int, options: EngineOptions, rest: State | None = None, alike: bool = False
 ) -> list[State]:
     """The state with each likely function in the place of its k-th term.
 
-    If that term is itself a function, functions of its site that share a driver with it are left out: that one of them
-    is likely says nothing of the others there. `rest` is the state without the term, where it is known.
+    Args:
+        problem: the data.
+        state: the model.
+        k: which of its terms.
+        options: thresholds.
+        rest: the state without it, where it is known.
+        alike: whether functions of its site that share a driver with it are tried too, if it is itself a function.
     """
     term, rest = state.tested[k].term, rest or reduced(problem, state, k, options)
     test = score_test(problem, rest.fit, options, within=state.fit)
-    but = term if term.nonparametric else None
+    but = term if term.nonparametric and not alike else None
     return with_each(problem, rest, likely_functions(problem, test, options, but=but), options)
 
 
@@ -146,12 +152,12 @@ def likely_functions(
     least: float | None = None,
     but: Term | None = None,
 ) -> list[LikelyFunction]:
-    """The few functions that are most likely beside a tested fit: of several sites one of each, or a few of one site.
+    """The few functions that are most likely beside a tested fit: of several sites one of each, and the first of all.
 
     Of each, the parts that it contains, such as one component of a displacement, are tried too.
 
-    Those of one driver and those of two are ranked apart. Functions of two drivers, of which there are many, imitate
-    one of another driver to first order, and a refit tells them apart.
+    Of the sites, those of one driver and those of two are ranked apart. Functions of two drivers, of which there are
+    many, imitate one of another driver to first order, and a refit tells them apart.
 
     Args:
         problem: the data.
@@ -163,18 +169,19 @@ def likely_functions(
     """
     least = options.close if least is None else least
     best: dict[object, LikelyFunction] = {}
+    of_all: dict[Term, LikelyFunction] = {}
     half_log_n, several = 0.5 * np.log(test.freedom), 2 * options.functions
 
     def key_of(whole: Term, several_drivers: bool) -> object:
         return (whole.site, several_drivers) if site is None else whole
 
-    def is_better(key: object, gain: float) -> bool:
-        return gain > (best[key].gain if key in best else least)
+    def is_better(gain: float, than: LikelyFunction | None) -> bool:
+        return gain > (least if than is None else than.gain)
 
     def compare(whole: Term, term: Term, gain: float) -> None:
-        key = key_of(whole, len(term.drivers) > 1)
-        if is_better(key, gain):
-            best[key] = LikelyFunction(term, gain)
+        for found, key in ((best, key_of(whole, len(term.drivers) > 1)), (of_all, whole)):
+            if is_better(gain, found.get(key)):
+                found[key] = LikelyFunction(term, gain)
 
     flexible = [*(term for term in problem.flexible if site in (None, term.site)), *local_curves_of(test, site)]
     if but is not None:
@@ -187,14 +194,19 @@ def likely_functions(
         compare(whole, whole, one.gain - length)
     a_function = log_functions(problem, options)
     for whole, inside, one in sorted(wholes, key=lambda each: -each[2].gain):
-        if one.gain - half_log_n - a_function <= max(_least_of_first(best.values(), several), least, 0.0):
+        reached = min(_least_of_first(best.values(), several), _least_of(of_all.values(), options.ranked))
+        if one.gain - half_log_n - a_function <= max(reached, least, 0.0):
             break  # a part hardly explains more than the whole
         parts = whole.parts
         for part, own in zip(parts, test.explained_parts(inside, parts), strict=True):
             gain = own.gain - own.size * half_log_n - a_function
-            if any(is_better(key_of(whole, kind), gain) for kind in (False, True)):
+            rivals = [best.get(key_of(whole, kind)) for kind in (False, True)]
+            if any(is_better(gain, rival) for rival in (*rivals, of_all.get(whole))):
                 compare(whole, part.made(), gain)
-    return [found for kind in _by_kind(best.values()) for found in _sure(kind[:several], test, options)]
+    kinds = (_sure(kind[:several], test, options) for kind in _by_kind(best.values()))
+    found = [one for kind in kinds for one in kind[: options.functions]]
+    first = sorted(of_all.values(), key=lambda one: -one.gain)[: options.ranked]
+    return [*found, *_sure([one for one in first if one not in found], test, options)]
 
 
 def _by_kind(functions: Iterable[LikelyFunction]) -> list[list[LikelyFunction]]:
@@ -205,12 +217,16 @@ def _by_kind(functions: Iterable[LikelyFunction]) -> list[list[LikelyFunction]]:
 
 def _least_of_first(functions: Iterable[LikelyFunction], count: int) -> float:
     """What a function must exceed to be among the first `count` of its kind; of the kind for which that is less."""
-    return min(kind[count - 1].gain if len(kind) >= count else -np.inf for kind in _by_kind(functions))
+    return min(_least_of(kind, count) for kind in _by_kind(functions))
+
+
+def _least_of(functions: Collection[LikelyFunction], count: int) -> float:
+    """What a function must exceed to be among the first `count`."""
+    return nlargest(count, (one.gain for one in functions))[-1] if len(functions) >= count else -np.inf
 
 
 def _sure(likely: Sequence[LikelyFunction], test: ScoreTest, options: EngineOptions) -> list[LikelyFunction]:
-    """The first few that noise does not explain."""
+    """Those that noise does not explain."""
     searched = searched_size(test.problem, options)
     scored = zip(likely, test.score([one.term for one in likely]), strict=True)
-    sure = [one for one, s in scored if gain_p_value(s.gain, s.size, test.time) * searched < options.level]
-    return sure[: options.functions]
+    return [one for one, s in scored if gain_p_value(s.gain, s.size, test.time) * searched < options.level]

@@ -31,7 +31,23 @@ def challenge_names(problem: Problem, state: State, options: EngineOptions) -> S
         if better is None:
             break
         state = with_tried_numbers(problem, believable(problem, better, options), options)
-    return _one_for_names(problem, _named_again(problem, state, options), options)
+    state = _one_for_names(problem, _named_again(problem, state, options), options)
+    return _most_probable(problem, state, options)
+
+
+def _most_probable(problem: Problem, state: State, options: EngineOptions) -> State:
+    """The state with the most probable function without a name in the place of each of its own.
+
+    Each was the most probable beside the terms of its time, some of which have left since.
+    """
+    for function in [tested.term for tested in state.tested if tested.term.nonparametric]:
+        if function.shrunk or function in problem.preset[0].terms or function not in state.fit.terms.terms:
+            continue
+        k = state.fit.terms.terms.index(function)
+        for choice in in_place_of(problem, state, k, options, alike=True):
+            if preferred(problem, choice, state, 0.0, options):
+                state = choice
+    return state
 
 
 def _named_again(problem: Problem, state: State, options: EngineOptions) -> State:

@@ -220,6 +220,20 @@ def test_noise_that_few_numbers_whiten_along_a_motion_is_no_physics(arm, seed, c
     assert not found.fit.noise.white
 
 
+@pytest.mark.parametrize("seed", [1, 2])
+def test_what_two_joints_swing_round_in_a_short_motion_is_a_function_of_their_velocities(arm, seed):
+    """100 samples: functions of two positions were found first, and the four numbers of the truth were not significant,
+    as blocks were as long as the effect correlates the residuals.
+    """
+    motion = moving_motion(seed, 100)
+    motion["run"], motion["time"] = np.zeros(100, int), 0.02 * np.arange(100)
+    velocity = motion["joint_velocity"]
+    found = terms(deflected(arm, motion, 3, 1e-3 * velocity[:, 0] * velocity[:, 4]))
+    assert [(term.name, term.site, term.driver) for term in found] == [
+        ("unnamed", "joint3", "velocity of joint 1 and velocity of joint 5")
+    ]
+
+
 def test_one_axis_of_a_sensor_that_stretches_is_a_function_of_that_axis(arm, still):
     recording = arm.recording(still)
     stretched = replace(recording, position=recording.position * np.array([1.0, 1.0003, 1.0]))
