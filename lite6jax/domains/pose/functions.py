@@ -177,8 +177,9 @@ def _at_joint(tried: _Tried, j: int, joints: _Joints) -> None:
     tried.pairs(site, rz, combinations(joints.velocities, 2), _QUADRATIC)
     # grease that thins with warmth; with squares, or other drivers, these would resemble zones of friction
     tried.pairs(site, rz, product([velocity], [*own_temperature, *_EVERYWHERE]), _QUADRATIC, power=1)
-    # play that differs from place to place, more sharply than a cubic
+    # play that differs from place to place, more sharply than a cubic; friction that fades with speed
     tried.spline(site, rz, own_position, direction)
+    tried.spline(site, rz, velocity, direction)
 
 
 def _at_link(tried: _Tried, j: int, joints: _Joints) -> None:
