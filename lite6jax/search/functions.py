@@ -169,7 +169,7 @@ def likely_functions(
     """
     least = options.close if least is None else least
     best: dict[object, LikelyFunction] = {}
-    of_all: dict[Term, LikelyFunction] = {}
+    of_all: dict[object, LikelyFunction] = {}
     half_log_n, several = 0.5 * np.log(test.freedom), 2 * options.functions
 
     def key_of(whole: Term, several_drivers: bool) -> object:
