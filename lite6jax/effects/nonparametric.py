@@ -25,10 +25,10 @@ COMPONENTS = ("x", "y", "z", "rx", "ry", "rz")
 SCALE = "scale"
 """The component of a sensor whose readings grow: what it shows moves away from its origin, in proportion."""
 
-_MEASURES = {**dict.fromkeys("xyz", ("m", "_m", np.inf)), SCALE: ("1", "", 1.0)}
-"""Unit of a component that is no rotation, how the names of its coefficients end, and what no curve reaches:
-coefficients are larger where no sample determines them.
-"""
+_MOST = 0.5
+"""m, rad, or a share of the readings: what no curve reaches. A coefficient that no sample shows may be larger."""
+_MEASURES = {**dict.fromkeys("xyz", ("m", "_m")), SCALE: ("1", "")}
+"""Unit of a component that is no rotation, and how the names of its coefficients end."""
 
 _TOGETHER = ("x y z", "rx ry rz", "rx ry")
 """Components of a twist that are one displacement of their own: a shift, a turn, a tilt."""
@@ -199,9 +199,9 @@ class Unnamed(Bending):
     def _coordinates(self) -> tuple[Coordinate, ...]:
         several = len(self.components) > 1
         return tuple(
-            Coordinate(f"{f'{component}_' if several else ''}{name}{end}", unit, 1e-4, spread, -limit, limit)
+            Coordinate(f"{f'{component}_' if several else ''}{name}{end}", unit, 1e-4, spread, -_MOST, _MOST)
             for component in self.components
-            for unit, end, limit in (_MEASURES.get(component, ("rad", "_rad", 2 * np.pi)),)
+            for unit, end in (_MEASURES.get(component, ("rad", "_rad")),)
             for name, spread in zip(self.basis.names, self.basis.spreads, strict=True)
         )
 

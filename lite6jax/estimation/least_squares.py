@@ -198,6 +198,7 @@ def _fitted(
     training = np.ones(problem.samples, bool) if training is None else training
     noise = white_noise(problem.groups) if noise is None else noise
     precision = np.concatenate([problem.precision, terms.precision])
+    least = np.concatenate([np.zeros(k), terms.least_information])
     rounding = options.exact_rounding if exact else ROUNDING
 
     def residual(where: P, numbers: Array) -> Array:
@@ -223,6 +224,7 @@ def _fitted(
         root = np.sqrt(np.where(training, state.row_weight, 0.0))
         parts = [part.weighed(root) if isinstance(part, Factored) else part * root for part in parts]
         H = gram(parts)
+        precision = np.maximum(precision, np.where(np.diagonal(H) < least, least, 0.0))
         gradient = pulled(parts, root * state.innovations) + precision * prior(problem, at)
         H[np.diag_indices_from(H)] += precision
         full = -scaled_solve(H, gradient, rounding)

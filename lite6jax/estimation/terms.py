@@ -137,6 +137,16 @@ class Terms:
         return (np.minimum(spread, self.range) if self.bounded else spread) ** -2.0
 
     @cached_property
+    def least_information(self) -> Array:
+        """`(size,)`, the information below which a coefficient of a function without a name is left to its bounds.
+
+        At the end of its driver's range hardly a sample may show a coefficient. Its bounds are then its prior: what it
+        can be at most is one standard deviation. Zero for other numbers.
+        """
+        functions = np.array([term.nonparametric for term in self.terms for _ in term.coordinates], bool)
+        return np.where(functions, (self.range / 2) ** -2.0, 0.0)
+
+    @cached_property
     def range(self) -> Array:
         """`(size,)`, between the least and the most that each number can be; infinite where all is possible."""
         return np.array([number.upper - number.lower for term in self.terms for number in term.coordinates], float)

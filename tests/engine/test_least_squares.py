@@ -239,3 +239,16 @@ def test_numbers_without_information_are_zero_and_change_no_others(numbers):
     np.testing.assert_allclose(inverse * np.outer(size, size), expected @ expected.T, atol=1e-12)
     assert not x[none].any()
     assert not inverse[none].any()
+
+
+def test_a_coefficient_that_hardly_a_sample_determines_is_no_larger_than_a_curve_can_be(arm, still):
+    """A spline whose range ends just before its last interval does: one sample shows a ten-thousandth of its end."""
+    q = still["joint_position"][:, 3]
+    least, most = float(q.min()), float(q.max())
+    upper = least + (most - least) * 8 / 7.05
+    bent = replace(arm, effects=())
+    case = pose_problem(bent.recording(still, bump=(4, lambda q: 5e-3 * np.maximum(q - 1.0, 0.0))))
+    fitted = fitted_to(case, Terms((Unnamed("joint4", "position of joint 4", least, upper),)))
+    deviation = np.sqrt(np.diagonal(fitted.covariance))
+    assert deviation[-1] > 0.1 > 30 * deviation[:-2].max()
+    assert np.abs(fitted.values).max() < 0.5
