@@ -5,6 +5,7 @@ All from the generator's own derivatives, whitened by the sensor's true noise, a
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain, combinations
 
 import numpy as np
 
@@ -66,6 +67,10 @@ class Rival:
     site: str
     apart: float
 
+    def or_nearer(self, name: str, site: str, apart: float) -> "Rival":
+        """This one, or another if it is nearer."""
+        return Rival(name, site, apart) if apart < self.apart else self
+
 
 def nearest_rival(view: View, hidden: tuple[Hidden, ...], place: int, span: Array) -> Rival:
     """Which other candidate explains most of one of the hidden effects, beside all that may vary.
@@ -88,22 +93,25 @@ def _nearest_name(
 ) -> Rival:
     """The candidate other than `effect` that explains most of the `rest` of it that is seen; taken beside `there`."""
     best = Rival("", "", float(np.linalg.norm(rest)))
-    for rival in candidates(view.setup.chain.dof, view.motion.curve is not None, bool(view.noise[1])):
-        order = effect.fixed.get("order")
-        same = (rival.name, rival.site) == (effect.name, effect.site)
-        if same and dict(rival.fixed) == ({} if order is None else {"order": order}) | source(effect):
-            continue
-        columns = view.padded(view.columns((*there, rival), len(there)))
-        distance = apart(rest, columns, left(columns))
-        if distance < best.apart:
-            best = Rival(rival.name, rival.site, distance)
+    for name, site, columns in _names(view, there, effect):
+        best = best.or_nearer(name, site, apart(rest, columns, left(columns)))
     return best
 
 
-def nearest_to_outside(view: View, effect: Hidden, sites: Sequence[str], drivers: Drivers) -> Rival:
-    """What an effect outside the catalogue is most easily taken for: a name, a function elsewhere or of another driver.
+def _names(view: View, there: tuple[Hidden, ...], effect: Hidden) -> Iterator[tuple[str, str, Array]]:
+    """Name, site and columns of the candidates other than `effect`, beside `there`."""
+    for rival in candidates(view.setup.chain.dof, view.motion.curve is not None, bool(view.noise[1])):
+        order = effect.fixed.get("order")
+        same = (rival.name, rival.site) == (effect.name, effect.site)
+        if not same or dict(rival.fixed) != ({} if order is None else {"order": order}) | source(effect):
+            yield rival.name, rival.site, view.padded(view.columns((*there, rival), len(there)))
 
-    Orders of gears, wobbling axes and wind-up are not among the names, so that the distance is an upper limit.
+
+def nearest_to_outside(view: View, effect: Hidden, sites: Sequence[str], drivers: Drivers) -> Rival:
+    """What an effect outside the catalogue is most easily taken for: a name, two of one site, or another function.
+
+    That is a function elsewhere or of another driver. Orders of gears and wind-up are not among the names, so that the
+    distance is an upper limit.
 
     Functions are polynomials of degree `_POWERS` of any driver: of an angle, or of one component of a twist.
 
@@ -117,11 +125,18 @@ def nearest_to_outside(view: View, effect: Hidden, sites: Sequence[str], drivers
     # linearised without the effect: beside a tool that turns, an offset of the tool would itself turn, and mimic it
     left = beyond(view.nuisance())
     rest = left(view.padded(g[:, None]))[:, 0]
-    best = _nearest_name(view, (), effect, rest, left)
-    for name, site, columns in _names_of_time_and_warmth(view):
-        distance = apart(rest, columns, left(columns))
-        if distance < best.apart:
-            best = Rival(name, site, distance)
+    best = Rival("", "", float(np.linalg.norm(rest)))
+    of_sites: dict[str, list[tuple[str, Array, Array]]] = {}
+    for name, site, columns in chain(_names(view, (), effect), _names_of_time_and_warmth(view), _wobbles(view)):
+        seen = left(columns)
+        best = best.or_nearer(name, site, apart(rest, columns, seen))
+        of_sites.setdefault(site, []).append((name, columns, seen))
+    for site, names in of_sites.items():
+        for (one, *first), (other, *second) in combinations(names, 2):
+            columns, seen = map(np.hstack, zip(first, second, strict=True))
+            # in noise alone, each number more brings them nearer by one, squared
+            further = min(first[0].shape[1], second[0].shape[1])
+            best = best.or_nearer(f"{one} and {other}", site, np.hypot(apart(rest, columns, seen), further**0.5))
     few, kept = view.thinned(_COMPARED_ROWS)
     left = beyond(few.nuisance())
     # computed in all rows and then thinned: how far a spring has yielded depends on the whole way
@@ -140,8 +155,7 @@ def nearest_to_outside(view: View, effect: Hidden, sites: Sequence[str], drivers
         for place, k in enumerate(there):
             block = slice(width * place, width * (place + 1))
             distance = apart(rest, columns[:, block], seen[:, block])
-            if distance < best.apart:
-                best = Rival(f"function of {functions[k][0]}", site, distance)
+            best = best.or_nearer(f"function of {functions[k][0]}", site, distance)
     return best
 
 
@@ -162,6 +176,18 @@ def _names_of_time_and_warmth(view: View) -> Iterator[tuple[str, str, Array]]:
         yield "joint_thermal_offset", warm.site, view.padded(view.columns((warm,), 0))
         yield "joint_warm_up", warm.site, powers(warm.site, 0.0, 1, 2)
     yield "sensor_drift", "sensor", np.concatenate([powers("sensor", float(axis), 1) for axis in range(6)], 1)
+
+
+def _wobbles(view: View) -> Iterator[tuple[str, str, Array]]:
+    """Name, site and columns of wobbling axes: the frame before a joint turns by waves of its angle, orders 1 and 2."""
+    for number in range(1, view.setup.chain.dof + 1):
+        before = f"link{number - 1}" if number > 1 else "base"
+        angle = view.motion.q[:, number - 1]
+        waves = np.stack([wave(order * angle) for order in (1, 2) for wave in (np.sin, np.cos)], 1)
+        steady = ({"span_s": 1.0, "power": 0.0, "axis": float(axis)} for axis in (3, 4, 5))
+        turned = [view.columns((Hidden(_STEADY, before, (0.0,), form),), 0) for form in steady]
+        each = np.repeat(waves, len(turned[0]) // len(waves), 0)
+        yield "axis_wobble", f"joint{number}", view.padded(np.hstack([column * each for column in turned]))
 
 
 def _components(dof: int) -> Iterator[tuple[str, float]]:
