@@ -181,6 +181,47 @@ FORMULAS = {
         {"axis": 0.0, "flange": 6.0, "flange_moment_y_Nm": 0.01},
         lambda s, m: 100 * torque(s, m, 6)[:, 1],
     ),
+    "cracked_tooth": (
+        "joint3",
+        {"torque_Nm": 3.0, "centre": 1.0, "width": 0.3},
+        lambda s, m: torque(s, m, 3)[:, 2] / 3 * np.exp(-((m.q[:, 2] - 1.0) ** 2) / 0.18),
+    ),
+    "starved_servo": ("joint3", {"limit": 0.3}, lambda s, m: m.dq[:, 2].clip(-0.3, 0.3) - m.dq[:, 2]),
+    "slack_bevel": ("joint3", {"by": 5.0}, lambda s, m: np.where(m.dq[:, 2] > -m.dq[:, 4], -1.0, 1.0)),
+    "wandering_disc": (
+        "joint3",
+        {"span_s": 2.0, "phase": 0.4},
+        lambda s, m: m.time / 2 * (np.sin(m.q[:, 2]) * np.cos(0.4) + np.cos(m.q[:, 2]) * np.sin(0.4)),
+    ),
+    "dented_bearing": (
+        "link3",
+        {"axis": 3.0, "moment_Nm": 2.0},
+        lambda s, m: np.sign(torque(s, m, 3)[:, 0]) * np.cbrt(torque(s, m, 3)[:, 0] ** 2 / 4),
+    ),
+    "snapping_casing": ("link3", {"axis": 4.0, "snaps": 0.6}, lambda s, m: np.where(rise(m) > 0.6, 1.0, 0.0)),
+    "humming_link": (
+        "link3",
+        {"axis": 3.0, "by": 5.0, "hums": 0.5, "band": 0.2},
+        lambda s, m: np.exp(-12.5 * (np.sqrt(m.dq[:, 4] ** 2) - 0.5) ** 2),
+    ),
+    "sunken_foot": (
+        "base",
+        {"axis": 4.0, "base_moment_Nm": 2.0},
+        lambda s, m: moments(s.chain, m.q, m.payload, PAYLOAD_CENTER)[1][:, :2].sum(1).clip(min=0) / 2,
+    ),
+    "passing_truck": (
+        "base",
+        {"axis": 3.0, "instant_s": 1.2, "passes_s": 0.5},
+        lambda s, m: np.exp(-2 * (m.time - 1.2) ** 2),
+    ),
+    "rattling_ball": (
+        "tool",
+        {"axis": 0.0, "flange": 6.0, "flange_moment_Nm": 0.01},
+        lambda s, m: (
+            torque(s, m, 6)[:, 1] / np.sqrt(torque(s, m, 6)[:, 0] ** 2 + torque(s, m, 6)[:, 1] ** 2 + 0.001**2)
+        ),
+    ),
+    "cold_hose": ("tool", {"axis": 4.0, "by": 2.0}, lambda s, m: m.q[:, 1] / np.exp(rise(m))),
 }
 IMAGES = {
     "lens_distortion": lambda p: p * np.sum(p**2, 1, keepdims=True),
@@ -190,6 +231,9 @@ IMAGES = {
     "bent_beam": lambda p: np.linalg.norm(p, axis=1, keepdims=True) ** 2 * [0.0, 0.0, 1.0],
     "eccentric_circle": lambda p: np.sin(np.arctan2(p[:, [1]], p[:, [0]])) * np.cross([0.0, 0.0, 1.0], p),
     "squinting_pair": lambda p: np.einsum("sa,s->sa", p, p[:, 2]),
+    "cyclic_ranger": lambda p: (
+        p / np.linalg.norm(p, axis=1, keepdims=True) * np.sin(5 * np.pi * np.linalg.norm(p, axis=1, keepdims=True))
+    ),
 }
 
 
@@ -214,7 +258,7 @@ def displaced(setup, motion, site, twist):
 
 def test_every_family_is_here():
     assert set(FORMULAS) | set(IMAGES) == set(FAMILIES)
-    assert len(FAMILIES) == 65
+    assert len(FAMILIES) == 77
 
 
 @pytest.mark.parametrize("name", FORMULAS)

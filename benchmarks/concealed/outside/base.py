@@ -94,4 +94,25 @@ FAMILIES: dict[str, Family] = {
         beside=("frame_offset",),
         moving=True,
     ),
+    # a foot at a corner stands on soft ground, and sinks when the arm leans over it
+    "sunken_foot": Family(
+        "base",
+        "turn_rad",
+        lambda fixed, s: np.maximum((s.base_moment[:, 0] + s.base_moment[:, 1]) / fixed["base_moment_Nm"], 0.0),
+        ("base_moment_Nm",),
+        together(phrases("base moment x"), phrases("base moment y")),
+        (3, 4),
+        beside=("base_compliance", "frame_offset"),
+        loaded=True,
+    ),
+    # a truck that drives by bends the floor for a while
+    "passing_truck": Family(
+        "base",
+        "turn_rad",
+        lambda fixed, s: np.exp(-0.5 * ((s.time - fixed["instant_s"]) / fixed["passes_s"]) ** 2),
+        ("instant_s", "passes_s"),
+        TIME,
+        (3, 4),
+        beside=("frame_offset",),
+    ),
 }

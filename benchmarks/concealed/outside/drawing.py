@@ -51,6 +51,16 @@ def drawn(name: str, rng: np.random.Generator, s: Signals) -> tuple[str, dict[st
                 fixed[key] = float(np.percentile(s.warmth(), rng.uniform(30, 60)))
             case "fades":
                 fixed[key] = float(np.percentile(np.abs(s.dq[:, joint - 1]), rng.uniform(20, 50)))
+            case "limit":
+                fixed[key] = float(np.percentile(np.abs(s.dq[:, joint - 1]), rng.uniform(40, 70)))
+            case "snaps":
+                fixed[key] = float(np.percentile(s.warmth(), rng.uniform(35, 65)))
+            case "passes_s":
+                fixed[key] = float(rng.uniform(0.06, 0.15) * s.time[-1])
+            case "hums":
+                speed = np.abs(column(s.dq, fixed, "by"))
+                band = float(rng.uniform(0.1, 0.2) * np.percentile(speed, 95))
+                fixed |= {"hums": float(np.percentile(speed, rng.uniform(35, 75))), "band": band}
             case "flange":
                 fixed[key] = float(dof)
             case "lower":

@@ -14,6 +14,7 @@ from benchmarks.concealed.outside.family import (
     Family,
     Fixed,
     Signals,
+    beyond,
     column,
     either,
     own,
@@ -238,5 +239,45 @@ FAMILIES: dict[str, Family] = {
         own(TORQUE, "by"),
         beside=("joint_offset",),
         loaded=True,
+    ),
+    # a tooth with a crack at its root gives way to the load while it is in mesh
+    "cracked_tooth": Family(
+        "joint",
+        "turn_rad",
+        lambda fixed, s: torque(fixed, s) * _bump(fixed, s),
+        ("torque_Nm", "centre", "width"),
+        together(own(TORQUE), own(POSITION)),
+        beside=("joint_compliance", "joint_offset"),
+        loaded=True,
+    ),
+    # an amplifier runs out of voltage above a speed, and the servo falls behind
+    "starved_servo": Family(
+        "joint",
+        "turn_rad",
+        lambda fixed, s: -beyond(column(s.dq, fixed), fixed["limit"]),
+        ("limit",),
+        own(VELOCITY),
+        beside=("joint_lag",),
+        moving=True,
+    ),
+    # a bevel gear that two motors turn together has play, which their sum takes up
+    "slack_bevel": Family(
+        "joint",
+        "turn_rad",
+        lambda fixed, s: -np.sign(column(s.dq, fixed) + column(s.dq, fixed, "by")),
+        ("by",),
+        together(either(VELOCITY, DIRECTION), either(VELOCITY, DIRECTION, key="by")),
+        beside=("joint_backlash",),
+        moving=True,
+        skipping=True,
+    ),
+    # the disc of an encoder slides out of its centre, as its glue gives
+    "wandering_disc": Family(
+        "joint",
+        "turn_rad",
+        lambda fixed, s: s.time / fixed["span_s"] * np.sin(column(s.q, fixed) + fixed["phase"]),
+        ("span_s", "phase"),
+        together(TIME, own(POSITION)),
+        beside=("joint_harmonic", "joint_offset"),
     ),
 }

@@ -15,7 +15,9 @@ from benchmarks.concealed.outside.family import (
     Fixed,
     Signals,
     column,
+    either,
     own,
+    signed_power,
     together,
 )
 
@@ -23,6 +25,10 @@ from benchmarks.concealed.outside.family import (
 def _gradient(fixed: Fixed, s: Signals) -> Array:
     near = int(fixed["joint"]) - 1
     return (s.temperature[:, near + 1] - s.temperature[:, near]) / WARMER
+
+
+def _humming(fixed: Fixed, s: Signals) -> Array:
+    return np.exp(-0.5 * ((np.abs(column(s.dq, fixed, "by")) - fixed["hums"]) / fixed["band"]) ** 2)
 
 
 FAMILIES: dict[str, Family] = {
@@ -141,5 +147,38 @@ FAMILIES: dict[str, Family] = {
         (4,),
         beside=("frame_offset",),
         loaded=True,
+    ),
+    # the balls of a bearing are pressed into their races, ever less by more load (H. Hertz, 1881)
+    "dented_bearing": Family(
+        "link",
+        "turn_rad",
+        lambda fixed, s: signed_power(column(s.moment[..., 0], fixed) / fixed["moment_Nm"], 2 / 3),
+        ("moment_Nm",),
+        own("gravity moment x of link"),
+        (3,),
+        beside=("link_compliance", "frame_offset"),
+        loaded=True,
+    ),
+    # a casing screwed down under stress snaps over where it is warm enough, and back
+    "snapping_casing": Family(
+        "link",
+        "turn_rad",
+        lambda fixed, s: (s.warmth() > fixed["snaps"]).astype(float),
+        ("snaps",),
+        TEMPERATURE,
+        (3, 4),
+        beside=("frame_offset",),
+        warm=True,
+    ),
+    # at one speed another joint's motor makes a link hum, and a loose fit sits aside while it does
+    "humming_link": Family(
+        "link",
+        "turn_rad",
+        _humming,
+        ("by", "hums"),
+        either(VELOCITY, "speed of joint", key="by"),
+        (3, 4),
+        beside=("frame_offset",),
+        moving=True,
     ),
 }

@@ -75,6 +75,18 @@ OPENED: dict[str, float] = {
     "flung_probe": 2411,
     "sliding_nest": 2411,
     "squinting_pair": 2411,
+    "cracked_tooth": SEALED,
+    "starved_servo": SEALED,
+    "slack_bevel": SEALED,
+    "wandering_disc": SEALED,
+    "dented_bearing": SEALED,
+    "snapping_casing": SEALED,
+    "humming_link": SEALED,
+    "sunken_foot": SEALED,
+    "passing_truck": SEALED,
+    "rattling_ball": SEALED,
+    "cold_hose": SEALED,
+    "cyclic_ranger": SEALED,
 }
 """By name, the first seed of a campaign that draws the family without --sealed.
 

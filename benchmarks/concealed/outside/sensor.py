@@ -5,6 +5,9 @@ import numpy as np
 from benchmarks.concealed.chain import Array
 from benchmarks.concealed.outside.family import TEMPERATURE, TIME, Family, phrases
 
+_CYCLE = 0.4
+"""m of distance in which the error of a distance meter comes round."""
+
 FAMILIES: dict[str, Family] = {
     "lens_distortion": Family(
         "image",
@@ -69,6 +72,8 @@ FAMILIES: dict[str, Family] = {
     ),
     # one camera of a pair was knocked and squints: all that is far comes too near, along its sight
     "squinting_pair": Family("image", "shift_m", None, (), phrases("measured position"), beside=("measurement_scale",)),
+    # light that strays in a distance meter mixes with its signal, and the error comes round with the phase
+    "cyclic_ranger": Family("image", "shift_m", None, (), phrases("measured position"), beside=("measurement_scale",)),
 }
 
 
@@ -93,4 +98,8 @@ def seen_shift(name: str, position: Array) -> Array:
         case "squinting_pair":
             # an error of the disparity grows with the depth
             return position * z[:, None]
+        case "cyclic_ranger":
+            # along the line of sight
+            distance = np.sqrt(x**2 + y**2 + z**2)
+            return position * (np.sin(2 * np.pi * distance / _CYCLE) / distance)[:, None]
     raise KeyError(name)

@@ -20,10 +20,18 @@ from benchmarks.concealed.outside.family import (
     together,
 )
 
+_ROLLS = 0.1
+"""Of the load: the moment about which a ball begins to roll."""
+
 
 def _tipped(fixed: Fixed, s: Signals) -> Array:
     load = column(s.moment[..., 0], fixed, "flange") / fixed["flange_moment_Nm"]
     return np.sign(load) * (np.abs(load) > PRELOAD)
+
+
+def _rolled(fixed: Fixed, s: Signals) -> Array:
+    x, y = (column(s.moment[..., axis], fixed, "flange") / fixed["flange_moment_Nm"] for axis in (0, 1))
+    return y / np.sqrt(x**2 + y**2 + _ROLLS**2)
 
 
 FAMILIES: dict[str, Family] = {
@@ -105,5 +113,27 @@ FAMILIES: dict[str, Family] = {
         (0,),
         beside=("tool_offset",),
         loaded=True,
+    ),
+    # a ball that is loose in its cup lies at the rim, on the side to which its weight rolls it
+    "rattling_ball": Family(
+        "tool",
+        "shift_m",
+        _rolled,
+        ("flange", "flange_moment_Nm"),
+        together(own("gravity moment x of link", "flange"), own("gravity moment y of link", "flange")),
+        (0,),
+        beside=("tool_offset",),
+        loaded=True,
+    ),
+    # a hose that is stiff when cold and soft when warm pulls at the tool as a joint bends it
+    "cold_hose": Family(
+        "tool",
+        "turn_rad",
+        lambda fixed, s: np.exp(-s.warmth()) * column(s.q, fixed, "by"),
+        ("by",),
+        together(TEMPERATURE, BY_JOINT),
+        (3, 4),
+        beside=("tool_offset",),
+        warm=True,
     ),
 }
