@@ -1,9 +1,9 @@
 """Functions without a name: the likely ones at every site, beside a model or where autocorrelated noise masks them."""
 
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from heapq import nlargest
-from typing import NamedTuple
+from typing import NamedTuple, final
 
 import numpy as np
 
@@ -167,62 +167,82 @@ def likely_functions(
         least: gain that they must exceed; `close` where not given.
         but: a function; those at its site that share a driver with it are left out.
     """
-    least = options.close if least is None else least
-    best: dict[object, LikelyFunction] = {}
-    of_all: dict[object, LikelyFunction] = {}
-    half_log_n, several = 0.5 * np.log(test.freedom), 2 * options.functions
-
-    def key_of(whole: Term, several_drivers: bool) -> object:
-        return (whole.site, several_drivers) if site is None else whole
-
-    def is_better(gain: float, than: LikelyFunction | None) -> bool:
-        return gain > (least if than is None else than.gain)
-
-    def compare(whole: Term, term: Term, gain: float) -> None:
-        for found, key in ((best, key_of(whole, len(term.drivers) > 1)), (of_all, whole)):
-            if is_better(gain, found.get(key)):
-                found[key] = LikelyFunction(term, gain)
-
     flexible = [*(term for term in problem.flexible if site in (None, term.site)), *local_curves_of(test, site)]
     if but is not None:
         flexible = [one for one in flexible if one.site != but.site or not set(one.drivers) & set(but.drivers)]
+    least = options.close if least is None else least
+    ranking = _Ranking(least, options, by_site=site is None)
+    half_log_n, a_function = 0.5 * np.log(test.freedom), log_functions(problem, options)
     equations = test.equations(flexible)
     wholes = list(zip(flexible, equations, explained_by(equations, options.confounded), strict=True))
     for whole, _, one in wholes:
         # what the names and the nuisance explain already costs nothing
         length = description_length(problem, [whole], test.freedom, options) - (whole.size - one.size) * half_log_n
-        compare(whole, whole, one.gain - length)
-    a_function = log_functions(problem, options)
+        ranking.add(whole, whole, one.gain - length)
     for whole, inside, one in sorted(wholes, key=lambda each: -each[2].gain):
-        reached = min(_least_of_first(best.values(), several), _least_of(of_all.values(), options.ranked))
-        if one.gain - half_log_n - a_function <= max(reached, least, 0.0):
+        if one.gain - half_log_n - a_function <= max(ranking.reached, least, 0.0):
             break  # a part hardly explains more than the whole
         parts = whole.parts
         for part, own in zip(parts, test.explained_parts(inside, parts), strict=True):
             gain = own.gain - own.size * half_log_n - a_function
-            rivals = [best.get(key_of(whole, kind)) for kind in (False, True)]
-            if any(is_better(gain, rival) for rival in (*rivals, of_all.get(whole))):
-                compare(whole, part.made(), gain)
-    kinds = (_sure(kind[:several], test, options) for kind in _by_kind(best.values()))
-    found = [one for kind in kinds for one in kind[: options.functions]]
-    first = sorted(of_all.values(), key=lambda one: -one.gain)[: options.ranked]
-    return [*found, *_sure([one for one in first if one not in found], test, options)]
+            if ranking.may_add(whole, gain):
+                ranking.add(whole, part.made(), gain)
+    found = [one for kind in ranking.of_sites() for one in _sure(kind, test, options)[: options.functions]]
+    return [*found, *_sure([one for one in ranking.of_all() if one not in found], test, options)]
 
 
-def _by_kind(functions: Iterable[LikelyFunction]) -> list[list[LikelyFunction]]:
-    """Functions of one driver and those of several, the likeliest first."""
-    ranked = sorted(functions, key=lambda one: -one.gain)
-    return [[one for one in ranked if (len(one.term.drivers) > 1) == several] for several in (False, True)]
+@final
+class _Ranking:
+    """The likeliest functions: of each site, those of one driver and those of several apart, and of all.
+
+    Where the functions are of one site, each counts as a site does.
+    """
+
+    def __init__(self, least: float, options: EngineOptions, by_site: bool) -> None:
+        self._least, self._by_site = least, by_site
+        self._of_each, self._of_all = 2 * options.functions, options.ranked
+        self._likeliest: dict[object, LikelyFunction] = {}
+        self._every: dict[object, LikelyFunction] = {}
+
+    def may_add(self, whole: Term, gain: float) -> bool:
+        """Whether a part of a function, of however many drivers, would be likelier than what is there."""
+        there = (self._likeliest.get(self._key(whole, several)) for several in (False, True))
+        return any(gain > self._gain(one) for one in (*there, self._every.get(whole)))
+
+    def add(self, whole: Term, term: Term, gain: float) -> None:
+        """Adds a function, or a part of it, where that is likelier than what is there."""
+        key = self._key(whole, len(term.drivers) > 1)
+        for found, place in ((self._likeliest, key), (self._every, whole)):
+            if gain > self._gain(found.get(place)):
+                found[place] = LikelyFunction(term, gain)
+
+    @property
+    def reached(self) -> float:
+        """What a function must exceed to be among the likeliest, those of sites or those of all."""
+        return min(*(_least_of(kind, self._of_each) for kind in self._kinds()), _least_of(self.of_all(), self._of_all))
+
+    def of_sites(self) -> list[list[LikelyFunction]]:
+        """The likeliest of sites, of one driver and of several, the likeliest first."""
+        return [kind[: self._of_each] for kind in self._kinds()]
+
+    def of_all(self) -> list[LikelyFunction]:
+        """The likeliest of all, the likeliest first."""
+        return nlargest(self._of_all, self._every.values(), key=lambda one: one.gain)
+
+    def _kinds(self) -> list[list[LikelyFunction]]:
+        ranked = sorted(self._likeliest.values(), key=lambda one: -one.gain)
+        return [[one for one in ranked if (len(one.term.drivers) > 1) == several] for several in (False, True)]
+
+    def _key(self, whole: Term, several: bool) -> object:
+        return (whole.site, several) if self._by_site else whole
+
+    def _gain(self, one: LikelyFunction | None) -> float:
+        return self._least if one is None else one.gain
 
 
-def _least_of_first(functions: Iterable[LikelyFunction], count: int) -> float:
-    """What a function must exceed to be among the first `count` of its kind; of the kind for which that is less."""
-    return min(_least_of(kind, count) for kind in _by_kind(functions))
-
-
-def _least_of(functions: Collection[LikelyFunction], count: int) -> float:
+def _least_of(ranked: Sequence[LikelyFunction], count: int) -> float:
     """What a function must exceed to be among the first `count`."""
-    return nlargest(count, (one.gain for one in functions))[-1] if len(functions) >= count else -np.inf
+    return ranked[count - 1].gain if len(ranked) >= count else -np.inf
 
 
 def _sure(likely: Sequence[LikelyFunction], test: ScoreTest, options: EngineOptions) -> list[LikelyFunction]:
