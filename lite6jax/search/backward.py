@@ -33,10 +33,11 @@ def prune(problem: Problem, state: State, options: EngineOptions) -> State:
 
     Of the terms, those are refitted without that a quadratic likelihood would miss least, unless it would miss them
     clearly. A name that a function at its site may contain, as a cubic contains a line, is always refitted without: the
-    quadratic likelihood says nothing of it, as the two are nearly confounded.
+    quadratic likelihood says nothing of it, as the two are nearly confounded. A model that leaves no degree of freedom
+    stays as it is: there, no likelihood says which of its terms are needed.
     """
     n = state.fit.freedom
-    while len(state.tested) > 1:
+    while len(state.tested) > 1 and n > 0:
         allowed = [np.log(multiplicity(problem, tested.term, options)) for tested in state.tested]
         losses = []
         missed = [state.fit.quadratic_gain(k) - 0.5 * t.term.size * np.log(n) for k, t in enumerate(state.tested)]

@@ -42,8 +42,8 @@ def tried_functions(motion: Motion, loads: Loads | None, rows: int, sites: dict[
     Those of one driver are cubics and splines (of a direction of motion, a line), and waves of joint angles and of the
     angles of the line of sight. Those of several are products: of a site's own drivers, such as the position and the
     load of a joint; of one of these, or the position of any joint, and one of the whole arm; and of the positions or
-    the velocities of two joints. Parts of them, such as one component of a displacement, are not among them:
-    `Unnamed.parts` gives these.
+    the velocities, at a joint also the directions, of two joints. Parts of them, such as one component of a
+    displacement, are not among them: `Unnamed.parts` gives these.
 
     Args:
         motion: time-shifted.
@@ -71,6 +71,7 @@ class _Joints:
         velocities: of each joint.
         loads: of gravity on each joint.
         temperatures: of each joint; none where all joints have that of the whole arm, which would be there twice.
+        directions: of motion, of each joint.
         turning: positions of the revolute joints.
     """
 
@@ -79,6 +80,7 @@ class _Joints:
         self.positions, self.velocities, self.loads = map(self._each, ("position", "velocity", "gravity torque"))
         rise = motion.joint_temperature_rise
         self.temperatures = [] if rise is None or not np.ptp(np.asarray(rise), 0).any() else self._each("temperature")
+        self.directions = [Driver(_DIRECTION, driver.place) for driver in self.positions]
         self.turning = [driver for driver, slides in zip(self.positions, self._slides, strict=True) if not slides]
 
     def others(self, joint: int) -> list[Driver]:
@@ -87,7 +89,7 @@ class _Joints:
 
     def moving(self, but: int = 0) -> list[Driver]:
         """The velocities of all joints, and the directions of motion of all but one."""
-        return [*self.velocities, *(Driver(_DIRECTION, driver.place) for driver in self.others(but))]
+        return [*self.velocities, *(driver for driver in self.directions if driver.place != but)]
 
     def _each(self, quantity: str) -> list[Driver]:
         return [joint_driver(quantity, j, slides) for j, slides in enumerate(self._slides, 1)]
@@ -163,7 +165,7 @@ class _Tried:
 def _at_joint(tried: _Tried, j: int, joints: _Joints) -> None:
     """An angle: by the joint's own loads, motion and temperature, and by the motion and loads of any other joint."""
     site, rz = f"joint{j}", "rz"
-    own_position, velocity, direction = joints.positions[j - 1], joints.velocities[j - 1], Driver(_DIRECTION, j)
+    own_position, velocity, direction = joints.positions[j - 1], joints.velocities[j - 1], joints.directions[j - 1]
     own_temperature = joints.temperatures[j - 1 : j]
     own = [own_position, joints.loads[j - 1], *own_temperature]
     loads = [load for load in joints.loads if load.place != j]
@@ -175,6 +177,8 @@ def _at_joint(tried: _Tried, j: int, joints: _Joints) -> None:
     tried.pairs(site, rz, combinations(joints.positions, 2))
     # what several joints swing round at once
     tried.pairs(site, rz, combinations(joints.velocities, 2), _QUADRATIC)
+    # play that the motors of two joints take up together, as in a differential
+    tried.pairs(site, rz, combinations(joints.directions, 2), _QUADRATIC)
     # grease that thins with warmth; with squares, or other drivers, these would resemble zones of friction
     tried.pairs(site, rz, product([velocity], [*own_temperature, *_EVERYWHERE]), _QUADRATIC, power=1)
     # play that differs from place to place, more sharply than a cubic; friction that fades with speed
@@ -189,7 +193,7 @@ def _at_link(tried: _Tried, j: int, joints: _Joints) -> None:
     """
     site, own_position = f"link{j}", joints.positions[j - 1]
     moments = [Driver(f"gravity moment {axis}", j) for axis in "xy"]
-    own, direction = [own_position, *moments], Driver(_DIRECTION, j)
+    own, direction = [own_position, *moments], joints.directions[j - 1]
     if own_position in joints.turning:
         tried.waves(site, _TILT, own_position)
     # cables and belts of other joints, and what these swing round
