@@ -30,9 +30,9 @@ PAYLOAD_COM = (0.02, -0.01, 0.04)
 GRAVITY = (0.0, 0.0, -9.81)
 
 
-def drawn(folder, seed, trial):
+def drawn(folder, seed, trial, sealed=False):
     """The recording of a concealed trial; its files are written into the folder."""
-    for name, text in draw(seed, trial).files.items():
+    for name, text in draw(seed, trial, sealed).files.items():
         (folder / name).write_text(text)
     return read_recording(folder / "recording.csv")
 

@@ -13,6 +13,7 @@ from lite6jax.estimation.options import EngineOptions, documented
 from lite6jax.estimation.score_test import score_test
 from lite6jax.estimation.terms import Terms
 from lite6jax.search.alternatives import named_again
+from lite6jax.search.backward import prune
 from lite6jax.search.final_estimates import final_estimates
 from lite6jax.search.forward import forward
 from lite6jax.search.search import search
@@ -38,6 +39,15 @@ def test_a_number_that_no_sample_depends_on_has_no_share_of_the_inputs():
     tested = tuple(SelectedTerm(term, 0.0, None) for term in terms.terms)
     said = final_estimates(problem, State(fit(problem, Terms(), OPTIONS), fitted, tested), OPTIONS)
     assert [test.input_share for test in said.tested] == [0.0, 0.0]
+
+
+def test_terms_that_leave_no_degree_of_freedom_are_not_pruned():
+    problem = linear_problem(np.random.default_rng(0), planted=lambda d: 0.8 * d["u2"])
+    model = Terms((Column("u2"), Column("u5")))
+    fitted = replace(fit(problem, model, OPTIONS), parameters=1e6)
+    tested = tuple(SelectedTerm(term, 0.0, None) for term in model.terms)
+    state = State(fit(problem, Terms(), OPTIONS), fitted, tested)
+    assert prune(problem, state, OPTIONS) is state
 
 
 @pytest.mark.parametrize("seed", range(4))
