@@ -5,9 +5,10 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from benchmarks.concealed import campaign, command, hiding, outside, plans, recorded, rivals, trials
-from benchmarks.concealed.chain import MADE, description_text, lite6, rotation_from_vector
+from benchmarks.concealed.chain import MADE, description_text, lite6, rotation_from_rpy, rotation_from_vector
 from benchmarks.concealed.mujoco_physics import Arm
 from benchmarks.concealed.outside import FAMILIES, families
 from benchmarks.concealed.plain_physics import Hidden, Setup, hardening, moments, poses, yielding
@@ -390,6 +391,30 @@ def test_what_a_name_does_as_well_is_taken_for_it(scene, straight, name):
     found = nearest(scene, straight)
     assert (found.name, found.site) == (name, straight.site)
     assert found.apart < 1e-2
+
+
+def test_what_two_names_of_a_site_do_together_is_taken_for_them(scene):
+    """Friction that fades slowly with the speed is play and a lag."""
+    setup, _ = scene
+    motion = recorded.draw_motion(np.random.default_rng(43), setup.chain, True, 60)
+    fading = Hidden("fading_friction", "joint4", (1e-3,), {"joint": 4.0, "fades": 2.0})
+    found = nearest((setup, motion), fading)
+    assert (found.name, found.site) == ("joint_backlash and joint_lag", "joint4")
+
+
+def test_a_wobbling_axis_tilts_before_its_joint_turns(scene):
+    """By one wave: the link after the joint turns with it, so that a tilt about the fixed x is about x and y there."""
+    setup, motion = scene
+    view = View(setup, Open(frame=False, tool=0, geometry=False), motion.thinned(40), (2e-5, 1e-4))
+    columns = {site: columns for _, site, columns in rivals._wobbles(view)}["joint4"]
+    tilt = 1e-6
+    rows = setup.chain.rows.copy()
+    fixed = rotation_from_rpy(*rows[3, 3:]) @ rotation_from_vector(np.array([tilt, 0.0, 0.0]))
+    rows[3, 3:] = Rotation.from_matrix(fixed).as_euler("xyz")
+    tilted = replace(setup, chain=replace(setup.chain, rows=rows))
+    moved = view.difference(poses(setup, (), view.motion), poses(tilted, (), view.motion)) / tilt
+    wave = np.repeat(np.sin(view.motion.q[:, 3]), 6)
+    np.testing.assert_allclose(columns[:, 0], moved * wave, rtol=1e-4, atol=1e-4 * np.abs(moved).max())
 
 
 def test_what_a_function_of_another_driver_does_as_well_is_taken_for_it(scene):

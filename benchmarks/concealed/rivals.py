@@ -22,6 +22,8 @@ _STEADY = "squared_drift"
 """The family that does a power of the time, of 0 the same at every sample, at any site."""
 _POWERS = 3
 """Of a driver: a function that is to stand in for another is a polynomial of this degree."""
+_NEARER = 1.0
+"""Standard deviations by which two names of a site have to come nearer than one to be what an effect is taken for."""
 _COMPARED_ROWS = 400
 """Of a recording, evenly chosen, on which functions are compared; each counts for as many as it stands for."""
 
@@ -133,10 +135,9 @@ def nearest_to_outside(view: View, effect: Hidden, sites: Sequence[str], drivers
         of_sites.setdefault(site, []).append((name, columns, seen))
     for site, names in of_sites.items():
         for (one, *first), (other, *second) in combinations(names, 2):
-            columns, seen = map(np.hstack, zip(first, second, strict=True))
-            # in noise alone, each number more brings them nearer by one, squared
-            further = min(first[0].shape[1], second[0].shape[1])
-            best = best.or_nearer(f"{one} and {other}", site, np.hypot(apart(rest, columns, seen), further**0.5))
+            distance = apart(rest, *map(np.hstack, zip(first, second, strict=True)))
+            if distance < best.apart - _NEARER:
+                best = Rival(f"{one} and {other}", site, distance)
     few, kept = view.thinned(_COMPARED_ROWS)
     left = beyond(few.nuisance())
     # computed in all rows and then thinned: how far a spring has yielded depends on the whole way
@@ -179,15 +180,17 @@ def _names_of_time_and_warmth(view: View) -> Iterator[tuple[str, str, Array]]:
 
 
 def _wobbles(view: View) -> Iterator[tuple[str, str, Array]]:
-    """Name, site and columns of wobbling axes: the frame before a joint turns by waves of its angle, orders 1 and 2."""
+    """Name, site and columns of wobbling axes: before a joint turns, its frame tilts by waves of its angle."""
     for number in range(1, view.setup.chain.dof + 1):
-        before = f"link{number - 1}" if number > 1 else "base"
         angle = view.motion.q[:, number - 1]
-        waves = np.stack([wave(order * angle) for order in (1, 2) for wave in (np.sin, np.cos)], 1)
-        steady = ({"span_s": 1.0, "power": 0.0, "axis": float(axis)} for axis in (3, 4, 5))
-        turned = [view.columns((Hidden(_STEADY, before, (0.0,), form),), 0) for form in steady]
-        each = np.repeat(waves, len(turned[0]) // len(waves), 0)
-        yield "axis_wobble", f"joint{number}", view.padded(np.hstack([column * each for column in turned]))
+        forms = ({"span_s": 1.0, "power": 0.0, "axis": axis} for axis in (3.0, 4.0))
+        about_x, about_y = (view.columns((Hidden(_STEADY, f"link{number}", (0.0,), form),), 0) for form in forms)
+        each = len(about_x) // len(angle)
+        c, s = np.repeat(np.cos(angle), each)[:, None], np.repeat(np.sin(angle), each)[:, None]
+        # a tilt before the rotation, by what it is after it
+        before = np.hstack([c * about_x - s * about_y, s * about_x + c * about_y])
+        waves = (np.repeat(wave(order * angle), each)[:, None] for order in (1, 2) for wave in (np.sin, np.cos))
+        yield "axis_wobble", f"joint{number}", view.padded(np.hstack([before * wave for wave in waves]))
 
 
 def _components(dof: int) -> Iterator[tuple[str, float]]:

@@ -26,7 +26,9 @@ SCALE = "scale"
 """The component of a sensor whose readings grow: what it shows moves away from its origin, in proportion."""
 
 _MOST = 0.5
-"""m, rad, or a share of the readings: what no curve reaches. A coefficient that no sample shows may be larger."""
+"""rad, m, or a share of the readings: the largest coefficient of splines, plays and polynomials that is possible."""
+_MOST_OF_WAVES = 2 * np.pi
+"""That of waves, which may nearly cancel over a part of a turn."""
 _MEASURES = {**dict.fromkeys("xyz", ("m", "_m")), SCALE: ("1", "")}
 """Unit of a component that is no rotation, and how the names of its coefficients end."""
 
@@ -197,9 +199,9 @@ class Unnamed(Bending):
 
     @cached_property
     def _coordinates(self) -> tuple[Coordinate, ...]:
-        several = len(self.components) > 1
+        several, most = len(self.components) > 1, _MOST_OF_WAVES if self.orders else _MOST
         return tuple(
-            Coordinate(f"{f'{component}_' if several else ''}{name}{end}", unit, 1e-4, spread, -_MOST, _MOST)
+            Coordinate(f"{f'{component}_' if several else ''}{name}{end}", unit, 1e-4, spread, -most, most)
             for component in self.components
             for unit, end in (_MEASURES.get(component, ("rad", "_rad")),)
             for name, spread in zip(self.basis.names, self.basis.spreads, strict=True)

@@ -197,7 +197,7 @@ def _fitted(
     )
     training = np.ones(problem.samples, bool) if training is None else training
     noise = white_noise(problem.groups) if noise is None else noise
-    precision = np.concatenate([problem.precision, terms.precision])
+    known = precision = np.concatenate([problem.precision, terms.precision])
     least = np.concatenate([np.zeros(k), terms.least_information])
     rounding = options.exact_rounding if exact else ROUNDING
 
@@ -224,7 +224,8 @@ def _fitted(
         root = np.sqrt(np.where(training, state.row_weight, 0.0))
         parts = [part.weighed(root) if isinstance(part, Factored) else part * root for part in parts]
         H = gram(parts)
-        precision = np.maximum(precision, np.where(np.diagonal(H) < least, least, 0.0))
+        # not for all: along what a frame takes up of a function, a prior would let errors of exact derivatives through
+        precision = np.maximum(known, np.where(np.diagonal(H) < least, least, 0.0))
         gradient = pulled(parts, root * state.innovations) + precision * prior(problem, at)
         H[np.diag_indices_from(H)] += precision
         full = -scaled_solve(H, gradient, rounding)
@@ -263,8 +264,9 @@ def _steps(
     """The steps to try, each with its damping, until one improves the fit: the full one, halves of it, damped ones.
 
     Where numbers are nearly confounded, errors of the derivatives turn a full step far along what the data hardly
-    determine, and halves of it point the same way. Damping bounds the step along these combinations alone (K.
-    Levenberg, Quarterly of Applied Mathematics 2, 1944). Once `damped`, a fit goes on with at least that damping.
+    determine, and halves of it point the same way. Damping bounds the step along these combinations alone (D.
+    Marquardt, Journal of the Society for Industrial and Applied Mathematics 11, 1963). Once `damped`, a fit goes on
+    with at least that damping.
     """
     if not damped:
         yield from ((full / 2**k, 0.0) for k in range(options.halvings + 1))

@@ -101,8 +101,8 @@ class EngineOptions:
     halvings: int = option(6, "most halvings of a step that does not improve", "a step of 1/64 is no progress")
     damping: tuple[float, ...] = option(
         (1e-6, 1e-4, 1e-2),
-        "of a step that halving does not improve, as a share of the diagonal of the normal equations",
-        "errors of derivatives, squared: a thousandth, a hundredth, a tenth",
+        "damping factors, over the diagonal of the normal equations, of steps where no halved one improves a fit",
+        "squares of errors of derivatives of a thousandth, a hundredth and a tenth",
     )
     difference: float = option(1e-6, "m or rad by which a difference is taken", "between rounding and curvature")
     exact_rounding: float = option(
@@ -137,12 +137,14 @@ class EngineOptions:
         "with fewer they describe the samples themselves",
     )
     functions: int = option(
-        3, "functions without a name, each the likeliest of its site, that are fitted in a round", "as `refitted`"
+        3,
+        "sites whose likeliest function without a name is fitted in a round, of one driver and of several each",
+        "what is likely at one site imitates what is there at another",
     )
     ranked: int = option(
-        8,
+        4,
         "functions without a name, the likeliest of all, that are fitted in a round",
-        "at effects of many thresholds, scores and fits do not rank alike: of four such, all were among eight",
+        "in four trials with effects of many thresholds, the true function scored best beside the final terms",
     )
     named_share: float = option(0.5, "share of its gain that a name must reach to replace a function", "saves time")
     misfit: float = option(

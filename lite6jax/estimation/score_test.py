@@ -360,6 +360,7 @@ def score_test(
         ]
     )
     scale = rms * best.scale
+    scale = np.maximum(scale, options.rounding * scale.max())  # of a group without noise
     residual = (winsorised / rms[problem.groups, None]).ravel()
     time = float(_times(winsorised, problem.groups).max()) if time is None else time
     if within:

@@ -138,13 +138,13 @@ class Terms:
 
     @cached_property
     def least_information(self) -> Array:
-        """`(size,)`, the information below which a coefficient of a function without a name is left to its bounds.
+        """`(size,)`, the information of a coefficient of a function below which its possible range is its prior.
 
-        At the end of its driver's range hardly a sample may show a coefficient. Its bounds are then its prior: what it
-        can be at most is one standard deviation. Zero for other numbers.
+        At the end of its driver's range hardly a sample may show a coefficient of a function without a name. The range
+        is then one standard deviation, as where all terms are `bounded`. Zero for other numbers.
         """
         functions = np.array([term.nonparametric for term in self.terms for _ in term.coordinates], bool)
-        return np.where(functions, (self.range / 2) ** -2.0, 0.0)
+        return np.where(functions, self.range**-2.0, 0.0)
 
     @cached_property
     def range(self) -> Array:

@@ -98,7 +98,8 @@ def in_place_of(
         k: which of its terms.
         options: thresholds.
         rest: the state without it, where it is known.
-        alike: whether functions of its site that share a driver with it are tried too, if it is itself a function.
+        alike: whether functions of its site that share a driver with it are tried too, if it is itself a function. That
+            one of them is likely says nothing of the others there, where these are sought.
     """
     term, rest = state.tested[k].term, rest or reduced(problem, state, k, options)
     test = score_test(problem, rest.fit, options, within=state.fit)
@@ -152,12 +153,13 @@ def likely_functions(
     least: float | None = None,
     but: Term | None = None,
 ) -> list[LikelyFunction]:
-    """The few functions that are most likely beside a tested fit: of several sites one of each, and the first of all.
+    """The few functions that are most likely beside a tested fit.
 
-    Of each, the parts that it contains, such as one component of a displacement, are tried too.
+    Of one driver and of several each, the likeliest of each of `functions` sites, and the `ranked` likeliest of all. Of
+    each, the parts that it contains, such as one component of a displacement, are tried too.
 
-    Of the sites, those of one driver and those of two are ranked apart. Functions of two drivers, of which there are
-    many, imitate one of another driver to first order, and a refit tells them apart.
+    Functions of two drivers, of which there are many, imitate one of another driver to first order, and a refit tells
+    them apart.
 
     Args:
         problem: the data.
@@ -195,7 +197,7 @@ def likely_functions(
 class _Ranking:
     """The likeliest functions: of each site, those of one driver and those of several apart, and of all.
 
-    Where the functions are of one site, each counts as a site does.
+    Without `by_site`, where all functions are of one site, they are ranked singly.
     """
 
     def __init__(self, least: float, options: EngineOptions, by_site: bool) -> None:
@@ -219,7 +221,10 @@ class _Ranking:
     @property
     def reached(self) -> float:
         """What a function must exceed to be among the likeliest, those of sites or those of all."""
-        return min(*(_least_of(kind, self._of_each) for kind in self._kinds()), _least_of(self.of_all(), self._of_all))
+        kinds = self._kinds()
+        if min(map(len, kinds)) < self._of_each or len(self._every) < self._of_all:
+            return -np.inf
+        return min(*(kind[self._of_each - 1].gain for kind in kinds), self.of_all()[-1].gain)
 
     def of_sites(self) -> list[list[LikelyFunction]]:
         """The likeliest of sites, of one driver and of several, the likeliest first."""
@@ -238,11 +243,6 @@ class _Ranking:
 
     def _gain(self, one: LikelyFunction | None) -> float:
         return self._least if one is None else one.gain
-
-
-def _least_of(ranked: Sequence[LikelyFunction], count: int) -> float:
-    """What a function must exceed to be among the first `count`."""
-    return ranked[count - 1].gain if len(ranked) >= count else -np.inf
 
 
 def _sure(likely: Sequence[LikelyFunction], test: ScoreTest, options: EngineOptions) -> list[LikelyFunction]:

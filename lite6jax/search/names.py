@@ -38,7 +38,7 @@ def challenge_names(problem: Problem, state: State, options: EngineOptions) -> S
 def _most_probable(problem: Problem, state: State, options: EngineOptions) -> State:
     """The state with the most probable function without a name in the place of each of its own.
 
-    Each was the most probable beside the terms of its time, some of which have left since.
+    Each was the most probable beside the terms that the model had when it was added, some of which have left since.
     """
     for function in [tested.term for tested in state.tested if tested.term.nonparametric]:
         if function.shrunk or function in problem.preset[0].terms or function not in state.fit.terms.terms:

@@ -83,8 +83,8 @@ def _at_its_place(
     """Whether a function acts at the site of the k-th term, or on some of the groups of rows and the term on no others.
 
     If the term is a function too, that explains less, also whether it is not distinguished from one at that site. If it
-    is a name that shows only through the function, as the direction of gravity does through a function of a load, it is
-    at the function's place.
+    is a name that shows only through functions, as the direction of gravity does through a function of a load, it is at
+    the place of each function through which it shows.
     """
     term, function = tests[k].term, of.term
     if term.site == function.site:
@@ -92,9 +92,12 @@ def _at_its_place(
     if term.nonparametric:
         return tests[k].score.gain < of.score.gain and _also_at(problem, state, k, function.site, options)
     model = state.fit.terms, state.fit.values
-    others = state.fit.terms.part(state.fit.values, [one != function for one in state.fit.terms.terms])
-    if not acts_on(problem, term, others).any():
-        return True
+    names, alone = (
+        state.fit.terms.part(state.fit.values, kept)
+        for kept in ([not one.nonparametric for one in model[0].terms], [one == function for one in model[0].terms])
+    )
+    if not acts_on(problem, term, names).any():
+        return bool(acts_on(problem, term, alone).any())
     acts, there = (set(problem.groups[acts_on(problem, one, model)].tolist()) for one in (term, function))
     return acts <= there < set(problem.groups.tolist())
 

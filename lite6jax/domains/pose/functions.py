@@ -178,7 +178,7 @@ def _at_joint(tried: _Tried, j: int, joints: _Joints) -> None:
     # what several joints swing round at once
     tried.pairs(site, rz, combinations(joints.velocities, 2), _QUADRATIC)
     # play that the motors of two joints take up together, as in a differential
-    tried.pairs(site, rz, combinations(joints.directions, 2), _QUADRATIC)
+    tried.pairs(site, rz, combinations(joints.directions, 2), degree=2)
     # grease that thins with warmth; with squares, or other drivers, these would resemble zones of friction
     tried.pairs(site, rz, product([velocity], [*own_temperature, *_EVERYWHERE]), _QUADRATIC, power=1)
     # play that differs from place to place, more sharply than a cubic; friction that fades with speed
