@@ -80,15 +80,6 @@ def test_residuals_of_exactly_zero_leave_weights_that_columns_can_take():
     assert np.isfinite(columns @ columns.T).all()
 
 
-def test_orientations_without_noise_beside_positions_with_it_are_scored(arm, still, poses):
-    case = pose_problem(arm.recording(still, poses=poses))
-    fitted = fitted_to(case)
-    rows = fitted.residuals.rows.copy()
-    rows[case.groups == 1] = 0.0
-    exact = replace(fitted, residuals=weighed(rows, fitted.noise, fitted.training))
-    assert np.isfinite([score.gain for score in score_test(case, exact, OPTIONS).score(PHYSICS.terms)]).all()
-
-
 @pytest.mark.parametrize("size", [3e-4, 1e-3])
 def test_a_function_nearly_confounded_with_the_sensor_frame_is_fitted_to_the_noise(arm, still, size):
     """Axes of a sensor that are skewed: six of the twelve numbers move its frame. Undamped steps led nowhere."""

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from engine.linear_problem import Column, Curve, Decay, Hat, LinearProblem, Number, Wave, linear_problem
 
-from lite6jax.estimation.least_squares import fit
+from lite6jax.estimation.least_squares import fit, weighed
 from lite6jax.estimation.multiplicity import searched_size
 from lite6jax.estimation.noise import autocorrelation_time, noise_model
 from lite6jax.estimation.options import EngineOptions, documented
@@ -39,6 +39,16 @@ def test_a_number_that_no_sample_depends_on_has_no_share_of_the_inputs():
     tested = tuple(SelectedTerm(term, 0.0, None) for term in terms.terms)
     said = final_estimates(problem, State(fit(problem, Terms(), OPTIONS), fitted, tested), OPTIONS)
     assert [test.input_share for test in said.tested] == [0.0, 0.0]
+
+
+def test_a_group_of_readings_without_noise_is_scored():
+    problem = linear_problem(np.random.default_rng(0), planted=lambda d: 0.8 * d["u2"])
+    fitted = fit(problem, Terms(), OPTIONS)
+    rows = fitted.residuals.rows.copy()
+    rows[problem.groups == 1] = 0.0
+    exact = replace(fitted, residuals=weighed(rows, fitted.noise, fitted.training))
+    (score,) = score_test(problem, exact, OPTIONS).score([Column("u2")])
+    assert np.isfinite(score.gain)
 
 
 def test_terms_that_leave_no_degree_of_freedom_are_not_pruned():
