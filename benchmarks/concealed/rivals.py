@@ -3,7 +3,7 @@
 All from the generator's own derivatives, whitened by the sensor's true noise, as in `information`.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain, combinations
 
@@ -87,15 +87,9 @@ def nearest_rival(view: View, hidden: tuple[Hidden, ...], place: int, span: Arra
     absent = (*hidden[:place], *hidden[place + 1 :])
     g = view.difference(poses(view.setup, absent, view.motion), poses(view.setup, hidden, view.motion))
     left = beyond(span)
-    return _nearest_name(view, hidden, hidden[place], left(view.padded(g[:, None]))[:, 0], left)
-
-
-def _nearest_name(
-    view: View, there: tuple[Hidden, ...], effect: Hidden, rest: Array, left: Callable[[Array], Array]
-) -> Rival:
-    """The candidate other than `effect` that explains most of the `rest` of it that is seen; taken beside `there`."""
+    rest = left(view.padded(g[:, None]))[:, 0]
     best = Rival("", "", float(np.linalg.norm(rest)))
-    for name, site, columns in _names(view, there, effect):
+    for name, site, columns in _names(view, hidden, hidden[place]):
         best = best.or_nearer(name, site, apart(rest, columns, left(columns)))
     return best
 

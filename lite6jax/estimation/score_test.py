@@ -249,6 +249,10 @@ class ScoreTest:
         residual = self.residual - (new @ self.residual) @ new
         return replace(self, basis=np.concatenate([self.basis, new]), residual=residual)
 
+    def with_time(self, time: float) -> "ScoreTest":
+        """The same test in noise of another autocorrelation time, in samples, by which its blocks are chosen."""
+        return replace(self, time=time, blocks=_blocks(self.problem.samples, time, self.options))
+
     def _scored(self, projected: Array, norms: Array, per_block: Array) -> Score:
         return block_test(projected, norms, per_block, self._by_block, self.scale[0], self.options)
 

@@ -37,7 +37,9 @@ def prune(problem: Problem, state: State, options: EngineOptions) -> State:
     stays as it is: there, no likelihood says which of its terms are needed.
     """
     n = state.fit.freedom
-    while len(state.tested) > 1 and n > 0:
+    if n <= 0:
+        return state
+    while len(state.tested) > 1:
         allowed = [np.log(multiplicity(problem, tested.term, options)) for tested in state.tested]
         losses = []
         missed = [state.fit.quadratic_gain(k) - 0.5 * t.term.size * np.log(n) for k, t in enumerate(state.tested)]

@@ -144,8 +144,7 @@ def with_curve(problem: Problem, beside: State, curve: Term, options: EngineOpti
     p_value = min(gain_p_value(gain, curve.size, after.time) * searched, 1.0)
     if tested_by_blocks(curve, fit, options):
         # blocks as long as those of what is left: a large effect correlates neighbours until it is in the model
-        own = score_test(problem, beside.fit, options, after.time)
-        p_value = max(p_value, own.score([curve])[0].familywise(searched))
+        p_value = max(p_value, test.with_time(after.time).score([curve])[0].familywise(searched))
     lower, upper = np.transpose(problem.limits(curve))
     if np.any((fit.values[-curve.size :] < lower) | (fit.values[-curve.size :] > upper)):
         p_value = 1.0

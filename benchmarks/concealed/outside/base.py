@@ -10,6 +10,7 @@ from benchmarks.concealed.outside.family import (
     TIME,
     Family,
     beyond,
+    bump,
     column,
     own,
     phrases,
@@ -109,7 +110,7 @@ FAMILIES: dict[str, Family] = {
     "passing_truck": Family(
         "base",
         "turn_rad",
-        lambda fixed, s: np.exp(-0.5 * ((s.time - fixed["instant_s"]) / fixed["passes_s"]) ** 2),
+        lambda fixed, s: bump(s.time, fixed["instant_s"], fixed["passes_s"]),
         ("instant_s", "passes_s"),
         TIME,
         (3, 4),

@@ -106,6 +106,11 @@ def beyond(values: Array, free: float) -> Array:
     return np.sign(values) * np.maximum(np.abs(values) - free, 0.0)
 
 
+def bump(values: Array, centre: float, width: float) -> Array:
+    """`(sample,)`: 1 at the centre, and a half at 1.2 widths from it."""
+    return np.exp(-0.5 * ((values - centre) / width) ** 2)
+
+
 def torque(fixed: Fixed, s: Signals) -> Array:
     """`(sample,)`: gravity's torque at the family's joint, over the drawn `torque_Nm`."""
     return column(s.moment[..., 2], fixed) / fixed["torque_Nm"]

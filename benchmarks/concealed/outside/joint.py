@@ -15,6 +15,7 @@ from benchmarks.concealed.outside.family import (
     Fixed,
     Signals,
     beyond,
+    bump,
     column,
     either,
     own,
@@ -28,7 +29,7 @@ _PULLEY = 1.5
 
 
 def _bump(fixed: Fixed, s: Signals) -> Array:
-    return np.exp(-0.5 * ((column(s.q, fixed) - fixed["centre"]) / fixed["width"]) ** 2)
+    return bump(column(s.q, fixed), fixed["centre"], fixed["width"])
 
 
 def _step(fixed: Fixed, s: Signals) -> Array:

@@ -14,6 +14,7 @@ from benchmarks.concealed.outside.family import (
     Family,
     Fixed,
     Signals,
+    bump,
     column,
     either,
     own,
@@ -25,10 +26,6 @@ from benchmarks.concealed.outside.family import (
 def _gradient(fixed: Fixed, s: Signals) -> Array:
     near = int(fixed["joint"]) - 1
     return (s.temperature[:, near + 1] - s.temperature[:, near]) / WARMER
-
-
-def _humming(fixed: Fixed, s: Signals) -> Array:
-    return np.exp(-0.5 * ((np.abs(column(s.dq, fixed, "by")) - fixed["hums"]) / fixed["band"]) ** 2)
 
 
 FAMILIES: dict[str, Family] = {
@@ -174,7 +171,7 @@ FAMILIES: dict[str, Family] = {
     "humming_link": Family(
         "link",
         "turn_rad",
-        _humming,
+        lambda fixed, s: bump(np.abs(column(s.dq, fixed, "by")), fixed["hums"], fixed["band"]),
         ("by", "hums"),
         either(VELOCITY, "speed of joint", key="by"),
         (3, 4),
