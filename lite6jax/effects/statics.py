@@ -99,17 +99,16 @@ def with_mass_errors(inertia: Inertia, errors: ArrayLike, payload: float = 0.0) 
             distance of the arm where that is larger: a centre near an axis is not better known.
         payload: kg by which it is heavier than declared, put into the last link at the payload's centre.
     """
-    e = np.asarray(errors, float)
-    mass, center = np.asarray(inertia.mass), np.asarray(inertia.center_of_mass)
-    distance = np.linalg.norm(center, axis=1, keepdims=True)
-    lever = np.maximum(distance, distance.mean())
+    e, mass, center = jnp.asarray(errors), jnp.asarray(inertia.mass), jnp.asarray(inertia.center_of_mass)
+    distance = jnp.linalg.norm(center, axis=1, keepdims=True)
+    lever = jnp.maximum(distance, distance.mean())
     heavier = mass * (1 + e[:, 0])
     moment = heavier[:, None] * center + mass[:, None] * lever * e[:, 1:]
-    heavier[-1] += payload
-    moment[-1] += payload * np.asarray(inertia.payload_center)
+    heavier = heavier.at[-1].add(payload)
+    moment = moment.at[-1].add(payload * jnp.asarray(inertia.payload_center))
     weightless = heavier == 0
-    center = np.where(weightless[:, None], center, moment / np.where(weightless, 1.0, heavier)[:, None])
-    return inertia._replace(mass=jnp.asarray(heavier), center_of_mass=jnp.asarray(center))
+    center = jnp.where(weightless[:, None], center, moment / jnp.where(weightless, 1.0, heavier)[:, None])
+    return inertia._replace(mass=heavier, center_of_mass=center)
 
 
 def loads(

@@ -92,14 +92,15 @@ class Deflections:
         """
         if self.inertia is None:
             return None
-        inertia, errors = self.inertia, errors or self.errors
-        if errors is not None:
-            inertia = with_mass_errors(inertia, errors.links)
-            motion = motion._replace(payload=np.asarray(motion.payload) + errors.payload)  # type: ignore[arg-type]
+        inertia, errors = self.inertia, errors or self.errors or self._exact
         if physics is not None:
             inertia = physics.alter_inertia(np.asarray(values, float), inertia)  # type: ignore[arg-type]
-        form = motion.chain
-        return jax.tree.map(np.asarray, _loads(form, jnp.asarray(self.kinematics.ravel()), motion, inertia))
+        return jax.tree.map(np.asarray, _loads(motion.chain, self.kinematics.ravel(), motion, inertia, errors))
+
+    @property
+    def _exact(self) -> MassErrors:
+        """Masses as declared."""
+        return MassErrors(np.zeros((len(self.kinematics), 4)), 0.0)
 
     def altered_motion(self, physics: Physics, values: Array) -> Motion:
         """The motion as effects of the clock and of the loads alter it, on the host."""
@@ -240,15 +241,12 @@ class Deflections:
     def _loads_by_mass(self, masses: tuple[Site, ...]) -> list[tuple[Loads | None, Loads | None, float]]:
         if self.inertia is None:
             return [(None, None, _STEP)] * len(masses)
-        dof = len(self.kinematics)
-        none = MassErrors(np.zeros((dof, 4)), 0.0)
         steps = [sign * _STEP * one for one in np.eye(len(masses)) for sign in (-1, 1)]
-        errors = [mass_errors(masses, step, dof, self.errors) or none for step in steps]
-        bodies = [with_mass_errors(self.inertia, one.links) for one in errors]
-        varied = jax.tree.map(lambda *parts: np.stack(parts), *bodies)
-        payloads = np.array([one.payload for one in errors])
-        kinematics = jnp.asarray(self.kinematics.ravel())
-        found = jax.tree.map(np.asarray, _loads_of_each(self.motion.chain, kinematics, self.motion, varied, payloads))
+        dof = len(self.kinematics)
+        errors = [mass_errors(masses, step, dof, self.errors) or self._exact for step in steps]
+        stacked = MassErrors(np.stack([one.links for one in errors]), np.array([one.payload for one in errors]))  # type: ignore[arg-type]
+        of_each = _loads_of_each(self.motion.chain, self.kinematics.ravel(), self.motion, self.inertia, stacked)
+        found = jax.tree.map(np.asarray, of_each)
         each = [jax.tree.map(itemgetter(k), found) for k in range(len(steps))]
         return [(less, more, _STEP) for less, more in zip(each[::2], each[1::2], strict=True)]
 
@@ -275,23 +273,14 @@ def _host(deflection: Deflection) -> Deflection:
 
 
 @partial(jax.jit, static_argnums=0)
-def _loads(form: Form, kinematics: jax.Array, motion: Motion, inertia: Inertia) -> Loads:
+def _loads(form: Form, kinematics: jax.Array, motion: Motion, inertia: Inertia, errors: MassErrors) -> Loads:
+    """The loads on an arm whose masses are off by some errors."""
     position, velocity, acceleration = motion.joint_position, motion.joint_velocity, motion.joint_acceleration
-    return loads(form, kinematics, joint_motion(form, position), motion.payload, inertia, velocity, acceleration)
+    payload, inertia = motion.payload + errors.payload, with_mass_errors(inertia, errors.links)
+    return loads(form, kinematics, joint_motion(form, position), payload, inertia, velocity, acceleration)
 
 
 @partial(jax.jit, static_argnums=0)
-def _loads_of_each(form: Form, kinematics: jax.Array, motion: Motion, inertia: Inertia, payload: jax.Array) -> Loads:
-    """Those of several arms that differ in their bodies alone, one after the other: of many rows they take much memory.
-
-    Args:
-        form, kinematics, motion: as of `_loads`.
-        inertia: each part of it `(arm, …)`.
-        payload: `(arm,)` kg, more than that of the motion.
-    """
-
-    def one(of_arm: tuple[Inertia, jax.Array]) -> Loads:
-        body, more = of_arm
-        return _loads(form, kinematics, motion._replace(payload=motion.payload + more), body)
-
-    return jax.lax.map(one, (inertia, payload))
+def _loads_of_each(form: Form, kinematics: jax.Array, motion: Motion, inertia: Inertia, errors: MassErrors) -> Loads:
+    """Those of several errors, each part of them `(case, …)`, in turn: of many rows they take much memory."""
+    return jax.lax.map(lambda one: _loads(form, kinematics, motion, inertia, one), errors)
