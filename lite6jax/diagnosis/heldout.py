@@ -30,8 +30,8 @@ from lite6jax.estimation.least_squares import Fit, relinearise
 from lite6jax.estimation.problem import Mask, Problem
 from lite6jax.fitting.problem import Geometry
 from lite6jax.recordings import Recording
-from lite6jax.search.search import Selection
-from lite6jax.search.state import State, fitted_again
+from lite6jax.search.search import Selection, at_estimate
+from lite6jax.search.state import fitted_again
 
 Array = NDArray[np.floating]
 
@@ -162,9 +162,7 @@ def _predicted(
 ) -> HeldOut:
     """The errors on the rows of a fold, from the others."""
     found = explain(recording, arm, geometry, options, effects, factory, ~held, False, decisions)
-    state, reference = found.selection.state, found.selection.reference
-    assert isinstance(reference, PoseProblem)
-    return _errors(reference, found.problem, state, held)
+    return _errors(found.selection, held)
 
 
 def refitted_errors(selection: Selection, folds: Sequence[Mask], options: Options) -> HeldOut:
@@ -184,15 +182,17 @@ def refitted_errors(selection: Selection, folds: Sequence[Mask], options: Option
         reference = problem = relinearise(selection.reference, engine, training)
         if selection.problem is not selection.reference:
             problem = relinearise(selection.problem, engine, training)
-        assert isinstance(reference, PoseProblem)
-        assert isinstance(problem, PoseProblem)
-        return _errors(reference, problem, fitted_again(problem, reference, state, training, engine), held)
+        again = Selection(problem, reference, fitted_again(problem, reference, state, training, engine))
+        return _errors(at_estimate(again, engine), held)
 
     return _in_order(side_by_side(predicted, folds), folds)
 
 
-def _errors(reference: PoseProblem, problem: PoseProblem, state: State, held: Mask) -> HeldOut:
+def _errors(selection: Selection, held: Mask) -> HeldOut:
     """Of the held-out rows: the problems of a fold, whose columns take a gigabyte of a real arm, end with it."""
+    problem, reference, state = selection.problem, selection.reference, selection.state
+    assert isinstance(reference, PoseProblem)
+    assert isinstance(problem, PoseProblem)
     turned_before, angle_before = _turns(reference, state.baseline)
     turned_after, angle_after = _turns(problem, state.fit)
     before, after = _distance(reference, state.baseline), _distance(problem, state.fit)

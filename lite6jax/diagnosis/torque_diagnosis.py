@@ -22,14 +22,14 @@ from lite6jax.domains.torque.problem import TorqueProblem, torque_problem
 from lite6jax.domains.torque.screening import contacts, screen_torques
 from lite6jax.effects.dynamic.torque_effect import TorqueEffect
 from lite6jax.estimation.least_squares import Fit
-from lite6jax.estimation.problem import Mask
+from lite6jax.estimation.problem import Mask, Problem
 from lite6jax.fitting.recognition import declared_arm_of, with_calibration
 from lite6jax.progress import Stage, entered, followed, part
 from lite6jax.recordings import Recording
 from lite6jax.recordings.sequence import contiguous_blocks
 from lite6jax.search.final_estimates import final_estimates
-from lite6jax.search.search import search
-from lite6jax.search.state import State, fitted_again
+from lite6jax.search.search import Selection, search
+from lite6jax.search.state import fitted_again
 
 Array = NDArray[np.floating]
 
@@ -71,6 +71,8 @@ def diagnose_torques(
             problem = replace(problem, valid=~pushed)
             problem = linearised(problem, options.engine, ~pushed) if pushed.any() else problem
             selection = search(problem, options.engine)
+            problem = selection.problem
+            assert isinstance(problem, TorqueProblem)
             entered("estimating")
             selection = replace(selection, state=final_estimates(problem, selection.state, options.engine))
         folds = contiguous_blocks(problem.samples, fold_count(problem.samples, options))
@@ -81,8 +83,8 @@ def diagnose_torques(
         if findings and (ratio := _ratio(before, after, problem, folds)) > options.heldout_rise:
             state, spread = selection.state, spread_folds(folds, selection.state.fit.noise, options)
 
-            def refitted(there: TorqueProblem, training: Mask) -> State:
-                return fitted_again(there, there, state, training, options.engine)
+            def refitted(there: TorqueProblem, training: Mask) -> Selection:
+                return Selection(there, there, fitted_again(there, there, state, training, options.engine))
 
             of_folds = side_by_side(partial(_errors_without, whole, options, refitted), spread)
             errors = _in_order(of_folds, spread, whole)
@@ -132,14 +134,14 @@ def _of_table(table: pa.Table, joints: int) -> tuple[Array, Array]:
 def _errors_of_search(held: Mask, problem: TorqueProblem, options: Options, saturated: bool) -> tuple[Array, Array]:
     """As `_errors_without`, with the model that a search of the other samples selects."""
 
-    def searched(there: TorqueProblem, training: Mask) -> State:
-        return search(there, options.engine, training, thorough=False, saturated=saturated).state
+    def searched(there: TorqueProblem, training: Mask) -> Selection:
+        return search(there, options.engine, training, thorough=False, saturated=saturated)
 
     return _errors_without(problem, options, searched, held)
 
 
 def _errors_without(
-    problem: TorqueProblem, options: Options, model: Callable[[TorqueProblem, Mask], State], held: Mask
+    problem: TorqueProblem, options: Options, model: Callable[[TorqueProblem, Mask], Selection], held: Mask
 ) -> tuple[Array, Array]:
     """Errors `(joint, held)` Nm on the samples of a fold, from the others, without and with effects.
 
@@ -154,8 +156,9 @@ def _errors_without(
     near = np.convolve(held, np.ones(3), "same") > 0
     training = ~near & problem.valid
     there = linearised(problem, options.engine, training)
-    state = model(there, training)
-    return _errors(there, state.baseline)[:, held], _errors(there, state.fit)[:, held]
+    found = model(there, training)
+    state = found.state
+    return _errors(found.reference, state.baseline)[:, held], _errors(found.problem, state.fit)[:, held]
 
 
 def _in_order(
@@ -184,5 +187,6 @@ def _ratio(before: Array, after: Array, problem: TorqueProblem, folds: Sequence[
     return float(np.exp(np.mean(ratios)))
 
 
-def _errors(problem: TorqueProblem, fit: Fit) -> Array:
+def _errors(problem: Problem, fit: Fit) -> Array:
+    assert isinstance(problem, TorqueProblem)
     return problem.residual(fit.nuisance, fit.terms, fit.values) * problem.sigma

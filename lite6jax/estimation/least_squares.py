@@ -133,10 +133,12 @@ def fit(
 ) -> Fit:
     """Fits the nuisance and the numbers of `terms` under Student's t, whose scale is estimated in each group.
 
-    Derivatives are those at the problem's point of linearisation, residuals are exact: each step multiplies the error
-    by about a thousandth, or by the error of the start in rad where that is larger. Where a combination of nuisance
-    numbers is nearly confounded with a term, an error of a hundredth in the derivatives changes the information, and
-    `exact` derivatives are needed for the covariance.
+    Derivatives are those at the problem's point of linearisation, residuals are exact but for loads, which act on the
+    arm there: each step multiplies the error by about a thousandth, or by the error of the start in rad where that is
+    larger. Where this does not converge, the nuisance is far from there, as beside an effect of many times the noise:
+    the fit goes on with the problem linearised anew at every step. Where a combination of nuisance numbers is nearly
+    confounded with a term, an error of a hundredth in the derivatives changes the information, and `exact` derivatives
+    are needed for the covariance.
 
     Args:
         problem: the data.
@@ -152,11 +154,31 @@ def fit(
     Where a term jumps, as a gear between its flanks does at a torque that depends on the nuisance, a start far from
     zero may lead no further; a start from zero is then tried too, and the likelier result taken.
     """
-    found = _fitted(problem, terms, options, values, nuisance, training, noise, exact, False)[1]
-    if found.converged or exact or nuisance is None or not nuisance.any() or not _may_jump(terms):
+    moving = options.moving_steps and not exact
+    first = replace(options, steps=options.first_steps) if moving else options
+    found = _fitted(problem, terms, first, values, nuisance, training, noise, exact, False)[1]
+    if found.converged or exact:
+        return found
+    if moving:
+        found = _followed(problem, found, options)
+    if found.converged or nuisance is None or not nuisance.any() or not _may_jump(terms):
         return found
     again = _fitted(problem, terms, options, None, None, training, noise, False, False)[1]
     return again if again.gain_over(found) > 0 else found
+
+
+def _followed(problem: LinearisedProblem, fitted: Fit, options: EngineOptions) -> Fit:
+    """The fit after further steps, at each of which the problem is linearised anew; as it is where these do not help.
+
+    Its nuisance is the sum of that of every step: displacements of frames add up to second order, which later fits
+    from there make up for.
+    """
+    further = replace(options, steps=options.moving_steps, least_gain=options.least_moving_gain)
+    near, f = problem.relinearised(fitted.nuisance), fitted
+    there, moved = _fitted(near, f.terms, further, f.values, None, f.training, f.noise, False, True)
+    if moved.gain_over(fitted) <= 0:
+        return fitted
+    return replace(moved, nuisance=there.offset - problem.offset + moved.nuisance)
 
 
 def _may_jump(terms: Terms) -> bool:
@@ -247,7 +269,7 @@ def _fitted(
         if length < (options.exact_settled if exact else options.settled):
             converged = True
             break
-        if before - cost < options.settled**2:
+        if before - cost < options.least_gain:
             break  # where derivatives are inexact, steps may stay long and change nothing
     factor = variance_factor(state.squares[training], problem.rows, FREEDOM, 0)
     inverse = scaled_inverse(H, rounding) if len(H) else H

@@ -96,6 +96,10 @@ class EngineOptions:
     # least squares
     steps: int = option(25, "most Gauss-Newton steps of a fit", "four suffice where the model is right")
     settled: float = option(1e-3, "length of a last step, in standard deviations", "invisible in any printed digit")
+    least_gain: float = option(1e-6, "twice the log-likelihood that a further step must gain", "square of `settled`")
+    first_steps: int = option(6, "steps after which a fit that has not converged is linearised anew", "as `steps`")
+    moving_steps: int = option(25, "most steps from there, each linearised anew; none if 0", "eight suffice mostly")
+    least_moving_gain: float = option(0.01, "as `least_gain`, of these steps", "each takes several times as long")
     exact_steps: int = option(8, "most steps of a fit with derivatives by differences", "it starts at the solution")
     exact_settled: float = option(0.02, "length of its last step, in standard deviations", "each step is expensive")
     halvings: int = option(6, "most halvings of a step that does not improve", "a step of 1/64 is no progress")
@@ -111,7 +115,12 @@ class EngineOptions:
         "these are known to about 1e-6: a thousand times the square",
     )
     most_exact: int = option(100, "numbers of terms up to which derivatives are taken by differences", "saves minutes")
-    relinearisations: int = option(4, "fits between which the problem is linearised anew", "error falls 1000-fold")
+    relinearisations: int = option(4, "most fits between which a model is linearised at its estimate", "two suffice")
+    same: float = option(
+        0.1,
+        "sum of the squared differences of residuals, in standard deviations, below which linearisations are the same",
+        "a tenth of what each fitted number explains of noise",
+    )
     # forward selection
     most_terms: int = option(8, "most terms of a forward selection", "more are a family of curves: see `shrinkage`")
     refitted: int = option(4, "candidates that are refitted before one is added", "score and refit rank nearly alike")

@@ -31,11 +31,10 @@ def challenge_names(problem: Problem, state: State, options: EngineOptions) -> S
         if better is None:
             break
         state = with_tried_numbers(problem, believable(problem, better, options), options)
-    state = _one_for_names(problem, _named_again(problem, state, options), options)
-    return _most_probable(problem, state, options)
+    return _one_for_names(problem, _named_again(problem, state, options), options)
 
 
-def _most_probable(problem: Problem, state: State, options: EngineOptions) -> State:
+def most_probable(problem: Problem, state: State, options: EngineOptions) -> State:
     """The state with the most probable function without a name in the place of each of its own.
 
     Each was the most probable beside the terms that the model had when it was added, some of which have left since.

@@ -21,7 +21,7 @@ from lite6jax.estimation.terms import Term, Terms
 from lite6jax.progress import entered
 from lite6jax.search.backward import eliminate, prune
 from lite6jax.search.forward import forward
-from lite6jax.search.names import challenge_names
+from lite6jax.search.names import challenge_names, most_probable
 from lite6jax.search.state import SelectedTerm, State
 
 Array = NDArray[np.floating]
@@ -65,7 +65,8 @@ def refined(problem: Problem, state: State, options: EngineOptions) -> State:
     more = replace(options, most_terms=len(state.tested) + options.most_terms)
     state = prune(problem, eliminate(problem, forward(problem, state, more, shaped=True), more), more)
     entered("naming")
-    state = challenge_names(problem, state, replace(more, name_rounds=2 * options.name_rounds))
+    more = replace(more, name_rounds=2 * options.name_rounds)
+    state = most_probable(problem, challenge_names(problem, state, more), more)
     times = autocorrelation_times(problem, state.fit, options)
     while leaving := _unnecessary(problem, state.fit, times, options):
         kept = [k not in leaving for k in range(len(state.tested))]

@@ -3,6 +3,8 @@
 from dataclasses import dataclass, replace
 from typing import final
 
+import numpy as np
+
 from lite6jax.estimation.least_squares import Fit, fit
 from lite6jax.estimation.multiplicity import multiplicity
 from lite6jax.estimation.options import EngineOptions
@@ -16,7 +18,7 @@ from lite6jax.search.curves import merge_harmonics, replace_by_curves
 from lite6jax.search.exchange import exchange, one_for_several
 from lite6jax.search.forward import forward
 from lite6jax.search.functions import beside_noise, unmasked
-from lite6jax.search.names import challenge_names
+from lite6jax.search.names import challenge_names, most_probable
 from lite6jax.search.possible import believable
 from lite6jax.search.retest import retest
 from lite6jax.search.saturated import from_saturated, refined
@@ -77,21 +79,61 @@ def search(
         return _reviewed(selection, options) if thorough else selection
     every = max(int(training.sum()) // options.first_samples, 1)
     if every == 1:
-        state = _selected(problem, reference, training, options, thorough)
+        selection = _selected(problem, reference, training, options, thorough)
     else:
         part = _selected(problem.thinned(every), reference.thinned(every), training[::every], options, thorough)
-        state = _continued(problem, reference, part, training, options)
-    if not any(term.shrunk for term in state.fit.terms.terms):
+        selection = _continued(problem, reference, part, training, options)
+    shrunk = any(term.shrunk for term in selection.state.fit.terms.terms)
+    if not shrunk:
         entered("noise")
-        state = retest(problem, state, options)
+        problem, state = selection.problem, retest(selection.problem, selection.state, options)
         state = beside_noise(problem, significant(problem, believable(problem, state, options), options), options)
-    if thorough and not any(term.shrunk for term in state.fit.terms.terms):
-        state = with_alternatives(problem, named_again(problem, state, options), options)
-    selection = Selection(problem, reference, state)
+        if thorough:
+            state = with_alternatives(problem, named_again(problem, state, options), options)
+        selection = at_estimate(replace(selection, state=state), options)
     return _reviewed(selection, options) if thorough else selection
 
 
-def _selected(problem: Problem, reference: Problem, training: Mask, options: EngineOptions, thorough: bool) -> State:
+def at_estimate(selection: Selection, options: EngineOptions) -> Selection:
+    """The selection linearised at its estimate and fitted there, where that changes its residuals.
+
+    What depends on the arm's frames, such as the loads on its links, is computed where a problem is linearised. Beside
+    an effect of many times the noise, that is at first where the geometry alone comes closest to it.
+    """
+    for _ in range(options.relinearisations):
+        problem, f, base = selection.problem, selection.state.fit, selection.state.baseline
+        there, none = problem.relinearised(f.nuisance), np.zeros_like(f.nuisance)
+        apart = there.residual(none, f.terms, f.values) - problem.residual(f.nuisance, f.terms, f.values)
+        if np.sum((apart / f.scale[problem.groups, None])[:, f.training] ** 2) < options.same:
+            break
+        fitted = fit(there, f.terms, options, f.values, None, f.training, f.noise)
+        reference = there.without_preset()
+        baseline = fit(reference, Terms(), options, None, base.nuisance - f.nuisance, base.training, base.noise)
+        state = State(baseline, fitted, selection.state.tested)
+        selection = replace(selection, problem=there, reference=reference, state=state)
+    return selection
+
+
+def _selected(
+    problem: Problem, reference: Problem, training: Mask, options: EngineOptions, thorough: bool
+) -> Selection:
+    # of the many models that are compared first most are not true: no fit of these needs to be linearised anew
+    rough = replace(options, moving_steps=0)
+    state = _names_selected(problem, reference, training, rough, thorough)
+    if any(term.shrunk for term in state.fit.terms.terms):
+        return Selection(problem, reference, state)
+    entered("naming")
+    f = state.fit
+    state = replace(state, fit=fit(problem, f.terms, options, f.values, f.nuisance, training, f.noise))
+    selection = at_estimate(Selection(problem, reference, state), options)
+    problem, state = selection.problem, unmasked(selection.problem, selection.state, options)
+    selection = at_estimate(replace(selection, state=challenge_names(problem, state, options)), options)
+    return replace(selection, state=most_probable(selection.problem, selection.state, options))
+
+
+def _names_selected(
+    problem: Problem, reference: Problem, training: Mask, options: EngineOptions, thorough: bool
+) -> State:
     entered("selecting")
     baseline = fit(reference, Terms(), options, training=training)
     added = forward(problem, _with_preset(problem, baseline, options), options)
@@ -112,9 +154,7 @@ def _selected(problem: Problem, reference: Problem, training: Mask, options: Eng
         state = exchange(problem, state, options)
     state = merge_harmonics(problem, with_whole_orders(problem, state, options), options)
     state = prune(problem, state, options)  # beside an order between two whole ones, an offset may have been needed
-    state = one_for_several(problem, state, options)
-    entered("naming")
-    return challenge_names(problem, unmasked(problem, state, options), options)
+    return one_for_several(problem, state, options)
 
 
 def _with_preset(problem: Problem, baseline: Fit, options: EngineOptions) -> State:
@@ -132,26 +172,28 @@ def _with_preset(problem: Problem, baseline: Fit, options: EngineOptions) -> Sta
     return State(baseline, fitted, tuple(tested))
 
 
-def _continued(problem: Problem, reference: Problem, part: State, training: Mask, options: EngineOptions) -> State:
+def _continued(
+    problem: Problem, reference: Problem, part: Selection, training: Mask, options: EngineOptions
+) -> Selection:
     """The terms found in a part of the samples, fitted to all, with further ones that are significant there."""
-    baseline = fit(reference, Terms(), options, training=training)
-    fitted = baseline
-    if any(term.shrunk for term in part.fit.terms.terms):
+    baseline, found = fit(reference, Terms(), options, training=training), part.state.fit
+    nuisance = part.problem.offset - problem.offset + found.nuisance
+    if any(term.shrunk for term in found.terms.terms):
         # hundreds of numbers: a step from the estimate of enough samples
-        once = replace(options, steps=1)
-        fitted = fit(problem, part.fit.terms, once, part.fit.values, part.fit.nuisance, training)
-        return State(baseline, fitted, part.tested)
-    if part.tested:
-        fitted = fit(problem, part.fit.terms, options, part.fit.values, part.fit.nuisance, training)
-    state = forward(problem, State(baseline, fitted, part.tested), options)
-    return eliminate(problem, state, options)
+        options = replace(options, steps=1, moving_steps=0)
+        fitted = fit(problem, found.terms, options, found.values, nuisance, training)
+        return Selection(problem, reference, State(baseline, fitted, part.state.tested))
+    fitted = fit(problem, found.terms, options, found.values, nuisance, training) if part.state.tested else baseline
+    selection = at_estimate(Selection(problem, reference, State(baseline, fitted, part.state.tested)), options)
+    state = forward(selection.problem, selection.state, options)
+    return replace(selection, state=eliminate(selection.problem, state, options))
 
 
 def _reviewed(selection: Selection, options: EngineOptions) -> Selection:
     """With the candidates that are confounded with the nuisance, and the most significant one that was not selected."""
     problem, state = selection.problem, selection.state
     candidates = problem.candidates
-    explained = score_test(problem, state.baseline, options).explained(candidates)
+    explained = score_test(selection.reference, state.baseline, options).explained(candidates)
     confounded = tuple(term for term, one in zip(candidates, explained, strict=True) if one.confounded)
     if any(term.shrunk for term in state.fit.terms.terms):
         return replace(selection, confounded=confounded)

@@ -17,7 +17,7 @@ from lite6jax.estimation.problem import Mask
 from lite6jax.estimation.score_test import score_test
 from lite6jax.estimation.terms import Terms
 from lite6jax.search.final_estimates import with_alternative
-from lite6jax.search.search import Selection, search
+from lite6jax.search.search import Selection, at_estimate, search
 from lite6jax.search.state import preferred
 
 
@@ -43,7 +43,7 @@ def search_load_model(
     """
     problem, reference = _first(problem, reference, options, training)
     selection = search(problem, options, training, reference, thorough)
-    other = with_alternative(problem, selection.state.fit, options)
+    other = with_alternative(selection.problem, selection.state.fit, options)
     if other is None:
         return selection
     gain = other.gain_over(selection.state.fit)
@@ -54,7 +54,10 @@ def search_load_model(
     state = replace(selection.state, fit=other)
     if gain > options.close or preferred(other_problem, again.state, state, 0.0, options):
         return again
-    return replace(selection, problem=other_problem, reference=other_reference, state=state)
+    assert isinstance(selection.problem, PoseProblem)
+    assert isinstance(selection.reference, PoseProblem)
+    problem, reference = _other(selection.problem, selection.reference)
+    return at_estimate(replace(selection, problem=problem, reference=reference, state=state), options)
 
 
 def _other(problem: PoseProblem, reference: PoseProblem) -> tuple[PoseProblem, PoseProblem]:
