@@ -77,10 +77,10 @@ def diagnose(
         held_out = held_out_errors(rows.recording, arm, geometry, options, decisions, folds, effects, factory)
         findings, withdrawn, searched_again = findings_of(selection), None, None
         outliers = _outliers(selection, options)
-        if findings and held_out.rejects(selection, ~outliers, options):
+        if findings and held_out.rejects(selection, ~outliers, folds, options):
             spread = spread_folds(folds, selection.state.fit.noise, options)
             refitted = refitted_errors(selection, spread, options)
-            if refitted.rejects(selection, ~outliers, options):
+            if refitted.rejects(selection, ~outliers, spread, options):
                 withdrawn = Withdrawn(
                     findings, *(_rms(errors[~outliers]) for errors in (held_out.before, held_out.after))
                 )

@@ -57,15 +57,27 @@ class HeldOut(NamedTuple):
     angle_after: Array
     with_effects: Mask
 
-    def rejects(self, selection: Selection, kept: Mask, options: Options) -> bool:
+    def rejects(self, selection: Selection, kept: Mask, folds: Sequence[Mask], options: Options) -> bool:
         """Whether the effects of a selection do not hold on rows that were not used, of those `kept`."""
         state = selection.state
         numbers = max(state.fit.parameters - state.baseline.parameters, 0.0)
-        return self.raised(kept, numbers, options) or self.overfitted(kept, selection, options)
+        return self.raised(kept, numbers, options) or self.overfitted(kept, selection, folds, options)
 
     def ratio(self, kept: Mask) -> float:
         """Of the root mean squares of position errors with effects and without, of the rows `kept`."""
         return _ratio(self.before[kept], self.after[kept])
+
+    def ratio_of_folds(self, kept: Mask, folds: Sequence[Mask]) -> float:
+        """The geometric mean of `ratio` over folds, by their rows among `kept`.
+
+        As of errors whose size differs from fold to fold: one fold in which a function meets values of its driver that
+        it was not fitted to does not decide alone.
+        """
+        held = [rows for fold in folds if (rows := fold & kept).any()]
+        if not held:
+            return 1.0
+        logs = [np.log(max(self.ratio(rows), 1e-300)) for rows in held]
+        return float(np.exp(np.average(logs, weights=[rows.sum() for rows in held])))
 
     def raised(self, kept: Mask, numbers: float, options: Options) -> bool:
         """Whether effects of so many numbers raise the errors on rows that were not used.
@@ -80,7 +92,7 @@ class HeldOut(NamedTuple):
         cost = 1 + 0.5 * numbers / (3 * kept.sum())
         return position * turned > 1 or position > max(options.heldout_rise, cost)
 
-    def overfitted(self, kept: Mask, selection: Selection, options: Options) -> bool:
+    def overfitted(self, kept: Mask, selection: Selection, folds: Sequence[Mask], options: Options) -> bool:
         """Whether a model with effects describes the rows that it was fitted to, and no others.
 
         Rows that were not used are then off by `heldout_excess` times the errors of the fitted ones, and by a larger
@@ -90,7 +102,7 @@ class HeldOut(NamedTuple):
         """
         if (tried := kept & self.with_effects).any():
             kept = tried
-        if self.ratio(kept) < options.heldout_left:
+        if self.ratio_of_folds(kept, folds) < options.heldout_left:
             return False
         state = selection.state
         after = _times_fitted(self.after, selection.problem, state.fit, kept)

@@ -45,7 +45,8 @@ class Options:
     )
     heldout_left: float = option(
         1 / 3,
-        "ratio of held-out position errors with and without effects, below which these are kept in any case",
+        "ratio of held-out position errors with and without effects, in the geometric mean of blocks, below which "
+        "effects are kept if errors are not raised",
         "what predicts most of rows that were not used is there, as drift that a block at an end continues",
     )
     spread_blocks: int = option(

@@ -133,12 +133,12 @@ def fit(
 ) -> Fit:
     """Fits the nuisance and the numbers of `terms` under Student's t, whose scale is estimated in each group.
 
-    Derivatives are those at the problem's point of linearisation, residuals are exact but for loads, which act on the
-    arm there: each step multiplies the error by about a thousandth, or by the error of the start in rad where that is
-    larger. Where this does not converge, the nuisance is far from there, as beside an effect of many times the noise:
-    the fit goes on with the problem linearised anew at every step. Where a combination of nuisance numbers is nearly
-    confounded with a term, an error of a hundredth in the derivatives changes the information, and `exact` derivatives
-    are needed for the covariance.
+    Derivatives are those at the problem's point of linearisation, residuals are exact but for the drivers of terms,
+    where a domain computes them there: each step multiplies the error by about a thousandth, or by the error of the
+    start in rad where that is larger. Where this does not converge, the nuisance is far from there, as beside an effect
+    of many times the noise: the fit goes on with the problem linearised anew at every step. Where a combination of
+    nuisance numbers is nearly confounded with a term, an error of a hundredth in the derivatives changes the
+    information, and `exact` derivatives are needed for the covariance.
 
     Args:
         problem: the data.
@@ -170,8 +170,8 @@ def fit(
 def _followed(problem: LinearisedProblem, fitted: Fit, options: EngineOptions) -> Fit:
     """The fit after further steps, at each of which the problem is linearised anew; as it is where these do not help.
 
-    Its nuisance is the sum of that of every step: displacements of frames add up to second order, which later fits
-    from there make up for.
+    Its nuisance is the sum of that of every step: to second order other displacements than all of them one after the
+    other, which later fits from there make up for.
     """
     further = replace(options, steps=options.moving_steps, least_gain=options.least_moving_gain)
     near, f = problem.relinearised(fitted.nuisance), fitted

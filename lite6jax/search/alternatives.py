@@ -100,6 +100,7 @@ def _with_others(problem: Problem, state: State, k: int, options: EngineOptions)
         if gap < options.close:
             found.append(Alternative(term, max(gap, 0.0)))
     others = (*tested.alternatives, *found, *_orders(test, tested.term), *_like(state, k, rest, test, own.gain))
+    others = [one for one in others if not one.term.nonparametric or _may_replace(tested.term, one.term)]
     return replace(tested, alternatives=tuple(sorted(others, key=lambda one: one.gap)))
 
 

@@ -97,8 +97,8 @@ def search(
 def at_estimate(selection: Selection, options: EngineOptions) -> Selection:
     """The selection linearised at its estimate and fitted there, where that changes its residuals.
 
-    What depends on the arm's frames, such as the loads on its links, is computed where a problem is linearised. Beside
-    an effect of many times the noise, that is at first where the geometry alone comes closest to it.
+    Drivers of terms that depend on the nuisance are computed where a problem is linearised. Beside an effect of many
+    times the noise, that is at first where the nuisance alone comes closest to it.
     """
     for _ in range(options.relinearisations):
         problem, f, base = selection.problem, selection.state.fit, selection.state.baseline
