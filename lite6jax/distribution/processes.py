@@ -3,6 +3,7 @@
 import multiprocessing
 import os
 import signal
+import time
 from collections.abc import Sequence
 from contextlib import suppress
 from importlib import import_module
@@ -88,7 +89,10 @@ class _Worker:
         self.process.join(within)
         self.process.kill()
         self.process.join()
-        code = self.process.exitcode
+        # a thread that waited for it too may have been told of its end, and not have noted that yet
+        until = time.monotonic() + _ENDS_WITHIN
+        while (code := self.process.exitcode) is None and time.monotonic() < until:
+            time.sleep(0.001)
         self.process.close()
         return code
 

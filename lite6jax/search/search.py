@@ -100,7 +100,7 @@ def at_estimate(selection: Selection, options: EngineOptions) -> Selection:
     Drivers of terms that depend on the nuisance are computed where a problem is linearised. Beside an effect of many
     times the noise, that is at first where the nuisance alone comes closest to it.
     """
-    for _ in range(options.relinearisations):
+    for _ in range(options.relinearisations if selection.state.tested else 0):
         problem, f, base = selection.problem, selection.state.fit, selection.state.baseline
         there, none = problem.relinearised(f.nuisance), np.zeros_like(f.nuisance)
         apart = there.residual(none, f.terms, f.values) - problem.residual(f.nuisance, f.terms, f.values)
@@ -124,7 +124,8 @@ def _selected(
         return Selection(problem, reference, state)
     entered("naming")
     f = state.fit
-    state = replace(state, fit=fit(problem, f.terms, options, f.values, f.nuisance, training, f.noise))
+    if state.tested and not f.converged:
+        state = replace(state, fit=fit(problem, f.terms, options, f.values, f.nuisance, training, f.noise))
     selection = at_estimate(Selection(problem, reference, state), options)
     problem, state = selection.problem, unmasked(selection.problem, selection.state, options)
     selection = at_estimate(replace(selection, state=challenge_names(problem, state, options)), options)
