@@ -223,6 +223,45 @@ FORMULAS = {
         ),
     ),
     "cold_hose": ("tool", {"axis": 4.0, "by": 2.0}, lambda s, m: m.q[:, 1] / np.exp(rise(m))),
+    "warming_mesh": ("joint3", {}, lambda s, m: np.where(m.dq[:, 2] > 0, -1.0, 1.0) * rise(m)),
+    "sprung_tensioner": (
+        "joint3",
+        {"torque_Nm": 3.0},
+        lambda s, m: (torque(s, m, 3)[:, 2] - 0.6).clip(min=0) / 3,
+    ),
+    "nested_shafts": ("joint3", {"by": 5.0}, lambda s, m: m.dq[:, 4]),
+    "meshing_wrist": (
+        "joint3",
+        {"by": 5.0, "phase": 0.4},
+        lambda s, m: np.sin(m.q[:, 2] + 0.4) * np.cos(m.q[:, 4]) - np.cos(m.q[:, 2] + 0.4) * np.sin(m.q[:, 4]),
+    ),
+    "thrusting_helix": (
+        "link3",
+        {"axis": 2.0, "torque_Nm": 3.0},
+        lambda s, m: 1 - 2 / (np.exp(8 * torque(s, m, 3)[:, 2] / 3) + 1),
+    ),
+    "short_umbilical": (
+        "link3",
+        {"axis": 4.0, "by": 5.0, "and": 2.0, "slack": 0.5},
+        lambda s, m: beyond(m.q[:, [1, 4]].sum(1), 0.5),
+    ),
+    "leaking_table": (
+        "base",
+        {"axis": 2.0, "span_s": 2.0, "turns": 1.5, "phase": 0.4},
+        lambda s, m: np.modf(0.75 * m.time + 0.2 / np.pi)[0],
+    ),
+    "gel_pads": ("base", {"axis": 4.0, "by": 4.0}, lambda s, m: m.dq[:, 3] * 2 ** rise(m)),
+    "parting_changer": (
+        "tool",
+        {"axis": 2.0, "flange": 6.0, "flange_moment_Nm": 0.01},
+        lambda s, m: (100 * np.linalg.norm(torque(s, m, 6)[:, :2], axis=1) - 0.5).clip(min=0),
+    ),
+    "flowing_glue": ("tool", {"axis": 1.0, "span_s": 2.0}, lambda s, m: 0.5 * m.time * rise(m)),
+    "shaken_tripod": (
+        "sensor",
+        {"axis": 4.0, "by": 5.0, "and": 2.0},
+        lambda s, m: np.sum(m.dq[:, [1, 4]] ** 2, axis=1),
+    ),
 }
 IMAGES = {
     "lens_distortion": lambda p: p * np.sum(p**2, 1, keepdims=True),
@@ -234,6 +273,9 @@ IMAGES = {
     "squinting_pair": lambda p: np.einsum("sa,s->sa", p, p[:, 2]),
     "cyclic_ranger": lambda p: (
         p / np.linalg.norm(p, axis=1, keepdims=True) * np.sin(5 * np.pi * np.linalg.norm(p, axis=1, keepdims=True))
+    ),
+    "tilted_trunnion": lambda p: (
+        np.cross([0.0, 0.0, 1.0], p) * p[:, [2]] / np.linalg.norm(p[:, :2], axis=1, keepdims=True)
     ),
 }
 
@@ -259,7 +301,7 @@ def displaced(setup, motion, site, twist):
 
 def test_every_family_is_here():
     assert set(FORMULAS) | set(IMAGES) == set(FAMILIES)
-    assert len(FAMILIES) == 77
+    assert len(FAMILIES) == 89
 
 
 @pytest.mark.parametrize("name", FORMULAS)

@@ -7,7 +7,9 @@ from benchmarks.concealed.outside.family import (
     DIRECTION,
     PRELOAD,
     ROCKING,
+    TEMPERATURE,
     TIME,
+    VELOCITY,
     Family,
     beyond,
     bump,
@@ -115,5 +117,26 @@ FAMILIES: dict[str, Family] = {
         TIME,
         (3, 4),
         beside=("frame_offset",),
+    ),
+    # a table on air sinks as its cushions leak, until the valve fills them again
+    "leaking_table": Family(
+        "base",
+        "shift_m",
+        lambda fixed, s: (fixed["turns"] * s.time / fixed["span_s"] + fixed["phase"] / (2 * np.pi)) % 1.0,
+        ("span_s", "turns", "phase"),
+        TIME,
+        (2,),
+        beside=("base_drift", "frame_offset"),
+    ),
+    # pads of gel give way to what moves above them, and twice as far for every ten degrees
+    "gel_pads": Family(
+        "base",
+        "turn_rad",
+        lambda fixed, s: np.exp2(s.warmth()) * column(s.dq, fixed, "by"),
+        ("by",),
+        together(TEMPERATURE, own(VELOCITY, "by")),
+        (3, 4),
+        moving=True,
+        warm=True,
     ),
 }

@@ -26,6 +26,8 @@ from benchmarks.concealed.outside.family import (
 
 _PULLEY = 1.5
 """Turns of a pulley in one turn of the joint that drives it: between the orders that a wobbling axis has."""
+_TENSIONER = 0.2
+"""Of the load: the torque at which the spring of a tensioner begins to give."""
 
 
 def _bump(fixed: Fixed, s: Signals) -> Array:
@@ -280,5 +282,44 @@ FAMILIES: dict[str, Family] = {
         ("span_s", "phase"),
         together(TIME, own(POSITION)),
         beside=("joint_harmonic", "joint_offset"),
+    ),
+    # the housing of a gear grows with warmth more than its wheels, and their play with it
+    "warming_mesh": Family(
+        "joint",
+        "turn_rad",
+        lambda fixed, s: -column(s.direction, fixed) * s.warmth(),
+        (),
+        together(own(DIRECTION), TEMPERATURE),
+        beside=("joint_backlash",),
+        warm=True,
+    ),
+    # the roller that tightens a belt is held by a spring, and gives way where its strand bears the load
+    "sprung_tensioner": Family(
+        "joint",
+        "turn_rad",
+        lambda fixed, s: np.maximum(torque(fixed, s) - _TENSIONER, 0.0),
+        ("torque_Nm",),
+        own(TORQUE),
+        beside=("joint_compliance", "joint_offset"),
+        loaded=True,
+    ),
+    # of shafts that run one in another, with grease between, one drags the other along
+    "nested_shafts": Family(
+        "joint",
+        "turn_rad",
+        lambda fixed, s: column(s.dq, fixed, "by"),
+        ("by",),
+        own(VELOCITY, "by"),
+        moving=True,
+    ),
+    # a wheel of a wrist that is out of centre meshes with one that another joint turns: their difference counts
+    "meshing_wrist": Family(
+        "joint",
+        "turn_rad",
+        lambda fixed, s: np.sin(column(s.q, fixed) - column(s.q, fixed, "by") + fixed["phase"]),
+        ("by", "phase"),
+        together(own(POSITION), BY_JOINT),
+        beside=("joint_harmonic", "joint_coupling", "joint_offset"),
+        skipping=True,
     ),
 }

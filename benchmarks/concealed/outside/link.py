@@ -7,19 +7,24 @@ from benchmarks.concealed.outside.family import (
     BY_JOINT,
     CREEP,
     DIRECTION,
+    POSITION,
+    ROCKING,
     TEMPERATURE,
     TIME,
+    TORQUE,
     VELOCITY,
     WARMER,
     Family,
     Fixed,
     Signals,
+    beyond,
     bump,
     column,
     either,
     own,
     signed_power,
     together,
+    torque,
 )
 
 
@@ -177,5 +182,27 @@ FAMILIES: dict[str, Family] = {
         (3, 4),
         beside=("frame_offset",),
         moving=True,
+    ),
+    # the slanting teeth of a gear push its shaft to one end or the other of the play along its axis
+    "thrusting_helix": Family(
+        "link",
+        "shift_m",
+        lambda fixed, s: np.tanh(ROCKING * torque(fixed, s)),
+        ("torque_Nm",),
+        own(TORQUE),
+        (2,),
+        beside=("frame_offset",),
+        loaded=True,
+    ),
+    # a bundle of lines along the arm is too short, and two other joints take up its slack together
+    "short_umbilical": Family(
+        "link",
+        "turn_rad",
+        lambda fixed, s: beyond(column(s.q, fixed, "by") + column(s.q, fixed, "and"), fixed["slack"]),
+        ("by", "and", "slack"),
+        together(BY_JOINT, own(POSITION, "and")),
+        (3, 4),
+        beside=("frame_offset",),
+        skipping=True,
     ),
 }

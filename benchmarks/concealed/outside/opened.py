@@ -87,6 +87,18 @@ OPENED: dict[str, float] = {
     "rattling_ball": 2431,
     "cold_hose": 2431,
     "cyclic_ranger": 2431,
+    "warming_mesh": SEALED,
+    "sprung_tensioner": SEALED,
+    "nested_shafts": SEALED,
+    "meshing_wrist": SEALED,
+    "thrusting_helix": SEALED,
+    "short_umbilical": SEALED,
+    "leaking_table": SEALED,
+    "gel_pads": SEALED,
+    "parting_changer": SEALED,
+    "flowing_glue": SEALED,
+    "shaken_tripod": SEALED,
+    "tilted_trunnion": SEALED,
 }
 """By name, the first seed of a campaign that draws the family without --sealed.
 

@@ -3,10 +3,11 @@
 import numpy as np
 
 from benchmarks.concealed.chain import Array
-from benchmarks.concealed.outside.family import TEMPERATURE, TIME, Family, phrases
+from benchmarks.concealed.outside.family import TEMPERATURE, TIME, VELOCITY, Family, column, either, phrases, together
 
 _CYCLE = 0.4
 """m of distance in which the error of a distance meter comes round."""
+_SPEED = "speed of joint"
 
 FAMILIES: dict[str, Family] = {
     "lens_distortion": Family(
@@ -74,6 +75,18 @@ FAMILIES: dict[str, Family] = {
     "squinting_pair": Family("image", "shift_m", None, (), phrases("measured position"), beside=("measurement_scale",)),
     # light that strays in a distance meter mixes with its signal, and the error comes round with the phase
     "cyclic_ranger": Family("image", "shift_m", None, (), phrases("measured position"), beside=("measurement_scale",)),
+    # the head of a sensor nods in its clamp while two joints shake the floor
+    "shaken_tripod": Family(
+        "sensor",
+        "turn_rad",
+        lambda fixed, s: column(s.dq, fixed, "by") ** 2 + column(s.dq, fixed, "and") ** 2,
+        ("by", "and"),
+        together(either(VELOCITY, _SPEED, key="by"), either(VELOCITY, _SPEED, key="and")),
+        (3, 4),
+        moving=True,
+    ),
+    # the axis about which a tracker raises its beam is not square to the one about which it turns
+    "tilted_trunnion": Family("image", "shift_m", None, (), phrases("measured position")),
 }
 
 
@@ -102,4 +115,8 @@ def seen_shift(name: str, position: Array) -> Array:
             # along the line of sight
             distance = np.sqrt(x**2 + y**2 + z**2)
             return position * (np.sin(2 * np.pi * distance / _CYCLE) / distance)[:, None]
+        case "tilted_trunnion":
+            # off in azimuth by the tangent of the elevation
+            tangent = z / np.hypot(x, y)
+            return np.column_stack([-y * tangent, x * tangent, np.zeros(len(x))])
     raise KeyError(name)

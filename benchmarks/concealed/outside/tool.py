@@ -34,6 +34,11 @@ def _rolled(fixed: Fixed, s: Signals) -> Array:
     return y / np.sqrt(x**2 + y**2 + _ROLLS**2)
 
 
+def _parted(fixed: Fixed, s: Signals) -> Array:
+    x, y = (column(s.moment[..., axis], fixed, "flange") / fixed["flange_moment_Nm"] for axis in (0, 1))
+    return np.maximum(np.hypot(x, y) - PRELOAD, 0.0)
+
+
 FAMILIES: dict[str, Family] = {
     "tool_turn_by_joint": Family(
         "tool", "turn_rad", lambda fixed, s: column(s.q, fixed, "by"), ("by",), BY_JOINT, (3, 4)
@@ -133,6 +138,28 @@ FAMILIES: dict[str, Family] = {
         ("by",),
         together(TEMPERATURE, BY_JOINT),
         (3, 4),
+        beside=("tool_offset",),
+        warm=True,
+    ),
+    # magnets hold a tool changer together until a moment of any direction levers it open
+    "parting_changer": Family(
+        "tool",
+        "shift_m",
+        _parted,
+        ("flange", "flange_moment_Nm"),
+        together(own("gravity moment x of link", "flange"), own("gravity moment y of link", "flange")),
+        (2,),
+        beside=("tool_offset",),
+        loaded=True,
+    ),
+    # soft glue under the target flows as long as the recording lasts, and the faster the warmer it is
+    "flowing_glue": Family(
+        "tool",
+        "shift_m",
+        lambda fixed, s: s.warmth() * s.time / fixed["span_s"],
+        ("span_s",),
+        together(TEMPERATURE, TIME),
+        (0, 1),
         beside=("tool_offset",),
         warm=True,
     ),
