@@ -68,10 +68,10 @@ class HeldOut(NamedTuple):
         return _ratio(self.before[kept], self.after[kept])
 
     def ratio_of_folds(self, kept: Mask, folds: Sequence[Mask]) -> float:
-        """The geometric mean of `ratio` over folds, by their rows among `kept`.
+        """The geometric mean of `ratio` over folds, weighted by their rows among `kept`.
 
-        As of errors whose size differs from fold to fold: one fold in which a function meets values of its driver that
-        it was not fitted to does not decide alone.
+        Errors differ in size from fold to fold: one fold in which a function meets values of its driver that it was not
+        fitted to does not decide alone.
         """
         held = [rows for fold in folds if (rows := fold & kept).any()]
         if not held:
@@ -192,7 +192,7 @@ def refitted_errors(selection: Selection, folds: Sequence[Mask], options: Option
     def predicted(held: Mask) -> HeldOut:
         training = state.baseline.training & ~held
         reference = problem = relinearise(selection.reference, engine, training)
-        if selection.problem is not selection.reference:
+        if selection.problem.preset[0].terms:
             problem = relinearise(selection.problem, engine, training)
         again = Selection(problem, reference, fitted_again(problem, reference, state, training, engine))
         return _errors(at_estimate(again, engine), held)

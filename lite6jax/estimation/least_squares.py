@@ -59,6 +59,7 @@ class Fit:
     Attributes:
         terms: of the model.
         nuisance: `(number,)`, from the problem's point of linearisation.
+        offset: `(number,)`, of that point from the prior's mean.
         values: `(terms.size,)`.
         covariance: `(terms.size, terms.size)` of the values, the nuisance's uncertainty included.
         residuals: of all samples, including those outside `training`.
@@ -71,6 +72,7 @@ class Fit:
 
     terms: Terms
     nuisance: Array
+    offset: Array
     values: Array
     covariance: Array
     residuals: Residuals
@@ -84,6 +86,10 @@ class Fit:
     def scale(self) -> Array:
         """`(group,)`, of the noise over the declared one."""
         return self.residuals.scale
+
+    def nuisance_about(self, problem: LinearisedProblem) -> Array:
+        """The nuisance from the point of linearisation of another problem of the same data, to first order."""
+        return self.offset + self.nuisance - problem.offset
 
     def thinned(self, every: int) -> "Fit":
         """The fit with one in `every` samples; of white noise."""
@@ -133,12 +139,12 @@ def fit(
 ) -> Fit:
     """Fits the nuisance and the numbers of `terms` under Student's t, whose scale is estimated in each group.
 
-    Derivatives are those at the problem's point of linearisation, residuals are exact but for the drivers of terms,
-    where a domain computes them there: each step multiplies the error by about a thousandth, or by the error of the
-    start in rad where that is larger. Where this does not converge, the nuisance is far from there, as beside an effect
-    of many times the noise: the fit goes on with the problem linearised anew at every step. Where a combination of
-    nuisance numbers is nearly confounded with a term, an error of a hundredth in the derivatives changes the
-    information, and `exact` derivatives are needed for the covariance.
+    Derivatives are those at the problem's point of linearisation, and so are the drivers of terms that a domain
+    computes from the nuisance; residuals are exact otherwise. Each step multiplies the error by about a thousandth, or
+    by the error of the start in rad where that is larger. Beside an effect of many times the noise the nuisance may be
+    too far from that point: a fit that has not converged after `first_steps` goes on with the problem linearised anew
+    at each of up to `moving_steps`. Where a combination of nuisance numbers is nearly confounded with a term, an error
+    of a hundredth in the derivatives changes the information, and `exact` derivatives are needed for the covariance.
 
     Args:
         problem: the data.
@@ -154,7 +160,7 @@ def fit(
     Where a term jumps, as a gear between its flanks does at a torque that depends on the nuisance, a start far from
     zero may lead no further; a start from zero is then tried too, and the likelier result taken.
     """
-    moving = options.moving_steps and not exact
+    moving = options.moving_steps and not exact and len(problem.precision)
     first = replace(options, steps=options.first_steps) if moving else options
     found = _fitted(problem, terms, first, values, nuisance, training, noise, exact, False)[1]
     if found.converged or exact:
@@ -170,15 +176,15 @@ def fit(
 def _followed(problem: LinearisedProblem, fitted: Fit, options: EngineOptions) -> Fit:
     """The fit after further steps, at each of which the problem is linearised anew; as it is where these do not help.
 
-    Its nuisance is the sum of that of every step: to second order other displacements than all of them one after the
-    other, which later fits from there make up for.
+    Its nuisance is the sum over the steps. Displacements one after the other differ from their sum to second order, and
+    its residuals are those of the former: a further fit, from there, makes them agree.
     """
     further = replace(options, steps=options.moving_steps, least_gain=options.least_moving_gain)
     near, f = problem.relinearised(fitted.nuisance), fitted
-    there, moved = _fitted(near, f.terms, further, f.values, None, f.training, f.noise, False, True)
+    moved = _fitted(near, f.terms, further, f.values, None, f.training, f.noise, False, True)[1]
     if moved.gain_over(fitted) <= 0:
         return fitted
-    return replace(moved, nuisance=there.offset - problem.offset + moved.nuisance)
+    return replace(moved, nuisance=moved.nuisance_about(problem), offset=problem.offset)
 
 
 def _may_jump(terms: Terms) -> bool:
@@ -270,13 +276,16 @@ def _fitted(
             converged = True
             break
         if before - cost < options.least_gain:
+            converged = moving
             break  # where derivatives are inexact, steps may stay long and change nothing
     factor = variance_factor(state.squares[training], problem.rows, FREEDOM, 0)
     inverse = scaled_inverse(H, rounding) if len(H) else H
     covariance = inverse[k:, k:] * factor if len(H) else np.zeros((0, 0))
     effective = float(len(H) - np.sum(precision * np.diagonal(inverse))) if len(H) else 0.0
     penalty = _square(precision, prior(problem, at))
-    found = Fit(terms, at[:k], at[k:], covariance, state, training, effective, converged, noise, penalty)
+    found = Fit(
+        terms, at[:k], problem.offset, at[k:], covariance, state, training, effective, converged, noise, penalty
+    )
     return problem, found
 
 

@@ -94,12 +94,22 @@ class EngineOptions:
     least_in_run: int = option(4, "mean samples of a run from which autocorrelation is estimated", "two parameters")
     most_for_noise: int = option(2000, "samples from which the noise model is estimated", "known to 3 %")
     # least squares
-    steps: int = option(25, "most Gauss-Newton steps of a fit", "four suffice where the model is right")
+    steps: int = option(
+        25, "most Gauss-Newton steps of a fit in one linearisation", "four suffice where the model is right"
+    )
     settled: float = option(1e-3, "length of a last step, in standard deviations", "invisible in any printed digit")
     least_gain: float = option(1e-6, "twice the log-likelihood that a further step must gain", "square of `settled`")
-    first_steps: int = option(6, "steps after which a fit that has not converged is linearised anew", "as `steps`")
-    moving_steps: int = option(25, "most steps from there, each linearised anew; none if 0", "eight suffice mostly")
-    least_moving_gain: float = option(0.01, "as `least_gain`, of these steps", "each takes several times as long")
+    first_steps: int = option(
+        6,
+        "as `steps`, where a fit that has not converged by then goes on as `moving_steps` says",
+        "four suffice mostly",
+    )
+    moving_steps: int = option(
+        25, "most further steps of such a fit, the problem linearised anew at each; none if 0", "eight suffice mostly"
+    )
+    least_moving_gain: float = option(
+        0.01, "as `least_gain`, of such a further step", "it takes several times as long, and `close` is 600 times that"
+    )
     exact_steps: int = option(8, "most steps of a fit with derivatives by differences", "it starts at the solution")
     exact_settled: float = option(0.02, "length of its last step, in standard deviations", "each step is expensive")
     halvings: int = option(6, "most halvings of a step that does not improve", "a step of 1/64 is no progress")
@@ -115,7 +125,7 @@ class EngineOptions:
         "these are known to about 1e-6: a thousand times the square",
     )
     most_exact: int = option(100, "numbers of terms up to which derivatives are taken by differences", "saves minutes")
-    relinearisations: int = option(4, "most fits between which a model is linearised at its estimate", "two suffice")
+    relinearisations: int = option(4, "most times that a selection is linearised at its estimate", "two suffice")
     same: float = option(
         0.1,
         "sum of the squared differences of residuals, in standard deviations, below which linearisations are the same",

@@ -65,7 +65,7 @@ def with_alternatives(problem: Problem, state: State, options: EngineOptions) ->
 
 
 def _with_others(problem: Problem, state: State, k: int, options: EngineOptions) -> SelectedTerm:
-    """The k-th term with the alternatives that it has, other orders, and the most likely function of each site.
+    """The k-th term with its alternatives that may replace it, other orders, and the most likely function of each site.
 
     Sites that have an equally likely named alternative are skipped. At the site of a name it is one that explains
     clearly more, though not enough more to pay for all of its numbers; at that of a function, one of other drivers.
@@ -99,8 +99,8 @@ def _with_others(problem: Problem, state: State, k: int, options: EngineOptions)
         gap = state.fit.gain_over(fitted) + 0.5 * test.time * (score.size - own.size)
         if gap < options.close:
             found.append(Alternative(term, max(gap, 0.0)))
-    others = (*tested.alternatives, *found, *_orders(test, tested.term), *_like(state, k, rest, test, own.gain))
-    others = [one for one in others if not one.term.nonparametric or _may_replace(tested.term, one.term)]
+    before = [a for a in tested.alternatives if not a.term.nonparametric or _may_replace(tested.term, a.term)]
+    others = (*before, *found, *_orders(test, tested.term), *_like(state, k, rest, test, own.gain))
     return replace(tested, alternatives=tuple(sorted(others, key=lambda one: one.gap)))
 
 

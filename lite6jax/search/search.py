@@ -83,8 +83,7 @@ def search(
     else:
         part = _selected(problem.thinned(every), reference.thinned(every), training[::every], options, thorough)
         selection = _continued(problem, reference, part, training, options)
-    shrunk = any(term.shrunk for term in selection.state.fit.terms.terms)
-    if not shrunk:
+    if not any(term.shrunk for term in selection.state.fit.terms.terms):
         entered("noise")
         problem, state = selection.problem, retest(selection.problem, selection.state, options)
         state = beside_noise(problem, significant(problem, believable(problem, state, options), options), options)
@@ -97,20 +96,20 @@ def search(
 def at_estimate(selection: Selection, options: EngineOptions) -> Selection:
     """The selection linearised at its estimate and fitted there, where that changes its residuals.
 
-    Drivers of terms that depend on the nuisance are computed where a problem is linearised. Beside an effect of many
-    times the noise, that is at first where the nuisance alone comes closest to it.
+    Drivers of terms that depend on the nuisance are computed where a problem is linearised. Before a search that is
+    where the nuisance alone fits best, which is far from the estimate beside an effect of many times the noise.
     """
-    for _ in range(options.relinearisations if selection.state.tested else 0):
-        problem, f, base = selection.problem, selection.state.fit, selection.state.baseline
+    if not selection.state.tested:
+        return selection
+    for _ in range(options.relinearisations):
+        problem, f = selection.problem, selection.state.fit
         there, none = problem.relinearised(f.nuisance), np.zeros_like(f.nuisance)
-        apart = there.residual(none, f.terms, f.values) - problem.residual(f.nuisance, f.terms, f.values)
-        if np.sum((apart / f.scale[problem.groups, None])[:, f.training] ** 2) < options.same:
+        here = problem.residual(f.nuisance, f.terms, f.values), there.residual(none, f.terms, f.values)
+        apart = (np.stack(here) - f.residuals.rows) / f.scale[problem.groups, None]
+        if np.max(np.sum(apart[..., f.training] ** 2, (1, 2))) < options.same:
             break
         fitted = fit(there, f.terms, options, f.values, None, f.training, f.noise)
-        reference = there.without_preset()
-        baseline = fit(reference, Terms(), options, None, base.nuisance - f.nuisance, base.training, base.noise)
-        state = State(baseline, fitted, selection.state.tested)
-        selection = replace(selection, problem=there, reference=reference, state=state)
+        selection = replace(selection, problem=there, state=replace(selection.state, fit=fitted))
     return selection
 
 
@@ -178,7 +177,7 @@ def _continued(
 ) -> Selection:
     """The terms found in a part of the samples, fitted to all, with further ones that are significant there."""
     baseline, found = fit(reference, Terms(), options, training=training), part.state.fit
-    nuisance = part.problem.offset - problem.offset + found.nuisance
+    nuisance = found.nuisance_about(problem)
     if any(term.shrunk for term in found.terms.terms):
         # hundreds of numbers: a step from the estimate of enough samples
         options = replace(options, steps=1, moving_steps=0)

@@ -95,14 +95,14 @@ def reduced(problem: Problem, state: State, k: int, options: EngineOptions) -> S
     if rest:
         return State(base, without(problem, f, k, options), rest)
     # from the nuisance that was fitted alone: from that beside a term, another, lower maximum may be reached
-    return State(base, fit(problem, Terms(), options, None, base.nuisance, base.training, f.noise))
+    return State(base, fit(problem, Terms(), options, None, base.nuisance_about(problem), base.training, f.noise))
 
 
 def refitted(problem: Problem, state: State, terms: Sequence[SelectedTerm], options: EngineOptions) -> State:
     """The baseline with some of the state's terms, fitted from zero."""
     model = Terms(tuple(test.term for test in terms))
     base = state.baseline
-    return State(base, fit(problem, model, options, None, base.nuisance, base.training), tuple(terms))
+    return State(base, fit(problem, model, options, None, base.nuisance_about(problem), base.training), tuple(terms))
 
 
 def fitted_again(problem: Problem, reference: Problem, state: State, training: Mask, options: EngineOptions) -> State:
@@ -116,7 +116,7 @@ def fitted_again(problem: Problem, reference: Problem, state: State, training: M
         options: thresholds.
     """
     baseline, of = fit(reference, Terms(), options, training=training), state.fit
-    again = fit(problem, of.terms, options, of.values, baseline.nuisance, training, of.noise)
+    again = fit(problem, of.terms, options, of.values, baseline.nuisance_about(problem), training, of.noise)
     return State(baseline, again, state.tested)
 
 
