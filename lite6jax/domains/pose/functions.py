@@ -20,6 +20,8 @@ _UPRIGHT = f"{_SHIFT} {_TILT}"
 _TIME, _PAYLOAD = Driver("time"), Driver("payload")
 _EVERYWHERE = (Driver("temperature rise"), _TIME, _PAYLOAD)
 """Drivers of the whole arm."""
+_AT_ONCE = tuple(combinations(_EVERYWHERE, 2))
+"""Of what flows or creeps with time, the faster the warmer, or the more loaded, it is."""
 _DIRECTION = "direction of motion"
 _DEGREE = 3
 """Highest degree of products of drivers; those of lower degrees are parts of them."""
@@ -59,7 +61,7 @@ def tried_functions(motion: Motion, loads: Loads | None, rows: int, sites: dict[
             _at_link(tried, driver.place, joints)
     _at_base(tried, joints)
     _at_tool(tried, joints, _SHIFT if rows == 3 else _TWIST)
-    _at_sensor(tried)
+    _at_sensor(tried, joints)
     return tuple(tried.functions)
 
 
@@ -175,6 +177,7 @@ def _at_joint(tried: _Tried, j: int, joints: _Joints) -> None:
     # a cable of another joint that creeps
     tried.pairs(site, rz, product([*own, direction, *joints.others(j)], _EVERYWHERE))
     tried.pairs(site, rz, combinations(joints.positions, 2))
+    tried.pairs(site, rz, _AT_ONCE)
     # what several joints swing round at once
     tried.pairs(site, rz, combinations(joints.velocities, 2), _QUADRATIC)
     # play that the motors of two joints take up together, as in a differential
@@ -189,9 +192,9 @@ def _at_joint(tried: _Tried, j: int, joints: _Joints) -> None:
 def _at_link(tried: _Tried, j: int, joints: _Joints) -> None:
     """Tilts by the link's moments, its joint's position, direction and temperature, and the motion of other joints.
 
-    Shifts by the link's moments and its joint's position, and both by time, temperature and payload.
+    Shifts by the link's moments and its joint's position, and both by its joint's load, time, temperature and payload.
     """
-    site, own_position = f"link{j}", joints.positions[j - 1]
+    site, own_position, load = f"link{j}", joints.positions[j - 1], joints.loads[j - 1]
     moments = [Driver(f"gravity moment {axis}", j) for axis in "xy"]
     own, direction = [own_position, *moments], joints.directions[j - 1]
     if own_position in joints.turning:
@@ -208,6 +211,11 @@ def _at_link(tried: _Tried, j: int, joints: _Joints) -> None:
     tried.pairs(site, _TILT, combinations(joints.velocities, 2), _QUADRATIC)
     tried.singles(site, _SHIFT, [*own, *_EVERYWHERE])
     tried.pairs(site, _SHIFT, combinations(moments, 2))
+    # slanting teeth push their shaft along its axis, and tilt it
+    tried.singles(site, _SHIFT, [load])
+    tried.singles(site, _TILT, [load])
+    tried.pairs(site, _TILT, _AT_ONCE)
+    tried.pairs(site, _SHIFT, _AT_ONCE)
 
 
 def _at_base(tried: _Tried, joints: _Joints) -> None:
@@ -221,7 +229,7 @@ def _at_base(tried: _Tried, joints: _Joints) -> None:
         tried.waves("base", _UPRIGHT, driver)
     tried.singles("base", _TWIST, [*moments, *_EVERYWHERE])
     tried.singles("base", _UPRIGHT, [*joints.positions, *joints.moving()])
-    tried.pairs("base", _TWIST, chain(combinations(moments, 2), product(moments, _EVERYWHERE)))
+    tried.pairs("base", _TWIST, chain(combinations(moments, 2), product(moments, _EVERYWHERE), _AT_ONCE))
     tried.pairs("base", _UPRIGHT, chain(combinations(near, 2), product(joints.positions, _EVERYWHERE)))
     # what a joint swings round pulls at the base, in the direction in which it is then
     swinging = [(driver, joints.velocities[driver.place - 1]) for driver in near]
@@ -236,18 +244,21 @@ def _at_tool(tried: _Tried, joints: _Joints, components: str) -> None:
         tried.waves("tool", components, driver)
     tried.singles("tool", components, [*moments, *joints.positions, *joints.moving(), *_EVERYWHERE])
     tried.pairs("tool", components, combinations(near, 2))
-    tried.pairs("tool", components, product([*moments, *joints.positions], _EVERYWHERE))
+    tried.pairs("tool", components, chain(product([*moments, *joints.positions], _EVERYWHERE), _AT_ONCE))
     tried.polynomial("tool", components, 2, *moments)
 
 
-def _at_sensor(tried: _Tried) -> None:
-    """All components by time, temperature and the moments at the base, on whose bench a sensor may stand.
+def _at_sensor(tried: _Tried, joints: _Joints) -> None:
+    """All components by time, temperature, the moments at the base and the velocities, as one bench may bear both.
 
     Shifts and a scale by the measured position, as lenses have them, and turns by the angles of the line of sight.
     """
     axes = [Driver(f"measured position {axis}") for axis in "xyz"]
     distance, azimuth, elevation = (Driver(f"measured position's {k}") for k in ("distance", "azimuth", "elevation"))
-    tried.singles("sensor", _TWIST, [*_EVERYWHERE, *(Driver(f"base moment {axis}") for axis in "xy")])
+    moments = [Driver(f"base moment {axis}") for axis in "xy"]
+    tried.singles("sensor", _TWIST, [*_EVERYWHERE, *moments, *joints.velocities])
+    tried.pairs("sensor", _TWIST, _AT_ONCE)
+    tried.pairs("sensor", _TWIST, combinations(joints.velocities, 2), _QUADRATIC)
     tried.singles("sensor", _SHIFT, axes)
     tried.pairs("sensor", _SHIFT, product(axes, _EVERYWHERE))
     tried.polynomial("sensor", _SHIFT, _DEGREE, *axes)
