@@ -142,8 +142,8 @@ def fit(
     Derivatives are those at the problem's point of linearisation, and so are the drivers of terms that a domain
     computes from the nuisance; residuals are exact otherwise. Each step multiplies the error by about a thousandth, or
     by the error of the start in rad where that is larger. Beside an effect of many times the noise the nuisance may be
-    too far from that point: a fit that has not converged after `first_steps` goes on with the problem linearised anew
-    at each of up to `moving_steps`. Where a combination of nuisance numbers is nearly confounded with a term, an error
+    too far from that point: a fit that has not converged after `first_steps` goes on with the problem linearised anew,
+    up to `relinearisations` times. Where a combination of nuisance numbers is nearly confounded with a term, an error
     of a hundredth in the derivatives changes the information, and `exact` derivatives are needed for the covariance.
 
     Args:
@@ -160,13 +160,13 @@ def fit(
     Where a term jumps, as a gear between its flanks does at a torque that depends on the nuisance, a start far from
     zero may lead no further; a start from zero is then tried too, and the likelier result taken.
     """
-    moving = options.moving_steps and not exact and len(problem.precision)
-    first = replace(options, steps=options.first_steps) if moving else options
+    following = options.relinearisations and not exact and len(problem.precision)
+    first = replace(options, steps=options.first_steps) if following else options
     found = _fitted(problem, terms, first, values, nuisance, training, noise, exact, False)[1]
     if found.converged or exact:
         return found
-    if moving:
-        found = _followed(problem, found, options)
+    if following:
+        found = _followed(problem, found, first)
     if found.converged or nuisance is None or not nuisance.any() or not _may_jump(terms):
         return found
     again = _fitted(problem, terms, options, None, None, training, noise, False, False)[1]
@@ -174,17 +174,22 @@ def fit(
 
 
 def _followed(problem: LinearisedProblem, fitted: Fit, options: EngineOptions) -> Fit:
-    """The fit after further steps, at each of which the problem is linearised anew; as it is where these do not help.
+    """The fit after further ones, for each of which the problem is linearised where the one before ended.
 
-    Its nuisance is the sum over the steps. Displacements one after the other differ from their sum to second order, and
-    its residuals are those of the former: a further fit, from there, makes them agree.
+    Its nuisance is the sum of all. Displacements one after the other differ from their sum to second order, and its
+    residuals are those of the former: a further fit, from there, makes them agree.
     """
-    further = replace(options, steps=options.moving_steps, least_gain=options.least_moving_gain)
-    near, f = problem.relinearised(fitted.nuisance), fitted
-    moved = _fitted(near, f.terms, further, f.values, None, f.training, f.noise, False, True)[1]
-    if moved.gain_over(fitted) <= 0:
-        return fitted
-    return replace(moved, nuisance=moved.nuisance_about(problem), offset=problem.offset)
+    about, f = problem, fitted
+    for _ in range(options.relinearisations):
+        about = about.relinearised(f.nuisance)
+        again = _fitted(about, f.terms, options, f.values, None, f.training, f.noise, False, False)[1]
+        gain = again.gain_over(f)
+        if gain <= 0:
+            break
+        f = replace(again, converged=again.converged or gain < options.least_gain)
+        if f.converged:
+            break
+    return f if f is fitted else replace(f, nuisance=f.nuisance_about(problem), offset=problem.offset)
 
 
 def _may_jump(terms: Terms) -> bool:
@@ -275,8 +280,7 @@ def _fitted(
         if length < (options.exact_settled if exact else options.settled):
             converged = True
             break
-        if before - cost < options.least_gain:
-            converged = moving
+        if before - cost < options.settled**2:
             break  # where derivatives are inexact, steps may stay long and change nothing
     factor = variance_factor(state.squares[training], problem.rows, FREEDOM, 0)
     inverse = scaled_inverse(H, rounding) if len(H) else H
@@ -284,7 +288,17 @@ def _fitted(
     effective = float(len(H) - np.sum(precision * np.diagonal(inverse))) if len(H) else 0.0
     penalty = _square(precision, prior(problem, at))
     found = Fit(
-        terms, at[:k], problem.offset, at[k:], covariance, state, training, effective, converged, noise, penalty
+        terms,
+        at[:k],
+        problem.offset,
+        at[k:],
+        covariance,
+        state,
+        training,
+        effective,
+        converged,
+        noise,
+        penalty,
     )
     return problem, found
 

@@ -98,17 +98,11 @@ class EngineOptions:
         25, "most Gauss-Newton steps of a fit in one linearisation", "four suffice where the model is right"
     )
     settled: float = option(1e-3, "length of a last step, in standard deviations", "invisible in any printed digit")
-    least_gain: float = option(1e-6, "twice the log-likelihood that a further step must gain", "square of `settled`")
     first_steps: int = option(
-        6,
-        "as `steps`, where a fit that has not converged by then goes on as `moving_steps` says",
-        "four suffice mostly",
+        6, "as `steps`, where a fit that has not converged by then is linearised anew", "four suffice mostly"
     )
-    moving_steps: int = option(
-        25, "most further steps of such a fit, the problem linearised anew at each; none if 0", "eight suffice mostly"
-    )
-    least_moving_gain: float = option(
-        0.01, "as `least_gain`, of such a further step", "it takes several times as long, and `close` is 600 times that"
+    least_gain: float = option(
+        0.01, "log-likelihood that a fit must gain to be linearised anew again", "`close` is 600 times that"
     )
     exact_steps: int = option(8, "most steps of a fit with derivatives by differences", "it starts at the solution")
     exact_settled: float = option(0.02, "length of its last step, in standard deviations", "each step is expensive")
@@ -125,7 +119,9 @@ class EngineOptions:
         "these are known to about 1e-6: a thousand times the square",
     )
     most_exact: int = option(100, "numbers of terms up to which derivatives are taken by differences", "saves minutes")
-    relinearisations: int = option(4, "most times that a selection is linearised at its estimate", "two suffice")
+    relinearisations: int = option(
+        4, "most times that a fit or a selection is linearised anew; none if 0", "two suffice mostly"
+    )
     same: float = option(
         0.1,
         "sum of the squared differences of residuals, in standard deviations, below which linearisations are the same",

@@ -23,7 +23,7 @@ def final_estimates(problem: Problem, state: State, options: EngineOptions) -> S
     be wrong without being found so, on which every number may depend in proportion. What the data leave open is held
     by the range of what is possible: a model with a number far outside it would predict nonsense elsewhere.
     """
-    options = replace(options, moving_steps=0)  # the problem is linearised at the estimate
+    options = replace(options, relinearisations=0)  # the problem is linearised at the estimate
     fitted = _within_range(problem, state.fit, options)
     between, of_inputs = _between_models(problem, fitted, options), _beside_inputs(problem, fitted, options)
     free = [term.chosen is not None for term in fitted.terms.terms]

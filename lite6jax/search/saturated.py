@@ -43,7 +43,7 @@ def from_saturated(problem: Problem, training: Mask, options: EngineOptions) -> 
     baseline = fit(problem, Terms(), options, training=training)
     explained = zip(problem.ladder, score_test(problem, baseline, options).explained(problem.ladder), strict=True)
     terms = Terms(tuple(term for term, one in explained if not one.confounded))
-    rough = replace(options, steps=_STEPS, moving_steps=0)
+    rough = replace(options, steps=_STEPS, relinearisations=0)
     found = fit(problem, terms, rough, training=baseline.training)
     times = autocorrelation_times(problem, found, options)
     while (leaving := _unnecessary(problem, found, times, options)) and len(found.terms.terms) > len(leaving):

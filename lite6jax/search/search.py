@@ -27,6 +27,9 @@ from lite6jax.search.significance import significant
 from lite6jax.search.state import SelectedTerm, State, preferred
 from lite6jax.search.whole_orders import with_whole_orders
 
+_ROUNDS = 2
+"""Times that names are tested, the second one in the linearisation at what the first has found."""
+
 
 @final
 @dataclass(frozen=True, eq=False)
@@ -85,10 +88,11 @@ def search(
         selection = _continued(problem, reference, part, training, options)
     if not any(term.shrunk for term in selection.state.fit.terms.terms):
         entered("noise")
-        problem, state = selection.problem, retest(selection.problem, selection.state, options)
-        state = beside_noise(problem, significant(problem, believable(problem, state, options), options), options)
+        rough = replace(options, relinearisations=0)  # as in `_selected`
+        problem, state = selection.problem, retest(selection.problem, selection.state, rough)
+        state = beside_noise(problem, significant(problem, believable(problem, state, rough), rough), rough)
         if thorough:
-            state = with_alternatives(problem, named_again(problem, state, options), options)
+            state = with_alternatives(problem, named_again(problem, state, rough), rough)
         selection = at_estimate(replace(selection, state=state), options)
     return _reviewed(selection, options) if thorough else selection
 
@@ -116,18 +120,21 @@ def at_estimate(selection: Selection, options: EngineOptions) -> Selection:
 def _selected(
     problem: Problem, reference: Problem, training: Mask, options: EngineOptions, thorough: bool
 ) -> Selection:
-    # of the many models that are compared first most are not true: no fit of these needs to be linearised anew
-    rough = replace(options, moving_steps=0)
+    # of the many models that are compared most are not true: no fit of these needs to be linearised anew
+    rough = replace(options, relinearisations=0)
     state = _names_selected(problem, reference, training, rough, thorough)
+    selection = Selection(problem, reference, state)
     if any(term.shrunk for term in state.fit.terms.terms):
-        return Selection(problem, reference, state)
+        return selection
     entered("naming")
-    f = state.fit
-    if state.tested and not f.converged:
-        state = replace(state, fit=fit(problem, f.terms, options, f.values, f.nuisance, training, f.noise))
-    selection = at_estimate(Selection(problem, reference, state), options)
-    problem, state = selection.problem, unmasked(selection.problem, selection.state, options)
-    selection = at_estimate(replace(selection, state=challenge_names(problem, state, options)), options)
+    selection = at_estimate(selection, options)
+    selection = replace(selection, state=unmasked(selection.problem, selection.state, rough))
+    for _ in range(_ROUNDS):
+        before = selection.problem
+        state = challenge_names(before, selection.state, rough)
+        selection = at_estimate(replace(selection, state=state), options)
+        if selection.problem is before:
+            break  # else other functions may be likelier in the linearisation at what was found
     return replace(selection, state=most_probable(selection.problem, selection.state, options))
 
 
@@ -180,7 +187,7 @@ def _continued(
     nuisance = found.nuisance_about(problem)
     if any(term.shrunk for term in found.terms.terms):
         # hundreds of numbers: a step from the estimate of enough samples
-        options = replace(options, steps=1, moving_steps=0)
+        options = replace(options, steps=1, relinearisations=0)
         fitted = fit(problem, found.terms, options, found.values, nuisance, training)
         return Selection(problem, reference, State(baseline, fitted, part.state.tested))
     fitted = fit(problem, found.terms, options, found.values, nuisance, training) if part.state.tested else baseline

@@ -111,8 +111,7 @@ def _with_curves(
     ]
     model = Terms((*terms, *curves))
     start = join([np.zeros(sum(term.size for term in terms)), *(one.values for one in spectra)])
-    # each step takes hundreds of numbers
-    rough = replace(options, settled=options.exact_settled, least_gain=options.exact_settled**2)
+    rough = replace(options, settled=options.exact_settled)  # each step takes hundreds of numbers
     return fit(problem, model, rough, start, baseline.nuisance, baseline.training), at
 
 

@@ -46,7 +46,7 @@ def selection(case, followed):
 
 def test_a_fit_that_does_not_converge_is_linearised_anew(case, followed):
     problem, baseline = case
-    fixed = fit(problem, LINK, replace(OPTIONS, moving_steps=0), None, baseline.nuisance)
+    fixed = fit(problem, LINK, replace(OPTIONS, relinearisations=0), None, baseline.nuisance)
     assert baseline.scale > 5
     assert not fixed.converged
     assert followed.converged
