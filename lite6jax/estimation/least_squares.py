@@ -287,20 +287,8 @@ def _fitted(
     covariance = inverse[k:, k:] * factor if len(H) else np.zeros((0, 0))
     effective = float(len(H) - np.sum(precision * np.diagonal(inverse))) if len(H) else 0.0
     penalty = _square(precision, prior(problem, at))
-    found = Fit(
-        terms,
-        at[:k],
-        problem.offset,
-        at[k:],
-        covariance,
-        state,
-        training,
-        effective,
-        converged,
-        noise,
-        penalty,
-    )
-    return problem, found
+    rest = covariance, state, training, effective, converged, noise, penalty
+    return problem, Fit(terms, at[:k], problem.offset, at[k:], *rest)
 
 
 def _steps(

@@ -142,4 +142,5 @@ POSITION = "position of joint"
 TORQUE = "gravity torque of joint"
 DIRECTION = "direction of motion of joint"
 VELOCITY = "velocity of joint"
+SPEED = "speed of joint"
 BY_JOINT = own(POSITION, "by")

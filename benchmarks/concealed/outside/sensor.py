@@ -3,11 +3,20 @@
 import numpy as np
 
 from benchmarks.concealed.chain import Array
-from benchmarks.concealed.outside.family import TEMPERATURE, TIME, VELOCITY, Family, column, either, phrases, together
+from benchmarks.concealed.outside.family import (
+    SPEED,
+    TEMPERATURE,
+    TIME,
+    VELOCITY,
+    Family,
+    column,
+    either,
+    phrases,
+    together,
+)
 
 _CYCLE = 0.4
 """m of distance in which the error of a distance meter comes round."""
-_SPEED = "speed of joint"
 
 FAMILIES: dict[str, Family] = {
     "lens_distortion": Family(
@@ -81,7 +90,7 @@ FAMILIES: dict[str, Family] = {
         "turn_rad",
         lambda fixed, s: column(s.dq, fixed, "by") ** 2 + column(s.dq, fixed, "and") ** 2,
         ("by", "and"),
-        together(either(VELOCITY, _SPEED, key="by"), either(VELOCITY, _SPEED, key="and")),
+        together(either(VELOCITY, SPEED, key="by"), either(VELOCITY, SPEED, key="and")),
         (3, 4),
         moving=True,
     ),

@@ -95,7 +95,7 @@ class Deflections:
         inertia, errors = self.inertia, errors or self.errors or self._exact
         if physics is not None and any(isinstance(effect, Loading) for effect in physics.effects):
             # an effect alters the masses as they are
-            inertia, errors = _heavier(inertia, errors.links), errors._replace(links=self._exact.links)
+            inertia, errors = _with_mass_errors(inertia, errors.links), errors._replace(links=self._exact.links)
             inertia = physics.alter_inertia(np.asarray(values, float), inertia)  # type: ignore[arg-type]
         return jax.tree.map(np.asarray, _loads(motion.chain, self.kinematics.ravel(), motion, inertia, errors))
 
@@ -274,7 +274,7 @@ def _host(deflection: Deflection) -> Deflection:
     return Deflection(*(None if part is None else np.asarray(part) for part in deflection))  # type: ignore[arg-type]
 
 
-_heavier = jax.jit(with_mass_errors)
+_with_mass_errors = jax.jit(with_mass_errors)
 
 
 @partial(jax.jit, static_argnums=0)

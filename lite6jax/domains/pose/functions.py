@@ -22,6 +22,7 @@ _EVERYWHERE = (Driver("temperature rise"), _TIME, _PAYLOAD)
 """Drivers of the whole arm."""
 _AT_ONCE = tuple(combinations(_EVERYWHERE, 2))
 """Of what flows or creeps with time, the faster the warmer, or the more loaded, it is."""
+_BASE_MOMENTS = tuple(Driver(f"base moment {axis}") for axis in "xy")
 _DIRECTION = "direction of motion"
 _DEGREE = 3
 """Highest degree of products of drivers; those of lower degrees are parts of them."""
@@ -43,9 +44,9 @@ def tried_functions(motion: Motion, loads: Loads | None, rows: int, sites: dict[
 
     Those of one driver are cubics and splines (of a direction of motion, a line), and waves of joint angles and of the
     angles of the line of sight. Those of several are products: of a site's own drivers, such as the position and the
-    load of a joint; of one of these, or the position of any joint, and one of the whole arm; and of the positions or
-    the velocities, at a joint also the directions, of two joints. Parts of them, such as one component of a
-    displacement, are not among them: `Unnamed.parts` gives these.
+    load of a joint; of one of these, or the position of any joint, and one of the whole arm; of two of the whole arm;
+    and of the positions or the velocities, at a joint also the directions, of two joints. Parts of them, such as one
+    component of a displacement, are not among them: `Unnamed.parts` gives these.
 
     Args:
         motion: time-shifted.
@@ -223,8 +224,7 @@ def _at_base(tried: _Tried, joints: _Joints) -> None:
 
     A turn about z is left out because it equals an angle of joint 1, where the axis of that joint is upright.
     """
-    moments = [Driver(f"base moment {axis}") for axis in "xy"]
-    near = joints.positions[:_NEAR]
+    moments, near = _BASE_MOMENTS, joints.positions[:_NEAR]
     for driver in joints.turning[:_NEAR]:
         tried.waves("base", _UPRIGHT, driver)
     tried.singles("base", _TWIST, [*moments, *_EVERYWHERE])
@@ -255,8 +255,7 @@ def _at_sensor(tried: _Tried, joints: _Joints) -> None:
     """
     axes = [Driver(f"measured position {axis}") for axis in "xyz"]
     distance, azimuth, elevation = (Driver(f"measured position's {k}") for k in ("distance", "azimuth", "elevation"))
-    moments = [Driver(f"base moment {axis}") for axis in "xy"]
-    tried.singles("sensor", _TWIST, [*_EVERYWHERE, *moments, *joints.velocities])
+    tried.singles("sensor", _TWIST, [*_EVERYWHERE, *_BASE_MOMENTS, *joints.velocities])
     tried.pairs("sensor", _TWIST, _AT_ONCE)
     tried.pairs("sensor", _TWIST, combinations(joints.velocities, 2), _QUADRATIC)
     tried.singles("sensor", _SHIFT, axes)
