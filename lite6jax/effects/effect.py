@@ -203,6 +203,11 @@ class Effect(ABC):
     def drivers(self) -> tuple[Driver, ...]:
         """What it depends on."""
 
+    @property
+    def remote(self) -> int:
+        """Of a function without a name, how many of its drivers are quantities of another site."""
+        return 0
+
     @final
     def own(self, name: str) -> str:
         """A name or unit of a revolute joint, as it is for the joint of this effect."""

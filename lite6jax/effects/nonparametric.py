@@ -76,6 +76,12 @@ def _drivers_of(phrase: str) -> tuple[Driver, ...]:
 
 
 @cache
+def _number_of(where: str) -> int:
+    """Of a joint or link; 0 of the others."""
+    return int("0" + "".join(filter(str.isdecimal, where)))
+
+
+@cache
 def _components_at(where: str, component: str) -> tuple[str, ...]:
     """The components of a twist, one after another, that a function has at its site.
 
@@ -278,6 +284,13 @@ class Unnamed(Bending):
         return _drivers_of(self.driver)
 
     @property
+    def remote(self) -> int:
+        """How many drivers are of another joint or link; none at the tool, whose loads are those of the last link."""
+        if self.where == "tool":
+            return 0
+        return sum(driver.place not in (0, _number_of(self.where)) for driver in self.drivers)
+
+    @property
     def of(self) -> tuple[Driver, ...]:
         """What the functions run over: the drivers, but for a direction that multiplies splines."""
         return self.basis.of
@@ -312,7 +325,7 @@ class Unnamed(Bending):
 
     def _at_site(self, shifts: "dict[str, Array]", motion: Motion) -> Deflection:
         """Curves `(sample,)` by component, where this effect is."""
-        kind, number = self.where.rstrip("0123456789"), int("0" + "".join(filter(str.isdecimal, self.where)))
+        kind, number = self.where.rstrip("0123456789"), _number_of(self.where)
         if kind == "joint":
             return Deflection(joint=at_joint(motion.dof, number, shifts["rz"]))
         if SCALE in shifts:

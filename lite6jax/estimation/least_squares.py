@@ -249,13 +249,15 @@ def _fitted(
 
     state = weighed(residual(problem, at), noise, training)
     converged, H, damped = False, np.eye(0), 0.0
+    columns, columns_of = list[Array | Factored](), np.full_like(at, np.inf)
     for _ in range(options.exact_steps if exact else options.steps):
-        parts = columns_at(problem, at, state.rows)
-        if not sum(map(len, parts)):
+        if exact or moving or _apart(terms, at[k:], columns_of[k:], options.stale):
+            columns, columns_of = list(columns_at(problem, at, state.rows)), at
+        if not sum(map(len, columns)):
             converged = True
             break
         root = np.sqrt(np.where(training, state.row_weight, 0.0))
-        parts = [part.weighed(root) if isinstance(part, Factored) else part * root for part in parts]
+        parts = [part.weighed(root) if isinstance(part, Factored) else part * root for part in columns]
         H = gram(parts)
         # not for all: along what a frame takes up of a function, a prior would let errors of exact derivatives through
         precision = np.maximum(known, np.where(np.diagonal(H) < least, least, 0.0))
@@ -289,6 +291,14 @@ def _fitted(
     penalty = _square(precision, prior(problem, at))
     rest = covariance, state, training, effective, converged, noise, penalty
     return problem, Fit(terms, at[:k], problem.offset, at[k:], *rest)
+
+
+def _apart(terms: Terms, values: Array, others: Array, share: float) -> bool:
+    """Whether numbers of terms are so far from others that derivatives there differ; a term may jump anywhere."""
+    if _may_jump(terms) or not np.isfinite(others).all():
+        return True
+    size = np.linalg.norm(others / terms.typical)
+    return bool(np.linalg.norm((values - others) / terms.typical) > share * size)
 
 
 def _steps(

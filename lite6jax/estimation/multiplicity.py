@@ -88,10 +88,15 @@ def description_length(problem: Problem, terms: Sequence[Term], n: float, option
     shapes = sum(term.chosen is not None for term in terms) - len(orders)
     numbers = sum(term.size + (term.chosen is not None) for term in terms)
     choices = sum(float(log_orders_of(*found, options)) for found in orders) + shapes * np.log(options.searched_shapes)
-    choices += sum(term.nonparametric for term in terms) * log_functions(problem, options)
+    choices += sum(log_functions(problem, term, options) for term in terms if term.nonparametric)
     return float(0.5 * numbers * np.log(n) + choices)
 
 
-def log_functions(problem: Problem, options: EngineOptions) -> float:
-    """The logarithm of the number of functions without a name that one is chosen from, parts of them included."""
-    return float(np.log(max(options.searched_shapes, problem.functions_tried)))
+def log_functions(problem: Problem, function: Term, options: EngineOptions) -> float:
+    """What the choice of a function without a name costs in log-likelihood.
+
+    That is the logarithm of the number of functions that it is chosen from, parts of them included, and more for one
+    that is less likely beforehand: what acts at a site mostly depends on quantities of that site.
+    """
+    number = max(options.searched_shapes, problem.functions_tried)
+    return float(np.log(number)) + options.remote * function.remote

@@ -1,6 +1,6 @@
 """Every threshold of the engine: its value, what it means, and why it has that value."""
 
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from typing import Any, NamedTuple, final
 
 
@@ -98,6 +98,18 @@ class EngineOptions:
         25, "most Gauss-Newton steps of a fit in one linearisation", "four suffice where the model is right"
     )
     settled: float = option(1e-3, "length of a last step, in standard deviations", "invisible in any printed digit")
+    stale: float = option(
+        0.0, "share by which a model's numbers change before its derivatives are taken anew", "a few times per fit"
+    )
+    compared: float = option(
+        0.05, "as `settled`, of fits that are only compared with others", "a thousandth of a log-likelihood"
+    )
+    compared_steps: int = option(
+        10,
+        "as `steps`, of fits that are only compared with others",
+        "what takes more creeps, in a model that is not true",
+    )
+    compared_stale: float = option(0.03, "as `stale`, of fits that are only compared with others", "saves time")
     first_steps: int = option(
         6, "as `steps`, where a fit that has not converged by then is linearised anew", "four suffice mostly"
     )
@@ -161,6 +173,11 @@ class EngineOptions:
         "functions without a name, the likeliest of all, that are fitted in a round",
         "in four trials with effects of many thresholds, the true function scored best beside the final terms",
     )
+    remote: float = option(
+        1.0,
+        "log-likelihood that each driver of another site costs a function without a name",
+        "what is elsewhere acts through something between",
+    )
     named_share: float = option(0.5, "share of its gain that a name must reach to replace a function", "saves time")
     misfit: float = option(
         0.1,
@@ -195,6 +212,16 @@ class EngineOptions:
     # final estimates
     whole_within: float = option(2.0, "standard deviations within which an order is taken as whole", "95 %")
     wrong_input: float = option(0.1, "probability that an input such as a load is declared wrong", "one case in ten")
+
+    @property
+    def rough(self) -> "EngineOptions":
+        """For the fits of a search: of the many models that it compares most are not true.
+
+        They are neither linearised anew nor fitted to more digits than a comparison needs.
+        """
+        return replace(
+            self, relinearisations=0, settled=self.compared, steps=self.compared_steps, stale=self.compared_stale
+        )
 
 
 DEFAULTS = EngineOptions()

@@ -68,7 +68,8 @@ def _with_others(problem: Problem, state: State, k: int, options: EngineOptions)
     """The k-th term with its alternatives that may replace it, other orders, and the most likely function of each site.
 
     Sites that have an equally likely named alternative are skipped. At the site of a name it is one that explains
-    clearly more, though not enough more to pay for all of its numbers; at that of a function, one of other drivers.
+    clearly more, though not enough more to pay for all of its numbers, or a step or a bump that explains as much; at
+    that of a function, one of other drivers.
 
     Noise alone lets a number more gain half a unit of log-likelihood (H. Akaike, IEEE Transactions on Automatic Control
     19, 1974), which a function's gap accounts for.
@@ -83,12 +84,15 @@ def _with_others(problem: Problem, state: State, k: int, options: EngineOptions)
     own = test.explained([tested.term])[0]
     now = own.gain - 0.5 * test.time * own.size
     functions = [term for term in problem.flexible if term.site not in near and _may_replace(tested.term, term)]
-    steps = [term for term in _steps(test, tested.term) if _may_replace(tested.term, term)]
+    # something else may step at the same samples
+    steps = [term for term in local_curves_of(test, tested.term.site) if _may_replace(tested.term, term)]
     functions += steps
     likely: dict[object, tuple[float, Term]] = {}
     for term, gain in _likeliest_parts(test, functions, now - 2 * options.close):
         beside = term.site == tested.term.site and not tested.term.nonparametric
         least = now + options.close if beside else now - 2 * options.close  # the refit may say otherwise by `close`
+        if beside and term in steps:
+            least = now - _SAME
         key = (term.site, term.drivers) if term in steps else term.site
         if gain > likely.get(key, (least, term))[0]:
             likely[key] = (gain, term)
@@ -97,7 +101,7 @@ def _with_others(problem: Problem, state: State, k: int, options: EngineOptions)
     for term, score in zip(best, test.score(best), strict=True):
         fitted = added(problem, rest.fit, term, score.values, options)
         gap = state.fit.gain_over(fitted) + 0.5 * test.time * (score.size - own.size)
-        if gap < options.close:
+        if gap < (_SAME if term in steps and not tested.term.nonparametric else options.close):
             found.append(Alternative(term, max(gap, 0.0)))
     before = [a for a in tested.alternatives if not a.term.nonparametric or _may_replace(tested.term, a.term)]
     others = (*before, *found, *_orders(test, tested.term), *_like(state, k, rest, test, own.gain))
@@ -149,13 +153,6 @@ def _like(state: State, k: int, rest: State, test: ScoreTest, gain: float) -> li
         if gap < (options.close if other in slow or term.nonparametric else _SAME):
             found.append(Alternative(other, gap))  # negative where it explains more, though not enough for its number
     return found
-
-
-def _steps(test: ScoreTest, term: Term) -> list[Term]:
-    """Steps and bumps of a function's site over all that varies there: something else may step at the same samples."""
-    if not term.nonparametric:
-        return []
-    return local_curves_of(test, term.site)
 
 
 def _orders(test: ScoreTest, term: Term) -> list[Alternative]:

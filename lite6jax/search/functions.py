@@ -174,17 +174,18 @@ def likely_functions(
         flexible = [one for one in flexible if one.site != but.site or not set(one.drivers) & set(but.drivers)]
     least = options.close if least is None else least
     ranking = _Ranking(least, options, by_site=site is None)
-    half_log_n, a_function = 0.5 * np.log(test.freedom), log_functions(problem, options)
+    half_log_n = 0.5 * np.log(test.freedom)
     equations = test.equations(flexible)
     wholes = list(zip(flexible, equations, explained_by(equations, options.confounded), strict=True))
     for whole, _, one in wholes:
         # what the names and the nuisance explain already costs nothing
         length = description_length(problem, [whole], test.freedom, options) - (whole.size - one.size) * half_log_n
         ranking.add(whole, whole, one.gain - length)
-    for whole, inside, one in sorted(wholes, key=lambda each: -each[2].gain):
-        if one.gain - half_log_n - a_function <= max(ranking.reached, least, 0.0):
+    likely = [(one.gain - log_functions(problem, whole, options), whole, inside) for whole, inside, one in wholes]
+    for most, whole, inside in sorted(likely, key=lambda each: -each[0]):
+        if most - half_log_n <= max(ranking.reached, least, 0.0):
             break  # a part hardly explains more than the whole
-        parts = whole.parts
+        parts, a_function = whole.parts, log_functions(problem, whole, options)
         for part, own in zip(parts, test.explained_parts(inside, parts), strict=True):
             gain = own.gain - own.size * half_log_n - a_function
             if ranking.may_add(whole, gain):

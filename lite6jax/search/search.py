@@ -88,8 +88,8 @@ def search(
         selection = _continued(problem, reference, part, training, options)
     if not any(term.shrunk for term in selection.state.fit.terms.terms):
         entered("noise")
-        rough = replace(options, relinearisations=0)  # as in `_selected`
-        problem, state = selection.problem, retest(selection.problem, selection.state, rough)
+        problem, rough = selection.problem, options.rough
+        state = retest(problem, selection.state, rough)
         state = beside_noise(problem, significant(problem, believable(problem, state, rough), rough), rough)
         if thorough:
             state = with_alternatives(problem, named_again(problem, state, rough), rough)
@@ -120,8 +120,7 @@ def at_estimate(selection: Selection, options: EngineOptions) -> Selection:
 def _selected(
     problem: Problem, reference: Problem, training: Mask, options: EngineOptions, thorough: bool
 ) -> Selection:
-    # of the many models that are compared most are not true: no fit of these needs to be linearised anew
-    rough = replace(options, relinearisations=0)
+    rough = options.rough
     state = _names_selected(problem, reference, training, rough, thorough)
     selection = Selection(problem, reference, state)
     if any(term.shrunk for term in state.fit.terms.terms):

@@ -42,11 +42,12 @@ _LEAST_VARIED = 1e-6
 def tried_functions(motion: Motion, loads: Loads | None, rows: int, sites: dict[Site, Array]) -> tuple[Unnamed, ...]:
     """Functions of the drivers that can act at each site, as far as they are known and vary, and the sensor sees it.
 
-    Those of one driver are cubics and splines (of a direction of motion, a line), and waves of joint angles and of the
-    angles of the line of sight. Those of several are products: of a site's own drivers, such as the position and the
-    load of a joint; of one of these, or the position of any joint, and one of the whole arm; of two of the whole arm;
-    and of the positions or the velocities, at a joint also the directions, of two joints. Parts of them, such as one
-    component of a displacement, are not among them: `Unnamed.parts` gives these.
+    Those of one driver are cubics and splines (of a direction of motion, a line), at joints, links, base and tool of
+    every driver of the motion; and waves of joint angles and of the angles of the line of sight. Those of several are
+    products: of a site's own drivers, such as the position and the load of a joint, with every other; of the position
+    of any joint and a driver of the whole arm; of two of the whole arm; and of the positions or the velocities, at a
+    joint also the directions, of two joints. Parts of them, such as one component of a displacement, are not among
+    them: `Unnamed.parts` gives these.
 
     Args:
         motion: time-shifted.
@@ -76,6 +77,7 @@ class _Joints:
         temperatures: of each joint; none where all joints have that of the whole arm, which would be there twice.
         directions: of motion, of each joint.
         turning: positions of the revolute joints.
+        every: all of these, and those of the whole arm.
     """
 
     def __init__(self, motion: Motion) -> None:
@@ -85,21 +87,23 @@ class _Joints:
         self.temperatures = [] if rise is None or not np.ptp(np.asarray(rise), 0).any() else self._each("temperature")
         self.directions = [Driver(_DIRECTION, driver.place) for driver in self.positions]
         self.turning = [driver for driver, slides in zip(self.positions, self._slides, strict=True) if not slides]
+        each = self.positions, self.velocities, self.directions, self.loads, self.temperatures
+        self.every = [*chain.from_iterable(each), *_EVERYWHERE]
 
     def others(self, joint: int) -> list[Driver]:
         """The positions of all joints but one."""
         return [driver for driver in self.positions if driver.place != joint]
 
-    def moving(self, but: int = 0) -> list[Driver]:
-        """The velocities of all joints, and the directions of motion of all but one."""
-        return [*self.velocities, *(driver for driver in self.directions if driver.place != but)]
+    def own_with_every(self, own: Sequence[Driver]) -> list[tuple[Driver, Driver]]:
+        """Pairs of a site's own drivers, and of each of these with every driver that is not."""
+        return [*combinations(own, 2), *product(own, [driver for driver in self.every if driver not in own])]
 
     def _each(self, quantity: str) -> list[Driver]:
         return [joint_driver(quantity, j, slides) for j, slides in enumerate(self._slides, 1)]
 
 
 class _Tried:
-    """The functions whose drivers are known and vary in a motion, and whose sites the sensor sees.
+    """The functions whose drivers are known and vary in a motion, and whose sites the sensor sees, each once.
 
     Attributes:
         functions: those that were added.
@@ -109,6 +113,7 @@ class _Tried:
         self.functions: list[Unnamed] = []
         self._motion, self._loads, self._sites = motion, loads, sites
         self._ranges: dict[Driver, tuple[float, float] | None] = {}
+        self._there: set[tuple[object, ...]] = set()
 
     def singles(self, site: str, component: str, drivers: Iterable[Driver]) -> None:
         """A cubic and a spline over each driver; of a direction of motion, which has two or three values, a line."""
@@ -143,8 +148,10 @@ class _Tried:
     def _add(self, site: str, component: str, drivers: Sequence[Driver], degree: int = 0, power: int = 0) -> None:
         ranges = [self._range(driver) for driver in drivers]
         known = [one for one in ranges if one is not None]
-        if len(known) < len(ranges) or not self._seen(site, component):
+        function = site, component, degree, power, drivers[0] if len(drivers) == 1 else frozenset(drivers)
+        if len(known) < len(ranges) or not self._seen(site, component) or function in self._there:
             return
+        self._there.add(function)
         (lower, upper), *others = known
         further = tuple(bound for one in others for bound in one)
         phrase = " and ".join(driver.phrase for driver in drivers)
@@ -170,13 +177,11 @@ def _at_joint(tried: _Tried, j: int, joints: _Joints) -> None:
     site, rz = f"joint{j}", "rz"
     own_position, velocity, direction = joints.positions[j - 1], joints.velocities[j - 1], joints.directions[j - 1]
     own_temperature = joints.temperatures[j - 1 : j]
-    own = [own_position, joints.loads[j - 1], *own_temperature]
-    loads = [load for load in joints.loads if load.place != j]
-    tried.singles(site, rz, [*own, direction, *joints.others(j), *joints.moving(but=j), *loads, *_EVERYWHERE])
-    # a spring that is softer in one place, play that a load takes up
-    tried.pairs(site, rz, combinations([*own, direction], 2))
-    # a cable of another joint that creeps
-    tried.pairs(site, rz, product([*own, direction, *joints.others(j)], _EVERYWHERE))
+    own = [own_position, joints.loads[j - 1], *own_temperature, direction]
+    tried.singles(site, rz, joints.every)
+    # a spring that is softer in one place, play that a load takes up, a cable of another joint that creeps
+    tried.pairs(site, rz, joints.own_with_every(own))
+    tried.pairs(site, rz, product(joints.others(j), _EVERYWHERE))
     tried.pairs(site, rz, combinations(joints.positions, 2))
     tried.pairs(site, rz, _AT_ONCE)
     # what several joints swing round at once
@@ -195,28 +200,21 @@ def _at_link(tried: _Tried, j: int, joints: _Joints) -> None:
 
     Shifts by the link's moments and its joint's position, and both by its joint's load, time, temperature and payload.
     """
-    site, own_position, load = f"link{j}", joints.positions[j - 1], joints.loads[j - 1]
+    site, own_position, direction = f"link{j}", joints.positions[j - 1], joints.directions[j - 1]
     moments = [Driver(f"gravity moment {axis}", j) for axis in "xy"]
-    own, direction = [own_position, *moments], joints.directions[j - 1]
     if own_position in joints.turning:
         tried.waves(site, _TILT, own_position)
-    # cables and belts of other joints, and what these swing round
-    tried.singles(site, _TILT, [*own, direction, *joints.others(j), *joints.moving(but=j), *_EVERYWHERE])
+    # cables and belts of other joints, what these swing round, slanting teeth that push and tilt their shaft
+    for components in (_TILT, _SHIFT):
+        tried.singles(site, components, [*moments, *joints.every])
+        tried.pairs(site, components, combinations(moments, 2))
+        tried.pairs(site, components, _AT_ONCE)
+    tried.pairs(site, _TILT, joints.own_with_every([own_position, *moments, direction]))
+    tried.pairs(site, _TILT, product(joints.others(j), _EVERYWHERE))
     # the motors at both ends warm it
-    ends = joints.temperatures[j - 1 : j + 1]
-    tried.singles(site, _TILT, ends)
-    tried.pairs(site, _TILT, combinations(ends, 2))
-    tried.pairs(site, _TILT, combinations([*own, direction], 2))
-    tried.pairs(site, _TILT, product([*own, direction, *joints.others(j)], _EVERYWHERE))
+    tried.pairs(site, _TILT, combinations(joints.temperatures[j - 1 : j + 1], 2))
     tried.pairs(site, _TILT, combinations(joints.positions, 2))
     tried.pairs(site, _TILT, combinations(joints.velocities, 2), _QUADRATIC)
-    tried.singles(site, _SHIFT, [*own, *_EVERYWHERE])
-    tried.pairs(site, _SHIFT, combinations(moments, 2))
-    # slanting teeth push their shaft along its axis, and tilt it
-    tried.singles(site, _SHIFT, [load])
-    tried.singles(site, _TILT, [load])
-    tried.pairs(site, _TILT, _AT_ONCE)
-    tried.pairs(site, _SHIFT, _AT_ONCE)
 
 
 def _at_base(tried: _Tried, joints: _Joints) -> None:
@@ -228,7 +226,7 @@ def _at_base(tried: _Tried, joints: _Joints) -> None:
     for driver in joints.turning[:_NEAR]:
         tried.waves("base", _UPRIGHT, driver)
     tried.singles("base", _TWIST, [*moments, *_EVERYWHERE])
-    tried.singles("base", _UPRIGHT, [*joints.positions, *joints.moving()])
+    tried.singles("base", _UPRIGHT, [driver for driver in joints.every if driver not in _EVERYWHERE])
     tried.pairs("base", _TWIST, chain(combinations(moments, 2), product(moments, _EVERYWHERE), _AT_ONCE))
     tried.pairs("base", _UPRIGHT, chain(combinations(near, 2), product(joints.positions, _EVERYWHERE)))
     # what a joint swings round pulls at the base, in the direction in which it is then
@@ -242,7 +240,7 @@ def _at_tool(tried: _Tried, joints: _Joints, components: str) -> None:
     moments = Driver("gravity moment x", dof), Driver("gravity moment y", dof), joints.loads[-1]
     for driver in joints.turning:
         tried.waves("tool", components, driver)
-    tried.singles("tool", components, [*moments, *joints.positions, *joints.moving(), *_EVERYWHERE])
+    tried.singles("tool", components, [*moments[:2], *joints.every])
     tried.pairs("tool", components, combinations(near, 2))
     tried.pairs("tool", components, chain(product([*moments, *joints.positions], _EVERYWHERE), _AT_ONCE))
     tried.polynomial("tool", components, 2, *moments)
