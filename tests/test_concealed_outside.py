@@ -42,6 +42,11 @@ def beyond(load, preload):
     return load - load.clip(-preload, preload)
 
 
+def incidence(p):
+    """Of the sight, at a pane square to the sensor's z axis."""
+    return np.arctan2(np.linalg.norm(p[:, :2], axis=1, keepdims=True), p[:, [2]])
+
+
 # name: where, what is drawn, the axis of a twist, and the formula of its signal, written down a second time
 FORMULAS = {
     "joint_bump": ("joint3", {"centre": 1.0, "width": 0.3}, lambda s, m: np.exp(-((m.q[:, 2] - 1.0) ** 2) / 0.18)),
@@ -262,6 +267,49 @@ FORMULAS = {
         {"axis": 4.0, "by": 5.0, "and": 2.0},
         lambda s, m: np.sum(m.dq[:, [1, 4]] ** 2, axis=1),
     ),
+    "clamped_ring": (
+        "joint3",
+        {"phase": 0.4},
+        lambda s, m: rise(m) * (np.sin(2 * m.q[:, 2]) * np.cos(0.4) + np.cos(2 * m.q[:, 2]) * np.sin(0.4)),
+    ),
+    "bent_sheath": (
+        "joint3",
+        {"by": 5.0},
+        lambda s, m: np.where(m.dq[:, 2] > 0, -1.0, 1.0) * (1 - np.exp(-0.3 * np.sqrt(m.q[:, 4] ** 2))),
+    ),
+    "weak_bridge": ("joint3", {}, lambda s, m: -(m.dq[:, 2] + abs(m.dq[:, 2])) / 2),
+    "flipping_pull": (
+        "joint3",
+        {"by": 5.0, "over": -1.0},
+        lambda s, m: 1 - 2 / (np.exp(10 * (m.q[:, 4] + 1.0)) + 1),
+    ),
+    "parting_pinion": (
+        "link3",
+        {"axis": 1.0, "torque_Nm": 3.0},
+        lambda s, m: np.sqrt(torque(s, m, 3)[:, 2] ** 2 / 9),
+    ),
+    "flattened_tube": (
+        "link3",
+        {"axis": 3.0, "moment_Nm": 2.0},
+        lambda s, m: torque(s, m, 3)[:, 0] * np.linalg.norm(torque(s, m, 3)[:, :2], axis=1) ** 2 / 8,
+    ),
+    "buckling_plate": ("base", {"axis": 4.0, "buckles": 0.6}, lambda s, m: (rise(m) - 0.6).clip(min=0) ** 0.5),
+    "breathing_springs": (
+        "base",
+        {"axis": 3.0, "base_moment_Nm": 2.0, "span_s": 2.0, "turns": 1.5, "phase": 0.4},
+        lambda s, m: (
+            np.cos(1.5 * np.pi * m.time + 0.4 - np.pi / 2)
+            * moments(s.chain, m.q, m.payload, PAYLOAD_CENTER)[1][:, 0]
+            / 2
+        ),
+    ),
+    "climbing_bayonet": ("tool", {"axis": 2.0, "flange": 6.0}, lambda s, m: np.where(m.dq[:, 5] > 0, 1.0, -1.0)),
+    "opening_chuck": (
+        "tool",
+        {"axis": 3.0, "flange": 6.0, "flange_moment_Nm": 0.01},
+        lambda s, m: 100 * torque(s, m, 6)[:, 0] * m.dq[:, 5] * m.dq[:, 5],
+    ),
+    "wound_lead": ("sensor", {"axis": 4.0, "by": 5.0}, lambda s, m: m.q[:, 4] * m.q[:, 4]),
 }
 IMAGES = {
     "lens_distortion": lambda p: p * np.sum(p**2, 1, keepdims=True),
@@ -276,6 +324,10 @@ IMAGES = {
     ),
     "tilted_trunnion": lambda p: (
         np.cross([0.0, 0.0, 1.0], p) * p[:, [2]] / np.linalg.norm(p[:, :2], axis=1, keepdims=True)
+    ),
+    # beside an angle of incidence, that of the refracted ray
+    "glass_pane": lambda p: (
+        (np.cos(incidence(p)) / (1.5 * np.cos(np.arcsin(np.sin(incidence(p)) / 1.5)))) * [0.0, 0.0, 1.0]
     ),
 }
 
@@ -301,7 +353,7 @@ def displaced(setup, motion, site, twist):
 
 def test_every_family_is_here():
     assert set(FORMULAS) | set(IMAGES) == set(FAMILIES)
-    assert len(FAMILIES) == 89
+    assert len(FAMILIES) == 101
 
 
 @pytest.mark.parametrize("name", FORMULAS)

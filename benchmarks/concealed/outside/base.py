@@ -139,4 +139,30 @@ FAMILIES: dict[str, Family] = {
         moving=True,
         warm=True,
     ),
+    # a plate that is bolted down all round grows with warmth, and buckles where the bolts no longer keep it flat
+    "buckling_plate": Family(
+        "base",
+        "turn_rad",
+        lambda fixed, s: np.sqrt(np.maximum(s.warmth() - fixed["buckles"], 0.0)),
+        ("buckles",),
+        TEMPERATURE,
+        (3, 4),
+        beside=("frame_offset",),
+        warm=True,
+    ),
+    # springs of air under a table are now softer and now stiffer, as a compressor comes and goes
+    "breathing_springs": Family(
+        "base",
+        "turn_rad",
+        lambda fixed, s: (
+            s.base_moment[:, 0]
+            / fixed["base_moment_Nm"]
+            * np.sin(2 * np.pi * fixed["turns"] * s.time / fixed["span_s"] + fixed["phase"])
+        ),
+        ("base_moment_Nm", "span_s", "turns", "phase"),
+        together(phrases("base moment x"), TIME),
+        (3,),
+        beside=("base_compliance", "frame_offset"),
+        loaded=True,
+    ),
 }

@@ -47,8 +47,10 @@ def drawn(name: str, rng: np.random.Generator, s: Signals) -> tuple[str, dict[st
                 fixed[key] = float(np.percentile(q, rng.uniform(55, 80)))
             case "slack":
                 fixed[key] = float(np.percentile(np.abs(column(s.q, fixed, "by")), rng.uniform(30, 60)))
-            case "softens":
+            case "softens" | "buckles":
                 fixed[key] = float(np.percentile(s.warmth(), rng.uniform(30, 60)))
+            case "over":
+                fixed[key] = float(np.percentile(column(s.q, fixed, "by"), rng.uniform(35, 65)))
             case "fades":
                 fixed[key] = float(np.percentile(np.abs(s.dq[:, joint - 1]), rng.uniform(20, 50)))
             case "limit":

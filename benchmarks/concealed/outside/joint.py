@@ -7,6 +7,7 @@ from benchmarks.concealed.outside.family import (
     BY_JOINT,
     DIRECTION,
     POSITION,
+    SPEED,
     TEMPERATURE,
     TIME,
     TORQUE,
@@ -28,6 +29,10 @@ _PULLEY = 1.5
 """Turns of a pulley in one turn of the joint that drives it: between the orders that a wobbling axis has."""
 _TENSIONER = 0.2
 """Of the load: the torque at which the spring of a tensioner begins to give."""
+_SHEATH = 0.3
+"""Friction of a cable in its sheath, over a rad of the bend."""
+_DEAD_POINT = 0.2
+"""rad to either side of a dead point in which a spring goes over it."""
 
 
 def _bump(fixed: Fixed, s: Signals) -> Array:
@@ -320,6 +325,45 @@ FAMILIES: dict[str, Family] = {
         ("by", "phase"),
         together(own(POSITION), BY_JOINT),
         beside=("joint_harmonic", "joint_coupling", "joint_offset"),
+        skipping=True,
+    ),
+    # the ring of an encoder, clamped at two points, goes oval as it warms
+    "clamped_ring": Family(
+        "joint",
+        "turn_rad",
+        lambda fixed, s: s.warmth() * np.sin(2 * column(s.q, fixed) + fixed["phase"]),
+        ("phase",),
+        together(TEMPERATURE, own(POSITION)),
+        beside=("joint_harmonic", "joint_thermal_offset", "joint_offset"),
+        warm=True,
+    ),
+    # a pull cable runs in a sheath that another joint bends, and rubs in it the more (L. Euler, 1769)
+    "bent_sheath": Family(
+        "joint",
+        "turn_rad",
+        lambda fixed, s: column(s.direction, fixed) * np.expm1(-_SHEATH * np.abs(column(s.q, fixed, "by"))),
+        ("by",),
+        together(own(DIRECTION), BY_JOINT),
+        beside=("joint_backlash",),
+    ),
+    # one half of an amplifier's bridge is weak, and the servo falls behind when it runs forwards
+    "weak_bridge": Family(
+        "joint",
+        "turn_rad",
+        lambda fixed, s: -np.maximum(column(s.dq, fixed), 0.0),
+        (),
+        either(VELOCITY, SPEED),  # half the velocity and half the speed
+        beside=("joint_lag",),
+        moving=True,
+    ),
+    # the spring of a dress pack goes over its dead point as another joint turns, and pulls the other way
+    "flipping_pull": Family(
+        "joint",
+        "turn_rad",
+        lambda fixed, s: np.tanh((column(s.q, fixed, "by") - fixed["over"]) / _DEAD_POINT),
+        ("by", "over"),
+        BY_JOINT,
+        beside=("joint_coupling", "joint_offset"),
         skipping=True,
     ),
 }

@@ -34,6 +34,11 @@ def _gradient(fixed: Fixed, s: Signals) -> Array:
     return (s.temperature[:, near + 1] - s.temperature[:, near]) / WARMER
 
 
+def _flattened(fixed: Fixed, s: Signals) -> Array:
+    x, y = (column(s.moment[..., axis], fixed) / fixed["moment_Nm"] for axis in (0, 1))
+    return x * (x**2 + y**2)
+
+
 FAMILIES: dict[str, Family] = {
     "link_tilt_by_time": Family(
         "link", "turn_rad", lambda fixed, s: s.time / fixed["span_s"], ("span_s",), TIME, (3, 4)
@@ -205,5 +210,27 @@ FAMILIES: dict[str, Family] = {
         (3, 4),
         beside=("frame_offset",),
         skipping=True,
+    ),
+    # the flanks of its teeth push a pinion, whose motor rides on its link, out of mesh, whichever way the load acts
+    "parting_pinion": Family(
+        "link",
+        "shift_m",
+        lambda fixed, s: np.abs(torque(fixed, s)),
+        ("torque_Nm",),
+        own(TORQUE),
+        (0, 1),
+        beside=("frame_offset",),
+        loaded=True,
+    ),
+    # a thin tube goes oval as it bends, whichever way, and bends the more (L. G. Brazier, 1927)
+    "flattened_tube": Family(
+        "link",
+        "turn_rad",
+        _flattened,
+        ("moment_Nm",),
+        together(own("gravity moment x of link"), own("gravity moment y of link")),
+        (3,),
+        beside=("link_compliance", "frame_offset"),
+        loaded=True,
     ),
 }

@@ -99,6 +99,18 @@ OPENED: dict[str, float] = {
     "flowing_glue": 2451,
     "shaken_tripod": 2451,
     "tilted_trunnion": 2451,
+    "clamped_ring": SEALED,
+    "bent_sheath": SEALED,
+    "weak_bridge": SEALED,
+    "flipping_pull": SEALED,
+    "parting_pinion": SEALED,
+    "flattened_tube": SEALED,
+    "buckling_plate": SEALED,
+    "breathing_springs": SEALED,
+    "climbing_bayonet": SEALED,
+    "opening_chuck": SEALED,
+    "glass_pane": SEALED,
+    "wound_lead": SEALED,
 }
 """By name, the first seed of a campaign that draws the family without --sealed.
 

@@ -4,6 +4,7 @@ import numpy as np
 
 from benchmarks.concealed.chain import Array
 from benchmarks.concealed.outside.family import (
+    BY_JOINT,
     SPEED,
     TEMPERATURE,
     TIME,
@@ -17,6 +18,8 @@ from benchmarks.concealed.outside.family import (
 
 _CYCLE = 0.4
 """m of distance in which the error of a distance meter comes round."""
+_GLASS = 1.5
+"""Refractive index."""
 
 FAMILIES: dict[str, Family] = {
     "lens_distortion": Family(
@@ -96,6 +99,17 @@ FAMILIES: dict[str, Family] = {
     ),
     # the axis about which a tracker raises its beam is not square to the one about which it turns
     "tilted_trunnion": Family("image", "shift_m", None, (), phrases("measured position")),
+    # a sensor looks through a pane of glass, which brings what is aslant behind it nearer than what is straight
+    "glass_pane": Family("image", "shift_m", None, (), phrases("measured position"), beside=("measurement_scale",)),
+    # a lead from the arm to a camera is wound up as a joint turns, either way, and tugs at its head
+    "wound_lead": Family(
+        "sensor",
+        "turn_rad",
+        lambda fixed, s: column(s.q, fixed, "by") ** 2,
+        ("by",),
+        BY_JOINT,
+        (3, 4, 5),
+    ),
 }
 
 
@@ -128,4 +142,8 @@ def seen_shift(name: str, position: Array) -> Array:
             # off in azimuth by the tangent of the elevation
             tangent = z / np.hypot(x, y)
             return np.column_stack([-y * tangent, x * tangent, np.zeros(len(x))])
+        case "glass_pane":
+            # along the normal of the pane (W. Snell, 1621); what is the same everywhere is the sensor's place
+            cosine = z / np.sqrt(x**2 + y**2 + z**2)
+            return np.column_stack([np.zeros((len(x), 2)), cosine / np.sqrt(_GLASS**2 - 1 + cosine**2)])
     raise KeyError(name)

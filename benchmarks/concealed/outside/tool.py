@@ -6,6 +6,7 @@ from benchmarks.concealed.chain import Array
 from benchmarks.concealed.outside.family import (
     BY_JOINT,
     CREEP,
+    DIRECTION,
     PRELOAD,
     SPEED,
     TEMPERATURE,
@@ -38,6 +39,11 @@ def _rolled(fixed: Fixed, s: Signals) -> Array:
 def _parted(fixed: Fixed, s: Signals) -> Array:
     x, y = (column(s.moment[..., axis], fixed, "flange") / fixed["flange_moment_Nm"] for axis in (0, 1))
     return np.maximum(np.hypot(x, y) - PRELOAD, 0.0)
+
+
+def _sagging(fixed: Fixed, s: Signals) -> Array:
+    load = column(s.moment[..., 0], fixed, "flange") / fixed["flange_moment_Nm"]
+    return column(s.dq, fixed, "flange") ** 2 * load
 
 
 FAMILIES: dict[str, Family] = {
@@ -163,5 +169,27 @@ FAMILIES: dict[str, Family] = {
         (0, 1),
         beside=("tool_offset",),
         warm=True,
+    ),
+    # a tool that is loose in its bayonet climbs the ramp as the last joint turns one way, and slides back the other way
+    "climbing_bayonet": Family(
+        "tool",
+        "shift_m",
+        lambda fixed, s: column(s.direction, fixed, "flange"),
+        ("flange",),
+        own(DIRECTION, "flange"),
+        (2,),
+        beside=("tool_offset",),
+    ),
+    # the jaws of a chuck are flung outwards as the last joint spins it, and what they hold sags
+    "opening_chuck": Family(
+        "tool",
+        "turn_rad",
+        _sagging,
+        ("flange", "flange_moment_Nm"),
+        together(either(VELOCITY, SPEED, key="flange"), own("gravity moment x of link", "flange")),
+        (3,),
+        beside=("tool_compliance", "tool_offset"),
+        loaded=True,
+        moving=True,
     ),
 }
