@@ -107,7 +107,7 @@ class EngineOptions:
     compared_steps: int = option(
         10,
         "as `steps`, of fits that are only compared with others",
-        "what takes more creeps, in a model that is not true",
+        "those that take more creep: no such model is true",
     )
     compared_stale: float = option(0.03, "as `stale`, of fits that are only compared with others", "saves time")
     first_steps: int = option(

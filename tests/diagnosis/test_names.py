@@ -189,6 +189,15 @@ def test_two_plain_names_take_the_place_of_one_of_seven_numbers(tmp_path, trial)
     assert found.fit.terms.size == 3
 
 
+def test_a_name_lists_a_step_at_its_site_that_explains_as_much(tmp_path):
+    """A joint that steps in its range looks like one with play where 17 rows approach either side from its own."""
+    recording = drawn(tmp_path, 2463, 348)
+    (found,) = explain(recording, None, "declared", OPTIONS).selection.state.tested
+    assert found.term.label == "joint_backlash:joint1"
+    likely = [one.term for one in found.alternatives if one.gap < 0.5 and one.term.nonparametric]
+    assert ("joint1", "position of joint 1") in [(one.site, one.driver) for one in likely]
+
+
 @pytest.mark.long
 def test_a_name_that_explains_no_more_than_a_function_lists_it(tmp_path):
     """A spring that yields is wind-up and compliance; of the latter these 1185 rows show nothing."""

@@ -173,7 +173,7 @@ class _Tried:
 
 
 def _at_joint(tried: _Tried, j: int, joints: _Joints) -> None:
-    """An angle: by the joint's own loads, motion and temperature, and by the motion and loads of any other joint."""
+    """An angle: by every driver, and by the joint's own with every other."""
     site, rz = f"joint{j}", "rz"
     own_position, velocity, direction = joints.positions[j - 1], joints.velocities[j - 1], joints.directions[j - 1]
     own_temperature = joints.temperatures[j - 1 : j]
@@ -196,10 +196,7 @@ def _at_joint(tried: _Tried, j: int, joints: _Joints) -> None:
 
 
 def _at_link(tried: _Tried, j: int, joints: _Joints) -> None:
-    """Tilts by the link's moments, its joint's position, direction and temperature, and the motion of other joints.
-
-    Shifts by the link's moments and its joint's position, and both by its joint's load, time, temperature and payload.
-    """
+    """Tilts and shifts by every driver, the link's moments among them; tilts by its own with every other, too."""
     site, own_position, direction = f"link{j}", joints.positions[j - 1], joints.directions[j - 1]
     moments = [Driver(f"gravity moment {axis}", j) for axis in "xy"]
     if own_position in joints.turning:
@@ -218,7 +215,7 @@ def _at_link(tried: _Tried, j: int, joints: _Joints) -> None:
 
 
 def _at_base(tried: _Tried, joints: _Joints) -> None:
-    """All components by the moments, time, temperature and payload; by the motion of joints all but a turn about z.
+    """All components by the moments, time, temperature and payload; by every driver of joints all but a turn about z.
 
     A turn about z is left out because it equals an angle of joint 1, where the axis of that joint is upright.
     """
@@ -235,7 +232,7 @@ def _at_base(tried: _Tried, joints: _Joints) -> None:
 
 
 def _at_tool(tried: _Tried, joints: _Joints, components: str) -> None:
-    """All components that are seen, by the moments at the flange, the motion of joints, time and temperature."""
+    """All components that are seen, by every driver, the moments at the flange among them."""
     dof, near = len(joints.positions), joints.positions[-_NEAR:]
     moments = Driver("gravity moment x", dof), Driver("gravity moment y", dof), joints.loads[-1]
     for driver in joints.turning:

@@ -5,7 +5,7 @@ import pytest
 
 from lite6jax.domains.pose.functions import tried_functions
 from lite6jax.effects.motion import motion_of
-from lite6jax.effects.nonparametric import COMPONENTS, SCALE
+from lite6jax.effects.nonparametric import COMPONENTS, SCALE, Unnamed
 
 SAMPLES = 40
 
@@ -58,3 +58,42 @@ def test_waves_of_a_joint_that_turns_far_hold_as_far_as_it_turns():
         values = np.asarray(one.values_at(far, None))
         assert one.lower <= values.min()
         assert values.max() <= one.upper
+
+
+def test_every_driver_that_is_known_is_tried_at_every_joint_and_link_by_itself():
+    rng = np.random.default_rng(4)
+    velocity, rise = rng.uniform(-1.0, 1.0, (2, 3, SAMPLES))
+    moving = motion(3, time=8.0 * np.arange(SAMPLES))._replace(
+        joint_velocity=velocity, direction=np.sign(velocity), joint_temperature_rise=9 * rise
+    )
+    found = tried_functions(moving, None, 3, everywhere(3))
+    quantities = {driver.phrase for one in found for driver in one.drivers if not driver.phrase.startswith("measured")}
+    assert len(quantities) == 1 + 4 * 3  # time; positions, velocities, directions and temperatures
+    for site in ("joint1", "joint3", "link1", "link3"):
+        assert {one.driver for one in found if one.site == site and len(one.drivers) == 1} == quantities
+
+
+def test_no_function_is_tried_twice():
+    found = tried(3, time=8.0 * np.arange(SAMPLES))
+    drawn = [(one.site, one.component, frozenset(one.drivers), one.basis.size, one.orders) for one in found]
+    assert len(drawn) == len(set(drawn))
+
+
+@pytest.mark.parametrize(
+    ("site", "driver", "remote"),
+    [
+        ("joint2", "position of joint 2", 0),
+        ("joint2", "time", 0),
+        ("joint2", "velocity of joint 1", 1),
+        ("joint2", "position of joint 2 and velocity of joint 1", 1),
+        ("link2", "velocity of joint 1 and velocity of joint 3", 2),
+        ("link2", "gravity moment x of link 2", 0),
+        ("base", "base moment x", 0),
+        ("base", "position of joint 1", 1),
+        ("tool", "gravity moment x of link 6", 0),
+    ],
+)
+def test_drivers_of_other_joints_and_links_are_remote(site, driver, remote):
+    further = (0.0, 1.0) * (driver.count(" and "))
+    component = "rz" if site.startswith("joint") else "x"
+    assert Unnamed(site, driver, 0.0, 1.0, component=component, degree=3, further=further).remote == remote
