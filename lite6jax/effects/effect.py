@@ -204,9 +204,9 @@ class Effect(ABC):
         """What it depends on."""
 
     @property
-    def remote(self) -> int:
-        """Of a function without a name, how many of its drivers are quantities of another site."""
-        return 0
+    def rare(self) -> bool:
+        """Whether it is a function without a name that is less likely beforehand than others."""
+        return False
 
     @final
     def own(self, name: str) -> str:

@@ -127,6 +127,7 @@ class Unnamed(Bending):
         degree: of polynomials, that are there instead of a spline; 0 for none.
         power: highest power of each driver in these; 0 where the degree alone limits it.
         further: lower and upper of each further driver.
+        rare: whether it is less likely beforehand, as its drivers mostly act elsewhere.
 
     Raises:
         InputError: no such site, driver or component, or an empty range.
@@ -146,6 +147,7 @@ class Unnamed(Bending):
     further: tuple[float, ...] = ()
     rolloff: tuple[float, ...] = ()
     power: int = 0
+    rare: bool = False
 
     name: ClassVar[str] = "unnamed"
     nonparametric: ClassVar[bool] = True
@@ -282,13 +284,6 @@ class Unnamed(Bending):
     def drivers(self) -> tuple[Driver, ...]:
         """The driver, or several."""
         return _drivers_of(self.driver)
-
-    @property
-    def remote(self) -> int:
-        """How many drivers are of another joint or link; none at the tool, whose loads are those of the last link."""
-        if self.where == "tool":
-            return 0
-        return sum(driver.place not in (0, _number_of(self.where)) for driver in self.drivers)
 
     @property
     def of(self) -> tuple[Driver, ...]:

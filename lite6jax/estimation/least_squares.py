@@ -249,10 +249,11 @@ def _fitted(
 
     state = weighed(residual(problem, at), noise, training)
     converged, H, damped = False, np.eye(0), 0.0
-    columns, columns_of = list[Array | Factored](), np.full_like(at, np.inf)
+    columns: Sequence[Array | Factored] | None = None
+    columns_of = at
     for _ in range(options.exact_steps if exact else options.steps):
-        if exact or moving or _apart(terms, at[k:], columns_of[k:], options.stale):
-            columns, columns_of = list(columns_at(problem, at, state.rows)), at
+        if columns is None or exact or moving or _apart(terms, at[k:], columns_of[k:], options.stale):
+            columns, columns_of = columns_at(problem, at, state.rows), at
         if not sum(map(len, columns)):
             converged = True
             break
@@ -295,10 +296,8 @@ def _fitted(
 
 def _apart(terms: Terms, values: Array, others: Array, share: float) -> bool:
     """Whether numbers of terms are so far from others that derivatives there differ; a term may jump anywhere."""
-    if _may_jump(terms) or not np.isfinite(others).all():
-        return True
     size = np.linalg.norm(others / terms.typical)
-    return bool(np.linalg.norm((values - others) / terms.typical) > share * size)
+    return _may_jump(terms) or bool(np.linalg.norm((values - others) / terms.typical) > share * size)
 
 
 def _steps(

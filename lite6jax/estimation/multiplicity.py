@@ -2,10 +2,11 @@
 
 Every candidate has a weight, its prior probability, and its p-value is divided by that weight: the family-wise level
 holds as the weights add up to one (weighted Bonferroni; C. R. Genovese, K. Roeder, L. Wasserman, Biometrika 93, 2006).
-Candidates weigh the same, but for the orders of one angle. The prior density of an order falls as 1/order, that of a
-quantity whose scale is not known (H. Jeffreys, Theory of Probability, 3.1), and a whole order is likelier than those
-around it: an eccentric shaft is likelier than a tooth. Of orders that are the same wave at every sample, as 2 and 178
-are at angles that are multiples of 2°, this prior chooses the lowest.
+Candidates weigh the same, but for functions that are rare, which add a twentieth, and for the orders of one angle.
+The prior density of an order falls as 1/order, that of a quantity whose scale is not known (H. Jeffreys, Theory of
+Probability, 3.1), and a whole order is likelier than those around it: an eccentric shaft is likelier than a tooth. Of
+orders that are the same wave at every sample, as 2 and 178 are at angles that are multiples of 2°, this prior chooses
+the lowest.
 """
 
 from collections.abc import Sequence
@@ -31,7 +32,7 @@ def searched_size(problem: Problem, options: EngineOptions) -> float:
 
 def multiplicity(problem: Problem, term: Term, options: EngineOptions) -> float:
     """The factor by which the p-value of a term becomes family-wise."""
-    searched, found = searched_size(problem, options), wave_of(problem, term)
+    searched, found = searched_size(problem, options) * np.exp(options.rare * term.rare), wave_of(problem, term)
     return searched if found is None else searched * relative_multiplicity(log_orders_of(*found, options), options)
 
 
@@ -93,10 +94,9 @@ def description_length(problem: Problem, terms: Sequence[Term], n: float, option
 
 
 def log_functions(problem: Problem, function: Term, options: EngineOptions) -> float:
-    """What the choice of a function without a name costs in log-likelihood.
+    """What the choice of a function without a name costs in log-likelihood: more for one that is rare.
 
-    That is the logarithm of the number of functions that it is chosen from, parts of them included, and more for one
-    that is less likely beforehand: what acts at a site mostly depends on quantities of that site.
+    That is the logarithm of the number of functions that it is chosen from, parts of them included.
     """
     number = max(options.searched_shapes, problem.functions_tried)
-    return float(np.log(number)) + options.remote * function.remote
+    return float(np.log(number)) + options.rare * function.rare

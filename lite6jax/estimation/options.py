@@ -173,10 +173,10 @@ class EngineOptions:
         "functions without a name, the likeliest of all, that are fitted in a round",
         "in four trials with effects of many thresholds, the true function scored best beside the final terms",
     )
-    remote: float = option(
-        1.0,
-        "log-likelihood that each driver of another site costs a function without a name",
-        "what is elsewhere acts through something between",
+    rare: float = option(
+        3.0,
+        "log-likelihood that a function without a name costs whose drivers act elsewhere mostly",
+        "one effect in twenty, and as many of these functions as of the others",
     )
     named_share: float = option(0.5, "share of its gain that a name must reach to replace a function", "saves time")
     misfit: float = option(

@@ -64,7 +64,7 @@ class Term(Protocol):
         parts: of a function without a name, those of fewer numbers that it contains.
         finer: of a function without a name, those of the same drivers that have more numbers.
         drivers: the quantities that it is a function of.
-        remote: of a function without a name, how many of its drivers are quantities of another site.
+        rare: whether it is a function without a name that is less likely beforehand than others.
     """
 
     specificity: ClassVar[int]
@@ -93,7 +93,7 @@ class Term(Protocol):
     @property
     def drivers(self) -> "Sequence[Any]": ...
     @property
-    def remote(self) -> int: ...
+    def rare(self) -> bool: ...
 
     def released(self) -> "Term":
         """The same term with its chosen number as its last free coordinate."""

@@ -67,6 +67,8 @@ def with_alternatives(problem: Problem, state: State, options: EngineOptions) ->
 def _with_others(problem: Problem, state: State, k: int, options: EngineOptions) -> SelectedTerm:
     """The k-th term with its alternatives that may replace it, other orders, and the most likely function of each site.
 
+    Of rare functions only the most likely one of all is among them.
+
     Sites that have an equally likely named alternative are skipped. At the site of a name it is one that explains
     clearly more, though not enough more to pay for all of its numbers, or a step or a bump that explains as much; at
     that of a function, one of other drivers.
@@ -82,7 +84,7 @@ def _with_others(problem: Problem, state: State, k: int, options: EngineOptions)
     named = (one.term.site for one in tested.alternatives if one.gap < options.close and not one.term.nonparametric)
     near = set(named) - {tested.term.site}
     own = test.explained([tested.term])[0]
-    now = own.gain - 0.5 * test.time * own.size
+    now = own.gain - 0.5 * test.time * own.size - options.rare * tested.term.rare
     functions = [term for term in problem.flexible if term.site not in near and _may_replace(tested.term, term)]
     # something else may step at the same samples
     steps = [term for term in local_curves_of(test, tested.term.site) if _may_replace(tested.term, term)]
@@ -93,14 +95,17 @@ def _with_others(problem: Problem, state: State, k: int, options: EngineOptions)
         least = now + options.close if beside else now - 2 * options.close  # the refit may say otherwise by `close`
         if beside and term in steps:
             least = now - _SAME
-        key = (term.site, term.drivers) if term in steps else term.site
+        key = term.site, term.drivers if term in steps else term.rare
         if gain > likely.get(key, (least, term))[0]:
             likely[key] = (gain, term)
-    best = [term for _, term in sorted(likely.values(), key=lambda pair: -pair[0])[: options.functions]]
+    ranked = [term for _, term in sorted(likely.values(), key=lambda pair: -pair[0])]
+    rare, usual = ([term for term in ranked if term.rare == which] for which in (True, False))
+    best = [*usual[: options.functions], *rare[:1]]
     found = []
     for term, score in zip(best, test.score(best), strict=True):
         fitted = added(problem, rest.fit, term, score.values, options)
         gap = state.fit.gain_over(fitted) + 0.5 * test.time * (score.size - own.size)
+        gap += options.rare * (term.rare - tested.term.rare)
         if gap < (_SAME if term in steps and not tested.term.nonparametric else options.close):
             found.append(Alternative(term, max(gap, 0.0)))
     before = [a for a in tested.alternatives if not a.term.nonparametric or _may_replace(tested.term, a.term)]
@@ -109,7 +114,7 @@ def _with_others(problem: Problem, state: State, k: int, options: EngineOptions)
 
 
 def _likeliest_parts(test: ScoreTest, functions: Sequence[Term], least: float) -> list[tuple[Term, float]]:
-    """Of each function the part of it, or the whole, that gains most, less what its numbers gain in noise.
+    """Of each function the part of it, or the whole, that gains most, less what numbers gain in noise and rarity costs.
 
     Only of functions that gain more than `least` as a whole, at the cost of one number: a part hardly explains more.
     """
@@ -122,7 +127,7 @@ def _likeliest_parts(test: ScoreTest, functions: Sequence[Term], least: float) -
         parts = term.parts
         gains = [one.gain - a_number * one.size for one in (whole, *test.explained_parts(inside, parts))]
         best = int(np.argmax(gains))
-        found.append((parts[best - 1].made() if best else term, gains[best]))
+        found.append((parts[best - 1].made() if best else term, gains[best] - test.options.rare * term.rare))
     return found
 
 

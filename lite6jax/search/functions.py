@@ -8,7 +8,7 @@ from typing import NamedTuple, final
 import numpy as np
 
 from lite6jax.estimation.equations import explained_by
-from lite6jax.estimation.multiplicity import description_length, log_functions, searched_size
+from lite6jax.estimation.multiplicity import description_length, log_functions, multiplicity
 from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.problem import Problem
 from lite6jax.estimation.score_test import ScoreTest, gain_p_value, remaining_noise_model, score_test
@@ -36,12 +36,12 @@ def unmasked(problem: Problem, state: State, options: EngineOptions) -> State:
     correlated = in_own_noise(problem, state.fit, options)
     if correlated.noise.white:
         return state
-    searched, choices = searched_size(problem, options), list[State]()
+    choices = list[State]()
     likely = likely_functions(problem, score_test(problem, state.fit, options, time=1.0), options)
     for choice in with_each(problem, state, likely, options):
         function = choice.tested[-1].term
         gain = choice.fit.own_likelihood - correlated.own_likelihood
-        significant = gain_p_value(gain, function.size, 1.0) * searched < options.level
+        significant = gain_p_value(gain, function.size, 1.0) * multiplicity(problem, function, options) < options.level
         if function.nonparametric and significant and remaining_noise_model(problem, choice.fit, options).white:
             choices.append(choice)
     return most_preferred(problem, state, choices, options) or state
@@ -55,7 +55,6 @@ def beside_noise(problem: Problem, state: State, options: EngineOptions) -> Stat
     """
     if state.tested or state.fit.noise.white:
         return state
-    searched = searched_size(problem, options)
     # this noise has taken up a part of the function: whether it is worth its numbers shows in its own
     likely = likely_functions(problem, score_test(problem, state.fit, options), options, least=-np.inf)
     gains: list[tuple[float, State]] = []
@@ -65,7 +64,7 @@ def beside_noise(problem: Problem, state: State, options: EngineOptions) -> Stat
         own = replace(choice, fit=in_own_noise(problem, choice.fit, options))
         function = own.tested[0].term
         gain = own.fit.own_likelihood - state.fit.own_likelihood
-        p_value = min(gain_p_value(gain, function.size, 1.0) * searched, 1.0)
+        p_value = min(gain_p_value(gain, function.size, 1.0) * multiplicity(problem, function, options), 1.0)
         length = description_length(problem, [function], own.fit.freedom, options)
         if p_value < options.level and gain > length + options.close:
             tested = replace(own.tested[0], p_value=p_value, score=own.tested[0].score._replace(gain=gain))
@@ -248,6 +247,10 @@ class _Ranking:
 
 def _sure(likely: Sequence[LikelyFunction], test: ScoreTest, options: EngineOptions) -> list[LikelyFunction]:
     """Those that noise does not explain."""
-    searched = searched_size(test.problem, options)
     scored = zip(likely, test.score([one.term for one in likely]), strict=True)
-    return [one for one, s in scored if gain_p_value(s.gain, s.size, test.time) * searched < options.level]
+    sure = []
+    for one, score in scored:
+        searched = multiplicity(test.problem, one.term, options)
+        if gain_p_value(score.gain, score.size, test.time) * searched < options.level:
+            sure.append(one)
+    return sure

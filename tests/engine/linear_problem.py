@@ -34,7 +34,7 @@ class Column:
     specificity: int = 1
     site: str = "x"
     periodic: bool = False
-    remote: int = 0
+    rare: bool = False
     nonparametric: bool = False
     shrunk: bool = False
     chosen: float | None = None
@@ -57,7 +57,7 @@ class Wave:
     site: str = "wheel"
     specificity: int = 2
     periodic: bool = True
-    remote: int = 0
+    rare: bool = False
     nonparametric: bool = False
     shrunk: bool = False
     includes: tuple = ()
@@ -96,7 +96,7 @@ class Decay:
     site: str = "x"
     specificity: int = 4
     periodic: bool = False
-    remote: int = 0
+    rare: bool = False
     nonparametric: bool = False
     shrunk: bool = False
     includes: tuple = ()
@@ -137,7 +137,7 @@ class Hat:
     site: str = "wheel"
     specificity: int = 9
     periodic: bool = False
-    remote: int = 0
+    rare: bool = False
     nonparametric: bool = True
     chosen: float | None = None
     includes: tuple = ()
@@ -168,7 +168,7 @@ class Curve:
     finest: int = 0
     specificity: int = 9
     periodic: bool = False
-    remote: int = 0
+    rare: bool = False
     nonparametric: bool = True
     shrunk: bool = False
     chosen: float | None = None

@@ -42,12 +42,12 @@ _LEAST_VARIED = 1e-6
 def tried_functions(motion: Motion, loads: Loads | None, rows: int, sites: dict[Site, Array]) -> tuple[Unnamed, ...]:
     """Functions of the drivers that can act at each site, as far as they are known and vary, and the sensor sees it.
 
-    Those of one driver are cubics and splines (of a direction of motion, a line), at joints, links, base and tool of
-    every driver of the motion; and waves of joint angles and of the angles of the line of sight. Those of several are
-    products: of a site's own drivers, such as the position and the load of a joint, with every other; of the position
-    of any joint and a driver of the whole arm; of two of the whole arm; and of the positions or the velocities, at a
-    joint also the directions, of two joints. Parts of them, such as one component of a displacement, are not among
-    them: `Unnamed.parts` gives these.
+    Those of one driver are cubics and splines (of a direction of motion, a line), and waves of joint angles and of the
+    angles of the line of sight. Those of several are products: of a site's own drivers, such as the position and the
+    load of a joint; of one of these, or the position of any joint, and one of the whole arm; of two of the whole arm;
+    and of the positions or the velocities, at a joint also the directions, of two joints. Those of every other driver,
+    and of a site's own with every other, are tried as rare ones. Parts of them, such as one component of a
+    displacement, are not among them: `Unnamed.parts` gives these.
 
     Args:
         motion: time-shifted.
@@ -64,6 +64,7 @@ def tried_functions(motion: Motion, loads: Loads | None, rows: int, sites: dict[
     _at_base(tried, joints)
     _at_tool(tried, joints, _SHIFT if rows == 3 else _TWIST)
     _at_sensor(tried, joints)
+    _of_every_driver(tried.of_rare(), joints)
     return tuple(tried.functions)
 
 
@@ -94,9 +95,13 @@ class _Joints:
         """The positions of all joints but one."""
         return [driver for driver in self.positions if driver.place != joint]
 
-    def own_with_every(self, own: Sequence[Driver]) -> list[tuple[Driver, Driver]]:
-        """Pairs of a site's own drivers, and of each of these with every driver that is not."""
-        return [*combinations(own, 2), *product(own, [driver for driver in self.every if driver not in own])]
+    def moving(self, but: int = 0) -> list[Driver]:
+        """The velocities of all joints, and the directions of motion of all but one."""
+        return [*self.velocities, *(driver for driver in self.directions if driver.place != but)]
+
+    def with_every(self, own: Iterable[Driver]) -> list[tuple[Driver, Driver]]:
+        """Pairs of each of a site's own drivers with every other."""
+        return [(one, other) for one, other in product(own, self.every) if one != other]
 
     def _each(self, quantity: str) -> list[Driver]:
         return [joint_driver(quantity, j, slides) for j, slides in enumerate(self._slides, 1)]
@@ -114,6 +119,12 @@ class _Tried:
         self._motion, self._loads, self._sites = motion, loads, sites
         self._ranges: dict[Driver, tuple[float, float] | None] = {}
         self._there: set[tuple[object, ...]] = set()
+        self._rare = False
+
+    def of_rare(self) -> "_Tried":
+        """Itself; what is added from now on is rare."""
+        self._rare = True
+        return self
 
     def singles(self, site: str, component: str, drivers: Iterable[Driver]) -> None:
         """A cubic and a spline over each driver; of a direction of motion, which has two or three values, a line."""
@@ -156,7 +167,7 @@ class _Tried:
         further = tuple(bound for one in others for bound in one)
         phrase = " and ".join(driver.phrase for driver in drivers)
         form = {"degree": degree, "power": power, "further": further}
-        self.functions.append(Unnamed(site, phrase, lower, upper, _PIECES, component, **form))
+        self.functions.append(Unnamed(site, phrase, lower, upper, _PIECES, component, rare=self._rare, **form))
 
     def _seen(self, site: str, component: str) -> bool:
         return any(self._sites[site_of(site, one)].any() for one in component.split())
@@ -173,15 +184,17 @@ class _Tried:
 
 
 def _at_joint(tried: _Tried, j: int, joints: _Joints) -> None:
-    """An angle: by every driver, and by the joint's own with every other."""
+    """An angle: by the joint's own loads, motion and temperature, and by the motion and loads of any other joint."""
     site, rz = f"joint{j}", "rz"
     own_position, velocity, direction = joints.positions[j - 1], joints.velocities[j - 1], joints.directions[j - 1]
     own_temperature = joints.temperatures[j - 1 : j]
-    own = [own_position, joints.loads[j - 1], *own_temperature, direction]
-    tried.singles(site, rz, joints.every)
-    # a spring that is softer in one place, play that a load takes up, a cable of another joint that creeps
-    tried.pairs(site, rz, joints.own_with_every(own))
-    tried.pairs(site, rz, product(joints.others(j), _EVERYWHERE))
+    own = [own_position, joints.loads[j - 1], *own_temperature]
+    loads = [load for load in joints.loads if load.place != j]
+    tried.singles(site, rz, [*own, direction, *joints.others(j), *joints.moving(but=j), *loads, *_EVERYWHERE])
+    # a spring that is softer in one place, play that a load takes up
+    tried.pairs(site, rz, combinations([*own, direction], 2))
+    # a cable of another joint that creeps
+    tried.pairs(site, rz, product([*own, direction, *joints.others(j)], _EVERYWHERE))
     tried.pairs(site, rz, combinations(joints.positions, 2))
     tried.pairs(site, rz, _AT_ONCE)
     # what several joints swing round at once
@@ -196,26 +209,36 @@ def _at_joint(tried: _Tried, j: int, joints: _Joints) -> None:
 
 
 def _at_link(tried: _Tried, j: int, joints: _Joints) -> None:
-    """Tilts and shifts by every driver, the link's moments among them; tilts by its own with every other, too."""
-    site, own_position, direction = f"link{j}", joints.positions[j - 1], joints.directions[j - 1]
+    """Tilts by the link's moments, its joint's position, direction and temperature, and the motion of other joints.
+
+    Shifts by the link's moments and its joint's position, and both by its joint's load, time, temperature and payload.
+    """
+    site, own_position, load = f"link{j}", joints.positions[j - 1], joints.loads[j - 1]
     moments = [Driver(f"gravity moment {axis}", j) for axis in "xy"]
+    own, direction = [own_position, *moments], joints.directions[j - 1]
     if own_position in joints.turning:
         tried.waves(site, _TILT, own_position)
-    # cables and belts of other joints, what these swing round, slanting teeth that push and tilt their shaft
-    for components in (_TILT, _SHIFT):
-        tried.singles(site, components, [*moments, *joints.every])
-        tried.pairs(site, components, combinations(moments, 2))
-        tried.pairs(site, components, _AT_ONCE)
-    tried.pairs(site, _TILT, joints.own_with_every([own_position, *moments, direction]))
-    tried.pairs(site, _TILT, product(joints.others(j), _EVERYWHERE))
+    # cables and belts of other joints, and what these swing round
+    tried.singles(site, _TILT, [*own, direction, *joints.others(j), *joints.moving(but=j), *_EVERYWHERE])
     # the motors at both ends warm it
-    tried.pairs(site, _TILT, combinations(joints.temperatures[j - 1 : j + 1], 2))
+    ends = joints.temperatures[j - 1 : j + 1]
+    tried.singles(site, _TILT, ends)
+    tried.pairs(site, _TILT, combinations(ends, 2))
+    tried.pairs(site, _TILT, combinations([*own, direction], 2))
+    tried.pairs(site, _TILT, product([*own, direction, *joints.others(j)], _EVERYWHERE))
     tried.pairs(site, _TILT, combinations(joints.positions, 2))
     tried.pairs(site, _TILT, combinations(joints.velocities, 2), _QUADRATIC)
+    tried.singles(site, _SHIFT, [*own, *_EVERYWHERE])
+    tried.pairs(site, _SHIFT, combinations(moments, 2))
+    # slanting teeth push their shaft along its axis, and tilt it
+    tried.singles(site, _SHIFT, [load])
+    tried.singles(site, _TILT, [load])
+    tried.pairs(site, _TILT, _AT_ONCE)
+    tried.pairs(site, _SHIFT, _AT_ONCE)
 
 
 def _at_base(tried: _Tried, joints: _Joints) -> None:
-    """All components by the moments, time, temperature and payload; by every driver of joints all but a turn about z.
+    """All components by the moments, time, temperature and payload; by the motion of joints all but a turn about z.
 
     A turn about z is left out because it equals an angle of joint 1, where the axis of that joint is upright.
     """
@@ -223,7 +246,7 @@ def _at_base(tried: _Tried, joints: _Joints) -> None:
     for driver in joints.turning[:_NEAR]:
         tried.waves("base", _UPRIGHT, driver)
     tried.singles("base", _TWIST, [*moments, *_EVERYWHERE])
-    tried.singles("base", _UPRIGHT, [driver for driver in joints.every if driver not in _EVERYWHERE])
+    tried.singles("base", _UPRIGHT, [*joints.positions, *joints.moving()])
     tried.pairs("base", _TWIST, chain(combinations(moments, 2), product(moments, _EVERYWHERE), _AT_ONCE))
     tried.pairs("base", _UPRIGHT, chain(combinations(near, 2), product(joints.positions, _EVERYWHERE)))
     # what a joint swings round pulls at the base, in the direction in which it is then
@@ -232,12 +255,12 @@ def _at_base(tried: _Tried, joints: _Joints) -> None:
 
 
 def _at_tool(tried: _Tried, joints: _Joints, components: str) -> None:
-    """All components that are seen, by every driver, the moments at the flange among them."""
+    """All components that are seen, by the moments at the flange, the motion of joints, time and temperature."""
     dof, near = len(joints.positions), joints.positions[-_NEAR:]
     moments = Driver("gravity moment x", dof), Driver("gravity moment y", dof), joints.loads[-1]
     for driver in joints.turning:
         tried.waves("tool", components, driver)
-    tried.singles("tool", components, [*moments[:2], *joints.every])
+    tried.singles("tool", components, [*moments, *joints.positions, *joints.moving(), *_EVERYWHERE])
     tried.pairs("tool", components, combinations(near, 2))
     tried.pairs("tool", components, chain(product([*moments, *joints.positions], _EVERYWHERE), _AT_ONCE))
     tried.polynomial("tool", components, 2, *moments)
@@ -262,6 +285,26 @@ def _at_sensor(tried: _Tried, joints: _Joints) -> None:
     # lenses distort in proportion to powers of the distance
     tried.singles("sensor", SCALE, [distance, *_EVERYWHERE])
     tried.pairs("sensor", SCALE, product([distance], _EVERYWHERE))
+
+
+def _of_every_driver(tried: _Tried, joints: _Joints) -> None:
+    """Every driver at each joint and link, the base and the tool; at joints and links their own with every other, too.
+
+    What acts at a site mostly depends on what is tried there before; but a list of what may does not end.
+    """
+    for j, position in enumerate(joints.positions, 1):
+        own = [position, joints.directions[j - 1]]
+        if position in joints.turning:
+            heated = [*own, joints.loads[j - 1], *joints.temperatures[j - 1 : j]]
+            tried.singles(f"joint{j}", "rz", joints.every)
+            tried.pairs(f"joint{j}", "rz", joints.with_every(heated))
+        if len(joints.positions) > 1:
+            bent = [*own, *(Driver(f"gravity moment {axis}", j) for axis in "xy")]
+            tried.singles(f"link{j}", _TILT, joints.every)
+            tried.singles(f"link{j}", _SHIFT, joints.every)
+            tried.pairs(f"link{j}", _TILT, joints.with_every(bent))
+    tried.singles("base", _UPRIGHT, joints.every)
+    tried.singles("tool", _SHIFT, joints.every)
 
 
 def site_of(where: str, component: str) -> Site:

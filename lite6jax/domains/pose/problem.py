@@ -249,8 +249,11 @@ class PoseProblem:
 
     @lazy
     def functions_tried(self) -> int:
-        """How many functions without a name there are, with those of fewer components, drivers or products in them."""
-        return sum(1 + len(function.forms) for function in self.flexible)
+        """How many functions without a name there are, with those of fewer components, drivers or products in them.
+
+        Rare ones are not counted: what their choice costs is in proportion to the number of the others.
+        """
+        return sum(1 + len(function.forms) for function in self.flexible if not function.rare)
 
     def residual(self, nuisance: Array, terms: Terms, values: Array) -> Array:
         """Residuals `(row, sample)` over the declared noise, predicted minus measured."""

@@ -5,7 +5,7 @@ import pytest
 
 from lite6jax.domains.pose.functions import tried_functions
 from lite6jax.effects.motion import motion_of
-from lite6jax.effects.nonparametric import COMPONENTS, SCALE, Unnamed
+from lite6jax.effects.nonparametric import COMPONENTS, SCALE
 
 SAMPLES = 40
 
@@ -79,21 +79,12 @@ def test_no_function_is_tried_twice():
     assert len(drawn) == len(set(drawn))
 
 
-@pytest.mark.parametrize(
-    ("site", "driver", "remote"),
-    [
-        ("joint2", "position of joint 2", 0),
-        ("joint2", "time", 0),
-        ("joint2", "velocity of joint 1", 1),
-        ("joint2", "position of joint 2 and velocity of joint 1", 1),
-        ("link2", "velocity of joint 1 and velocity of joint 3", 2),
-        ("link2", "gravity moment x of link 2", 0),
-        ("base", "base moment x", 0),
-        ("base", "position of joint 1", 1),
-        ("tool", "gravity moment x of link 6", 0),
-    ],
-)
-def test_drivers_of_other_joints_and_links_are_remote(site, driver, remote):
-    further = (0.0, 1.0) * (driver.count(" and "))
-    component = "rz" if site.startswith("joint") else "x"
-    assert Unnamed(site, driver, 0.0, 1.0, component=component, degree=3, further=further).remote == remote
+def test_functions_of_drivers_that_mostly_act_elsewhere_are_rare():
+    rng = np.random.default_rng(5)
+    moving = motion(3)._replace(joint_velocity=rng.uniform(-1.0, 1.0, (3, SAMPLES)))
+    found = tried_functions(moving, None, 3, everywhere(3))
+    rare = {(one.site, one.component, one.driver): one.rare for one in found}
+    assert not rare["joint2", "rz", "velocity of joint 1"]
+    assert not rare["link2", "x y z", "position of joint 2"]
+    assert rare["link2", "x y z", "velocity of joint 1"]
+    assert rare["joint2", "rz", "position of joint 2 and velocity of joint 1"]
