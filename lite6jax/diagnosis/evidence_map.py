@@ -140,8 +140,9 @@ def explained_shares(found: Diagnosis) -> ExplainedShares:
         Explained(score.gain, score.size)
         for score in test.score_columns([np.stack([problem.sites[at] for at in own]) for own in constants])
     ]
-    tested += [(function.site, _column(function)) for function in problem.flexible]
-    explained += test.explained(problem.flexible)
+    functions = [function for function in problem.flexible if not function.rare]
+    tested += [(function.site, _column(function)) for function in functions]
+    explained += test.explained(functions)
     for (site, column), one in zip(tested, explained, strict=True):
         at = sites.index(site), _COLUMNS.index(column)
         if not one.confounded:

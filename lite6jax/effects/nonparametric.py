@@ -1,7 +1,7 @@
 """Physics without a name: at one site, a function of one driver (spline, waves, hysteresis) or of several."""
 
 import re
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cache, cached_property, lru_cache, partial
 from itertools import chain, product
 from typing import ClassVar, NamedTuple, final
@@ -127,7 +127,7 @@ class Unnamed(Bending):
         degree: of polynomials, that are there instead of a spline; 0 for none.
         power: highest power of each driver in these; 0 where the degree alone limits it.
         further: lower and upper of each further driver.
-        rare: whether it is less likely beforehand, as its drivers mostly act elsewhere.
+        rare: whether a search that tries it takes it for less likely beforehand than others. No part of what it is.
 
     Raises:
         InputError: no such site, driver or component, or an empty range.
@@ -147,7 +147,7 @@ class Unnamed(Bending):
     further: tuple[float, ...] = ()
     rolloff: tuple[float, ...] = ()
     power: int = 0
-    rare: bool = False
+    rare: bool = field(default=False, compare=False)
 
     name: ClassVar[str] = "unnamed"
     nonparametric: ClassVar[bool] = True

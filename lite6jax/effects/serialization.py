@@ -3,7 +3,7 @@
 import ast
 import typing
 from collections.abc import Mapping
-from dataclasses import MISSING, fields
+from dataclasses import MISSING, Field, fields
 from typing import Any
 
 import numpy as np
@@ -30,6 +30,11 @@ _OF_SLIDE = "of_slide"
 """The field that says that the joint of an effect is prismatic; names of its other fields then have other units."""
 
 
+def _written(effect: Effect | type[Effect]) -> list[Field[Any]]:
+    """The fields that say what an effect is; the others say how a search came to it."""
+    return [field for field in fields(effect) if field.compare]  # type: ignore[arg-type]
+
+
 def _field_types(kind: type[Effect], of_slide: bool = False) -> dict[str, tuple[type, ...]]:
     """The fields of an effect's class as they are written, and the types that each accepts."""
     hints = typing.get_type_hints(kind)
@@ -37,7 +42,7 @@ def _field_types(kind: type[Effect], of_slide: bool = False) -> dict[str, tuple[
         joint_unit(field.name, of_slide): (tuple,)
         if typing.get_origin(hint := hints[field.name]) is tuple
         else typing.get_args(hint) or (hint,)
-        for field in fields(kind)  # type: ignore[arg-type]
+        for field in _written(kind)
     }
 
 
@@ -50,7 +55,7 @@ def _kind(name: Any, kinds: Mapping[str, type[Effect]]) -> type[Effect]:
 def _keys(kind: type[Effect], of_slide: bool = False) -> str:
     """The keys that the text form of an effect accepts, for messages."""
     taken = [name for name in _field_types(kind, of_slide) if name != _OF_SLIDE]
-    required = [f.name for f in fields(kind) if f.default is MISSING]  # type: ignore[arg-type]
+    required = [f.name for f in _written(kind) if f.default is MISSING]
     try:
         example = kind(
             **{name: number for number, name in enumerate(required, 1)}, **({_OF_SLIDE: True} if of_slide else {})
@@ -80,10 +85,10 @@ def _build(kind: type[Effect], given: Mapping[str, Any]) -> Effect:
         if name in ("joint", "link", "source_joint") and isinstance(value, int) and value < 1:
             raise InputError(f"{kind.name}: {name} is {value}; joints and links count from 1")
         checked[name] = value
-    for field in fields(kind):  # type: ignore[arg-type]
+    for field in _written(kind):
         if field.default is MISSING and field.name not in checked:
             raise InputError(f"{kind.name}: {field.name} is not given; the keys are {_keys(kind, of_slide)}")
-    of_field = {joint_unit(field.name, of_slide): field.name for field in fields(kind)}  # type: ignore[arg-type]
+    of_field = {joint_unit(field.name, of_slide): field.name for field in _written(kind)}
     return kind(**{of_field[name]: value for name, value in checked.items()})
 
 
@@ -153,7 +158,7 @@ def effect_as_dict(effect: Effect, values: ArrayLike, covariance: ArrayLike | No
         values: `(coordinate,)`.
         covariance: `(coordinate, coordinate)`; standard deviations are 0 without it.
     """
-    where = {field.name: getattr(effect, field.name) for field in fields(effect)}  # type: ignore[arg-type]
+    where = {field.name: getattr(effect, field.name) for field in _written(effect)}
     if not where.get(_OF_SLIDE, True):
         del where[_OF_SLIDE]
     given = {effect.own(name): value for name, value in where.items() if value not in (None, ())}

@@ -143,8 +143,9 @@ def fit(
     computes from the nuisance; residuals are exact otherwise. Each step multiplies the error by about a thousandth, or
     by the error of the start in rad where that is larger. Beside an effect of many times the noise the nuisance may be
     too far from that point: a fit that has not converged after `first_steps` goes on with the problem linearised anew,
-    up to `relinearisations` times. Where a combination of nuisance numbers is nearly confounded with a term, an error
-    of a hundredth in the derivatives changes the information, and `exact` derivatives are needed for the covariance.
+    up to `relinearisations` times. Derivatives are kept while no term's numbers change by more than the share `stale`.
+    Where a combination of nuisance numbers is nearly confounded with a term, an error of a hundredth in the derivatives
+    changes the information, and `exact` derivatives are needed for the covariance.
 
     Args:
         problem: the data.
@@ -267,7 +268,7 @@ def _fitted(
         full = -scaled_solve(H, gradient, rounding)
         length = float(np.sqrt(max(-full @ gradient, 0.0)))
         before = _cost(state.innovations, state, training) + _square(precision, prior(problem, at))
-        trial, there, rows, cost = at, problem, state.rows, np.inf
+        trial, there, rows, cost, fresh = at, problem, state.rows, np.inf, columns_of is at
         for step, damping in _steps(H, gradient, full, rounding, damped, options):
             trial, there = at + step, problem
             if moving:
@@ -275,10 +276,13 @@ def _fitted(
             rows = residual(there, trial)
             cost = _cost(noise.whitened(rows), state, training) + _square(precision, prior(there, trial))
             if cost <= before + 1e-9 * abs(before):
-                damped = damping
+                damped = damping if fresh else damped
                 break
         else:
-            break  # derivatives at the point of linearisation lead no further
+            if fresh:
+                break  # derivatives at the point of linearisation lead no further
+            columns = None
+            continue
         at, problem, state = trial, there, weighed(rows, noise, training)
         if length < (options.exact_settled if exact else options.settled):
             converged = True
@@ -295,9 +299,10 @@ def _fitted(
 
 
 def _apart(terms: Terms, values: Array, others: Array, share: float) -> bool:
-    """Whether numbers of terms are so far from others that derivatives there differ; a term may jump anywhere."""
-    size = np.linalg.norm(others / terms.typical)
-    return _may_jump(terms) or bool(np.linalg.norm((values - others) / terms.typical) > share * size)
+    """Whether the numbers of a term are so far from others that derivatives there differ; a term may jump anywhere."""
+    moved, size = (values - others) / terms.typical, others / terms.typical
+    apart = (np.linalg.norm(moved[part]) > share * np.linalg.norm(size[part]) for part in terms.slices)
+    return _may_jump(terms) or any(apart)
 
 
 def _steps(

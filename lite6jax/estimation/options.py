@@ -99,7 +99,9 @@ class EngineOptions:
     )
     settled: float = option(1e-3, "length of a last step, in standard deviations", "invisible in any printed digit")
     stale: float = option(
-        0.0, "share by which a model's numbers change before its derivatives are taken anew", "a few times per fit"
+        0.0,
+        "share by which the numbers of a term change before derivatives are taken anew",
+        "at each step if 0",
     )
     compared: float = option(
         0.05, "as `settled`, of fits that are only compared with others", "a thousandth of a log-likelihood"
@@ -109,7 +111,9 @@ class EngineOptions:
         "as `steps`, of fits that are only compared with others",
         "those that take more creep: no such model is true",
     )
-    compared_stale: float = option(0.03, "as `stale`, of fits that are only compared with others", "saves time")
+    compared_stale: float = option(
+        0.03, "as `stale`, of fits that are only compared with others", "residuals are exact"
+    )
     first_steps: int = option(
         6, "as `steps`, where a fit that has not converged by then is linearised anew", "four suffice mostly"
     )
@@ -175,8 +179,8 @@ class EngineOptions:
     )
     rare: float = option(
         3.0,
-        "log-likelihood that a function without a name costs whose drivers act elsewhere mostly",
-        "one effect in twenty, and as many of these functions as of the others",
+        "log-likelihood that a rare function without a name costs beyond the others",
+        "one effect in twenty, and about as many of these functions as of the others",
     )
     named_share: float = option(0.5, "share of its gain that a name must reach to replace a function", "saves time")
     misfit: float = option(

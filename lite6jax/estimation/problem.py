@@ -179,7 +179,8 @@ class Problem(LinearisedProblem, Protocol):
         shaped: named terms with a number in which they are not linear, each at a few of its values.
         ladder: named terms of which most real problems have many; none where a domain knows of no such.
         flexible: nonparametric terms of every site and driver, by which the names of the others are tested.
-        functions_tried: how many functions without a name are tried: those of `flexible` and their parts.
+        functions_tried: how many functions without a name are tried: those of `flexible` that are not rare, and their
+            parts.
     """
 
     @property

@@ -118,8 +118,8 @@ def _linear(
 
 def _functions(problem: PoseProblem | TorqueProblem) -> tuple[Function, ...]:
     """What names are tested by in one recording: functions of every site and driver, and finer curves of joints."""
-    # a load that multiplies a function would be another in every arm
-    tried = [effect for effect in problem.flexible if not getattr(effect, "full_load", 0.0)]
+    # a load that multiplies a function would be another in every arm; what is rare in one arm is not that of all
+    tried = [one for one in problem.flexible if not one.rare and not getattr(one, "full_load", 0.0)]
     # a pool has no parts of functions, and those of a whole twist have many numbers to pay for
     found = [_shared(part) for one in tried for part in (one.displacements if isinstance(one, Unnamed) else (one,))]
     for driver in (driver for family in problem.curves for driver in family.drivers):

@@ -67,11 +67,10 @@ def with_alternatives(problem: Problem, state: State, options: EngineOptions) ->
 def _with_others(problem: Problem, state: State, k: int, options: EngineOptions) -> SelectedTerm:
     """The k-th term with its alternatives that may replace it, other orders, and the most likely function of each site.
 
-    Of rare functions only the most likely one of all is among them.
-
     Sites that have an equally likely named alternative are skipped. At the site of a name it is one that explains
-    clearly more, though not enough more to pay for all of its numbers, or a step or a bump that explains as much; at
-    that of a function, one of other drivers.
+    clearly more, though not enough more to pay for all of its numbers; at that of a function, one of other drivers. Of
+    rare functions the most likely one of all sites is among them, and beside a name a step or a bump of its site that
+    explains as much.
 
     Noise alone lets a number more gain half a unit of log-likelihood (H. Akaike, IEEE Transactions on Automatic Control
     19, 1974), which a function's gap accounts for.
@@ -92,21 +91,22 @@ def _with_others(problem: Problem, state: State, k: int, options: EngineOptions)
     likely: dict[object, tuple[float, Term]] = {}
     for term, gain in _likeliest_parts(test, functions, now - 2 * options.close):
         beside = term.site == tested.term.site and not tested.term.nonparametric
-        least = now + options.close if beside else now - 2 * options.close  # the refit may say otherwise by `close`
-        if beside and term in steps:
-            least = now - _SAME
-        key = term.site, term.drivers if term in steps else term.rare
+        step = term in steps
+        least = now + options.close if beside and not step else now - 2 * options.close  # a refit may differ by `close`
+        key = term.site, term.drivers if step else term.rare
         if gain > likely.get(key, (least, term))[0]:
             likely[key] = (gain, term)
     ranked = [term for _, term in sorted(likely.values(), key=lambda pair: -pair[0])]
-    rare, usual = ([term for term in ranked if term.rare == which] for which in (True, False))
-    best = [*usual[: options.functions], *rare[:1]]
+    named_steps = [] if tested.term.nonparametric else [term for term in ranked if term in steps]
+    rare = [term for term in ranked if term.rare]
+    usual = [term for term in ranked if term not in named_steps and not term.rare]
+    best = [*usual[: options.functions], *rare[:1], *named_steps[:1]]
     found = []
     for term, score in zip(best, test.score(best), strict=True):
         fitted = added(problem, rest.fit, term, score.values, options)
         gap = state.fit.gain_over(fitted) + 0.5 * test.time * (score.size - own.size)
         gap += options.rare * (term.rare - tested.term.rare)
-        if gap < (_SAME if term in steps and not tested.term.nonparametric else options.close):
+        if gap < (_SAME if term in named_steps else options.close):
             found.append(Alternative(term, max(gap, 0.0)))
     before = [a for a in tested.alternatives if not a.term.nonparametric or _may_replace(tested.term, a.term)]
     others = (*before, *found, *_orders(test, tested.term), *_like(state, k, rest, test, own.gain))
@@ -154,7 +154,7 @@ def _like(state: State, k: int, rest: State, test: ScoreTest, gain: float) -> li
     found = []
     terms = [other for _, other in best.values()]
     for other, score in zip(terms, test.score(terms), strict=True):
-        gap = state.fit.gain_over(added(problem, rest.fit, other, score.values, options))
+        gap = state.fit.gain_over(added(problem, rest.fit, other, score.values, options)) - options.rare * term.rare
         if gap < (options.close if other in slow or term.nonparametric else _SAME):
             found.append(Alternative(other, gap))  # negative where it explains more, though not enough for its number
     return found

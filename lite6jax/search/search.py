@@ -94,7 +94,18 @@ def search(
         if thorough:
             state = with_alternatives(problem, named_again(problem, state, rough), rough)
         selection = at_estimate(replace(selection, state=state), options)
+    selection = _finished(selection, options)
     return _reviewed(selection, options) if thorough else selection
+
+
+def _finished(selection: Selection, options: EngineOptions) -> Selection:
+    """The selection whose fit, of which a search compares others with, has all its digits."""
+    state, f = selection.state, selection.state.fit
+    if not state.tested:
+        return selection
+    options = replace(options, relinearisations=0)  # it is at its estimate
+    fitted = fit(selection.problem, f.terms, options, f.values, f.nuisance, f.training, f.noise)
+    return replace(selection, state=replace(state, fit=fitted))
 
 
 def at_estimate(selection: Selection, options: EngineOptions) -> Selection:

@@ -108,11 +108,12 @@ def _also_at(problem: Problem, state: State, k: int, site: str, options: EngineO
     wholes = [one for one in problem.flexible if one.site == site and set(one.drivers) == set(term.drivers)]
     test = score_test(problem, reduced(problem, state, k, options).fit, options, within=state.fit)
     equations = test.equations([term, *wholes])
-    explained = explained_by(equations, options.confounded)
-    for inside, whole in zip(equations[1:], wholes, strict=True):
-        explained += test.explained_parts(inside, whole.parts)
-    gains = [one.gain - 0.5 * one.size for one in explained]
-    return max(gains[1:], default=-np.inf) > gains[0] - options.close
+    own, *others = explained_by(equations, options.confounded)
+    now, there = own.gain - 0.5 * own.size - options.rare * term.rare, [-np.inf]
+    for inside, whole, one in zip(equations[1:], wholes, others, strict=True):
+        parts = (one, *test.explained_parts(inside, whole.parts))
+        there += [part.gain - 0.5 * part.size - options.rare * whole.rare for part in parts]
+    return max(there) > now - options.close
 
 
 def _fine(problem: Problem, term: Term) -> bool:

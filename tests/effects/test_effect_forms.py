@@ -194,7 +194,7 @@ NAMES = ", ".join(catalogue_module.BUILT_IN)
         (
             "unnamed:joint=1",
             "unnamed: where is not given; the keys are where, driver, lower, upper, pieces, component, orders, trust, "
-            "spread, memory, degree, further, rolloff, power, rare, its parameters",
+            "spread, memory, degree, further, rolloff, power, its parameters",
         ),
     ],
 )

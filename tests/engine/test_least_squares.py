@@ -11,7 +11,7 @@ from scipy.stats import chi2, multivariate_t
 
 from lite6jax.domains.pose.problem import pose_problem
 from lite6jax.effects.nonparametric import Unnamed
-from lite6jax.estimation.least_squares import weighed
+from lite6jax.estimation.least_squares import fit, weighed
 from lite6jax.estimation.noise import white_noise
 from lite6jax.estimation.projection import scaled_inverse, scaled_solve
 from lite6jax.estimation.robust import FREEDOM
@@ -252,3 +252,19 @@ def test_a_coefficient_that_hardly_a_sample_determines_is_no_larger_than_a_curve
     deviation = np.sqrt(np.diagonal(fitted.covariance))
     assert deviation[-1] > 0.1 > 30 * deviation[:-2].max()
     assert np.abs(fitted.values).max() < 0.5
+
+
+def test_kept_derivatives_lead_to_the_same_fit(arm, still, poses, monkeypatch):
+    case, taken = pose_problem(arm.recording(still, poses=poses, seed=3)), []
+    columns = type(case).nuisance_columns
+    monkeypatch.setattr(type(case), "nuisance_columns", lambda *given: taken.append(1) or columns(*given))
+    fits = []
+    for stale in (0.0, 0.1):
+        taken.append(0)
+        fits.append(fit(case, PHYSICS, replace(OPTIONS, stale=stale, relinearisations=0)))
+    first = taken.index(0, 1)
+    assert sum(taken[first:]) < sum(taken[:first])
+    anew, kept = fits
+    assert kept.converged
+    std = np.sqrt(np.diagonal(anew.covariance))
+    np.testing.assert_allclose(kept.values, anew.values, atol=0.01 * std.min())

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from engine.linear_problem import Column, Wave, linear_problem
+from engine.linear_problem import Column, Curve, Wave, linear_problem
 from scipy.integrate import quad
 
 from lite6jax.estimation.multiplicity import (
@@ -101,3 +101,12 @@ def test_description_lengths_count_numbers_and_the_choice_of_orders():
     assert low == pytest.approx(3 * a_number + float(log_orders_of(family, 3.0, DEFAULTS)))
     both = description_length(problem, [Wave(3.0), Wave(160.7)], n, DEFAULTS)
     assert both == pytest.approx(low + 3 * a_number + float(log_orders_of(family, 160.7, DEFAULTS)))
+
+
+def test_a_rare_function_costs_more_by_as_much_as_it_is_less_likely():
+    problem, n = linear_problem(np.random.default_rng(3)), 100
+    usual, rare = Curve("u2"), Curve("u2", rare=True)
+    more = description_length(problem, [rare], n, DEFAULTS) - description_length(problem, [usual], n, DEFAULTS)
+    assert more == pytest.approx(DEFAULTS.rare)
+    factor = multiplicity(problem, rare, DEFAULTS) / multiplicity(problem, usual, DEFAULTS)
+    assert np.log(factor) == pytest.approx(DEFAULTS.rare)

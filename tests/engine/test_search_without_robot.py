@@ -467,3 +467,13 @@ def test_a_function_that_explains_as_much_is_an_alternative():
     assert test.alternatives[0].term.degree == 1  # what more numbers would gain is noise
     assert test.alternatives[0].gap < OPTIONS.close
     assert {one.term.over for one in test.alternatives} <= {"u2", "u3"}
+
+
+@pytest.mark.parametrize(("apart", "found"), [(0.02, "u3"), (1.0, "u2")])
+def test_a_rare_function_is_found_where_no_other_is_nearly_as_likely(apart, found):
+    problem = linear_problem(np.random.default_rng(9), planted=lambda d: 0.8 * d["u2"])
+    data = problem.data | {"u3": problem.data["u2"] + apart * problem.data["u3"]}
+    other = replace(problem, data=data, candidates=())
+    object.__setattr__(other, "flexible", (Curve("u2", rare=True), Curve("u3")))
+    (function,) = search(other, OPTIONS).state.fit.terms.terms
+    assert function.over == found

@@ -10,6 +10,7 @@ from lite6jax.domains.pose.kinematics import Site
 from lite6jax.effects.drivers import Driver, joint_driver
 from lite6jax.effects.motion import Motion
 from lite6jax.effects.nonparametric import COMPONENTS, SCALE, Unnamed
+from lite6jax.effects.polynomials import products_of
 from lite6jax.effects.statics import Loads
 
 Array = NDArray[np.floating]
@@ -45,9 +46,9 @@ def tried_functions(motion: Motion, loads: Loads | None, rows: int, sites: dict[
     Those of one driver are cubics and splines (of a direction of motion, a line), and waves of joint angles and of the
     angles of the line of sight. Those of several are products: of a site's own drivers, such as the position and the
     load of a joint; of one of these, or the position of any joint, and one of the whole arm; of two of the whole arm;
-    and of the positions or the velocities, at a joint also the directions, of two joints. Those of every other driver,
-    and of a site's own with every other, are tried as rare ones. Parts of them, such as one component of a
-    displacement, are not among them: `Unnamed.parts` gives these.
+    and of the positions or the velocities, at a joint also the directions, of two joints.
+    Those of every other quantity of a joint, and of a joint's or a link's own with every other, are tried as rare ones.
+    Parts of them, such as one component of a displacement, are not among them: `Unnamed.parts` gives these.
 
     Args:
         motion: time-shifted.
@@ -64,7 +65,8 @@ def tried_functions(motion: Motion, loads: Loads | None, rows: int, sites: dict[
     _at_base(tried, joints)
     _at_tool(tried, joints, _SHIFT if rows == 3 else _TWIST)
     _at_sensor(tried, joints)
-    _of_every_driver(tried.of_rare(), joints)
+    tried.rare = True
+    _of_every_driver(tried, joints, _SHIFT if rows == 3 else _TWIST)
     return tuple(tried.functions)
 
 
@@ -112,19 +114,15 @@ class _Tried:
 
     Attributes:
         functions: those that were added.
+        rare: whether those that are added next are rare.
     """
 
     def __init__(self, motion: Motion, loads: Loads | None, sites: dict[Site, Array]) -> None:
         self.functions: list[Unnamed] = []
+        self.rare = False
         self._motion, self._loads, self._sites = motion, loads, sites
         self._ranges: dict[Driver, tuple[float, float] | None] = {}
         self._there: set[tuple[object, ...]] = set()
-        self._rare = False
-
-    def of_rare(self) -> "_Tried":
-        """Itself; what is added from now on is rare."""
-        self._rare = True
-        return self
 
     def singles(self, site: str, component: str, drivers: Iterable[Driver]) -> None:
         """A cubic and a spline over each driver; of a direction of motion, which has two or three values, a line."""
@@ -159,7 +157,9 @@ class _Tried:
     def _add(self, site: str, component: str, drivers: Sequence[Driver], degree: int = 0, power: int = 0) -> None:
         ranges = [self._range(driver) for driver in drivers]
         known = [one for one in ranges if one is not None]
-        function = site, component, degree, power, drivers[0] if len(drivers) == 1 else frozenset(drivers)
+        products = products_of(tuple(drivers), degree, power) if degree else ()
+        over = frozenset(tuple(sorted(drivers[k].phrase for k in one)) for one in products) or tuple(drivers)
+        function = site, component, over
         if len(known) < len(ranges) or not self._seen(site, component) or function in self._there:
             return
         self._there.add(function)
@@ -167,7 +167,7 @@ class _Tried:
         further = tuple(bound for one in others for bound in one)
         phrase = " and ".join(driver.phrase for driver in drivers)
         form = {"degree": degree, "power": power, "further": further}
-        self.functions.append(Unnamed(site, phrase, lower, upper, _PIECES, component, rare=self._rare, **form))
+        self.functions.append(Unnamed(site, phrase, lower, upper, _PIECES, component, rare=self.rare, **form))
 
     def _seen(self, site: str, component: str) -> bool:
         return any(self._sites[site_of(site, one)].any() for one in component.split())
@@ -287,24 +287,25 @@ def _at_sensor(tried: _Tried, joints: _Joints) -> None:
     tried.pairs("sensor", SCALE, product([distance], _EVERYWHERE))
 
 
-def _of_every_driver(tried: _Tried, joints: _Joints) -> None:
-    """Every driver at each joint and link, the base and the tool; at joints and links their own with every other, too.
+def _of_every_driver(tried: _Tried, joints: _Joints, components: str) -> None:
+    """Every quantity of a joint or the whole arm at each site but the sensor; at joints and links pairs with their own.
 
     What acts at a site mostly depends on what is tried there before; but a list of what may does not end.
     """
     for j, position in enumerate(joints.positions, 1):
         own = [position, joints.directions[j - 1]]
         if position in joints.turning:
-            heated = [*own, joints.loads[j - 1], *joints.temperatures[j - 1 : j]]
             tried.singles(f"joint{j}", "rz", joints.every)
-            tried.pairs(f"joint{j}", "rz", joints.with_every(heated))
+            own_of_joint = [*own, joints.loads[j - 1], *joints.temperatures[j - 1 : j]]
+            tried.pairs(f"joint{j}", "rz", joints.with_every(own_of_joint))
         if len(joints.positions) > 1:
-            bent = [*own, *(Driver(f"gravity moment {axis}", j) for axis in "xy")]
             tried.singles(f"link{j}", _TILT, joints.every)
             tried.singles(f"link{j}", _SHIFT, joints.every)
-            tried.pairs(f"link{j}", _TILT, joints.with_every(bent))
-    tried.singles("base", _UPRIGHT, joints.every)
-    tried.singles("tool", _SHIFT, joints.every)
+            own_of_link = [*own, *(Driver(f"gravity moment {axis}", j) for axis in "xy")]
+            tried.pairs(f"link{j}", _TILT, joints.with_every(own_of_link))
+    # at the base those of the whole arm are tried in all components, which contain these
+    tried.singles("base", _UPRIGHT, [driver for driver in joints.every if driver not in _EVERYWHERE])
+    tried.singles("tool", components, joints.every)
 
 
 def site_of(where: str, component: str) -> Site:
