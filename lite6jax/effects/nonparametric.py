@@ -127,7 +127,8 @@ class Unnamed(Bending):
         degree: of polynomials, that are there instead of a spline; 0 for none.
         power: highest power of each driver in these; 0 where the degree alone limits it.
         further: lower and upper of each further driver.
-        rare: whether a search that tries it takes it for less likely beforehand than others. No part of what it is.
+        tried_as_rare: whether a search that tries it takes it for less likely beforehand than others: no part of what
+            it is.
 
     Raises:
         InputError: no such site, driver or component, or an empty range.
@@ -147,7 +148,7 @@ class Unnamed(Bending):
     further: tuple[float, ...] = ()
     rolloff: tuple[float, ...] = ()
     power: int = 0
-    rare: bool = field(default=False, compare=False)
+    tried_as_rare: bool = field(default=False, compare=False)
 
     name: ClassVar[str] = "unnamed"
     nonparametric: ClassVar[bool] = True
@@ -284,6 +285,11 @@ class Unnamed(Bending):
     def drivers(self) -> tuple[Driver, ...]:
         """The driver, or several."""
         return _drivers_of(self.driver)
+
+    @property
+    def rare(self) -> bool:
+        """Whether a search takes it for less likely beforehand than other functions."""
+        return self.tried_as_rare
 
     @property
     def of(self) -> tuple[Driver, ...]:

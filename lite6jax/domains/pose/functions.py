@@ -167,7 +167,7 @@ class _Tried:
         further = tuple(bound for one in others for bound in one)
         phrase = " and ".join(driver.phrase for driver in drivers)
         form = {"degree": degree, "power": power, "further": further}
-        self.functions.append(Unnamed(site, phrase, lower, upper, _PIECES, component, rare=self.rare, **form))
+        self.functions.append(Unnamed(site, phrase, lower, upper, _PIECES, component, tried_as_rare=self.rare, **form))
 
     def _seen(self, site: str, component: str) -> bool:
         return any(self._sites[site_of(site, one)].any() for one in component.split())
