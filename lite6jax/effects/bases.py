@@ -126,14 +126,42 @@ class Basis(ABC):
             return ""
         return (
             f"{len(self.drivers)} drivers and {len(self.bounds) - 2} further bounds; give lower and upper of each "
-            "driver but the first, and a degree unless the second is a direction of motion"
+            "driver but the first, and a degree where there are more than two"
         )
+
+
+@dataclass(frozen=True)
+class _Varying(Basis):
+    """Functions of one driver, or these multiplied by a second one, whose coefficient then varies with the first.
+
+    The second driver is over its greatest size (T. Hastie, R. Tibshirani, Varying-Coefficient Models, Journal of the
+    Royal Statistical Society B 55, 1993).
+    """
+
+    @property
+    def of(self) -> tuple[Driver, ...]:
+        return self.drivers[:1] if len(self.drivers) == 2 else self.drivers
+
+    def at(self, values: Array, run: Array | None = None) -> Array:
+        first, *factor = library_of(values).atleast_2d(values)
+        functions = self._of_first(first)
+        return functions * (factor[0] / max(map(abs, self.bounds[2:]))) if factor else functions
+
+    @abstractmethod
+    def _of_first(self, values: Array) -> Array:
+        """The functions `(function, sample)` at values `(sample,)` of the first driver."""
+
+    @property
+    def mistake(self) -> str:
+        if len(self.drivers) == 2 and len(self.bounds) == 4 and not any(self.bounds[2:]):
+            return f"{self.drivers[1].phrase} is always 0; leave it out"
+        return super().mistake
 
 
 @final
 @dataclass(frozen=True)
-class Spline(Basis):
-    """Cubic B-splines of a driver; beside a direction of motion, these multiplied by it.
+class Spline(_Varying):
+    """Cubic B-splines of a driver, or these multiplied by a second one.
 
     Attributes:
         pieces: its intervals; there are three more functions.
@@ -146,26 +174,19 @@ class Spline(Basis):
         return self.pieces + 3
 
     @property
-    def of(self) -> tuple[Driver, ...]:
-        directed = len(self.drivers) == 2 and self.drivers[1].discrete
-        return self.drivers[:1] if directed else self.drivers
-
-    @property
     def finer(self) -> tuple[Mapping[str, Any], ...]:
-        """None of a spline of few intervals: it is a local form, over a part of the driver's range."""
-        plain = len(self.drivers) == 1 and self.pieces > _LOCAL_PIECES
+        """None of a spline of few intervals, a local form over a part of the driver's range, nor beside a direction."""
+        plain = self.pieces > _LOCAL_PIECES and not any(driver.discrete for driver in self.drivers[1:])
         return tuple({"pieces": n} for n in _PIECES if n > self.pieces and plain)
 
-    def at(self, values: Array, run: Array | None = None) -> Array:
-        first, *direction = library_of(values).atleast_2d(values)
-        splines = spline_basis(first, self.bounds[0], self.bounds[1], self.pieces)
-        return splines * direction[0] if direction else splines
+    def _of_first(self, values: Array) -> Array:
+        return spline_basis(values, self.bounds[0], self.bounds[1], self.pieces)
 
 
 @final
 @dataclass(frozen=True)
-class Waves(Basis):
-    """The sine and cosine of each order of an angle.
+class Waves(_Varying):
+    """The sine and cosine of each order of an angle, or these multiplied by a second driver.
 
     Attributes:
         orders: of the waves.
@@ -193,7 +214,7 @@ class Waves(Basis):
         corner, slope = self.rolloff
         return tuple(self.spread / (1 + (order / corner) ** slope) ** 0.5 for order in self.orders for _ in range(2))
 
-    def at(self, values: Array, run: Array | None = None) -> Array:
+    def _of_first(self, values: Array) -> Array:
         xp = library_of(values)
         turned = np.array(self.orders)[:, None] * values
         waves = xp.stack([xp.sin(turned), xp.cos(turned)], 1).reshape(self.size, -1)

@@ -106,8 +106,8 @@ class Unnamed(Bending):
     """δ = Σ coefficient · B(driver): whatever one driver, or several, do at one site.
 
     B are cubic B-splines; with `orders`, the sine and cosine of each order of the driver, an angle; with `memory`, what
-    follows the driver with so much play each; with `degree`, products of one or several drivers. Splines of a driver
-    and a direction of motion are those of the driver, multiplied by the direction.
+    follows the driver with so much play each; with `degree`, products of one or several drivers. Splines and waves of
+    two drivers are those of the first, multiplied by the second over its greatest size.
 
     Attributes:
         where: `jointN` (an angle), `linkN`, `base`, `tool` or `sensor` (components of a twist).
@@ -293,7 +293,7 @@ class Unnamed(Bending):
 
     @property
     def of(self) -> tuple[Driver, ...]:
-        """What the functions run over: the drivers, but for a direction that multiplies splines."""
+        """What the functions run over: the drivers, but for a second one that multiplies splines or waves."""
         return self.basis.of
 
     def values_at(self, motion: Motion, loads: Loads | None) -> Array:

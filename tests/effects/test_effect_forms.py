@@ -461,9 +461,13 @@ def test_drivers_are_read_and_said():
             "and their spread",
         ),
         (
-            lambda: Unnamed("joint1", "time and position of joint 1", 0.0, 1.0, further=(0.0, 1.0)),
-            "unnamed:joint1: 2 drivers and 2 further bounds; give lower and upper of each driver but the first, and a "
-            "degree unless the second is a direction of motion",
+            lambda: Unnamed("joint1", "time and payload and position of joint 1", 0.0, 1.0, further=(0.0, 1.0) * 2),
+            "unnamed:joint1: 3 drivers and 4 further bounds; give lower and upper of each driver but the first, and a "
+            "degree where there are more than two",
+        ),
+        (
+            lambda: Unnamed("joint1", "time and payload", 0.0, 1.0, further=(0.0, 0.0)),
+            "unnamed:joint1: payload is always 0; leave it out",
         ),
         (
             lambda: Unnamed("base", "weather", 0.0, 1.0),
@@ -588,6 +592,22 @@ def test_splines_of_a_position_and_a_direction_are_those_of_the_position_times_t
     np.testing.assert_allclose(zone.deflect(jnp.asarray(values), motion, loads).joint[1], expected)
     again, numbers = effect_from_dict(json.loads(json.dumps(effect_as_dict(zone, values))), kinds_of(()))
     assert again == zone
+    np.testing.assert_array_equal(numbers, values)
+
+
+@pytest.mark.parametrize("form", [{"pieces": 4}, {"orders": (1.0, 2.0), "trust": (1.0, 1.0)}])
+def test_splines_and_waves_are_multiplied_by_a_second_driver_over_its_greatest_size(form):
+    motion, loads = everything()
+    load = np.asarray(loads.torque[1])
+    further = float(load.min()), float(load.max())
+    both = Unnamed("joint2", "position of joint 2 and gravity torque of joint 2", -7.0, 7.0, further=further, **form)
+    alone = Unnamed("joint2", "position of joint 2", -7.0, 7.0, **form)
+    values = RNG.uniform(-1, 1, both.size)
+    expected = alone.curve(values, np.asarray(motion.joint_position[1])) * load / np.abs(load).max()
+    assert np.abs(expected).max() > 0
+    np.testing.assert_allclose(both.deflect(jnp.asarray(values), motion, loads).joint[1], expected)
+    again, numbers = effect_from_dict(json.loads(json.dumps(effect_as_dict(both, values))), kinds_of(()))
+    assert again == both
     np.testing.assert_array_equal(numbers, values)
 
 

@@ -143,30 +143,37 @@ class _Tried:
         self._add(site, component, drivers, degree, power)
 
     def spline(self, site: str, component: str, *drivers: Driver) -> None:
-        """A spline over the first driver, times the second where there is one, a direction of motion."""
+        """A spline over the first driver, times the second where there is one."""
         self._add(site, component, drivers)
 
-    def waves(self, site: str, component: str, angle: Driver) -> None:
-        """Waves of the first orders of an angle."""
-        if self._seen(site, component) and (found := self._range(angle)) is not None:
-            lower, upper = min(_TURNS[0], found[0]), max(_TURNS[1], found[1])
-            self.functions.append(
-                Unnamed(site, angle.phrase, lower, upper, component=component, orders=_WOBBLE, trust=(1.0, 1.0))
-            )
+    def waves(self, site: str, component: str, *drivers: Driver) -> None:
+        """Waves of the first orders of an angle, times the second driver where there is one."""
+        self._add(site, component, drivers, orders=_WOBBLE)
 
-    def _add(self, site: str, component: str, drivers: Sequence[Driver], degree: int = 0, power: int = 0) -> None:
+    def _add(
+        self,
+        site: str,
+        component: str,
+        drivers: Sequence[Driver],
+        degree: int = 0,
+        power: int = 0,
+        orders: tuple[float, ...] = (),
+    ) -> None:
         ranges = [self._range(driver) for driver in drivers]
         known = [one for one in ranges if one is not None]
         products = products_of(tuple(drivers), degree, power) if degree else ()
         over = frozenset(tuple(sorted(drivers[k].phrase for k in one)) for one in products) or tuple(drivers)
-        function = site, component, over
+        function = site, component, orders, over
         if len(known) < len(ranges) or not self._seen(site, component) or function in self._there:
             return
         self._there.add(function)
         (lower, upper), *others = known
+        if orders:
+            lower, upper = min(_TURNS[0], lower), max(_TURNS[1], upper)
         further = tuple(bound for one in others for bound in one)
         phrase = " and ".join(driver.phrase for driver in drivers)
-        form = {"degree": degree, "power": power, "further": further}
+        form = {"degree": degree, "power": power, "further": further, "orders": orders}
+        form |= {"trust": (1.0, 1.0)} if orders else {}
         self.functions.append(Unnamed(site, phrase, lower, upper, _PIECES, component, tried_as_rare=self.rare, **form))
 
     def _seen(self, site: str, component: str) -> bool:
@@ -298,14 +305,24 @@ def _of_every_driver(tried: _Tried, joints: _Joints, components: str) -> None:
             tried.singles(f"joint{j}", "rz", joints.every)
             own_of_joint = [*own, joints.loads[j - 1], *joints.temperatures[j - 1 : j]]
             tried.pairs(f"joint{j}", "rz", joints.with_every(own_of_joint))
+            # a ring that warmth makes oval, a gear that a load or time wears in one place
+            for factor in [*own_of_joint[2:], *_EVERYWHERE]:
+                tried.waves(f"joint{j}", "rz", position, factor)
+                tried.spline(f"joint{j}", "rz", position, factor)
+            tried.spline(f"joint{j}", "rz", _TIME, joints.loads[j - 1])
         if len(joints.positions) > 1:
             tried.singles(f"link{j}", _TILT, joints.every)
             tried.singles(f"link{j}", _SHIFT, joints.every)
             own_of_link = [*own, *(Driver(f"gravity moment {axis}", j) for axis in "xy")]
             tried.pairs(f"link{j}", _TILT, joints.with_every(own_of_link))
+            for moment in own_of_link[2:]:
+                tried.spline(f"link{j}", _TILT, _TIME, moment)
     # at the base those of the whole arm are tried in all components, which contain these
     tried.singles("base", _UPRIGHT, [driver for driver in joints.every if driver not in _EVERYWHERE])
     tried.singles("tool", components, joints.every)
+    # springs that are now softer and now stiffer
+    for moment in _BASE_MOMENTS:
+        tried.spline("base", _UPRIGHT, _TIME, moment)
 
 
 def site_of(where: str, component: str) -> Site:
