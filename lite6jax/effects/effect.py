@@ -185,6 +185,9 @@ class Effect(ABC):
     contained_functions: "ClassVar[Callable[[Any], tuple[Part, ...]] | None]" = None
     """Of a function without a name, those of fewer numbers that it contains."""
 
+    unlikely: "ClassVar[Callable[[Any], bool] | None]" = None
+    """Of a function without a name, whether it is less likely beforehand than others; None where it is not."""
+
     finer_functions: "ClassVar[Callable[[Any], tuple[Effect, ...]] | None]" = None
     """Of a function without a name, those of the same drivers that have more numbers."""
 
@@ -206,7 +209,7 @@ class Effect(ABC):
     @property
     def rare(self) -> bool:
         """Whether it is a function without a name that is less likely beforehand than others."""
-        return False
+        return self.unlikely is not None and self.unlikely(self)
 
     @final
     def own(self, name: str) -> str:

@@ -158,6 +158,7 @@ class Unnamed(Bending):
     contained_functions = staticmethod(
         lambda effect: tuple(Part(form.numbers, partial(effect.of_form, form)) for form in effect.forms)
     )
+    unlikely = staticmethod(lambda effect: effect.tried_as_rare)
     finer_functions = staticmethod(lambda effect: effect.of_more_numbers)
 
     def __post_init__(self) -> None:
@@ -285,11 +286,6 @@ class Unnamed(Bending):
     def drivers(self) -> tuple[Driver, ...]:
         """The driver, or several."""
         return _drivers_of(self.driver)
-
-    @property
-    def rare(self) -> bool:
-        """Whether a search takes it for less likely beforehand than other functions."""
-        return self.tried_as_rare
 
     @property
     def of(self) -> tuple[Driver, ...]:
