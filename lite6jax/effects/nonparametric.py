@@ -76,9 +76,9 @@ def _drivers_of(phrase: str) -> tuple[Driver, ...]:
 
 
 @cache
-def _number_of(where: str) -> int:
-    """Of a joint or link; 0 of the others."""
-    return int("0" + "".join(filter(str.isdecimal, where)))
+def place_of(where: str) -> tuple[str, int]:
+    """The kind of a site, such as `link`, and the number of a joint or link; 0 of the others."""
+    return where.rstrip("0123456789"), int("0" + "".join(filter(str.isdecimal, where)))
 
 
 @cache
@@ -322,7 +322,7 @@ class Unnamed(Bending):
 
     def _at_site(self, shifts: "dict[str, Array]", motion: Motion) -> Deflection:
         """Curves `(sample,)` by component, where this effect is."""
-        kind, number = self.where.rstrip("0123456789"), _number_of(self.where)
+        kind, number = place_of(self.where)
         if kind == "joint":
             return Deflection(joint=at_joint(motion.dof, number, shifts["rz"]))
         if SCALE in shifts:

@@ -251,10 +251,10 @@ def _fitted(
     state = weighed(residual(problem, at), noise, training)
     converged, H, damped = False, np.eye(0), 0.0
     columns: Sequence[Array | Factored] | None = None
-    columns_of = at
+    taken = at[k:]
     for _ in range(options.exact_steps if exact else options.steps):
-        if columns is None or exact or moving or _apart(terms, at[k:], columns_of[k:], options.stale):
-            columns, columns_of = columns_at(problem, at, state.rows), at
+        if columns is None or exact or moving or _apart(terms, at[k:], taken, options.stale):
+            columns, taken = columns_at(problem, at, state.rows), at[k:]
         if not sum(map(len, columns)):
             converged = True
             break
@@ -268,7 +268,7 @@ def _fitted(
         full = -scaled_solve(H, gradient, rounding)
         length = float(np.sqrt(max(-full @ gradient, 0.0)))
         before = _cost(state.innovations, state, training) + _square(precision, prior(problem, at))
-        trial, there, rows, cost, fresh = at, problem, state.rows, np.inf, columns_of is at
+        trial, there, rows, cost, fresh = at, problem, state.rows, np.inf, np.array_equal(at[k:], taken)
         for step, damping in _steps(H, gradient, full, rounding, damped, options):
             trial, there = at + step, problem
             if moving:

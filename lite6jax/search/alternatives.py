@@ -83,7 +83,7 @@ def _with_others(problem: Problem, state: State, k: int, options: EngineOptions)
     named = (one.term.site for one in tested.alternatives if one.gap < options.close and not one.term.nonparametric)
     near = set(named) - {tested.term.site}
     own = test.explained([tested.term])[0]
-    now = own.gain - 0.5 * test.time * own.size - options.rare * tested.term.rare
+    now = own.gain - _cost(test, tested.term, own.size)
     functions = [term for term in problem.flexible if term.site not in near and _may_replace(tested.term, term)]
     # something else may step at the same samples
     steps = [term for term in local_curves_of(test, tested.term.site) if _may_replace(tested.term, term)]
@@ -104,8 +104,7 @@ def _with_others(problem: Problem, state: State, k: int, options: EngineOptions)
     found = []
     for term, score in zip(best, test.score(best), strict=True):
         fitted = added(problem, rest.fit, term, score.values, options)
-        gap = state.fit.gain_over(fitted) + 0.5 * test.time * (score.size - own.size)
-        gap += options.rare * (term.rare - tested.term.rare)
+        gap = state.fit.gain_over(fitted) + _cost(test, term, score.size) - _cost(test, tested.term, own.size)
         if gap < (_SAME if term in named_steps else options.close):
             found.append(Alternative(term, max(gap, 0.0)))
     before = [a for a in tested.alternatives if not a.term.nonparametric or _may_replace(tested.term, a.term)]
@@ -118,17 +117,22 @@ def _likeliest_parts(test: ScoreTest, functions: Sequence[Term], least: float) -
 
     Only of functions that gain more than `least` as a whole, at the cost of one number: a part hardly explains more.
     """
-    a_number, equations = 0.5 * test.time, test.equations(functions)
+    equations = test.equations(functions)
     explained = explained_by(equations, test.options.confounded)
     found = []
     for term, inside, whole in zip(functions, equations, explained, strict=True):
-        if whole.gain - a_number <= least:
+        if whole.gain - _cost(test, term, 1) <= least:
             continue
         parts = term.parts
-        gains = [one.gain - a_number * one.size for one in (whole, *test.explained_parts(inside, parts))]
+        gains = [one.gain - _cost(test, term, one.size) for one in (whole, *test.explained_parts(inside, parts))]
         best = int(np.argmax(gains))
-        found.append((parts[best - 1].made() if best else term, gains[best] - test.options.rare * term.rare))
+        found.append((parts[best - 1].made() if best else term, gains[best]))
     return found
+
+
+def _cost(test: ScoreTest, term: Term, size: int) -> float:
+    """What a term of so many identifiable numbers gains in noise, in log-likelihood, and more for a rare one."""
+    return 0.5 * test.time * size + test.options.rare * term.rare
 
 
 def _like(state: State, k: int, rest: State, test: ScoreTest, gain: float) -> list[Alternative]:

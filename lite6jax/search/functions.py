@@ -248,9 +248,9 @@ class _Ranking:
 def _sure(likely: Sequence[LikelyFunction], test: ScoreTest, options: EngineOptions) -> list[LikelyFunction]:
     """Those that noise does not explain."""
     scored = zip(likely, test.score([one.term for one in likely]), strict=True)
-    sure = []
-    for one, score in scored:
-        searched = multiplicity(test.problem, one.term, options)
-        if gain_p_value(score.gain, score.size, test.time) * searched < options.level:
-            sure.append(one)
-    return sure
+    return [
+        one
+        for one, score in scored
+        if gain_p_value(score.gain, score.size, test.time) * multiplicity(test.problem, one.term, options)
+        < options.level
+    ]

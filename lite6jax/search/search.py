@@ -93,13 +93,12 @@ def search(
         state = beside_noise(problem, significant(problem, believable(problem, state, rough), rough), rough)
         if thorough:
             state = with_alternatives(problem, named_again(problem, state, rough), rough)
-        selection = at_estimate(replace(selection, state=state), options)
-    selection = _finished(selection, options)
+        selection = _finished(at_estimate(replace(selection, state=state), options), options)
     return _reviewed(selection, options) if thorough else selection
 
 
 def _finished(selection: Selection, options: EngineOptions) -> Selection:
-    """The selection whose fit, of which a search compares others with, has all its digits."""
+    """The selection with its fit to all digits, which a search does not need to compare it with others."""
     state, f = selection.state, selection.state.fit
     if not state.tested:
         return selection
@@ -135,7 +134,7 @@ def _selected(
     state = _names_selected(problem, reference, training, rough, thorough)
     selection = Selection(problem, reference, state)
     if any(term.shrunk for term in state.fit.terms.terms):
-        return selection
+        return _finished(selection, options)
     entered("naming")
     selection = at_estimate(selection, options)
     selection = replace(selection, state=unmasked(selection.problem, selection.state, rough))

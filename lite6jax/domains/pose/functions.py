@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from lite6jax.domains.pose.kinematics import Site
 from lite6jax.effects.drivers import Driver, joint_driver
 from lite6jax.effects.motion import Motion
-from lite6jax.effects.nonparametric import COMPONENTS, SCALE, Unnamed
+from lite6jax.effects.nonparametric import COMPONENTS, SCALE, Unnamed, place_of
 from lite6jax.effects.polynomials import products_of
 from lite6jax.effects.statics import Loads
 
@@ -57,16 +57,17 @@ def tried_functions(motion: Motion, loads: Loads | None, rows: int, sites: dict[
         sites: columns of each site.
     """
     joints, tried = _Joints(motion), _Tried(motion, loads, sites)
+    at_tool = _SHIFT if rows == 3 else _TWIST
     for driver in joints.turning:
         _at_joint(tried, driver.place, joints)
     if motion.dof > 1:
         for driver in joints.positions:
             _at_link(tried, driver.place, joints)
     _at_base(tried, joints)
-    _at_tool(tried, joints, _SHIFT if rows == 3 else _TWIST)
+    _at_tool(tried, joints, at_tool)
     _at_sensor(tried, joints)
     tried.rare = True
-    _of_every_driver(tried, joints, _SHIFT if rows == 3 else _TWIST)
+    _of_every_driver(tried, joints, at_tool)
     return tuple(tried.functions)
 
 
@@ -294,7 +295,7 @@ def _at_sensor(tried: _Tried, joints: _Joints) -> None:
     tried.pairs("sensor", SCALE, product([distance], _EVERYWHERE))
 
 
-def _of_every_driver(tried: _Tried, joints: _Joints, components: str) -> None:
+def _of_every_driver(tried: _Tried, joints: _Joints, at_tool: str) -> None:
     """Every quantity of a joint or the whole arm at each site but the sensor; at joints and links pairs with their own.
 
     What acts at a site mostly depends on what is tried there before; but a list of what may does not end.
@@ -319,7 +320,7 @@ def _of_every_driver(tried: _Tried, joints: _Joints, components: str) -> None:
                 tried.spline(f"link{j}", _TILT, _TIME, moment)
     # at the base those of the whole arm are tried in all components, which contain these
     tried.singles("base", _UPRIGHT, [driver for driver in joints.every if driver not in _EVERYWHERE])
-    tried.singles("tool", components, joints.every)
+    tried.singles("tool", at_tool, joints.every)
     # springs that are now softer and now stiffer
     for moment in _BASE_MOMENTS:
         tried.spline("base", _UPRIGHT, _TIME, moment)
@@ -329,5 +330,5 @@ def site_of(where: str, component: str) -> Site:
     """The key of the site at which a component of a function without a name acts; at a joint there is but one."""
     if component == SCALE:
         return SCALE, 0, 0
-    kind, number = where.rstrip("0123456789"), int("0" + "".join(filter(str.isdecimal, where)))
+    kind, number = place_of(where)
     return kind, max(number - 1, 0), 0 if kind == "joint" else COMPONENTS.index(component)
