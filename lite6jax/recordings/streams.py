@@ -1,0 +1,221 @@
+"""Streams of one recording, each at times of its own, joined at the times of the poses: joints are interpolated there.
+
+A log has a stream for each topic; a table that was merged from topics has one in every few rows; a robot and a sensor
+that were recorded apart have one in each file, once their clocks are known (`domains.pose.clocks`).
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lite6jax.recordings.sequence import differentiate
+
+Array = NDArray[np.floating]
+Method = Literal["linearly", "by cubics", "nearest"]
+
+LONGEST_GAP = 2.0
+"""Between joint states around a pose, in median steps; beyond, the joints at the pose are not known, …"""
+LONGEST_STANDSTILL = 10.0
+"""… or beyond this many, where the joints are the same before and after, …"""
+_STILL = 1e-4
+"""… within this part of the range in which they move."""
+_UNRESOLVED = 0.3
+"""Of the change from one joint state to the next: an error of interpolation above it shows captures, not a motion."""
+_BESIDE = 0.1
+"""Of the median step: the longest time from a pose to the capture of joints that belongs to it."""
+_MOST_BESIDE = 0.8
+"""Share of the poses that stand so near to a capture, where the joints are captures."""
+_SHARED_ROWS = 0.5
+"""Of the rows with poses: where fewer have joints as well, poses and joints are streams of their own."""
+
+
+class Joined(NamedTuple):
+    """Joint states at the times of poses.
+
+    Attributes:
+        kept: `(pose,)` bool, where the joints are known.
+        columns: by their names, `(kept,)` each.
+        method: how they are found between joint states; `nearest` where each pose has a capture of its own.
+        outside: poses before the first or after the last joint state.
+        wide: poses between joint states that are too far apart.
+        gap: s, the longest between the joint states around a pose; with `nearest` the longest to the capture.
+        error: RMS by which joint states that are left out are found again from those around them, at twice their
+            distance, in the unit of the joints; NaN where there are too few.
+    """
+
+    kept: NDArray[np.bool_]
+    columns: dict[str, Array]
+    method: Method
+    outside: int
+    wide: int
+    gap: float
+    error: float
+
+
+class Merged(NamedTuple):
+    """A table whose streams stand in different rows, at the rows of its poses.
+
+    Attributes:
+        columns: by their names, `(kept,)` each.
+        rows: `(kept,)`, the rows of the table, counted from 0.
+        poses, states: rows with poses, and with joints.
+        joined: how.
+    """
+
+    columns: dict[str, Array]
+    rows: NDArray[np.integer]
+    poses: int
+    states: int
+    joined: Joined
+
+
+def join(time: Array, columns: Mapping[str, Array], joints: Sequence[str], at: Array) -> Joined:
+    """Columns of joint states at the times of poses.
+
+    Joints are interpolated by a straight line or by a cubic whose slopes are those of a parabola through three joint
+    states: by what finds joint states that are left out more exactly. All other columns are interpolated linearly.
+
+    Args:
+        time: `(state,)` s, increasing; at least two.
+        columns: `(state,)` each.
+        joints: the columns that are joint positions.
+        at: `(pose,)` s, of the same clock.
+    """
+    q = np.stack([columns[name] for name in joints], 1)
+    gap = np.diff(time)
+    usual = float(np.median(gap)) * (1 + 1e-9)  # twice as far is not farther by rounding
+    before = np.clip(np.searchsorted(time, at, side="right") - 1, 0, len(gap) - 1)
+    nearest = before + (at - time[before] > time[before + 1] - at)
+    beside = np.abs(at - time[nearest])
+    with np.errstate(invalid="ignore", over="ignore"):
+        moves = np.abs(np.diff(q, axis=0)).max(1)
+        unmoved = moves <= _STILL * np.ptp(q, axis=0).max()
+        longest = np.where(unmoved, LONGEST_STANDSTILL, LONGEST_GAP) * usual
+        method, error = _method(time, q, gap <= longest)
+        captured = error > _UNRESOLVED * np.sqrt(np.mean(moves**2))
+    outside = (at < time[0]) | (at > time[-1])
+    if captured and np.mean(beside <= _BESIDE * usual) > _MOST_BESIDE:
+        kept = beside <= _BESIDE * usual
+        found = {name: column[nearest[kept]] for name, column in columns.items()}
+        far = int(np.sum(~kept))
+        return Joined(kept, found, "nearest", 0, far, float(np.max(beside[kept], initial=0.0)), np.nan)
+    wide = ~outside & (beside > 0) & (gap[before] > longest[before])
+    kept = ~(outside | wide)
+    found = {name: _between(time, column[:, None], at[kept])[:, 0] for name, column in columns.items()}
+    if method == "by cubics":
+        found |= dict(zip(joints, _between(time, q, at[kept], _slopes(time, q, gap <= longest)).T, strict=True))
+    across = kept & (beside > 0)
+    return Joined(
+        kept, found, method, int(outside.sum()), int(wide.sum()), float(np.max(gap[before[across]], initial=0)), error
+    )
+
+
+def merged(columns: Mapping[str, Array], joints: Sequence[str], places: Sequence[str], time: str) -> Merged | None:
+    """A table at the rows of its poses, where these rows have no joints; None where no streams are to be joined.
+
+    Args:
+        columns: `(row,)` each, NaN where a row does not give one.
+        joints: the columns of joint positions; `places` those of the position of the tool, and `time` that of times.
+    """
+    if not joints or not places or not {time, *joints, *places} <= columns.keys():
+        return None
+    clock = columns[time]
+    moved, measured = (
+        np.isfinite(clock) & np.logical_and.reduce([np.isfinite(columns[name]) for name in names])
+        for names in (joints, places)
+    )
+    poses = np.flatnonzero(measured)
+    if not poses.size or np.sum(moved & measured) >= _SHARED_ROWS * poses.size:
+        return None
+    states = _in_order(clock, moved)
+    if len(states) < 2:
+        return None
+    start = clock[states[0]]
+    joined = join(
+        clock[states] - start, {name: columns[name][states] for name in joints}, joints, clock[poses] - start
+    )
+    rows = poses[joined.kept]
+    found = dict(joined.columns)
+    for name in columns.keys() - found.keys():
+        column = columns[name]
+        own = _in_order(clock, np.isfinite(column) & np.isfinite(clock))
+        elsewhere = len(own) > 1 and np.mean(np.isfinite(column[rows])) < _SHARED_ROWS
+        found[name] = np.interp(clock[rows] - start, clock[own] - start, column[own]) if elsewhere else column[rows]
+    return Merged({name: found[name] for name in columns}, rows, len(poses), len(states), joined)
+
+
+def said_of(joined: Joined, unit: str = "rad") -> list[str]:
+    """What was done to join streams, in sentences."""
+    if joined.method == "nearest":
+        said = [
+            f"each pose has the joints that were captured with it, at most {joined.gap:.2g} s apart: between captures "
+            "the joints move too far to be interpolated"
+        ]
+        dropped = ((joined.wide, f"without joints within {_BESIDE:.0%} of the time from one capture to the next"),)
+    else:
+        error = (
+            "" if np.isnan(joined.error) else f"; every other one left out is found again to {joined.error:.2g} {unit}"
+        )
+        said = [
+            f"the joints are interpolated {joined.method} to the times of the poses (between joint states at most "
+            f"{joined.gap:.2g} s apart{error})"
+        ]
+        dropped = (
+            (joined.outside, "before the first or after the last joint state"),
+            (joined.wide, f"between joint states over {LONGEST_GAP:g} median steps apart"),
+        )
+    return said + [f"dropped {count} poses {reason}" for count, reason in dropped if count]
+
+
+def said_of_merged(found: Merged) -> list[str]:
+    """The same of a table, which begins with what was found."""
+    first, *dropped = said_of(found.joined)
+    return [f"{found.poses} poses and {found.states} joint states stand in different rows: {first}", *dropped]
+
+
+def _in_order(clock: Array, there: NDArray[np.bool_]) -> NDArray[np.integer]:
+    """Rows in order of time, of those at one time the first."""
+    rows = np.flatnonzero(there)
+    return rows[np.unique(clock[rows], return_index=True)[1]]
+
+
+def _between(time: Array, values: Array, at: Array, slopes: Array | None = None) -> Array:
+    """`(pose, column)` on straight lines, or with slopes on cubics, between `(state, column)`."""
+    low = np.clip(np.searchsorted(time, at, side="right") - 1, 0, len(time) - 2)
+    step = time[low + 1] - time[low]
+    share = ((at - time[low]) / step)[:, None]
+    low, high = low + (share[:, 0] == 1), low + (share[:, 0] > 0)  # at a state its neighbours do not matter
+    with np.errstate(invalid="ignore", over="ignore"):  # what is not finite stays so, and its rows are dropped
+        line = values[low] * (1 - share) + values[high] * share
+        if slopes is None:
+            return line
+        rise = values[high] - values[low]
+        ends = step[:, None] * slopes[low] - rise, step[:, None] * slopes[high] - rise
+        inside = share * (1 - share) * ((1 - share) * ends[0] - share * ends[1])
+        return np.where((share > 0) & (share < 1), line + inside, line)
+
+
+def _slopes(time: Array, q: Array, joined: NDArray[np.bool_]) -> Array:
+    """`(state, joint)` per second; zero where the joints of a state are not finite, and so is what lies around it."""
+    segment = np.concatenate([[0], np.cumsum(~joined)])
+    return np.nan_to_num(differentiate(q, time, segment))
+
+
+def _method(time: Array, q: Array, joined: NDArray[np.bool_]) -> tuple[Method, float]:
+    """What finds every other joint state more exactly from those around it, and its RMS error."""
+    left_out = np.arange(1, len(time) - 1, 2)
+    left_out = left_out[joined[left_out - 1] & joined[left_out]]
+    left_out = left_out[np.isfinite(q[left_out - 1]).all(1) & np.isfinite(q[left_out + 1]).all(1)]
+    left_out = left_out[np.isfinite(q[left_out]).all(1)]
+    if not left_out.size:
+        return "linearly", np.nan
+    part = slice(None, None, 2)
+    whole = joined[: 2 * (len(joined) // 2)].reshape(-1, 2).all(1)[: len(time[part]) - 1]
+    errors = {}
+    for method, slopes in (("linearly", None), ("by cubics", _slopes(time[part], q[part], whole))):
+        missed = _between(time[part], q[part], time[left_out], slopes) - q[left_out]
+        errors[method] = float(np.sqrt(np.mean(missed**2)))
+    best: Method = "by cubics" if errors["by cubics"] < errors["linearly"] else "linearly"
+    return best, errors[best]
