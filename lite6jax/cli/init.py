@@ -99,7 +99,7 @@ class Init:
         named = arm_reference(arm, sidecar) if arm else None if found.arm is None else found.arm.name
         settings = ({"arm": named} if named else {}) | settings
         settings.setdefault("motion", found.motion[0])
-        self._check(found, table, settings, file)
+        self._check(found, table, settings, file, notes)
         text = inspection.sidecar_text(found, settings, file.name)
         write_atomically(sidecar, text, self.force)
         if self.json:
@@ -112,7 +112,9 @@ class Init:
         screen.show(inspection.next_steps(found, settings, self.source))
         return DONE
 
-    def _check(self, found: "Inspection", table: "RawTable", settings: Mapping[str, Any], path: "Path") -> None:
+    def _check(
+        self, found: "Inspection", table: "RawTable", settings: Mapping[str, Any], path: "Path", notes: list[str]
+    ) -> None:
         """Refuses what the other commands would refuse, before anything is written."""
         from lite6jax.recordings.settings import declared_settings
         from lite6jax.recordings.table import tabulated
@@ -125,7 +127,7 @@ class Init:
             )
         declared_settings(None, None, settings)
         dof = None if found.arm is None else found.arm.dof
-        tabulated(table.names, str(path), table.load, [], dof=dof, renamed=found.columns)
+        tabulated(table.names, str(path), table.load, notes, dof=dof, renamed=found.columns)
 
 
 def _on_a_terminal() -> bool:

@@ -63,7 +63,7 @@ def read_recording(
         declared = _declared_joints(path, sidecar)
         of_arm = declared if arm is None else of_arm.named_as(declared)
     path, table = _read(path, topics, sidecar, of_arm if dof is None else of_arm._replace(dof=dof), notes)
-    columns, _, values = table
+    columns, _, values, _ = table
     settings = _checked(sidecar, path, notes)
     if not exists(sidecar_path(path)):
         notes.append(f"there is no sidecar {sidecar_path(path).name}: the defaults are assumed")
@@ -121,7 +121,7 @@ def read_targets(
     path, notes = Path(path), []
     sidecar = read_sidecar(sidecar_path(path))
     path, table = _read(path, (), sidecar, ArmJoints(dof), notes, TABLES, joints_optional=True)
-    columns, joints, values = table
+    columns, joints, values, _ = table
     if "x_m" not in columns:
         raise InputError(f"{path}: has no positions to reach; name their columns x_m y_m z_m (or x_mm y_mm z_mm)")
     given = "q1_rad" in columns

@@ -133,9 +133,7 @@ def merged(columns: Mapping[str, Array], joints: Sequence[str], places: Sequence
     if len(states) < 2:
         return None
     start = clock[states[0]]
-    joined = join(
-        clock[states] - start, {name: columns[name][states] for name in joints}, joints, clock[poses] - start
-    )
+    joined = join(clock[states] - start, {name: columns[name][states] for name in joints}, joints, clock[poses] - start)
     rows = poses[joined.kept]
     found = dict(joined.columns)
     for name in columns.keys() - found.keys():

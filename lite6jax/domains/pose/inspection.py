@@ -17,7 +17,7 @@ from lite6jax.arms.factory import RECOGNISED_WITHIN
 from lite6jax.domains.pose.meanings import Key, Meaning, key, meanings_of, motion_of, without_unit
 from lite6jax.domains.pose.readings import NO_AGREEMENT, Agreement, Pose, agreement
 from lite6jax.errors import InputError
-from lite6jax.recordings import naming
+from lite6jax.recordings import naming, streams
 from lite6jax.recordings.columns import (
     ANGLES,
     IGNORED,
@@ -122,6 +122,7 @@ def inspect(
         if name not in dict(columns):
             raise InputError(f"{source}: has no column {name[:60]!r}; {_near(name, list(dict(columns)))}")
     named = _fitting(naming.blocks([name for name in numbers if given.get(name) != IGNORED]), given, arm)
+    numbers = _at_poses(numbers, named)
     blocks = {key(block): block for block in named}
     values = {of: np.stack([numbers[name] for name in block.columns], 1) for of, block in blocks.items()}
     pose = _pose(blocks, values)
@@ -143,6 +144,14 @@ def inspect(
         error=agreed.error,
         motion=motion_of(meanings, values),
     )
+
+
+def _at_poses(numbers: Mapping[str, Array], blocks: Sequence[Block]) -> Mapping[str, Array]:
+    """The rows with poses, where joints and poses stand in different rows: the joints are interpolated there."""
+    of = {kind: [name for block in blocks if block.kind == kind for name in block.columns]
+          for kind in ("q", "position", "time")}  # fmt: skip
+    found = streams.merged(numbers, of["q"], of["position"], of["time"][0]) if of["time"] else None
+    return numbers if found is None else found.columns
 
 
 def _finite(value: Any) -> Any:
