@@ -5,7 +5,8 @@ that were recorded apart have one in each file, once their clocks are known (`do
 """
 
 from collections.abc import Mapping, Sequence
-from typing import Literal, NamedTuple
+from dataclasses import dataclass
+from typing import Literal, NamedTuple, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +14,7 @@ from numpy.typing import NDArray
 from lite6jax.recordings.sequence import differentiate
 
 Array = NDArray[np.floating]
+Flags = NDArray[np.bool_]
 Method = Literal["linearly", "by cubics", "nearest"]
 
 LONGEST_GAP = 2.0
@@ -45,7 +47,7 @@ class Joined(NamedTuple):
             distance, in the unit of the joints; NaN where there are too few.
     """
 
-    kept: NDArray[np.bool_]
+    kept: Flags
     columns: dict[str, Array]
     method: Method
     outside: int
@@ -71,11 +73,74 @@ class Merged(NamedTuple):
     joined: Joined
 
 
-def join(time: Array, columns: Mapping[str, Array], joints: Sequence[str], at: Array) -> Joined:
-    """Columns of joint states at the times of poses.
+@final
+@dataclass(frozen=True, eq=False)
+class JointStream:
+    """Joint positions at times of their own.
 
-    Joints are interpolated by a straight line or by a cubic whose slopes are those of a parabola through three joint
-    states: by what finds joint states that are left out more exactly. All other columns are interpolated linearly.
+    Attributes:
+        time: `(state,)` s, increasing.
+        position: `(state, joint)`.
+        near: `(state - 1,)` bool, which neighbours are near enough for joints between them to be known.
+        step: s, the median.
+        method: by what joints are found between joint states.
+        error: as in `Joined`.
+        slopes: `(state, joint)` per second; None of straight lines.
+    """
+
+    time: Array
+    position: Array
+    near: Flags
+    step: float
+    method: Method
+    error: float
+    slopes: Array | None
+
+    @classmethod
+    def of(cls, time: Array, position: Array) -> "JointStream":
+        """The stream of at least two joint states.
+
+        Joints are interpolated by straight lines, or by cubics whose slopes are those of a parabola through three joint
+        states: by what finds joint states that are left out more exactly.
+        """
+        gap = np.diff(time)
+        step = float(np.median(gap)) * (1 + 1e-9)  # twice as far is not farther by rounding
+        with np.errstate(invalid="ignore", over="ignore"):
+            unmoved = np.abs(np.diff(position, axis=0)).max(1) <= _STILL * np.ptp(position, axis=0).max()
+            near = gap <= np.where(unmoved, LONGEST_STANDSTILL, LONGEST_GAP) * step
+            method, error = _method(time, position, near)
+            slopes = _slopes(time, position, near) if method == "by cubics" else None
+        return cls(time, position, near, step, method, error, slopes)
+
+    @property
+    def resolved(self) -> bool:
+        """Whether the joint states follow a motion; false of captures, between which the joints move far."""
+        with np.errstate(invalid="ignore", over="ignore"):
+            change = np.sqrt(np.mean(np.diff(self.position, axis=0) ** 2))
+        return not self.error > _UNRESOLVED * change
+
+    def known(self, at: Array) -> Flags:
+        """`(pose,)`, where there are joint states near enough."""
+        before = self._before(at)
+        exact = (at == self.time[before]) | (at == self.time[before + 1])
+        return (at >= self.time[0]) & (at <= self.time[-1]) & (exact | self.near[before])
+
+    def gap(self, at: Array) -> float:
+        """s, the longest between the joint states around times."""
+        before = self._before(at)
+        across = (at != self.time[before]) & (at != self.time[before + 1])
+        return float(np.max(np.diff(self.time)[before[across]], initial=0.0))
+
+    def at(self, at: Array) -> Array:
+        """`(pose, joint)`; where no joint states are near, what a straight line or a cubic gives all the same."""
+        return _between(self.time, self.position, at, self.slopes)
+
+    def _before(self, at: Array) -> NDArray[np.integer]:
+        return np.clip(np.searchsorted(self.time, at, side="right") - 1, 0, len(self.time) - 2)
+
+
+def join(time: Array, columns: Mapping[str, Array], joints: Sequence[str], at: Array) -> Joined:
+    """Columns of joint states at the times of poses: joints as `JointStream` has them, all others on straight lines.
 
     Args:
         time: `(state,)` s, increasing; at least two.
@@ -83,33 +148,21 @@ def join(time: Array, columns: Mapping[str, Array], joints: Sequence[str], at: A
         joints: the columns that are joint positions.
         at: `(pose,)` s, of the same clock.
     """
-    q = np.stack([columns[name] for name in joints], 1)
-    gap = np.diff(time)
-    usual = float(np.median(gap)) * (1 + 1e-9)  # twice as far is not farther by rounding
-    before = np.clip(np.searchsorted(time, at, side="right") - 1, 0, len(gap) - 1)
-    nearest = before + (at - time[before] > time[before + 1] - at)
+    stream = JointStream.of(time, np.stack([columns[name] for name in joints], 1))
+    after = np.clip(np.searchsorted(time, at), 1, len(time) - 1)
+    nearest = after - (at - time[after - 1] <= time[after] - at)
     beside = np.abs(at - time[nearest])
-    with np.errstate(invalid="ignore", over="ignore"):
-        moves = np.abs(np.diff(q, axis=0)).max(1)
-        unmoved = moves <= _STILL * np.ptp(q, axis=0).max()
-        longest = np.where(unmoved, LONGEST_STANDSTILL, LONGEST_GAP) * usual
-        method, error = _method(time, q, gap <= longest)
-        captured = error > _UNRESOLVED * np.sqrt(np.mean(moves**2))
-    outside = (at < time[0]) | (at > time[-1])
-    if captured and np.mean(beside <= _BESIDE * usual) > _MOST_BESIDE:
-        kept = beside <= _BESIDE * usual
-        found = {name: column[nearest[kept]] for name, column in columns.items()}
-        far = int(np.sum(~kept))
-        return Joined(kept, found, "nearest", 0, far, float(np.max(beside[kept], initial=0.0)), np.nan)
-    wide = ~outside & (beside > 0) & (gap[before] > longest[before])
-    kept = ~(outside | wide)
+    captured = beside <= _BESIDE * stream.step
+    if not stream.resolved and np.mean(captured) > _MOST_BESIDE:
+        found = {name: column[nearest[captured]] for name, column in columns.items()}
+        longest = float(np.max(beside[captured], initial=0.0))
+        return Joined(captured, found, "nearest", 0, int(np.sum(~captured)), longest, np.nan)
+    kept = stream.known(at)
+    outside = int(np.sum((at < time[0]) | (at > time[-1])))
     found = {name: _between(time, column[:, None], at[kept])[:, 0] for name, column in columns.items()}
-    if method == "by cubics":
-        found |= dict(zip(joints, _between(time, q, at[kept], _slopes(time, q, gap <= longest)).T, strict=True))
-    across = kept & (beside > 0)
-    return Joined(
-        kept, found, method, int(outside.sum()), int(wide.sum()), float(np.max(gap[before[across]], initial=0)), error
-    )
+    found |= dict(zip(joints, stream.at(at[kept]).T, strict=True))
+    wide = int(np.sum(~kept)) - outside
+    return Joined(kept, found, stream.method, outside, wide, stream.gap(at[kept]), stream.error)
 
 
 def merged(columns: Mapping[str, Array], joints: Sequence[str], places: Sequence[str], time: str) -> Merged | None:
@@ -123,8 +176,7 @@ def merged(columns: Mapping[str, Array], joints: Sequence[str], places: Sequence
         return None
     clock = columns[time]
     moved, measured = (
-        np.isfinite(clock) & np.logical_and.reduce([np.isfinite(columns[name]) for name in names])
-        for names in (joints, places)
+        np.isfinite(np.stack([clock, *(columns[name] for name in names)])).all(0) for names in (joints, places)
     )
     poses = np.flatnonzero(measured)
     if not poses.size or np.sum(moved & measured) >= _SHARED_ROWS * poses.size:
@@ -173,7 +225,7 @@ def said_of_merged(found: Merged) -> list[str]:
     return [f"{found.poses} poses and {found.states} joint states stand in different rows: {first}", *dropped]
 
 
-def _in_order(clock: Array, there: NDArray[np.bool_]) -> NDArray[np.integer]:
+def _in_order(clock: Array, there: Flags) -> NDArray[np.integer]:
     """Rows in order of time, of those at one time the first."""
     rows = np.flatnonzero(there)
     return rows[np.unique(clock[rows], return_index=True)[1]]
@@ -195,13 +247,13 @@ def _between(time: Array, values: Array, at: Array, slopes: Array | None = None)
         return np.where((share > 0) & (share < 1), line + inside, line)
 
 
-def _slopes(time: Array, q: Array, joined: NDArray[np.bool_]) -> Array:
+def _slopes(time: Array, q: Array, joined: Flags) -> Array:
     """`(state, joint)` per second; zero where the joints of a state are not finite, and so is what lies around it."""
     segment = np.concatenate([[0], np.cumsum(~joined)])
     return np.nan_to_num(differentiate(q, time, segment))
 
 
-def _method(time: Array, q: Array, joined: NDArray[np.bool_]) -> tuple[Method, float]:
+def _method(time: Array, q: Array, joined: Flags) -> tuple[Method, float]:
     """What finds every other joint state more exactly from those around it, and its RMS error."""
     left_out = np.arange(1, len(time) - 1, 2)
     left_out = left_out[joined[left_out - 1] & joined[left_out]]

@@ -37,7 +37,7 @@ def sparse():
 
 
 def test_joints_are_interpolated_at_the_times_of_the_poses(sparse):
-    t, q, dq, at, p = sparse
+    t, _, _, at, p = sparse
     columns, order = table(*sparse)
     recording = Recording.from_dataframe(columns)
     inside = (at >= t[0]) & (at <= t[-1])

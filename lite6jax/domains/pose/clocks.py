@@ -1,0 +1,411 @@
+"""Two clocks, a robot's and a sensor's: their offset and drift from the motion that both have recorded.
+
+    t_robot = t_sensor + offset + drift (t_sensor - middle)
+
+At the right offset the flange, by the nominal chain, moves as the measured point does, whatever the sensor's frame and
+the place of the point on the flange. So each offset of a grid is tried with both fitted in closed form, and the best
+are refined by Gauss–Newton over offset, drift, frame and point, with Cauchy's weights.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lite6jax.arms import frames
+from lite6jax.arms.arm import Arm
+from lite6jax.domains.pose.readings import CLOSE, FEWEST
+from lite6jax.errors import InputError
+from lite6jax.fitting.start import frames_from_poses
+from lite6jax.recordings.streams import JointStream
+
+Array = NDArray[np.floating]
+Flags = NDArray[np.bool_]
+Rows = NDArray[np.integer]
+
+ALIKE = 1.5
+"""Times the error of the best offset, within which another one is as likely: a motion that repeats itself."""
+_TRIED_ROWS = 80
+"""Rows of the sensor by which an offset is tried, where it ran no longer than the robot's log, …"""
+_MOST_TRIED_ROWS = 800
+"""… and at most where it ran longer."""
+_FEWEST_TRIED = 20
+"""Of them inside the robot's log: frame, point and offset have ten numbers, …"""
+_LEAST_OVERLAP = 0.3
+"""… and as a share of those that could be."""
+_LONGEST_WINDOW_S = 600.0
+"""In which the offset is sought: a drift of 1e-4 moves its ends by 30 ms."""
+_GROWTH = 4.0
+"""Of the window from one fit to the next, until it holds all rows."""
+_FINEST_S = 2e-3
+_MOST_FRAMES = 200_000
+"""Of the flange, by which its speed is found."""
+_STEP = 0.04
+"""Of the extent of the motion, which the flange covers from one offset to the next at the speed that it seldom exceeds."""
+_STEPS_S = (2e-3, 0.5)
+_MOST_OFFSETS = 60_000
+_AT_ONCE = 40_000
+"""Rows of offsets that are tried together."""
+_CANDIDATES = 4
+"""Minima that are refined, …"""
+_REFINED_ROWS = 1500
+"""… by so many rows; the best then by all of them up to …"""
+_MOST_ROWS = 20_000
+_DRIFT = 1e-3
+"""Standard deviation of drifts beforehand: clocks drift by 1e-4 at most, nominal frame rates are off by 1e-3."""
+_OFFSET_S = 1.0
+"""The same of offsets, around the candidate."""
+_STILL_M = 5e-3
+"""A flange or a point that moves by less says nothing of the time."""
+_LEVER_M = 0.1
+"""By which rotations of the flange count as motion."""
+_DIFFERENCE_S = 1e-4
+"""By which velocities are found."""
+_ROUNDS, _DONE_S = 40, 1e-9
+
+
+class Clocks(NamedTuple):
+    """How a sensor's clock runs against a robot's.
+
+    Attributes:
+        offset: s, the robot's time less the sensor's at `middle`.
+        drift: by how much that grows per second.
+        middle: s, the middle of the rows that show it, in the sensor's time.
+        offset_std, drift_std: standard deviations; autocorrelated residuals count as the fewer that they are worth.
+        error: m, the median distance of measured and predicted positions.
+        moved: m, the median distance of the positions from their middle.
+        rows: of the sensor, by which they were found.
+    """
+
+    offset: float
+    drift: float
+    middle: float
+    offset_std: float
+    drift_std: float
+    error: float
+    moved: float
+    rows: int
+
+    @property
+    def close(self) -> bool:
+        """Whether the nominal arm agrees with the poses at all."""
+        return self.error <= CLOSE * self.moved
+
+    @property
+    def ratio(self) -> float:
+        return self.error / max(self.moved, 1e-9)
+
+    def robot_time(self, time: Array) -> Array:
+        """The times of a sensor's rows in the robot's clock, s."""
+        return time + self.offset + self.drift * (time - self.middle)
+
+
+class Pairing(NamedTuple):
+    """Captures of joints and of positions that belong together in their order: from these rows on, so many.
+
+    Attributes:
+        joint, position: the first rows.
+        count: how many.
+        error: m, the median distance of measured and predicted positions.
+    """
+
+    joint: int
+    position: int
+    count: int
+    error: float
+
+
+def find_clocks(arm: Arm, joints: JointStream, time: Array, position: Array, absolute: bool = False) -> Clocks:
+    """The offset and the drift of a sensor's clock against a robot's.
+
+    Args:
+        arm: the nominal arm.
+        joints: the robot's log in SI units, in its own time.
+        time: `(sample,)` s, the sensor's own, increasing; both count from nearby, so that a float resolves nanoseconds.
+        position: `(sample, 3)` m, the measured point.
+        absolute: whether the offset is near zero where several fit alike.
+
+    Raises:
+        InputError: nothing moves, no offset fits, or several fit alike; without the name of a file.
+    """
+    lasting = _window(time, position)
+    track = _Track.of(arm, joints)
+    if min(track.extent, _extent(position)) < _STILL_M:
+        who = "the arm" if track.extent < _STILL_M else "the measured point"
+        raise InputError(f"{who} hardly moves, so that nothing shows the offset of the clocks; record a motion")
+    found = []
+    for offset in track.candidates(time[lasting], position[lasting]):
+        rows = lasting[_spread_over(len(lasting), _REFINED_ROWS)]
+        found.append(_fitted(arm, joints, time[rows], position[rows], offset, 0.0, float(np.mean(time[rows]))))
+    found.sort(key=lambda one: one.ratio)
+    if not found or not found[0].close:
+        best = f"; the best leaves {1e3 * found[0].error:.3g} mm" if found else ""
+        raise InputError(
+            f"the arm's motion and the poses agree at no offset of the clocks{best}: check that both files are of one "
+            "session, the arm (--arm), and the order, signs and units of the joints"
+        )
+    first = found[0]
+    alike = [one for one in found if one.ratio < ALIKE * first.ratio and abs(one.offset - first.offset) > track.step]
+    if alike and not absolute:
+        raise InputError(
+            f"the motion repeats itself: offsets of the clocks that differ by {abs(alike[0].offset - first.offset):.3f}"
+            " s fit alike; record a motion that does not repeat, or stamp both files by one clock"
+        )
+    first = min([first, *alike], key=lambda one: abs(one.offset))
+    half = max(_LONGEST_WINDOW_S / 2, 1.0)
+    center, reach = first.middle, float(np.max(np.abs(time - first.middle)))
+    while True:
+        rows = np.flatnonzero(np.abs(time - center) <= half)
+        rows = rows[_spread_over(len(rows), _MOST_ROWS)]
+        first = _fitted(arm, joints, time[rows], position[rows], first.offset, first.drift, first.middle)
+        if half >= reach:
+            return first
+        half *= _GROWTH
+
+
+def pair_in_order(arm: Arm, joint: Array, position: Array) -> Pairing | None:
+    """Captures that belong together in their order; None where the nominal arm agrees with none, or with several.
+
+    Args:
+        arm: the nominal arm.
+        joint: `(capture, joint)` in SI units.
+        position: `(capture, 3)` m; of other numbers of captures the first or the last ones may be missing.
+    """
+    count = min(len(joint), len(position))
+    if count < FEWEST:
+        return None
+    flange = flange_poses(arm, joint)
+    surplus = len(joint) - len(position)
+    found = []
+    for first in range(abs(surplus) + 1):
+        at = Pairing(first if surplus > 0 else 0, first if surplus < 0 else 0, count, np.inf)
+        error = _error(flange[at.joint : at.joint + count], position[at.position : at.position + count])
+        found.append(at._replace(error=error))
+    best, *others = sorted(found, key=lambda one: one.error)
+    alone = not others or others[0].error > ALIKE * best.error
+    return best if alone and best.error <= CLOSE * _median_distance(position) else None
+
+
+def flange_poses(arm: Arm, joint: Array) -> Array:
+    """Nominal `T_base_flange` `(sample, 4, 4)` at joints `(sample, joint)` in SI units."""
+    return frames.chain(arm.links, joint, arm.sliding) @ arm.T_joint_flange
+
+
+class _Track(NamedTuple):
+    """The flange on a grid of times.
+
+    Attributes:
+        start, step: s, of the grid.
+        flange: `(time, 4, 4)`.
+        known: `(time,)`, where joint states are near.
+        extent: m, by which it moves.
+    """
+
+    start: float
+    step: float
+    flange: Array
+    known: Flags
+    extent: float
+
+    @classmethod
+    def of(cls, arm: Arm, joints: JointStream) -> "_Track":
+        start, end = joints.time[[0, -1]]
+        fine = max(_FINEST_S, joints.step, (end - start) / _MOST_FRAMES)
+        times = np.arange(start, end, fine)
+        flange, known = flange_poses(arm, joints.at(times)), joints.known(times)
+        points = np.concatenate([flange[:, :3, 3], flange[:, :3, 3] + _LEVER_M * flange[:, :3, 2]], 1)
+        points = np.concatenate([points, flange[:, :3, 3] + _LEVER_M * flange[:, :3, 0]], 1)
+        extent = _extent(points[known]) if known.any() else 0.0
+        speed = float(np.quantile(np.linalg.norm(np.diff(points, axis=0), axis=1), 0.9)) / fine
+        step = float(np.clip(_STEP * extent / max(speed, 1e-9), *_STEPS_S))
+        stride = max(1, round(step / fine))
+        return cls(float(start), stride * fine, flange[::stride], known[::stride], extent)
+
+    def candidates(self, time: Array, position: Array) -> list[float]:
+        """Offsets in s around which the clocks may be, the most likely first.
+
+        Args:
+            time: `(sample,)` s, of the sensor.
+            position: `(sample, 3)` m.
+        """
+        span, logged = time[-1] - time[0], self.step * len(self.flange)
+        rows = _spread_over(len(time), int(np.clip(_TRIED_ROWS * span / logged, _TRIED_ROWS, _MOST_TRIED_ROWS)))
+        place = np.round((time[rows] - time[0]) / self.step).astype(int)
+        stride = 1 + (len(self.flange) + int(place[-1])) // _MOST_OFFSETS
+        shifts = np.arange(-int(place[-1]), len(self.flange), stride)
+        fewest = max(_FEWEST_TRIED, _LEAST_OVERLAP * len(rows) * min(1.0, logged / max(span, 1e-9)))
+        scores = np.full(len(shifts), np.inf)
+        y = position[rows] - np.median(position[rows], axis=0)
+        batch = max(1, _AT_ONCE // len(rows))
+        for first in range(0, len(shifts), batch):
+            at = place + shifts[first : first + batch, None]
+            there = (at >= 0) & (at < len(self.flange))
+            there &= self.known[np.where(there, at, 0)]
+            enough = np.flatnonzero(there.sum(1) >= min(fewest, len(rows)))
+            if enough.size:
+                flange = self.flange[np.where(there, at, 0)[enough]]
+                scores[first + enough] = _misfit(flange[..., :3, :3], flange[..., :3, 3], y, there[enough])
+        found: list[float] = []
+        for shift in np.argsort(scores):
+            offset = self.start + self.step * shifts[shift] - time[0]
+            if not np.isfinite(scores[shift]) or len(found) == _CANDIDATES:
+                break
+            if all(abs(offset - other) > 5 * stride * self.step for other in found):
+                found.append(float(offset))
+        return found
+
+
+def _misfit(R: Array, p: Array, y: Array, there: Flags) -> Array:
+    """`(offset,)`, the median error of the positions with frame and point fitted, as a part of their spread.
+
+    p = A y - b - R t is linear in A, b and t; A is projected on the rotations, and b and t are solved again, as in
+    `fitting.start` for one offset.
+
+    Args:
+        R: `(offset, sample, 3, 3)` of the flange; `p` its position.
+        y: `(sample, 3)`, measured.
+        there: `(offset, sample)`, where the flange is known.
+    """
+    offsets, samples = there.shape
+    M = np.zeros((offsets, samples, 3, 15))
+    for axis in range(3):
+        M[:, :, axis, 3 * axis : 3 * axis + 3] = y
+        M[:, :, axis, 9 + axis] = -1.0
+    M[..., 12:] = -R
+    weight, distance = there.astype(float), np.zeros(there.shape)
+    for _ in range(3):
+        A = _least_squares(M, p, weight)[:, :9].reshape(-1, 3, 3)
+        U, _, Vt = np.linalg.svd(A)
+        U[..., 2] *= np.linalg.det(U @ Vt)[:, None]
+        R_sensor_base = np.swapaxes(U @ Vt, 1, 2)
+        turned = R_sensor_base[:, None] @ R
+        rest = y - np.einsum("oij,osj->osi", R_sensor_base, p)
+        columns = np.concatenate([turned, np.broadcast_to(np.eye(3), turned.shape)], 3)
+        found = _least_squares(columns, rest, weight)
+        distance = np.linalg.norm(rest - np.einsum("osij,oj->osi", columns, found), axis=2)
+        scale = np.nanmedian(np.where(there, distance, np.nan), axis=1)
+        weight = there / (1 + (distance / (2 * np.maximum(scale, 1e-9))[:, None]) ** 2)
+    seen = np.where(there[..., None], y, np.nan)
+    moved = np.linalg.norm(seen - np.nanmedian(seen, axis=1, keepdims=True), axis=2)
+    return scale / np.maximum(np.nanmedian(moved, axis=1), 1e-9)
+
+
+def _least_squares(columns: Array, target: Array, weight: Array) -> Array:
+    """`(offset, unknown)` of `(offset, sample, 3, unknown)` columns; nearly the shortest where it is not unique."""
+    offsets, samples, _, unknowns = columns.shape
+    root = np.sqrt(weight)[..., None]
+    A = (root[..., None] * columns).reshape(offsets, 3 * samples, unknowns)
+    b = (root * target).reshape(offsets, 3 * samples, 1)
+    normal = np.swapaxes(A, 1, 2) @ A
+    ridge = 1e-10 * np.trace(normal, axis1=1, axis2=2)[:, None, None] * np.eye(unknowns)
+    return np.linalg.solve(normal + ridge, np.swapaxes(A, 1, 2) @ b)[..., 0]
+
+
+def _fitted(
+    arm: Arm, joints: JointStream, time: Array, position: Array, offset: float, drift: float, middle: float
+) -> Clocks:
+    """The clocks near an offset and a drift at `middle`, by all rows given whose joints are known."""
+    known = joints.known(time + offset + drift * (time - middle))
+    if known.sum() < FEWEST:
+        return Clocks(offset, drift, middle, np.inf, np.inf, np.inf, 0.0, 0)
+    center = float(np.mean(time[known]))
+    offset, middle = offset + drift * (center - middle), center
+    flange = flange_poses(arm, joints.at(time + offset + drift * (time - middle)))
+    T_sensor_base, T_flange_tool = frames_from_poses(flange[known], position[known], None, None, None)
+    R_sb, t_sb, tool = T_sensor_base[:3, :3], T_sensor_base[:3, 3], T_flange_tool[:3, 3]
+    for _ in range(_ROUNDS):
+        at = time + offset + drift * (time - middle)
+        known = joints.known(at)
+        at, since = at[known], time[known] - middle
+        if len(at) < FEWEST:
+            return Clocks(offset, drift, middle, np.inf, np.inf, np.inf, 0.0, 0)
+        flange = flange_poses(arm, joints.at(at))
+        ahead, behind = (flange_poses(arm, joints.at(at + sign * _DIFFERENCE_S)) for sign in (1, -1))
+        velocity = (_points(ahead, tool) - _points(behind, tool)) @ R_sb.T / (2 * _DIFFERENCE_S)
+        seen = _points(flange, tool) @ R_sb.T
+        missed = position[known] - seen - t_sb
+        distance = np.linalg.norm(missed, axis=1)
+        scale = 2 * max(float(np.median(distance)), 1e-9)
+        weight = 1 / (1 + (distance / scale) ** 2)
+        J = np.zeros((len(at), 3, 11))
+        J[:, :, 0], J[:, :, 1] = velocity, velocity * since[:, None]
+        J[:, :, 2:5] = -_cross_matrix(seen)
+        J[:, :, 5:8], J[:, :, 8:] = np.eye(3), R_sb @ flange[:, :3, :3]
+        noise = (scale / 3) ** 2  # per axis, roughly: the prior decides only what the rows leave open
+        prior = np.zeros(11)
+        prior[:2] = noise / _OFFSET_S**2, noise / _DRIFT**2
+        normal = np.einsum("s,sim,sin->mn", weight, J, J) + np.diag(prior)
+        score = weight[:, None] * np.einsum("sim,si->sm", J, missed)
+        gradient = score.sum(0) - np.array([0, prior[1] * drift, *np.zeros(9)])
+        step = np.linalg.lstsq(normal, gradient, rcond=1e-12)[0]
+        step *= min(1.0, 0.5 / max(float(np.linalg.norm(step[2:5])), 1e-12))
+        offset, drift = offset + step[0], drift + step[1]
+        R_sb = _rotation(step[2:5]) @ R_sb
+        t_sb, tool = t_sb + step[5:8], tool + step[8:]
+        if abs(step[0]) + abs(step[1]) * float(np.max(np.abs(since))) < _DONE_S:
+            break
+    curved = weight - (2 / 3) * weight**2 * (distance / scale) ** 2
+    hessian = np.einsum("s,sim,sin->mn", curved, J, J) + np.diag(prior)
+    influence = score @ np.linalg.pinv(hessian, rcond=1e-12, hermitian=True)[:, :2]
+    std = [_std_of_sum(column, 11) for column in influence.T]
+    return Clocks(
+        *(float(offset), float(drift), middle, *std),
+        *(float(np.median(distance)), _median_distance(position[known]), len(at)),
+    )
+
+
+def _std_of_sum(parts: Array, parameters: int) -> float:
+    """The standard deviation of a sum of autocorrelated parts of mean zero `(sample,)`.
+
+    Bartlett's weights up to the lag that D. W. K. Andrews (Econometrica 59, 1991) gives for an autoregression.
+    """
+    n = len(parts)
+    correlation = float(np.clip(parts[1:] @ parts[:-1] / max(parts @ parts, 1e-300), 0.0, 0.999))
+    persistence = 4 * correlation**2 / ((1 - correlation) ** 2 * (1 + correlation) ** 2)
+    lags = int(min(1.1447 * (persistence * n) ** (1 / 3), n // 4))
+    variance = parts @ parts + sum(2 * (1 - k / (lags + 1)) * (parts[k:] @ parts[:-k]) for k in range(1, lags + 1))
+    return float(np.sqrt(max(variance, parts @ parts) * n / max(n - parameters, 1)))
+
+
+def _window(time: Array, position: Array) -> Rows:
+    """The rows in which the offset is sought: all, or of a long log the part in which the point moves most."""
+    if time[-1] - time[0] <= _LONGEST_WINDOW_S:
+        return np.arange(len(time))
+    starts = np.arange(time[0], time[-1] - _LONGEST_WINDOW_S / 2, _LONGEST_WINDOW_S / 2)
+    windows = [np.flatnonzero((time >= start) & (time <= start + _LONGEST_WINDOW_S)) for start in starts]
+    return max(windows, key=lambda rows: _median_distance(position[rows]) if len(rows) >= FEWEST else 0.0)
+
+
+def _spread_over(count: int, most: int) -> Rows:
+    return np.arange(count) if count <= most else np.unique(np.linspace(0, count - 1, most).astype(int))
+
+
+def _points(flange: Array, tool: Array) -> Array:
+    return flange[:, :3, 3] + flange[:, :3, :3] @ tool
+
+
+def _error(flange: Array, position: Array) -> float:
+    T_sensor_base, T_flange_tool = frames_from_poses(flange, position, None, None, None)
+    seen = _points(flange, T_flange_tool[:3, 3]) @ T_sensor_base[:3, :3].T + T_sensor_base[:3, 3]
+    return float(np.median(np.linalg.norm(position - seen, axis=1)))
+
+
+def _median_distance(position: Array) -> float:
+    return float(np.median(np.linalg.norm(position - np.median(position, axis=0), axis=1)))
+
+
+def _extent(position: Array) -> float:
+    """The width of the middle nine tenths, along the axis where that is most."""
+    return float(np.max(np.ptp(np.quantile(position, [0.05, 0.95], axis=0), axis=0)))
+
+
+def _cross_matrix(v: Array) -> Array:
+    x, y, z = v.T
+    o = np.zeros_like(x)
+    return np.stack([o, -z, y, z, o, -x, -y, x, o], 1).reshape(-1, 3, 3)
+
+
+def _rotation(vector: Array) -> Array:
+    from scipy.spatial.transform import Rotation
+
+    return Rotation.from_rotvec(vector).as_matrix()
