@@ -46,6 +46,8 @@ _STEPS_S = (2e-3, 0.5)
 _MOST_OFFSETS = 60_000
 _AT_ONCE = 40_000
 """Rows of offsets that are tried together."""
+_TRIED_AGAIN, _TRIALS = 0.05, 3
+"""Share of the offsets that are tried again, and how often."""
 _CANDIDATES = 4
 """Minima that are refined, …"""
 _REFINED_ROWS = 1500
@@ -59,9 +61,12 @@ _STILL_M = 5e-3
 """A flange or a point that moves by less says nothing of the time."""
 _LEVER_M = 0.1
 """By which rotations of the flange count as motion."""
+_STANDSTILL_S = 0.1
+"""A change of the offset that no moving arm would hide."""
 _DIFFERENCE_S = 1e-4
 """By which velocities are found."""
-_ROUNDS, _DONE_S = 40, 1e-9
+_ROUNDS, _DONE_S, _DONE = 40, 1e-9, 1e-3
+"""At most; a step in s, and in standard deviations of the offset, that is the last."""
 
 
 class Clocks(NamedTuple):
@@ -72,6 +77,7 @@ class Clocks(NamedTuple):
         drift: by how much that grows per second.
         middle: s, the middle of the rows that show it, in the sensor's time.
         offset_std, drift_std: standard deviations; autocorrelated residuals count as the fewer that they are worth.
+            Where the arm stood still at the poses, by how much the offset may be changed before it moves, and infinity.
         error: m, the median distance of measured and predicted positions.
         moved: m, the median distance of the positions from their middle.
         rows: of the sensor, by which they were found.
@@ -145,7 +151,7 @@ def find_clocks(arm: Arm, joints: JointStream, time: Array, position: Array, abs
             "session, the arm (--arm), and the order, signs and units of the joints"
         )
     first = found[0]
-    alike = [one for one in found if one.ratio < ALIKE * first.ratio and abs(one.offset - first.offset) > track.step]
+    alike = [one for one in found if one.ratio < ALIKE * first.ratio and not _same(arm, joints, time, first, one)]
     if alike and not absolute:
         raise InputError(
             f"the motion repeats itself: offsets of the clocks that differ by {abs(alike[0].offset - first.offset):.3f}"
@@ -159,8 +165,11 @@ def find_clocks(arm: Arm, joints: JointStream, time: Array, position: Array, abs
         rows = rows[_spread_over(len(rows), _MOST_ROWS)]
         first = _fitted(arm, joints, time[rows], position[rows], first.offset, first.drift, first.middle)
         if half >= reach:
-            return first
+            break
         half *= _GROWTH
+    if width := _standstill(arm, joints, time[rows], first):
+        return first._replace(offset_std=width, drift=0.0, drift_std=np.inf)
+    return first
 
 
 def pair_in_order(arm: Arm, joint: Array, position: Array) -> Pairing | None:
@@ -189,6 +198,30 @@ def pair_in_order(arm: Arm, joint: Array, position: Array) -> Pairing | None:
 def flange_poses(arm: Arm, joint: Array) -> Array:
     """Nominal `T_base_flange` `(sample, 4, 4)` at joints `(sample, joint)` in SI units."""
     return frames.chain(arm.links, joint, arm.sliding) @ arm.T_joint_flange
+
+
+def _same(arm: Arm, joints: JointStream, time: Array, one: Clocks, other: Clocks) -> bool:
+    """Whether the arm does not move from one offset to the other, as where it stood still at each pose."""
+    rows = time[_spread_over(len(time), _REFINED_ROWS)]
+    start, end = one.robot_time(rows), other.robot_time(rows)
+    times = [start + share * (end - start) for share in np.linspace(0, 1, 6)]
+    known = np.logical_and.reduce([joints.known(at) for at in times])
+    if known.sum() < FEWEST:
+        return False
+    places = [flange_poses(arm, joints.at(at[known]))[:, :3, 3] for at in times]
+    apart = [float(np.median(np.linalg.norm(place - places[0], axis=1))) for place in places]
+    return max(apart) <= max(one.error, other.error)
+
+
+def _standstill(arm: Arm, joints: JointStream, time: Array, found: Clocks) -> float:
+    """s, by which the offset may be changed either way before the arm moves; zero where less than `_STANDSTILL_S`."""
+    width = 0.0
+    for tried in _STANDSTILL_S * 2.0 ** np.arange(8):
+        ways = [_same(arm, joints, time, found, found._replace(offset=found.offset + s * tried)) for s in (1, -1)]
+        if not any(ways):
+            break
+        width = float(tried)
+    return width
 
 
 class _Track(NamedTuple):
@@ -234,17 +267,13 @@ class _Track(NamedTuple):
         stride = 1 + (len(self.flange) + int(place[-1])) // _MOST_OFFSETS
         shifts = np.arange(-int(place[-1]), len(self.flange), stride)
         fewest = max(_FEWEST_TRIED, _LEAST_OVERLAP * len(rows) * min(1.0, logged / max(span, 1e-9)))
-        scores = np.full(len(shifts), np.inf)
         y = position[rows] - np.median(position[rows], axis=0)
-        batch = max(1, _AT_ONCE // len(rows))
-        for first in range(0, len(shifts), batch):
-            at = place + shifts[first : first + batch, None]
-            there = (at >= 0) & (at < len(self.flange))
-            there &= self.known[np.where(there, at, 0)]
-            enough = np.flatnonzero(there.sum(1) >= min(fewest, len(rows)))
-            if enough.size:
-                flange = self.flange[np.where(there, at, 0)[enough]]
-                scores[first + enough] = _misfit(flange[..., :3, :3], flange[..., :3, 3], y, there[enough])
+        everything = np.arange(len(shifts))
+        scores = self._scores(place, shifts, everything, y, min(fewest, len(rows)), 1)
+        # an offset tried once has its outliers in it: those that may be the best are tried again without
+        near = everything[scores <= np.quantile(scores, _TRIED_AGAIN)]
+        scores = np.where(scores <= np.quantile(scores, _TRIED_AGAIN), scores, np.inf)
+        scores[near] = self._scores(place, shifts, near, y, min(fewest, len(rows)), _TRIALS)[near]
         found: list[float] = []
         for shift in np.argsort(scores):
             offset = self.start + self.step * shifts[shift] - time[0]
@@ -254,8 +283,21 @@ class _Track(NamedTuple):
                 found.append(float(offset))
         return found
 
+    def _scores(self, place: Rows, shifts: Rows, chosen: Rows, y: Array, fewest: float, rounds: int) -> Array:
+        """`(shift,)`, the misfit of those chosen; infinite where too few rows are inside, and of all others."""
+        scores = np.full(len(shifts), np.inf)
+        for some in np.array_split(chosen, 1 + len(chosen) * len(place) // _AT_ONCE):
+            at = place + shifts[some, None]
+            there = (at >= 0) & (at < len(self.flange))
+            there &= self.known[np.where(there, at, 0)]
+            enough = there.sum(1) >= fewest
+            if enough.any():
+                flange = self.flange[np.where(there, at, 0)[enough]]
+                scores[some[enough]] = _misfit(flange[..., :3, :3], flange[..., :3, 3], y, there[enough], rounds)
+        return scores
 
-def _misfit(R: Array, p: Array, y: Array, there: Flags) -> Array:
+
+def _misfit(R: Array, p: Array, y: Array, there: Flags, rounds: int) -> Array:
     """`(offset,)`, the median error of the positions with frame and point fitted, as a part of their spread.
 
     p = A y - b - R t is linear in A, b and t; A is projected on the rotations, and b and t are solved again, as in
@@ -265,6 +307,7 @@ def _misfit(R: Array, p: Array, y: Array, there: Flags) -> Array:
         R: `(offset, sample, 3, 3)` of the flange; `p` its position.
         y: `(sample, 3)`, measured.
         there: `(offset, sample)`, where the flange is known.
+        rounds: of weights by which outliers count less.
     """
     offsets, samples = there.shape
     M = np.zeros((offsets, samples, 3, 15))
@@ -272,8 +315,8 @@ def _misfit(R: Array, p: Array, y: Array, there: Flags) -> Array:
         M[:, :, axis, 3 * axis : 3 * axis + 3] = y
         M[:, :, axis, 9 + axis] = -1.0
     M[..., 12:] = -R
-    weight, distance = there.astype(float), np.zeros(there.shape)
-    for _ in range(3):
+    weight, scale = there.astype(float), np.zeros(offsets)
+    for _ in range(rounds):
         A = _least_squares(M, p, weight)[:, :9].reshape(-1, 3, 3)
         U, _, Vt = np.linalg.svd(A)
         U[..., 2] *= np.linalg.det(U @ Vt)[:, None]
@@ -342,14 +385,16 @@ def _fitted(
         offset, drift = offset + step[0], drift + step[1]
         R_sb = _rotation(step[2:5]) @ R_sb
         t_sb, tool = t_sb + step[5:8], tool + step[8:]
-        if abs(step[0]) + abs(step[1]) * float(np.max(np.abs(since))) < _DONE_S:
+        shift = abs(step[0]) + abs(step[1]) * float(np.max(np.abs(since)))
+        if shift < max(_DONE_S, _DONE * np.sqrt(noise / max(normal[0, 0], 1e-300))):
             break
     curved = weight - (2 / 3) * weight**2 * (distance / scale) ** 2
     hessian = np.einsum("s,sim,sin->mn", curved, J, J) + np.diag(prior)
-    influence = score @ np.linalg.pinv(hessian, rcond=1e-12, hermitian=True)[:, :2]
-    std = [_std_of_sum(column, 11) for column in influence.T]
+    inverse = np.linalg.pinv(hessian, rcond=1e-12, hermitian=True)[:, :2]
+    by_prior = noise * prior @ inverse**2  # what the rows leave open is as uncertain as it was beforehand
+    std = [np.hypot(_std_of_sum(score @ column, 11), np.sqrt(open_)) for column, open_ in zip(inverse.T, by_prior, strict=True)]
     return Clocks(
-        *(float(offset), float(drift), middle, *std),
+        *(float(offset), float(drift), middle, *map(float, std)),
         *(float(np.median(distance)), _median_distance(position[known]), len(at)),
     )
 
