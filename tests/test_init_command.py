@@ -192,17 +192,22 @@ def test_the_report_is_readable_on_any_terminal(recorded, capsys, width):
 def test_torques_without_a_column_of_times(capsys, tmp_path):
     path = tmp_path / "log.csv"
     rows = [f"{10 * k},{k / 10},{0.1 * k},{1 + k},{2 - k}" for k in range(20)]
-    path.write_text("\n".join(["Zeit [ms],pos_0,pos_1,torque_0,torque_1", *rows]) + "\n")
+    path.write_text("\n".join(["Zeit,pos_0,pos_1,torque_0,torque_1", *rows]) + "\n")
     code, out, _ = run(capsys, "init", path, "--yes", width=200)
     assert code == 0
     said = "Torques need times, and no column looks like them: say in the sidecar which it is, such as"
-    assert f"{said} `Zeit [ms]: time_ms`." in out
+    assert f"{said} `Zeit: time_s`." in out
+    assert "Motion: static" in out
     sidecar = path.with_suffix(".yaml")
-    sidecar.write_text(sidecar.read_text().replace("Zeit [ms]: ignore", "Zeit [ms]: time_ms"))
+    sidecar.write_text(sidecar.read_text().replace("Zeit: ignore", "Zeit: time_ms").replace("static", "trajectory"))
     assert read_recording(path).time[-1] == pytest.approx(0.19)
-    code, out, _ = run(capsys, "init", path, "--yes", "--column", "Zeit [ms]=time_ms", "--force", width=200)
+    code, out, _ = run(capsys, "init", path, "--yes", "--column", "Zeit=time_ms", "--force", width=200)
     assert code == 0
     assert "Torques need times" not in out
+    assert "Motion: trajectory; its time step is 0.01 s." in out  # decided with what is given
+    assert read_settings(sidecar).motion == "trajectory"
+    assert run(capsys, "init", path, "--yes", "--column", "Zeit=time_ms", "--set", "motion=static", "--force")[0] == 0
+    assert read_settings(sidecar).motion == "static"
 
 
 @pytest.mark.parametrize("folder", [".", "..", "../.."])

@@ -83,7 +83,8 @@ class Init:
             return place, table, list(table.numbers()), notes
 
         def look() -> "Inspection":
-            return inspect(columns, load_nominal(arm), given, str(file))
+            said = {key: settings[key] for key in ("pose_source", "motion") if isinstance(settings.get(key), str)}
+            return inspect(columns, load_nominal(arm), given, str(file), **said)
 
         file, table, columns, notes = opened()
         found = look()
@@ -92,13 +93,17 @@ class Init:
             arm = arm or _asked_arm(found)
             if arm != self.arm:  # the joint states of a log are in the units of its joints
                 file, table, columns, notes = opened()
-            answered = _asked_columns(look())
+            answered = _asked_pose(found := look()) | _asked_columns(found)
             given |= answered
             settings |= _asked(found, settings)
             found, shown = look(), arm == self.arm and not answered
+        if found.undecided:
+            raise InputError(f"{file}: {inspection.choice_of_pose(found, settings.get('pose_source'))}")
         named = arm_reference(arm, sidecar) if arm else None if found.arm is None else found.arm.name
         settings = ({"arm": named} if named else {}) | settings
         settings.setdefault("motion", found.motion[0])
+        if found.computed:
+            settings.setdefault("pose_source", "controller_fk")
         self._check(found, table, settings, file, notes)
         text = inspection.sidecar_text(found, settings, file.name)
         write_atomically(sidecar, text, self.force)
@@ -118,8 +123,12 @@ class Init:
         """Refuses what the other commands would refuse, before anything is written."""
         from lite6jax.recordings.settings import declared_settings
         from lite6jax.recordings.table import tabulated
+        from lite6jax.report.inspection import no_angles
 
-        if found.of("q") is None and not any(name.startswith("q1_") for name in found.given.values()):
+        q = found.of("q")
+        if q is not None and q.unit.reason in ("percent", "ticks"):
+            raise InputError(f"{path}: {no_angles(q)}")
+        if q is None and not any(name.startswith("q1_") for name in found.given.values()):
             listed = ", ".join(repr(name[:40]) for name in table.names[:8]) + (", ..." if len(table.names) > 8 else "")
             raise InputError(
                 f"{path}: no columns look like joint positions; say which they are, --column NAME=q1_deg --column "
@@ -168,6 +177,19 @@ def _asked(found: "Inspection", settings: Mapping[str, Any]) -> dict[str, Any]:
         question, choices = _QUESTIONS[key]
         answers[key] = _answer(question, choices, "unknown")
     return {key: answer for key, answer in answers.items() if answer != "unknown"}
+
+
+def _asked_pose(found: "Inspection") -> dict[str, str]:
+    """The columns of the poses that are not meant, to be ignored, where several are there and none is taken."""
+    from lite6jax.report.inspection import source_statement
+
+    if not found.undecided:
+        return {}
+    for source in found.sources:
+        print(source_statement(source))
+    names = [source.columns[0] for source in found.sources]
+    answer = _answer("Which pose is meant?", names, names[-1])
+    return {name: "ignore" for source in found.sources if source.columns[0] != answer for name in source.columns}
 
 
 def _asked_columns(found: "Inspection") -> dict[str, str]:

@@ -8,7 +8,7 @@ from rich.console import RenderableType
 from rich.padding import Padding
 from rich.text import Text
 
-from lite6jax.domains.pose.inspection import Inspection
+from lite6jax.domains.pose.inspection import Inspection, PoseSource
 from lite6jax.domains.pose.meanings import Meaning
 from lite6jax.errors import command_line
 from lite6jax.recordings.columns import IGNORED
@@ -64,7 +64,10 @@ _FORMS = {
     "roll": "roll, pitch, yaw: Rz(yaw) Ry(pitch) Rx(roll)",
     "rotx": "angles Rx(rotx) Ry(roty) Rz(rotz)",
     "alpha": "Euler angles Rz(alpha) Ry(beta) Rz(gamma)",
+    "r11": "a rotation matrix row by row",
 }
+_DENIED = {"time": "called a time, but it does not increase", "quaternion": "called a quaternion, but not of length 1"}
+_ROLES = {"controller": "the controller's", "sensor": "a sensor's", None: "of a source that its name does not say"}
 _MANY = 3
 """Columns that are named one by one; of more, the first and the last."""
 
@@ -152,11 +155,53 @@ def inspection_report(found: Inspection, path: str) -> Iterator[RenderableType]:
         if recognised.get(own) == name:
             continue
         yield Padding(Text(f"{own}: {name}, as given."), (0, 0, 0, 2))
-    if found.unused or found.texts:
-        yield Padding(Text(f"Not used: {_listed((*found.unused, *found.texts))}."), (0, 0, 0, 2))
+    for own, why in found.denied.items():
+        yield Padding(Text(f"{own}: {_DENIED[why]}, so it is not used."), (0, 0, 0, 2))
+    rest = [name for name in (*found.unused, *found.texts) if name not in found.denied]
+    if rest:
+        yield Padding(Text(f"Not used: {_listed(rest)}."), (0, 0, 0, 2))
     yield ""
+    for source in found.sources if len(found.sources) > 1 else ():
+        yield Text(f"{source_statement(source)}{' It is taken.' if source.taken else ''}")
     yield Text(arm_statement(found))
+    if found.computed:
+        yield Text(
+            "The poses are the controller's own computation from the joints: no sensor is that exact. They show no "
+            "error of the arm; their pose_source is controller_fk."
+        )
     yield Text(f"Motion: {found.motion[0]}; {found.motion[1]}.")
+
+
+def no_angles(joints: Meaning) -> str:
+    """Joint positions that may be no angles, and what to do."""
+    named = (command_line("--column", f"{own}=q{k}_deg") for k, own in enumerate(joints.block.columns, 1))
+    degrees = " ".join(name.partition(" ")[2] for name in named)
+    if joints.unit.reason == "ticks":
+        wrong = "look like raw ticks of servos (4096 a turn), which are no angles: write (ticks - 2048) * 360 / 4096"
+    else:
+        wrong = (
+            "look like LeRobot's normalised values (-100 to 100 of each joint's calibrated range), which are no "
+            "angles: record again with use_degrees=True, or convert them by the ranges of the arm's calibration"
+        )
+    return f"joints {_columns(joints.block.columns)} {wrong}. If they are degrees, say so: {degrees}"
+
+
+def source_statement(source: PoseSource) -> str:
+    """One of several poses: whose it is, and how well the arm reproduces it."""
+    said = f"Pose {_columns(source.columns)}: {_ROLES[source.role]}"
+    if source.computed:
+        return f"{said}, computed from the joints: the nominal arm reproduces it to {1e3 * source.error:.2g} mm."
+    return said + (f"; the nominal arm reproduces it to {1e3 * source.error:.3g} mm." if source.error < 1e3 else ".")
+
+
+def choice_of_pose(found: Inspection, pose_source: str | None) -> str:
+    """Several poses of which none is taken, and how to say which is meant."""
+    said = " ".join(map(source_statement, found.sources))
+    ignored = (command_line("--column", f"{name}=ignore").partition(" ")[2] for name in found.sources[0].columns)
+    remedy = f"leave those out that are not meant, such as {' '.join(ignored)}"
+    if pose_source is None and {source.role for source in found.sources} == {"controller", "sensor"}:
+        remedy = "choose by --set pose_source=laser_tracker (motion_capture, camera, or controller_fk), or " + remedy
+    return f"it holds {len(found.sources)} poses. {said} {remedy[0].upper()}{remedy[1:]}"
 
 
 def statement(meaning: Meaning) -> str:
@@ -196,12 +241,15 @@ def _reason(decision: Decision) -> str:
     return {
         "name": "by name",
         "beyond_turns": "they reach {largest:.4g}, beyond any joint's turns in rad",
+        "percent": "the largest is {largest:.3g}, so they may be normalised: -100 to 100 of each joint's range",
+        "ticks": "whole numbers up to {largest:.4g}, so they may be ticks of servos, 4096 a turn",
         "within_turns": "none is beyond {largest:.3g}",
         "as_positions": "as the positions",
         "beyond_reach": "they spread over {spread:.4g}, beyond any arm's reach in metres",
         "within_reach": "they spread over {spread:.3g}",
         "largest": "the largest is {largest:.3g}",
         "usual": "the usual unit",
+        "usual_name": "as these names are usually meant",
         "usual_quaternion": "as ROS writes it",
         "largest_angle": "the largest is {largest:.3g}",
         "beyond_half_turn": "they reach {largest:.3g} rad, and a rotation vector ends at half a turn",

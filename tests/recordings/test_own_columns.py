@@ -343,19 +343,29 @@ NAMINGS = {
 }
 
 
+def meant(names, joint_names=()):
+    """The blocks of a table by their names alone, and of the first of its poses."""
+    found = naming.candidates(names, joint_names)
+    blocks = naming.chosen(found)
+    used = {name for block in blocks for name in block.columns}
+    poses = naming.sources([block for block in found if not used & set(block.columns)])
+    return [*blocks, *([poses[0].position, *poses[0].rotations[:1]] if poses else [])], len(poses)
+
+
 @pytest.mark.parametrize("case", NAMINGS)
 def test_names_are_understood(case):
     names, wanted = NAMINGS[case]
-    found = naming.blocks(names)
+    found, poses = meant(names)
     assert {block.kind: [*block.columns] for block in found} == wanted
     assert [block.rivals for block in found] == [()] * len(found)
+    assert poses <= 1
 
 
 def test_the_names_of_a_recording_mean_what_they_say():
     names = ["time_ms", "q1_rad", "q2_rad", "dq1_rad_per_s", "dq2_rad_per_s", "ddq1_deg_per_s2", "ddq2_deg_per_s2"]
     names += ["tau1_mNm", "tau2_mNm", "current1_A", "current2_A", "temp1_degC", "temp2_degC", "ambient_degC"]
     names += ["payload_kg", "run", "x_mm", "y_mm", "z_mm", "roll_deg", "pitch_deg", "yaw_deg"]
-    found = {block.kind: block for block in naming.blocks(names)}
+    found = {block.kind: block for block in meant(names)[0]}
     assert {kind: block.unit for kind, block in found.items()} == {
         "q": "rad",
         "dq": "rad_per_s",
@@ -378,13 +388,13 @@ def test_units_stand_at_the_end_of_names_in_many_ways():
     said = {"tcp x [mm]": "mm", "tcp_x_mm": "mm", "tcp.x (m)": "m", "tcp_x": None}
     for name, unit in said.items():
         names = [name.replace("x", axis, 1) if "x" in name else name for axis in "xyz"]
-        (block,) = naming.blocks(names)
+        ((block,), _) = meant(names)
         assert (block.kind, block.unit) == ("position", unit)
-    (block,) = naming.blocks(["pose_a", "pose_b", "pose_c"])
+    (_, block), _ = meant([f"pose_{part}" for part in "xyzabc"])
     assert (block.kind, block.columns) == ("rotation", ("pose_c", "pose_b", "pose_a"))  # not amperes and degrees
 
 
 def test_what_may_be_meant_instead_is_named():
     names = [*joints("left_joint_{}"), *joints("right_joint_{}")]
-    (block,) = naming.blocks(names)
+    ((block,), _) = meant(names)
     assert (block.columns[0], block.rivals) == ("left_joint_0", ("right_joint_0",))

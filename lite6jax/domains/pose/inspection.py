@@ -1,12 +1,13 @@
-"""What a table with column names of its own holds: by names, by the sizes of the numbers, and by an arm's kinematics.
+"""What a table with column names of its own holds: it is read as a whole.
 
-Names come first; what they leave open, such as units and the form of a rotation, the arm decides where one is known or
-recognised, and sizes decide elsewhere. Codes and numbers only: the words are those of `report.inspection`.
+Names give candidates for each quantity, units in names bind, and numbers may object. Of what is left open the arm's
+kinematics decide where one is known or recognised, and sizes elsewhere. What none decides is left to the caller. Codes
+and numbers only: the words are those of `report.inspection`.
 """
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, final
+from typing import Any, NamedTuple, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,26 +15,56 @@ from numpy.typing import NDArray
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.bundled import bundled_of
 from lite6jax.arms.factory import RECOGNISED_WITHIN
-from lite6jax.domains.pose.meanings import Key, Meaning, key, meanings_of, motion_of, without_unit
+from lite6jax.domains.pose.meanings import Meaning, key, meanings_of, motion_of, without_unit
 from lite6jax.domains.pose.readings import NO_AGREEMENT, Agreement, Pose, agreement
 from lite6jax.errors import InputError
-from lite6jax.recordings import naming, streams
+from lite6jax.recordings import naming, sizes, streams
 from lite6jax.recordings.columns import (
     ANGLES,
     IGNORED,
+    MATRIX,
     QUATERNION,
     differs_by_joint,
     is_per_joint,
     is_refused,
     is_standard,
+    known_column,
     nearest_known,
+    units_of,
 )
-from lite6jax.recordings.naming import Block
+from lite6jax.recordings.naming import Block, Role, Source
+from lite6jax.recordings.orientations import no_rotations, quaternions
 
 Array = NDArray[np.floating]
 
 ALIKE = 2.0
 """Times the error of the best arm, within which another one is as likely, as in `fitting.recognition`."""
+FINEST_SENSOR_M = 2e-5
+"""Above, an error may be a sensor's noise."""
+COMPUTED_M = 2e-6
+"""Below, it is none: controllers compute in single precision too."""
+LEAST_TRAVEL_M = 0.02
+"""Of positions of which is said that they are computed."""
+SENSORS = ("laser_tracker", "motion_capture", "camera")
+"""The values of `pose_source` of what was measured."""
+
+
+class PoseSource(NamedTuple):
+    """A pose of the table, by one source.
+
+    Attributes:
+        columns: of the position, and of the orientation where it has one.
+        role: whose it is by its name.
+        error: m, the median error with which the arm reproduces the positions; infinite where none does.
+        computed: whether that is as exact as only the controller's own computation.
+        taken: whether it is the one that the table is read with.
+    """
+
+    columns: tuple[str, ...]
+    role: Role | None
+    error: float
+    computed: bool
+    taken: bool
 
 
 @final
@@ -45,22 +76,26 @@ class Inspection:
         meanings: of the blocks that were recognised.
         given: columns whose meaning was given.
         unused: columns of numbers that mean nothing here, and `texts` those without numbers.
+        denied: those that are called times or quaternions and whose numbers are none, with `time` or `quaternion`.
         samples: rows.
         arm: given or recognised; None where it is neither.
         arms: name and error in m of the bundled arms that were tried, the nearest first.
         error: m, the median error of the arm as read; infinite where there is none, or no poses.
         motion: `static` or `trajectory`, and why in words.
+        sources: the poses; of several without one that is taken it is to be asked.
     """
 
     meanings: tuple[Meaning, ...]
     given: Mapping[str, str]
     unused: tuple[str, ...]
     texts: tuple[str, ...]
+    denied: Mapping[str, str]
     samples: int
     arm: Arm | None
     arms: tuple[tuple[str, float], ...]
     error: float
     motion: tuple[str, str]
+    sources: tuple[PoseSource, ...]
 
     @property
     def columns(self) -> dict[str, str]:
@@ -72,9 +107,21 @@ class Inspection:
         }
         taken = {without_unit(name) for name in self.given.values()}
         told = {own: IGNORED if without_unit(name) in taken else name for own, name in told.items()} | dict(self.given)
-        unused = {name: IGNORED for name in (*self.unused, *self.texts) if not is_standard(name)}
-        needed = any(own != name for own, name in told.items()) or any(map(is_refused, unused))
+        unused = {name: IGNORED for name in self.texts if not is_standard(name)}
+        read = [name for name in self.unused if (found := known_column(name)) and found.quantity != "missing"]
+        unused |= {name: IGNORED for name in self.unused if name in read or not is_standard(name)}
+        needed = read or any(own != name for own, name in told.items()) or any(map(is_refused, unused))
         return told | unused if needed else {}
+
+    @property
+    def undecided(self) -> bool:
+        """Whether there are several poses and none is taken."""
+        return bool(self.sources) and not any(source.taken for source in self.sources)
+
+    @property
+    def computed(self) -> bool:
+        """Whether the poses that are taken are the controller's own computation."""
+        return any(source.taken and source.computed for source in self.sources)
 
     def of(self, kind: str) -> Meaning | None:
         """The meaning of a kind of block: of revolute joints where there are some."""
@@ -87,10 +134,12 @@ class Inspection:
                 "columns": self.columns,
                 "blocks": [meaning.to_dict() for meaning in self.meanings],
                 "unused": [*self.unused, *self.texts],
+                "denied": dict(self.denied),
                 "samples": self.samples,
                 "arm": None if self.arm is None else self.arm.name,
                 "arms_m": dict(self.arms),
                 "motion": self.motion[0],
+                "poses": [source._asdict() for source in self.sources],
             }
         )
 
@@ -100,6 +149,8 @@ def inspect(
     arm: Arm | None = None,
     given: Mapping[str, str] | None = None,
     source: str = "recording",
+    pose_source: str | None = None,
+    motion: str | None = None,
 ) -> Inspection:
     """What a table holds.
 
@@ -108,6 +159,8 @@ def inspect(
         arm: whose recording it is; where not given, every bundled one of as many joints is tried.
         given: columns with the names that they have in a recording, where the caller knows better; or `IGNORED`.
         source: what messages begin with.
+        pose_source: what measured the poses, as in a sidecar; of several poses it decides which are taken.
+        motion: where it is known.
 
     Raises:
         InputError: a column that is given is not there, or there are no rows.
@@ -121,37 +174,95 @@ def inspect(
     for name in given:
         if name not in dict(columns):
             raise InputError(f"{source}: has no column {name[:60]!r}; {_near(name, list(dict(columns)))}")
-    named = _fitting(naming.blocks([name for name in numbers if given.get(name) != IGNORED]), given, arm)
-    numbers = _at_poses(numbers, named)
-    blocks = {key(block): block for block in named}
-    values = {of: np.stack([numbers[name] for name in block.columns], 1) for of, block in blocks.items()}
-    pose = _pose(blocks, values)
-    tried = _tried(arm, pose, blocks)
-    arm, agreed = _chosen(arm, tried)
-    turned = blocks.get(("rotation", False))
-    if turned is not None and all(name in given for name in turned.columns):
+    free = [name for name in numbers if given.get(name) != IGNORED]
+    possible, denied = _possible(naming.candidates(free, () if arm is None else arm.joint_names), numbers)
+    slots = _given_slots({name: said for name, said in given.items() if name in numbers})
+    blocks = _with_given(naming.chosen(possible, None if arm is None else arm.dof), slots)
+    blocks = _fitting(blocks, given, arm)
+    joints = {name for block in blocks for name in block.columns}
+    poses = _given_poses([block for block in possible if not joints & set(block.columns)], slots)
+    numbers = _at_poses(numbers, [*blocks, *poses])
+    readings = [_read(pose, blocks, numbers, arm) for pose in naming.sources(poses)]
+    taken = _taken(readings, pose_source)
+    found = _Reading(arm=arm) if taken is None else readings[taken]
+    nearest = min((reading.agreed for reading in readings), key=lambda one: one.error, default=NO_AGREEMENT)
+    agreed = found.agreed._replace(angle=found.agreed.angle or nearest.angle, slide=found.agreed.slide or nearest.slide)
+    if found.rotation is not None and given.keys() >= set(found.rotation.columns):
         agreed = agreed._replace(form=None, turn=None)
-    meanings = meanings_of(blocks, values, agreed)
-    used = {name for block in named for name in block.columns} | set(given)
+    blocks += found.blocks
+    values = {key(block): _stacked(numbers, block.columns) for block in blocks}
+    meanings = meanings_of({key(block): block for block in blocks}, values, agreed)
+    used = {name for block in blocks for name in block.columns} | given.keys()
     return Inspection(
         meanings=meanings,
         given=given,
         unused=tuple(name for name in numbers if name not in used),
         texts=tuple(name for name in texts if name not in given),
+        denied={name: why for name, why in denied.items() if name not in used},
         samples=samples,
-        arm=arm,
-        arms=tuple((one.name, found.error) for one, found in tried),
+        arm=found.arm,
+        arms=tuple((one.name, tried.error) for one, tried in found.tried),
         error=agreed.error,
-        motion=motion_of(meanings, values),
+        motion=(motion, "as given") if motion else motion_of(meanings, values),
+        sources=tuple(reading.described(place == taken) for place, reading in enumerate(readings)),
     )
 
 
-def _at_poses(numbers: Mapping[str, Array], blocks: Sequence[Block]) -> Mapping[str, Array]:
+def _at_poses(numbers: dict[str, Array], blocks: Sequence[Block]) -> dict[str, Array]:
     """The rows with poses, where joints and poses stand in different rows: the joints are interpolated there."""
-    of = {kind: [name for block in blocks if block.kind == kind for name in block.columns]
-          for kind in ("q", "position", "time")}  # fmt: skip
-    found = streams.merged(numbers, of["q"], of["position"], of["time"][0]) if of["time"] else None
-    return numbers if found is None else found.columns
+    joints = [name for block in blocks if block.kind == "q" for name in block.columns]
+    time = next((block.columns[0] for block in blocks if block.kind == "time"), "")
+    for position in (block.columns for block in blocks if block.kind == "position"):
+        if (found := streams.merged(numbers, joints, position, time)) is not None:
+            return found.columns
+    return numbers
+
+
+def computed_by_controller(error: float, step: float) -> bool:
+    """Whether an arm reproduces positions as only the controller's own computation from the joints is reproduced.
+
+    Args:
+        error: m, the median distance of the positions from those of the arm's nominal kinematics.
+        step: m, how far apart positions are that are written alike (`written_step`); 0 of all digits.
+    """
+    return error <= min(max(COMPUTED_M, step), FINEST_SENSOR_M)
+
+
+def written_step(values: Array) -> float:
+    """The place of the last digit with which numbers are written, such as 0.001; 0 beyond the ninth."""
+    there = np.unique(np.round(values[np.isfinite(values)], 12))[:500]
+    digits = (k for k in range(10) if np.allclose(there, np.round(there, k), rtol=0, atol=1e-3 * 10.0**-k))
+    place = next(digits, None)
+    return 0.0 if place is None else 10.0**-place
+
+
+class _Reading(NamedTuple):
+    """A pose as the arm agrees with it best, and the arms that were tried."""
+
+    source: Source | None = None
+    rotation: Block | None = None
+    arm: Arm | None = None
+    tried: Sequence[tuple[Arm, Agreement]] = ()
+    agreed: Agreement = NO_AGREEMENT
+    travel: float = 0.0
+    computed: bool = False
+
+    @property
+    def blocks(self) -> list[Block]:
+        found = [] if self.source is None else [self.source.position, self.rotation]
+        return [block for block in found if block is not None]
+
+    @property
+    def role(self) -> Role | None:
+        return "controller" if self.computed else None if self.source is None else self.source.role
+
+    def described(self, taken: bool) -> PoseSource:
+        columns = tuple(name for block in self.blocks for name in block.columns)
+        return PoseSource(columns, self.role, self.agreed.error, self.computed, taken)
+
+
+def _stacked(numbers: Mapping[str, Array], names: Sequence[str]) -> Array:
+    return np.stack([numbers[name] for name in names], 1)
 
 
 def _finite(value: Any) -> Any:
@@ -169,104 +280,179 @@ def _near(name: str, names: Sequence[str]) -> str:
     return f"it has {shown}" if near is None else f"write COLUMN=MEANING, such as joint_1={near}; it has {shown}"
 
 
+def _possible(found: Sequence[Block], numbers: Mapping[str, Array]) -> tuple[list[Block], dict[str, str]]:
+    """The blocks to which the numbers do not object, and of the others the times and quaternions by name."""
+    whole = {block.columns[0] for block in found if block.kind == "run" and _whole(numbers[block.columns[0]])}
+    run = next((numbers[block.columns[0]] for block in found if block.columns[0] in whole), None)
+    possible: list[Block] = []
+    denied: dict[str, str] = {}
+    unit = {block.columns for block in found if block.kind == "rotation" and len(block.columns) == 4
+            and sizes.of_unit_length(_stacked(numbers, block.columns))}  # fmt: skip
+    for block in found:
+        if block.kind == "time":
+            objection = "" if sizes.increases(numbers[block.columns[0]], run) else "time"
+        elif block.kind == "run":
+            objection = "" if block.columns[0] in whole else "run"
+        elif block.matrix:
+            objection = "" if _matrix(_stacked(numbers, block.matrix)) else "matrix"
+        elif block.kind == "rotation" and len(block.columns) == 4:
+            objection = "" if block.columns in unit else "quaternion"
+        else:
+            objection = "joints" if block.kind == "q" and block.columns in unit else ""
+        if not objection:
+            possible.append(block)
+        elif objection == "time" or (objection == "quaternion" and not block.weak):
+            denied |= dict.fromkeys(block.columns, objection)
+    return possible, denied
+
+
+def _whole(run: Array) -> bool:
+    there = run[np.isfinite(run)]
+    return bool((there == np.round(there)).all())
+
+
+def _matrix(entries: Array) -> bool:
+    """Whether rows of 9, 12 or 16 numbers are poses, but for a few."""
+    M = entries[np.isfinite(entries).all(1)]
+    M = M.reshape(len(M), -1, 3 if entries.shape[1] == 9 else 4)
+    wrong = no_rotations(M[:, :3, :3].reshape(-1, 9)) | (np.abs(M[:, 3:] - [0, 0, 0, 1]) > 1e-6).any((1, 2))
+    return bool(len(M)) and float(np.mean(wrong)) < 0.1
+
+
+_Slots = Mapping[tuple[str, int], tuple[str, str]]
+
+
+def _given_slots(given: Mapping[str, str]) -> dict[tuple[str, int], tuple[str, str]]:
+    """Of quantities, and of which joint, the column that is given and its unit."""
+    said = {name: known_column(own) for name, own in given.items() if own != IGNORED}
+    return {(one.quantity, one.joint): (name, one.unit) for name, one in said.items() if one is not None}
+
+
+def _with_given(blocks: Sequence[Block], slots: _Slots) -> list[Block]:
+    """With the columns that are given in their places, of all but poses."""
+    found = {block.kind: block for block in blocks}
+    own = {name for name, _ in slots.values()}
+    for kind in {quantity for quantity, _ in slots} & set(naming.KINDS):
+        told = {joint: name for (quantity, joint), (name, _) in slots.items() if quantity == kind}
+        units = {unit for (quantity, _), (_, unit) in slots.items() if quantity == kind}
+        block = found.get(kind)
+        columns = {} if block is None else dict(enumerate(block.columns, int(is_per_joint(kind))))
+        if not own & set(columns.values()) and sorted(told) == [*range(1, len(told) + 1)]:
+            columns = {}  # all are given
+        columns = {joint: name for joint, name in columns.items() if name not in own} | told
+        if sorted(columns) == [*range(int(is_per_joint(kind)), len(columns) + int(is_per_joint(kind)))]:
+            unit = units.pop() if len(units) == 1 and columns == told else None if block is None else block.unit
+            found[kind] = Block(kind, tuple(columns[k] for k in sorted(columns)), unit or None)
+    return [found[kind] for kind in naming.KINDS if kind in found]
+
+
+def _given_poses(blocks: Sequence[Block], slots: _Slots) -> list[Block]:
+    """Positions and orientations, those that are given in place of others."""
+    found = [*blocks]
+    for form in (("x", "y", "z"), QUATERNION, MATRIX, *ANGLES):
+        if all((part, 0) in slots for part in form):
+            columns, units = zip(*(slots[part, 0] for part in form), strict=True)
+            kind = "position" if form == ("x", "y", "z") else "rotation"
+            words = naming.source_words(columns)
+            placed = next((block.source for block in found if block.kind == "position"), words)
+            found = [block for block in found if block.kind != kind and not set(columns) & set(block.columns)]
+            unit = units[0] if len({*units}) == 1 and units[0] else None
+            turned = kind == "rotation"
+            source = placed if turned else words
+            found.append(Block(kind, columns, unit, form if turned else None, "certain", source=source))
+    return found
+
+
 def _fitting(blocks: Sequence[Block], given: Mapping[str, str], arm: Arm | None) -> list[Block]:
-    """Without joints that the arm does not have, such as a gripper's, and with the units of names that are given."""
-    blocks = _with_given(blocks, given)
-    q = next((block for block in blocks if block.kind == "q"), None)
-    dof = arm.dof if arm is not None else len(q.columns) if q is not None else 0
-    sliding = _sliding(q, given) if arm is None else arm.sliding
+    """Of revolute and of prismatic joints apart, with their units and without joints that the arm does not have."""
+
+    def unit(name: str) -> str | None:
+        said = known_column(given.get(name, ""))
+        return naming.unit_of(name) if said is None else said.unit
+
+    joints = next((block.columns for block in blocks if block.kind == "q"), ())
+    dof = len(joints) if arm is None else arm.dof
+    named = [joint for joint, name in enumerate(joints) if unit(name) in naming.units_allowed("q", True)]
+    sliding = named if arm is None else arm.sliding
     found = []
     for block in blocks:
-        if is_per_joint(block.kind):
-            columns = block.columns[: dof or None]
-            if len(columns) < dof and block.kind != "q":
-                continue
-            block = replace(block, columns=columns, joints=tuple(range(1, len(columns) + 1)))
-        for part in _by_joint(block, sliding):
-            units = {_unit_of(part, given.get(name, "")) for name in part.columns}
-            if len(units) == 1 and None not in units:
-                part = replace(part, unit=units.pop())
-            form = tuple(without_unit(given.get(name, "")) for name in part.columns)
-            turned = part.kind == "rotation" and (form in ANGLES or {*form} == {*QUATERNION})
-            found.append(replace(part, form=form) if turned else part)
-    placed = any(block.kind == "position" for block in found)
-    return [block for block in found if placed or block.kind != "rotation"]
+        if not is_per_joint(block.kind):
+            found.append(block)
+            continue
+        if len(block.columns) < dof and block.kind != "q":
+            continue
+        within = range(len(block.columns[: dof or None]))
+        for slides in (False, True):
+            own = [joint for joint in within if (differs_by_joint(block.kind) and joint in sliding) == slides]
+            if own:
+                columns = tuple(block.columns[joint] for joint in own)
+                units = {unit(name) for name in columns}
+                said = units.pop() if len(units) == 1 else None
+                said = said if said in naming.units_allowed(block.kind, slides) else None
+                joints_of = tuple(joint + 1 for joint in own)
+                found.append(replace(block, columns=columns, joints=joints_of, slides=slides, unit=said))
+    return found
 
 
-def _with_given(blocks: Sequence[Block], given: Mapping[str, str]) -> list[Block]:
-    """With the joint positions and the place of the tool that are given throughout, in place of what names say."""
-    own = {without_unit(name): column for column, name in given.items()}
-    joints = sum(name.startswith("q") and name[1:].isdecimal() for name in own)
-    found = []
-    for kind, names in (("q", [f"q{joint}" for joint in range(1, joints + 1)]), ("position", list("xyz"))):
-        if names and own.keys() >= set(names):
-            found.append(Block(kind, tuple(own[name] for name in names)))
-    kinds = {block.kind for block in found}
-    return [*found, *(block for block in blocks if block.kind not in kinds)]
-
-
-def _sliding(q: Block | None, given: Mapping[str, str]) -> tuple[int, ...]:
-    """The joints, counted from 0, whose columns are lengths by what is given or by their names."""
-    if q is None:
-        return ()
-    units = [given[name].partition("_")[2] if name in given else naming.unit_of(name) for name in q.columns]
-    return tuple(joint for joint, unit in enumerate(units) if unit in naming.units_allowed("q", True))
-
-
-def _by_joint(block: Block, sliding: Sequence[int]) -> list[Block]:
-    """A block whose units depend on the kind of a joint as one of the revolute and one of the prismatic joints."""
-    if not (sliding and differs_by_joint(block.kind)):
-        return [block]
-    parts = []
-    for slides in (False, True):
-        own = [place for place, joint in enumerate(block.joints) if (joint - 1 in sliding) == slides]
-        if own:
-            columns = tuple(block.columns[place] for place in own)
-            units = {naming.unit_of(name) for name in columns}
-            unit = units.pop() if len(units) == 1 else None
-            unit = unit if unit in naming.units_allowed(block.kind, slides) else None
-            joints = tuple(block.joints[place] for place in own)
-            parts.append(replace(block, columns=columns, joints=joints, slides=slides, unit=unit))
-    return parts
-
-
-def _unit_of(block: Block, name: str) -> str | None:
-    """The unit in a name of a recording's column, where the block may have it."""
-    unit = name.partition("_")[2]
-    return unit if unit and unit in naming.units_allowed(block.kind, block.slides) else None
-
-
-def _pose(blocks: Mapping[Key, Block], values: Mapping[Key, Array]) -> Pose | None:
-    """The rows without gaps of joints and poses."""
-    of_joints = [(joint, column) for of in (("q", False), ("q", True)) if of in blocks
-                 for joint, column in zip(blocks[of].joints, values[of].T, strict=True)]  # fmt: skip
-    if not of_joints or ("position", False) not in blocks:
-        return None
-    parts = [np.stack([column for _, column in sorted(of_joints, key=lambda pair: pair[0])], 1)]
-    parts += [values[of] for of in (("position", False), ("rotation", False)) if of in blocks]
-    whole = np.logical_and.reduce([np.isfinite(part).all(axis=1) for part in parts])
-    joint, position, *rotation = (part[whole] for part in parts)
-    return Pose(joint, position, rotation[0] if rotation else None)
-
-
-def _tried(arm: Arm | None, pose: Pose | None, blocks: Mapping[Key, Block]) -> list[tuple[Arm, Agreement]]:
-    if pose is None:
-        return []
-    slides = blocks.get(("q", True))
-    sliding = () if slides is None else tuple(joint - 1 for joint in slides.joints)
-    arms = [arm] if arm is not None else bundled_of(pose.joint.shape[1])
-    rotation = blocks.get(("rotation", False))
-    turn = None if rotation is None or len(rotation.columns) == 4 else rotation.unit
-    angle, slide, length = (
-        None if (block := blocks.get(of)) is None else block.unit
-        for of in (("q", False), ("q", True), ("position", False))
-    )
-    found = [
-        (one, agreement(one, pose, angle, slide, length, turn))
-        for one in arms
-        if one.dof == pose.joint.shape[1] and one.sliding == sliding
+def _read(source: Source, blocks: Sequence[Block], numbers: Mapping[str, Array], arm: Arm | None) -> _Reading:
+    """A pose with the reading of its orientation and the units with which the arm, or a bundled one, agrees best."""
+    position = _stacked(numbers, source.position.columns)
+    travel = float(np.max(np.ptp(position[np.isfinite(position).all(1)], axis=0), initial=0.0))
+    best = _Reading(source, next(iter(source.rotations), None), arm, travel=travel)
+    of_joints = {
+        slides: next((b for b in blocks if b.kind == "q" and b.slides == slides), None) for slides in (False, True)
+    }
+    columns = dict(sorted(pair for b in of_joints.values() if b for pair in zip(b.joints, b.columns, strict=True)))
+    if not columns:
+        return best
+    sliding = tuple(joint - 1 for block in of_joints.values() if block and block.slides for joint in block.joints)
+    arms = [
+        one for one in ([arm] if arm else bundled_of(len(columns))) if (one.dof, one.sliding) == (len(columns), sliding)
     ]
-    return sorted(found, key=lambda entry: entry[1].error)
+    angle, slide = (b.unit if b else None for b in of_joints.values())
+    joint, least = _stacked(numbers, [*columns.values()]), np.inf
+    for rotation in source.rotations or (None,):
+        parts = [joint, position]
+        if rotation is not None:
+            turned = _stacked(numbers, rotation.columns)
+            parts.append(quaternions(MATRIX, turned) if rotation.form == MATRIX else turned)
+        whole = np.logical_and.reduce([np.isfinite(part).all(axis=1) for part in parts])
+        pose = Pose(joint[whole], position[whole], parts[2][whole] if rotation is not None else None)
+        turn = None if rotation is None or len(rotation.columns) != 3 else rotation.unit
+        tried = [(one, agreement(one, pose, angle, slide, source.position.unit, turn)) for one in arms]
+        tried = sorted(tried, key=lambda entry: entry[1].error)
+        chosen, agreed = _chosen(arm, tried)
+        if rotation is not None and rotation.form == MATRIX and agreed.form is not None:
+            right = agreed.form.choice == "scalar_first"
+            agreed = agreed._replace(form=agreed.form._replace(choice=MATRIX[0]) if right else None)
+        wobble = np.inf if agreed.form is None else agreed.form.numbers["error"]
+        if not best.tried or wobble < least:
+            least, computed = wobble, bool(tried) and _computed(tried[0][1], pose)
+            best = best._replace(rotation=rotation, arm=chosen, tried=tried, agreed=agreed, computed=computed)
+    return best
+
+
+def _computed(agreed: Agreement, pose: Pose) -> bool:
+    if not agreed.close or agreed.spread < LEAST_TRAVEL_M:
+        return False
+    step = written_step(pose.position) / units_of("x")[agreed.length.choice if agreed.length else "m"]
+    turn = written_step(pose.joint) / units_of("q")[agreed.angle.choice if agreed.angle else "rad"]
+    return computed_by_controller(agreed.error, np.hypot(step, turn * agreed.spread * pose.joint.shape[1] ** 0.5))
+
+
+def _taken(readings: Sequence[_Reading], pose_source: str | None) -> int | None:
+    """Which pose the source that is declared has, or the only one; None where that does not tell."""
+    pool = [k for k, reading in enumerate(readings) if reading.travel > 0] or [*range(len(readings))]
+    role = "sensor" if pose_source in SENSORS else "controller" if pose_source == "controller_fk" else None
+    if role is not None:
+        for of in (role, None):
+            if own := [k for k in pool if readings[k].role == of]:
+                pool = own
+                break
+    if len({readings[k].role for k in pool}) == 1:
+        turned = [k for k in pool if readings[k].rotation is not None]
+        pool = turned if len(turned) == 1 else pool
+    return pool[0] if len(pool) == 1 else None
 
 
 def _chosen(arm: Arm | None, tried: Sequence[tuple[Arm, Agreement]]) -> tuple[Arm | None, Agreement]:

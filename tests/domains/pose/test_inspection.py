@@ -122,7 +122,7 @@ def test_without_poses_sizes_and_slopes_decide():
     found = inspect(list(frame.items()), LITE6)
     chosen = {meaning.block.kind: (meaning.unit.choice, meaning.unit.sure) for meaning in found.meanings}
     assert chosen == {
-        "q": ("deg", "certain"),
+        "q": ("deg", "likely"),
         "dq": ("rad_per_s", "certain"),
         "tau": ("mNm", "likely"),
         "current": ("A", "assumed"),
