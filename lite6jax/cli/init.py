@@ -10,6 +10,7 @@ from tyro.conf import Positional, UseAppendAction, arg
 
 from lite6jax.cli.arguments import ArmName, arm_reference
 from lite6jax.cli.exit_codes import DONE
+from lite6jax.cli.join import join
 from lite6jax.errors import InputError
 from lite6jax.storage import check_writable, write_atomically
 
@@ -42,12 +43,14 @@ class Init:
     For example:
 
         lite6jax init run7.csv --arm ur10
+        lite6jax init robot.csv tracker.csv --arm ur10
         lite6jax init run7.csv --arm my_arm.urdf --set pose_source=laser_tracker --set pose_frame=base
         lite6jax init run7.csv --column tracker_x=x_mm --column spindle=ignore
     """
 
-    source: Annotated[Positional[str], arg(metavar="RECORDING")]
-    """A table (.csv, .parquet), a log (.mcap, .bag, the folder of a rosbag2), or the folder of a LeRobot data set."""
+    source: Annotated[Positional[tuple[str, ...]], arg(metavar="RECORDING")]
+    """A table (.csv, .parquet), a log (.mcap, .bag, the folder of a rosbag2), or the folder of a LeRobot data set. Or two
+    files of which one has the joints and one the poses: they are joined to one table."""
     arm: ArmName = None
     """The nominal arm: a bundled name, or a description, URDF or MJCF. Recognised by the poses where not given."""
     column: Annotated[tuple[str, ...], UseAppendAction, arg(metavar="COLUMN=MEANING")] = ()
@@ -59,7 +62,7 @@ class Init:
     json: bool = False
     """Print what was recognised as JSON, and ask nothing."""
     force: bool = False
-    """Replace the sidecar if it exists."""
+    """Replace the sidecar if it exists, and the table that two files are joined to."""
 
     def run(self) -> int:
         """Looks, asks, writes, prints."""
@@ -70,14 +73,18 @@ class Init:
         from lite6jax.recordings.sources import open_table, split_topics
         from lite6jax.report import inspection, screen
 
-        path, topics = split_topics(self.source)
-        sidecar = sidecar_path(path)
         settings = _pairs("--set", self.set, parsed=True)
         given = _pairs("--column", self.column)
+        joined = join(self.source, load_nominal(self.arm), given, self.force)
+        source, given = (self.source[0], given) if joined is None else (str(joined.path), dict(joined.given))
+        path, topics = split_topics(source)
+        sidecar = sidecar_path(path)
         check_writable(sidecar, self.force)
         arm, shown = self.arm, False
 
         def opened() -> "tuple[Path, RawTable, list[tuple[str, Any]], list[str]]":
+            if joined is not None:
+                return joined.path, joined.table, list(joined.table.numbers()), list(joined.notes)
             notes: list[str] = []
             place, table = open_table(path, topics, ArmJoints.of(load_nominal(arm)), notes)
             return place, table, list(table.numbers()), notes
@@ -106,15 +113,16 @@ class Init:
             settings.setdefault("pose_source", "controller_fk")
         self._check(found, table, settings, file, notes)
         text = inspection.sidecar_text(found, settings, file.name)
-        write_atomically(sidecar, text, self.force)
+        made = [] if joined is None else [joined.write(self.force)]
+        made.append(write_atomically(sidecar, text, self.force))
         if self.json:
             print(json.dumps({**found.to_dict(), "sidecar": str(sidecar)}, indent=1, allow_nan=False))
             return DONE
         if not shown:
             screen.show(inspection.inspection_report(found, str(file)))
         screen.show(screen.notes(notes))
-        screen.written([sidecar])
-        screen.show(inspection.next_steps(found, settings, self.source))
+        screen.written(made)
+        screen.show(inspection.next_steps(found, settings, source))
         return DONE
 
     def _check(

@@ -121,7 +121,7 @@ class Pairing(NamedTuple):
     error: float
 
 
-def find_clocks(arm: Arm, joints: JointStream, time: Array, position: Array, absolute: bool = False) -> Clocks:
+def find_clocks(arm: Arm, joints: JointStream, time: Array, position: Array, likely: float | None = None) -> Clocks:
     """The offset and the drift of a sensor's clock against a robot's.
 
     Args:
@@ -129,7 +129,7 @@ def find_clocks(arm: Arm, joints: JointStream, time: Array, position: Array, abs
         joints: the robot's log in SI units, in its own time.
         time: `(sample,)` s, the sensor's own, increasing; both count from nearby, so that a float resolves nanoseconds.
         position: `(sample, 3)` m, the measured point.
-        absolute: whether the offset is near zero where several fit alike.
+        likely: s, the offset near which the right one is, where several fit alike.
 
     Raises:
         InputError: nothing moves, no offset fits, or several fit alike; without the name of a file.
@@ -152,12 +152,12 @@ def find_clocks(arm: Arm, joints: JointStream, time: Array, position: Array, abs
         )
     first = found[0]
     alike = [one for one in found if one.ratio < ALIKE * first.ratio and not _same(arm, joints, time, first, one)]
-    if alike and not absolute:
+    if alike and likely is None:
         raise InputError(
             f"the motion repeats itself: offsets of the clocks that differ by {abs(alike[0].offset - first.offset):.3f}"
             " s fit alike; record a motion that does not repeat, or stamp both files by one clock"
         )
-    first = min([first, *alike], key=lambda one: abs(one.offset))
+    first = first if likely is None else min([first, *alike], key=lambda one: abs(one.offset - likely))
     half = max(_LONGEST_WINDOW_S / 2, 1.0)
     center, reach = first.middle, float(np.max(np.abs(time - first.middle)))
     while True:
@@ -392,7 +392,10 @@ def _fitted(
     hessian = np.einsum("s,sim,sin->mn", curved, J, J) + np.diag(prior)
     inverse = np.linalg.pinv(hessian, rcond=1e-12, hermitian=True)[:, :2]
     by_prior = noise * prior @ inverse**2  # what the rows leave open is as uncertain as it was beforehand
-    std = [np.hypot(_std_of_sum(score @ column, 11), np.sqrt(open_)) for column, open_ in zip(inverse.T, by_prior, strict=True)]
+    std = [
+        np.hypot(_std_of_sum(score @ column, 11), np.sqrt(open_))
+        for column, open_ in zip(inverse.T, by_prior, strict=True)
+    ]
     return Clocks(
         *(float(offset), float(drift), middle, *map(float, std)),
         *(float(np.median(distance)), _median_distance(position[known]), len(at)),

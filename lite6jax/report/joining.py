@@ -1,0 +1,70 @@
+"""What was joined to one table, in sentences."""
+
+import numpy as np
+
+from lite6jax.domains.pose.joining import JoinedFiles, WithPose
+from lite6jax.recordings.streams import said_of
+
+
+def said_of_files(found: JoinedFiles, joints: str, poses: str) -> list[str]:
+    """How the joints of one file and the poses of another were joined."""
+    said = []
+    if (clocks := found.clocks) is not None:
+        offset = clocks.offset + found.start
+        said.append(
+            f"the clock of {joints} is ahead of that of {poses} by {offset:.6f} s ± {_small(clocks.offset_std)} in the "
+            "middle of the poses: found from the motion, with the frame of the sensor and the tool fitted beside it"
+        )
+        if np.isfinite(clocks.drift_std):
+            said.append(
+                f"it gains {1e6 * clocks.drift:.1f} ± {1e6 * clocks.drift_std:.2g} ppm: its times are used, counted as "
+                "it counts them"
+            )
+        else:
+            said.append(
+                "the arm stood still at the poses: the offset may be changed by as much before it moves, and a drift "
+                "does not show"
+            )
+        said.append(
+            f"at these times the nominal arm agrees with the poses to {1e3 * clocks.error:.3g} mm (median); "
+            "the offset contains what the arm's errors and the sensor's delay have in common with one"
+        )
+    if (pairing := found.pairing) is not None:
+        missing = [
+            f"the first {first} and the last {count - first - pairing.count} {what} are left out"
+            for first, count, what in (
+                (pairing.joint, found.states, f"joint states of {joints}"),
+                (pairing.position, found.poses, f"poses of {poses}"),
+            )
+            if count > pairing.count
+        ]
+        said.append(
+            f"{pairing.count} joint states and poses were captured one by one and are paired in their order, which the "
+            f"nominal arm confirms to {1e3 * pairing.error:.3g} mm (median)" + "".join(f"; {part}" for part in missing)
+        )
+    if found.joined is not None:
+        said += said_of(found.joined, found.unit)
+    return [*said, f"joined {found.rows} rows of {found.states} joint states and {found.poses} poses"]
+
+
+def said_of_reflectors(found: WithPose) -> list[str]:
+    """How points became a pose."""
+    pose, mm = found.pose, 1e3 if found.unit == "m" else 1.0
+    lost = int(np.sum(~pose.rows)) - pose.outlying
+    first = ", ".join(point[0] for point in found.points[:4]) + (", …" if len(found.points) > 4 else "")
+    said = [
+        f"{pose.points} points ({first}) keep their distances and became the pose of one body: its position is their "
+        "centre, its axes are the sensor's at the first row with all points",
+        f"the points differ from the body's shape by {mm * pose.misfit:.3g} mm RMS, {mm * pose.size:.3g} mm from its "
+        f"centre: a noise of {mm * pose.position_noise:.2g} mm and {pose.orientation_noise:.2g} rad per axis of the "
+        "pose",
+    ]
+    if lost:
+        said.append(f"{lost} rows without a pose: fewer than three points are seen there")
+    if pose.outlying:
+        said.append(f"{pose.outlying} rows without a pose: their points show another shape, as exchanged points do")
+    return said
+
+
+def _small(seconds: float) -> str:
+    return f"{1e3 * seconds:.2g} ms" if seconds < 1 else f"{seconds:.2g} s"
