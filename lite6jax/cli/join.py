@@ -47,7 +47,7 @@ def join(sources: tuple[str, ...], arm: "Arm | None", given: Mapping[str, str], 
     Raises:
         InputError: no file or more than two, what neither holds, no arm for two, or the table exists already.
     """
-    from lite6jax.domains.pose.joining import join_files, with_pose_of_reflectors
+    from lite6jax.domains.pose.joining import join_files, with_joints, with_pose_of_reflectors
     from lite6jax.recordings import raw
     from lite6jax.report import joining
 
@@ -74,6 +74,10 @@ def join(sources: tuple[str, ...], arm: "Arm | None", given: Mapping[str, str], 
         if named := sorted(given.keys() - files[0].columns.keys() - files[1].columns.keys()):
             raise InputError(f"--column {named[0][:60]}: neither {sources[0]} nor {sources[1]} has it; check the name")
         joints, poses = _roles(*files)
+        if joints.found.of("q") is None:
+            moved = with_joints(joints, arm)
+            joints = moved.file
+            notes += joining.said_of_path(moved, arm.name)
         place = _place(Path(files[0].source), files[1].stem, overwrite)
         whole = join_files(joints, poses, arm)
         notes += joining.said_of_files(whole, Path(joints.source).name, Path(poses.source).name)
@@ -105,15 +109,18 @@ def _file(path: Path, columns: Mapping, arm: "Arm", given: Mapping[str, str]) ->
 
 
 def _roles(one: "File", other: "File") -> "tuple[File, File]":
-    """The file with the joints and the one with the poses, whatever their order."""
+    """The file with the joints and the one with the poses, whatever their order.
+
+    Where neither has joints, the robot's is the one whose poses are the controller's by their names, or the first.
+    """
     with_joints = [file for file in (one, other) if file.found.of("q") is not None]
-    if len(with_joints) != 1:
-        both = "both have" if with_joints else "neither has columns that look like"
+    if len(with_joints) == 2:
         raise InputError(
-            f"{one.source} and {other.source}: {both} joint positions; one file is to have the joints and the other the "
-            "poses (--column NAME=q1_deg says what a column is, --column NAME=ignore that it is nothing)"
+            f"{one.source} and {other.source}: both have joint positions; one is to have the poses alone (--column "
+            "NAME=ignore says that a column is nothing)"
         )
-    joints = with_joints[0]
+    roles = [any(source.role == "controller" for source in file.found.sources) for file in (one, other)]
+    joints = with_joints[0] if with_joints else other if roles == [False, True] else one
     poses = other if joints is one else one
     if poses.found.of("position") is None:
         raise InputError(

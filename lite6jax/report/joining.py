@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from lite6jax.domains.pose.joining import JoinedFiles, WithPose
+from lite6jax.domains.pose.joining import JoinedFiles, WithJoints, WithPose
 from lite6jax.recordings.streams import said_of
 
 
@@ -45,6 +45,18 @@ def said_of_files(found: JoinedFiles, joints: str, poses: str) -> list[str]:
     if found.joined is not None:
         said += said_of(found.joined, found.unit)
     return [*said, f"joined {found.rows} rows of {found.states} joint states and {found.poses} poses"]
+
+
+def said_of_path(found: WithJoints, arm: str) -> list[str]:
+    """How joints were found from poses."""
+    count, missing = len(found.path.reached), int(np.sum(~found.path.reached))
+    said = [
+        f"{found.file.source} has poses and no joints: these are assumed to be of the flange in the base of the {arm}, "
+        "and the joints are those of its nominal kinematics, not what encoders read",
+        f"{found.path.branches} branches (shoulder, elbow, wrist) reach the first pose alike: the one nearest to the "
+        "middle of the joints' limits that follows the others is assumed, and kept from row to row",
+    ]
+    return said + ([f"{missing} of {count} poses are not reached on it and are left out"] if missing else [])
 
 
 def said_of_reflectors(found: WithPose) -> list[str]:

@@ -13,12 +13,14 @@ from numpy.typing import NDArray
 
 from lite6jax.arms.arm import Arm
 from lite6jax.domains.pose.clocks import Clocks, Pairing, find_clocks, pair_in_order
-from lite6jax.domains.pose.inspection import Inspection
+from lite6jax.domains.pose.inspection import Inspection, inspect
+from lite6jax.domains.pose.joint_path import JointPath, joint_path
 from lite6jax.domains.pose.meanings import Meaning
 from lite6jax.domains.pose.reflectors import RigidPose, reflector_columns, rigid_points, rigid_pose
 from lite6jax.errors import InputError
 from lite6jax.recordings import sizes
-from lite6jax.recordings.columns import units_of
+from lite6jax.recordings.columns import QUATERNION, known_column, units_of
+from lite6jax.recordings.orientations import with_quaternions
 from lite6jax.recordings.streams import Joined, JointStream, join
 from lite6jax.recordings.table import LATEST_START_S
 
@@ -75,6 +77,20 @@ class JoinedFiles(NamedTuple):
     unit: str = "rad"
 
 
+class WithJoints(NamedTuple):
+    """A file whose poses of the flange were replaced by the joints of a nominal arm.
+
+    Attributes:
+        file: with joints.
+        path: how they were found.
+        form: of the orientation, as it was read.
+    """
+
+    file: File
+    path: JointPath
+    form: str
+
+
 class WithPose(NamedTuple):
     """A table in which points were replaced by the pose of the body that they are on.
 
@@ -106,6 +122,50 @@ def with_pose_of_reflectors(columns: Mapping[str, Array]) -> WithPose | None:
     pose |= dict(zip(("qw", "qx", "qy", "qz"), found.quaternion.T, strict=True))
     rest = {name: column for name, column in columns.items() if name not in names | pose.keys()}
     return WithPose(rest | pose, tuple(points), found, unit)
+
+
+def with_joints(file: File, arm: Arm) -> WithJoints:
+    """A robot's file with joints in place of the poses that its controller computed, of the flange in the arm's base.
+
+    Raises:
+        InputError: it has no positions and orientations, or no branch of the arm reaches them.
+    """
+    turned = _meaning(file, "rotation")
+    if turned is None or _meaning(file, "position") is None:
+        raise InputError(
+            f"{file.source}: has neither joint positions nor positions with orientations, from which the arm's nominal "
+            "kinematics would give them; say what the columns are, --column NAME=q1_deg and so on"
+        )
+    for names in _orientations(turned):
+        told = {own: known_column(name) for own, name in names.items()}
+        values = {column.si_name: file.columns[own] / column.divisor for own, column in told.items() if column}
+        turns = with_quaternions(values, file.source)
+        quaternion = np.stack([turns[name] for name in QUATERNION], 1)
+        path = joint_path(arm, _position(file), quaternion)
+        if path is not None:
+            break
+    else:
+        raise InputError(
+            f"{file.source}: has no joint positions, and the {arm.name} reaches its poses at no joints, taken as those "
+            "of the flange in the arm's base; record the joints, or poses of the flange (without a tool)"
+        )
+    columns = {
+        f"q{joint + 1}_{'m' if slides else 'rad'}": column
+        for joint, (slides, column) in enumerate(zip(arm.slides, path.position.T, strict=True))
+    }
+    rest = {name: file.columns[name] for name in _columns(file, "time")}
+    given = {name: meaning for name, meaning in file.found.given.items() if name in rest}
+    whole = rest | columns
+    found = inspect(list(whole.items()), arm, given, file.source)
+    return WithJoints(File(file.source, file.stem, whole, found), path, names[turned.block.columns[0]])
+
+
+def _orientations(turned: Meaning) -> list[dict[str, str]]:
+    """The names that the columns of a rotation have in a recording, as it was read; all that they may have in doubt."""
+    first = dict(zip(turned.block.matrix or turned.block.columns, turned.names, strict=True))
+    if turned.form is None or turned.form.sure == "certain":
+        return [first]
+    return [first, *(names for form in turned.forms if (names := turned.renamed(form=form)) != first)]
 
 
 def join_files(joints: File, poses: File, arm: Arm) -> JoinedFiles:
