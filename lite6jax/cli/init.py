@@ -49,8 +49,8 @@ class Init:
     """
 
     source: Annotated[Positional[tuple[str, ...]], arg(metavar="RECORDING")]
-    """A table (.csv, .parquet), a log (.mcap, .bag, the folder of a rosbag2), or the folder of a LeRobot data set. Or two
-    files of which one has the joints and one the poses: they are joined to one table."""
+    """A table (.csv, .parquet), a log (.mcap, .bag, the folder of a rosbag2), or the folder of a LeRobot data set; or
+    two files, one with the joints and one with the poses, which are joined to one table."""
     arm: ArmName = None
     """The nominal arm: a bundled name, or a description, URDF or MJCF. Recognised by the poses where not given."""
     column: Annotated[tuple[str, ...], UseAppendAction, arg(metavar="COLUMN=MEANING")] = ()

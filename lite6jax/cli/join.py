@@ -116,8 +116,7 @@ def _roles(one: "File", other: "File") -> "tuple[File, File]":
     with_joints = [file for file in (one, other) if file.found.of("q") is not None]
     if len(with_joints) == 2:
         raise InputError(
-            f"{one.source} and {other.source}: both have joint positions; one is to have the poses alone (--column "
-            "NAME=ignore says that a column is nothing)"
+            f"{one.source} and {other.source}: both have joint positions; say which are none by --column NAME=ignore"
         )
     roles = [any(source.role == "controller" for source in file.found.sources) for file in (one, other)]
     joints = with_joints[0] if with_joints else other if roles == [False, True] else one

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Literal, NamedTuple, final
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from lite6jax.recordings.sequence import differentiate
 
@@ -176,7 +176,7 @@ def merged(columns: Mapping[str, Array], joints: Sequence[str], places: Sequence
         return None
     clock = columns[time]
     moved, measured = (
-        np.isfinite(np.stack([clock, *(columns[name] for name in names)])).all(0) for names in (joints, places)
+        np.isfinite(np.stack([clock, *(columns[name] for name in names)])).all(axis=0) for names in (joints, places)
     )
     poses = np.flatnonzero(measured)
     if not poses.size or np.sum(moved & measured) >= _SHARED_ROWS * poses.size:
@@ -225,7 +225,7 @@ def said_of_merged(found: Merged) -> list[str]:
     return [f"{found.poses} poses and {found.states} joint states stand in different rows: {first}", *dropped]
 
 
-def _in_order(clock: Array, there: Flags) -> NDArray[np.integer]:
+def _in_order(clock: Array, there: ArrayLike) -> NDArray[np.integer]:
     """Rows in order of time, of those at one time the first."""
     rows = np.flatnonzero(there)
     return rows[np.unique(clock[rows], return_index=True)[1]]
@@ -256,16 +256,17 @@ def _slopes(time: Array, q: Array, joined: Flags) -> Array:
 def _method(time: Array, q: Array, joined: Flags) -> tuple[Method, float]:
     """What finds every other joint state more exactly from those around it, and its RMS error."""
     left_out = np.arange(1, len(time) - 1, 2)
-    left_out = left_out[joined[left_out - 1] & joined[left_out]]
-    left_out = left_out[np.isfinite(q[left_out - 1]).all(1) & np.isfinite(q[left_out + 1]).all(1)]
-    left_out = left_out[np.isfinite(q[left_out]).all(1)]
+    finite = np.isfinite(q.sum(axis=1))
+    usable = joined[:-1] & joined[1:] & finite[:-2] & finite[1:-1] & finite[2:]
+    left_out = left_out[usable[left_out - 1]]
     if not left_out.size:
         return "linearly", np.nan
     part = slice(None, None, 2)
-    whole = joined[: 2 * (len(joined) // 2)].reshape(-1, 2).all(1)[: len(time[part]) - 1]
+    pairs = len(time[part]) - 1
+    whole = joined[0::2][:pairs] & joined[1::2][:pairs]
     errors = {}
     for method, slopes in (("linearly", None), ("by cubics", _slopes(time[part], q[part], whole))):
-        missed = _between(time[part], q[part], time[left_out], slopes) - q[left_out]
+        missed: Array = _between(time[part], q[part], time[left_out], slopes) - q[left_out]
         errors[method] = float(np.sqrt(np.mean(missed**2)))
     best: Method = "by cubics" if errors["by cubics"] < errors["linearly"] else "linearly"
     return best, errors[best]

@@ -31,15 +31,15 @@ def said_of_files(found: JoinedFiles, joints: str, poses: str) -> list[str]:
         )
     if (pairing := found.pairing) is not None:
         missing = [
-            f"the first {first} and the last {count - first - pairing.count} {what} are left out"
+            f"the first {first} and the last {count - first - pairing.rows} {what} are left out"
             for first, count, what in (
                 (pairing.joint, found.states, f"joint states of {joints}"),
                 (pairing.position, found.poses, f"poses of {poses}"),
             )
-            if count > pairing.count
+            if count > pairing.rows
         ]
         said.append(
-            f"{pairing.count} joint states and poses were captured one by one and are paired in their order, which the "
+            f"{pairing.rows} joint states and poses were captured one by one and are paired in their order, which the "
             f"nominal arm confirms to {1e3 * pairing.error:.3g} mm (median)" + "".join(f"; {part}" for part in missing)
         )
     if found.joined is not None:
@@ -52,7 +52,8 @@ def said_of_path(found: WithJoints, arm: str) -> list[str]:
     count, missing = len(found.path.reached), int(np.sum(~found.path.reached))
     said = [
         f"{found.file.source} has poses and no joints: these are assumed to be of the flange in the base of the {arm}, "
-        "and the joints are those of its nominal kinematics, not what encoders read",
+        "and the joints are those of its kinematics, not what encoders read; where the controller computes with a "
+        "calibration of the arm, name that as the arm",
         f"{found.path.branches} branches (shoulder, elbow, wrist) reach the first pose alike: the one nearest to the "
         "middle of the joints' limits that follows the others is assumed, and kept from row to row",
     ]

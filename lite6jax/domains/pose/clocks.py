@@ -41,13 +41,15 @@ _FINEST_S = 2e-3
 _MOST_FRAMES = 200_000
 """Of the flange, by which its speed is found."""
 _STEP = 0.04
-"""Of the extent of the motion, which the flange covers from one offset to the next at the speed that it seldom exceeds."""
+"""Of the extent of the motion, covered from one offset to the next at a speed that the flange seldom exceeds."""
 _STEPS_S = (2e-3, 0.5)
 _MOST_OFFSETS = 60_000
 _AT_ONCE = 40_000
 """Rows of offsets that are tried together."""
 _TRIED_AGAIN, _TRIALS = 0.05, 3
 """Share of the offsets that are tried again, and how often."""
+_NEAR_S = 10.0
+"""Around the offset of clocks that count from one day."""
 _CANDIDATES = 4
 """Minima that are refined, …"""
 _REFINED_ROWS = 1500
@@ -65,6 +67,8 @@ _STANDSTILL_S = 0.1
 """A change of the offset that no moving arm would hide."""
 _DIFFERENCE_S = 1e-4
 """By which velocities are found."""
+_BEYOND = 2
+"""Rows by which captures are shifted further than their numbers allow: a motion that nearly fits there is none."""
 _ROUNDS, _DONE_S, _DONE = 40, 1e-9, 1e-3
 """At most; a step in s, and in standard deviations of the offset, that is the last."""
 
@@ -111,13 +115,13 @@ class Pairing(NamedTuple):
 
     Attributes:
         joint, position: the first rows.
-        count: how many.
+        rows: how many.
         error: m, the median distance of measured and predicted positions.
     """
 
     joint: int
     position: int
-    count: int
+    rows: int
     error: float
 
 
@@ -140,7 +144,7 @@ def find_clocks(arm: Arm, joints: JointStream, time: Array, position: Array, lik
         who = "the arm" if track.extent < _STILL_M else "the measured point"
         raise InputError(f"{who} hardly moves, so that nothing shows the offset of the clocks; record a motion")
     found = []
-    for offset in track.candidates(time[lasting], position[lasting]):
+    for offset in track.candidates(time[lasting], position[lasting], likely):
         rows = lasting[_spread_over(len(lasting), _REFINED_ROWS)]
         found.append(_fitted(arm, joints, time[rows], position[rows], offset, 0.0, float(np.mean(time[rows]))))
     found.sort(key=lambda one: one.ratio)
@@ -178,21 +182,24 @@ def pair_in_order(arm: Arm, joint: Array, position: Array) -> Pairing | None:
     Args:
         arm: the nominal arm.
         joint: `(capture, joint)` in SI units.
-        position: `(capture, 3)` m; of other numbers of captures the first or the last ones may be missing.
+        position: `(capture, 3)` m; of other numbers of captures the first or the last ones may be missing. Rows of a
+            motion, which fit their neighbours nearly as well, are no captures.
     """
-    count = min(len(joint), len(position))
-    if count < FEWEST:
-        return None
     flange = flange_poses(arm, joint)
     surplus = len(joint) - len(position)
     found = []
-    for first in range(abs(surplus) + 1):
-        at = Pairing(first if surplus > 0 else 0, first if surplus < 0 else 0, count, np.inf)
-        error = _error(flange[at.joint : at.joint + count], position[at.position : at.position + count])
-        found.append(at._replace(error=error))
+    for shift in range(min(surplus, 0) - _BEYOND, max(surplus, 0) + _BEYOND + 1):
+        first = max(shift, 0), max(-shift, 0)
+        count = min(len(joint) - first[0], len(position) - first[1])
+        if count >= FEWEST:
+            error = _error(flange[first[0] :][:count], position[first[1] :][:count])
+            found.append(Pairing(*first, count, error))
+    if not found:
+        return None
     best, *others = sorted(found, key=lambda one: one.error)
-    alone = not others or others[0].error > ALIKE * best.error
-    return best if alone and best.error <= CLOSE * _median_distance(position) else None
+    whole = best.rows == min(len(joint), len(position))
+    alone = all(other.error > ALIKE * best.error for other in others)
+    return best if whole and alone and best.error <= CLOSE * _median_distance(position) else None
 
 
 def flange_poses(arm: Arm, joint: Array) -> Array:
@@ -254,12 +261,13 @@ class _Track(NamedTuple):
         stride = max(1, round(step / fine))
         return cls(float(start), stride * fine, flange[::stride], known[::stride], extent)
 
-    def candidates(self, time: Array, position: Array) -> list[float]:
+    def candidates(self, time: Array, position: Array, likely: float | None) -> list[float]:
         """Offsets in s around which the clocks may be, the most likely first.
 
         Args:
             time: `(sample,)` s, of the sensor.
             position: `(sample, 3)` m.
+            likely: s, near which one is tried, whatever others are like.
         """
         span, logged = time[-1] - time[0], self.step * len(self.flange)
         rows = _spread_over(len(time), int(np.clip(_TRIED_ROWS * span / logged, _TRIED_ROWS, _MOST_TRIED_ROWS)))
@@ -271,16 +279,20 @@ class _Track(NamedTuple):
         everything = np.arange(len(shifts))
         scores = self._scores(place, shifts, everything, y, min(fewest, len(rows)), 1)
         # an offset tried once has its outliers in it: those that may be the best are tried again without
-        near = everything[scores <= np.quantile(scores, _TRIED_AGAIN)]
-        scores = np.where(scores <= np.quantile(scores, _TRIED_AGAIN), scores, np.inf)
-        scores[near] = self._scores(place, shifts, near, y, min(fewest, len(rows)), _TRIALS)[near]
+        limit = np.sort(scores)[int(_TRIED_AGAIN * len(scores))]
+        again = everything[np.isfinite(scores) & (scores <= limit)]
+        scores[again] = self._scores(place, shifts, again, y, min(fewest, len(rows)), _TRIALS)[again]
+        offsets = self.start + self.step * shifts - time[0]
+        order = np.argsort(scores)
+        near = order[:0] if likely is None else order[np.abs(offsets[order] - likely) <= _NEAR_S][:1]
         found: list[float] = []
-        for shift in np.argsort(scores):
-            offset = self.start + self.step * shifts[shift] - time[0]
-            if not np.isfinite(scores[shift]) or len(found) == _CANDIDATES:
+        for shift in (*near, *order):
+            if np.isfinite(scores[shift]) and all(
+                abs(offsets[shift] - other) > 5 * stride * self.step for other in found
+            ):
+                found.append(float(offsets[shift]))
+            if len(found) == _CANDIDATES or not np.isfinite(scores[shift]):
                 break
-            if all(abs(offset - other) > 5 * stride * self.step for other in found):
-                found.append(float(offset))
         return found
 
     def _scores(self, place: Rows, shifts: Rows, chosen: Rows, y: Array, fewest: float, rounds: int) -> Array:
@@ -344,62 +356,104 @@ def _least_squares(columns: Array, target: Array, weight: Array) -> Array:
     return np.linalg.solve(normal + ridge, np.swapaxes(A, 1, 2) @ b)[..., 0]
 
 
+class _Estimate(NamedTuple):
+    """Offset and drift, the sensor's frame, and the measured point on the flange."""
+
+    offset: float
+    drift: float
+    R_sensor_base: Array
+    t_sensor_base: Array
+    tool: Array
+
+
+class _Linearised(NamedTuple):
+    """Residuals `(sample, 3)` m and their columns `(sample, 3, 11)`, of rows whose joints are known.
+
+    The columns are offset, drift, the turn and the translation of the sensor's frame, and the point.
+    """
+
+    since: Array
+    position: Array
+    missed: Array
+    J: Array
+    distance: Array
+    scale: float
+    weight: Array
+
+    @property
+    def noise(self) -> float:
+        """m², of an axis, roughly: the prior decides only what the rows leave open."""
+        return (self.scale / 3) ** 2
+
+    @property
+    def prior(self) -> Array:
+        """`(11,)`, the precision of offset and drift beforehand."""
+        return np.array([self.noise / _OFFSET_S**2, self.noise / _DRIFT**2, *np.zeros(9)])
+
+    @property
+    def score(self) -> Array:
+        """`(sample, 11)`."""
+        return self.weight[:, None] * np.einsum("sim,si->sm", self.J, self.missed)
+
+    def information(self, weight: Array) -> Array:
+        return np.einsum("s,sim,sin->mn", weight, self.J, self.J) + np.diag(self.prior)
+
+
 def _fitted(
     arm: Arm, joints: JointStream, time: Array, position: Array, offset: float, drift: float, middle: float
 ) -> Clocks:
     """The clocks near an offset and a drift at `middle`, by all rows given whose joints are known."""
     known = joints.known(time + offset + drift * (time - middle))
+    nothing = Clocks(offset, drift, middle, np.inf, np.inf, np.inf, 0.0, 0)
     if known.sum() < FEWEST:
-        return Clocks(offset, drift, middle, np.inf, np.inf, np.inf, 0.0, 0)
+        return nothing
     center = float(np.mean(time[known]))
     offset, middle = offset + drift * (center - middle), center
-    flange = flange_poses(arm, joints.at(time + offset + drift * (time - middle)))
-    T_sensor_base, T_flange_tool = frames_from_poses(flange[known], position[known], None, None, None)
-    R_sb, t_sb, tool = T_sensor_base[:3, :3], T_sensor_base[:3, 3], T_flange_tool[:3, 3]
+    flange = flange_poses(arm, joints.at(time[known] + offset + drift * (time[known] - middle)))
+    T_sensor_base, T_flange_tool = frames_from_poses(flange, position[known], None, None, None)
+    now = _Estimate(offset, drift, T_sensor_base[:3, :3], T_sensor_base[:3, 3], T_flange_tool[:3, 3])
+    found = _linearised(arm, joints, time, position, middle, now)
     for _ in range(_ROUNDS):
-        at = time + offset + drift * (time - middle)
-        known = joints.known(at)
-        at, since = at[known], time[known] - middle
-        if len(at) < FEWEST:
-            return Clocks(offset, drift, middle, np.inf, np.inf, np.inf, 0.0, 0)
-        flange = flange_poses(arm, joints.at(at))
-        ahead, behind = (flange_poses(arm, joints.at(at + sign * _DIFFERENCE_S)) for sign in (1, -1))
-        velocity = (_points(ahead, tool) - _points(behind, tool)) @ R_sb.T / (2 * _DIFFERENCE_S)
-        seen = _points(flange, tool) @ R_sb.T
-        missed = position[known] - seen - t_sb
-        distance = np.linalg.norm(missed, axis=1)
-        scale = 2 * max(float(np.median(distance)), 1e-9)
-        weight = 1 / (1 + (distance / scale) ** 2)
-        J = np.zeros((len(at), 3, 11))
-        J[:, :, 0], J[:, :, 1] = velocity, velocity * since[:, None]
-        J[:, :, 2:5] = -_cross_matrix(seen)
-        J[:, :, 5:8], J[:, :, 8:] = np.eye(3), R_sb @ flange[:, :3, :3]
-        noise = (scale / 3) ** 2  # per axis, roughly: the prior decides only what the rows leave open
-        prior = np.zeros(11)
-        prior[:2] = noise / _OFFSET_S**2, noise / _DRIFT**2
-        normal = np.einsum("s,sim,sin->mn", weight, J, J) + np.diag(prior)
-        score = weight[:, None] * np.einsum("sim,si->sm", J, missed)
-        gradient = score.sum(0) - np.array([0, prior[1] * drift, *np.zeros(9)])
+        normal = found.information(found.weight)
+        gradient = found.score.sum(axis=0)
+        gradient[1] -= found.prior[1] * now.drift
         step = np.linalg.lstsq(normal, gradient, rcond=1e-12)[0]
         step *= min(1.0, 0.5 / max(float(np.linalg.norm(step[2:5])), 1e-12))
-        offset, drift = offset + step[0], drift + step[1]
-        R_sb = _rotation(step[2:5]) @ R_sb
-        t_sb, tool = t_sb + step[5:8], tool + step[8:]
-        shift = abs(step[0]) + abs(step[1]) * float(np.max(np.abs(since)))
-        if shift < max(_DONE_S, _DONE * np.sqrt(noise / max(normal[0, 0], 1e-300))):
+        turned = _rotation(step[2:5]) @ now.R_sensor_base
+        moved = now.t_sensor_base + step[5:8], now.tool + step[8:]
+        now = _Estimate(float(now.offset + step[0]), float(now.drift + step[1]), turned, *moved)
+        found = _linearised(arm, joints, time, position, middle, now)
+        if len(found.missed) < FEWEST:
+            return nothing
+        shift = abs(step[0]) + abs(step[1]) * float(np.max(np.abs(found.since)))
+        if shift < max(_DONE_S, _DONE * float(np.sqrt(found.noise / max(normal[0, 0], 1e-300)))):
             break
-    curved = weight - (2 / 3) * weight**2 * (distance / scale) ** 2
-    hessian = np.einsum("s,sim,sin->mn", curved, J, J) + np.diag(prior)
-    inverse = np.linalg.pinv(hessian, rcond=1e-12, hermitian=True)[:, :2]
-    by_prior = noise * prior @ inverse**2  # what the rows leave open is as uncertain as it was beforehand
-    std = [
-        np.hypot(_std_of_sum(score @ column, 11), np.sqrt(open_))
-        for column, open_ in zip(inverse.T, by_prior, strict=True)
-    ]
-    return Clocks(
-        *(float(offset), float(drift), middle, *map(float, std)),
-        *(float(np.median(distance)), _median_distance(position[known]), len(at)),
-    )
+    curved = found.weight - (2 / 3) * found.weight**2 * (found.distance / found.scale) ** 2
+    inverse = np.linalg.pinv(found.information(curved), rcond=1e-12, hermitian=True)[:, :2]
+    by_prior = found.noise * found.prior @ inverse**2  # what the rows leave open is as uncertain as it was beforehand
+    offset_std, drift_std = np.hypot([_std_of_sum(part, 11) for part in (found.score @ inverse).T], np.sqrt(by_prior))
+    error, moved = float(np.median(found.distance)), _median_distance(found.position)
+    return Clocks(now.offset, now.drift, middle, float(offset_std), float(drift_std), error, moved, len(found.missed))
+
+
+def _linearised(
+    arm: Arm, joints: JointStream, time: Array, position: Array, middle: float, now: _Estimate
+) -> _Linearised:
+    at = time + now.offset + now.drift * (time - middle)
+    known = joints.known(at)
+    at, since, seen = at[known], time[known] - middle, position[known]
+    flange, ahead, behind = (flange_poses(arm, joints.at(at + _DIFFERENCE_S * sign)) for sign in (0, 1, -1))
+    R = now.R_sensor_base
+    velocity = (_points(ahead, now.tool) - _points(behind, now.tool)) @ R.T / (2 * _DIFFERENCE_S)
+    placed = _points(flange, now.tool) @ R.T
+    missed = seen - placed - now.t_sensor_base
+    distance = np.linalg.norm(missed, axis=1)
+    scale = 2 * max(float(np.median(distance)), 1e-9) if len(at) else np.inf
+    J = np.zeros((len(at), 3, 11))
+    J[:, :, 0], J[:, :, 1] = velocity, velocity * since[:, None]
+    J[:, :, 2:5] = -_cross_matrix(placed)
+    J[:, :, 5:8], J[:, :, 8:] = np.eye(3), R @ flange[:, :3, :3]
+    return _Linearised(since, seen, missed, J, distance, scale, 1 / (1 + (distance / scale) ** 2))
 
 
 def _std_of_sum(parts: Array, parameters: int) -> float:

@@ -9,17 +9,19 @@ from itertools import islice, product
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from lite6jax.arms.arm import Arm
 from lite6jax.domains.pose.clocks import Clocks, Pairing, find_clocks, pair_in_order
 from lite6jax.domains.pose.inspection import Inspection, inspect
 from lite6jax.domains.pose.joint_path import JointPath, joint_path
 from lite6jax.domains.pose.meanings import Meaning
+from lite6jax.domains.pose.readings import FEWEST
 from lite6jax.domains.pose.reflectors import RigidPose, reflector_columns, rigid_points, rigid_pose
 from lite6jax.errors import InputError
 from lite6jax.recordings import sizes
 from lite6jax.recordings.columns import QUATERNION, known_column, units_of
+from lite6jax.recordings.naming import unit_of
 from lite6jax.recordings.orientations import with_quaternions
 from lite6jax.recordings.streams import Joined, JointStream, join
 from lite6jax.recordings.table import LATEST_START_S
@@ -33,6 +35,8 @@ _OF_POSES = ("position", "rotation", "ambient")
 _TIME = "time_s"
 _STEPS_S = (1e-4, 60.0)
 """From one row to the next, in units of time that are tried."""
+_MOST_CAPTURES = 2000
+"""One by one, of which the order is tried."""
 _READINGS = 6
 """Of units that are only assumed; the most that are tried."""
 
@@ -116,7 +120,7 @@ def with_pose_of_reflectors(columns: Mapping[str, Array]) -> WithPose | None:
     if found is None:
         return None
     names = {name for point in points for name in point}
-    units = {sizes_unit for point in points if (sizes_unit := _named_unit(point))}
+    units = {unit for point in points if (unit := unit_of(point[0])) in units_of("x")}
     unit = units.pop() if len(units) == 1 else sizes.length_unit(found.position).choice
     pose = {f"{axis}_{unit}": column for axis, column in zip("xyz", found.position.T, strict=True)}
     pose |= dict(zip(("qw", "qx", "qy", "qz"), found.quaternion.T, strict=True))
@@ -175,52 +179,67 @@ def join_files(joints: File, poses: File, arm: Arm) -> JoinedFiles:
         InputError: another number of joints than the arm has, no times, or clocks of which the motion shows no offset;
             the message names the files.
     """
-    both = f"{joints.source} and {poses.source}"
     position = _position(poses)
-    pose_rows = np.flatnonzero(np.isfinite(position).all(1) & (position != 0).any(1))
-    state_rows = np.flatnonzero(np.isfinite(_joint_columns(joints, arm)).all(1))
+    pose_rows = np.flatnonzero(np.isfinite(position).all(axis=1) & (position != 0).any(axis=1))
+    state_rows = np.flatnonzero(np.isfinite(_joint_columns(joints, arm)).all(axis=1))
     times = _meaning(joints, "time"), _meaning(poses, "time")
-    problem = ""
-    if times[0] is not None and times[1] is not None:
-        for units in islice(product(_units(joints, times[0]), _units(poses, times[1]), _angles(joints)), _READINGS):
-            try:
-                return _joined_by_time(joints, poses, arm, units)
-            except InputError as error:
-                problem = problem or str(error)
-    else:
-        lacking = joints if times[0] is None else poses
-        problem = (
-            f"{lacking.source} has no column that is recognised as times; name it with --column NAME=time_s (or "
-            "time_ms, time_us, time_ns)"
-        )
-    for unit in _angles(joints):
-        q = _joint_columns(joints, arm, unit)[state_rows]
-        if len(q) <= 2000 and (pairing := pair_in_order(arm, q, position[pose_rows])) is not None:
-            states = state_rows[pairing.joint : pairing.joint + pairing.count]
-            placed = pose_rows[pairing.position : pairing.position + pairing.count]
-            table = _table(joints, poses, {n: c[states] for n, c in _kept(joints, _OF_JOINTS).items()}, placed)
-            return JoinedFiles(table, pairing.count, len(pose_rows), len(state_rows), pairing=pairing)
-    counts = f"their {len(state_rows)} joint states and {len(pose_rows)} poses agree in no order either"
-    raise InputError(f"{both}: {problem}; {counts}")
+    if None not in times and (joined := _joined_by_time(joints, poses, arm)) is not None:
+        return joined
+    for angle in _angles(joints):
+        q = _joint_columns(joints, arm, angle)[state_rows]
+        pairing = pair_in_order(arm, q, position[pose_rows]) if len(q) <= _MOST_CAPTURES else None
+        if pairing is not None:
+            states = state_rows[pairing.joint : pairing.joint + pairing.rows]
+            placed = pose_rows[pairing.position : pairing.position + pairing.rows]
+            moved = {name: column[states] for name, column in _kept(joints, _OF_JOINTS).items()}
+            table = _table(joints, poses, moved, placed)
+            return JoinedFiles(table, pairing.rows, len(pose_rows), len(state_rows), pairing=pairing)
+    lacking = [file.source for file, time in zip((joints, poses), times, strict=True) if time is None]
+    remedy = (
+        f"name the column of the times of {' and of '.join(lacking)}, such as --column NAME=time_s (or time_ms)"
+        if lacking
+        else "the joint states are too far apart in time to show how the arm moved"
+    )
+    raise InputError(
+        f"{joints.source} and {poses.source}: their {len(state_rows)} joint states and {len(pose_rows)} poses do not "
+        f"agree in their order; {remedy}"
+    )
 
 
-def _joined_by_time(joints: File, poses: File, arm: Arm, units: tuple[str, str, str]) -> JoinedFiles:
+def _joined_by_time(joints: File, poses: File, arm: Arm) -> JoinedFiles | None:
+    """Joined by the motion; None of captures, which show none. Units in doubt are tried one after the other."""
+    q = _joint_columns(joints, arm)
+    time = joints.columns[_columns(joints, "time")[0]]
+    states = _in_order(time, np.isfinite(q).all(axis=1))
+    if len(states) < FEWEST or not JointStream.of(time[states] - time[states[0]], q[states]).resolved:
+        return None
+    readings = product(
+        _units(joints, _meaning(joints, "time")), _units(poses, _meaning(poses, "time")), _angles(joints)
+    )
+    problem: InputError | None = None
+    for units in islice(readings, _READINGS):
+        try:
+            return _joined_in_units(joints, poses, arm, units)
+        except InputError as error:
+            problem = problem or error
+    raise InputError(f"{joints.source} and {poses.source}: {problem}") from problem
+
+
+def _joined_in_units(joints: File, poses: File, arm: Arm, units: tuple[str, str, str]) -> JoinedFiles:
     of_joints, of_poses, angle = units
     clock, at = (
         file.columns[_columns(file, "time")[0]] / units_of("time")[unit]
         for file, unit in ((joints, of_joints), (poses, of_poses))
     )
     q, position = _joint_columns(joints, arm, angle), _position(poses)
-    states = _in_order(clock, np.isfinite(q).all(1))
-    placed = _in_order(at, np.isfinite(position).all(1) & (position != 0).any(1))
-    if min(len(states), len(placed)) < 3:
-        raise InputError(f"{len(states)} joint states and {len(placed)} poses at different times are too few")
+    states = _in_order(clock, np.isfinite(q).all(axis=1))
+    placed = _in_order(at, np.isfinite(position).all(axis=1) & (position != 0).any(axis=1))
+    if len(placed) < FEWEST:
+        raise InputError(f"{len(placed)} poses at different times are too few to find the offset of the clocks")
     first, start = clock[states[0]], at[placed[0]]
     stream = JointStream.of(clock[states] - first, q[states])
-    if not stream.resolved:
-        raise InputError("the joint states are too far apart to show how the arm moved")
-    absolute = min(first, start) > LATEST_START_S
-    clocks = find_clocks(arm, stream, at[placed] - start, position[placed], start - first if absolute else None)
+    likely = float(start - first) if min(first, start) > LATEST_START_S else None
+    clocks = find_clocks(arm, stream, at[placed] - start, position[placed], likely)
     wanted = clocks.robot_time(at[placed] - start)
     kept = _kept(joints, _OF_JOINTS)
     names = [name for name in _columns(joints, "q") if name in kept]
@@ -283,8 +302,9 @@ def _joint_columns(file: File, arm: Arm, angle: str = "") -> Array:
     return np.stack([found[number] for number in sorted(found)], 1)
 
 
-def _units(file: File, time: Meaning) -> list[str]:
+def _units(file: File, time: Meaning | None) -> list[str]:
     """The units of the times, the likely one first; others only where nothing says it for certain."""
+    assert time is not None
     if time.unit.sure == "certain":
         return [time.unit.choice]
     steps = np.diff(file.columns[time.block.columns[0]])
@@ -301,13 +321,6 @@ def _angles(file: File) -> list[str]:
     return list(dict.fromkeys([revolute[0].unit.choice, *units_of("q")]))
 
 
-def _named_unit(point: tuple[str, str, str]) -> str | None:
-    from lite6jax.recordings.naming import unit_of
-
-    unit = unit_of(point[0])
-    return unit if unit in units_of("x") else None
-
-
-def _in_order(time: Array, there: NDArray[np.bool_]) -> Rows:
-    rows = np.flatnonzero(there & np.isfinite(time))
+def _in_order(time: Array, there: ArrayLike) -> Rows:
+    rows = np.flatnonzero(np.asarray(there) & np.isfinite(time))
     return rows[np.unique(time[rows], return_index=True)[1]]

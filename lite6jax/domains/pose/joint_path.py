@@ -98,13 +98,15 @@ def _branches(poses: _Poses, middle: Array) -> Array:
     """`(branch, joint)` of the first row, the nearest to the middle of the limits first."""
     arm = poses.arm
     limits = np.where(arm.slides[:, None], arm.joint_limits, np.clip(arm.joint_limits, -np.pi, np.pi))
-    starts = np.random.default_rng(0).uniform(*limits.T, (_STARTS, arm.dof))
+    starts = np.random.default_rng(0).uniform(limits[:, 0], limits[:, 1], (_STARTS, arm.dof))
     parts = [poses.solved(np.zeros(len(part), int), part) for part in np.split(starts, _STARTS // _TOGETHER)]
     ends = np.concatenate([q[reached] for q, reached in parts])
     found: list[Array] = []
     for one in sorted(ends, key=lambda one: float(np.sum((one - middle) ** 2))):
         turns = 2 * np.pi * ~arm.slides
-        apart = [np.abs((one - other + turns / 2) % np.where(turns, turns, np.inf) - turns / 2).max() for other in found]
+        apart = [
+            np.abs((one - other + turns / 2) % np.where(turns, turns, np.inf) - turns / 2).max() for other in found
+        ]
         if min(apart, default=np.inf) > _SAME:
             found.append(one)
     return np.array(found).reshape(-1, arm.dof)

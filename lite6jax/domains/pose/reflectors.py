@@ -95,8 +95,8 @@ def rigid_pose(points: Array) -> RigidPose | None:
     from scipy.spatial.transform import Rotation
 
     points = np.stack([_seen(points[:, k]) for k in range(points.shape[1])], 1)
-    there = np.isfinite(points).all(2)
-    whole = np.flatnonzero(there.all(1))
+    there = np.isfinite(points.sum(axis=2))
+    whole = np.flatnonzero(there.all(axis=1))
     rows = there.sum(1) >= FEWEST_POINTS
     if not whole.size:
         return None
@@ -146,7 +146,7 @@ def _seen(place: Array) -> Array:
 
 
 def _way(place: Array) -> float:
-    there = place[np.isfinite(place).all(1)]
+    there = place[np.isfinite(place).all(axis=1)]
     return float(np.median(np.linalg.norm(there - np.median(there, axis=0), axis=1))) if len(there) else 0.0
 
 
