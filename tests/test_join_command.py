@@ -60,14 +60,17 @@ def test_two_files_become_one_table(tmp_path, capsys):
     at, shown = sensor_times(rng)
     point, _ = tracked(motion, at, rng)
     lost = np.arange(len(at)) % 97 == 5
-    columns = {"time_ms": 1e3 * (shown + OFFSET)} | dict(zip("xyz", np.where(lost[:, None], 0, 1e3 * point).T, strict=True))
+    columns = {"time_ms": 1e3 * (shown + OFFSET)} | dict(
+        zip("xyz", np.where(lost[:, None], 0, 1e3 * point).T, strict=True)
+    )
     tracker = write(tmp_path / "tracker.csv", columns)
     code, out, err = run(capsys, "init", robot, tracker, "--arm", "lite6", "--yes")
     assert (code, err) == (0, "")
     said = flat(out)
     ahead = float(re.search(r"clock of robot.csv is ahead of that of tracker.csv by (-?[\d.]+) s", said)[1])
     assert ahead == pytest.approx(50.0 - 0, abs=1e-4)  # both clocks were moved by whole offsets
-    assert "± " in said and "ppm" in said and "interpolated by cubics" in said
+    assert re.search(r"± [\d.]+ ms .* ppm", said)
+    assert "interpolated by cubics" in said
     table = tmp_path / "robot_tracker.csv"
     assert f"lite6jax diagnose {table} --out diagnosis.json" in out
     recording = read_recording(table)
@@ -117,7 +120,9 @@ def test_captures_at_times_are_found_in_a_log(tmp_path, capsys):
     robot = write(tmp_path / "r.csv", {"t": t} | {f"joint{k + 1}": c for k, c in enumerate(np.rad2deg(q).T)})
     at = 3.0 * np.arange(len(stops)) + rng.uniform(0.8, 1.4, len(stops))
     point, _ = tracked(lambda at: stops[(at // 3).astype(int)], at, rng)
-    tracker = write(tmp_path / "t.csv", {"time_s": at + 77} | dict(zip(("x_mm", "y_mm", "z_mm"), 1e3 * point.T, strict=True)))
+    tracker = write(
+        tmp_path / "t.csv", {"time_s": at + 77} | dict(zip(("x_mm", "y_mm", "z_mm"), 1e3 * point.T, strict=True))
+    )
     code, out, _ = run(capsys, "init", robot, tracker, "--arm", "lite6", "--yes")
     assert code == 0
     assert "the arm stood still at the poses" in flat(out)
@@ -157,8 +162,10 @@ def test_what_cannot_be_joined_is_refused_in_one_line(tmp_path, capsys):
 def test_a_motion_that_repeats_itself_is_not_decided(tmp_path, capsys):
     rng, once = np.random.default_rng(6), path(6, 6.0)
     turn = CubicSpline(np.arange(0, 6.5, 0.5), np.vstack([once(np.arange(0, 6, 0.5)), once([0.0])]), bc_type="periodic")
+
     def motion(at):
         return turn(at % 6.0)
+
     at, shown = sensor_times(rng)
     point, _ = tracked(motion, at, rng)
     robot = robot_file(tmp_path, motion)
@@ -231,7 +238,9 @@ def test_joints_follow_from_the_poses_of_the_controller(tmp_path, capsys):
     code, out, _ = run(capsys, "init", tracker, robot, "--arm", "lite6", "--yes")
     assert code == 0
     said = flat(out)
-    assert "controller.csv has poses and no joints: these are assumed to be of the flange in the base of the lite6" in said
+    assert (
+        "controller.csv has poses and no joints: these are assumed to be of the flange in the base of the lite6" in said
+    )
     assert re.search(r"\d branches \(shoulder, elbow, wrist\) reach the first pose alike", said)
     recording = read_recording(tmp_path / "tracker_controller.csv")
     found = six_parameter_poses(LITE6, recording.joint_position)[:, :3, 3]
