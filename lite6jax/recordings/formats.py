@@ -186,7 +186,7 @@ def _read(
 ) -> tuple[Path, Table]:
     path, table = open_table(path, topics, of_arm, notes, kinds)
     dof = of_arm.dof
-    renamed = sidecar.columns
+    renamed = table.renamed(str(path), sidecar.columns)
     read = tabulated(
         table.names, str(path), table.load, notes, dof=dof, renamed=renamed, joints_optional=joints_optional
     )

@@ -1,5 +1,6 @@
 """A table of columns with any names, which are read when they are asked for."""
 
+import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -8,10 +9,10 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pa_parquet
 
-from lite6jax.errors import InputError
+from lite6jax.errors import InputError, command_line
 from lite6jax.recordings import stream
 from lite6jax.recordings.clock_times import clock_times, holds_clock_times
-from lite6jax.recordings.columns import Column
+from lite6jax.recordings.columns import IGNORED, Column
 from lite6jax.recordings.table import Loaded, no_numbers
 
 Load = Callable[[Mapping[str, Column]], Loaded]
@@ -23,10 +24,42 @@ class RawTable(NamedTuple):
     Attributes:
         names: of all columns, in order.
         load: the values of some, by any keys: of each an array, or what is wrong with it.
+        nameless: whether the file names no column, so that they are `column_1`, `column_2`, ….
     """
 
     names: Sequence[str]
     load: Load
+    nameless: bool = False
+
+    def renamed(self, source: str, given: Mapping[str, str], in_order: str = "") -> dict[str, str]:
+        """The names that columns are to have, by those that they have in the table.
+
+        Args:
+            source: what messages begin with.
+            given: by the name of a column, or by the part of it before its unit, ` [mm]`, where that is of one alone.
+            in_order: of a table without names, the names of all columns between commas, empty for `IGNORED`.
+
+        Raises:
+            InputError: a table without names gets none, or not one for each column; or a table has them already.
+        """
+        listed = [name.strip() or IGNORED for name in in_order.split(",")] if in_order else []
+        if listed and not self.nameless:
+            raise InputError(f"{source}: names its columns already; say what they are by --column NAME=MEANING")
+        if listed and len(listed) != len(self.names):
+            raise InputError(
+                f"{source}: --names gives {len(listed)} names for {len(self.names)} columns; give each one"
+            )
+        if self.nameless and not (listed or given):
+            command = command_line("init", source, "--names", "q1_deg,q2_deg,...")
+            raise InputError(f"{source}: its first row holds numbers, and no line names the columns; `{command}` does")
+        of_part: dict[str, list[str]] = {}
+        for name in self.names:
+            of_part.setdefault(re.sub(r" \[[^\[\]]*\]$", "", name), []).append(name)
+        found = {}
+        for name, meaning in given.items():
+            alike = [] if name in self.names else of_part.get(name, [])
+            found[alike[0] if len(alike) == 1 else name] = meaning
+        return dict(zip(self.names, listed, strict=False)) | found
 
     def numbers(self) -> Iterator[tuple[str, np.ndarray | None]]:
         """Every column with `(sample,)` float64, NaN where empty; None where it does not hold numbers.

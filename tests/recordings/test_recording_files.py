@@ -178,8 +178,7 @@ FINE = f"{JOINTS},x_m,y_m,z_m\n" + "0.1,0.2,0.3,0.4,0.5\n" * 3
         ("\n\n", "is empty; record again"),
         (f"{JOINTS}", "has column names but no rows; record again"),
         (f"{JOINTS}\n", "has column names but no rows; record again"),
-        ("0.1,0.2\n0.3,0.4\n", "line 1 holds numbers; it must name the columns, q1_rad, q2_rad, ..."),
-        ("\n" + FINE, "line 1 is empty; it must name the columns"),
+        ("0.1,0.2\n0.3,0.4\n", "its first row holds numbers, and no line names the columns; `lite6jax init"),
         (
             FINE + "0.1,0.2,0.3",
             "row 4 has 3 of 5 columns, y_m is the first without a value: the file is truncated; complete",
@@ -198,24 +197,31 @@ FINE = f"{JOINTS},x_m,y_m,z_m\n" + "0.1,0.2,0.3,0.4,0.5\n" * 3
         ),
         (FINE + "0.1,0.2,0.3,0.4,\0\n", "is not a CSV table but binary or of another encoding; write it as UTF-8 text"),
         (b"\x89PNG\r\n\x1a\n" + bytes(range(256)), "is not a CSV table but binary or of another encoding"),
-        (FINE.encode("utf-16"), "is not a CSV table but binary or of another encoding; write it as UTF-8 text"),
-        ("Größe,".encode("latin-1") + FINE.encode(), "is not a CSV table but binary or of another encoding"),
+        (FINE.encode("utf-16")[2:], "is not a CSV table but binary or of another encoding; write it as UTF-8 text"),
+        ("°,".encode("mac-roman") + FINE.encode(), "is not a CSV table but binary or of another encoding"),
+        (("Größe," + FINE).encode("latin-1"), "row 1 has 5 of 6 columns, z_m is the first without a value"),
         (b"PAR1" + bytes(20), "is a Parquet file, whatever its name says; name it .parquet"),
         (FINE.replace(".", ",").replace(",", ";"), "row 1 has 10 of 5 columns; remove the surplus fields"),
         (
             "q1_rad;q2_rad\n0,1;0,2\n0,1;0.2\n",
             "column q2_rad: row 2 holds '0.2', which is no number; give numbers with a decimal comma",
         ),
-        ("q1_rad q2_rad\n0.1 0.2\n0.1  0.2\n", "row 2 has 3 of 2 columns; remove the surplus fields"),
-        ("<html><body>404</body></html>\n", "has no joint positions; name their columns q1_rad ... qN_rad"),
+        ("q1_rad q2_rad\n0.1 0.2\n0.1  0.2 3\n", "row 2 has 3 of 2 columns; remove the surplus fields"),
+        ("<html><body>404</body></html>\n", "is a page or XML, and no table; write its numbers as CSV"),
+        ('{"q1_rad": [0.1,\n0.2]}\n', "is JSON, and no table; write its numbers as CSV with a name for each column"),
+        (FINE * 2, "row 4 repeats the names of the columns; remove it, and give each recording a file"),
+        (
+            "q1_rad;q2_rad\n1.234,5;0,2\n",
+            "column q1_rad: row 1 holds '1.234,5', which may have a mark of thousands; give numbers with a decimal comma",
+        ),
         ("q1_rad," + "x" * (1 << 21), "is not a CSV table but binary or of another encoding"),
         (
             "a" * 200_000 + "\n1\n",
-            "line 1 is no list of column names (field larger than field limit (131072)); check the file",
+            "has no joint positions; name their columns q1_rad ... qN_rad (or q1_deg ...); it has 'aaaaaaa",
         ),
         ("q1_rad\n" + "1" * (1 << 22) + "\n1\n", "is not a table of numbers (straddling object"),
     ],
-    ids=range(22),
+    ids=range(25),
 )
 def test_a_csv_that_is_none(tmp_path, content, message):
     assert message in refusal(file(tmp_path, content))
@@ -239,7 +245,7 @@ def test_a_missing_last_line_break_is_said(tmp_path):
 @pytest.mark.parametrize(
     ("name", "message"),
     [
-        ("run7.txt", "is no recording; write it as run7.csv or .parquet with a name for each column"),
+        ("run7.npy", "is no recording; write it as run7.csv or .parquet with a name for each column"),
         (
             "run7.doc",
             "a recording ends in .csv, .parquet or .mcap, or is the folder of a rosbag2 or of a LeRobot data set; "
@@ -252,7 +258,7 @@ def test_a_missing_last_line_break_is_said(tmp_path):
 )
 def test_a_path_that_is_no_recording(tmp_path, name, message):
     (tmp_path / "folder.csv").mkdir()
-    (tmp_path / "run7.txt").write_text(FINE)
+    (tmp_path / "run7.npy").write_text(FINE)
     assert refusal(tmp_path / name) == message
 
 
