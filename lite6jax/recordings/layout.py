@@ -184,26 +184,22 @@ def _header(lines: Sequence[str], body: int, delimiter: str, width: int, filled:
     top = row = body
     while row:
         row -= 1
-        line = lines[row].strip()
+        line = lines[row].strip(" ")
         comment = line[:1] in ("#", "%")
-        line = line.lstrip("#%").strip() if comment else line
+        line = line.lstrip("#%").strip(" ") if comment else line
         if not any(cell.strip("-=_ ") for cell in _split(line, delimiter)):  # blank, or a rule
             if header:
                 break
             continue
-        cells = _fitting(line, delimiter, width, filled)
-        if (
-            cells is None
-            or any(_kind(cell) == "number" for cell in cells)
-            or not any(_kind(c) == "text" for c in cells)
-        ):
-            if cells is None or not header:
-                if comment and not header:
-                    continue
-                break
+        alone = comment or delimiter == SPACES or width == 1
+        cells = _fitting(line, delimiter, width, filled, any_delimiter=alone)
+        kinds = {*map(_kind, cells or ())}
+        if "number" in kinds or not (header or "text" in kinds) or not cells:
+            if comment and not header:
+                continue
+            break
         top = row
         header.insert(0, cells)
-        alone = comment or delimiter == SPACES or width == 1
         if alone and not (len(header) == 1 and _of_units(cells)):
             break
     while header and width > 1 and not any(header[-1][1:]):  # the name of an index, or a title
@@ -214,15 +210,16 @@ def _header(lines: Sequence[str], body: int, delimiter: str, width: int, filled:
     return top if header else body, header
 
 
-def _fitting(line: str, delimiter: str, width: int, filled: int) -> Row | None:
-    """The names in a line, as many as there are columns, by whatever they are separated; None where they are not."""
+def _fitting(line: str, delimiter: str, width: int, filled: int, any_delimiter: bool) -> Row | None:
+    """The names in a line, as many as there are columns; None where they are not."""
+    cells = _split(line, delimiter)
+    while len(cells) > width and not cells[-1]:
+        cells.pop()
+    if filled <= len(cells) <= width:
+        return cells + [""] * (width - len(cells))
     wide = [cell.strip() for cell in re.split(r"\s{2,}|\t", line.strip())]
-    for cells in (_split(line, delimiter), wide, *(_split(line, other) for other in _DELIMITERS)):
-        while len(cells) > width and not cells[-1]:
-            cells = cells[:-1]
-        if filled <= len(cells) <= width:
-            return cells + [""] * (width - len(cells))
-    return None
+    others = [wide, *(_split(line, other) for other in _DELIMITERS)] if any_delimiter else []
+    return next((cells for cells in others if len(cells) == width), None)
 
 
 def _names(header: list[Row], above: Sequence[str], source: str, lines: range, notes: list[str]) -> list[str]:
@@ -268,7 +265,7 @@ def _group_names(row: Row) -> Row | None:
 
 
 def _with_heads(names: Sequence[str]) -> list[str]:
-    """With a body's name, which stands before its X alone, before all that follows of it: `Tool X`, `Y`, `Z`, `Roll`."""
+    """With a body's name before all that is of it, where it stands before X alone: `Tool X`, `Y`, `Z`, `Roll`."""
     head, found = "", []
     for k, name in enumerate(names):
         match = re.fullmatch(r"(.+ )X", name)

@@ -285,13 +285,32 @@ def test_a_parquet_that_is_none(tmp_path):
     [
         (["a", "b"], "string"),
         ([True, False], "bool"),
-        ([[1.0], [2.0]], "list<element: double>"),
+        ([["a"], ["b"]], "string"),
+        ([[1.0] * 65] * 2, "list<element: double>"),
         (pa.array([1, 2], pa.timestamp("ms")), r"timestamp\[ms\]".replace("\\", "")),
     ],
 )
 def test_a_parquet_column_without_numbers(tmp_path, column, kind):
     path = parquet(tmp_path, q1_rad=[1.0, 2.0], q2_rad=column)
     assert refusal(path) == f"column q2_rad: holds {kind}, not numbers; write it as float64"
+
+
+def test_lists_and_structs_of_a_parquet_are_a_column_for_each_number(tmp_path):
+    path = parquet(
+        tmp_path,
+        state=pa.array([{"position": [0.1, 0.2], "stamp": None}, None, {"position": [0.3, 0.4], "stamp": 3}]),
+        tool=pa.array([[1.0, 2.0, 3.0], [4.0, 5.0, 6.0], [7.0, 8.0, 9.0]], pa.list_(pa.float32(), 3)),
+        time_s=[[0.0], [1.0], [2.0]],
+    )
+    lines = [f"state.position[{k}]: q{k + 1}_rad" for k in range(2)] + [f"tool[{k}]: {'xyz'[k]}_mm" for k in range(3)]
+    path.with_suffix(".yaml").write_text("columns:\n  " + "\n  ".join(lines) + f"\n{SIDECAR}")
+    recording = read_recording(path)
+    assert recording.joint_position.tolist() == [[0.1, 0.2], [0.3, 0.4]]
+    assert (1e3 * recording.position).tolist() == [[1, 2, 3], [7, 8, 9]]
+    assert recording.time.tolist() == [0, 2]
+    assert refusal(parquet(tmp_path, q1_rad=[[1.0], [2.0, 3.0]])) == (
+        "column q1_rad: its lists hold 1 to 2 numbers; give each row as many"
+    )
 
 
 def test_a_parquet_may_hold_any_numbers_and_other_columns(tmp_path):
