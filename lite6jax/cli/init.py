@@ -76,7 +76,6 @@ class Init:
         sidecar = sidecar_path(path)
         settings = _pairs("--set", self.set, parsed=True)
         given = _pairs("--column", self.column)
-        check_writable(sidecar, self.force)
         arm, shown = self.arm, False
 
         def opened() -> "tuple[Path, RawTable, list[tuple[str, Any]], list[str]]":
@@ -88,6 +87,7 @@ class Init:
             return inspect(columns, load_nominal(arm), given, str(file))
 
         file, table, columns, notes = opened()
+        check_writable(sidecar, self.force)
         given = table.renamed(str(file), given, self.names)
         found = look()
         if not (self.yes or self.json) and _on_a_terminal():

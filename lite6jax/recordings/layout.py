@@ -23,7 +23,9 @@ _DELIMITERS = (",", ";", "\t", "|", SPACES)
 LINE_BREAK = re.compile(r"\r\n|[\r\n]")
 _NUMBER = re.compile(r"[-+]?[\d.,]*\d\.?(?:e[-+]?\d+)?", re.IGNORECASE)
 _MISSING = {"", "nan", "-nan", "inf", "-inf", "na", "n/a", "#n/a", "null", "none"}
-_QUOTED_LIST = re.compile(r'"\s*(?:array)?(?=[^"]*\d)([\[(][-+\d.,;eEnaif\s\[\]()]*[\])])\s*"')
+_QUOTED_LIST = re.compile(
+    r'"\s*(?:array(?:\(\'\w\',)?)?\s*(?=[^"]*\d)([\[(][-+\d.,;eEnaif\s\[\]()]*[\])])(?:,\s*dtype=\w+\))?\s*"'
+)
 _LIST = re.compile(r"(?<![^,;|\t\r\n]) *([\[(](?=[^\[\]()]*\d)[-+\d.,;eEnaif\s]*[\])]) *(?![^,;|\t\r\n])")
 _ELEMENT = "\x01"
 _NO_UNITS = {"-", "--", "—", "1", "%"}
@@ -167,12 +169,18 @@ def _body(rows: Sequence[Row], width: int) -> int | None:
         return texts <= len(here) / 2 and ("number" in here or texts < len(here) / 4)  # a row with damage
 
     inside = [holds_numbers(k) for k in of_width]
-    first = next((k for k, here in enumerate(inside) if here and all(inside[k + 1 : k + 2])), None)
+    decimals = ["number" in (kinds[row][k] for k in of_numbers) for row in of_width]  # numbers in names are whole
+    first = next((k for k, here in enumerate(inside) if here and (decimals[k] or all(inside[k + 1 : k + 2]))), None)
     if first is None:
         return None
     body = of_width[first]
-    while body and any(kinds[body - 1]) and "text" not in kinds[body - 1]:  # of another width: cut short or too long
-        if len(kinds[body - 1]) == width:
+    while body:
+        above = kinds[body - 1]
+        if len(above) == width:  # without numbers, which are missing
+            within = "text" not in (above[k] for k in of_numbers)
+        else:  # cut short, or too long
+            within = any(above) and "text" not in above
+        if not within:
             break
         body -= 1
     return body

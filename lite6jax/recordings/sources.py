@@ -20,7 +20,7 @@ TEXTS = (".csv", ".tsv", ".txt", ".dat", ".log")
 TABLES = (*TEXTS, ".parquet")
 SUFFIXES = (*TABLES, stream.SUFFIX, *LOGS)
 """Of the files that are recordings."""
-KINDS = "a recording ends in .csv, .parquet or .mcap, or is the folder of a rosbag2 or of a LeRobot data set"
+KINDS = "a recording ends in .csv, .txt, .parquet or .mcap, or is the folder of a rosbag2 or of a LeRobot data set"
 _LOG = re.compile(r"(.+(?:\.mcap|\.db3|\.bag))#(.*)", re.IGNORECASE | re.DOTALL)
 _ARMS = (".urdf", ".xacro", ".xml", ".mjcf")
 _EXCEL = (".xlsx", ".xls", ".xlsm", ".ods")

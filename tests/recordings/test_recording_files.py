@@ -212,7 +212,7 @@ FINE = f"{JOINTS},x_m,y_m,z_m\n" + "0.1,0.2,0.3,0.4,0.5\n" * 3
         (FINE * 2, "row 4 repeats the names of the columns; remove it, and give each recording a file"),
         (
             "q1_rad;q2_rad\n1.234,5;0,2\n",
-            "column q1_rad: row 1 holds '1.234,5', which may have a mark of thousands; give numbers with a decimal comma",
+            "column q1_rad: row 1 holds '1.234,5', which may have a mark of thousands; give numbers with",
         ),
         ("q1_rad," + "x" * (1 << 21), "is not a CSV table but binary or of another encoding"),
         (
@@ -248,8 +248,8 @@ def test_a_missing_last_line_break_is_said(tmp_path):
         ("run7.npy", "is no recording; write it as run7.csv or .parquet with a name for each column"),
         (
             "run7.doc",
-            "a recording ends in .csv, .parquet or .mcap, or is the folder of a rosbag2 or of a LeRobot data set; "
-            "convert it or correct the name",
+            "a recording ends in .csv, .txt, .parquet or .mcap, or is the folder of a rosbag2 or of a LeRobot "
+            "data set; convert it or correct the name",
         ),
         ("run7", "no such file or folder; check the name"),
         ("absent.csv", "no such file; check the name"),
