@@ -176,7 +176,7 @@ def _start(path: Path, notes: list[str]) -> tuple[str, str]:
         kind = "JSON" if markup[1] == "{" else "a page or XML"
         raise InputError(f"{path}: is {kind}, and no table; write its numbers as CSV with a name for each column")
     if encoding != "utf-8-sig":
-        notes.append(f"the text is read as {encoding}")
+        notes.append(f"the text is read as {encoding.capitalize() if encoding == 'latin-1' else encoding.upper()}")
     return text, encoding
 
 

@@ -127,7 +127,7 @@ def _block(lines: Sequence[str], delimiter: str) -> tuple[str, list[Row], int, f
     for row in rows:
         kinds = Counter(map(_kind, row))
         numbers = kinds["number"] + kinds["integer"]
-        if numbers:
+        if numbers and (delimiter != SPACES or numbers >= kinds["text"]):  # no prose
             scores[len(row)] += numbers**2 / (numbers + kinds["text"])
     width = max(scores, key=lambda key: scores[key], default=0)
     return delimiter, rows, width, scores[width]
