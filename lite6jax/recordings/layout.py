@@ -75,9 +75,8 @@ def find_table(text: str, source: str, notes: list[str]) -> Layout:
     text = "\n".join(LINE_BREAK.split(text, LINES)[:LINES])
     lists, text = (marked := mark_lists(text)) != text, marked
     lines = text.split("\n")
-    delimiter, rows, width = max((_block(lines, delimiter) for delimiter in _DELIMITERS), key=lambda found: found[3])[
-        :3
-    ]
+    possible = [mark for mark in _DELIMITERS if mark in (",", SPACES) or mark in text]
+    delimiter, rows, width, _ = max((_block(lines, mark) for mark in possible), key=lambda found: found[3])
     body = _body(rows, width)
     if body is None:
         return _of_names_alone(lines)
@@ -87,26 +86,30 @@ def find_table(text: str, source: str, notes: list[str]) -> Layout:
     top, header = _header(lines, body, delimiter, width, filled)
     table = Layout((), delimiter, sum(sizes), _decimal(within, delimiter), body, lists, not header)
     if not header:
-        above = next((row for row in reversed(rows[:body]) if any(row)), [])
-        named = len(above) > 1 and {*map(_kind, above)} <= {"text", ""}
-        if named and (delimiter != SPACES or len(above) in map(len, rows[body:])):  # but not one for each column
-            return table._replace(names=_unique(above, []), fields=len(above), nameless=False)
-        if numbered := len(rows) > body + 1 and _counts(rows[body]) and "number" in map(_kind, rows[body + 1]):
-            notes.append(f"line {body + 1} counts the columns and is not read")
-        _say_above(lines[:body], notes)
-        names = tuple(f"column_{k + 1}" for k in range(sum(sizes[:filled])))
-        return table._replace(names=names, skip=body + numbered)
+        return _without_names(table, lines, rows, sum(sizes[:filled]), notes)
     _say_above(lines[:top], notes)
     names = _names(header, lines[:top], source, range(top + 1, body + 1), notes)
     while names and not names[-1] and len(names) > filled:
         names.pop()
     if lists:
-        names = [
-            f"{name}[{k}]" if size > 1 else name for name, size in zip(names, sizes, strict=False) for k in range(size)
-        ]
+        sized = zip(names, sizes, strict=False)
+        names = [f"{name}[{k}]" if size > 1 else name for name, size in sized for k in range(size)]
         if example := next((name for name in names if name.endswith("[0]")), ""):
             notes.append(f"lists are read as a column for each of their numbers, such as {example!r}")
     return table._replace(names=_unique(names, notes))
+
+
+def _without_names(table: Layout, lines: Sequence[str], rows: Sequence[Row], columns: int, notes: list[str]) -> Layout:
+    """A table above which no row names each of its columns."""
+    body = table.skip
+    above = next((row for row in reversed(rows[:body]) if any(row)), [])
+    named = len(above) > 1 and {*map(_kind, above)} <= {"text", ""}
+    if named and (table.delimiter != SPACES or len(above) in map(len, rows[body:])):  # another number of them
+        return table._replace(names=_unique(above, []), fields=len(above), nameless=False)
+    if numbered := len(rows) > body + 1 and _counts(rows[body]) and "number" in map(_kind, rows[body + 1]):
+        notes.append(f"line {body + 1} counts the columns and is not read")
+    _say_above(lines[:body], notes)
+    return table._replace(names=tuple(f"column_{k + 1}" for k in range(columns)), skip=body + numbered)
 
 
 def mark_lists(text: str, mark: str = _ELEMENT) -> str:
@@ -166,7 +169,7 @@ def _body(rows: Sequence[Row], width: int) -> int | None:
         texts = here.count("text")
         if not texts:
             return any(here)
-        return texts <= len(here) / 2 and ("number" in here or texts < len(here) / 4)  # a row with damage
+        return texts < len(here) / 2 and ("number" in here or texts < len(here) / 4)  # a row with damage
 
     inside = [holds_numbers(k) for k in of_width]
     decimals = ["number" in (kinds[row][k] for k in of_numbers) for row in of_width]  # numbers in names are whole
@@ -176,8 +179,9 @@ def _body(rows: Sequence[Row], width: int) -> int | None:
     body = of_width[first]
     while body:
         above = kinds[body - 1]
-        if len(above) == width:  # without numbers, which are missing
-            within = "text" not in (above[k] for k in of_numbers)
+        if len(above) == width:  # whose numbers are missing, or damaged
+            here = [above[k] for k in of_numbers]
+            within = "text" not in here or "number" in here
         else:  # cut short, or too long
             within = any(above) and "text" not in above
         if not within:

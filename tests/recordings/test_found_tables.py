@@ -50,9 +50,9 @@ ABOVE = "line 1 stands above the table and is not read: 'Robot test 7'"
         ("a,b,c\n" + rows(end=","), "a b c", []),
         ("a,b,c,\n" + rows(), "a b c", []),
         ("a,b,c,,\n" + rows(end=",,"), "a b c", []),
-        ("a,b,c\n" + rows() + "\n \n\n".replace(" ", ""), "a b c", []),
+        ("a,b,c\n" + rows() + "\n\n\n", "a b c", []),
         ("θ1,θ2,T (°C)\n" + rows(), "θ1|θ2|T (°C)", []),
-        ("T (°C);Größe [mm];c\n".encode("latin-1") + rows(";", ",").encode(), "T (°C)|Größe [mm]|c", ["read as Latin-1"]),
+        ("T (°C);Größe [mm];c\n".encode("latin-1") + rows(";", ",").encode(), "T (°C)|Größe [mm]|c", ["as Latin-1"]),
         (("T (°C)\tb\tc\n" + rows("\t", ",")).encode("utf-16"), "T (°C)|b|c", ["read as UTF-16"]),
         (("a;b;c\n" + rows(";", ",")).encode("utf-8-sig"), "a b c", []),
         ("a;b;c\n[°];[mm];-\n" + rows(";", ","), "a [°]|b [mm]|c", ["line 2 holds units, which are added"]),
@@ -158,6 +158,9 @@ def test_the_rows_of_a_table_are_counted_from_its_first(tmp_path):
     assert recording.notes[0] == ABOVE
     path.write_text(path.read_text() + "0.25,1,oops,3\n")
     with pytest.raises(InputError, match="column y_m: row 4 holds 'oops', which is no number"):
+        read_recording(path)
+    path.write_text("q1_rad,q2_rad,q3_rad\n0.5,lost,lost\n" + rows())
+    with pytest.raises(InputError, match="column q2_rad: row 1 holds 'lost', which is no number"):
         read_recording(path)
     path.write_text("note,q1_rad\nbefore,\nmoved,0.5\n,0.25\n")  # whose first number is missing
     assert read_recording(path).row.tolist() == [2, 3]
