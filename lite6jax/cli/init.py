@@ -106,7 +106,7 @@ class Init:
         text = inspection.sidecar_text(found, settings, file.name)
         write_atomically(sidecar, text, self.force)
         if self.json:
-            print(json.dumps({**found.to_dict(), "sidecar": str(sidecar)}, indent=1, allow_nan=False))
+            print(json.dumps({**found.to_dict(), "notes": notes, "sidecar": str(sidecar)}, indent=1, allow_nan=False))
             return DONE
         if not shown:
             screen.show(inspection.inspection_report(found, str(file)))
