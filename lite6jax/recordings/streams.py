@@ -11,6 +11,7 @@ from typing import Literal, NamedTuple, final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from lite6jax.errors import InputError
 from lite6jax.recordings.sequence import differentiate
 
 Array = NDArray[np.floating]
@@ -29,6 +30,8 @@ _BESIDE = 0.1
 """Of the median step: the longest time from a pose to the capture of joints that belongs to it."""
 _MOST_BESIDE = 0.8
 """Share of the poses that stand so near to a capture, where the joints are captures."""
+_ALTERNATING, _MOST_ALTERNATING = 0.4, 0.95
+"""The same where each capture has one pose, always before it or always after it."""
 _SHARED_ROWS = 0.5
 """Of the rows with poses: where fewer have joints as well, poses and joints are streams of their own."""
 
@@ -45,6 +48,7 @@ class Joined(NamedTuple):
         gap: s, the longest between the joint states around a pose; with `nearest` the longest to the capture.
         error: RMS by which joint states that are left out are found again from those around them, at twice their
             distance, in the unit of the joints; NaN where there are too few.
+        resolved: whether the joint states follow the motion; else what is interpolated means nothing.
     """
 
     kept: Flags
@@ -54,6 +58,7 @@ class Joined(NamedTuple):
     wide: int
     gap: float
     error: float
+    resolved: bool = True
 
 
 class Merged(NamedTuple):
@@ -149,20 +154,37 @@ def join(time: Array, columns: Mapping[str, Array], joints: Sequence[str], at: A
         at: `(pose,)` s, of the same clock.
     """
     stream = JointStream.of(time, np.stack([columns[name] for name in joints], 1))
-    after = np.clip(np.searchsorted(time, at), 1, len(time) - 1)
-    nearest = after - (at - time[after - 1] <= time[after] - at)
-    beside = np.abs(at - time[nearest])
-    captured = beside <= _BESIDE * stream.step
-    if not stream.resolved and np.mean(captured) > _MOST_BESIDE:
-        found = {name: column[nearest[captured]] for name, column in columns.items()}
-        longest = float(np.max(beside[captured], initial=0.0))
-        return Joined(captured, found, "nearest", 0, int(np.sum(~captured)), longest, np.nan)
+    if not stream.resolved and (own := _captures(time, at, stream.step)) is not None:
+        kept, nearest = own
+        found = {name: column[nearest[kept]] for name, column in columns.items()}
+        longest = float(np.max(np.abs(at - time[nearest])[kept], initial=0.0))
+        return Joined(kept, found, "nearest", 0, int(np.sum(~kept)), longest, np.nan)
     kept = stream.known(at)
     outside = int(np.sum((at < time[0]) | (at > time[-1])))
     found = {name: _between(time, column[:, None], at[kept])[:, 0] for name, column in columns.items()}
     found |= dict(zip(joints, stream.at(at[kept]).T, strict=True))
     wide = int(np.sum(~kept)) - outside
-    return Joined(kept, found, stream.method, outside, wide, stream.gap(at[kept]), stream.error)
+    gap = stream.gap(at[kept])
+    return Joined(kept, found, stream.method, outside, wide, gap, stream.error, stream.resolved)
+
+
+def _captures(time: Array, at: Array, step: float) -> tuple[Flags, NDArray[np.integer]] | None:
+    """Which poses have a capture of joints of their own, and which; None where most have none.
+
+    It stands beside the pose; or each pose has another one, all of them before the pose or all after it.
+    """
+    after = np.clip(np.searchsorted(time, at), 1, len(time) - 1)
+    nearest = after - (at - time[after - 1] <= time[after] - at)
+    late = at - time[nearest]
+    beside = np.abs(late) <= _BESIDE * step
+    if np.mean(beside) > _MOST_BESIDE:
+        return beside, nearest
+    alone = np.bincount(nearest, minlength=len(time))[nearest] == 1
+    for side in (late >= 0, late <= 0):
+        own = side & alone & (np.abs(late) <= _ALTERNATING * step)
+        if np.mean(own) > _MOST_ALTERNATING:
+            return own, nearest
+    return None
 
 
 def merged(columns: Mapping[str, Array], joints: Sequence[str], places: Sequence[str], time: str) -> Merged | None:
@@ -171,6 +193,9 @@ def merged(columns: Mapping[str, Array], joints: Sequence[str], places: Sequence
     Args:
         columns: `(row,)` each, NaN where a row does not give one.
         joints: the columns of joint positions; `places` those of the position of the tool, and `time` that of times.
+
+    Raises:
+        InputError: no pose has joints, or joint states are too far apart to follow the motion.
     """
     if not joints or not places or not {time, *joints, *places} <= columns.keys():
         return None
@@ -187,6 +212,16 @@ def merged(columns: Mapping[str, Array], joints: Sequence[str], places: Sequence
     start = clock[states[0]]
     joined = join(clock[states] - start, {name: columns[name][states] for name in joints}, joints, clock[poses] - start)
     rows = poses[joined.kept]
+    if not joined.resolved or not rows.size:
+        raise InputError(
+            f"{len(poses)} poses and {len(states)} joint states stand in different rows, and "
+            + (
+                "no pose lies between joint states"
+                if joined.resolved
+                else "the joints move too far from one to the next"
+            )
+            + "; record both in one row, or joint states more often"
+        )
     found = dict(joined.columns)
     for name in columns.keys() - found.keys():
         column = columns[name]
@@ -203,7 +238,7 @@ def said_of(joined: Joined, unit: str = "rad") -> list[str]:
             f"each pose has the joints that were captured with it, at most {joined.gap:.2g} s apart: between captures "
             "the joints move too far to be interpolated"
         ]
-        dropped = ((joined.wide, f"without joints within {_BESIDE:.0%} of the time from one capture to the next"),)
+        dropped = ((joined.wide, "without a capture of joints beside them"),)
     else:
         error = (
             "" if np.isnan(joined.error) else f"; every other one left out is found again to {joined.error:.2g} {unit}"
@@ -215,6 +250,10 @@ def said_of(joined: Joined, unit: str = "rad") -> list[str]:
         dropped = (
             (joined.outside, "before the first or after the last joint state"),
             (joined.wide, f"between joint states over {LONGEST_GAP:g} median steps apart"),
+        )
+    if not joined.resolved:
+        said.append(
+            "joint states are too far apart to follow the motion: what is interpolated between them is not known"
         )
     return said + [f"dropped {count} poses {reason}" for count, reason in dropped if count]
 

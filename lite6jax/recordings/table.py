@@ -87,9 +87,12 @@ def tabulated(
     elif lengths == {0} and not problems:
         problems.append("has column names but no rows; record again")
     else:
-        if (whole := _with_joined_streams(values, found.joints)) is not None:
-            values, row = whole.columns, whole.rows + 1
-            notes += streams.said_of_merged(whole)
+        try:
+            if (whole := _with_joined_streams(values, found.joints)) is not None:
+                values, row = whole.columns, whole.rows + 1
+                notes += streams.said_of_merged(whole)
+        except InputError as error:
+            raise InputError(f"{source}: {error}") from error
         empty = [_empty(found.columns[name].name, column) for name, column in values.items()]
         empty = [said for said in empty if said]
         # one alone is reported with the rows that are left out for it; targets keep their rows

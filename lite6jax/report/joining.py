@@ -5,6 +5,9 @@ import numpy as np
 from lite6jax.domains.pose.joining import JoinedFiles, WithJoints, WithPose
 from lite6jax.recordings.streams import said_of
 
+_SHOWN = 8
+"""Columns that are left out and named."""
+
 
 def said_of_files(found: JoinedFiles, joints: str, poses: str) -> list[str]:
     """How the joints of one file and the poses of another were joined."""
@@ -44,7 +47,11 @@ def said_of_files(found: JoinedFiles, joints: str, poses: str) -> list[str]:
         )
     if found.joined is not None:
         said += said_of(found.joined, found.unit)
-    return [*said, f"joined {found.rows} rows of {found.states} joint states and {found.poses} poses"]
+    said.append(f"joined {found.rows} rows of {found.states} joint states and {found.poses} poses")
+    if found.left_out:
+        shown = ", ".join(found.left_out[:_SHOWN]) + (", …" if len(found.left_out) > _SHOWN else "")
+        said.append(f"left out, as they are neither of joints nor of the measured pose: {shown}")
+    return said
 
 
 def said_of_path(found: WithJoints, arm: str) -> list[str]:

@@ -181,7 +181,7 @@ def inspect(
     blocks = _fitting(blocks, given, arm)
     joints = {name for block in blocks for name in block.columns}
     poses = _given_poses([block for block in possible if not joints & set(block.columns)], slots)
-    numbers = _at_poses(numbers, [*blocks, *poses])
+    numbers = _at_poses(numbers, [*blocks, *poses], source)
     readings = [_read(pose, blocks, numbers, arm) for pose in naming.sources(poses)]
     taken = _taken(readings, pose_source)
     found = _Reading(arm=arm) if taken is None else readings[taken]
@@ -208,13 +208,16 @@ def inspect(
     )
 
 
-def _at_poses(numbers: dict[str, Array], blocks: Sequence[Block]) -> dict[str, Array]:
+def _at_poses(numbers: dict[str, Array], blocks: Sequence[Block], source: str) -> dict[str, Array]:
     """The rows with poses, where joints and poses stand in different rows: the joints are interpolated there."""
     joints = [name for block in blocks if block.kind == "q" for name in block.columns]
     time = next((block.columns[0] for block in blocks if block.kind == "time"), "")
     for position in (block.columns for block in blocks if block.kind == "position"):
-        if (found := streams.merged(numbers, joints, position, time)) is not None:
-            return found.columns
+        try:
+            if (found := streams.merged(numbers, joints, position, time)) is not None:
+                return found.columns
+        except InputError as error:
+            raise InputError(f"{source}: {error}") from error
     return numbers
 
 

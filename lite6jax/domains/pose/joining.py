@@ -68,6 +68,7 @@ class JoinedFiles(NamedTuple):
         pairing: where they were joined by order.
         joined: how joints were interpolated.
         unit: of the joints in `joined`.
+        left_out: columns of numbers in either file that are not in the table.
     """
 
     columns: dict[str, Array]
@@ -79,6 +80,7 @@ class JoinedFiles(NamedTuple):
     pairing: Pairing | None = None
     joined: Joined | None = None
     unit: str = "rad"
+    left_out: tuple[str, ...] = ()
 
 
 class WithJoints(NamedTuple):
@@ -183,8 +185,10 @@ def join_files(joints: File, poses: File, arm: Arm) -> JoinedFiles:
     pose_rows = np.flatnonzero(np.isfinite(position).all(axis=1) & (position != 0).any(axis=1))
     state_rows = np.flatnonzero(np.isfinite(_joint_columns(joints, arm)).all(axis=1))
     times = _meaning(joints, "time"), _meaning(poses, "time")
+    taken = {*_kept(joints, _OF_JOINTS), *_kept(poses, _OF_POSES), *_columns(joints, "time"), *_columns(poses, "time")}
+    left_out = tuple(name for file in (joints, poses) for name in file.columns if name not in taken)
     if None not in times and (joined := _joined_by_time(joints, poses, arm)) is not None:
-        return joined
+        return joined._replace(left_out=left_out)
     for angle in _angles(joints):
         q = _joint_columns(joints, arm, angle)[state_rows]
         pairing = pair_in_order(arm, q, position[pose_rows]) if len(q) <= _MOST_CAPTURES else None
@@ -193,7 +197,7 @@ def join_files(joints: File, poses: File, arm: Arm) -> JoinedFiles:
             placed = pose_rows[pairing.position : pairing.position + pairing.rows]
             moved = {name: column[states] for name, column in _kept(joints, _OF_JOINTS).items()}
             table = _table(joints, poses, moved, placed)
-            return JoinedFiles(table, pairing.rows, len(pose_rows), len(state_rows), pairing=pairing)
+            return JoinedFiles(table, pairing.rows, len(pose_rows), len(state_rows), pairing=pairing, left_out=left_out)
     lacking = [file.source for file, time in zip((joints, poses), times, strict=True) if time is None]
     remedy = (
         f"name the column of the times of {' and of '.join(lacking)}, such as --column NAME=time_s (or time_ms)"
