@@ -16,7 +16,8 @@ def said_of_files(found: JoinedFiles, joints: str, poses: str) -> list[str]:
         offset = clocks.offset + found.start
         said.append(
             f"the clock of {joints} is ahead of that of {poses} by {offset:.6f} s ± {_small(clocks.offset_std)} in the "
-            "middle of the poses: found from the motion, with the frame of the sensor and the tool fitted beside it"
+            "middle of the poses: found from the motion, with the sensor's frame, the tool and the arm's geometry fitted "
+            "beside it"
         )
         if np.isfinite(clocks.drift_std):
             said.append(
@@ -28,9 +29,11 @@ def said_of_files(found: JoinedFiles, joints: str, poses: str) -> list[str]:
                 "the arm stood still at the poses: the offset may be changed by as much before it moves, and a drift "
                 "does not show"
             )
+        fitted = f", with its geometry fitted to {1e3 * clocks.fitted_error:.3g} mm"
         said.append(
-            f"at these times the nominal arm agrees with the poses to {1e3 * clocks.error:.3g} mm (median); "
-            "the offset contains what the arm's errors and the sensor's delay have in common with one"
+            f"at these times the nominal arm agrees with the poses to {1e3 * clocks.error:.3g} mm (median)"
+            + (fitted if np.isfinite(clocks.fitted_error) else "")
+            + "; a delay of the sensor is a part of the offset"
         )
     if (pairing := found.pairing) is not None:
         missing = [

@@ -4,9 +4,11 @@
 
 At the right offset the flange, by the nominal chain, moves as the measured point does, whatever the sensor's frame and
 the place of the point on the flange. So each offset of a grid is tried with both fitted in closed form, and the best
-are refined by Gauss–Newton over offset, drift, frame and point, with Cauchy's weights.
+are refined by Gauss–Newton over offset, drift, frame and point, with Cauchy's weights. Then the geometry joins
+them, with a prior about the nominal one: its errors look like a delay where the arm moves one way only.
 """
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -55,6 +57,12 @@ _CANDIDATES = 4
 _REFINED_ROWS = 1500
 """… by so many rows; the best then by all of them up to …"""
 _MOST_ROWS = 20_000
+_GEOMETRY = (1e-3, 3e-3)
+"""Standard deviations in m and rad of the numbers of an arm about the nominal ones, …"""
+_MOST_WITH_GEOMETRY = 3000
+"""… which are fitted by so many rows."""
+_DIFFERENCE = 1e-6
+"""m and rad, by which their derivatives are found."""
 _DRIFT = 1e-3
 """Standard deviation of drifts beforehand: clocks drift by 1e-4 at most, nominal frame rates are off by 1e-3."""
 _OFFSET_S = 1.0
@@ -69,7 +77,9 @@ _DIFFERENCE_S = 1e-4
 """By which velocities are found."""
 _BEYOND = 2
 """Rows by which captures are shifted further than their numbers allow: a motion that nearly fits there is none."""
-_ROUNDS, _DONE_S, _DONE = 40, 1e-9, 1e-3
+_LEAST_LEFT = 0.1
+"""Of the rows, as many as they are worth, that is left beside the numbers that were fitted."""
+_ROUNDS, _ROUNDS_WITH_GEOMETRY, _DONE_S, _DONE = 30, 10, 1e-9, 1e-2
 """At most; a step in s, and in standard deviations of the offset, that is the last."""
 
 
@@ -82,9 +92,10 @@ class Clocks(NamedTuple):
         middle: s, the middle of the rows that show it, in the sensor's time.
         offset_std, drift_std: standard deviations; autocorrelated residuals count as the fewer that they are worth.
             Where the arm stood still at the poses, by how much the offset may be changed before it moves, and infinity.
-        error: m, the median distance of measured and predicted positions.
+        error: m, the median distance of measured positions and those of the nominal arm.
         moved: m, the median distance of the positions from their middle.
         rows: of the sensor, by which they were found.
+        fitted_error: as `error`, with the geometry fitted beside the clocks; infinite where it was not.
     """
 
     offset: float
@@ -95,6 +106,7 @@ class Clocks(NamedTuple):
     error: float
     moved: float
     rows: int
+    fitted_error: float = np.inf
 
     @property
     def close(self) -> bool:
@@ -173,7 +185,9 @@ def find_clocks(arm: Arm, joints: JointStream, time: Array, position: Array, lik
         half *= _GROWTH
     if width := _standstill(arm, joints, time[rows], first):
         return first._replace(offset_std=width, drift=0.0, drift_std=np.inf)
-    return first
+    rows = rows[_spread_over(len(rows), _MOST_WITH_GEOMETRY)]
+    last = _fitted(arm, joints, time[rows], position[rows], first.offset, first.drift, first.middle, _GEOMETRY)
+    return last._replace(error=first.error, moved=first.moved, fitted_error=last.error)
 
 
 def pair_in_order(arm: Arm, joint: Array, position: Array) -> Pairing | None:
@@ -357,19 +371,21 @@ def _least_squares(columns: Array, target: Array, weight: Array) -> Array:
 
 
 class _Estimate(NamedTuple):
-    """Offset and drift, the sensor's frame, and the measured point on the flange."""
+    """Offset and drift, the arm, the sensor's frame, and the measured point on the flange."""
 
     offset: float
     drift: float
+    arm: Arm
     R_sensor_base: Array
     t_sensor_base: Array
     tool: Array
 
 
 class _Linearised(NamedTuple):
-    """Residuals `(sample, 3)` m and their columns `(sample, 3, 11)`, of rows whose joints are known.
+    """Residuals `(sample, 3)` m and their columns `(sample, 3, 11 | 11 + 6 joints)`, of rows whose joints are known.
 
-    The columns are offset, drift, the turn and the translation of the sensor's frame, and the point.
+    The columns are offset, drift, the turn and the translation of the sensor's frame, the point, and the geometry. What
+    is believed beforehand of each has a standard deviation (infinite for nothing) and a distance from there.
     """
 
     since: Array
@@ -379,6 +395,8 @@ class _Linearised(NamedTuple):
     distance: Array
     scale: float
     weight: Array
+    believed_std: Array
+    away: Array
 
     @property
     def noise(self) -> float:
@@ -387,12 +405,10 @@ class _Linearised(NamedTuple):
 
     @property
     def prior(self) -> Array:
-        """`(11,)`, the precision of offset and drift beforehand."""
-        return np.array([self.noise / _OFFSET_S**2, self.noise / _DRIFT**2, *np.zeros(9)])
+        return self.noise / self.believed_std**2
 
     @property
     def score(self) -> Array:
-        """`(sample, 11)`."""
         return self.weight[:, None] * np.einsum("sim,si->sm", self.J, self.missed)
 
     def information(self, weight: Array) -> Array:
@@ -400,9 +416,19 @@ class _Linearised(NamedTuple):
 
 
 def _fitted(
-    arm: Arm, joints: JointStream, time: Array, position: Array, offset: float, drift: float, middle: float
+    arm: Arm,
+    joints: JointStream,
+    time: Array,
+    position: Array,
+    offset: float,
+    drift: float,
+    middle: float,
+    geometry: tuple[float, float] | None = None,
 ) -> Clocks:
-    """The clocks near an offset and a drift at `middle`, by all rows given whose joints are known."""
+    """The clocks near an offset and a drift at `middle`, by all rows given whose joints are known.
+
+    The geometry is fitted too where standard deviations of its lengths and angles about the nominal ones are given.
+    """
     known = joints.known(time + offset + drift * (time - middle))
     nothing = Clocks(offset, drift, middle, np.inf, np.inf, np.inf, 0.0, 0)
     if known.sum() < FEWEST:
@@ -411,18 +437,18 @@ def _fitted(
     offset, middle = offset + drift * (center - middle), center
     flange = flange_poses(arm, joints.at(time[known] + offset + drift * (time[known] - middle)))
     T_sensor_base, T_flange_tool = frames_from_poses(flange, position[known], None, None, None)
-    now = _Estimate(offset, drift, T_sensor_base[:3, :3], T_sensor_base[:3, 3], T_flange_tool[:3, 3])
-    found = _linearised(arm, joints, time, position, middle, now)
-    for _ in range(_ROUNDS):
+    now = _Estimate(offset, drift, arm, T_sensor_base[:3, :3], T_sensor_base[:3, 3], T_flange_tool[:3, 3])
+    found = _linearised(arm, joints, time, position, middle, now, geometry)
+    for _ in range(_ROUNDS if geometry is None else _ROUNDS_WITH_GEOMETRY):
         normal = found.information(found.weight)
-        gradient = found.score.sum(axis=0)
-        gradient[1] -= found.prior[1] * now.drift
+        gradient = found.score.sum(axis=0) - found.prior * found.away
         step = np.linalg.lstsq(normal, gradient, rcond=1e-12)[0]
         step *= min(1.0, 0.5 / max(float(np.linalg.norm(step[2:5])), 1e-12))
         turned = _rotation(step[2:5]) @ now.R_sensor_base
-        moved = now.t_sensor_base + step[5:8], now.tool + step[8:]
-        now = _Estimate(float(now.offset + step[0]), float(now.drift + step[1]), turned, *moved)
-        found = _linearised(arm, joints, time, position, middle, now)
+        moved = now.t_sensor_base + step[5:8], now.tool + step[8:11]
+        bent = _changed(now.arm, step[11:].reshape(-1, 6)) if geometry else arm
+        now = _Estimate(float(now.offset + step[0]), float(now.drift + step[1]), bent, turned, *moved)
+        found = _linearised(arm, joints, time, position, middle, now, geometry)
         if len(found.missed) < FEWEST:
             return nothing
         shift = abs(step[0]) + abs(step[1]) * float(np.max(np.abs(found.since)))
@@ -431,29 +457,55 @@ def _fitted(
     curved = found.weight - (2 / 3) * found.weight**2 * (found.distance / found.scale) ** 2
     inverse = np.linalg.pinv(found.information(curved), rcond=1e-12, hermitian=True)[:, :2]
     by_prior = found.noise * found.prior @ inverse**2  # what the rows leave open is as uncertain as it was beforehand
-    offset_std, drift_std = np.hypot([_std_of_sum(part, 11) for part in (found.score @ inverse).T], np.sqrt(by_prior))
+    offset_std, drift_std = np.hypot(
+        [_std_of_sum(part, found.J.shape[2]) for part in (found.score @ inverse).T], np.sqrt(by_prior)
+    )
     error, moved = float(np.median(found.distance)), _median_distance(found.position)
     return Clocks(now.offset, now.drift, middle, float(offset_std), float(drift_std), error, moved, len(found.missed))
 
 
 def _linearised(
-    arm: Arm, joints: JointStream, time: Array, position: Array, middle: float, now: _Estimate
+    nominal: Arm,
+    joints: JointStream,
+    time: Array,
+    position: Array,
+    middle: float,
+    now: _Estimate,
+    geometry: tuple[float, float] | None,
 ) -> _Linearised:
     at = time + now.offset + now.drift * (time - middle)
     known = joints.known(at)
     at, since, seen = at[known], time[known] - middle, position[known]
-    flange, ahead, behind = (flange_poses(arm, joints.at(at + _DIFFERENCE_S * sign)) for sign in (0, 1, -1))
+    q, ahead, behind = (joints.at(at + _DIFFERENCE_S * sign) for sign in (0, 1, -1))
     R = now.R_sensor_base
-    velocity = (_points(ahead, now.tool) - _points(behind, now.tool)) @ R.T / (2 * _DIFFERENCE_S)
-    placed = _points(flange, now.tool) @ R.T
-    missed = seen - placed - now.t_sensor_base
+
+    def placed(arm: Arm, joint: Array) -> Array:
+        return _points(flange_poses(arm, joint), now.tool) @ R.T
+
+    velocity = (placed(now.arm, ahead) - placed(now.arm, behind)) / (2 * _DIFFERENCE_S)
+    flange, here = flange_poses(now.arm, q), placed(now.arm, q)
+    columns = [velocity[:, :, None], (velocity * since[:, None])[:, :, None], -_cross_matrix(here)]
+    columns += [np.broadcast_to(np.eye(3), (len(at), 3, 3)), R @ flange[:, :3, :3]]
+    believed, away = (
+        [_OFFSET_S, _DRIFT, *[np.inf] * 9],
+        [0.0, now.drift, *np.zeros(9)],
+    )  # an offset is believed as it is
+    if geometry is not None:
+        unit = _DIFFERENCE * np.eye(6 * nominal.dof).reshape(-1, nominal.dof, 6)
+        columns += [((placed(_changed(now.arm, one), q) - here) / _DIFFERENCE)[:, :, None] for one in unit]
+        believed += [*np.tile(np.repeat(geometry, 3), nominal.dof)]
+        away += [*(now.arm.kinematics - nominal.kinematics).ravel()]
+    missed = seen - here - now.t_sensor_base
     distance = np.linalg.norm(missed, axis=1)
     scale = 2 * max(float(np.median(distance)), 1e-9) if len(at) else np.inf
-    J = np.zeros((len(at), 3, 11))
-    J[:, :, 0], J[:, :, 1] = velocity, velocity * since[:, None]
-    J[:, :, 2:5] = -_cross_matrix(placed)
-    J[:, :, 5:8], J[:, :, 8:] = np.eye(3), R @ flange[:, :3, :3]
-    return _Linearised(since, seen, missed, J, distance, scale, 1 / (1 + (distance / scale) ** 2))
+    weight = 1 / (1 + (distance / scale) ** 2)
+    J = np.concatenate(columns, axis=2)
+    return _Linearised(since, seen, missed, J, distance, scale, weight, np.array(believed), np.array(away))
+
+
+def _changed(arm: Arm, change: Array) -> Arm:
+    """An arm with other numbers `(joint, 6)` in m and rad."""
+    return replace(arm, kinematics=arm.kinematics + change, dh=None)
 
 
 def _std_of_sum(parts: Array, parameters: int) -> float:
@@ -465,8 +517,10 @@ def _std_of_sum(parts: Array, parameters: int) -> float:
     correlation = float(np.clip(parts[1:] @ parts[:-1] / max(parts @ parts, 1e-300), 0.0, 0.999))
     persistence = 4 * correlation**2 / ((1 - correlation) ** 2 * (1 + correlation) ** 2)
     lags = int(min(1.1447 * (persistence * n) ** (1 / 3), n // 4))
-    variance = parts @ parts + sum(2 * (1 - k / (lags + 1)) * (parts[k:] @ parts[:-k]) for k in range(1, lags + 1))
-    return float(np.sqrt(max(variance, parts @ parts) * n / max(n - parameters, 1)))
+    white = float(parts @ parts)
+    variance = white + sum(2 * (1 - k / (lags + 1)) * (parts[k:] @ parts[:-k]) for k in range(1, lags + 1))
+    share = parameters * max(variance / max(white, 1e-300), 1.0) / n  # of the parts that the numbers have used up
+    return float(np.sqrt(max(variance, white) / max(1 - share, _LEAST_LEFT)))
 
 
 def _window(time: Array, position: Array) -> Rows:
