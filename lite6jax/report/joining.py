@@ -16,8 +16,7 @@ def said_of_files(found: JoinedFiles, joints: str, poses: str) -> list[str]:
         offset = clocks.offset + found.start
         said.append(
             f"the clock of {joints} is ahead of that of {poses} by {offset:.6f} s ± {_small(clocks.offset_std)} in the "
-            "middle of the poses: found from the motion, with the sensor's frame, the tool and the arm's geometry fitted "
-            "beside it"
+            "middle of the poses: found from the motion, beside the sensor's frame, the tool and the arm's geometry"
         )
         if np.isfinite(clocks.drift_std):
             said.append(
