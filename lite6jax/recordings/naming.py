@@ -371,17 +371,18 @@ def _matrices(words: Sequence[_Word]) -> Iterator[Block]:
     found = []
     for (said, group), shape, first in product(pairs.items(), ((3, 3), (3, 4), (4, 4)), (0, 1)):
         if [*sorted(group)] == [(first + i, first + j) for i, j in np.ndindex(shape)]:
-            found.append((said, shape, [group[at] for at in sorted(group)]))
+            found.append((said, shape, [group[at] for at in sorted(group)], "likely"))
     for said, group in flat.items():
         shape = {9: (3, 3), 12: (3, 4), 16: (4, 4)}.get(len(group))
         if shape and sorted(group) == [min(group) + k for k in range(len(group))] and min(group) < 2:
-            found.append((said, shape, [group[k] for k in sorted(group)]))
-    for (said, shape, members), turned in product(found, (False, True)):
+            found.append((said, shape, [group[k] for k in sorted(group)], "assumed"))
+    for (said, shape, members, sure), turned in product(found, (False, True)):
         names = np.array([word.name for word in members], object)
         grid = names.reshape(shape[::-1]).T if turned else names.reshape(shape)
         words_of = {word.name: word for word in members}
         same = {"source": (*_source(said), *("turned",) * (turned and shape != (3, 3))), "weak": int(turned)}
         same |= {"matrix": tuple(grid.ravel()), "unit": None}
+        same |= {"sure": sure if shape == (3, 3) else "certain"}  # of others the numbers show the order
         same |= {"rank": 2} if said[-1:] == ("c",) else {}
         yield from _block("rotation", [words_of[name] for name in grid[:3, :3].ravel()], said, form=MATRIX, **same)
         if shape[1] == 4:

@@ -190,7 +190,8 @@ def rotation_form(
         or nothing.
     """
     named = None if form is None else "scalar_first" if form == QUATERNION else form[0]
-    by_names = None if named is None else Decision(named, sure, "name" if sure != "assumed" else "usual_name", {})
+    reason = "usual_name" if sure == "assumed" else "orthogonal" if form == MATRIX and sure == "certain" else "name"
+    by_names = None if named is None else Decision(named, sure, reason, {})
     if rotation.shape[1] in (4, len(MATRIX)):
         return by_names or Decision("scalar_last", "assumed", "usual_quaternion", {}), by_name("")
     there = rotation[np.isfinite(rotation).all(1)]

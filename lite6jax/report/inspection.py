@@ -249,6 +249,7 @@ def _reason(decision: Decision) -> str:
         "within_reach": "they spread over {spread:.3g}",
         "largest": "the largest is {largest:.3g}",
         "usual": "the usual unit",
+        "orthogonal": "in no other order are they rotations",
         "usual_name": "as these names are usually meant",
         "usual_quaternion": "as ROS writes it",
         "largest_angle": "the largest is {largest:.3g}",

@@ -16,7 +16,7 @@ from lite6jax.arms.arm import Arm
 from lite6jax.arms.bundled import bundled_of
 from lite6jax.arms.factory import RECOGNISED_WITHIN
 from lite6jax.domains.pose.meanings import Meaning, key, meanings_of, motion_of, without_unit
-from lite6jax.domains.pose.readings import NO_AGREEMENT, Agreement, Pose, agreement
+from lite6jax.domains.pose.readings import CLEARLY, NO_AGREEMENT, Agreement, Pose, agreement
 from lite6jax.errors import InputError
 from lite6jax.recordings import naming, sizes
 from lite6jax.recordings.columns import (
@@ -45,6 +45,8 @@ COMPUTED_M = 2e-6
 """Below, it is none: controllers compute in single precision too."""
 LEAST_TRAVEL_M = 0.02
 """Of positions of which is said that they are computed."""
+BEYOND = 1e100
+"""No quantity is as large: such numbers are read as missing here, and refused or dropped by what reads the table."""
 SENSORS = ("laser_tracker", "motion_capture", "camera")
 """The values of `pose_source` of what was measured."""
 
@@ -169,7 +171,10 @@ def inspect(
     samples = max((len(values) for _, values in columns if values is not None), default=1)
     if not samples:
         raise InputError(f"{source}: has column names but no rows; record again")
-    numbers = {name: values for name, values in columns if values is not None and np.isfinite(values).any()}
+    numbers = {
+        name: np.where(np.abs(values) < BEYOND, values, np.nan) for name, values in columns if values is not None
+    }
+    numbers = {name: values for name, values in numbers.items() if np.isfinite(values).any()}
     texts = tuple(name for name, values in columns if name not in numbers)
     for name in given:
         if name not in dict(columns):
@@ -182,6 +187,7 @@ def inspect(
     joints = {name for block in blocks for name in block.columns}
     poses = _given_poses([block for block in possible if not joints & set(block.columns)], slots)
     readings = [_read(pose, blocks, numbers, arm) for pose in naming.sources(poses)]
+    readings = [reading for reading in readings if reading.travel > 0] or readings
     taken = _taken(readings, pose_source)
     found = _Reading(arm=arm) if taken is None else readings[taken]
     nearest = min((reading.agreed for reading in readings), key=lambda one: one.error, default=NO_AGREEMENT)
@@ -303,8 +309,10 @@ def _whole(run: Array) -> bool:
 def _matrix(entries: Array) -> bool:
     """Whether rows of 9, 12 or 16 numbers are poses, but for a few."""
     M = entries[np.isfinite(entries).all(1)]
-    M = M.reshape(len(M), -1, 3 if entries.shape[1] == 9 else 4)
-    wrong = no_rotations(M[:, :3, :3].reshape(-1, 9)) | (np.abs(M[:, 3:] - [0, 0, 0, 1]) > 1e-6).any((1, 2))
+    M = M.reshape(len(M), *{9: (3, 3), 12: (3, 4), 16: (4, 4)}[entries.shape[1]])
+    wrong = no_rotations(M[:, :3, :3].reshape(-1, 9))
+    if M.shape[1] == 4:
+        wrong |= (np.abs(M[:, 3] - [0, 0, 0, 1]) > 1e-6).any(1)
     return bool(len(M)) and float(np.mean(wrong)) < 0.1
 
 
@@ -386,7 +394,8 @@ def _fitting(blocks: Sequence[Block], given: Mapping[str, str], arm: Arm | None)
 def _read(source: Source, blocks: Sequence[Block], numbers: Mapping[str, Array], arm: Arm | None) -> _Reading:
     """A pose with the reading of its orientation and the units with which the arm, or a bundled one, agrees best."""
     position = _stacked(numbers, source.position.columns)
-    travel = float(np.max(np.ptp(position[np.isfinite(position).all(1)], axis=0), initial=0.0))
+    there = position[np.isfinite(position).all(1)]
+    travel = float(np.ptp(there, axis=0).max()) if len(there) else 0.0
     best = _Reading(source, next(iter(source.rotations), None), arm, travel=travel)
     of_joints = {
         slides: next((b for b in blocks if b.kind == "q" and b.slides == slides), None) for slides in (False, True)
@@ -399,7 +408,7 @@ def _read(source: Source, blocks: Sequence[Block], numbers: Mapping[str, Array],
         one for one in ([arm] if arm else bundled_of(len(columns))) if (one.dof, one.sliding) == (len(columns), sliding)
     ]
     angle, slide = (b.unit if b else None for b in of_joints.values())
-    joint, least = _stacked(numbers, [*columns.values()]), np.inf
+    joint, wobbles = _stacked(numbers, [*columns.values()]), []
     for rotation in source.rotations or (None,):
         parts = [joint, position]
         if rotation is not None:
@@ -414,10 +423,12 @@ def _read(source: Source, blocks: Sequence[Block], numbers: Mapping[str, Array],
         if rotation is not None and rotation.form == MATRIX and agreed.form is not None:
             right = agreed.form.choice == "scalar_first"
             agreed = agreed._replace(form=agreed.form._replace(choice=MATRIX[0]) if right else None)
-        wobble = np.inf if agreed.form is None else agreed.form.numbers["error"]
-        if not best.tried or wobble < least:
-            least, computed = wobble, bool(tried) and _computed(tried[0][1], pose)
+        wobbles.append(np.inf if agreed.form is None else agreed.form.numbers["error"])
+        if len(wobbles) == 1 or wobbles[-1] < min(wobbles[:-1]):
+            computed = bool(tried) and _computed(tried[0][1], pose)
             best = best._replace(rotation=rotation, arm=chosen, tried=tried, agreed=agreed, computed=computed)
+    if best.agreed.form is not None and len(wobbles) > 1 and np.partition(wobbles, 1)[1] < CLEARLY * min(wobbles):
+        return best._replace(agreed=best.agreed._replace(form=best.agreed.form._replace(sure="likely")))
     return best
 
 
@@ -431,7 +442,7 @@ def _computed(agreed: Agreement, pose: Pose) -> bool:
 
 def _taken(readings: Sequence[_Reading], pose_source: str | None) -> int | None:
     """Which pose the source that is declared has, or the only one; None where that does not tell."""
-    pool = [k for k, reading in enumerate(readings) if reading.travel > 0] or [*range(len(readings))]
+    pool = [*range(len(readings))]
     role = "sensor" if pose_source in SENSORS else "controller" if pose_source == "controller_fk" else None
     if role is not None:
         for of in (role, None):
