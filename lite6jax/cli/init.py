@@ -93,10 +93,11 @@ class Init:
             arm = arm or _asked_arm(found)
             if arm != self.arm:  # the joint states of a log are in the units of its joints
                 file, table, columns, notes = opened()
-            answered = _asked_pose(found := look()) | _asked_columns(found)
-            given |= answered
-            settings |= _asked(found, settings)
-            found, shown = look(), arm == self.arm and not answered
+            before = dict(given)
+            given |= _asked_pose(look())
+            given |= _asked_columns(look())
+            settings |= _asked(look(), settings)
+            found, shown = look(), arm == self.arm and given == before
         if found.undecided:
             raise InputError(f"{file}: {inspection.choice_of_pose(found, settings.get('pose_source'))}")
         named = arm_reference(arm, sidecar) if arm else None if found.arm is None else found.arm.name
@@ -170,7 +171,7 @@ def _asked(found: "Inspection", settings: Mapping[str, Any]) -> dict[str, Any]:
     wanted = ["joint_source", *(("pose_source", "pose_frame", "tool") if poses else ())]
     answers = {}
     for key in (*wanted, *(("torque_source",) if torques else ())):
-        if key in settings:
+        if key in settings or (key == "pose_source" and found.computed):
             continue
         question, choices = _QUESTIONS[key]
         answers[key] = _answer(question, choices, "unknown")

@@ -368,6 +368,11 @@ def next_steps(found: Inspection, settings: Mapping[str, Any], source: str) -> I
     ]
     if doubtful:
         yield Text(f"Check in the sidecar what was assumed: {', '.join(doubtful)}.")
+    said = settings.get("pose_source", "unknown")
+    if found.computed and said not in ("controller_fk", "unknown"):
+        yield Text(f"The poses were computed, not measured by a {said}: errors of the arm do not show in them.")
+    elif said == "unknown" and any(source.taken and source.role == "controller" for source in found.sources):
+        yield Text("The poses have a name of the controller's. If it computed them, write pose_source: controller_fk.")
     if found.of("position") is None and found.of("tau") is None and found.of("current") is None and not found.given:
         yield Text("There are neither poses nor torques: this is a motion, to predict or to compute with.")
         return

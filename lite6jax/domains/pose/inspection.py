@@ -175,7 +175,7 @@ def inspect(
         name: np.where(np.abs(values) < BEYOND, values, np.nan) for name, values in columns if values is not None
     }
     numbers = {name: values for name, values in numbers.items() if np.isfinite(values).any()}
-    texts = tuple(name for name, values in columns if name not in numbers)
+    texts = tuple(name for name, values in columns if values is None)
     for name in given:
         if name not in dict(columns):
             raise InputError(f"{source}: has no column {name[:60]!r}; {_near(name, list(dict(columns)))}")
@@ -201,7 +201,7 @@ def inspect(
     return Inspection(
         meanings=meanings,
         given=given,
-        unused=tuple(name for name in numbers if name not in used),
+        unused=tuple(name for name, values in columns if values is not None and name not in used),
         texts=tuple(name for name in texts if name not in given),
         denied={name: why for name, why in denied.items() if name not in used},
         samples=samples,
