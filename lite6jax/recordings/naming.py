@@ -38,7 +38,7 @@ _QUANTITIES = {
     "dq": {"dq", "qd", "qdot", "vel", "velocity", "velocities", "speed", "speeds", "dot", "dtheta"},
 }
 _JOINT = {"q", "joint", "joints", "jnt", "jt", "axis", "achse", "gelenk", "theta", "th", "angle", "angles", "servo"}
-_JOINT |= {"motor"}
+_JOINT |= {"motor", "j"}
 _PLACE = {"position", "positions", "pos"}
 _MOVED = {"translation", "trans", "tvec", "xyz"}
 _TURNED = {"orientation", "quaternion", "quat", "rotation", "rot", "rotvec", "rvec", "euler", "rpy", "attitude", "ori"}
@@ -112,8 +112,8 @@ _ROBOTS = (
     UR_JOINTS,
     ("base", "shoulder", "elbow", "wrist_1", "wrist_2", "wrist_3"),
     ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll"),
-    tuple("slurbt"),
     tuple("sleurbt"),
+    tuple("slurbt"),
 )
 """Names of all joints in their order: Universal Robots' driver and teach pendant, LeRobot's SO-100, Yaskawa's axes."""
 KINDS = ("q", "dq", "ddq", "tau", "current", "temp", "position", "rotation", "time", "payload", "ambient", "run")
@@ -298,7 +298,7 @@ def _quantity(words: Iterable[str], units: Iterable[str | None] = ()) -> str | N
     if listed and listed[0] == "current" and present & {*_JOINT, *_PLACE, *_POSE}:
         present = present - {"current"} if not present <= {"current", "joint", "motor"} else present
     said = next((quantity for quantity, own in _QUANTITIES.items() if own & present), None)
-    if said is None and present & {*_JOINT, *_PLACE, "j", "a", "state"}:
+    if said is None and present & {*_JOINT, *_PLACE, "a", "state"}:
         said = "q"
     stated = {*units} - {None}
     if not stated or (said is not None and stated <= units_allowed(said) | units_allowed(said, True)):

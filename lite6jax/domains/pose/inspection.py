@@ -180,12 +180,16 @@ def inspect(
         if name not in dict(columns):
             raise InputError(f"{source}: has no column {name[:60]!r}; {_near(name, list(dict(columns)))}")
     free = [name for name in numbers if given.get(name) != IGNORED]
-    possible, denied = _possible(naming.candidates(free, () if arm is None else arm.joint_names), numbers)
+    joint_names = () if arm is None else arm.joint_names
+    possible, denied = _possible(naming.candidates(free, joint_names), numbers)
     slots = _given_slots({name: said for name, said in given.items() if name in numbers})
     blocks = _with_given(naming.chosen(possible, None if arm is None else arm.dof), slots)
     blocks = _fitting(blocks, given, arm)
     joints = {name for block in blocks for name in block.columns}
     poses = _given_poses([block for block in possible if not joints & set(block.columns)], slots)
+    kept = {block.source for block in poses if block.kind == "position"}
+    lost = {block.source for block in naming.candidates([*numbers], joint_names) if block.kind == "position"} - kept
+    poses = [block for block in poses if block.kind == "position" or block.source not in lost]
     readings = [_read(pose, blocks, numbers, arm) for pose in naming.sources(poses)]
     readings = [reading for reading in readings if reading.travel > 0] or readings
     taken = _taken(readings, pose_source)
