@@ -193,7 +193,7 @@ def inspect(
     readings = [_read(pose, blocks, numbers, arm) for pose in naming.sources(poses)]
     readings = [reading for reading in readings if reading.travel > 0] or readings
     taken = _taken(readings, pose_source)
-    found = _Reading(arm=arm) if taken is None else readings[taken]
+    found = _Reading(arm=readings[0].arm if readings else arm) if taken is None else readings[taken]
     nearest = min((reading.agreed for reading in readings), key=lambda one: one.error, default=NO_AGREEMENT)
     agreed = found.agreed._replace(angle=found.agreed.angle or nearest.angle, slide=found.agreed.slide or nearest.slide)
     if found.rotation is not None and given.keys() >= set(found.rotation.columns):
@@ -281,33 +281,29 @@ def _near(name: str, names: Sequence[str]) -> str:
 
 def _possible(found: Sequence[Block], numbers: Mapping[str, Array]) -> tuple[list[Block], dict[str, str]]:
     """The blocks to which the numbers do not object, and of the others the times and quaternions by name."""
-    whole = {block.columns[0] for block in found if block.kind == "run" and _whole(numbers[block.columns[0]])}
-    run = next((numbers[block.columns[0]] for block in found if block.columns[0] in whole), None)
+    run: Array | None = None
+    of_unit_length: set[tuple[str, ...]] = set()
     possible: list[Block] = []
     denied: dict[str, str] = {}
-    unit = {block.columns for block in found if block.kind == "rotation" and len(block.columns) == 4
-            and sizes.of_unit_length(_stacked(numbers, block.columns))}  # fmt: skip
-    for block in found:
-        if block.kind == "time":
-            objection = "" if sizes.increases(numbers[block.columns[0]], run) else "time"
-        elif block.kind == "run":
-            objection = "" if block.columns[0] in whole else "run"
+    for block in sorted(found, key=lambda block: block.kind not in ("run", "rotation")):
+        values = _stacked(numbers, block.matrix or block.columns)
+        if block.kind == "run":
+            there = values[np.isfinite(values)]
+            right = bool((there == np.round(there)).all())
+            run = values[:, 0] if right and run is None else run
         elif block.matrix:
-            objection = "" if _matrix(_stacked(numbers, block.matrix)) else "matrix"
+            right = _matrix(values)
         elif block.kind == "rotation" and len(block.columns) == 4:
-            objection = "" if block.columns in unit else "quaternion"
+            right = sizes.of_unit_length(values)
+            of_unit_length |= {block.columns} if right else set()
         else:
-            objection = "joints" if block.kind == "q" and block.columns in unit else ""
-        if not objection:
+            right = block.kind != "time" or sizes.increases(values[:, 0], run)
+            right = right and not (block.kind == "q" and block.columns in of_unit_length)
+        if right:
             possible.append(block)
-        elif objection == "time" or (objection == "quaternion" and not block.weak):
-            denied |= dict.fromkeys(block.columns, objection)
-    return possible, denied
-
-
-def _whole(run: Array) -> bool:
-    there = run[np.isfinite(run)]
-    return bool((there == np.round(there)).all())
+        elif block.kind == "time" or (block.kind == "rotation" and not block.weak and not block.matrix):
+            denied |= dict.fromkeys(block.columns, "time" if block.kind == "time" else "quaternion")
+    return [block for block in found if block in possible], denied
 
 
 def _matrix(entries: Array) -> bool:
@@ -320,6 +316,7 @@ def _matrix(entries: Array) -> bool:
     return bool(len(M)) and float(np.mean(wrong)) < 0.1
 
 
+_XYZ = ("x", "y", "z")
 _Slots = Mapping[tuple[str, int], tuple[str, str]]
 
 
@@ -336,31 +333,31 @@ def _with_given(blocks: Sequence[Block], slots: _Slots) -> list[Block]:
     for kind in {quantity for quantity, _ in slots} & set(naming.KINDS):
         told = {joint: name for (quantity, joint), (name, _) in slots.items() if quantity == kind}
         units = {unit for (quantity, _), (_, unit) in slots.items() if quantity == kind}
-        block = found.get(kind)
-        columns = {} if block is None else dict(enumerate(block.columns, int(is_per_joint(kind))))
-        if not own & set(columns.values()) and sorted(told) == [*range(1, len(told) + 1)]:
-            columns = {}  # all are given
-        columns = {joint: name for joint, name in columns.items() if name not in own} | told
-        if sorted(columns) == [*range(int(is_per_joint(kind)), len(columns) + int(is_per_joint(kind)))]:
-            unit = units.pop() if len(units) == 1 and columns == told else None if block is None else block.unit
-            found[kind] = Block(kind, tuple(columns[k] for k in sorted(columns)), unit or None)
+        first = 1 if is_per_joint(kind) else 0
+        before = dict(enumerate(found[kind].columns, first)) if kind in found else {}
+        whole = sorted(told) == [*range(first, first + len(told))] and not own & set(before.values())
+        columns = told if whole else {joint: name for joint, name in before.items() if name not in own} | told
+        if sorted(columns) == [*range(first, first + len(columns))]:
+            unit = units.pop() if len(units) == 1 and columns == told else found[kind].unit if kind in found else None
+            found[kind] = Block(kind, tuple(columns[joint] for joint in sorted(columns)), unit or None)
     return [found[kind] for kind in naming.KINDS if kind in found]
 
 
 def _given_poses(blocks: Sequence[Block], slots: _Slots) -> list[Block]:
     """Positions and orientations, those that are given in place of others."""
     found = [*blocks]
-    for form in (("x", "y", "z"), QUATERNION, MATRIX, *ANGLES):
-        if all((part, 0) in slots for part in form):
-            columns, units = zip(*(slots[part, 0] for part in form), strict=True)
-            kind = "position" if form == ("x", "y", "z") else "rotation"
-            words = naming.source_words(columns)
-            placed = next((block.source for block in found if block.kind == "position"), words)
-            found = [block for block in found if block.kind != kind and not set(columns) & set(block.columns)]
-            unit = units[0] if len({*units}) == 1 and units[0] else None
-            turned = kind == "rotation"
-            source = placed if turned else words
-            found.append(Block(kind, columns, unit, form if turned else None, "certain", source=source))
+    for form in (_XYZ, QUATERNION, MATRIX, *ANGLES):
+        if not all((part, 0) in slots for part in form):
+            continue
+        columns, units = zip(*(slots[part, 0] for part in form), strict=True)
+        unit = units[0] or None if len({*units}) == 1 else None
+        if form == _XYZ:
+            block = Block("position", columns, unit, source=naming.source_words(columns))
+        else:
+            source = next((other.source for other in found if other.kind == "position"), ())
+            block = Block("rotation", columns, unit, form, source=source)
+        others = (other for other in found if other.kind != block.kind and not {*columns} & {*other.columns})
+        found = [*others, block]
     return found
 
 
@@ -401,17 +398,14 @@ def _read(source: Source, blocks: Sequence[Block], numbers: Mapping[str, Array],
     there = position[np.isfinite(position).all(1)]
     travel = float(np.ptp(there, axis=0).max()) if len(there) else 0.0
     best = _Reading(source, next(iter(source.rotations), None), arm, travel=travel)
-    of_joints = {
-        slides: next((b for b in blocks if b.kind == "q" and b.slides == slides), None) for slides in (False, True)
-    }
-    columns = dict(sorted(pair for b in of_joints.values() if b for pair in zip(b.joints, b.columns, strict=True)))
+    q = {block.slides: block for block in blocks if block.kind == "q"}
+    columns = dict(sorted(pair for block in q.values() for pair in zip(block.joints, block.columns, strict=True)))
     if not columns:
         return best
-    sliding = tuple(joint - 1 for block in of_joints.values() if block and block.slides for joint in block.joints)
-    arms = [
-        one for one in ([arm] if arm else bundled_of(len(columns))) if (one.dof, one.sliding) == (len(columns), sliding)
-    ]
-    angle, slide = (b.unit if b else None for b in of_joints.values())
+    sliding = tuple(joint - 1 for joint in q[True].joints) if True in q else ()
+    arms = bundled_of(len(columns)) if arm is None else [arm]
+    arms = [one for one in arms if (one.dof, one.sliding) == (len(columns), sliding)]
+    angle, slide = (q[slides].unit if slides in q else None for slides in (False, True))
     joint, wobbles = _stacked(numbers, [*columns.values()]), []
     for rotation in source.rotations or (None,):
         parts = [joint, position]
