@@ -198,7 +198,8 @@ def test_the_pose_of_the_source_that_is_declared_is_taken(two_poses, capsys):
     assert said.startswith(f"{two_poses}: it holds 2 poses. Pose actual_TCP_pose_0, actual_TCP_pose_1, actual_TCP_pose")
     assert "the controller's, computed from the joints: the nominal arm reproduces it to 0.00" in said
     assert "Pose tracker_x, tracker_y, tracker_z: a sensor's; the nominal arm reproduces it to" in said
-    assert "Choose by --set pose_source=laser_tracker (motion_capture, camera, or controller_fk), or leave" in said
+    keys = "--set pose_source=laser_tracker (or motion_capture, camera), or --set pose_source=controller_fk, or leaving"
+    assert f"Choose by {keys} out what is not meant, such as --column" in said
     assert not two_poses.with_suffix(".yaml").exists()
     ignored = said.partition("such as ")[2].split()
     for options, column in (

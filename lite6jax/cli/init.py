@@ -66,6 +66,7 @@ class Init:
         from lite6jax.domains.pose.inspection import inspect
         from lite6jax.fitting.source import load_nominal
         from lite6jax.recordings.ros import ArmJoints
+        from lite6jax.recordings.settings import declared_settings
         from lite6jax.recordings.sidecar import sidecar_path
         from lite6jax.recordings.sources import open_table, split_topics
         from lite6jax.report import inspection, screen
@@ -74,6 +75,7 @@ class Init:
         sidecar = sidecar_path(path)
         settings = _pairs("--set", self.set, parsed=True)
         given = _pairs("--column", self.column)
+        declared_settings(None, None, settings)
         check_writable(sidecar, self.force)
         arm, shown = self.arm, False
 
@@ -99,13 +101,13 @@ class Init:
             settings |= _asked(look(), settings)
             found, shown = look(), arm == self.arm and given == before
         if found.undecided:
-            raise InputError(f"{file}: {inspection.choice_of_pose(found, settings.get('pose_source'))}")
+            raise InputError(f"{file}: {inspection.choice_of_pose(found)}")
         named = arm_reference(arm, sidecar) if arm else None if found.arm is None else found.arm.name
         settings = ({"arm": named} if named else {}) | settings
         settings.setdefault("motion", found.motion[0])
         if found.computed:
             settings.setdefault("pose_source", "controller_fk")
-        self._check(found, table, settings, file)
+        self._check(found, table, file)
         text = inspection.sidecar_text(found, settings, file.name)
         write_atomically(sidecar, text, self.force)
         if self.json:
@@ -118,9 +120,8 @@ class Init:
         screen.show(inspection.next_steps(found, settings, self.source))
         return DONE
 
-    def _check(self, found: "Inspection", table: "RawTable", settings: Mapping[str, Any], path: "Path") -> None:
+    def _check(self, found: "Inspection", table: "RawTable", path: "Path") -> None:
         """Refuses what the other commands would refuse, before anything is written."""
-        from lite6jax.recordings.settings import declared_settings
         from lite6jax.recordings.table import tabulated
         from lite6jax.report.inspection import no_angles
 
@@ -133,7 +134,6 @@ class Init:
                 f"{path}: no columns look like joint positions; say which they are, --column NAME=q1_deg --column "
                 f"NAME=q2_deg and so on (q1_rad in radians, q1_mm of a prismatic joint); it has {listed}"
             )
-        declared_settings(None, None, settings)
         dof = None if found.arm is None else found.arm.dof
         tabulated(table.names, str(path), table.load, [], dof=dof, renamed=found.columns)
 

@@ -10,6 +10,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 from typing import Literal, NamedTuple, final
+from unicodedata import normalize
 
 import numpy as np
 
@@ -35,9 +36,24 @@ _QUANTITIES = {
     "current": {"current", "currents", "amps"},
     "tau": {"tau", "torque", "torques", "effort", "efforts", "trq", "moment", "moments"},
     "ddq": {"ddq", "qdd", "qddot", "acc", "accel", "acceleration", "accelerations", "ddot"},
-    "dq": {"dq", "qd", "qdot", "vel", "velocity", "velocities", "speed", "speeds", "dot", "dtheta"},
+    "dq": {"dq", "qd", "qdot", "vel", "velocity", "velocities", "speed", "speeds", "dot", "dtheta", "qvel"},
 }
-_JOINT = {"q", "joint", "joints", "jnt", "jt", "axis", "achse", "gelenk", "theta", "th", "angle", "angles", "servo"}
+_JOINT = {
+    "q",
+    "joint",
+    "joints",
+    "jnt",
+    "jt",
+    "axis",
+    "achse",
+    "gelenk",
+    "qpos",
+    "theta",
+    "th",
+    "angle",
+    "angles",
+    "servo",
+}
 _JOINT |= {"motor", "j"}
 _PLACE = {"position", "positions", "pos"}
 _MOVED = {"translation", "trans", "tvec", "xyz"}
@@ -63,7 +79,6 @@ _SENSOR = {
 }
 _POSE = {"pose", "cartesian", "cart", "point"} | (_CONTROLLER - {"robot", "controller"}) | (_SENSOR - _MEASURED)
 _SHARED = _PLACE | _MOVED | _TURNED | {"pose", "cartesian", "cart", "point", "data", "header", "matrix", "transform"}
-_SHARED |= {"q", "r", "t", "o"}
 """Words that do not say whose a pose is."""
 _TIMES = {"time", "timestamp", "datetime", "stamp", "elapsed", "clock"}
 _CLOCKS = {"t", "index", "s", "header", "robot", "ros", "sys", "system", "host", "pc", "local", "unix", "epoch", "rel"}
@@ -119,7 +134,7 @@ _ROBOTS = (
 KINDS = ("q", "dq", "ddq", "tau", "current", "temp", "position", "rotation", "time", "payload", "ambient", "run")
 _NUMBERS = "abcdefgh"
 """Letters that number joints."""
-_COMPONENT = re.compile(r"(|p|t|pos|q|o|quat|r|rot)([wxyz])|roll|pitch|yaw|alpha|beta|gamma")
+_COMPONENT = re.compile(r"(?:p|t|pos|q|o|quat|r|rot)?[wxyz]|roll|pitch|yaw|alpha|beta|gamma")
 _IMPLIED = {"p": "position", "t": "translation", "pos": "position", "q": "quat", "o": "quat", "quat": "quat"}
 _TRIPLES = (
     (("roll", "pitch", "yaw"), RPY, "likely"),
@@ -235,12 +250,10 @@ def sources(found: Sequence[Block]) -> list[Source]:
     places = [block for block in places if block.weak < 2] or places
     places = [block for block in places if block.rank < 2] or places
     turns = [block for block in found if block.kind == "rotation"]
-    by_words = {block.source: block for block in reversed(places)}
     listed = []
-    for words, place in reversed(by_words.items()):
-        own = [block for block in turns if block.source == words]
-        others = {block.source for block in turns}
-        if not own and len(by_words) == 1 and others == {()}:
+    for place in places:
+        own = [block for block in turns if block.source == place.source]
+        if not own and len(places) == 1 and {block.source for block in turns} == {()}:
             own = turns  # beside `tool_x tool_y tool_z` are `roll pitch yaw`
         listed.append(Source(place, tuple(own)))
     return listed
@@ -271,7 +284,7 @@ def _taken_apart(name: str) -> _Word:
     letter = None if match is None else _LETTERS.get(match[1].lower())  # pose_a, pose_b, pose_c are angles
     if match and (letter is None or letter.search(name[: match.start(1)])):
         text, unit = name[: match.start()], _UNITS[match[1].lower()]
-    spaced = re.sub(r"(?<=[a-z])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])", " ", text.translate(_GREEK))
+    spaced = re.sub(r"(?<=[a-z])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])", " ", normalize("NFKC", text).translate(_GREEK))
     every = tuple(re.findall(r"[a-z]+|\d+", spaced.lower()))
     parts, number, component = [*every], None, None
     letters = [k for k, part in enumerate(parts) if part in _NUMBERS] if _JOINT & set(parts) else []
@@ -279,13 +292,14 @@ def _taken_apart(name: str) -> _Word:
     digits = [k for k, part in enumerate(parts) if part.isdecimal()]
     if len(letters) == 1 and not digits:  # axis_A … axis_F
         number = _NUMBERS.index(parts.pop(letters[0])) + 1
+    elif places:
+        component = parts.pop(at := places[-1])
+        if at and len(component) == 1 and parts[at - 1] in {*"ptqr"}:
+            component = parts.pop(at - 1) + component  # q_w is qw
+        implied = next((word for start, word in _IMPLIED.items() if component in {start + axis for axis in "wxyz"}), "")
+        component, parts = (component[-1], [*parts, implied]) if implied else (component, parts)
     elif parts and parts[-1] in {*"abcpr"}:
         component = parts.pop()
-    elif places:
-        kind, axis = (_COMPONENT.fullmatch(part := parts.pop(places[-1])) or ["", ""]).groups()  # type: ignore
-        component = axis if kind in _IMPLIED or kind == "" else part
-        parts += [_IMPLIED[kind]] if kind in _IMPLIED else []
-        parts = ["quat" if part == "q" else part for part in parts]
     elif digits:
         number = int(parts.pop(digits[-1])[:9])
     return _Word(name, tuple(parts), number, component, unit, every)
@@ -321,8 +335,9 @@ def _block(kind: str, words: Sequence[_Word], said: Sequence[str], **options: ob
     yield Block(kind, tuple(word.name for word in words), **options)  # type: ignore
 
 
-def _source(words: Iterable[str]) -> tuple[str, ...]:
-    return tuple(sorted(set(words) - _SHARED))
+def _source(words: Iterable[str], letters: str = "") -> tuple[str, ...]:
+    """The words that say whose a pose is; letters such as the T of `T00` do not."""
+    return tuple(sorted(set(words) - _SHARED - {*letters}))
 
 
 def _labelled(words: Sequence[_Word], joint_names: Sequence[str]) -> Iterator[Block]:
@@ -380,7 +395,7 @@ def _matrices(words: Sequence[_Word]) -> Iterator[Block]:
         names = np.array([word.name for word in members], object)
         grid = names.reshape(shape[::-1]).T if turned else names.reshape(shape)
         words_of = {word.name: word for word in members}
-        same = {"source": (*_source(said), *("turned",) * (turned and shape != (3, 3))), "weak": int(turned)}
+        same = {"source": (*_source(said, "rto"), *("turned",) * (turned and shape != (3, 3))), "weak": int(turned)}
         same |= {"matrix": tuple(grid.ravel()), "unit": None}
         same |= {"sure": sure if shape == (3, 3) else "certain"}  # of others the numbers show the order
         same |= {"rank": 2} if said[-1:] == ("c",) else {}
@@ -413,7 +428,8 @@ def _components(words: Sequence[_Word]) -> Iterator[Block]:
         if word.component is not None and _quantity(set(word.words) - {*_POSE, *_PLACE}) in (None, "q"):
             groups.setdefault(word.words, {}).setdefault(word.component, word)
     for said, group in groups.items():
-        turned, source = bool(_TURNED & set(said)), _source(said)
+        turned = bool(_TURNED & set(said))
+        source = _source(said)
         place = [group[axis] for axis in "xyz" if axis in group]
         if turned and {*"wxyz"} <= {*group}:
             members = [group[part] for part in "wxyz"]
@@ -443,7 +459,7 @@ def _numbered(words: Sequence[_Word]) -> Iterator[Block]:
         count, present = len(group), set(said)
         if sorted(group) not in ([*range(count)], [*range(1, count + 1)]):
             continue
-        members, same = [group[number] for number in sorted(group)], {"source": _source(said)}
+        members, same = [group[number] for number in sorted(group)], {"source": _source(said, "qrt")}
         posed, turned = bool(_POSE & present), bool(_TURNED & present)
         kind = _quantity(present - _POSE if posed else said, (word.unit for word in members))
         if turned and count in (3, 4):

@@ -8,11 +8,11 @@ from rich.console import RenderableType
 from rich.padding import Padding
 from rich.text import Text
 
-from lite6jax.domains.pose.inspection import Inspection, PoseSource
+from lite6jax.domains.pose.inspection import Inspection, PoseSource, poses_of
 from lite6jax.domains.pose.meanings import Meaning
 from lite6jax.errors import command_line
 from lite6jax.recordings.columns import IGNORED
-from lite6jax.recordings.naming import unit_of, units_allowed
+from lite6jax.recordings.naming import Role, unit_of, units_allowed
 from lite6jax.recordings.sizes import Decision
 
 _KINDS = {
@@ -194,14 +194,15 @@ def source_statement(source: PoseSource) -> str:
     return said + (f"; the nominal arm reproduces it to {1e3 * source.error:.3g} mm." if source.error < 1e3 else ".")
 
 
-def choice_of_pose(found: Inspection, pose_source: str | None) -> str:
+def choice_of_pose(found: Inspection) -> str:
     """Several poses of which none is taken, and how to say which is meant."""
     said = " ".join(map(source_statement, found.sources))
+    roles: list[Role | None] = [source.role for source in found.sources]
+    keys = {"laser_tracker": "laser_tracker (or motion_capture, camera)", "controller_fk": "controller_fk"}
+    ways = [f"--set pose_source={text}" for key, text in keys.items() if len(poses_of(roles, key)) == 1]
     ignored = (command_line("--column", f"{name}=ignore").partition(" ")[2] for name in found.sources[0].columns)
-    remedy = f"leave those out that are not meant, such as {' '.join(ignored)}"
-    if pose_source is None and {source.role for source in found.sources} == {"controller", "sensor"}:
-        remedy = "choose by --set pose_source=laser_tracker (motion_capture, camera, or controller_fk), or " + remedy
-    return f"it holds {len(found.sources)} poses. {said} {remedy[0].upper()}{remedy[1:]}"
+    ways.append(f"leaving out what is not meant, such as {' '.join(ignored)}")
+    return f"it holds {len(found.sources)} poses. {said} Choose by {', or '.join(ways)}"
 
 
 def statement(meaning: Meaning) -> str:

@@ -45,6 +45,8 @@ COMPUTED_M = 2e-6
 """Below, it is none: controllers compute in single precision too."""
 LEAST_TRAVEL_M = 0.02
 """Of positions of which is said that they are computed."""
+WIDEST_ANGLE = 1e3
+"""Beyond, numbers are no angles of an orientation, in whatever unit."""
 BEYOND = 1e100
 """No quantity is as large: such numbers are read as missing here, and refused or dropped by what reads the table."""
 SENSORS = ("laser_tracker", "motion_capture", "camera")
@@ -235,6 +237,14 @@ def written_step(values: Array) -> float:
     return 0.0 if place is None else 10.0**-place
 
 
+def poses_of(roles: Sequence[Role | None], pose_source: str | None) -> list[int]:
+    """Which of several poses may be of a source: those of its name, else those that do not say whose they are."""
+    role = "sensor" if pose_source in SENSORS else "controller" if pose_source == "controller_fk" else None
+    every = [*range(len(roles))]
+    named, open_ = ([k for k in every if roles[k] == of] for of in (role, None))
+    return every if role is None else named or open_ or every
+
+
 class _Reading(NamedTuple):
     """A pose as the arm agrees with it best, and the arms that were tried."""
 
@@ -296,12 +306,14 @@ def _possible(found: Sequence[Block], numbers: Mapping[str, Array]) -> tuple[lis
         elif block.kind == "rotation" and len(block.columns) == 4:
             right = sizes.of_unit_length(values)
             of_unit_length |= {block.columns} if right else set()
+        elif block.kind == "rotation":
+            right = bool(np.nanmax(np.abs(values), initial=0.0) < WIDEST_ANGLE)
         else:
             right = block.kind != "time" or sizes.increases(values[:, 0], run)
             right = right and not (block.kind == "q" and block.columns in of_unit_length)
         if right:
             possible.append(block)
-        elif block.kind == "time" or (block.kind == "rotation" and not block.weak and not block.matrix):
+        elif block.kind == "time" or (len(block.columns) == 4 and block.kind == "rotation" and not block.weak):
             denied |= dict.fromkeys(block.columns, "time" if block.kind == "time" else "quaternion")
     return [block for block in found if block in possible], denied
 
@@ -440,13 +452,7 @@ def _computed(agreed: Agreement, pose: Pose) -> bool:
 
 def _taken(readings: Sequence[_Reading], pose_source: str | None) -> int | None:
     """Which pose the source that is declared has, or the only one; None where that does not tell."""
-    pool = [*range(len(readings))]
-    role = "sensor" if pose_source in SENSORS else "controller" if pose_source == "controller_fk" else None
-    if role is not None:
-        for of in (role, None):
-            if own := [k for k in pool if readings[k].role == of]:
-                pool = own
-                break
+    pool = poses_of([reading.role for reading in readings], pose_source)
     if len({readings[k].role for k in pool}) == 1:
         turned = [k for k in pool if readings[k].rotation is not None]
         pool = turned if len(turned) == 1 else pool

@@ -576,7 +576,7 @@ def test_any_table_is_looked_at(seed):
     ]
     assert yaml.safe_load(said[-1])["recording"] == {}
     if found.undecided:
-        assert choice_of_pose(found, None).startswith(f"it holds {len(found.sources)} poses.")
+        assert choice_of_pose(found).startswith(f"it holds {len(found.sources)} poses.")
     if found.of("q") is not None:
         table = of_arrays(frame)
         columns = {name: own for name, own in found.columns.items() if name in frame}
