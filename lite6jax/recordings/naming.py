@@ -29,7 +29,6 @@ _UNUSED = {
     *("mode", "bits", "voltage", "digital", "analog", "power", "gripper", "finger", "reward", "done", "success"),
     *("task", "next", "frame", "accelerometer", "momentum", "sec", "nanosec", "secs", "nsecs", "seq", "twist"),
     *("linear", "angular", "offset", "inertia", "cog", "com", "imu", "gyro", "mag", "gravity", "normal"),
-    *("ext", "external", "extax", "eax"),  # external axes are no joints of the arm
 }
 _QUANTITIES = {
     "temp": {"temp", "temperature", "temperatures"},
@@ -55,6 +54,8 @@ _JOINT = {
     "servo",
 }
 _JOINT |= {"motor", "j"}
+_EXTERNAL = {"ext", "external", "extax", "eax"}
+"""Axes beside the arm, and torques from outside."""
 _PLACE = {"position", "positions", "pos"}
 _MOVED = {"translation", "trans", "tvec", "xyz"}
 _TURNED = {"orientation", "quaternion", "quat", "rotation", "rot", "rotvec", "rvec", "euler", "rpy", "attitude", "ori"}
@@ -77,7 +78,7 @@ _SENSOR = {
     ),
     *("meas", "measured"),
 }
-_POSE = {"pose", "cartesian", "cart", "point"} | (_CONTROLLER - {"robot", "controller"}) | (_SENSOR - _MEASURED)
+_POSE = {"pose", "cartesian", "cart", "point", "tracker", "marker"} | (_CONTROLLER - {"robot", "controller", "rtde"})
 _SHARED = _PLACE | _MOVED | _TURNED | {"pose", "cartesian", "cart", "point", "data", "header", "matrix", "transform"}
 """Words that do not say whose a pose is."""
 _TIMES = {"time", "timestamp", "datetime", "stamp", "elapsed", "clock"}
@@ -85,32 +86,36 @@ _CLOCKS = {"t", "index", "s", "header", "robot", "ros", "sys", "system", "host",
 """Beside which `t` is a time still."""
 _AIR = {"ambient", "amb", "room", "air", "env", "environment"}
 _RUNS = {"run", "episode", "trial", "segment"}
-_UNITS = {
-    **dict.fromkeys(("rad", "radian", "radians"), "rad"),
-    **dict.fromkeys(("deg", "degree", "degrees", "°"), "deg"),
-    **dict.fromkeys(("rad_per_s", "rad/s", "rads", "radps"), "rad_per_s"),
-    **dict.fromkeys(("deg_per_s", "deg/s", "°/s", "dps", "degps"), "deg_per_s"),
-    **dict.fromkeys(("rad_per_s2", "rad/s2", "rad/s^2", "rad/s²"), "rad_per_s2"),
-    **dict.fromkeys(("deg_per_s2", "deg/s2", "deg/s^2", "deg/s²", "°/s²", "°/s^2"), "deg_per_s2"),
-    **dict.fromkeys(("m_per_s", "m/s", "mps"), "m_per_s"),
-    **dict.fromkeys(("mm_per_s", "mm/s"), "mm_per_s"),
-    **dict.fromkeys(("m_per_s2", "m/s2", "m/s^2", "m/s²"), "m_per_s2"),
-    **dict.fromkeys(("mm_per_s2", "mm/s2", "mm/s^2", "mm/s²"), "mm_per_s2"),
-    **dict.fromkeys(("m", "meter", "meters", "metre", "metres"), "m"),
-    **dict.fromkeys(("mm", "millimeter", "millimeters", "millimetre", "millimetres"), "mm"),
-    **dict.fromkeys(("nm", "n_m", "n.m", "n*m"), "Nm"),
-    **dict.fromkeys(("mnm",), "mNm"),
-    **dict.fromkeys(("n", "newton", "newtons"), "N"),
-    **dict.fromkeys(("kn",), "kN"),
-    **dict.fromkeys(("a", "amp", "amps", "ampere"), "A"),
-    **dict.fromkeys(("ma",), "mA"),
-    **dict.fromkeys(("s", "sec", "second", "seconds"), "s"),
-    **dict.fromkeys(("ms", "msec", "milliseconds"), "ms"),
-    **dict.fromkeys(("us", "usec", "µs", "microseconds"), "us"),
-    **dict.fromkeys(("ns", "nsec", "nanoseconds"), "ns"),
-    **dict.fromkeys(("degc", "c", "celsius", "°c"), "degC"),
-    **dict.fromkeys(("kg",), "kg"),
+_LENGTHS = {
+    "rad": "rad radian radians",
+    "deg": "deg degree degrees °",
+    "m": "m meter meters metre metres",
+    "mm": "mm millimeter millimeters millimetre millimetres",
 }
+_RATES = {"per_s": "{}_per_s {}/s {}ps", "per_s2": "{}_per_s2 {}/s2 {}/s^2 {}/s²"}
+_OTHERS = {
+    "Nm": "nm n_m n.m n*m",
+    "mNm": "mnm",
+    "N": "n newton newtons",
+    "kN": "kn",
+    "A": "a amp amps ampere",
+    "mA": "ma",
+    "s": "s sec second seconds",
+    "ms": "ms msec milliseconds",
+    "us": "us usec µs microseconds",
+    "ns": "ns nsec nanoseconds",
+    "degC": "degc c celsius °c",
+    "kg": "kg",
+    "rad_per_s": "rads",
+    "deg_per_s": "dps",
+}
+_UNITS = {word: unit for unit, words in (_LENGTHS | _OTHERS).items() for word in words.split()}
+_UNITS |= {
+    form.format(word): f"{unit}_{rate}"
+    for (unit, words), (rate, forms) in product(_LENGTHS.items(), _RATES.items())
+    for word, form in product(words.split(), forms.split())
+}
+"""Units as `columns.py` has them, by how people write them."""
 _UNIT = re.compile(
     rf"[\s_.\[(/-]+({'|'.join(sorted(map(re.escape, _UNITS), key=len, reverse=True))})[\])]*\s*$", re.IGNORECASE
 )
@@ -340,10 +345,23 @@ def _source(words: Iterable[str], letters: str = "") -> tuple[str, ...]:
     return tuple(sorted(set(words) - _SHARED - {*letters}))
 
 
+def _form(words: Iterable[str]) -> dict[str, object]:
+    """The form of three numbers of a rotation that words say, and how sure that is."""
+    if {"rotvec", "rvec"} & {*words}:
+        return {"form": VECTOR}
+    return {"form": RPY, "sure": "likely"} if "rpy" in words else {}
+
+
 def _labelled(words: Sequence[_Word], joint_names: Sequence[str]) -> Iterator[Block]:
     """Joints without numbers: by the arm's own names, of known robots, and of a LeRobot data set's state, in order."""
     taken: set[str] = set()
-    for weak, names in ((-1, joint_names), *((0, robot) for robot in _ROBOTS)):
+    state = [
+        "_".join(word.every[2:])
+        for word in words
+        if word.every[:2] == ("observation", "state") and word.number is word.component is None
+        if not _UNUSED & set(word.every)
+    ]
+    for weak, names in ((-1, joint_names), *((0, robot) for robot in _ROBOTS), (1, state)):
         labels = [_taken_apart(name).every for name in names]
         labels = [label[:-1] if label[-1:] == ("joint",) else label for label in labels]
         if weak < 0 and not all(any(len(part) > 1 and part not in _JOINT for part in label) for label in labels):
@@ -360,18 +378,6 @@ def _labelled(words: Sequence[_Word], joint_names: Sequence[str]) -> Iterator[Bl
                 for block in _block(kind, [group[k] for k in range(len(labels))], rest, weak=weak):
                     taken |= set(block.columns)
                     yield block
-    for prefix in (("observation", "state"), ("action",)):
-        members = [
-            word
-            for word in words
-            if word.words[: len(prefix)] == prefix
-            and len(word.words) > len(prefix)
-            and word.number is word.component is None
-            and word.name not in taken
-            and not _UNUSED & set(word.words)
-        ]
-        if len(members) > 1:
-            yield from _block("q", members, prefix, weak=1, rank=2 * (prefix == ("action",)))
 
 
 def _matrices(words: Sequence[_Word]) -> Iterator[Block]:
@@ -435,11 +441,9 @@ def _components(words: Sequence[_Word]) -> Iterator[Block]:
             members = [group[part] for part in "wxyz"]
             yield from _block("rotation", members, said, form=QUATERNION, source=source)
         elif turned and len(place) == 3:
-            form = VECTOR if {"rotvec", "rvec"} & set(said) else RPY if "rpy" in said else None
-            sure = "certain" if form == VECTOR else "likely"
-            yield from _block("rotation", place, said, form=form, sure=sure, source=source)
+            yield from _block("rotation", place, said, source=source, **_form(said))
         elif len(place) == 3 and not _JOINT & set(said):
-            weak = 0 if set(said) & (_POSE | _CONTROLLER | _SENSOR) or not source else 1
+            weak = 0 if {*said} & (_POSE | _CONTROLLER | _SENSOR) or not source else 1
             yield from _block("position", place, said, source=source, weak=weak)
         for parts, form, sure in _TRIPLES:
             if {*parts} <= {*group}:
@@ -463,8 +467,7 @@ def _numbered(words: Sequence[_Word]) -> Iterator[Block]:
         posed, turned = bool(_POSE & present), bool(_TURNED & present)
         kind = _quantity(present - _POSE if posed else said, (word.unit for word in members))
         if turned and count in (3, 4):
-            form = VECTOR if {"rotvec", "rvec"} & present else RPY if "rpy" in present else None
-            yield from _block("rotation", members, said, form=form if count == 3 else None, **same)
+            yield from _block("rotation", members, said, **same, **(_form(said) if count == 3 else {}))
             continue
         if count == 4 and present <= {"q"} | _TURNED:
             yield from _block("rotation", members, said, weak=1, **same)  # if of unit length
@@ -472,7 +475,7 @@ def _numbered(words: Sequence[_Word]) -> Iterator[Block]:
             if count in (3, 6, 7):
                 yield from _block("position", members[:3], said, **same)
                 yield from _block("rotation", members[3:], said, **same) if count > 3 else ()
-        elif not posed and kind is not None:
+        elif not posed and kind is not None and not _EXTERNAL & present:
             strong = kind != "q" or bool(_JOINT & present)
             yield from _block(kind, members, said, weak=0 if strong else 1)
             if kind == "q" and count == 3 and not strong:  # position_0 … position_2 beside joints of another name

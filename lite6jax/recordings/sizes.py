@@ -134,16 +134,18 @@ def length_unit(position: Array) -> Decision:
 
 def current_unit(current: Array) -> Decision:
     """`mA` or `A`."""
-    largest = _largest(current)
-    large = largest > LARGE_A
-    return Decision("mA" if large else "A", "likely" if large else "assumed", "largest", {"largest": largest})
+    return _by_largest(current, LARGE_A, "A", "mA")
 
 
 def torque_unit(torque: Array) -> Decision:
     """`mNm` or `Nm`."""
-    largest = _largest(torque)
-    large = largest > LARGE_NM
-    return Decision("mNm" if large else "Nm", "likely" if large else "assumed", "largest", {"largest": largest})
+    return _by_largest(torque, LARGE_NM, "Nm", "mNm")
+
+
+def _by_largest(values: Array, limit: float, usual: str, small: str) -> Decision:
+    largest = _largest(values)
+    large = largest > limit
+    return Decision(small if large else usual, "likely" if large else "assumed", "largest", {"largest": largest})
 
 
 def time_unit(time: Array, position: Array | None) -> Decision:

@@ -39,14 +39,6 @@ _SLIDES = {
 _UNITS = {
     "rad": "radians",
     "deg": "degrees",
-    "rad_per_s": "rad/s",
-    "deg_per_s": "deg/s",
-    "rad_per_s2": "rad/s²",
-    "deg_per_s2": "deg/s²",
-    "m_per_s": "m/s",
-    "mm_per_s": "mm/s",
-    "m_per_s2": "m/s²",
-    "mm_per_s2": "mm/s²",
     "m": "metres",
     "mm": "millimetres",
     "Nm": "N m",
@@ -212,7 +204,8 @@ def statement(meaning: Meaning) -> str:
     if meaning.form is not None:
         said += f", {_FORMS[meaning.form.choice]} ({_sure(meaning.form)})"
     if meaning.unit.choice:
-        unit = _UNITS.get(meaning.unit.choice, meaning.unit.choice)
+        unit = meaning.unit.choice
+        unit = _UNITS.get(unit, unit.replace("_per_s2", "/s²").replace("_per_s", "/s"))
         said += f", {'in ' if meaning.form is None else ''}{unit} ({_sure(meaning.unit)})"
     said += "."
     if block.rivals:

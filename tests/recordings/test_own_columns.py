@@ -378,8 +378,11 @@ NAMINGS = {
     ),
     "yaskawa, seven axes": ([f"pos_{axis} [°]" for axis in "SLEURBT"], {"q": [f"pos_{a} [°]" for a in "SLEURBT"]}),
     "external axes": (
-        [*joints("A{}", first=1), "E1", "E2", "Ext1", "linear_axis", "ext_axis_1"],
-        {"q": joints("A{}", first=1)},
+        [
+            *("E1", "E2", "Ext1", "linear_axis", "ext_axis_1", *joints("A{}", first=1)),
+            *(*joints("tau_ext_{}"), *joints("temp_sensor_{}")),
+        ],
+        {"q": joints("A{}", first=1), "temp": joints("temp_sensor_{}")},
     ),
     "fanuc": (
         [*joints("J{}", first=1), *"XYZWPR"],

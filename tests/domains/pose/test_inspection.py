@@ -420,6 +420,8 @@ def two_poses(controller="robot_{}", sensor="tracker_{}", exact=EXACT, digits=6)
         ("ee.{}", "/vicon/pose/{}"),
         ("flange {}", "tag_{}"),
         ("{}", "LT_{}"),
+        ("{}_robot", "{}_tracker"),
+        ("{}", "mocap_p{}"),
     ],
 )
 def test_the_source_of_the_poses_decides_which_are_read(controller, sensor):
@@ -582,3 +584,25 @@ def test_any_table_is_looked_at(seed):
         columns = {name: own for name, own in found.columns.items() if name in frame}
         with contextlib.suppress(InputError):  # of an empty column, or joints of which one is missing
             tabulated(table.names, "run7.csv", table.load, [], renamed=columns)
+
+
+@pytest.mark.parametrize(
+    ("position", "rotation", "numbers"),
+    [
+        ("t_{}", "r_{}", TURNED.as_rotvec()),
+        ("board_t{}", "board_r{}", TURNED.as_rotvec()),
+        ("aruco_tvec_{}", "aruco_rvec_{}", TURNED.as_rotvec()),
+        ("pos{}", "quat{}", TURNED.as_quat()),
+        ("p{}", "q_{}", TURNED.as_quat()),
+        ("EE/Position/{}", "EE/Rotation/{}", TURNED.as_euler("XYZ", degrees=True)),
+        ("transform.translation.{}", "transform.rotation.{}", TURNED.as_quat()),
+        ("TCP {} [mm]", "TCP R{} [°]", TURNED.as_euler("xyz", degrees=True)),
+    ],
+)
+def test_position_and_orientation_of_one_source(position, rotation, numbers):
+    factor = 1e3 if "mm" in position else 1.0
+    frame = dict(zip((position.format(axis) for axis in "XYZ"), factor * P.T, strict=True))
+    frame |= dict(zip((rotation.format(axis) for axis in "XYZW"), numbers.T, strict=False))
+    _, recording = read(JOINTS | frame)
+    np.testing.assert_allclose(recording.position, P, atol=1e-13)
+    np.testing.assert_allclose(turned(recording), 0, atol=1e-7)
