@@ -19,6 +19,11 @@ UR_JOINTS = ("shoulder", "upper_arm", "forearm", "wrist_1", "wrist_2", "wrist_3"
 TYPES = ("revolute", "prismatic")
 """What the joints of a description can be; the first where nothing is said."""
 
+STANDARD, MODIFIED = "standard", "modified"
+_CONVENTIONS = {STANDARD: STANDARD, "dh": STANDARD, "sdh": STANDARD, "distal": STANDARD} | dict.fromkeys(
+    (MODIFIED, "mdh", "craig", "proximal"), MODIFIED
+)
+
 # m and rad; larger values are in millimetres or degrees.
 LENGTH_LIMIT = 10.0
 ANGLE_LIMIT = 2 * math.pi + 1e-6
@@ -105,6 +110,19 @@ def six_numbers(value: Any, where: str) -> list[float]:
                 f" write metres ({length / 1000:.6g})"
             )
     return row
+
+
+def convention(value: Any, where: str) -> str | None:
+    """The convention of a DH table, `STANDARD` or `MODIFIED` by any of its names; None where none is given.
+
+    Raises:
+        InputError: another word.
+    """
+    if value is None:
+        return None
+    if str(value).lower() not in _CONVENTIONS:
+        raise InputError(f"{where} is {str(value)[:40]!r}; write {STANDARD} or {MODIFIED} (Craig's)")
+    return _CONVENTIONS[str(value).lower()]
 
 
 def sliding(value: Any, where: str) -> tuple[Any, tuple[int, ...]]:
