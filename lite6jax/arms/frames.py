@@ -112,6 +112,18 @@ def chain(links: Array, joint_position: ArrayLike, sliding: tuple[int, ...] = ()
     return T.reshape(*position.shape[:-1], 4, 4)
 
 
+def sample_joints(dof: int, count: int = 64) -> Array:
+    """(count, dof) rad, or m: joint positions that fill +-pi evenly and do not depend on random numbers.
+
+    The additive recurrence of the generalised golden ratio (M. Roberts, 2018).
+    """
+    ratio = 2.0
+    for _ in range(60):
+        ratio = (1 + ratio) ** (1 / (dof + 1))
+    steps = ratio ** -np.arange(1.0, dof + 1)
+    return 2 * np.pi * (np.outer(np.arange(1, count + 1), steps) % 1.0) - np.pi
+
+
 def walk(
     links: Iterable[Array], joint_position: Array, sliding: tuple[int, ...] = (), start: Array | None = None
 ) -> Iterator[Array]:
