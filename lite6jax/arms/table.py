@@ -109,7 +109,10 @@ def read_table(path: str | Path, convention: str | None = None) -> HayatiTable:
     ])  # fmt: skip
     for key, joint in betas.items():
         if joint >= len(rows):
-            raise InputError(f"{path}: {key} is for a joint that no other follows (there are {len(rows)}); remove it")
+            rows_there = f"{len(rows)} row{'s' * (len(rows) != 1)}"
+            raise InputError(
+                f"{path}: {key} is for a joint that no other follows: dh has {rows_there}; give one row per joint, or remove it"
+            )
         if links[joint - 1, 1] != 0:
             raise InputError(f"{path}: dh row {joint}: d is not zero beside {key}; the form has either, set d to 0")
     parallel = tuple(sorted(joint - 1 for joint in betas.values()))

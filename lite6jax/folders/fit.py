@@ -94,7 +94,7 @@ def _attempt(path: Path, work: Callable[[], T], as_shown: Callable[[str], str]) 
 
 
 def _read(path: Path, nominal: Arm | None) -> _Content:
-    if path.suffix.lower() == ".json":
+    if path.suffix.lower() not in (".yaml", ".yml"):
         return _Content(None, None)
     content = storage.read_yaml(path)
     if not isinstance(content, dict) or "kinematics" not in content:
