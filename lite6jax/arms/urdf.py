@@ -59,9 +59,12 @@ def read_urdf(path: str | Path, base: str | None = None, tip: str | None = None)
             joint or link, and the remedy.
 
     Warns:
-        InputWarning: a tensor that no rigid body has, as published files have some; all inertia is then left out.
+        InputWarning: a tensor that no rigid body has, as published files have some; all inertia is then left out. Or
+            a tip that was not named is a jaw's.
     """
     tree = read_tree(path, base, tip)
+    if tree.remark:
+        warnings.warn(tree.remark, InputWarning, stacklevel=2)
     rows, limits, moving, axes = [], [], [], []
     before = IDENTITY
     for place, joint in enumerate(tree.chain):
