@@ -95,7 +95,8 @@ class SixParameterForm:
 class HayatiForm:
     """The minimal chain: a base, then standard DH, with Hayati's beta where neighbouring axes are parallel.
 
-    T = Base ∏ Aᵢ, Base = Trans(x, y, z) Rz(yaw) Ry(pitch) Rx(roll) P, Aᵢ = Rz(qᵢ + theta_offᵢ) Tz(dᵢ) Tx(aᵢ) Rx(alphaᵢ);
+    T = Base ∏ Aᵢ with Base = Trans(x, y, z) Rz(yaw) Ry(pitch) Rx(roll) P and
+    Aᵢ = Rz(qᵢ + theta_offᵢ) Tz(dᵢ) Tx(aᵢ) Rx(alphaᵢ);
     for a joint in `parallel` d is zero and Ry(betaᵢ) follows (S. Hayati, CDC 1983). Flange poses identify
     all 4 n + 4 parameters (28 for six joints): 4 for each joint's axis and 4 for the flange on the last one. A flange
     frame that is free in all six coordinates, a general tool, adds two: 4 n + 6 = 30, the full model.

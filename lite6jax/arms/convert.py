@@ -16,7 +16,6 @@ from lite6jax.deferred import Array, jit, jnp, lax
 from lite6jax.errors import InputError
 
 
-
 def six_parameter_to_hayati(form: HayatiForm, kinematics: ArrayLike, nominal: ArrayLike | None = None) -> np.ndarray:
     """The Hayati parameters of a six-parameter chain.
 
@@ -83,8 +82,8 @@ def closed_form(form: HayatiForm, kinematics: Array, branch: Array) -> tuple[Arr
 
     Two frames advance joint by joint: that of the six-parameter chain, whose z is the next joint's axis, and the DH
     frame, which moves to that axis along the common normal. The last axis of the arrays is the arm. The second result
-    holds the cosine between joint 1's axis and the base's `first_axis` `(arm,)`, and for each pair of neighbouring axes the sine
-    of their angle and the distance of the next joint's origin from the first axis, `(pair, arm)`.
+    holds the cosine between joint 1's axis and the base's `first_axis` `(arm,)`, and for each pair of neighbouring axes
+    the sine of their angle and the distance of the next joint's origin from the first axis, `(pair, arm)`.
     """
 
     def to_joint(frame: Frame, row: Array) -> Frame:

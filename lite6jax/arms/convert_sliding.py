@@ -22,8 +22,8 @@ def parameters(form: HayatiForm, arms: Array, nominal: Array | None) -> Array:
     """(arm, size) the Hayati parameters of chains (arm, joint, 6), m and rad, on the branch of `nominal` (size,).
 
     Raises:
-        InputError: joint 1 is revolute and its axis at right angles to the base's axis `form.first_axis`; or axes are parallel that the
-            form does not take for such, or the reverse.
+        InputError: joint 1 is revolute and its axis at right angles to the base's axis `form.first_axis`; or axes are
+            parallel that the form does not take for such, or the reverse.
     """
     branch = None if nominal is None else form.spread(nominal)
     found = []

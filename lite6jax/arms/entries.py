@@ -195,7 +195,9 @@ def kinematics(value: Any, where: str) -> tuple[Array, tuple[str, ...]]:
             raise InputError(f"{where}: {name} is missing from kinematics; add its {', '.join(SIX)}")
     places = [f"{where}: {name}" for name in names]
     rows = np.array([_six(keys[joint], place) for joint, place in zip(joints, places, strict=True)])
-    if np.abs(rows[:, :3]).max() > LENGTH_LIMIT and not within_reach(np.array([frames.transform_from_row(row) for row in rows])):
+    if np.abs(rows[:, :3]).max() > LENGTH_LIMIT and not within_reach(
+        np.array([frames.transform_from_row(row) for row in rows])
+    ):
         for row, place in zip(rows, places, strict=True):
             _require_short(row.tolist(), place)
     return rows, names

@@ -189,7 +189,7 @@ def _of_deviations(path: str | Path, arm: Arm | None) -> FactoryCalibration:
     """The calibration in `calibration.conf`: deviations from the published DH table of a model that it does not name.
 
     Those along and about nearly parallel axes cancel only with the links of the right length, which tells the sizes
-    apart; two series of one size stay alike.
+    apart; the two series of one size stay alike, and the newer is assumed.
     """
     deviations = _deviations(path)
     if arm is not None:
@@ -205,7 +205,13 @@ def _of_deviations(path: str | Path, arm: Arm | None) -> FactoryCalibration:
     distances = np.array([_distances_to([each], links, after)[0] for each, links, after in chains])
     order = np.argsort(distances)
     nearest = distances[order[0]]
+    chosen, *others = (chains[i] for i in order)
     listed = [f"{chains[i][0].name} ({1e3 * distances[i]:.1f} mm)" for i in order]
+    if arm is not None and nearest > RECOGNISED_WITHIN:
+        raise InputError(
+            f"{path}: its deviations are not those of a {arm.name}: its flange would be {1e3 * nearest:.0f} mm RMS off"
+            " nominal; name another with --arm"
+        )
     if arm is None:
         alike = int(np.sum(distances <= max(_ALIKE * nearest, nearest + _ALIKE_WITHIN)))
         if nearest > RECOGNISED_WITHIN or alike > 2:
@@ -214,16 +220,16 @@ def _of_deviations(path: str | Path, arm: Arm | None) -> FactoryCalibration:
                 f" {', '.join(listed)} RMS; name it with --arm"
             )
         if alike == 2:
+            chosen, other = sorted((chosen, others[0]), key=lambda chain: chain[0].name, reverse=True)
             warnings.warn(
                 f"{path}: does not name its model; its deviations fit {listed[0]} and {listed[1]} RMS alike, then"
-                f" {listed[2]}: {chains[order[0]][0].name} is assumed, name --arm {chains[order[1]][0].name} if it is"
-                " one",
+                f" {listed[2]}: a {chosen[0].name}, the newer, is assumed, name --arm {other[0].name} if it is one",
                 InputWarning,
                 stacklevel=3,
             )
-    arm, links, after = chains[order[0]]
+    model, links, after = chosen
     kinematics = np.array([frames.row_from_transform(link) for link in links])
-    return _placed(FactoryCalibration(kinematics, arm, after @ arm.T_joint_flange, str(path)))
+    return _placed(FactoryCalibration(kinematics, model, after @ model.T_joint_flange, str(path)))
 
 
 def _deviations(path: str | Path) -> Array:
@@ -245,14 +251,18 @@ def _deviations(path: str | Path) -> Array:
         columns.append(entries.numbers(values, f"{path}: {key}", 6))
     if section.get("calibration_status", "").strip() == "0":
         warnings.warn(
-            f"{path}: calibration_status is 0, not initialised: the controller does not use it", InputWarning, stacklevel=4
+            f"{path}: calibration_status is 0, not initialised: the controller does not use it",
+            InputWarning,
+            stacklevel=4,
         )
     return np.array(columns).T
 
 
 def _published_dh(arm: Arm) -> Array | None:
     """The published DH table of an arm, or that which its chain has where this is no more than one."""
-    if arm.dh is not None or arm.dof != 6 or arm.sliding:
+    if arm.dof != 6 or arm.sliding:
+        return None
+    if arm.dh is not None:
         return arm.dh
     base, dh, beta = arm.form.unpack(arm.hayati)
     return dh if np.abs([*base, *beta]).max() < 1e-6 else None

@@ -24,10 +24,8 @@ from lite6jax.errors import InputError, InputWarning, command_line
 from lite6jax.schema import RepeatedKeyError, unique_keys
 
 UNITS = "mm and deg"
-_LENGTHS = {"mm": "mm", "millimetre": "mm", "millimetres": "mm", "millimeters": "mm"} | dict.fromkeys(
-    ("m", "metre", "metres", "meters"), "m"
-)
-_ANGLES = {word: "deg" for word in ("deg", "degree", "degrees", "°")} | {word: "rad" for word in ("rad", "radians")}
+_MILLIMETRES, _METRES = ("mm", "millimetres", "millimeters"), ("m", "metres", "meters")
+_DEGREES, _RADIANS = ("deg", "degrees", "°"), ("rad", "radians")
 PRISMATIC = entries.TYPES[1]
 SIZE_LIMIT = 1 << 20
 
@@ -109,14 +107,17 @@ def read_table(path: str | Path, convention: str | None = None) -> HayatiTable:
     ])  # fmt: skip
     for key, joint in betas.items():
         if joint >= len(rows):
-            rows_there = f"{len(rows)} row{'s' * (len(rows) != 1)}"
+            given = f"{len(rows)} row{'s' * (len(rows) != 1)}"
             raise InputError(
-                f"{path}: {key} is for a joint that no other follows: dh has {rows_there}; give one row per joint, or remove it"
+                f"{path}: {key} is for a joint that no other follows: dh has {given}; give one row per joint, or"
+                " remove it"
             )
         if links[joint - 1, 1] != 0:
             raise InputError(f"{path}: dh row {joint}: d is not zero beside {key}; the form has either, set d to 0")
     parallel = tuple(sorted(joint - 1 for joint in betas.values()))
-    links[list(parallel), 5] = [read.angle(content[f"beta_joint{i + 1}"], f"{path}: beta_joint{i + 1}") for i in parallel]
+    links[list(parallel), 5] = [
+        read.angle(content[f"beta_joint{i + 1}"], f"{path}: beta_joint{i + 1}") for i in parallel
+    ]
     if (said or convention) == entries.MODIFIED:
         form, parameters = _of_modified(base, links, sliding, path)
     else:
@@ -138,7 +139,9 @@ def _base(content: Mapping[str, Any], path: str | Path, slides: bool, read: "_Un
     base = entries.mapping(content.get("base", dict.fromkeys(entries.SIX, Decimal(0))), f"{path}: base", entries.SIX)
     axis = content.get("first_axis", "z")
     if axis not in ("x", "y", "z") or (slides and axis != "z"):
-        raise InputError(f"{path}: first_axis is {str(axis)[:40]!r}; write x, y or z, the base's axis nearest to joint 1's")
+        raise InputError(
+            f"{path}: first_axis is {str(axis)[:40]!r}; write x, y or z, the base's axis nearest to joint 1's"
+        )
     first = "xyz".index(axis)
     for key, instead in ((axis, "d"), *(() if slides else ((("roll", "pitch", "yaw")[first], "theta_off"),))):
         if _decimal(base[key], f"{path}: base: {key}") != 0:
@@ -290,11 +293,12 @@ class _Units:
     @classmethod
     def of(cls, said: Any, where: str) -> "_Units":
         """By words such as `mm and deg`, `mm,deg` or `m, rad`."""
-        words = [word for word in re.split(r"[\s,;/+&]+|and", said.lower()) if word] if isinstance(said, str) else []
-        found = sorted(word for table in (_LENGTHS, _ANGLES) for word in {table.get(word) for word in words} if word)
-        if len(words) != 2 or len(found) != 2 or not {"deg", "rad"} & set(found) or not {"mm", "m"} & set(found):
+        words = re.split(r"\s*(?:,|;|/|\band\b|\s)\s*", said.strip().lower()) if isinstance(said, str) else []
+        lengths = [word for word in words if word in (*_MILLIMETRES, *_METRES)]
+        angles = [word for word in words if word in (*_DEGREES, *_RADIANS)]
+        if (len(words), len(lengths), len(angles)) != (2, 1, 1):
             raise InputError(f"{where} is {str(said)[:40]!r}; write {UNITS!r}, or m instead of mm, rad instead of deg")
-        return cls("mm" in found, "deg" in found)
+        return cls(lengths[0] in _MILLIMETRES, angles[0] in _DEGREES)
 
     def length(self, value: Any, where: str) -> float:
         """m."""

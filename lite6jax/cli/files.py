@@ -48,8 +48,9 @@ class Convert:
     tip: str | None = None
     """Likewise the one that is the flange; the end of the only chain where not given."""
     arm: ArmName = None
-    """The nominal arm of a calibration, recognised where not given, or that of --into; of a diagnosis, where the inertia is from that it
-    does not say: by default the bundled arm of its name, or the file that the recording's sidecar names."""
+    """The nominal arm of a calibration: that of --into, or recognised, where not given. Of a diagnosis, where the
+    inertia is from that it does not say: by default the bundled arm of its name, or the file that the recording's
+    sidecar names."""
     effects: Annotated[Path | None, arg(metavar="FILE.py")] = None
     """Effects of your own that a diagnosis has. Runs the file."""
     json: bool = False
