@@ -31,6 +31,8 @@ SIZE_LIMIT = 1 << 20
 
 FIT = ("result", "quality", "checked_position_rms_m")
 """Of the fit that a table is from: how it ended, whether it describes its data, its error on data not fitted."""
+LENGTH_LIMIT = 1e4
+"""m; beyond the common normal of any axes whose angle is known: what counts is where they lead the flange."""
 ANGLE_LIMIT = 4 * math.pi
 """rad; no table counts more turns than two."""
 
@@ -302,7 +304,10 @@ class _Units:
 
     def length(self, value: Any, where: str) -> float:
         """m."""
-        return float(_decimal(value, where).scaleb(-3 if self.millimetres else 0, _EXACT))
+        length = float(_decimal(value, where).scaleb(-3 if self.millimetres else 0, _EXACT))
+        if abs(length) > LENGTH_LIMIT:
+            raise InputError(f"{where} is {length:.6g} m, longer than any arm's link; correct it")
+        return length
 
     def angle(self, value: Any, where: str) -> float:
         """rad."""
