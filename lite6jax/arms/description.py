@@ -16,7 +16,7 @@ from lite6jax.checksum import with_comment
 from lite6jax.errors import InputError
 
 DH = ("theta_off_rad", "d_m", "a_m", "alpha_rad")
-OPTIONAL = ("joint_limits_rad", "joint_limits", "inertial", "dynamics", "dh", "dh_convention", "flange", "source")
+OPTIONAL = ("joint_limits_rad", "joint_limits", "inertial", "dynamics", "dh", "convention", "flange", "source")
 
 
 class Drive(NamedTuple):
@@ -68,7 +68,7 @@ def read_description(path: str | Path) -> Arm:
     ```
 
     `name` and `kinematics` are required; where `kinematics` is not given, the chain is that of `dh`, standard or with
-    `dh_convention: modified` Craig's, Rx(alpha) Tx(a) Rz(q + theta_off) Tz(d).
+    `convention: modified` Craig's, Rx(alpha) Tx(a) Rz(q + theta_off) Tz(d).
 
     A joint with `type: prismatic` beside its x … yaw moves along its z; the limits are then `joint_limits`, in m for
     prismatic joints and rad for others, and in `dynamics` its keys are `viscous_N_s_per_m`, `coulomb_N`,
@@ -95,7 +95,7 @@ def arm_from_description(content: Any, where: str) -> Arm:
     for key in ("name", "source"):
         if not isinstance(content.get(key, ""), str):
             raise InputError(f"{where}: {key} is {content[key]!r}, which is not text; put it in quotes")
-    convention = entries.convention(content.get("dh_convention"), f"{where}: dh_convention") or entries.STANDARD
+    convention = entries.convention(content.get("convention"), f"{where}: convention") or entries.STANDARD
     if by_table:
         kinematics, fields = _of_table(content["dh"], convention, where)
         sliding, joints = (), len(kinematics)
@@ -105,7 +105,7 @@ def arm_from_description(content: Any, where: str) -> Arm:
         joints = len(kinematics)
         fields: dict[str, Any] = {"sliding": sliding}
         if convention == entries.MODIFIED:
-            raise InputError(f"{where}: dh_convention is modified, and dh beside kinematics is standard; leave dh out")
+            raise InputError(f"{where}: convention is modified, and dh beside kinematics is standard; leave dh out")
     for key in ("joint_limits_rad", "joint_limits"):
         if key in content:
             fields["joint_limits"] = _limits(content, key, where, joints, sliding)

@@ -15,7 +15,7 @@ from lite6jax import storage
 from lite6jax.arms import convert, entries, frames
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.bundled import bundled_of, maker_of
-from lite6jax.arms.table import SIZE_LIMIT, read_table
+from lite6jax.arms.table import SIZE_LIMIT, is_table, read_table
 from lite6jax.checksum import with_comment
 from lite6jax.errors import InputError, InputWarning
 
@@ -80,8 +80,8 @@ def read_factory(path: str | Path, arm: Arm | None = None) -> FactoryCalibration
     suffix = Path(path).suffix.lower()
     if suffix == DEVIATIONS:
         return _of_deviations(path, arm)
-    if suffix != ".json":
-        return factory_from(storage.read_yaml(path), path, arm)
+    if suffix != ".json" and not is_table(content := storage.read_yaml(path)):
+        return factory_from(content, path, arm)
     table = read_table(path)
     chain = convert.hayati_to_six_parameter(table.form, table.parameters)
     kinematics, T_joint_flange = (np.array(part, np.float64) for part in chain)

@@ -11,7 +11,7 @@ from lite6jax.arms.bundled import bundled_arms, load_bundled
 from lite6jax.arms.description import arm_from_description, read_description, write_arm
 from lite6jax.arms.factory import DEVIATIONS, FactoryCalibration, read_factory, write_factory
 from lite6jax.arms.mjcf import read_mjcf, write_mjcf
-from lite6jax.arms.table import HayatiTable, read_table, write_table
+from lite6jax.arms.table import HayatiTable, is_table, read_table, write_table
 from lite6jax.arms.urdf import read_urdf, write_urdf
 from lite6jax.arms.urdf_tree import SIZE_LIMIT
 from lite6jax.errors import InputError
@@ -69,7 +69,7 @@ def read_arm(path_or_name: str | Path) -> Arm:
     if path.suffix.lower() in (".json", DEVIATIONS):
         return calibrated_arm(read_factory(path))
     content = storage.read_yaml(path)
-    if isinstance(content, dict) and set(content) == {"kinematics"}:
+    if is_table(content) or (isinstance(content, dict) and set(content) == {"kinematics"}):
         return calibrated_arm(read_factory(path))
     return arm_from_description(content, str(path))
 

@@ -70,7 +70,7 @@ def read_table(path: str | Path, convention: str | None = None) -> HayatiTable:
     with one row of `dh` per joint, in order, and one `beta_jointK` for each joint K that is nominally parallel to the
     next (Hayati's form, with d zero); `units` are mm or m and deg or rad. With `"convention": "modified"` the rows are
     Craig's, Rx(alpha) Tx(a) Rz(q + theta_off) Tz(d) with the alpha and a before the joint, and there is no beta; the
-    result is the same chain in Hayati's form.
+    result is the same chain in Hayati's form. YAML with the same keys is read too.
 
     Of the base, all zero where not given, the shift along z and yaw are zero, because d and theta_off of joint 1
     represent them; with `"first_axis": "y"` those along and about y, as `HayatiForm` has it. A row with
@@ -88,7 +88,9 @@ def read_table(path: str | Path, convention: str | None = None) -> HayatiTable:
     Warns:
         InputWarning: the table was changed after it was written, or is from a fit that does not describe its data.
     """
-    content = _parse(storage.read_text(path, SIZE_LIMIT), path)
+    by_yaml = Path(path).suffix.lower() in (".yaml", ".yml")
+    text = json.dumps(storage.read_yaml(path), default=str) if by_yaml else storage.read_text(path, SIZE_LIMIT)
+    content = _parse(text, path)
     if "schema" in content:
         shown = command_line("report", path)
         raise InputError(f"{path}: holds results ({str(content['schema'])[:40]}); `{shown}` shows them")
@@ -169,6 +171,11 @@ def _of_modified(
         return form, convert.six_parameter_to_hayati(form, kinematics)
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
+
+
+def is_table(content: Any) -> bool:
+    """Whether the parsed content of a file means to be a table."""
+    return isinstance(content, dict) and {"units", "dh"} <= content.keys()
 
 
 def write_table(

@@ -359,7 +359,7 @@ ONE = {"name": "one", "kinematics": vendor([[0, 0, 0.3, 0, 0, 0]])}
         (
             {"bounds": []},
             ": has the unknown key 'bounds'; accepted are name, kinematics, joint_limits_rad, joint_limits, inertial,"
-            " dynamics, dh, dh_convention, flange, source",
+            " dynamics, dh, convention, flange, source",
         ),
         ({"name": 7}, ": name is 7, which is not text; put it in quotes"),
         ({"source": ["a"]}, ": source is ['a'], which is not text; put it in quotes"),

@@ -219,8 +219,9 @@ def test_modified_tables_are_the_same_chain(word, tmp_path):
     rows = as_modified(arm.dh)
     rows[:, :3] += np.random.default_rng(0).normal(0, 1e-3, (6, 3))
     rows[2:, 3] += 1e-3
-    calibration = read_factory(save(tmp_path / "t.json", table(rows, convention=word)))
-    assert calibration.arm.name == "lite6"
+    path = save(tmp_path / ("t.yaml" if word == "mdh" else "t.json"), table(rows, convention=word))
+    calibration = read_factory(path)
+    assert calibration.arm.name == read_arm(path).name == "lite6"
     np.testing.assert_allclose(flange(calibration), craig(rows, Q) @ arm.T_joint_flange, atol=1e-12)
 
 
@@ -250,7 +251,7 @@ def test_a_description_may_be_its_table_alone(convention, tmp_path):
         "dh": {f"joint{i + 1}": dict(zip(keys, row.tolist(), strict=True)) for i, row in enumerate(dh)},
     }
     if convention:
-        content["dh_convention"] = convention
+        content["convention"] = convention
     content["flange"] = {"x": 0.0, "y": 0.0, "z": 0.1, "roll": 0.0, "pitch": 0.0, "yaw": 0.0}
     q = frames.sample_joints(4)
     arm = read_arm(save(tmp_path / "arm.yaml", content))
