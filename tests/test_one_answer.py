@@ -104,13 +104,15 @@ def test_what_nothing_explains_is_said_to_be_that(capsys, tmp_path, measured):
 
 
 def test_what_is_not_decided_is_not_applied(capsys, tmp_path, measured):
-    """A quarter turn of joint 4 or of joint 6, which turn about one axis while joint 5 rests at zero."""
+    """Joints 4 and 6 turn about one axis while joint 5 rests at zero, against each other: one of two signs is wrong."""
     q, _ = measured
     q = q.copy()
-    q[:, 4] = 0.0
-    q[:, [3, 5]] *= 0.5  # no limit decides
+    q[:, 4], q[:, 3] = 0.0, 0.5 * q[:, 3]
+    q[:, 5] = -q[:, 3]
+    if np.ptp(six_parameter_poses(LITE6, q * [0, 0, 0, 1, 1, 1])[:, 0, 0]) > 1e-6:
+        q[:, 5] = q[:, 3]  # the two axes point against each other
     poses = perturb_poses(np.random.default_rng(5), six_parameter_poses(LITE6, q), 2e-5, 1e-4)
-    path = table(tmp_path / "run.csv", q + [0, 0, 0, np.pi / 2, 0, 0], poses)
+    path = table(tmp_path / "run.csv", q * [1, 1, 1, 1, 1, -1], poses)
     before = path.read_bytes(), path.with_suffix(".yaml").read_bytes()
     code, out, _ = run(capsys, "check", path)
     assert code == 0

@@ -113,7 +113,7 @@ def errors_table(rows: Sequence[tuple[str, Errors]]) -> Table:
 def hayati_columns(form: HayatiForm) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """The parameters that the base of a form has, and those that any of its links has, in the order of tables."""
     given = set(form.names)
-    base = [name for name in ("x", "y", "roll", "pitch", "yaw") if f"base_{name}" in given]
+    base = [name for name in ("x", "y", "z", "roll", "pitch", "yaw") if f"base_{name}" in given]
     rows = [
         name
         for name in ("theta_off", "d", "a", "b", "alpha", "beta")
