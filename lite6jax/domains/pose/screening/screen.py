@@ -10,6 +10,7 @@ from lite6jax.domains.pose.rigid_arm import rigid_arm
 from lite6jax.domains.pose.screening.options import ScreeningOptions
 from lite6jax.domains.pose.screening.registry import SCREENS, Screen
 from lite6jax.domains.pose.screening.screened import Corrections, Screened
+from lite6jax.errors import InputError
 from lite6jax.fitting.problem import Geometry
 from lite6jax.recordings import Recording, require_radians, require_samples
 
