@@ -91,7 +91,7 @@ def angle_unit(position: Array, servo: bool = False) -> Decision:
     there = position[np.isfinite(position)]
     if largest > 360 and (there == np.round(there)).all() and there.min() >= 0 and there.max() < TURN_TICKS:
         return Decision("deg", "assumed", "ticks", said)
-    if servo and largest <= PERCENT:
+    if servo and WIDE_RAD < largest <= PERCENT:
         return Decision("deg", "assumed", "percent", said)
     if largest > WIDE_RAD:
         return Decision("deg", "certain" if largest > PERCENT else "likely", "beyond_turns", said)

@@ -297,8 +297,9 @@ def _possible(found: Sequence[Block], numbers: Mapping[str, Array]) -> tuple[lis
     possible: list[Block] = []
     denied: dict[str, str] = {}
     for block in sorted(found, key=lambda block: block.kind not in ("run", "rotation")):
-        values = _stacked(numbers, block.matrix or block.columns)
-        values = values if block.kind in ("run", "time") else values[:: max(len(values) // _ENOUGH, 1)]
+        names = block.matrix or block.columns
+        step = 1 if block.kind in ("run", "time") else max(len(numbers[names[0]]) // _ENOUGH, 1)
+        values = np.stack([numbers[name][::step] for name in names], 1)
         if block.kind == "run":
             there = values[np.isfinite(values)]
             right = bool((there == np.round(there)).all())

@@ -490,14 +490,19 @@ SERVOS = tuple(f"{name}.pos" for name in ("shoulder_pan", "shoulder_lift", "elbo
 
 def test_percent_and_ticks_are_no_degrees():
     percent = np.random.default_rng(0).uniform(-100, 100, (ROWS, 5))
-    for values, reason in ((percent, "percent"), (np.round(2048 + 20 * percent), "ticks"), (0.02 * percent, "percent")):
+    for values, reason in ((percent, "percent"), (np.round(2048 + 20 * percent), "ticks")):
         frame = dict(zip(SERVOS, values.T, strict=True)) | {"gripper.pos": ROOM}
         unit = inspect(list(frame.items())).of("q").unit
         assert (unit.sure, unit.reason) == ("assumed", reason)
         given = {name: f"q{k}_deg" for k, name in enumerate(SERVOS, 1)}
         assert inspect(list(frame.items()), None, given).of("q").unit[:3] == ("deg", "certain", "name")
-    beyond = dict(zip(SERVOS, 1.5 * percent.T, strict=True))
-    assert inspect(list(beyond.items())).of("q").unit[:2] == ("deg", "certain")
+    for factor, unit in ((1.5, ("deg", "certain")), (0.02, ("rad", "likely"))):
+        scaled = dict(zip(SERVOS, factor * percent.T, strict=True))
+        assert inspect(list(scaled.items())).of("q").unit[:2] == unit
+    state = {f"observation.state[{k}]": column for k, column in enumerate(percent.T)}
+    assert inspect(list(state.items())).of("q").unit.reason == "percent"
+    others = {f"joint_{k}": column for k, column in enumerate(percent.T)}
+    assert inspect(list(others.items())).of("q").unit[:2] == ("deg", "likely")
 
 
 # ------------------------------------------------------------------ any table
