@@ -71,7 +71,7 @@ def increases(time: Array, run: Array | None = None) -> bool:
     return not steps.size or float(np.mean(steps <= 0)) <= BACK
 
 
-def of_unit_length(quaternion: Array) -> bool:
+def has_unit_length(quaternion: Array) -> bool:
     """Whether rows `(sample, 4)` are unit quaternions, but for the zeros that a sensor wrote when it saw nothing."""
     length = np.linalg.norm(quaternion[np.isfinite(quaternion).all(1)], axis=1)
     length = length[length > 0]

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from lite6jax.arms.bundled import load_bundled
 from lite6jax.arms.urdf import read_urdf
-from lite6jax.domains.pose.inspection import computed_by_controller, inspect, written_step
+from lite6jax.domains.pose.inspection import computed_by_controller, digit_step, inspect
 from lite6jax.errors import InputError
 from lite6jax.recordings import Recording
 from lite6jax.recordings.raw import of_arrays
@@ -477,10 +477,10 @@ def test_what_counts_as_rounding():
     assert computed_by_controller(1.5e-5, 2e-5)
     assert not computed_by_controller(1.5e-5, 1e-6)
     assert not computed_by_controller(5e-5, 1e-3)  # a sensor may be as exact
-    steps = [written_step(np.round(P, k)) for k in (1, 3, 6)]
+    steps = [digit_step(np.round(P, k)) for k in (1, 3, 6)]
     np.testing.assert_allclose(steps, [1e-1, 1e-3, 1e-6])
-    assert written_step(P) == 0.0
-    assert written_step(np.array([np.nan])) == 1.0
+    assert digit_step(P) == 0.0
+    assert digit_step(np.array([np.nan])) == 1.0
 
 
 # ------------------------------------------------------------------ joints that are no angles
