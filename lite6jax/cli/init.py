@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from lite6jax.domains.pose.inspection import Inspection
+    from lite6jax.recordings.fault import DataFault
     from lite6jax.recordings.raw import RawTable
 
 _QUESTIONS: dict[str, tuple[str, tuple[str, ...]]] = {
@@ -71,7 +72,7 @@ class Init:
         from lite6jax.recordings.settings import declared_settings
         from lite6jax.recordings.sidecar import sidecar_path
         from lite6jax.recordings.sources import open_table, split_topics
-        from lite6jax.report import inspection, screen
+        from lite6jax.report import checks, inspection, screen
 
         path, topics = split_topics(self.source)
         sidecar = sidecar_path(path)
@@ -113,11 +114,14 @@ class Init:
         self._check(found, table, file)
         text = inspection.sidecar_text(found, settings, file.name)
         write_atomically(sidecar, text, self.force)
+        faults = _gross_faults(self.source, found, notes)
         if self.json:
-            print(json.dumps({**found.to_dict(), "notes": notes, "sidecar": str(sidecar)}, indent=1, allow_nan=False))
+            told = {"faults": [fault.to_dict() for fault in faults], "notes": notes, "sidecar": str(sidecar)}
+            print(json.dumps({**found.to_dict(), **told}, indent=1, allow_nan=False))
             return DONE
         if not shown:
             screen.show(inspection.inspection_report(found, str(file)))
+        screen.show(checks.fault_lines(faults))
         screen.show(screen.notes(notes))
         screen.written([sidecar])
         screen.show(inspection.next_steps(found, settings, self.source))
@@ -139,6 +143,20 @@ class Init:
             )
         dof = None if found.arm is None else found.arm.dof
         tabulated(table.names, str(path), table.load, [], dof=dof, renamed=found.columns)
+
+
+def _gross_faults(source: str, found: "Inspection", notes: list[str]) -> "tuple[DataFault, ...]":
+    """Why the recording, read as its new sidecar says, misses the arm grossly: the answer of `check`, without a fit."""
+    from lite6jax.domains.pose.screening.screen import screen as screened
+    from lite6jax.recordings import read_recording
+
+    if found.arm is None or found.of("q") is None or found.of("position") is None:
+        return ()
+    try:
+        return screened(read_recording(source), allow_undecided=True, coarse=True).found
+    except InputError as error:  # of too few rows, and the like: the table was recognised all the same
+        notes.append(str(error))
+        return ()
 
 
 def _on_a_terminal() -> bool:
