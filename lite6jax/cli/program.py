@@ -17,7 +17,6 @@ import tyro
 from tyro.conf import FlagCreatePairsOff, OmitArgPrefixes, subcommand
 
 from lite6jax.cli.compensate import Compensate
-from lite6jax.cli.deprecated import current_spelling
 from lite6jax.cli.design import Design
 from lite6jax.cli.diagnose import Diagnose, Predict
 from lite6jax.cli.emulate import Emulate
@@ -76,7 +75,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             return DONE
         with wrapped() if is_help(arguments) else nullcontext():
             command = tyro.cli(
-                _subcommands(arguments), prog="lite6jax", description=DESCRIPTION, args=current_spelling(arguments),
+                _subcommands(arguments), prog="lite6jax", description=DESCRIPTION, args=arguments,
                 config=(FlagCreatePairsOff, OmitArgPrefixes),
             )  # fmt: skip
         from lite6jax.fitting.code_folder import keep_compiled_code
