@@ -7,6 +7,8 @@ add it to `_NAMES` and, for type checkers, to the imports above it; `tests/test_
 import os
 import sys
 
+from lite6jax import results
+
 TYPE_CHECKING = False  # as of `typing`, which takes longer to import than the rest of this module
 if TYPE_CHECKING:
     # isort: off
@@ -110,6 +112,12 @@ _NAMES = {
 """The public names of each module."""
 _MODULES = {name: module for module, names in _NAMES.items() for name in names}
 __all__ = [*_MODULES]  # pyright: ignore[reportUnsupportedDunderAll]
+results.registering |= {
+    "describe": "lite6jax.report.summaries",
+    "draw": "lite6jax.report.plots",
+    "tabulate": "lite6jax.report.result_files",
+    "write": "lite6jax.report.result_files",
+}
 
 if "jax" in sys.modules:
     sys.modules["jax"].config.update("jax_enable_x64", True)

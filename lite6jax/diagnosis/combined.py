@@ -24,12 +24,12 @@ from lite6jax.fitting.problem import Geometry
 from lite6jax.fitting.recognition import arm_of
 from lite6jax.progress import Stage
 from lite6jax.recordings import Recording
-from lite6jax.summary import Plotted, Summarised
+from lite6jax.results import PublicResult
 
 
 @final
-@dataclass(frozen=True, eq=False)
-class CombinedDiagnosis(Summarised, Plotted):
+@dataclass(frozen=True, eq=False, repr=False)
+class CombinedDiagnosis(PublicResult):
     """The diagnoses of the poses and of the torques of one recording.
 
     Attributes:

@@ -19,7 +19,7 @@ from lite6jax.identifiability.information import Experiment, checked_joints, rec
 from lite6jax.identifiability.monte_carlo import Refits, refit
 from lite6jax.identifiability.sensor import BARE
 from lite6jax.recordings import Recording
-from lite6jax.summary import Summarised
+from lite6jax.results import PublicResult
 
 Array = NDArray[np.floating]
 
@@ -58,8 +58,8 @@ class Accuracy(NamedTuple):
 
 
 @final
-@dataclass(frozen=True, eq=False)
-class Identification(Summarised):
+@dataclass(frozen=True, eq=False, repr=False)
+class Identification(PublicResult):
     """What some poses determine.
 
     Attributes:

@@ -17,6 +17,7 @@ from lite6jax.effects.kinematic.surroundings import BaseDrift, MeasurementScale,
 from lite6jax.errors import InputError
 from lite6jax.model import ArmModel
 from lite6jax.recordings import Recording, Targets
+from lite6jax.results import PublicResult
 
 Array = NDArray[np.floating]
 Flags = NDArray[np.bool_]
@@ -42,8 +43,8 @@ class Reason(NamedTuple):
     angles: tuple[float, ...] = ()
 
 
-@dataclass(frozen=True, eq=False)
-class Compensation:
+@dataclass(frozen=True, eq=False, repr=False)
+class Compensation(PublicResult):
     """Joint positions for targets, one row per target.
 
     Attributes:

@@ -23,6 +23,7 @@ from lite6jax.model import ArmModel, predict_poses
 from lite6jax.recordings import Recording, RecordingSettings, require_radians
 from lite6jax.recordings.motion import motion_of_recording
 from lite6jax.recordings.units import other_joints
+from lite6jax.results import PublicResult
 
 Array = NDArray[np.floating]
 
@@ -209,7 +210,9 @@ def has_memory(effect: Effect) -> bool:
     return bool(getattr(effect, "memory", ()))
 
 
-class Prediction(NamedTuple):
+@final
+@dataclass(frozen=True, eq=False, repr=False)
+class Prediction(PublicResult):
     """Predicted poses with standard deviations, sample by sample; NaN as the poses are.
 
     The deviations are those of the true pose from the predicted one, which the estimated numbers and what is left of

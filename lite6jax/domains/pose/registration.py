@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import NamedTuple, final
+from typing import final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +23,7 @@ from lite6jax.fitting.problem import UNDECLARED_NOISE
 from lite6jax.fitting.start import frames_from_poses
 from lite6jax.model import ArmModel
 from lite6jax.recordings import Recording, require_samples
+from lite6jax.results import PublicResult
 
 Array = NDArray[np.floating]
 
@@ -32,7 +33,9 @@ _NUMBERS = {3: 15, 6: 12}
 """Numbers that determine both frames: from positions alone, a closed form first finds the nine cosines of one."""
 
 
-class Registration(NamedTuple):
+@final
+@dataclass(frozen=True, eq=False, repr=False)
+class Registration(PublicResult):
     """The frames that carry a chain's flange poses to measured ones.
 
     Attributes:

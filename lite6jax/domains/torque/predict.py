@@ -1,7 +1,7 @@
 """The torques of a diagnosed arm's motors in any motion."""
 
 from dataclasses import dataclass, replace
-from typing import NamedTuple, final
+from typing import final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +16,7 @@ from lite6jax.effects.dynamic.torque_effect import Dynamics
 from lite6jax.errors import InputError
 from lite6jax.estimation.terms import Terms
 from lite6jax.recordings import Recording
+from lite6jax.results import PublicResult
 
 Array = NDArray[np.floating]
 
@@ -66,7 +67,9 @@ class DiagnosedMotors:
         return "trajectory"
 
 
-class TorquePrediction(NamedTuple):
+@final
+@dataclass(frozen=True, eq=False, repr=False)
+class TorquePrediction(PublicResult):
     """Predicted torques with standard deviations.
 
     Attributes:
@@ -75,11 +78,13 @@ class TorquePrediction(NamedTuple):
             all is explained, and the sensor has noise; None where the diagnosis says nothing of it.
         outside: `(sample,)` bool, rows in which a joint's position, velocity or acceleration, or a quantity on which an
             effect depends, is beyond what was recorded; None where the diagnosis does not say what was.
+        sliding: the prismatic joints, counted from 0.
     """
 
     torque: Array
     std: Array | None
     outside: NDArray[np.bool_] | None
+    sliding: tuple[int, ...] = ()
 
 
 def predict_torques(model: DiagnosedMotors, recording: Recording) -> Array:
@@ -105,15 +110,16 @@ def predicted_torques(model: DiagnosedMotors, recording: Recording) -> TorquePre
     """
     bodies, runs = _along(model, recording)
     torque, bars = _torques(model, bodies, runs), bars_of(model, bodies, runs)
-    return TorquePrediction(torque, *((None, None) if bars is None else (bars.std.T, bars.outside)))
+    std, outside = (None, None) if bars is None else (bars.std.T, bars.outside)
+    return TorquePrediction(torque, std, outside, model.sliding)
 
 
-def torque_columns(model: DiagnosedMotors, found: TorquePrediction) -> dict[str, Array | NDArray[np.integer]]:
+def torque_columns(found: TorquePrediction) -> dict[str, Array | NDArray[np.integer]]:
     """Column name to values: `tau1_Nm` …, and `tau1_std_Nm` … and `outside`, 0 or 1, where these are known.
 
     Those of prismatic joints are `tau3_N` and `tau3_std_N`.
     """
-    units = [joint_unit("Nm", slides) for slides in model.arm.slides]
+    units = [joint_unit("Nm", joint in found.sliding) for joint in range(found.torque.shape[1])]
     columns: dict[str, Array | NDArray[np.integer]] = {
         f"tau{joint}_{unit}": row for joint, (unit, row) in enumerate(zip(units, found.torque.T, strict=True), 1)
     }
