@@ -20,6 +20,17 @@ class InputWarning(UserWarning):
     """
 
 
+def wrong_type(argument: str, given: object, accepted: str) -> InputError:
+    """The error of an argument of a type that is not accepted.
+
+    Args:
+        argument: its name.
+        given: what was given for it.
+        accepted: what to give, after "give".
+    """
+    return InputError(f"{argument}: has the type {type(given).__name__}; give {accepted}")
+
+
 def command_line(*arguments: object) -> str:
     """A command `lite6jax …` as the shell takes it, names with spaces quoted."""
     words = ["lite6jax", *map(str, arguments)]

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
+from pathlib import Path
 from typing import Any, NamedTuple, final
 
 import numpy as np
@@ -13,6 +14,7 @@ from lite6jax.fitting.problem import Geometry
 from lite6jax.fitting.recognition import with_arm
 from lite6jax.fitting.recording_fit import fit_recording
 from lite6jax.fitting.sampling import sample_within_limits
+from lite6jax.fitting.source import load_nominal, load_recording
 from lite6jax.identifiability.determination import Determination, determine
 from lite6jax.identifiability.indices import Observability, observability
 from lite6jax.identifiability.information import Experiment, checked_joints, recorded
@@ -180,8 +182,8 @@ def identify(
 
 
 def identify_recording(
-    recording: Recording,
-    arm: Arm | None = None,
+    recording: Recording | str | Path,
+    arm: Arm | str | Path | None = None,
     *,
     geometry: Geometry = "declared",
     effects: Sequence[Effect] = (),
@@ -190,13 +192,15 @@ def identify_recording(
     processes: int | None = None,
     scheduler: str | None = None,
 ) -> Identification:
-    """As `identify`, of the poses, the sensor and the unknowns of a recording, and of effects if given.
+    """As `identify`, of the poses, the sensor and the unknowns of a recording or its file, and of effects if given.
 
     Where the sidecar does not declare the noise of all that is measured, it is taken from the residuals of a fit.
 
     Raises:
         InputError: as `recorded`.
     """
+    arm = load_nominal(arm)
+    recording = load_recording(recording, arm)
     recording = recording if arm is not None else with_arm(recording)
     experiment = recorded(recording, arm, geometry)
     notes = list(recording.notes)

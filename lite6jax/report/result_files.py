@@ -17,8 +17,7 @@ from lite6jax.diagnosis.document import document_text
 from lite6jax.diagnosis.result import Diagnosis, Finding
 from lite6jax.diagnosis.torque_result import TorqueDiagnosis
 from lite6jax.domains.pose.compensate import Compensation
-from lite6jax.domains.pose.files import prediction_columns
-from lite6jax.domains.pose.predict import Prediction
+from lite6jax.domains.pose.predict import Prediction, prediction_columns
 from lite6jax.domains.pose.registration import Registration
 from lite6jax.domains.torque.predict import TorquePrediction, torque_columns
 from lite6jax.errors import InputError

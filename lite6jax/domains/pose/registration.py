@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from pathlib import Path
 from typing import final
 
 import numpy as np
@@ -10,10 +11,11 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from lite6jax.arms.se3 import rotation_from_quaternion
-from lite6jax.domains.pose.predict import DiagnosedArm, predict
+from lite6jax.domains.pose.files import read_motion
+from lite6jax.domains.pose.predict import DiagnosedArm, predict, require_model
 from lite6jax.domains.pose.uncertainty import registered
 from lite6jax.effects.kinematic.surroundings import BaseDrift, SensorDrift
-from lite6jax.errors import InputError
+from lite6jax.errors import InputError, wrong_type
 from lite6jax.estimation.least_squares import relinearise
 from lite6jax.estimation.options import DEFAULTS
 from lite6jax.estimation.projection import rank
@@ -110,8 +112,8 @@ def register(
     )
 
 
-def register_model(model: DiagnosedArm, recording: Recording) -> tuple[DiagnosedArm, Registration]:
-    """The model with sensor frame and tool fitted to a recording of another set-up, and that fit.
+def register_model(model: DiagnosedArm, recording: Recording | str | Path) -> tuple[DiagnosedArm, Registration]:
+    """The model with sensor frame and tool fitted to a recording of another set-up, or its file; and that fit.
 
     All else stays, but for a drift of the old set-up, which is removed. Where only positions were measured, the tool
     keeps its rotation, and the model predicts positions only.
@@ -119,6 +121,11 @@ def register_model(model: DiagnosedArm, recording: Recording) -> tuple[Diagnosed
     Raises:
         InputError: no poses, too few of them (both counts), poses that do not determine a frame, or as `predict`.
     """
+    require_model(model)
+    if isinstance(recording, str | Path):
+        recording = read_motion(recording, model)
+    if not isinstance(recording, Recording):
+        raise wrong_type("recording", recording, "the path of a recording, or a Recording")
     require_samples(recording, _NUMBERS[recording.numbers_per_sample or 3])
     model = model.keeping([not isinstance(effect, BaseDrift | SensorDrift) for effect in model.physics.effects])
     bare = [replace(model, model=ArmModel(model.model.geometry, _shift(x), np.eye(4))) for x in (0.0, 1.0)]  # type: ignore[arg-type]

@@ -1,6 +1,7 @@
 """The torques of a diagnosed arm's motors in any motion."""
 
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import final
 
 import numpy as np
@@ -8,12 +9,13 @@ from numpy.typing import NDArray
 
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.joint_units import joint_unit
+from lite6jax.domains.pose.files import read_motion
 from lite6jax.domains.torque.composition import composed, offsets_of
 from lite6jax.domains.torque.filtering import interpolant
 from lite6jax.domains.torque.rows import RigidBodies, bodies_of
 from lite6jax.domains.torque.uncertainty import TorqueUncertainty, bars_of
 from lite6jax.effects.dynamic.torque_effect import Dynamics
-from lite6jax.errors import InputError
+from lite6jax.errors import InputError, wrong_type
 from lite6jax.estimation.terms import Terms
 from lite6jax.recordings import Recording
 from lite6jax.results import PublicResult
@@ -87,12 +89,12 @@ class TorquePrediction(PublicResult):
     sliding: tuple[int, ...] = ()
 
 
-def predict_torques(model: DiagnosedMotors, recording: Recording) -> Array:
+def predict_torques(model: DiagnosedMotors, recording: Recording | str | Path) -> Array:
     """The torques `(sample, joint)` Nm that the sensors of a diagnosed recording would show in a motion.
 
     Args:
         model: as diagnosed.
-        recording: joint positions with times, and with the drivers of its effects.
+        recording: joint positions with times, and with the drivers of its effects; or the path of their file.
 
     Raises:
         InputError: no times, steps that vary, or a driver that the model needs and the motion lacks.
@@ -100,7 +102,7 @@ def predict_torques(model: DiagnosedMotors, recording: Recording) -> Array:
     return _torques(model, *_along(model, recording))
 
 
-def predicted_torques(model: DiagnosedMotors, recording: Recording) -> TorquePrediction:
+def predicted_torques(model: DiagnosedMotors, recording: Recording | str | Path) -> TorquePrediction:
     """The torques of a motion as `predict_torques`, with their standard deviations.
 
     Rows outside what was recorded are marked, and their standard deviations grow as those of `predicted` do.
@@ -130,8 +132,14 @@ def torque_columns(found: TorquePrediction) -> dict[str, Array | NDArray[np.inte
     return columns
 
 
-def _along(model: DiagnosedMotors, recording: Recording) -> tuple[RigidBodies, NDArray[np.integer]]:
+def _along(model: DiagnosedMotors, recording: Recording | str | Path) -> tuple[RigidBodies, NDArray[np.integer]]:
     """The dynamics of the model's links along a motion, and the run of each sample."""
+    if not isinstance(model, DiagnosedMotors):
+        raise wrong_type("model", model, "lite6jax.read_torque_model('d.json'), or the `model` of a TorqueDiagnosis")
+    if isinstance(recording, str | Path):
+        recording = read_motion(recording, model)
+    if not isinstance(recording, Recording):
+        raise wrong_type("recording", recording, "the path of a recording, or a Recording")
     if recording.dof != model.dof:
         raise InputError(f"{recording.source}: has {recording.dof} joints, the diagnosed arm {model.dof}")
     if recording.motion != "trajectory":
