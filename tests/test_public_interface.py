@@ -19,7 +19,7 @@ ANGLES = {"joint_position", "candidates", "recorded", "limits", "joint_limits", 
 """Arguments whose unit must be given as rad."""
 UNCHECKED = {
     *("hayati_fk", "six_parameter_fk", "hayati_to_six_parameter", "inverse_dynamics"),
-    *("above_floor", "all_pass", "clear_of_itself", "self_collision", "register"),
+    *("above_floor", "all_pass", "clear_of_itself", "self_collision", "register", "twist", "place_at_joint"),
 }
 """They check nothing, so they refuse nothing: formulas that may be traced and differentiated, and parts that are handed
 what the library has checked."""
