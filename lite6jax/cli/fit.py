@@ -16,8 +16,6 @@ if TYPE_CHECKING:
     from lite6jax.controller.verification import Verification
     from lite6jax.recordings import Recording
 
-DEMO = Path(__file__).parents[1] / "demo" / "lite6_simulated.yaml"
-
 
 @dataclass(frozen=True)
 class Fit:
@@ -176,29 +174,6 @@ class Fit:
 
         with screen.progress(self.fk_samples, "asking the controller") as advance:
             return verify(calibration, parse_address(str(self.ip)), self.fk_samples, self.seed, advance)
-
-
-@dataclass(frozen=True)
-class Demo:
-    """Fit a bundled calibration of a simulated Lite 6, to see what the program does.
-
-    For example:
-
-        lite6jax demo --figures figures
-    """
-
-    out: OutFile = None
-    """Write the effective table (JSON, mm and deg) here."""
-    figures: Folder = None
-    """Draw the error against each joint into this folder (PNG and SVG)."""
-    force: bool = False
-    """Replace files that exist."""
-
-    def run(self) -> int:
-        """As `fit` on the bundled file."""
-        print("The calibration below is simulated, of the size that real ones have: no arm was measured.")
-        print(f"lite6jax fit {DEMO}\n", flush=True)
-        return Fit(DEMO, out=self.out, figures=self.figures, force=self.force).run()
 
 
 @dataclass(frozen=True)

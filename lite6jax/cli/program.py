@@ -17,12 +17,13 @@ import tyro
 from tyro.conf import FlagCreatePairsOff, OmitArgPrefixes, subcommand
 
 from lite6jax.cli.compensate import Compensate
+from lite6jax.cli.demo import Demo
 from lite6jax.cli.design import Design
 from lite6jax.cli.diagnose import Diagnose, Predict
 from lite6jax.cli.emulate import Emulate
 from lite6jax.cli.exit_codes import BAD_INPUT, DONE, INTERRUPTED, MEANINGS, READER_LEFT
 from lite6jax.cli.files import Check, Convert
-from lite6jax.cli.fit import Compare, Demo, Fit
+from lite6jax.cli.fit import Compare, Fit
 from lite6jax.cli.fleet import Fleet
 from lite6jax.cli.help import is_help, with_readable_options, wrapped
 from lite6jax.cli.init import Init

@@ -32,8 +32,9 @@ from lite6jax.recordings import Recording, write_recording
 from lite6jax.recordings.writing import write_table
 from lite6jax.report import combined, documents, page, torque_page
 from lite6jax.report.compensation_tables import compensation_columns
-from lite6jax.results import PublicResult, draw, tabulate, write
-from lite6jax.storage import check_writable, write_atomically
+from lite6jax.report.next_steps import Files
+from lite6jax.results import PublicResult, tabulate, write
+from lite6jax.storage import check_writable, exists, write_atomically
 
 Array = NDArray[np.floating]
 Columns = dict[str, Any]
@@ -203,22 +204,30 @@ def _saved_diagnosis(found: Any, path: Path, overwrite: bool) -> Path:
         return _saved(found, path, overwrite)
     check_writable(path, overwrite)
     document = combined.stated_document(found)
-    text = document_text(document) if suffix == ".json" else _page(found, document)
+    text = document_text(document) if suffix == ".json" else page_text(found, document)
     return write_atomically(path, text, overwrite)
 
 
-def _page(found: Any, document: dict[str, Any]) -> str:
-    whole = found.poses if isinstance(found, CombinedDiagnosis) else found
-    data = whole.problem.data if isinstance(whole, TorqueDiagnosis) else whole.problem
-    source = data.recording.source
-    drawn = {name: figure for name, figure in draw(found, Path(source).name).items() if name != "ranking"}
-    if isinstance(found, TorqueDiagnosis):
-        return torque_page.torque_page(found, document, source, drawn)
-    if isinstance(found, Diagnosis):
-        return page.diagnosis_page(found, document, source, drawn)
-    if found.torques is None:
-        return page.diagnosis_page(found.poses, document, source, drawn)
-    return combined.combined_page(found, document, source, drawn)
+def page_text(
+    found: Diagnosis | TorqueDiagnosis | CombinedDiagnosis, document: dict[str, Any], files: Files | None = None
+) -> str:
+    """The page of any diagnosis, HTML.
+
+    Args:
+        found: the diagnosis.
+        document: as in its JSON file, with statements.
+        files: for commands to copy; the recording's, where that is a file, where not given.
+    """
+    poses = found.poses if isinstance(found, CombinedDiagnosis) else found
+    source = (poses.problem.data if isinstance(poses, TorqueDiagnosis) else poses.problem).recording.source
+    drawn = {name: figure for name, figure in found.plot(Path(source).name).items() if not name.endswith("ranking")}
+    if files is None and exists(source):
+        files = Files(Path(source))
+    if isinstance(poses, TorqueDiagnosis):
+        return torque_page.torque_page(poses, document, source, drawn, files)
+    if isinstance(found, CombinedDiagnosis) and found.torques is not None:
+        return combined.combined_page(found, document, source, drawn, files)
+    return page.diagnosis_page(poses, document, source, drawn, files)
 
 
 def _check_suffix(result: object, path: Path, forms: Sequence[str]) -> None:
