@@ -3,6 +3,7 @@
 import os
 import shlex
 import subprocess
+from types import UnionType
 
 
 class InputError(ValueError):
@@ -29,6 +30,22 @@ def wrong_type(argument: str, given: object, accepted: str) -> InputError:
         accepted: what to give, after "give".
     """
     return InputError(f"{argument}: has the type {type(given).__name__}; give {accepted}")
+
+
+def require_type(argument: str, given: object, kinds: type | UnionType, accepted: str) -> None:
+    """Refuses an argument of another type.
+
+    Args:
+        argument: its name.
+        given: what was given for it.
+        kinds: the types that are accepted.
+        accepted: these in words, after "give".
+
+    Raises:
+        InputError: as said.
+    """
+    if not isinstance(given, kinds):
+        raise wrong_type(argument, given, accepted)
 
 
 def command_line(*arguments: object) -> str:

@@ -83,6 +83,7 @@ def test_motions_and_targets_are_read_from_files(folder, model):
     assert lite6jax.register_model(model, folder / "run.csv")[1].rms < 1e-4
 
 
+BARE = lite6jax.Recording.from_arrays(np.zeros((3, 6)), np.full((3, 3), 0.1))
 FRAME = pd.DataFrame({"q1_rad": [0.0]})
 
 
@@ -104,6 +105,15 @@ FRAME = pd.DataFrame({"q1_rad": [0.0]})
         (lambda _: lite6jax.compensate(None, [[0, 0, 0]]), r"model: has the type NoneType; give lite6jax\.read_model"),
         (lambda m: lite6jax.predict(m, object()), "motion: joint_position: holds object, not numbers"),
         (lambda m: lite6jax.register_model(m, 3), "recording: has the type int; give the path"),
+        (lambda _: lite6jax.simulate(3), "arm: has the type int; give an Arm, the name of a bundled one"),
+        (lambda _: lite6jax.sensitivity(3), "arm: has the type int; give an Arm or the name"),
+        (lambda _: lite6jax.identify("lite6"), r"experiment: has the type str; give an Experiment, as lite6jax\.plan"),
+        (lambda _: lite6jax.read_model(3), "path: has the type int; give the path of a diagnosis"),
+        (lambda _: lite6jax.write_recording(3, "a.csv"), "recording: has the type int; give a Recording"),
+        (lambda _: lite6jax.fit_fleet_calibrations([3], nominal=6), "nominal: has the type int; give an Arm or"),
+        (lambda _: lite6jax.diagnose(BARE, options=3), r"options: has the type int; give lite6jax\.Options"),
+        (lambda _: lite6jax.diagnose(BARE, effects="mine.py"), r"effects: has the type str; .*lite6jax\.load_effects"),
+        (lambda _: lite6jax.diagnose(BARE, effects=[3]), r"effects\[0\]: has the type int; give an effect"),
         (lambda _: lite6jax.predict_torques(3, "m.csv"), r"model: has the type int; give lite6jax\.read_torque_model"),
     ],
 )
@@ -112,6 +122,10 @@ def test_another_type_is_refused_in_one_line_that_says_what_is_accepted(model, c
         call(model)
     assert re.search(said, str(caught.value))
     assert "\n" not in str(caught.value)
+
+
+def test_a_model_prints_in_one_line(model):
+    assert repr(model) == "model of a lite6 with joint_compliance:joint2"
 
 
 def test_a_calibration_is_no_recording(folder):

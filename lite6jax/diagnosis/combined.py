@@ -19,7 +19,7 @@ from lite6jax.diagnosis.torque_reference import TorqueComparison, diagnose_torqu
 from lite6jax.diagnosis.torque_result import TorqueDiagnosis
 from lite6jax.domains.pose.reference import ReferenceComparison
 from lite6jax.effects.effect import Effect
-from lite6jax.effects.user_effects import by_domain
+from lite6jax.effects.user_effects import by_domain, require_effects
 from lite6jax.errors import InputError
 from lite6jax.fitting.problem import Geometry
 from lite6jax.fitting.recognition import arm_of
@@ -99,6 +99,7 @@ def diagnose_combined(
         raise InputError(f"{recording.source}: has {has}; call lite6jax.{own}")
     arm = arm or arm_of(recording)
     reference = None if reference is None else load_recording(reference, arm)
+    require_effects(effects)
     kinematic, dynamic = by_domain(effects)
     seen: ReferenceComparison | None = None
     compared: TorqueComparison | None = None

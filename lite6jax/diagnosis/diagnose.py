@@ -19,7 +19,8 @@ from lite6jax.diagnosis.result import Diagnosis, Finding, Rival, SearchedAgain, 
 from lite6jax.domains.pose.problem import PoseProblem
 from lite6jax.domains.pose.screening.screen import screen_rows
 from lite6jax.effects.effect import Effect
-from lite6jax.errors import InputError
+from lite6jax.effects.user_effects import require_effects
+from lite6jax.errors import InputError, require_type
 from lite6jax.fitting.problem import Geometry
 from lite6jax.fitting.recognition import with_arm
 from lite6jax.fitting.source import load_nominal, load_recording
@@ -63,6 +64,8 @@ def diagnose(
     """
     arm = load_nominal(arm)
     recording = load_recording(recording, arm)
+    require_effects(effects)
+    require_type("options", options, Options | None, "lite6jax.Options(…)")
     if recording.position is None and recording.has_torques:
         raise InputError(f"{recording.source}: has torques and no poses; call lite6jax.diagnose_torques")
     options = options or Options()

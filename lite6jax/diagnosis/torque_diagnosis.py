@@ -22,6 +22,8 @@ from lite6jax.domains.torque.linearisation import linearised, with_likely_prior
 from lite6jax.domains.torque.problem import TorqueProblem, torque_problem
 from lite6jax.domains.torque.screening import contacts, screen_torques
 from lite6jax.effects.dynamic.torque_effect import TorqueEffect
+from lite6jax.effects.user_effects import require_effects
+from lite6jax.errors import require_type
 from lite6jax.estimation.least_squares import Fit
 from lite6jax.estimation.problem import Mask, Problem
 from lite6jax.fitting.recognition import declared_arm_of, with_calibration
@@ -62,6 +64,8 @@ def diagnose_torques(
     Raises:
         InputError: no arm is declared; no torques, no times, steps that vary, an arm at rest, or another unit.
     """
+    require_effects(effects)
+    require_type("options", options, Options | None, "lite6jax.Options(…)")
     options = options or Options()
     arm = load_nominal(arm)
     recording = load_recording(recording, arm)

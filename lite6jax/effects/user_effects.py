@@ -116,7 +116,7 @@ from lite6jax.effects.effect import Altering, Bending, Effect, Loading
 from lite6jax.effects.motion import Motion, motion_of
 from lite6jax.effects.sliding import Sliding
 from lite6jax.effects.statics import Loads, inertia_of
-from lite6jax.errors import InputError
+from lite6jax.errors import InputError, require_type
 from lite6jax.storage import read_text
 
 SIZE_LIMIT = 1 << 20
@@ -153,6 +153,17 @@ def load_effects(path: str | Path) -> tuple[Effect, ...]:
         if reason:
             raise InputError(f"{path}: EFFECTS[{index}]: {reason}")
     return tuple(effects)
+
+
+def require_effects(effects: object) -> None:
+    """Refuses what is no list of effects.
+
+    Raises:
+        InputError: as said.
+    """
+    require_type("effects", effects, list | tuple, "a list of effects; lite6jax.load_effects reads a file of them")
+    for place, effect in enumerate(effects):  # type: ignore[arg-type]
+        require_type(f"effects[{place}]", effect, Effect, "an effect, such as an instance of your class")
 
 
 def by_domain(effects: Sequence[Effect]) -> tuple[tuple[Effect, ...], tuple[TorqueEffect, ...]]:

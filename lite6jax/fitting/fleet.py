@@ -14,7 +14,7 @@ from lite6jax.arms import bundled
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.factory import read_factory
 from lite6jax.arms.forward_kinematics import six_parameter_fk
-from lite6jax.errors import InputError
+from lite6jax.errors import InputError, require_type
 from lite6jax.fitting.chunks import MAX_STEPS, fit_chunks
 from lite6jax.fitting.gauss_newton import Prior
 from lite6jax.fitting.residual import POSE
@@ -53,6 +53,7 @@ def fit_fleet(
     Raises:
         InputError: arrays whose shapes do not fit each other or the arm, noise that is not positive, negative weights.
     """
+    require_type("nominal", nominal, Arm | str, "an Arm or the name of a bundled one")
     arm = bundled.load_bundled(nominal) if isinstance(nominal, str) else nominal
     q, T = real_array("joint_position", joint_position), real_array("T_base_flange", T_base_flange)
     if T.ndim != 4 or T.shape[2:] != (4, 4):
@@ -131,6 +132,7 @@ def fit_fleet_calibrations(
     Raises:
         InputError: a wrong shape or type, or as `read_factory`.
     """
+    require_type("nominal", nominal, Arm | str, "an Arm or the name of a bundled one")
     arm = bundled.load_bundled(nominal) if isinstance(nominal, str) else nominal
     if isinstance(factory, list | tuple) and any(isinstance(each, str | Path) for each in factory):
         factory = np.stack([read_factory(path, arm).kinematics for path in factory])

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from lite6jax.arms.arm import Arm
 from lite6jax.effects.effect import Effect
+from lite6jax.errors import require_type
 from lite6jax.fitting.problem import Geometry
 from lite6jax.fitting.recognition import with_arm
 from lite6jax.fitting.recording_fit import fit_recording
@@ -165,6 +166,7 @@ def identify(
     Raises:
         InputError: joints that the arm does not have, degrees for radians, or numbers that are not real or not finite.
     """
+    require_type("experiment", experiment, Experiment, "an Experiment, as lite6jax.plan_experiment makes it")
     arm = experiment.arm
     q = sample_within_limits(arm, poses, seed) if joint_position is None else checked_joints(experiment, joint_position)
     determination = determine(experiment, q)

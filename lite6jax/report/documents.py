@@ -32,8 +32,8 @@ from lite6jax.report.cells import STATISTICS
 from lite6jax.report.compensation_tables import reason_text
 
 
-def text(found: Mapping[str, Any], written: Sequence[Path] | None = None) -> str:
-    """A document as JSON, with the files that a command wrote, if any; a number that is not finite is null."""
+def text(found: Mapping[str, Any], written: Sequence[Path] | None = ()) -> str:
+    """A document as JSON, with the files that the command wrote, or None; a number that is not finite is null."""
     files = {} if written is None else {"written": [str(path) for path in written]}
     return json.dumps(_plain({**found, **files}), indent=1, allow_nan=False)
 

@@ -177,7 +177,7 @@ def _saved(result: PublicResult, path: Path, overwrite: bool) -> Path:
         forms.append(".json")
     _check_suffix(result, path, forms)
     if suffix == ".json":
-        return write_atomically(path, documents.text(documents.document(result)) + "\n", overwrite)
+        return write_atomically(path, documents.text(documents.document(result), None) + "\n", overwrite)
     columns = pa.table({name: pa.array(values) for name, values in tabulate(result).items()})
     return write_atomically(path, lambda target: write_table(columns, target), overwrite)
 

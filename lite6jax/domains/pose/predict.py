@@ -62,7 +62,7 @@ _STATIC = (
 
 @final
 @partial(jax.tree_util.register_dataclass, data_fields=_LEAVES, meta_fields=_STATIC)
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class DiagnosedArm:
     """An arm with the effects that a diagnosis found. A pytree: arrays are its leaves, all else is static.
 
@@ -97,6 +97,10 @@ class DiagnosedArm:
     reference: ReferenceOrigin | None = None
     uncertainty: Uncertainty | None = None
     sliding: tuple[int, ...] = ()
+
+    def __repr__(self) -> str:
+        effects = ", ".join(effect.label for effect in self.physics.effects) or "no effects"
+        return f"model of a {self.arm} with {effects}"
 
     @property
     def dof(self) -> int:

@@ -27,7 +27,7 @@ _LINE = 10
 
 
 @final
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class DiagnosedMotors:
     """An arm with the effects on torques that were found.
 
@@ -52,6 +52,10 @@ class DiagnosedMotors:
     reference_temperature: float
     uncertainty: TorqueUncertainty | None = None
     relative_to: str | None = None
+
+    def __repr__(self) -> str:
+        effects = ", ".join(str(getattr(term, "label", term)) for term in self.terms.terms) or "no effects"
+        return f"model of the motors of a {self.arm.name} with {effects}"
 
     @property
     def dof(self) -> int:
