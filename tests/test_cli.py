@@ -19,7 +19,7 @@ from typed import flat, refused, run
 from lite6jax.arms.bundled import load_bundled
 from lite6jax.arms.factory import read_factory, write_factory
 from lite6jax.cli import program
-from lite6jax.cli.fit import DEMO
+from lite6jax.cli.demo import CALIBRATION as DEMO
 from lite6jax.fitting import code_folder
 from lite6jax.fitting.solution import Result
 from lite6jax.folders import fit
@@ -243,11 +243,40 @@ def test_fit_draws(capsys, tmp_path, calibration):
         assert f"Wrote {path}\n" in said
 
 
-def test_demo_says_that_it_is_simulated(capsys, tmp_path):
-    code, said, err = run(capsys, "demo", "--out", tmp_path / "demo.json")
-    assert (code, err) == (0, "")
-    assert said.startswith("The calibration below is simulated")
-    assert f"lite6jax fit {DEMO}" in said
+def test_the_demo_finds_what_it_hid_and_says_where_the_page_is(capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("lite6jax.cli.demo.POSES", 100)
+    code, said, _ = run(capsys, "demo", width=60)
+    assert code == 0
+    assert flat(said).startswith("No arm was measured: this Lite 6 is simulated.")
+    assert max(map(len, said.splitlines())) <= 60
+    for effect, true in (("joint compliance at joint2", 90.0), ("joint backlash at joint4", 1.5)):
+        hidden, found, std = re.search(rf"^{effect} +([\d.]+) +([\d.]+) ± ([\d.]+) ", said, re.MULTILINE).groups()
+        assert float(hidden) == true
+        assert abs(float(found) - true) < 3.5 * float(std) < true / 2
+    assert said.endswith("The page with the figures, to be opened in a browser:\n  lite6jax-demo/report.html\n")
+    folder = tmp_path / "lite6jax-demo"
+    names = {"run.csv", "run.yaml", "factory.yaml", "diagnosis.json", "report.html", "model.json"}
+    assert {path.name for path in folder.iterdir()} == names
+    page = (folder / "report.html").read_text()
+    assert page.count("data:image/png") >= 4
+    assert "lite6jax view lite6jax-demo/diagnosis.json" in page
+    assert "Converged" in said
+
+    from lite6jax.cli.demo import _fresh
+
+    assert str(_fresh()) == "lite6jax-demo-2"
+    before = {path: path.read_bytes() for path in folder.iterdir()}
+    assert "exists already" in refused(capsys, "demo", folder)
+    assert {path: path.read_bytes() for path in folder.iterdir()} == before
+
+
+def test_the_demo_needs_a_folder_that_can_be_made(capsys, tmp_path):
+    (tmp_path / "file").write_text("mine")
+    assert "cannot be created" in refused(capsys, "demo", tmp_path / "file" / "below")
+
+
+def test_the_factory_file_of_the_demo_says_that_it_is_simulated():
     assert "SIMULATED" in DEMO.read_text().splitlines()[0]
     spread = read_factory(DEMO).kinematics - LITE6
     wanted = np.random.default_rng(0).standard_normal((6, 6)) * ([0.8e-3] * 3 + [np.deg2rad(0.15)] * 3)

@@ -214,13 +214,10 @@ class Diagnose:
         return found, statements.with_statements({**to_document(found), "inputs": read})
 
     def _read(self, path: Path, of: "Arm | None") -> "Recording":
-        from lite6jax.fitting.source import read_source
-        from lite6jax.recordings import Recording
+        from lite6jax.fitting.source import load_recording
 
-        source = read_source(path, of, assume_degrees=self.assume_degrees, assume_millimetres=self.assume_millimetres)
-        if not isinstance(source, Recording):
-            raise InputError(f"{path}: is a calibration; diagnose takes a recording (.csv, .parquet, .mcap)")
-        return source
+        assumed = {"assume_degrees": self.assume_degrees, "assume_millimetres": self.assume_millimetres}
+        return load_recording(path, of, **assumed)
 
 
 @dataclass(frozen=True)
@@ -268,8 +265,8 @@ class Predict:
 
         from lite6jax.diagnosis.document import check_sum, model_from_document, parsed_document
         from lite6jax.diagnosis.torque_document import is_of_torques, of_torques
-        from lite6jax.domains.pose.files import prediction_columns, read_motion
-        from lite6jax.domains.pose.predict import predicted
+        from lite6jax.domains.pose.files import read_motion
+        from lite6jax.domains.pose.predict import predicted, prediction_columns
         from lite6jax.domains.pose.registration import register_model
         from lite6jax.effects.user_effects import load_effects
         from lite6jax.recordings.writing import write_table

@@ -132,7 +132,7 @@ def predict_motors(command: "Predict", document: "dict[str, Any]", effects: "Seq
     check_sum(document, command.diagnosis)
     recording = read_motion(command.motion, model)
     shown = predicted_torques(model, recording)
-    columns = pa.table(torque_columns(model, shown))
+    columns = pa.table(torque_columns(shown))
     path = write_atomically(command.out, lambda target: write_table(columns, target), command.force)
     if command.json:
         from lite6jax.report import documents
@@ -184,7 +184,7 @@ def torques_beside(
         found = predicted_torques(model, recording)
     except InputError as error:
         return poses, [f"Torques are not predicted: {error}."]
-    columns = poses | torque_columns(model, found)
+    columns = poses | torque_columns(found)
     if found.outside is None:
         return columns, []
     columns["outside"] = (found.outside | (poses["outside"] > 0 if "outside" in poses else False)).astype(int)

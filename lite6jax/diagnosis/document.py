@@ -28,7 +28,7 @@ from lite6jax.effects.effect import Effect, require_kind
 from lite6jax.effects.nonparametric import Unnamed
 from lite6jax.effects.serialization import effect_as_dict, effect_from_dict
 from lite6jax.effects.statics import inertia_of, with_mass_errors
-from lite6jax.errors import InputError, InputWarning
+from lite6jax.errors import InputError, InputWarning, require_type
 from lite6jax.estimation.concentration import Concentration
 from lite6jax.model import ArmModel
 from lite6jax.schema import RepeatedKeyError, unique_keys
@@ -293,6 +293,7 @@ def read_model(path: str | Path, effects: tuple[Effect, ...] = ()) -> DiagnosedA
     Warns:
         InputWarning: the file was changed after it was written.
     """
+    require_type("path", path, str | Path, "the path of a diagnosis (.json)")
     document = parsed_document(path)
     model = model_from_document(document, effects, str(path))
     check_sum(document, path)

@@ -14,13 +14,14 @@ from lite6jax.arms.forward_kinematics import hayati_fk
 from lite6jax.errors import InputError
 from lite6jax.fitting.problem import calibration_poses
 from lite6jax.fitting.sampling import sample_within_limits
+from lite6jax.results import PublicResult
 
 Array = NDArray[np.floating]
 SAMPLES = 1000
 
 
-@dataclass(frozen=True)
-class Comparison:
+@dataclass(frozen=True, repr=False)
+class Comparison(PublicResult):
     """Arms of one type side by side.
 
     Attributes:

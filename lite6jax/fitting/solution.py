@@ -17,7 +17,7 @@ from lite6jax.fitting.status import Result
 from lite6jax.model import ArmModel, ModelForm, predict
 from lite6jax.recordings import Recording, require_radians
 from lite6jax.recordings.fault import DataFault
-from lite6jax.summary import Summarised
+from lite6jax.results import PublicResult
 
 Array = NDArray[np.floating]
 
@@ -122,8 +122,8 @@ class Held:
 
 
 @final
-@dataclass(frozen=True)
-class Solution(Summarised):
+@dataclass(frozen=True, repr=False)
+class Solution(PublicResult):
     """The fit of one arm.
 
     Attributes:
@@ -204,8 +204,8 @@ class Solution(Summarised):
 
 
 @final
-@dataclass(frozen=True)
-class FleetSolution(Summarised):
+@dataclass(frozen=True, repr=False)
+class FleetSolution(PublicResult):
     """The fits of many arms; every array has the arm as its first axis.
 
     Attributes:

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.files import read_arm
-from lite6jax.errors import InputError
+from lite6jax.errors import InputError, require_type
 from lite6jax.recordings.checks import check_joint_scale, check_position_scale
 from lite6jax.recordings.columns import is_per_joint
 from lite6jax.recordings.plausible import without_implausible
@@ -147,6 +147,7 @@ def write_recording(recording: Recording, path: str | Path, overwrite: bool = Fa
     Raises:
         InputError: another suffix, a file that exists while `overwrite` is false, or a disk that refuses.
     """
+    require_type("recording", recording, Recording, "a Recording")
     path = Path(path)
     if path.suffix.lower() not in (".csv", ".parquet"):
         raise InputError(f"{path}: a recording ends in .csv or .parquet; choose such a name")

@@ -9,6 +9,8 @@ from rich.console import RenderableType
 from rich.text import Text
 
 from lite6jax.diagnosis.combined import CombinedDiagnosis
+from lite6jax.diagnosis.result import Diagnosis
+from lite6jax.diagnosis.torque_result import TorqueDiagnosis
 from lite6jax.report import (
     diagnosis_figures,
     diagnosis_tables,
@@ -38,6 +40,14 @@ def with_statements(document: Document) -> dict[str, Any]:
         stated["torques"] = torque_statements.with_statements(document["torques"])
         stated["shared"] = shared.with_statements(document["shared"])
     return stated
+
+
+def stated_document(found: Diagnosis | TorqueDiagnosis | CombinedDiagnosis) -> dict[str, Any]:
+    """The document of any diagnosis, with statements."""
+    document = found.to_dict()
+    if isinstance(found, TorqueDiagnosis):
+        return torque_statements.with_statements(document)
+    return with_statements(document)
 
 
 def combined_report(

@@ -23,6 +23,7 @@ from lite6jax.fitting.compare import Comparison
 from lite6jax.fitting.solution import Errors, Solution
 from lite6jax.folders.rows import Row
 from lite6jax.identifiability.discrimination import DiscriminationPlan
+from lite6jax.identifiability.identify import Identification
 from lite6jax.identifiability.planning import Plan
 from lite6jax.identifiability.sensitivity import GlobalSensitivity, Sensitivity
 from lite6jax.identifiability.torque.discrimination import TorqueDiscrimination
@@ -31,9 +32,10 @@ from lite6jax.report.cells import STATISTICS
 from lite6jax.report.compensation_tables import reason_text
 
 
-def text(found: Mapping[str, Any], written: Sequence[Path] = ()) -> str:
-    """A document as JSON, with the files that the command wrote; a number that is not finite is null."""
-    return json.dumps(_plain({**found, "written": [str(path) for path in written]}), indent=1, allow_nan=False)
+def text(found: Mapping[str, Any], written: Sequence[Path] | None = ()) -> str:
+    """A document as JSON, with the files that the command wrote, or None; a number that is not finite is null."""
+    files = {} if written is None else {"written": [str(path) for path in written]}
+    return json.dumps(_plain({**found, **files}), indent=1, allow_nan=False)
 
 
 def line(found: Mapping[str, Any]) -> str:
@@ -140,6 +142,16 @@ def of_sensitivity(found: Sensitivity, over_arms: GlobalSensitivity | None) -> d
             for name, first, total in zip(over_arms.names, over_arms.first, over_arms.total, strict=True)
         ],
     }  # fmt: skip
+
+
+@document.register
+def _sensitivity(found: Sensitivity) -> dict[str, Any]:
+    return of_sensitivity(found, None)
+
+
+@document.register
+def _identification(found: Identification) -> dict[str, Any]:
+    return found.to_dict()
 
 
 @document.register

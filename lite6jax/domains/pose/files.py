@@ -6,10 +6,10 @@ from typing import Protocol
 
 import jax
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from lite6jax.arms.se3 import quaternion_from_rotation
-from lite6jax.domains.pose.predict import DiagnosedArm, Prediction
+from lite6jax.model import ArmModel
 from lite6jax.recordings import (
     ArmJoints,
     Recording,
@@ -45,6 +45,20 @@ class Diagnosed(Protocol):
     def sliding(self) -> tuple[int, ...]: ...
 
 
+class DiagnosedPoses(Diagnosed, Protocol):
+    """What targets inherit beside.
+
+    Attributes:
+        model: the rigid part of the arm.
+        joint_limits: `(joint, 2)` rad, m of prismatic joints, or None.
+    """
+
+    @property
+    def model(self) -> ArmModel: ...
+    @property
+    def joint_limits(self) -> ArrayLike | None: ...
+
+
 def read_motion(path: str | Path, model: Diagnosed) -> Recording:
     """A motion to predict; what its own sidecar does not declare is taken from the diagnosed recording.
 
@@ -63,7 +77,7 @@ def read_motion(path: str | Path, model: Diagnosed) -> Recording:
     return _declared_anew(recording, settings)
 
 
-def read_pose_targets(path: str | Path, model: DiagnosedArm) -> Targets:
+def read_pose_targets(path: str | Path, model: DiagnosedPoses) -> Targets:
     """Targets for `compensate`; what their own sidecar does not declare is taken from the diagnosed recording.
 
     Raises:
@@ -99,18 +113,6 @@ def pose_columns(poses: Array, orientation: bool) -> dict[str, Array]:
     if orientation:
         columns.update(zip(("qw", "qx", "qy", "qz"), np.asarray(_quaternions(poses[:, :3, :3])).T, strict=True))
     return columns
-
-
-def prediction_columns(found: Prediction, orientation: bool) -> dict[str, Array | NDArray[np.integer]]:
-    """Column name to values: those of the poses, and then the standard deviations and `outside` where these are known.
-
-    Args:
-        found: poses with their standard deviations.
-        orientation: whether to give quaternions as well.
-    """
-    return pose_columns(found.poses, orientation) | bar_columns(
-        found.position_std, found.orientation_std, found.outside
-    )
 
 
 def bar_columns(
