@@ -45,7 +45,7 @@ DAMAGED = "run `lite6jax diagnose` again"
 
 def to_document(found: Diagnosis) -> dict[str, Any]:
     """The whole diagnosis as values that JSON can hold."""
-    problem, kept = found.problem, ~found.outliers
+    problem, kept, settings = found.problem, ~found.outliers, found.problem.recording.settings
     turned = (None, None) if found.turned is None else tuple(errors[kept] for errors in found.turned)
     before, after = _summary(found.before[kept], turned[0]), _summary(found.after[kept], turned[1])
     heldout = before["heldout_position_rms_m"], after["heldout_position_rms_m"]
@@ -74,11 +74,12 @@ def to_document(found: Diagnosis) -> dict[str, Any]:
         "heldout_blocks": block_count(found.folds),
         "searched_again": None if found.searched_again is None else found.searched_again.to_dict(),
         "quick": found.options.quick,
-        "pose_source": problem.recording.settings.pose_source,
-        "date": problem.recording.settings.date,
-        "instrument": problem.recording.settings.instrument,
+        "pose_source": settings.pose_source,
+        "date": settings.date,
+        "instrument": settings.instrument,
         "noise": {
-            "declared_position_m": problem.noise[0] if problem.declared else None,
+            "declared_position_m": settings.position_noise_m,
+            "declared_orientation_rad": settings.orientation_noise_rad,
             "estimated_position_m": found.estimated_noise,
         },
         "data_faults": faults,

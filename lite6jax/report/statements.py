@@ -15,6 +15,10 @@ Document = Mapping[str, Any]
 Entry = Mapping[str, Any]
 
 NOT_CHECKED = "They are inside the arm's limits, in an order of short moves, and not checked for collisions."
+COMPUTED = (
+    "The poses are the controller's own computation from the joints: they test nothing but the table of the arm. To "
+    "diagnose the arm itself, record the poses with a sensor."
+)
 INERTIAL = "The loads include the inertial forces of the moving arm, which the recording supports."
 
 _VERDICTS = {
@@ -76,6 +80,8 @@ def verdict_statement(document: Document) -> str:
 def _verdict(document: Document) -> str:
     verdict, noise, left = document["verdict"], document["noise"], document["left"]
     declared = noise["declared_position_m"]
+    if verdict == "consistent" and worth.is_computed(document):
+        return "Consistent: the table of the arm reproduces what the controller computed from the joints."
     if verdict == "undetermined":
         more = document["rows_needed"] - document["samples"]
         poses = "1 more pose" if more == 1 else f"{more} more poses"
@@ -92,6 +98,11 @@ def _verdict(document: Document) -> str:
         return f"{_VERDICTS[verdict]} {_what_is_left(left)}"
     if verdict == "consistent" and "against" in document:
         return "Consistent: beyond the differences above, the two recordings differ by noise."
+    if verdict == "consistent" and not declared:
+        return (
+            "Consistent: no effect is significant, and the residuals look like noise. Their size is not tested, as the "
+            f"sidecar declares {_undeclared_noise(document)}."
+        )
     if verdict == "partly_explained" and not declared:
         return (
             "Partly explained: the effects below are significant. Whether more remains cannot be tested, because the "
@@ -115,9 +126,11 @@ def undetermined(said: str, document: Document) -> str:
 
 
 def cautions(document: Document) -> list[str]:
-    """What qualifies the verdict: a model that does not describe the poses, effects that were not kept."""
+    """What qualifies the verdict: poses that no sensor measured, a model that does not describe them, effects that were
+    not kept."""
     bad, withdrawn = quality_statement(document["quality"]), document["withdrawn"]
-    lines = [] if bad is None else [bad]
+    lines = [COMPUTED] if worth.is_computed(document) else []
+    lines += [] if bad is None else [bad]
     if withdrawn is not None:
         names = _joined(_withdrawn_title(entry) for entry in withdrawn["effects"])
         before, after = (1e3 * withdrawn["heldout_position_rms_m"][stage] for stage in ("before", "after"))
@@ -159,7 +172,8 @@ def finding_statement(finding: Entry) -> str:
             f"{_shape(where)}{_effective(finding)}, {sizes(finding)}{moves}."
         )
     end, detail = "," if driver else "", _detail(_order_and_source(finding))
-    return f"{capital(name)}{detail} at {finding['site']}{driver}{end} is significant: {sizes(finding)}{moves}."
+    said = "is significant" if worth.is_significant(finding) else "is likely"
+    return f"{capital(name)}{detail} at {finding['site']}{driver}{end} {said}: {sizes(finding)}{moves}."
 
 
 def sizes(finding: Entry) -> str:
@@ -196,13 +210,12 @@ def findings_of(document: Document, said: Callable[[Entry], str] = finding_state
 
 
 def p_value_statement(finding: Entry) -> str:
-    """How improbable a finding is without the effect."""
-    return f"Family-wise {chance(finding['p_value'])} over all effects, sites and orders searched."
-
-
-def chance(p: float) -> str:
-    """A p-value; one below what floats hold is not zero."""
-    return f"p-value {p:.1e}" if p > 0 else "p-value below 1e-300"
+    """How improbable a finding is without the effect; what else it rests on, where a model was chosen as a whole."""
+    if not worth.is_significant(finding):
+        return "It is part of the likeliest model, and is not significant beside the other findings alone."
+    p = finding["p_value"]  # one below what floats hold is not zero
+    shown = f"p-value {p:.1e}" if p > 0 else "p-value below 1e-300"
+    return f"Family-wise {shown} over all effects, sites and orders searched."
 
 
 def effect_title(entry: Entry) -> str:
@@ -320,9 +333,9 @@ def assumptions(document: Document) -> list[str]:
     """What the tests rest on beyond the recording and its sidecar."""
     loaded = any(driver_of(driver).loaded for finding in document["findings"] for driver in _drivers(finding))
     inertial = document["model"]["accelerated"] and loaded
-    undeclared = document["noise"]["declared_position_m"] is None
-    missing = f"The sidecar declares {_undeclared_noise(document)}: tests use the noise estimated from the residuals."
-    lines = [*([INERTIAL] if inertial else []), *([missing] if undeclared else [])]
+    lacking = _undeclared_noise(document)
+    missing = f"The sidecar declares {lacking}: tests use the noise estimated from the residuals."
+    lines = [*([INERTIAL] if inertial else []), *([missing] if lacking else [])]
     if rows := document.get("left_out"):
         lines.append(
             f"A gear may be between its flanks in {rows_named(rows)}: estimates do without, and the held-out errors "
@@ -337,9 +350,13 @@ def _of_one_wave(finding: Entry, rival: Entry) -> bool:
 
 
 def _undeclared_noise(document: Document) -> str:
-    """What a sidecar without declared noise lacks: where orientations were measured, it takes both keys."""
-    both = document["model"]["orientation"]
-    return "not both position_noise_m and orientation_noise_rad" if both else "no position_noise_m"
+    """The keys of the noise of what was measured that the sidecar lacks; empty where it has them."""
+    noise, keys = document["noise"], []
+    if noise["declared_position_m"] is None:
+        keys.append("no position_noise_m")
+    if document["model"]["orientation"] and noise.get("declared_orientation_rad", 1.0) is None:
+        keys.append("no orientation_noise_rad")
+    return " and ".join(keys)
 
 
 def separating_title(item: Entry, units: Iterable[str] = ("deg",)) -> str:

@@ -47,6 +47,11 @@ def verdict_statement(document: Document) -> str:
             "Partly explained: the effects below are significant. Whether more remains cannot be tested, because the "
             "sidecar declares no torque_noise_Nm."
         )
+    if verdict == "consistent" and document["noise"]["declared_torque_Nm"] is None:
+        return (
+            "Consistent: no effect is significant, and the residuals look like noise. Their size is not tested, as the "
+            "sidecar declares no torque_noise_Nm."
+        )
     if verdict == "undetermined":
         return f"{statements.undetermined(_VERDICTS[verdict], document)} Record a longer one."
     said = [_VERDICTS[verdict], *(_what_is_left(document["left"]) if verdict in _LEFT_OVER else ())]
