@@ -78,8 +78,8 @@ def verdict_statement(document: Document) -> str:
 
 
 def _verdict(document: Document) -> str:
-    verdict, noise, left = document["verdict"], document["noise"], document["left"]
-    declared = noise["declared_position_m"]
+    verdict, left = document["verdict"], document["left"]
+    declared = document["noise"]["declared_position_m"]
     if verdict == "consistent" and worth.is_computed(document):
         return "Consistent: the table of the arm reproduces what the controller computed from the joints."
     if verdict == "undetermined":
@@ -89,10 +89,10 @@ def _verdict(document: Document) -> str:
     if verdict == "unexplained" and document["quality"]["verdict"] == "bad":
         return "Unexplained: the model of the arm does not describe the poses, and no effect explains why."
     if verdict == "unexplained":
-        times = noise["estimated_position_m"] / declared if declared else 1.0
+        times = max(left["position_over_noise"] or 0.0, left["orientation_over_noise"] or 0.0)
         if times > _EXCESSIVE:
             return (
-                f"Unexplained: no effect that was tested explains the residuals, which are {times:.3g} times the "
+                f"Unexplained: no effect that was tested explains the residuals, which are {multiple(times)} times the "
                 "declared noise: check the arm, the frame, the tool and the columns that the sidecar declares."
             )
         return f"{_VERDICTS[verdict]} {_what_is_left(left)}"

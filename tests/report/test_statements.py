@@ -499,18 +499,18 @@ def flat_report(document):
 def test_the_verdict_says_what_the_numbers_say(compliant):
     document = documented(compliant)
 
-    def verdict(code, declared=2e-5, estimated=2e-5, position=1.0, orientation=None, white=True, rows=None):
+    def verdict(code, declared=2e-5, position=1.0, orientation=None, white=True, rows=None):
         noise = {
             "declared_position_m": declared,
             "declared_orientation_rad": None,
-            "estimated_position_m": estimated,
+            "estimated_position_m": 2e-5,
         }
         left = {"position_over_noise": position, "orientation_over_noise": orientation, "white": white}
         changed = {"verdict": code, "noise": noise, "left": left, "rows_needed": rows}
         return statements.verdict_statement({**document, **changed})
 
     assert verdict("consistent") == "Consistent: the model of the arm and the sensor's noise explain the recording."
-    assert "which are 5.5 times the declared noise: check the arm" in verdict("unexplained", estimated=1.1e-4)
+    assert "which are 5.5 times the declared noise: check the arm" in verdict("unexplained", position=5.5)
     assert verdict("unexplained", position=2.34, white=False) == (
         "Unexplained: what is left is not the sensor's noise alone, and no effect is significant. Held-out "
         "position errors are 2.3 times the declared noise and neighbouring rows are correlated."
