@@ -93,7 +93,7 @@ def _result_line(solution: Solution, recorded: bool) -> str:
     most = 1e3 * float(solution.nominal_errors.position.max())
     return (
         f"Converged in {steps}: the table below is the calibrated arm to {number(worst)} mm; the nominal one is up to"
-        f" {number(most, 3)} mm off."
+        f" {number(most, 3)} mm off, at {len(solution.checked.position)} joint positions."
     )
 
 
