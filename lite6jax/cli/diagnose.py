@@ -232,7 +232,7 @@ class Predict:
 
     Beside each pose stand its standard deviations, x_std_m … and where orientation was recorded rx_std_rad … about the
     axes of the tool. They contain what the diagnosis left uncertain, and not the sensor's noise. Where `outside` is 1
-    the row is beyond what was recorded.
+    the recording does not support the row: it is beyond the recorded range, or in a gap of it.
 
     For example:
 

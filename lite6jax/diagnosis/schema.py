@@ -180,7 +180,8 @@ _UNCERTAINTY = record(
                 "drivers": mapping(array(2)),
             }
         ),
-    }
+    },
+    {"typical": optional(_PER_AXIS)},
 )
 _MODEL = record(
     {

@@ -23,7 +23,10 @@ def outside_sentence(outside: int, rows: int, noun: str) -> str:
     if not outside:
         return f"No {noun} is outside what was recorded."
     rows_are = f"{noun}{'' if rows == 1 else 's'} {'is' if outside == 1 else 'are'}"
-    return f"{outside} of {rows} {rows_are} outside what was recorded; the standard deviations grow there."
+    return (
+        f"{outside} of {rows} {rows_are} outside what was recorded, beyond its range or in its gaps: the standard "
+        "deviations are large there."
+    )
 
 
 _SHOWN = 0.05
@@ -50,8 +53,8 @@ def outside_warning(found: Compensation, model: DiagnosedArm) -> str:
         if excess > _SHOWN
     ]
     where = f" ({', '.join(joints)})" if joints else ""
-    verb = "leaves" if len(rows) == 1 else "leave"
+    verb = "is" if len(rows) == 1 else "are"
     return (
-        f"{rows_named(rows)} {verb} the range that was recorded{where}: there the compensation extrapolates; record "
+        f"{rows_named(rows)} {verb} outside what was recorded{where}: there the compensation extrapolates; record "
         "poses there, or keep targets inside"
     )

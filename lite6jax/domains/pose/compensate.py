@@ -58,8 +58,7 @@ class Compensation:
         position_std: `(row, 3)` m, of the pose that is reached, along the axes of the targets' frame, as those of
             `predicted`; None where the diagnosis does not say.
         orientation_std: `(row, 3)` rad, about the tool's axes; None also where no orientation was recorded.
-        outside: `(row,)` bool, whether a joint, or a quantity on which an effect depends, is beyond what was recorded;
-            None where the diagnosis does not say.
+        outside: `(row,)` bool, as of `Prediction`; None where the diagnosis does not say.
     """
 
     recording: Recording
