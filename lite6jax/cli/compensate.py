@@ -63,7 +63,7 @@ class Compensate:
         from lite6jax.effects.user_effects import load_effects
         from lite6jax.recordings import sidecar_path
         from lite6jax.recordings.writing import write_table, write_with_settings
-        from lite6jax.report import bars, compensation_tables, screen
+        from lite6jax.report import compensation_tables, screen
         from lite6jax.report.reference import origin_statement
 
         model = read_model(self.diagnosis, load_effects(self.effects) if self.effects else ())
@@ -91,7 +91,7 @@ class Compensate:
             written = [write_with_settings(columns, settings, self.out, self.force), sidecar]
         else:
             written = [write_atomically(self.out, lambda target: write_table(columns, target), self.force)]
-        beyond = bars.outside_warning(found, model)
+        beyond = compensation_tables.outside_warning(found, model)
         if beyond:
             warnings.warn(f"{self.targets}: {beyond}", InputWarning, stacklevel=1)
         if self.json:

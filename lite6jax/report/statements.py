@@ -6,8 +6,7 @@ from typing import Any, NamedTuple
 
 from lite6jax.effects.drivers import Driver, driver_of
 from lite6jax.report import data_faults, reference, worth
-from lite6jax.report.cells import fixed, multiple, number, ranges, rows_named
-from lite6jax.report.quality import quality_statement
+from lite6jax.report.cells import capital, fixed, joined, multiple, number, ranges, rows_named
 from lite6jax.report.quantities import quantity
 from lite6jax.report.remedies import effect_name
 
@@ -63,6 +62,17 @@ def with_statements(document: Document) -> dict[str, Any]:
     if "against" in document:
         stated["against"] = reference.with_statements(document["against"])
     return stated
+
+
+def setting_statement(document: Document) -> str:
+    """The arm, and how much was recorded."""
+    model = document["model"]
+    return f"{model['arm']}, {document['samples']} samples ({model['motion']})."
+
+
+def compared(document: Document) -> reference.Compared | None:
+    """The comparison with a reference; None where nothing was compared."""
+    return reference.compared(document)
 
 
 def verdict_statement(document: Document) -> str:
@@ -132,7 +142,7 @@ def cautions(document: Document) -> list[str]:
     lines = [COMPUTED] if worth.is_computed(document) else []
     lines += [] if bad is None else [bad]
     if withdrawn is not None:
-        names = _joined(_withdrawn_title(entry) for entry in withdrawn["effects"])
+        names = joined(_withdrawn_title(entry) for entry in withdrawn["effects"])
         before, after = (1e3 * withdrawn["heldout_position_rms_m"][stage] for stage in ("before", "after"))
         was, them = ("was", "it is") if len(withdrawn["effects"]) == 1 else ("were", "they are")
         if after > before:
@@ -157,7 +167,30 @@ def _what_is_left(left: Entry) -> str:
         if left[f"{key}_over_noise"] is not None
     ]
     correlated = [] if left["white"] else ["neighbouring rows are correlated"]
-    return f"{capital(_joined([*ratios, *correlated]))}."
+    return f"{capital(joined([*ratios, *correlated]))}."
+
+
+def quality_statement(quality: Entry) -> str | None:
+    """Why a model does not describe the poses it was fitted to, and what to check; None where it does.
+
+    Args:
+        quality: as in JSON documents.
+    """
+    if quality["verdict"] != "bad":
+        return None
+    error = "not finite" if quality["error_m"] is None else f"up to {number(1e3 * quality['error_m'], 3)} mm"
+    if quality["explained_share"] is None:
+        return f"The model does not reproduce the calibration: its errors are {error}. Check the arm that is named."
+    if quality["reason"] == "unrelated":
+        return (
+            "The model does not describe the poses: it explains less than half of the variance of the positions. Check "
+            "that the poses belong to these joint positions, row by row."
+        )
+    return (
+        f"The model does not describe the poses: of three quarters of the held-out rows the errors are {error}, and a "
+        f"model of this arm is expected within {number(1e3 * quality['limit_m'], 3)} mm. Check the arm, that the poses "
+        "belong to these joint positions, and the order, the signs and the units of the joints."
+    )
 
 
 def finding_statement(finding: Entry) -> str:
@@ -278,7 +311,7 @@ def what_to_record(document: Document) -> list[str]:
         orders = [f"{rival['order']:.6g}" for rival in waves if rival["status"] == "undecided"]
         if orders:
             asked = f"record positions of {finding['site']} that are no multiples of one angle"
-            lines.append(f"To separate {effect_title(finding)} from order {_joined(orders, 'or')}, {asked}.")
+            lines.append(f"To separate {effect_title(finding)} from order {joined(orders, 'or')}, {asked}.")
         for rival in finding["confusable_with"]:
             pair = f"{effect_title(finding)} from {effect_title(rival)}"
             if rival["status"] == "separable":
@@ -290,17 +323,17 @@ def what_to_record(document: Document) -> list[str]:
                 pairs.append(pair)
                 drivers += [f"the {driver}" for entry in (finding, rival) for driver in _drivers(entry)]
     if pairs:
-        vary = f" in which {_joined(dict.fromkeys(drivers))} vary independently" if drivers else ""
-        lines.append(f"To separate {_joined(pairs, 'or')}, record more poses{vary}.")
+        vary = f" in which {joined(dict.fromkeys(drivers))} vary independently" if drivers else ""
+        lines.append(f"To separate {joined(pairs, 'or')}, record more poses{vary}.")
     doubtful = [effect_title(finding) for finding in _detailed(document) if finding.get("payload_share", 0.0) > _MOST]
     if doubtful:
         lines.append(
-            f"To narrow the ± of {_joined(doubtful)}, record poses with another payload, or with none, as well: most "
+            f"To narrow the ± of {joined(doubtful)}, record poses with another payload, or with none, as well: most "
             "of its variance is that the payload may be wrong by too little to be found."
         )
     for group in untested(document):
         if group.remedy:
-            names = _joined(dict.fromkeys(effect_name(entry["effect"]) for entry in group.entries))
+            names = joined(dict.fromkeys(effect_name(entry["effect"]) for entry in group.entries))
             lines.append(f"To test for {names}, give {group.remedy.removesuffix(' …')}.")
     return [*lines, *(_against_confounding(document) if document["confounded"] else [])]
 
@@ -370,11 +403,6 @@ def sliding(document: Document) -> tuple[int, ...]:
     return tuple(joint - 1 for joint in document["model"].get("prismatic_joints", ()))
 
 
-def capital(text: str) -> str:
-    """With a capital first letter, the others unchanged."""
-    return text[:1].upper() + text[1:]
-
-
 def _detailed(document: Document) -> list[dict[str, Any]]:
     """The findings with the fields of their effects, which the model has."""
     effects = document["model"]["effects"]
@@ -387,7 +415,7 @@ def _requirement(entry: Entry) -> str:
 
 
 def _against_confounding(document: Document) -> list[str]:
-    declare = _joined(words for part, words in _PARTS.items() if part in document["nuisance"]["parts"])
+    declare = joined(words for part, words in _PARTS.items() if part in document["nuisance"]["parts"])
     orientation = document["model"]["orientation"]
     steps = [*([f"declare {declare}"] if declare else []), *([] if orientation else ["measure orientations too"])]
     return [f"To test for effects that are confounded or not observed, {' and '.join(steps)}."] if steps else []
@@ -464,11 +492,6 @@ def _by_gap(finding: Entry) -> list[Entry]:
 
 def _with_gap(rival: Entry) -> str:
     return f"{effect_title(rival)} (log-likelihood {fixed(-rival['log_likelihood_gap'], 1, '+')})"
-
-
-def _joined(words: Iterable[str], last: str = "and") -> str:
-    *first, final = [*words] or [""]
-    return f"{', '.join(first)} {last} {final}" if first else final
 
 
 def _sites(sites: Iterable[str]) -> str:

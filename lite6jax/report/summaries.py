@@ -23,7 +23,6 @@ from lite6jax.recordings import Recording
 from lite6jax.report import shared, statements, torque_statements, worth
 from lite6jax.report.cells import each_with_unit, joint_units, number
 from lite6jax.report.data_faults import fault_name
-from lite6jax.report.quality import quality_statement
 
 MOST_NOTES = 4
 _MOST_FINDINGS = 4
@@ -117,7 +116,7 @@ def _solution(solution: Solution) -> Description:
         f"{solution.arm.name}.",
         f"The error on {on} is {_errors(after)}; that of the nominal geometry is {_errors(before)}.",
     ]
-    bad = quality_statement(solution.quality.to_dict())
+    bad = statements.quality_statement(solution.quality.to_dict())
     if bad is not None:
         sentences.append(bad)
     if held:

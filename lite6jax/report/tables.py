@@ -18,7 +18,7 @@ from lite6jax.recordings import Recording
 from lite6jax.report import screen
 from lite6jax.report.cells import SCREEN, STATISTICS, fixed, listed, listing, number, plus_minus
 from lite6jax.report.data_faults import fault_statement
-from lite6jax.report.quality import quality_statement
+from lite6jax.report.statements import quality_statement
 
 Array = NDArray[np.floating]
 _MOST_ROWS = 5

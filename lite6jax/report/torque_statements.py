@@ -5,10 +5,10 @@ from functools import partial
 from typing import Any, NamedTuple
 
 from lite6jax.report import data_faults, reference, statements, torque_reference
-from lite6jax.report.cells import each_with_unit, multiple, torque_units
+from lite6jax.report.cells import capital, each_with_unit, multiple, significant, torque_units
 from lite6jax.report.quantities import OF_TORQUES, Quantity, quantity
 from lite6jax.report.remedies import effect_name
-from lite6jax.report.statements import Untested, capital, effect_title
+from lite6jax.report.statements import Untested, effect_title
 
 Document = Mapping[str, Any]
 Entry = Mapping[str, Any]
@@ -187,7 +187,7 @@ def finding_statement(finding: Entry) -> str:
 def _moved(finding: Entry) -> str:
     """What a finding adds to the torques of revolute joints, and to the forces of prismatic ones."""
     pairs = (("moves_rms_Nm", "Nm RMS to the torque"), ("moves_rms_N", "N RMS to the force"))
-    return " and ".join(f"{finding[key]:.3g} {words}" for key, words in pairs if key in finding)
+    return " and ".join(f"{significant(finding[key])} {words}" for key, words in pairs if key in finding)
 
 
 def _described(entry: Entry) -> str:
