@@ -40,6 +40,7 @@ def diagnose_motors(
     from lite6jax.diagnosis.torque_reference import diagnose_torques_against
     from lite6jax.effects.user_effects import by_domain
     from lite6jax.report import stages, worth
+    from lite6jax.report.diagnosis_tables import diagnosis_report
     from lite6jax.report.torque_statements import with_statements
 
     if command.figures:
