@@ -28,11 +28,12 @@ from lite6jax.effects.effect import Effect, require_kind
 from lite6jax.effects.nonparametric import Unnamed
 from lite6jax.effects.serialization import effect_as_dict, effect_from_dict
 from lite6jax.effects.statics import inertia_of, with_mass_errors
-from lite6jax.errors import InputError, InputWarning
+from lite6jax.errors import InputError, InputWarning, command_line
 from lite6jax.estimation.concentration import Concentration
 from lite6jax.model import ArmModel
+from lite6jax.recordings.sources import recording_file
 from lite6jax.schema import RepeatedKeyError, unique_keys
-from lite6jax.storage import read_text, write_atomically
+from lite6jax.storage import exists, read_text, write_atomically
 
 Array = NDArray[np.floating]
 
@@ -304,8 +305,11 @@ def parsed_document(path: str | Path) -> Any:
     """A document as JSON holds it.
 
     Raises:
-        InputError: no such file, or no JSON.
+        InputError: no such file, no JSON, or a recording, with the command that diagnoses it.
     """
+    if recording_file(path) is not None and exists(path):
+        made = command_line("diagnose", path, "--out", Path(path).with_suffix(".json"))
+        raise InputError(f"{path}: is a recording and no diagnosis; give what `{made}` writes")
     try:
         document = json.loads(read_text(path, _SIZE_LIMIT), object_pairs_hook=unique_keys)
     except InputError:
